@@ -1,0 +1,139 @@
+"""Reading frames out of a stream of bytes, compiled: split anywhere, with anything between them.
+
+A frame is the last L bytes before a delimiter, where L is the one length that the format has in that direction. What
+stands before them since the delimiter before is garbage, counted and passed over: so the first whole frame after
+garbage of any length is found, without a second delimiter on the wire. Fewer than L bytes are never a frame.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from firmware_protocol import schema
+from firmware_protocol.cobs import unstuff
+from firmware_protocol.compiled import jit
+from firmware_protocol.frames import Format, check_of
+
+_RECENT = 128  # a power of two above the longest frame
+
+DECODER = np.dtype(
+    [
+        ("channels", np.int64),
+        ("long_check", np.int64),
+        ("seed", np.int64),
+        ("to_device", np.int64),
+        ("seen", np.int64),  # bytes since the last delimiter
+        ("at", np.int64),  # where the next byte goes in `recent`
+        ("accepted", np.int64),
+        ("crc_errors", np.int64),
+        ("length_errors", np.int64),  # fewer bytes than a frame has between two delimiters
+        ("form_errors", np.int64),  # a right check over wrong content: unknown type, codes that do not add up
+        ("garbage_bytes", np.int64),
+        ("type", np.int64),  # of the last accepted frame, with what it carried:
+        ("number", np.int64),
+        ("argument", np.int64),
+        ("counts", np.int64, schema.MAX_CHANNELS),
+        ("recent", np.uint8, _RECENT),
+        ("frame", np.uint8, _RECENT),
+    ],
+    align=True,
+)
+
+
+def new_decoder(wire: Format, to_device: bool) -> np.void:
+    """A decoder for the frames of one direction: `to_device` for what the host writes."""
+    decoder: np.void = np.zeros(1, DECODER)[0]
+    decoder["to_device"] = to_device
+    use_format(decoder, wire)
+    return decoder
+
+
+@jit
+def use_format(decoder, wire):
+    """From the next byte on, expect frames of this format. Bytes of an unfinished frame are forgotten."""
+    decoder.channels = wire.channels
+    decoder.long_check = 1 if wire.long_check else 0
+    decoder.seed = wire.seed
+    decoder.seen = 0
+
+
+@jit
+def next_frame(decoder, data, start, stop):
+    """Reads data[start:stop] up to the end of the first valid frame.
+
+    Returns (where reading stopped, whether a frame was found). The frame is then in the decoder's `type`, `number`,
+    `argument` and `counts`. Without one, everything was consumed and the beginning of a frame is remembered.
+    """
+    while start < stop:
+        byte = data[start]
+        start += 1
+        if byte != 0:
+            decoder.recent[decoder.at] = byte
+            decoder.at = (decoder.at + 1) & (_RECENT - 1)
+            decoder.seen += 1
+        elif _accept(decoder):
+            return start, True
+    return start, False
+
+
+@jit
+def _accept(decoder):
+    """Looks at the last L bytes before a delimiter; fills in the frame where they are one."""
+    check_bytes = 5 if decoder.long_check else 3
+    body = 1 + 2 + decoder.to_device + 4 * decoder.channels
+    length = body + check_bytes
+    seen = decoder.seen
+    decoder.seen = 0
+    if seen == 0:
+        return False
+    if seen < length:
+        decoder.length_errors += 1
+        return False
+    decoder.garbage_bytes += seen - length
+    frame = decoder.frame
+    first = decoder.at - length
+    for i in range(length):
+        frame[i] = decoder.recent[(first + i) & (_RECENT - 1)]
+    if not _check_holds(frame, body, decoder.long_check != 0, decoder.seed):
+        decoder.crc_errors += 1
+        return False
+    if not unstuff(frame, 0, body) or not _read(decoder, frame):
+        decoder.form_errors += 1
+        return False
+    decoder.accepted += 1
+    return True
+
+
+@jit
+def _check_holds(frame, body, long_check, seed):
+    """Every bit of the check's bytes is looked at, the ones that are always set or clear too."""
+    check = check_of(frame, 0, body, long_check, seed)
+    for i in range(5 if long_check else 3):
+        if frame[body + i] != (0x80 | ((check >> np.uint32(7 * i)) & np.uint32(0x7F))):
+            return False
+    return True
+
+
+@jit
+def _read(decoder, frame):
+    """Fields of the body in frame[1:]; False where the type is none of this direction's."""
+    kind = np.int64(frame[1]) >> 4
+    if decoder.to_device:
+        known = schema.DESCRIBE <= kind <= schema.DISARM
+    else:
+        known = schema.DESCRIPTION <= kind <= schema.STATUS
+    if not known:
+        return False
+    decoder.type = kind
+    decoder.number = ((np.int64(frame[1]) & 0xF) << 8) | np.int64(frame[2])
+    at = 3
+    if decoder.to_device:
+        decoder.argument = frame[3]
+        at = 4
+    for c in range(decoder.channels):
+        word = np.int64(0)
+        for i in range(4):
+            word |= np.int64(frame[at + i]) << (8 * i)
+        decoder.counts[c] = word - ((word & 0x80000000) << 1)
+        at += 4
+    return True

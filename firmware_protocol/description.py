@@ -1,0 +1,99 @@
+"""What a device says of itself: a Description, and the registers it travels in."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_protocol import schema
+
+
+@dataclass(frozen=True)
+class Description:
+    """A device as it describes itself, SI units, one entry per channel where a tuple stands."""
+
+    name: str
+    rate_hz: float
+    pacings: int
+    """Bit 0: paced by the device, bit 1: by the host, bit 2: lockstep."""
+    max_watchdog_samples: int
+    position_scale: tuple[float, ...]
+    """m per count."""
+    force_scale: tuple[float, ...]
+    """N per count."""
+    force_limit: tuple[float, ...]
+    """N, which the device itself never exceeds."""
+    version: int = schema.VERSION
+    schema_hash: int = schema.SCHEMA_HASH
+
+    @property
+    def channels(self) -> int:
+        return len(self.position_scale)
+
+    def paces(self, pacing: int) -> bool:
+        """Whether the device can be paced so: PACED_BY_DEVICE, PACED_BY_HOST or LOCKSTEP."""
+        return bool(self.pacings >> pacing & 1)
+
+
+def to_registers(description: Description) -> NDArray[np.int64]:
+    """Every register as an unsigned 32-bit value, shape (REGISTERS,)."""
+    registers = np.zeros(schema.REGISTERS, np.int64)
+    registers[schema.REG_VERSION] = description.version
+    registers[schema.REG_SCHEMA] = description.schema_hash
+    registers[schema.REG_CHANNELS] = description.channels
+    registers[schema.REG_PACINGS] = description.pacings
+    registers[schema.REG_MAX_WATCHDOG] = description.max_watchdog_samples
+    _put_f64(registers, schema.REG_RATE, description.rate_hz)
+    name = description.name.encode("ascii", "replace")[: 4 * schema.NAME_WORDS]
+    words = struct.unpack(f"<{schema.NAME_WORDS}I", name.ljust(4 * schema.NAME_WORDS, b"\0"))
+    registers[schema.REG_NAME : schema.REG_NAME + schema.NAME_WORDS] = words
+    for c in range(description.channels):
+        base = schema.REG_CHANNEL + c * schema.CHANNEL_WORDS
+        _put_f64(registers, base + schema.REG_POSITION_SCALE, description.position_scale[c])
+        _put_f64(registers, base + schema.REG_FORCE_SCALE, description.force_scale[c])
+        _put_f64(registers, base + schema.REG_FORCE_LIMIT, description.force_limit[c])
+    return registers
+
+
+def registers_of_a_description(channels: int) -> list[int]:
+    """The registers to be asked for, once the number of channels is known."""
+    wanted = [schema.REG_PACINGS, schema.REG_RATE, schema.REG_RATE + 1, schema.REG_MAX_WATCHDOG]
+    wanted += range(schema.REG_NAME, schema.REG_NAME + schema.NAME_WORDS)
+    for c in range(channels):
+        base = schema.REG_CHANNEL + c * schema.CHANNEL_WORDS
+        wanted += range(base, base + schema.REG_FORCE_LIMIT + 2)
+    return wanted
+
+
+def from_registers(registers: NDArray[np.int64]) -> Description:
+    """The description that stands in the registers, shape (REGISTERS,), unsigned 32-bit values."""
+    channels = range(int(registers[schema.REG_CHANNELS]))
+
+    def per_channel(which: int) -> tuple[float, ...]:
+        return tuple(_get_f64(registers, schema.REG_CHANNEL + c * schema.CHANNEL_WORDS + which) for c in channels)
+
+    words = registers[schema.REG_NAME : schema.REG_NAME + schema.NAME_WORDS]
+    name = struct.pack(f"<{schema.NAME_WORDS}I", *words.tolist()).rstrip(b"\0")
+    return Description(
+        name=name.decode("ascii", "replace"),
+        rate_hz=_get_f64(registers, schema.REG_RATE),
+        pacings=int(registers[schema.REG_PACINGS]),
+        max_watchdog_samples=int(registers[schema.REG_MAX_WATCHDOG]),
+        position_scale=per_channel(schema.REG_POSITION_SCALE),
+        force_scale=per_channel(schema.REG_FORCE_SCALE),
+        force_limit=per_channel(schema.REG_FORCE_LIMIT),
+        version=int(registers[schema.REG_VERSION]),
+        schema_hash=int(registers[schema.REG_SCHEMA]),
+    )
+
+
+def _put_f64(registers: NDArray[np.int64], at: int, value: float) -> None:
+    registers[at : at + 2] = struct.unpack("<II", struct.pack("<d", value))
+
+
+def _get_f64(registers: NDArray[np.int64], at: int) -> float:
+    value: float = struct.unpack("<d", struct.pack("<II", int(registers[at]), int(registers[at + 1])))[0]
+    return value

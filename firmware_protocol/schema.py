@@ -1,0 +1,110 @@
+"""What is said on the wire, version 1: frame types, fields, registers, lengths. PROTOCOL.md explains every one.
+
+Plain constants, so that reading them costs no compiler. `SCHEMA` is their canonical text; its hash is the start value
+of the check on every frame of an armed device, so that two sides that mean different things never understand each
+other by accident.
+"""
+
+from __future__ import annotations
+
+VERSION = 1
+MAX_CHANNELS = 16
+SAMPLE_MODULUS = 4096  # sample numbers travel in 12 bits
+MAX_WATCHDOG_SAMPLES = SAMPLE_MODULUS // 2 - 1  # below half the modulus: an age is never ambiguous
+MAX_TIME_TO_LIVE_SAMPLES = 255
+SHORT_CRC_CHANNELS = 3  # up to here a frame is at most 135 bits long, where CRC-16/DNP has distance 6
+
+# Host to device.
+DESCRIBE, ARM, FORCE, DISARM = 0x1, 0x2, 0x3, 0x4
+# Device to host.
+DESCRIPTION, POSITION, POSITION_HELD, STATUS = 0x9, 0xA, 0xB, 0xC
+
+# Who paces the samples of an armed device.
+PACED_BY_DEVICE, PACED_BY_HOST, LOCKSTEP = 0, 1, 2
+
+# States and faults, in a status frame.
+IDLE, ARMED, LATCHED = 0, 1, 2
+NO_FAULT, HOST_QUIET, POSITION_OUT_OF_RANGE, WRONG_SCHEMA, WRONG_PACING, WRONG_WATCHDOG, HARDWARE = range(7)
+
+FAULTS = {
+    NO_FAULT: "no fault",
+    HOST_QUIET: "the host was quiet for longer than the watchdog allows",
+    POSITION_OUT_OF_RANGE: "a position left the range of its counts",
+    WRONG_SCHEMA: "the host speaks another schema of this protocol",
+    WRONG_PACING: "the device cannot be paced in the way that was asked",
+    WRONG_WATCHDOG: "the watchdog asked for is outside what the device allows",
+    HARDWARE: "the device found a fault in its own hardware",
+}
+
+# Registers of the description, each 32 bits; an f64 takes two, low word first.
+REG_VERSION = 0
+REG_SCHEMA = 1
+REG_CHANNELS = 2
+REG_PACINGS = 3
+REG_RATE = 4
+REG_MAX_WATCHDOG = 6
+REG_FAULT = 7
+REG_ACCEPTED = 8
+REG_REJECTED = 9
+REG_HELD = 10
+REG_EXPIRED = 11
+REG_LIMITED = 12
+REG_NAME = 16
+NAME_WORDS = 4
+REG_CHANNEL = 32
+CHANNEL_WORDS = 8
+REG_POSITION_SCALE = 0
+REG_FORCE_SCALE = 2
+REG_FORCE_LIMIT = 4
+REGISTERS = REG_CHANNEL + MAX_CHANNELS * CHANNEL_WORDS
+
+SCHEMA = f"""hapsim wire {VERSION}
+frame cobs(header:u16be argument:u8[host] payload:i32le*channels) crc7bit zero
+header type:4 number:12
+crc channels<={SHORT_CRC_CHANNELS} crc16dnp else crc32c
+host describe={DESCRIBE:x} arm={ARM:x} force={FORCE:x} disarm={DISARM:x}
+device description={DESCRIPTION:x} position={POSITION:x} held={POSITION_HELD:x} status={STATUS:x}
+describe number=register
+arm number=watchdog argument=pacing payload0=schema
+force number=sample argument=time_to_live payload=force
+position number=sample payload=position
+status number=sample payload0=state:u8,fault:u8
+pacing device={PACED_BY_DEVICE} host={PACED_BY_HOST} lockstep={LOCKSTEP}
+state idle={IDLE} armed={ARMED} latched={LATCHED}
+register version={REG_VERSION} schema={REG_SCHEMA} channels={REG_CHANNELS} pacings={REG_PACINGS} rate={REG_RATE}:f64
+register max_watchdog={REG_MAX_WATCHDOG} fault={REG_FAULT} accepted={REG_ACCEPTED} rejected={REG_REJECTED}
+register held={REG_HELD} expired={REG_EXPIRED} limited={REG_LIMITED} name={REG_NAME}:{NAME_WORDS}
+register channel={REG_CHANNEL}+{CHANNEL_WORDS}c position_scale={REG_POSITION_SCALE}:f64
+register force_scale={REG_FORCE_SCALE}:f64 force_limit={REG_FORCE_LIMIT}:f64
+"""
+
+
+def _crc32c(text: bytes) -> int:
+    """CRC-32C bit by bit: independent of the compiled one, and needed before anything is compiled."""
+    crc = 0xFFFFFFFF
+    for byte in text:
+        crc ^= byte
+        for _ in range(8):
+            crc = (crc >> 1) ^ (0x82F63B78 if crc & 1 else 0)
+    return crc ^ 0xFFFFFFFF
+
+
+SCHEMA_HASH = _crc32c(SCHEMA.encode("ascii"))
+SETUP_SEED = 0x4853  # "HS": the same in every version, so that two versions can tell each other so
+ARMED_SEED_SHORT = (SCHEMA_HASH ^ (SCHEMA_HASH >> 16)) & 0xFFFF
+ARMED_SEED_LONG = SCHEMA_HASH
+
+
+def check_bytes(channels: int) -> int:
+    """Bytes that the check takes on the wire: 16 or 32 bits, seven in a byte."""
+    return 3 if channels <= SHORT_CRC_CHANNELS else 5
+
+
+def encoded_bytes(channels: int, to_device: bool) -> int:
+    """Bytes of a frame between its start and its check: COBS code, header, argument (to the device only), payload."""
+    return 1 + 2 + int(to_device) + 4 * channels
+
+
+def frame_bytes(channels: int, to_device: bool) -> int:
+    """Bytes of a whole frame on the wire, its delimiter included."""
+    return encoded_bytes(channels, to_device) + check_bytes(channels) + 1

@@ -1,0 +1,30 @@
+"""Compiling hapsim's hot path: the decorator, and a sign of life while the first compilation runs."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import firmware_protocol
+from firmware_protocol.compiled import compiler_for
+
+jit = compiler_for(Path(__file__).parent, Path(firmware_protocol.__file__).parent)
+"""Compiles a function of hapsim, which may call any compiled function of either package."""
+
+
+@contextlib.contextmanager
+def on_compilation(tell: Callable[[str], None]) -> Iterator[None]:
+    """While open, `tell(name)` is called as the compilation of each function begins; never where the code was kept."""
+    from numba.core import event
+
+    class Teller(event.Listener):
+        def on_start(self, event: Any) -> None:
+            tell(str(event.data["dispatcher"].py_func.__name__))
+
+        def on_end(self, event: Any) -> None:
+            pass
+
+    with event.install_listener("numba:compile", Teller()):
+        yield

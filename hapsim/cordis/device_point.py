@@ -1,0 +1,46 @@
+"""The device point: its position is the hand's, measured; the force of the scene on it is the force in the hand."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hapsim.compiled import jit
+
+
+class DevicePoints(NamedTuple):
+    """P device points, which are the scene's first points; `channel`: the device's channel of each, shape (P,)."""
+
+    channel: NDArray[np.int64]
+
+
+def device_points(channels: Sequence[int]) -> DevicePoints:
+    """Device points on these channels of the device."""
+    return DevicePoints(np.array(channels, np.int64))
+
+
+@jit
+def place(points, measured, position, previous):
+    """Puts every device point where the device says it is, at rest: for the first sample."""
+    for i in range(points.channel.size):
+        position[i] = measured[points.channel[i]]
+        previous[i] = position[i]
+
+
+@jit
+def follow(points, measured, position, previous):
+    """Moves every device point to the new sample, `measured` in m, one value per channel."""
+    for i in range(points.channel.size):
+        previous[i] = position[i]
+        position[i] = measured[points.channel[i]]
+
+
+@jit
+def felt(points, force, out):
+    """The scene's force on each channel, in N; 0 on a channel that the scene does not use."""
+    out[:] = 0.0
+    for i in range(points.channel.size):
+        out[points.channel[i]] = force[i]

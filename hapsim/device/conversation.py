@@ -1,0 +1,132 @@
+"""What host and device say to each other outside the loop: describe, arm, disarm, and why a device stopped."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+
+from firmware_protocol import schema
+from firmware_protocol.decoder import use_format
+from firmware_protocol.description import Description, from_registers, registers_of_a_description
+from firmware_protocol.frames import SETUP, Format, armed_format, frame_to_device
+from hapsim.device.line import Line
+from hapsim.errors import DeviceError
+from hapsim.loop.inbox import next_frame_within
+from hapsim.loop.port import send_from
+from hapsim.loop.system import FAILED, HUNG_UP
+
+_ANSWER_S = 0.25  # how long one answer is waited for
+_TRIES = 12  # together three seconds: a board that the opening of its port resets needs them
+
+
+def describe(line: Line) -> Description:
+    """Asks the device what it is. DeviceError where nothing answers, or something that does not speak version 1."""
+    registers = np.zeros(schema.REGISTERS, np.int64)
+    registers[schema.REG_VERSION] = _ask(line, schema.REG_VERSION, _TRIES)
+    registers[schema.REG_SCHEMA] = _ask(line, schema.REG_SCHEMA)
+    registers[schema.REG_CHANNELS] = _ask(line, schema.REG_CHANNELS)
+    _require_same_language(line, registers)
+    for number in registers_of_a_description(int(registers[schema.REG_CHANNELS])):
+        registers[number] = _ask(line, number)
+    return from_registers(registers)
+
+
+def read_register(line: Line, number: int) -> int:
+    """One register of a device that is not armed, as an unsigned 32-bit value."""
+    return _ask(line, number)
+
+
+def arm(line: Line, description: Description, pacing: int, watchdog_samples: int) -> Format:
+    """Arms the device, which then sends positions in the format returned. DeviceError where it refuses."""
+    wire = armed_format(description.channels)
+    schema_word = np.array([schema.SCHEMA_HASH], np.uint32).astype(np.int32).astype(np.int64)
+    answer = _exchange(
+        line, frame_to_device(SETUP, schema.ARM, watchdog_samples, pacing, schema_word), schema.STATUS, 0
+    )
+    state, fault = answer & 0xFF, answer >> 8 & 0xFF
+    if state != schema.ARMED:
+        raise DeviceError(f"{line.name}: the device does not arm: {fault_text(fault)}")
+    use_format(line.decoder, wire)
+    return wire
+
+
+def disarm(line: Line, wire: Format) -> bool:
+    """Tells the device to let go: zero force, at once. Whether it said that it did; a dead line is no error here."""
+    use_format(line.decoder, SETUP)
+    frames = [
+        frame_to_device(wire, schema.DISARM, 0, 0, np.zeros(wire.channels, np.int64)),
+        frame_to_device(SETUP, schema.DISARM, 0, 0, np.zeros(1, np.int64)),
+    ]
+    # A device that already let go (a fault, its watchdog) listens to the set-up format; one that did not, to its own.
+    for _ in range(3):
+        for frame in frames:
+            try:
+                _send(line, frame)
+                if _answer(line, schema.STATUS, None, 0.1) is not None:
+                    return True
+            except DeviceError:
+                return False
+    return False
+
+
+def fault_text(fault: int) -> str:
+    """A device's fault in words."""
+    return schema.FAULTS.get(fault, f"fault {fault}, which version {schema.VERSION} of the protocol does not name")
+
+
+def _require_same_language(line: Line, registers: Any) -> None:
+    version, schema_hash = int(registers[schema.REG_VERSION]), int(registers[schema.REG_SCHEMA])
+    if version != schema.VERSION:
+        side = "a newer hapsim" if version > schema.VERSION else "a newer firmware"
+        raise DeviceError(
+            f"{line.name}: the device speaks version {version} of the protocol, this hapsim speaks version "
+            f"{schema.VERSION}: it takes {side}"
+        )
+    if schema_hash != schema.SCHEMA_HASH:
+        raise DeviceError(
+            f"{line.name}: the device's schema is {schema_hash:08x}, this hapsim's is {schema.SCHEMA_HASH:08x}: "
+            "build the firmware from the protocol description of the hapsim that is to talk to it"
+        )
+    channels = int(registers[schema.REG_CHANNELS])
+    if not 1 <= channels <= schema.MAX_CHANNELS:
+        raise DeviceError(
+            f"{line.name}: the device says it has {channels} channels, where 1 to {schema.MAX_CHANNELS} can be"
+        )
+
+
+def _ask(line: Line, register: int, tries: int = 4) -> int:
+    frame = frame_to_device(SETUP, schema.DESCRIBE, register, 0, np.zeros(1, np.int64))
+    return _exchange(line, frame, schema.DESCRIPTION, register, tries)
+
+
+def _exchange(line: Line, frame: bytes, kind: int, number: int, tries: int = 4) -> int:
+    """Sends a frame until it is answered; the answer's first word, unsigned."""
+    for _ in range(tries):
+        _send(line, frame)
+        answer = _answer(line, kind, number, _ANSWER_S)
+        if answer is not None:
+            return answer
+    raise DeviceError(
+        f"{line.name}: no answer within {tries * _ANSWER_S:.2g} s. Is this the device's port, is the device "
+        "powered, does its firmware speak hapsim's protocol, and is no other program using it?"
+    )
+
+
+def _send(line: Line, frame: bytes) -> None:
+    data = np.frombuffer(frame, np.uint8).copy()
+    if send_from(line.port, data, data.size) != 0:
+        raise DeviceError(f"{line.name}: the port does not take what is written to it: is the device still there?")
+
+
+def _answer(line: Line, kind: int, number: int | None, timeout_s: float) -> int | None:
+    """The first word of the next frame of this kind and number (None: any); None where none comes in time."""
+    deadline = time.monotonic() + timeout_s
+    while (left := deadline - time.monotonic()) > 0:
+        found, code = next_frame_within(line.port, line.inbox, line.decoder, int(left * 1e9))
+        if code in (HUNG_UP, FAILED):
+            raise DeviceError(f"{line.name}: the device is gone (the port hung up)")
+        if found and line.decoder["type"] == kind and number in (None, line.decoder["number"]):
+            return int(line.decoder["counts"][0]) & 0xFFFFFFFF
+    return None

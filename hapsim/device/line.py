@@ -1,0 +1,31 @@
+"""A line to a device: a port of the loop, the frames that arrive on it, and how to close it.
+
+The same inbox serves the conversation before the loop, the loop, and the conversation after it: no byte falls between.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from firmware_protocol.decoder import new_decoder
+from firmware_protocol.frames import SETUP
+from hapsim.loop.inbox import new_inbox
+
+
+@dataclass
+class Line:
+    """An open line. `port` is a transport of hapsim.loop.port; `name` is what a user calls the port."""
+
+    port: Any
+    name: str
+    close: Callable[[], None]
+    baud: int | None = None
+    """Bit/s, where the line has a speed of its own."""
+    note: str = ""
+    """What opening it had to leave undone, for the user."""
+    inbox: np.void = field(default_factory=new_inbox)
+    decoder: np.void = field(default_factory=lambda: new_decoder(SETUP, to_device=False))

@@ -1,0 +1,89 @@
+"""The mock's converters: what the body's position becomes on the wire, and when a commanded force acts on the body.
+
+Command c[n], decided during sample n, acts from (n + delay) T on: held until the next one (zero-order hold), or as an
+impulse c[n] T. With delay = D + phi, sample n sees c[n-D-1] for its first phi T and c[n-D] for the rest.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hapsim.compiled import jit
+from hapsim.device.mock.motion import move, strike
+
+CONVERTER = np.dtype(
+    [
+        ("period", np.float64),  # s, nominal
+        ("whole_delay", np.int64),  # D
+        ("part_delay", np.float64),  # phi, in [0, 1)
+        ("impulse", np.int64),  # 1: impulse hold, 0: zero-order hold
+        ("average", np.int64),  # 1: mean over the sample before, 0: the instant's value
+        ("quantum", np.float64),  # m per count
+        ("noise", np.float64),  # m rms
+        ("seed", np.uint64),  # state of the noise's generator
+    ]
+)
+
+
+@jit
+def advance_body(body, converter, commands, channel, n, h):
+    """Moves one channel's body through sample n, which lasts `h` seconds. `commands`: N, shape (depth, channels)."""
+    depth = commands.shape[0]
+    newer = commands[(n - converter.whole_delay) % depth, channel]
+    first = converter.part_delay * h
+    if converter.impulse:
+        move(body, 0.0, first)
+        strike(body, newer * converter.period)
+        move(body, 0.0, h - first)
+        return
+    if first > 0.0:
+        move(body, commands[(n - converter.whole_delay - 1) % depth, channel], first)
+    move(body, newer, h - first)
+
+
+@jit
+def sample(body, converter, h):
+    """The position that the device measures, in m, at the end of a sample that lasted `h` seconds."""
+    position = body.area / h if converter.average else body.position
+    body.area = 0.0
+    if converter.noise > 0.0:
+        position += converter.noise * _normal(converter)
+    return position
+
+
+@jit
+def first_sample(body, converter):
+    """The measured position at the start. Averaged sampling looks back along a free motion."""
+    if not converter.average:
+        return body.position
+    return body.position - 0.5 * converter.period * body.velocity
+
+
+@jit
+def to_counts(position, converter):
+    """(counts, whether they fit 32 bits); a position that does not fit stops at the end of the scale."""
+    counts = np.rint(position / converter.quantum)
+    if not abs(counts) < 2147483648.0:
+        return np.int64(math.copysign(2147483647.0, counts)), False
+    return np.int64(counts), True
+
+
+@jit
+def _uniform(converter):
+    """xorshift64*, in (0, 1]: the mock's own, so that the same seed gives the same noise everywhere."""
+    x = converter.seed
+    x ^= x >> np.uint64(12)
+    x ^= x << np.uint64(25)
+    x ^= x >> np.uint64(27)
+    converter.seed = x
+    scrambled = x * np.uint64(2685821657736338717)
+    return (np.float64(scrambled >> np.uint64(11)) + 1.0) / 9007199254740992.0
+
+
+@jit
+def _normal(converter):
+    """A standard normal value (Box and Muller)."""
+    radius = math.sqrt(-2.0 * math.log(_uniform(converter)))
+    return radius * math.cos(2.0 * math.pi * _uniform(converter))

@@ -1,0 +1,45 @@
+"""The mock on a pseudo-terminal: a port that any program opens like a serial device's.
+
+The terminal is raw before anybody can open it, and a descriptor of its far end stays open: otherwise the first bytes
+would be echoed, and every close of the host would read as a hang-up.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import threading
+import tty
+from collections.abc import Iterator
+
+import numpy as np
+
+from hapsim.device.mock.firmware import Mock
+from hapsim.device.mock.serve import SERVICE, input_buffer, serve
+from hapsim.errors import DeviceError
+from hapsim.loop.descriptor import descriptor_port
+
+
+@contextlib.contextmanager
+def serving(mock: Mock) -> Iterator[str]:
+    """Serves `mock` from a thread of its own while open; the path of its port. DeviceError where none is to be had."""
+    try:
+        near, far = os.openpty()
+    except OSError as error:
+        raise DeviceError(f"no pseudo-terminal is to be had for the mock: {error}") from error
+    try:
+        for end in (near, far):
+            tty.setraw(end)
+            os.set_blocking(end, False)
+        service = np.zeros(1, SERVICE)[0]
+        arguments = (descriptor_port(near), mock, service, input_buffer(), np.zeros(4, np.int64))
+        thread = threading.Thread(target=serve, args=arguments, name="mock device")
+        thread.start()
+        try:
+            yield os.ttyname(far)
+        finally:
+            service["stop"] = 1
+            thread.join()
+    finally:
+        os.close(near)
+        os.close(far)

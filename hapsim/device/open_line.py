@@ -1,0 +1,55 @@
+"""Where the device of a scene is: behind a serial port, on a pseudo-terminal, or in memory."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+from typing import Literal
+
+from hapsim.device.line import Line
+from hapsim.device.serial_port import open_serial_port
+from hapsim.errors import UsageError
+from hapsim.scene import Scene
+
+LineKind = Literal["auto", "mock", "loopback", "terminal"]
+"""auto: the scene's port, or the mock where it names none. mock: the mock whatever the scene says, in memory where the
+time is virtual and on a pseudo-terminal where it is real. loopback, terminal: the mock, there."""
+
+
+@contextlib.contextmanager
+def open_line(scene: Scene, kind: LineKind = "auto") -> Iterator[Line]:
+    """The line to the scene's device, open inside the with-block."""
+    if kind == "auto" and scene.device.port is not None:
+        line = open_serial_port(scene.device.port, scene.device.baud)
+        with contextlib.closing(line):
+            yield line
+        return
+    virtual = scene.device.clock == "lockstep"
+    if kind == "loopback" and not virtual:
+        raise UsageError(
+            f"the loopback has no time of its own: it takes clock: lockstep, the scene says {scene.device.clock}"
+        )
+    if kind == "loopback" or (kind != "terminal" and virtual):
+        yield _loopback(scene)
+    else:
+        with _mock_terminal(scene) as line:
+            yield line
+
+
+def _loopback(scene: Scene) -> Line:
+    from hapsim.device.mock.assemble import assemble_mock
+    from hapsim.device.mock.loopback import loopback_port
+
+    return Line(port=loopback_port(assemble_mock(scene)), name="mock in memory", close=lambda: None)
+
+
+@contextlib.contextmanager
+def _mock_terminal(scene: Scene) -> Iterator[Line]:
+    from hapsim.device.mock.assemble import assemble_mock
+    from hapsim.device.mock.terminal import serving
+
+    with (
+        serving(assemble_mock(scene)) as path,
+        contextlib.closing(open_serial_port(path, scene.device.baud)) as line,
+    ):
+        yield line

@@ -1,0 +1,72 @@
+"""Opening a device's serial port: found, configured and locked by pyserial, then raw for the loop.
+
+Two locks, because each alone lets somebody in: pyserial's is advisory, and the terminal's own does not stop root.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import fcntl
+import termios
+
+from hapsim.device.line import Line
+from hapsim.errors import DeviceError
+from hapsim.loop.descriptor import descriptor_port
+
+
+def open_serial_port(path: str, baud: int) -> Line:
+    """Opens a port at `baud` bit/s. DeviceError, with what to do, where that fails."""
+    import serial
+
+    try:
+        port = serial.Serial(path, baud, timeout=0, exclusive=True)
+    except (OSError, ValueError) as error:  # SerialException is an OSError
+        raise DeviceError(_why_not(path, baud, error)) from error
+    descriptor = port.fileno()
+    _make_raw(descriptor)
+    return Line(port=descriptor_port(descriptor), name=path, close=port.close, baud=baud, note=_low_latency(port))
+
+
+def serial_ports() -> list[dict[str, str]]:
+    """The serial ports that the system knows: path, description and hardware of each."""
+    from serial.tools import list_ports
+
+    return [
+        {"port": port.device, "description": port.description or "", "hardware": port.hwid or ""}
+        for port in sorted(list_ports.comports())
+    ]
+
+
+def _make_raw(descriptor: int) -> None:
+    """VMIN = 1: then "nothing there" is EAGAIN and only a hang-up reads as empty."""
+    attributes = termios.tcgetattr(descriptor)
+    attributes[6][termios.VMIN] = 1
+    attributes[6][termios.VTIME] = 0
+    termios.tcsetattr(descriptor, termios.TCSANOW, attributes)
+    with contextlib.suppress(OSError):
+        fcntl.ioctl(descriptor, termios.TIOCEXCL)
+
+
+def _low_latency(port: object) -> str:
+    """Asks the driver not to gather bytes (FTDI: 16 ms by default). A note where it cannot be asked."""
+    try:
+        port.set_low_latency_mode(True)  # type: ignore[attr-defined]
+    except (ValueError, OSError, AttributeError):
+        return "the port's driver offers no low-latency mode"
+    return ""
+
+
+def _why_not(path: str, baud: int, error: Exception) -> str:
+    code = getattr(error, "errno", None)
+    text = str(error)
+    if code == errno.ENOENT or "No such file" in text:
+        found = ", ".join(port["port"] for port in serial_ports())
+        return f"{path}: no such port. Ports found: {found or 'none'} (`hapsim ports` tells more)"
+    if code in (errno.EACCES, errno.EPERM) or "Permission denied" in text:
+        return f"{path}: not permitted. On most systems: add yourself to the group dialout and log in again"
+    if code in (errno.EAGAIN, errno.EBUSY) or "exclusively lock" in text or "busy" in text:
+        return f"{path}: another program is using the port. Close it (ModemManager is a frequent one) and try again"
+    if code == errno.ENOTTY or "not configure port" in text or "Inappropriate ioctl" in text:
+        return f"{path}: not a serial port, or one that cannot be set to {baud} baud ({text})"
+    return f"{path}: cannot be opened: {text}"

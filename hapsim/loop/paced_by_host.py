@@ -1,0 +1,76 @@
+"""The loop when the host is the clock: at each tick it sends the force and with it asks for the next position.
+
+The clock is absolute, so that lateness does not add up. A tick that comes a whole period late starts the grid anew:
+catching up would hand the device a burst.
+"""
+
+from __future__ import annotations
+
+from hapsim.compiled import jit
+from hapsim.loop.exchange import (
+    DONE,
+    GONE,
+    HEARD,
+    STOPPED,
+    answer,
+    ending_of,
+    let_go,
+    take_newest_position,
+)
+from hapsim.loop.system import TIMED_OUT, now_ns, sleep_until
+
+
+@jit
+def run_paced_by_host(loop):
+    """Exchanges once a period until something ends it; returns what did."""
+    ending = _first_position(loop)
+    due = now_ns(loop.scratch) + loop.control.period_ns
+    while ending < 0:
+        if loop.control.stop:
+            ending = STOPPED
+        elif 0 <= loop.control.ticks <= loop.state.ticks:
+            ending = DONE
+        else:
+            sleep_until(due, loop.scratch)
+            _note_lateness(loop, due)
+            due = _next_due(loop, due)
+            ending = _exchange_before(loop, due)
+    let_go(loop)
+    return ending
+
+
+@jit
+def _first_position(loop):
+    """The device sends position 0 of its own accord when it is armed. Negative, or why the loop ends."""
+    code = take_newest_position(loop, loop.control.silence_ns)
+    return -1 if code == HEARD else ending_of(code)
+
+
+@jit
+def _exchange_before(loop, due):
+    """Force out, position in, until the next tick is due; a position that does not come by then is asked for again."""
+    if answer(loop) != 0:
+        return GONE
+    now = now_ns(loop.scratch)
+    code = take_newest_position(loop, max(due - now, 0))
+    if code == TIMED_OUT and now - loop.state.newest_ns < loop.control.silence_ns:
+        return -1
+    return -1 if code == HEARD else ending_of(code)
+
+
+@jit
+def _next_due(loop, due):
+    """The next point of the grid, or of a new grid where this tick came a whole period late."""
+    due += loop.control.period_ns
+    now = now_ns(loop.scratch)
+    if now < due:
+        return due
+    loop.state.late_ticks += 1
+    return now + loop.control.period_ns
+
+
+@jit
+def _note_lateness(loop, due):
+    lateness = now_ns(loop.scratch) - due
+    loop.state.lateness_ns = lateness
+    loop.state.max_lateness_ns = max(loop.state.max_lateness_ns, lateness)

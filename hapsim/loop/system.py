@@ -1,0 +1,102 @@
+"""The few system calls of the loop, callable from compiled code: clock, sleep, wait, read, write (Linux, 64 bit).
+
+Everything that leans on `numba.types.ExternalFunction` is here: it is internal to numba, but unlike a ctypes pointer
+it lets the compiled code be kept on disk. Structures are int64 or int32 arrays laid out as the C library's.
+"""
+
+from __future__ import annotations
+
+from numba import types
+
+from hapsim.compiled import jit
+
+CLOCK_MONOTONIC = 1
+_TIMER_ABSTIME = 1
+_EINTR = 4
+_EAGAIN = 11
+_POLLIN, _POLLOUT, _POLLHUP, _POLLERR, _POLLNVAL = 0x1, 0x4, 0x10, 0x8, 0x20
+
+TIMED_OUT = 0
+HUNG_UP = -1
+"""The other side of the port is gone."""
+FAILED = -2
+"""The system refused; there is nothing to be retried."""
+
+_clock_gettime = types.ExternalFunction("clock_gettime", types.int32(types.int32, types.uintp))
+_clock_nanosleep = types.ExternalFunction(
+    "clock_nanosleep", types.int32(types.int32, types.int32, types.uintp, types.uintp)
+)
+_ppoll = types.ExternalFunction("ppoll", types.int32(types.uintp, types.uint64, types.uintp, types.uintp))
+_read = types.ExternalFunction("read", types.intp(types.int32, types.uintp, types.uintp))
+_write = types.ExternalFunction("write", types.intp(types.int32, types.uintp, types.uintp))
+_errno_location = types.ExternalFunction("__errno_location", types.CPointer(types.int32)())
+
+
+@jit
+def now_ns(scratch):
+    """Monotonic time in ns. `scratch`: int64[4], the caller's own, so that nothing is allocated."""
+    _clock_gettime(CLOCK_MONOTONIC, scratch.ctypes.data)
+    return scratch[0] * 1_000_000_000 + scratch[1]
+
+
+@jit
+def sleep_until(deadline_ns, scratch):
+    """Sleeps until an absolute monotonic time. A deadline already past costs no system call."""
+    while now_ns(scratch) < deadline_ns:
+        scratch[0] = deadline_ns // 1_000_000_000
+        scratch[1] = deadline_ns % 1_000_000_000
+        # Returns its error number instead of setting errno; a signal's interruption is simply slept on.
+        if _clock_nanosleep(CLOCK_MONOTONIC, _TIMER_ABSTIME, scratch.ctypes.data, 0) not in (0, _EINTR):
+            return
+
+
+@jit
+def _wait(descriptor, events, timeout_ns, scratch):
+    """Waits for `events`; the events seen, 0 when the time is over, negative on failure."""
+    timeout_ns = max(timeout_ns, 0)
+    scratch[0] = timeout_ns // 1_000_000_000
+    scratch[1] = timeout_ns % 1_000_000_000
+    scratch[2] = descriptor | (events << 32)  # struct pollfd {int fd; short events; short revents;}
+    ready = _ppoll(scratch.ctypes.data + 16, 1, scratch.ctypes.data, 0)
+    if ready < 0:
+        return TIMED_OUT if _errno_location()[0] == _EINTR else FAILED
+    return (scratch[2] >> 48) & 0xFFFF
+
+
+@jit
+def read_some(descriptor, buffer, start, timeout_ns, scratch):
+    """Reads what is there into buffer[start:] within `timeout_ns`: the count, or one of the codes above."""
+    seen = _wait(descriptor, _POLLIN, timeout_ns, scratch)
+    if seen <= 0:
+        return seen
+    if seen & _POLLNVAL:
+        return FAILED
+    if not seen & _POLLIN:
+        return HUNG_UP
+    count = _read(descriptor, buffer.ctypes.data + start, buffer.size - start)
+    if count > 0:
+        return count
+    if count == 0:
+        # With VMIN = 1 "nothing there" is EAGAIN, so an empty read means that the other side hung up.
+        return HUNG_UP
+    error = _errno_location()[0]
+    if error in (_EINTR, _EAGAIN):
+        return TIMED_OUT
+    return HUNG_UP if seen & (_POLLHUP | _POLLERR) else FAILED
+
+
+@jit
+def write_all(descriptor, buffer, stop, timeout_ns, scratch):
+    """Writes buffer[:stop]; 0 when all went out, else HUNG_UP or FAILED."""
+    at = 0
+    while at < stop:
+        count = _write(descriptor, buffer.ctypes.data + at, stop - at)
+        if count > 0:
+            at += count
+            continue
+        error = _errno_location()[0]
+        if count < 0 and error not in (_EINTR, _EAGAIN):
+            return HUNG_UP
+        if _wait(descriptor, _POLLOUT, timeout_ns, scratch) <= 0:
+            return FAILED
+    return 0

@@ -1,0 +1,116 @@
+"""What happened in a run, tick by tick, and how it ended."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hapsim.errors import UsageError
+
+
+@dataclass(frozen=True)
+class Report:
+    """A run in numbers."""
+
+    ending: str
+    """Why it ended: done, stopped, …"""
+    ticks: int
+    duration_s: float
+    """From the first position to the last: by the clock on the wall, or in virtual time."""
+    rate_hz: float
+    """Positions per second of that duration."""
+    late_ticks: int
+    """Samples whose force came too late and for which the one before went on acting."""
+    lost_frames: int
+    """Positions that never arrived whole."""
+    crc_errors: int
+    """Frames of the device that the check refused (too short or malformed ones included)."""
+    stale_positions: int
+    """Positions that were overtaken by a newer one before they could be answered."""
+    limited_ticks: int
+    """Ticks whose force was cut to its limit."""
+    dropped_rows: int
+    """Rows missing from the trace because its reader was too slow; the force was not affected."""
+    max_age_samples: int
+    """The oldest that a force became, in samples."""
+    max_lateness_s: float
+    """The latest wake-up of the loop, where the host is the clock."""
+    virtual_time: bool
+
+
+@dataclass(frozen=True)
+class Trace:
+    """N ticks of C channels, in the order in which the positions arrived."""
+
+    rate: float
+    """Hz, nominal."""
+    sample: NDArray[np.int64]
+    """(N,) the device's number of each position, counted from arming."""
+    time_ns: NDArray[np.int64]
+    """(N,) monotonic time at which it arrived."""
+    flags: NDArray[np.uint8]
+    """(N,) HELD, UNSENT, LIMITED, BRIDGED of hapsim.loop.ring."""
+    position_counts: NDArray[np.int32]
+    """(N, C) as on the wire."""
+    force_counts: NDArray[np.int32]
+    """(N, C) the answer, as on the wire."""
+    asked_force: NDArray[np.float64]
+    """(N, C) N, what the scene's modules asked for: before an excitation, the limit and the rounding to counts."""
+    position_scale: NDArray[np.float64]
+    """(C,) m per count."""
+    force_scale: NDArray[np.float64]
+    """(C,) N per count."""
+    report: Report
+
+    @property
+    def position(self) -> NDArray[np.float64]:
+        """(N, C) m."""
+        return self.position_counts * self.position_scale
+
+    @property
+    def force(self) -> NDArray[np.float64]:
+        """(N, C) N."""
+        return self.force_counts * self.force_scale
+
+    def save(self, path: str | Path) -> None:
+        """Writes a .npz (every array as it is) or a .csv (SI units). UsageError for anything else."""
+        path = Path(path)
+        require_writable_as_trace(path)
+        if path.suffix == ".csv":
+            self._save_csv(path)
+        else:
+            arrays: dict[str, Any] = {
+                name: value for name, value in vars(self).items() if isinstance(value, np.ndarray)
+            }
+            np.savez_compressed(path, rate=self.rate, report=json.dumps(asdict(self.report)), **arrays)
+
+    def _save_csv(self, path: Path) -> None:
+        channels = range(self.position_scale.size)
+        names = [f"{what}[{c}]" for what in ("position_m", "force_N", "asked_force_N") for c in channels]
+        table = np.column_stack([self.sample, self.time_ns, self.flags, self.position, self.force, self.asked_force])
+        formats = ["%d", "%d", "%d"] + ["%.12g"] * (3 * len(channels))
+        header = ",".join(["sample", "time_ns", "flags", *names])
+        np.savetxt(path, table, fmt=formats, delimiter=",", header=header, comments="")
+
+
+def require_writable_as_trace(path: Path) -> None:
+    """UsageError where a trace could not be written there: better before the run than after it."""
+    if path.suffix not in (".npz", ".csv"):
+        raise UsageError(f"{path}: a trace is written as .npz or .csv, by the file's ending")
+    if not path.resolve().parent.is_dir():
+        raise UsageError(f"{path}: there is no directory {path.resolve().parent}")
+
+
+def load_trace(path: str | Path) -> Trace:
+    """Reads a trace back from a .npz. UsageError where the file is none."""
+    try:
+        with np.load(path) as file:
+            arrays = {name: file[name] for name in file.files if name not in ("rate", "report")}
+            return Trace(rate=float(file["rate"]), report=Report(**json.loads(str(file["report"]))), **arrays)
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise UsageError(f"{path}: not a trace that hapsim wrote ({error})") from error

@@ -1,0 +1,169 @@
+"""The pair of poles that moves the hand, out of a fitted polynomial, with its uncertainty.
+
+All is written in the pair's sum and product, which stay well-behaved where two poles meet; the poles themselves do not.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hapsim.measure.regression import Fit
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two poles in the z-plane, their standard uncertainties (of the distance in the plane), and what follows."""
+
+    poles: tuple[complex, complex]
+    poles_uncertainty: tuple[float, float]
+    decay: float
+    """s1 + s2 times the sample period: minus the sum of both decays."""
+    stiffness: float
+    """s1 s2 times the sample period squared."""
+    decay_uncertainty: float
+    stiffness_uncertainty: float
+
+
+def dominant_pair(
+    fit: Fit, alternatives: list[Fit], motion: NDArray[np.float64]
+) -> tuple[Pair | None, NDArray[np.complex128], str]:
+    """(the slowest-decaying pair or None, all poles by decreasing modulus, why there is no pair).
+
+    `alternatives`: fits that might as well have been chosen; how far they lie from `fit` adds to the uncertainty.
+    `motion`: the position, shape (samples,), in which a pole has to be seen in order to count.
+    """
+    poles = _poles(fit)
+    seen = _seen_in(motion, poles)
+    chosen = _choose(poles[seen])
+    if isinstance(chosen, str):
+        return None, poles[seen], chosen
+    first, second, others = chosen
+    total, product = (first + second).real, (first * second).real
+    spread = [_spread_of_sum_and_product(fit, total, product, np.append(others, poles[~seen]))]
+    for alternative in alternatives:
+        other_total, other_product = _nearest_pair(_poles(alternative), first, second)
+        spread.append(np.array([[other_total - total], [other_product - product]]))
+    return _pair(total, product, np.hstack(spread)), poles[seen], ""
+
+
+def _poles(fit: Fit) -> NDArray[np.complex128]:
+    poles = np.roots(fit.polynomial).astype(complex)
+    return poles[np.argsort(-np.abs(poles), kind="stable")]
+
+
+def _nearest_pair(poles: NDArray[np.complex128], first: complex, second: complex) -> tuple[float, float]:
+    """Sum and product of the two poles that take the places of `first` and `second`."""
+    nearest = poles[np.argsort(np.minimum(np.abs(poles - first), np.abs(poles - second)))]
+    a, b = nearest[0], nearest[1]
+    if a.imag != 0.0:
+        b = a.conjugate()
+    return (a + b).real, (a * b).real
+
+
+def _seen_in(motion: NDArray[np.float64], poles: NDArray[np.complex128]) -> NDArray[np.bool_]:
+    """Which poles the motion has: those without which a sum of modes would fit it clearly worse.
+
+    A fit of a higher order than the motion's has poles that belong to its noise; they may lie anywhere.
+    """
+    n = np.arange(min(motion.size, _LOOKED_AT))[:, None]
+    # A growing mode is written backwards from its end, so that no power overflows.
+    modes = np.where(np.abs(poles) > 1.0, poles, 1.0) ** (n - n[-1]) * np.where(np.abs(poles) > 1.0, 1.0, poles) ** n
+    modes /= np.linalg.norm(modes, axis=0)
+    q, r = np.linalg.qr(modes)
+    if np.min(np.abs(np.diag(r))) < 1e-15:
+        return np.ones(poles.size, bool)
+    amplitude = np.linalg.solve(r, q.conj().T @ motion[: n.size])
+    left = motion[: n.size] - np.real(modes @ amplitude)
+    worse = np.abs(amplitude) ** 2 / np.sum(np.abs(np.linalg.inv(r)) ** 2, axis=1)
+    return np.asarray(worse > _CLEARLY * np.mean(left**2))
+
+
+_LOOKED_AT = 4000
+_CLEARLY = 30.0
+
+
+def _choose(poles: NDArray[np.complex128]) -> tuple[complex, complex, NDArray[np.complex128]] | str:
+    """The two slowest poles, where they are a conjugate pair or both real and positive."""
+    if poles.size < 2:
+        return "the motion has fewer than two poles"
+    first = poles[0]
+    if first.imag != 0.0:
+        return first, first.conjugate(), poles[2:]
+    if first.real <= 0.0:
+        return "the slowest pole is real and negative: the position alternates from sample to sample"
+    if poles[1].imag != 0.0 or poles[1].real <= 0.0:
+        return "the slowest pole is real and no second real one follows: the motion is not that of a spring and damper"
+    return poles[0], poles[1], poles[2:]
+
+
+def _spread_of_sum_and_product(
+    fit: Fit, total: float, product: float, rest: NDArray[np.complex128]
+) -> NDArray[np.float64]:
+    """To first order: A = Q R, so dA = R dQ + Q dR, a linear system for dQ (and dR) with dA's coefficients known."""
+    order = fit.order
+    quadratic = np.array([1.0, -total, product])
+    others = np.real(np.poly(rest)) if rest.size else np.array([1.0])
+    system = np.zeros((order, order))
+    system[: others.size, 0] = -others  # by the sum: -z R
+    system[1 : 1 + others.size, 1] = others  # by the product: R
+    for i in range(order - 2):
+        system[i : i + 3, 2 + i] = quadratic
+    sensitivity = np.linalg.solve(system, fit.directions.T)[:2]
+    return np.asarray(sensitivity @ fit.spread)
+
+
+def _pair(total: float, product: float, spread: NDArray[np.float64]) -> Pair:
+    bend = total**2 / 4.0 - product  # squared half distance of the poles: its sign tells real from complex
+    bend_slope = np.array([total / 2.0, -1.0])
+    half = np.sqrt(complex(bend))
+    poles = (total / 2.0 + half, total / 2.0 - half)
+    uncertainty = tuple(_pole_uncertainty(sign, bend, bend_slope, spread) for sign in (1.0, -1.0))
+    decay, stiffness, slopes = _decay_and_stiffness(total, product)
+    reach = np.linalg.norm(slopes @ spread, axis=1)
+    return Pair(poles, (uncertainty[0], uncertainty[1]), decay, stiffness, float(reach[0]), float(reach[1]))
+
+
+def _pole_uncertainty(sign: float, bend: float, bend_slope: NDArray[np.float64], spread: NDArray[np.float64]) -> float:
+    """Linear where the poles are well apart.
+
+    Where they may have met, the square root is anything but linear: a quarter of how far it reaches when the bend is
+    off by four standard uncertainties, so that four of the value stated cover what four of the bend's do.
+    """
+    bend_uncertainty = float(np.linalg.norm(bend_slope @ spread))
+    half = np.sqrt(complex(bend))
+    if abs(bend) > 40.0 * bend_uncertainty:
+        slope = np.array([0.5, 0.0]) + sign * bend_slope / (2.0 * half)
+        return float(np.linalg.norm(slope @ spread))
+    reach = max(abs(np.sqrt(complex(bend + side * bend_uncertainty)) - half) for side in (-4.0, 4.0)) / 4.0
+    return math.hypot(0.5 * float(np.linalg.norm(spread[0])), reach)
+
+
+def _decay_and_stiffness(total: float, product: float) -> tuple[float, float, NDArray[np.float64]]:
+    """(s1 + s2) T, s1 s2 T² and their slopes by sum and product, smooth where the poles meet.
+
+    With mu² the product and cosine c = sum / (2 mu): s1 s2 T² = ln(mu)² + angle², where cos(angle) = c.
+    """
+    logarithm = 0.5 * math.log(product)
+    mu = math.exp(logarithm)
+    cosine = total / (2.0 * mu)
+    away = (total - 2.0 * mu) / (2.0 * mu)  # cosine - 1 without cancellation
+    if abs(away) < 1e-6:
+        angle_squared, slope = -2.0 * away * (1.0 - away / 6.0), -2.0 + 2.0 * away / 3.0
+    elif cosine < 1.0:
+        angle = math.acos(max(cosine, -1.0))
+        angle_squared, slope = angle**2, -2.0 * angle / math.sqrt(1.0 - cosine**2)
+    else:
+        angle = math.acosh(cosine)
+        angle_squared, slope = -(angle**2), -2.0 * angle / math.sqrt(cosine**2 - 1.0)
+    cosine_slope = np.array([1.0 / (2.0 * mu), -cosine / (2.0 * product)])
+    slopes = np.array(
+        [
+            [0.0, 1.0 / product],
+            slope * cosine_slope + np.array([0.0, logarithm / product]),
+        ]
+    )
+    return 2.0 * logarithm, logarithm**2 + angle_squared, slopes

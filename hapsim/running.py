@@ -1,0 +1,285 @@
+"""Running a scene: open the line, describe, arm, loop, disarm; and every way out of it leaves the force at zero."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numba
+import numpy as np
+
+from firmware_protocol import schema
+from firmware_protocol.description import Description
+from hapsim.compiled import on_compilation
+from hapsim.cordis.program import compile_scene
+from hapsim.device.conversation import arm, describe, disarm, fault_text
+from hapsim.device.line import Line
+from hapsim.device.open_line import LineKind, open_line
+from hapsim.errors import DeviceError, GuardError, HapsimError, RunError, UsageError
+from hapsim.loop import exchange
+from hapsim.loop.exchange import CONTROL, STATE, Loop
+from hapsim.loop.paced_by_device import run_paced_by_device
+from hapsim.loop.paced_by_host import run_paced_by_host
+from hapsim.loop.recorder import Recorder
+from hapsim.loop.ring import new_ring
+from hapsim.loop.trace import Report, Trace
+from hapsim.scene import Scene
+
+_RING_ROWS = 1 << 16
+_LOOK_S = 0.05  # how often the recorder and the live line look at the loop
+_PACING = {
+    "device": schema.PACED_BY_DEVICE,
+    "host": schema.PACED_BY_HOST,
+    "lockstep": schema.LOCKSTEP,
+}
+_ENDINGS = {
+    exchange.DONE: "done",
+    exchange.STOPPED: "stopped",
+    exchange.SILENT: "device silent",
+    exchange.GONE: "device gone",
+    exchange.NOT_FINITE: "force not finite",
+    exchange.DEVICE_STOPPED: "device stopped",
+}
+
+
+@dataclass(frozen=True)
+class Excitation:
+    """A push on one channel at the beginning of a run: `force` in N for `ticks` samples."""
+
+    channel: int
+    force: float
+    ticks: int
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How a run is doing, for a live line."""
+
+    phase: Literal["compiling", "running"]
+    text: str = ""
+    elapsed_s: float = 0.0
+    rate_hz: float = 0.0
+    force: tuple[float, ...] = ()
+    age_samples: int = 0
+    late_ticks: int = 0
+    limited_ticks: int = 0
+
+
+def run(
+    scene: Scene,
+    *,
+    duration: float | None = None,
+    line: LineKind = "auto",
+    excitation: Excitation | None = None,
+    keep: bool = True,
+    on_progress: Callable[[Progress], None] | None = None,
+    stop_on_signals: bool = False,
+) -> Trace:
+    """Runs `scene` for `duration` seconds (None: until stopped) and returns what happened.
+
+    `line`: where the device is ("auto": the scene's port, else the mock that fits the clock). `keep`: False for a trace
+    without rows, for runs without an end. `stop_on_signals`: SIGINT, SIGTERM and SIGHUP end the run in good order
+    (main thread only).
+
+    Raises SceneError and UsageError for what cannot be run, DeviceError where port or device fail, GuardError where a
+    guard stopped the force; the two last carry what was recorded as their attribute `trace`.
+    """
+    if duration is not None and not duration > 0:
+        raise UsageError(f"duration: found {duration}, expected a number of seconds above 0")
+    tell = on_progress or (lambda _: None)
+    with on_compilation(lambda name: tell(Progress("compiling", name))), open_line(scene, line) as opened:
+        description = describe(opened)
+        _require_fit(scene, opened, description)
+        loop = _assemble(scene, opened, description, excitation, duration)
+        body: Any = run_paced_by_host if scene.device.clock == "host" else run_paced_by_device
+        # Everything is compiled now: the device is armed only when the loop can answer at once.
+        body.compile((numba.typeof(loop),))
+        recorder = Recorder(loop.ring, keep)
+        watchdog = _watchdog_samples(scene.rate, description)
+        with _signals(loop.control) if stop_on_signals else contextlib.nullcontext():
+            try:
+                arm(opened, description, _PACING[scene.device.clock], watchdog)
+                ending = _run_in_thread(body, loop, recorder, tell)
+            finally:
+                # The loop let go already; this is for every way out that did not get so far.
+                disarm(opened, loop.wire)
+    trace = _trace(scene, loop, recorder, _ENDINGS[ending])
+    _raise_what_failed(opened.name, ending, loop, trace)
+    return trace
+
+
+def _require_fit(scene: Scene, line: Line, description: Description) -> None:
+    """UsageError or DeviceError where scene and device do not go together."""
+    if description.channels < scene.channels:
+        raise UsageError(
+            f"{line.name}: the device has {description.channels} channel(s), the scene uses {scene.channels}"
+        )
+    if abs(description.rate_hz / scene.rate - 1.0) > 1e-6:
+        raise UsageError(
+            f"{line.name}: the device samples at {description.rate_hz:g} Hz, the scene says {scene.rate:g} Hz: "
+            f"write rate: {description.rate_hz:g} into the scene, or set the device"
+        )
+    if not description.paces(_PACING[scene.device.clock]):
+        raise UsageError(
+            f"{line.name}: the device cannot be run with clock: {scene.device.clock}; try another clock in the scene"
+        )
+    scales = (*description.position_scale, *description.force_scale, *description.force_limit)
+    if not all(np.isfinite(scales)) or min(scales) <= 0:
+        raise DeviceError(f"{line.name}: the device declares a scale or limit that is not a number above 0")
+
+
+def _assemble(
+    scene: Scene, line: Line, description: Description, excitation: Excitation | None, duration: float | None
+) -> Loop:
+    """Every array of the loop, allocated once."""
+    from firmware_protocol.frames import armed_format
+
+    channels = description.channels
+    control, state = np.zeros(1, CONTROL)[0], np.zeros(1, STATE)[0]
+    control["ticks"] = -1 if duration is None else max(1, round(duration * scene.rate))
+    control["period_ns"] = round(1e9 / scene.rate)
+    control["silence_ns"] = round(1e9 * max(0.25, 20.0 / scene.rate))
+    control["time_to_live"] = min(max(round(0.02 * scene.rate), 2), schema.MAX_TIME_TO_LIVE_SAMPLES)
+    if scene.device.clock == "lockstep":
+        control["silence_ns"] = 5_000_000_000  # the mock may live in a process that is only now being compiled
+    if excitation is not None:
+        control["pulse_ticks"] = excitation.ticks
+        control["pulse"][excitation.channel] = excitation.force
+    return Loop(
+        port=line.port,
+        inbox=line.inbox,
+        decoder=line.decoder,
+        wire=armed_format(channels),
+        program=compile_scene(scene),
+        measured=np.zeros(channels),
+        before=np.zeros(channels),
+        bridge=np.zeros(channels),
+        asked=np.zeros(channels),
+        force=np.zeros(channels),
+        position_counts=np.zeros(channels, np.int64),
+        force_counts=np.zeros(channels, np.int64),
+        position_scale=np.array(description.position_scale),
+        force_scale=np.array(description.force_scale),
+        force_limit=np.minimum(description.force_limit, scene.device.force_limit),
+        outbox=np.zeros(128, np.uint8),
+        scratch=np.zeros(4, np.int64),
+        ring=new_ring(channels, _RING_ROWS, waits=scene.device.clock == "lockstep"),
+        control=control,
+        state=state,
+    )
+
+
+def _watchdog_samples(rate: float, description: Description) -> int:
+    """A tenth of a second of silence of the host, as far as the device lets us."""
+    return min(max(round(0.1 * rate), 10), description.max_watchdog_samples)
+
+
+def _run_in_thread(
+    body: Callable[[Loop], int], loop: Loop, recorder: Recorder, tell: Callable[[Progress], None]
+) -> int:
+    """Runs the compiled loop beside this thread, which keeps the record and hears signals. Why the loop ended."""
+    endings: list[int] = []
+
+    def work() -> None:
+        ending = body(loop)
+        while ending == exchange.RING_FULL:
+            recorder.collect()
+            ending = body(loop)
+        endings.append(ending)
+
+    thread = threading.Thread(target=work, name="haptic loop")
+    thread.start()
+    try:
+        while thread.is_alive():
+            thread.join(_LOOK_S)
+            if not loop.ring.cursor["waits"]:
+                recorder.collect()
+            tell(_progress(loop))
+    finally:
+        loop.control["stop"] = 1
+        thread.join()
+    recorder.collect()
+    if not endings:
+        raise HapsimError("the compiled loop ended with an exception, which is a defect of hapsim")
+    return endings[0]
+
+
+def _progress(loop: Loop) -> Progress:
+    state = loop.state
+    elapsed = (int(state["newest_ns"]) - int(state["first_ns"])) * 1e-9
+    ticks = int(state["ticks"])
+    return Progress(
+        "running",
+        elapsed_s=elapsed,
+        rate_hz=(ticks - 1) / elapsed if elapsed > 0 else 0.0,
+        force=tuple((loop.force_counts * loop.force_scale).tolist()),
+        age_samples=int(state["age"]),
+        late_ticks=int(state["late_ticks"]),
+        limited_ticks=int(state["limited_ticks"]),
+    )
+
+
+def _trace(scene: Scene, loop: Loop, recorder: Recorder, ending: str) -> Trace:
+    state, virtual = loop.state, scene.device.clock == "lockstep"
+    ticks = int(state["ticks"])
+    samples = max(ticks - 1, 0)
+    elapsed = samples / scene.rate if virtual else (int(state["newest_ns"]) - int(state["first_ns"])) * 1e-9
+    decoder = loop.decoder
+    report = Report(
+        ending=ending,
+        ticks=ticks,
+        duration_s=elapsed,
+        rate_hz=samples / elapsed if elapsed > 0 else 0.0,
+        late_ticks=int(state["late_ticks"]),
+        lost_frames=int(state["lost_frames"]),
+        crc_errors=int(decoder["crc_errors"] + decoder["length_errors"] + decoder["form_errors"]),
+        stale_positions=int(state["stale_positions"]),
+        limited_ticks=int(state["limited_ticks"]),
+        dropped_rows=int(loop.ring.cursor["dropped"]),
+        max_age_samples=int(state["max_age"]),
+        max_lateness_s=int(state["max_lateness_ns"]) * 1e-9,
+        virtual_time=virtual,
+    )
+    return recorder.trace(scene.rate, loop.position_scale, loop.force_scale, report)
+
+
+def _raise_what_failed(name: str, ending: int, loop: Loop, trace: Trace) -> None:
+    error: RunError
+    ticks = trace.report.ticks
+    if ending == exchange.SILENT:
+        silence = loop.control["silence_ns"] * 1e-9
+        error = DeviceError(f"{name}: the device was silent for {silence:.2g} s after {ticks} ticks; the force is zero")
+    elif ending == exchange.GONE:
+        error = DeviceError(f"{name}: the device went away after {ticks} ticks (unplugged, or its port was closed)")
+    elif ending == exchange.DEVICE_STOPPED:
+        reason = fault_text(int(loop.state["fault"]))
+        error = DeviceError(f"{name}: the device stopped after {ticks} ticks: {reason}; its force is zero")
+    elif ending == exchange.NOT_FINITE:
+        error = GuardError(
+            f"the scene's force was not a finite number at tick {ticks}; the force was set to zero. A stiffness or a "
+            "damping is beyond what floating point holds at this rate: `hapsim check` tells what is stable"
+        )
+    else:
+        return
+    error.trace = trace
+    raise error
+
+
+@contextlib.contextmanager
+def _signals(control: Any) -> Iterator[None]:
+    """While open, signals that mean "stop" end the loop between two ticks."""
+
+    def stop(_signal: int, _frame: object) -> None:
+        control["stop"] = 1
+
+    meant = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    before = {number: signal.signal(number, stop) for number in meant}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -1,0 +1,56 @@
+"""The checks that need more than one part of a scene at once.
+
+They take whatever parts are sound, so that a file with a fault in one place still hears about the others.
+"""
+
+from collections.abc import Iterator, Mapping
+
+from .finding import Finding, Path
+from .modules import DevicePoint, Surroundings
+
+#: The parts that may have lists with one value per channel.
+PER_CHANNEL_PARTS: tuple[Path, ...] = (("device",), ("mock",), ("mock", "initial"))
+
+#: Fields by the path of the part that they belong to.
+Fields = Mapping[Path, Mapping[str, object]]
+
+
+def findings_across(around: Surroundings, per_channel: Fields) -> list[Finding]:
+    """The faults between the parts.
+
+    Args:
+        around: the modules.
+        per_channel: the sound fields of the parts that may have lists with one value per channel.
+    """
+    findings = [finding for name, module in around.sound.items() for finding in module.findings(name, around)]
+    kinds = around.kinds.values()
+    if None not in kinds and DevicePoint not in kinds:
+        findings.append(
+            Finding(
+                ("modules",),
+                "found no module of type device, expected at least one: it is what the hand holds",
+                at_key=True,
+            )
+        )
+    channels = _channels(around)
+    if channels is not None:
+        findings += _lists_of_another_length(per_channel, channels)
+    return findings
+
+
+def _channels(around: Surroundings) -> int | None:
+    """Number of channels, or None where a faulty module leaves it open."""
+    kinds = around.kinds
+    if any(kinds[name] in (None, DevicePoint) for name in kinds if name not in around.sound):
+        return None
+    used = [module.channel for module in around.sound.values() if isinstance(module, DevicePoint)]
+    return 1 + max(used) if used else None
+
+
+def _lists_of_another_length(per_channel: Fields, channels: int) -> Iterator[Finding]:
+    for path, fields in per_channel.items():
+        for name, value in fields.items():
+            if isinstance(value, list | tuple) and len(value) != channels:
+                found = f"found {len(value)} {'number' if len(value) == 1 else 'numbers'}"
+                expected = f"expected {channels}: one for each channel, up to the highest that a module holds"
+                yield Finding((*path, name), f"{found}, {expected}; or write a single number for all")

@@ -1,0 +1,45 @@
+"""What stands on the other side of the wire: the device that the hand holds."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from .part import Part
+from .quantity import Count, PerChannel, Quantity, per_channel
+
+Clock = Literal["device", "host", "lockstep"]
+Hold = Literal["zoh", "impulse"]
+Sampling = Literal["ideal", "average"]
+
+MASS = Quantity("Moving part of the device and the hand that holds it", "kg", above=0, per_channel=True)
+FRICTION = Quantity("Viscous friction of the device", "N·s/m", least=0, per_channel=True)
+DELAY = Quantity(
+    "From sampling the position to the force's change, any real number", "sample periods", least=0, most=1000
+)
+HOLD = "How the device keeps a force until the next one: level (zoh), or given all at once (impulse)"
+SAMPLING = "How the device reads its position: at the instant (ideal), or as the mean over the period (average)"
+
+
+class Device(Part):
+    """The device that the hand holds, and the link to it. SI units."""
+
+    port: str | None = Field(default=None, description="Serial port, such as /dev/ttyACM0; left out: the embedded mock")
+    baud: Annotated[int, Count("Speed of the serial link", 1, 100_000_000, "bit/s")] = 2_000_000
+    clock: Clock = Field(
+        default="device",
+        description="Who paces the loop; lockstep: the mock, in virtual time, as fast as it goes",
+    )
+    mass: Annotated[PerChannel, MASS]
+    friction: Annotated[PerChannel, FRICTION] = 0.0
+    delay: Annotated[float, DELAY] = 1.0
+    hold: Hold = Field(default="zoh", description=HOLD)
+    sampling: Sampling = Field(default="ideal", description=SAMPLING)
+    force_limit: Annotated[float, Quantity("Force that is never exceeded", "N", above=0)] = 10.0
+
+    def masses(self, channels: int) -> tuple[float, ...]:
+        """Mass of each of ``channels`` channels, in kg."""
+        return per_channel(self.mass, channels)
+
+    def frictions(self, channels: int) -> tuple[float, ...]:
+        """Viscous friction of each of ``channels`` channels, in N·s/m."""
+        return per_channel(self.friction, channels)

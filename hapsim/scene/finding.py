@@ -1,0 +1,63 @@
+"""What a fault is: by where it is in the scene (`Finding`), and by where that is in the file (`Fault`)."""
+
+import difflib
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+#: Keys and indices that lead from the top of the scene to a value: ``("modules", "touch", "between", 0)``.
+Path = tuple[str | int, ...]
+
+#: Among more names than these the nearest is not looked for: it would take minutes in a large generated file.
+MOST_COMPARED = 500
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One fault of a scene.
+
+    Attributes:
+        path: leads to the value at fault.
+        sentence: what was found and what was expected.
+        at_key: the key of that value is at fault, not the value.
+    """
+
+    path: Path
+    sentence: str
+    at_key: bool = False
+
+
+@dataclass(frozen=True, order=True)
+class Place:
+    """A position in the file, counted from 1 as editors do."""
+
+    line: int
+    column: int
+
+
+@dataclass(frozen=True, order=True)
+class Fault:
+    """One fault of a file, and where it is."""
+
+    place: Place
+    sentence: str
+
+
+def quote(text: str) -> str:
+    """The text in quotes, on one line, cut where it grows long, with unprintable characters escaped."""
+    longest = 60
+    return repr(text if len(text) <= longest else text[: longest - 1] + "…")
+
+
+def nearest(word: str, known: Iterable[str]) -> str | None:
+    """The known word that ``word`` most likely means, or nothing if none is near."""
+    by_lower = {name.lower(): name for name in known}
+    if len(by_lower) > MOST_COMPARED:
+        return None
+    close = difflib.get_close_matches(word[:60].lower(), by_lower, n=1, cutoff=0.6)
+    return by_lower[close[0]] if close else None
+
+
+def did_you_mean(word: str, known: Iterable[str]) -> str:
+    """The end of a sentence that offers the nearest known word, or nothing."""
+    near = nearest(word, known)
+    return f"; did you mean {quote(near)}?" if near else ""

@@ -1,0 +1,87 @@
+"""The mock device: only where it differs from what `Device` says, or adds to it."""
+
+from dataclasses import dataclass, replace
+from typing import Annotated
+
+from pydantic import Field
+
+from .device import DELAY, FRICTION, HOLD, MASS, SAMPLING, Device, Hold, Sampling
+from .part import Part
+from .quantity import Count, PerChannel, Quantity, per_channel
+
+AS_DEVICE = "as `device` says"
+
+
+class Initial(Part):
+    """Where the mock's moving parts are when the run starts. SI units."""
+
+    position: Annotated[PerChannel, Quantity("Position at the start", "m", per_channel=True)] = 0.0
+    velocity: Annotated[PerChannel, Quantity("Velocity at the start", "m/s", per_channel=True)] = 0.0
+
+
+class Mock(Part):
+    """Where the mock differs from the described device, and what a real device has of itself. SI units."""
+
+    mass: Annotated[PerChannel | None, replace(MASS, left_out=AS_DEVICE)] = None
+    friction: Annotated[PerChannel | None, replace(FRICTION, left_out=AS_DEVICE)] = None
+    delay: Annotated[float | None, replace(DELAY, left_out=AS_DEVICE)] = None
+    hold: Hold | None = Field(default=None, description=f"{HOLD}; left out: {AS_DEVICE}")
+    sampling: Sampling | None = Field(default=None, description=f"{SAMPLING}; left out: {AS_DEVICE}")
+    initial: Initial = Field(default=Initial(), description="Where the moving parts are when the run starts")
+    coulomb: Annotated[float, Quantity("Dry friction", "N", least=0)] = 0.0
+    quantum: Annotated[float, Quantity("Step of the position on the wire", "m per count", above=0)] = 1.0e-9
+    noise: Annotated[float, Quantity("Noise of the position sensor", "m rms", least=0)] = 0.0
+    seed: Annotated[int, Count("Seed of the noise: the same seed, the same run", 0, 2**32 - 1)] = 0
+
+
+@dataclass(frozen=True)
+class MockDevice:
+    """The mock as it is to be simulated: nothing left open, one value per channel where channels may differ.
+
+    Attributes:
+        mass: moving part and hand, kg, per channel.
+        friction: viscous friction, N·s/m, per channel.
+        delay: from sampling the position to the force's change, in sample periods.
+        hold, sampling: as in `Device`.
+        initial_position: m, per channel.
+        initial_velocity: m/s, per channel.
+        coulomb: dry friction, N.
+        quantum: step of the position on the wire, m per count.
+        noise: noise of the position sensor, m rms.
+        seed: seed of that noise.
+    """
+
+    mass: tuple[float, ...]
+    friction: tuple[float, ...]
+    delay: float
+    hold: Hold
+    sampling: Sampling
+    initial_position: tuple[float, ...]
+    initial_velocity: tuple[float, ...]
+    coulomb: float
+    quantum: float
+    noise: float
+    seed: int
+
+    @property
+    def channels(self) -> int:
+        """Number of channels."""
+        return len(self.mass)
+
+
+def resolve(device: Device, mock: Mock | None, channels: int) -> MockDevice:
+    """The mock of ``channels`` channels that ``mock`` describes, with ``device`` where it is silent."""
+    mock = mock or Mock()
+    return MockDevice(
+        mass=per_channel(device.mass if mock.mass is None else mock.mass, channels),
+        friction=per_channel(device.friction if mock.friction is None else mock.friction, channels),
+        delay=device.delay if mock.delay is None else mock.delay,
+        hold=mock.hold or device.hold,
+        sampling=mock.sampling or device.sampling,
+        initial_position=per_channel(mock.initial.position, channels),
+        initial_velocity=per_channel(mock.initial.velocity, channels),
+        coulomb=mock.coulomb,
+        quantum=mock.quantum,
+        noise=mock.noise,
+        seed=mock.seed,
+    )

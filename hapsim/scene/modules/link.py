@@ -1,0 +1,76 @@
+"""What every link is: an element between two points."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar
+
+from ..finding import Finding, did_you_mean, quote
+from ..quantity import Expectation, unexpected
+from .module import Module, Surroundings
+
+
+@dataclass(frozen=True)
+class Ends(Expectation):
+    """The names of the two modules that a link joins."""
+
+    def expected(self) -> str:
+        return "the names of two modules, such as [hand, wall]"
+
+    def check(self, value: object) -> tuple[str, str]:
+        if not isinstance(value, list | tuple) or len(value) != 2:
+            unexpected(self.expected())
+        for index, name in enumerate(value):
+            if not isinstance(name, str):
+                unexpected("the name of a module", (index,))
+        return value[0], value[1]
+
+    def json_schema(self) -> dict[str, Any]:
+        return {
+            "description": "The two modules that it joins, by name",
+            "type": "array",
+            "items": {"type": "string"},
+            "minItems": 2,
+            "maxItems": 2,
+        }
+
+
+class Link(Module):
+    """An element between two points, which are named and may stand anywhere in the file."""
+
+    is_point: ClassVar[bool] = False
+    can_move: ClassVar[bool] = False
+    shared: ClassVar[tuple[str, ...]] = ("between",)
+
+    between: Annotated[tuple[str, str], Ends()]
+
+    def findings(self, name: str, around: Surroundings) -> Iterator[Finding]:
+        path = ("modules", name, "between")
+        wrong_ends = [
+            Finding((*path, index), sentence)
+            for index, end in enumerate(self.between)
+            if (sentence := _wrong_end(name, end, around))
+        ]
+        yield from wrong_ends
+        if wrong_ends:
+            return
+        first, second = self.between
+        if first == second:
+            yield Finding(path, f"found {quote(first)} at both ends, expected two different points")
+        elif all(kind is not None and not kind.can_move for kind in map(around.kinds.get, self.between)):
+            yield Finding(
+                path,
+                f"found {quote(first)} and {quote(second)}, of which neither can move; expected one end that can",
+            )
+
+
+def _wrong_end(name: str, end: str, around: Surroundings) -> str | None:
+    if end == name:
+        return f"found {quote(end)}, the link itself; expected a point to hold"
+    if end not in around.kinds:
+        points = [other for other, kind in around.kinds.items() if kind is None or kind.is_point]
+        hint = did_you_mean(end, points)
+        return f"found {quote(end)}, expected the name of a module of this scene{hint}"
+    kind = around.kinds[end]
+    if kind is not None and not kind.is_point:
+        return f"found {quote(end)}, which is a link; expected a point: a link joins points, not links"
+    return None

@@ -1,0 +1,198 @@
+"""What a value of the scene file may be, said once: the check, the words of an error and the JSON schema.
+
+Each class here stands in a field's ``Annotated[...]``. The words are ours rather than pydantic's, so that a
+person who never heard of pydantic can act on them.
+"""
+
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from numbers import Integral, Real
+from typing import Any, NoReturn
+
+from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
+from pydantic_core import PydanticCustomError, core_schema
+
+#: The pydantic error type under which every check of ours reports.
+UNEXPECTED = "unexpected"
+
+MOST_CHANNELS = 16
+
+#: A number of the scene file, or one for each channel of the device.
+PerChannel = float | tuple[float, ...]
+
+
+def unexpected(expected: str, at: tuple[int, ...] = ()) -> NoReturn:
+    """Say that a value, or the entry ``at`` within it, is not what was ``expected``.
+
+    Raises:
+        PydanticCustomError: always; inside a pydantic validation it becomes one of the collected faults.
+    """
+    raise PydanticCustomError(UNEXPECTED, "expected {expected}", {"expected": expected, "at": at})
+
+
+class Expectation:
+    """What one field expects. An instance stands in ``Annotated[type, ...]``, where pydantic finds it."""
+
+    def expected(self) -> str:
+        """The words that follow "expected" in an error."""
+        raise NotImplementedError
+
+    def check(self, value: object) -> object:
+        """The value in its final type, or an error through `unexpected`."""
+        raise NotImplementedError
+
+    def json_schema(self) -> dict[str, Any]:
+        """The JSON schema of the value, description and unit included."""
+        raise NotImplementedError
+
+    def __get_pydantic_core_schema__(self, _source: object, _handler: GetCoreSchemaHandler) -> core_schema.CoreSchema:
+        return core_schema.no_info_plain_validator_function(self.check)
+
+    def __get_pydantic_json_schema__(
+        self, _schema: core_schema.CoreSchema, _handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        return self.json_schema()
+
+
+@dataclass(frozen=True)
+class Quantity(Expectation):
+    """A finite number in SI units, within bounds.
+
+    Attributes:
+        description: what the number is, for the schema.
+        unit: its unit as people read it, such as ``N·s/m``.
+        above, least, most: the bounds; ``above`` is exclusive.
+        per_channel: a list with one number for each channel is welcome too, and becomes a tuple.
+        left_out: what it means to leave the number out; where this is given, ``null`` is welcome too.
+    """
+
+    description: str
+    unit: str
+    above: float | None = None
+    least: float | None = None
+    most: float | None = None
+    per_channel: bool = False
+    left_out: str = ""
+
+    def expected(self) -> str:
+        several = ", or a list with one per channel" if self.per_channel else ""
+        return self._one() + several
+
+    def check(self, value: object) -> PerChannel | None:
+        if value is None and self.left_out:
+            return None
+        if self.per_channel and isinstance(value, Sequence) and not isinstance(value, str | bytes):
+            return tuple(self._number(entry, (index,)) for index, entry in enumerate(value))
+        return self._number(value, ())
+
+    def json_schema(self) -> dict[str, Any]:
+        bounds = {"exclusiveMinimum": self.above, "minimum": self.least, "maximum": self.most}
+        number = {"type": "number"} | {key: bound for key, bound in bounds.items() if bound is not None}
+        kinds: list[dict[str, Any]] = [number]
+        if self.per_channel:
+            kinds.append({"type": "array", "items": number, "minItems": 1, "maxItems": MOST_CHANNELS})
+        if self.left_out:
+            kinds.append({"type": "null"})
+        return {"description": self._described()} | (number if len(kinds) == 1 else {"anyOf": kinds})
+
+    def _described(self) -> str:
+        left_out = f"; left out: {self.left_out}" if self.left_out else ""
+        return f"{self.description}, in {self.unit}{left_out}"
+
+    def _one(self, kind: str = "number") -> str:
+        return f"a {kind}{_bounds(self.above, self.least, self.most)} ({self.unit})"
+
+    def _number(self, value: object, at: tuple[int, ...]) -> float:
+        number = _as_float(value)
+        if number is None:
+            unexpected(self._one() if at else self.expected(), at)
+        if not math.isfinite(number):
+            unexpected(self._one("finite number"), at)
+        too_low = (self.above is not None and number <= self.above) or (self.least is not None and number < self.least)
+        if too_low or (self.most is not None and number > self.most):
+            unexpected(self._one() if at else self.expected(), at)
+        return number
+
+
+@dataclass(frozen=True)
+class Count(Expectation):
+    """A whole number within bounds, written without a decimal point.
+
+    Attributes:
+        description: what is counted, for the schema.
+        least, most: the bounds, both inclusive.
+        unit: the unit as people read it, or nothing for a bare number.
+    """
+
+    description: str
+    least: int
+    most: int
+    unit: str = ""
+
+    def expected(self) -> str:
+        unit = f" ({self.unit})" if self.unit else ""
+        return f"a whole number from {self.least} to {self.most}{unit}"
+
+    def check(self, value: object) -> int:
+        if isinstance(value, bool) or not isinstance(value, Integral):
+            unexpected(self.expected())
+        number = int(value)
+        if not self.least <= number <= self.most:
+            unexpected(self.expected())
+        return number
+
+    def json_schema(self) -> dict[str, Any]:
+        description = f"{self.description}, in {self.unit}" if self.unit else self.description
+        return {
+            "type": "integer",
+            "minimum": self.least,
+            "maximum": self.most,
+            "description": description,
+        }
+
+
+@dataclass(frozen=True)
+class Name(Expectation):
+    """The name of a module: letters, digits, ``_`` and ``-``, starting with a letter or ``_``."""
+
+    PATTERN = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
+    WORDS = "letters, digits, _ and -, starting with a letter or _"
+
+    def expected(self) -> str:
+        return self.WORDS
+
+    def check(self, value: object) -> str:
+        if not isinstance(value, str) or not self.PATTERN.fullmatch(value):
+            unexpected(self.expected())
+        return value
+
+    def json_schema(self) -> dict[str, Any]:
+        return {
+            "type": "string",
+            "pattern": f"^{self.PATTERN.pattern}$",
+            "description": f"A name: {self.WORDS}",
+        }
+
+
+def per_channel(value: PerChannel, channels: int) -> tuple[float, ...]:
+    """One value for each of ``channels`` channels: a number is repeated, a tuple is taken as it is."""
+    return value if isinstance(value, tuple) else (value,) * channels
+
+
+def _as_float(value: object) -> float | None:
+    if isinstance(value, bool) or not isinstance(value, Real):
+        return None
+    try:
+        return float(value)
+    except OverflowError:
+        return math.inf  # an integer beyond every float
+
+
+def _bounds(above: float | None, least: float | None, most: float | None) -> str:
+    if most is not None and least is not None:
+        return f" from {least:g} to {most:g}"
+    if above is not None:
+        return f" > {above:g}"
+    return f" >= {least:g}" if least is not None else ""

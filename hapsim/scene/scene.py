@@ -1,0 +1,139 @@
+"""The scene: what the user wrote, validated, in SI units. Its parts never change once it is made."""
+
+from collections.abc import Mapping
+from typing import Annotated, Any, TypeVar
+
+from pydantic import AfterValidator, Field, PlainSerializer, PrivateAttr, model_validator
+from pydantic_core import PydanticCustomError
+
+from .across import findings_across
+from .device import Device
+from .finding import Path
+from .mock import Mock, MockDevice, resolve
+from .modules import DevicePoint, Ground, Link, Mass, Module, Surroundings, TypedModule
+from .part import Part
+from .quantity import Expectation, Name, Quantity, unexpected
+from .table import Table
+
+VERSION = 1
+
+#: The pydantic error type under which faults between the parts of a scene report.
+ACROSS = "across"
+
+M = TypeVar("M", bound=Module)
+
+
+class Version(Expectation):
+    """The number of the scene format: the one that this hapsim reads."""
+
+    def expected(self) -> str:
+        return f"{VERSION}: this hapsim reads version {VERSION} of the scene format"
+
+    def check(self, value: object) -> int:
+        if not isinstance(value, int) or isinstance(value, bool) or value != VERSION:
+            unexpected(self.expected())
+        return value
+
+    def json_schema(self) -> dict[str, Any]:
+        return {"const": VERSION, "type": "integer", "description": "Version of the scene format"}
+
+
+ModulesByName = Annotated[
+    Mapping[Annotated[str, Name()], TypedModule],
+    AfterValidator(Table),
+    PlainSerializer(lambda modules: {name: module.model_dump() for name, module in modules.items()}),
+    Field(
+        description="The modules of the scene, by name",
+        json_schema_extra={"minProperties": 1, "additionalProperties": False},
+    ),
+]
+
+
+class Scene(Part):
+    """A scene for hapsim, version 1: the device that the hand holds, and what it meets. SI units.
+
+    Made by `hapsim.scene.load_scene` from a file. Made in Python from parts, it goes through the same checks.
+
+    Attributes:
+        version: of the format, 1.
+        rate: of the simulation, in Hz: one over the sample period.
+        device: what stands on the other side of the wire.
+        mock: where the mock device differs from it.
+        modules: by name, in the order of the file.
+
+    Raises:
+        pydantic.ValidationError: made in Python from parts that do not fit.
+    """
+
+    version: Annotated[int, Version()]
+    rate: Annotated[float, Quantity("Rate of the simulation: one over the sample period", "Hz", above=0)]
+    device: Device = Field(description="What stands on the other side of the wire")
+    mock: Mock | None = Field(
+        default=None, description="Only where the mock device differs from what `device` says, or adds to it"
+    )
+    modules: ModulesByName
+
+    _path: str | None = PrivateAttr(None)
+
+    @model_validator(mode="after")
+    def _parts_fit(self) -> "Scene":
+        around = Surroundings(self.modules, {name: type(module) for name, module in self.modules.items()})
+        findings = findings_across(around, self._per_channel())
+        if findings:
+            lines = [f"{'.'.join(map(str, found.path))}: {found.sentence}" for found in findings]
+            raise PydanticCustomError(ACROSS, "{faults}", {"faults": "\n".join(lines)})
+        return self
+
+    @property
+    def path(self) -> str | None:
+        """The file that the scene was loaded from, as the user named it; None where it came from no file."""
+        return self._path
+
+    @property
+    def period(self) -> float:
+        """The sample period T, in s."""
+        return 1.0 / self.rate
+
+    @property
+    def channels(self) -> int:
+        """Number of channels of the device: one more than the highest that a module holds.
+
+        A list per channel has exactly this length; channels below the highest that no module holds count.
+        """
+        return 1 + max(point.channel for point in self.device_points.values())
+
+    @property
+    def device_points(self) -> dict[str, DevicePoint]:
+        """The points that the hand holds, by name, in the order of the file."""
+        return self._of(DevicePoint)
+
+    @property
+    def grounds(self) -> dict[str, Ground]:
+        """The fixed points, by name, in the order of the file."""
+        return self._of(Ground)
+
+    @property
+    def masses(self) -> dict[str, Mass]:
+        """The simulated material points, by name, in the order of the file."""
+        return self._of(Mass)
+
+    @property
+    def links(self) -> dict[str, Link]:
+        """The elements between two points, by name, in the order of the file."""
+        return self._of(Link)
+
+    @property
+    def mock_device(self) -> MockDevice:
+        """The mock as it is to be simulated: ``mock`` where it speaks, ``device`` where it is silent."""
+        return resolve(self.device, self.mock, self.channels)
+
+    def _per_channel(self) -> dict[Path, dict[str, object]]:
+        mock = self.mock or Mock()
+        return {
+            ("device",): dict(self.device),
+            ("mock",): dict(mock),
+            ("mock", "initial"): dict(mock.initial),
+        }
+
+    def _of(self, kind: type[M]) -> dict[str, M]:
+        return {name: module for name, module in self.modules.items() if isinstance(module, kind)}

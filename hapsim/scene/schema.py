@@ -1,0 +1,18 @@
+"""The JSON schema of the scene file, for editors that complete and check YAML while it is typed."""
+
+from typing import Any
+
+from .scene import VERSION, Scene
+
+
+def scene_schema() -> dict[str, Any]:
+    """The JSON schema (draft 2020-12) of a scene file.
+
+    It holds what one value by itself has to be, with units and defaults. What takes more than one value, such
+    as a name that has to exist, only `parse_scene` checks.
+    """
+    described = Scene.model_json_schema() | {
+        "title": f"hapsim scene, version {VERSION}",
+        "description": "A scene for hapsim: the device that the hand holds, and what it meets. SI units.",
+    }
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **described}

@@ -1,0 +1,104 @@
+"""Parts of a scene that do not fit together are told where they stand."""
+
+from collections.abc import Callable
+
+import pytest
+
+OnlyFault = Callable[[str, str], str]
+Faults = Callable[[str], list[str]]
+
+NUMBER_OF_LIST = "one for each channel, up to the highest that a module holds; or write a single number for all"
+A_NAME = "expected the name of a module of this scene"
+TWO_NAMES = "expected the names of two modules, such as [hand, wall]"
+
+
+@pytest.mark.parametrize(
+    ("between", "told"),
+    [
+        (
+            "[hand, wal]",
+            f"7:47: between[1]: found 'wal', {A_NAME}; did you mean 'wall'?",
+        ),
+        ("[xyz, wall]", f"7:41: between[0]: found 'xyz', {A_NAME}"),
+        ("[hand, touch]", "7:47: between[1]: found 'touch', the link itself; expected a point to hold"),
+        ("[hand, hand]", "7:40: between: found 'hand' at both ends, expected two different points"),
+        ("[hand]", f"7:40: between: found a list, {TWO_NAMES}"),
+        ("[hand, wall, hand]", f"7:40: between: found a list, {TWO_NAMES}"),
+        ("hand", f"7:40: between: found 'hand' (text), {TWO_NAMES}"),
+        ("{hand: wall}", f"7:40: between: found a mapping, {TWO_NAMES}"),
+        ("[hand, 3]", "7:47: between[1]: found 3, expected the name of a module"),
+        ("[hand, true]", "7:47: between[1]: found true (a boolean), expected the name of a module"),
+    ],
+)
+def test_a_link_has_to_join_two_points(only_fault: OnlyFault, between: str, told: str) -> None:
+    assert only_fault("[hand, wall]", between) == told
+
+
+def test_a_link_to_a_link_is_told(only_fault: OnlyFault) -> None:
+    assert only_fault("modules:\n", "modules:\n  l: {type: viscoelastic, between: [hand, touch], stiffness: 1}\n") == (
+        "5:43: between[1]: found 'touch', which is a link; expected a point: a link joins points, not links"
+    )
+
+
+def test_a_link_between_two_grounds_is_told(faults: Faults, good: str) -> None:
+    assert faults(good.replace("[hand, wall]", "[wall, floor]") + "  floor: {type: ground}\n") == [
+        "7:40: between: found 'wall' and 'floor', of which neither can move; expected one end that can"
+    ]
+
+
+def test_two_modules_on_one_channel_are_told_at_the_second(faults: Faults, good: str) -> None:
+    assert faults(good + "  left: {type: device, channel: 0}\n") == [
+        "8:33: channel: found 0, which 'hand' has already; expected a channel of its own"
+    ]
+
+
+def test_a_scene_without_a_hand_is_told(faults: Faults, good: str) -> None:
+    without = "4:1: modules: found no module of type device, expected at least one: it is what the hand holds"
+    assert faults(good.replace("type: device, channel: 0", "type: mass, mass: 1")) == [without]
+    assert faults(good[: good.index("modules")] + "modules: {}") == [without]
+
+
+@pytest.mark.parametrize(
+    ("device", "told"),
+    [
+        ("{mass: [1, 2]}", f"3:16: mass: found 2 numbers, expected 1: {NUMBER_OF_LIST}"),
+        ("{mass: []}", f"3:16: mass: found 0 numbers, expected 1: {NUMBER_OF_LIST}"),
+        ("{mass: 1, friction: [0, 0]}", f"3:29: friction: found 2 numbers, expected 1: {NUMBER_OF_LIST}"),
+    ],
+)
+def test_a_list_of_the_device_has_one_number_per_channel(only_fault: OnlyFault, device: str, told: str) -> None:
+    assert only_fault("{mass: 0.2}", device) == told
+
+
+def test_a_list_of_the_mock_has_one_number_per_channel(faults: Faults, good: str) -> None:
+    text = good.replace("channel: 0", "channel: 1") + "mock: {friction: [1], initial: {velocity: [1, 2, 3]}}\n"
+    assert faults(text) == [
+        f"8:18: friction: found 1 number, expected 2: {NUMBER_OF_LIST}",
+        f"8:43: velocity: found 3 numbers, expected 2: {NUMBER_OF_LIST}",
+    ]
+
+
+def test_a_fault_in_one_part_does_not_hide_how_the_others_fit(faults: Faults, good: str) -> None:
+    text = good.replace("{mass: 0.2}", "{mass: [1, 2], delay: -1}").replace("wall]", "wal]")
+    text = text.replace("stiffness: 2000", "stiffness: soft") + "  left: {type: device, channel: 0, side: 1}\n"
+    assert [fault.split(": ")[:2] for fault in faults(text)] == [
+        ["3:16", "mass"],
+        ["3:31", "delay"],
+        ["7:47", "between[1]"],
+        ["7:64", "stiffness"],
+        ["8:33", "channel"],
+        ["8:36", "side"],
+    ]
+
+
+def test_a_link_to_a_faulty_module_is_no_fault_of_the_link(only_fault: OnlyFault) -> None:
+    assert only_fault("type: ground", "type: wall") == (
+        "6:17: type: found 'wall' (text), expected device, ground, mass or viscoelastic"
+    )
+
+
+def test_in_a_very_large_scene_dangling_names_are_told_quickly(faults: Faults, good: str) -> None:
+    links = [f"  l{i}: {{type: viscoelastic, between: [hand, x{i}], stiffness: 1}}\n" for i in range(600)]
+    told = faults(good + "".join(links))
+    assert len(told) == 600
+    assert told[-1] == "607:46: between[1]: found 'x599', expected the name of a module of this scene"

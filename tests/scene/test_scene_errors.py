@@ -1,0 +1,274 @@
+"""A faulty value or key is told with its line and column, what was found and what was expected."""
+
+from collections.abc import Callable
+
+import pytest
+
+OnlyFault = Callable[[str, str], str]
+Faults = Callable[[str], list[str]]
+
+HZ = "expected a number > 0 (Hz)"
+FINITE = "expected a finite number > 0 (Hz)"
+DECIMALS = "; write plain decimals without a unit, such as 2000, 0.5 or 1e-9"
+MASS = "expected a number > 0 (kg), or a list with one per channel"
+TYPES = "expected device, ground, mass or viscoelastic"
+NAME = "not a name, expected letters, digits, _ and -, starting with a letter or _"
+NO_TAG = "expected a plain value without a tag"
+
+
+@pytest.mark.parametrize(
+    ("value", "told"),
+    [
+        ("-3", f"2:7: rate: found -3, {HZ}"),
+        ("0", f"2:7: rate: found 0, {HZ}"),
+        ("fast", f"2:7: rate: found 'fast' (text), {HZ}"),
+        ("'1000'", f"2:7: rate: found '1000' (text), {HZ}; leave out the quotes"),
+        ("''", f"2:7: rate: found '' (text), {HZ}"),
+        ("1 kHz", f"2:7: rate: found '1 kHz' (text), {HZ}{DECIMALS}"),
+        ("1,5", f"2:7: rate: found '1,5' (text), {HZ}{DECIMALS}"),
+        ("1_000", f"2:7: rate: found '1_000' (text), {HZ}{DECIMALS}"),
+        ("12:30:45", f"2:7: rate: found '12:30:45' (text), {HZ}{DECIMALS}"),
+        ("010", f"2:7: rate: found '010' (text), {HZ}{DECIMALS}"),
+        ("0o17", f"2:7: rate: found '0o17' (text), {HZ}{DECIMALS}"),
+        ("0x1F", f"2:7: rate: found '0x1F' (text), {HZ}{DECIMALS}"),
+        ("0b11", f"2:7: rate: found '0b11' (text), {HZ}{DECIMALS}"),
+        ("2026-01-01", f"2:7: rate: found '2026-01-01' (text), {HZ}{DECIMALS}"),
+        ("true", f"2:7: rate: found true (a boolean), {HZ}"),
+        ("yes", f"2:7: rate: found 'yes' (text), {HZ}"),
+        ("on", f"2:7: rate: found 'on' (text), {HZ}"),
+        (".nan", f"2:7: rate: found .nan, {FINITE}"),
+        ("-.inf", f"2:7: rate: found -.inf, {FINITE}"),
+        ("1e400", f"2:7: rate: found 1e400, {FINITE}"),
+        ("9" * 400, f"2:7: rate: found {'9' * 24}… (400 characters), {FINITE}"),
+        ("9" * 5000, f"2:7: rate: found {'9' * 24}… (5000 characters), {FINITE}"),
+        ("", f"2:7: rate: found nothing, {HZ}"),
+        ("~", f"2:7: rate: found ~ (nothing), {HZ}"),
+        ("[1000]", f"2:7: rate: found a list, {HZ}"),
+        ("{}", f"2:7: rate: found an empty mapping, {HZ}"),
+        ("!!int 1e3", f"2:7: found '1e3' with the tag '!!int', {NO_TAG}"),
+        ("!hz 1000", f"2:7: found '1000' with the tag '!hz', {NO_TAG}"),
+    ],
+)
+def test_what_is_no_rate_is_told_as_the_file_spells_it(only_fault: OnlyFault, value: str, told: str) -> None:
+    # The empty value stands where the colon ends, one column before the others.
+    assert only_fault("rate: 1000", f"rate: {value}") == (told if value else told.replace("2:7", "2:6"))
+
+
+@pytest.mark.parametrize(
+    ("device", "told"),
+    [
+        ("{mass: no}", f"3:16: mass: found 'no' (text), {MASS}"),
+        ("{mass: [-1]}", "3:17: mass[0]: found -1, expected a number > 0 (kg)"),
+        ("{mass: [.inf]}", "3:17: mass[0]: found .inf, expected a finite number > 0 (kg)"),
+        ("{mass: [x]}", "3:17: mass[0]: found 'x' (text), expected a number > 0 (kg)"),
+        ("{mass: [[1]]}", "3:17: mass[0]: found a list, expected a number > 0 (kg)"),
+        (
+            "{mass: 1, friction: -.5}",
+            "3:29: friction: found -.5, expected a number >= 0 (N·s/m), or a list with one per channel",
+        ),
+        (
+            "{mass: 1, delay: 1001}",
+            "3:26: delay: found 1001, expected a number from 0 to 1000 (sample periods)",
+        ),
+        (
+            "{mass: 1, baud: 0}",
+            "3:25: baud: found 0, expected a whole number from 1 to 100000000 (bit/s)",
+        ),
+        (
+            "{mass: 1, hold: zho}",
+            "3:25: hold: found 'zho' (text), expected zoh or impulse; did you mean 'zoh'?",
+        ),
+        ("{mass: 1, clock: 3}", "3:26: clock: found 3, expected device, host or lockstep"),
+        ("{mass: 1, port: 3}", "3:25: port: found 3, expected a text"),
+        ("3", "3:9: device: found 3, expected a mapping"),
+        ("", "3:8: device: found nothing, expected a mapping"),
+        ("{}", f"3:1: device: 'mass' is missing, {MASS}"),
+        ("!!python/object:os.system {mass: 1}", f"3:9: found the tag '!!python/object:os.system', {NO_TAG}"),
+    ],
+)
+def test_what_does_not_describe_a_device_is_told(only_fault: OnlyFault, device: str, told: str) -> None:
+    assert only_fault("{mass: 0.2}", device) == told
+
+
+@pytest.mark.parametrize(
+    ("mock", "told"),
+    [
+        ("{coulomb: -1}", "3:17: coulomb: found -1, expected a number >= 0 (N)"),
+        ("{quantum: 0}", "3:17: quantum: found 0, expected a number > 0 (m per count)"),
+        ("{noise: true}", "3:15: noise: found true (a boolean), expected a number >= 0 (m rms)"),
+        ("{seed: 1.5}", "3:14: seed: found 1.5, expected a whole number from 0 to 4294967295"),
+        ("{seed: -1}", "3:14: seed: found -1, expected a whole number from 0 to 4294967295"),
+        (
+            "{hold: level}",
+            "3:14: hold: found 'level' (text), expected zoh or impulse",
+        ),
+        ("{initial: 0}", "3:17: initial: found 0, expected a mapping"),
+        (
+            "{initial: {speed: 1}}",
+            "3:18: speed: unknown key, expected position or velocity",
+        ),
+        ("[]", "3:7: mock: found an empty list, expected a mapping"),
+    ],
+)
+def test_what_does_not_describe_a_mock_is_told(only_fault: OnlyFault, mock: str, told: str) -> None:
+    assert only_fault("rate: 1000\n", f"rate: 1000\nmock: {mock}\n") == told
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("channel: 0", "channel: 16", "5:34: channel: found 16, expected a whole number from 0 to 15"),
+        ("channel: 0", "channel: 0.0", "5:34: channel: found 0.0, expected a whole number from 0 to 15"),
+        ("type: ground", "type: grund", f"6:17: type: found 'grund' (text), {TYPES}; did you mean 'ground'?"),
+        ("type: ground", "type: [ground]", f"6:17: type: found a list, {TYPES}"),
+        ("type: ground", "type: 3", f"6:17: type: found 3, {TYPES}"),
+        (
+            "{type: ground}",
+            "ground",
+            "6:10: wall: found 'ground' (text), expected a mapping such as {type: mass, mass: 0.01}",
+        ),
+        (
+            "type: ground",
+            "typ: ground",
+            f"6:3: wall: 'type' is missing, {TYPES}; is 'typ' meant to be 'type'?",
+        ),
+        ("{type: ground}", "{}", f"6:3: wall: 'type' is missing, {TYPES}"),
+        ("stiffness: 2000", "stiffness: -3", "7:65: stiffness: found -3, expected a number >= 0 (N/m)"),
+        (", stiffness: 2000", "", "7:3: touch: 'stiffness' is missing, expected a number >= 0 (N/m)"),
+        (
+            "stiffness: 2000",
+            "Stiffness: 2000",
+            "7:54: Stiffness: unknown key, expected type, between, stiffness or damping; did you mean 'stiffness'?",
+        ),
+        ("wall:", "2nd:", f"6:3: '2nd': {NAME}"),
+        ("wall:", '"a\\n":', f"6:3: 'a\\n': {NAME}"),
+        ("wall:", "süd:", f"6:3: 'süd': {NAME}"),
+        ("wall:", "true:", "6:3: found true (a boolean) as a key, expected a name"),
+        ("wall:", "7:", "6:3: found 7 as a key, expected a name"),
+    ],
+)
+def test_what_is_no_module_is_told(faults: Faults, good: str, old: str, new: str, told: str) -> None:
+    # What concerns the name `wall` leaves the link to it dangling: a fault of its own, further down.
+    text = good.replace(old, new)
+    assert faults(text)[0] == told
+    assert all("'wall', expected the name of a module" in follower for follower in faults(text)[1:])
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        (
+            "rate: 1000",
+            "rte: 1000",
+            "2:1: rte: unknown key, expected version, rate, device, mock or modules; did you mean 'rate'?",
+        ),
+        ("rate: 1000\n", "", f"1:1: 'rate' is missing, {HZ}"),
+        (
+            "rate: 1000",
+            "rate: 1000\nrate: 500",
+            "3:1: found the key 'rate' again, expected it once: it stands in line 2",
+        ),
+        ("rate: 1000", "rate: 1000\n3: 4", "3:1: found 3 as a key, expected a name"),
+        ("rate: 1000", "rate: 1000\n~: 4", "3:1: found ~ (nothing) as a key, expected a name"),
+        ("rate: 1000", "rate: 1000\n? [a]\n: 4", "3:3: found a list as a key, expected a name"),
+        (
+            "channel: 0",
+            "channel: 0, channel: 1",
+            "5:37: found the key 'channel' again, expected it once: it stands in line 5",
+        ),
+    ],
+)
+def test_a_wrong_key_is_told(only_fault: OnlyFault, old: str, new: str, told: str) -> None:
+    assert only_fault(old, new) == told
+
+
+@pytest.mark.parametrize("version", ["2", "0", "-1", "1.0", "'1'", "true", "one"])
+def test_another_version_is_told_with_the_one_that_this_hapsim_reads(only_fault: OnlyFault, version: str) -> None:
+    fault = only_fault("version: 1", f"version: {version}")
+    assert fault.startswith("1:10: version: found ")
+    assert ", expected 1: this hapsim reads version 1 of the scene format" in fault
+
+
+def test_of_another_version_nothing_else_is_said(faults: Faults) -> None:
+    (fault,) = faults("version: 2\nfrequency: 1000\n")
+    assert fault == "1:10: version: found 2, expected 1: this hapsim reads version 1 of the scene format"
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("", "1:1: found nothing, expected a scene; `hapsim new` writes a first one"),
+        ("# a comment\n", "1:1: found nothing, expected a scene; `hapsim new` writes a first one"),
+        ("---\n", "1:1: found nothing, expected a scene; `hapsim new` writes a first one"),
+        ("hello", "1:1: found 'hello' (text), expected a mapping with version, rate, device and modules"),
+        ("\n- 1\n", "2:1: found a list, expected a mapping with version, rate, device and modules"),
+        ("42", "1:1: found 42, expected a mapping with version, rate, device and modules"),
+    ],
+)
+def test_what_is_no_mapping_is_no_scene(faults: Faults, text: str, told: str) -> None:
+    assert faults(text) == [told]
+
+
+def test_modules_have_to_be_a_mapping(faults: Faults, good: str) -> None:
+    text = good[: good.index("  hand")]
+    expected = "expected a mapping from names to modules"
+    assert faults(text) == [f"4:9: modules: found nothing, {expected}"]
+    assert faults(text.replace("modules:", "modules: [a]")) == [f"4:10: modules: found a list, {expected}"]
+    assert faults(text.replace("modules:\n", "")) == [f"1:1: 'modules' is missing, {expected}"]
+
+
+def test_what_is_missing_is_told_in_the_order_in_which_it_is_written(faults: Faults) -> None:
+    assert [fault.split(" is ")[0] for fault in faults("# a scene\n\nmock: {}\n")] == [
+        "3:1: 'version'",
+        "3:1: 'rate'",
+        "3:1: 'device'",
+        "3:1: 'modules'",
+    ]
+
+
+def test_a_name_of_pydantic_in_the_file_is_a_name_like_any_other(faults: Faults, good: str) -> None:
+    assert faults(good + "  '[key]': 3\n") == [
+        f"8:3: '[key]': {NAME}",
+        "8:12: '[key]': found 3, expected a mapping such as {type: mass, mass: 0.01}",
+    ]
+    assert faults(good.replace("ground}", "ground, ground: 1, '[key]': 1}")) == [
+        "6:25: ground: unknown key, expected type or position",
+        "6:36: '[key]': unknown key, expected type or position",
+    ]
+
+
+def test_all_faults_are_told_at_once_in_the_order_of_the_file(faults: Faults) -> None:
+    text = """\
+modules:
+  touch: {type: viscoelastic, between: [hand, wal], stifness: 2000, damping: -2}
+  hand:  {type: device, channel: 0}
+  wall:  {type: ground, position: "0"}
+  m1:    {type: mass, mass: 2 kg}
+device:
+  mass: [0.2, 0.2]
+  hold: level
+  hold: zoh
+rate: .inf
+mock: {initial: {position: x}, quantum: -1}
+"""
+    places = [fault.split(": ")[0] + ": " + fault.split(": ")[1] for fault in faults(text)]
+    assert places == [
+        "1:1: 'version' is missing, expected 1",
+        "2:47: between[1]",
+        "2:53: stifness",
+        "2:78: damping",
+        "4:35: position",
+        "5:29: mass",
+        "7:9: mass",
+        "8:9: hold",
+        "9:3: found the key 'hold' again, expected it once",
+        "10:7: rate",
+        "11:28: position",
+        "11:41: quantum",
+    ]
+
+
+def test_no_word_of_pydantic_reaches_the_user(faults: Faults, good: str) -> None:
+    text = good.replace("1000", "[]").replace("0.2", "{}").replace("ground", "3") + "  x: []\nmock: 1\n"
+    told = "\n".join(faults(text)).lower()
+    assert not [word for word in ("input", "valid", "pydantic", "http", "_type", "dict") if word in told]

@@ -1,0 +1,145 @@
+"""The YAML that hapsim reads: its numbers, anchors and merge keys, and what is not YAML."""
+
+from collections.abc import Callable
+
+import pytest
+
+from hapsim.scene import parse_scene
+
+Faults = Callable[[str], list[str]]
+
+
+@pytest.mark.parametrize(
+    ("written", "meant"),
+    [
+        ("1e-9", 1e-9),
+        ("1e3", 1000.0),
+        ("1E+3", 1000.0),
+        (".5", 0.5),
+        ("5.", 5.0),
+        ("+2.5", 2.5),
+        ("1.0e-9", 1e-9),
+        ("7", 7.0),
+        ("!!float 7", 7.0),
+        ("!!float 7.5", 7.5),
+    ],
+)
+def test_a_number_means_what_it_looks_like(good: str, written: str, meant: float) -> None:
+    scene = parse_scene(good.replace("rate: 1000", f"rate: {written}"))
+    assert scene.rate == meant
+    assert isinstance(scene.rate, float)
+
+
+@pytest.mark.parametrize("name", ["on", "no", "y", "_", "m-1", "E3", "inf", "device"])
+def test_a_name_that_yaml_1_1_would_take_for_something_else_is_a_name(good: str, name: str) -> None:
+    scene = parse_scene(good.replace("wall", name))
+    assert list(scene.grounds) == [name]
+
+
+def test_an_anchor_stands_for_its_value(good: str) -> None:
+    scene = parse_scene(good.replace("rate: 1000", "rate: &r 1000") + "mock: {initial: {position: *r}}\n")
+    assert scene.mock_device.initial_position == (1000.0,)
+
+
+def test_a_merge_key_brings_keys_that_the_mapping_does_not_have_itself(good: str) -> None:
+    text = good.replace("touch: {", "touch: &spring {") + (
+        "  m: {type: mass, mass: 1}\n"
+        "  more: {<<: *spring, between: [m, hand]}\n"
+        "  most: {damping: 3, <<: [{stiffness: 5}, *spring], between: [m, wall]}\n"
+    )
+    links = {name: link.model_dump() for name, link in parse_scene(text).links.items()}
+    assert links["more"] == {
+        "type": "viscoelastic",
+        "between": ("m", "hand"),
+        "stiffness": 2000.0,
+        "damping": 0.0,
+    }
+    assert links["most"] == {
+        "type": "viscoelastic",
+        "between": ("m", "wall"),
+        "stiffness": 5.0,
+        "damping": 3.0,
+    }
+
+
+def test_a_fault_behind_an_anchor_is_told_once_and_where_it_stands(faults: Faults, good: str) -> None:
+    text = good.replace("touch: {", "touch: &spring {").replace("2000", "-1")
+    text += "  m: {type: mass, mass: 1}\n  more: {<<: *spring, between: [m, hand]}\n"
+    assert faults(text) == ["7:73: stiffness: found -1, expected a number >= 0 (N/m)"]
+
+
+@pytest.mark.parametrize(
+    ("extra", "told"),
+    [
+        ("<<: 3", "8:5: <<: found 3, expected a mapping to take keys from"),
+        ("<<: [3]", "8:6: <<: found 3, expected a mapping to take keys from"),
+        ("mock: &m {<<: *m}", "8:7: found a mapping that contains itself, expected an end to it"),
+        (
+            "mock: &m {initial: {position: &p [*p]}}",
+            "8:31: found a list that contains itself, expected an end to it",
+        ),
+    ],
+)
+def test_a_reference_that_leads_nowhere_is_told(faults: Faults, good: str, extra: str, told: str) -> None:
+    assert faults(good + extra + "\n") == [told]
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("rate:\n\tx: 1\n", "2:1: found a tab, expected spaces: YAML is indented with spaces only"),
+        (
+            "rate: 1\n device: 2\n",
+            "2:8: not YAML: mapping values are not allowed here; "
+            "is a line broken or indented too far, or are quotes missing?",
+        ),
+        (
+            "rate: [1, 2\n",
+            "2:1: not YAML: expected ',' or ']', but got '<stream end>' "
+            "(while parsing a flow sequence, which began in line 1); is a bracket or a quote left open?",
+        ),
+        (
+            "rate: 'x\n",
+            "2:1: not YAML: found unexpected end of stream "
+            "(while scanning a quoted scalar, which began in line 1); is a bracket or a quote left open?",
+        ),
+        (
+            "rate: @x\n",
+            "1:7: not YAML: found character '@' that cannot start any token "
+            "(while scanning for the next token); put the text in quotes",
+        ),
+        ("rate: *x\n", "1:7: not YAML: found undefined alias 'x'"),
+        ("a: &x 1\nb: &x 2\n", "2:4: found the same anchor (&name) a second time, expected each anchor once"),
+        ("rate: 1\n---\nrate: 2\n", "2:1: found a second document, expected one scene in a file"),
+        ("rate: 'a\x07'\n", "1:9: found the character U+0007, expected printable text"),
+        ("a: 1\nb: \ud800\n", "2:4: found the character U+D800, expected printable text"),
+        ('rate: "\\UFFFFFFFF"\n', "1:10: not YAML: found an escape such as \\U… that names no character"),
+    ],
+)
+def test_what_is_not_yaml_is_told_where_it_breaks(faults: Faults, text: str, told: str) -> None:
+    assert faults(text) == [told]
+
+
+@pytest.mark.parametrize(
+    ("text", "place"),
+    [
+        ("[" * 100_000, "1:34"),
+        ("- " * 100_000, "1:67"),
+        ("{a: " * 10_000, "1:130"),
+        ("\n".join(" " * depth + "a:" for depth in range(3000)), "33:33"),
+    ],
+)
+def test_very_deep_nesting_is_told_and_not_followed(faults: Faults, text: str, place: str) -> None:
+    assert faults(text) == [f"{place}: found more than 32 levels, one within the other; expected at most five"]
+
+
+def test_nesting_through_anchors_is_not_followed_either(faults: Faults) -> None:
+    chain = ["a0: &a0 {x: 1}", *(f"a{i}: &a{i} {{<<: *a{i - 1}}}" for i in range(1, 1500)), "<<: *a1499"]
+    assert any("found more than 32 levels" in fault for fault in faults("\n".join(chain)))
+
+
+def test_references_that_multiply_are_not_written_out(faults: Faults) -> None:
+    laughs = ["a0: &a0 [ha, ha]"]
+    laughs += [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]" for i in range(1, 25)]
+    text = "\n".join([*laughs, "rate: *a24", "modules: {a: *a24}"])
+    assert "25:6: rate: found a list, expected a number > 0 (Hz)" in faults(text)

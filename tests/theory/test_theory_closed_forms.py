@@ -1,0 +1,226 @@
+"""The results that can be had by hand, the paper's first: each as a formula, none by the code's own road."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hapsim.theory import Configuration, Network, frequency_and_ratio
+
+MASS, RATE = 0.2, 1000.0
+T = 1.0 / RATE
+STIFFNESS_UNIT, DAMPING_UNIT = MASS / T**2, MASS / T
+
+IDEAL_INTERFACE = {"hold": "impulse", "sampling": "ideal", "delay": 0.0}  # the paper's §6.1
+
+
+def configuration(**changed: object) -> Configuration:
+    return Configuration(**({"mass": MASS, "rate": RATE} | changed))
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    return np.random.default_rng(7)
+
+
+class TestThePapersEquations:
+    """§6.1 to §6.3 in the paper's units, m = 1 and T = 1."""
+
+    def characteristic(self, rng: np.random.Generator, delay: float, b0: float, r: np.ndarray) -> None:
+        c = Configuration(mass=1.0, rate=1.0, friction=b0, delay=delay, hold="impulse", sampling="ideal")
+        p, q = np.array([1.0, 0.0]), np.array([1.0, -1.0])
+        for K, B in rng.uniform(-1.0, 4.0, (20, 2)):
+            paper = np.polyadd(np.polyadd(K * p, B * q), r)
+            np.testing.assert_allclose(c.characteristic(K, B), paper / paper[0], rtol=1e-14, atol=1e-15)
+            np.testing.assert_allclose(np.polyval(paper / paper[0], c.poles(K, B)), 0.0, atol=1e-12)
+
+    def test_without_delay_p_q_r_are_those_of_6_1(self, rng: np.random.Generator) -> None:
+        self.characteristic(rng, 0.0, 0.0, np.array([1.0, -2.0, 1.0]))
+
+    def test_with_one_sample_of_delay_p_q_r_are_those_of_6_2(self, rng: np.random.Generator) -> None:
+        self.characteristic(rng, 1.0, 0.0, np.array([1.0, -2.0, 1.0, 0.0]))
+
+    @pytest.mark.parametrize("b0", [1e-6, 0.5, 3.0])
+    def test_with_real_damping_p_q_r_are_those_of_6_3(self, rng: np.random.Generator, b0: float) -> None:
+        free = np.polymul([1.0, -1.0, 0.0], [1.0, -np.exp(-b0)])
+        self.characteristic(rng, 1.0, b0, free * b0 / -np.expm1(-b0))
+
+
+class TestTheIdealInterface:
+    """§6.1: no delay, impulses, no friction."""
+
+    def test_the_tuning_relation_is_that_of_table_2(self) -> None:
+        k = np.geomspace(1e-6, 0.99 * np.pi**2, 50) * STIFFNESS_UNIT
+        K, B = configuration(**IDEAL_INTERFACE).simulated(k, 0.0)
+        expected = 4.0 * np.sin(0.5 * T * np.sqrt(k / MASS)) ** 2 * STIFFNESS_UNIT
+        np.testing.assert_allclose(K, expected, rtol=1e-13)
+        np.testing.assert_allclose(B, 0.0, atol=1e-14 * DAMPING_UNIT)
+
+    def test_the_damping_scale_does_not_depend_on_the_stiffness(self) -> None:
+        k, b = np.geomspace(1.0, 1e5, 20)[:, None], np.linspace(1.0, 300.0, 15)
+        _, B = configuration(**IDEAL_INTERFACE).simulated(k, b)
+        expected = -DAMPING_UNIT * np.expm1(-b / DAMPING_UNIT)
+        np.testing.assert_allclose(B, np.broadcast_to(expected, B.shape), rtol=1e-12)
+
+    def test_it_is_stable_exactly_inside_its_triangle(self) -> None:
+        beta = np.linspace(0.05, 1.95, 20)
+        limit = 4.0 - 2.0 * beta
+        c = configuration(**IDEAL_INTERFACE)
+        for inside, kappa in ((True, 0.999 * limit), (False, 1.001 * limit)):
+            assert (c.is_stable(kappa * STIFFNESS_UNIT, beta * DAMPING_UNIT) == inside).all()
+        assert not c.is_stable(0.1 * STIFFNESS_UNIT, [-0.01 * DAMPING_UNIT, 2.01 * DAMPING_UNIT]).any()
+        assert not c.is_stable(-1e-6 * STIFFNESS_UNIT, DAMPING_UNIT)
+
+    def test_springs_bunched_on_either_side_of_the_interface_differ_as_in_table_1(self) -> None:
+        c = configuration(**IDEAL_INTERFACE)
+        k = 0.3 * STIFFNESS_UNIT
+        K, _ = c.simulated(k, 0.0)
+        alone, _ = frequency_and_ratio(MASS, k, 0.0)
+
+        two_real, _ = frequency_and_ratio(MASS, 2.0 * k, 0.0)
+        two_virtual, _ = frequency_and_ratio(MASS, c.equivalent(2.0 * K, 0.0)[0], 0.0)
+
+        assert two_real == pytest.approx(np.sqrt(2.0) * alone, rel=1e-14)
+        assert np.cos(2.0 * np.pi * two_virtual * T) == pytest.approx(1.0 - K / STIFFNESS_UNIT, rel=1e-12)
+        assert two_virtual > 1.01 * two_real
+
+    def test_a_simulated_mass_is_the_same_oscillator(self) -> None:
+        """ "The sampled image of the real mass is identical to a virtual mass element" (§6.1)."""
+        K, B = 0.7 * STIFFNESS_UNIT, 0.2 * DAMPING_UNIT
+        virtual = Network(RATE, [], [], 0.0, "impulse", "ideal", [MASS], [[0, -1]], [K], [B])
+        np.testing.assert_allclose(virtual.poles(), configuration(**IDEAL_INTERFACE).poles(K, B), rtol=1e-12)
+
+
+class TestSmallStiffnessAndDamping:
+    """What is left of the identity near the origin of the K, B plane."""
+
+    @pytest.mark.parametrize("delay", [0.0, 0.37, 1.0, 2.0, 5.5])
+    @pytest.mark.parametrize(
+        ("hold", "sampling", "extra"),
+        [
+            ("impulse", "ideal", 0.0),
+            ("zoh", "ideal", 0.5),
+            ("impulse", "average", 0.5),
+            ("zoh", "average", 1.0),
+        ],
+    )
+    def test_the_delay_takes_stiffness_times_delay_off_the_damping(
+        self, hold: str, sampling: str, extra: float, delay: float
+    ) -> None:
+        c = configuration(friction=1e-4, delay=delay, hold=hold, sampling=sampling)
+        K, B = 1e-7 * STIFFNESS_UNIT, 1e-6 * DAMPING_UNIT
+        k, b = c.equivalent(K, B)
+        assert k == pytest.approx(K, rel=1e-4)
+        assert b - B - 1e-4 == pytest.approx(-K * T * (delay + extra), abs=1e-5 * B)
+
+    @pytest.mark.parametrize("hold", ["impulse", "zoh"])
+    @pytest.mark.parametrize("kappa", [1e-12, 1e-8, 1e-4, 0.1])
+    def test_a_delayed_spring_alone_is_unstable(self, hold: str, kappa: float) -> None:
+        assert not configuration(delay=1.0, hold=hold).is_stable(kappa * STIFFNESS_UNIT, 0.0)
+
+    @pytest.mark.parametrize("delay", [0.0, 0.5, 1.0, 3.0])
+    def test_the_stable_region_starts_with_gils_slope(self, delay: float) -> None:
+        b0, B = 1e-4 * DAMPING_UNIT, 2e-4 * DAMPING_UNIT
+        limit = (b0 + B) / (T * (0.5 + delay))
+        stable = configuration(friction=b0, delay=delay).is_stable(limit * np.array([0.998, 1.002]), B)
+        assert stable.tolist() == [True, False]
+
+    def test_a_free_mass_keeps_its_place_and_loses_its_speed_by_its_friction(self) -> None:
+        c = configuration(friction=3.0, delay=1.0)
+        np.testing.assert_allclose(c.poles(0.0, 0.0), [1.0, np.exp(-3.0 * T / MASS), 0.0, 0.0], atol=1e-15)
+        np.testing.assert_allclose(c.equivalent(0.0, 0.0), [0.0, 3.0], atol=1e-12)
+        assert not c.is_stable(0.0, 0.0)
+
+
+class TestTheZeroOrderHoldWithoutDelay:
+    def limit(self, beta: np.ndarray) -> np.ndarray:
+        return 2.0 * beta * (2.0 - beta) / (2.0 + beta)
+
+    def test_its_stable_region_is_known(self) -> None:
+        beta = np.linspace(0.02, 1.98, 50)
+        c = configuration(delay=0.0)
+        for inside, margin in ((True, 0.9999), (False, 1.0001)):
+            K = margin * self.limit(beta) * STIFFNESS_UNIT
+            assert (c.is_stable(K, beta * DAMPING_UNIT) == inside).all()
+
+    def test_its_stiffest_stable_wall_is_known(self) -> None:
+        best = 2.0 * (np.sqrt(2.0) - 1.0)
+        highest = 12.0 - 8.0 * np.sqrt(2.0)
+        assert self.limit(best) == pytest.approx(highest)
+        c = configuration(delay=0.0)
+        assert c.is_stable(0.99999 * highest * STIFFNESS_UNIT, best * DAMPING_UNIT)
+        assert not c.is_stable(1.00001 * highest * STIFFNESS_UNIT, np.linspace(0.0, 2.0, 401) * DAMPING_UNIT).any()
+
+    def test_averaging_the_position_is_the_same_as_holding_the_force(self, rng: np.random.Generator) -> None:
+        """Both put one window of one sample period into the loop, and the loop does not know where."""
+        K, B = rng.uniform(0.0, 3.0, (2, 50)) * np.array([[STIFFNESS_UNIT], [DAMPING_UNIT]])
+        for delay in (0.0, 0.3, 1.0, 2.6):
+            held = configuration(friction=2.0, delay=delay, hold="zoh", sampling="ideal")
+            averaged = configuration(friction=2.0, delay=delay, hold="impulse", sampling="average")
+            np.testing.assert_allclose(held.characteristic(K, B), averaged.characteristic(K, B), atol=1e-14)
+
+
+class TestAVirtualChain:
+    """Equal masses between two grounds, each neighbour joined by the same link: the modes are known."""
+
+    LENGTH = 5
+
+    def chain(self, stiffness: float, damping: float) -> Network:
+        ends = [[i - 1, i] for i in range(self.LENGTH)] + [[self.LENGTH - 1, -1]]
+        links = len(ends)
+        return Network(
+            RATE,
+            [],
+            [],
+            1.0,
+            "zoh",
+            "ideal",
+            [MASS] * self.LENGTH,
+            ends,
+            [stiffness] * links,
+            [damping] * links,
+        )
+
+    def share(self) -> np.ndarray:
+        """The eigenvalues of the chain's connections, 2 - 2 cos."""
+        mode = np.arange(1, self.LENGTH + 1)
+        return 2.0 - 2.0 * np.cos(np.pi * mode / (self.LENGTH + 1))
+
+    def test_its_poles_are_those_of_the_recurrence_mode_by_mode(self) -> None:
+        kappa, zeta = 0.4, 0.03
+        poles = self.chain(kappa * STIFFNESS_UNIT, zeta * DAMPING_UNIT).poles()
+        by_hand = np.concatenate(
+            [np.roots([1.0, (kappa + zeta) * share - 2.0, 1.0 - zeta * share]) for share in self.share()]
+        )
+        np.testing.assert_allclose(np.sort_complex(poles), np.sort_complex(by_hand), atol=1e-12)
+
+    def test_it_is_stable_up_to_its_fastest_mode(self) -> None:
+        highest = self.share().max()
+        zeta = 0.1
+        kappa = (4.0 - 2.0 * zeta * highest) / highest
+        for margin, stable in ((0.999, True), (1.001, False)):
+            chain = self.chain(margin * kappa * STIFFNESS_UNIT, zeta * DAMPING_UNIT)
+            assert (chain.spectral_radius() < 1.0) == stable
+
+    def test_its_modes_are_sines(self) -> None:
+        modes = self.chain(1e-4 * STIFFNESS_UNIT, 1e-4 * DAMPING_UNIT).modes()
+        assert len(modes) == self.LENGTH
+        for number, mode in enumerate(modes, start=1):
+            shape = np.sin(np.pi * number * np.arange(1, self.LENGTH + 1) / (self.LENGTH + 1)) ** 2
+            np.testing.assert_allclose(mode.participation, shape / shape.sum(), atol=1e-9)
+            w = 0.01 * np.sqrt(self.share()[number - 1])
+            assert mode.frequency_hz == pytest.approx(w * RATE / (2.0 * np.pi), rel=1e-3)
+            assert mode.damping_ratio == pytest.approx(0.5 * w, rel=1e-2)
+
+
+class TestTheRealOscillator:
+    def test_frequency_and_ratio_are_those_of_the_textbook(self) -> None:
+        frequency, ratio = frequency_and_ratio(0.5, [50.0, 200.0], [[0.0], [20.0]])
+        np.testing.assert_allclose(frequency, np.tile(np.array([10.0, 20.0]) / (2.0 * np.pi), (2, 1)))
+        np.testing.assert_allclose(ratio, [[0.0, 0.0], [2.0, 1.0]])
+
+    def test_without_a_spring_there_is_no_ratio(self) -> None:
+        frequency, ratio = frequency_and_ratio(1.0, [0.0, -1.0], 1.0)
+        assert frequency[0] == 0.0
+        assert np.isnan(ratio).all()
+        assert np.isnan(frequency[1])

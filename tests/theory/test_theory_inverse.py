@@ -1,0 +1,285 @@
+"""(k, b) to (K, B) and back: against 30 digits, against each other, and where there is no answer."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+
+import mpmath as mp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hapsim.theory import Configuration
+
+MASS, RATE = 0.2, 1000.0
+UNIT = MASS * RATE**2
+HOLDS = ("zoh", "impulse")
+SAMPLINGS = ("ideal", "average")
+DELAYS = (0.0, 0.37, 1.0, 1.5, 2.0)
+Transfer = Callable[[mp.mpf], mp.mpf]
+RATIOS = (0.001, 0.1, 0.5, 0.999, 1.0 - 1e-9, 1.0, 1.0 + 1e-9, 1.001, 1.5, 3.0)
+
+
+def transfer_function(c: Configuration) -> Transfer:
+    """Y(z)/f(z), by matrix exponentials of the mass, its position's integral and the held force."""
+    m, T, b0 = mp.mpf(c.mass), 1 / mp.mpf(c.rate), mp.mpf(c.friction)
+    whole = int(mp.floor(c.delay))
+    late = (mp.mpf(c.delay) - whole) * T
+    rate = mp.matrix([[0, 1, 0, 0], [0, -b0 / m, 1 / m, 0], [0, 0, 0, 0], [1, 0, 0, 0]])
+    before, after, full = (mp.expm(rate * t, method="taylor") for t in (late, T - late, T))
+    if c.hold == "zoh":
+        ended = before * mp.matrix([0, 0, 1, 0])
+        ended[2] = 0
+        effects = {whole: after * mp.matrix([0, 0, 1, 0]), whole + 1: after * ended}
+    else:
+        effects = {whole: after * mp.matrix([0, T / m, 0, 0])}
+
+    def g(z: mp.mpf) -> mp.mpf:
+        effect = mp.matrix([0, 0, 0, 0])
+        for age, column in effects.items():
+            effect += column * z**-age
+        x, v = mp.lu_solve(z * mp.eye(2) - full[0:2, 0:2], effect[0:2])
+        if c.sampling == "ideal":
+            return x
+        return (full[3, 0] * x + full[3, 1] * v + effect[3]) / (T * z)
+
+    return g
+
+
+def simulated_to_30_digits(c: Configuration, g: Transfer, k: float, b: float) -> tuple[mp.mpf, mp.mpf]:
+    m, T, k, b = mp.mpf(c.mass), 1 / mp.mpf(c.rate), mp.mpf(k), mp.mpf(b)
+    root = mp.sqrt((b / (2 * m)) ** 2 - k / m) or mp.mpf(10) ** -25
+    z1, z2 = (mp.exp(T * (-b / (2 * m) + sign * root)) for sign in (1, -1))
+    q1, q2 = (1 - 1 / z1) / T, (1 - 1 / z2) / T
+    B = (1 / g(z2) - 1 / g(z1)) / (q1 - q2)
+    return mp.re(-1 / g(z1) - B * q1), mp.re(B)
+
+
+@pytest.mark.parametrize("friction", [0.0, 1.0])
+@pytest.mark.parametrize("delay", DELAYS)
+@pytest.mark.parametrize("sampling", SAMPLINGS)
+@pytest.mark.parametrize("hold", HOLDS)
+def test_simulated_agrees_with_30_digits_over_twelve_decades(
+    hold: str, sampling: str, delay: float, friction: float
+) -> None:
+    c = Configuration(mass=MASS, rate=RATE, friction=friction, delay=delay, hold=hold, sampling=sampling)
+    k = (np.geomspace(1e-12, 3.0, 7) * UNIT)[:, None]
+    b = 2.0 * np.array(RATIOS) * np.sqrt(k * MASS)
+    K, B = c.simulated(k, b, dominant=False)
+    with mp.workdps(55):
+        g = transfer_function(c)
+        for i, j in np.ndindex(b.shape):
+            exact_k, exact_b = simulated_to_30_digits(c, g, k[i, 0], b[i, j])
+            assert abs(K[i, j] / exact_k - 1) < 1e-11
+            assert abs(B[i, j] / exact_b - 1) < 1e-9
+
+
+@pytest.mark.parametrize("delay", [0.0, 1.5])
+def test_a_soft_spring_on_heavy_friction_keeps_the_digits_of_its_small_damping(delay: float) -> None:
+    """Asked for just the real friction, B has only to make up for the delay: about K T (delay + 1/2)."""
+    c = Configuration(mass=MASS, rate=RATE, friction=100.0, delay=delay)
+    k = np.geomspace(1e-12, 1e-4, 5) * UNIT
+    K, B = c.simulated(k, c.friction)
+    with mp.workdps(60):
+        g = transfer_function(c)
+        for i in range(k.size):
+            exact_k, exact_b = simulated_to_30_digits(c, g, k[i], c.friction)
+            assert abs(K[i] / exact_k - 1) < 1e-13
+            assert abs(B[i] / exact_b - 1) < 1e-11
+
+
+CONFIGURATIONS = st.builds(
+    Configuration,
+    mass=st.floats(1e-3, 10.0),
+    rate=st.floats(100.0, 50e3),
+    friction=st.one_of(st.just(0.0), st.floats(1e-6, 10.0)),
+    delay=st.one_of(st.integers(0, 4), st.floats(0.0, 6.0)),
+    hold=st.sampled_from(HOLDS),
+    sampling=st.sampled_from(SAMPLINGS),
+)
+
+
+@settings(max_examples=60, deadline=None, derandomize=True)
+@given(c=CONFIGURATIONS, seed=st.integers(0, 2**32 - 1))
+def test_equivalent_inverts_simulated(c: Configuration, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    kappa = 10.0 ** rng.uniform(-12.0, 0.8, 400)
+    ratio = np.concatenate([10.0 ** rng.uniform(-3.0, 0.5, 300), 1.0 + rng.uniform(-1e-6, 1e-6, 100)])
+    k = kappa * c.stiffness_unit
+    b = 2.0 * ratio * np.sqrt(k * c.mass)
+    K, B = c.simulated(k, b)
+    had = np.isfinite(K)
+    assert had.any()
+    again_k, again_b = c.equivalent(K[had], B[had])
+    # Close to a fold, where a further pole is as slow, the inverse itself is ill-conditioned.
+    np.testing.assert_allclose(again_k, k[had], rtol=1e-6)
+    assert np.mean(np.abs(again_k / k[had] - 1.0) < 1e-8) > 0.99
+    # b is what B and b0 leave of each other: its last digits are theirs.
+    assert (np.abs(again_b - b[had]) <= 1e-6 * b[had] + 1e-14 * c.friction).all()
+    assert np.mean(np.abs(again_b - b[had]) <= 1e-8 * b[had] + 1e-14 * c.friction) > 0.99
+
+
+@settings(max_examples=30, deadline=None, derandomize=True)
+@given(c=CONFIGURATIONS, seed=st.integers(0, 2**32 - 1))
+def test_simulated_has_no_answer_exactly_where_further_poles_are_as_slow(c: Configuration, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    k = 10.0 ** rng.uniform(-4.0, 0.9, 300) * c.stiffness_unit
+    b = rng.uniform(-0.5, 3.0, 300) * np.sqrt(k * c.mass)
+    K, B = c.simulated(k, b, dominant=False)
+    possible = np.isfinite(K)
+    k, b, K, B = (values[possible] for values in (k, b, K, B))
+
+    s = np.sqrt((0.5 * b / c.mass) ** 2 - k / c.mass + 0j)
+    slowest = np.exp((-0.5 * b / c.mass + np.stack([s, -s])) * c.period)
+    moduli = np.sort(np.abs(c.poles(K, B)), axis=-1)[:, ::-1]
+    if moduli.shape[1] == 2:
+        expected = np.ones(k.shape, dtype=bool)
+        clear = expected
+    else:
+        lower = np.abs(slowest).min(axis=0)
+        expected = (np.abs(moduli[:, 1] - lower) < 1e-6) & (moduli[:, 2] < lower)
+        clear = np.abs(moduli[:, 2] - lower) > 1e-6
+    answered = np.isfinite(c.simulated(k, b)[0])
+    assert (answered == expected)[clear].all()
+
+
+def test_what_the_hand_meets_without_friction_and_delay_is_almost_what_is_simulated() -> None:
+    c = Configuration(mass=MASS, rate=RATE, delay=0.0, hold="impulse")
+    k, b = c.equivalent(1e-6 * UNIT, 1e-4 * MASS * RATE)
+    assert k == pytest.approx(1e-6 * UNIT, rel=1e-3)
+    assert b == pytest.approx(1e-4 * MASS * RATE, rel=1e-3)
+
+
+def test_hardly_any_friction_is_as_good_as_none() -> None:
+    none, hardly = (Configuration(mass=MASS, rate=RATE, friction=b0, delay=1.5) for b0 in (0.0, 1e-13))
+    k, b = np.geomspace(1.0, 1e4, 30), 1.5
+    np.testing.assert_allclose(none.simulated(k, b), hardly.simulated(k, b), rtol=1e-12)
+
+
+class TestWhereThereIsNoAnswer:
+    c = Configuration(mass=MASS, rate=RATE, friction=1.0)
+
+    def test_no_stiffness_makes_a_motion_above_the_nyquist_frequency(self) -> None:
+        nyquist = MASS * (np.pi * RATE) ** 2
+        c = Configuration(mass=MASS, rate=RATE, delay=0.0, hold="impulse")
+        K, B = c.simulated([0.99 * nyquist, 1.01 * nyquist, 9.5 * nyquist], 0.0)
+        assert np.isfinite(K).tolist() == np.isfinite(B).tolist() == [True, False, False]
+
+    def test_with_delay_some_k_b_cannot_be_had(self) -> None:
+        k, b = 1.0 * UNIT, 1.0
+        assert np.isnan(self.c.simulated(k, b)).all()
+        K, B = self.c.simulated(k, b, dominant=False)
+        assert np.isfinite([K, B]).all()
+        assert not np.isclose(self.c.equivalent(K, B)[0], k, rtol=1e-3)
+
+    def test_a_pole_on_the_negative_axis_is_no_oscillators(self) -> None:
+        c = Configuration(mass=MASS, rate=RATE, delay=0.0, hold="impulse")
+        K, B = 0.5 * UNIT, 1.5 * MASS * RATE  # poles of opposite signs
+        assert np.prod(c.poles(K, B)) < 0.0
+        assert not c.dominant(K, B)
+        assert np.isnan(c.equivalent(K, B)).all()
+        assert np.isnan(c.dominant_poles(K, B)).all()
+
+    def test_a_loop_whose_slowest_pole_is_real_and_the_next_a_pair_has_no_equivalent(self) -> None:
+        c = Configuration(mass=MASS, rate=RATE, delay=0.0)
+        K, B = 0.01 * UNIT, 1.8 * MASS * RATE
+        slowest, next_to_it, _ = c.poles(K, B)
+        assert slowest.imag == 0.0
+        assert next_to_it.imag > 0.0
+        assert not c.dominant(K, B)
+        assert np.isnan(c.equivalent(K, B)).all()
+        assert c.is_stable(K, B)
+
+    @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+    def test_what_is_not_finite_gives_nan_and_no_warning(self, bad: float) -> None:
+        for hold, sampling, delay in itertools.product(HOLDS, SAMPLINGS, DELAYS):
+            c = Configuration(mass=1e-3, rate=RATE, delay=delay, hold=hold, sampling=sampling)
+            for K, B in ((bad, 1.0), (1.0, bad), (bad, bad)):
+                assert np.isnan(c.simulated(K, B)).all()
+                assert np.isnan(c.equivalent(K, B)).all()
+                assert not c.dominant(K, B)
+                assert not c.is_stable(K, B)
+                c.poles(K, B), c.spectral_radius(K, B), c.characteristic(K, B)
+
+    @pytest.mark.parametrize("huge", [1e100, -1e200, 1e308])
+    def test_what_is_absurd_gives_no_warning(self, huge: float) -> None:
+        for hold, sampling, delay in itertools.product(HOLDS, SAMPLINGS, DELAYS):
+            c = Configuration(mass=1e-3, rate=RATE, friction=1e9, delay=delay, hold=hold, sampling=sampling)
+            for K, B in ((huge, 1.0), (1.0, huge), (huge, huge), (1.0 / huge, 1.0 / huge)):
+                assert not np.isinf([*c.simulated(K, B), *c.equivalent(K, B)]).any()
+                c.is_stable(K, B), c.poles(K, B), c.spectral_radius(K, B), c.characteristic(K, B)
+
+    def test_one_bad_element_does_not_touch_the_others(self) -> None:
+        k, b = self.c.equivalent([100.0, np.nan, 200.0], 1.0)
+        assert np.isfinite(k).tolist() == np.isfinite(b).tolist() == [True, False, True]
+
+
+class TestPoles:
+    c = Configuration(mass=MASS, rate=RATE, friction=1.0, delay=1.5)
+
+    def test_they_are_the_characteristic_polynomials_roots_by_decreasing_modulus(self) -> None:
+        K, B = np.geomspace(1.0, 1e6, 30)[:, None], np.linspace(-50.0, 300.0, 20)
+        poles, coefficients = self.c.poles(K, B), self.c.characteristic(K, B)
+        assert poles.shape == (30, 20, 5)
+        assert coefficients.shape == (30, 20, 6)
+        assert (np.diff(np.abs(poles), axis=-1) <= 1e-15).all()
+        assert np.array_equal(self.c.spectral_radius(K, B), np.abs(poles[..., 0]))
+        for index in np.ndindex(30, 20):
+            np.testing.assert_allclose(np.poly(poles[index]), coefficients[index], atol=1e-9)
+
+    def test_the_dominant_pair_is_the_equivalent_oscillators(self) -> None:
+        K, B = np.geomspace(1.0, 1e4, 30), 3.0
+        k, b = self.c.equivalent(K, B)
+        pair = self.c.dominant_poles(K, B)
+        np.testing.assert_allclose(pair, self.c.poles(K, B)[:, :2], rtol=1e-14)
+        s = np.log(pair) * RATE
+        np.testing.assert_allclose(MASS * s.prod(axis=-1), k, rtol=1e-7)
+        np.testing.assert_allclose(-MASS * s.sum(axis=-1), b, rtol=1e-7)
+
+    @pytest.mark.parametrize(("hold", "sampling", "fewest"), [("impulse", "ideal", 2), ("zoh", "average", 4)])
+    def test_their_number_grows_with_the_delay(self, hold: str, sampling: str, fewest: int) -> None:
+        for delay, more in ((0.0, 0), (0.5, 1), (1.0, 1), (1.5, 2), (3.0, 3)):
+            c = Configuration(mass=MASS, rate=RATE, delay=delay, hold=hold, sampling=sampling)
+            assert c.poles(1.0, 1.0).shape == (fewest + more,)
+
+    def test_a_very_slow_motion_is_still_known_to_be_stable(self) -> None:
+        k = 10.0 ** np.arange(-20.0, 0.0)
+        assert self.c.is_stable(k, 0.0).all()
+        assert not self.c.is_stable(-k, 0.0).any()
+        np.testing.assert_allclose(self.c.equivalent(k, 0.0)[0], k, rtol=0.02)
+
+
+class TestArguments:
+    def test_scalars_give_scalars_and_arrays_broadcast(self) -> None:
+        c = Configuration(mass=MASS, rate=RATE)
+        assert all(np.ndim(value) == 0 for value in (*c.simulated(1.0, 1.0), *c.equivalent(1.0, 1.0)))
+        assert np.ndim(c.is_stable(1.0, 1.0)) == np.ndim(c.dominant(1.0, 1.0)) == 0
+        K, B = c.simulated(np.ones((3, 1)), np.ones(4))
+        assert K.shape == B.shape == (3, 4)
+        assert c.poles(np.ones((3, 1)), np.ones(4)).shape == (3, 4, 4)
+        assert c.equivalent([], [])[0].shape == (0,)
+
+    def test_the_papers_units_are_those_of_mass_and_period(self) -> None:
+        c = Configuration(mass=MASS, rate=RATE)
+        assert c.period == pytest.approx(1e-3)
+        assert c.normalised(c.stiffness_unit, c.damping_unit) == pytest.approx((1.0, 1.0))
+
+    @pytest.mark.parametrize(
+        ("changed", "says"),
+        [
+            ({"mass": 0.0}, "mass is 0"),
+            ({"mass": np.nan}, "mass is nan"),
+            ({"mass": "heavy"}, "mass is 'heavy'"),
+            ({"rate": -1.0}, "rate is -1"),
+            ({"friction": -0.1}, "friction is -0.1"),
+            ({"delay": -1.0}, "delay is -1"),
+            ({"delay": np.inf}, "delay is inf"),
+            ({"hold": "first-order"}, "one of: zoh, impulse"),
+            ({"sampling": None}, "one of: ideal, average"),
+        ],
+    )
+    def test_a_wrong_one_is_refused_with_a_sentence(self, changed: dict[str, object], says: str) -> None:
+        with pytest.raises(ValueError, match=says):
+            Configuration(**({"mass": MASS, "rate": RATE} | changed))

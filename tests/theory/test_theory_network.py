@@ -1,0 +1,172 @@
+"""Scenes of many points: against a THS derived another way, and by what symmetry says."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+
+from hapsim.theory import Configuration, Network
+
+RATE = 1000.0
+
+
+def scene(**changed: object) -> Network:
+    """A hand on a chain of two masses, tied to the ground."""
+    arguments = {
+        "rate": RATE,
+        "channel_mass": [0.2],
+        "channel_friction": [1.0],
+        "delay": 1.0,
+        "hold": "zoh",
+        "sampling": "ideal",
+        "point_mass": [0.01, 0.02],
+        "ends": [[0, 1], [1, 2], [2, -1]],
+        "stiffness": [1000.0, 2000.0, 3000.0],
+        "damping": [1.0, 0.5, 0.1],
+    }
+    return Network(**(arguments | changed))
+
+
+def unmatched(poles: np.ndarray, expected: np.ndarray, atol: float) -> np.ndarray:
+    """What is left of ``poles`` when each expected one has been found among them."""
+    left = list(poles)
+    for pole in expected:
+        nearest = int(np.argmin(np.abs(np.array(left) - pole)))
+        assert abs(left.pop(nearest) - pole) < atol * max(1.0, abs(pole))
+    return np.array(left)
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.2, 0.37, 1.0, 1.5, 2.0, 3.9])
+@pytest.mark.parametrize("sampling", ["ideal", "average"])
+@pytest.mark.parametrize("hold", ["zoh", "impulse"])
+def test_one_channel_on_one_link_has_the_poles_of_a_ths(hold: str, sampling: str, delay: float) -> None:
+    rng = np.random.default_rng(3)
+    for friction in (0.0, 1e-9, 0.5, 20.0, 500.0):
+        c = Configuration(mass=0.3, rate=RATE, friction=friction, delay=delay, hold=hold, sampling=sampling)
+        for _ in range(5):
+            K, B = 10.0 ** rng.uniform(0.0, 6.0), rng.choice([-1, 1]) * 10.0 ** rng.uniform(-2.0, 3.0)
+            network = Network(RATE, [0.3], [friction], delay, hold, sampling, [], [[0, -1]], [K], [B])
+            left = unmatched(network.poles(), c.poles(K, B), 1e-10)
+            assert np.abs(left).max(initial=0.0) < 1e-10
+            assert network.spectral_radius() == pytest.approx(c.spectral_radius(K, B), rel=1e-10)
+
+
+def test_two_hands_on_one_spring_are_one_hand_with_half_the_mass() -> None:
+    """Their distance moves as a THS of the reduced mass; their centre moves freely."""
+    m, b0, K, B = 0.2, 1.0, 3000.0, 5.0
+    for hold, delay in itertools.product(("zoh", "impulse"), (0.0, 0.6, 1.0)):
+        both = Network(RATE, [m, m], [b0, b0], delay, hold, "ideal", [], [[0, 1]], [K], [B])
+        half = Configuration(mass=m / 2, rate=RATE, friction=b0 / 2, delay=delay, hold=hold)
+        left = unmatched(both.poles(), half.poles(K, B), 1e-10)
+        left = unmatched(left, np.array([1.0, np.exp(-b0 / m / RATE)]), 1e-10)
+        assert np.abs(left).max(initial=0.0) < 1e-7
+
+
+def test_a_scenes_parts_that_do_not_touch_have_their_own_poles() -> None:
+    apart = scene(
+        channel_mass=[0.2, 0.1],
+        channel_friction=[1.0, 0.0],
+        point_mass=[],
+        ends=[[0, -1], [-1, 1]],
+        stiffness=[500.0, 800.0],
+        damping=[2.0, 3.0],
+    )
+    left = apart.poles()
+    for mass, friction, K, B in ((0.2, 1.0, 500.0, 2.0), (0.1, 0.0, 800.0, 3.0)):
+        left = unmatched(left, Configuration(mass=mass, rate=RATE, friction=friction).poles(K, B), 1e-10)
+    assert left.size == 0
+
+
+def test_links_in_parallel_are_one_link_and_their_direction_does_not_matter() -> None:
+    one = scene()
+    several = scene(
+        ends=[[1, 0], [1, 2], [-1, 2], [2, -1], [0, 1]],
+        stiffness=[600.0, 2000.0, 1000.0, 2000.0, 400.0],
+        damping=[0.0, 0.5, 0.1, 0.0, 1.0],
+    )
+    np.testing.assert_allclose(several.transition(), one.transition(), atol=1e-14)
+
+
+def test_links_between_grounds_or_from_a_point_to_itself_do_nothing() -> None:
+    more = scene(
+        ends=[[0, 1], [1, 2], [2, -1], [-1, -1], [1, 1]],
+        stiffness=[1000.0, 2000.0, 3000.0, 1e5, 1e5],
+        damping=[1.0, 0.5, 0.1, 10.0, 10.0],
+    )
+    np.testing.assert_array_equal(more.transition(), scene().transition())
+
+
+class TestModes:
+    def test_each_pair_is_one_mode_and_the_slowest_comes_first(self) -> None:
+        network = scene()
+        modes = network.modes()
+        moduli = [abs(mode.pole) for mode in modes]
+        assert moduli == sorted(moduli, reverse=True)
+        assert moduli[0] == pytest.approx(network.spectral_radius(), rel=1e-12)
+        assert all(mode.pole.imag >= 0.0 for mode in modes)
+        both = [p for mode in modes for p in {mode.pole, mode.pole.conjugate()}]
+        assert np.abs(unmatched(network.poles(), np.array(both), 1e-10)).max(initial=0.0) < 1e-10
+
+    def test_frequency_and_damping_are_those_of_the_pole(self) -> None:
+        for mode in scene().modes():
+            s = np.log(mode.pole) * RATE
+            assert mode.frequency_hz == pytest.approx(abs(s) / (2.0 * np.pi))
+            assert mode.damping_ratio == pytest.approx(-s.real / abs(s))
+
+    def test_participation_is_a_share_of_one(self) -> None:
+        for mode in scene().modes():
+            assert mode.participation.shape == (3,)
+            assert (mode.participation >= 0.0).all()
+            assert mode.participation.sum() == pytest.approx(1.0)
+
+    def test_a_light_mass_on_a_stiff_spring_has_a_mode_of_its_own(self) -> None:
+        network = scene(point_mass=[1e-4, 10.0], stiffness=[10.0, 10.0, 3000.0], damping=[0.0, 0.0, 0.0])
+        shares = np.array([mode.participation for mode in network.modes()])
+        assert (shares.max(axis=0)[1:] > 0.99).all()
+
+    def test_a_hand_that_nothing_holds_rests_wherever_it_is(self) -> None:
+        rest, stop = scene(point_mass=[], ends=[], stiffness=[], damping=[]).modes()
+        assert rest.pole == 1.0
+        assert rest.frequency_hz == 0.0
+        assert np.isnan(rest.damping_ratio)
+        assert stop.pole == pytest.approx(np.exp(-1.0 / 0.2 / RATE))
+        assert stop.damping_ratio == 1.0
+
+    def test_a_scene_without_points_has_none(self) -> None:
+        empty = scene(channel_mass=[], channel_friction=[], point_mass=[], ends=[], stiffness=[], damping=[])
+        assert empty.modes() == []
+        assert empty.poles().size == 0
+        assert empty.spectral_radius() == 0.0
+
+
+def test_what_overflows_gives_nan_and_no_warning() -> None:
+    absurd = scene(stiffness=[1e308, 1e308, 1e308])
+    assert np.isnan(absurd.poles()).all()
+    assert np.isnan(absurd.spectral_radius())
+    assert absurd.modes() == []
+
+
+@pytest.mark.parametrize(
+    ("changed", "says"),
+    [
+        ({"rate": 0.0}, "rate is 0"),
+        ({"delay": -1.0}, "delay is -1"),
+        ({"hold": "linear"}, "one of: zoh, impulse"),
+        ({"sampling": "linear"}, "one of: ideal, average"),
+        ({"channel_mass": [0.0]}, r"channel_mass\[0\] is 0"),
+        ({"channel_friction": [-1.0]}, r"channel_friction\[0\] is -1"),
+        ({"channel_friction": [1.0, 2.0]}, r"channel_friction has shape \(2,\)"),
+        ({"point_mass": [0.01, np.nan]}, r"point_mass\[1\] is nan"),
+        ({"ends": [[0, 1], [1, 2], [2, 3]]}, "ends names point 3"),
+        ({"ends": [[0, 1], [1, 2], [2, -2]]}, "ends names point -2"),
+        ({"ends": [0, 1, 2]}, "ends has to be an integer array"),
+        ({"ends": [[0.5, 1], [1, 2], [2, -1]]}, "ends has to be an integer array"),
+        ({"stiffness": [1.0]}, r"stiffness has shape \(1,\), but it has to have shape \(3,\)"),
+        ({"damping": [1.0, "much", 2.0]}, "damping has to be an array of numbers"),
+    ],
+)
+def test_a_wrong_argument_is_refused_with_a_sentence(changed: dict[str, object], says: str) -> None:
+    with pytest.raises(ValueError, match=says):
+        scene(**changed)

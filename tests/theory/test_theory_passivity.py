@@ -1,0 +1,97 @@
+"""The friction that a sampled wall needs to be passive."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hapsim.theory import Configuration
+
+RATE = 1000.0
+T = 1.0 / RATE
+AROUND = np.array([1.0 - 1e-9, 1.0 + 1e-9])
+
+
+def wall(friction: float, delay: float, mass: float = 0.2) -> Configuration:
+    return Configuration(mass=mass, rate=RATE, friction=friction, delay=delay)
+
+
+def needed(K: float, B: float, delay: float) -> float:
+    """The condition as it is written, on a grid that only a test can afford."""
+    w = np.linspace(0.0, np.pi / T, 400_001)[1:]
+    z = np.exp(1j * w * T)
+    h = K + B * (1.0 - 1.0 / z) / T
+    demand = T / (2.0 * (1.0 - np.cos(w * T))) * ((1.0 - 1.0 / z) * h * np.exp(-1j * w * T * delay)).real
+    return float(demand[w * T > 1e-3].max())
+
+
+def test_without_delay_it_is_colgates_and_schenkels() -> None:
+    K = np.array([0.0, 10.0, 1000.0])[:, None]
+    B = np.array([-3.0, -0.1, 0.0, 0.1, 3.0])
+    for i, j in np.ndindex(3, 5):
+        enough = 0.5 * K[i, 0] * T + abs(B[j])
+        assert wall(enough * AROUND[1] + 1e-12, 0.0).is_passive(K, B)[i, j]
+        assert not wall(enough * AROUND[0], 0.0).is_passive(K, B)[i, j]
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.37, 0.5, 1.0, 2.0, 7.25])
+def test_a_spring_alone_needs_its_stiffness_times_the_delay_and_half_a_sample(delay: float) -> None:
+    K = 1500.0
+    limit = K * T * (0.5 + delay)
+    assert [bool(wall(limit * near, delay).is_passive(K, 0.0)) for near in AROUND] == [False, True]
+    np.testing.assert_array_equal(wall(limit, delay).is_passive(K * AROUND, 0.0), [True, False])
+
+
+@pytest.mark.parametrize("delay", [0.2, 0.5, 1.0, 1.5, 2.0, 4.0])
+def test_it_is_the_condition_as_written_wherever_its_upper_bound_lies(delay: float) -> None:
+    rng = np.random.default_rng(11)
+    for _ in range(12):
+        K, B = 10.0 ** rng.uniform(1.0, 4.0), rng.uniform(-6.0, 6.0)
+        limit = needed(K, B, delay)
+        assert not wall(limit * (1.0 - 1e-6), delay).is_passive(K, B)
+        assert wall(limit * (1.0 + 2e-5), delay).is_passive(K, B)  # the grid misses a little at w = 0
+
+
+def test_between_the_ends_of_the_range_it_is_accurate() -> None:
+    """One sample of delay: K T/2 (1 + 2 cos) - B cos 2, a parabola in cos with a summit in closed form."""
+    K, B = 2000.0, 2.0
+    summit = 0.5 * K * T + B + (K * T) ** 2 / (8.0 * B)
+    assert [bool(wall(summit * near, 1.0).is_passive(K, B)) for near in AROUND] == [False, True]
+
+
+@pytest.mark.parametrize("delay", [0.0, 1.0, 2.0])
+@pytest.mark.parametrize("mass", [1e-3, 0.05, 0.5, 5.0])
+def test_a_passive_wall_is_stable_with_any_mass(mass: float, delay: float) -> None:
+    c = wall(2.0, delay, mass)
+    K, B = np.geomspace(1.0, 4000.0, 60)[:, None], np.linspace(-2.5, 2.5, 61)
+    passive = c.is_passive(K, B)
+    assert passive.any()
+    assert not passive.all()
+    assert c.is_stable(K, B)[passive].all()
+
+
+def test_a_spring_that_pushes_away_is_never_passive() -> None:
+    assert not wall(100.0, 0.0).is_passive(-1.0, 0.0)
+
+
+def test_nothing_simulated_needs_no_more_than_some_friction() -> None:
+    for delay in (0.0, 0.5, 1.0):
+        assert wall(1e-9, delay).is_passive(0.0, 0.0)
+        assert not wall(0.0, delay).is_passive(0.0, 0.0)
+
+
+def test_what_is_not_finite_is_not_passive() -> None:
+    for delay in (0.0, 1.0):
+        assert wall(1.0, delay).is_passive([np.nan, np.inf, 1.0, 1.0], [0.0, 0.0, np.nan, 0.0]).tolist() == [
+            False,
+            False,
+            False,
+            True,
+        ]
+
+
+@pytest.mark.parametrize(("hold", "sampling"), [("impulse", "ideal"), ("zoh", "average")])
+def test_where_it_is_not_derived_it_says_so(hold: str, sampling: str) -> None:
+    c = Configuration(mass=0.2, rate=RATE, hold=hold, sampling=sampling)
+    with pytest.raises(ValueError, match=f"not for hold '{hold}' with sampling '{sampling}'"):
+        c.is_passive(1.0, 1.0)
