@@ -16,6 +16,7 @@ import hashlib
 import os
 import platform
 import shutil
+import stat
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -57,20 +58,33 @@ def _build_directory(packages: tuple[Path, ...]) -> Path | None:
     """The directory for this state of the sources, or None where no place can be written to."""
     key = _source_key(packages)
     for root in _cache_roots():
-        directory = root / key
         try:
+            root.mkdir(mode=0o700, parents=True, exist_ok=True)
+            root = root.resolve()  # noqa: PLW2901
+            directory = root / key
             fresh = not directory.exists()
-            directory.mkdir(mode=0o700, parents=True, exist_ok=True)
-            if directory.stat().st_uid != os.getuid() or not os.access(directory, os.W_OK):
+            directory.mkdir(mode=0o700, exist_ok=True)
+            if not (_is_ours(root) and _is_ours(directory)):
                 continue
-            if fresh:
-                _forget_old_builds(root)
-            else:
+            if not fresh:
                 os.utime(directory)
         except OSError:
             continue
+        if fresh:
+            _forget_old_builds(root)
         return directory
     return None
+
+
+def _is_ours(directory: Path) -> bool:
+    """Whether nobody else can put code there, which would then run as ours: numba's index files are pickles."""
+    status = directory.lstat()
+    mine = stat.S_ISDIR(status.st_mode) and status.st_uid == _user() and not status.st_mode & stat.S_IWOTH
+    return mine and os.access(directory, os.W_OK)
+
+
+def _user() -> int:
+    return os.getuid() if hasattr(os, "getuid") else 0  # a system without users reports 0 as the owner of every file
 
 
 def _cache_roots() -> Iterator[Path]:
@@ -78,7 +92,7 @@ def _cache_roots() -> Iterator[Path]:
     chosen = os.environ.get("XDG_CACHE_HOME")
     with contextlib.suppress(RuntimeError):
         yield (Path(chosen) if chosen else Path.home() / ".cache") / "hapsim"
-    yield Path(tempfile.gettempdir()) / f"hapsim-{os.getuid()}"
+    yield Path(tempfile.gettempdir()) / f"hapsim-{_user()}"
 
 
 def _source_key(packages: tuple[Path, ...]) -> str:
@@ -91,9 +105,10 @@ def _source_key(packages: tuple[Path, ...]) -> str:
 
 
 def _forget_old_builds(root: Path) -> None:
-    builds = sorted(root.iterdir(), key=lambda build: build.stat().st_mtime, reverse=True)
-    for build in builds[_KEPT:]:
-        shutil.rmtree(build, ignore_errors=True)
+    with contextlib.suppress(OSError):  # another process may be forgetting the same ones
+        builds = sorted(root.iterdir(), key=lambda build: build.stat().st_mtime, reverse=True)
+        for build in builds[_KEPT:]:
+            shutil.rmtree(build, ignore_errors=True)
 
 
 jit = compiler_for(Path(__file__).parent)

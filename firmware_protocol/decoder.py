@@ -7,6 +7,8 @@ garbage of any length is found, without a second delimiter on the wire. Fewer th
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from firmware_protocol import schema
@@ -40,12 +42,33 @@ DECODER = np.dtype(
 )
 
 
+class Frame(NamedTuple):
+    """An accepted frame. `argument` is 0 in a frame to the host, which carries none."""
+
+    type: int
+    number: int
+    argument: int
+    counts: tuple[int, ...]
+
+
 def new_decoder(wire: Format, to_device: bool) -> np.void:
     """A decoder for the frames of one direction: `to_device` for what the host writes."""
     decoder: np.void = np.zeros(1, DECODER)[0]
     decoder["to_device"] = to_device
     use_format(decoder, wire)
     return decoder
+
+
+def frames_in(decoder: np.void, data: bytes) -> list[Frame]:
+    """Every frame that ends in `data`. For tests and tools; the loops call `next_frame` on their own buffers."""
+    buffer = np.frombuffer(bytearray(data), np.uint8)
+    frames = []
+    at, found = next_frame(decoder, buffer, 0, buffer.size)
+    while found:
+        counts = tuple(decoder["counts"][: decoder["channels"]].tolist())
+        frames.append(Frame(int(decoder["type"]), int(decoder["number"]), int(decoder["argument"]), counts))
+        at, found = next_frame(decoder, buffer, at, buffer.size)
+    return frames
 
 
 @jit

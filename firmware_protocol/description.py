@@ -16,6 +16,7 @@ class Description:
     """A device as it describes itself, SI units, one entry per channel where a tuple stands."""
 
     name: str
+    """At most 16 printable ASCII characters travel."""
     rate_hz: float
     pacings: int
     """Bit 0: paced by the device, bit 1: by the host, bit 2: lockstep."""
@@ -39,7 +40,14 @@ class Description:
 
 
 def to_registers(description: Description) -> NDArray[np.int64]:
-    """Every register as an unsigned 32-bit value, shape (REGISTERS,)."""
+    """Every register as an unsigned 32-bit value, shape (REGISTERS,).
+
+    A name is cut at 16 characters; what is not printable ASCII becomes a question mark. Raises ValueError unless there
+    are 1 to 16 channels, each with both scales and a limit.
+    """
+    _require_channels(description.channels)
+    if not description.channels == len(description.force_scale) == len(description.force_limit):
+        raise ValueError("every channel needs a position scale, a force scale and a force limit")
     registers = np.zeros(schema.REGISTERS, np.int64)
     registers[schema.REG_VERSION] = description.version
     registers[schema.REG_SCHEMA] = description.schema_hash
@@ -47,7 +55,7 @@ def to_registers(description: Description) -> NDArray[np.int64]:
     registers[schema.REG_PACINGS] = description.pacings
     registers[schema.REG_MAX_WATCHDOG] = description.max_watchdog_samples
     _put_f64(registers, schema.REG_RATE, description.rate_hz)
-    name = description.name.encode("ascii", "replace")[: 4 * schema.NAME_WORDS]
+    name = _printable(description.name).encode("ascii")[: 4 * schema.NAME_WORDS]
     words = struct.unpack(f"<{schema.NAME_WORDS}I", name.ljust(4 * schema.NAME_WORDS, b"\0"))
     registers[schema.REG_NAME : schema.REG_NAME + schema.NAME_WORDS] = words
     for c in range(description.channels):
@@ -69,25 +77,40 @@ def registers_of_a_description(channels: int) -> list[int]:
 
 
 def from_registers(registers: NDArray[np.int64]) -> Description:
-    """The description that stands in the registers, shape (REGISTERS,), unsigned 32-bit values."""
+    """The description that stands in the registers, shape (REGISTERS,), unsigned 32-bit values.
+
+    The name ends at the first zero byte; a watchdog longer than sample numbers can tell apart is taken for the longest
+    that they can. Raises ValueError unless there are 1 to 16 channels.
+    """
+    _require_channels(int(registers[schema.REG_CHANNELS]))
     channels = range(int(registers[schema.REG_CHANNELS]))
 
     def per_channel(which: int) -> tuple[float, ...]:
         return tuple(_get_f64(registers, schema.REG_CHANNEL + c * schema.CHANNEL_WORDS + which) for c in channels)
 
     words = registers[schema.REG_NAME : schema.REG_NAME + schema.NAME_WORDS]
-    name = struct.pack(f"<{schema.NAME_WORDS}I", *words.tolist()).rstrip(b"\0")
+    name = struct.pack(f"<{schema.NAME_WORDS}I", *words.tolist()).partition(b"\0")[0]
     return Description(
-        name=name.decode("ascii", "replace"),
+        name=_printable(name.decode("latin-1")),
         rate_hz=_get_f64(registers, schema.REG_RATE),
         pacings=int(registers[schema.REG_PACINGS]),
-        max_watchdog_samples=int(registers[schema.REG_MAX_WATCHDOG]),
+        max_watchdog_samples=min(int(registers[schema.REG_MAX_WATCHDOG]), schema.MAX_WATCHDOG_SAMPLES),
         position_scale=per_channel(schema.REG_POSITION_SCALE),
         force_scale=per_channel(schema.REG_FORCE_SCALE),
         force_limit=per_channel(schema.REG_FORCE_LIMIT),
         version=int(registers[schema.REG_VERSION]),
         schema_hash=int(registers[schema.REG_SCHEMA]),
     )
+
+
+def _require_channels(channels: int) -> None:
+    if not 1 <= channels <= schema.MAX_CHANNELS:
+        raise ValueError(f"{channels} channels: the protocol carries 1 to {schema.MAX_CHANNELS}")
+
+
+def _printable(name: str) -> str:
+    """A name that can be shown on a terminal, whatever the device holds in its registers."""
+    return "".join(c if " " <= c <= "~" else "?" for c in name)
 
 
 def _put_f64(registers: NDArray[np.int64], at: int, value: float) -> None:

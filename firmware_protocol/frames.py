@@ -7,6 +7,7 @@ frame torn apart by a flipped delimiter impossible to mistake for another (PROTO
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -17,9 +18,11 @@ from firmware_protocol.cobs import stuff
 from firmware_protocol.compiled import jit
 from firmware_protocol.crc import crc16_dnp, crc32_c
 
+Integers = Sequence[int] | NDArray[np.int64]
+
 
 class Format(NamedTuple):
-    """How frames look: number of channels, whether the check has 32 bits, its start value."""
+    """How frames look: number of channels, whether the check has 32 bits, its start value. Made by `armed_format`."""
 
     channels: int
     long_check: bool
@@ -87,20 +90,43 @@ def write_to_host(wire, buffer, start, frame_type, number, counts):
 def write_to_device(wire, buffer, start, frame_type, number, argument, counts):
     """Writes a frame of the host at buffer[start:] and returns where it ends. `argument` is one byte."""
     at = _put_header(buffer, start + 1, frame_type, number)
-    buffer[at] = argument
+    buffer[at] = argument & 0xFF
     at = _put_payload(buffer, at + 1, counts, wire.channels)
     return _seal(wire, buffer, start, at)
 
 
-def frame_to_host(wire: Format, frame_type: int, number: int, counts: NDArray[np.int64]) -> bytes:
-    """One frame of the device, as bytes. For set-up, tests and tools; the loops write into their own buffers."""
-    buffer = np.zeros(schema.frame_bytes(wire.channels, to_device=False), np.uint8)
-    write_to_host(wire, buffer, 0, frame_type, number, np.asarray(counts, np.int64))
+def frame_to_host(wire: Format, frame_type: int, number: int, counts: Integers) -> bytes:
+    """One frame of the device, as bytes. For set-up, tests and tools; the loops write into their own buffers.
+
+    Raises ValueError where a field does not fit: what the compiled writers do then is cut it off.
+    """
+    words = _fitting(wire, frame_type, number, 0, counts)
+    buffer = np.zeros(frame_bytes(wire, to_device=False), np.uint8)
+    write_to_host(wire, buffer, 0, frame_type, number, words)
     return buffer.tobytes()
 
 
-def frame_to_device(wire: Format, frame_type: int, number: int, argument: int, counts: NDArray[np.int64]) -> bytes:
-    """One frame of the host, as bytes."""
-    buffer = np.zeros(schema.frame_bytes(wire.channels, to_device=True), np.uint8)
-    write_to_device(wire, buffer, 0, frame_type, number, argument, np.asarray(counts, np.int64))
+def frame_to_device(wire: Format, frame_type: int, number: int, argument: int, counts: Integers) -> bytes:
+    """One frame of the host, as bytes. Raises ValueError where a field does not fit."""
+    words = _fitting(wire, frame_type, number, argument, counts)
+    buffer = np.zeros(frame_bytes(wire, to_device=True), np.uint8)
+    write_to_device(wire, buffer, 0, frame_type, number, argument, words)
     return buffer.tobytes()
+
+
+def frame_bytes(wire: Format, to_device: bool) -> int:
+    """Bytes of a whole frame in this format, its delimiter included."""
+    return schema.encoded_bytes(wire.channels, to_device) + (5 if wire.long_check else 3) + 1
+
+
+def _fitting(wire: Format, frame_type: int, number: int, argument: int, counts: Integers) -> NDArray[np.int64]:
+    """The counts as the compiled writers want them, once every field was found to fit."""
+    for name, value, bits in (("type", frame_type, 4), ("number", number, 12), ("argument", argument, 8)):
+        if not 0 <= value < 1 << bits:
+            raise ValueError(f"{name} {value}: a frame carries {bits} bits of it")
+    words = np.asarray(counts, np.int64)
+    if words.shape != (wire.channels,):
+        raise ValueError(f"counts of shape {words.shape} in a format of {wire.channels} channel(s)")
+    if words.size and not -(2**31) <= words.min() <= words.max() < 2**31:
+        raise ValueError(f"counts {words.tolist()}: a frame carries 32 bits, signed")
+    return words

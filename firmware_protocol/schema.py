@@ -65,12 +65,15 @@ crc channels<={SHORT_CRC_CHANNELS} crc16dnp else crc32c
 host describe={DESCRIBE:x} arm={ARM:x} force={FORCE:x} disarm={DISARM:x}
 device description={DESCRIPTION:x} position={POSITION:x} held={POSITION_HELD:x} status={STATUS:x}
 describe number=register
-arm number=watchdog argument=pacing payload0=schema
-force number=sample argument=time_to_live payload=force
-position number=sample payload=position
+arm number=watchdog_samples argument=pacing payload0=schema
+force number=sample argument=time_to_live_samples payload=force
+description number=register payload0=value
+position held number=sample payload=position
 status number=sample payload0=state:u8,fault:u8
 pacing device={PACED_BY_DEVICE} host={PACED_BY_HOST} lockstep={LOCKSTEP}
 state idle={IDLE} armed={ARMED} latched={LATCHED}
+fault host_quiet={HOST_QUIET} position_out_of_range={POSITION_OUT_OF_RANGE} wrong_schema={WRONG_SCHEMA}
+fault wrong_pacing={WRONG_PACING} wrong_watchdog={WRONG_WATCHDOG} hardware={HARDWARE}
 register version={REG_VERSION} schema={REG_SCHEMA} channels={REG_CHANNELS} pacings={REG_PACINGS} rate={REG_RATE}:f64
 register max_watchdog={REG_MAX_WATCHDOG} fault={REG_FAULT} accepted={REG_ACCEPTED} rejected={REG_REJECTED}
 register held={REG_HELD} expired={REG_EXPIRED} limited={REG_LIMITED} name={REG_NAME}:{NAME_WORDS}

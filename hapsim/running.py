@@ -7,13 +7,14 @@ import signal
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numba
 import numpy as np
 
 from firmware_protocol import schema
 from firmware_protocol.description import Description
+from firmware_protocol.frames import armed_format
 from hapsim.compiled import on_compilation
 from hapsim.cordis.program import compile_scene
 from hapsim.device.conversation import arm, describe, disarm, fault_text
@@ -21,12 +22,13 @@ from hapsim.device.line import Line
 from hapsim.device.open_line import LineKind, open_line
 from hapsim.errors import DeviceError, GuardError, HapsimError, RunError, UsageError
 from hapsim.loop import exchange
-from hapsim.loop.exchange import CONTROL, STATE, Loop
+from hapsim.loop.exchange import CONTROL, DESK, STATE, Loop
 from hapsim.loop.paced_by_device import run_paced_by_device
 from hapsim.loop.paced_by_host import run_paced_by_host
 from hapsim.loop.recorder import Recorder
 from hapsim.loop.ring import new_ring
 from hapsim.loop.trace import Report, Trace
+from hapsim.progress import Progress
 from hapsim.scene import Scene
 
 _RING_ROWS = 1 << 16
@@ -48,25 +50,14 @@ _ENDINGS = {
 
 @dataclass(frozen=True)
 class Excitation:
-    """A push on one channel at the beginning of a run: `force` in N for `ticks` samples."""
+    """Pushes on one channel, for `ticks` samples every `every` samples from sample `start` on, to one side and to the
+    other in turn: from `force` in N down to half of it, each different. They pass the guards like any force."""
 
     channel: int
     force: float
     ticks: int
-
-
-@dataclass(frozen=True)
-class Progress:
-    """How a run is doing, for a live line."""
-
-    phase: Literal["compiling", "running"]
-    text: str = ""
-    elapsed_s: float = 0.0
-    rate_hz: float = 0.0
-    force: tuple[float, ...] = ()
-    age_samples: int = 0
-    late_ticks: int = 0
-    limited_ticks: int = 0
+    every: int
+    start: int = 0
 
 
 def run(
@@ -104,10 +95,10 @@ def run(
             try:
                 arm(opened, description, _PACING[scene.device.clock], watchdog)
                 ending = _run_in_thread(body, loop, recorder, tell)
+                trace = _trace(scene, loop, recorder, _ENDINGS[ending])
             finally:
                 # The loop let go already; this is for every way out that did not get so far.
                 disarm(opened, loop.wire)
-    trace = _trace(scene, loop, recorder, _ENDINGS[ending])
     _raise_what_failed(opened.name, ending, loop, trace)
     return trace
 
@@ -136,8 +127,6 @@ def _assemble(
     scene: Scene, line: Line, description: Description, excitation: Excitation | None, duration: float | None
 ) -> Loop:
     """Every array of the loop, allocated once."""
-    from firmware_protocol.frames import armed_format
-
     channels = description.channels
     control, state = np.zeros(1, CONTROL)[0], np.zeros(1, STATE)[0]
     control["ticks"] = -1 if duration is None else max(1, round(duration * scene.rate))
@@ -147,30 +136,32 @@ def _assemble(
     if scene.device.clock == "lockstep":
         control["silence_ns"] = 5_000_000_000  # the mock may live in a process that is only now being compiled
     if excitation is not None:
+        control["pulse_channel"] = excitation.channel
+        control["pulse_force"] = excitation.force
         control["pulse_ticks"] = excitation.ticks
-        control["pulse"][excitation.channel] = excitation.force
+        control["pulse_every"] = excitation.every
+        control["pulse_from"] = excitation.start
     return Loop(
         port=line.port,
         inbox=line.inbox,
         decoder=line.decoder,
         wire=armed_format(channels),
         program=compile_scene(scene),
-        measured=np.zeros(channels),
-        before=np.zeros(channels),
-        bridge=np.zeros(channels),
-        asked=np.zeros(channels),
-        force=np.zeros(channels),
-        position_counts=np.zeros(channels, np.int64),
-        force_counts=np.zeros(channels, np.int64),
-        position_scale=np.array(description.position_scale),
-        force_scale=np.array(description.force_scale),
-        force_limit=np.minimum(description.force_limit, scene.device.force_limit),
-        outbox=np.zeros(128, np.uint8),
-        scratch=np.zeros(4, np.int64),
         ring=new_ring(channels, _RING_ROWS, waits=scene.device.clock == "lockstep"),
+        desk=_desk(scene, description),
         control=control,
         state=state,
     )
+
+
+def _desk(scene: Scene, description: Description) -> Any:
+    desk = np.zeros(1, DESK)[0]
+    channels = description.channels
+    desk["channels"] = channels
+    desk["position_scale"][:channels] = description.position_scale
+    desk["force_scale"][:channels] = description.force_scale
+    desk["force_limit"][:channels] = np.minimum(description.force_limit, scene.device.force_limit)
+    return desk
 
 
 def _watchdog_samples(rate: float, description: Description) -> int:
@@ -209,14 +200,14 @@ def _run_in_thread(
 
 
 def _progress(loop: Loop) -> Progress:
-    state = loop.state
+    state, desk = loop.state, loop.desk
     elapsed = (int(state["newest_ns"]) - int(state["first_ns"])) * 1e-9
     ticks = int(state["ticks"])
     return Progress(
         "running",
         elapsed_s=elapsed,
         rate_hz=(ticks - 1) / elapsed if elapsed > 0 else 0.0,
-        force=tuple((loop.force_counts * loop.force_scale).tolist()),
+        force=tuple((desk["force_counts"] * desk["force_scale"])[: int(desk["channels"])].tolist()),
         age_samples=int(state["age"]),
         late_ticks=int(state["late_ticks"]),
         limited_ticks=int(state["limited_ticks"]),
@@ -244,7 +235,12 @@ def _trace(scene: Scene, loop: Loop, recorder: Recorder, ending: str) -> Trace:
         max_lateness_s=int(state["max_lateness_ns"]) * 1e-9,
         virtual_time=virtual,
     )
-    return recorder.trace(scene.rate, loop.position_scale, loop.force_scale, report)
+    return recorder.trace(
+        scene.rate,
+        loop.desk["position_scale"][: int(loop.desk["channels"])].copy(),
+        loop.desk["force_scale"][: int(loop.desk["channels"])].copy(),
+        report,
+    )
 
 
 def _raise_what_failed(name: str, ending: int, loop: Loop, trace: Trace) -> None:

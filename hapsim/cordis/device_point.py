@@ -41,6 +41,7 @@ def follow(points, measured, position, previous):
 @jit
 def felt(points, force, out):
     """The scene's force on each channel, in N; 0 on a channel that the scene does not use."""
-    out[:] = 0.0
+    for c in range(out.size):
+        out[c] = 0.0
     for i in range(points.channel.size):
         out[points.channel[i]] = force[i]

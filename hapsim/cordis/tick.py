@@ -21,7 +21,8 @@ def tick(program, measured, force):
     `measured`: the device's positions in m, one per channel. `force`: receives the force on each channel in N.
     """
     follow(program.devices, measured, program.position, program.previous)
-    program.force[:] = 0.0
+    for p in range(program.force.size):
+        program.force[p] = 0.0
     pull(program.links, program.position, program.previous, program.force)
     felt(program.devices, program.force, force)
     advance(program.masses, program.position, program.previous, program.force)

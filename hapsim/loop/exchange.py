@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from firmware_protocol import schema
 from firmware_protocol.frames import Format, write_to_device
@@ -33,8 +32,11 @@ CONTROL = np.dtype(
         ("period_ns", np.int64),
         ("silence_ns", np.int64),  # a device quiet for longer is gone
         ("time_to_live", np.int64),  # samples that a force may act without being replaced
-        ("pulse_ticks", np.int64),  # the excitation lasts this many ticks
-        ("pulse", np.float64, schema.MAX_CHANNELS),  # N
+        ("pulse_from", np.int64),  # the excitation: pushes, from this tick on,
+        ("pulse_every", np.int64),  # one every so many ticks (0: none),
+        ("pulse_ticks", np.int64),  # each this long,
+        ("pulse_channel", np.int64),
+        ("pulse_force", np.float64),  # N at most, to one side and to the other in turn
     ],
     align=True,
 )
@@ -59,6 +61,29 @@ STATE = np.dtype(
 )
 
 
+_PER_CHANNEL = (schema.MAX_CHANNELS,)
+
+DESK = np.dtype(
+    [
+        ("channels", np.int64),
+        ("measured", np.float64, _PER_CHANNEL),  # m, the newest position
+        ("before", np.float64, _PER_CHANNEL),  # m, the one before
+        ("bridge", np.float64, _PER_CHANNEL),  # m, between the two where positions were lost
+        ("asked", np.float64, _PER_CHANNEL),  # N, the scene's force
+        ("force", np.float64, _PER_CHANNEL),  # N, what excitation and guards make of it
+        ("position_counts", np.int64, _PER_CHANNEL),
+        ("force_counts", np.int64, _PER_CHANNEL),
+        ("position_scale", np.float64, _PER_CHANNEL),  # m per count
+        ("force_scale", np.float64, _PER_CHANNEL),  # N per count
+        ("force_limit", np.float64, _PER_CHANNEL),  # N
+        ("scratch", np.int64, (4,)),  # of the system calls
+        ("outbox", np.uint8, (128,)),  # the frame that is being written
+    ],
+    align=True,
+)
+"""What one exchange is worked out on. One record instead of a dozen arrays: compiled code passes it as one pointer."""
+
+
 class Loop(NamedTuple):
     """All that an exchange works on. Everything is allocated before the device is armed."""
 
@@ -67,19 +92,8 @@ class Loop(NamedTuple):
     decoder: np.void
     wire: Format
     program: Program
-    measured: NDArray[np.float64]  # (channels,) m, the newest
-    before: NDArray[np.float64]  # (channels,) m, the one before
-    bridge: NDArray[np.float64]  # (channels,) m, between the two where positions were lost
-    asked: NDArray[np.float64]  # (channels,) N, the scene's force
-    force: NDArray[np.float64]  # (channels,) N, what is left of it after excitation and guards
-    position_counts: NDArray[np.int64]
-    force_counts: NDArray[np.int64]
-    position_scale: NDArray[np.float64]
-    force_scale: NDArray[np.float64]
-    force_limit: NDArray[np.float64]
-    outbox: NDArray[np.uint8]
-    scratch: NDArray[np.int64]
     ring: Ring
+    desk: np.void
     control: np.void
     state: np.void
 
@@ -91,7 +105,7 @@ def take_newest_position(loop, timeout_ns):
     Every position moves the scene by one sample, in order, so that its velocities stay true; only the newest is
     answered. Returns HEARD, or TIMED_OUT, HUNG_UP, FAILED, FAULT, BAD_FORCE.
     """
-    give_up = now_ns(loop.scratch) + timeout_ns
+    give_up = now_ns(loop.desk.scratch) + timeout_ns
     heard = False
     while True:
         while frame_waiting(loop.inbox, loop.decoder):
@@ -106,7 +120,7 @@ def take_newest_position(loop, timeout_ns):
             heard = True
         if heard:
             return HEARD
-        left = give_up - now_ns(loop.scratch)
+        left = give_up - now_ns(loop.desk.scratch)
         code = fetch(loop.port, loop.inbox, left)
         if code < 0 or (code == 0 and left <= 0):
             return code
@@ -117,14 +131,14 @@ def answer(loop):
     """Sends the force that answers the newest position; then shows the tick to the reader."""
     stop = write_to_device(
         loop.wire,
-        loop.outbox,
+        loop.desk.outbox,
         0,
         schema.FORCE,
         loop.state.sample % schema.SAMPLE_MODULUS,
         loop.control.time_to_live,
-        loop.force_counts,
+        loop.desk.force_counts,
     )
-    code = send(loop.port, loop.outbox, stop)
+    code = send(loop.port, loop.desk.outbox, stop)
     publish(loop.ring)
     return code
 
@@ -132,9 +146,10 @@ def answer(loop):
 @jit
 def let_go(loop):
     """Zero force, at once: the last frame of every loop, whatever ended it."""
-    loop.force_counts[:] = 0
-    stop = write_to_device(loop.wire, loop.outbox, 0, schema.DISARM, 0, 0, loop.force_counts)
-    send(loop.port, loop.outbox, stop)
+    for c in range(loop.desk.channels):
+        loop.desk.force_counts[c] = 0
+    stop = write_to_device(loop.wire, loop.desk.outbox, 0, schema.DISARM, 0, 0, loop.desk.force_counts)
+    send(loop.port, loop.desk.outbox, stop)
     publish(loop.ring)
 
 
@@ -152,17 +167,18 @@ def ending_of(code):
 def _take_position(loop):
     """The decoder's position moves the scene up to its sample; False where the force came out as no number."""
     state = loop.state
-    now = now_ns(loop.scratch)
-    for c in range(loop.measured.size):
-        loop.position_counts[c] = loop.decoder.counts[c]
-        loop.before[c] = loop.measured[c]
-        loop.measured[c] = loop.decoder.counts[c] * loop.position_scale[c]
+    now = now_ns(loop.desk.scratch)
+    for c in range(loop.desk.channels):
+        loop.desk.position_counts[c] = loop.decoder.counts[c]
+        loop.desk.before[c] = loop.desk.measured[c]
+        loop.desk.measured[c] = loop.decoder.counts[c] * loop.desk.position_scale[c]
     if state.ticks == 0:
-        start(loop.program, loop.measured)
-        loop.before[:] = loop.measured
+        start(loop.program, loop.desk.measured)
+        for c in range(loop.desk.channels):
+            loop.desk.before[c] = loop.desk.measured[c]
         state.sample = loop.decoder.number - 1
         state.first_ns = now
-    flags = _count_age(loop)
+    flags = _count_age(loop.decoder, state)
     gap = (loop.decoder.number - state.sample) % schema.SAMPLE_MODULUS
     if gap > 1:
         state.lost_frames += gap - 1
@@ -170,17 +186,16 @@ def _take_position(loop):
     _move_scene(loop, gap)
     state.sample += gap
     state.newest_ns = now
-    flags |= _set_force(loop)
-    push(loop.ring, state.sample, now, flags, loop.position_counts, loop.force_counts, loop.asked)
+    flags |= _set_force(loop.desk, loop.control, state)
+    push(loop.ring, state.sample, now, flags, loop.desk.position_counts, loop.desk.force_counts, loop.desk.asked)
     state.ticks += 1
     return flags & _NOT_A_NUMBER == 0
 
 
 @jit
-def _count_age(loop):
+def _count_age(decoder, state):
     """The device tells with each position whether the force of the sample before came in time."""
-    state = loop.state
-    if loop.decoder.type == schema.POSITION_HELD:
+    if decoder.type == schema.POSITION_HELD:
         state.late_ticks += 1
         state.age += 1
         state.max_age = max(state.max_age, state.age)
@@ -194,27 +209,43 @@ def _count_age(loop):
 def _move_scene(loop, samples):
     """Moves the scene by `samples`, its device points along a straight line from the last position to this one."""
     for i in range(1, samples):
-        for c in range(loop.measured.size):
-            loop.bridge[c] = loop.before[c] + (loop.measured[c] - loop.before[c]) * i / samples
-        tick(loop.program, loop.bridge, loop.asked)
-    tick(loop.program, loop.measured, loop.asked)
+        for c in range(loop.desk.channels):
+            loop.desk.bridge[c] = loop.desk.before[c] + (loop.desk.measured[c] - loop.desk.before[c]) * i / samples
+        tick(loop.program, loop.desk.bridge, loop.desk.asked)
+    tick(loop.program, loop.desk.measured, loop.desk.asked)
 
 
 _NOT_A_NUMBER = 128  # in the flags of `_set_force`
 
 
+_GOLDEN = 0.6180339887498949  # its multiples are spread evenly over every interval
+
+
 @jit
-def _set_force(loop):
+def _push(control, tick):
+    """The excitation's force at this tick, in N: no two pushes alike, so that no two ring-downs are rounded alike."""
+    since = tick - control.pulse_from
+    if since < 0 or since % control.pulse_every >= control.pulse_ticks:
+        return 0.0
+    count = since // control.pulse_every
+    force = control.pulse_force * (1.0 - 0.5 * ((count * _GOLDEN) % 1.0))
+    return -force if count & 1 else force
+
+
+@jit
+def _set_force(desk, control, state):
     """Adds the excitation, guards the force and turns it into counts. Returns the row's flags for it."""
-    excited = loop.state.ticks < loop.control.pulse_ticks
-    for c in range(loop.force.size):
-        loop.force[c] = loop.asked[c] + (loop.control.pulse[c] if excited else 0.0)
-    if not all_finite(loop.force):
-        loop.force_counts[:] = 0
+    for c in range(desk.channels):
+        desk.force[c] = desk.asked[c]
+    if control.pulse_every > 0:
+        desk.force[control.pulse_channel] += _push(control, state.ticks)
+    if not all_finite(desk.force):
+        for c in range(desk.channels):
+            desk.force_counts[c] = 0
         return _NOT_A_NUMBER
-    limited = cut(loop.force, loop.force_limit)
-    for c in range(loop.force.size):
-        counts = np.rint(loop.force[c] / loop.force_scale[c])
-        loop.force_counts[c] = np.int64(min(max(counts, -2147483647.0), 2147483647.0))
-    loop.state.limited_ticks += 1 if limited else 0
+    limited = cut(desk.force, desk.force_limit)
+    for c in range(desk.channels):
+        counts = np.rint(desk.force[c] / desk.force_scale[c])
+        desk.force_counts[c] = np.int64(min(max(counts, -2147483647.0), 2147483647.0))
+    state.limited_ticks += 1 if limited else 0
     return LIMITED if limited else 0

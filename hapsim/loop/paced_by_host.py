@@ -24,14 +24,14 @@ from hapsim.loop.system import TIMED_OUT, now_ns, sleep_until
 def run_paced_by_host(loop):
     """Exchanges once a period until something ends it; returns what did."""
     ending = _first_position(loop)
-    due = now_ns(loop.scratch) + loop.control.period_ns
+    due = now_ns(loop.desk.scratch) + loop.control.period_ns
     while ending < 0:
         if loop.control.stop:
             ending = STOPPED
         elif 0 <= loop.control.ticks <= loop.state.ticks:
             ending = DONE
         else:
-            sleep_until(due, loop.scratch)
+            sleep_until(due, loop.desk.scratch)
             _note_lateness(loop, due)
             due = _next_due(loop, due)
             ending = _exchange_before(loop, due)
@@ -51,7 +51,7 @@ def _exchange_before(loop, due):
     """Force out, position in, until the next tick is due; a position that does not come by then is asked for again."""
     if answer(loop) != 0:
         return GONE
-    now = now_ns(loop.scratch)
+    now = now_ns(loop.desk.scratch)
     code = take_newest_position(loop, max(due - now, 0))
     if code == TIMED_OUT and now - loop.state.newest_ns < loop.control.silence_ns:
         return -1
@@ -62,7 +62,7 @@ def _exchange_before(loop, due):
 def _next_due(loop, due):
     """The next point of the grid, or of a new grid where this tick came a whole period late."""
     due += loop.control.period_ns
-    now = now_ns(loop.scratch)
+    now = now_ns(loop.desk.scratch)
     if now < due:
         return due
     loop.state.late_ticks += 1
@@ -71,6 +71,6 @@ def _next_due(loop, due):
 
 @jit
 def _note_lateness(loop, due):
-    lateness = now_ns(loop.scratch) - due
+    lateness = now_ns(loop.desk.scratch) - due
     loop.state.lateness_ns = lateness
     loop.state.max_lateness_ns = max(loop.state.max_lateness_ns, lateness)

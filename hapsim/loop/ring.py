@@ -80,7 +80,7 @@ def push(ring, sample, time_ns, flags, position, force, asked):
     ring.sample[i] = sample
     ring.time_ns[i] = time_ns
     ring.flags[i] = flags
-    for c in range(position.size):
+    for c in range(ring.position.shape[1]):
         ring.position[i, c] = position[c]
         ring.force[i, c] = force[c]
         ring.asked[i, c] = asked[c]

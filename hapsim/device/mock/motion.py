@@ -61,8 +61,10 @@ def _time_to_rest(body, force):
     if body.velocity * force >= 0.0:
         return math.inf
     u = -body.friction * body.velocity / force
-    stretch = math.log1p(u) / u if u > 1e-12 else 1.0
-    return -body.mass * body.velocity / force * stretch
+    if u > 1.0:
+        return body.mass / body.friction * math.log1p(u)
+    shrunk = math.log1p(u) / u if u > 0.0 else 1.0
+    return -body.mass * body.velocity / force * shrunk
 
 
 @jit

@@ -12,17 +12,21 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from hapsim.errors import UsageError
 from hapsim.loop.ring import BRIDGED, HELD, UNSENT
 from hapsim.loop.trace import Trace
-from hapsim.measure.pair import Pair, dominant_pair
-from hapsim.measure.regression import Fit, Segment, fit
+from hapsim.measuring.pair import Pair, dominant_pair
+from hapsim.measuring.regression import Fit, Segment, fit
 
 _ROUNDING = 1.0 / math.sqrt(12.0)  # standard deviation of rounding to whole counts
 _MOST_ROWS = 6000
 _FAINT_COUNTS = 40.0  # a smaller position, or a smaller step from one sample to the next, and the rounding is no
 _SLOW_COUNTS = 8.0  # longer like noise: it follows the motion
+_QUIET_SPELL = 64  # samples between two loud ones that still belong to one motion
+_RUN_UP = 8
+_PUSH_NEWTON = 1e-6  # a smaller surplus is the rounding of the force, not a push
 _MOST_ORDER = 9
 _DRIFTS = tuple(
     1.0 - d for d in (0, 3e-4, 1e-3, 3e-3, 0.01, 0.02, 0.035, 0.05, 0.075, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.65, 1.0)
@@ -62,14 +66,19 @@ class Measurement:
 
 def identify(trace: Trace, mass: float, channel: int = 0) -> Measurement:
     """The spring and damper that `mass` kg on `channel` met during the trace. UsageError where nothing moves."""
+    with threadpool_limits(1, user_api="blas"):  # on matrices this narrow further threads cost ten times what they save
+        return _identify(trace, mass, channel)
+
+
+def _identify(trace: Trace, mass: float, channel: int) -> Measurement:
     segments = _segments(trace, channel)
     fits = _fits(segments)
+    free = _longest_free_motion(segments)
     if not fits:
         raise UsageError(
             "too little motion was recorded to identify a spring and damper: record longer, or excite more strongly"
         )
-    longest = max(segments, key=lambda segment: segment.position.size)
-    found = [(best, dominant_pair(best, others, longest.position)) for best, others in fits]
+    found = [(best, dominant_pair(best, others, free)) for best, others in fits]
     # Of the fits that are equally good the one that claims least, unless it took the noise for a pole.
     most = _FAR_OFF * _claimed_uncertainty(found[0][1][0])
     plausible = [entry for entry in found if _claimed_uncertainty(entry[1][0]) <= most]
@@ -123,12 +132,39 @@ def _segments(trace: Trace, channel: int) -> list[Segment]:
     asked = trace.asked_force[:, channel]
     surplus = trace.force_counts[:, channel] * trace.force_scale[channel] - asked
     rest = _rest(position, asked)
-    found = []
-    for first, last in _unbroken(trace):
-        y = position[first:last] - rest
-        heard = _heard_until(y)
-        found.append(Segment(y[:heard], surplus[first : first + heard]))
-    return [segment for segment in found if segment.position.size > 0]
+    found = [
+        Segment(position[first:last] - rest, surplus[first:last])
+        for whole in _unbroken(trace)
+        for first, last in _loud(position - rest, *whole)
+    ]
+    return _first_rows(found)
+
+
+def _longest_free_motion(segments: list[Segment]) -> NDArray[np.float64]:
+    """The longest stretch of positions during which nothing but the scene's own force acted."""
+    best = np.empty(0)
+    most = max((float(np.max(np.abs(segment.surplus))) for segment in segments), default=0.0)
+    for segment in segments:
+        pushed = np.flatnonzero(np.abs(segment.surplus) > 0.01 * most) if most > _PUSH_NEWTON else np.empty(0, int)
+        edges = np.concatenate([[-1], pushed, [segment.position.size]])
+        widest = int(np.argmax(np.diff(edges)))
+        # A delayed force acts for some samples after it was given.
+        begin = edges[widest] + 1 + (_RUN_UP if widest > 0 else 0)
+        stretch = segment.position[begin : edges[widest + 1]]
+        if stretch.size > best.size:
+            best = stretch
+    return best
+
+
+def _first_rows(segments: list[Segment]) -> list[Segment]:
+    """As many segments as make up the rows that a regression needs, in order."""
+    kept, rows = [], 0
+    for segment in segments:
+        if rows >= _MOST_ROWS:
+            break
+        kept.append(Segment(segment.position[: _MOST_ROWS - rows], segment.surplus[: _MOST_ROWS - rows]))
+        rows += segment.position.size
+    return kept
 
 
 def _unbroken(trace: Trace) -> Iterator[tuple[int, int]]:
@@ -138,14 +174,19 @@ def _unbroken(trace: Trace) -> Iterator[tuple[int, int]]:
     broken[1:] |= flags[:-1] & UNSENT != 0
     starts = np.flatnonzero(broken | (np.arange(broken.size) == 0))
     for first, last in zip(starts, np.append(starts[1:], broken.size), strict=True):
-        yield int(first), int(min(last, first + _MOST_ROWS))
+        yield int(first), int(last)
 
 
-def _heard_until(y: NDArray[np.float64]) -> int:
-    """How many samples pass before the motion is lost in the rounding."""
-    moving = np.abs(np.diff(y, prepend=y[:1])) > _SLOW_COUNTS
-    loud = np.flatnonzero(moving & (np.abs(y) > _FAINT_COUNTS))
-    return int(loud[-1]) + 1 if loud.size else 0
+def _loud(y: NDArray[np.float64], first: int, last: int) -> Iterator[tuple[int, int]]:
+    """Parts of y[first:last] that are not lost in the rounding: index ranges, short quiet spells included."""
+    step = np.abs(np.diff(y[first:last], prepend=y[first : first + 1]))
+    loud = first + np.flatnonzero((step > _SLOW_COUNTS) & (np.abs(y[first:last]) > _FAINT_COUNTS))
+    if loud.size == 0:
+        return
+    ends = np.flatnonzero(np.diff(loud) > _QUIET_SPELL)
+    # A ring-down counts from just before it is heard: what sets it off lies there.
+    for begin, end in zip(np.append(0, ends + 1), np.append(ends, loud.size - 1), strict=True):
+        yield max(first, int(loud[begin]) - _RUN_UP), int(loud[end]) + 1
 
 
 def _rest(position: NDArray[np.float64], asked: NDArray[np.float64]) -> float:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hapsim.measure.regression import Fit
+from hapsim.measuring.regression import Fit
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,5 @@
+"""python -m hapsim"""
+
+from hapsim.cli import main
+
+main()

@@ -1,0 +1,284 @@
+"""The commands. They parse, call, and show; what they show is worked out elsewhere, and imported only when needed."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from hapsim.errors import HapsimError, UsageError
+
+if TYPE_CHECKING:
+    from hapsim.scene import Scene
+
+app = typer.Typer(
+    name="hapsim",
+    help="A real-time haptic simulator that tells what stiffness and damping the hand really meets.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+SceneFile = Annotated[str, typer.Argument(metavar="SCENE", help="A scene in YAML, such as configs/first_touch.yaml.")]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on standard output, nothing else there.")]
+Port = Annotated[str | None, typer.Option(metavar="P", help="The device's serial port, in place of the scene's.")]
+MockFlag = Annotated[bool, typer.Option("--mock", help="Use the embedded mock even where the scene names a port.")]
+Line = Annotated[
+    str | None, typer.Option(metavar="KIND", help="Where the mock is: 'loopback' (in memory) or 'terminal'.")
+]
+
+
+@app.command()
+def run(
+    scene: SceneFile,
+    port: Port = None,
+    mock: MockFlag = False,
+    line: Line = None,
+    duration: Annotated[float | None, typer.Option(metavar="S", help="Seconds; left out: until stopped.")] = None,
+    record: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the trace: .npz or .csv.")] = None,
+    json: Json = False,
+) -> None:
+    """Run SCENE against its device, or against the embedded mock where it names none."""
+    from hapsim.console.live import live_line
+    from hapsim.console.tables import show_report
+    from hapsim.errors import RunError
+    from hapsim.loop.trace import require_writable_as_trace
+    from hapsim.running import run as run_scene
+
+    loaded = _scene(scene, port)
+    if record is not None:
+        require_writable_as_trace(record)
+    failure: RunError | None = None
+    try:
+        with live_line(_stderr()) as tell:
+            trace = run_scene(
+                loaded,
+                duration=duration,
+                line=_line_kind(mock, line),
+                keep=record is not None,
+                on_progress=tell,
+                stop_on_signals=True,
+            )
+    except RunError as error:
+        if error.trace is None:
+            raise
+        failure, trace = error, error.trace
+    if record is not None:
+        trace.save(record)
+    if json:
+        from hapsim.console.as_json import document, report_document
+
+        problem = {} if failure is None else {"error": str(failure), "exit_status": failure.exit_status}
+        print(document(report_document(trace.report) | problem))
+    else:
+        show_report(_stdout(), trace.report)
+    if failure is not None:
+        _complain(failure)
+        raise typer.Exit(failure.exit_status)
+
+
+@app.command()
+def check(scene: SceneFile, json: Json = False) -> None:
+    """Predict, without running: stable or not, what the hand will meet, every mode, the link's budget."""
+    from hapsim.prediction import predict
+
+    prediction = predict(_scene(scene))
+    if json:
+        from hapsim.console.as_json import document, prediction_document
+
+        print(document({"scene": scene} | prediction_document(prediction)))
+    else:
+        from hapsim.console.tables import show_prediction
+
+        show_prediction(_stdout(), scene, prediction)
+
+
+@app.command()
+def measure(
+    scene: SceneFile,
+    port: Port = None,
+    mock: MockFlag = False,
+    line: Line = None,
+    channel: Annotated[int | None, typer.Option(help="The channel whose hand is rung; left out: the first.")] = None,
+    duration: Annotated[float | None, typer.Option(metavar="S", help="Seconds; left out: about two.")] = None,
+    picture: Annotated[Path | None, typer.Option(metavar="FILE", help="Draw the ring-down: .svg, .png, .pdf.")] = None,
+    data: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the picture's numbers: .csv.")] = None,
+    record: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the trace: .npz or .csv.")] = None,
+    json: Json = False,
+) -> None:
+    """Ring the hand, identify the spring and damper that it met, and set them beside the prediction."""
+    from hapsim.chart.figure import require_writable
+    from hapsim.console.as_json import felt_on
+    from hapsim.console.live import live_line
+    from hapsim.loop.trace import require_writable_as_trace
+    from hapsim.measuring.ring import measure as measure_scene
+    from hapsim.prediction import predict
+
+    loaded = _scene(scene, port)
+    require_writable(picture)
+    require_writable(data, (".csv",))
+    if record is not None:
+        require_writable_as_trace(record)
+    if channel is None:
+        channel = next(iter(loaded.device_points.values())).channel
+    prediction = predict(loaded)
+    with live_line(_stderr()) as tell:
+        measurement, trace = measure_scene(
+            loaded,
+            channel=channel,
+            duration=duration,
+            line=_line_kind(mock, line),
+            on_progress=tell,
+            stop_on_signals=True,
+        )
+    felt = felt_on(prediction, channel)
+    if record is not None:
+        trace.save(record)
+    if picture is not None or data is not None:
+        _chart_ring_down(trace, felt, measurement, picture, data)
+    if json:
+        from hapsim.console.as_json import document, measurement_document
+
+        print(document({"scene": scene} | measurement_document(prediction, measurement, trace.report, channel)))
+    else:
+        from hapsim.console.tables import show_measurement, show_report
+
+        show_measurement(_stdout(), felt, measurement)
+        show_report(_stdout(), trace.report)
+        if picture is not None:
+            _stdout().print(f"\nPicture: {picture}", soft_wrap=True)
+
+
+@app.command()
+def mock(
+    scene: SceneFile,
+    link: Annotated[Path | None, typer.Option(metavar="PATH", help="Also give the port this name (a link).")] = None,
+    json: Json = False,
+) -> None:
+    """Serve the scene's mock device on a pseudo-terminal of its own; print its path; serve until told to stop."""
+    from hapsim.console.live import live_line
+    from hapsim.device.mock.command import serve_until_stopped
+
+    loaded = _scene(scene)
+    with live_line(_stderr()) as tell:
+        serve_until_stopped(loaded, link, _announce_json if json else _announce, tell)
+
+
+@app.command()
+def ports(json: Json = False) -> None:
+    """List the serial ports found."""
+    from hapsim.device.serial_port import serial_ports
+
+    found = serial_ports()
+    if json:
+        from hapsim.console.as_json import document
+
+        print(document({"ports": found}))
+        return
+    for port in found:
+        print(f"{port['port']}\t{port['description']}\t{port['hardware']}")
+    if not found:
+        _stderr().print("No serial port was found. `hapsim mock SCENE` serves a device without hardware.")
+
+
+@app.command()
+def new(path: Annotated[Path, typer.Argument(help="Where to write it.")] = Path("scene.yaml")) -> None:
+    """Write a first scene to begin from."""
+    from hapsim.shipped import shipped_scene
+
+    if path.exists():
+        raise UsageError(f"{path}: there is a file already, and it stays as it is; name another")
+    if not path.resolve().parent.is_dir():
+        raise UsageError(f"{path}: there is no directory {path.resolve().parent}")
+    path.write_text(shipped_scene("first_touch.yaml"), encoding="utf-8")
+    _stdout().print(f"Wrote {path}. Next: hapsim check {path}, then hapsim measure {path}", soft_wrap=True)
+
+
+@app.command()
+def schema() -> None:
+    """Print the scene's JSON schema, for editors that complete and check YAML."""
+    import json as json_text
+
+    from hapsim.scene import scene_schema
+
+    print(json_text.dumps(scene_schema(), indent=2))
+
+
+def main() -> None:
+    """The command line: every failure is a sentence and an exit status."""
+    try:
+        app()
+    except HapsimError as error:
+        _complain(error)
+        sys.exit(error.exit_status)
+    except BrokenPipeError:
+        # Whoever read our output has seen enough; nothing is left to be told to them.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(0)
+    except Exception as error:
+        if os.environ.get("HAPSIM_TRACEBACK"):
+            raise
+        print(
+            f"hapsim: a defect of hapsim itself: {type(error).__name__}: {error}\n"
+            "Please report it; with HAPSIM_TRACEBACK=1 in the environment it says where.",
+            file=sys.stderr,
+        )
+        sys.exit(1)
+
+
+def _scene(path: str, port: str | None = None) -> Scene:
+    from hapsim.scene import load_scene
+
+    scene = load_scene(path)
+    if port is None:
+        return scene
+    return scene.model_copy(update={"device": scene.device.model_copy(update={"port": port})})
+
+
+def _line_kind(mock: bool, line: str | None) -> Any:
+    if line is not None and line not in ("loopback", "terminal"):
+        raise UsageError(f"--line: found '{line}', expected loopback or terminal")
+    return line or ("mock" if mock else "auto")
+
+
+def _chart_ring_down(trace: Any, felt: Any, measurement: Any, picture: Path | None, data: Path | None) -> None:
+    from hapsim.chart.figure import save_columns
+    from hapsim.chart.ring_down import draw_ring_down, ring_down
+
+    if felt is None:
+        raise UsageError("a ring-down is drawn for a hand whose links all end on grounds; this one moves masses too")
+    drawn = ring_down(trace, felt)
+    if data is not None:
+        save_columns(drawn.columns(), data)
+    if picture is not None:
+        draw_ring_down(drawn, felt, (measurement.k, measurement.b), picture)
+
+
+def _announce(path: str) -> None:
+    print(path, flush=True)
+
+
+def _announce_json(path: str) -> None:
+    from hapsim.console.as_json import document
+
+    print(document({"port": path}), flush=True)
+
+
+def _complain(error: HapsimError) -> None:
+    # Plain, not through rich: a sentence with a path in it is to be copied, not wrapped.
+    print(error, file=sys.stderr)
+
+
+def _stdout() -> Any:
+    from rich.console import Console
+
+    return Console(highlight=False)
+
+
+def _stderr() -> Any:
+    from rich.console import Console
+
+    return Console(stderr=True, highlight=False)

@@ -1,0 +1,85 @@
+"""Results as JSON documents. Keys are a contract with scripts; a value that does not exist is null, never NaN."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+from hapsim.prediction import Felt, Prediction
+
+if TYPE_CHECKING:
+    from hapsim.loop.trace import Report
+    from hapsim.measuring.identify import Measurement
+
+
+def document(value: dict[str, Any]) -> str:
+    """The text of one JSON document."""
+    return json.dumps(_plain(value), indent=2, allow_nan=False)
+
+
+def prediction_document(prediction: Prediction, channel: int | None = None) -> dict[str, Any]:
+    """What `hapsim check` prints; `predicted` and `dominant` are of `channel` (None: the first)."""
+    felt = felt_on(prediction, channel)
+    return {
+        "rate_hz": prediction.rate,
+        "stable": prediction.stable,
+        "spectral_radius": prediction.spectral_radius,
+        "dominant": felt is not None and felt.dominant,
+        "poles": prediction.poles,
+        "predicted": None if felt is None else _felt(felt),
+        "device_points": {one.name: _felt(one) for one in prediction.felt},
+        "coupled_device_points": prediction.coupled,
+        "modes": [
+            {
+                "pole": mode.pole,
+                "frequency_hz": mode.frequency_hz,
+                "damping_ratio": mode.damping_ratio,
+                "participation": dict(zip(prediction.points, mode.participation, strict=True)),
+            }
+            for mode in prediction.modes
+        ],
+        "link_budget": asdict(prediction.link_budget) | {"fits": prediction.link_budget.fits},
+    }
+
+
+def measurement_document(
+    prediction: Prediction, measurement: Measurement, report: Report, channel: int
+) -> dict[str, Any]:
+    """What `hapsim measure` prints: prediction and measurement side by side, and how the run went."""
+    measured = asdict(measurement)
+    return prediction_document(prediction, channel) | {"measured": measured} | report_document(report)
+
+
+def report_document(report: Report) -> dict[str, Any]:
+    """What `hapsim run` prints."""
+    return asdict(report)
+
+
+def felt_on(prediction: Prediction, channel: int | None) -> Felt | None:
+    """The prediction for one channel (None: the scene's first), where the hand there is a system of its own."""
+    for felt in prediction.felt:
+        if channel in (None, felt.channel):
+            return felt
+    return None
+
+
+def _felt(felt: Felt) -> dict[str, Any]:
+    values = asdict(felt)
+    configuration = values.pop("configuration")
+    return values | {"mass": configuration["mass"], "friction": configuration["friction"]}
+
+
+def _plain(value: Any) -> Any:
+    """Only what JSON has: complex numbers as [re, im], infinities and NaN as null."""
+    if isinstance(value, dict):
+        return {str(key): _plain(entry) for key, entry in value.items()}
+    if isinstance(value, complex):
+        return [_plain(value.real), _plain(value.imag)]
+    if isinstance(value, (list, tuple)) or hasattr(value, "tolist"):
+        entries = value.tolist() if hasattr(value, "tolist") else value
+        return [_plain(entry) for entry in entries] if isinstance(entries, (list, tuple)) else _plain(entries)
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

@@ -1,0 +1,71 @@
+"""The live line: one line on standard error that says what is going on, and only where somebody can see it change."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING
+
+from rich.console import Console
+from rich.status import Status
+
+if TYPE_CHECKING:
+    from hapsim.progress import Progress
+
+_STEP_S = 5.0  # between two lines where the output is no terminal
+
+
+@contextlib.contextmanager
+def live_line(error: Console) -> Iterator[Callable[[Progress], None]]:
+    """A function to tell progress to. On a terminal one line changes in place; elsewhere a line comes now and then."""
+    if error.is_terminal:
+        with error.status("starting") as status:
+            yield _Line(lambda text: _update(status, text)).tell
+    else:
+        spoken = _Spoken(error)
+        yield _Line(spoken.say).tell
+
+
+def _update(status: Status, text: str) -> None:
+    status.update(text)
+
+
+class _Spoken:
+    """Says a text when it is new in kind or the last one is a while ago."""
+
+    def __init__(self, error: Console) -> None:
+        self._error = error
+        self._last = -_STEP_S
+        self._kind = ""
+
+    def say(self, text: str) -> None:
+        now, kind = time.monotonic(), text.split(" ", 1)[0]
+        if kind != self._kind or now - self._last >= _STEP_S:
+            self._error.print(text, soft_wrap=True)
+            self._last, self._kind = now, kind
+
+
+class _Line:
+    """Progress, as a line of text."""
+
+    def __init__(self, show: Callable[[str], None]) -> None:
+        self._show = show
+        self._compiled = 0
+        self._since = time.monotonic()
+
+    def tell(self, progress: Progress) -> None:
+        if progress.phase == "compiling":
+            self._compiled += 1
+            elapsed = time.monotonic() - self._since
+            self._show(
+                f"compiling (only the first time, up to a minute): {self._compiled} functions in {elapsed:.0f} s, now "
+                f"{progress.text}"
+            )
+            return
+        force = " ".join(f"{f:+.3f}" for f in progress.force[:4])
+        limited = f" · {progress.limited_ticks} at the limit" if progress.limited_ticks else ""
+        self._show(
+            f"running {progress.elapsed_s:.1f} s · {progress.rate_hz:.1f} Hz · force {force} N · "
+            f"age {progress.age_samples} · late {progress.late_ticks}{limited}"
+        )

@@ -1,0 +1,161 @@
+"""Results as text for people."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from rich.console import Console
+from rich.table import Table
+
+from hapsim.prediction import Felt, LinkBudget, Prediction
+
+if TYPE_CHECKING:
+    from hapsim.loop.trace import Report
+    from hapsim.measuring.identify import Measurement
+
+
+def show_prediction(out: Console, name: str, prediction: Prediction) -> None:
+    """What `hapsim check` tells."""
+    out.print(f"[bold]{name}[/bold] at {prediction.rate:g} Hz: {_stability(prediction)}")
+    for felt in prediction.felt:
+        _show_felt(out, felt)
+    for coupled in prediction.coupled:
+        out.print(
+            f"\n[bold]{coupled}[/bold] also moves masses of the scene or another hand: no single spring and damper is "
+            "what it meets. The modes below are those of the whole."
+        )
+    if prediction.modes:
+        out.print()
+        out.print(_modes(prediction))
+    out.print(_budget(prediction.link_budget))
+
+
+def _stability(prediction: Prediction) -> str:
+    word = "[green]stable[/green]" if prediction.stable else "[red]unstable[/red]"
+    return f"{word} (spectral radius {prediction.spectral_radius:.9g})"
+
+
+def _show_felt(out: Console, felt: Felt) -> None:
+    table = Table(title=f"What the hand meets at {felt.name}", title_justify="left")
+    for heading in ("", "written", "met"):
+        table.add_column(heading, justify="right" if heading else "left")
+    real = felt.configuration.friction
+    table.add_row("stiffness  N/m", f"K = {felt.stiffness:.6g}", f"k = {_number(felt.k)}")
+    table.add_row("damping  N·s/m", f"B = {felt.damping:.6g} (+ {real:.6g} real)", f"b = {_number(felt.b)}")
+    table.add_row("eigenfrequency  Hz", "", _number(felt.frequency_hz))
+    table.add_row("damping ratio", "", _number(felt.damping_ratio))
+    out.print()
+    out.print(table)
+    if felt.reason:
+        out.print(f"No spring and damper is equivalent: {felt.reason}.")
+    out.print(_margin(felt))
+    out.print(_passivity(felt))
+
+
+def _margin(felt: Felt) -> str:
+    if felt.stiffness == 0.0:
+        return "There is no stiffness whose margin could be told."
+    if felt.stiffness_factor == 0.0:
+        return "At this damping no stiffness is stable: give more damping, or real friction."
+    if not math.isfinite(felt.stiffness_factor):
+        return "No stiffness makes it unstable at this damping."
+    if felt.stable:
+        return f"The stiffness may grow {felt.stiffness_factor:.3g} times before the loop becomes unstable."
+    return f"It becomes stable where the stiffness is {felt.stiffness_factor:.3g} of what is written, or less."
+
+
+def _passivity(felt: Felt) -> str:
+    if felt.passive is None:
+        return "Passivity: no condition is known for this hold and sampling."
+    if felt.passive:
+        return "Passive: no hand, however it moves, makes it unstable (Colgate and Schenkel)."
+    return "Not passive: this hand is judged above; a heavier, lighter or stiffer one may make it unstable."
+
+
+def _modes(prediction: Prediction) -> Table:
+    table = Table(title="Modes", title_justify="left")
+    for heading in ("pole", "|pole|", "Hz", "damping ratio", "moves"):
+        table.add_column(heading, justify="left" if heading == "moves" else "right")
+    for mode in prediction.modes[:12]:
+        moving = sorted(zip(prediction.points, mode.participation, strict=True), key=lambda entry: -entry[1])
+        names = ", ".join(f"{name} {share:.0%}" for name, share in moving[:3] if share > 0.01)
+        pole = f"{mode.pole.real:.6f} ± {abs(mode.pole.imag):.6f}j" if mode.pole.imag else f"{mode.pole.real:.6f}"
+        table.add_row(pole, f"{abs(mode.pole):.6f}", _number(mode.frequency_hz), _number(mode.damping_ratio), names)
+    if len(prediction.modes) > 12:
+        table.caption = f"and {len(prediction.modes) - 12} that decay faster; --json has them all"
+    return table
+
+
+def _budget(budget: LinkBudget) -> str:
+    share = budget.seconds / budget.period
+    verdict = "fits" if budget.fits else "[red]does not fit[/red]: a higher baud rate, or a lower rate"
+    return (
+        f"\nLink: {budget.bytes_to_host} + {budget.bytes_to_device} bytes an exchange take {budget.seconds * 1e3:.3g} "
+        f"of the {budget.period * 1e3:.3g} ms period ({share:.0%}) at this baud rate: {verdict}. A USB device's port "
+        "has no baud rate of its own and is faster."
+    )
+
+
+def show_measurement(out: Console, felt: Felt | None, measurement: Measurement) -> None:
+    """Prediction beside measurement, as `hapsim measure` tells them."""
+    table = Table(title="What the hand meets", title_justify="left")
+    for heading in ("", "predicted", "measured", "uncertainty", "difference"):
+        table.add_column(heading, justify="right" if heading else "left")
+    rows = [
+        ("k  N/m", "k", measurement.k_uncertainty),
+        ("b  N·s/m", "b", measurement.b_uncertainty),
+        ("eigenfrequency  Hz", "frequency_hz", None),
+        ("damping ratio", "damping_ratio", None),
+    ]
+    for label, key, uncertainty in rows:
+        predicted = math.nan if felt is None else getattr(felt, key)
+        measured = getattr(measurement, key)
+        difference = (measured / predicted - 1.0) if predicted else math.nan
+        table.add_row(
+            label,
+            _number(predicted, 9),
+            _number(measured, 9),
+            "" if uncertainty is None else f"{uncertainty:.1g}",
+            f"{difference:+.1e}" if math.isfinite(difference) else "",
+        )
+    out.print()
+    out.print(table)
+    if not measurement.dominant:
+        out.print(f"The motion is not that of a spring and damper: {measurement.reason}.")
+    out.print(
+        f"Read from {measurement.samples} samples; the fit leaves {measurement.residual_m:.2g} m, in "
+        f"{measurement.order} poles."
+    )
+
+
+def show_report(out: Console, report: Report) -> None:
+    """How a run went."""
+    table = Table(title="The run", title_justify="left", show_header=False)
+    table.add_column()
+    table.add_column(justify="right")
+    time = "virtual" if report.virtual_time else "real"
+    table.add_row("ended", report.ending)
+    table.add_row(f"{time} time  s", f"{report.duration_s:.3f}")
+    table.add_row("ticks", str(report.ticks))
+    table.add_row("rate  Hz", f"{report.rate_hz:.2f}")
+    share = report.late_ticks / report.ticks if report.ticks else 0.0
+    table.add_row("late ticks", f"{report.late_ticks} ({share:.2%})")
+    table.add_row("oldest force  samples", str(report.max_age_samples))
+    if report.max_lateness_s > 0:
+        table.add_row("latest wake-up  ms", f"{report.max_lateness_s * 1e3:.3f}")
+    for label, count in (
+        ("positions lost", report.lost_frames),
+        ("frames refused", report.crc_errors),
+        ("positions overtaken", report.stale_positions),
+        ("ticks at the force limit", report.limited_ticks),
+        ("rows not recorded", report.dropped_rows),
+    ):
+        if count:
+            table.add_row(label, f"[yellow]{count}[/yellow]")
+    out.print()
+    out.print(table)
+
+
+def _number(value: float, digits: int = 6) -> str:
+    return f"{value:.{digits}g}" if math.isfinite(value) else "–"

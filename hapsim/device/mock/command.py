@@ -1,0 +1,53 @@
+"""The mock as a process of its own: prints where it is, serves until a signal tells it to stop."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from hapsim.compiled import on_compilation
+from hapsim.device.mock.assemble import assemble_mock
+from hapsim.device.mock.terminal import serving
+from hapsim.errors import UsageError
+from hapsim.progress import Progress
+from hapsim.scene import Scene
+
+
+def serve_until_stopped(
+    scene: Scene, link: Path | None, announce: Callable[[str], None], tell: Callable[[Progress], None]
+) -> None:
+    """Serves the scene's mock; `announce(path)` once it answers. SIGINT, SIGTERM and SIGHUP end it in good order.
+
+    `link`: a further name for the port, made as a symbolic link and taken away at the end. UsageError where that name
+    is taken.
+    """
+    stopped = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, lambda _number, _frame: stopped.set())
+    with (
+        on_compilation(lambda name: tell(Progress("compiling", name))),
+        serving(assemble_mock(scene)) as path,
+        _linked(link, path) as name,
+    ):
+        announce(name)
+        stopped.wait()
+
+
+@contextlib.contextmanager
+def _linked(link: Path | None, path: str) -> Iterator[str]:
+    if link is None:
+        yield path
+        return
+    if link.is_symlink() and not link.exists():
+        link.unlink()  # left over from a mock that was killed
+    try:
+        link.symlink_to(path)
+    except OSError as error:
+        raise UsageError(f"{link}: cannot be made a name of the port: {error.strerror}") from error
+    try:
+        yield str(link)
+    finally:
+        link.unlink(missing_ok=True)

@@ -1,0 +1,76 @@
+"""Closing the temporary hybrid system, ringing it, and identifying the spring and damper that it met."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+from hapsim.device.open_line import LineKind
+from hapsim.errors import DeviceError, UsageError
+from hapsim.loop.trace import Trace
+from hapsim.measuring.identify import Measurement, identify
+from hapsim.progress import Progress
+from hapsim.running import Excitation, run
+from hapsim.scene import Scene
+
+_SECONDS = 2.0
+_LEAST_TICKS, _MOST_TICKS = 2048, 20000
+_KICK = 0.1  # m/s, what one push gives to the mass where nothing holds it
+_PUSHES = 40  # in a measurement, beside the first ring-down
+_SHARE_OF_LIMIT = 0.25
+_COUNTS = 2.0**31
+
+
+def measure(
+    scene: Scene,
+    *,
+    channel: int = 0,
+    duration: float | None = None,
+    line: LineKind = "auto",
+    on_progress: Callable[[Progress], None] | None = None,
+    stop_on_signals: bool = False,
+) -> tuple[Measurement, Trace]:
+    """Rings the hand on `channel` and identifies what it meets: (measurement, the trace it was read from).
+
+    The first ring-down starts from the mock's initial state, or from a push where the device is at rest; further
+    pushes follow, so that a motion which dies out in a few samples is seen many times. `duration`: seconds.
+
+    Raises what `hapsim.running.run` raises, and UsageError where too little moves to identify anything. A device that
+    stops because the motion grows out of its range has shown enough: its trace is used.
+    """
+    if channel not in {point.channel for point in scene.device_points.values()}:
+        known = ", ".join(str(point.channel) for point in scene.device_points.values())
+        raise UsageError(f"channel {channel}: the scene has nothing there; its device points are on: {known}")
+    if duration is None:
+        duration = min(max(_SECONDS, _LEAST_TICKS / scene.rate), _MOST_TICKS / scene.rate)
+    try:
+        trace = run(
+            scene,
+            duration=duration,
+            line=line,
+            excitation=_pushes(scene, channel, duration),
+            on_progress=on_progress,
+            stop_on_signals=stop_on_signals,
+        )
+    except DeviceError as error:
+        if error.trace is None or error.trace.sample.size < 32:
+            raise
+        trace = error.trace
+    return identify(trace, scene.device.masses(scene.channels)[channel], channel), trace
+
+
+def _pushes(scene: Scene, channel: int, duration: float) -> Excitation:
+    """Pushes that move the hand clearly, and neither beyond the device's force nor beyond its range."""
+    device, mock = scene.device, scene.mock_device
+    ticks = math.ceil(duration * scene.rate)
+    every = max(32, ticks // (_PUSHES + 1))
+    # Between two pushes even a free mass must stay in the range of its counts; a real device's is not known before.
+    range_m = mock.quantum * _COUNTS if device.port is None else math.inf
+    kick = min(_KICK, 0.05 * range_m * scene.rate / every)
+    impulse = device.masses(scene.channels)[channel] * kick
+    force = min(_SHARE_OF_LIMIT * device.force_limit, impulse * scene.rate)
+    at_rest = device.port is not None or (
+        mock.initial_velocity[channel] == 0.0 and mock.initial_position[channel] == 0.0
+    )
+    length = min(max(1, round(impulse * scene.rate / force)), every // 2)
+    return Excitation(channel, force, length, every, start=1 if at_rest else every)

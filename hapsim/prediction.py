@@ -1,0 +1,217 @@
+"""Prediction: what a scene's hand will meet, from the mathematics alone. Nothing is run, nothing is compiled."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from firmware_protocol import schema
+from hapsim.scene import Scene, ViscoElastic
+from hapsim.theory import Configuration, Mode, Network, frequency_and_ratio
+
+_BITS_PER_BYTE = 10  # start, eight, stop
+_MOST_POINTS = 400  # above, the dense closed loop takes longer than a user waits
+
+
+@dataclass(frozen=True)
+class Felt:
+    """What the hand meets on one device point whose links all end on grounds: a temporary hybrid system of its own."""
+
+    name: str
+    channel: int
+    configuration: Configuration
+    stiffness: float
+    """K, N/m, written."""
+    damping: float
+    """B, N·s/m, written."""
+    k: float
+    """N/m, met; NaN where no spring and damper is equivalent."""
+    b: float
+    """N·s/m, met, real friction included."""
+    frequency_hz: float
+    damping_ratio: float
+    dominant: bool
+    stable: bool
+    spectral_radius: float
+    poles: tuple[complex, ...]
+    passive: bool | None
+    """Whether no hand can make it unstable (Colgate and Schenkel); None where the condition is not derived."""
+    stiffness_factor: float
+    """By how much K could grow before the loop becomes unstable, B as it is; infinity if never, below 1 if it is."""
+    reason: str
+    """Why there is no equivalent, where there is none."""
+
+
+@dataclass(frozen=True)
+class LinkBudget:
+    """What one exchange takes on the wire."""
+
+    bytes_to_host: int
+    bytes_to_device: int
+    seconds: float
+    period: float
+
+    @property
+    def fits(self) -> bool:
+        """Whether both frames pass within a sample period."""
+        return self.seconds <= self.period
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """A scene, predicted."""
+
+    rate: float
+    felt: tuple[Felt, ...]
+    """One for each device point that is a temporary hybrid system of its own, in the scene's order."""
+    coupled: tuple[str, ...]
+    """Device points that are not: their links lead to masses or to each other."""
+    stable: bool
+    spectral_radius: float
+    poles: tuple[complex, ...]
+    """Of the whole closed loop, by decreasing modulus, those at zero left out."""
+    modes: tuple[Mode, ...]
+    points: tuple[str, ...]
+    """Names to which a mode's participation refers."""
+    link_budget: LinkBudget
+
+
+def predict(scene: Scene) -> Prediction:
+    """What the hand will meet in `scene`, whether the whole of it is stable, and whether the wire is fast enough."""
+    network, points = _network(scene)
+    small = len(points) <= _MOST_POINTS
+    poles = network.poles() if small else np.empty(0, complex)
+    felt = tuple(_felt(scene, name) for name in scene.device_points if _is_alone(scene, name))
+    coupled = tuple(name for name in scene.device_points if not _is_alone(scene, name))
+    whole = not coupled and not scene.masses
+    return Prediction(
+        rate=scene.rate,
+        felt=felt,
+        coupled=coupled,
+        # A loop of lone hands is judged by the formula, which resolves poles that rounding would place on the circle.
+        stable=all(one.stable for one in felt) if whole else bool(np.all(np.abs(poles) < 1.0)),
+        spectral_radius=float(np.max(np.abs(poles), initial=0.0)),
+        poles=tuple(complex(pole) for pole in poles if abs(pole) > 1e-9),
+        modes=tuple(network.modes()) if small else (),
+        points=points,
+        link_budget=_link_budget(scene),
+    )
+
+
+def _links(scene: Scene) -> list[ViscoElastic]:
+    return [link for link in scene.links.values() if isinstance(link, ViscoElastic)]
+
+
+def _is_alone(scene: Scene, name: str) -> bool:
+    """Whether every link of this device point ends on a ground."""
+    return all(set(link.between) - {name} <= set(scene.grounds) for link in _links(scene) if name in link.between)
+
+
+def configuration_of(scene: Scene, channel: int) -> Configuration:
+    """The temporary hybrid system of one channel, as the scene's device describes it."""
+    device = scene.device
+    return Configuration(
+        mass=device.masses(scene.channels)[channel],
+        rate=scene.rate,
+        friction=device.frictions(scene.channels)[channel],
+        delay=device.delay,
+        hold=device.hold,
+        sampling=device.sampling,
+    )
+
+
+def _felt(scene: Scene, name: str) -> Felt:
+    channel = scene.device_points[name].channel
+    configuration = configuration_of(scene, channel)
+    links = [link for link in _links(scene) if name in link.between]
+    stiffness = math.fsum(link.stiffness for link in links)
+    damping = math.fsum(link.damping for link in links)
+    k, b = (float(value) for value in configuration.equivalent(stiffness, damping))
+    dominant = math.isfinite(k) and math.isfinite(b)
+    frequency, ratio = frequency_and_ratio(configuration.mass, k, b) if k > 0 else (math.nan, math.nan)
+    return Felt(
+        name=name,
+        channel=channel,
+        configuration=configuration,
+        stiffness=stiffness,
+        damping=damping,
+        k=k,
+        b=b,
+        frequency_hz=float(frequency),
+        damping_ratio=float(ratio),
+        dominant=dominant,
+        stable=bool(configuration.is_stable(stiffness, damping)),
+        spectral_radius=float(configuration.spectral_radius(stiffness, damping)),
+        poles=tuple(complex(pole) for pole in configuration.poles(stiffness, damping)),
+        passive=_passive(configuration, stiffness, damping),
+        stiffness_factor=_stiffness_factor(configuration, stiffness, damping),
+        reason="" if dominant else _why_no_equivalent(stiffness, damping),
+    )
+
+
+def _why_no_equivalent(stiffness: float, damping: float) -> str:
+    if stiffness == 0.0 and damping == 0.0:
+        return "nothing is linked to the hand: it moves freely"
+    return "the slowest motion is not that of a mass on a spring and a damper: a further pole decays no faster"
+
+
+def _passive(configuration: Configuration, stiffness: float, damping: float) -> bool | None:
+    try:
+        return bool(configuration.is_passive(stiffness, damping))
+    except ValueError:
+        return None
+
+
+def _stiffness_factor(configuration: Configuration, stiffness: float, damping: float) -> float:
+    """Bisection between a stable and an unstable factor, to 1e-9."""
+    if stiffness == 0.0:
+        return math.inf
+    factors = np.logspace(-12, 12, 193)
+    stable = np.asarray(configuration.is_stable(stiffness * factors, damping))
+    if not stable.any():
+        return 0.0
+    # The first unstable factor above the lowest stable one: beyond it, islands of stability are no use to a hand.
+    first = int(np.argmax(stable))
+    beyond = np.flatnonzero(~stable[first:])
+    if beyond.size == 0:
+        return math.inf
+    low, high = factors[first + beyond[0] - 1], factors[first + beyond[0]]
+    while high / low > 1.0 + 1e-9:
+        middle = math.sqrt(low * high)
+        if configuration.is_stable(stiffness * middle, damping):
+            low = middle
+        else:
+            high = middle
+    return float(low)
+
+
+def _network(scene: Scene) -> tuple[Network, tuple[str, ...]]:
+    """The whole scene as arrays: one point for every channel of the device, one for every mass."""
+    channels = scene.channels
+    names = {point.channel: name for name, point in scene.device_points.items()}
+    points = [names.get(c, f"channel {c}") for c in range(channels)] + list(scene.masses)
+    number = {name: i for i, name in enumerate(points)} | dict.fromkeys(scene.grounds, -1)
+    links = _links(scene)
+    device = scene.device
+    network = Network(
+        rate=scene.rate,
+        channel_mass=np.array(device.masses(channels)),
+        channel_friction=np.array(device.frictions(channels)),
+        delay=device.delay,
+        hold=device.hold,
+        sampling=device.sampling,
+        point_mass=np.array([mass.mass for mass in scene.masses.values()]),
+        ends=np.array([[number[end] for end in link.between] for link in links], int).reshape(-1, 2),
+        stiffness=np.array([link.stiffness for link in links]),
+        damping=np.array([link.damping for link in links]),
+    )
+    return network, tuple(points)
+
+
+def _link_budget(scene: Scene) -> LinkBudget:
+    to_host = schema.frame_bytes(scene.channels, to_device=False)
+    to_device = schema.frame_bytes(scene.channels, to_device=True)
+    seconds = (to_host + to_device) * _BITS_PER_BYTE / scene.device.baud
+    return LinkBudget(to_host, to_device, seconds, 1.0 / scene.rate)

@@ -1,0 +1,20 @@
+"""How a long piece of work is doing, told to whoever shows it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How a run is doing, for a live line."""
+
+    phase: Literal["compiling", "running"]
+    text: str = ""
+    elapsed_s: float = 0.0
+    rate_hz: float = 0.0
+    force: tuple[float, ...] = ()
+    age_samples: int = 0
+    late_ticks: int = 0
+    limited_ticks: int = 0
