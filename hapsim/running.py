@@ -51,13 +51,15 @@ _ENDINGS = {
 @dataclass(frozen=True)
 class Excitation:
     """Pushes on one channel, for `ticks` samples every `every` samples from sample `start` on, to one side and to the
-    other in turn: from `force` in N down to half of it, each different. They pass the guards like any force."""
+    other in turn: from `force` in N down to half of it, each different. They pass the guards like any force.
+    `first`: one at the very beginning too."""
 
     channel: int
     force: float
     ticks: int
     every: int
-    start: int = 0
+    start: int
+    first: bool
 
 
 def run(
@@ -140,6 +142,7 @@ def _assemble(
         control["pulse_force"] = excitation.force
         control["pulse_ticks"] = excitation.ticks
         control["pulse_every"] = excitation.every
+        control["pulse_first"] = excitation.first
         control["pulse_from"] = excitation.start
     return Loop(
         port=line.port,

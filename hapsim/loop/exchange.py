@@ -32,7 +32,8 @@ CONTROL = np.dtype(
         ("period_ns", np.int64),
         ("silence_ns", np.int64),  # a device quiet for longer is gone
         ("time_to_live", np.int64),  # samples that a force may act without being replaced
-        ("pulse_from", np.int64),  # the excitation: pushes, from this tick on,
+        ("pulse_first", np.int64),  # the excitation: 1 for a push on the first ticks,
+        ("pulse_from", np.int64),  # and pushes from this tick on,
         ("pulse_every", np.int64),  # one every so many ticks (0: none),
         ("pulse_ticks", np.int64),  # each this long,
         ("pulse_channel", np.int64),
@@ -224,6 +225,8 @@ _GOLDEN = 0.6180339887498949  # its multiples are spread evenly over every inter
 @jit
 def _push(control, tick):
     """The excitation's force at this tick, in N: no two pushes alike, so that no two ring-downs are rounded alike."""
+    if control.pulse_first and tick < control.pulse_ticks:
+        return control.pulse_force
     since = tick - control.pulse_from
     if since < 0 or since % control.pulse_every >= control.pulse_ticks:
         return 0.0

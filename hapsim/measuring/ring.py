@@ -16,7 +16,7 @@ from hapsim.scene import Scene
 _SECONDS = 2.0
 _LEAST_TICKS, _MOST_TICKS = 2048, 20000
 _KICK = 0.1  # m/s, what one push gives to the mass where nothing holds it
-_PUSHES = 40  # in a measurement, beside the first ring-down
+_PUSHES = 40  # in the second half of a measurement; the first is one ring-down
 _SHARE_OF_LIMIT = 0.25
 _COUNTS = 2.0**31
 
@@ -32,8 +32,8 @@ def measure(
 ) -> tuple[Measurement, Trace]:
     """Rings the hand on `channel` and identifies what it meets: (measurement, the trace it was read from).
 
-    The first ring-down starts from the mock's initial state, or from a push where the device is at rest; further
-    pushes follow, so that a motion which dies out in a few samples is seen many times. `duration`: seconds.
+    For half of the time it rings down once, from the mock's initial state or from a push where the device is at rest;
+    then pushes follow, so that a motion which dies out in a few samples is seen many times. `duration`: seconds.
 
     Raises what `hapsim.running.run` raises, and UsageError where too little moves to identify anything. A device that
     stops because the motion grows out of its range has shown enough: its trace is used.
@@ -63,14 +63,15 @@ def _pushes(scene: Scene, channel: int, duration: float) -> Excitation:
     """Pushes that move the hand clearly, and neither beyond the device's force nor beyond its range."""
     device, mock = scene.device, scene.mock_device
     ticks = math.ceil(duration * scene.rate)
-    every = max(32, ticks // (_PUSHES + 1))
-    # Between two pushes even a free mass must stay in the range of its counts; a real device's is not known before.
+    free = ticks // 2
+    every = max(32, (ticks - free) // _PUSHES)
+    # Until the next push even a free mass must stay in the range of its counts; a real device's is not known before.
     range_m = mock.quantum * _COUNTS if device.port is None else math.inf
-    kick = min(_KICK, 0.05 * range_m * scene.rate / every)
+    kick = min(_KICK, 0.05 * range_m * scene.rate / free)
     impulse = device.masses(scene.channels)[channel] * kick
     force = min(_SHARE_OF_LIMIT * device.force_limit, impulse * scene.rate)
     at_rest = device.port is not None or (
         mock.initial_velocity[channel] == 0.0 and mock.initial_position[channel] == 0.0
     )
     length = min(max(1, round(impulse * scene.rate / force)), every // 2)
-    return Excitation(channel, force, length, every, start=1 if at_rest else every)
+    return Excitation(channel, force, length, every, start=free, first=at_rest)
