@@ -2,7 +2,7 @@
 
     scene = hapsim.load_scene("configs/first_touch.yaml")
     hapsim.predict(scene).felt[0].k        # before it runs
-    measurement, trace = hapsim.measure(scene)
+    hapsim.measure(scene).k                # while it runs
     trace = hapsim.run(scene, duration=2.0)
 
 The rooms are named so that none of them hides one of these functions. Nothing heavy is imported before one of them

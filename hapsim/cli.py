@@ -126,7 +126,7 @@ def measure(
         channel = next(iter(loaded.device_points.values())).channel
     prediction = predict(loaded)
     with live_line(_stderr()) as tell:
-        measurement, trace = measure_scene(
+        measurement = measure_scene(
             loaded,
             channel=channel,
             duration=duration,
@@ -134,7 +134,7 @@ def measure(
             on_progress=tell,
             stop_on_signals=True,
         )
-    felt = felt_on(prediction, channel)
+    felt, trace = felt_on(prediction, channel), measurement.trace
     if record is not None:
         trace.save(record)
     if picture is not None or data is not None:
@@ -142,7 +142,7 @@ def measure(
     if json:
         from hapsim.console.as_json import document, measurement_document
 
-        print(document({"scene": scene} | measurement_document(prediction, measurement, trace.report, channel)))
+        print(document({"scene": scene} | measurement_document(prediction, measurement, channel)))
     else:
         from hapsim.console.tables import show_measurement, show_report
 

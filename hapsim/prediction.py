@@ -77,6 +77,36 @@ class Prediction:
     """Names to which a mode's participation refers."""
     link_budget: LinkBudget
 
+    @property
+    def first(self) -> Felt | None:
+        """What the hand meets at the scene's first device point that is a system of its own."""
+        return self.felt[0] if self.felt else None
+
+    @property
+    def k(self) -> float:
+        """N/m, of the first; NaN where there is none."""
+        return self.first.k if self.first else math.nan
+
+    @property
+    def b(self) -> float:
+        """N·s/m, of the first; NaN where there is none."""
+        return self.first.b if self.first else math.nan
+
+    @property
+    def frequency_hz(self) -> float:
+        """Eigenfrequency of the first; NaN where there is none."""
+        return self.first.frequency_hz if self.first else math.nan
+
+    @property
+    def damping_ratio(self) -> float:
+        """Of the first; NaN where there is none."""
+        return self.first.damping_ratio if self.first else math.nan
+
+    @property
+    def dominant(self) -> bool:
+        """Whether the first has an equivalent spring and damper."""
+        return self.first is not None and self.first.dominant
+
 
 def predict(scene: Scene) -> Prediction:
     """What the hand will meet in `scene`, whether the whole of it is stable, and whether the wire is fast enough."""

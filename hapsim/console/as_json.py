@@ -24,6 +24,7 @@ def prediction_document(prediction: Prediction, channel: int | None = None) -> d
     felt = felt_on(prediction, channel)
     return {
         "rate_hz": prediction.rate,
+        "nominal_rate_hz": prediction.rate,
         "stable": prediction.stable,
         "spectral_radius": prediction.spectral_radius,
         "dominant": felt is not None and felt.dominant,
@@ -44,12 +45,12 @@ def prediction_document(prediction: Prediction, channel: int | None = None) -> d
     }
 
 
-def measurement_document(
-    prediction: Prediction, measurement: Measurement, report: Report, channel: int
-) -> dict[str, Any]:
+def measurement_document(prediction: Prediction, measurement: Measurement, channel: int) -> dict[str, Any]:
     """What `hapsim measure` prints: prediction and measurement side by side, and how the run went."""
-    measured = asdict(measurement)
-    return prediction_document(prediction, channel) | {"measured": measured} | report_document(report)
+    measured = {name: value for name, value in vars(measurement).items() if name != "trace"}
+    report = report_document(measurement.trace.report)
+    # The report's rate is the one that was kept; the scene's is `nominal_rate_hz`.
+    return prediction_document(prediction, channel) | {"measured": measured} | report
 
 
 def report_document(report: Report) -> dict[str, Any]:

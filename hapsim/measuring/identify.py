@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,6 +62,8 @@ class Measurement:
     samples: int
     residual_m: float
     """Standard deviation of what the fit leaves, in m: the rounding of the position where all is well."""
+    trace: Trace = field(repr=False, compare=False)
+    """What it was read from."""
 
 
 def identify(trace: Trace, mass: float, channel: int = 0) -> Measurement:
@@ -83,7 +85,7 @@ def _identify(trace: Trace, mass: float, channel: int) -> Measurement:
     most = _FAR_OFF * _claimed_uncertainty(found[0][1][0])
     plausible = [entry for entry in found if _claimed_uncertainty(entry[1][0]) <= most]
     best, (pair, poles, reason) = max(plausible or found[:1], key=lambda entry: _claimed_uncertainty(entry[1][0]))
-    return _measurement(pair, poles, reason, best, mass, trace.rate, float(trace.position_scale[channel]))
+    return _measurement(pair, poles, reason, best, mass, trace, channel)
 
 
 def _claimed_uncertainty(pair: Pair | None) -> float:
@@ -96,9 +98,10 @@ def _measurement(
     reason: str,
     best: Fit,
     mass: float,
-    rate: float,
-    scale: float,
+    trace: Trace,
+    channel: int,
 ) -> Measurement:
+    rate = trace.rate
     if pair is None:
         k = b = k_uncertainty = b_uncertainty = pole_uncertainty = math.nan
         pole = complex(math.nan, math.nan)
@@ -122,7 +125,8 @@ def _measurement(
         mass=mass,
         order=best.order,
         samples=best.rows,
-        residual_m=best.residual * scale,
+        residual_m=best.residual * float(trace.position_scale[channel]),
+        trace=trace,
     )
 
 
@@ -131,7 +135,8 @@ def _segments(trace: Trace, channel: int) -> list[Segment]:
     position = trace.position_counts[:, channel].astype(float)
     asked = trace.asked_force[:, channel]
     surplus = trace.force_counts[:, channel] * trace.force_scale[channel] - asked
-    rest = _rest(position, asked)
+    following = np.diff(trace.sample) == 1
+    rest = _rest(position, asked, following & (trace.flags[1:] & BRIDGED == 0))
     found = [
         Segment(position[first:last] - rest, surplus[first:last])
         for whole in _unbroken(trace)
@@ -189,17 +194,20 @@ def _loud(y: NDArray[np.float64], first: int, last: int) -> Iterator[tuple[int, 
         yield max(first, int(loud[begin]) - _RUN_UP), int(loud[end]) + 1
 
 
-def _rest(position: NDArray[np.float64], asked: NDArray[np.float64]) -> float:
+def _rest(position: NDArray[np.float64], asked: NDArray[np.float64], following: NDArray[np.bool_]) -> float:
     """Where the asked force is zero, in counts: exact for a hand on springs and dampers to the ground, whose force is
-    linear in the two newest positions; the middle of the motion where the scene has masses of its own."""
-    if position.size < 8:
+    linear in the two newest positions; the middle of the motion where the scene has masses of its own.
+
+    `following`: for each row but the first, whether it follows the one before without a gap.
+    """
+    now, before, force = position[1:][following], position[:-1][following], asked[1:][following]
+    if now.size < 8:
         return 0.0
-    now, before = position[1:], position[:-1]
     scale = float(np.max(np.abs(position))) or 1.0
     columns = np.column_stack([now / scale, (now - before) / scale, np.ones_like(now)])
-    law, *_ = np.linalg.lstsq(columns, asked[1:], rcond=None)
-    missed = np.max(np.abs(asked[1:] - columns @ law))
-    if missed > 1e-9 * np.max(np.abs(asked)):
+    law, *_ = np.linalg.lstsq(columns, force, rcond=None)
+    missed = np.max(np.abs(force - columns @ law))
+    if missed > 1e-9 * np.max(np.abs(force)):
         return float(np.median(position))
     return float(-law[2] / law[0] * scale) if abs(law[0]) > 1e-9 * abs(law[1]) else 0.0
 

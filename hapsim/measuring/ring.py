@@ -7,7 +7,6 @@ from collections.abc import Callable
 
 from hapsim.device.open_line import LineKind
 from hapsim.errors import DeviceError, UsageError
-from hapsim.loop.trace import Trace
 from hapsim.measuring.identify import Measurement, identify
 from hapsim.progress import Progress
 from hapsim.running import Excitation, run
@@ -29,8 +28,8 @@ def measure(
     line: LineKind = "auto",
     on_progress: Callable[[Progress], None] | None = None,
     stop_on_signals: bool = False,
-) -> tuple[Measurement, Trace]:
-    """Rings the hand on `channel` and identifies what it meets: (measurement, the trace it was read from).
+) -> Measurement:
+    """Rings the hand on `channel` and identifies what it meets.
 
     For half of the time it rings down once, from the mock's initial state or from a push where the device is at rest;
     then pushes follow, so that a motion which dies out in a few samples is seen many times. `duration`: seconds.
@@ -56,7 +55,7 @@ def measure(
         if error.trace is None or error.trace.sample.size < 32:
             raise
         trace = error.trace
-    return identify(trace, scene.device.masses(scene.channels)[channel], channel), trace
+    return identify(trace, scene.device.masses(scene.channels)[channel], channel)
 
 
 def _pushes(scene: Scene, channel: int, duration: float) -> Excitation:

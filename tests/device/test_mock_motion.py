@@ -319,6 +319,8 @@ positive = st.floats(min_value=5e-324, allow_nan=False)
 @given(positive, st.floats(min_value=0.0), st.floats(min_value=0.0), anything, anything, anything, positive)
 @example(1.0, 1.0, 1e-310, 0.0, 0.0, 1.0, 1.0)
 @example(1e-300, 0.0, 1.0, 1e300, 0.0, 1e300, 1.0)
+@example(1.0, 1.0, 1.0, math.inf, 0.0, 0.0, 1.0)
+@example(1.0, 0.0, 1e308, -1.7e308, 0.0, 1.0, 1.0)
 def test_no_number_makes_the_motion_hang_or_raise(
     m: float, b: float, coulomb: float, force: float, x: float, v: float, t: float
 ) -> None:

@@ -38,8 +38,8 @@ def run_once(clock: str, seconds: float, felt: Felt) -> Round:
     """One measurement with this clock."""
     scene = hapsim.load_scene(SCENE)
     scene = scene.model_copy(update={"device": scene.device.model_copy(update={"clock": clock})})
-    measurement, trace = measure(scene, duration=seconds, line="terminal")
-    report = trace.report
+    measurement = measure(scene, duration=seconds, line="terminal")
+    report = measurement.trace.report
     return Round(
         report.rate_hz,
         report.late_ticks / report.ticks,

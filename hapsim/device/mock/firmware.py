@@ -19,6 +19,7 @@ from hapsim.device.mock.sampler import advance_body, first_sample, sample, to_co
 
 OUTBOX_BYTES = 32768
 INPUT_BYTES = 4096  # at most this many go into `take_bytes` at once: the answers to them fit the outbox
+_LONGEST_ANSWER = schema.frame_bytes(schema.MAX_CHANNELS, to_device=False)
 
 BOARD = np.dtype(
     [
@@ -160,7 +161,9 @@ def _measure(mock, channel, position):
 
 @jit
 def _say(mock, wire, kind, number, counts):
-    mock.board.out = write_to_host(wire, mock.outbox, mock.board.out, kind, number, counts)
+    """Puts a frame into the outbox. What nobody fetches is lost once the outbox is full, as on a line."""
+    if mock.board.out + _LONGEST_ANSWER <= mock.outbox.size:
+        mock.board.out = write_to_host(wire, mock.outbox, mock.board.out, kind, number, counts)
 
 
 @jit

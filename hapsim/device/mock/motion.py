@@ -58,7 +58,7 @@ def _glide(body, force, h):
 @jit
 def _time_to_rest(body, force):
     """When the velocity crosses zero under a constant total force: infinity where it never does."""
-    if body.velocity * force >= 0.0:
+    if not body.velocity * force < 0.0:
         return math.inf
     u = -body.friction * body.velocity / force
     if u > 1.0:

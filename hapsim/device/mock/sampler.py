@@ -22,7 +22,8 @@ CONVERTER = np.dtype(
         ("average", np.int64),  # 1: mean over the sample before, 0: the instant's value
         ("quantum", np.float64),  # m per count
         ("noise", np.float64),  # m rms
-        ("seed", np.uint64),  # state of the noise's generator
+        ("seed", np.uint64),  # where the noise's generator starts when the device is armed
+        ("state", np.uint64),  # where it stands
     ]
 )
 
@@ -48,17 +49,20 @@ def sample(body, converter, h):
     """The position that the device measures, in m, at the end of a sample that lasted `h` seconds."""
     position = body.area / h if converter.average else body.position
     body.area = 0.0
-    if converter.noise > 0.0:
-        position += converter.noise * _normal(converter)
-    return position
+    return position + _noise(converter)
 
 
 @jit
 def first_sample(body, converter):
-    """The measured position at the start. Averaged sampling looks back along a free motion."""
-    if not converter.average:
-        return body.position
-    return body.position - 0.5 * converter.period * body.velocity
+    """The measured position at the start. Averaged sampling looks back along a free motion.
+
+    The noise begins anew: the same seed, the same run.
+    """
+    converter.state = converter.seed
+    position = body.position
+    if converter.average:
+        position -= 0.5 * converter.period * body.velocity
+    return position + _noise(converter)
 
 
 @jit
@@ -71,13 +75,18 @@ def to_counts(position, converter):
 
 
 @jit
+def _noise(converter):
+    return converter.noise * _normal(converter) if converter.noise > 0.0 else 0.0
+
+
+@jit
 def _uniform(converter):
     """xorshift64*, in (0, 1]: the mock's own, so that the same seed gives the same noise everywhere."""
-    x = converter.seed
+    x = converter.state
     x ^= x >> np.uint64(12)
     x ^= x << np.uint64(25)
     x ^= x >> np.uint64(27)
-    converter.seed = x
+    converter.state = x
     scrambled = x * np.uint64(2685821657736338717)
     return (np.float64(scrambled >> np.uint64(11)) + 1.0) / 9007199254740992.0
 

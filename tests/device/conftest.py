@@ -1,0 +1,184 @@
+"""A mock of any kind, and a host that talks to it in bytes, in virtual time, by hand."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+
+from firmware_protocol import schema
+from firmware_protocol.decoder import new_decoder, next_frame
+from firmware_protocol.frames import SETUP, armed_format, frame_to_device
+from hapsim.device.mock.assemble import assemble_mock
+from hapsim.device.mock.firmware import Mock, look_at_watchdog, take_bytes, take_sample
+from hapsim.scene import Scene
+
+
+class Heard(NamedTuple):
+    """A frame of the device."""
+
+    type: int
+    number: int
+    counts: tuple[int, ...]
+
+    @property
+    def state(self) -> int:
+        return self.counts[0] & 0xFF
+
+    @property
+    def fault(self) -> int:
+        return self.counts[0] >> 8 & 0xFF
+
+    @property
+    def word(self) -> int:
+        return self.counts[0] & 0xFFFFFFFF
+
+
+def in_counts(word: int) -> int:
+    """An unsigned 32-bit value as the signed one that a frame carries."""
+    return (word & 0xFFFFFFFF) - ((word & 0x80000000) << 1)
+
+
+class Host:
+    """The far end of a line to a mock. `armed`: whether the device last said so. `misread`: chunks that are no frame."""
+
+    def __init__(self, mock: Mock) -> None:
+        self.mock = mock
+        self.channels = len(mock.bodies)
+        self.wire = armed_format(self.channels)
+        self.decoders = [new_decoder(wire, to_device=False) for wire in (SETUP, self.wire)]
+        self.armed = False
+        self.misread = 0
+
+    # What is to be said.
+
+    def frame(self, kind: int, number: int, argument: int, counts: Sequence[int], armed: bool | None = None) -> bytes:
+        wire = self.wire if (self.armed if armed is None else armed) else SETUP
+        padded = [*counts, *[0] * 16][: wire.channels]
+        return frame_to_device(wire, kind, number, argument, np.array(padded, np.int64))
+
+    def arm_frame(self, pacing: int = schema.LOCKSTEP, watchdog: int = 100, word: int = schema.SCHEMA_HASH) -> bytes:
+        return self.frame(schema.ARM, watchdog, pacing, [in_counts(word)], armed=False)
+
+    def force_frame(self, sample: int, counts: Sequence[int] = (0,), time_to_live: int = 20) -> bytes:
+        return self.frame(schema.FORCE, sample % schema.SAMPLE_MODULUS, time_to_live, counts, armed=True)
+
+    def disarm_frame(self, armed: bool = True) -> bytes:
+        return self.frame(schema.DISARM, 0, 0, [0], armed=armed)
+
+    # Saying it.
+
+    def send(self, data: bytes, now: int = 0) -> list[Heard]:
+        array = np.frombuffer(data, np.uint8).copy()
+        take_bytes(self.mock, array, array.size, now)
+        return self.listen()
+
+    def arm(self, pacing: int = schema.LOCKSTEP, watchdog: int = 100, now: int = 0) -> list[Heard]:
+        return self.send(self.arm_frame(pacing, watchdog), now)
+
+    def force(self, sample: int, counts: Sequence[int] = (0,), time_to_live: int = 20, now: int = 0) -> list[Heard]:
+        return self.send(self.force_frame(sample, counts, time_to_live), now)
+
+    def disarm(self, now: int = 0) -> list[Heard]:
+        return self.send(self.disarm_frame(self.armed), now)
+
+    def register(self, number: int) -> int:
+        (answer,) = self.send(self.frame(schema.DESCRIBE, number, 0, [0], armed=False))
+        assert (answer.type, answer.number) == (schema.DESCRIPTION, number)
+        return answer.word
+
+    def sample_passes(self, now: int = 0) -> list[Heard]:
+        take_sample(self.mock, now)
+        return self.listen()
+
+    def look_at_watchdog(self, now: int = 0) -> list[Heard]:
+        look_at_watchdog(self.mock, now)
+        return self.listen()
+
+    # Hearing the answer.
+
+    def listen(self) -> list[Heard]:
+        out = int(self.mock.board["out"])
+        data = self.mock.outbox[:out].copy()
+        self.mock.board["out"] = 0
+        return self.read(data)
+
+    def read(self, data: np.ndarray) -> list[Heard]:
+        """Every frame is tried in both formats: which one the device chose is checked where it matters."""
+        heard = []
+        for chunk in data.tobytes().split(b"\0"):
+            frames = [frame for decoder in self.decoders if (frame := self._read_one(decoder, chunk)) is not None]
+            if chunk:
+                self.misread += len(frames) != 1
+            heard += frames
+            for frame in frames:
+                if frame.type == schema.STATUS:
+                    self.armed = frame.state == schema.ARMED
+        return heard
+
+    def _read_one(self, decoder: np.void, chunk: bytes) -> Heard | None:
+        whole = np.frombuffer(chunk + b"\0", np.uint8).copy()
+        garbage = int(decoder["garbage_bytes"])
+        if not next_frame(decoder, whole, 0, whole.size)[1] or decoder["garbage_bytes"] > garbage:
+            return None
+        counts = decoder["counts"][: decoder["channels"]]
+        return Heard(int(decoder["type"]), int(decoder["number"]), tuple(counts.tolist()))
+
+    # What no line tells.
+
+    @property
+    def state(self) -> int:
+        return int(self.mock.board["state"])
+
+    @property
+    def commanded(self) -> np.ndarray:
+        """Every force that acts or may yet act, N."""
+        return self.mock.commands
+
+
+def scene_of(
+    channels: int = 1,
+    rate: float = 1000.0,
+    device: dict[str, Any] | None = None,
+    mock: dict[str, Any] | None = None,
+) -> Scene:
+    return Scene.model_validate(
+        {
+            "version": 1,
+            "rate": rate,
+            "device": {"clock": "lockstep", "mass": 0.2} | (device or {}),
+            "mock": mock or {},
+            "modules": {"hand": {"type": "device", "channel": channels - 1}},
+        }
+    )
+
+
+@pytest.fixture(scope="session")
+def new_scene() -> Callable[..., Scene]:
+    """Makes a scene of (channels, rate, device, mock)."""
+    return scene_of
+
+
+@pytest.fixture(scope="session")
+def new_host() -> Callable[..., Host]:
+    """Makes a host on a line to a new mock of (channels, rate, device, mock)."""
+
+    def new(*args: Any, **fields: Any) -> Host:
+        return Host(assemble_mock(scene_of(*args, **fields)))
+
+    return new
+
+
+@pytest.fixture(scope="session")
+def exchange() -> Callable[[Host, Iterable[Sequence[int]]], list[Heard]]:
+    """Arms in lockstep and answers each position with the next of the forces; every frame of the device."""
+
+    def run(host: Host, forces: Iterable[Sequence[int]]) -> list[Heard]:
+        heard = host.arm()
+        for n, counts in enumerate(forces):
+            heard += host.force(n, counts)
+        return heard
+
+    return run

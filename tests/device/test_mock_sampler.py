@@ -1,0 +1,298 @@
+"""The mock's converters: holds, delays and sampling against a simulation that goes from event to event.
+
+The reference knows no ring of commands and no split of a sample: it sorts the instants at which something happens
+(a sample is taken, a force changes) and lets the mass coast from one to the next, in thirty digits.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import mpmath as mp
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+from scipy.stats import kstest
+
+from firmware_protocol import schema
+from hapsim.device.mock.motion import BODY
+from hapsim.device.mock.sampler import CONVERTER, advance_body, first_sample, sample, to_counts
+
+T = 1e-3
+DELAYS = [0.0, 0.37, 1.0, 1.5, 2.0]
+CASES = list(itertools.product(("zoh", "impulse"), ("ideal", "average"), DELAYS, (0.0, 60.0)))
+
+
+@dataclass
+class Coasting:
+    """One mass between two events."""
+
+    m: float
+    b: float
+    x: mp.mpf
+    v: mp.mpf
+    force: mp.mpf
+    travel: mp.mpf
+
+    def coast(self, t: mp.mpf) -> None:
+        if self.b == 0:
+            a = self.force / self.m
+            self.travel += self.x * t + self.v * t**2 / 2 + a * t**3 / 6
+            self.x += self.v * t + a * t**2 / 2
+            self.v += a * t
+            return
+        rate, final = mp.mpf(self.b) / self.m, self.force / self.b
+        gone = (1 - mp.exp(-rate * t)) / rate
+        self.travel += self.x * t + final * t**2 / 2 + (self.v - final) * (t - gone) / rate
+        self.x += final * t + (self.v - final) * gone
+        self.v = final + (self.v - final) * mp.exp(-rate * t)
+
+
+def event_by_event(
+    hold: str, sampling: str, delay: float, m: float, b: float, x: float, v: float, commands: Sequence[float]
+) -> list[float]:
+    """What is measured at the end of samples 0, 1, …: command n changes the force `delay` samples after n began."""
+    with mp.workdps(30):
+        T_, samples = mp.mpf(T), len(commands)
+        events = [(mp.mpf(n + 1), 0, n) for n in range(samples)]
+        events += [(n + mp.mpf(delay), 1, n) for n in range(samples)]
+        mass = Coasting(m, b, mp.mpf(x), mp.mpf(v), mp.mpf(0), mp.mpf(0))
+        clock, measured = mp.mpf(0), []
+        for at, is_force, n in sorted(events):
+            mass.coast((at - clock) * T_)
+            clock = at
+            if not is_force:
+                measured.append(float(mass.x if sampling == "ideal" else mass.travel / T_))
+                mass.travel = mp.mpf(0)
+            elif hold == "zoh":
+                mass.force = mp.mpf(commands[n])
+            else:
+                mass.v += commands[n] * T_ / m
+        return measured
+
+
+def converter_of(**fields: float) -> np.void:
+    converter = np.zeros(1, CONVERTER)
+    converter["period"], converter["quantum"] = T, 1e-9
+    for name, value in fields.items():
+        converter[name] = value
+    return converter.view(np.recarray)[0]
+
+
+def body_of(m: float, b: float = 0.0, x: float = 0.0, v: float = 0.0) -> np.void:
+    return np.array([(m, b, 0.0, x, v, 0.0)], BODY).view(np.recarray)[0]
+
+
+def measured_by_the_mock(
+    hold: str, sampling: str, delay: float, body: np.void, commands: Sequence[float]
+) -> list[float]:
+    whole = math.floor(delay)
+    converter = converter_of(
+        whole_delay=whole, part_delay=delay - whole, impulse=hold == "impulse", average=sampling == "average"
+    )
+    ring = np.zeros((whole + 2, 1))
+    measured = []
+    for n, command in enumerate(commands):
+        ring[n % len(ring), 0] = command
+        advance_body(body, converter, ring, 0, n, T)
+        measured.append(sample(body, converter, T))
+    return measured
+
+
+@pytest.mark.parametrize(("hold", "sampling", "delay", "b"), CASES)
+def test_the_measured_positions_are_those_of_an_event_by_event_simulation(
+    hold: str, sampling: str, delay: float, b: float
+) -> None:
+    m, x, v = 0.05, 0.02, -0.4
+    commands = np.random.default_rng(7).uniform(-30.0, 30.0, 60)
+    measured = measured_by_the_mock(hold, sampling, delay, body_of(m, b, x, v), commands)
+    np.testing.assert_allclose(measured, event_by_event(hold, sampling, delay, m, b, x, v, commands), atol=3e-16)
+
+
+@settings(max_examples=60, deadline=None, derandomize=True)
+@given(st.sampled_from(["zoh", "impulse"]), st.sampled_from(["ideal", "average"]), st.floats(0.0, 7.0))
+@example("zoh", "ideal", math.nextafter(1.0, 0.0))
+@example("impulse", "average", math.nextafter(1.0, 2.0))
+@example("zoh", "average", 5e-324)
+def test_any_delay_is_as_an_event_by_event_simulation_has_it(hold: str, sampling: str, delay: float) -> None:
+    commands = [5.0, -3.0, 0.0, 0.0, 8.0, *[0.0] * 6]
+    measured = measured_by_the_mock(hold, sampling, delay, body_of(0.1, 0.5), commands)
+    np.testing.assert_allclose(
+        measured, event_by_event(hold, sampling, delay, 0.1, 0.5, 0.0, 0.0, commands), atol=1e-17
+    )
+
+
+@pytest.mark.parametrize("hold", ["zoh", "impulse"])
+@pytest.mark.parametrize(("delay", "first"), [(0.0, 0), (0.37, 0), (0.999, 0), (1.0, 1), (1.5, 1), (2.0, 2), (3.01, 3)])
+def test_a_command_is_first_seen_in_the_sample_in_which_its_delay_ends(hold: str, delay: float, first: int) -> None:
+    measured = np.array(measured_by_the_mock(hold, "ideal", delay, body_of(1.0), [1.0, *[0.0] * 6]))
+    assert (measured[:first] == 0).all()
+    assert (measured[first:] > 0).all()
+
+
+def test_nothing_acts_before_the_first_command_whatever_the_delay() -> None:
+    for hold, delay in itertools.product(("zoh", "impulse"), (0.0, 0.5, 3.0, 9.25)):
+        assert measured_by_the_mock(hold, "ideal", delay, body_of(1.0, x=0.125), [0.0] * 12) == [0.125] * 12
+
+
+def test_both_holds_give_the_same_momentum() -> None:
+    speeds = []
+    for hold in ("zoh", "impulse"):
+        body = body_of(0.2)
+        measured_by_the_mock(hold, "ideal", 1.5, body, [1.0, 2.0, -0.5, 0.0, 0.0, 0.0])
+        speeds.append(body["velocity"])
+    assert speeds == pytest.approx([2.5 * T / 0.2] * 2, rel=1e-14)
+
+
+@pytest.mark.parametrize(("hold", "sampling", "delay", "b"), CASES)
+def test_through_the_wire_the_positions_are_those_of_an_event_by_event_simulation_rounded(
+    new_host: Callable[..., Any], exchange: Callable, hold: str, sampling: str, delay: float, b: float
+) -> None:
+    m, x, v, quantum, limit = 0.05, 0.02, -0.4, 1e-8, 40.0
+    host = new_host(
+        device={"mass": m, "friction": b, "delay": delay, "hold": hold, "sampling": sampling, "force_limit": limit},
+        mock={"initial": {"position": x, "velocity": v}, "quantum": quantum},
+    )
+    counts = np.random.default_rng(8).integers(-(2**31), 2**31, 60).tolist()
+    heard = [
+        frame.counts[0] for frame in exchange(host, [[count] for count in counts]) if frame.type == schema.POSITION
+    ]
+    commands = [count * limit / 2**31 for count in counts]
+    expected = event_by_event(hold, sampling, delay, m, b, x, v, commands)
+    first = x - v * T / 2 if sampling == "average" else x
+    np.testing.assert_allclose(heard, np.array([first, *expected]) / quantum, rtol=0, atol=0.5 + 1e-6)
+
+
+def test_averaged_sampling_takes_the_mean_over_the_time_that_a_sample_really_lasted(
+    new_host: Callable[..., Any],
+) -> None:
+    host = new_host(
+        device={"sampling": "average"}, mock={"initial": {"position": 1.0, "velocity": 0.5}, "quantum": 1e-9}
+    )
+    host.arm(schema.PACED_BY_HOST, now=0)
+    edges = [0, 1_000_000, 1_300_000, 5_300_000]
+    for n, (start, stop) in enumerate(itertools.pairwise(edges)):
+        (position,) = host.force(n, now=stop)
+        assert position.counts[0] * 1e-9 == pytest.approx(1.0 + 0.5 * (start + stop) / 2 * 1e-9, abs=1e-9)
+
+
+def test_the_first_averaged_sample_is_the_mean_over_the_period_before_the_start() -> None:
+    body = body_of(1.0, x=0.3, v=2.0)
+    assert first_sample(body, converter_of(average=1)) == 0.3 - 2.0 * T / 2
+    assert first_sample(body, converter_of(average=0)) == 0.3
+
+
+# Counts.
+
+
+@settings(max_examples=300, deadline=None, derandomize=True)
+@given(st.floats(-2.1, 2.1), st.sampled_from([1e-9, 3e-9, 1e-6, 0.25]))
+def test_a_position_is_rounded_to_the_nearest_count(position: float, quantum: float) -> None:
+    counts, fits = to_counts(position, converter_of(quantum=quantum))
+    assert fits
+    assert abs(counts * quantum - position) <= quantum / 2 * (1 + 1e-9)
+    assert to_counts(-position, converter_of(quantum=quantum)) == (-counts, True)
+
+
+@pytest.mark.parametrize(
+    ("position", "expected"),
+    [
+        (2147483647.0, (2147483647, True)),
+        (2147483647.49, (2147483647, True)),
+        (2147483647.5, (2147483647, False)),
+        (-2147483647.49, (-2147483647, True)),
+        (-2147483648.0, (-2147483647, False)),
+        (1e300, (2147483647, False)),
+        (-1e300, (-2147483647, False)),
+        (math.inf, (2147483647, False)),
+        (-math.inf, (-2147483647, False)),
+    ],
+)
+def test_a_position_beyond_the_scale_stops_at_its_end_and_says_so(position: float, expected: tuple[int, bool]) -> None:
+    assert to_counts(position, converter_of(quantum=1.0)) == expected
+
+
+def test_a_position_that_is_no_number_does_not_fit() -> None:
+    counts, fits = to_counts(math.nan, converter_of())
+    assert not fits
+    assert abs(counts) == 2147483647
+
+
+# Noise.
+
+
+def noise_of(count: int, seed: int, rms: float = 1.0) -> np.ndarray:
+    converter = converter_of(noise=rms, seed=seed)
+    body = body_of(1.0)
+    first = first_sample(body, converter)
+    return np.array([first, *[sample(body, converter, T) for _ in range(count - 1)]])
+
+
+def test_the_noise_has_the_mean_and_the_deviation_that_are_stated_and_is_normal_and_white() -> None:
+    n = 40_000
+    noise = noise_of(n, seed=20240611, rms=2.5e-6) / 2.5e-6
+    assert abs(noise.mean()) < 4 / math.sqrt(n)
+    assert abs(noise.std() - 1) < 4 / math.sqrt(2 * n)
+    assert kstest(noise, "norm").pvalue > 1e-3
+    for lag in (1, 2, 3, 7):
+        assert abs((noise[lag:] * noise[:-lag]).mean()) < 4 / math.sqrt(n)
+
+
+def test_the_noise_is_that_of_xorshift64_star_and_box_muller_on_every_machine() -> None:
+    state, expected, mask = 0x1234567, [], 2**64 - 1
+
+    def uniform() -> float:
+        nonlocal state
+        state ^= state >> 12
+        state ^= (state << 25) & mask
+        state ^= state >> 27
+        return (((state * 2685821657736338717) & mask) >> 11) / 2**53 + 2**-53
+
+    for _ in range(50):
+        radius = math.sqrt(-2 * math.log(uniform()))
+        expected.append(radius * math.cos(2 * math.pi * uniform()))
+    np.testing.assert_allclose(noise_of(50, seed=0x1234567), expected, rtol=1e-12, atol=1e-12)
+
+
+def noisy_run(new_host: Callable[..., Any], exchange: Callable, seed: int, samples: int = 60) -> np.ndarray:
+    host = new_host(channels=3, mock={"noise": 1e-6, "seed": seed, "quantum": 1e-9})
+    heard = exchange(host, [[0]] * samples)
+    return np.array([frame.counts for frame in heard if frame.type == schema.POSITION])
+
+
+def test_the_same_seed_gives_the_same_noise_and_another_seed_another(
+    new_host: Callable[..., Any], exchange: Callable
+) -> None:
+    one, again, other = (noisy_run(new_host, exchange, seed) for seed in (5, 5, 6))
+    assert (one == again).all()
+    assert (one != other).mean() > 0.9
+
+
+def test_every_channel_has_noise_of_its_own_from_the_first_sample_on(
+    new_host: Callable[..., Any], exchange: Callable
+) -> None:
+    noise = noisy_run(new_host, exchange, seed=0, samples=2000)
+    assert (noise[0] != 0).all()
+    correlation = np.corrcoef(noise.T) - np.eye(3)
+    assert np.abs(correlation).max() < 4 / math.sqrt(2000)
+    assert noise.std(axis=0) == pytest.approx([1000.0] * 3, rel=0.1)
+
+
+def test_noise_is_in_the_sensor_and_not_in_the_motion(new_host: Callable[..., Any], exchange: Callable) -> None:
+    moving = {"initial": {"velocity": 0.3}}
+    quiet, noisy = new_host(mock=moving), new_host(mock=moving | {"noise": 1e-4})
+    for host in (quiet, noisy):
+        exchange(host, [[2**30]] * 50)
+    assert quiet.mock.bodies.tolist() == noisy.mock.bodies.tolist()
+
+
+def test_without_noise_the_generator_stands_still() -> None:
+    converter = converter_of(seed=99)
+    sample(body_of(1.0), converter, T)
+    assert converter["state"] == 0
+    assert first_sample(body_of(1.0, x=0.5), converter) == 0.5

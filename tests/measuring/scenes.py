@@ -1,0 +1,36 @@
+"""Scenes of one hand on one spring, made from numbers."""
+
+from __future__ import annotations
+
+from hapsim.scene import Scene, parse_scene
+
+
+def one_spring(
+    stiffness: float,
+    damping: float,
+    *,
+    mass: float = 0.2,
+    friction: float = 0.0,
+    delay: float = 1.0,
+    hold: str = "zoh",
+    sampling: str = "ideal",
+    rate: float = 1000.0,
+    velocity: float = 0.1,
+    quantum: float = 1e-9,
+    force_limit: float = 1000.0,
+    ground: float = 0.0,
+) -> Scene:
+    """A hand, a wall, and a visco-elastic link; clock: lockstep."""
+    return parse_scene(
+        f"""
+version: 1
+rate: {rate!r}
+device: {{clock: lockstep, mass: {mass!r}, friction: {friction!r}, delay: {delay!r}, hold: {hold},
+         sampling: {sampling}, force_limit: {force_limit!r}}}
+mock: {{initial: {{position: {ground!r}, velocity: {velocity!r}}}, quantum: {quantum!r}}}
+modules:
+  hand: {{type: device, channel: 0}}
+  wall: {{type: ground, position: {ground!r}}}
+  touch: {{type: viscoelastic, between: [hand, wall], stiffness: {stiffness!r}, damping: {damping!r}}}
+"""
+    )

@@ -1,0 +1,145 @@
+"""What identification makes of records: known motions, gaps, offsets, growth, silence. And what it never looks at."""
+
+from __future__ import annotations
+
+import ast
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import hapsim
+from hapsim.errors import UsageError
+from hapsim.loop.ring import BRIDGED, HELD
+from hapsim.loop.trace import Report, Trace
+from hapsim.measuring.identify import identify
+from hapsim.running import run
+
+sys.path.insert(0, str(Path(__file__).parent))
+from scenes import one_spring
+
+SOURCES = Path(hapsim.__file__).parent
+QUANTUM = 1e-9
+
+
+def imports_of(folder: str) -> set[str]:
+    """Every module that a room imports, at the top of a file or inside a function."""
+    found: set[str] = set()
+    for path in (SOURCES / folder).rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Import):
+                found |= {alias.name for alias in node.names}
+            elif isinstance(node, ast.ImportFrom):
+                found.add(node.module or "")
+    return found
+
+
+def trace_of(position: np.ndarray, asked: np.ndarray, rate: float = 1000.0) -> Trace:
+    """A trace of one channel, rounded to counts of a nanometre; every force as asked."""
+    n = position.size
+    report = Report("done", n, n / rate, rate, 0, 0, 0, 0, 0, 0, 1, 0.0, True)
+    force_scale = 1e-8
+    counts = np.rint(position / QUANTUM).astype(np.int32)[:, None]
+    return Trace(
+        rate=rate,
+        sample=np.arange(n),
+        time_ns=np.arange(n),
+        flags=np.zeros(n, np.uint8),
+        position_counts=counts,
+        force_counts=np.rint(asked / force_scale).astype(np.int32)[:, None],
+        asked_force=asked[:, None],
+        position_scale=np.array([QUANTUM]),
+        force_scale=np.array([force_scale]),
+        report=report,
+    )
+
+
+def test_identification_never_sees_the_prediction() -> None:
+    assert not {name for name in imports_of("measuring") if "theory" in name or "prediction" in name}
+
+
+def test_the_theory_stands_on_nothing_of_the_project() -> None:
+    assert not {name for name in imports_of("theory") if name.startswith("hapsim") and "theory" not in name}
+    assert not {name for name in imports_of("theory") if name.startswith(("numba", "firmware_protocol"))}
+
+
+@pytest.mark.parametrize("ratio", [0.02, 0.3, 0.9, 1.5])
+def test_a_known_oscillation_is_read_off_without_any_simulator(ratio: float) -> None:
+    """A sampled real spring: s from m s² + b s + k, the position written down in closed form."""
+    mass, frequency, n = 0.5, 90.0, np.arange(1500)
+    s = frequency * (-ratio + np.array([1, -1]) * np.sqrt(complex(ratio**2 - 1)))
+    motion = np.real((np.exp(s[0] * n / 1000) - np.exp(s[1] * n / 1000)) / (s[0] - s[1])) * 0.2
+    position = np.rint(motion / QUANTUM) * QUANTUM
+    # The law is linear in the two newest positions, as a scene's is; which one it is does not matter.
+    asked = -3000.0 * position - 2000.0 * np.diff(position, prepend=position[:1])
+    measured = identify(trace_of(motion, asked), mass)
+    assert measured.dominant
+    assert measured.k == pytest.approx(mass * frequency**2, rel=1e-4)
+    assert measured.b == pytest.approx(2 * ratio * mass * frequency, rel=1e-4)
+
+
+def test_a_wall_away_from_zero_makes_no_difference() -> None:
+    here = identify(run(one_spring(2000.0, 5.0, friction=1.0), duration=1.0), 0.2)
+    there = identify(run(one_spring(2000.0, 5.0, friction=1.0, ground=0.0123), duration=1.0), 0.2)
+    assert there.k == pytest.approx(here.k, rel=1e-6)
+    assert there.b == pytest.approx(here.b, rel=1e-5)
+
+
+def test_late_and_lost_samples_are_stepped_over() -> None:
+    trace = run(one_spring(2000.0, 5.0, friction=1.0), duration=1.0)
+    whole = identify(trace, 0.2)
+    flags = trace.flags.copy()
+    flags[[120, 260]] |= HELD
+    kept = np.ones(flags.size, bool)
+    kept[180:185] = False
+    flags[185] |= BRIDGED
+    broken = replace(
+        trace,
+        sample=trace.sample[kept],
+        time_ns=trace.time_ns[kept],
+        flags=flags[kept],
+        position_counts=trace.position_counts[kept],
+        force_counts=trace.force_counts[kept],
+        asked_force=trace.asked_force[kept],
+    )
+    measured = identify(broken, 0.2)
+    assert abs(measured.k - whole.k) < 4 * (measured.k_uncertainty + whole.k_uncertainty)
+    assert abs(measured.b - whole.b) < 4 * (measured.b_uncertainty + whole.b_uncertainty)
+
+
+def test_a_late_force_that_is_not_flagged_would_have_shown() -> None:
+    """The record above is stepped over because it is flagged; the same disturbance unflagged leaves its mark."""
+    trace = run(one_spring(2000.0, 5.0, friction=1.0), duration=1.0)
+    counts = trace.position_counts.copy()
+    counts[200:] += 5000
+    assert identify(replace(trace, position_counts=counts), 0.2).residual_m > 10 * QUANTUM
+
+
+def test_a_growing_motion_is_measured_until_the_device_stops_it() -> None:
+    scene = one_spring(2000.0, 0.5, friction=0.0, force_limit=5.0)
+    felt = hapsim.predict(scene).felt[0]
+    measured = hapsim.measure(scene)
+    assert felt.b < 0
+    assert not felt.stable
+    assert measured.k == pytest.approx(felt.k, rel=1e-4)
+    assert measured.b == pytest.approx(felt.b, rel=1e-3)
+
+
+def test_a_hand_that_starts_at_rest_is_pushed() -> None:
+    scene = one_spring(2000.0, 5.0, friction=1.0, velocity=0.0)
+    felt = hapsim.predict(scene).felt[0]
+    measured = hapsim.measure(scene)
+    assert measured.k == pytest.approx(felt.k, rel=1e-5)
+    assert measured.b == pytest.approx(felt.b, rel=1e-5)
+
+
+def test_a_hand_that_does_not_move_is_said_to_have_told_nothing() -> None:
+    with pytest.raises(UsageError, match="too little motion"):
+        identify(run(one_spring(2000.0, 5.0, velocity=0.0), duration=0.5), 0.2)
+
+
+def test_a_channel_without_a_hand_is_refused() -> None:
+    with pytest.raises(UsageError, match="channel 3"):
+        hapsim.measure(one_spring(2000.0, 5.0), channel=3)
