@@ -15,7 +15,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from hapsim.measuring.ring import measure as measure
+    from hapsim.measuring.measure import measure as measure
     from hapsim.prediction import predict as predict
     from hapsim.running import run as run
     from hapsim.scene import load_scene as load_scene
@@ -24,7 +24,7 @@ _HOME = {
     "load_scene": "hapsim.scene",
     "predict": "hapsim.prediction",
     "run": "hapsim.running",
-    "measure": "hapsim.measuring.ring",
+    "measure": "hapsim.measuring.measure",
 }
 __all__ = ["load_scene", "measure", "predict", "run"]
 

@@ -114,7 +114,7 @@ def measure(
     from hapsim.console.as_json import felt_on
     from hapsim.console.live import live_line
     from hapsim.loop.trace import require_writable_as_trace
-    from hapsim.measuring.ring import measure as measure_scene
+    from hapsim.measuring.measure import measure as measure_scene
     from hapsim.prediction import predict
 
     loaded = _scene(scene, port)

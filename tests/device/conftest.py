@@ -42,7 +42,7 @@ def in_counts(word: int) -> int:
 
 
 class Host:
-    """The far end of a line to a mock. `armed`: whether the device last said so. `misread`: chunks that are no frame."""
+    """The far end of a line to a mock. `armed`: the device last said so. `misread`: chunks that are no frame."""
 
     def __init__(self, mock: Mock) -> None:
         self.mock = mock

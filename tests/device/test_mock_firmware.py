@@ -1,4 +1,4 @@
-"""The mock's firmware, driven with the bytes of the protocol in virtual time: what it answers, and where its force is."""
+"""The mock's firmware, driven with the bytes of the protocol in virtual time: what it answers, what force it leaves."""
 
 from __future__ import annotations
 
@@ -250,9 +250,10 @@ def test_a_force_older_than_its_time_to_live_is_refused_and_counted(new_host: Ne
     host.force(0, [FULL], ttl)
     host.sample_passes()
     assert not host.commanded.any()
-    host.force(2, [FULL], ttl)  # the sample before the one that lasts, unless that is too old too
+    host.force(2, [FULL], ttl)  # of age ttl, sample ttl + 2 lasts now
+    assert host.commanded.any()
     host.disarm()
-    assert host.register(schema.REG_EXPIRED) == (1 if ttl >= ttl + 2 - 2 and ttl > 0 else 2)
+    assert [host.register(number) for number in (schema.REG_ACCEPTED, schema.REG_EXPIRED)] == [1, 1]
 
 
 @pytest.mark.parametrize("ahead", [1, 2, 100, 2047, 2048, 3840])
@@ -294,7 +295,7 @@ def test_a_force_above_the_limit_is_cut_and_counted(new_host: New) -> None:
 
 @pytest.mark.parametrize("limit", [1e-3, 0.1, 10.0, 3.3333, 1e6])
 def test_the_end_of_the_force_scale_is_the_limit(new_host: New, limit: float) -> None:
-    host = new_host(device={"delay": 0, "force_limit": limit})
+    host = new_host(device={"delay": 0, "force_limit": limit, "mass": 1e6})
     host.arm()
     host.force(0, [-(2**31)])
     host.force(1, [2**31 - 1])
@@ -311,7 +312,7 @@ def test_the_end_of_the_force_scale_is_the_limit(new_host: New, limit: float) ->
 def test_paced_by_the_device_the_watchdog_latches_after_its_number_of_samples_without_a_force(
     new_host: New, watchdog: int
 ) -> None:
-    host = new_host()
+    host = new_host(device={"mass": 1e3})
     host.arm(DEVICE, watchdog)
     host.force(0, [FULL], 255)
     assert host.sample_passes()[0].type == schema.POSITION
@@ -348,12 +349,15 @@ def test_paced_by_the_host_the_watchdog_is_a_time(new_host: New, rate: float) ->
     assert not host.commanded.any()
 
 
-def test_in_lockstep_there_is_no_time_for_a_watchdog_to_watch(new_host: New) -> None:
+def test_in_lockstep_only_a_host_that_is_gone_latches_whatever_the_watchdog(new_host: New) -> None:
     host = new_host()
-    host.arm(LOCKSTEP, watchdog=1)
-    host.force(0, [FULL])
-    assert host.look_at_watchdog(now=10**18) == []
-    assert host.state == schema.ARMED
+    host.arm(LOCKSTEP, watchdog=1, now=10**12)
+    host.force(0, [FULL], now=10**12 + 5 * 10**9)
+    assert host.look_at_watchdog(now=10**12 + 15 * 10**9) == []
+    (status,) = host.look_at_watchdog(now=10**12 + 15 * 10**9 + 1)
+    assert (status.state, status.fault) == (schema.LATCHED, schema.HOST_QUIET)
+    assert not host.commanded.any()
+    assert host.register(schema.REG_VERSION) == schema.VERSION  # the next host is heard
 
 
 def test_the_watchdog_sleeps_while_the_device_is_not_armed(new_host: New) -> None:
@@ -425,7 +429,7 @@ def test_a_start_out_of_scale_latches_at_once_and_again_at_every_arming(new_host
 
 
 def test_a_position_that_went_out_of_scale_does_not_latch_the_next_run(new_host: New) -> None:
-    host = new_host(device={"delay": 0, "mass": 1e-6}, mock={"quantum": 1e-9})
+    host = new_host(device={"delay": 0, "mass": 1e-3}, mock={"quantum": 1e-9})
     host.arm()
     n = 0
     while host.force(n, [FULL])[0].type == schema.POSITION:
@@ -525,6 +529,27 @@ def test_a_run_of_a_thousand_years_goes_on_as_it_began(new_host: New) -> None:
 # State that survives.
 
 
+def test_the_counters_count_since_the_last_arming(new_host: New) -> None:
+    host = new_host()
+    numbers = range(schema.REG_ACCEPTED, schema.REG_LIMITED + 1)
+    host.send(b"what a board says as it starts\0" + b"\x01" * 12 + b"\0")
+    assert host.register(schema.REG_REJECTED) == 2
+    host.arm()
+    host.disarm()
+    assert [host.register(number) for number in numbers] == [0] * 5
+    host.mock.force_limit[:] = 1.0
+    host.arm()
+    host.force(0, [FULL])  # accepted, limited
+    host.send(b"short\0")  # rejected
+    host.force(0, time_to_live=0)  # expired
+    host.force(0)  # accepted, a sample late
+    host.disarm()
+    assert [host.register(number) for number in numbers] == [2, 1, 1, 1, 1]
+    host.arm()
+    host.disarm()
+    assert [host.register(number) for number in numbers] == [0] * 5
+
+
 def trace(host: Any, pacing: int) -> list[Any]:
     random = np.random.default_rng(3)
     heard = host.arm(pacing)
@@ -577,37 +602,30 @@ def test_what_is_left_of_a_frame_when_the_format_changes_is_forgotten(new_host: 
 
 
 def worst_inputs(host: Any) -> dict[str, bytes]:
-    """Streams that are answered at length. Each fills INPUT_BYTES; the first byte of a frame may have come before."""
-    arm, arm_disarm = host.arm_frame(), host.arm_frame() + host.disarm_frame()
+    """Frames that, sent over and over, are answered at length."""
     return {
         "describe": host.frame(schema.DESCRIBE, 0, 0, [0], armed=False),
         "disarm": host.disarm_frame(armed=False),
-        "arm": arm,
-        "arm and disarm": arm_disarm,
+        "arm": host.arm_frame(),
+        "arm and disarm": host.arm_frame() + host.disarm_frame(),
         "refused": host.arm_frame(watchdog=0),
     }
 
 
-@pytest.mark.parametrize(
-    "start", [0.0, 5.0]
-)  # 5 m is out of scale: every arming is answered twice, the second at length
+@pytest.mark.parametrize("start", [0.0, 5.0])  # 5 m is out of scale: each arming is answered twice, once at length
 @pytest.mark.parametrize("channels", [1, 3, 4, 16])
 def test_the_answers_to_the_worst_input_fit_the_outbox(new_host: New, channels: int, start: float) -> None:
-    for name in worst_inputs(new_host(channels)):
-        host = new_host(channels, mock={"initial": {"position": start}})
-        frame = worst_inputs(host)[name]
+    longest = schema.frame_bytes(schema.MAX_CHANNELS, to_device=False)
+    for name, frame in worst_inputs(new_host(channels)).items():
         stream = np.frombuffer((frame * (2 * INPUT_BYTES // len(frame) + 2)), np.uint8).copy()
-        most = 0
-        for split in range(0, len(frame), 3):  # so that a frame begun before is answered too
-            take_bytes(host.mock, stream, split, 0)
+        for begun in range(0, len(frame), 3):  # bytes of a frame that came before
+            host = new_host(channels, mock={"initial": {"position": start}})
+            take_bytes(host.mock, stream, begun, 0)
             host.listen()
-            take_bytes(host.mock, stream[split:].copy(), INPUT_BYTES, 0)
-            most = max(most, int(host.mock.board["out"]))
+            take_bytes(host.mock, stream[begun:].copy(), INPUT_BYTES, 0)
+            assert host.mock.board["out"] <= OUTBOX_BYTES - longest, name
             assert len(host.listen()) >= 1
             assert host.misread == 0
-            host.send(b"\0" + host.disarm_frame(armed=True) + host.disarm_frame(armed=False))
-            host = new_host(channels, mock={"initial": {"position": start}})
-        assert most <= OUTBOX_BYTES - schema.frame_bytes(schema.MAX_CHANNELS, to_device=False), name
 
 
 def test_a_whole_input_of_forces_is_answered_force_by_force(new_host: New) -> None:
@@ -622,19 +640,14 @@ def test_a_whole_input_of_forces_is_answered_force_by_force(new_host: New) -> No
 @pytest.mark.parametrize("channels", [1, 16])
 def test_answers_that_nobody_fetches_are_lost_whole_and_never_beyond_the_outbox(new_host: New, channels: int) -> None:
     host = new_host(channels, mock={"initial": {"position": 5.0}})
-    beyond = np.zeros(4, np.uint8)
     stream = np.frombuffer(host.arm_frame() * (INPUT_BYTES // 12), np.uint8).copy()
     for _ in range(8):
         take_bytes(host.mock, stream, stream.size, 0)
         assert host.mock.board["out"] <= OUTBOX_BYTES
-    assert not beyond.any()
     assert len(host.listen()) > 100
     assert host.misread == 0
     host.send(host.disarm_frame(armed=False))
     assert host.register(schema.REG_VERSION) == schema.VERSION
-
-
-# Forces and registers of several hosts do not mix: every mock has its own.
 
 
 def test_two_mocks_share_nothing(new_host: New) -> None:

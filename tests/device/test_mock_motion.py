@@ -5,6 +5,7 @@ A difference of rounding is measured against what the terms of a result are made
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Sequence
 
@@ -108,7 +109,7 @@ def test_splitting_an_interval_changes_nothing_beyond_rounding(
     whole, parts = (body_of(m, b, position=x, velocity=v) for _ in range(2))
     move(whole, force, t)
     edges = [0.0, *sorted(cut * t for cut in cuts), t]
-    for start, stop in zip(edges[:-1], edges[1:], strict=True):
+    for start, stop in itertools.pairwise(edges):
         move(parts, force, stop - start)
     assert (np.abs(state_of(whole) - state_of(parts)) <= 10 * ROUNDING * sizes(m, b, force, x, v, t)).all()
 

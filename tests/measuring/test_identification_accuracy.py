@@ -85,7 +85,7 @@ def test_at_a_picometre_every_pole_lies_within_four_of_the_uncertainties_stated(
                 print("beyond four uncertainties:", configuration, k, b, ratios[-1])
     worst = np.max(ratios, axis=0)
     print(
-        f"\n{len(errors)} points: pole error median {np.median(errors):.1e}, 99 % below {np.quantile(errors, 0.99):.1e}, "
+        f"\n{len(errors)} points: pole error median {np.median(errors):.1e}, 99 % {np.quantile(errors, 0.99):.1e}, "
         f"worst {np.max(errors):.1e}; in stated uncertainties, worst of pole {worst[0]:.2f}, k {worst[1]:.2f}, "
         f"b {worst[2]:.2f}, root mean square {np.sqrt(np.mean(np.square(ratios))):.2f}"
     )

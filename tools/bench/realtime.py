@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import hapsim
-from hapsim.measuring.ring import measure
+from hapsim.measuring.measure import measure
 from hapsim.prediction import Felt
 
 SCENE = Path(__file__).resolve().parents[2] / "configs" / "first_touch.yaml"

@@ -20,6 +20,7 @@ from hapsim.device.mock.sampler import advance_body, first_sample, sample, to_co
 OUTBOX_BYTES = 32768
 INPUT_BYTES = 4096  # at most this many go into `take_bytes` at once: the answers to them fit the outbox
 _LONGEST_ANSWER = schema.frame_bytes(schema.MAX_CHANNELS, to_device=False)
+_LOCKSTEP_PATIENCE_NS = 10_000_000_000  # twice what hapsim waits for a position: a host quiet for longer is gone
 
 BOARD = np.dtype(
     [
@@ -98,14 +99,20 @@ def take_sample(mock, now):
 @jit
 def look_at_watchdog(mock, now):
     """Latches the force at zero when the host was quiet for longer than it said it would be."""
+    if mock.board.state == schema.ARMED and _host_is_quiet(mock, now):
+        _fail(mock, schema.HOST_QUIET)
+
+
+@jit
+def _host_is_quiet(mock, now):
+    """The watchdog counts samples. Virtual time has none while the host is quiet: there only a real wait tells."""
     board = mock.board
-    if board.state != schema.ARMED or board.pacing == schema.LOCKSTEP:
-        return
+    if board.pacing == schema.LOCKSTEP:
+        return now - board.heard_ns > _LOCKSTEP_PATIENCE_NS
     quiet = board.n - board.heard
     if board.pacing == schema.PACED_BY_HOST:
         quiet = np.int64((now - board.heard_ns) * 1e-9 / mock.converters[0].period)
-    if quiet > board.watchdog:
-        _fail(mock, schema.HOST_QUIET)
+    return quiet > board.watchdog
 
 
 @jit
@@ -226,6 +233,7 @@ def _arm(mock, now):
     board.scale_out_of_range = 0
     mock.commands[:] = 0.0
     mock.registers[schema.REG_ACCEPTED : schema.REG_LIMITED + 1] = 0
+    mock.decoder.crc_errors = mock.decoder.length_errors = mock.decoder.form_errors = 0
     _say_status(mock, SETUP)
     use_format(mock.decoder, mock.armed)
     for c in range(mock.bodies.size):

@@ -8,7 +8,7 @@ from firmware_protocol import schema
 from hapsim.compiled import jit
 from hapsim.device.mock.firmware import INPUT_BYTES, look_at_watchdog, take_bytes, take_sample
 from hapsim.loop.port import receive, send
-from hapsim.loop.system import HUNG_UP, now_ns, sleep_until
+from hapsim.loop.system import now_ns, sleep_until
 
 _IDLE_WAIT_NS = 20_000_000
 
@@ -33,7 +33,7 @@ def serve(port, mock, service, buffer, scratch):
         now = now_ns(scratch)
         if count > 0:
             take_bytes(mock, buffer, count, now)
-        elif count == HUNG_UP:
+        elif count < 0:
             sleep_until(now + _IDLE_WAIT_NS, scratch)
         before = ticking
         ticking = mock.board.state == schema.ARMED and mock.board.pacing == schema.PACED_BY_DEVICE

@@ -1,0 +1,129 @@
+"""The parts of PROTOCOL.md that follow from the code: constants, link budget, example bytes.
+
+They stand in the document between two comment lines and are written by `make_vectors`, so that they cannot differ from
+what the codec does.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from typing import NamedTuple
+
+from firmware_protocol import schema
+from firmware_protocol.frames import Format
+from firmware_protocol.vectors import FORMATS, TO_DEVICE, TYPES, frame
+
+BAUDS = (115_200, 921_600, 2_000_000)
+_BITS_PER_BYTE = 10  # on a UART: start, eight bits, stop
+
+
+class _Example(NamedTuple):
+    format_name: str
+    kind: str
+    number: int
+    argument: int
+    counts: tuple[int, ...]
+    meaning: str
+    payload_meaning: str
+
+
+_LATCHED = schema.LATCHED | schema.HOST_QUIET << 8
+_HASH = schema.SCHEMA_HASH - (schema.SCHEMA_HASH >> 31 << 32)
+
+_EXAMPLES = (
+    _Example("setup", "describe", 2, 0, (0,), "what does register 2 hold?", "unused"),
+    _Example("setup", "description", 2, 0, (3,), "register 2 holds 3: three channels", "the register's value"),
+    _Example("setup", "arm", 100, 0, (_HASH,), "watchdog of 100 samples, the device paces", "the schema hash"),
+    _Example("setup", "status", 0, 0, (schema.ARMED,), "armed", "state 1, fault 0"),
+    _Example("armed_1", "position", 300, 0, (-1234567,), "position of sample 300", "counts"),
+    _Example("armed_1", "force", 300, 20, (1000000,), "answers sample 300, lives 20 samples", "counts"),
+    _Example("armed_1", "position_held", 301, 0, (-1234560,), "sample 301; 300 went without its answer", "counts"),
+    _Example("armed_1", "status", 400, 0, (_LATCHED,), "the host was quiet: latched", "state 2, fault 1"),
+    _Example("armed_1", "disarm", 0, 0, (0,), "let go", "unused"),
+    _Example("setup", "status", 402, 0, (schema.HOST_QUIET << 8,), "idle", "state 0, fault 1, the last one"),
+    _Example("armed_4", "position", 4095, 0, (0, -1, 2**31 - 1, -(2**31)), "four channels, 32-bit check", "counts"),
+    _Example("armed_4", "force", 4095, 0, (0, 256, -256, 1), "answers sample 4095, for one sample", "counts"),
+)
+
+
+def blocks() -> dict[str, str]:
+    """The generated parts by name, as they stand between their comment lines."""
+    return {
+        "constants": _constants(),
+        "schema": f"```text\n{schema.SCHEMA}```",
+        "link budget": _link_budget(),
+        "examples": "\n\n".join(_annotated(example) for example in _EXAMPLES),
+    }
+
+
+def with_blocks(document: str) -> str:
+    """The document with every generated part brought up to date. ValueError where one has no place in it."""
+    for name, block in blocks().items():
+        begin, end = f"<!-- made by make_vectors: {name} -->", f"<!-- end: {name} -->"
+        parts = re.split(f"{re.escape(begin)}.*?{re.escape(end)}", document, flags=re.DOTALL)
+        if len(parts) != 2:
+            raise ValueError(f"the document has {len(parts) - 1} places for the part {name!r}, expected one")
+        document = f"{begin}\n\n{block}\n\n{end}".join(parts)
+    return document
+
+
+def _constants() -> str:
+    rows = [
+        ("schema hash", schema.SCHEMA_HASH, 8),
+        ("start value, set-up format (CRC-16)", schema.SETUP_SEED, 4),
+        ("start value, armed format of 1 to 3 channels (CRC-16)", schema.ARMED_SEED_SHORT, 4),
+        ("start value, armed format of 4 to 16 channels (CRC-32C)", schema.ARMED_SEED_LONG, 8),
+    ]
+    lines = ["| constant | value |", "|---|---|"]
+    return "\n".join(lines + [f"| {name} | `0x{value:0{digits}x}` |" for name, value, digits in rows])
+
+
+def _link_budget() -> str:
+    lines = [
+        "| channels | to host | to device | exchange | " + " | ".join(f"{baud} baud" for baud in BAUDS) + " |",
+        "|---:|---:|---:|---:|" + "---:|" * len(BAUDS),
+    ]
+    for channels in range(1, schema.MAX_CHANNELS + 1):
+        host, device = (schema.frame_bytes(channels, to_device) for to_device in (False, True))
+        times = [1e3 * _BITS_PER_BYTE * (host + device) / baud for baud in BAUDS]
+        cells = [f"{channels}", f"{host} B", f"{device} B", f"{host + device} B", *(f"{t:.3f} ms" for t in times)]
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def _annotated(example: _Example) -> str:
+    wire = FORMATS[example.format_name]
+    data = frame(example.format_name, example.kind, example.number, example.argument, list(example.counts))
+    checked = len(data) - (6 if wire.long_check else 4)
+    where = "set-up" if example.format_name == "setup" else f"armed, {wire.channels} channel{'s'[: wire.channels - 1]}"
+    rows = [("body" if i == 0 else "", *row) for i, row in enumerate(_body_rows(example))]
+    rows += [
+        ("encoded", _hex(data[:checked]), ""),
+        ("check", _hex(data[checked:-1]), _check_text(wire, data[checked:-1])),
+        ("delimiter", "00", ""),
+    ]
+    width = max(len(text) for _, text, meaning in rows if meaning)
+    lines = [f"{part:<9}  {text:<{width}}  {meaning}".rstrip() for part, text, meaning in rows]
+    return "\n".join([f"**{example.kind.upper()}**, {where}: {example.meaning}", "", "```text", *lines, "```"])
+
+
+def _body_rows(example: _Example) -> list[tuple[str, str]]:
+    code = TYPES[example.kind]
+    header = struct.pack(">H", code << 12 | example.number)
+    rows = [(_hex(header), f"type {code:#x}, number {example.number:#05x} = {example.number}")]
+    if example.kind in TO_DEVICE:
+        rows.append((f"{example.argument:02x}", f"argument {example.argument}"))
+    for channel, count in enumerate(example.counts):
+        rows.append((_hex(struct.pack("<i", count)), f"payload {channel} = {count} ({example.payload_meaning})"))
+    return rows
+
+
+def _check_text(wire: Format, sent: bytes) -> str:
+    value = sum((byte & 0x7F) << 7 * i for i, byte in enumerate(sent))
+    name, digits = ("CRC-32C", 8) if wire.long_check else ("CRC-16/DNP", 4)
+    return f"{name} from 0x{wire.seed:0{digits}x} over the encoded bytes: 0x{value:0{digits}x}"
+
+
+def _hex(data: bytes) -> str:
+    return data.hex(" ")

@@ -1,0 +1,268 @@
+/* The wire protocol of hapsim, version 1: the device's half, for firmware. C99, header only, no allocation, and no
+ * library beyond memcpy. PROTOCOL.md is the specification; vectors.json holds what this header is tested against.
+ *
+ *     hapsim_decoder in;
+ *     hapsim_decoder_init(&in);                              // listens for the set-up format
+ *     ...
+ *     if (hapsim_take_byte(&in, byte_from_the_uart))         // a whole, valid frame has arrived
+ *         switch (in.type) { case HAPSIM_FORCE: ... }        // in.number, in.argument, in.payload[]
+ *
+ *     uint8_t out[HAPSIM_MAX_FRAME];
+ *     size_t bytes = hapsim_write_to_host(&in.format, out, HAPSIM_POSITION, sample, positions);
+ *
+ * Nothing here is shared between calls: a decoder may live in an interrupt while frames are written elsewhere, as long
+ * as one context at a time works on one decoder.
+ */
+#ifndef HAPSIM_PROTOCOL_H
+#define HAPSIM_PROTOCOL_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <string.h>
+
+#define HAPSIM_VERSION 1u
+#define HAPSIM_SCHEMA_HASH 0x241a4275u
+#define HAPSIM_SETUP_SEED 0x4853u
+#define HAPSIM_MAX_CHANNELS 16
+#define HAPSIM_SHORT_CRC_CHANNELS 3
+#define HAPSIM_SAMPLE_MODULUS 4096u
+#define HAPSIM_MAX_WATCHDOG_SAMPLES 2047u
+#define HAPSIM_MAX_FRAME 74 /* bytes, delimiter included: 16 channels, to the device */
+
+/* Frame types: host to device, then device to host. */
+enum { HAPSIM_DESCRIBE = 0x1, HAPSIM_ARM = 0x2, HAPSIM_FORCE = 0x3, HAPSIM_DISARM = 0x4 };
+enum { HAPSIM_DESCRIPTION = 0x9, HAPSIM_POSITION = 0xA, HAPSIM_POSITION_HELD = 0xB, HAPSIM_STATUS = 0xC };
+
+/* The argument of an arm frame; the register `pacings` holds one bit for each that the device can. */
+enum { HAPSIM_PACED_BY_DEVICE = 0, HAPSIM_PACED_BY_HOST = 1, HAPSIM_LOCKSTEP = 2 };
+
+/* Payload 0 of a status frame: state | fault << 8. */
+enum { HAPSIM_IDLE = 0, HAPSIM_ARMED = 1, HAPSIM_LATCHED = 2 };
+enum {
+    HAPSIM_NO_FAULT = 0,
+    HAPSIM_HOST_QUIET = 1,
+    HAPSIM_POSITION_OUT_OF_RANGE = 2,
+    HAPSIM_WRONG_SCHEMA = 3,
+    HAPSIM_WRONG_PACING = 4,
+    HAPSIM_WRONG_WATCHDOG = 5,
+    HAPSIM_HARDWARE = 6
+};
+
+/* Registers, 32 bits each; an f64 takes two. Per channel: HAPSIM_REG_CHANNEL + HAPSIM_CHANNEL_WORDS * channel + ... */
+enum {
+    HAPSIM_REG_VERSION = 0,
+    HAPSIM_REG_SCHEMA = 1,
+    HAPSIM_REG_CHANNELS = 2,
+    HAPSIM_REG_PACINGS = 3,
+    HAPSIM_REG_RATE = 4,
+    HAPSIM_REG_MAX_WATCHDOG = 6,
+    HAPSIM_REG_FAULT = 7,
+    HAPSIM_REG_ACCEPTED = 8,
+    HAPSIM_REG_REJECTED = 9,
+    HAPSIM_REG_HELD = 10,
+    HAPSIM_REG_EXPIRED = 11,
+    HAPSIM_REG_LIMITED = 12,
+    HAPSIM_REG_NAME = 16,
+    HAPSIM_NAME_WORDS = 4,
+    HAPSIM_REG_CHANNEL = 32,
+    HAPSIM_CHANNEL_WORDS = 8,
+    HAPSIM_REG_POSITION_SCALE = 0,
+    HAPSIM_REG_FORCE_SCALE = 2,
+    HAPSIM_REG_FORCE_LIMIT = 4,
+    HAPSIM_REGISTERS = 160
+};
+
+/* How frames look at the moment: made by hapsim_setup_format or hapsim_armed_format. */
+typedef struct {
+    uint8_t channels;
+    bool long_check; /* CRC-32C instead of CRC-16/DNP */
+    uint32_t seed;   /* start value of the check */
+} hapsim_format;
+
+#define HAPSIM_RECENT 128u /* a power of two above the longest frame */
+
+/* Reads the frames of the host. After hapsim_take_byte returned true: type, number, argument, payload. */
+typedef struct {
+    hapsim_format format;
+    uint8_t type;
+    uint16_t number;
+    uint8_t argument;
+    int32_t payload[HAPSIM_MAX_CHANNELS];
+    uint32_t accepted, crc_errors, length_errors, form_errors, garbage_bytes;
+    uint32_t seen; /* bytes since the last delimiter */
+    uint8_t at;    /* where the next byte goes in `recent` */
+    uint8_t recent[HAPSIM_RECENT];
+} hapsim_decoder;
+
+static inline hapsim_format hapsim_setup_format(void) {
+    hapsim_format format = {1, false, HAPSIM_SETUP_SEED};
+    return format;
+}
+
+/* The format between arm and disarm of a device with 1 to 16 channels. */
+static inline hapsim_format hapsim_armed_format(uint8_t channels) {
+    hapsim_format format = {channels, channels > HAPSIM_SHORT_CRC_CHANNELS, HAPSIM_SCHEMA_HASH};
+    if (!format.long_check) {
+        format.seed = (HAPSIM_SCHEMA_HASH ^ (HAPSIM_SCHEMA_HASH >> 16)) & 0xFFFFu;
+    }
+    return format;
+}
+
+static inline uint8_t hapsim_check_bytes(const hapsim_format *format) {
+    return format->long_check ? 5 : 3;
+}
+
+/* CRC-16/DNP and CRC-32C, four bits at a time. */
+static inline uint32_t hapsim_check(const hapsim_format *format, const uint8_t *data, size_t bytes) {
+    static const uint32_t dnp[16] = {0x0000, 0xb26b, 0x29af, 0x9bc4, 0x535e, 0xe135, 0x7af1, 0xc89a,
+                                     0xa6bc, 0x14d7, 0x8f13, 0x3d78, 0xf5e2, 0x4789, 0xdc4d, 0x6e26};
+    static const uint32_t castagnoli[16] = {
+        0x00000000u, 0x105ec76fu, 0x20bd8edeu, 0x30e349b1u, 0x417b1dbcu, 0x5125dad3u, 0x61c69362u, 0x7198540du,
+        0x82f63b78u, 0x92a8fc17u, 0xa24bb5a6u, 0xb21572c9u, 0xc38d26c4u, 0xd3d3e1abu, 0xe330a81au, 0xf36e6f75u};
+    const uint32_t *table = format->long_check ? castagnoli : dnp;
+    uint32_t crc = format->seed;
+    for (size_t i = 0; i < bytes; i++) {
+        crc = (crc >> 4) ^ table[(crc ^ data[i]) & 15u];
+        crc = (crc >> 4) ^ table[(crc ^ ((uint32_t)data[i] >> 4)) & 15u];
+    }
+    return crc ^ (format->long_check ? 0xFFFFFFFFu : 0xFFFFu);
+}
+
+/* Byte i of the check as it is sent: seven bits, the lowest first, and the high bit set. */
+static inline uint8_t hapsim_check_byte(uint32_t check, uint8_t i) {
+    return (uint8_t)(0x80u | ((check >> (7u * i)) & 0x7Fu));
+}
+
+/* COBS for bodies of at most 253 bytes, in place: the body stands in buffer[1 .. bytes - 1]. */
+static inline void hapsim_stuff(uint8_t *buffer, size_t bytes) {
+    size_t last = 0;
+    for (size_t i = 1; i < bytes; i++) {
+        if (buffer[i] == 0) {
+            buffer[last] = (uint8_t)(i - last);
+            last = i;
+        }
+    }
+    buffer[last] = (uint8_t)(bytes - last);
+}
+
+/* The way back. False where the codes do not add up. */
+static inline bool hapsim_unstuff(uint8_t *buffer, size_t bytes) {
+    size_t at = 0;
+    while (at < bytes) {
+        size_t following = at + buffer[at];
+        if (following == at || following > bytes) {
+            return false;
+        }
+        buffer[at] = 0;
+        at = following;
+    }
+    return true;
+}
+
+/* Writes a frame of the device into `out`, which has room for HAPSIM_MAX_FRAME bytes: how many it takes. `payload`: one
+ * value for every channel of the format; in the set-up format that is one. */
+static inline size_t hapsim_write_to_host(const hapsim_format *format, uint8_t *out, uint8_t type, uint16_t number,
+                                          const int32_t *payload) {
+    size_t at = 1;
+    out[at++] = (uint8_t)((type << 4) | ((number >> 8) & 0xF));
+    out[at++] = (uint8_t)(number & 0xFF);
+    for (uint8_t channel = 0; channel < format->channels; channel++) {
+        uint32_t word = (uint32_t)payload[channel];
+        for (uint8_t shift = 0; shift < 32; shift += 8) {
+            out[at++] = (uint8_t)((word >> shift) & 0xFFu);
+        }
+    }
+    hapsim_stuff(out, at);
+    uint32_t check = hapsim_check(format, out, at);
+    for (uint8_t i = 0; i < hapsim_check_bytes(format); i++) {
+        out[at++] = hapsim_check_byte(check, i);
+    }
+    out[at++] = 0;
+    return at;
+}
+
+/* From the next byte on, frames of this format are expected; an unfinished one is forgotten, the counters stay. */
+static inline void hapsim_use_format(hapsim_decoder *decoder, hapsim_format format) {
+    decoder->format = format;
+    decoder->seen = 0;
+}
+
+static inline void hapsim_decoder_init(hapsim_decoder *decoder) {
+    memset(decoder, 0, sizeof *decoder);
+    hapsim_use_format(decoder, hapsim_setup_format());
+}
+
+/* The fields of a body; false where the type is none that a host sends. */
+static inline bool hapsim_read_body(hapsim_decoder *decoder, const uint8_t *body) {
+    uint8_t type = (uint8_t)(body[0] >> 4);
+    if (type < HAPSIM_DESCRIBE || type > HAPSIM_DISARM) {
+        return false;
+    }
+    decoder->type = type;
+    decoder->number = (uint16_t)(((body[0] & 0xFu) << 8) | body[1]);
+    decoder->argument = body[2];
+    for (uint8_t channel = 0; channel < decoder->format.channels; channel++) {
+        const uint8_t *at = body + 3 + 4 * channel;
+        uint32_t word = at[0] | (uint32_t)at[1] << 8 | (uint32_t)at[2] << 16 | (uint32_t)at[3] << 24;
+        memcpy(&decoder->payload[channel], &word, sizeof word);
+    }
+    return true;
+}
+
+/* Looks at the last bytes before a delimiter, as many as a frame has. */
+static inline bool hapsim_accept(hapsim_decoder *decoder) {
+    const uint32_t encoded = 4u + 4u * decoder->format.channels;
+    const uint32_t length = encoded + hapsim_check_bytes(&decoder->format);
+    const uint32_t seen = decoder->seen;
+    uint8_t frame[HAPSIM_RECENT];
+    decoder->seen = 0;
+    if (seen < length) {
+        decoder->length_errors += seen > 0; /* two delimiters in a row are no error */
+        return false;
+    }
+    decoder->garbage_bytes += seen - length;
+    for (uint32_t i = 0; i < length; i++) {
+        frame[i] = decoder->recent[(decoder->at + HAPSIM_RECENT - length + i) % HAPSIM_RECENT];
+    }
+    const uint32_t check = hapsim_check(&decoder->format, frame, encoded);
+    for (uint8_t i = 0; i < length - encoded; i++) {
+        if (frame[encoded + i] != hapsim_check_byte(check, i)) {
+            decoder->crc_errors++;
+            return false;
+        }
+    }
+    if (!hapsim_unstuff(frame, encoded) || !hapsim_read_body(decoder, frame + 1)) {
+        decoder->form_errors++;
+        return false;
+    }
+    decoder->accepted++;
+    return true;
+}
+
+/* Takes one byte of the host. True when it completes a valid frame, which is then in the decoder. */
+static inline bool hapsim_take_byte(hapsim_decoder *decoder, uint8_t byte) {
+    if (byte == 0) {
+        return hapsim_accept(decoder);
+    }
+    decoder->recent[decoder->at] = byte;
+    decoder->at = (uint8_t)((decoder->at + 1u) % HAPSIM_RECENT);
+    if (decoder->seen < UINT32_MAX) {
+        decoder->seen++;
+    }
+    return false;
+}
+
+/* Samples between the one that lasts now and the one that a force answers. */
+static inline uint16_t hapsim_age(uint32_t sample, uint16_t number) {
+    return (uint16_t)((sample - number) % HAPSIM_SAMPLE_MODULUS);
+}
+
+/* Half of an f64 register pair: the low word stands first. For compilers whose double has 64 bits. */
+static inline uint32_t hapsim_f64_word(double value, bool high) {
+    uint64_t bits = 0;
+    memcpy(&bits, &value, sizeof value < sizeof bits ? sizeof value : sizeof bits);
+    return (uint32_t)(high ? bits >> 32 : bits & 0xFFFFFFFFu);
+}
+
+#endif

@@ -1,0 +1,44 @@
+"""Writes vectors.json and the generated parts of PROTOCOL.md: `python -m firmware_protocol.make_vectors`.
+
+Run it after a change of the protocol; a test fails until it was. The C header's constants are changed by hand.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from firmware_protocol.document import with_blocks
+from firmware_protocol.vectors import vectors
+
+_HERE = Path(__file__).parent
+VECTORS = _HERE / "vectors.json"
+DOCUMENT = _HERE / "PROTOCOL.md"
+
+
+def vectors_text() -> str:
+    """vectors.json as it has to be: one vector a line, so that a difference can be read."""
+    members = [f"{json.dumps(name)}: {_member(value)}" for name, value in vectors().items()]
+    return "{\n" + ",\n".join(members) + "\n}\n"
+
+
+def document_text() -> str:
+    """PROTOCOL.md as it has to be."""
+    return with_blocks(DOCUMENT.read_text("utf-8"))
+
+
+def _member(value: Any) -> str:
+    if not isinstance(value, list):
+        return json.dumps(value)
+    return "[\n" + ",\n".join(json.dumps(entry) for entry in value) + "\n]"
+
+
+def main() -> None:
+    VECTORS.write_text(vectors_text(), "utf-8")
+    DOCUMENT.write_text(document_text(), "utf-8")
+    print(f"wrote {VECTORS} and {DOCUMENT}")
+
+
+if __name__ == "__main__":
+    main()

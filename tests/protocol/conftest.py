@@ -1,0 +1,112 @@
+"""A decoder in plain Python, written from PROTOCOL.md and from nothing else: it shares no line with the codec."""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import firmware_protocol
+
+PACKAGE = Path(firmware_protocol.__file__).parent
+TYPES = {
+    "to_device": {1: "describe", 2: "arm", 3: "force", 4: "disarm"},
+    "to_host": {9: "description", 10: "position", 11: "position_held", 12: "status"},
+}
+
+
+def plain_crc(data: bytes, bits: int, start: int) -> int:
+    """Section 2.3, bit by bit: CRC-16/DNP or CRC-32C."""
+    reversed_polynomial, final_xor = {16: (0xA6BC, 0xFFFF), 32: (0x82F63B78, 0xFFFFFFFF)}[bits]
+    crc = start
+    for byte in data:
+        crc ^= byte
+        for _ in range(8):
+            crc = (crc >> 1) ^ reversed_polynomial if crc & 1 else crc >> 1
+    return crc ^ final_xor
+
+
+def plain_unstuffed(encoded: bytes) -> bytes | None:
+    """Section 2.2: the body, or None where the chain does not end at the end."""
+    body, at = bytearray(encoded), 0
+    while at < len(encoded):
+        code = encoded[at]
+        body[at] = 0
+        at += code
+        if code == 0 or at > len(encoded):
+            return None
+    return bytes(body[1:])
+
+
+class PlainDecoder:
+    """Section 2.5, for one direction; `wire` is an entry of the vectors' `formats`."""
+
+    def __init__(self, wire: dict[str, Any], direction: str) -> None:
+        self.direction = direction
+        self.counters = Counter(accepted=0, crc_errors=0, length_errors=0, form_errors=0, garbage_bytes=0)
+        self.use(wire)
+
+    def use(self, wire: dict[str, Any]) -> None:
+        self.wire, self.seen = wire, bytearray()
+
+    def read(self, data: bytes) -> list[dict[str, Any]]:
+        frames = []
+        for byte in data:
+            if byte:
+                self.seen.append(byte)
+                continue
+            stretch, self.seen = bytes(self.seen), bytearray()
+            frame = self._look_at(stretch) if stretch else None
+            if frame is not None:
+                frames.append(frame)
+        return frames
+
+    def _look_at(self, stretch: bytes) -> dict[str, Any] | None:
+        bits, channels = self.wire["check_bits"], self.wire["channels"]
+        encoded = 1 + 2 + (self.direction == "to_device") + 4 * channels
+        length = encoded + {16: 3, 32: 5}[bits]
+        if len(stretch) < length:
+            self.counters["length_errors"] += 1
+            return None
+        self.counters["garbage_bytes"] += len(stretch) - length
+        candidate = stretch[len(stretch) - length :]
+        check = plain_crc(candidate[:encoded], bits, self.wire["seed"])
+        if candidate[encoded:] != bytes(0x80 | (check >> 7 * i) & 0x7F for i in range(length - encoded)):
+            self.counters["crc_errors"] += 1
+            return None
+        frame = self._fields(plain_unstuffed(candidate[:encoded]))
+        self.counters["form_errors" if frame is None else "accepted"] += 1
+        return frame
+
+    def _fields(self, body: bytes | None) -> dict[str, Any] | None:
+        if body is None or body[0] >> 4 not in TYPES[self.direction]:
+            return None
+        frame: dict[str, Any] = {"type": TYPES[self.direction][body[0] >> 4]}
+        frame["number"] = (body[0] & 0xF) << 8 | body[1]
+        if self.direction == "to_device":
+            frame["argument"] = body[2]
+        payload = body[3:] if self.direction == "to_device" else body[2:]
+        frame["payload"] = list(struct.unpack(f"<{self.wire['channels']}i", payload))
+        return frame
+
+
+@pytest.fixture(scope="session")
+def plain_decoder() -> type[PlainDecoder]:
+    return PlainDecoder
+
+
+@pytest.fixture(scope="session")
+def vectors() -> dict[str, Any]:
+    """vectors.json, as another language would read it."""
+    document: dict[str, Any] = json.loads((PACKAGE / "vectors.json").read_text("utf-8"))
+    return document
+
+
+@pytest.fixture(scope="session")
+def formats(vectors: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """The vectors' formats by name."""
+    return {wire["name"]: wire for wire in vectors["formats"]}

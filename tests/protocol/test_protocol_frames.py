@@ -1,0 +1,198 @@
+"""Single frames: what goes in comes out, and what belongs somewhere else is refused and counted for what it is."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from cobs import cobs
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from firmware_protocol import schema
+from firmware_protocol.decoder import Frame, frames_in, new_decoder
+from firmware_protocol.frames import (
+    SETUP,
+    Format,
+    armed_format,
+    frame_bytes,
+    frame_to_device,
+    frame_to_host,
+    write_to_device,
+    write_to_host,
+)
+from firmware_protocol.vectors import COUNTERS, TO_DEVICE, TO_HOST, sealed
+
+LOWEST, HIGHEST = -(2**31), 2**31 - 1
+words = st.one_of(st.integers(LOWEST, HIGHEST), st.sampled_from([LOWEST, HIGHEST, 0, -1, 1, 255, 256, -256]))
+codes = st.one_of(st.integers(1, 6), st.integers(1, 255))
+formats = st.one_of(st.just(SETUP), st.integers(1, 16).map(armed_format))
+
+
+def read(wire: Format, to_device: bool, data: bytes) -> tuple[list[Frame], dict[str, int]]:
+    """The frames in `data`, and the counters that are not zero."""
+    decoder = new_decoder(wire, to_device)
+    frames = frames_in(decoder, data)
+    return frames, {name: int(decoder[name]) for name in COUNTERS if decoder[name]}
+
+
+@settings(max_examples=400, deadline=None)
+@given(formats, st.sampled_from(sorted(TO_HOST.values())), st.integers(0, 4095), st.data())
+def test_a_frame_to_the_host_comes_back_as_it_was(wire: Format, kind: int, number: int, data: st.DataObject) -> None:
+    counts = data.draw(st.lists(words, min_size=wire.channels, max_size=wire.channels))
+    sent = frame_to_host(wire, kind, number, counts)
+    assert len(sent) == frame_bytes(wire, to_device=False) == schema.frame_bytes(wire.channels, to_device=False)
+    assert sent.index(0) == len(sent) - 1
+    assert read(wire, False, sent) == ([Frame(kind, number, 0, tuple(counts))], {"accepted": 1})
+
+
+@settings(max_examples=400, deadline=None)
+@given(formats, st.sampled_from(sorted(TO_DEVICE.values())), st.integers(0, 4095), st.integers(0, 255), st.data())
+def test_a_frame_to_the_device_comes_back_as_it_was(
+    wire: Format, kind: int, number: int, argument: int, data: st.DataObject
+) -> None:
+    counts = data.draw(st.lists(words, min_size=wire.channels, max_size=wire.channels))
+    sent = frame_to_device(wire, kind, number, argument, counts)
+    assert len(sent) == frame_bytes(wire, to_device=True) == schema.frame_bytes(wire.channels, to_device=True)
+    assert sent.index(0) == len(sent) - 1
+    assert read(wire, True, sent) == ([Frame(kind, number, argument, tuple(counts))], {"accepted": 1})
+
+
+def test_every_sample_number_survives_its_twelve_bits() -> None:
+    wire = armed_format(1)
+    decoder = new_decoder(wire, to_device=False)
+    sent = b"".join(frame_to_host(wire, schema.POSITION, number, [0]) for number in range(4096))
+    assert [frame.number for frame in frames_in(decoder, sent)] == list(range(4096))
+
+
+def test_the_compiled_writers_write_where_they_are_told_and_cut_what_does_not_fit() -> None:
+    wire = armed_format(2)
+    counts = np.array([2**31, -(2**31) - 1])
+    buffer = np.full(64, 0xEE, np.uint8)
+    stop = write_to_device(wire, buffer, 10, schema.FORCE, 4096 + 5, 256 + 7, counts)
+    assert (buffer[:10] == 0xEE).all()
+    assert (buffer[stop:] == 0xEE).all()
+    expected = Frame(schema.FORCE, 5, 7, (-(2**31), 2**31 - 1))
+    assert read(wire, True, buffer[10:stop].tobytes())[0] == [expected]
+    stop = write_to_host(wire, buffer, 20, schema.POSITION, -1, counts)
+    assert read(wire, False, buffer[20:stop].tobytes())[0] == [Frame(schema.POSITION, 4095, 0, expected.counts)]
+
+
+@pytest.mark.parametrize("fields", [(16, 0, 0), (-1, 0, 0), (3, 4096, 0), (3, -1, 0), (3, 0, 256), (3, 0, -1)])
+def test_a_field_that_does_not_fit_is_an_error_and_not_another_field(fields: tuple[int, int, int]) -> None:
+    with pytest.raises(ValueError, match="a frame carries"):
+        frame_to_device(armed_format(1), *fields, [0])
+
+
+@pytest.mark.parametrize("counts", [[], [1], [1, 2, 3], [[1, 2]], [2**31, 0], [0, -(2**31) - 1]])
+def test_counts_that_do_not_fit_the_format_are_an_error(counts: list[int]) -> None:
+    with pytest.raises(ValueError, match="counts"):
+        frame_to_device(armed_format(2), schema.FORCE, 0, 0, counts)
+    with pytest.raises(ValueError, match="counts"):
+        frame_to_host(armed_format(2), schema.POSITION, 0, counts)
+
+
+@pytest.mark.parametrize("channels", [-1, 0, 17])
+def test_there_is_no_format_outside_of_1_to_16_channels(channels: int) -> None:
+    with pytest.raises(ValueError, match="1 to 16"):
+        armed_format(channels)
+
+
+@settings(max_examples=300, deadline=None)
+@given(formats, st.booleans(), st.integers(1, 0xFFFFFFFF), st.integers(0, 4095), words)
+def test_a_frame_from_another_start_value_is_a_crc_error(
+    wire: Format, to_device: bool, change: int, number: int, word: int
+) -> None:
+    change = change if wire.long_check else (change & 0xFFFF or 1)
+    stranger = Format(wire.channels, wire.long_check, wire.seed ^ change)
+    counts = [word] * wire.channels
+    sent = (
+        frame_to_device(stranger, schema.FORCE, number, 1, counts)
+        if to_device
+        else frame_to_host(stranger, schema.POSITION, number, counts)
+    )
+    assert read(wire, to_device, sent) == ([], {"crc_errors": 1})
+
+
+@settings(max_examples=300, deadline=None)
+@given(formats, formats, st.booleans(), st.sampled_from([0, 1, 2, 3]), st.integers(0, 4095), words)
+def test_a_frame_of_another_format_is_never_accepted(
+    wire: Format, other: Format, to_device: bool, kind: int, number: int, word: int
+) -> None:
+    counts = [word] * other.channels
+    sent = (
+        frame_to_device(other, schema.DESCRIBE + kind, number, 1, counts)
+        if to_device
+        else frame_to_host(other, schema.DESCRIPTION + kind, number, counts)
+    )
+    frames, counted = read(wire, to_device, sent)
+    if other == wire:
+        assert len(frames) == 1
+    elif len(sent) < frame_bytes(wire, to_device):
+        assert (frames, counted) == ([], {"length_errors": 1})
+    elif len(sent) == frame_bytes(wire, to_device):
+        assert (frames, counted) == ([], {"crc_errors": 1})
+    else:
+        assert frames == []
+        assert counted.pop("garbage_bytes") == len(sent) - frame_bytes(wire, to_device)
+        assert sum(counted.values()) == 1
+
+
+@settings(max_examples=300, deadline=None)
+@given(formats, st.sampled_from(sorted(TO_HOST.values())), st.integers(0, 4095), words)
+def test_a_device_that_hears_itself_counts_frames_that_are_too_short(
+    wire: Format, kind: int, number: int, word: int
+) -> None:
+    assert read(wire, True, frame_to_host(wire, kind, number, [word] * wire.channels)) == ([], {"length_errors": 1})
+
+
+@settings(max_examples=300, deadline=None)
+@given(formats, st.sampled_from(sorted(TO_DEVICE.values())), st.integers(0, 4095), st.integers(0, 255), words)
+def test_a_host_that_hears_itself_accepts_nothing(
+    wire: Format, kind: int, number: int, argument: int, word: int
+) -> None:
+    frames, counted = read(wire, False, frame_to_device(wire, kind, number, argument, [word] * wire.channels))
+    assert frames == []
+    assert counted.pop("garbage_bytes") == 1
+    assert sum(counted.values()) == 1
+
+
+@pytest.mark.parametrize("channels", [1, 2, 3])
+def test_an_echo_s_header_points_beyond_the_end_of_a_short_frame(channels: int) -> None:
+    # Why a host with up to three channels never takes its own frame for the device's, whatever the check says.
+    assert min(TO_DEVICE.values()) << 4 > schema.encoded_bytes(channels, to_device=False)
+
+
+@pytest.mark.parametrize("to_device", [False, True])
+@pytest.mark.parametrize("wire", [SETUP, armed_format(1), armed_format(4)])
+def test_an_unknown_type_under_a_right_check_is_a_form_error(wire: Format, to_device: bool) -> None:
+    known = set((TO_DEVICE if to_device else TO_HOST).values())
+    counts = [5] * wire.channels
+    for kind in range(16):
+        sent = frame_to_device(wire, kind, 1, 2, counts) if to_device else frame_to_host(wire, kind, 1, counts)
+        assert read(wire, to_device, sent)[1] == ({"accepted": 1} if kind in known else {"form_errors": 1})
+
+
+@settings(max_examples=500, deadline=None)
+@given(formats, st.booleans(), st.data())
+def test_codes_that_do_not_add_up_under_a_right_check_are_a_form_error(
+    wire: Format, to_device: bool, data: st.DataObject
+) -> None:
+    length = schema.encoded_bytes(wire.channels, to_device)
+    encoded = bytes(data.draw(st.lists(codes, min_size=length, max_size=length)))
+    try:
+        kind = cobs.decode(encoded)[0] >> 4
+    except cobs.DecodeError:
+        kind = None
+    known = kind in (TO_DEVICE if to_device else TO_HOST).values()
+    assert read(wire, to_device, sealed(wire, encoded))[1] == ({"accepted": 1} if known else {"form_errors": 1})
+
+
+@pytest.mark.parametrize("wire", [SETUP, armed_format(3), armed_format(16)])
+def test_every_constant_bit_of_the_check_is_looked_at(wire: Format) -> None:
+    sent = frame_to_device(wire, schema.FORCE, 1, 2, [3] * wire.channels)
+    check_bytes = 5 if wire.long_check else 3
+    for i in range(check_bytes):
+        for bit in range(8):
+            at = len(sent) - 1 - check_bytes + i
+            damaged = sent[:at] + bytes([sent[at] ^ 1 << bit]) + sent[at + 1 :]
+            assert read(wire, True, damaged)[0] == []

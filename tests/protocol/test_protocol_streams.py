@@ -1,0 +1,171 @@
+"""Frames out of a stream: split anywhere, after anything, in formats that change."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from firmware_protocol.decoder import Frame, frames_in, new_decoder, use_format
+from firmware_protocol.vectors import COUNTERS, FORMATS, NAMES, TO_DEVICE, TYPES, frame, sealed
+
+EVERY_FORMAT_AND_DIRECTION = [(name, kind) for name in FORMATS for kind in ("force", "position")]
+
+
+def new(name: str, kind: str) -> np.void:
+    return new_decoder(FORMATS[name], kind in TO_DEVICE)
+
+
+def some(name: str, kind: str, number: int) -> tuple[bytes, Frame]:
+    """A frame with a word of its own in every channel."""
+    counts = [number * 7919 - (c << 20) for c in range(FORMATS[name].channels)]
+    argument = 9 if kind in TO_DEVICE else 0
+    return frame(name, kind, number, argument, counts), Frame(TYPES[kind], number, argument, tuple(counts))
+
+
+def counters(decoder: np.void) -> dict[str, int]:
+    return {name: int(decoder[name]) for name in COUNTERS}
+
+
+@pytest.mark.parametrize(("name", "kind"), EVERY_FORMAT_AND_DIRECTION)
+def test_a_frame_split_at_any_byte_is_read_once_its_delimiter_is_there(name: str, kind: str) -> None:
+    data, expected = some(name, kind, 300)
+    for at in range(len(data)):
+        decoder = new(name, kind)
+        assert frames_in(decoder, data[:at]) == []
+        assert frames_in(decoder, data[at:]) == [expected]
+
+
+@pytest.mark.parametrize(("name", "kind"), EVERY_FORMAT_AND_DIRECTION)
+def test_a_frame_is_read_byte_by_byte(name: str, kind: str) -> None:
+    decoder = new(name, kind)
+    data, expected = some(name, kind, 4095)
+    read = [frames_in(decoder, bytes([byte])) for byte in data]
+    assert read == [[]] * (len(data) - 1) + [[expected]]
+
+
+@pytest.mark.parametrize(("name", "kind"), EVERY_FORMAT_AND_DIRECTION)
+def test_many_frames_in_one_read_all_come_out_in_order(name: str, kind: str) -> None:
+    sent = [some(name, kind, number) for number in range(200)]
+    decoder = new(name, kind)
+    assert frames_in(decoder, b"".join(data for data, _ in sent)) == [expected for _, expected in sent]
+    assert counters(decoder) == dict.fromkeys(COUNTERS, 0) | {"accepted": 200}
+
+
+@pytest.mark.parametrize(("name", "kind"), EVERY_FORMAT_AND_DIRECTION)
+def test_after_garbage_of_every_length_around_the_memory_s_size_the_next_frame_is_accepted(
+    name: str, kind: str
+) -> None:
+    data, expected = some(name, kind, 77)
+    for length in [*range(300), 100_003]:
+        decoder = new(name, kind)
+        assert frames_in(decoder, b"\x55" * length + data) == [expected]
+        assert counters(decoder) == dict.fromkeys(COUNTERS, 0) | {"accepted": 1, "garbage_bytes": length}
+
+
+@settings(max_examples=400, deadline=None)
+@given(st.sampled_from(EVERY_FORMAT_AND_DIRECTION), st.binary(max_size=400), st.integers(0, 4095))
+def test_after_any_bytes_the_next_whole_frame_is_accepted(where: tuple[str, str], garbage: bytes, number: int) -> None:
+    data, expected = some(*where, number)
+    assert frames_in(new(*where), garbage + data)[-1] == expected
+
+
+@pytest.mark.parametrize(("name", "kind"), EVERY_FORMAT_AND_DIRECTION)
+def test_a_lost_delimiter_costs_one_frame(name: str, kind: str) -> None:
+    (first, _), (second, expected) = some(name, kind, 1), some(name, kind, 2)
+    for glue in (b"", b"\x01", b"\x80", b"\xff"):
+        assert frames_in(new(name, kind), first[:-1] + glue + second) == [expected]
+
+
+@pytest.mark.parametrize(("name", "kind"), EVERY_FORMAT_AND_DIRECTION)
+def test_a_frame_that_lost_any_of_its_bytes_is_refused_as_too_short(name: str, kind: str) -> None:
+    (first, before), (hit, _), (last, after) = (some(name, kind, number) for number in (1, 2, 3))
+    for start in range(len(hit) - 1):
+        for stop in range(start + 1, len(hit)):
+            decoder = new(name, kind)
+            assert frames_in(decoder, first + hit[:start] + hit[stop:] + last) == [before, after]
+            whole_frame_gone = stop - start == len(hit) - 1
+            assert decoder["length_errors"] == (0 if whole_frame_gone else 1)
+
+
+def test_delimiters_alone_are_no_error() -> None:
+    decoder = new("armed_1", "force")
+    assert frames_in(decoder, b"\0" * 1000) == []
+    assert counters(decoder) == dict.fromkeys(COUNTERS, 0)
+
+
+@pytest.mark.parametrize("later", sorted(FORMATS))
+@pytest.mark.parametrize("earlier", sorted(FORMATS))
+def test_a_frame_begun_in_one_format_is_forgotten_in_the_next_and_counters_go_on(earlier: str, later: str) -> None:
+    decoder = new(earlier, "force")
+    (begun, first), (data, second) = some(earlier, "force", 5), some(later, "force", 6)
+    assert frames_in(decoder, begun + begun[:-2]) == [first]
+    use_format(decoder, FORMATS[later])
+    assert frames_in(decoder, data) == [second]
+    assert counters(decoder) == dict.fromkeys(COUNTERS, 0) | {"accepted": 2}
+
+
+def test_a_decoder_taken_through_formats_reads_as_a_new_one_does() -> None:
+    used = new("armed_16", "position")
+    for name in [*FORMATS, *reversed(FORMATS), "armed_16", "armed_1", "armed_16"]:
+        use_format(used, FORMATS[name])
+        data, expected = some(name, "position", 9)
+        assert frames_in(used, b"\xff" * 130 + data + data[:7]) == [expected]
+
+
+@st.composite
+def pieces(draw: st.DrawFn) -> tuple[str, str, list[bytes]]:
+    """A stream of good frames, damaged ones, strangers and noise, in pieces."""
+    name, kind = draw(st.sampled_from(EVERY_FORMAT_AND_DIRECTION))
+    good = some(name, kind, draw(st.integers(0, 4095)))[0]
+    at = draw(st.integers(0, len(good) - 1))
+    encoded = draw(st.binary(min_size=len(good) - 4, max_size=len(good) - 4).map(lambda b: b.replace(b"\0", b"\1")))
+    wire = FORMATS[name]
+    some_pieces = [
+        good,
+        good[:at],
+        good[at:],
+        good[:at] + bytes([good[at] ^ draw(st.integers(1, 255))]) + good[at + 1 :],
+        good[:at] + draw(st.binary(max_size=3)) + good[at:],
+        sealed(wire, encoded[: len(good) - (6 if wire.long_check else 4)]),
+        some(draw(st.sampled_from(sorted(FORMATS))), kind, 1)[0],
+        some(name, "position" if kind == "force" else "force", 1)[0],
+        draw(st.binary(max_size=90)),
+    ]
+    return name, kind, draw(st.lists(st.sampled_from(some_pieces), max_size=12))
+
+
+@settings(max_examples=400, deadline=None)
+@given(pieces(), st.data())
+def test_chunks_of_any_size_give_the_same_frames_and_counters_as_one_read(
+    stream: tuple[str, str, list[bytes]], data: st.DataObject
+) -> None:
+    name, kind, parts = stream
+    whole = b"".join(parts)
+    cuts = sorted(data.draw(st.lists(st.integers(0, len(whole)), max_size=20)))
+    at_once, in_chunks = new(name, kind), new(name, kind)
+    expected = frames_in(at_once, whole)
+    bounds = zip([0, *cuts], [*cuts, len(whole)], strict=True)
+    assert [read for start, stop in bounds for read in frames_in(in_chunks, whole[start:stop])] == expected
+    assert counters(in_chunks) == counters(at_once)
+
+
+@settings(max_examples=400, deadline=None)
+@given(pieces())
+def test_any_stream_reads_as_the_document_says(
+    plain_decoder: Any, formats: dict[str, Any], stream: tuple[str, str, list[bytes]]
+) -> None:
+    name, kind, parts = stream
+    decoder, plain = new(name, kind), plain_decoder(formats[name], "to_device" if kind in TO_DEVICE else "to_host")
+    expected = plain.read(b"".join(parts))
+    assert [as_plain(read) for read in frames_in(decoder, b"".join(parts))] == expected
+    assert counters(decoder) == dict(plain.counters)
+
+
+def as_plain(read: Frame) -> dict[str, Any]:
+    kind = NAMES[read.type]
+    argument = {"argument": read.argument} if kind in TO_DEVICE else {}
+    return {"type": kind, "number": read.number} | argument | {"payload": list(read.counts)}
