@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import sys
 from pathlib import Path
@@ -13,6 +14,13 @@ from hapsim.errors import HapsimError, UsageError
 
 if TYPE_CHECKING:
     from hapsim.scene import Scene
+
+
+def _seconds(value: float | None) -> float | None:
+    if value is not None and not 0 < value < float("inf"):
+        raise UsageError(f"--duration: found {value:g}, expected a finite number of seconds above 0")
+    return value
+
 
 app = typer.Typer(
     name="hapsim",
@@ -37,7 +45,9 @@ def run(
     port: Port = None,
     mock: MockFlag = False,
     line: Line = None,
-    duration: Annotated[float | None, typer.Option(metavar="S", help="Seconds; left out: until stopped.")] = None,
+    duration: Annotated[
+        float | None, typer.Option(metavar="S", callback=_seconds, help="Seconds; left out: until stopped.")
+    ] = None,
     record: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the trace: .npz or .csv.")] = None,
     json: Json = False,
 ) -> None:
@@ -103,7 +113,9 @@ def measure(
     mock: MockFlag = False,
     line: Line = None,
     channel: Annotated[int | None, typer.Option(help="The channel whose hand is rung; left out: the first.")] = None,
-    duration: Annotated[float | None, typer.Option(metavar="S", help="Seconds; left out: about two.")] = None,
+    duration: Annotated[
+        float | None, typer.Option(metavar="S", callback=_seconds, help="Seconds; left out: about two.")
+    ] = None,
     picture: Annotated[Path | None, typer.Option(metavar="FILE", help="Draw the ring-down: .svg, .png, .pdf.")] = None,
     data: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the picture's numbers: .csv.")] = None,
     record: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the trace: .npz or .csv.")] = None,
@@ -149,7 +161,7 @@ def measure(
         show_measurement(_stdout(), felt, measurement)
         show_report(_stdout(), trace.report)
         if picture is not None:
-            _stdout().print(f"\nPicture: {picture}", soft_wrap=True)
+            print(f"\nPicture: {picture}")
 
 
 @app.command()
@@ -194,7 +206,7 @@ def new(path: Annotated[Path, typer.Argument(help="Where to write it.")] = Path(
     if not path.resolve().parent.is_dir():
         raise UsageError(f"{path}: there is no directory {path.resolve().parent}")
     path.write_text(shipped_scene("first_touch.yaml"), encoding="utf-8")
-    _stdout().print(f"Wrote {path}. Next: hapsim check {path}, then hapsim measure {path}", soft_wrap=True)
+    print(f"Wrote {path}. Next: hapsim check {path}, then hapsim measure {path}")
 
 
 @app.command()
@@ -209,6 +221,9 @@ def schema() -> None:
 
 def main() -> None:
     """The command line: every failure is a sentence and an exit status."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")  # a terminal that cannot show a character shows another
     try:
         app()
     except HapsimError as error:

@@ -68,8 +68,10 @@ class Prediction:
     """One for each device point that is a temporary hybrid system of its own, in the scene's order."""
     coupled: tuple[str, ...]
     """Device points that are not: their links lead to masses or to each other."""
-    stable: bool
+    stable: bool | None
+    """None where the scene has more points than are judged."""
     spectral_radius: float
+    """NaN where `stable` is None."""
     poles: tuple[complex, ...]
     """Of the whole closed loop, by decreasing modulus, those at zero left out."""
     modes: tuple[Mode, ...]
@@ -116,13 +118,14 @@ def predict(scene: Scene) -> Prediction:
     felt = tuple(_felt(scene, name) for name in scene.device_points if _is_alone(scene, name))
     coupled = tuple(name for name in scene.device_points if not _is_alone(scene, name))
     whole = not coupled and not scene.masses
+    # A loop of lone hands is judged by the formula, which resolves poles that rounding would place on the circle.
+    stable = all(one.stable for one in felt) if whole else bool(np.all(np.abs(poles) < 1.0))
     return Prediction(
         rate=scene.rate,
         felt=felt,
         coupled=coupled,
-        # A loop of lone hands is judged by the formula, which resolves poles that rounding would place on the circle.
-        stable=all(one.stable for one in felt) if whole else bool(np.all(np.abs(poles) < 1.0)),
-        spectral_radius=float(np.max(np.abs(poles), initial=0.0)),
+        stable=stable if small else None,
+        spectral_radius=float(np.max(np.abs(poles), initial=0.0)) if small else math.nan,
         poles=tuple(complex(pole) for pole in poles if abs(pole) > 1e-9),
         modes=tuple(network.modes()) if small else (),
         points=points,
@@ -199,7 +202,8 @@ def _stiffness_factor(configuration: Configuration, stiffness: float, damping: f
     if stiffness == 0.0:
         return math.inf
     factors = np.logspace(-12, 12, 193)
-    stable = np.asarray(configuration.is_stable(stiffness * factors, damping))
+    with np.errstate(over="ignore", invalid="ignore"):  # beyond what floating point holds nothing is stable
+        stable = np.asarray(configuration.is_stable(stiffness * factors, damping))
     if not stable.any():
         return 0.0
     # The first unstable factor above the lowest stable one: beyond it, islands of stability are no use to a hand.
@@ -218,17 +222,19 @@ def _stiffness_factor(configuration: Configuration, stiffness: float, damping: f
 
 
 def _network(scene: Scene) -> tuple[Network, tuple[str, ...]]:
-    """The whole scene as arrays: one point for every channel of the device, one for every mass."""
-    channels = scene.channels
-    names = {point.channel: name for name, point in scene.device_points.items()}
-    points = [names.get(c, f"channel {c}") for c in range(channels)] + list(scene.masses)
+    """The whole scene as arrays: one point for every device point, one for every mass.
+
+    Channels below the highest that no module holds are no part of it: what nothing touches is neither stable nor not.
+    """
+    channels = [point.channel for point in scene.device_points.values()]
+    points = [*scene.device_points, *scene.masses]
     number = {name: i for i, name in enumerate(points)} | dict.fromkeys(scene.grounds, -1)
     links = _links(scene)
     device = scene.device
     network = Network(
         rate=scene.rate,
-        channel_mass=np.array(device.masses(channels)),
-        channel_friction=np.array(device.frictions(channels)),
+        channel_mass=np.array(device.masses(scene.channels))[channels],
+        channel_friction=np.array(device.frictions(scene.channels))[channels],
         delay=device.delay,
         hold=device.hold,
         sampling=device.sampling,

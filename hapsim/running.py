@@ -32,6 +32,7 @@ from hapsim.progress import Progress
 from hapsim.scene import Scene
 
 _RING_ROWS = 1 << 16
+_MOST_TICKS = 2.0**62
 _LOOK_S = 0.05  # how often the recorder and the live line look at the loop
 _PACING = {
     "device": schema.PACED_BY_DEVICE,
@@ -81,8 +82,8 @@ def run(
     Raises SceneError and UsageError for what cannot be run, DeviceError where port or device fail, GuardError where a
     guard stopped the force; the two last carry what was recorded as their attribute `trace`.
     """
-    if duration is not None and not duration > 0:
-        raise UsageError(f"duration: found {duration}, expected a number of seconds above 0")
+    if duration is not None and not 0 < duration * scene.rate < _MOST_TICKS:
+        raise UsageError(f"duration: found {duration}, expected a finite number of seconds above 0")
     tell = on_progress or (lambda _: None)
     with on_compilation(lambda name: tell(Progress("compiling", name))), open_line(scene, line) as opened:
         description = describe(opened)
@@ -111,6 +112,9 @@ def _require_fit(scene: Scene, line: Line, description: Description) -> None:
         raise UsageError(
             f"{line.name}: the device has {description.channels} channel(s), the scene uses {scene.channels}"
         )
+    scales = (*description.position_scale, *description.force_scale, *description.force_limit, description.rate_hz)
+    if not all(np.isfinite(scales)) or min(scales) <= 0:
+        raise DeviceError(f"{line.name}: the device declares a rate, scale or limit that is not a number above 0")
     if abs(description.rate_hz / scene.rate - 1.0) > 1e-6:
         raise UsageError(
             f"{line.name}: the device samples at {description.rate_hz:g} Hz, the scene says {scene.rate:g} Hz: "
@@ -120,9 +124,6 @@ def _require_fit(scene: Scene, line: Line, description: Description) -> None:
         raise UsageError(
             f"{line.name}: the device cannot be run with clock: {scene.device.clock}; try another clock in the scene"
         )
-    scales = (*description.position_scale, *description.force_scale, *description.force_limit)
-    if not all(np.isfinite(scales)) or min(scales) <= 0:
-        raise DeviceError(f"{line.name}: the device declares a scale or limit that is not a number above 0")
 
 
 def _assemble(
@@ -163,7 +164,11 @@ def _desk(scene: Scene, description: Description) -> Any:
     desk["channels"] = channels
     desk["position_scale"][:channels] = description.position_scale
     desk["force_scale"][:channels] = description.force_scale
-    desk["force_limit"][:channels] = np.minimum(description.force_limit, scene.device.force_limit)
+    # In whole counts, so that the rounding of a force at its limit does not go beyond it, nor a count beyond 32 bits.
+    scale, limit = np.array(description.force_scale), np.minimum(description.force_limit, scene.device.force_limit)
+    with np.errstate(over="ignore"):
+        counts = np.minimum(np.floor(limit / scale * (1.0 + 1e-12)), 2.0**31 - 1.0)
+    desk["force_limit"][:channels] = counts * scale
     return desk
 
 

@@ -6,6 +6,7 @@ import math
 from typing import TYPE_CHECKING
 
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from hapsim.prediction import Felt, LinkBudget, Prediction
@@ -15,9 +16,12 @@ if TYPE_CHECKING:
     from hapsim.measuring.identify import Measurement
 
 
+_MARGINAL = 1e-9  # of the spectral radius: a free motion, which rounding places on either side of 1
+
+
 def show_prediction(out: Console, name: str, prediction: Prediction) -> None:
     """What `hapsim check` tells."""
-    out.print(f"[bold]{name}[/bold] at {prediction.rate:g} Hz: {_stability(prediction)}")
+    out.print(f"[bold]{escape(name)}[/bold] at {prediction.rate:g} Hz: {_stability(prediction)}")
     for felt in prediction.felt:
         _show_felt(out, felt)
     for coupled in prediction.coupled:
@@ -32,8 +36,14 @@ def show_prediction(out: Console, name: str, prediction: Prediction) -> None:
 
 
 def _stability(prediction: Prediction) -> str:
-    word = "[green]stable[/green]" if prediction.stable else "[red]unstable[/red]"
-    return f"{word} (spectral radius {prediction.spectral_radius:.9g})"
+    if prediction.stable is None:
+        return f"not judged: {len(prediction.points)} points are more than the closed loop is worked out for"
+    radius = f"(spectral radius {prediction.spectral_radius:.9g})"
+    if not prediction.stable and abs(prediction.spectral_radius - 1.0) < _MARGINAL:
+        return (
+            f"[yellow]at the limit[/yellow] between stable and unstable: something drifts or swings for ever {radius}"
+        )
+    return f"{'[green]stable' if prediction.stable else '[red]unstable'}[/] {radius}"
 
 
 def _show_felt(out: Console, felt: Felt) -> None:
@@ -116,7 +126,7 @@ def show_measurement(out: Console, felt: Felt | None, measurement: Measurement) 
             label,
             _number(predicted, 9),
             _number(measured, 9),
-            "" if uncertainty is None else f"{uncertainty:.1g}",
+            "" if uncertainty is None else _number(uncertainty, 1),
             f"{difference:+.1e}" if math.isfinite(difference) else "",
         )
     out.print()

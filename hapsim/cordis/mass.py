@@ -23,7 +23,8 @@ class Masses(NamedTuple):
 
 def masses(start: int, mass: Sequence[float], rate: float) -> Masses:
     """Masses in kg that stand from point `start` on, sampled at `rate` Hz."""
-    return Masses(start, 1.0 / (np.array(mass, np.float64) * rate**2))
+    with np.errstate(over="ignore", divide="ignore"):  # the guard sees what comes of an infinity
+        return Masses(start, 1.0 / (np.array(mass, np.float64) * rate * rate))
 
 
 @jit

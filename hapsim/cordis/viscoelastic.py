@@ -30,11 +30,13 @@ def viscoelastic_links(
 ) -> ViscoElasticLinks:
     """Links between numbered points; `stiffness` in N/m, `damping` in N·s/m, `rate` in Hz."""
     pairs = np.array(ends, np.uint32).reshape(-1, 2)
+    with np.errstate(over="ignore"):  # the guard sees what comes of an infinity
+        damping_per_sample = np.array(damping, np.float64) * rate
     return ViscoElasticLinks(
         np.ascontiguousarray(pairs[:, 0]),
         np.ascontiguousarray(pairs[:, 1]),
         np.array(stiffness, np.float64),
-        np.array(damping, np.float64) * rate,
+        damping_per_sample,
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -24,7 +25,7 @@ _TRIES = 12  # together three seconds: a board that the opening of its port rese
 def describe(line: Line) -> Description:
     """Asks the device what it is. DeviceError where nothing answers, or something that does not speak version 1."""
     registers = np.zeros(schema.REGISTERS, np.int64)
-    registers[schema.REG_VERSION] = _ask(line, schema.REG_VERSION, _TRIES)
+    registers[schema.REG_VERSION] = _first_answer(line)
     registers[schema.REG_SCHEMA] = _ask(line, schema.REG_SCHEMA)
     registers[schema.REG_CHANNELS] = _ask(line, schema.REG_CHANNELS)
     _require_same_language(line, registers)
@@ -42,14 +43,19 @@ def arm(line: Line, description: Description, pacing: int, watchdog_samples: int
     """Arms the device, which then sends positions in the format returned. DeviceError where it refuses."""
     wire = armed_format(description.channels)
     schema_word = np.array([schema.SCHEMA_HASH], np.uint32).astype(np.int32).astype(np.int64)
-    answer = _exchange(
-        line, frame_to_device(SETUP, schema.ARM, watchdog_samples, pacing, schema_word), schema.STATUS, 0
-    )
+    frame = frame_to_device(SETUP, schema.ARM, watchdog_samples, pacing, schema_word)
+    answer = _exchange(line, frame, schema.STATUS, 0, fits=_answers_arming)
     state, fault = answer & 0xFF, answer >> 8 & 0xFF
     if state != schema.ARMED:
         raise DeviceError(f"{line.name}: the device does not arm: {fault_text(fault)}")
     use_format(line.decoder, wire)
     return wire
+
+
+def _answers_arming(word: int) -> bool:
+    """A status that says neither armed nor why not is a late answer to something else."""
+    refusals = (schema.WRONG_SCHEMA, schema.WRONG_PACING, schema.WRONG_WATCHDOG, schema.HARDWARE)
+    return word & 0xFF == schema.ARMED or word >> 8 & 0xFF in refusals
 
 
 def disarm(line: Line, wire: Format) -> bool:
@@ -96,16 +102,33 @@ def _require_same_language(line: Line, registers: Any) -> None:
         )
 
 
-def _ask(line: Line, register: int, tries: int = 4) -> int:
+def _first_answer(line: Line) -> int:
+    """The version. Where the device stays quiet it may still be armed, by a host that died: it is told to let go."""
+    formats = [armed_format(channels) for channels in range(1, schema.MAX_CHANNELS + 1)]
+    let_go = [frame_to_device(wire, schema.DISARM, 0, 0, np.zeros(wire.channels, np.int64)) for wire in formats]
+    return _ask(line, schema.REG_VERSION, _TRIES, b"".join(let_go))
+
+
+def _ask(line: Line, register: int, tries: int = 4, when_quiet: bytes = b"") -> int:
     frame = frame_to_device(SETUP, schema.DESCRIBE, register, 0, np.zeros(1, np.int64))
-    return _exchange(line, frame, schema.DESCRIPTION, register, tries)
+    return _exchange(line, frame, schema.DESCRIPTION, register, tries, when_quiet)
 
 
-def _exchange(line: Line, frame: bytes, kind: int, number: int, tries: int = 4) -> int:
-    """Sends a frame until it is answered; the answer's first word, unsigned."""
-    for _ in range(tries):
+def _exchange(
+    line: Line,
+    frame: bytes,
+    kind: int,
+    number: int,
+    tries: int = 4,
+    when_quiet: bytes = b"",
+    fits: Callable[[int], bool] = lambda _word: True,
+) -> int:
+    """Sends a frame until something that `fits` answers, `when_quiet` before the third time; the answer's word."""
+    for attempt in range(tries):
+        if attempt == 2 and when_quiet:
+            _send(line, when_quiet)
         _send(line, frame)
-        answer = _answer(line, kind, number, _ANSWER_S)
+        answer = _answer(line, kind, number, _ANSWER_S, fits)
         if answer is not None:
             return answer
     raise DeviceError(
@@ -120,13 +143,17 @@ def _send(line: Line, frame: bytes) -> None:
         raise DeviceError(f"{line.name}: the port does not take what is written to it: is the device still there?")
 
 
-def _answer(line: Line, kind: int, number: int | None, timeout_s: float) -> int | None:
-    """The first word of the next frame of this kind and number (None: any); None where none comes in time."""
+def _answer(
+    line: Line, kind: int, number: int | None, timeout_s: float, fits: Callable[[int], bool] = lambda _word: True
+) -> int | None:
+    """The first word of the next frame of this kind and number (None: any) that `fits`; None where none comes."""
     deadline = time.monotonic() + timeout_s
     while (left := deadline - time.monotonic()) > 0:
         found, code = next_frame_within(line.port, line.inbox, line.decoder, int(left * 1e9))
         if code in (HUNG_UP, FAILED):
             raise DeviceError(f"{line.name}: the device is gone (the port hung up)")
         if found and line.decoder["type"] == kind and number in (None, line.decoder["number"]):
-            return int(line.decoder["counts"][0]) & 0xFFFFFFFF
+            word = int(line.decoder["counts"][0]) & 0xFFFFFFFF
+            if fits(word):
+                return word
     return None

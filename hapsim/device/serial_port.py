@@ -67,6 +67,6 @@ def _why_not(path: str, baud: int, error: Exception) -> str:
         return f"{path}: not permitted. On most systems: add yourself to the group dialout and log in again"
     if code in (errno.EAGAIN, errno.EBUSY) or "exclusively lock" in text or "busy" in text:
         return f"{path}: another program is using the port. Close it (ModemManager is a frequent one) and try again"
-    if code == errno.ENOTTY or "not configure port" in text or "Inappropriate ioctl" in text:
+    if code in (errno.ENOTTY, errno.EISDIR) or "not configure port" in text or "Inappropriate ioctl" in text:
         return f"{path}: not a serial port, or one that cannot be set to {baud} baud ({text})"
     return f"{path}: cannot be opened: {text}"

@@ -15,7 +15,7 @@ from hapsim.loop.guard.finite import all_finite
 from hapsim.loop.guard.limit import cut
 from hapsim.loop.inbox import fetch, frame_waiting
 from hapsim.loop.port import send
-from hapsim.loop.ring import BRIDGED, HELD, LIMITED, UNSENT, Ring, mark_last, publish, push
+from hapsim.loop.ring import BRIDGED, HELD, LIMITED, OFF_GRID, UNSENT, Ring, mark_last, publish, push
 from hapsim.loop.system import TIMED_OUT, now_ns
 
 # Why the loop returned.
@@ -55,6 +55,8 @@ STATE = np.dtype(
         ("fault", np.int64),  # what the device said when it stopped
         ("first_ns", np.int64),  # when the first and the newest position arrived
         ("newest_ns", np.int64),
+        ("due_ns", np.int64),  # the tick that asked for the next position, where the host is the clock; else 0
+        ("off_grid", np.int64),  # positions still to come that a late one puts off the grid
         ("lateness_ns", np.int64),  # of the newest wake-up, and the longest, where the host is the clock
         ("max_lateness_ns", np.int64),
     ],
@@ -104,15 +106,19 @@ def take_newest_position(loop, timeout_ns):
     """Waits for a position, takes all that are there and leaves the force that answers the newest.
 
     Every position moves the scene by one sample, in order, so that its velocities stay true; only the newest is
-    answered. Returns HEARD, or TIMED_OUT, HUNG_UP, FAILED, FAULT, BAD_FORCE.
+    answered. Returns HEARD, or TIMED_OUT, HUNG_UP, FAILED, FAULT, BAD_FORCE. Bytes without end that are no position
+    do not make the wait any longer.
     """
     give_up = now_ns(loop.desk.scratch) + timeout_ns
     heard = False
+    last_look = False
     while True:
         while frame_waiting(loop.inbox, loop.decoder):
             if loop.decoder.type == schema.STATUS:
                 loop.state.fault = (loop.decoder.counts[0] >> 8) & 0xFF
                 return FAULT
+            if not _is_news(loop):
+                continue
             if heard:
                 loop.state.stale_positions += 1
                 mark_last(loop.ring, UNSENT)
@@ -121,9 +127,12 @@ def take_newest_position(loop, timeout_ns):
             heard = True
         if heard:
             return HEARD
+        if last_look:
+            return TIMED_OUT
         left = give_up - now_ns(loop.desk.scratch)
+        last_look = left <= 0
         code = fetch(loop.port, loop.inbox, left)
-        if code < 0 or (code == 0 and left <= 0):
+        if code < 0:
             return code
 
 
@@ -165,6 +174,19 @@ def ending_of(code):
 
 
 @jit
+def _is_news(loop):
+    """Whether the decoder holds a position newer than the last. One that comes twice, or after a newer one, is counted
+    and passed over: the scene never goes back in time."""
+    if loop.decoder.type not in (schema.POSITION, schema.POSITION_HELD):
+        return False
+    gap = (loop.decoder.number - loop.state.sample) % schema.SAMPLE_MODULUS
+    if loop.state.ticks > 0 and (gap == 0 or gap >= schema.SAMPLE_MODULUS // 2):
+        loop.state.stale_positions += 1
+        return False
+    return True
+
+
+@jit
 def _take_position(loop):
     """The decoder's position moves the scene up to its sample; False where the force came out as no number."""
     state = loop.state
@@ -179,7 +201,7 @@ def _take_position(loop):
             loop.desk.before[c] = loop.desk.measured[c]
         state.sample = loop.decoder.number - 1
         state.first_ns = now
-    flags = _count_age(loop.decoder, state)
+    flags = _count_age(loop.decoder, state) | _off_grid(loop.control, state, now)
     gap = (loop.decoder.number - state.sample) % schema.SAMPLE_MODULUS
     if gap > 1:
         state.lost_frames += gap - 1
@@ -188,7 +210,8 @@ def _take_position(loop):
     state.sample += gap
     state.newest_ns = now
     flags |= _set_force(loop.desk, loop.control, state)
-    push(loop.ring, state.sample, now, flags, loop.desk.position_counts, loop.desk.force_counts, loop.desk.asked)
+    shown = flags & ~_NOT_A_NUMBER
+    push(loop.ring, state.sample, now, shown, loop.desk.position_counts, loop.desk.force_counts, loop.desk.asked)
     state.ticks += 1
     return flags & _NOT_A_NUMBER == 0
 
@@ -204,6 +227,17 @@ def _count_age(decoder, state):
     state.age = 1
     state.max_age = max(state.max_age, 1)
     return 0
+
+
+@jit
+def _off_grid(control, state, now):
+    """Whether this position was sampled clearly off the host's grid. One late sample spoils two intervals."""
+    if state.due_ns > 0 and now - state.due_ns > control.period_ns // 4:
+        state.off_grid = 2
+    if state.off_grid == 0:
+        return 0
+    state.off_grid -= 1
+    return OFF_GRID
 
 
 @jit

@@ -21,6 +21,9 @@ LIMITED = 4
 """The force was cut to its limit."""
 BRIDGED = 8
 """Positions before this one never arrived; the scene was led past them along a straight line."""
+OFF_GRID = 16
+"""The host is the clock and this position, or the one before, came late after its tick: its sample was longer or
+shorter than the period."""
 
 _CURSOR = np.dtype(
     [

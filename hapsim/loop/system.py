@@ -89,6 +89,7 @@ def read_some(descriptor, buffer, start, timeout_ns, scratch):
 def write_all(descriptor, buffer, stop, timeout_ns, scratch):
     """Writes buffer[:stop]; 0 when all went out, else HUNG_UP or FAILED."""
     at = 0
+    give_up = 0
     while at < stop:
         count = _write(descriptor, buffer.ctypes.data + at, stop - at)
         if count > 0:
@@ -97,6 +98,7 @@ def write_all(descriptor, buffer, stop, timeout_ns, scratch):
         error = _errno_location()[0]
         if count < 0 and error not in (_EINTR, _EAGAIN):
             return HUNG_UP
-        if _wait(descriptor, _POLLOUT, timeout_ns, scratch) <= 0:
+        give_up = now_ns(scratch) + timeout_ns if give_up == 0 else give_up
+        if _wait(descriptor, _POLLOUT, give_up - now_ns(scratch), scratch) < 0 or now_ns(scratch) >= give_up:
             return FAILED
     return 0

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
+import zipfile
+import zlib
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -54,7 +57,7 @@ class Trace:
     time_ns: NDArray[np.int64]
     """(N,) monotonic time at which it arrived."""
     flags: NDArray[np.uint8]
-    """(N,) HELD, UNSENT, LIMITED, BRIDGED of hapsim.loop.ring."""
+    """(N,) HELD, UNSENT, LIMITED, BRIDGED, OFF_GRID of hapsim.loop.ring."""
     position_counts: NDArray[np.int32]
     """(N, C) as on the wire."""
     force_counts: NDArray[np.int32]
@@ -78,16 +81,20 @@ class Trace:
         return self.force_counts * self.force_scale
 
     def save(self, path: str | Path) -> None:
-        """Writes a .npz (every array as it is) or a .csv (SI units). UsageError for anything else."""
+        """Writes a .npz (every array as it is) or a .csv (SI units). UsageError where it cannot."""
         path = Path(path)
         require_writable_as_trace(path)
-        if path.suffix == ".csv":
-            self._save_csv(path)
-        else:
-            arrays: dict[str, Any] = {
-                name: value for name, value in vars(self).items() if isinstance(value, np.ndarray)
-            }
-            np.savez_compressed(path, rate=self.rate, report=json.dumps(asdict(self.report)), **arrays)
+        try:
+            if path.suffix == ".csv":
+                self._save_csv(path)
+            else:
+                self._save_npz(path)
+        except OSError as error:
+            raise UsageError(f"{path}: the trace cannot be written: {error.strerror or error}") from error
+
+    def _save_npz(self, path: Path) -> None:
+        arrays: dict[str, Any] = {name: value for name, value in vars(self).items() if isinstance(value, np.ndarray)}
+        np.savez_compressed(path, rate=self.rate, report=json.dumps(asdict(self.report)), **arrays)
 
     def _save_csv(self, path: Path) -> None:
         channels = range(self.position_scale.size)
@@ -104,13 +111,15 @@ def require_writable_as_trace(path: Path) -> None:
         raise UsageError(f"{path}: a trace is written as .npz or .csv, by the file's ending")
     if not path.resolve().parent.is_dir():
         raise UsageError(f"{path}: there is no directory {path.resolve().parent}")
+    if path.is_dir() or not os.access(path if path.exists() else path.resolve().parent, os.W_OK):
+        raise UsageError(f"{path}: no file can be written there")
 
 
 def load_trace(path: str | Path) -> Trace:
     """Reads a trace back from a .npz. UsageError where the file is none."""
     try:
-        with np.load(path) as file:
+        with Path(path).open("rb") as stream, np.load(stream) as file:  # numpy leaves a torn file open
             arrays = {name: file[name] for name in file.files if name not in ("rate", "report")}
             return Trace(rate=float(file["rate"]), report=Report(**json.loads(str(file["report"]))), **arrays)
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, EOFError, ValueError, KeyError, TypeError, zipfile.BadZipFile, zlib.error) as error:
         raise UsageError(f"{path}: not a trace that hapsim wrote ({error})") from error

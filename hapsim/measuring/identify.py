@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from hapsim.errors import UsageError
-from hapsim.loop.ring import BRIDGED, HELD, UNSENT
+from hapsim.loop.ring import BRIDGED, HELD, OFF_GRID, UNSENT
 from hapsim.loop.trace import Trace
 from hapsim.measuring.pair import Pair, dominant_pair
 from hapsim.measuring.regression import Fit, Segment, fit
@@ -73,8 +73,12 @@ def identify(trace: Trace, mass: float, channel: int = 0) -> Measurement:
 
 
 def _identify(trace: Trace, mass: float, channel: int) -> Measurement:
-    segments = _segments(trace, channel)
+    segments = _segments(trace, channel, HELD | BRIDGED | OFF_GRID)
     fits = _fits(segments)
+    if not fits:
+        # A host whose clock is seldom on time leaves too little between two late ticks: then better rough than nothing.
+        segments = _segments(trace, channel, HELD | BRIDGED)
+        fits = _fits(segments)
     free = _longest_free_motion(segments)
     if not fits:
         raise UsageError(
@@ -130,8 +134,8 @@ def _measurement(
     )
 
 
-def _segments(trace: Trace, channel: int) -> list[Segment]:
-    """Runs of consecutive samples that were all answered in time, counted from where the scene asks for no force."""
+def _segments(trace: Trace, channel: int, spoilt: int) -> list[Segment]:
+    """Runs of consecutive samples without a `spoilt` flag, counted from where the scene asks for no force."""
     position = trace.position_counts[:, channel].astype(float)
     asked = trace.asked_force[:, channel]
     surplus = trace.force_counts[:, channel] * trace.force_scale[channel] - asked
@@ -139,7 +143,7 @@ def _segments(trace: Trace, channel: int) -> list[Segment]:
     rest = _rest(position, asked, following & (trace.flags[1:] & BRIDGED == 0))
     found = [
         Segment(position[first:last] - rest, surplus[first:last])
-        for whole in _unbroken(trace)
+        for whole in _unbroken(trace, spoilt)
         for first, last in _loud(position - rest, *whole)
     ]
     return _first_rows(found)
@@ -172,10 +176,10 @@ def _first_rows(segments: list[Segment]) -> list[Segment]:
     return kept
 
 
-def _unbroken(trace: Trace) -> Iterator[tuple[int, int]]:
-    """Index ranges without a gap: no sample missing, each force sent and in time."""
+def _unbroken(trace: Trace, spoilt: int) -> Iterator[tuple[int, int]]:
+    """Index ranges without a gap: no sample missing or spoilt, each force sent."""
     flags = trace.flags
-    broken = (np.diff(trace.sample, prepend=trace.sample[:1] - 1) != 1) | (flags & (HELD | BRIDGED) != 0)
+    broken = (np.diff(trace.sample, prepend=trace.sample[:1] - 1) != 1) | (flags & spoilt != 0)
     broken[1:] |= flags[:-1] & UNSENT != 0
     starts = np.flatnonzero(broken | (np.arange(broken.size) == 0))
     for first, last in zip(starts, np.append(starts[1:], broken.size), strict=True):

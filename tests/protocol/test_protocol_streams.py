@@ -9,7 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from firmware_protocol import schema
 from firmware_protocol.decoder import Frame, frames_in, new_decoder, use_format
+from firmware_protocol.frames import SETUP, armed_format, frame_to_device
 from firmware_protocol.vectors import COUNTERS, FORMATS, NAMES, TO_DEVICE, TYPES, frame, sealed
 
 EVERY_FORMAT_AND_DIRECTION = [(name, kind) for name in FORMATS for kind in ("force", "position")]
@@ -89,6 +91,16 @@ def test_a_frame_that_lost_any_of_its_bytes_is_refused_as_too_short(name: str, k
             assert frames_in(decoder, first + hit[:start] + hit[stop:] + last) == [before, after]
             whole_frame_gone = stop - start == len(hit) - 1
             assert decoder["length_errors"] == (0 if whole_frame_gone else 1)
+
+
+@pytest.mark.parametrize("channels", range(1, 17))
+def test_disarm_said_in_every_format_is_heard_once_by_a_device_of_any_number_of_channels(channels: int) -> None:
+    # How a host lets go of a device of which it does not know anything.
+    every = [SETUP, *(armed_format(n) for n in range(1, 17))]
+    sent = b"".join(frame_to_device(wire, schema.DISARM, 0, 0, [0] * wire.channels) for wire in every)
+    disarm = Frame(schema.DISARM, 0, 0, (0,) * channels)
+    assert frames_in(new_decoder(armed_format(channels), to_device=True), sent) == [disarm]
+    assert frames_in(new_decoder(SETUP, to_device=True), sent) == [Frame(schema.DISARM, 0, 0, (0,))]
 
 
 def test_delimiters_alone_are_no_error() -> None:

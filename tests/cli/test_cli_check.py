@@ -1,0 +1,136 @@
+"""`hapsim check`: what is told of every kind of scene, and the keys that scripts rely on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+FELT = {"k", "b", "frequency_hz", "damping_ratio"}
+
+
+def test_every_scene_is_told_in_words_and_in_json(
+    hapsim: Callable[..., Any], scene_file: Callable[..., Path], every_scene: str
+) -> None:
+    told = hapsim("check", scene_file(every_scene))
+    assert (told.status, told.err) == (0, "")
+    assert "at 1000 Hz: " in told.out
+    assert "nan" not in told.out
+    answer = hapsim("check", scene_file(every_scene), "--json")
+    assert (answer.status, answer.err) == (0, "")
+    document = answer.document
+    assert {"predicted", "stable", "dominant", "poles", "spectral_radius", "rate_hz"} <= document.keys()
+    assert document["predicted"] is None or document["predicted"].keys() >= FELT
+    assert all(len(pole) == 2 for pole in document["poles"])
+    assert document["rate_hz"] == 1000
+    largest = max(abs(complex(*pole)) for pole in document["poles"])
+    assert document["spectral_radius"] == pytest.approx(largest, rel=1e-12)
+
+
+def test_a_spring_is_predicted_with_its_k_and_b(hapsim: Callable[..., Any], scene_file: Callable[..., Path]) -> None:
+    document = hapsim("check", scene_file("spring"), "--json").document
+    k, b = document["predicted"]["k"], document["predicted"]["b"]
+    assert document["stable"]
+    assert document["dominant"]
+    # To first order a held and delayed spring loses K T (1 + 1/2) of its damping.
+    assert b == pytest.approx(5 + 1 - 1.5, rel=0.05)
+    slowest = next(complex(*pole) for pole in document["poles"])
+    s = np.log(slowest) * 1000
+    assert k == pytest.approx(0.2 * abs(s) ** 2, rel=1e-6)
+    assert b == pytest.approx(-2 * 0.2 * s.real, rel=1e-6)
+
+
+def test_an_unstable_scene_is_told_so_and_is_no_failure(
+    hapsim: Callable[..., Any], scene_file: Callable[..., Path]
+) -> None:
+    told = hapsim("check", scene_file("unstable"))
+    assert told.status == 0
+    assert "unstable (spectral radius 1.14" in told.out
+    assert "It becomes stable where the stiffness is" in told.out
+    assert hapsim("check", scene_file("unstable"), "--json").document["stable"] is False
+
+
+@pytest.mark.parametrize("name", ["free", "damper"])
+def test_a_hand_that_nothing_pulls_back_is_not_called_unstable(
+    hapsim: Callable[..., Any], scene_file: Callable[..., Path], name: str
+) -> None:
+    told = hapsim("check", scene_file(name)).out
+    assert "at the limit between stable and unstable: something drifts" in told
+    assert "There is no stiffness whose margin could be told." in told
+
+
+@pytest.mark.parametrize("name", ["mass", "mass_on_channel_2", "hand_in_hand"])
+def test_a_scene_with_masses_lists_modes_and_says_that_there_is_no_single_k_and_b(
+    hapsim: Callable[..., Any], scene_file: Callable[..., Path], name: str
+) -> None:
+    told = hapsim("check", scene_file(name)).out
+    assert "hand also moves masses of the scene or another hand: no single spring and damper" in told
+    assert "Modes" in told
+    document = hapsim("check", scene_file(name), "--json").document
+    assert document["predicted"] is None
+    assert document["dominant"] is False
+    assert "hand" in document["coupled_device_points"]
+    assert document["modes"]
+
+
+@pytest.mark.parametrize("name", ["channel_3", "mass_on_channel_2"])
+def test_channels_that_the_scene_does_not_touch_are_no_part_of_its_stability(
+    hapsim: Callable[..., Any], scene_file: Callable[..., Path], name: str
+) -> None:
+    document = hapsim("check", scene_file(name), "--json").document
+    assert document["stable"] is True
+    assert document["spectral_radius"] < 0.999
+    assert not any("channel" in point for mode in document["modes"] for point in mode["participation"])
+
+
+def test_two_hands_are_predicted_each_for_itself(hapsim: Callable[..., Any], scene_file: Callable[..., Path]) -> None:
+    points = hapsim("check", scene_file("two_hands"), "--json").document["device_points"]
+    alone = hapsim("check", scene_file("spring"), "--json").document["predicted"]
+    assert points["hand"]["k"] == alone["k"]
+    assert points["other"]["stiffness"] == 500
+
+
+def test_a_scene_too_large_to_be_judged_is_not_called_stable(hapsim: Callable[..., Any], tmp_path: Path) -> None:
+    """A chain of very light masses, which diverges."""
+    row = ["hand", *(f"m{i}" for i in range(450))]
+    modules: dict[str, Any] = {"hand": {"type": "device", "channel": 0}}
+    modules |= {name: {"type": "mass", "mass": 1e-9} for name in row[1:]}
+    for i in range(450):
+        modules[f"l{i}"] = {"type": "viscoelastic", "between": row[i : i + 2], "stiffness": 5000.0}
+    path = tmp_path / "many.yaml"
+    path.write_text(yaml.safe_dump({"version": 1, "rate": 1000, "device": {"mass": 0.2}, "modules": modules}))
+    told = hapsim("check", path)
+    assert told.status == 0
+    assert "stable" not in told.out
+    assert "not judged: 451 points are more" in told.out
+    document = hapsim("check", path, "--json").document
+    assert document["stable"] is None
+    assert document["spectral_radius"] is None
+
+
+def test_a_stiffness_beyond_reason_is_told_without_a_warning(
+    hapsim: Callable[..., Any], scene_file: Callable[..., Path]
+) -> None:
+    answer = hapsim("check", scene_file("no_number"), "--json")
+    assert (answer.status, answer.err) == (0, "")
+    assert answer.document["stable"] is False
+
+
+def test_a_file_name_is_shown_as_it_is_written(
+    hapsim: Callable[..., Any], scene_file: Callable[..., Path], tmp_path: Path
+) -> None:
+    """Square brackets mean something to the library that prints."""
+    path = scene_file("spring").rename(tmp_path / "a[red]b[link].yaml")
+    told = hapsim("check", path)
+    assert told.status == 0
+    assert "a[red]b[link].yaml" in told.out.replace("\n", "")
+
+
+def test_a_wire_that_is_too_slow_is_told(hapsim: Callable[..., Any], scene_file: Callable[..., Path]) -> None:
+    told = hapsim("check", scene_file("spring", baud=115200))
+    assert "does not fit: a higher baud rate, or a lower rate" in told.out
+    assert hapsim("check", scene_file("spring", baud=115200), "--json").document["link_budget"]["fits"] is False

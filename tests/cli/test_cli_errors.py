@@ -1,0 +1,121 @@
+"""What fails is a sentence on standard error and a status, never a traceback."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+Hapsim = Callable[..., Any]
+SceneFile = Callable[..., Path]
+
+
+@pytest.mark.parametrize("command", ["run", "check", "measure", "mock"])
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        (None, "scene.yaml"),
+        ("", "found nothing, expected a scene"),
+        ("version: 1\nrate: -5\ndevice: {mass: 0.2}\nmodules: {hand: {type: device, channel: 0}}\n", ":2:"),
+        ("version: [1\n", "scene.yaml:"),
+        ("\x00\x01", "scene.yaml:"),
+    ],
+)
+def test_a_bad_scene_is_status_2_in_every_command(
+    hapsim: Hapsim, tmp_path: Path, command: str, text: str | None, told: str
+) -> None:
+    path = tmp_path / "scene.yaml"
+    if text is not None:
+        path.write_text(text, encoding="utf-8")
+    answer = hapsim(command, path)
+    assert answer.status == 2
+    assert told in answer.sentence
+
+
+@pytest.mark.parametrize("words", [["fly"], ["run"], ["check", "a", "b"], ["run", "x", "--duration", "soon"], ["-x"]])
+def test_a_bad_command_is_status_2(hapsim: Hapsim, words: list[str]) -> None:
+    answer = hapsim(*words)
+    assert answer.status == 2
+    assert answer.sentence
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["run", "--duration", "0"], "duration"),
+        (["run", "--duration", "-1"], "duration"),
+        (["run", "--duration", "nan"], "duration"),
+        (["run", "--duration", "inf"], "duration"),
+        (["run", "--duration", "1e300"], "duration"),
+        (["measure", "--duration", "0"], "duration"),
+        (["measure", "--duration", "inf"], "duration"),
+        (["measure", "--duration", "nan"], "duration"),
+        (["measure", "--channel", "1"], "channel 1: the scene has nothing there"),
+        (["measure", "--channel", "-1"], "channel -1"),
+        (["run", "--line", "carrier pigeon"], "expected loopback or terminal"),
+        (["run", "--record", "trace.txt"], "written as .npz or .csv"),
+        (["run", "--record", "nowhere/trace.npz"], "there is no directory"),
+        (["measure", "--picture", "p.bmp"], "expected .svg, .png, .pdf"),
+        (["measure", "--picture", "nowhere/p.svg"], "there is no directory"),
+        (["measure", "--data", "d.txt"], "expected .csv"),
+        (["measure", "--record", "trace"], "written as .npz or .csv"),
+    ],
+)
+def test_what_cannot_be_had_is_status_2_before_anything_runs(
+    hapsim: Hapsim, scene_file: SceneFile, words: list[str], told: str
+) -> None:
+    command, *options = words
+    answer = hapsim(command, scene_file("spring"), *options)
+    assert answer.status == 2
+    assert told in answer.sentence
+    assert "running" not in answer.err
+
+
+def test_the_loopback_has_no_real_time(hapsim: Hapsim, scene_file: SceneFile) -> None:
+    answer = hapsim("run", scene_file("spring", clock="host"), "--line", "loopback", "--duration", "0.1")
+    assert answer.status == 2
+    assert "it takes clock: lockstep, the scene says host" in answer.sentence
+
+
+@pytest.mark.parametrize("command", ["run", "measure"])
+@pytest.mark.parametrize("port", ["/dev/ttyNOPE7", "/dev/null", "/tmp", ""])
+def test_a_port_that_cannot_be_opened_is_status_3(
+    hapsim: Hapsim, scene_file: SceneFile, command: str, port: str
+) -> None:
+    answer = hapsim(command, scene_file("spring"), "--port", port, "--json")
+    assert answer.status == 3
+    assert answer.sentence.startswith(port)
+    assert len(answer.sentence.splitlines()) == 1
+
+
+def test_a_device_that_stops_is_status_3_with_a_document(hapsim: Hapsim, tmp_path: Path) -> None:
+    path = tmp_path / "far.yaml"
+    path.write_text(
+        "{version: 1, rate: 1000, device: {mass: 0.2, clock: lockstep}, modules: {hand: {type: device, channel: 0}}, "
+        "mock: {quantum: 1.0e-12, initial: {velocity: 1}}}",
+        encoding="utf-8",
+    )
+    answer = hapsim("run", path, "--duration", 5, "--json")
+    assert answer.status == 3
+    assert "a position left the range of its counts" in answer.err
+    assert answer.document["exit_status"] == 3
+
+
+def test_a_defect_of_ours_is_status_1_and_can_be_traced(
+    hapsim: Hapsim, scene_file: SceneFile, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(_scene: object) -> None:
+        raise ZeroDivisionError("of ours")
+
+    monkeypatch.setattr("hapsim.prediction.predict", fail)
+    answer = hapsim("check", scene_file("spring"))
+    assert answer.status == 1
+    assert "a defect of hapsim itself: ZeroDivisionError: of ours" in answer.err
+    assert "Traceback" not in answer.err
+    monkeypatch.setenv("HAPSIM_TRACEBACK", "1")
+    from hapsim import cli
+
+    with pytest.raises(ZeroDivisionError):
+        cli.main()

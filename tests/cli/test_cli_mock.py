@@ -1,0 +1,147 @@
+"""`hapsim mock` in a process of its own, and the commands beside running and measuring."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import pytest
+import yaml
+
+HAPSIM = [sys.executable, "-m", "hapsim"]
+
+
+@contextlib.contextmanager
+def mock_of(*words: object) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """The mock's process, and the first thing that it printed."""
+    command = [*HAPSIM, "mock", *map(str, words)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        try:
+            yield process, process.stdout.readline().strip()
+        finally:
+            if process.poll() is None:
+                process.send_signal(signal.SIGTERM)
+            process.communicate()
+
+
+def test_a_mock_in_another_process_is_measured_as_predicted(
+    hapsim: Callable[..., Any], scene_file: Callable[..., Path]
+) -> None:
+    scene = scene_file("spring")
+    hapsim("run", scene, "--line", "terminal", "--duration", 0.05)  # whatever is not compiled yet is compiled here
+    with mock_of(scene) as (process, port):
+        for _ in range(2):  # and once more on the same mock
+            answer = hapsim("measure", scene, "--port", port, "--json")
+            assert answer.status == 0, answer.err
+            document = answer.document
+            assert document["measured"]["k"] == pytest.approx(document["predicted"]["k"], rel=1e-5)
+            assert document["measured"]["b"] == pytest.approx(document["predicted"]["b"], rel=1e-5)
+            assert (document["lost_frames"], document["crc_errors"], document["late_ticks"]) == (0, 0, 0)
+        process.send_signal(signal.SIGTERM)
+        assert process.wait() == 0
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_mock_takes_its_link_away_at_the_end(
+    scene_file: Callable[..., Path], tmp_path: Path, number: signal.Signals
+) -> None:
+    link = tmp_path / "device"
+    with mock_of(scene_file("spring"), "--link", link, "--json") as (process, first):
+        assert process.stdout is not None
+        text = first + process.stdout.readline() + process.stdout.readline()
+        assert json.loads(text) == {"port": str(link)}
+        assert str(link.readlink()).startswith("/dev/")
+        process.send_signal(number)
+        assert process.wait() == 0
+    assert not link.is_symlink()
+
+
+def test_a_link_whose_name_is_taken_is_status_2_and_left_alone(
+    hapsim: Callable[..., Any], scene_file: Callable[..., Path], tmp_path: Path
+) -> None:
+    taken = tmp_path / "taken"
+    taken.write_text("mine", encoding="utf-8")
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+    try:
+        answer = hapsim("mock", scene_file("spring"), "--link", taken)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    assert answer.status == 2
+    assert f"{taken}: cannot be made a name of the port" in answer.sentence
+    assert taken.read_text(encoding="utf-8") == "mine"
+
+
+def test_a_new_scene_can_be_checked_and_run_at_once(
+    hapsim: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert hapsim("new").status == 0
+    assert hapsim("check", "scene.yaml").status == 0
+    assert hapsim("run", "scene.yaml", "--duration", 0.05, "--json").document["ending"] == "done"
+
+
+def test_a_new_scene_overwrites_nothing(hapsim: Callable[..., Any], tmp_path: Path) -> None:
+    path = tmp_path / "mine[1].yaml"
+    answer = hapsim("new", path)
+    assert answer.status == 0
+    assert f"Wrote {path}. Next: hapsim check {path}" in answer.out
+    path.write_text("mine", encoding="utf-8")
+    answer = hapsim("new", path)
+    assert answer.status == 2
+    assert "there is a file already, and it stays as it is" in answer.sentence
+    assert path.read_text(encoding="utf-8") == "mine"
+    assert "there is no directory" in hapsim("new", tmp_path / "none" / "scene.yaml").sentence
+
+
+def test_the_schema_is_one_that_accepts_our_scenes(hapsim: Callable[..., Any], scene_file: Callable[..., Path]) -> None:
+    schema = hapsim("schema").document
+    jsonschema.Draft202012Validator.check_schema(schema)
+    validator = jsonschema.Draft202012Validator(schema)
+    document = yaml.safe_load(scene_file("mass").read_text(encoding="utf-8"))
+    assert validator.is_valid(document)
+    assert not validator.is_valid(document | {"rate": -1})
+
+
+def test_the_ports_are_listed(hapsim: Callable[..., Any]) -> None:
+    answer = hapsim("ports")
+    assert answer.status == 0
+    assert answer.out or "No serial port was found" in answer.err
+    assert isinstance(hapsim("ports", "--json").document["ports"], list)
+
+
+def test_help_names_every_command_and_loads_nothing_heavy() -> None:
+    code = (
+        "import sys\nsys.argv = ['hapsim', '--help']\nfrom hapsim.cli import main\n"
+        "try:\n    main()\nexcept SystemExit as end:\n    assert not end.code\n"
+        "heavy = {'numba', 'numpy', 'matplotlib', 'scipy', 'serial', 'pydantic', 'yaml'} & sys.modules.keys()\n"
+        "assert not heavy, heavy"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    for command in ("run", "check", "measure", "mock", "ports", "new", "schema"):
+        assert f" {command} " in done.stdout
+
+
+def test_an_output_that_knows_ascii_only_is_written_all_the_same(scene_file: Callable[..., Path]) -> None:
+    command = [sys.executable, "-c", "from hapsim.cli import main; main()", "check", str(scene_file("free"))]
+    environment = os.environ | {"PYTHONIOENCODING": "ascii"}
+    done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "at the limit" in done.stdout
+
+
+def test_a_reader_that_has_seen_enough_ends_the_output_quietly() -> None:
+    command = f"{sys.executable} -m hapsim schema | head -n 1; exit ${{PIPESTATUS[0]}}"
+    done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
+    assert "Traceback" not in done.stderr
+    assert done.stdout == "{\n"

@@ -1,0 +1,120 @@
+"""`hapsim run` and `hapsim measure`: what they print, write and return."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from hapsim.loop.trace import load_trace
+
+RAN = {"rate_hz", "ticks", "late_ticks", "lost_frames", "crc_errors"}
+FELT = {"k", "b", "frequency_hz", "damping_ratio"}
+
+
+def test_a_run_prints_one_document_with_the_keys_of_the_contract(
+    hapsim: Callable[..., Any], scene_file: Callable[..., Path], every_scene: str
+) -> None:
+    answer = hapsim("run", scene_file(every_scene), "--duration", 0.5, "--json")
+    assert answer.status == 0
+    document = answer.document
+    assert document.keys() >= RAN
+    assert (document["ticks"], document["rate_hz"], document["ending"]) == (500, 1000, "done")
+
+
+def test_a_run_is_told_as_a_table(hapsim: Callable[..., Any], scene_file: Callable[..., Path]) -> None:
+    answer = hapsim("run", scene_file("spring"), "--duration", 0.5)
+    assert answer.status == 0
+    assert "virtual time" in answer.out
+    assert "500" in answer.out
+
+
+@pytest.mark.parametrize("ending", ["npz", "csv"])
+def test_a_run_writes_its_record(
+    hapsim: Callable[..., Any], scene_file: Callable[..., Path], tmp_path: Path, ending: str
+) -> None:
+    record = tmp_path / f"trace.{ending}"
+    assert hapsim("run", scene_file("two_hands"), "--duration", 0.1, "--record", record, "--json").status == 0
+    if ending == "npz":
+        assert load_trace(record).force.shape == (100, 2)
+    else:
+        assert len(record.read_text(encoding="utf-8").splitlines()) == 101
+
+
+def test_a_measurement_prints_prediction_and_measurement_side_by_side(
+    hapsim: Callable[..., Any], scene_file: Callable[..., Path]
+) -> None:
+    answer = hapsim("measure", scene_file("spring"), "--json")
+    assert answer.status == 0
+    document = answer.document
+    assert document.keys() >= RAN | {"predicted", "measured", "stable", "dominant", "poles", "spectral_radius"}
+    assert document["predicted"].keys() >= FELT
+    assert document["measured"].keys() >= FELT
+    for key in FELT:
+        assert document["measured"][key] == pytest.approx(document["predicted"][key], rel=1e-5)
+
+
+@pytest.mark.parametrize("name", ["spring", "unstable", "channel_3", "damper", "free", "mass", "hand_in_hand"])
+def test_every_scene_can_be_measured_without_a_traceback(
+    hapsim: Callable[..., Any], scene_file: Callable[..., Path], name: str
+) -> None:
+    told = hapsim("measure", scene_file(name))
+    assert told.status == 0
+    assert "What the hand meets" in told.out
+    assert "nan" not in told.out
+    document = hapsim("measure", scene_file(name), "--json").document
+    assert (document["predicted"] is None) == (name in ("mass", "hand_in_hand"))
+
+
+def test_each_of_two_hands_is_measured_on_its_channel(
+    hapsim: Callable[..., Any], scene_file: Callable[..., Path]
+) -> None:
+    for channel, stiffness in ((0, 1000.0), (1, 500.0)):
+        document = hapsim("measure", scene_file("two_hands"), "--channel", channel, "--json").document
+        assert document["predicted"]["stiffness"] == stiffness
+        assert document["measured"]["k"] == pytest.approx(document["predicted"]["k"], rel=1e-5)
+        assert document["measured"]["b"] == pytest.approx(document["predicted"]["b"], rel=1e-5)
+
+
+def test_a_measurement_leaves_picture_numbers_and_record(
+    hapsim: Callable[..., Any], scene_file: Callable[..., Path], tmp_path: Path
+) -> None:
+    picture, data, record = (tmp_path / name for name in ("p[1].svg", "d.csv", "r.npz"))
+    words = ("--picture", picture, "--data", data, "--record", record)
+    told = hapsim("measure", scene_file("spring"), *words)
+    assert told.status == 0
+    assert str(picture) in told.out
+    assert picture.read_text(encoding="utf-8").startswith("<?xml")
+    assert data.read_text(encoding="utf-8").count("\n") > 100
+    assert load_trace(record).sample.size == 2048
+
+
+@pytest.mark.parametrize("line", ["loopback", "terminal"])
+def test_the_mock_can_be_put_where_one_wants_it(
+    hapsim: Callable[..., Any], scene_file: Callable[..., Path], line: str
+) -> None:
+    document = hapsim("run", scene_file("spring"), "--line", line, "--duration", 0.1, "--json").document
+    assert document["ticks"] == 100
+
+
+def test_the_mock_serves_even_where_the_scene_names_a_port(
+    hapsim: Callable[..., Any], scene_file: Callable[..., Path]
+) -> None:
+    path = scene_file("spring", port="/dev/ttyNOPE7")
+    assert hapsim("run", path, "--mock", "--duration", 0.1, "--json").document["ticks"] == 100
+
+
+def test_a_guard_that_stops_the_force_is_status_4_with_a_document_and_a_record(
+    hapsim: Callable[..., Any], scene_file: Callable[..., Path], tmp_path: Path
+) -> None:
+    record = tmp_path / "trace.npz"
+    answer = hapsim("run", scene_file("no_number"), "--duration", 1, "--json", "--record", record)
+    assert answer.status == 4
+    assert "not a finite number" in answer.err
+    assert "Traceback" not in answer.err
+    assert "Warning" not in answer.err
+    assert answer.document["ending"] == "force not finite"
+    assert answer.document["exit_status"] == 4
+    assert load_trace(record).report.ending == "force not finite"

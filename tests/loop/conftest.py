@@ -1,0 +1,217 @@
+"""Scenes to loop over, and a device that follows a script."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import threading
+import tty
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numba
+import numpy as np
+import pytest
+import yaml
+
+from firmware_protocol import schema
+from firmware_protocol.decoder import Frame, frames_in, new_decoder, use_format
+from firmware_protocol.description import Description, to_registers
+from firmware_protocol.frames import SETUP, armed_format, frame_to_host
+from hapsim.device.mock.assemble import assemble_mock
+from hapsim.device.mock.firmware import Mock
+from hapsim.device.mock.serve import SERVICE, input_buffer, serve
+from hapsim.device.mock.terminal import serving
+from hapsim.loop.descriptor import descriptor_port
+from hapsim.scene import Scene, parse_scene
+
+POSITION_SCALE, FORCE_SCALE = 1e-6, 1e-3
+HANG_UP = None  # in a script: the device closes its port
+
+
+def make_scene(
+    channels: int = 1, *, stiffness: float = 1000.0, damping: float = 2.0, rate: float = 1000.0, **parts: Any
+) -> Scene:
+    """Every channel's hand on a spring of its own, each a tenth stiffer than the one before."""
+    modules: dict[str, Any] = {"wall": {"type": "ground"}}
+    for c in range(channels):
+        modules[f"hand{c}"] = {"type": "device", "channel": c}
+        modules[f"touch{c}"] = {
+            "type": "viscoelastic",
+            "between": [f"hand{c}", "wall"],
+            "stiffness": stiffness * (1 + c / 10),
+            "damping": damping,
+        }
+    device = {"mass": 0.2, "friction": 1.0, "clock": "lockstep"} | parts.get("device", {})
+    mock = {"initial": {"velocity": 0.1}} | parts.get("mock", {})
+    document = {"version": 1, "rate": rate, "device": device, "mock": mock, "modules": modules}
+    return parse_scene(yaml.safe_dump(document, sort_keys=False), "test.yaml")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _serving_is_compiled() -> None:
+    """A mock in a thread answers only once it is compiled, which is longer than a host waits for an answer."""
+    arguments = (descriptor_port(0), assemble_mock(make_scene()), np.zeros(1, SERVICE)[0], input_buffer())
+    serve.compile((*map(numba.typeof, arguments), numba.typeof(np.zeros(4, np.int64))))
+
+
+@pytest.fixture
+def scene_of() -> Callable[..., Scene]:
+    return make_scene
+
+
+@pytest.fixture
+def on_port() -> Callable[[Scene, str], Scene]:
+    """The same scene, its device behind this port."""
+
+    def put(scene: Scene, path: str) -> Scene:
+        return scene.model_copy(update={"device": scene.device.model_copy(update={"port": path})})
+
+    return put
+
+
+@pytest.fixture
+def served() -> Callable[[Scene], contextlib.AbstractContextManager[tuple[Scene, Mock]]]:
+    """The scene's mock on a pseudo-terminal, open to look at; and the scene with its port."""
+
+    @contextlib.contextmanager
+    def serve(scene: Scene) -> Iterator[tuple[Scene, Mock]]:
+        mock = assemble_mock(scene)
+        with serving(mock) as path:
+            yield scene.model_copy(update={"device": scene.device.model_copy(update={"port": path})}), mock
+
+    return serve
+
+
+def position(number: int, *counts: int, kind: int = schema.POSITION) -> bytes:
+    """A position frame of an armed device, sample numbers as on the wire."""
+    wire = armed_format(len(counts))
+    return frame_to_host(wire, kind, number % schema.SAMPLE_MODULUS, counts)
+
+
+class ScriptedDevice:
+    """Speaks the protocol up to arming; then each item of `script` (bytes, or HANG_UP) answers one event: the arming
+    first, then force after force. When the script is over it stays silent."""
+
+    def __init__(self, near: int, script: Sequence[bytes | None], **differences: Any) -> None:
+        refuses = differences.pop("refuses", schema.NO_FAULT)
+        self.before: bytes = differences.pop("before", b"")
+        self.registers_set: dict[int, int] = differences.pop("registers", {})
+        self.description = replace(
+            Description(
+                name="script",
+                rate_hz=1000.0,
+                pacings=0b111,
+                max_watchdog_samples=200,
+                position_scale=(POSITION_SCALE,),
+                force_scale=(FORCE_SCALE,),
+                force_limit=(10.0,),
+            ),
+            **differences,
+        )
+        self.armed = False
+        self.deaf = False
+        self.before_each = self.after_each = b""  # around everything that is heard before arming
+        self.disarmed = 0
+        self.forces: list[Frame] = []
+        self.stop = threading.Event()
+        self._near, self._script, self._refuses = near, list(script), refuses
+        self._wire = armed_format(self.description.channels)
+        self._decoder = new_decoder(SETUP, to_device=True)
+        self._registers = to_registers(self.description)
+        for number, value in self.registers_set.items():
+            self._registers[number] = value
+
+    def write(self, data: bytes) -> None:
+        os.write(self._near, data)
+
+    def serve(self) -> None:
+        self.write(self.before)
+        while not self.stop.is_set():
+            if not select.select([self._near], [], [], 0.01)[0]:
+                continue
+            try:
+                data = os.read(self._near, 4096)
+            except OSError:
+                return
+            if not self.armed:
+                self.write(self.before_each)
+            # The format changes with a frame: byte by byte, none is read in the wrong one.
+            for byte in data:
+                for frame in frames_in(self._decoder, bytes([byte])):
+                    if not self.deaf and not self._hear(frame):
+                        return
+            if not self.armed:
+                self.write(self.after_each)
+
+    def _hear(self, frame: Frame) -> bool:
+        if frame.type == schema.DESCRIBE and not self.armed:
+            value = int(np.array(self._registers[frame.number]).astype(np.uint32).astype(np.int32))
+            os.write(self._near, frame_to_host(SETUP, schema.DESCRIPTION, frame.number, [value]))
+        elif frame.type == schema.ARM and not self.armed:
+            return self._arm()
+        elif frame.type == schema.FORCE and self.armed:
+            self.forces.append(frame)
+            return self._next()
+        elif frame.type == schema.DISARM:
+            self.armed, self.disarmed = False, self.disarmed + 1
+            use_format(self._decoder, SETUP)
+            self._status(schema.IDLE, schema.NO_FAULT)
+        return True
+
+    def _arm(self) -> bool:
+        if self._refuses != schema.NO_FAULT:
+            self._status(schema.IDLE, self._refuses)
+            return True
+        self._status(schema.ARMED, schema.NO_FAULT)
+        self.armed = True
+        use_format(self._decoder, self._wire)
+        return self._next()
+
+    def _status(self, state: int, fault: int) -> None:
+        os.write(self._near, frame_to_host(SETUP, schema.STATUS, 0, [state | fault << 8]))
+
+    def _next(self) -> bool:
+        item = self._script.pop(0) if self._script else b""
+        if item is HANG_UP:
+            os.close(self._near)
+            return False
+        os.write(self._near, item)
+        return True
+
+
+@pytest.fixture
+def scripted(
+    on_port: Callable[[Scene, str], Scene],
+) -> Callable[..., contextlib.AbstractContextManager[tuple[Scene, ScriptedDevice]]]:
+    """A scripted device on a pseudo-terminal, and a scene of one spring (1000 N/m, 2 N·s/m) with its port."""
+
+    @contextlib.contextmanager
+    def act(
+        script: Sequence[bytes | None] = (), scene: Scene | None = None, **differences: Any
+    ) -> Iterator[tuple[Scene, ScriptedDevice]]:
+        near, far = os.openpty()
+        path = os.ttyname(far)
+        for end in (near, far):
+            tty.setraw(end)
+        device = ScriptedDevice(near, script, **differences)
+        thread = threading.Thread(target=device.serve)
+        thread.start()
+        try:
+            yield on_port(scene or make_scene(), path), device
+        finally:
+            device.stop.set()
+            thread.join()
+            for end in (near, far):
+                with contextlib.suppress(OSError):
+                    os.close(end)
+
+    return act
+
+
+@pytest.fixture
+def frame() -> Callable[..., bytes]:
+    """`position` above."""
+    return position

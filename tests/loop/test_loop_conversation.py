@@ -1,0 +1,183 @@
+"""Before the loop: what a device may answer, and what the user is told to do about it."""
+
+from __future__ import annotations
+
+import contextlib
+import struct
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from firmware_protocol import schema
+from firmware_protocol.frames import SETUP, frame_to_host
+from hapsim.device import conversation
+from hapsim.device.serial_port import open_serial_port
+from hapsim.errors import DeviceError, GuardError, UsageError
+from hapsim.running import run
+from hapsim.scene import Scene
+
+Scripted = Callable[..., Any]
+
+
+@pytest.fixture
+def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(conversation, "_ANSWER_S", 0.02)
+    monkeypatch.setattr(conversation, "_TRIES", 2)
+
+
+def refusal(scripted: Scripted, kind: type[Exception], scene: Scene | None = None, **differences: Any) -> str:
+    """The sentence with which the run is refused; the device was never left armed."""
+    with scripted(scene=scene, **differences) as (there, device):
+        with pytest.raises(kind) as caught:
+            run(there, duration=0.01)
+        assert not device.armed
+        assert not device.forces
+    assert str(caught.value).startswith(there.device.port)
+    return str(caught.value)
+
+
+def test_a_description_arrives_as_the_device_says_it(scripted: Scripted) -> None:
+    with scripted(name="a device", force_limit=(3.5,)) as (scene, device):
+        line = open_serial_port(scene.device.port, scene.device.baud)
+        try:
+            assert conversation.describe(line) == device.description
+            assert conversation.read_register(line, schema.REG_SCHEMA) == schema.SCHEMA_HASH
+        finally:
+            line.close()
+
+
+def test_a_newer_protocol_asks_for_a_newer_hapsim(scripted: Scripted) -> None:
+    text = refusal(scripted, DeviceError, registers={schema.REG_VERSION: 2})
+    assert "speaks version 2 of the protocol, this hapsim speaks version 1: it takes a newer hapsim" in text
+
+
+def test_an_older_protocol_asks_for_a_newer_firmware(scripted: Scripted) -> None:
+    assert "it takes a newer firmware" in refusal(scripted, DeviceError, registers={schema.REG_VERSION: 0})
+
+
+def test_another_schema_asks_for_firmware_built_from_ours(scripted: Scripted) -> None:
+    text = refusal(scripted, DeviceError, registers={schema.REG_SCHEMA: 0xDEADBEEF})
+    assert f"schema is deadbeef, this hapsim's is {schema.SCHEMA_HASH:08x}: build the firmware" in text
+
+
+@pytest.mark.parametrize("channels", [0, 17, 2**32 - 1])
+def test_a_number_of_channels_that_cannot_be_is_refused(scripted: Scripted, channels: int) -> None:
+    text = refusal(scripted, DeviceError, registers={schema.REG_CHANNELS: channels})
+    assert f"says it has {channels} channels, where 1 to 16 can be" in text
+
+
+def test_too_few_channels_for_the_scene_are_refused(scripted: Scripted, scene_of: Callable[..., Scene]) -> None:
+    text = refusal(scripted, UsageError, scene=scene_of(3))
+    assert "the device has 1 channel(s), the scene uses 3" in text
+
+
+def test_more_channels_than_the_scene_uses_get_no_force(scripted: Scripted, frame: Callable[..., bytes]) -> None:
+    script = [frame(n, 100, 200, 300) for n in range(5)]
+    three = {"position_scale": (1e-6,) * 3, "force_scale": (1e-3,) * 3, "force_limit": (10.0,) * 3}
+    with scripted(script, **three) as (scene, device):
+        trace = run(scene, duration=0.005)
+    assert trace.position_counts.tolist() == [[100, 200, 300]] * 5
+    assert [heard.counts for heard in device.forces] == [(-100, 0, 0)] * 5
+
+
+def test_another_rate_is_refused_with_what_to_write(scripted: Scripted) -> None:
+    text = refusal(scripted, UsageError, rate_hz=2000.0)
+    assert "samples at 2000 Hz, the scene says 1000 Hz: write rate: 2000 into the scene" in text
+
+
+@pytest.mark.parametrize("rate", [np.nan, np.inf, 0.0, -1000.0])
+def test_a_rate_that_is_no_rate_is_the_devices_fault(scripted: Scripted, rate: float) -> None:
+    assert "not a number above 0" in refusal(scripted, DeviceError, rate_hz=rate)
+
+
+@pytest.mark.parametrize(("clock", "pacings"), [("lockstep", 0b011), ("host", 0b101), ("device", 0b110)])
+def test_a_pacing_that_the_device_does_not_offer_is_refused(
+    scripted: Scripted, scene_of: Callable[..., Scene], clock: str, pacings: int
+) -> None:
+    text = refusal(scripted, UsageError, scene=scene_of(device={"clock": clock}), pacings=pacings)
+    assert f"cannot be run with clock: {clock}; try another clock" in text
+
+
+@pytest.mark.parametrize("what", ["position_scale", "force_scale", "force_limit"])
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 0.0, -1e-6])
+def test_an_absurd_scale_is_refused(scripted: Scripted, what: str, value: float) -> None:
+    assert "not a number above 0" in refusal(scripted, DeviceError, **{what: (value,)})
+
+
+@pytest.mark.parametrize("value", [sys.float_info.min, 5e-324, sys.float_info.max])
+@pytest.mark.parametrize("what", ["position_scale", "force_scale", "force_limit"])
+def test_extreme_scales_leave_the_force_within_the_limit(
+    scripted: Scripted, frame: Callable[..., bytes], what: str, value: float
+) -> None:
+    with scripted([frame(n, 1000) for n in range(5)], **{what: (value,)}) as (scene, device):
+        with contextlib.suppress(GuardError):
+            run(scene, duration=0.005)
+        assert not device.armed
+    limit = min(device.description.force_limit[0], scene.device.force_limit)
+    sent = [heard.counts[0] * device.description.force_scale[0] for heard in device.forces]
+    assert np.all(np.abs(sent) <= limit * (1 + 1e-12))
+
+
+@pytest.mark.parametrize("fault", [schema.WRONG_SCHEMA, schema.WRONG_PACING, schema.WRONG_WATCHDOG, schema.HARDWARE])
+def test_a_device_that_refuses_to_arm_says_why(scripted: Scripted, fault: int) -> None:
+    assert f"the device does not arm: {schema.FAULTS[fault]}" in refusal(scripted, DeviceError, refuses=fault)
+
+
+def test_a_watchdog_shorter_than_ours_is_accepted(scripted: Scripted, frame: Callable[..., bytes]) -> None:
+    with scripted([frame(n, 0) for n in range(3)], max_watchdog_samples=3) as (scene, _):
+        assert run(scene, duration=0.003).report.ticks == 3
+
+
+@pytest.mark.usefixtures("impatient")
+def test_where_nothing_answers_the_user_is_asked_the_right_questions(scripted: Scripted) -> None:
+    with scripted() as (scene, device):
+        device.deaf = True
+        with pytest.raises(DeviceError, match=r"no answer within 0\.04 s\. Is this the device's port, is the device"):
+            run(scene, duration=0.01)
+
+
+@pytest.mark.parametrize(
+    "garbage",
+    [b"U-Boot 2024.01 (Jan 01 2024)\r\n", b"\x00" * 500, bytes(range(256)) * 20, b"\xff" * 9000],
+    ids=["boot log", "zeros", "every byte", "more than the inbox holds"],
+)
+def test_garbage_that_waits_on_the_port_is_read_over(
+    scripted: Scripted, frame: Callable[..., bytes], garbage: bytes
+) -> None:
+    """It comes after every answer: what waits when the port opens is thrown away by the opening."""
+    with scripted([frame(n, 0) for n in range(3)], before=garbage) as (scene, device):
+        device.after_each = garbage[:300]
+        assert run(scene, duration=0.003).sample.tolist() == [0, 1, 2]
+
+
+@pytest.mark.usefixtures("impatient")
+def test_a_port_that_only_babbles_is_no_device(scripted: Scripted) -> None:
+    with scripted() as (scene, device):
+        device.deaf, device.after_each = True, b"$GPGGA,123519,4807.038,N\r\n\x00"
+        with pytest.raises(DeviceError, match="no answer"):
+            run(scene, duration=0.01)
+
+
+def test_answers_to_other_questions_are_passed_over(scripted: Scripted, frame: Callable[..., bytes]) -> None:
+    stray = frame_to_host(SETUP, schema.DESCRIPTION, schema.REG_HELD, [12345])
+    with scripted([frame(n, 0) for n in range(3)]) as (scene, device):
+        device.before_each = stray
+        assert run(scene, duration=0.003, line="auto").report.ending == "done"
+
+
+def test_a_device_that_hangs_up_while_it_is_asked_is_gone(scripted: Scripted) -> None:
+    with scripted([None]) as (scene, _), pytest.raises(DeviceError, match=r"went away|is gone|still there"):
+        run(scene, duration=0.01)
+
+
+def test_every_value_survives_the_registers_as_bits(scripted: Scripted) -> None:
+    value = struct.unpack("<d", bytes.fromhex("ffffffff0000f03f"))[0]  # a low word with its highest bit set
+    with scripted(position_scale=(value,)) as (scene, _):
+        line = open_serial_port(scene.device.port, scene.device.baud)
+        try:
+            assert conversation.describe(line).position_scale == (value,)
+        finally:
+            line.close()

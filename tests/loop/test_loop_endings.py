@@ -1,0 +1,198 @@
+"""Every way out of a run leaves the device disarmed and its force at zero."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from firmware_protocol import schema
+from firmware_protocol.frames import armed_format, frame_to_host
+from hapsim.device.mock.firmware import Mock
+from hapsim.errors import DeviceError
+from hapsim.loop.trace import load_trace
+from hapsim.progress import Progress
+from hapsim.running import run
+from hapsim.scene import Scene
+
+Served = Callable[[Scene], contextlib.AbstractContextManager[tuple[Scene, Mock]]]
+Scripted = Callable[..., Any]
+CLOCKS = ["lockstep", "device", "host"]
+
+
+def require_let_go(mock: Mock, state: int = schema.IDLE) -> None:
+    assert mock.board["state"] == state
+    assert not mock.commands.any()
+
+
+@pytest.mark.parametrize("clock", CLOCKS)
+def test_at_the_end_of_the_duration_the_device_is_disarmed(
+    scene_of: Callable[..., Scene], served: Served, clock: str
+) -> None:
+    with served(scene_of(2, device={"clock": clock})) as (scene, mock):
+        trace = run(scene, duration=0.1)
+        require_let_go(mock)
+    assert trace.report.ending == "done"
+    assert trace.report.ticks >= 100
+
+
+@pytest.mark.parametrize("clock", CLOCKS)
+def test_an_exception_of_whoever_watches_the_progress_disarms_and_comes_through(
+    scene_of: Callable[..., Scene], served: Served, clock: str
+) -> None:
+    class OfTheirOwnError(Exception):
+        pass
+
+    def watch(progress: Progress) -> None:
+        if progress.phase == "running":
+            raise OfTheirOwnError
+
+    with served(scene_of(device={"clock": clock})) as (scene, mock):
+        with pytest.raises(OfTheirOwnError):
+            run(scene, duration=None, keep=False, on_progress=watch)
+        require_let_go(mock)
+
+
+@pytest.mark.parametrize("clock", CLOCKS)
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_that_means_stop_ends_the_run_in_good_order(
+    scene_of: Callable[..., Scene], served: Served, clock: str, number: signal.Signals
+) -> None:
+    sent = threading.Event()
+
+    def watch(progress: Progress) -> None:
+        if progress.phase == "running" and not sent.is_set():
+            sent.set()
+            os.kill(os.getpid(), number)
+
+    before = signal.getsignal(number)
+    with served(scene_of(device={"clock": clock})) as (scene, mock):
+        trace = run(scene, duration=None, keep=False, on_progress=watch, stop_on_signals=True)
+        require_let_go(mock)
+    assert trace.report.ending == "stopped"
+    assert signal.getsignal(number) is before
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_the_command_ends_with_status_0_on_a_signal_and_keeps_the_record(
+    scene_of: Callable[..., Scene], served: Served, tmp_path: Path, number: signal.Signals
+) -> None:
+    record, file = tmp_path / "trace.npz", tmp_path / "scene.yaml"
+    with served(scene_of(device={"clock": "device"})) as (scene, mock):
+        file.write_text(yaml.safe_dump(scene.model_dump(mode="json", exclude_none=True)), encoding="utf-8")
+        command = [sys.executable, "-m", "hapsim", "run", str(file), "--record", str(record), "--json"]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+            while mock.board["state"] != schema.ARMED and process.poll() is None:
+                time.sleep(0.01)
+            process.send_signal(number)
+            out, err = process.communicate()
+        require_let_go(mock)
+    assert process.returncode == 0, err
+    report = json.loads(out)
+    assert report["ending"] == "stopped"
+    assert load_trace(record).report.ticks == report["ticks"]
+
+
+@pytest.mark.parametrize("clock", CLOCKS)
+def test_a_device_that_stops_by_itself_ends_the_run_and_says_why(
+    scene_of: Callable[..., Scene], served: Served, clock: str
+) -> None:
+    """2^31 counts of a picometre are two millimetres."""
+    scene = scene_of(
+        stiffness=0.0, damping=0.0, device={"clock": clock}, mock={"quantum": 1e-12, "initial": {"velocity": 0.1}}
+    )
+    with served(scene) as (scene, mock):
+        with pytest.raises(DeviceError, match="a position left the range of its counts; its force is zero") as caught:
+            run(scene, duration=5.0)
+        require_let_go(mock)
+    assert caught.value.exit_status == 3
+    assert caught.value.trace is not None
+    assert caught.value.trace.report.ending == "device stopped"
+    assert caught.value.trace.report.ticks >= 10
+
+
+@pytest.mark.parametrize("clock", ["device", "host"])
+def test_a_silent_device_ends_the_run_with_zero_force(
+    scripted: Scripted, frame: Callable[..., bytes], scene_of: Callable[..., Scene], clock: str
+) -> None:
+    scene = scene_of(device={"clock": clock})
+    with scripted([frame(n, 0) for n in range(5)], scene=scene) as (scene, device):
+        with pytest.raises(DeviceError, match=r"silent for 0\.25 s after 5 ticks; the force is zero") as caught:
+            run(scene, duration=60.0)
+        assert not device.armed
+        assert device.disarmed >= 1
+    assert caught.value.trace is not None
+    assert caught.value.trace.sample.tolist() == [0, 1, 2, 3, 4]
+
+
+@pytest.mark.parametrize("clock", CLOCKS)
+def test_a_port_that_hangs_up_ends_the_run(
+    scripted: Scripted, frame: Callable[..., bytes], scene_of: Callable[..., Scene], clock: str
+) -> None:
+    script = [*[frame(n, n) for n in range(4)], None]
+    with (
+        scripted(script, scene=scene_of(device={"clock": clock})) as (scene, _),
+        pytest.raises(DeviceError, match="went away after 4 ticks") as caught,
+    ):
+        run(scene, duration=60.0)
+    assert caught.value.trace is not None
+    assert caught.value.trace.sample.tolist() == [0, 1, 2, 3]
+
+
+@pytest.mark.parametrize("fault", [*sorted(schema.FAULTS), 77])
+def test_a_fault_that_the_device_reports_is_told_in_words(
+    scripted: Scripted, frame: Callable[..., bytes], fault: int
+) -> None:
+    status = frame_to_host(armed_format(1), schema.STATUS, 3, [schema.LATCHED | fault << 8])
+    told = schema.FAULTS.get(fault, "fault 77, which version 1 of the protocol does not name")
+    with (
+        scripted([frame(0, 0), frame(1, 0) + status]) as (scene, _),
+        pytest.raises(DeviceError, match=f"stopped after 2 ticks: {told}") as caught,
+    ):
+        run(scene, duration=1.0)
+    assert caught.value.trace is not None
+
+
+def test_the_last_command_of_a_run_is_zero_and_no_force_follows_it(
+    scripted: Scripted, frame: Callable[..., bytes]
+) -> None:
+    with scripted([frame(n, 1000) for n in range(20)]) as (scene, device):
+        trace = run(scene, duration=0.01)
+        assert not device.armed
+    assert len(device.forces) == trace.report.ticks == 10
+    assert np.all(trace.force_counts != 0)
+
+
+def test_a_host_that_died_in_virtual_time_does_not_lock_the_next_one_out(
+    scene_of: Callable[..., Scene], served: Served
+) -> None:
+    """In virtual time there is no watchdog: the mock is still armed, and hears nothing but its armed format."""
+    with served(scene_of()) as (scene, mock):
+        code = (
+            "import os, sys; from hapsim.scene import load_scene; from hapsim.running import run\n"
+            "run(load_scene(sys.argv[1]), on_progress=lambda p: os.kill(os.getpid(), 9) "
+            "if p.phase == 'running' else None)"
+        )
+        file = Path(scene.device.port or "").name
+        path = Path("/tmp") / f"hapsim-test-{os.getpid()}-{file}.yaml"
+        path.write_text(yaml.safe_dump(scene.model_dump(mode="json", exclude_none=True)), encoding="utf-8")
+        try:
+            assert subprocess.run([sys.executable, "-c", code, str(path)], check=False).returncode == -9
+        finally:
+            path.unlink()
+        assert mock.board["state"] == schema.ARMED
+        trace = run(scene, duration=0.05)
+        require_let_go(mock)
+    assert trace.sample.tolist() == list(range(50))

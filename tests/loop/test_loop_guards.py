@@ -1,0 +1,117 @@
+"""The guards: no force beyond the limit, none that is no number."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from firmware_protocol import schema
+from hapsim.device.mock.firmware import Mock
+from hapsim.errors import GuardError, UsageError
+from hapsim.loop.guard.finite import all_finite
+from hapsim.loop.guard.limit import cut
+from hapsim.loop.ring import LIMITED
+from hapsim.running import Excitation, run
+from hapsim.scene import Scene, parse_scene
+
+Served = Callable[[Scene], contextlib.AbstractContextManager[tuple[Scene, Mock]]]
+
+
+def test_a_force_beyond_the_limit_is_cut_flagged_and_counted(scene_of: Callable[..., Scene]) -> None:
+    trace = run(scene_of(2, device={"force_limit": 0.4}), duration=0.5)
+    beyond = np.any(np.abs(trace.asked_force) > 0.4, axis=1)
+    assert 0 < beyond.sum() < 500
+    np.testing.assert_array_equal((trace.flags & LIMITED) != 0, beyond)
+    assert trace.report.limited_ticks == beyond.sum()
+    assert np.max(np.abs(trace.force)) <= 0.4
+    cut_to = np.clip(trace.asked_force, -0.4, 0.4)
+    np.testing.assert_allclose(trace.force, cut_to, rtol=0, atol=trace.force_scale.max())
+
+
+def test_an_excitation_passes_the_limit_too(scene_of: Callable[..., Scene]) -> None:
+    pushes = Excitation(channel=0, force=50.0, ticks=5, every=50, start=10, first=True)
+    trace = run(scene_of(device={"force_limit": 1.0}), duration=0.1, excitation=pushes)
+    assert np.max(np.abs(trace.force)) <= 1.0
+    assert trace.report.limited_ticks >= 5
+
+
+@pytest.mark.parametrize(
+    ("device_limit", "scale", "most"),
+    [
+        (10.0, 0.3, 33),  # 33.3 counts: the rounding must not go up over the limit
+        (1.1, 0.3, 3),  # 3.67 counts
+        (0.3, 0.1, 3),  # 3 counts, though 0.3 / 0.1 is a little less in floating point
+        (100.0, 0.5, 20),  # the scene's limit of 10 N is below the device's
+        (10.0, 1e-9, 2**31 - 1),  # 32 bits reach only 2.147 N
+    ],
+)
+def test_counts_on_the_wire_never_mean_more_than_the_limit(
+    scripted: Callable[..., Any], frame: Callable[..., bytes], device_limit: float, scale: float, most: int
+) -> None:
+    script = [frame(n, 100_000 * (-1) ** n) for n in range(20)]  # 0.1 m at 1000 N/m: 100 N and more
+    with scripted(script, force_limit=(device_limit,), force_scale=(scale,)) as (scene, device):
+        trace = run(scene, duration=0.02)
+    sent = [heard.counts[0] for heard in device.forces]
+    assert max(sent) == most
+    assert min(sent) == -most
+    assert trace.report.limited_ticks == 20
+    assert np.all(trace.flags & LIMITED)
+
+
+@pytest.mark.parametrize("clock", ["lockstep", "device", "host"])
+def test_a_force_that_is_no_number_stops_the_loop_with_zero_force(
+    scene_of: Callable[..., Scene], served: Served, clock: str
+) -> None:
+    scene = scene_of(stiffness=1e308, damping=1e308, device={"clock": clock}, mock={"initial": {"velocity": 1000.0}})
+    with served(scene) as (scene, mock):
+        with pytest.raises(GuardError, match="not a finite number at tick") as caught:
+            run(scene, duration=1.0)
+        assert mock.board["state"] == schema.IDLE
+        assert not mock.commands.any()
+    assert caught.value.exit_status == 4
+    trace = caught.value.trace
+    assert trace is not None
+    assert trace.report.ending == "force not finite"
+    assert not np.isfinite(trace.asked_force[-1]).all()
+    assert trace.force_counts[-1].tolist() == [0]
+    assert trace.flags[-1] == 0 or trace.flags[-1] < 16  # only the flags that ring.py names
+    assert np.max(np.abs(trace.force)) <= 10.0
+
+
+def test_a_mass_of_the_scene_that_diverges_stops_the_loop_once_the_hand_would_feel_it() -> None:
+    scene = parse_scene(
+        "{version: 1, rate: 1000, device: {mass: 0.2, clock: lockstep}, mock: {initial: {velocity: 1}}, modules: {"
+        "hand: {type: device, channel: 0}, ball: {type: mass, mass: 1.0e-6}, "
+        "touch: {type: viscoelastic, between: [hand, ball], stiffness: 5000}}}"
+    )
+    with pytest.raises(GuardError) as caught:
+        run(scene, duration=5.0)
+    assert caught.value.trace is not None
+    assert np.isfinite(caught.value.trace.force).all()
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_the_guard_sees_every_value_that_is_no_number_on_every_channel(value: float) -> None:
+    """It would not, were anything here compiled with fastmath."""
+    for channel in range(16):
+        force = np.zeros(16)
+        assert all_finite(force)
+        force[channel] = value
+        assert not all_finite(force)
+
+
+def test_the_limit_cuts_to_either_side_and_leaves_the_rest_alone() -> None:
+    force, limit = np.array([0.5, -2.0, 3.0, 1.0, -1.0]), np.array([1.0, 1.5, 2.5, 1.0, 1.0])
+    assert cut(force, limit)
+    assert force.tolist() == [0.5, -1.5, 2.5, 1.0, -1.0]
+    assert not cut(force, limit)
+
+
+@pytest.mark.parametrize("duration", [0.0, -1.0, float("nan"), float("inf"), 1e300])
+def test_a_duration_that_cannot_be_run_is_refused(scene_of: Callable[..., Scene], duration: float) -> None:
+    with pytest.raises(UsageError, match="expected a finite number of seconds above 0"):
+        run(scene_of(), duration=duration)

@@ -1,0 +1,135 @@
+"""Ports that cannot be opened: a sentence that says what to do."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import tty
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import serial
+
+from hapsim.device.serial_port import open_serial_port, serial_ports
+from hapsim.errors import DeviceError
+from hapsim.loop.port import receive_into, send_from
+from hapsim.loop.system import HUNG_UP, TIMED_OUT
+
+BAUD = 2_000_000
+
+
+@pytest.fixture
+def terminal() -> Iterator[tuple[int, str]]:
+    """(descriptor of the near end, path of the port)"""
+    near, far = os.openpty()
+    for end in (near, far):
+        tty.setraw(end)
+    yield near, os.ttyname(far)
+    for end in (near, far):
+        with contextlib.suppress(OSError):
+            os.close(end)
+
+
+def refusal(path: str) -> str:
+    with pytest.raises(DeviceError) as caught:
+        open_serial_port(path, BAUD)
+    assert caught.value.exit_status == 3
+    text = str(caught.value)
+    assert text.startswith(f"{path}: ")
+    assert "\n" not in text
+    return text
+
+
+def test_a_port_that_does_not_exist_is_told_with_the_ports_that_do() -> None:
+    assert "no such port. Ports found: " in refusal("/dev/ttyNOPE7")
+
+
+def test_a_regular_file_is_no_serial_port(tmp_path: Path) -> None:
+    file = tmp_path / "file"
+    file.write_text("not a port", encoding="utf-8")
+    assert "not a serial port" in refusal(str(file))
+    assert file.read_text(encoding="utf-8") == "not a port"
+
+
+def test_a_directory_is_no_serial_port(tmp_path: Path) -> None:
+    assert "not a serial port" in refusal(str(tmp_path))
+
+
+@pytest.mark.parametrize("path", ["/dev/null", "/dev/zero", "/dev/full"])
+def test_a_device_that_is_no_terminal_is_no_serial_port(path: str) -> None:
+    assert "not a serial port" in refusal(path)
+
+
+def test_a_pipe_is_no_serial_port(tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    assert "not a serial port" in refusal(str(pipe))
+
+
+def test_a_port_that_is_in_use_is_told_so(terminal: tuple[int, str]) -> None:
+    line = open_serial_port(terminal[1], BAUD)
+    try:
+        assert "another program is using the port" in refusal(terminal[1])
+    finally:
+        line.close()
+    open_serial_port(terminal[1], BAUD).close()
+
+
+@pytest.mark.parametrize(
+    ("number", "told"),
+    [
+        (errno.EACCES, "not permitted. On most systems: add yourself to the group dialout"),
+        (errno.EPERM, "not permitted"),
+        (errno.EBUSY, "another program is using the port"),
+        (errno.EIO, "cannot be opened: "),
+        (errno.ENXIO, "cannot be opened: "),
+    ],
+)
+def test_what_the_system_refuses_is_told_with_what_to_do(
+    monkeypatch: pytest.MonkeyPatch, number: int, told: str
+) -> None:
+    """Root is refused nothing, so the system's answer is put in its mouth, in the words of pyserial."""
+
+    def refuse(path: str, *_args: object, **_options: object) -> None:
+        raise serial.SerialException(number, f"could not open port {path}: [Errno {number}] {os.strerror(number)}")
+
+    monkeypatch.setattr(serial, "Serial", refuse)
+    assert told in refusal("/dev/ttyACM0")
+
+
+def test_an_empty_name_is_no_port() -> None:
+    assert refusal("")
+
+
+def test_what_is_sent_arrives_unchanged_in_both_directions(terminal: tuple[int, str]) -> None:
+    """Raw: no byte means anything to the terminal, none is echoed."""
+    near, path = terminal
+    every = np.arange(256, dtype=np.uint8)
+    line = open_serial_port(path, BAUD)
+    try:
+        assert send_from(line.port, every, every.size) == 0
+        assert os.read(near, 1000) == every.tobytes()
+        os.write(near, every.tobytes())
+        buffer = np.zeros(1000, np.uint8)
+        assert receive_into(line.port, buffer, 0, 10**9) == 256
+        assert buffer[:256].tolist() == every.tolist()
+        assert receive_into(line.port, buffer, 0, 0) == TIMED_OUT
+        os.close(near)
+        assert receive_into(line.port, buffer, 0, 10**9) == HUNG_UP
+        assert send_from(line.port, every, 1) == HUNG_UP
+    finally:
+        line.close()
+
+
+def test_a_port_without_a_low_latency_mode_is_noted(terminal: tuple[int, str]) -> None:
+    line = open_serial_port(terminal[1], BAUD)
+    line.close()
+    assert line.note == "the port's driver offers no low-latency mode"
+    assert line.baud == BAUD
+
+
+def test_the_ports_found_have_names() -> None:
+    assert all(set(port) == {"port", "description", "hardware"} for port in serial_ports())

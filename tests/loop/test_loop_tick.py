@@ -1,0 +1,164 @@
+"""The compiled tick, against the recurrence written out in NumPy with matrices, and against the theory of chains."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from hapsim.cordis.program import compile_scene
+from hapsim.cordis.tick import start, tick
+from hapsim.scene import Scene, parse_scene
+
+SAMPLES = 3000
+
+
+@st.composite
+def scenes(draw: st.DrawFn) -> Scene:
+    """A few hands (on any channels), grounds and masses, and links between any of them."""
+    channels = draw(st.lists(st.integers(0, 5), min_size=1, max_size=3, unique=True))
+    modules: dict[str, Any] = {f"h{c}": {"type": "device", "channel": c} for c in channels}
+    for i in range(draw(st.integers(0, 2))):
+        modules[f"g{i}"] = {"type": "ground", "position": draw(st.floats(-0.1, 0.1))}
+    for i in range(draw(st.integers(0, 4))):
+        modules[f"m{i}"] = {
+            "type": "mass",
+            "mass": draw(st.floats(0.05, 1.0)),
+            "position": draw(st.floats(-0.1, 0.1)),
+            "velocity": draw(st.floats(-0.5, 0.5)),
+        }
+    names = draw(st.permutations(list(modules)))
+    modules = {name: modules[name] for name in names}
+    if len(names) > 1:
+        pairs = st.lists(st.sampled_from(names), min_size=2, max_size=2, unique=True)
+        pairs = pairs.filter(lambda pair: not pair[0][0] == pair[1][0] == "g")  # two grounds: the scene refuses it
+        for i, pair in enumerate(draw(st.lists(pairs, max_size=8))):
+            modules[f"l{i}"] = {
+                "type": "viscoelastic",
+                "between": list(pair),
+                "stiffness": draw(st.floats(0, 3000)),
+                "damping": draw(st.floats(0, 5)),
+            }
+    document = {"version": 1, "rate": 1000, "device": {"mass": 0.2}, "modules": modules}
+    return parse_scene(yaml.safe_dump(document, sort_keys=False))
+
+
+def by_matrices(scene: Scene, measured: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Forces on the channels and positions of the masses, sample by sample: F = -K x - Z (x - x_before)."""
+    points = [name for name in scene.modules if name not in scene.links]
+    K, Z = np.zeros((2, len(points), len(points)))
+    for link in scene.links.values():
+        a, b = (points.index(end) for end in link.between)
+        spread = np.zeros(len(points))
+        spread[a], spread[b] = 1.0, -1.0
+        K += link.stiffness * np.outer(spread, spread)
+        Z += link.damping * scene.rate * np.outer(spread, spread)
+    x = np.array([getattr(scene.modules[name], "position", 0.0) for name in points])
+    v = np.array([getattr(scene.modules[name], "velocity", 0.0) for name in points])
+    before = x - v / scene.rate
+    hands = [(points.index(name), hand.channel) for name, hand in scene.device_points.items()]
+    masses = [(points.index(name), mass.mass) for name, mass in scene.masses.items()]
+    for p, channel in hands:
+        x[p] = before[p] = measured[0, channel]
+    forces, positions = np.zeros_like(measured), np.zeros((len(measured), len(masses)))
+    for n in range(len(measured)):
+        for p, channel in hands:
+            x[p] = measured[n, channel]
+        force = -K @ x - Z @ (x - before)
+        following = x.copy()
+        for p, mass in masses:
+            following[p] = 2 * x[p] - before[p] + force[p] / (mass * scene.rate**2)
+        before, x = x, following
+        positions[n] = [x[p] for p, _ in masses]
+        for p, channel in hands:
+            forces[n, channel] = force[p]
+    return forces, positions
+
+
+def by_the_tick(scene: Scene, measured: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    program = compile_scene(scene)
+    start(program, measured[0])
+    first = program.masses.start
+    forces, positions = np.zeros_like(measured), np.zeros((len(measured), len(scene.masses)))
+    for n in range(len(measured)):
+        tick(program, measured[n], forces[n])
+        positions[n] = program.position[first : first + len(scene.masses)]
+    return forces, positions
+
+
+@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(scene=scenes(), seed=st.integers(0, 2**32 - 1))
+def test_the_tick_is_the_recurrence_of_the_paper(scene: Scene, seed: int) -> None:
+    steps = np.random.default_rng(seed).normal(0.0, 1e-4, (SAMPLES, scene.channels))
+    measured = 0.05 * np.sin(np.cumsum(steps, axis=0))
+    forces, positions = by_the_tick(scene, measured)
+    expected_forces, expected_positions = by_matrices(scene, measured)
+    # Rounding is measured against what a force is made of: stiffness times position.
+    position_size = max(1.0, float(np.max(np.abs(expected_positions), initial=0.0)))
+    stiffness = sum(link.stiffness + link.damping * scene.rate for link in scene.links.values())
+    assert np.max(np.abs(positions - expected_positions), initial=0.0) <= 1e-12 * position_size * SAMPLES**0.5
+    assert np.max(np.abs(forces - expected_forces)) <= 1e-12 * max(1.0, stiffness * position_size)
+
+
+def test_a_channel_without_a_hand_gets_no_force() -> None:
+    scene = parse_scene(
+        "{version: 1, rate: 1000, device: {mass: 1}, modules: {hand: {type: device, channel: 2}, "
+        "wall: {type: ground}, touch: {type: viscoelastic, between: [wall, hand], stiffness: 100}}}"
+    )
+    forces, _ = by_the_tick(scene, np.full((10, 3), 0.01))
+    np.testing.assert_allclose(forces, np.tile([0.0, 0.0, -1.0], (10, 1)), rtol=1e-15)
+
+
+def test_the_first_tick_feels_no_jump() -> None:
+    """The hand is somewhere when the run begins: at rest there, not arrived from the origin within one sample."""
+    scene = parse_scene(
+        "{version: 1, rate: 1000, device: {mass: 1}, modules: {hand: {type: device, channel: 0}, "
+        "wall: {type: ground}, touch: {type: viscoelastic, between: [hand, wall], stiffness: 0, damping: 5}}}"
+    )
+    forces, _ = by_the_tick(scene, np.array([[0.01], [0.011]]))
+    np.testing.assert_allclose(forces[:, 0], [0.0, -5.0], rtol=1e-12, atol=1e-12)
+
+
+def chain(count: int, stiffness: float, damping: float) -> Scene:
+    """Masses of 1 kg in a row between two grounds, at 1 Hz: then K and Z of the theory are the numbers written."""
+    row = ["left", *(f"m{i}" for i in range(count)), "right"]
+    modules: dict[str, Any] = {"hand": {"type": "device", "channel": 0}}
+    modules |= {name: {"type": "mass", "mass": 1.0} if name[0] == "m" else {"type": "ground"} for name in row}
+    for i, pair in enumerate(pairwise(row)):
+        link = {"type": "viscoelastic", "between": list(pair), "stiffness": stiffness, "damping": damping}
+        modules[f"l{i}"] = link
+    return parse_scene(yaml.safe_dump({"version": 1, "rate": 1, "device": {"mass": 1}, "modules": modules}))
+
+
+def step_of(scene: Scene) -> np.ndarray:
+    """The matrix by which one tick takes (positions, previous positions) of the masses on."""
+    count = len(scene.masses)
+    columns = []
+    for unit in np.eye(2 * count):
+        program = compile_scene(scene)
+        ours = slice(program.masses.start, program.masses.start + count)
+        program.position[ours], program.previous[ours] = unit[:count], unit[count:]
+        tick(program, np.zeros(1), np.zeros(1))
+        columns.append(np.concatenate([program.position[ours], program.previous[ours]]))
+    return np.array(columns).T
+
+
+@pytest.mark.parametrize(("count", "K", "Z"), [(1, 0.5, 0.1), (2, 1.0, 0.3), (7, 0.3, 0.05), (12, 0.9, 0.0)])
+def test_a_virtual_chain_has_the_eigenvalues_of_the_theory(count: int, K: float, Z: float) -> None:
+    modes = 4 * np.sin(np.arange(1, count + 1) * np.pi / (2 * (count + 1))) ** 2
+    expected = np.concatenate([np.roots([1, (K + Z) * mode - 2, 1 - Z * mode]) for mode in modes])
+    found = np.linalg.eigvals(step_of(chain(count, K, Z)))
+    for value in expected:
+        assert np.min(np.abs(found - value)) < 1e-12 * max(1, count) * 10
+
+
+@pytest.mark.parametrize(("K", "Z", "stable"), [(1.9, 0.04, True), (1.9, 0.06, False), (0.1, 0.94, True)])
+def test_one_mass_between_two_grounds_is_stable_up_to_the_limit_of_the_theory(K: float, Z: float, stable: bool) -> None:
+    """Two links on one mass: 2 K + 2 (2 Z) < 4 M."""
+    radius = np.max(np.abs(np.linalg.eigvals(step_of(chain(1, K, Z)))))
+    assert (radius < 1) == stable == (2 * K + 4 * Z < 4)

@@ -1,0 +1,94 @@
+"""A trace on disk."""
+
+from __future__ import annotations
+
+import csv
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hapsim.errors import UsageError
+from hapsim.loop.trace import Trace, load_trace, require_writable_as_trace
+from hapsim.running import run
+from hapsim.scene import Scene
+
+
+@pytest.fixture
+def trace(scene_of: Callable[..., Scene]) -> Trace:
+    return run(scene_of(2), duration=0.05)
+
+
+def test_a_trace_comes_back_as_it_was(trace: Trace, tmp_path: Path) -> None:
+    trace.save(tmp_path / "t.npz")
+    back = load_trace(tmp_path / "t.npz")
+    assert vars(back).keys() == vars(trace).keys()
+    for name, value in vars(trace).items():
+        if isinstance(value, np.ndarray):
+            assert getattr(back, name).dtype == value.dtype
+            np.testing.assert_array_equal(getattr(back, name), value)
+        else:
+            assert getattr(back, name) == value
+    np.testing.assert_array_equal(back.position, trace.position)
+    np.testing.assert_array_equal(back.force, trace.force)
+
+
+def test_a_trace_without_rows_comes_back_too(scene_of: Callable[..., Scene], tmp_path: Path) -> None:
+    empty = run(scene_of(2), duration=0.01, keep=False)
+    for name in ("t.npz", "t.csv"):
+        empty.save(tmp_path / name)
+    assert load_trace(tmp_path / "t.npz").position.shape == (0, 2)
+
+
+def test_a_csv_has_a_header_and_si_units(trace: Trace, tmp_path: Path) -> None:
+    trace.save(tmp_path / "t.csv")
+    with (tmp_path / "t.csv").open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 50
+    assert list(rows[0]) == [
+        *("sample", "time_ns", "flags", "position_m[0]", "position_m[1]"),
+        *("force_N[0]", "force_N[1]", "asked_force_N[0]", "asked_force_N[1]"),
+    ]
+    np.testing.assert_allclose([float(row["position_m[1]"]) for row in rows], trace.position[:, 1], rtol=1e-11)
+    np.testing.assert_allclose([float(row["force_N[0]"]) for row in rows], trace.force[:, 0], rtol=1e-11)
+    assert [int(row["sample"]) for row in rows] == list(range(50))
+    assert [int(row["time_ns"]) for row in rows] == trace.time_ns.tolist()
+
+
+@pytest.mark.parametrize("name", ["t.txt", "t", "t.NPZ", "t.npz.gz", ".npz", "none/t.npz", "taken.npz"])
+def test_a_place_where_no_trace_can_be_written_is_refused(trace: Trace, tmp_path: Path, name: str) -> None:
+    (tmp_path / "taken.npz").mkdir()
+    with pytest.raises(UsageError, match=name):
+        require_writable_as_trace(tmp_path / name)
+    with pytest.raises(UsageError):
+        trace.save(tmp_path / name)
+    assert os.listdir(tmp_path) == ["taken.npz"]
+
+
+def test_a_disk_that_is_full_is_told(trace: Trace, tmp_path: Path) -> None:
+    (tmp_path / "t.csv").symlink_to("/dev/full")
+    with pytest.raises(UsageError, match="cannot be written: No space left on device"):
+        trace.save(tmp_path / "t.csv")
+
+
+@pytest.mark.parametrize("text", [b"", b"no zip", b"PK\x03\x04 torn", b"\x93NUMPY\x01\x00"])
+def test_a_file_that_is_no_trace_is_told(tmp_path: Path, text: bytes) -> None:
+    (tmp_path / "t.npz").write_bytes(text)
+    with pytest.raises(UsageError, match="not a trace that hapsim wrote"):
+        load_trace(tmp_path / "t.npz")
+
+
+def test_a_trace_that_was_cut_off_or_belongs_to_somebody_else_is_told(trace: Trace, tmp_path: Path) -> None:
+    trace.save(tmp_path / "t.npz")
+    whole = (tmp_path / "t.npz").read_bytes()
+    for length in (10, len(whole) // 2, len(whole) - 1):
+        (tmp_path / "cut.npz").write_bytes(whole[:length])
+        with pytest.raises(UsageError, match="not a trace"):
+            load_trace(tmp_path / "cut.npz")
+    np.savez(tmp_path / "theirs.npz", x=np.zeros(3))
+    np.save(tmp_path / "array.npy", np.zeros(3))
+    for name in ("theirs.npz", "array.npy", "missing.npz", "."):
+        with pytest.raises(UsageError, match="not a trace"):
+            load_trace(tmp_path / name)
