@@ -67,7 +67,7 @@ def run(
             trace = run_scene(
                 loaded,
                 duration=duration,
-                line=_line_kind(mock, line),
+                line=_line_kind(mock, line, port),
                 keep=record is not None,
                 on_progress=tell,
                 stop_on_signals=True,
@@ -142,7 +142,7 @@ def measure(
             loaded,
             channel=channel,
             duration=duration,
-            line=_line_kind(mock, line),
+            line=_line_kind(mock, line, port),
             on_progress=tell,
             stop_on_signals=True,
         )
@@ -253,7 +253,9 @@ def _scene(path: str, port: str | None = None) -> Scene:
     return scene.model_copy(update={"device": scene.device.model_copy(update={"port": port})})
 
 
-def _line_kind(mock: bool, line: str | None) -> Any:
+def _line_kind(mock: bool, line: str | None, port: str | None) -> Any:
+    if port is not None and (mock or line is not None):
+        raise UsageError("--port names a device, --mock and --line the mock: found both, expected one of them")
     if line is not None and line not in ("loopback", "terminal"):
         raise UsageError(f"--line: found '{line}', expected loopback or terminal")
     return line or ("mock" if mock else "auto")

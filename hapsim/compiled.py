@@ -7,11 +7,18 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import numba
+
 import firmware_protocol
 from firmware_protocol.compiled import compiler_for
 
 jit = compiler_for(Path(__file__).parent, Path(firmware_protocol.__file__).parent)
 """Compiles a function of hapsim, which may call any compiled function of either package."""
+
+
+def compile_for(function: Any, *arguments: Any) -> None:
+    """Compiles a function for arguments of these types, or loads it, without calling it."""
+    function.compile(tuple(numba.typeof(argument) for argument in arguments))
 
 
 @contextlib.contextmanager

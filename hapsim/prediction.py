@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from firmware_protocol import schema
+from hapsim.errors import UsageError
 from hapsim.scene import Scene, ViscoElastic
 from hapsim.theory import Configuration, Mode, Network, frequency_and_ratio
 
@@ -112,6 +113,8 @@ class Prediction:
 
 def predict(scene: Scene) -> Prediction:
     """What the hand will meet in `scene`, whether the whole of it is stable, and whether the wire is fast enough."""
+    if not 1e-9 <= scene.rate <= 1e9:
+        raise UsageError(f"rate: found {scene.rate:g} Hz, which is beyond what is worked out (1e-9 to 1e9 Hz)")
     network, points = _network(scene)
     small = len(points) <= _MOST_POINTS
     poles = network.poles() if small else np.empty(0, complex)

@@ -9,13 +9,12 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
-import numba
 import numpy as np
 
 from firmware_protocol import schema
 from firmware_protocol.description import Description
 from firmware_protocol.frames import armed_format
-from hapsim.compiled import on_compilation
+from hapsim.compiled import compile_for, on_compilation
 from hapsim.cordis.program import compile_scene
 from hapsim.device.conversation import arm, describe, disarm, fault_text
 from hapsim.device.line import Line
@@ -82,6 +81,8 @@ def run(
     Raises SceneError and UsageError for what cannot be run, DeviceError where port or device fail, GuardError where a
     guard stopped the force; the two last carry what was recorded as their attribute `trace`.
     """
+    if not 1e-9 <= scene.rate <= 1e9:
+        raise UsageError(f"rate: found {scene.rate:g} Hz, which no clock keeps (1e-9 to 1e9 Hz)")
     if duration is not None and not 0 < duration * scene.rate < _MOST_TICKS:
         raise UsageError(f"duration: found {duration}, expected a finite number of seconds above 0")
     tell = on_progress or (lambda _: None)
@@ -89,9 +90,9 @@ def run(
         description = describe(opened)
         _require_fit(scene, opened, description)
         loop = _assemble(scene, opened, description, excitation, duration)
-        body: Any = run_paced_by_host if scene.device.clock == "host" else run_paced_by_device
+        body = run_paced_by_host if scene.device.clock == "host" else run_paced_by_device
         # Everything is compiled now: the device is armed only when the loop can answer at once.
-        body.compile((numba.typeof(loop),))
+        compile_for(body, loop)
         recorder = Recorder(loop.ring, keep)
         watchdog = _watchdog_samples(scene.rate, description)
         with _signals(loop.control) if stop_on_signals else contextlib.nullcontext():

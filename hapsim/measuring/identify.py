@@ -73,6 +73,8 @@ def identify(trace: Trace, mass: float, channel: int = 0) -> Measurement:
 
 
 def _identify(trace: Trace, mass: float, channel: int) -> Measurement:
+    if not np.all(np.isfinite(trace.asked_force)):
+        raise UsageError("the scene's force was not finite throughout: there is nothing to be identified")
     segments = _segments(trace, channel, HELD | BRIDGED | OFF_GRID)
     fits = _fits(segments)
     if not fits:

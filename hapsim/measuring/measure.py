@@ -40,6 +40,8 @@ def measure(
     if channel not in {point.channel for point in scene.device_points.values()}:
         known = ", ".join(str(point.channel) for point in scene.device_points.values())
         raise UsageError(f"channel {channel}: the scene has nothing there; its device points are on: {known}")
+    if duration is not None and not 0 < duration < math.inf:
+        raise UsageError(f"duration: found {duration}, expected a finite number of seconds above 0")
     if duration is None:
         duration = min(max(_SECONDS, _LEAST_TICKS / scene.rate), _MOST_TICKS / scene.rate)
     try:

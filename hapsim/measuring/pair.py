@@ -96,7 +96,7 @@ def _choose(poles: NDArray[np.complex128]) -> tuple[complex, complex, NDArray[np
     if first.real <= 0.0:
         return "the slowest pole is real and negative: the position alternates from sample to sample"
     if poles[1].imag != 0.0 or poles[1].real <= 0.0:
-        return "the slowest pole is real and no second real one follows: the motion is not that of a spring and damper"
+        return "the slowest pole is real and no second real one follows"
     return poles[0], poles[1], poles[2:]
 
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import select
 import socket
 import threading
 from collections.abc import Callable, Iterator
@@ -107,6 +108,7 @@ def test_nothing_is_echoed_even_to_a_program_that_sets_nothing(new_scene: New, n
             wanted = len(registers) * schema.frame_bytes(1, to_device=False)
             data = b""
             while len(data) < wanted:
+                assert select.select([descriptor], [], [], PATIENCE_S)[0]
                 data += os.read(descriptor, wanted)
             heard = host.read(np.frombuffer(data, np.uint8))
         finally:

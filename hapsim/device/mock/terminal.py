@@ -14,6 +14,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from hapsim.compiled import compile_for
 from hapsim.device.mock.firmware import Mock
 from hapsim.device.mock.serve import SERVICE, input_buffer, serve
 from hapsim.errors import DeviceError
@@ -33,6 +34,8 @@ def serving(mock: Mock) -> Iterator[str]:
             os.set_blocking(end, False)
         service = np.zeros(1, SERVICE)[0]
         arguments = (descriptor_port(near), mock, service, input_buffer(), np.zeros(4, np.int64))
+        # Compiled before anybody can knock: a host does not wait for as long as the first compilation takes.
+        compile_for(serve, *arguments)
         thread = threading.Thread(target=serve, args=arguments, name="mock device")
         thread.start()
         try:
