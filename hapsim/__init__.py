@@ -29,6 +29,10 @@ _HOME = {
 __all__ = ["load_scene", "measure", "predict", "run"]
 
 
+def __dir__() -> list[str]:
+    return __all__
+
+
 def __getattr__(name: str) -> Any:
     if name not in _HOME:
         raise AttributeError(f"module 'hapsim' has no attribute {name!r}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import os
 import sys
@@ -61,6 +62,7 @@ def run(
     loaded = _scene(scene, port)
     if record is not None:
         require_writable_as_trace(record)
+    _warn(loaded)
     failure: RunError | None = None
     try:
         with live_line(_stderr()) as tell:
@@ -121,7 +123,10 @@ def measure(
     record: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the trace: .npz or .csv.")] = None,
     json: Json = False,
 ) -> None:
-    """Ring the hand, identify the spring and damper that it met, and set them beside the prediction."""
+    """Ring the hand, identify the spring and damper that it met, and set them beside the prediction.
+
+    It pushes the hand: now and then, to one side and the other, with up to a quarter of the scene's force_limit.
+    """
     from hapsim.chart.figure import require_writable
     from hapsim.console.as_json import felt_on
     from hapsim.console.live import live_line
@@ -137,6 +142,13 @@ def measure(
     if channel is None:
         channel = next(iter(loaded.device_points.values())).channel
     prediction = predict(loaded)
+    felt = felt_on(prediction, channel)
+    if felt is None and (picture is not None or data is not None):
+        raise UsageError(
+            "a ring-down is drawn for a hand whose links all end on grounds; this one moves masses of the scene too: "
+            "leave out --picture and --data"
+        )
+    _warn(loaded)
     with live_line(_stderr()) as tell:
         measurement = measure_scene(
             loaded,
@@ -146,7 +158,7 @@ def measure(
             on_progress=tell,
             stop_on_signals=True,
         )
-    felt, trace = felt_on(prediction, channel), measurement.trace
+    trace = measurement.trace
     if record is not None:
         trace.save(record)
     if picture is not None or data is not None:
@@ -158,10 +170,15 @@ def measure(
     else:
         from hapsim.console.tables import show_measurement, show_report
 
-        show_measurement(_stdout(), felt, measurement)
+        hands = {point.channel: name for name, point in loaded.device_points.items()}
+        others = ", ".join(f"--channel {c} for {name}" for c, name in hands.items() if c != channel)
+        show_measurement(_stdout(), f"{hands[channel]}, channel {channel}", felt, measurement)
+        if others:
+            print(f"Other hands of this scene: {others}.")
         show_report(_stdout(), trace.report)
-        if picture is not None:
-            print(f"\nPicture: {picture}")
+        for what, path in (("Picture", picture), ("Its numbers", data), ("Trace", record)):
+            if path is not None:
+                print(f"{what}: {path}")
 
 
 @app.command()
@@ -229,11 +246,17 @@ def main() -> None:
     except HapsimError as error:
         _complain(error)
         sys.exit(error.exit_status)
+    except KeyboardInterrupt:
+        print("hapsim: stopped before anything was running", file=sys.stderr)
+        sys.exit(130)
     except BrokenPipeError:
         # Whoever read our output has seen enough; nothing is left to be told to them.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(0)
     except Exception as error:
+        if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
+            print(f"hapsim: the output cannot be written: {error.strerror}", file=sys.stderr)
+            sys.exit(2)
         if os.environ.get("HAPSIM_TRACEBACK"):
             raise
         print(
@@ -242,6 +265,14 @@ def main() -> None:
             file=sys.stderr,
         )
         sys.exit(1)
+
+
+def _warn(scene: Scene) -> None:
+    """Says before a run what its prediction has against it: the hand should know what is coming."""
+    from hapsim.prediction import warnings_about
+
+    for warning in warnings_about(scene):
+        print(f"Beware: {warning}", file=sys.stderr)
 
 
 def _scene(path: str, port: str | None = None) -> Scene:
@@ -265,8 +296,6 @@ def _chart_ring_down(trace: Any, felt: Any, measurement: Any, picture: Path | No
     from hapsim.chart.figure import save_columns
     from hapsim.chart.ring_down import draw_ring_down, ring_down
 
-    if felt is None:
-        raise UsageError("a ring-down is drawn for a hand whose links all end on grounds; this one moves masses too")
     drawn = ring_down(trace, felt)
     if data is not None:
         save_columns(drawn.columns(), data)

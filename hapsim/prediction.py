@@ -136,6 +136,24 @@ def predict(scene: Scene) -> Prediction:
     )
 
 
+def warnings_about(scene: Scene) -> list[str]:
+    """What a hand should know before `scene` runs: sentences, none where nothing speaks against it."""
+    prediction = predict(scene)
+    warnings = []
+    if prediction.stable is False and prediction.spectral_radius > 1.0 + 1e-9:
+        warnings.append(
+            "the scene is predicted unstable: the hand will be shaken, with up to the force limit of "
+            f"{scene.device.force_limit:g} N. `hapsim check` tells by how much the stiffness has to go down."
+        )
+    budget = prediction.link_budget
+    if scene.device.port is not None and not budget.fits:
+        warnings.append(
+            f"an exchange takes {budget.seconds * 1e3:.3g} ms at {scene.device.baud} baud, the sample period is "
+            f"{budget.period * 1e3:.3g} ms. A USB device does not mind; a UART cannot keep up."
+        )
+    return warnings
+
+
 def _links(scene: Scene) -> list[ViscoElastic]:
     return [link for link in scene.links.values() if isinstance(link, ViscoElastic)]
 

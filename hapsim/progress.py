@@ -10,7 +10,7 @@ from typing import Literal
 class Progress:
     """How a run is doing, for a live line."""
 
-    phase: Literal["compiling", "running"]
+    phase: Literal["compiling", "running", "serving"]
     text: str = ""
     elapsed_s: float = 0.0
     rate_hz: float = 0.0

@@ -234,6 +234,7 @@ def _trace(scene: Scene, loop: Loop, recorder: Recorder, ending: str) -> Trace:
         ticks=ticks,
         duration_s=elapsed,
         rate_hz=samples / elapsed if elapsed > 0 else 0.0,
+        nominal_rate_hz=scene.rate,
         late_ticks=int(state["late_ticks"]),
         lost_frames=int(state["lost_frames"]),
         crc_errors=int(decoder["crc_errors"] + decoder["length_errors"] + decoder["form_errors"]),

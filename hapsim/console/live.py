@@ -63,6 +63,9 @@ class _Line:
                 f"{progress.text}"
             )
             return
+        if progress.phase == "serving":
+            self._show(f"serving the mock device at {progress.text} · Ctrl-C stops it")
+            return
         force = " ".join(f"{f:+.3f}" for f in progress.force[:4])
         limited = f" · {progress.limited_ticks} at the limit" if progress.limited_ticks else ""
         self._show(

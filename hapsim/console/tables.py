@@ -10,6 +10,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from hapsim.prediction import Felt, LinkBudget, Prediction
+from hapsim.theory import Mode
 
 if TYPE_CHECKING:
     from hapsim.loop.trace import Report
@@ -91,26 +92,31 @@ def _modes(prediction: Prediction) -> Table:
         moving = sorted(zip(prediction.points, mode.participation, strict=True), key=lambda entry: -entry[1])
         names = ", ".join(f"{name} {share:.0%}" for name, share in moving[:3] if share > 0.01)
         pole = f"{mode.pole.real:.6f} ± {abs(mode.pole.imag):.6f}j" if mode.pole.imag else f"{mode.pole.real:.6f}"
-        table.add_row(pole, f"{abs(mode.pole):.6f}", _number(mode.frequency_hz), _number(mode.damping_ratio), names)
+        table.add_row(pole, f"{abs(mode.pole):.6f}", *_oscillation(mode), names)
     if len(prediction.modes) > 12:
         table.caption = f"and {len(prediction.modes) - 12} that decay faster; --json has them all"
     return table
+
+
+def _oscillation(mode: Mode) -> tuple[str, str]:
+    """Frequency and damping ratio; a real pole has none worth naming."""
+    return (_number(mode.frequency_hz), _number(mode.damping_ratio)) if mode.pole.imag else ("–", "–")
 
 
 def _budget(budget: LinkBudget) -> str:
     share = budget.seconds / budget.period
     verdict = "fits" if budget.fits else "[red]does not fit[/red]: a higher baud rate, or a lower rate"
     return (
-        f"\nLink: {budget.bytes_to_host} + {budget.bytes_to_device} bytes an exchange take {budget.seconds * 1e3:.3g} "
-        f"of the {budget.period * 1e3:.3g} ms period ({share:.0%}) at this baud rate: {verdict}. A USB device's port "
-        "has no baud rate of its own and is faster."
+        f"\nLink: {budget.bytes_to_host} + {budget.bytes_to_device} bytes an exchange take "
+        f"{budget.seconds * 1e3:.3g} ms of the {budget.period * 1e3:.3g} ms period ({share:.0%}) at this baud rate: "
+        f"{verdict}. A USB device's port has no baud rate of its own and is faster."
     )
 
 
-def show_measurement(out: Console, felt: Felt | None, measurement: Measurement) -> None:
-    """Prediction beside measurement, as `hapsim measure` tells them."""
-    table = Table(title="What the hand meets", title_justify="left")
-    for heading in ("", "predicted", "measured", "uncertainty", "difference"):
+def show_measurement(out: Console, where: str, felt: Felt | None, measurement: Measurement) -> None:
+    """Prediction beside measurement, as `hapsim measure` tells them. `where`: the hand in question."""
+    table = Table(title=f"What the hand meets at {escape(where)}", title_justify="left")
+    for heading in ("", "predicted", "measured", "uncertainty", "relative difference"):
         table.add_column(heading, justify="right" if heading else "left")
     rows = [
         ("k  N/m", "k", measurement.k_uncertainty),
@@ -131,6 +137,18 @@ def show_measurement(out: Console, felt: Felt | None, measurement: Measurement) 
         )
     out.print()
     out.print(table)
+    if felt is None:
+        out.print(
+            "This hand also moves masses of the scene or another hand: no single spring and damper is predicted "
+            "for it. Measured is its slowest mode, as if it were the hand's mass alone; `hapsim check` lists the modes."
+        )
+    limited = measurement.trace.report.limited_ticks
+    if limited:
+        share = limited / measurement.trace.report.ticks
+        out.print(
+            f"[yellow]{share:.0%} of the ticks were at the force limit[/yellow]: k and b hold for motions that stay "
+            "below it; beyond, the hand meets less."
+        )
     if not measurement.dominant:
         out.print(f"The motion is not that of a spring and damper: {measurement.reason}.")
     out.print(
@@ -148,7 +166,9 @@ def show_report(out: Console, report: Report) -> None:
     table.add_row("ended", report.ending)
     table.add_row(f"{time} time  s", f"{report.duration_s:.3f}")
     table.add_row("ticks", str(report.ticks))
-    table.add_row("rate  Hz", f"{report.rate_hz:.2f}")
+    asked = report.nominal_rate_hz
+    slow = "" if report.rate_hz > 0.95 * asked else f" [yellow]({report.rate_hz / asked:.0%} of {asked:g})[/yellow]"
+    table.add_row("rate  Hz", f"{report.rate_hz:.2f}{slow}")
     share = report.late_ticks / report.ticks if report.ticks else 0.0
     table.add_row("late ticks", f"{report.late_ticks} ({share:.2%})")
     table.add_row("oldest force  samples", str(report.max_age_samples))

@@ -27,6 +27,8 @@ class Report:
     """From the first position to the last: by the clock on the wall, or in virtual time."""
     rate_hz: float
     """Positions per second of that duration."""
+    nominal_rate_hz: float
+    """What the scene asks for."""
     late_ticks: int
     """Samples whose force came too late and for which the one before went on acting."""
     lost_frames: int

@@ -142,9 +142,9 @@ def _segments(trace: Trace, channel: int, spoilt: int) -> list[Segment]:
     asked = trace.asked_force[:, channel]
     surplus = trace.force_counts[:, channel] * trace.force_scale[channel] - asked
     following = np.diff(trace.sample) == 1
-    rest = _rest(position, asked, following & (trace.flags[1:] & BRIDGED == 0))
+    rest, known = _rest(position, asked, following & (trace.flags[1:] & BRIDGED == 0))
     found = [
-        Segment(position[first:last] - rest, surplus[first:last])
+        Segment(position[first:last] - rest, surplus[first:last], known)
         for whole in _unbroken(trace, spoilt)
         for first, last in _loud(position - rest, *whole)
     ]
@@ -173,7 +173,8 @@ def _first_rows(segments: list[Segment]) -> list[Segment]:
     for segment in segments:
         if rows >= _MOST_ROWS:
             break
-        kept.append(Segment(segment.position[: _MOST_ROWS - rows], segment.surplus[: _MOST_ROWS - rows]))
+        most = _MOST_ROWS - rows
+        kept.append(Segment(segment.position[:most], segment.surplus[:most], segment.rest_known))
         rows += segment.position.size
     return kept
 
@@ -200,22 +201,26 @@ def _loud(y: NDArray[np.float64], first: int, last: int) -> Iterator[tuple[int, 
         yield max(first, int(loud[begin]) - _RUN_UP), int(loud[end]) + 1
 
 
-def _rest(position: NDArray[np.float64], asked: NDArray[np.float64], following: NDArray[np.bool_]) -> float:
-    """Where the asked force is zero, in counts: exact for a hand on springs and dampers to the ground, whose force is
-    linear in the two newest positions; the middle of the motion where the scene has masses of its own.
+def _rest(
+    position: NDArray[np.float64], asked: NDArray[np.float64], following: NDArray[np.bool_]
+) -> tuple[float, bool]:
+    """(where the asked force is zero, in counts; whether that is certain).
+
+    Exact for a hand on springs and dampers to the ground, whose force is linear in the two newest positions; the middle
+    of the motion where the scene has masses of its own.
 
     `following`: for each row but the first, whether it follows the one before without a gap.
     """
     now, before, force = position[1:][following], position[:-1][following], asked[1:][following]
     if now.size < 8:
-        return 0.0
+        return 0.0, True
     scale = float(np.max(np.abs(position))) or 1.0
     columns = np.column_stack([now / scale, (now - before) / scale, np.ones_like(now)])
     law, *_ = np.linalg.lstsq(columns, force, rcond=None)
     missed = np.max(np.abs(force - columns @ law))
     if missed > 1e-9 * np.max(np.abs(force)):
-        return float(np.median(position))
-    return float(-law[2] / law[0] * scale) if abs(law[0]) > 1e-9 * abs(law[1]) else 0.0
+        return float(np.median(position)), False
+    return (float(-law[2] / law[0] * scale) if abs(law[0]) > 1e-9 * abs(law[1]) else 0.0), True
 
 
 def _fits(segments: list[Segment]) -> list[tuple[Fit, list[Fit]]]:

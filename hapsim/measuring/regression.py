@@ -34,6 +34,8 @@ class Segment:
 
     position: Vector
     surplus: Vector
+    rest_known: bool = True
+    """False where the position may be counted from elsewhere than rest: a constant force then stays in the record."""
 
 
 @dataclass(frozen=True)
@@ -66,15 +68,15 @@ class Fit:
 def fit(segments: list[Segment], order: int, drift: float, with_surplus: bool, floor: float) -> Fit | None:
     """Least squares for one order and one p. `floor`: the least error that rounding leaves, in counts. None where the
     record is too short for so many unknowns."""
-    blocks = [_rows(segment, order, drift, with_surplus) for segment in segments]
-    blocks = [(rows, target) for rows, target in blocks if target.size > 0]
+    blocks = [(*_rows(segment, order, drift, with_surplus), segment.rest_known) for segment in segments]
+    blocks = [block for block in blocks if block[1].size > 0]
     unknowns = order * (2 if with_surplus else 1)
-    count = sum(target.size for _, target in blocks)
-    total = unknowns + 2 * len(blocks)
+    count = sum(target.size for _, target, _ in blocks)
+    total = unknowns + sum(2 if rest_known else 3 for _, _, rest_known in blocks)
     if count < _MARGIN * total + 4:
         return None
     # The free motion at the start of each segment concerns that segment alone: projected out before stacking.
-    reduced = [_without_free_motion(rows, target, drift) for rows, target in blocks]
+    reduced = [_without_free_motion(rows, target, drift, rest_known) for rows, target, rest_known in blocks]
     matrix = np.vstack([rows for rows, _ in reduced])
     target = np.concatenate([target for _, target in reduced])
     scale = np.linalg.norm(matrix, axis=0)
@@ -131,11 +133,17 @@ def _rows(segment: Segment, order: int, drift: float, with_surplus: bool) -> tup
     return columns[begin - 1 : -1], y[begin:]
 
 
-def _without_free_motion(rows: NDArray[np.float64], target: Vector, drift: float) -> tuple[NDArray[np.float64], Vector]:
-    """Projects the drifting and slowing mass, alpha + beta p^n (alpha + beta n where p = 1), out of rows and target."""
+def _without_free_motion(
+    rows: NDArray[np.float64], target: Vector, drift: float, rest_known: bool
+) -> tuple[NDArray[np.float64], Vector]:
+    """Projects the drifting and slowing mass, alpha + beta p^n (alpha + beta n where p = 1), out of rows and target;
+    and what a constant force adds to it, where rest is not known."""
     n = np.arange(target.size, dtype=float)
-    second = n if drift > 1.0 - 1e-12 else -np.expm1(n * np.log(drift)) if drift > 0 else (n == 0).astype(float)
-    if np.ptp(second) == 0.0:
-        second = (n == 0).astype(float)
-    q, _ = np.linalg.qr(np.column_stack([np.ones_like(n), second / np.max(np.abs(second))]))
+    slowing = drift < 1.0 - 1e-12
+    motions = [np.ones_like(n), drift**n if slowing else n]
+    if not rest_known:
+        motions.append(n if slowing else n**2)
+    basis = np.column_stack([motion / np.max(np.abs(motion), initial=1e-300) for motion in motions])
+    q, r = np.linalg.qr(basis)
+    q = q[:, np.abs(np.diag(r)) > 1e-12] if r.shape[0] == r.shape[1] else q
     return rows - q @ (q.T @ rows), target - q @ (q.T @ target)

@@ -39,7 +39,7 @@ def imports_of(folder: str) -> set[str]:
 def trace_of(position: np.ndarray, asked: np.ndarray, rate: float = 1000.0) -> Trace:
     """A trace of one channel, rounded to counts of a nanometre; every force as asked."""
     n = position.size
-    report = Report("done", n, n / rate, rate, 0, 0, 0, 0, 0, 0, 1, 0.0, True)
+    report = Report("done", n, n / rate, rate, rate, 0, 0, 0, 0, 0, 0, 1, 0.0, True)
     force_scale = 1e-8
     counts = np.rint(position / QUANTUM).astype(np.int32)[:, None]
     return Trace(

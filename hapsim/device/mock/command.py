@@ -33,6 +33,7 @@ def serve_until_stopped(
         _linked(link, path) as name,
     ):
         announce(name)
+        tell(Progress("serving", name))
         stopped.wait()
 
 
