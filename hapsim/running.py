@@ -135,6 +135,7 @@ def _assemble(
     control, state = np.zeros(1, CONTROL)[0], np.zeros(1, STATE)[0]
     control["ticks"] = -1 if duration is None else max(1, round(duration * scene.rate))
     control["period_ns"] = round(1e9 / scene.rate)
+    control["host_is_clock"] = scene.device.clock == "host"
     control["silence_ns"] = round(1e9 * max(0.25, 20.0 / scene.rate))
     control["time_to_live"] = min(max(round(0.02 * scene.rate), 2), schema.MAX_TIME_TO_LIVE_SAMPLES)
     if scene.device.clock == "lockstep":

@@ -30,6 +30,7 @@ CONTROL = np.dtype(
         ("stop", np.int64),  # set by another thread
         ("ticks", np.int64),  # how many to run, negative: until told to stop
         ("period_ns", np.int64),
+        ("host_is_clock", np.int64),
         ("silence_ns", np.int64),  # a device quiet for longer is gone
         ("time_to_live", np.int64),  # samples that a force may act without being replaced
         ("pulse_first", np.int64),  # the excitation: 1 for a push on the first ticks,
@@ -55,8 +56,6 @@ STATE = np.dtype(
         ("fault", np.int64),  # what the device said when it stopped
         ("first_ns", np.int64),  # when the first and the newest position arrived
         ("newest_ns", np.int64),
-        ("due_ns", np.int64),  # the tick that asked for the next position, where the host is the clock; else 0
-        ("off_grid", np.int64),  # positions still to come that a late one puts off the grid
         ("lateness_ns", np.int64),  # of the newest wake-up, and the longest, where the host is the clock
         ("max_lateness_ns", np.int64),
     ],
@@ -231,13 +230,11 @@ def _count_age(decoder, state):
 
 @jit
 def _off_grid(control, state, now):
-    """Whether this position was sampled clearly off the host's grid. One late sample spoils two intervals."""
-    if state.due_ns > 0 and now - state.due_ns > control.period_ns // 4:
-        state.off_grid = 2
-    if state.off_grid == 0:
+    """Whether the time from the last position to this one is clearly not a period, where the host keeps the time."""
+    if not control.host_is_clock or state.ticks == 0:
         return 0
-    state.off_grid -= 1
-    return OFF_GRID
+    error = now - state.newest_ns - control.period_ns
+    return OFF_GRID if abs(error) > control.period_ns // 8 else 0
 
 
 @jit

@@ -48,7 +48,14 @@ def _first_position(loop):
 
 @jit
 def _exchange_before(loop, due):
-    """Force out, position in, until the next tick is due; a position that does not come by then is asked for again."""
+    """Force out, position in, until the next tick is due; a position that does not come by then is asked for again.
+
+    One that came after its tick was over is taken first: answered in its turn it would leave every later force a sample
+    older than need be.
+    """
+    code = take_newest_position(loop, 0)
+    if code not in (HEARD, TIMED_OUT):
+        return ending_of(code)
     if answer(loop) != 0:
         return GONE
     now = now_ns(loop.desk.scratch)
@@ -72,6 +79,5 @@ def _next_due(loop, due):
 @jit
 def _note_lateness(loop, due):
     lateness = now_ns(loop.desk.scratch) - due
-    loop.state.due_ns = due
     loop.state.lateness_ns = lateness
     loop.state.max_lateness_ns = max(loop.state.max_lateness_ns, lateness)

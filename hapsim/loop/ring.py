@@ -22,8 +22,7 @@ LIMITED = 4
 BRIDGED = 8
 """Positions before this one never arrived; the scene was led past them along a straight line."""
 OFF_GRID = 16
-"""The host is the clock and this position, or the one before, came late after its tick: its sample was longer or
-shorter than the period."""
+"""The host is the clock, and from the last position to this one passed clearly more or less than a period."""
 
 _CURSOR = np.dtype(
     [
