@@ -116,7 +116,7 @@ def _budget(budget: LinkBudget) -> str:
 def show_measurement(out: Console, where: str, felt: Felt | None, measurement: Measurement) -> None:
     """Prediction beside measurement, as `hapsim measure` tells them. `where`: the hand in question."""
     table = Table(title=f"What the hand meets at {escape(where)}", title_justify="left")
-    for heading in ("", "predicted", "measured", "uncertainty", "relative difference"):
+    for heading in ("", "predicted", "measured", "uncertainty", "off by"):
         table.add_column(heading, justify="right" if heading else "left")
     rows = [
         ("k  N/m", "k", measurement.k_uncertainty),
