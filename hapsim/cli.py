@@ -158,24 +158,16 @@ def measure(
             on_progress=tell,
             stop_on_signals=True,
         )
-    trace = measurement.trace
     if record is not None:
-        trace.save(record)
+        measurement.trace.save(record)
     if picture is not None or data is not None:
-        _chart_ring_down(trace, felt, measurement, picture, data)
+        _chart_ring_down(felt, measurement, picture, data)
     if json:
         from hapsim.console.as_json import document, measurement_document
 
         print(document({"scene": scene} | measurement_document(prediction, measurement, channel)))
     else:
-        from hapsim.console.tables import show_measurement, show_report
-
-        hands = {point.channel: name for name, point in loaded.device_points.items()}
-        others = ", ".join(f"--channel {c} for {name}" for c, name in hands.items() if c != channel)
-        show_measurement(_stdout(), f"{hands[channel]}, channel {channel}", felt, measurement)
-        if others:
-            print(f"Other hands of this scene: {others}.")
-        show_report(_stdout(), trace.report)
+        _show_measured(loaded, channel, felt, measurement)
         for what, path in (("Picture", picture), ("Its numbers", data), ("Trace", record)):
             if path is not None:
                 print(f"{what}: {path}")
@@ -292,11 +284,22 @@ def _line_kind(mock: bool, line: str | None, port: str | None) -> Any:
     return line or ("mock" if mock else "auto")
 
 
-def _chart_ring_down(trace: Any, felt: Any, measurement: Any, picture: Path | None, data: Path | None) -> None:
+def _show_measured(scene: Scene, channel: int, felt: Any, measurement: Any) -> None:
+    from hapsim.console.tables import show_measurement, show_report
+
+    hands = {point.channel: name for name, point in scene.device_points.items()}
+    show_measurement(_stdout(), f"{hands[channel]}, channel {channel}", felt, measurement)
+    others = ", ".join(f"--channel {c} for {name}" for c, name in hands.items() if c != channel)
+    if others:
+        print(f"Other hands of this scene: {others}.")
+    show_report(_stdout(), measurement.trace.report)
+
+
+def _chart_ring_down(felt: Any, measurement: Any, picture: Path | None, data: Path | None) -> None:
     from hapsim.chart.figure import save_columns
     from hapsim.chart.ring_down import draw_ring_down, ring_down
 
-    drawn = ring_down(trace, felt)
+    drawn = ring_down(measurement.trace, felt)
     if data is not None:
         save_columns(drawn.columns(), data)
     if picture is not None:
