@@ -28,8 +28,11 @@ def _receive(port, buffer, start, timeout_ns):  # noqa: ARG001  nothing comes by
     count = min(waiting, buffer.size - start)
     if count == 0:
         return TIMED_OUT
-    buffer[start : start + count] = port.mock.outbox[:count]
-    port.mock.outbox[: waiting - count] = port.mock.outbox[count:waiting]
+    outbox = port.mock.outbox
+    for i in range(count):
+        buffer[start + i] = outbox[i]
+    for i in range(count, waiting):
+        outbox[i - count] = outbox[i]
     port.mock.board.out = waiting - count
     return count
 
