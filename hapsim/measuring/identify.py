@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +32,7 @@ _DRIFTS = tuple(
     1.0 - d for d in (0, 3e-4, 1e-3, 3e-3, 0.01, 0.02, 0.035, 0.05, 0.075, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.65, 1.0)
 )
 _FAR_OFF = 5.0  # a fit that is this much less certain than the best one is no rival of it
-_UNDECIDED = 12.0  # by so much may the criterion of two fits differ without telling which is right
+_UNDECIDED = 20.0  # criterion: four standard deviations of p, squared, and something for the coarseness of its steps
 
 
 @dataclass(frozen=True)
@@ -87,15 +87,26 @@ def _identify(trace: Trace, mass: float, channel: int) -> Measurement:
             "too little motion was recorded to identify a spring and damper: record longer, or excite more strongly"
         )
     found = [(best, dominant_pair(best, others, free)) for best, others in fits]
-    # Of the fits that are equally good the one that claims least, unless it took the noise for a pole.
-    most = _FAR_OFF * _claimed_uncertainty(found[0][1][0])
-    plausible = [entry for entry in found if _claimed_uncertainty(entry[1][0]) <= most]
-    best, (pair, poles, reason) = max(plausible or found[:1], key=lambda entry: _claimed_uncertainty(entry[1][0]))
+    best, (pair, poles, reason) = next((entry for entry in found if entry[1][0] is not None), found[0])
+    if pair is not None:
+        pair = _least_claim(pair, [other for _, (other, _, _) in found if other is not None])
     return _measurement(pair, poles, reason, best, mass, trace, channel)
 
 
-def _claimed_uncertainty(pair: Pair | None) -> float:
-    return -1.0 if pair is None else pair.poles_uncertainty[0]
+def _least_claim(pair: Pair, rivals: list[Pair]) -> Pair:
+    """The pair of the best fit, with the largest uncertainties that the fits beside it state: the record does not tell
+    them apart. A rival that is far less certain took the noise for a pole and is none."""
+    level = _FAR_OFF * pair.poles_uncertainty[0]
+    equals = [pair, *(rival for rival in rivals if rival.poles_uncertainty[0] <= level)]
+    return replace(
+        pair,
+        poles_uncertainty=(
+            max(equal.poles_uncertainty[0] for equal in equals),
+            max(equal.poles_uncertainty[1] for equal in equals),
+        ),
+        decay_uncertainty=max(equal.decay_uncertainty for equal in equals),
+        stiffness_uncertainty=max(equal.stiffness_uncertainty for equal in equals),
+    )
 
 
 def _measurement(
