@@ -14,6 +14,7 @@ import typer
 from hapsim.errors import HapsimError, UsageError
 
 if TYPE_CHECKING:
+    from hapsim.prediction import Prediction
     from hapsim.scene import Scene
 
 
@@ -57,12 +58,13 @@ def run(
     from hapsim.console.tables import show_report
     from hapsim.errors import RunError
     from hapsim.loop.trace import require_writable_as_trace
+    from hapsim.prediction import predict
     from hapsim.running import run as run_scene
 
     loaded = _scene(scene, port)
     if record is not None:
         require_writable_as_trace(record)
-    _warn(loaded)
+    _warn(loaded, predict(loaded))
     failure: RunError | None = None
     try:
         with live_line(_stderr()) as tell:
@@ -148,7 +150,7 @@ def measure(
             "a ring-down is drawn for a hand whose links all end on grounds; this one moves masses of the scene too: "
             "leave out --picture and --data"
         )
-    _warn(loaded)
+    _warn(loaded, prediction)
     with live_line(_stderr()) as tell:
         measurement = measure_scene(
             loaded,
@@ -259,11 +261,11 @@ def main() -> None:
         sys.exit(1)
 
 
-def _warn(scene: Scene) -> None:
+def _warn(scene: Scene, prediction: Prediction) -> None:
     """Says before a run what its prediction has against it: the hand should know what is coming."""
     from hapsim.prediction import warnings_about
 
-    for warning in warnings_about(scene):
+    for warning in warnings_about(scene, prediction):
         print(f"Beware: {warning}", file=sys.stderr)
 
 

@@ -136,9 +136,8 @@ def predict(scene: Scene) -> Prediction:
     )
 
 
-def warnings_about(scene: Scene) -> list[str]:
-    """What a hand should know before `scene` runs: sentences, none where nothing speaks against it."""
-    prediction = predict(scene)
+def warnings_about(scene: Scene, prediction: Prediction) -> list[str]:
+    """What a hand should know before `scene` runs, of which this was predicted: sentences, none where all is well."""
     warnings = []
     if prediction.stable is False and prediction.spectral_radius > 1.0 + 1e-9:
         warnings.append(

@@ -56,8 +56,7 @@ STATE = np.dtype(
         ("fault", np.int64),  # what the device said when it stopped
         ("first_ns", np.int64),  # when the first and the newest position arrived
         ("newest_ns", np.int64),
-        ("lateness_ns", np.int64),  # of the newest wake-up, and the longest, where the host is the clock
-        ("max_lateness_ns", np.int64),
+        ("max_lateness_ns", np.int64),  # of a wake-up, where the host is the clock
     ],
     align=True,
 )

@@ -79,5 +79,4 @@ def _next_due(loop, due):
 @jit
 def _note_lateness(loop, due):
     lateness = now_ns(loop.desk.scratch) - due
-    loop.state.lateness_ns = lateness
     loop.state.max_lateness_ns = max(loop.state.max_lateness_ns, lateness)
