@@ -13,6 +13,7 @@ Sampling = Literal["ideal", "average"]
 
 MASS = Quantity("Moving part of the device and the hand that holds it", "kg", above=0, per_channel=True)
 FRICTION = Quantity("Viscous friction of the device", "N·s/m", least=0, per_channel=True)
+STIFFNESS = Quantity("Spring in the device itself, at rest at position 0", "N/m", least=0, per_channel=True)
 DELAY = Quantity(
     "From sampling the position to the force's change, any real number", "sample periods", least=0, most=1000
 )
@@ -31,6 +32,7 @@ class Device(Part):
     )
     mass: Annotated[PerChannel, MASS]
     friction: Annotated[PerChannel, FRICTION] = 0.0
+    stiffness: Annotated[PerChannel, STIFFNESS] = 0.0
     delay: Annotated[float, DELAY] = 1.0
     hold: Hold = Field(default="zoh", description=HOLD)
     sampling: Sampling = Field(default="ideal", description=SAMPLING)
@@ -43,3 +45,7 @@ class Device(Part):
     def frictions(self, channels: int) -> tuple[float, ...]:
         """Viscous friction of each of ``channels`` channels, in N·s/m."""
         return per_channel(self.friction, channels)
+
+    def stiffnesses(self, channels: int) -> tuple[float, ...]:
+        """Stiffness of the real spring of each of ``channels`` channels, in N/m."""
+        return per_channel(self.stiffness, channels)

@@ -5,7 +5,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from .device import DELAY, FRICTION, HOLD, MASS, SAMPLING, Device, Hold, Sampling
+from .device import DELAY, FRICTION, HOLD, MASS, SAMPLING, STIFFNESS, Device, Hold, Sampling
 from .part import Part
 from .quantity import Count, PerChannel, Quantity, per_channel
 
@@ -24,6 +24,7 @@ class Mock(Part):
 
     mass: Annotated[PerChannel | None, replace(MASS, left_out=AS_DEVICE)] = None
     friction: Annotated[PerChannel | None, replace(FRICTION, left_out=AS_DEVICE)] = None
+    stiffness: Annotated[PerChannel | None, replace(STIFFNESS, left_out=AS_DEVICE)] = None
     delay: Annotated[float | None, replace(DELAY, left_out=AS_DEVICE)] = None
     hold: Hold | None = Field(default=None, description=f"{HOLD}; left out: {AS_DEVICE}")
     sampling: Sampling | None = Field(default=None, description=f"{SAMPLING}; left out: {AS_DEVICE}")
@@ -41,6 +42,7 @@ class MockDevice:
     Attributes:
         mass: moving part and hand, kg, per channel.
         friction: viscous friction, N·s/m, per channel.
+        stiffness: the device's own spring, N/m, per channel.
         delay: from sampling the position to the force's change, in sample periods.
         hold, sampling: as in `Device`.
         initial_position: m, per channel.
@@ -53,6 +55,7 @@ class MockDevice:
 
     mass: tuple[float, ...]
     friction: tuple[float, ...]
+    stiffness: tuple[float, ...]
     delay: float
     hold: Hold
     sampling: Sampling
@@ -75,6 +78,7 @@ def resolve(device: Device, mock: Mock | None, channels: int) -> MockDevice:
     return MockDevice(
         mass=per_channel(device.mass if mock.mass is None else mock.mass, channels),
         friction=per_channel(device.friction if mock.friction is None else mock.friction, channels),
+        stiffness=per_channel(device.stiffness if mock.stiffness is None else mock.stiffness, channels),
         delay=device.delay if mock.delay is None else mock.delay,
         hold=mock.hold or device.hold,
         sampling=mock.sampling or device.sampling,

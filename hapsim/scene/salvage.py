@@ -30,7 +30,7 @@ def _sound_module(kind: type[Module] | None, data: Any) -> Module | None:
         faulty = {detail["loc"][0] for detail in error.errors(include_url=False)}
         if faulty.intersection(kind.shared):
             return None
-        return kind.model_construct(**{field: data[field] for field in kind.shared})
+        return kind.model_construct(**{field: data[field] for field in kind.shared if field in data})
 
 
 def sound_fields(data: dict[str, Any], findings: Iterable[Finding]) -> dict[Path, dict[str, object]]:

@@ -9,4 +9,4 @@ def _segments(fraction: float) -> list[Segment]:
     return [Segment(fraction), Segment(1.0 - fraction, kick=0)]
 
 
-IMPULSE = Hold(terms=(Term(1.0, 0, 0),), segments=_segments)
+IMPULSE = Hold(terms=(Term(1.0, 0, 0),), lag=0.0, segments=_segments)

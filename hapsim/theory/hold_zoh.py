@@ -9,4 +9,4 @@ def _segments(fraction: float) -> list[Segment]:
     return [Segment(fraction, constant=1), Segment(1.0 - fraction, constant=0)]
 
 
-ZERO_ORDER_HOLD = Hold(terms=(Term(1.0, 0, 1), Term(-1.0, 1, 1)), segments=_segments)
+ZERO_ORDER_HOLD = Hold(terms=(Term(1.0, 0, 1), Term(-1.0, 1, 1)), lag=0.5, segments=_segments)

@@ -7,4 +7,4 @@ from __future__ import annotations
 
 from hapsim.theory.shape import Sampling, Term
 
-AVERAGE = Sampling(terms=(Term(1.0, 0, 1), Term(-1.0, 1, 1)), reads_mean=True)
+AVERAGE = Sampling(terms=(Term(1.0, 0, 1), Term(-1.0, 1, 1)), lag=0.5, reads_mean=True)

@@ -138,7 +138,35 @@ def test_what_does_not_describe_a_mock_is_told(only_fault: OnlyFault, mock: str,
         (
             "stiffness: 2000",
             "Stiffness: 2000",
-            "7:54: Stiffness: unknown key, expected type, between, stiffness or damping; did you mean 'stiffness'?",
+            "7:54: Stiffness: unknown key, expected type, between, stiffness, damping, damper or cutoff; did you mean "
+            "'stiffness'?",
+        ),
+        (
+            "stiffness: 2000",
+            "stiffness: 2000, damper: euler",
+            "7:79: damper: found 'euler' (text), expected backward, centred, filtered or sensed",
+        ),
+        (
+            "stiffness: 2000",
+            "stiffness: 2000, damper: filtered",
+            "7:79: damper: found filtered without a cutoff, expected cutoff: a number > 0 (Hz) too",
+        ),
+        (
+            "stiffness: 2000",
+            "stiffness: 2000, cutoff: 50",
+            "7:79: cutoff: found a cutoff, which the backward damper does not have; expected damper: filtered",
+        ),
+        (
+            "stiffness: 2000",
+            "stiffness: 2000, damper: filtered, cutoff: 0",
+            "7:97: cutoff: found 0, expected a number > 0 (Hz)",
+        ),
+        (
+            "stiffness: 2000}",
+            "stiffness: 2000}\n  m: {type: mass, mass: 1}\n"
+            "  far: {type: viscoelastic, between: [m, wall], stiffness: 1, damper: sensed}",
+            "9:71: damper: found sensed between 'm' and 'wall', which no device senses; expected a point of type "
+            "device at one end",
         ),
         ("wall:", "2nd:", f"6:3: '2nd': {NAME}"),
         ("wall:", '"a\\n":', f"6:3: 'a\\n': {NAME}"),

@@ -66,16 +66,20 @@ def test_what_is_left_out_has_the_defaults_of_the_format(good: str) -> None:
         clock="device",
         mass=0.2,
         friction=0.0,
+        stiffness=0.0,
         delay=1.0,
         hold="zoh",
         sampling="ideal",
         force_limit=10.0,
     )
     assert scene.mock is None
-    assert scene.links["touch"] == ViscoElastic(between=("hand", "wall"), stiffness=2000.0, damping=0.0)
+    assert scene.links["touch"] == ViscoElastic(
+        between=("hand", "wall"), stiffness=2000.0, damping=0.0, damper="backward", cutoff=None
+    )
     assert scene.mock_device == MockDevice(
         mass=(0.2,),
         friction=(0.0,),
+        stiffness=(0.0,),
         delay=1.0,
         hold="zoh",
         sampling="ideal",
@@ -92,6 +96,7 @@ def test_the_mock_is_as_the_device_says_where_it_does_not_say_otherwise() -> Non
     assert parse_scene(TEXT).mock_device == MockDevice(
         mass=(0.2, 0.3),
         friction=(2.0, 3.0),
+        stiffness=(0.0, 0.0),
         delay=0.5,
         hold="impulse",
         sampling="ideal",
@@ -190,3 +195,18 @@ def test_the_room_offers_what_it_says_and_nothing_else() -> None:
     assert all(hasattr(hapsim.scene, name) for name in hapsim.scene.__all__)
     with pytest.raises(AttributeError, match="no attribute 'load_secne'"):
         hapsim.scene.load_secne  # noqa: B018
+
+
+def test_the_device_may_have_a_spring_of_its_own(good: str) -> None:
+    text = good.replace("{mass: 0.2}", "{mass: 0.2, stiffness: 30}")
+    assert parse_scene(text).device.stiffnesses(1) == (30.0,)
+    assert parse_scene(text).mock_device.stiffness == (30.0,)
+    assert parse_scene(text + "mock: {stiffness: 0}\n").mock_device.stiffness == (0.0,)
+
+
+@pytest.mark.parametrize("damper", ["backward", "centred", "filtered, cutoff: 80", "sensed"])
+def test_a_link_says_where_its_damper_has_its_velocity_from(good: str, damper: str) -> None:
+    link = parse_scene(good.replace("stiffness: 2000", f"stiffness: 2000, damper: {damper}")).links["touch"]
+    assert isinstance(link, ViscoElastic)
+    assert link.damper == damper.partition(",")[0]
+    assert link.cutoff == (80.0 if "80" in damper else None)

@@ -53,12 +53,16 @@ def test_a_merge_key_brings_keys_that_the_mapping_does_not_have_itself(good: str
         "between": ("m", "hand"),
         "stiffness": 2000.0,
         "damping": 0.0,
+        "damper": "backward",
+        "cutoff": None,
     }
     assert links["most"] == {
         "type": "viscoelastic",
         "between": ("m", "wall"),
         "stiffness": 5.0,
         "damping": 3.0,
+        "damper": "backward",
+        "cutoff": None,
     }
 
 

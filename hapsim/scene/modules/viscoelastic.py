@@ -1,16 +1,49 @@
 """The visco-elastic link: a spring and a damper in parallel."""
 
-from typing import Annotated, Literal
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
+from ..finding import Finding, quote
 from ..quantity import Quantity
+from .device_point import DevicePoint
 from .link import Link
+from .module import Surroundings
+
+DamperScheme = Literal["backward", "centred", "filtered", "sensed"]
+
+CUTOFF = Quantity("Cutoff of the filtered damper", "Hz", above=0)
 
 
 class ViscoElastic(Link):
     """A spring and a damper in parallel between two points, at rest where the two coincide."""
 
+    shared: ClassVar[tuple[str, ...]] = (*Link.shared, "damper", "cutoff")
+
     type: Literal["viscoelastic"] = Field(default="viscoelastic", description="A spring and a damper in parallel")
     stiffness: Annotated[float, Quantity("Stiffness of the spring", "N/m", least=0)]
     damping: Annotated[float, Quantity("Viscosity of the damper", "N·s/m", least=0)] = 0.0
+    damper: DamperScheme = Field(
+        default="backward",
+        description="Where the damper's velocity comes from: the last two positions (backward), the last and the last "
+        "but one before (centred), a low-pass behind the first (filtered), or the device's own sensor (sensed)",
+    )
+    cutoff: Annotated[float | None, replace(CUTOFF, left_out="no filter")] = None
+
+    def findings(self, name: str, around: Surroundings) -> Iterator[Finding]:
+        yield from super().findings(name, around)
+        path = ("modules", name)
+        if self.damper == "filtered" and self.cutoff is None:
+            yield Finding((*path, "damper"), "found filtered without a cutoff, expected cutoff: a number > 0 (Hz) too")
+        elif self.damper != "filtered" and self.cutoff is not None:
+            sentence = f"found a cutoff, which the {self.damper} damper does not have; expected damper: filtered"
+            yield Finding((*path, "cutoff"), sentence)
+        ends = [around.kinds.get(end) for end in self.between]
+        if self.damper == "sensed" and None not in ends and DevicePoint not in ends:
+            names = " and ".join(map(quote, self.between))
+            yield Finding(
+                (*path, "damper"),
+                f"found sensed between {names}, which no device senses; expected a point of type device at one end",
+            )
