@@ -1,4 +1,4 @@
-"""One haptic simulator as it deforms the parameter space: mass, rate, friction, delay, hold and sampling."""
+"""One haptic simulator as it deforms the parameter space: hand and device, rate, delay, hold, sampling, damper."""
 
 from __future__ import annotations
 
@@ -6,23 +6,22 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from hapsim.theory import checks
 from hapsim.theory.arrays import Bools, Complexes, Floats
-from hapsim.theory.interface import HOLDS, SAMPLINGS
-from hapsim.theory.pair import oscillator_of_quadratic, pair_of_oscillator, pair_of_quadratic
-from hapsim.theory.passivity import needed_friction
-from hapsim.theory.plant import Plant, sampled_plant
-from hapsim.theory.poles import (
-    Leading,
-    all_within,
-    characteristic,
-    leading_pair,
-    roots,
-    sort_by_modulus,
-    without_pair,
-)
+from hapsim.theory.blocks import quietly_in_blocks
+from hapsim.theory.element import element_of_oscillator, is_attainable, leads
+from hapsim.theory.fold import double_pole
+from hapsim.theory.impedance import damper_gain, late_and_held
+from hapsim.theory.interface import HOLDS, SAMPLINGS, damper_named
+from hapsim.theory.limits import Undamped, stable_interval, undamped_curve
+from hapsim.theory.loop_equation import LoopEquation, characteristic, loop_equation
+from hapsim.theory.pair import oscillator_of_quadratic
+from hapsim.theory.passivity import Wall, needed_friction
+from hapsim.theory.plant import sampled_plant
+from hapsim.theory.poles import Leading, all_poles, leading
+from hapsim.theory.reasons import why_not_attained, why_not_dominant
 
 _quietly = np.errstate(all="ignore")  # what is out of range becomes NaN
 
@@ -33,8 +32,8 @@ class Configuration:
 
     A real mass, with the real friction of the device, is coupled to a simulated visco-elastic element (K, B)
     by a position that is sampled and a force that is late and held. What the hand meets is the real
-    oscillator of the same mass with stiffness k and damping b; b is the total damping, the real friction
-    included.
+    oscillator of the same mass with stiffness k and damping b: of the total, the device's own spring and
+    friction included.
 
     Methods take arrays, broadcast them against each other and return arrays of that shape (scalars for
     scalars). Where there is no answer, or an argument is not finite, the answer is NaN (False where it is a
@@ -47,6 +46,11 @@ class Configuration:
         delay: from the sampling of a position to the change of the force that answers it, periods, >= 0.
         hold: "zoh", a force lasts until the next; or "impulse", it strikes once, with the impulse f T.
         sampling: "ideal", the position at the sample; or "average", its mean over the last sample period.
+        stiffness: real spring k0 of the device, N/m, >= 0.
+        damper: where the simulated damper's velocity comes from: "backward", the difference of the last two
+            positions (the paper's); "centred", the difference across two periods; "filtered", a first-order
+            low-pass behind the backward one; "sensed", the velocity that the device measures.
+        cutoff: of the filtered damper, Hz, > 0; None for the others.
 
     Raises:
         ValueError: an argument is out of its range; the sentence says which, and what was expected.
@@ -58,14 +62,18 @@ class Configuration:
     delay: float = 1.0
     hold: str = "zoh"
     sampling: str = "ideal"
+    stiffness: float = 0.0
+    damper: str = "backward"
+    cutoff: float | None = None
 
     def __post_init__(self) -> None:
         for name in ("mass", "rate"):
             object.__setattr__(self, name, checks.positive(name, getattr(self, name)))
-        for name in ("friction", "delay"):
+        for name in ("friction", "delay", "stiffness"):
             object.__setattr__(self, name, checks.not_negative(name, getattr(self, name)))
         checks.one_of("hold", self.hold, HOLDS)
         checks.one_of("sampling", self.sampling, SAMPLINGS)
+        damper_named(self.damper, self.cutoff, self.rate)
 
     @property
     def period(self) -> float:
@@ -88,7 +96,7 @@ class Configuration:
         kappa, beta = self._normalised(K, B)
         return kappa[()], beta[()]
 
-    @_quietly
+    @quietly_in_blocks
     def simulated(self, k: ArrayLike, b: ArrayLike, *, dominant: bool = True) -> tuple[Floats, Floats]:
         """The simulated (K, B) that the hand meets as the real (k, b): the paper's Figure 4, in closed form.
 
@@ -105,21 +113,15 @@ class Configuration:
             unless ``dominant`` is False, where the loop has slower poles than those asked for.
         """
         kappa, sigma = self._normalised(k, b)
-        w, decayed = pair_of_oscillator(sigma, kappa, self._plant.damping)
-        z = w.plus(1.0)
-        ratio = z.power(self._plant.order).over(z.polynomial(self._plant.numerator))
-        # On both poles the visco-elastic element, kappa + (kappa + beta) w, is -w (w + A) ratio. Here is that
-        # line's value at w = 0, and its slope; K is multiplied out to a product, with no friction to cancel.
-        K = (w.near * w.far * (ratio.far + decayed.near * ratio.slope)).real
-        B = -(w.near * decayed.near * ratio.slope + (w.near + decayed.far) * ratio.far).real - K
-        good = np.isfinite(K) & np.isfinite(B) & (kappa - 0.25 * sigma**2 < np.pi**2)
+        more_kappa, more_sigma = self._normalised(np.subtract(k, self.stiffness), np.subtract(b, self.friction))
+        K, B, w = element_of_oscillator(self._equation, (sigma, kappa), (more_sigma, more_kappa))
+        good = np.isfinite(K) & np.isfinite(B) & is_attainable(sigma, kappa)
         if dominant:
-            others = without_pair(characteristic(self._plant, K, B), w)
-            good &= all_within(others, np.minimum(np.abs(z.near), np.abs(z.far)))
+            good &= leads(self._equation, K, B, w)
         K, B = K * self.stiffness_unit, B * self.damping_unit
-        return np.where(good, K, np.nan)[()], np.where(good, B, np.nan)[()]
+        return np.where(good, K, np.nan), np.where(good, B, np.nan)
 
-    @_quietly
+    @quietly_in_blocks
     def equivalent(self, K: ArrayLike, B: ArrayLike) -> tuple[Floats, Floats]:
         """The real (k, b) that the hand meets where (K, B) is simulated (Florens et al., §5).
 
@@ -133,76 +135,170 @@ class Configuration:
         Returns:
             k in N/m and b in N·s/m, real friction included. NaN where ``dominant`` is False.
         """
-        _, lead = self._solved(K, B)
+        lead = leading(self._equation, *self._normalised(K, B))
         sigma, kappa = oscillator_of_quadratic(lead.p, lead.q)
         k = np.where(lead.dominant, kappa * self.stiffness_unit, np.nan)
         b = np.where(lead.dominant, sigma * self.damping_unit, np.nan)
-        return k[()], b[()]
+        return k, b
 
-    @_quietly
+    @quietly_in_blocks
     def dominant(self, K: ArrayLike, B: ArrayLike) -> Bools:
         """Whether the loop is a second-order object to the hand.
 
         It is where the slowest poles are a complex pair or two positive real ones, and every further pole
         decays faster than both.
         """
-        return self._solved(K, B)[1].dominant[()]
+        return leading(self._equation, *self._normalised(K, B)).dominant
 
-    @_quietly
+    @quietly_in_blocks
     def dominant_poles(self, K: ArrayLike, B: ArrayLike) -> Complexes:
         """The pair (..., 2) in the z-plane that ``equivalent`` reads; NaN where ``dominant`` is False."""
-        _, lead = self._solved(K, B)
-        return np.where(lead.dominant[..., None], _poles_of(lead), np.nan)
+        lead, poles = self._solved(K, B)
+        return np.where(lead.dominant[:, None], poles[:, :2], np.nan)
 
-    @_quietly
+    @quietly_in_blocks
     def poles(self, K: ArrayLike, B: ArrayLike) -> Complexes:
         """All poles (..., N) of the loop in the z-plane, by decreasing modulus.
 
         N is 2 for the impulse hold with ideal sampling and no delay, one more for each whole sample of delay,
         one more for a fraction of one, for the zero-order hold and for averaged sampling.
         """
-        poles, lead = self._solved(K, B)
-        poles[..., :2] = np.where(lead.dominant[..., None], _poles_of(lead), poles[..., :2])
-        return sort_by_modulus(poles)
+        return self._solved(K, B)[1]
 
     def spectral_radius(self, K: ArrayLike, B: ArrayLike) -> Floats:
         """The largest modulus of a pole: below 1 every motion dies out."""
         return np.abs(self.poles(K, B)[..., 0])
 
-    @_quietly
+    @quietly_in_blocks
     def is_stable(self, K: ArrayLike, B: ArrayLike) -> Bools:
         """Whether every motion dies out (Florens et al., §6.2: the limit is the curve b = 0).
 
         Where ``dominant`` is True it is K > 0 and b > 0, which holds for the slowest of motions, where a
         spectral radius rounds to 1; elsewhere a spectral radius below 1.
         """
-        poles, lead = self._solved(K, B)
-        restores = np.broadcast_to(np.asarray(K, dtype=float) > 0.0, lead.p.shape)
-        return np.where(lead.dominant, restores & (lead.p > lead.q), np.abs(poles[..., 0]) < 1.0)[()]
+        lead, poles = self._solved(K, B)
+        # Without a spring of the device's own, q has the sign of K, even where K is too small to be seen in it.
+        restores = lead.q > 0.0 if self.stiffness else np.asarray(K) > 0.0
+        return np.where(lead.dominant, restores & (lead.p > lead.q), np.abs(poles[:, 0]) < 1.0)
 
     @_quietly
     def is_passive(self, K: ArrayLike, B: ArrayLike) -> Bools:
-        """Whether the wall gives no energy away, whatever holds it: Colgate and Schenkel's condition.
+        """Whether the wall gives no energy away, whatever hand holds it: Colgate and Schenkel's condition.
 
-        The friction has to exceed the upper bound over 0 < w <= pi/T of
-
-            T/(2 (1 - cos wT)) · Re[(1 - exp(-jwT)) (K + B (1 - exp(-jwT))/T) exp(-jwT delay)]
-
-        which is K T/2 + |B| without delay and K T (delay + 1/2) for a spring alone. A negative K is never
-        passive. For whole samples of delay the condition is necessary and sufficient; a fraction of one is
-        taken, as by Gil et al., at the fundamental frequency only.
+        The device's friction has to exceed ``needed_friction``; a negative K is never passive.
 
         Raises:
-            ValueError: the hold is not "zoh" or the sampling not "ideal": the condition is not derived.
+            ValueError: as ``needed_friction``.
         """
-        if self.hold != "zoh" or self.sampling != "ideal":
+        needed = self.needed_friction(K, B)
+        return ((np.asarray(K, dtype=float) >= 0.0) & (self.friction > needed))[()]
+
+    @_quietly
+    def needed_friction(self, K: ArrayLike, B: ArrayLike) -> Floats:
+        """The real friction, N·s/m, above which a wall (K, B) is passive (Colgate and Schenkel, 1997).
+
+        K T/2 + |B| for the backward damper without delay, K T (delay + 1/2) for a spring alone behind whole
+        samples of delay; for a fraction of one, more than that (see ``passivity.py``).
+
+        Raises:
+            ValueError: the hold is not "zoh", the sampling not "ideal" or the damper "sensed": the condition is
+                not derived. (A velocity that is sampled passes every image of a motion: no friction suffices.)
+        """
+        if self.hold != "zoh" or self.sampling != "ideal" or self._equation.damper.senses:
             raise ValueError(
-                "The passivity condition is derived for the zero-order hold with ideal sampling only, "
-                f"not for hold {self.hold!r} with sampling {self.sampling!r}."
+                "The passivity condition is derived for the zero-order hold with ideal sampling and a damper that "
+                f"differentiates positions only, not for hold {self.hold!r} with sampling {self.sampling!r} and the "
+                f"{self.damper} damper."
             )
         K, B = np.broadcast_arrays(np.asarray(K, dtype=float), np.asarray(B, dtype=float))
-        needed = needed_friction(0.5 * self.period * K, B, self.delay)
-        return ((K >= 0.0) & (self.friction > needed))[()]
+        wall = Wall(self.period * K.ravel(), B.ravel(), self.delay, self._equation.damper)
+        return needed_friction(wall).reshape(K.shape)[()]
+
+    @_quietly
+    def stability_limit(self, frequency: ArrayLike) -> tuple[Floats, Floats]:
+        """(K, B) with which the hand swings for ever at a frequency in Hz: the curve b = 0 (§6.2), in closed form.
+
+        NaN from the Nyquist frequency on, and where a further pole of the loop lies outside the unit circle: there
+        the curve limits nothing.
+        """
+        k = self.mass * (2.0 * np.pi * np.asarray(frequency, dtype=float)) ** 2
+        return self.simulated(k, 0.0)
+
+    @_quietly
+    def stable_stiffness(self, B: ArrayLike) -> tuple[Floats, Floats]:
+        """The lowest interval (least, most) of K, N/m, in which the loop is stable, for a given B in N·s/m.
+
+        NaN where no stiffness is stable.
+        """
+        _, beta = self._normalised(0.0, B)
+        least, most = self._stable_interval(0, beta)
+        return (least * self.stiffness_unit)[()], (most * self.stiffness_unit)[()]
+
+    @_quietly
+    def stable_damping(self, K: ArrayLike) -> tuple[Floats, Floats]:
+        """The lowest interval (least, most) of B, N·s/m, in which the loop is stable, for a given K in N/m.
+
+        NaN where no damping makes it stable.
+        """
+        kappa, _ = self._normalised(K, 0.0)
+        least, most = self._stable_interval(1, kappa)
+        return (least * self.damping_unit)[()], (most * self.damping_unit)[()]
+
+    @_quietly
+    def linear_stiffness_limit(self, B: ArrayLike) -> Floats:
+        """(b0 + B)/(T/2 + delay T), N/m: the most stiffness by a rule that holds near the origin (Gil et al., 2004).
+
+        T/2 is the zero-order hold's mean delay; averaged sampling adds as much, the impulse hold has none. It
+        promises too much as B grows: a line to draw, not a limit to trust. Infinite where nothing is late.
+        """
+        lag = self.delay + HOLDS[self.hold].lag + SAMPLINGS[self.sampling].lag
+        return ((self.friction + np.asarray(B, dtype=float)) / (lag * self.period))[()]
+
+    @_quietly
+    def fold(self, decay: ArrayLike) -> tuple[Floats, Floats, Floats, Floats]:
+        """(K, B, k, b) on the curve where the map folds: the faster pole of the pair met is a double one.
+
+        There the Jacobian of (K, B) -> (k, b) vanishes; on the far side no spring and damper is equivalent.
+
+        Args:
+            decay: of that double pole, 1/s, > 0; it parametrises the curve.
+
+        Returns:
+            N/m, N·s/m, N/m, N·s/m; NaN where the double pole is not the pair's faster one.
+        """
+        fast = np.asarray(decay, dtype=float) * self.period
+        kappa, beta, slow = double_pole(self._equation, fast)
+        K, B = kappa * self.stiffness_unit, beta * self.damping_unit
+        k, b = slow * fast * self.stiffness_unit, (slow + fast) * self.damping_unit
+        return K[()], B[()], k[()], b[()]
+
+    @_quietly
+    def impedance(self, K: ArrayLike, B: ArrayLike, frequency: ArrayLike) -> Complexes:
+        """Force over velocity, N·s/m, that the hand meets at a frequency in Hz (the paper's Figure 2).
+
+        The real mass is left out, the device's friction and spring are in. Of a force that is held only the part
+        at the frequency itself counts. NaN from the Nyquist frequency on, and at 0.
+        """
+        f = np.asarray(frequency, dtype=float)
+        jw, theta = 2j * np.pi * f, 2.0 * np.pi * f * self.period
+        element = np.asarray(K) / jw + np.asarray(B) * damper_gain(self._equation.damper, theta)
+        met = element * late_and_held(theta, self.delay, self.hold, self.sampling) + self.friction + self.stiffness / jw
+        return np.where((theta > 0.0) & (theta < np.pi), met, np.nan)[()]
+
+    @quietly_in_blocks
+    def why_no_equivalent(self, K: ArrayLike, B: ArrayLike) -> NDArray[np.str_]:
+        """Why ``equivalent`` is NaN, in words; "" where it is not."""
+        lead, poles = self._solved(K, B)
+        return why_not_dominant(poles, lead.dominant)
+
+    @quietly_in_blocks
+    def why_not_simulated(self, k: ArrayLike, b: ArrayLike) -> NDArray[np.str_]:
+        """Why ``simulated`` is NaN, in words; "" where it is not."""
+        K, B = self.simulated(k, b)
+        any_K, any_B = self.simulated(k, b, dominant=False)
+        kappa, sigma = self._normalised(k, b)
+        had = np.isfinite(K) & np.isfinite(B), np.isfinite(any_K) & np.isfinite(any_B)
+        return why_not_attained(had, np.isfinite(kappa + sigma), is_attainable(sigma, kappa))[()]
 
     @_quietly
     def characteristic(self, K: ArrayLike, B: ArrayLike) -> Floats:
@@ -210,23 +306,34 @@ class Configuration:
 
         The paper's P K + Q B + R (§6) divided by its leading coefficient.
         """
-        return characteristic(self._plant, *self._normalised(K, B))
+        kappa, beta = self._normalised(K, B)
+        return np.stack(characteristic(self._equation, kappa, beta), axis=-1)
 
     @cached_property
-    def _plant(self) -> Plant:
-        return sampled_plant(self.friction / self.damping_unit, self.delay, self.hold, self.sampling)
+    def _equation(self) -> LoopEquation:
+        plant = sampled_plant(
+            self.friction / self.damping_unit,
+            self.stiffness / self.stiffness_unit,
+            self.delay,
+            self.hold,
+            self.sampling,
+        )
+        return loop_equation(plant, damper_named(self.damper, self.cutoff, self.rate))
+
+    @cached_property
+    def _undamped(self) -> Undamped:
+        return undamped_curve(self._equation)
+
+    def _stable_interval(self, sought: int, given: Floats) -> tuple[Floats, Floats]:
+        def is_stable(kappa: Floats, beta: Floats) -> Bools:
+            return np.asarray(self.is_stable(kappa * self.stiffness_unit, beta * self.damping_unit))
+
+        least, most = stable_interval(self._equation, self._undamped, sought, given.ravel(), is_stable)
+        return least.reshape(given.shape), most.reshape(given.shape)
 
     def _normalised(self, stiffness: ArrayLike, damping: ArrayLike) -> tuple[Floats, Floats]:
         stiffness, damping = np.broadcast_arrays(np.asarray(stiffness, dtype=float), np.asarray(damping, dtype=float))
         return stiffness / self.stiffness_unit, damping / self.damping_unit
 
-    def _solved(self, K: ArrayLike, B: ArrayLike) -> tuple[Complexes, Leading]:
-        """All poles as eigenvalues, and the leading pair, polished."""
-        kappa, beta = self._normalised(K, B)
-        poles = roots(characteristic(self._plant, kappa, beta))
-        return poles, leading_pair(self._plant, kappa, beta, poles)
-
-
-def _poles_of(lead: Leading) -> Complexes:
-    w = pair_of_quadratic(lead.p, lead.q)
-    return 1.0 + np.stack([w.near, w.far], axis=-1)
+    def _solved(self, K: ArrayLike, B: ArrayLike) -> tuple[Leading, Complexes]:
+        return all_poles(self._equation, *self._normalised(K, B))

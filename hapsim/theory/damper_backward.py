@@ -7,4 +7,4 @@ from hapsim.theory.shape import Damper
 
 def backward(_cutoff: float) -> Damper:
     """v[n] = (y[n] - y[n-1])/T; v/y = w/(w + 1)."""
-    return Damper(numerator=(1.0,), denominator=(1.0, 1.0), of_positions=(1.0, -1.0), of_velocities=())
+    return Damper(numerator=(1.0,), denominator=(1.0,), delays=1, of_positions=(1.0, -1.0), of_velocities=())

@@ -7,4 +7,4 @@ from hapsim.theory.shape import Damper
 
 def centred(_cutoff: float) -> Damper:
     """v[n] = (y[n] - y[n-2])/(2 T); v/y = w (1 + w/2)/(1 + w)²."""
-    return Damper(numerator=(1.0, 0.5), denominator=(1.0, 2.0, 1.0), of_positions=(0.5, 0.0, -0.5), of_velocities=())
+    return Damper(numerator=(1.0, 0.5), denominator=(1.0,), delays=2, of_positions=(0.5, 0.0, -0.5), of_velocities=())

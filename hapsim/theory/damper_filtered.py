@@ -17,4 +17,6 @@ def filtered(cutoff: float) -> Damper:
     ``cutoff``: 2 pi times the cutoff frequency times the sample period.
     """
     a = -math.expm1(-cutoff)
-    return Damper(numerator=(a,), denominator=(a, 1.0), of_positions=(a, -a), of_velocities=(math.exp(-cutoff),))
+    return Damper(
+        numerator=(a,), denominator=(a, 1.0), delays=0, of_positions=(a, -a), of_velocities=(math.exp(-cutoff),)
+    )

@@ -14,4 +14,6 @@ def sensed(_cutoff: float) -> Damper:
     At an end that is not the device's there is nothing to sense: a simulated point's velocity is the backward
     difference of its positions, which the filter below says.
     """
-    return Damper(numerator=(1.0,), denominator=(1.0, 1.0), of_positions=(1.0, -1.0), of_velocities=(), senses=True)
+    return Damper(
+        numerator=(1.0,), denominator=(1.0,), delays=1, of_positions=(1.0, -1.0), of_velocities=(), senses=True
+    )

@@ -18,6 +18,9 @@ import numpy as np
 from hapsim.theory.arrays import Complexes, Floats
 
 
+CANCELS = 0.1  # a difference smaller than this part of its terms is worked out from small quantities
+
+
 class OnPair(NamedTuple):
     """A function's values at the pole nearer to z = 1 and at the other one, and its divided difference."""
 
@@ -70,16 +73,76 @@ def pair_of_quadratic(p: Floats, q: Floats) -> OnPair:
     return OnPair(near, far, np.ones_like(near))
 
 
-def pair_of_oscillator(sigma: Floats, kappa: Floats, damping: float) -> tuple[OnPair, OnPair]:
-    """w and w + 1 - exp(-damping) on the poles w = e^s - 1 of s² + sigma s + kappa = 0, periods as time.
+def pair_of_oscillator(sigma: Floats, kappa: Floats) -> OnPair:
+    """The identity w on the poles w = e^s - 1 of s² + sigma s + kappa = 0, periods as time."""
+    half = -0.5 * sigma
+    bend = half * half - kappa
+    spread = np.sqrt(np.abs(bend))
+    is_complex = bend < 0.0
+    far = half - np.copysign(spread, -half)
+    near = np.divide(kappa, far, out=np.zeros_like(far), where=far != 0.0)
+    # e^(a + jy) - 1 by real functions, several times as fast: (e^a - 1) + e^a (cos y - 1) + j e^a sin y.
+    shrunk, angle = np.expm1(np.where(is_complex, half, near)), np.where(is_complex, 0.5 * spread, 0.0)
+    sine = np.sin(angle)
+    turned = np.empty(shrunk.shape, dtype=complex)
+    turned.real = shrunk - 2.0 * (1.0 + shrunk) * sine * sine
+    turned.imag = 2.0 * (1.0 + shrunk) * sine * np.cos(angle)
+    other = np.where(is_complex, turned.conj(), np.expm1(np.where(is_complex, half, far)))
+    return OnPair(turned, other, np.ones_like(turned))
 
-    The second is computed for itself: at the free mass's own decay, s = -damping, the sum would cancel.
+
+def quadratic_of_oscillator(sigma: float, kappa: float) -> tuple[float, float]:
+    """(p, q): the poles w = e^s - 1 of s² + sigma s + kappa = 0 are the roots of w² + p w + q."""
+    w = pair_of_oscillator(np.array([sigma]), np.array([kappa]))
+    return float(-(w.near + w.far).real[0]), float((w.near * w.far).real[0])
+
+
+def change_of_quadratic(
+    w: OnPair, oscillator: tuple[Floats, Floats], more: tuple[Floats, Floats], damping: float, stiffness: float
+) -> tuple[Floats, Floats]:
+    """(p, q) of the mass by itself, with its ``damping`` and ``stiffness``, less those of the pair ``w``.
+
+    ``oscillator``: (sigma, kappa) of the pair. ``more``: (sigma - damping, kappa - stiffness), which the caller knows to
+    all their digits: where the two oscillators are nearly the same, p and q cancel, and their changes are worked out
+    from these.
     """
-    near, far = _roots(sigma, kappa)
-    ones = np.ones_like(near)
-    from_decay_far = np.where(near.imag == 0.0, (damping - sigma) - near, far + damping)
-    decayed = OnPair(-np.exp(near) * np.expm1(-(near + damping)), -np.exp(far) * np.expm1(-from_decay_far), ones)
-    return OnPair(np.expm1(near), np.expm1(far), ones), decayed
+    own_p, own_q = quadratic_of_oscillator(damping, stiffness)
+    p, q = -(w.near + w.far).real, (w.near * w.far).real
+    p_change, q_change = own_p - p, own_q - q
+    p_cancels = np.abs(p_change) < CANCELS * np.maximum(np.abs(p), own_p)
+    q_cancels = np.abs(q_change) < CANCELS * np.maximum(np.abs(q), own_q)
+    cancels = np.nonzero(p_cancels | q_cancels)
+    if cancels[0].size:
+        (sigma, kappa), (more_sigma, more_kappa) = ([value[cancels] for value in pair] for pair in (oscillator, more))
+        careful = _small_change((sigma, kappa), (more_sigma, more_kappa), damping, stiffness)
+        p_change[cancels] = np.where(p_cancels[cancels], careful[0], p_change[cancels])
+        q_change[cancels] = np.where(q_cancels[cancels], careful[1], q_change[cancels])
+    return p_change, q_change
+
+
+def _small_change(
+    oscillator: tuple[Floats, Floats], more: tuple[Floats, Floats], damping: float, stiffness: float
+) -> tuple[Floats, Floats]:
+    """With e = exp(-sigma/2), u = kappa - sigma²/4, C(u) = cos(sqrt u): p = 2 - 2 e C and q = (1 - e)² + 2 e (1 - C)."""
+    (sigma, kappa), (more_damping, more_stiffness) = oscillator, more
+    u, u0 = kappa - 0.25 * sigma**2, stiffness - 0.25 * damping**2
+    of_u = more_stiffness - 0.25 * more_damping * (sigma + damping)
+    e, e0 = np.exp(-0.5 * sigma), np.exp(-0.5 * damping)
+    of_e = e0 * np.expm1(-0.5 * more_damping)
+    root, root0 = np.sqrt(u.astype(complex)), np.sqrt(complex(u0))
+    cosine, cosine0 = np.cos(root).real, np.cos(root0).real
+    of_cosine = -0.5 * of_u * (_sinc(0.5 * (root + root0)) * _sinc(0.5 * (root - root0))).real
+    # e C - e0 C0 in two parts, the difference of the cosines with the smaller factor: it may be large where e is small.
+    heavier = more_damping > 0.0
+    p_change = 2.0 * np.where(heavier, of_e * cosine0 + e * of_cosine, of_e * cosine + e0 * of_cosine)
+    cosine_less_1 = -2.0 * (np.sin(0.5 * root) ** 2).real
+    slow = 2.0 * cosine_less_1 - np.expm1(-0.5 * sigma) - np.expm1(-0.5 * damping)
+    return p_change, of_e * slow + 2.0 * e0 * of_cosine
+
+
+def _sinc(x: Complexes) -> Complexes:
+    """sin(x)/x."""
+    return np.where(x == 0.0, 1.0, np.sin(x) / np.where(x == 0.0, 1.0, x))
 
 
 def oscillator_of_quadratic(p: Floats, q: Floats) -> tuple[Floats, Floats]:

@@ -1,54 +1,65 @@
 """How much real friction a sampled virtual wall needs to be passive.
 
-Colgate and Schenkel, "Passivity of a class of sampled-data systems" (1997); with a delay, Gil et al.,
-"Stability analysis of a 1 DOF haptic interface" (2004). For the wall H(z) = K + B (1 - 1/z)/T behind a
-zero-order hold, their
+Colgate and Schenkel, "Passivity of a class of sampled-data systems" (1997). For a wall H(z) behind a zero-order hold
+and a whole number D of samples of delay, with theta = wT,
 
-    b0 > T / (2 (1 - cos wT)) · Re[(1 - exp(-jwT)) H(exp(jwT)) exp(-jwT delay)]   for all 0 < w <= pi/T
+    b0 > h_D(theta) = T/(2 (1 - cos theta)) Re[(1 - exp(-j theta)) H(exp(j theta)) exp(-j D theta)],  0 < theta <= pi
 
-is, with theta = wT,
+which is K T (D + 1/2) for a spring alone and K T/2 + |B| for a backward damper without delay.
 
-    b0 > K T/2 · sin((delay + 1/2) theta) / sin(theta/2) - B cos((delay + 1) theta)
+A fraction f of a sample is more than a phase: the hold's images of a motion, at theta + 2 pi n, are each late by a
+phase of their own, and a hand may move at all of them together. Their power is a form of rank two in the images, whose
+largest value is, by the sums over 1/(theta + 2 pi n)²,
 
-The right side is smooth and even at theta = 0, where it is K T (delay + 1/2) - B. Its upper bound is there
-for a spring alone, at pi/T for a damper without delay, and between them in general.
+    (R + sqrt(R² + f (1 - f) (T |H|)²))/2,    R = (1 - f) h_D + f h_(D+1)
+
+between the two whole delays' demands and above them in the middle: 1.059 K T at a delay of half a sample, where
+K T (delay + 1/2) (Gil et al., "Stability analysis of a 1 DOF haptic interface", 2004) would be K T.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
-from hapsim.theory.arrays import Floats
+from hapsim.theory.arrays import Complexes, Floats
+from hapsim.theory.interface import whole_and_fraction
+from hapsim.theory.shape import Damper
 
 POINTS_PER_SWING = 64  # of theta, for the fastest term to go from one extreme to the other
 REFINED_SPACING = (1.0, 0.02, 0.02)  # of that grid: the last parabola is good to rounding
-ROWS_AT_ONCE = 4096
+SLOWEST = 1e-7  # of theta: the demand is smooth and even at 0
+ROWS_AT_ONCE = 1024
 
 
-def needed_friction(elastic: Floats, viscous: Floats, delay: float) -> Floats:
-    """The least upper bound, over theta, of the friction that the wall demands, in the unit of the arguments.
+class Wall(NamedTuple):
+    """n walls: K T and B of each in N·s/m, (n,), and how their loop is late."""
 
-    Args:
-        elastic: K T/2, any shape.
-        viscous: B, same shape.
-        delay: sample periods, >= 0.
-    """
-    if delay == 0.0:
-        return elastic + np.abs(viscous)
-    walls = np.stack([elastic.ravel(), viscous.ravel()], axis=-1)
-    parts = np.array_split(walls, math.ceil(len(walls) / ROWS_AT_ONCE) or 1)
-    return np.concatenate([_upper_bound(part, delay) for part in parts]).reshape(elastic.shape)
+    elastic: Floats
+    viscous: Floats
+    delay: float
+    damper: Damper
+
+    def part(self, rows: slice) -> Wall:
+        """Some of them."""
+        return Wall(self.elastic[rows], self.viscous[rows], self.delay, self.damper)
 
 
-def _upper_bound(walls: Floats, delay: float) -> Floats:
-    """For walls (n, 2): the best point of a grid, then parabolas through three points about it."""
-    count = math.ceil(POINTS_PER_SWING * (delay + 1.0))
+def needed_friction(wall: Wall) -> Floats:
+    """(n,): the least upper bound, over theta, of the friction that each wall demands, N·s/m."""
+    parts = [wall.part(slice(i, i + ROWS_AT_ONCE)) for i in range(0, wall.elastic.size, ROWS_AT_ONCE)]
+    return np.concatenate([_upper_bound(part) for part in parts]) if parts else np.empty(0)
+
+
+def _upper_bound(wall: Wall) -> Floats:
+    """The best point of a grid, then parabolas through three points about it."""
+    count = math.ceil(POINTS_PER_SWING * (wall.delay + wall.damper.delays + 1.0))
     spacing = math.pi / count
     # One point beyond either end, where the demand goes on smoothly.
     theta = spacing * np.arange(-1.0, count + 2.0, dtype=np.float64)
-    demand = _demand(walls[:, None], theta, delay)
+    demand = _demand(wall, theta[None, :])
     rise, bend = _slope_and_bend(demand[:, :-2], demand[:, 1:-1], demand[:, 2:])
     summit = demand[:, 1:-1] + np.where(np.abs(rise) < -bend, -0.5 * rise**2 / np.minimum(bend, -1e-300), 0.0)
     best = np.argmax(np.nan_to_num(summit, nan=-np.inf), axis=-1)
@@ -57,10 +68,11 @@ def _upper_bound(walls: Floats, delay: float) -> Floats:
 
     for fraction in REFINED_SPACING:
         step = fraction * spacing
-        rise, bend = _slope_and_bend(*(_demand(walls, at + shift, delay) for shift in (-step, 0.0, step)))
+        three = _demand(wall, at[:, None] + np.array([-step, 0.0, step]))
+        rise, bend = _slope_and_bend(three[:, 0], three[:, 1], three[:, 2])
         move = np.divide(-rise, bend, out=np.zeros_like(rise), where=bend < 0.0)
         at = np.clip(at + step * np.clip(move, -1.0, 1.0), 0.0, math.pi)
-        bound = np.maximum(bound, _demand(walls, at, delay))
+        bound = np.maximum(bound, _demand(wall, at[:, None])[:, 0])
     return bound
 
 
@@ -68,8 +80,26 @@ def _slope_and_bend(before: Floats, here: Floats, after: Floats) -> tuple[Floats
     return 0.5 * (after - before), after - 2.0 * here + before
 
 
-def _demand(walls: Floats, theta: Floats, delay: float) -> Floats:
-    """The right side above, of walls (..., 2): K T/2 and B."""
-    turns = 2.0 * delay + 1.0
-    ratio = turns * np.sinc(0.5 * turns * theta / np.pi) / np.sinc(0.5 * theta / np.pi)
-    return walls[..., 0] * ratio - walls[..., 1] * np.cos((delay + 1.0) * theta)
+def _demand(wall: Wall, theta: Floats) -> Floats:
+    """What is demanded at theta, (1 or n, points): (n, points)."""
+    theta = np.maximum(np.abs(theta), SLOWEST)
+    reaction = wall.elastic[:, None] + wall.viscous[:, None] * _moving(wall.damper, theta)
+    whole, fraction = whole_and_fraction(wall.delay)
+    on_time = _at_whole_delay(reaction, theta, whole)
+    if fraction == 0.0:
+        return on_time
+    between = (1.0 - fraction) * on_time + fraction * _at_whole_delay(reaction, theta, whole + 1)
+    return 0.5 * (between + np.sqrt(between**2 + fraction * (1.0 - fraction) * np.abs(reaction) ** 2))
+
+
+def _moving(damper: Damper, theta: Floats) -> Complexes:
+    """The damper's velocity over the position, in metres per sample, at z = exp(j theta)."""
+    w = 2j * np.sin(0.5 * theta) * np.exp(0.5j * theta)  # z - 1, to all its digits
+    numerator, denominator = (np.polyval(part[::-1], w) for part in (damper.numerator, damper.denominator))
+    return np.asarray(w * numerator / denominator * np.exp(-1j * damper.delays * theta))
+
+
+def _at_whole_delay(reaction: Complexes, theta: Floats, delay: int) -> Floats:
+    """h_D, with (1 - exp(-j theta))/(2 (1 - cos theta)) = (1 + j cot(theta/2))/2."""
+    late = reaction * np.exp(-1j * delay * theta)
+    return np.asarray(0.5 * (late.real - late.imag / np.tan(0.5 * theta)))

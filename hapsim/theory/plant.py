@@ -1,13 +1,15 @@
 """The real mass as the computer sees it: G(z) = Y(z)/f(z), by the modified z-transform.
 
-Time in sample periods, force as T²/m f. With w = z - 1, A = 1 - exp(-b0 T/m), delay = D + fraction:
+Time in sample periods, force as T²/m f. With w = z - 1 and delay = D + fraction, the mass with its friction and its
+spring, if it has one, moves freely by the factor w² + p w + q, and
 
-    1/G(z) = z^(order - 1) w (w + A) / numerator(z),   order = D + degree of the numerator
+    1/G(z) = z^lead (w² + p w + q) / numerator(z),       lead = D - 1 + degree of the numerator
 
-The loop closed by the visco-elastic element K + B (1 - 1/z)/T has then, with kappa = K T²/m and
-beta = B T/m, the characteristic equation (Florens et al., §6)
+The velocity that the device senses is a second output; of the position that it senses too it is
 
-    (kappa z + beta w) numerator(z) + z^order w (w + A) = 0
+    V(z)/Y(z) = w velocity(z) / (z numerator(z)) + offset
+
+``offset`` is what it reads at rest: nothing, except where force impulses keep a spring in its place by blows.
 """
 
 from __future__ import annotations
@@ -18,38 +20,70 @@ import numpy as np
 
 from hapsim.theory.arrays import Floats
 from hapsim.theory.interface import HOLDS, SAMPLINGS, whole_and_fraction
-from hapsim.theory.phi import phi
+from hapsim.theory.pair import quadratic_of_oscillator
+from hapsim.theory.response import AREA, POSITION, VELOCITY, response_to_a_blow
 from hapsim.theory.shape import Term, product
+
+NOTHING = 1e-13  # of the largest coefficient: the rounding of what is zero
 
 
 class Plant(NamedTuple):
-    """``damping`` is b0 T/m, ``decay`` is A; ``numerator`` in powers of z, highest first, all positive."""
+    """``damping`` is b0 T/m, ``stiffness`` k0 T²/m; polynomials in powers of z, highest first."""
 
     damping: float
-    decay: float
+    stiffness: float
+    p: float
+    q: float
     numerator: Floats
-    order: int
+    lead: int
+    velocity: Floats
+    offset: float
 
 
-def sampled_plant(damping: float, delay: float, hold: str, sampling: str) -> Plant:
-    """The plant of a normalised real friction b0 T/m and a delay in sample periods."""
+def sampled_plant(damping: float, stiffness: float, delay: float, hold: str, sampling: str) -> Plant:
+    """The plant of a normalised real friction b0 T/m and spring k0 T²/m, and a delay in sample periods."""
     whole, fraction = whole_and_fraction(delay)
     terms = product(HOLDS[hold].terms, SAMPLINGS[sampling].terms)
     count = max(term.lag for term in terms) + (1 if fraction == 0.0 else 2)
-    response = _force_response(terms, damping, np.arange(1.0, count + 1.0) - fraction)
+    # One more than the position needs: a blow's velocity is there at once.
+    outputs = _readings(terms, damping, stiffness, np.arange(1.0, count + 2.0) - fraction)
+    p, q = quadratic_of_oscillator(damping, stiffness)
 
-    # Once the hold and the sampling are over, the response is a constant and an exponential: the denominator
-    # below annihilates it, and what is left of the product is the numerator.
-    denominator = np.array([1.0, -1.0 - np.exp(-damping), np.exp(-damping)])
-    numerator = np.convolve(response, denominator)[:count]
-    return Plant(damping, -float(np.expm1(-damping)), numerator, whole + count - 1)
+    # Once the hold and the sampling are over the mass moves freely: the free motion's factor annihilates what it
+    # does, and what is left of the product is the numerator.
+    free = np.array([1.0, p - 2.0, 1.0 - p + q])
+    numerator = np.convolve(outputs[0], free)[:count]
+    blows = any(term.integrations == 0 for term in terms)
+    offset = _reading_at_rest(damping, stiffness, 1.0 - fraction) if blows else 0.0
+    velocity = _over_w(np.convolve(outputs[1], free)[: count + 1] - offset * np.append(numerator, 0.0))
+    return Plant(damping, stiffness, p, q, numerator, whole + count - 2, velocity, offset)
 
 
-def _force_response(terms: tuple[Term, ...], damping: float, times: Floats) -> Floats:
-    """What the computer reads, ``times`` sample periods after one computed force came, into rest."""
-    response = np.zeros_like(times)
+def _readings(terms: tuple[Term, ...], damping: float, stiffness: float, times: Floats) -> Floats:
+    """(2, times): position and velocity that the device reads, ``times`` periods after one computed force came."""
+    read = np.zeros((2, times.size))
     for weight, lag, integrations in terms:
-        since = np.maximum(times - lag, 0.0)
-        power = integrations + 1
-        response += weight * since**power * phi(power, damping * since)
-    return response
+        for i in np.flatnonzero(times > lag):
+            response = response_to_a_blow(damping, stiffness, times[i] - lag)
+            read[0, i] += weight * response[POSITION + integrations]
+            read[1, i] += weight * response[VELOCITY + integrations]
+    return read
+
+
+def _reading_at_rest(damping: float, stiffness: float, since: float) -> float:
+    """Velocity over position, as read ``since`` a blow, of a mass that equal blows keep on its spring for ever.
+
+    The sum of a blow's sampled responses, (1 - exp(M))⁻¹ times the first, in which the integral of exp(M) over a
+    period takes the place of 1 - exp(M), so that nothing cancels where the spring is weak.
+    """
+    blow, period = response_to_a_blow(damping, stiffness, since), response_to_a_blow(damping, stiffness, 1.0)
+    velocity = period[AREA] * blow[VELOCITY] - period[POSITION] * blow[POSITION]
+    position = period[POSITION] * (blow[VELOCITY] + damping * blow[POSITION])
+    return float(stiffness * velocity / (position + stiffness * period[AREA] * blow[POSITION]))
+
+
+def _over_w(polynomial: Floats) -> Floats:
+    """The polynomial in z, which has a root at z = 1, divided by w = z - 1."""
+    sums = np.cumsum(polynomial)[:-1]
+    sums[np.abs(sums) < NOTHING * np.abs(sums).max()] = 0.0
+    return np.asarray(sums)

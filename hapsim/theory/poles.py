@@ -1,6 +1,9 @@
-"""Poles of the closed loop: the characteristic polynomial, its roots, and the pair that moves the hand.
+"""Poles of the closed loop: the roots of its characteristic polynomial, and the pair that moves the hand.
 
-Everything here is in the normalised units kappa = K T²/m and beta = B T/m (see ``plant.py``), arrays of one
+For a loop of few poles by real quadratic factors, for thousands of (K, B) at once; for a loop of many, and where two
+factors do not come apart, as eigenvalues.
+
+Everything here is in the normalised units kappa = K T²/m and beta = B T/m (see ``loop_equation.py``), arrays of one
 shape.
 """
 
@@ -11,13 +14,15 @@ from typing import NamedTuple
 import numpy as np
 
 from hapsim.theory.arrays import Bools, Complexes, Floats
-from hapsim.theory.pair import OnPair, constant_like, pair_of_quadratic
-from hapsim.theory.plant import Plant
+from hapsim.theory.factors import Roots, divided, in_z, quadratic_factors, roots_of_factors, slow_factor
+from hapsim.theory.loop_equation import LoopEquation, characteristic, characteristic_in_w, equation_on_pair
+from hapsim.theory.pair import OnPair, pair_of_quadratic
 
 POLISH_STEPS = 8
 POLISH_DONE = 1e-11  # relative size of a step
 POLISH_ACCEPTED = 1e-6  # the same: close to a further pole the last digits do not settle
 POLISH_MAY_MOVE = 1e-5  # eigenvalues are better than that: who goes further goes to another pair
+MOST_BY_FACTORS = 8  # poles: beyond, powers of w are no good basis
 FREE_MASS = 1e-40  # a p or q smaller than this is zero
 
 
@@ -29,17 +34,84 @@ class Leading(NamedTuple):
     dominant: Bools
 
 
-def characteristic(plant: Plant, kappa: Floats, beta: Floats) -> Floats:
-    """Coefficients (..., N + 1) of the monic characteristic polynomial in z, highest power first."""
-    coefficients = np.zeros((*kappa.shape, plant.order + 3))
-    # z^order (z - 1)(z - exp(-b0 T/m))
-    coefficients[..., :3] = [1.0, plant.decay - 2.0, 1.0 - plant.decay]
-    count = plant.numerator.size
-    element = np.stack([kappa + beta, -beta], axis=-1)
-    for lead in (0, 1):
-        start = plant.order + 3 - count - 1 + lead
-        coefficients[..., start : start + count] += element[..., lead, None] * plant.numerator
-    return coefficients
+def leading(equation: LoopEquation, kappa: Floats, beta: Floats) -> Leading:
+    """The pair that leads loops of one shape, for kappa and beta (n,).
+
+    Mostly it is the first factor that is found, and one look at the others tells that they decay faster.
+    """
+    if equation.degree > MOST_BY_FACTORS:
+        return _solve(equation, kappa, beta)[0]
+    coefficients = characteristic_in_w(equation, kappa, beta)
+    p, q, found = (
+        slow_factor(coefficients)
+        if equation.degree > 2
+        else (coefficients[1], coefficients[0], np.isfinite(sum(coefficients)))
+    )
+    at_zero = 1.0 - p + q  # z = 0: the product of the two poles
+    half = 0.5 * p
+    bend = half * half - q
+    swings = bend < 0.0
+    spread = np.sqrt(np.abs(bend))
+    faster = np.abs(np.abs(1.0 - half) - spread)
+    radius = np.where(swings, np.sqrt(np.abs(at_zero)), faster)
+    others = in_z(divided(coefficients, p, q)[2:])
+    leads = found & (swings | ((at_zero > 0.0) & (p < 2.0))) & all_within(others, radius)
+    missed = np.flatnonzero(~leads)
+    if missed.size:
+        lead, _ = _solve(equation, kappa[missed], beta[missed])
+        p[missed], q[missed], leads[missed] = lead
+    return Leading(p, q, leads)
+
+
+def all_poles(equation: LoopEquation, kappa: Floats, beta: Floats) -> tuple[Leading, Complexes]:
+    """The same, and all poles (n, N) by decreasing modulus, the leading pair among them as it was found."""
+    lead, roots_of_all = _solve(equation, kappa, beta)
+    if isinstance(roots_of_all, Roots):
+        poles = sort_by_modulus((1.0 + roots_of_all.real + 1j * roots_of_all.imaginary).T)
+    else:
+        poles = roots_of_all
+    w = pair_of_quadratic(lead.p, lead.q)
+    pair = 1.0 + np.stack([w.near, w.far], axis=-1)
+    poles[:, :2] = np.where(lead.dominant[:, None], pair, poles[:, :2])
+    return lead, sort_by_modulus(poles)
+
+
+def _solve(equation: LoopEquation, kappa: Floats, beta: Floats) -> tuple[Leading, Roots | Complexes]:
+    if equation.degree > MOST_BY_FACTORS:
+        return _by_eigenvalues(equation, kappa, beta)
+    factors = quadratic_factors(characteristic_in_w(equation, kappa, beta))
+    found = roots_of_factors(factors)
+    lead = _leading_of(found)
+    missed = np.flatnonzero(~factors.found)
+    if missed.size:
+        (lead.p[missed], lead.q[missed], lead.dominant[missed]), poles = _by_eigenvalues(
+            equation, kappa[missed], beta[missed]
+        )
+        found.real[:, missed], found.imaginary[:, missed] = poles.real.T - 1.0, poles.imag.T
+    return lead, found
+
+
+def _by_eigenvalues(equation: LoopEquation, kappa: Floats, beta: Floats) -> tuple[Leading, Complexes]:
+    poles = roots(np.stack(characteristic(equation, kappa, beta), axis=-1))
+    return leading_pair(equation, kappa, beta, poles), poles
+
+
+def _leading_of(roots: Roots) -> Leading:
+    """The pair among roots of quadratic factors, which stand conjugate beside conjugate."""
+    real, imaginary = roots
+    modulus = (1.0 + real) ** 2 + imaginary**2
+    points = np.arange(real.shape[1])
+    places, moduli = [], []
+    for _ in range(2):
+        place = np.argmax(modulus, axis=0)
+        places.append(place)
+        moduli.append(modulus[place, points])
+        modulus[place, points] = -1.0
+    (a, b), (c, d) = [(real[place, points], imaginary[place, points]) for place in places]
+    conjugates = (b != 0.0) & (c == a) & (d == -b)
+    positive = (b == 0.0) & (d == 0.0) & (a > -1.0) & (c > -1.0)
+    dominant = (conjugates | positive) & (modulus.max(axis=0) < moduli[1])
+    return Leading(-(a + c), a * c - b * d, dominant)
 
 
 def roots(coefficients: Floats) -> Complexes:
@@ -60,7 +132,7 @@ def sort_by_modulus(values: Complexes) -> Complexes:
     return np.take_along_axis(values, order, axis=-1)
 
 
-def leading_pair(plant: Plant, kappa: Floats, beta: Floats, poles: Complexes) -> Leading:
+def leading_pair(equation: LoopEquation, kappa: Floats, beta: Floats, poles: Complexes) -> Leading:
     """The pair of the two slowest poles, polished, from all the poles (..., N) by decreasing modulus."""
     first, second, others = poles[..., 0], poles[..., 1], poles[..., 2:]
     p = 2.0 - (first + second).real
@@ -68,7 +140,7 @@ def leading_pair(plant: Plant, kappa: Floats, beta: Floats, poles: Complexes) ->
     conjugates = (first.imag != 0.0) & (second == first.conj())
     positive = (first.imag == 0.0) & (second.imag == 0.0) & (first.real > 0.0) & (second.real > 0.0)
     is_pair = conjugates | positive
-    p, q = _polished(plant, kappa, beta, (p, q), others)
+    p, q = _polished(equation, kappa, beta, (p, q), others)
 
     w = pair_of_quadratic(p, q)
     slower_than = np.minimum(np.abs(1.0 + w.near), np.abs(1.0 + w.far))
@@ -77,7 +149,7 @@ def leading_pair(plant: Plant, kappa: Floats, beta: Floats, poles: Complexes) ->
 
 
 def _polished(
-    plant: Plant, kappa: Floats, beta: Floats, start: tuple[Floats, Floats], others: Complexes
+    equation: LoopEquation, kappa: Floats, beta: Floats, start: tuple[Floats, Floats], others: Complexes
 ) -> tuple[Floats, Floats]:
     """Newton's method on the quadratic factor of the pair; the start, where it does not converge nearby.
 
@@ -87,7 +159,7 @@ def _polished(
     p, q = start
     for _ in range(POLISH_STEPS):
         w = pair_of_quadratic(p, q)
-        change = _characteristic_on(plant, kappa, beta, w)
+        change = equation_on_pair(equation, kappa, beta, w)
         for pole in np.moveaxis(others, -1, 0):
             change = change.over(w.plus(1.0 - pole))
         dp = change.slope.real
@@ -103,41 +175,24 @@ def _polished(
     return np.where(good, p, start[0]), np.where(good, q, start[1])
 
 
-def _characteristic_on(plant: Plant, kappa: Floats, beta: Floats, w: OnPair) -> OnPair:
-    """The characteristic polynomial, in terms of w and z = 1 + w.
-
-    Ordered by powers of w, so that what friction and simulated damping leave of each other is one sum,
-    b0 T/m + beta, and not the difference of two polynomials.
-    """
-    z = w.plus(1.0)
-    sums = np.cumsum(plant.numerator)  # numerator(z) = w · polynomial of all sums but the last + the last
-    free = z.polynomial(np.array([1.0] + [plant.decay] * plant.order))
-    terms = [w.times(w).times(free), z.times(z.polynomial(plant.numerator)).times(constant_like(w, kappa))]
-    if sums.size > 1:
-        terms.append(w.times(w).times(z.polynomial(sums[:-1])).times(constant_like(w, beta)))
-    terms.append(w.times(constant_like(w, sums[-1] * (plant.damping + beta))))
-    return OnPair(*(sum(parts) for parts in zip(*terms, strict=True)))
-
-
-def all_within(coefficients: Floats, radius: Floats) -> Bools:
-    """Whether all roots of the polynomials (..., N + 1) have a modulus below the radius, by Jury's test."""
-    degree = coefficients.shape[-1] - 1
-    remaining = coefficients / radius[..., None] ** np.arange(degree + 1)
+def all_within(coefficients: list[Floats], radius: Floats) -> Bools:
+    """Whether all roots of polynomials in z, highest power first, have a modulus below the radius, by Jury's test."""
+    shrink = 1.0 / radius
+    remaining, scale = [coefficients[0]], shrink
+    for coefficient in coefficients[1:]:
+        remaining.append(coefficient * scale)
+        scale = scale * shrink
     inside = np.ones(radius.shape, dtype=bool)
-    while remaining.shape[-1] > 1:
-        ratio = remaining[..., -1:] / remaining[..., :1]
-        inside &= np.abs(ratio[..., 0]) < 1.0
-        remaining = (remaining - ratio * remaining[..., ::-1])[..., :-1]
+    while len(remaining) > 1:
+        ratio = remaining[-1] / remaining[0]
+        inside &= np.abs(ratio) < 1.0
+        turned = remaining[::-1]
+        remaining = [one - ratio * other for one, other in zip(remaining[:-1], turned[:-1], strict=True)]
     return inside
 
 
-def without_pair(coefficients: Floats, w: OnPair) -> Floats:
-    """The monic polynomials (..., N + 1) divided by (z - 1 - w.near)(z - 1 - w.far): (..., N - 1)."""
+def without_pair(coefficients: list[Floats], w: OnPair) -> list[Floats]:
+    """Monic polynomials in z, highest power first, divided by (z - 1 - w.near)(z - 1 - w.far)."""
     minus_sum = -(2.0 + w.near + w.far).real
     product = ((1.0 + w.near) * (1.0 + w.far)).real
-    quotient = coefficients[..., :-2].copy()
-    for i in range(1, quotient.shape[-1]):
-        quotient[..., i] -= minus_sum * quotient[..., i - 1]
-        if i > 1:
-            quotient[..., i] -= product * quotient[..., i - 2]
-    return quotient
+    return divided(coefficients[::-1], minus_sum, product)[:1:-1]

@@ -1,11 +1,10 @@
-"""(k, b) to (K, B) and back: against 30 digits, against each other, and where there is no answer."""
+"""(k, b) to (K, B) and back, and where there is no answer."""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+from dataclasses import replace
 
-import mpmath as mp
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -18,76 +17,6 @@ UNIT = MASS * RATE**2
 HOLDS = ("zoh", "impulse")
 SAMPLINGS = ("ideal", "average")
 DELAYS = (0.0, 0.37, 1.0, 1.5, 2.0)
-Transfer = Callable[[mp.mpf], mp.mpf]
-RATIOS = (0.001, 0.1, 0.5, 0.999, 1.0 - 1e-9, 1.0, 1.0 + 1e-9, 1.001, 1.5, 3.0)
-
-
-def transfer_function(c: Configuration) -> Transfer:
-    """Y(z)/f(z), by matrix exponentials of the mass, its position's integral and the held force."""
-    m, T, b0 = mp.mpf(c.mass), 1 / mp.mpf(c.rate), mp.mpf(c.friction)
-    whole = int(mp.floor(c.delay))
-    late = (mp.mpf(c.delay) - whole) * T
-    rate = mp.matrix([[0, 1, 0, 0], [0, -b0 / m, 1 / m, 0], [0, 0, 0, 0], [1, 0, 0, 0]])
-    before, after, full = (mp.expm(rate * t, method="taylor") for t in (late, T - late, T))
-    if c.hold == "zoh":
-        ended = before * mp.matrix([0, 0, 1, 0])
-        ended[2] = 0
-        effects = {whole: after * mp.matrix([0, 0, 1, 0]), whole + 1: after * ended}
-    else:
-        effects = {whole: after * mp.matrix([0, T / m, 0, 0])}
-
-    def g(z: mp.mpf) -> mp.mpf:
-        effect = mp.matrix([0, 0, 0, 0])
-        for age, column in effects.items():
-            effect += column * z**-age
-        x, v = mp.lu_solve(z * mp.eye(2) - full[0:2, 0:2], effect[0:2])
-        if c.sampling == "ideal":
-            return x
-        return (full[3, 0] * x + full[3, 1] * v + effect[3]) / (T * z)
-
-    return g
-
-
-def simulated_to_30_digits(c: Configuration, g: Transfer, k: float, b: float) -> tuple[mp.mpf, mp.mpf]:
-    m, T, k, b = mp.mpf(c.mass), 1 / mp.mpf(c.rate), mp.mpf(k), mp.mpf(b)
-    root = mp.sqrt((b / (2 * m)) ** 2 - k / m) or mp.mpf(10) ** -25
-    z1, z2 = (mp.exp(T * (-b / (2 * m) + sign * root)) for sign in (1, -1))
-    q1, q2 = (1 - 1 / z1) / T, (1 - 1 / z2) / T
-    B = (1 / g(z2) - 1 / g(z1)) / (q1 - q2)
-    return mp.re(-1 / g(z1) - B * q1), mp.re(B)
-
-
-@pytest.mark.parametrize("friction", [0.0, 1.0])
-@pytest.mark.parametrize("delay", DELAYS)
-@pytest.mark.parametrize("sampling", SAMPLINGS)
-@pytest.mark.parametrize("hold", HOLDS)
-def test_simulated_agrees_with_30_digits_over_twelve_decades(
-    hold: str, sampling: str, delay: float, friction: float
-) -> None:
-    c = Configuration(mass=MASS, rate=RATE, friction=friction, delay=delay, hold=hold, sampling=sampling)
-    k = (np.geomspace(1e-12, 3.0, 7) * UNIT)[:, None]
-    b = 2.0 * np.array(RATIOS) * np.sqrt(k * MASS)
-    K, B = c.simulated(k, b, dominant=False)
-    with mp.workdps(55):
-        g = transfer_function(c)
-        for i, j in np.ndindex(b.shape):
-            exact_k, exact_b = simulated_to_30_digits(c, g, k[i, 0], b[i, j])
-            assert abs(K[i, j] / exact_k - 1) < 1e-11
-            assert abs(B[i, j] / exact_b - 1) < 1e-9
-
-
-@pytest.mark.parametrize("delay", [0.0, 1.5])
-def test_a_soft_spring_on_heavy_friction_keeps_the_digits_of_its_small_damping(delay: float) -> None:
-    """Asked for just the real friction, B has only to make up for the delay: about K T (delay + 1/2)."""
-    c = Configuration(mass=MASS, rate=RATE, friction=100.0, delay=delay)
-    k = np.geomspace(1e-12, 1e-4, 5) * UNIT
-    K, B = c.simulated(k, c.friction)
-    with mp.workdps(60):
-        g = transfer_function(c)
-        for i in range(k.size):
-            exact_k, exact_b = simulated_to_30_digits(c, g, k[i], c.friction)
-            assert abs(K[i] / exact_k - 1) < 1e-13
-            assert abs(B[i] / exact_b - 1) < 1e-11
 
 
 CONFIGURATIONS = st.builds(
@@ -99,15 +28,19 @@ CONFIGURATIONS = st.builds(
     hold=st.sampled_from(HOLDS),
     sampling=st.sampled_from(SAMPLINGS),
 )
+DAMPERS = st.sampled_from([("backward", None), ("centred", None), ("filtered", 90.0), ("sensed", None)])
 
 
 @settings(max_examples=60, deadline=None, derandomize=True)
-@given(c=CONFIGURATIONS, seed=st.integers(0, 2**32 - 1))
-def test_equivalent_inverts_simulated(c: Configuration, seed: int) -> None:
+@given(c=CONFIGURATIONS, spring=st.sampled_from([0.0, 1e-3, 0.3]), damper=DAMPERS, seed=st.integers(0, 2**32 - 1))
+def test_equivalent_inverts_simulated(
+    c: Configuration, spring: float, damper: tuple[str, float | None], seed: int
+) -> None:
+    c = replace(c, stiffness=spring * c.stiffness_unit, damper=damper[0], cutoff=damper[1])
     rng = np.random.default_rng(seed)
     kappa = 10.0 ** rng.uniform(-12.0, 0.8, 400)
     ratio = np.concatenate([10.0 ** rng.uniform(-3.0, 0.5, 300), 1.0 + rng.uniform(-1e-6, 1e-6, 100)])
-    k = kappa * c.stiffness_unit
+    k = c.stiffness + kappa * c.stiffness_unit
     b = 2.0 * ratio * np.sqrt(k * c.mass)
     K, B = c.simulated(k, b)
     had = np.isfinite(K)

@@ -34,7 +34,7 @@ def test_without_delay_it_is_colgates_and_schenkels() -> None:
         assert not wall(enough * AROUND[0], 0.0).is_passive(K, B)[i, j]
 
 
-@pytest.mark.parametrize("delay", [0.0, 0.37, 0.5, 1.0, 2.0, 7.25])
+@pytest.mark.parametrize("delay", [0.0, 1.0, 2.0, 7.0])
 def test_a_spring_alone_needs_its_stiffness_times_the_delay_and_half_a_sample(delay: float) -> None:
     K = 1500.0
     limit = K * T * (0.5 + delay)
@@ -42,7 +42,7 @@ def test_a_spring_alone_needs_its_stiffness_times_the_delay_and_half_a_sample(de
     np.testing.assert_array_equal(wall(limit, delay).is_passive(K * AROUND, 0.0), [True, False])
 
 
-@pytest.mark.parametrize("delay", [0.2, 0.5, 1.0, 1.5, 2.0, 4.0])
+@pytest.mark.parametrize("delay", [1.0, 2.0, 4.0])
 def test_it_is_the_condition_as_written_wherever_its_upper_bound_lies(delay: float) -> None:
     rng = np.random.default_rng(11)
     for _ in range(12):
@@ -50,6 +50,69 @@ def test_it_is_the_condition_as_written_wherever_its_upper_bound_lies(delay: flo
         limit = needed(K, B, delay)
         assert not wall(limit * (1.0 - 1e-6), delay).is_passive(K, B)
         assert wall(limit * (1.0 + 2e-5), delay).is_passive(K, B)  # the grid misses a little at w = 0
+
+
+class TestAFractionOfASample:
+    """The images of a motion are each late by a phase of their own: more than the fundamental alone tells."""
+
+    K, DELAY, SAMPLES, IMAGES = 1000.0, 0.5, 128, 60
+
+    def given_away(self, friction: float) -> float:
+        """Energy that wall and friction give a hand, over one period of a motion that it may choose, in units of K."""
+        theta = 2.0 * np.pi / self.SAMPLES
+        w = (theta + 2.0 * np.pi * np.arange(-self.IMAGES, self.IMAGES + 1)) / T
+        # The motion that gains most: an eigenvector of the form that the images' power is.
+        late = np.outer(np.exp(1j * w * self.DELAY * T) / w, 1.0 / w)
+        form = self.K * (1.0 - np.exp(-1j * theta)) / T * late.conj()
+        velocity = np.linalg.eigh(form + form.conj().T)[1][:, -1]
+
+        def position(t: np.ndarray) -> np.ndarray:
+            return ((velocity / (1j * w)) @ np.exp(1j * np.outer(w, t))).real
+
+        samples = np.arange(self.SAMPLES) * T
+        push = self.K * position(samples)  # acts from half a sample later on, for a sample
+        starts = samples + self.DELAY * T
+        to_the_wall = float(push @ (position(starts + T) - position(starts)))
+        # Friction: the mean of the squared velocity, image by image.
+        to_friction = friction * 0.5 * self.SAMPLES * T * float((np.abs(velocity) ** 2).sum())
+        return -(to_the_wall + to_friction)
+
+    def test_a_hand_can_draw_energy_where_the_stiffness_times_the_delay_would_be_friction_enough(self) -> None:
+        rule = self.K * T * (self.DELAY + 0.5)
+        assert self.given_away(1.03 * rule) > 0.0
+        assert not wall(1.03 * rule, self.DELAY).is_passive(self.K, 0.0)
+
+    def test_with_the_friction_that_is_said_to_be_needed_it_cannot(self) -> None:
+        needed = wall(0.0, self.DELAY).needed_friction(self.K, 0.0)
+        assert needed == pytest.approx(0.5 * (1.0 + np.sqrt(1.25)) * self.K * T, rel=1e-9)
+        assert self.given_away(1.0001 * needed) < 0.0
+        assert self.given_away(0.99 * needed) > 0.0
+
+    def test_it_goes_over_into_the_whole_delays_at_either_end(self) -> None:
+        K, B = np.array([10.0, 1000.0]), np.array([0.5, -0.2])
+        for delay in (1.0, 2.0):
+            exact = wall(0.0, delay).needed_friction(K, B)
+            for near in (delay - 1e-9, delay + 1e-9):
+                np.testing.assert_allclose(wall(0.0, near).needed_friction(K, B), exact, rtol=1e-3)
+
+
+@pytest.mark.parametrize(("damper", "cutoff"), [("centred", None), ("filtered", 60.0)])
+def test_another_damper_has_its_own_demand(damper: str, cutoff: float | None) -> None:
+    c = Configuration(mass=0.2, rate=RATE, delay=1.0, damper=damper, cutoff=cutoff)
+    w = np.linspace(0.0, np.pi / T, 400_001)[1:]
+    z = np.exp(1j * w * T)
+    moving = (1.0 - z**-2) / (2.0 * T)
+    if damper == "filtered":
+        kept = np.exp(-2.0 * np.pi * 60.0 * T)
+        moving = (1.0 - kept) * (1.0 - 1.0 / z) / T / (1.0 - kept / z)
+    for K, B in ((1000.0, 2.0), (10.0, 3.0), (3000.0, 0.5)):
+        demand = T / (2.0 * (1.0 - np.cos(w * T))) * ((1.0 - 1.0 / z) * (K + B * moving) / z).real
+        assert c.needed_friction(K, B) == pytest.approx(demand[w * T > 1e-3].max(), rel=2e-5)
+
+
+def test_a_sensed_velocity_has_no_such_condition() -> None:
+    with pytest.raises(ValueError, match="the sensed damper"):
+        Configuration(mass=0.2, rate=RATE, damper="sensed").is_passive(1.0, 1.0)
 
 
 def test_between_the_ends_of_the_range_it_is_accurate() -> None:

@@ -1,9 +1,11 @@
 """The mock's mass in continuous time, moved in closed form over any interval of constant force.
 
-    m x'' + b0 x' = F - Fc sign(x')
+    m x'' + b0 x' + k0 x = F - Fc sign(x')
 
 No step method: whatever the interval, position, velocity and the integral of the position are exact to rounding. With
 Coulomb friction the instant at which the mass comes to rest has a closed form too; it then sticks, or sets off again.
+
+The spring's rest position is x = 0. Without a spring, k0 = 0, the mass moves by formulas of its own.
 """
 
 from __future__ import annotations
@@ -18,12 +20,16 @@ BODY = np.dtype(
     [
         ("mass", np.float64),  # kg
         ("friction", np.float64),  # N·s/m
+        ("stiffness", np.float64),  # N/m, >= 0: a real spring to x = 0
         ("coulomb", np.float64),  # N
         ("position", np.float64),  # m
         ("velocity", np.float64),  # m/s
         ("area", np.float64),  # m·s, integral of the position since it was last set to zero
     ]
 )
+
+_SERIES_END = 4.0  # of b0 h/m and of k0 h²/m: up to here by series, beyond it by exponentials that no longer cancel
+_MAX_STOPS = 1000  # within one interval
 
 
 @jit
@@ -68,8 +74,8 @@ def _time_to_rest(body, force):
 
 
 @jit
-def move(body, force, h):
-    """Moves the body for `h` seconds under a constant `force` in N."""
+def _move_free(body, force, h):
+    """Moves a body without a spring."""
     if body.coulomb == 0.0:
         _glide(body, force, h)
         return
@@ -86,6 +92,142 @@ def move(body, force, h):
         _glide(body, total, rest)
         body.velocity = 0.0
         h -= rest
+
+
+@jit
+def _spring_phi(u, w):
+    """phi1, phi2, phi3 of u = b0 h/m and w = k0 h²/m.
+
+    z'' + (b0/m) z' + (k0/m) z = 0 from z = 0, z' = 1 reaches z = h phi1; its integral is h² phi2, that one's integral
+    is h³ phi3. Integrating the equation of motion gives phi[n] = 1/n! - u phi[n+1] - w phi[n+2]. For w = 0 they are
+    those of `_phi`.
+    """
+    if u <= _SERIES_END and w <= _SERIES_END:
+        return _phi_by_series(u, w)
+    discriminant = 0.25 * u * u - w
+    if 36.0 * discriminant > u * u:
+        return _phi_of_two_rates(u, w, math.sqrt(discriminant))
+    return _phi_of_a_swing(u, w, discriminant)
+
+
+@jit
+def _phi_by_series(u, w):
+    """Downwards from a phi[n] that no longer counts, scaled by n! so that every term is of the order of 1.
+
+    Holds for every sign of the discriminant, to u, w = 4.
+    """
+    nearer, farther = 0.0, 0.0
+    for n in range(22 if u + w <= 1.0 else 42, 2, -1):
+        nearer, farther = 1.0 - (u * nearer + w * farther / (n + 2)) / (n + 1), nearer
+    phi3 = nearer / 6.0
+    phi2 = 0.5 - u * phi3 - w * farther / 24.0
+    return 1.0 - u * phi2 - w * phi3, phi2, phi3
+
+
+@jit
+def _phi_of_two_rates(u, w, root):
+    """Two real decays, of which the faster is at least twice the slower: their divided difference.
+
+    The slower one, u/2 - root, is written without that difference: it goes to zero with the spring.
+    """
+    fast = 0.5 * u + root
+    slow = w / fast
+    fast1, fast2, _ = _phi(fast)
+    slow1, slow2, _ = _phi(slow)
+    apart = 2.0 * root
+    return (math.exp(-slow) - math.exp(-fast)) / apart, (slow1 - fast1) / apart, (slow2 - fast2) / apart
+
+
+@jit
+def _phi_of_a_swing(u, w, discriminant):
+    """A decaying oscillation, or two decays close to each other or equal, where w > 3: by the recursion upwards."""
+    if discriminant < 0.0:
+        root = math.sqrt(-discriminant)
+        decay = math.exp(-0.5 * u)
+        cosine, sine = decay * math.cos(root), decay * math.sin(root) / root
+    else:
+        root = math.sqrt(discriminant)
+        decay = math.exp(-w / (0.5 * u + root))  # the slower one
+        cosine = decay * 0.5 * (1.0 + math.exp(-2.0 * root))
+        sine = decay * (-math.expm1(-2.0 * root) / (2.0 * root) if root > 0.0 else 1.0)
+    phi2 = (1.0 - cosine - 0.5 * u * sine) / w
+    return sine, phi2, (1.0 - sine - u * phi2) / w
+
+
+@jit
+def _swing(body, force, h):
+    """Moves on the spring under a constant further force, without Coulomb friction.
+
+    The displacement z = x - x(0) obeys m z'' + b0 z' + k0 z = F - k0 x(0): small intervals add small amounts, and a
+    mass at rest where the spring holds the force stays there.
+    """
+    damped = body.friction / body.mass
+    sprung = body.stiffness / body.mass
+    phi1, phi2, phi3 = _spring_phi(damped * h, sprung * h * h)
+    push = (force - body.stiffness * body.position) / body.mass
+    v = body.velocity
+    body.area += h * (body.position + h * (phi2 * v + h * phi3 * push))
+    body.position += h * (phi1 * v + h * phi2 * push)
+    body.velocity = v + h * (phi1 * (push - damped * v) - h * phi2 * sprung * v)
+
+
+@jit
+def _swing_to_rest(body, force, direction):
+    """When a mass on the spring, moving in `direction` or about to, next comes to rest: infinity where it never does.
+
+    v = exp(-d t) (|v(0)| C - (d |v(0)| + braking) S) in that direction, with d = b0/2m and either C, S = cos w t,
+    sin(w t)/w, zero at tan w t = w |v(0)| / (d |v(0)| + braking), or the same with cosh, sinh and tanh.
+    """
+    half = 0.5 * body.friction / body.mass
+    sprung = body.stiffness / body.mass
+    speed = abs(body.velocity)
+    braking = -direction * (force - body.stiffness * body.position) / body.mass
+    discriminant = half * half - sprung
+    if discriminant < 0.0:
+        frequency = math.sqrt(-discriminant)
+        return math.atan2(frequency * speed, half * speed + braking) / frequency
+    root = math.sqrt(discriminant)
+    braking += sprung / (half + root) * speed
+    if not braking > 0.0:
+        return math.inf
+    u = 2.0 * root * speed / braking
+    return math.log1p(u) / (2.0 * root) if u > 0.0 else speed / braking
+
+
+@jit
+def _move_on_spring(body, force, h):
+    """Moves a body on its spring.
+
+    Between two stops half a period goes by. A mass that has not come to rest for good after as many as `_MAX_STOPS`
+    hardly feels the Coulomb friction: the rest of the interval is without it.
+    """
+    if body.coulomb == 0.0:
+        _swing(body, force, h)
+        return
+    for _ in range(_MAX_STOPS):
+        pull = force - body.stiffness * body.position
+        if body.velocity == 0.0 and abs(pull) <= body.coulomb:
+            body.area += h * body.position
+            return
+        direction = math.copysign(1.0, body.velocity if body.velocity != 0.0 else pull)
+        total = force - body.coulomb * direction
+        rest = _swing_to_rest(body, total, direction)
+        if rest >= h:
+            _swing(body, total, h)
+            return
+        _swing(body, total, rest)
+        body.velocity = 0.0
+        h -= rest
+    _swing(body, force, h)
+
+
+@jit
+def move(body, force, h):
+    """Moves the body for `h` seconds under a constant `force` in N."""
+    if body.stiffness == 0.0:
+        _move_free(body, force, h)
+    else:
+        _move_on_spring(body, force, h)
 
 
 @jit

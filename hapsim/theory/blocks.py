@@ -1,0 +1,52 @@
+"""Large arrays in blocks that fit a core's cache, a thread a core: NumPy lets go of the interpreter meanwhile."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import wraps
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hapsim.theory.arrays import Floats
+
+POINTS = 65536
+MOST_THREADS = 8
+
+
+def quietly_in_blocks(method: Callable[..., Any]) -> Callable[..., Any]:
+    """For methods of two arrays (n,) that treat every pair of entries by itself: called with arrays of any shapes.
+
+    They are broadcast against each other, and the results have their shape; scalars give scalars. What is out of range
+    becomes NaN, and nothing warns.
+    """
+
+    def quietly(self: Any, one: Floats, other: Floats, **named: Any) -> Any:
+        with np.errstate(all="ignore"):
+            return method(self, one, other, **named)
+
+    @wraps(method)
+    def whole(self: Any, *values: ArrayLike, **named: Any) -> Any:
+        names = method.__code__.co_varnames[1:3]
+        values += tuple(named.pop(name) for name in names[len(values) :])
+        one, other = np.broadcast_arrays(*(np.asarray(value, dtype=float) for value in values))
+        shape, one, other = one.shape, one.ravel(), other.ravel()
+        if one.size <= 2 * POINTS:
+            return _in_shape(quietly(self, one, other, **named), shape)
+        with ThreadPoolExecutor(min(MOST_THREADS, os.cpu_count() or 1)) as pool:
+            blocks = [slice(at, at + POINTS) for at in range(0, one.size, POINTS)]
+            parts = list(pool.map(lambda block: quietly(self, one[block], other[block], **named), blocks))
+        if isinstance(parts[0], tuple):
+            return _in_shape(tuple(np.concatenate(column) for column in zip(*parts, strict=True)), shape)
+        return _in_shape(np.concatenate(parts), shape)
+
+    return whole
+
+
+def _in_shape(result: Any, shape: tuple[int, ...]) -> Any:
+    if isinstance(result, tuple):
+        return tuple(_in_shape(column, shape) for column in result)
+    return result.reshape(shape + result.shape[1:])[()]

@@ -1,0 +1,49 @@
+"""The simulated element that the hand meets as a given oscillator: the paper's Figure 4, in closed form.
+
+In normalised units, periods as time: sigma and kappa of s² + sigma s + kappa are asked for, K T²/m and B T/m answer.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hapsim.theory.arrays import Bools, Floats
+from hapsim.theory.loop_equation import LoopEquation, characteristic, element_on_pair
+from hapsim.theory.pair import OnPair, change_of_quadratic, pair_of_oscillator
+from hapsim.theory.poles import all_within, without_pair
+
+
+def element_of_oscillator(
+    equation: LoopEquation, oscillator: tuple[Floats, Floats], more: tuple[Floats, Floats]
+) -> tuple[Floats, Floats, OnPair]:
+    """(K T²/m, B T/m, the pair of poles). Neither finite where the element cannot tell the two poles apart.
+
+    ``oscillator``: (sigma, kappa). ``more``: the same without the device's own friction and spring; apart, because
+    the small part that the element has to add would be lost in their sum.
+    """
+    plant = equation.plant
+    w = pair_of_oscillator(*oscillator)
+    velocity, ratio = element_on_pair(equation, w)
+    # The free mass's factor on the poles is the line p_change w + q_change: their own factor vanishes there.
+    p_change, q_change = change_of_quadratic(w, oscillator, more, plant.damping, plant.stiffness)
+    moving = w.times(velocity)
+    steepness = moving.slope.real
+    # K is multiplied out to products: for a slow motion the sum of its parts would cancel.
+    by_p = (w.near * w.far * (ratio.slope * velocity.far - ratio.far * velocity.slope)).real
+    by_q = (ratio.near * moving.slope - ratio.slope * moving.near).real
+    stiffness = (p_change * by_p - q_change * by_q) / steepness
+    damping = -(p_change * (w.near * ratio.slope + ratio.far).real + q_change * ratio.slope.real) / steepness
+    if equation.damper.senses:
+        stiffness -= plant.offset * damping
+    return stiffness, damping, w
+
+
+def is_attainable(sigma: Floats, kappa: Floats) -> Bools:
+    """Whether the oscillator swings below the Nyquist frequency."""
+    return np.asarray(kappa - 0.25 * sigma**2 < np.pi**2)
+
+
+def leads(equation: LoopEquation, stiffness: Floats, damping: Floats, w: OnPair) -> Bools:
+    """Whether every further pole of the loop decays faster than both of the pair."""
+    others = without_pair(characteristic(equation, stiffness, damping), w)
+    return all_within(others, np.minimum(np.abs(1.0 + w.near), np.abs(1.0 + w.far)))

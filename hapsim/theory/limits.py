@@ -1,0 +1,143 @@
+"""Where the loop is stable: the curve b = 0 (Florens et al., §6.2), and the stable interval of one of K and B.
+
+On the curve an oscillator without damping is met, s = j theta, theta its frequency in radians per sample: K and B of it
+are closed forms. Besides, a real pole may leave the unit circle at z = 1 (a spring pulled inside out) or at z = -1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from hapsim.theory.arrays import Bools, Floats
+from hapsim.theory.element import element_of_oscillator
+from hapsim.theory.loop_equation import LoopEquation, characteristic
+
+SLOWEST = 1e-9  # radians per sample: what swings more slowly is not looked for
+POINTS_PER_DECADE = 24  # of the slow frequencies
+POINTS_PER_SAMPLE = 48  # of the others, for each sample by which the loop is late
+BISECTIONS = 60
+ROUNDING = 1e-12  # an interval relatively narrower than this is none
+GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
+
+IsStable = Callable[[Floats, Floats], Bools]
+
+
+class Undamped(NamedTuple):
+    """The curve b = 0 at frequencies theta (G,), in between which neither K T²/m nor B T/m turns back."""
+
+    theta: Floats
+    kappa: Floats
+    beta: Floats
+
+
+def undamped_element(equation: LoopEquation, theta: Floats) -> tuple[Floats, Floats]:
+    """(K T²/m, B T/m) with which the hand swings undamped, theta radians per sample."""
+    zero = np.zeros_like(theta)
+    plant = equation.plant
+    kappa, beta, _ = element_of_oscillator(
+        equation, (zero, theta**2), (zero - plant.damping, theta**2 - plant.stiffness)
+    )
+    return kappa, beta
+
+
+def undamped_curve(equation: LoopEquation) -> Undamped:
+    """The whole curve, with its turning points among the frequencies."""
+    late = equation.plant.lead + equation.damper.delays + 3
+    slow = np.geomspace(SLOWEST, 0.05, 1 + POINTS_PER_DECADE * 8, endpoint=False)
+    theta = np.concatenate([slow, np.linspace(0.05, np.pi, POINTS_PER_SAMPLE * late, endpoint=False)])
+    along = undamped_element(equation, theta)
+    turns = [_turning_points(equation, which, theta, along[which]) for which in (0, 1)]
+    theta = np.unique(np.concatenate([theta, *turns]))
+    return Undamped(theta, *undamped_element(equation, theta))
+
+
+def stable_interval(
+    equation: LoopEquation, curve: Undamped, sought: int, given: Floats, is_stable: IsStable
+) -> tuple[Floats, Floats]:
+    """The lowest stable interval of kappa (``sought`` 0) or beta (1), for given values (n,) of the other.
+
+    Between two values at which a pole may cross the unit circle stability does not change: one look at each interval
+    tells. Returns (least, most), NaN where nothing is stable, infinity where nothing ends it.
+    """
+    with_real_pole = [at(equation, sought, given)[:, None] for at in (_with_pole_at_rest, _with_alternating_pole)]
+    crossings = np.concatenate([*with_real_pole, _crossings(equation, curve, sought, given)], axis=-1)
+    edges = np.sort(np.where(np.isfinite(crossings), crossings, np.inf), axis=-1)
+    edges = np.concatenate([np.full((given.size, 1), -np.inf), edges, np.full((given.size, 1), np.inf)], axis=-1)
+    inside = _between(edges[:, :-1], edges[:, 1:])
+    given_there = np.broadcast_to(given[:, None], inside.shape)
+    stable = is_stable(inside, given_there) if sought == 0 else is_stable(given_there, inside)
+    wide = edges[:, 1:] > edges[:, :-1] + ROUNDING * np.abs(np.where(np.isfinite(edges[:, :-1]), edges[:, :-1], 0.0))
+    stable &= wide
+    place = np.arange(stable.shape[1])
+    first = np.argmax(stable, axis=-1)[:, None]
+    # Where a pole only touches the circle both sides are stable: the interval goes on to the next unstable one.
+    broken = np.cumsum(wide & ~stable & (place > first), axis=-1) > 0
+    last = np.max(np.where(stable & ~broken, place, 0), axis=-1)[:, None]
+    least, most = (np.take_along_axis(edges, at, axis=-1)[:, 0] + 0.0 for at in (first, last + 1))
+    any_stable = stable.any(axis=-1)
+    return np.where(any_stable, least, np.nan), np.where(any_stable, most, np.nan)
+
+
+def _between(low: Floats, high: Floats) -> Floats:
+    """A value inside each interval, halfway; beyond the last finite edge far out, but not beyond all numbers."""
+    scale = np.maximum(np.abs(np.where(np.isfinite(low), low, 0.0)), np.abs(np.where(np.isfinite(high), high, 0.0)))
+    low = np.where(np.isfinite(low), low, -3.0 * scale - 1.0)
+    high = np.where(np.isfinite(high), high, 3.0 * scale + 1.0)
+    # Edges far apart in size: halfway on a logarithmic scale, where the small stiffnesses are.
+    both = (low > 0.0) & (high > 4.0 * low)
+    return np.where(both, np.sqrt(np.where(both, low * high, 1.0)), 0.5 * (low + high))
+
+
+def _with_pole_at_rest(equation: LoopEquation, sought: int, given: Floats) -> Floats:
+    """The value that puts a pole at z = 1: nothing is left of what holds the hand in its place."""
+    plant = equation.plant
+    of_device = plant.q / plant.numerator.sum()
+    offset = plant.offset if equation.damper.senses else 0.0
+    if sought == 0:
+        return np.asarray(-of_device - offset * given)
+    return -(given + of_device) / offset if offset else np.full(given.shape, np.nan)
+
+
+def _with_alternating_pole(equation: LoopEquation, sought: int, given: Floats) -> Floats:
+    """The value that puts a pole at z = -1: the force swings to and fro with every sample."""
+    probes = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+    coefficients = np.stack(characteristic(equation, probes[:, 0], probes[:, 1]), axis=-1)
+    values = coefficients @ (-1.0) ** np.arange(equation.degree, -1, -1)
+    slopes = values[1:] - values[0]
+    return np.asarray(-(values[0] + slopes[1 - sought] * given) / slopes[sought])
+
+
+def _crossings(equation: LoopEquation, curve: Undamped, sought: int, given: Floats) -> Floats:
+    """(n, crossings): where the curve passes the given values, padded with NaN."""
+    along = curve.beta if sought == 0 else curve.kappa
+    above = along[None, :] > given[:, None]
+    row, piece = np.nonzero(above[:, 1:] != above[:, :-1])
+    low, high = curve.theta[piece], curve.theta[piece + 1]
+    low_above = above[row, piece]
+    for _ in range(BISECTIONS):
+        middle = np.where(high > 4.0 * low, np.sqrt(low * high), 0.5 * (low + high))
+        is_above = undamped_element(equation, middle)[1 - sought] > given[row]
+        low, high = np.where(is_above == low_above, middle, low), np.where(is_above == low_above, high, middle)
+    element = undamped_element(equation, 0.5 * (low + high))
+    # A sign that changes through infinity is no crossing.
+    reached = np.abs(element[1 - sought] - given[row]) <= 1e-6 * (np.abs(given[row]) + np.abs(along[piece]))
+    found = np.full((given.size, 1 + np.bincount(row, minlength=1).max()), np.nan)
+    place = np.arange(row.size) - np.searchsorted(row, row)
+    found[row, place] = np.where(reached, element[sought], np.nan)
+    return found
+
+
+def _turning_points(equation: LoopEquation, which: int, theta: Floats, values: Floats) -> Floats:
+    """Frequencies at which K or B turns back along the curve, by golden section between the neighbours."""
+    rises = np.diff(values) > 0.0
+    at = 1 + np.flatnonzero(rises[1:] != rises[:-1])
+    low, high = theta[at - 1], theta[at + 1]
+    sign = np.where(rises[at - 1], 1.0, -1.0)
+    for _ in range(BISECTIONS):
+        one, other = high - GOLDEN * (high - low), low + GOLDEN * (high - low)
+        left = sign * undamped_element(equation, one)[which] > sign * undamped_element(equation, other)[which]
+        low, high = np.where(left, low, one), np.where(left, other, high)
+    return 0.5 * (low + high)

@@ -1,0 +1,244 @@
+"""Where the loop is stable, where the map folds, and why there is no answer: against closed forms and the poles."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hapsim.theory import Configuration
+
+MASS, RATE = 0.2, 1000.0
+T = 1.0 / RATE
+STIFFNESS_UNIT, DAMPING_UNIT = MASS / T**2, MASS / T
+
+DAMPERS = {"backward": None, "centred": None, "filtered": 60.0, "sensed": None}
+CASES = [
+    (hold, sampling, delay, damper, spring)
+    for hold in ("zoh", "impulse")
+    for sampling in ("ideal", "average")
+    for delay in (0.0, 0.5, 1.0, 2.3)
+    for damper in DAMPERS
+    for spring in (0.0, 0.05)
+]
+
+
+def configuration(**changed: object) -> Configuration:
+    return Configuration(**({"mass": MASS, "rate": RATE} | changed))
+
+
+def of_case(hold: str, sampling: str, delay: float, damper: str, spring: float) -> Configuration:
+    return configuration(
+        friction=2.0,
+        hold=hold,
+        sampling=sampling,
+        delay=delay,
+        damper=damper,
+        cutoff=DAMPERS[damper],
+        stiffness=spring * STIFFNESS_UNIT,
+    )
+
+
+class TestTheStableStiffness:
+    def test_with_impulses_and_no_delay_it_ends_at_the_triangles_edge(self) -> None:
+        c = configuration(delay=0.0, hold="impulse")
+        beta = np.array([1e-9, 0.01, 0.5, 1.0, 1.9, 1.9999])
+        least, most = c.stable_stiffness(beta * DAMPING_UNIT)
+        np.testing.assert_allclose(least, 0.0, atol=1e-12)
+        np.testing.assert_allclose(most, (4.0 - 2.0 * beta) * STIFFNESS_UNIT, rtol=1e-9)
+
+    def test_with_a_held_force_and_no_delay_it_is_known_in_closed_form(self) -> None:
+        c = configuration(delay=0.0)
+        beta = np.array([1e-9, 1e-4, 0.1, 2.0 * (np.sqrt(2.0) - 1.0), 1.5, 1.99])
+        most = c.stable_stiffness(beta * DAMPING_UNIT)[1] / STIFFNESS_UNIT
+        np.testing.assert_allclose(most, 2.0 * beta * (2.0 - beta) / (2.0 + beta), rtol=1e-9)
+        assert most.max() == pytest.approx(12.0 - 8.0 * np.sqrt(2.0), rel=1e-12)
+
+    def test_where_none_is_stable_there_is_none(self) -> None:
+        c = configuration(delay=0.0)
+        assert np.isnan(c.stable_stiffness([-1.0, 2.01 * DAMPING_UNIT, np.nan])).all()
+
+    def test_near_the_origin_it_is_the_linear_limit(self) -> None:
+        for hold, sampling, delay in (("zoh", "ideal", 1.0), ("impulse", "ideal", 0.5), ("zoh", "average", 2.0)):
+            c = configuration(friction=1e-4 * DAMPING_UNIT, hold=hold, sampling=sampling, delay=delay)
+            B = np.array([0.0, 1e-4, 1e-3]) * DAMPING_UNIT
+            np.testing.assert_allclose(c.stable_stiffness(B)[1], c.linear_stiffness_limit(B), rtol=4e-3)
+        assert c.linear_stiffness_limit(0.0) == pytest.approx(1e-4 * DAMPING_UNIT / (3.0 * T))
+
+    @pytest.mark.parametrize("case", CASES, ids=str)
+    def test_on_either_side_of_its_ends_the_poles_agree(self, case: tuple[str, str, float, str, float]) -> None:
+        c = of_case(*case)
+        B = np.linspace(-0.5, 1.2, 35) * DAMPING_UNIT * 0.5
+        least, most = c.stable_stiffness(B)
+        some = np.isfinite(most) & (most > least)
+        assert some.any()
+        width = (most - least)[some]
+        for side, ends in ((-1.0, least[some]), (1.0, most[some])):
+            step = 1e-4 * width
+            inside, outside = ends - side * step, ends + side * step
+            assert c.is_stable(inside, B[some]).all()
+            assert (c.spectral_radius(outside, B[some]) > 1.0).all()
+
+    def test_the_stable_damping_is_its_reverse(self) -> None:
+        c = configuration(friction=1.0, delay=1.0)
+        K = np.array([100.0, 2000.0, 2e4])
+        least, most = c.stable_damping(K)
+        assert (least < most).all()
+        for B in (least, most):
+            np.testing.assert_allclose(c.stable_stiffness(B)[1], K, rtol=1e-8)
+
+    def test_scalars_give_scalars_and_arrays_keep_their_shape(self) -> None:
+        c = configuration()
+        assert np.ndim(c.stable_stiffness(1.0)[0]) == 0
+        assert c.stable_damping(np.ones((2, 3)))[1].shape == (2, 3)
+
+
+class TestTheStabilityLimit:
+    @pytest.mark.parametrize("case", CASES, ids=str)
+    def test_on_it_the_hand_swings_for_ever_at_the_frequency(self, case: tuple[str, str, float, str, float]) -> None:
+        c = of_case(*case)
+        frequency = np.geomspace(0.5, 450.0, 60)
+        K, B = c.stability_limit(frequency)
+        limits = np.isfinite(K)
+        assert limits.any()
+        poles = c.poles(K[limits], B[limits])
+        pole = np.exp(2j * np.pi * frequency[limits] * T)
+        assert np.abs(poles - pole[:, None]).min(axis=1).max() < 1e-9
+        np.testing.assert_allclose(c.spectral_radius(K[limits], B[limits]), 1.0, atol=1e-9)
+
+    def test_it_is_the_limit_of_the_stable_stiffness(self) -> None:
+        c = configuration(friction=0.5, delay=1.0)
+        K, B = c.stability_limit(np.array([3.0, 20.0, 60.0]))
+        np.testing.assert_allclose(c.stable_stiffness(B)[1], K, rtol=1e-9)
+
+    def test_from_the_nyquist_frequency_on_there_is_none(self) -> None:
+        assert np.isnan(configuration().stability_limit([500.0, 700.0])).all()
+
+
+class TestTheFold:
+    c = configuration(friction=1.0, delay=1.0)
+
+    def curve(self) -> tuple[np.ndarray, ...]:
+        K, B, k, b = self.c.fold(np.geomspace(100.0, 2000.0, 400))
+        had = np.isfinite(K)
+        assert had.sum() > 10
+        return K[had], B[had], k[had], b[had]
+
+    def test_on_it_two_poles_are_one(self) -> None:
+        K, B, _, _ = self.curve()
+        moduli = np.sort(np.abs(self.c.poles(K, B)), axis=1)[:, ::-1]
+        np.testing.assert_allclose(moduli[:, 1], moduli[:, 2], rtol=1e-5)
+        assert (moduli[:, 0] > moduli[:, 1]).all()
+
+    def test_what_is_met_there_is_simulated_by_it(self) -> None:
+        K, B, k, b = self.curve()
+        again = self.c.simulated(k, b, dominant=False)
+        np.testing.assert_allclose(again[0], K, rtol=1e-6)
+        np.testing.assert_allclose(again[1], B, rtol=1e-6)
+
+    def test_the_jacobian_vanishes_on_it(self) -> None:
+        _, _, k, b = self.curve()
+
+        def slope(k: np.ndarray, b: np.ndarray, of_k: float, of_b: float) -> np.ndarray:
+            ends = [self.c.simulated(k * (1 + h * of_k), b * (1 + h * of_b), dominant=False) for h in (1e-6, -1e-6)]
+            return np.subtract(*ends)
+
+        def jacobian(k: np.ndarray, b: np.ndarray) -> np.ndarray:
+            by_k, by_b = slope(k, b, 1.0, 0.0), slope(k, b, 0.0, 1.0)
+            return by_k[0] * by_b[1] - by_k[1] * by_b[0]
+
+        there, away = jacobian(k, b), jacobian(k, 0.8 * b)
+        assert (np.abs(there) < 1e-3 * np.abs(away)).all()
+
+    def test_beyond_it_there_is_no_equivalent_and_before_it_there_is(self) -> None:
+        K, B, _, _ = self.curve()
+        stable = (K > 0) & self.c.is_stable(K, B)
+        assert stable.any()
+        assert self.c.dominant(K, 0.99 * B)[stable].all()
+        assert not self.c.dominant(K, 1.01 * B)[stable].any()
+
+    def test_without_delay_and_with_impulses_there_is_none(self) -> None:
+        assert np.isnan(configuration(delay=0.0, hold="impulse").fold([1.0, 100.0])).all()
+
+
+class TestTheImpedance:
+    def test_slow_motions_meet_what_is_written_and_the_delay_takes_its_share_of_the_damping(self) -> None:
+        c = configuration(friction=1.0, stiffness=300.0, delay=1.0)
+        w = 2.0 * np.pi * 0.01
+        met = c.impedance(2000.0, 5.0, 0.01)
+        assert met.imag == pytest.approx(-(2000.0 + 300.0) / w, rel=1e-6)
+        assert met.real == pytest.approx(1.0 + 5.0 - 2000.0 * 1.5 * T, rel=1e-5)
+
+    @pytest.mark.parametrize("damper", ["backward", "centred", "filtered"])
+    def test_it_is_the_transform_of_the_sampled_held_and_late_force(self, damper: str) -> None:
+        """Force on a hand that is swung, worked out step by step and its fundamental taken."""
+        c = configuration(delay=1.5, sampling="average", damper=damper, cutoff=DAMPERS[damper])
+        n, fine, cycles = 800, 20, 25
+        theta = 2.0 * np.pi * cycles / n
+        t = np.arange(n * fine) / fine  # sample periods
+        samples = np.arange(n)
+        y = (np.exp(1j * theta * samples) - np.exp(1j * theta * (samples - 1))) / (1j * theta)
+        v = (y - np.roll(y, 1)) / T
+        if damper == "centred":
+            v = (y - np.roll(y, 2)) / (2.0 * T)
+        if damper == "filtered":
+            kept = np.exp(-2.0 * np.pi * 60.0 * T)
+            v = (1.0 - kept) * v / (1.0 - kept * np.exp(-1j * theta))
+        force = (700.0 * y + 3.0 * v)[np.floor(t - 1.5).astype(int) % n]
+        middle = np.exp(-1j * theta * (t + 0.5 / fine))
+        fundamental = (force * middle).mean() * np.exp(1j * theta * 0.0) / np.sinc(theta / fine / 2.0 / np.pi)
+        frequency = cycles / n * RATE
+        assert c.impedance(700.0, 3.0, frequency) == pytest.approx(fundamental / (2j * np.pi * frequency), rel=1e-3)
+
+    def test_beyond_the_nyquist_frequency_it_is_not_told(self) -> None:
+        assert np.isnan(configuration().impedance(1.0, 1.0, [0.0, 500.0, 600.0])).all()
+
+
+class TestReasons:
+    c = configuration(friction=1.0, delay=1.0)
+
+    def test_where_there_is_an_equivalent_nothing_is_said(self) -> None:
+        assert self.c.why_no_equivalent(2000.0, 5.0) == ""
+        assert self.c.why_not_simulated(2000.0, 3.0) == ""
+
+    def test_each_nan_has_its_words(self) -> None:
+        K, B = np.array([2000.0, 10.0, np.nan, 1e7]), np.array([5.0, 140.0, 1.0, 1.0])
+        said = self.c.why_no_equivalent(K, B)
+        assert (np.isnan(self.c.equivalent(K, B)[0]) == (said != "")).all()
+        assert "not finite" in said[2]
+        k, b = np.array([2000.0, 1e8, np.inf, 0.9 * STIFFNESS_UNIT]), np.array([3.0, 1.0, 1.0, 1.0])
+        said = self.c.why_not_simulated(k, b)
+        assert (np.isnan(self.c.simulated(k, b)[0]) == (said != "")).all()
+        assert "Nyquist" in said[1]
+        assert "not finite" in said[2]
+        assert "further pole" in said[3]
+
+    def test_a_creep_and_an_alternation_are_told_apart(self) -> None:
+        ideal = configuration(delay=0.0, hold="impulse")
+        assert "changes its sign" in ideal.why_no_equivalent(3.9 * STIFFNESS_UNIT, 1.5 * DAMPING_UNIT)
+        late = configuration(delay=0.0)
+        assert "single creep" in late.why_no_equivalent(0.01 * STIFFNESS_UNIT, 1.8 * DAMPING_UNIT)
+
+
+def test_two_couplings_across_the_interface_are_a_third_frequency() -> None:
+    """Table 1, V: one spring in the device, one simulated; cos(wT) = cos(w0 T) - K T sin(w0 T)/(2 m w0)."""
+    k0 = np.array([1e-6, 1e-3, 0.1, 1.0, 4.0]) * STIFFNESS_UNIT
+    for spring in k0:
+        ideal = configuration(delay=0.0, hold="impulse", stiffness=spring)
+        w0 = np.sqrt(spring / MASS)
+        K = 0.3 * spring
+        k, b = ideal.equivalent(K, 0.0)
+        expected = np.cos(w0 * T) - K * T * np.sin(w0 * T) / (2.0 * MASS * w0)
+        assert np.cos(np.sqrt(k / MASS) * T) == pytest.approx(expected, abs=1e-13)
+        assert b == pytest.approx(0.0, abs=1e-12 * DAMPING_UNIT)
+
+
+def test_large_grids_are_worked_out_in_parts_and_come_out_the_same() -> None:
+    c = configuration(friction=1.0, delay=1.0)
+    K, B = np.geomspace(1.0, 1e5, 300)[:, None], np.linspace(-5.0, 150.0, 200)
+    for method in (c.simulated, c.equivalent):
+        whole = method(K, B)
+        for i in (0, 151, 299):
+            row = method(K[i], B)
+            np.testing.assert_array_equal(whole[0][i], row[0])
+            np.testing.assert_array_equal(whole[1][i], row[1])
+    assert c.poles(K, B).shape == (300, 200, 4)
