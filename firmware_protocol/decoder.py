@@ -14,13 +14,13 @@ import numpy as np
 from firmware_protocol import schema
 from firmware_protocol.cobs import unstuff
 from firmware_protocol.compiled import jit
-from firmware_protocol.frames import Format, check_of
+from firmware_protocol.frames import Format, check_of, words_of
 
-_RECENT = 128  # a power of two above the longest frame
+_RECENT = 256  # a power of two above the longest frame
 
 DECODER = np.dtype(
     [
-        ("channels", np.int64),
+        ("words", np.int64),  # of a payload in this direction
         ("long_check", np.int64),
         ("seed", np.int64),
         ("to_device", np.int64),
@@ -34,7 +34,7 @@ DECODER = np.dtype(
         ("type", np.int64),  # of the last accepted frame, with what it carried:
         ("number", np.int64),
         ("argument", np.int64),
-        ("counts", np.int64, schema.MAX_CHANNELS),
+        ("counts", np.int64, schema.MAX_WORDS),
         ("recent", np.uint8, _RECENT),
         ("frame", np.uint8, _RECENT),
     ],
@@ -65,7 +65,7 @@ def frames_in(decoder: np.void, data: bytes) -> list[Frame]:
     frames = []
     at, found = next_frame(decoder, buffer, 0, buffer.size)
     while found:
-        counts = tuple(decoder["counts"][: decoder["channels"]].tolist())
+        counts = tuple(decoder["counts"][: decoder["words"]].tolist())
         frames.append(Frame(int(decoder["type"]), int(decoder["number"]), int(decoder["argument"]), counts))
         at, found = next_frame(decoder, buffer, at, buffer.size)
     return frames
@@ -74,7 +74,7 @@ def frames_in(decoder: np.void, data: bytes) -> list[Frame]:
 @jit
 def use_format(decoder, wire):
     """From the next byte on, expect frames of this format. Bytes of an unfinished frame are forgotten."""
-    decoder.channels = wire.channels
+    decoder.words = words_of(wire, decoder.to_device != 0)
     decoder.long_check = 1 if wire.long_check else 0
     decoder.seed = wire.seed
     decoder.seen = 0
@@ -103,7 +103,7 @@ def next_frame(decoder, data, start, stop):
 def _accept(decoder):
     """Looks at the last L bytes before a delimiter; fills in the frame where they are one."""
     check_bytes = 5 if decoder.long_check else 3
-    body = 1 + 2 + decoder.to_device + 4 * decoder.channels
+    body = 1 + 2 + decoder.to_device + 4 * decoder.words
     length = body + check_bytes
     seen = decoder.seen
     decoder.seen = 0
@@ -153,10 +153,10 @@ def _read(decoder, frame):
     if decoder.to_device:
         decoder.argument = frame[3]
         at = 4
-    for c in range(decoder.channels):
+    for k in range(decoder.words):
         word = np.int64(0)
         for i in range(4):
             word |= np.int64(frame[at + i]) << (8 * i)
-        decoder.counts[c] = word - ((word & 0x80000000) << 1)
+        decoder.counts[k] = word - ((word & 0x80000000) << 1)
         at += 4
     return True

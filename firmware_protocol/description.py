@@ -27,12 +27,19 @@ class Description:
     """N per count."""
     force_limit: tuple[float, ...]
     """N, which the device itself never exceeds."""
+    velocity_scale: tuple[float, ...] = ()
+    """(m/s) per count; empty where the device senses no velocity."""
     version: int = schema.VERSION
     schema_hash: int = schema.SCHEMA_HASH
 
     @property
     def channels(self) -> int:
         return len(self.position_scale)
+
+    @property
+    def senses_velocity(self) -> bool:
+        """Whether the device can send velocities: it has a scale above 0 for every channel's."""
+        return bool(self.velocity_scale) and all(scale > 0 for scale in self.velocity_scale)
 
     def paces(self, pacing: int) -> bool:
         """Whether the device can be paced so: PACED_BY_DEVICE, PACED_BY_HOST or LOCKSTEP."""
@@ -43,11 +50,13 @@ def to_registers(description: Description) -> NDArray[np.int64]:
     """Every register as an unsigned 32-bit value, shape (REGISTERS,).
 
     A name is cut at 16 characters; what is not printable ASCII becomes a question mark. Raises ValueError unless there
-    are 1 to 16 channels, each with both scales and a limit.
+    are 1 to 16 channels, each with both scales and a limit, and velocity scales for all of them or for none.
     """
     _require_channels(description.channels)
     if not description.channels == len(description.force_scale) == len(description.force_limit):
         raise ValueError("every channel needs a position scale, a force scale and a force limit")
+    if len(description.velocity_scale) not in (0, description.channels):
+        raise ValueError("a device that senses velocity needs a velocity scale for every channel")
     registers = np.zeros(schema.REGISTERS, np.int64)
     registers[schema.REG_VERSION] = description.version
     registers[schema.REG_SCHEMA] = description.schema_hash
@@ -63,6 +72,8 @@ def to_registers(description: Description) -> NDArray[np.int64]:
         _put_f64(registers, base + schema.REG_POSITION_SCALE, description.position_scale[c])
         _put_f64(registers, base + schema.REG_FORCE_SCALE, description.force_scale[c])
         _put_f64(registers, base + schema.REG_FORCE_LIMIT, description.force_limit[c])
+        if description.velocity_scale:
+            _put_f64(registers, base + schema.REG_VELOCITY_SCALE, description.velocity_scale[c])
     return registers
 
 
@@ -72,7 +83,7 @@ def registers_of_a_description(channels: int) -> list[int]:
     wanted += range(schema.REG_NAME, schema.REG_NAME + schema.NAME_WORDS)
     for c in range(channels):
         base = schema.REG_CHANNEL + c * schema.CHANNEL_WORDS
-        wanted += range(base, base + schema.REG_FORCE_LIMIT + 2)
+        wanted += range(base, base + schema.REG_VELOCITY_SCALE + 2)
     return wanted
 
 
@@ -80,7 +91,7 @@ def from_registers(registers: NDArray[np.int64]) -> Description:
     """The description that stands in the registers, shape (REGISTERS,), unsigned 32-bit values.
 
     The name ends at the first zero byte; a watchdog longer than sample numbers can tell apart is taken for the longest
-    that they can. Raises ValueError unless there are 1 to 16 channels.
+    that they can; velocity scales that are all zero are none. Raises ValueError unless there are 1 to 16 channels.
     """
     _require_channels(int(registers[schema.REG_CHANNELS]))
     channels = range(int(registers[schema.REG_CHANNELS]))
@@ -88,6 +99,7 @@ def from_registers(registers: NDArray[np.int64]) -> Description:
     def per_channel(which: int) -> tuple[float, ...]:
         return tuple(_get_f64(registers, schema.REG_CHANNEL + c * schema.CHANNEL_WORDS + which) for c in channels)
 
+    velocity_scale = per_channel(schema.REG_VELOCITY_SCALE)
     words = registers[schema.REG_NAME : schema.REG_NAME + schema.NAME_WORDS]
     name = struct.pack(f"<{schema.NAME_WORDS}I", *words.tolist()).partition(b"\0")[0]
     return Description(
@@ -98,6 +110,7 @@ def from_registers(registers: NDArray[np.int64]) -> Description:
         position_scale=per_channel(schema.REG_POSITION_SCALE),
         force_scale=per_channel(schema.REG_FORCE_SCALE),
         force_limit=per_channel(schema.REG_FORCE_LIMIT),
+        velocity_scale=velocity_scale if any(velocity_scale) else (),
         version=int(registers[schema.REG_VERSION]),
         schema_hash=int(registers[schema.REG_SCHEMA]),
     )

@@ -29,6 +29,7 @@ class _Example(NamedTuple):
 
 
 _LATCHED = schema.LATCHED | schema.HOST_QUIET << 8
+_SENSING = schema.PACED_BY_DEVICE | schema.WITH_VELOCITY
 _HASH = schema.SCHEMA_HASH - (schema.SCHEMA_HASH >> 31 << 32)
 
 _EXAMPLES = (
@@ -44,6 +45,12 @@ _EXAMPLES = (
     _Example("setup", "status", 402, 0, (schema.HOST_QUIET << 8,), "idle", "state 0, fault 1, the last one"),
     _Example("armed_4", "position", 4095, 0, (0, -1, 2**31 - 1, -(2**31)), "four channels, 32-bit check", "counts"),
     _Example("armed_4", "force", 4095, 0, (0, 256, -256, 1), "answers sample 4095, for one sample", "counts"),
+    _Example(
+        "setup", "arm", 100, _SENSING, (_HASH,), "the same, and the device is to send velocities", "the schema hash"
+    ),
+    _Example("velocity_1", "position", 300, 0, (-1234567, 20000), "position of sample 300, and its velocity", "counts"),
+    _Example("velocity_1", "force", 300, 20, (1000000,), "answers sample 300, lives 20 samples", "counts"),
+    _Example("velocity_2", "position", 301, 0, (1, -1, 256, -256), "two channels, 32-bit check", "counts"),
 )
 
 
@@ -52,7 +59,8 @@ def blocks() -> dict[str, str]:
     return {
         "constants": _constants(),
         "schema": f"```text\n{schema.SCHEMA}```",
-        "link budget": _link_budget(),
+        "link budget": _link_budget(velocity=False),
+        "link budget with velocities": _link_budget(velocity=True),
         "examples": "\n\n".join(_annotated(example) for example in _EXAMPLES),
     }
 
@@ -74,18 +82,21 @@ def _constants() -> str:
         ("start value, set-up format (CRC-16)", schema.SETUP_SEED, 4),
         ("start value, armed format of 1 to 3 channels (CRC-16)", schema.ARMED_SEED_SHORT, 4),
         ("start value, armed format of 4 to 16 channels (CRC-32C)", schema.ARMED_SEED_LONG, 8),
+        ("velocity mark", schema.VELOCITY_MARK, 8),
+        ("start value, armed format with velocities of 1 channel (CRC-16)", schema.VELOCITY_SEED_SHORT, 4),
+        ("start value, armed format with velocities of 2 to 16 channels (CRC-32C)", schema.VELOCITY_SEED_LONG, 8),
     ]
     lines = ["| constant | value |", "|---|---|"]
     return "\n".join(lines + [f"| {name} | `0x{value:0{digits}x}` |" for name, value, digits in rows])
 
 
-def _link_budget() -> str:
+def _link_budget(velocity: bool) -> str:
     lines = [
         "| channels | to host | to device | exchange | " + " | ".join(f"{baud} baud" for baud in BAUDS) + " |",
         "|---:|---:|---:|---:|" + "---:|" * len(BAUDS),
     ]
     for channels in range(1, schema.MAX_CHANNELS + 1):
-        host, device = (schema.frame_bytes(channels, to_device) for to_device in (False, True))
+        host, device = (schema.frame_bytes(channels, to_device, velocity) for to_device in (False, True))
         times = [1e3 * _BITS_PER_BYTE * (host + device) / baud for baud in BAUDS]
         cells = [f"{channels}", f"{host} B", f"{device} B", f"{host + device} B", *(f"{t:.3f} ms" for t in times)]
         lines.append("| " + " | ".join(cells) + " |")
@@ -97,6 +108,7 @@ def _annotated(example: _Example) -> str:
     data = frame(example.format_name, example.kind, example.number, example.argument, list(example.counts))
     checked = len(data) - (6 if wire.long_check else 4)
     where = "set-up" if example.format_name == "setup" else f"armed, {wire.channels} channel{'s'[: wire.channels - 1]}"
+    where += " with velocity" if wire.velocity else ""
     rows = [("body" if i == 0 else "", *row) for i, row in enumerate(_body_rows(example))]
     rows += [
         ("encoded", _hex(data[:checked]), ""),

@@ -22,20 +22,23 @@
 #include <string.h>
 
 #define HAPSIM_VERSION 1u
-#define HAPSIM_SCHEMA_HASH 0x241a4275u
+#define HAPSIM_SCHEMA_HASH 0x314a417fu
+#define HAPSIM_VELOCITY_MARK 0x56454c01u
 #define HAPSIM_SETUP_SEED 0x4853u
 #define HAPSIM_MAX_CHANNELS 16
-#define HAPSIM_SHORT_CRC_CHANNELS 3
+#define HAPSIM_MAX_WORDS 32
+#define HAPSIM_SHORT_CRC_WORDS 3
 #define HAPSIM_SAMPLE_MODULUS 4096u
 #define HAPSIM_MAX_WATCHDOG_SAMPLES 2047u
-#define HAPSIM_MAX_FRAME 74 /* bytes, delimiter included: 16 channels, to the device */
+#define HAPSIM_MAX_FRAME 137 /* bytes, delimiter included: 16 channels with velocities, to the host */
 
 /* Frame types: host to device, then device to host. */
 enum { HAPSIM_DESCRIBE = 0x1, HAPSIM_ARM = 0x2, HAPSIM_FORCE = 0x3, HAPSIM_DISARM = 0x4 };
 enum { HAPSIM_DESCRIPTION = 0x9, HAPSIM_POSITION = 0xA, HAPSIM_POSITION_HELD = 0xB, HAPSIM_STATUS = 0xC };
 
-/* The argument of an arm frame; the register `pacings` holds one bit for each that the device can. */
-enum { HAPSIM_PACED_BY_DEVICE = 0, HAPSIM_PACED_BY_HOST = 1, HAPSIM_LOCKSTEP = 2 };
+/* The argument of an arm frame: a pacing, and the flag where velocities are asked for. The register `pacings` holds one
+ * bit for each pacing that the device can. */
+enum { HAPSIM_PACED_BY_DEVICE = 0, HAPSIM_PACED_BY_HOST = 1, HAPSIM_LOCKSTEP = 2, HAPSIM_WITH_VELOCITY = 0x80 };
 
 /* Payload 0 of a status frame: state | fault << 8. */
 enum { HAPSIM_IDLE = 0, HAPSIM_ARMED = 1, HAPSIM_LATCHED = 2 };
@@ -46,7 +49,8 @@ enum {
     HAPSIM_WRONG_SCHEMA = 3,
     HAPSIM_WRONG_PACING = 4,
     HAPSIM_WRONG_WATCHDOG = 5,
-    HAPSIM_HARDWARE = 6
+    HAPSIM_HARDWARE = 6,
+    HAPSIM_WRONG_SENSING = 7
 };
 
 /* Registers, 32 bits each; an f64 takes two. Per channel: HAPSIM_REG_CHANNEL + HAPSIM_CHANNEL_WORDS * channel + ... */
@@ -70,17 +74,19 @@ enum {
     HAPSIM_REG_POSITION_SCALE = 0,
     HAPSIM_REG_FORCE_SCALE = 2,
     HAPSIM_REG_FORCE_LIMIT = 4,
+    HAPSIM_REG_VELOCITY_SCALE = 6,
     HAPSIM_REGISTERS = 160
 };
 
 /* How frames look at the moment: made by hapsim_setup_format or hapsim_armed_format. */
 typedef struct {
     uint8_t channels;
+    bool velocity;   /* frames to the host carry a velocity beside each position */
     bool long_check; /* CRC-32C instead of CRC-16/DNP */
     uint32_t seed;   /* start value of the check */
 } hapsim_format;
 
-#define HAPSIM_RECENT 128u /* a power of two above the longest frame */
+#define HAPSIM_RECENT 128u /* a power of two above the longest frame of the host, 74 bytes */
 
 /* Reads the frames of the host. After hapsim_take_byte returned true: type, number, argument, payload. */
 typedef struct {
@@ -96,17 +102,27 @@ typedef struct {
 } hapsim_decoder;
 
 static inline hapsim_format hapsim_setup_format(void) {
-    hapsim_format format = {1, false, HAPSIM_SETUP_SEED};
+    hapsim_format format = {1, false, false, HAPSIM_SETUP_SEED};
     return format;
 }
 
-/* The format between arm and disarm of a device with 1 to 16 channels. */
-static inline hapsim_format hapsim_armed_format(uint8_t channels) {
-    hapsim_format format = {channels, channels > HAPSIM_SHORT_CRC_CHANNELS, HAPSIM_SCHEMA_HASH};
+/* The format between arm and disarm of a device with 1 to 16 channels. `velocity`: the argument of the arm frame has
+ * HAPSIM_WITH_VELOCITY set. */
+static inline hapsim_format hapsim_armed_format(uint8_t channels, bool velocity) {
+    const uint8_t longest = (uint8_t)(velocity ? 2 * channels : channels);
+    hapsim_format format = {channels, velocity, longest > HAPSIM_SHORT_CRC_WORDS, HAPSIM_SCHEMA_HASH};
+    if (velocity) {
+        format.seed ^= HAPSIM_VELOCITY_MARK;
+    }
     if (!format.long_check) {
-        format.seed = (HAPSIM_SCHEMA_HASH ^ (HAPSIM_SCHEMA_HASH >> 16)) & 0xFFFFu;
+        format.seed = (format.seed ^ (format.seed >> 16)) & 0xFFFFu;
     }
     return format;
+}
+
+/* Words in the payload of a frame to the host: positions, and velocities behind them where they were asked for. */
+static inline uint8_t hapsim_words_to_host(const hapsim_format *format) {
+    return (uint8_t)(format->velocity ? 2 * format->channels : format->channels);
 }
 
 static inline uint8_t hapsim_check_bytes(const hapsim_format *format) {
@@ -160,15 +176,15 @@ static inline bool hapsim_unstuff(uint8_t *buffer, size_t bytes) {
     return true;
 }
 
-/* Writes a frame of the device into `out`, which has room for HAPSIM_MAX_FRAME bytes: how many it takes. `payload`: one
- * value for every channel of the format; in the set-up format that is one. */
+/* Writes a frame of the device into `out`, which has room for HAPSIM_MAX_FRAME bytes: how many it takes. `payload`:
+ * hapsim_words_to_host(format) values, at most HAPSIM_MAX_WORDS; in the set-up format that is one. */
 static inline size_t hapsim_write_to_host(const hapsim_format *format, uint8_t *out, uint8_t type, uint16_t number,
                                           const int32_t *payload) {
     size_t at = 1;
     out[at++] = (uint8_t)((type << 4) | ((number >> 8) & 0xF));
     out[at++] = (uint8_t)(number & 0xFF);
-    for (uint8_t channel = 0; channel < format->channels; channel++) {
-        uint32_t word = (uint32_t)payload[channel];
+    for (uint8_t i = 0; i < hapsim_words_to_host(format); i++) {
+        uint32_t word = (uint32_t)payload[i];
         for (uint8_t shift = 0; shift < 32; shift += 8) {
             out[at++] = (uint8_t)((word >> shift) & 0xFFu);
         }

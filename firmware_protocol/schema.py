@@ -9,22 +9,25 @@ from __future__ import annotations
 
 VERSION = 1
 MAX_CHANNELS = 16
+MAX_WORDS = 2 * MAX_CHANNELS  # of a payload: a position and a velocity for every channel
 SAMPLE_MODULUS = 4096  # sample numbers travel in 12 bits
 MAX_WATCHDOG_SAMPLES = SAMPLE_MODULUS // 2 - 1  # below half the modulus: an age is never ambiguous
 MAX_TIME_TO_LIVE_SAMPLES = 255
-SHORT_CRC_CHANNELS = 3  # up to here a frame is at most 135 bits long, where CRC-16/DNP has distance 6
+SHORT_CRC_WORDS = 3  # up to here a payload leaves a frame within 135 bits, where CRC-16/DNP has distance 6
 
 # Host to device.
 DESCRIBE, ARM, FORCE, DISARM = 0x1, 0x2, 0x3, 0x4
 # Device to host.
 DESCRIPTION, POSITION, POSITION_HELD, STATUS = 0x9, 0xA, 0xB, 0xC
 
-# Who paces the samples of an armed device.
+# Who paces the samples of an armed device: the low seven bits of arm's argument.
 PACED_BY_DEVICE, PACED_BY_HOST, LOCKSTEP = 0, 1, 2
+WITH_VELOCITY = 0x80  # beside the pacing: the device is to send velocities too
 
 # States and faults, in a status frame.
 IDLE, ARMED, LATCHED = 0, 1, 2
-NO_FAULT, HOST_QUIET, POSITION_OUT_OF_RANGE, WRONG_SCHEMA, WRONG_PACING, WRONG_WATCHDOG, HARDWARE = range(7)
+NO_FAULT, HOST_QUIET, POSITION_OUT_OF_RANGE, WRONG_SCHEMA, WRONG_PACING, WRONG_WATCHDOG = range(6)
+HARDWARE, WRONG_SENSING = 6, 7
 
 FAULTS = {
     NO_FAULT: "no fault",
@@ -34,6 +37,7 @@ FAULTS = {
     WRONG_PACING: "the device cannot be paced in the way that was asked",
     WRONG_WATCHDOG: "the watchdog asked for is outside what the device allows",
     HARDWARE: "the device found a fault in its own hardware",
+    WRONG_SENSING: "the device does not sense the velocity that was asked for",
 }
 
 # Registers of the description, each 32 bits; an f64 takes two, low word first.
@@ -56,29 +60,31 @@ CHANNEL_WORDS = 8
 REG_POSITION_SCALE = 0
 REG_FORCE_SCALE = 2
 REG_FORCE_LIMIT = 4
+REG_VELOCITY_SCALE = 6
 REGISTERS = REG_CHANNEL + MAX_CHANNELS * CHANNEL_WORDS
 
 SCHEMA = f"""hapsim wire {VERSION}
-frame cobs(header:u16be argument:u8[host] payload:i32le*channels) crc7bit zero
+frame cobs(header:u16be argument:u8[host] payload:i32le*words) crc7bit zero
+words channels, from device with_velocity 2*channels
 header type:4 number:12
-crc channels<={SHORT_CRC_CHANNELS} crc16dnp else crc32c
+crc longest words<={SHORT_CRC_WORDS} crc16dnp else crc32c
 host describe={DESCRIBE:x} arm={ARM:x} force={FORCE:x} disarm={DISARM:x}
 device description={DESCRIPTION:x} position={POSITION:x} held={POSITION_HELD:x} status={STATUS:x}
 describe number=register
-arm number=watchdog_samples argument=pacing payload0=schema
+arm number=watchdog_samples argument=pacing|with_velocity payload0=schema
 force number=sample argument=time_to_live_samples payload=force
 description number=register payload0=value
-position held number=sample payload=position
+position held number=sample payload=position,velocity[with_velocity]
 status number=sample payload0=state:u8,fault:u8
-pacing device={PACED_BY_DEVICE} host={PACED_BY_HOST} lockstep={LOCKSTEP}
+pacing device={PACED_BY_DEVICE} host={PACED_BY_HOST} lockstep={LOCKSTEP} with_velocity={WITH_VELOCITY:x}
 state idle={IDLE} armed={ARMED} latched={LATCHED}
 fault host_quiet={HOST_QUIET} position_out_of_range={POSITION_OUT_OF_RANGE} wrong_schema={WRONG_SCHEMA}
-fault wrong_pacing={WRONG_PACING} wrong_watchdog={WRONG_WATCHDOG} hardware={HARDWARE}
+fault wrong_pacing={WRONG_PACING} wrong_watchdog={WRONG_WATCHDOG} hardware={HARDWARE} wrong_sensing={WRONG_SENSING}
 register version={REG_VERSION} schema={REG_SCHEMA} channels={REG_CHANNELS} pacings={REG_PACINGS} rate={REG_RATE}:f64
 register max_watchdog={REG_MAX_WATCHDOG} fault={REG_FAULT} accepted={REG_ACCEPTED} rejected={REG_REJECTED}
 register held={REG_HELD} expired={REG_EXPIRED} limited={REG_LIMITED} name={REG_NAME}:{NAME_WORDS}
 register channel={REG_CHANNEL}+{CHANNEL_WORDS}c position_scale={REG_POSITION_SCALE}:f64
-register force_scale={REG_FORCE_SCALE}:f64 force_limit={REG_FORCE_LIMIT}:f64
+register force_scale={REG_FORCE_SCALE}:f64 force_limit={REG_FORCE_LIMIT}:f64 velocity_scale={REG_VELOCITY_SCALE}:f64
 """
 
 
@@ -94,20 +100,41 @@ def _crc32c(text: bytes) -> int:
 
 SCHEMA_HASH = _crc32c(SCHEMA.encode("ascii"))
 SETUP_SEED = 0x4853  # "HS": the same in every version, so that two versions can tell each other so
-ARMED_SEED_SHORT = (SCHEMA_HASH ^ (SCHEMA_HASH >> 16)) & 0xFFFF
+# "VEL", and a byte such that a device of one channel never takes a position of its own, echoed, for a frame of the
+# host: a test finds out whether it still does when the schema has changed.
+VELOCITY_MARK = 0x56454C01
+
+
+def _folded(word: int) -> int:
+    return (word ^ (word >> 16)) & 0xFFFF
+
+
 ARMED_SEED_LONG = SCHEMA_HASH
+ARMED_SEED_SHORT = _folded(ARMED_SEED_LONG)
+VELOCITY_SEED_LONG = SCHEMA_HASH ^ VELOCITY_MARK
+VELOCITY_SEED_SHORT = _folded(VELOCITY_SEED_LONG)
 
 
-def check_bytes(channels: int) -> int:
+def words(channels: int, to_device: bool, velocity: bool = False) -> int:
+    """Words of a frame's payload; `velocity`: in the formats in which the device sends velocities too."""
+    return 2 * channels if velocity and not to_device else channels
+
+
+def has_long_check(channels: int, velocity: bool = False) -> bool:
+    """Whether the check has 32 bits, which its format's longest frame decides for both directions."""
+    return words(channels, to_device=False, velocity=velocity) > SHORT_CRC_WORDS
+
+
+def check_bytes(channels: int, velocity: bool = False) -> int:
     """Bytes that the check takes on the wire: 16 or 32 bits, seven in a byte."""
-    return 3 if channels <= SHORT_CRC_CHANNELS else 5
+    return 5 if has_long_check(channels, velocity) else 3
 
 
-def encoded_bytes(channels: int, to_device: bool) -> int:
+def encoded_bytes(channels: int, to_device: bool, velocity: bool = False) -> int:
     """Bytes of a frame between its start and its check: COBS code, header, argument (to the device only), payload."""
-    return 1 + 2 + int(to_device) + 4 * channels
+    return 1 + 2 + int(to_device) + 4 * words(channels, to_device, velocity)
 
 
-def frame_bytes(channels: int, to_device: bool) -> int:
+def frame_bytes(channels: int, to_device: bool, velocity: bool = False) -> int:
     """Bytes of a whole frame on the wire, its delimiter included."""
-    return encoded_bytes(channels, to_device) + check_bytes(channels) + 1
+    return encoded_bytes(channels, to_device, velocity) + check_bytes(channels, velocity) + 1

@@ -15,10 +15,24 @@ from firmware_protocol import schema
 from firmware_protocol.cobs import stuff
 from firmware_protocol.crc import crc16_dnp, crc32_c
 from firmware_protocol.decoder import frames_in, new_decoder, use_format
-from firmware_protocol.frames import SETUP, Format, armed_format, check_of, frame_to_device, frame_to_host
+from firmware_protocol.frames import (
+    SETUP,
+    Format,
+    armed_format,
+    check_of,
+    frame_bytes,
+    frame_to_device,
+    frame_to_host,
+    words_of,
+)
 
 CHANNELS = (1, 3, 4, 16)
-FORMATS = {"setup": SETUP} | {f"armed_{channels}": armed_format(channels) for channels in CHANNELS}
+VELOCITY_CHANNELS = (1, 2, 16)
+FORMATS = (
+    {"setup": SETUP}
+    | {f"armed_{channels}": armed_format(channels) for channels in CHANNELS}
+    | {f"velocity_{channels}": armed_format(channels, velocity=True) for channels in VELOCITY_CHANNELS}
+)
 TO_DEVICE = {"describe": schema.DESCRIBE, "arm": schema.ARM, "force": schema.FORCE, "disarm": schema.DISARM}
 TO_HOST = {
     "description": schema.DESCRIPTION,
@@ -60,6 +74,11 @@ def frame(format_name: str, kind: str, number: int, argument: int, counts: list[
     return frame_to_host(wire, TO_HOST[kind], number, counts)
 
 
+def words_in(format_name: str, kind: str) -> int:
+    """Words in the payload of a frame, by the names that the vectors use."""
+    return int(words_of(FORMATS[format_name], kind in TO_DEVICE))
+
+
 def reading(about: str, direction: str, steps: list[tuple[str, bytes]]) -> Entry:
     """A vector of what a decoder makes of bytes: each step chooses a format, then reads a chunk."""
     decoder = new_decoder(FORMATS[steps[0][0]], direction == "to_device")
@@ -96,10 +115,11 @@ def _format_entry(name: str) -> Entry:
     return {
         "name": name,
         "channels": wire.channels,
+        "velocity": wire.velocity,
         "check_bits": 32 if wire.long_check else 16,
         "seed": wire.seed,
-        "bytes_to_device": schema.frame_bytes(wire.channels, to_device=True),
-        "bytes_to_host": schema.frame_bytes(wire.channels, to_device=False),
+        "bytes_to_device": frame_bytes(wire, to_device=True),
+        "bytes_to_host": frame_bytes(wire, to_device=False),
     }
 
 
@@ -134,10 +154,10 @@ def _stuffed(body: bytes) -> bytes:
 def _frame_vectors() -> list[Entry]:
     numbers, arguments, words = cycle(_NUMBERS), cycle(_ARGUMENTS), cycle(_WORDS)
     entries = []
-    for name, wire in FORMATS.items():
+    for name in FORMATS:
         for kind in TYPES:
             for _ in range(3):
-                fields = (kind, next(numbers), next(arguments), list(islice(words, wire.channels)))
+                fields = (kind, next(numbers), next(arguments), list(islice(words, words_in(name, kind))))
                 next(words)  # so that no word stands in the same channel for ever
                 entries.append({"format": name} | _fields(*fields) | {"bytes": frame(name, *fields).hex()})
     return entries
@@ -151,10 +171,13 @@ def _stream_vectors() -> list[Entry]:
         ("armed_1", "to_device", "force"),
         ("armed_4", "to_device", "force"),
         ("armed_16", "to_host", "position_held"),
+        ("velocity_1", "to_host", "position"),
+        ("velocity_2", "to_device", "force"),
+        ("velocity_16", "to_host", "position"),
     ):
-        frames = [frame(name, kind, n, 9, [n - 2] * FORMATS[name].channels) for n in (1, 2, 3)]
+        frames = [frame(name, kind, n, 9, [n - 2] * words_in(name, kind)) for n in (1, 2, 3)]
         entries += [reading(about, direction, [(name, c) for c in chunks]) for about, chunks in _streams_of(frames)]
-    entries.append(_arming_stream())
+    entries += [_arming_stream(), _sensing_stream()]
     return entries
 
 
@@ -196,15 +219,28 @@ def _arming_stream() -> Entry:
     return reading(about, "to_host", steps)
 
 
+def _sensing_stream() -> Entry:
+    """What the host reads around arming with velocities."""
+    fault = schema.LATCHED | schema.HOST_QUIET << 8
+    positions = frame("velocity_1", "position", 0, 0, [5, -500]) + frame("velocity_1", "position_held", 1, 0, [-6, 7])
+    steps = [
+        ("setup", frame("setup", "status", 0, 0, [schema.ARMED])),
+        ("velocity_1", positions),
+        ("velocity_1", frame("velocity_1", "status", 2, 0, [fault, 0])),
+        ("setup", frame("setup", "status", 2, 0, [fault])),
+    ]
+    return reading("arming with velocities, two positions and their velocities, a fault", "to_host", steps)
+
+
 def _refused_vectors() -> list[Entry]:
     entries = []
     for name, wire in FORMATS.items():
-        counts = list(islice(cycle(_WORDS), wire.channels))
         for direction, kind, back in (("to_device", "force", "position"), ("to_host", "position", "force")):
+            counts, counts_back = (list(islice(cycle(_WORDS), words_in(name, k))) for k in (kind, back))
             stories = _refused_of(wire, direction, frame(name, kind, 300, 20, counts))
-            stories.append(("a frame of the other direction", frame(name, back, 300, 20, counts)))
+            stories.append(("a frame of the other direction", frame(name, back, 300, 20, counts_back)))
             stories += [
-                (f"a frame of the format {other}", frame(other, kind, 300, 20, [7] * FORMATS[other].channels))
+                (f"a frame of the format {other}", frame(other, kind, 300, 20, [7] * words_in(other, kind)))
                 for other in FORMATS
                 if other != name
             ]
@@ -217,10 +253,11 @@ def _refused_of(wire: Format, direction: str, good: bytes) -> list[tuple[str, by
     checked = len(good) - (6 if wire.long_check else 4)
     last = len(good) - 2
     to_device = direction == "to_device"
-    stranger = Format(wire.channels, wire.long_check, wire.seed ^ 1)
+    stranger = wire._replace(seed=wire.seed ^ 1)
     beyond = bytes([checked + 1]) + b"\x33" * (checked - 1)
     write = frame_to_device if to_device else frame_to_host
-    fields = (300, 20, [0] * wire.channels) if to_device else (300, [0] * wire.channels)
+    zeros = [0] * int(words_of(wire, to_device))
+    fields = (300, 20, zeros) if to_device else (300, zeros)
     unknown = (0, 5, 8, 9, 15) if to_device else (0, 1, 8, 13, 15)
     return [
         ("one bit of the code is flipped", _flip(good, 0, 0x01)),

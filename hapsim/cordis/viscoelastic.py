@@ -1,8 +1,9 @@
-"""The visco-elastic link: first-order (backward) Euler damper (Florens et al., §6, Figure 5b).
+"""The visco-elastic link (Florens et al., §6, Figure 5b): a spring and a damper between two points.
 
-    F[n] = -K d[n] - (B / T) (d[n] - d[n-1])      d: first end minus second end
+    F[n] = -K d[n] - (B / T) g[n]      d: first end minus second end; g: by how much d grows in a sample period
 
-F acts on the first end, -F on the second.
+F acts on the first end, -F on the second. What g is, the damper says: `damper_backward.py` and its kin, one a file,
+each the recurrence of the transfer function that stands under the same name in `hapsim.theory`.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 from hapsim.compiled import jit
 
 
-class ViscoElasticLinks(NamedTuple):
+class Links(NamedTuple):
     """L links: the points they join (uint32), K in N/m, B/T in N/m; arrays of shape (L,)."""
 
     first: NDArray[np.uint32]
@@ -25,14 +26,14 @@ class ViscoElasticLinks(NamedTuple):
     damping_per_sample: NDArray[np.float64]
 
 
-def viscoelastic_links(
+def links_between(
     ends: Sequence[tuple[int, int]], stiffness: Sequence[float], damping: Sequence[float], rate: float
-) -> ViscoElasticLinks:
+) -> Links:
     """Links between numbered points; `stiffness` in N/m, `damping` in N·s/m, `rate` in Hz."""
     pairs = np.array(ends, np.uint32).reshape(-1, 2)
     with np.errstate(over="ignore"):  # the guard sees what comes of an infinity
         damping_per_sample = np.array(damping, np.float64) * rate
-    return ViscoElasticLinks(
+    return Links(
         np.ascontiguousarray(pairs[:, 0]),
         np.ascontiguousarray(pairs[:, 1]),
         np.array(stiffness, np.float64),
@@ -41,13 +42,14 @@ def viscoelastic_links(
 
 
 @jit
-def pull(links, position, previous, force):
-    """Adds every link's force to the points it joins."""
-    for i in range(links.first.size):
-        a = links.first[i]
-        b = links.second[i]
-        stretch = position[a] - position[b]
-        growth = stretch - (previous[a] - previous[b])
-        f = links.stiffness[i] * stretch + links.damping_per_sample[i] * growth
-        force[a] -= f
-        force[b] += f
+def stretch(links, i, position):
+    """Link i's first end minus its second, where the points are at `position`, in m."""
+    return position[links.first[i]] - position[links.second[i]]
+
+
+@jit
+def pull(links, i, d, growth, force):
+    """Adds link i's force to the points it joins: stretched by `d`, by `growth` more than a sample before, in m."""
+    f = links.stiffness[i] * d + links.damping_per_sample[i] * growth
+    force[links.first[i]] -= f
+    force[links.second[i]] += f

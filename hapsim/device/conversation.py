@@ -39,11 +39,15 @@ def read_register(line: Line, number: int) -> int:
     return _ask(line, number)
 
 
-def arm(line: Line, description: Description, pacing: int, watchdog_samples: int) -> Format:
-    """Arms the device, which then sends positions in the format returned. DeviceError where it refuses."""
-    wire = armed_format(description.channels)
+def arm(line: Line, description: Description, pacing: int, watchdog_samples: int, velocity: bool = False) -> Format:
+    """Arms the device, which then sends positions, with their velocities where asked, in the format returned.
+
+    DeviceError where it refuses.
+    """
+    wire = armed_format(description.channels, velocity)
+    argument = pacing | (schema.WITH_VELOCITY if velocity else 0)
     schema_word = np.array([schema.SCHEMA_HASH], np.uint32).astype(np.int32).astype(np.int64)
-    frame = frame_to_device(SETUP, schema.ARM, watchdog_samples, pacing, schema_word)
+    frame = frame_to_device(SETUP, schema.ARM, watchdog_samples, argument, schema_word)
     answer = _exchange(line, frame, schema.STATUS, 0, fits=_answers_arming)
     state, fault = answer & 0xFF, answer >> 8 & 0xFF
     if state != schema.ARMED:
@@ -54,7 +58,7 @@ def arm(line: Line, description: Description, pacing: int, watchdog_samples: int
 
 def _answers_arming(word: int) -> bool:
     """A status that says neither armed nor why not is a late answer to something else."""
-    refusals = (schema.WRONG_SCHEMA, schema.WRONG_PACING, schema.WRONG_WATCHDOG, schema.HARDWARE)
+    refusals = (schema.WRONG_SCHEMA, schema.WRONG_PACING, schema.WRONG_SENSING, schema.WRONG_WATCHDOG, schema.HARDWARE)
     return word & 0xFF == schema.ARMED or word >> 8 & 0xFF in refusals
 
 
@@ -104,7 +108,8 @@ def _require_same_language(line: Line, registers: Any) -> None:
 
 def _first_answer(line: Line) -> int:
     """The version. Where the device stays quiet it may still be armed, by a host that died: it is told to let go."""
-    formats = [armed_format(channels) for channels in range(1, schema.MAX_CHANNELS + 1)]
+    every = range(1, schema.MAX_CHANNELS + 1)
+    formats = [armed_format(channels, velocity) for channels in every for velocity in (False, True)]
     let_go = [frame_to_device(wire, schema.DISARM, 0, 0, np.zeros(wire.channels, np.int64)) for wire in formats]
     return _ask(line, schema.REG_VERSION, _TRIES, b"".join(let_go))
 

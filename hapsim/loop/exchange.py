@@ -70,11 +70,15 @@ DESK = np.dtype(
         ("measured", np.float64, _PER_CHANNEL),  # m, the newest position
         ("before", np.float64, _PER_CHANNEL),  # m, the one before
         ("bridge", np.float64, _PER_CHANNEL),  # m, between the two where positions were lost
+        ("velocity", np.float64, _PER_CHANNEL),  # m/s, sensed with the newest position; 0 where not asked for
+        ("velocity_before", np.float64, _PER_CHANNEL),  # m/s, with the one before
+        ("velocity_bridge", np.float64, _PER_CHANNEL),  # m/s, between the two where positions were lost
         ("asked", np.float64, _PER_CHANNEL),  # N, the scene's force
         ("force", np.float64, _PER_CHANNEL),  # N, what excitation and guards make of it
         ("position_counts", np.int64, _PER_CHANNEL),
         ("force_counts", np.int64, _PER_CHANNEL),
         ("position_scale", np.float64, _PER_CHANNEL),  # m per count
+        ("velocity_scale", np.float64, _PER_CHANNEL),  # (m/s) per count
         ("force_scale", np.float64, _PER_CHANNEL),  # N per count
         ("force_limit", np.float64, _PER_CHANNEL),  # N
         ("scratch", np.int64, (4,)),  # of the system calls
@@ -189,14 +193,9 @@ def _take_position(loop):
     """The decoder's position moves the scene up to its sample; False where the force came out as no number."""
     state = loop.state
     now = now_ns(loop.desk.scratch)
-    for c in range(loop.desk.channels):
-        loop.desk.position_counts[c] = loop.decoder.counts[c]
-        loop.desk.before[c] = loop.desk.measured[c]
-        loop.desk.measured[c] = loop.decoder.counts[c] * loop.desk.position_scale[c]
+    _read_position(loop)
     if state.ticks == 0:
         start(loop.program, loop.desk.measured)
-        for c in range(loop.desk.channels):
-            loop.desk.before[c] = loop.desk.measured[c]
         state.sample = loop.decoder.number - 1
         state.first_ns = now
     flags = _count_age(loop.decoder, state) | _off_grid(loop.control, state, now)
@@ -212,6 +211,19 @@ def _take_position(loop):
     push(loop.ring, state.sample, now, shown, loop.desk.position_counts, loop.desk.force_counts, loop.desk.asked)
     state.ticks += 1
     return flags & _NOT_A_NUMBER == 0
+
+
+@jit
+def _read_position(loop):
+    """The decoder's position, and its velocity where they are on the wire, in SI units."""
+    desk = loop.desk
+    for c in range(desk.channels):
+        desk.position_counts[c] = loop.decoder.counts[c]
+        desk.before[c] = desk.measured[c]
+        desk.measured[c] = loop.decoder.counts[c] * desk.position_scale[c]
+        if loop.wire.velocity:
+            desk.velocity_before[c] = desk.velocity[c]
+            desk.velocity[c] = loop.decoder.counts[desk.channels + c] * desk.velocity_scale[c]
 
 
 @jit
@@ -238,12 +250,16 @@ def _off_grid(control, state, now):
 
 @jit
 def _move_scene(loop, samples):
-    """Moves the scene by `samples`, its device points along a straight line from the last position to this one."""
+    """Moves the scene by `samples`, its device points along a straight line from the last position to this one, and
+    their velocities along one of their own."""
+    desk = loop.desk
     for i in range(1, samples):
-        for c in range(loop.desk.channels):
-            loop.desk.bridge[c] = loop.desk.before[c] + (loop.desk.measured[c] - loop.desk.before[c]) * i / samples
-        tick(loop.program, loop.desk.bridge, loop.desk.asked)
-    tick(loop.program, loop.desk.measured, loop.desk.asked)
+        for c in range(desk.channels):
+            desk.bridge[c] = desk.before[c] + (desk.measured[c] - desk.before[c]) * i / samples
+            rise = desk.velocity[c] - desk.velocity_before[c]
+            desk.velocity_bridge[c] = desk.velocity_before[c] + rise * i / samples
+        tick(loop.program, desk.bridge, desk.velocity_bridge, desk.asked)
+    tick(loop.program, desk.measured, desk.velocity, desk.asked)
 
 
 _NOT_A_NUMBER = 128  # in the flags of `_set_force`

@@ -42,13 +42,15 @@ def in_counts(word: int) -> int:
 
 
 class Host:
-    """The far end of a line to a mock. `armed`: the device last said so. `misread`: chunks that are no frame."""
+    """The far end of a line to a mock. `wire`: the armed format it speaks. `armed`: the device last said so.
+    `misread`: chunks that are no frame, or one in several formats."""
 
     def __init__(self, mock: Mock) -> None:
         self.mock = mock
         self.channels = len(mock.bodies)
-        self.wire = armed_format(self.channels)
-        self.decoders = [new_decoder(wire, to_device=False) for wire in (SETUP, self.wire)]
+        self.armed_formats = [armed_format(self.channels, velocity) for velocity in (False, True)]
+        self.wire = self.armed_formats[0]
+        self.decoders = [new_decoder(wire, to_device=False) for wire in (SETUP, *self.armed_formats)]
         self.armed = False
         self.misread = 0
 
@@ -75,7 +77,11 @@ class Host:
         take_bytes(self.mock, array, array.size, now)
         return self.listen()
 
-    def arm(self, pacing: int = schema.LOCKSTEP, watchdog: int = 100, now: int = 0) -> list[Heard]:
+    def arm(
+        self, pacing: int = schema.LOCKSTEP, watchdog: int = 100, now: int = 0, velocity: bool = False
+    ) -> list[Heard]:
+        self.wire = self.armed_formats[velocity]
+        pacing |= schema.WITH_VELOCITY if velocity else 0
         return self.send(self.arm_frame(pacing, watchdog), now)
 
     def force(self, sample: int, counts: Sequence[int] = (0,), time_to_live: int = 20, now: int = 0) -> list[Heard]:
@@ -106,7 +112,7 @@ class Host:
         return self.read(data)
 
     def read(self, data: np.ndarray) -> list[Heard]:
-        """Every frame is tried in both formats: which one the device chose is checked where it matters."""
+        """Every frame is tried in all formats: which one the device chose is checked where it matters."""
         heard = []
         for chunk in data.tobytes().split(b"\0"):
             frames = [frame for decoder in self.decoders if (frame := self._read_one(decoder, chunk)) is not None]
@@ -123,7 +129,7 @@ class Host:
         garbage = int(decoder["garbage_bytes"])
         if not next_frame(decoder, whole, 0, whole.size)[1] or decoder["garbage_bytes"] > garbage:
             return None
-        counts = decoder["counts"][: decoder["channels"]]
+        counts = decoder["counts"][: decoder["words"]]
         return Heard(int(decoder["type"]), int(decoder["number"]), tuple(counts.tolist()))
 
     # What no line tells.
@@ -172,11 +178,11 @@ def new_host() -> Callable[..., Host]:
 
 
 @pytest.fixture(scope="session")
-def exchange() -> Callable[[Host, Iterable[Sequence[int]]], list[Heard]]:
+def exchange() -> Callable[..., list[Heard]]:
     """Arms in lockstep and answers each position with the next of the forces; every frame of the device."""
 
-    def run(host: Host, forces: Iterable[Sequence[int]]) -> list[Heard]:
-        heard = host.arm()
+    def run(host: Host, forces: Iterable[Sequence[int]], velocity: bool = False) -> list[Heard]:
+        heard = host.arm(velocity=velocity)
         for n, counts in enumerate(forces):
             heard += host.force(n, counts)
         return heard

@@ -37,8 +37,8 @@ def assert_safe(host: Any) -> None:
 def assert_like_new(new: New, host: Any, **fields: Any) -> None:
     """After a disarm the attacked mock runs as one that was never attacked."""
     fresh = new(**fields)
-    host.send(b"\0" + host.disarm_frame(armed=True))
-    host.send(b"\0" + host.disarm_frame(armed=False))
+    for wire in (*host.armed_formats, SETUP):
+        host.send(b"\0" + frame_to_device(wire, schema.DISARM, 0, 0, [0] * wire.channels))
     counts = np.random.default_rng(0).integers(-(2**31), 2**31, (20, host.channels))
     for one in (host, fresh):
         one.heard = one.arm()
@@ -52,17 +52,18 @@ def assert_like_new(new: New, host: Any, **fields: Any) -> None:
 kinds = st.sampled_from([schema.DESCRIBE, schema.ARM, *[schema.FORCE] * 6, schema.DISARM, 0, 5, 15])
 words = st.one_of(st.sampled_from([0, 1, -1, 2**31 - 1, -(2**31), HASH]), st.integers(-(2**31), 2**31 - 1))
 mostly = st.sampled_from([True, True, True, False])
+arming = st.sampled_from([0, 1, 2, 0, 1, 2, *(pacing | schema.WITH_VELOCITY for pacing in range(3))])
 
 
 @st.composite
 def frames(draw: st.DrawFn, channels: int) -> bytes:
     kind = draw(kinds)
     armed = kind in (schema.FORCE, schema.DISARM)
-    wire = armed_format(channels) if armed == draw(mostly) else SETUP
+    wire = armed_format(channels, velocity=not draw(mostly)) if armed == draw(mostly) else SETUP
     counts = [draw(words) for _ in range(wire.channels)]
     number, argument = draw(st.integers(0, 4095)), draw(st.integers(0, 255))
     if kind == schema.ARM and draw(mostly):
-        counts[0], number, argument = HASH, draw(st.integers(1, 2047)), draw(st.integers(0, 2))
+        counts[0], number, argument = HASH, draw(st.integers(1, 2047)), draw(arming)
     if kind == schema.FORCE and draw(mostly):
         number = draw(st.integers(0, 3))
     return frame_to_device(wire, kind, number, argument, np.array(counts, np.int64))
@@ -83,7 +84,7 @@ def streams(draw: st.DrawFn, channels: int) -> list[bytes]:
         {"f": frames(channels), "t": torn(channels), "b": st.binary(max_size=60)}.__getitem__
     )
     counts = np.array([HASH], np.int64)
-    armed = [frame_to_device(SETUP, schema.ARM, 30, draw(st.integers(0, 2)), counts)] if draw(mostly) else []
+    armed = [frame_to_device(SETUP, schema.ARM, 30, draw(arming), counts)] if draw(mostly) else []
     return armed + draw(st.lists(pieces, min_size=draw(st.sampled_from([0, 15])), max_size=30))
 
 

@@ -40,6 +40,8 @@ def test_the_description_says_what_the_scene_says(new_host: New) -> None:
     assert (said.rate_hz, said.channels, said.version) == (2500.0, 2, schema.VERSION)
     assert (said.position_scale, said.force_limit) == ((2e-7, 2e-7), (7.5, 7.5))
     assert said.force_scale[0] * -(2**31) == -7.5
+    assert said.velocity_scale == (2e-7 * 2500.0,) * 2
+    assert said.senses_velocity
     assert all(said.paces(pacing) for pacing in (DEVICE, HOST, LOCKSTEP))
     assert struct.pack("<4I", *registers[schema.REG_NAME :][:4]).rstrip(b"\0") == b"hapsim mock"
 
@@ -81,7 +83,11 @@ def test_arming_is_answered_by_a_status_and_then_position_0(new_host: New, chann
         (LOCKSTEP, 100, 0, schema.WRONG_SCHEMA),
         (3, 100, schema.SCHEMA_HASH, schema.WRONG_PACING),
         (64, 100, schema.SCHEMA_HASH, schema.WRONG_PACING),
+        (127, 100, schema.SCHEMA_HASH, schema.WRONG_PACING),
         (255, 100, schema.SCHEMA_HASH, schema.WRONG_PACING),
+        (3 | schema.WITH_VELOCITY, 100, schema.SCHEMA_HASH, schema.WRONG_PACING),
+        (LOCKSTEP | schema.WITH_VELOCITY, 100, schema.SCHEMA_HASH ^ 1, schema.WRONG_SCHEMA),
+        (LOCKSTEP | schema.WITH_VELOCITY, 0, schema.SCHEMA_HASH, schema.WRONG_WATCHDOG),
         (DEVICE, 0, schema.SCHEMA_HASH, schema.WRONG_WATCHDOG),
         (DEVICE, schema.MAX_WATCHDOG_SAMPLES + 1, schema.SCHEMA_HASH, schema.WRONG_WATCHDOG),
         (DEVICE, 4095, schema.SCHEMA_HASH, schema.WRONG_WATCHDOG),
@@ -105,6 +111,16 @@ def test_a_pacing_that_the_device_does_not_offer_is_refused(new_host: New) -> No
         (status,) = host.arm(pacing)
         assert status.fault == schema.WRONG_PACING
     assert host.arm(LOCKSTEP)[0].state == schema.ARMED
+
+
+def test_a_device_that_senses_no_velocity_refuses_to_arm_with_velocities_and_arms_without(new_host: New) -> None:
+    host = new_host(2)
+    host.mock.converters["velocity_quantum"] = 0.0
+    (status,) = host.arm(velocity=True)
+    assert (status.state, status.fault) == (schema.IDLE, schema.WRONG_SENSING)
+    assert host.register(schema.REG_FAULT) == schema.WRONG_SENSING
+    status, position = host.arm()
+    assert (status.state, len(position.counts)) == (schema.ARMED, 2)
 
 
 @pytest.mark.parametrize("watchdog", [1, schema.MAX_WATCHDOG_SAMPLES])

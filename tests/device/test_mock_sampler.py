@@ -1,4 +1,4 @@
-"""The mock's converters: holds, delays and sampling against a simulation that goes from event to event.
+"""The mock's converters: holds, delays, positions and velocities against a simulation that goes from event to event.
 
 The reference knows no ring of commands and no split of a sample: it sorts the instants at which something happens
 (a sample is taken, a force changes) and lets the mass coast from one to the next, in thirty digits.
@@ -55,25 +55,27 @@ class Coasting:
 
 def event_by_event(
     hold: str, sampling: str, delay: float, m: float, b: float, x: float, v: float, commands: Sequence[float]
-) -> list[float]:
-    """What is measured at the end of samples 0, 1, …: command n changes the force `delay` samples after n began."""
+) -> tuple[list[float], list[float]]:
+    """What is measured at the end of samples 0, 1, …, positions (m) and velocities (m/s): command n changes the force
+    `delay` samples after n began."""
     with mp.workdps(30):
         T_, samples = mp.mpf(T), len(commands)
         events = [(mp.mpf(n + 1), 0, n) for n in range(samples)]
         events += [(n + mp.mpf(delay), 1, n) for n in range(samples)]
         mass = Coasting(m, b, mp.mpf(x), mp.mpf(v), mp.mpf(0), mp.mpf(0))
-        clock, measured = mp.mpf(0), []
+        clock, positions, velocities, before = mp.mpf(0), [], [], mass.x
         for at, is_force, n in sorted(events):
             mass.coast((at - clock) * T_)
             clock = at
             if not is_force:
-                measured.append(float(mass.x if sampling == "ideal" else mass.travel / T_))
-                mass.travel = mp.mpf(0)
+                positions.append(float(mass.x if sampling == "ideal" else mass.travel / T_))
+                velocities.append(float(mass.v if sampling == "ideal" else (mass.x - before) / T_))
+                mass.travel, before = mp.mpf(0), mass.x
             elif hold == "zoh":
                 mass.force = mp.mpf(commands[n])
             else:
                 mass.v += commands[n] * T_ / m
-        return measured
+        return positions, velocities
 
 
 def converter_of(**fields: float) -> np.void:
@@ -85,7 +87,10 @@ def converter_of(**fields: float) -> np.void:
 
 
 def body_of(m: float, b: float = 0.0, x: float = 0.0, v: float = 0.0) -> np.void:
-    return np.array([(m, b, 0.0, x, v, 0.0)], BODY).view(np.recarray)[0]
+    body = np.zeros(1, BODY)
+    for name, value in {"mass": m, "friction": b, "position": x, "velocity": v}.items():
+        body[name] = value
+    return body.view(np.recarray)[0]
 
 
 def measured_by_the_mock(
@@ -111,7 +116,8 @@ def test_the_measured_positions_are_those_of_an_event_by_event_simulation(
     m, x, v = 0.05, 0.02, -0.4
     commands = np.random.default_rng(7).uniform(-30.0, 30.0, 60)
     measured = measured_by_the_mock(hold, sampling, delay, body_of(m, b, x, v), commands)
-    np.testing.assert_allclose(measured, event_by_event(hold, sampling, delay, m, b, x, v, commands), atol=3e-16)
+    expected, _ = event_by_event(hold, sampling, delay, m, b, x, v, commands)
+    np.testing.assert_allclose(measured, expected, atol=3e-16)
 
 
 @settings(max_examples=60, deadline=None, derandomize=True)
@@ -122,9 +128,8 @@ def test_the_measured_positions_are_those_of_an_event_by_event_simulation(
 def test_any_delay_is_as_an_event_by_event_simulation_has_it(hold: str, sampling: str, delay: float) -> None:
     commands = [5.0, -3.0, 0.0, 0.0, 8.0, *[0.0] * 6]
     measured = measured_by_the_mock(hold, sampling, delay, body_of(0.1, 0.5), commands)
-    np.testing.assert_allclose(
-        measured, event_by_event(hold, sampling, delay, 0.1, 0.5, 0.0, 0.0, commands), atol=1e-17
-    )
+    expected, _ = event_by_event(hold, sampling, delay, 0.1, 0.5, 0.0, 0.0, commands)
+    np.testing.assert_allclose(measured, expected, atol=1e-17)
 
 
 @pytest.mark.parametrize("hold", ["zoh", "impulse"])
@@ -150,7 +155,7 @@ def test_both_holds_give_the_same_momentum() -> None:
 
 
 @pytest.mark.parametrize(("hold", "sampling", "delay", "b"), CASES)
-def test_through_the_wire_the_positions_are_those_of_an_event_by_event_simulation_rounded(
+def test_through_the_wire_positions_and_velocities_are_those_of_an_event_by_event_simulation_rounded(
     new_host: Callable[..., Any], exchange: Callable, hold: str, sampling: str, delay: float, b: float
 ) -> None:
     m, x, v, quantum, limit = 0.05, 0.02, -0.4, 1e-8, 40.0
@@ -159,13 +164,96 @@ def test_through_the_wire_the_positions_are_those_of_an_event_by_event_simulatio
         mock={"initial": {"position": x, "velocity": v}, "quantum": quantum},
     )
     counts = np.random.default_rng(8).integers(-(2**31), 2**31, 60).tolist()
-    heard = [
-        frame.counts[0] for frame in exchange(host, [[count] for count in counts]) if frame.type == schema.POSITION
-    ]
+    forces = [[count] for count in counts]
     commands = [count * limit / 2**31 for count in counts]
-    expected = event_by_event(hold, sampling, delay, m, b, x, v, commands)
+    positions, velocities = event_by_event(hold, sampling, delay, m, b, x, v, commands)
     first = x - v * T / 2 if sampling == "average" else x
-    np.testing.assert_allclose(heard, np.array([first, *expected]) / quantum, rtol=0, atol=0.5 + 1e-6)
+    plain = [frame.counts for frame in exchange(host, forces) if frame.type == schema.POSITION]
+    np.testing.assert_allclose(plain, np.array([[first, *positions]]).T / quantum, rtol=0, atol=0.5 + 1e-6)
+    host.disarm()
+    heard = [frame.counts for frame in exchange(host, forces, velocity=True) if frame.type == schema.POSITION]
+    assert [counts[:1] for counts in heard] == plain
+    sensed = [velocity for _, velocity in heard]
+    np.testing.assert_allclose(sensed, np.array([v, *velocities]) / (quantum / T), rtol=0, atol=0.5 + 1e-6)
+
+
+# Velocities.
+
+
+@pytest.mark.parametrize(("delay", "seen"), [(0.0, 1), (0.5, 1), (1.0, 2), (1.5, 2), (2.0, 3)])
+def test_an_impulse_at_the_instant_of_a_sample_is_not_in_that_sample_s_velocity_but_in_the_next(
+    new_host: Callable[..., Any], exchange: Callable, delay: float, seen: int
+) -> None:
+    host = new_host(device={"mass": 1.0, "delay": delay, "hold": "impulse", "force_limit": 10.0})
+    heard = exchange(host, [[2**30], *[[0]] * 5], velocity=True)
+    sensed = [frame.counts[1] for frame in heard if frame.type == schema.POSITION]
+    assert sensed == [0] * seen + [5000] * (7 - seen)  # 5 N for a millisecond: 5 mm/s in steps of 1 um/s
+
+
+def test_the_mean_velocity_is_the_way_that_was_gone_over_the_time_that_the_sample_really_lasted(
+    new_host: Callable[..., Any],
+) -> None:
+    host = new_host(
+        device={"sampling": "average", "mass": 0.01, "friction": 20.0, "delay": 0},
+        mock={"initial": {"velocity": 0.5}, "quantum": 1e-9},
+    )
+    host.arm(schema.PACED_BY_HOST, now=0, velocity=True)
+    edges = [0, 1_000_000, 1_300_000, 5_300_000]
+    for n, (start, stop) in enumerate(itertools.pairwise(edges)):
+        (position,) = host.force(n, now=stop)
+        gone = -0.5 * 5e-4 * math.exp(-start / 5e5) * math.expm1((start - stop) / 5e5)
+        assert position.counts[1] * 1e-6 == pytest.approx(gone / (stop - start) * 1e9, abs=0.51e-6)
+
+
+@pytest.mark.parametrize("sampling", ["ideal", "average"])
+def test_the_first_velocity_is_the_body_s_and_arming_again_measures_from_the_start(
+    new_host: Callable[..., Any], exchange: Callable, sampling: str
+) -> None:
+    host = new_host(device={"sampling": sampling}, mock={"initial": {"position": 0.1, "velocity": -0.25}})
+    for _ in range(2):
+        heard = exchange(host, [[0]] * 3, velocity=True)
+        assert [frame.counts[1] for frame in heard if frame.type == schema.POSITION] == [-250_000] * 4
+        host.disarm()
+
+
+@pytest.mark.parametrize("channels", [1, 2, 3, 16])
+def test_velocities_of_all_channels_stand_behind_the_positions_of_all_channels(
+    new_host: Callable[..., Any], channels: int
+) -> None:
+    initial = {
+        "position": [0.001 * (c + 1) for c in range(channels)],
+        "velocity": [0.25 * (c + 1) for c in range(channels)],
+    }
+    host = new_host(channels, mock={"initial": initial, "quantum": 1e-6})
+    _, position = host.arm(velocity=True)
+    assert position.counts[:channels] == tuple(1000 * (c + 1) for c in range(channels))
+    assert position.counts[channels:] == tuple(250 * (c + 1) for c in range(channels))
+    host.disarm()
+    assert len(host.arm()[1].counts) == channels
+    assert host.misread == 0
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+def test_a_velocity_beyond_its_scale_stops_at_the_end_of_it_and_is_no_fault(
+    new_host: Callable[..., Any], direction: int
+) -> None:
+    host = new_host(rate=500.0, mock={"quantum": 1e-12, "initial": {"velocity": 1.5 * direction}})  # scale: 1.07 m/s
+    _, position = host.arm(velocity=True)
+    assert position.counts == (0, direction * 2147483647)
+    assert host.state == schema.ARMED
+
+
+def test_a_device_that_latches_while_it_sends_velocities_says_so_in_their_format(
+    new_host: Callable[..., Any],
+) -> None:
+    host = new_host(3)
+    host.arm(schema.PACED_BY_DEVICE, watchdog=1, velocity=True)
+    for _ in range(3):
+        host.sample_passes()
+    (status,) = host.look_at_watchdog()
+    assert status.counts == (schema.LATCHED | schema.HOST_QUIET << 8, 0, 0, 0, 0, 0)
+    assert host.register(schema.REG_FAULT) == schema.HOST_QUIET
+    assert host.misread == 0
 
 
 def test_averaged_sampling_takes_the_mean_over_the_time_that_a_sample_really_lasted(
@@ -193,10 +281,10 @@ def test_the_first_averaged_sample_is_the_mean_over_the_period_before_the_start(
 @settings(max_examples=300, deadline=None, derandomize=True)
 @given(st.floats(-2.1, 2.1), st.sampled_from([1e-9, 3e-9, 1e-6, 0.25]))
 def test_a_position_is_rounded_to_the_nearest_count(position: float, quantum: float) -> None:
-    counts, fits = to_counts(position, converter_of(quantum=quantum))
+    counts, fits = to_counts(position, quantum)
     assert fits
     assert abs(counts * quantum - position) <= quantum / 2 * (1 + 1e-9)
-    assert to_counts(-position, converter_of(quantum=quantum)) == (-counts, True)
+    assert to_counts(-position, quantum) == (-counts, True)
 
 
 @pytest.mark.parametrize(
@@ -214,11 +302,11 @@ def test_a_position_is_rounded_to_the_nearest_count(position: float, quantum: fl
     ],
 )
 def test_a_position_beyond_the_scale_stops_at_its_end_and_says_so(position: float, expected: tuple[int, bool]) -> None:
-    assert to_counts(position, converter_of(quantum=1.0)) == expected
+    assert to_counts(position, 1.0) == expected
 
 
 def test_a_position_that_is_no_number_does_not_fit() -> None:
-    counts, fits = to_counts(math.nan, converter_of())
+    counts, fits = to_counts(math.nan, 1e-9)
     assert not fits
     assert abs(counts) == 2147483647
 
@@ -281,6 +369,32 @@ def test_every_channel_has_noise_of_its_own_from_the_first_sample_on(
     correlation = np.corrcoef(noise.T) - np.eye(3)
     assert np.abs(correlation).max() < 4 / math.sqrt(2000)
     assert noise.std(axis=0) == pytest.approx([1000.0] * 3, rel=0.1)
+
+
+def test_velocities_have_normal_noise_of_their_own_as_many_periods_of_the_position_s_as_there_are_in_a_second(
+    new_host: Callable[..., Any], exchange: Callable
+) -> None:
+    n = 4000
+    host = new_host(channels=2, rate=2000.0, mock={"noise": 1e-6, "quantum": 1e-9})
+    heard = exchange(host, [[0, 0]] * n, velocity=True)
+    noise = np.array([frame.counts for frame in heard if frame.type == schema.POSITION])
+    rms = noise.std(axis=0) * [1e-9, 1e-9, 2e-6, 2e-6]
+    assert rms == pytest.approx([1e-6, 1e-6, 2e-3, 2e-3], rel=0.06)
+    assert (noise[0] != 0).all()
+    assert np.abs(np.corrcoef(noise.T) - np.eye(4)).max() < 4 / math.sqrt(n)
+    velocity = noise[:, 2] / noise[:, 2].std()
+    assert kstest(velocity, "norm").pvalue > 1e-3
+    assert abs((velocity[1:] * velocity[:-1]).mean()) < 4 / math.sqrt(n)
+
+
+def test_a_run_without_velocities_has_the_noise_that_it_always_had(new_host: Callable[..., Any]) -> None:
+    host = new_host(mock={"noise": 1e-6, "seed": 7, "quantum": 1e-9})
+    expected = noise_of(5, seed=int(host.mock.converters["seed"][0]), rms=1e-6)
+    heard = host.arm()
+    for n in range(4):
+        heard += host.force(n)
+    counts = [frame.counts[0] for frame in heard if frame.type == schema.POSITION]
+    assert counts == np.rint(expected / 1e-9).tolist()
 
 
 def test_noise_is_in_the_sensor_and_not_in_the_motion(new_host: Callable[..., Any], exchange: Callable) -> None:

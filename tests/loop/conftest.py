@@ -32,7 +32,13 @@ HANG_UP = None  # in a script: the device closes its port
 
 
 def make_scene(
-    channels: int = 1, *, stiffness: float = 1000.0, damping: float = 2.0, rate: float = 1000.0, **parts: Any
+    channels: int = 1,
+    *,
+    stiffness: float = 1000.0,
+    damping: float = 2.0,
+    damper: str = "backward",
+    rate: float = 1000.0,
+    **parts: Any,
 ) -> Scene:
     """Every channel's hand on a spring of its own, each a tenth stiffer than the one before."""
     modules: dict[str, Any] = {"wall": {"type": "ground"}}
@@ -43,6 +49,7 @@ def make_scene(
             "between": [f"hand{c}", "wall"],
             "stiffness": stiffness * (1 + c / 10),
             "damping": damping,
+            "damper": damper,
         }
     device = {"mass": 0.2, "friction": 1.0, "clock": "lockstep"} | parts.get("device", {})
     mock = {"initial": {"velocity": 0.1}} | parts.get("mock", {})
@@ -85,10 +92,10 @@ def served() -> Callable[[Scene], contextlib.AbstractContextManager[tuple[Scene,
     return serve
 
 
-def position(number: int, *counts: int, kind: int = schema.POSITION) -> bytes:
-    """A position frame of an armed device, sample numbers as on the wire."""
-    wire = armed_format(len(counts))
-    return frame_to_host(wire, kind, number % schema.SAMPLE_MODULUS, counts)
+def position(number: int, *counts: int, kind: int = schema.POSITION, velocity: Sequence[int] = ()) -> bytes:
+    """A position frame of an armed device, with velocities where given, sample numbers as on the wire."""
+    wire = armed_format(len(counts), velocity=len(velocity) > 0)
+    return frame_to_host(wire, kind, number % schema.SAMPLE_MODULUS, [*counts, *velocity])
 
 
 class ScriptedDevice:
@@ -115,10 +122,10 @@ class ScriptedDevice:
         self.deaf = False
         self.before_each = self.after_each = b""  # around everything that is heard before arming
         self.disarmed = 0
+        self.arms: list[Frame] = []
         self.forces: list[Frame] = []
         self.stop = threading.Event()
         self._near, self._script, self._refuses = near, list(script), refuses
-        self._wire = armed_format(self.description.channels)
         self._decoder = new_decoder(SETUP, to_device=True)
         self._registers = to_registers(self.description)
         for number, value in self.registers_set.items():
@@ -151,7 +158,7 @@ class ScriptedDevice:
             value = int(np.array(self._registers[frame.number]).astype(np.uint32).astype(np.int32))
             os.write(self._near, frame_to_host(SETUP, schema.DESCRIPTION, frame.number, [value]))
         elif frame.type == schema.ARM and not self.armed:
-            return self._arm()
+            return self._arm(frame)
         elif frame.type == schema.FORCE and self.armed:
             self.forces.append(frame)
             return self._next()
@@ -161,13 +168,15 @@ class ScriptedDevice:
             self._status(schema.IDLE, schema.NO_FAULT)
         return True
 
-    def _arm(self) -> bool:
+    def _arm(self, frame: Frame) -> bool:
+        self.arms.append(frame)
         if self._refuses != schema.NO_FAULT:
             self._status(schema.IDLE, self._refuses)
             return True
         self._status(schema.ARMED, schema.NO_FAULT)
         self.armed = True
-        use_format(self._decoder, self._wire)
+        velocity = bool(frame.argument & schema.WITH_VELOCITY)
+        use_format(self._decoder, armed_format(self.description.channels, velocity))
         return self._next()
 
     def _status(self, state: int, fault: int) -> None:

@@ -20,6 +20,7 @@ from hapsim.running import run
 from hapsim.scene import Scene
 
 Scripted = Callable[..., Any]
+REFUSALS = [schema.WRONG_SCHEMA, schema.WRONG_PACING, schema.WRONG_SENSING, schema.WRONG_WATCHDOG, schema.HARDWARE]
 
 
 @pytest.fixture
@@ -121,7 +122,7 @@ def test_extreme_scales_leave_the_force_within_the_limit(
     assert np.all(np.abs(sent) <= limit * (1 + 1e-12))
 
 
-@pytest.mark.parametrize("fault", [schema.WRONG_SCHEMA, schema.WRONG_PACING, schema.WRONG_WATCHDOG, schema.HARDWARE])
+@pytest.mark.parametrize("fault", REFUSALS)
 def test_a_device_that_refuses_to_arm_says_why(scripted: Scripted, fault: int) -> None:
     assert f"the device does not arm: {schema.FAULTS[fault]}" in refusal(scripted, DeviceError, refuses=fault)
 

@@ -86,7 +86,7 @@ def by_the_tick(scene: Scene, measured: np.ndarray) -> tuple[np.ndarray, np.ndar
     first = program.masses.start
     forces, positions = np.zeros_like(measured), np.zeros((len(measured), len(scene.masses)))
     for n in range(len(measured)):
-        tick(program, measured[n], forces[n])
+        tick(program, measured[n], np.zeros(measured.shape[1]), forces[n])
         positions[n] = program.position[first : first + len(scene.masses)]
     return forces, positions
 
@@ -143,7 +143,7 @@ def step_of(scene: Scene) -> np.ndarray:
         program = compile_scene(scene)
         ours = slice(program.masses.start, program.masses.start + count)
         program.position[ours], program.previous[ours] = unit[:count], unit[count:]
-        tick(program, np.zeros(1), np.zeros(1))
+        tick(program, np.zeros(1), np.zeros(1), np.zeros(1))
         columns.append(np.concatenate([program.position[ours], program.previous[ours]]))
     return np.array(columns).T
 

@@ -19,18 +19,23 @@ def one_spring(
     quantum: float = 1e-9,
     force_limit: float = 1000.0,
     ground: float = 0.0,
+    device_stiffness: float = 0.0,
+    damper: str = "backward",
+    cutoff: float | None = None,
 ) -> Scene:
     """A hand, a wall, and a visco-elastic link; clock: lockstep."""
+    of_damper = f"damper: {damper}" + ("" if cutoff is None else f", cutoff: {cutoff!r}")
     return parse_scene(
         f"""
 version: 1
 rate: {rate!r}
 device: {{clock: lockstep, mass: {mass!r}, friction: {friction!r}, delay: {delay!r}, hold: {hold},
-         sampling: {sampling}, force_limit: {force_limit!r}}}
+         sampling: {sampling}, stiffness: {device_stiffness!r}, force_limit: {force_limit!r}}}
 mock: {{initial: {{position: {ground!r}, velocity: {velocity!r}}}, quantum: {quantum!r}}}
 modules:
   hand: {{type: device, channel: 0}}
   wall: {{type: ground, position: {ground!r}}}
-  touch: {{type: viscoelastic, between: [hand, wall], stiffness: {stiffness!r}, damping: {damping!r}}}
+  touch: {{type: viscoelastic, between: [hand, wall], stiffness: {stiffness!r}, damping: {damping!r},
+          {of_damper}}}
 """
     )

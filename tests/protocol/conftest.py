@@ -66,8 +66,8 @@ class PlainDecoder:
         return frames
 
     def _look_at(self, stretch: bytes) -> dict[str, Any] | None:
-        bits, channels = self.wire["check_bits"], self.wire["channels"]
-        encoded = 1 + 2 + (self.direction == "to_device") + 4 * channels
+        bits = self.wire["check_bits"]
+        encoded = 1 + 2 + (self.direction == "to_device") + 4 * self._words()
         length = encoded + {16: 3, 32: 5}[bits]
         if len(stretch) < length:
             self.counters["length_errors"] += 1
@@ -82,6 +82,10 @@ class PlainDecoder:
         self.counters["form_errors" if frame is None else "accepted"] += 1
         return frame
 
+    def _words(self) -> int:
+        twice = self.wire["velocity"] and self.direction == "to_host"
+        return int(self.wire["channels"]) * (2 if twice else 1)
+
     def _fields(self, body: bytes | None) -> dict[str, Any] | None:
         if body is None or body[0] >> 4 not in TYPES[self.direction]:
             return None
@@ -90,7 +94,7 @@ class PlainDecoder:
         if self.direction == "to_device":
             frame["argument"] = body[2]
         payload = body[3:] if self.direction == "to_device" else body[2:]
-        frame["payload"] = list(struct.unpack(f"<{self.wire['channels']}i", payload))
+        frame["payload"] = list(struct.unpack(f"<{self._words()}i", payload))
         return frame
 
 

@@ -1,7 +1,7 @@
 /* Drives hapsim_protocol.h by lines on standard input, one answer or more for each; test_protocol_header.py speaks it.
  *
  *   new                          a decoder as at power-up
- *   format CHANNELS              0: set-up, else armed; for reading and writing
+ *   format CHANNELS VELOCITY     0: set-up, else armed; VELOCITY 1: with velocities; for reading and writing
  *   read HEX                     "frame TYPE NUMBER ARGUMENT COUNT..." for every frame
  *   counters                     accepted, crc, length, form errors, garbage bytes
  *   write TYPE NUMBER COUNT...   a frame to the host, in hexadecimal
@@ -40,12 +40,12 @@ static void read_bytes(size_t count) {
 }
 
 static void write_frame(char *text) {
-    int32_t payload[HAPSIM_MAX_CHANNELS];
+    int32_t payload[HAPSIM_MAX_WORDS];
     uint8_t out[HAPSIM_MAX_FRAME];
     uint8_t type = (uint8_t)strtol(text, &text, 10);
     uint16_t number = (uint16_t)strtol(text, &text, 10);
-    for (unsigned channel = 0; channel < decoder.format.channels; channel++) {
-        payload[channel] = (int32_t)strtol(text, &text, 10);
+    for (unsigned i = 0; i < hapsim_words_to_host(&decoder.format); i++) {
+        payload[i] = (int32_t)strtol(text, &text, 10);
     }
     size_t count = hapsim_write_to_host(&decoder.format, out, type, number, payload);
     for (size_t i = 0; i < count; i++) {
@@ -90,8 +90,9 @@ static void obey(char *line) {
     if (strncmp(line, "new", 3) == 0) {
         hapsim_decoder_init(&decoder);
     } else if (strncmp(line, "format", 6) == 0) {
-        uint8_t channels = (uint8_t)atoi(rest);
-        hapsim_use_format(&decoder, channels == 0 ? hapsim_setup_format() : hapsim_armed_format(channels));
+        uint8_t channels = (uint8_t)strtol(rest, &rest, 10);
+        bool velocity = strtol(rest, &rest, 10) != 0;
+        hapsim_use_format(&decoder, channels == 0 ? hapsim_setup_format() : hapsim_armed_format(channels, velocity));
     } else if (strncmp(line, "read ", 5) == 0) {
         read_bytes(parse_hex(rest + 1));
     } else if (strncmp(line, "counters", 8) == 0) {

@@ -30,6 +30,7 @@ def descriptions(draw: st.DrawFn) -> Description:
         position_scale=draw(per_channel),
         force_scale=draw(per_channel),
         force_limit=draw(per_channel),
+        velocity_scale=draw(st.just(()) | per_channel.filter(any)),
         version=draw(words),
         schema_hash=draw(words),
     )
@@ -65,7 +66,7 @@ def test_the_registers_that_are_asked_for_are_all_that_a_description_needs(descr
 
 
 def test_a_description_of_sixteen_channels_ends_with_the_last_register() -> None:
-    last = schema.REG_CHANNEL + 15 * schema.CHANNEL_WORDS + schema.REG_FORCE_LIMIT + 1
+    last = schema.REG_CHANNEL + 15 * schema.CHANNEL_WORDS + schema.REG_VELOCITY_SCALE + 1
     assert max(registers_of_a_description(16)) == last < schema.REGISTERS <= schema.SAMPLE_MODULUS
 
 
@@ -134,11 +135,39 @@ def test_a_device_of_no_or_too_many_channels_is_an_error(channels: int) -> None:
         {"position_scale": (1.0,) * 17, "force_scale": (1.0,) * 17, "force_limit": (1.0,) * 17},
         {"force_scale": (1.0,)},
         {"force_limit": (1.0, 2.0, 3.0)},
+        {"velocity_scale": (1.0,)},
     ],
 )
 def test_a_description_that_does_not_fit_together_is_an_error(changed: dict[str, tuple[float, ...]]) -> None:
     with pytest.raises(ValueError, match="channel"):
         to_registers(plain(**changed))
+
+
+@pytest.mark.parametrize(
+    ("scale", "senses"),
+    [
+        ((), False),
+        ((1e-3, 2e-3), True),
+        ((0.0, 0.0), False),
+        ((1e-3, 0.0), False),  # velocity is sensed on every channel or on none
+        ((1e-3, -1e-3), False),
+        ((1e-3, math.nan), False),
+    ],
+)
+def test_a_device_senses_velocity_where_every_channel_has_a_scale_above_0(
+    scale: tuple[float, ...], senses: bool
+) -> None:
+    description = plain(velocity_scale=scale)
+    assert description.senses_velocity == senses
+    assert from_registers(to_registers(description)).senses_velocity == senses
+
+
+def test_a_device_that_senses_no_velocity_holds_zeros_where_the_scales_would_be() -> None:
+    registers = to_registers(plain())
+    for c in range(16):
+        at = schema.REG_CHANNEL + c * schema.CHANNEL_WORDS + schema.REG_VELOCITY_SCALE
+        assert registers[at : at + 2].tolist() == [0, 0]
+    assert from_registers(registers).velocity_scale == ()
 
 
 def test_each_pacing_has_its_bit() -> None:

@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from firmware_protocol import schema
-from firmware_protocol.frames import Format, armed_format, check_of
+from firmware_protocol.frames import SETUP, Format, armed_format, check_of, frame_bytes
 
 
 def _syndromes(wire: Format, encoded: int) -> NDArray[np.int64]:
@@ -25,10 +25,11 @@ def _syndromes(wire: Format, encoded: int) -> NDArray[np.int64]:
     return np.array(of_data + [1 << i for i in range(32 if wire.long_check else 16)])
 
 
+@pytest.mark.parametrize("velocity", [False, True], ids=["", "with velocities"])
 @pytest.mark.parametrize("to_device", [False, True], ids=["to the host", "to the device"])
 @pytest.mark.parametrize("channels", range(1, schema.MAX_CHANNELS + 1))
-def test_no_one_to_five_flips_under_the_check_cancel(channels: int, to_device: bool) -> None:
-    single = _syndromes(armed_format(channels), schema.encoded_bytes(channels, to_device))
+def test_no_one_to_five_flips_under_the_check_cancel(channels: int, to_device: bool, velocity: bool) -> None:
+    single = _syndromes(armed_format(channels, velocity), schema.encoded_bytes(channels, to_device, velocity))
     # An odd number of flips never cancels, because every syndrome has an odd number of ones.
     assert all(int(syndrome).bit_count() % 2 == 1 for syndrome in single)
     # Two cancel where two syndromes are equal, four where two pairs of bits have the same sum.
@@ -39,24 +40,37 @@ def test_no_one_to_five_flips_under_the_check_cancel(channels: int, to_device: b
 
 
 def test_the_distance_ends_where_the_document_says_that_it_does() -> None:
-    # A fourth channel under the short check would have been too much: the limit is not an accident of the test.
-    wire = armed_format(schema.SHORT_CRC_CHANNELS)
-    single = _syndromes(wire, schema.encoded_bytes(4, to_device=True))
-    first, second = np.triu_indices(single.size, 1)
-    assert np.unique(single[first] ^ single[second]).size < first.size
+    # A fourth word under the short check would have been too much: the limit is not an accident of the test.
+    for wire, longer in (
+        (armed_format(schema.SHORT_CRC_WORDS), schema.encoded_bytes(4, to_device=True)),
+        (armed_format(1, velocity=True), schema.encoded_bytes(2, to_device=False, velocity=True)),
+    ):
+        assert not wire.long_check
+        single = _syndromes(wire, longer)
+        first, second = np.triu_indices(single.size, 1)
+        assert np.unique(single[first] ^ single[second]).size < first.size
 
 
+@pytest.mark.parametrize("velocity", [False, True], ids=["", "with velocities"])
 @pytest.mark.parametrize("to_device", [False, True], ids=["to the host", "to the device"])
-@pytest.mark.parametrize("channels", [1, 3, 4, 16])
-def test_two_start_values_never_give_the_same_check(channels: int, to_device: bool) -> None:
+@pytest.mark.parametrize("channels", [1, 2, 3, 4, 16])
+def test_two_start_values_never_give_the_same_check(channels: int, to_device: bool, velocity: bool) -> None:
     # The start value enters linearly too: the checks of its single bits are independent, so no two values agree.
-    wire = armed_format(channels)
-    encoded = schema.encoded_bytes(channels, to_device)
+    wire = armed_format(channels, velocity)
+    encoded = schema.encoded_bytes(channels, to_device, velocity)
     data = np.zeros(encoded, np.uint8)
     bits = 32 if wire.long_check else 16
     nothing = int(check_of(data, 0, encoded, wire.long_check, 0))
     columns = [int(check_of(data, 0, encoded, wire.long_check, 1 << i)) ^ nothing for i in range(bits)]
     assert _rank(columns) == bits
+
+
+def test_no_two_formats_of_one_frame_length_have_a_start_value_in_common() -> None:
+    # Frames of one length are told apart by their start value alone.
+    every = [SETUP, *(armed_format(n, velocity) for n in range(1, 17) for velocity in (False, True))]
+    for to_device in (False, True):
+        told_apart = {(frame_bytes(wire, to_device), wire.long_check, wire.seed) for wire in every}
+        assert len(told_apart) == len(every)
 
 
 def _rank(columns: list[int]) -> int:

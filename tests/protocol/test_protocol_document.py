@@ -55,6 +55,7 @@ def test_the_tables_of_states_and_faults_are_the_schema_s() -> None:
     assert [number for number, _ in faults] == sorted(schema.FAULTS)
     words = {schema.HOST_QUIET: "quiet", schema.POSITION_OUT_OF_RANGE: "range", schema.WRONG_SCHEMA: "schema"}
     words |= {schema.WRONG_PACING: "paced", schema.WRONG_WATCHDOG: "watchdog", schema.HARDWARE: "hardware"}
+    words[schema.WRONG_SENSING] = "velocity"
     assert all(words[number] in text for number, text in faults[1:])
 
 
@@ -65,30 +66,35 @@ def test_the_table_of_registers_is_the_schema_s() -> None:
     expected = {name: str(getattr(schema, f"REG_{name.upper()}")) for name in plain + counters}
     expected["rate"] = f"{schema.REG_RATE}, {schema.REG_RATE + 1}"
     expected["name"] = f"{schema.REG_NAME} to {schema.REG_NAME + schema.NAME_WORDS - 1}"
-    for name in ("position_scale", "force_scale", "force_limit"):
+    for name in ("position_scale", "force_scale", "force_limit", "velocity_scale"):
         base = schema.REG_CHANNEL + getattr(schema, f"REG_{name.upper()}")
         expected[name] = f"{base} + {schema.CHANNEL_WORDS}c, +1"
     assert table == expected
 
 
 def test_the_link_budget_agrees_with_the_vectors(formats: dict[str, Any]) -> None:
-    table = {int(row[0]): row[1:4] for row in rows(section("11. Link budget"))[1:]}
-    assert sorted(table) == list(range(1, 17))
-    for wire in formats.values():
-        host, device = wire["bytes_to_host"], wire["bytes_to_device"]
-        assert table[wire["channels"]] == [f"{host} B", f"{device} B", f"{host + device} B"]
-    # The largest, by hand: 147 bytes of ten bits at 115200 baud.
-    assert "| 16 | 73 B | 74 B | 147 B | 12.760 ms |" in TEXT
+    tables = section("11. Link budget").split("With velocities:")
+    for velocity, text in enumerate(tables):
+        table = {int(row[0]): row[1:4] for row in rows(text)[1:]}
+        assert sorted(table) == list(range(1, 17))
+        for wire in formats.values():
+            host, device = wire["bytes_to_host"], wire["bytes_to_device"]
+            if wire["velocity"] == bool(velocity):
+                assert table[wire["channels"]] == [f"{host} B", f"{device} B", f"{host + device} B"]
+    # The largest, by hand: 147 and 211 bytes of ten bits at 115200 baud.
+    assert "| 16 | 73 B | 74 B | 147 B | 12.760 ms |" in tables[0]
+    assert "| 16 | 137 B | 74 B | 211 B | 18.316 ms |" in tables[1]
 
 
 def test_every_type_has_an_example_that_decodes_to_what_stands_beside_it(
     formats: dict[str, Any], plain_decoder: Any
 ) -> None:
-    pattern = r"\*\*(\w+)\*\*, (set-up|armed, \d+ channels?): .*?\n\n```text\n(.*?)\n```"
+    pattern = r"\*\*(\w+)\*\*, (set-up|armed, \d+ channels?(?: with velocity)?): .*?\n\n```text\n(.*?)\n```"
     examples = re.findall(pattern, section("12. Examples"), re.DOTALL)
     assert {kind.lower() for kind, _, _ in examples} == set(TYPES)
     for kind, where, lines in examples:
-        wire = formats["setup" if where == "set-up" else "armed_" + re.findall(r"\d+", where)[0]]
+        family = "velocity" if where.endswith("velocity") else "armed"
+        wire = formats["setup" if where == "set-up" else f"{family}_{re.findall(r'[0-9]+', where)[0]}"]
         decoder = plain_decoder(wire, "to_device" if kind.lower() in TO_DEVICE else "to_host")
         sent = re.findall(r"^(?:encoded|check|delimiter)\s+((?:[0-9a-f]{2} ?)+)", lines, re.MULTILINE)
         (frame,) = decoder.read(bytes.fromhex("".join(sent)))
@@ -114,9 +120,10 @@ def test_every_number_of_the_schema_module_that_goes_on_the_wire_is_in_the_schem
     registers = [name for name in vars(schema) if name.startswith("REG_")]
     names = [*registers, *NAMES, "PACED_BY_DEVICE", "PACED_BY_HOST", "LOCKSTEP", "IDLE", "ARMED", "LATCHED"]
     names += ["HOST_QUIET", "POSITION_OUT_OF_RANGE", "WRONG_SCHEMA", "WRONG_PACING", "WRONG_WATCHDOG", "HARDWARE"]
+    names += ["WRONG_SENSING", "WITH_VELOCITY"]
     spoken = {"POSITION_HELD": "held", "PACED_BY_DEVICE": "device", "PACED_BY_HOST": "host"}
     for name in names:
         word = spoken.get(name, name.removeprefix("REG_").lower())
         value = getattr(schema, name)
-        forms = {str(value), f"{value:x}"} if name in NAMES else {str(value)}
+        forms = {str(value), f"{value:x}"} if name in NAMES | {"WITH_VELOCITY"} else {str(value)}
         assert any(re.search(rf"\b{word}={form}\b", schema.SCHEMA) for form in forms), name

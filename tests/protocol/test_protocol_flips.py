@@ -16,19 +16,20 @@ from numpy.typing import NDArray
 from firmware_protocol.compiled import jit
 from firmware_protocol.decoder import Frame, frames_in, new_decoder, next_frame
 from firmware_protocol.frames import Format
-from firmware_protocol.vectors import FORMATS, TO_DEVICE, TYPES, frame
+from firmware_protocol.vectors import FORMATS, TO_DEVICE, TYPES, frame, words_in
 
 # Payloads and numbers with many zeros, none, bytes that are one flip away from a zero, and nothing special.
 FIELDS = ((0, 0), (4095, -1), (257, 0x01010101), (2048, -(2**31)), (0x123, 0x12345678), (16, 0x40100402))
-EVERY_TYPE = [(name, kind) for name in ("setup", "armed_1") for kind in TYPES]
+EVERY_TYPE = [(name, kind) for name in ("setup", "armed_1", "velocity_1") for kind in TYPES]
 ONE_EACH = [("setup", "describe"), ("setup", "description"), ("armed_1", "force"), ("armed_1", "position")]
+ONE_EACH += [("velocity_1", "force"), ("velocity_1", "position")]
 
 
 @jit
 def _is(decoder, fields):
     same = decoder.type == fields[0] and decoder.number == fields[1]
-    for c in range(decoder.channels):
-        same = same and decoder.counts[c] == fields[2 + c]
+    for i in range(decoder.words):
+        same = same and decoder.counts[i] == fields[2 + i]
     return same
 
 
@@ -100,8 +101,9 @@ def _burst_every(decoder, stream, first, last, fields):
 
 def _line(name: str, kind: str, number: int, word: int) -> tuple[np.void, NDArray[np.uint8], NDArray[np.int64]]:
     """A decoder, three frames on the line, and what should be read of them; the middle one carries the arguments."""
-    fields = [(TYPES[kind], n, w) for n, w in ((number ^ 1, 77), (number, word), (number ^ 2, -78))]
-    data = b"".join(frame(name, kind, n, 20, [w]) for _, n, w in fields)
+    counts = [[w, ~w][: words_in(name, kind)] for w in (77, word, -78)]
+    fields = [(TYPES[kind], n, *c) for n, c in zip((number ^ 1, number, number ^ 2), counts, strict=True)]
+    data = b"".join(frame(name, kind, n, 20, c) for (_, n, *_), c in zip(fields, counts, strict=True))
     decoder = new_decoder(FORMATS[name], kind in TO_DEVICE)
     return decoder, np.frombuffer(bytearray(data), np.uint8), np.array(fields)
 
@@ -168,7 +170,7 @@ def lines(draw: st.DrawFn) -> tuple[Format, bool, list[bytes], list[Frame]]:
             draw(st.integers(0, 4095)),
             draw(st.integers(0, 255)) if to_device else 0,
         )
-        counts = draw(st.lists(words, min_size=FORMATS[name].channels, max_size=FORMATS[name].channels))
+        counts = draw(st.lists(words, min_size=words_in(name, kind), max_size=words_in(name, kind)))
         data.append(frame(name, kind, number, argument, counts))
         frames.append(Frame(TYPES[kind], number, argument, tuple(counts)))
     return FORMATS[name], to_device, data, frames

@@ -42,9 +42,9 @@ def harness(tmp_path_factory: pytest.TempPathFactory) -> Harness:
     return run
 
 
-def channels_of(formats: Vectors, name: str) -> int:
+def spoken(formats: Vectors, name: str) -> str:
     """What the harness calls a format."""
-    return 0 if name == "setup" else int(formats[name]["channels"])
+    return "0 0" if name == "setup" else f"{formats[name]['channels']} {formats[name]['velocity']:d}"
 
 
 def answer(fields: Vectors) -> str:
@@ -57,7 +57,7 @@ def test_every_frame_to_the_device_decodes_to_its_fields(vectors: Vectors, forma
     entries = [entry for entry in vectors["frames"] if entry["type"] in TO_DEVICE]
     lines = ["new"]
     for entry in entries:
-        lines += [f"format {channels_of(formats, entry['format'])}", f"read {entry['bytes']}"]
+        lines += [f"format {spoken(formats, entry['format'])}", f"read {entry['bytes']}"]
     assert harness(lines) == [answer(entry) for entry in entries]
 
 
@@ -66,7 +66,7 @@ def test_every_frame_to_the_host_is_written_byte_for_byte(vectors: Vectors, form
     lines = ["new"]
     for entry in entries:
         counts = " ".join(str(count) for count in entry["payload"])
-        lines += [f"format {channels_of(formats, entry['format'])}"]
+        lines += [f"format {spoken(formats, entry['format'])}"]
         lines += [f"write {TYPES[entry['type']]} {entry['number']} {counts}"]
     assert harness(lines) == [entry["bytes"] for entry in entries]
 
@@ -79,11 +79,11 @@ def test_streams_to_the_device_give_the_file_s_frames_and_counters(
     lines, expected = [], []
     for entry in entries:
         before = entry["steps"][0]["format"]
-        lines += ["new", f"format {channels_of(formats, before)}"]
+        lines += ["new", f"format {spoken(formats, before)}"]
         for step in entry["steps"]:
             if step["format"] != before:
                 before = step["format"]
-                lines.append(f"format {channels_of(formats, before)}")
+                lines.append(f"format {spoken(formats, before)}")
             lines.append(f"read {step['bytes']}")
         lines.append("counters")
         expected += [answer(fields) for fields in entry["frames"]]
@@ -92,12 +92,14 @@ def test_streams_to_the_device_give_the_file_s_frames_and_counters(
     assert harness(lines) == expected
 
 
-def test_no_one_two_or_three_flips_get_a_frame_past_it(harness: Harness) -> None:
+def test_no_one_two_or_three_flips_get_a_frame_past_it(formats: Vectors, harness: Harness) -> None:
     lines, expected = [], []
-    for name, kind in (("setup", "arm"), ("setup", "disarm"), ("armed_1", "force"), ("armed_1", "disarm")):
+    heard = [("setup", "arm"), ("setup", "disarm")]
+    heard += [(name, kind) for name in ("armed_1", "velocity_1") for kind in ("force", "disarm")]
+    for name, kind in heard:
         frames = [frame(name, kind, n, 20, [word]) for n, word in ((1, 77), (0x123, 0x01020408), (3, -78))]
         first, last = len(frames[0]), len(frames[0] + frames[1])
-        lines += ["new", f"format {0 if name == 'setup' else 1}", f"flips {first} {last} {b''.join(frames).hex()}"]
+        lines += ["new", f"format {spoken(formats, name)}", f"flips {first} {last} {b''.join(frames).hex()}"]
         expected.append(f"{sum(comb(8 * (last - first), flips) for flips in (1, 2, 3))} 0")
     assert harness(lines) == expected
 
@@ -118,9 +120,14 @@ def test_every_constant_is_the_schema_s() -> None:
     text = HEADER.read_text("utf-8")
     defined = re.findall(r"#define HAPSIM_(\w+) (0x[0-9a-f]+|\d+)u?\b", text)
     listed = re.findall(r"HAPSIM_(\w+) = (0x[0-9A-F]+|\d+)", text)
-    ours = {"MAX_FRAME": schema.frame_bytes(16, to_device=True), "RECENT": 128}
+    ours = {"MAX_FRAME": schema.frame_bytes(16, to_device=False, velocity=True), "RECENT": 128}
     constants = {name: int(value, 0) for name, value in defined + listed}
     assert constants == {name: ours[name] if name in ours else getattr(schema, name) for name in constants}
     expected = {name for name, value in vars(schema).items() if name.isupper() and isinstance(value, int)}
     # Start values are computed from the hash; how long a force may live is the host's choice within a byte.
-    assert expected - set(constants) == {"ARMED_SEED_SHORT", "ARMED_SEED_LONG", "MAX_TIME_TO_LIVE_SAMPLES"}
+    computed = {f"{kind}_SEED_{length}" for kind in ("ARMED", "VELOCITY") for length in ("SHORT", "LONG")}
+    assert expected - set(constants) == computed | {"MAX_TIME_TO_LIVE_SAMPLES"}
+
+
+def test_a_device_s_memory_holds_the_longest_frame_of_the_host() -> None:
+    assert max(schema.frame_bytes(16, to_device=True, velocity=velocity) for velocity in (False, True)) < 128

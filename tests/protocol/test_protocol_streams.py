@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from firmware_protocol import schema
 from firmware_protocol.decoder import Frame, frames_in, new_decoder, use_format
 from firmware_protocol.frames import SETUP, armed_format, frame_to_device
-from firmware_protocol.vectors import COUNTERS, FORMATS, NAMES, TO_DEVICE, TYPES, frame, sealed
+from firmware_protocol.vectors import COUNTERS, FORMATS, NAMES, TO_DEVICE, TYPES, frame, sealed, words_in
 
 EVERY_FORMAT_AND_DIRECTION = [(name, kind) for name in FORMATS for kind in ("force", "position")]
 
@@ -23,7 +23,7 @@ def new(name: str, kind: str) -> np.void:
 
 def some(name: str, kind: str, number: int) -> tuple[bytes, Frame]:
     """A frame with a word of its own in every channel."""
-    counts = [number * 7919 - (c << 20) for c in range(FORMATS[name].channels)]
+    counts = [number * 7919 - (c << 20) for c in range(words_in(name, kind))]
     argument = 9 if kind in TO_DEVICE else 0
     return frame(name, kind, number, argument, counts), Frame(TYPES[kind], number, argument, tuple(counts))
 
@@ -93,13 +93,14 @@ def test_a_frame_that_lost_any_of_its_bytes_is_refused_as_too_short(name: str, k
             assert decoder["length_errors"] == (0 if whole_frame_gone else 1)
 
 
+@pytest.mark.parametrize("velocity", [False, True])
 @pytest.mark.parametrize("channels", range(1, 17))
-def test_disarm_said_in_every_format_is_heard_once_by_a_device_of_any_number_of_channels(channels: int) -> None:
+def test_disarm_said_in_every_format_is_heard_once_by_a_device_in_any_of_them(channels: int, velocity: bool) -> None:
     # How a host lets go of a device of which it does not know anything.
-    every = [SETUP, *(armed_format(n) for n in range(1, 17))]
+    every = [SETUP, *(armed_format(n, asked) for n in range(1, 17) for asked in (False, True))]
     sent = b"".join(frame_to_device(wire, schema.DISARM, 0, 0, [0] * wire.channels) for wire in every)
     disarm = Frame(schema.DISARM, 0, 0, (0,) * channels)
-    assert frames_in(new_decoder(armed_format(channels), to_device=True), sent) == [disarm]
+    assert frames_in(new_decoder(armed_format(channels, velocity), to_device=True), sent) == [disarm]
     assert frames_in(new_decoder(SETUP, to_device=True), sent) == [Frame(schema.DISARM, 0, 0, (0,))]
 
 
@@ -122,10 +123,10 @@ def test_a_frame_begun_in_one_format_is_forgotten_in_the_next_and_counters_go_on
 
 def test_a_decoder_taken_through_formats_reads_as_a_new_one_does() -> None:
     used = new("armed_16", "position")
-    for name in [*FORMATS, *reversed(FORMATS), "armed_16", "armed_1", "armed_16"]:
+    for name in [*FORMATS, *reversed(FORMATS), "armed_16", "armed_1", "velocity_16", "armed_16"]:
         use_format(used, FORMATS[name])
         data, expected = some(name, "position", 9)
-        assert frames_in(used, b"\xff" * 130 + data + data[:7]) == [expected]
+        assert frames_in(used, b"\xff" * 300 + data + data[:7]) == [expected]
 
 
 @st.composite

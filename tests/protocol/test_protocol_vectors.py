@@ -94,6 +94,7 @@ def test_nothing_comes_out_of_what_has_to_be_refused(vectors: Vectors) -> None:
 def test_every_type_in_every_format_is_there(vectors: Vectors, formats: Vectors) -> None:
     seen = Counter((entry["format"], entry["type"]) for entry in vectors["frames"])
     assert len(seen) == 8 * len(formats)
-    assert {formats[name]["channels"] for name in formats if name != "setup"} == {1, 3, 4, 16}
+    there = {(wire["channels"], wire["velocity"]) for name, wire in formats.items() if name != "setup"}
+    assert there == {(n, False) for n in (1, 3, 4, 16)} | {(n, True) for n in (1, 2, 16)}
     counters = Counter(name for e in vectors["streams"] + vectors["refused"] for name, n in e["counters"].items() if n)
     assert set(counters) == {"accepted", "crc_errors", "length_errors", "form_errors", "garbage_bytes"}

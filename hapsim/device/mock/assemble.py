@@ -30,6 +30,7 @@ def describe_mock(scene: Scene) -> Description:
         position_scale=(scene.mock_device.quantum,) * channels,
         force_scale=(limit / _FORCE_COUNTS,) * channels,
         force_limit=(limit,) * channels,
+        velocity_scale=(scene.mock_device.quantum * scene.rate,) * channels,
     )
 
 
@@ -41,6 +42,7 @@ def assemble_mock(scene: Scene) -> Mock:
     bodies = np.zeros(channels, BODY)
     bodies["mass"] = device.mass
     bodies["friction"] = device.friction
+    bodies["stiffness"] = device.stiffness
     bodies["coulomb"] = device.coulomb
     bodies["position"] = device.initial_position
     bodies["velocity"] = device.initial_velocity
@@ -52,6 +54,7 @@ def assemble_mock(scene: Scene) -> Mock:
     converters["impulse"] = device.hold == "impulse"
     converters["average"] = device.sampling == "average"
     converters["quantum"] = device.quantum
+    converters["velocity_quantum"] = description.velocity_scale
     converters["noise"] = device.noise
     # Spread apart, and never zero, from which the generator would not move.
     converters["seed"] = np.random.SeedSequence(device.seed).generate_state(channels, np.uint64) | np.uint64(1)
@@ -62,10 +65,11 @@ def assemble_mock(scene: Scene) -> Mock:
         commands=np.zeros((whole + 2, channels)),
         force_scale=np.array(description.force_scale),
         force_limit=np.array(description.force_limit),
-        counts=np.zeros(channels, np.int64),
+        counts=np.zeros(2 * channels, np.int64),
         registers=to_registers(description),
         decoder=new_decoder(SETUP, to_device=True),
         board=np.zeros(1, BOARD)[0],
         armed=armed_format(channels),
+        armed_with_velocity=armed_format(channels, velocity=True),
         outbox=np.zeros(OUTBOX_BYTES, np.uint8),
     )

@@ -15,11 +15,18 @@ from firmware_protocol import schema
 from firmware_protocol.decoder import next_frame, use_format
 from firmware_protocol.frames import SETUP, Format, write_to_host
 from hapsim.compiled import jit
-from hapsim.device.mock.sampler import advance_body, first_sample, sample, to_counts
+from hapsim.device.mock.sampler import (
+    advance_body,
+    first_sample,
+    first_velocity,
+    sample,
+    sample_velocity,
+    to_counts,
+)
 
-OUTBOX_BYTES = 32768
+OUTBOX_BYTES = 65536
 INPUT_BYTES = 4096  # at most this many go into `take_bytes` at once: the answers to them fit the outbox
-_LONGEST_ANSWER = schema.frame_bytes(schema.MAX_CHANNELS, to_device=False)
+_LONGEST_ANSWER = schema.frame_bytes(schema.MAX_CHANNELS, to_device=False, velocity=True)
 _LOCKSTEP_PATIENCE_NS = 10_000_000_000  # twice what hapsim waits for a position: a host quiet for longer is gone
 
 BOARD = np.dtype(
@@ -27,6 +34,7 @@ BOARD = np.dtype(
         ("state", np.int64),  # IDLE, ARMED, LATCHED
         ("fault", np.int64),
         ("pacing", np.int64),
+        ("velocity", np.int64),  # 1: armed to send velocities too
         ("watchdog", np.int64),  # samples
         ("n", np.int64),  # the sample that lasts now
         ("answered", np.int64),  # the sample that the newest accepted force answers
@@ -41,7 +49,10 @@ BOARD = np.dtype(
 
 
 class Mock(NamedTuple):
-    """The whole mock: its bodies (one per channel), converters, history of commands, registers and bytes."""
+    """The whole mock: its bodies (one per channel), converters, history of commands, registers and bytes.
+
+    `counts`: what a frame carries, the positions of all channels and then their velocities.
+    """
 
     bodies: NDArray[np.void]
     initial: NDArray[np.void]
@@ -54,6 +65,7 @@ class Mock(NamedTuple):
     decoder: np.void
     board: np.void
     armed: Format
+    armed_with_velocity: Format
     outbox: NDArray[np.uint8]
 
 
@@ -91,7 +103,9 @@ def take_sample(mock, now):
     fresh = _decide_command(mock)
     for c in range(mock.bodies.size):
         advance_body(mock.bodies[c], mock.converters[c], mock.commands, c, board.n, h)
-        _measure(mock, c, sample(mock.bodies[c], mock.converters[c], h))
+        _show_position(mock, c, sample(mock.bodies[c], mock.converters[c], h))
+        if board.velocity:
+            _show_velocity(mock, c, sample_velocity(mock.bodies[c], mock.converters[c], h))
     board.n += 1
     _say_position(mock, schema.POSITION if fresh else schema.POSITION_HELD)
 
@@ -159,11 +173,23 @@ def _decide_command(mock):
 
 
 @jit
-def _measure(mock, channel, position):
-    counts, fits = to_counts(position, mock.converters[channel])
+def _show_position(mock, channel, position):
+    counts, fits = to_counts(position, mock.converters[channel].quantum)
     mock.counts[channel] = counts
     if not fits:
         mock.board.scale_out_of_range = 1
+
+
+@jit
+def _show_velocity(mock, channel, velocity):
+    """One that does not fit stands at the end of its scale: no fault."""
+    counts, _ = to_counts(velocity, mock.converters[channel].velocity_quantum)
+    mock.counts[mock.bodies.size + channel] = counts
+
+
+@jit
+def _armed_format(mock):
+    return mock.armed_with_velocity if mock.board.velocity else mock.armed
 
 
 @jit
@@ -178,7 +204,7 @@ def _say_position(mock, kind):
     if mock.board.scale_out_of_range:
         _fail(mock, schema.POSITION_OUT_OF_RANGE)
     else:
-        _say(mock, mock.armed, kind, mock.board.n % schema.SAMPLE_MODULUS, mock.counts)
+        _say(mock, _armed_format(mock), kind, mock.board.n % schema.SAMPLE_MODULUS, mock.counts)
 
 
 @jit
@@ -208,12 +234,24 @@ def _refusal(mock):
     """Why the device does not arm, or NO_FAULT."""
     if mock.decoder.counts[0] & 0xFFFFFFFF != schema.SCHEMA_HASH:
         return schema.WRONG_SCHEMA
-    pacing = mock.decoder.argument
+    pacing = _pacing_asked(mock)
     if pacing > schema.LOCKSTEP or not mock.registers[schema.REG_PACINGS] >> pacing & 1:
         return schema.WRONG_PACING
+    if _velocity_asked(mock) and not mock.converters[0].velocity_quantum > 0.0:
+        return schema.WRONG_SENSING
     if not 1 <= mock.decoder.number <= mock.registers[schema.REG_MAX_WATCHDOG]:
         return schema.WRONG_WATCHDOG
     return schema.NO_FAULT
+
+
+@jit
+def _pacing_asked(mock):
+    return mock.decoder.argument & (schema.WITH_VELOCITY - 1)
+
+
+@jit
+def _velocity_asked(mock):
+    return mock.decoder.argument & schema.WITH_VELOCITY != 0
 
 
 @jit
@@ -226,7 +264,8 @@ def _arm(mock, now):
         _say_status(mock, SETUP)
         return
     board.state = schema.ARMED
-    board.pacing = mock.decoder.argument
+    board.pacing = _pacing_asked(mock)
+    board.velocity = 1 if _velocity_asked(mock) else 0
     board.watchdog = mock.decoder.number
     board.answered = board.heard = board.expires = -1
     board.heard_ns = board.sampled_ns = now
@@ -235,10 +274,12 @@ def _arm(mock, now):
     mock.registers[schema.REG_ACCEPTED : schema.REG_LIMITED + 1] = 0
     mock.decoder.crc_errors = mock.decoder.length_errors = mock.decoder.form_errors = 0
     _say_status(mock, SETUP)
-    use_format(mock.decoder, mock.armed)
+    use_format(mock.decoder, _armed_format(mock))
     for c in range(mock.bodies.size):
         mock.bodies[c] = mock.initial[c]
-        _measure(mock, c, first_sample(mock.bodies[c], mock.converters[c]))
+        _show_position(mock, c, first_sample(mock.bodies[c], mock.converters[c]))
+        if board.velocity:
+            _show_velocity(mock, c, first_velocity(mock.bodies[c], mock.converters[c]))
     _say_position(mock, schema.POSITION)
 
 
@@ -255,5 +296,5 @@ def _fail(mock, fault):
     """Latches: the force is zero until the host arms again. The host is told in the format that it listens to."""
     mock.board.fault = fault
     mock.board.state = schema.LATCHED
-    _say_status(mock, mock.armed)
+    _say_status(mock, _armed_format(mock))
     _disarm(mock, schema.LATCHED)

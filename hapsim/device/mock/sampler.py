@@ -1,4 +1,5 @@
-"""The mock's converters: what the body's position becomes on the wire, and when a commanded force acts on the body.
+"""The mock's converters: what the body's position and velocity become on the wire, and when a commanded force acts on
+the body.
 
 Command c[n], decided during sample n, acts from (n + delay) T on: held until the next one (zero-order hold), or as an
 impulse c[n] T. With delay = D + phi, sample n sees c[n-D-1] for its first phi T and c[n-D] for the rest.
@@ -21,7 +22,9 @@ CONVERTER = np.dtype(
         ("impulse", np.int64),  # 1: impulse hold, 0: zero-order hold
         ("average", np.int64),  # 1: mean over the sample before, 0: the instant's value
         ("quantum", np.float64),  # m per count
-        ("noise", np.float64),  # m rms
+        ("velocity_quantum", np.float64),  # (m/s) per count; 0: the device senses no velocity
+        ("noise", np.float64),  # m rms, and as many periods of it as there are in a second, in m/s rms, of the velocity
+        ("before", np.float64),  # m, where the body was at the sample before
         ("seed", np.uint64),  # where the noise's generator starts when the device is armed
         ("state", np.uint64),  # where it stands
     ]
@@ -66,9 +69,27 @@ def first_sample(body, converter):
 
 
 @jit
-def to_counts(position, converter):
-    """(counts, whether they fit 32 bits); a position that does not fit stops at the end of the scale."""
-    counts = np.rint(position / converter.quantum)
+def sample_velocity(body, converter, h):
+    """The velocity that the device measures, in m/s, at the end of a sample that lasted `h` seconds.
+
+    At the instant it is that of the motion so far: a force that changes now, or an impulse, is not in it yet.
+    """
+    velocity = (body.position - converter.before) / h if converter.average else body.velocity
+    converter.before = body.position
+    return velocity + _noise(converter) / converter.period
+
+
+@jit
+def first_velocity(body, converter):
+    """The measured velocity at the start, after the position: along a free motion the mean is the instant's value."""
+    converter.before = body.position
+    return body.velocity + _noise(converter) / converter.period
+
+
+@jit
+def to_counts(value, quantum):
+    """(counts, whether they fit 32 bits); a value that does not fit stops at the end of the scale."""
+    counts = np.rint(value / quantum)
     if not abs(counts) < 2147483648.0:
         return np.int64(math.copysign(2147483647.0, counts)), False
     return np.int64(counts), True

@@ -1,0 +1,194 @@
+"""Velocities that the device senses: asked for where the scene needs them, and what the loop makes of them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from firmware_protocol import schema
+from hapsim.device.conversation import arm, describe, disarm
+from hapsim.device.open_line import open_line
+from hapsim.errors import DeviceError, UsageError
+from hapsim.loop.exchange import DONE, Loop
+from hapsim.loop.paced_by_device import run_paced_by_device
+from hapsim.running import _assemble, needs_velocity, run
+from hapsim.scene import Scene, parse_scene
+
+Scripted = Callable[..., Any]
+FrameOf = Callable[..., bytes]
+SceneOf = Callable[..., Scene]
+SCALE = 1e-3  # (m/s) per count of the scripted device
+
+
+def looped(scene: Scene, ticks: int) -> Loop:
+    """The loop as it stands after so many ticks."""
+    with open_line(scene) as line:
+        description = describe(line)
+        loop = _assemble(scene, line, description, None, ticks / scene.rate)
+        velocity = needs_velocity(scene)
+        assert arm(line, description, schema.LOCKSTEP, 100, velocity) == loop.wire
+        assert run_paced_by_device(loop) == DONE
+        assert loop.decoder["crc_errors"] + loop.decoder["form_errors"] == 0
+        disarm(line, loop.wire)
+    return loop
+
+
+def after(scripted: Scripted, scene: Scene, script: Sequence[bytes], channels: int = 1) -> Any:
+    """The desk after a script, each item of which is a position that is answered."""
+    fields = {name: (value,) * channels for name, value in (("position_scale", 1e-6), ("force_scale", 1e-3))}
+    fields |= {"force_limit": (10.0,) * channels, "velocity_scale": tuple(SCALE * (c + 1) for c in range(channels))}
+    with scripted(script, scene=scene, **fields) as (there, _):
+        return looped(there, len(script)).desk
+
+
+@pytest.mark.parametrize(("damper", "asked"), [("backward", False), ("centred", False), ("sensed", True)])
+def test_velocities_are_asked_for_where_a_damper_is_driven_by_them(
+    scripted: Scripted, scene_of: SceneOf, frame: FrameOf, damper: str, asked: bool
+) -> None:
+    scene = scene_of(damper=damper)
+    assert needs_velocity(scene) == asked
+    script = [frame(n, 0, velocity=(0,) if asked else ()) for n in range(3)]
+    with scripted(script, scene=scene, velocity_scale=(SCALE,)) as (there, device):
+        assert run(there, duration=0.003).sample.tolist() == [0, 1, 2]
+    assert [heard.argument for heard in device.arms] == [schema.LOCKSTEP | (schema.WITH_VELOCITY if asked else 0)]
+
+
+def test_a_device_that_senses_no_velocity_is_refused_with_the_links_that_ask_and_what_to_do(
+    scripted: Scripted, scene_of: SceneOf
+) -> None:
+    for channels, who in ((1, "touch0 asks"), (2, "touch0, touch1 ask")):
+        one = dict.fromkeys(("position_scale", "force_scale", "force_limit"), (0.001,) * channels)
+        with scripted(scene=scene_of(channels, damper="sensed"), **one) as (there, device):
+            with pytest.raises(UsageError) as caught:
+                run(there, duration=0.01)
+            assert not device.arms
+        assert str(caught.value) == (
+            f"{there.device.port}: the device does not sense velocity, but {who} for it with damper: sensed; "
+            "write damper: backward, centred or filtered there, or use a firmware that reports velocity"
+        )
+
+
+def test_only_the_links_that_take_a_sensed_velocity_are_named(scripted: Scripted) -> None:
+    modules = {
+        "hand": {"type": "device", "channel": 0},
+        "wall": {"type": "ground"},
+        "rub": {"type": "viscoelastic", "between": ["hand", "wall"], "stiffness": 1, "damper": "sensed"},
+        "touch": {"type": "viscoelastic", "between": ["hand", "wall"], "stiffness": 1},
+    }
+    device = {"mass": 0.2, "clock": "lockstep"}
+    scene = parse_scene(yaml.safe_dump({"version": 1, "rate": 1000, "device": device, "modules": modules}))
+    with scripted(scene=scene) as (there, _), pytest.raises(UsageError, match="velocity, but rub asks for it"):
+        run(there, duration=0.01)
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, -1e-6])
+def test_an_absurd_velocity_scale_is_the_devices_fault_where_it_is_needed_and_no_matter_where_it_is_not(
+    scripted: Scripted, scene_of: SceneOf, frame: FrameOf, value: float
+) -> None:
+    with scripted(scene=scene_of(damper="sensed"), velocity_scale=(value,)) as (there, device):
+        with pytest.raises(DeviceError, match="velocity scale that is not a number above 0"):
+            run(there, duration=0.01)
+        assert not device.arms
+    with scripted([frame(n, 0) for n in range(3)], velocity_scale=(value,)) as (there, _):
+        assert run(there, duration=0.003).report.ticks == 3
+
+
+def test_the_scene_is_given_the_velocities_in_metres_per_second_beside_the_positions(
+    scripted: Scripted, scene_of: SceneOf, frame: FrameOf
+) -> None:
+    script = [frame(n, 10 * n, -20 * n, velocity=(7 * n, -(2**31) + n)) for n in range(4)]
+    desk = after(scripted, scene_of(2, damper="sensed"), script, channels=2)
+    np.testing.assert_allclose(desk["measured"][:2], [30e-6, -60e-6], rtol=1e-15)
+    np.testing.assert_allclose(desk["velocity"][:2], [21 * SCALE, (-(2**31) + 3) * 2 * SCALE], rtol=1e-15)
+    assert not desk["velocity"][2:].any()
+
+
+def test_where_positions_were_lost_velocities_run_along_a_straight_line_too(
+    scripted: Scripted, scene_of: SceneOf, frame: FrameOf
+) -> None:
+    script = [frame(0, 0, velocity=(100,)), frame(1, 0, velocity=(200,)), frame(5, 0, velocity=(-600,))]
+    desk = after(scripted, scene_of(damper="sensed"), script)
+    assert desk["velocity_bridge"][0] == pytest.approx(-400 * SCALE)  # that of sample 4, the last that was lost
+    assert desk["velocity"][0] == pytest.approx(-600 * SCALE)
+
+
+def test_a_sensed_damper_brakes_by_the_velocity_on_the_wire_and_not_by_the_way_gone(
+    scripted: Scripted, scene_of: SceneOf, frame: FrameOf
+) -> None:
+    x, v = np.array([0, 300, 200, 200]), np.array([50, -40, 0, 700])
+    script = [frame(n, x[n], velocity=(v[n],)) for n in range(4)]
+    with scripted(script, scene=scene_of(damper="sensed"), velocity_scale=(SCALE,)) as (there, _):
+        trace = run(there, duration=0.004)
+    np.testing.assert_allclose(trace.asked_force[:, 0], -1000.0 * x * 1e-6 - 2.0 * v * SCALE, rtol=1e-12)
+
+
+def test_a_mass_is_led_past_lost_velocities_as_if_they_had_run_along_a_straight_line(
+    scripted: Scripted, frame: FrameOf
+) -> None:
+    modules = {
+        "hand": {"type": "device", "channel": 0},
+        "ball": {"type": "mass", "mass": 0.01},
+        "tie": {
+            "type": "viscoelastic",
+            "between": ["hand", "ball"],
+            "stiffness": 500,
+            "damping": 1,
+            "damper": "sensed",
+        },
+    }
+    device = {"mass": 0.2, "clock": "lockstep"}
+    scene = parse_scene(yaml.safe_dump({"version": 1, "rate": 1000, "device": device, "modules": modules}))
+    x, v = np.arange(9) * 40, np.array([0, 100, 100, 0, -100, -200, -300, 300, 50])
+    traces = []
+    for numbers in (range(9), [0, 1, 2, 6, 7, 8]):
+        script = [frame(n, x[n], velocity=(v[n],)) for n in numbers]
+        with scripted(script, scene=scene, velocity_scale=(SCALE,)) as (there, _):
+            traces.append(run(there, duration=len(script) / 1000))
+    whole, bridged = traces
+    assert bridged.report.lost_frames == 3
+    np.testing.assert_allclose(bridged.asked_force, whole.asked_force[bridged.sample], rtol=1e-12)
+
+
+def test_without_sensed_velocities_the_scene_is_given_zeros(
+    scripted: Scripted, scene_of: SceneOf, frame: FrameOf
+) -> None:
+    desk = after(scripted, scene_of(), [frame(0, 0), frame(1, 500), frame(4, 900)])
+    assert not desk["velocity"].any()
+    assert not desk["velocity_bridge"].any()
+
+
+@pytest.mark.parametrize("sampling", ["ideal", "average"])
+def test_the_mock_s_velocity_reaches_the_loop(scene_of: SceneOf, sampling: str) -> None:
+    scene = scene_of(
+        2, stiffness=0.0, damping=0.0, damper="sensed", device={"sampling": sampling, "friction": 4.0, "mass": 0.2}
+    )
+    velocity = looped(scene, 21).desk["velocity"][:2]
+    instant = 0.1 * np.exp(-20 * 0.020)
+    mean = 0.1 * np.exp(-20 * 0.019) * -np.expm1(-20 * 0.001) / (20 * 0.001)
+    np.testing.assert_allclose(velocity, instant if sampling == "ideal" else mean, atol=0.51e-6)
+
+
+@pytest.mark.parametrize("channels", [1, 2, 16])
+def test_a_run_with_velocities_is_the_same_in_memory_and_on_a_pseudo_terminal(scene_of: SceneOf, channels: int) -> None:
+    scene = scene_of(channels, damper="sensed", mock={"noise": 1e-7, "seed": 3})
+    in_memory, on_terminal = (run(scene, duration=0.2, line=line) for line in ("loopback", "terminal"))
+    for name in ("sample", "flags", "position_counts", "force_counts", "asked_force"):
+        np.testing.assert_array_equal(getattr(in_memory, name), getattr(on_terminal, name), err_msg=name)
+    assert in_memory.sample.tolist() == list(range(200))
+    assert on_terminal.report.crc_errors == 0
+
+
+def test_a_host_that_died_while_velocities_were_sent_does_not_lock_the_next_one_out(
+    scene_of: SceneOf, served: Callable[[Scene], Any]
+) -> None:
+    with served(scene_of(2, damper="sensed")) as (scene, mock):
+        with open_line(scene) as line:
+            arm(line, describe(line), schema.LOCKSTEP, 100, velocity=True)
+        assert mock.board["state"] == schema.ARMED
+        assert run(scene, duration=0.05).report.ticks == 50
+        assert mock.board["state"] == schema.IDLE
