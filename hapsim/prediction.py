@@ -11,9 +11,9 @@ from firmware_protocol import schema
 from hapsim.errors import UsageError
 from hapsim.scene import Scene, ViscoElastic
 from hapsim.theory import Configuration, Mode, Network, frequency_and_ratio
+from hapsim.theory.interface import damper_named
 
 _BITS_PER_BYTE = 10  # start, eight, stop
-_MOST_POINTS = 400  # above, the dense closed loop takes longer than a user waits
 
 
 @dataclass(frozen=True)
@@ -41,8 +41,25 @@ class Felt:
     """Whether no hand can make it unstable (Colgate and Schenkel); None where the condition is not derived."""
     stiffness_factor: float
     """By how much K could grow before the loop becomes unstable, B as it is; infinity if never, below 1 if it is."""
+    stable_damping: tuple[float, float]
+    """N·s/m: from least to most B, with K as it is; NaN where no damping makes it stable."""
+    linear_limit: float
+    """N/m: the stiffness that the linear rule allows, (b0 + B)/(T/2 + delay T) (Gil et al.)."""
     reason: str
     """Why there is no equivalent, where there is none."""
+
+
+@dataclass(frozen=True)
+class LinkMargin:
+    """By what one link may be multiplied before the whole scene is unstable, all else as it is.
+
+    Infinity where it never is. Where the scene is unstable as it stands: the largest factor below 1 that makes it
+    stable, 0 where there is none. NaN where it was not worked out.
+    """
+
+    name: str
+    stiffness_factor: float
+    damping_factor: float
 
 
 @dataclass(frozen=True)
@@ -68,16 +85,23 @@ class Prediction:
     felt: tuple[Felt, ...]
     """One for each device point that is a temporary hybrid system of its own, in the scene's order."""
     coupled: tuple[str, ...]
-    """Device points that are not: their links lead to masses or to each other."""
-    stable: bool | None
-    """None where the scene has more points than are judged."""
+    """Device points that are not: their links lead to masses or to each other, or their dampers differ in kind."""
+    stable: bool
+    """As far as the poles were worked out: see `how`."""
     spectral_radius: float
-    """NaN where `stable` is None."""
     poles: tuple[complex, ...]
-    """Of the whole closed loop, by decreasing modulus, those at zero left out."""
+    """Of the whole closed loop, by decreasing modulus, those at zero left out; of a large scene some."""
+    poles_in_all: int
+    """How many the closed loop has, those at zero included."""
+    how: str
+    """In words, which poles of a large scene were worked out; "" where all were."""
     modes: tuple[Mode, ...]
     points: tuple[str, ...]
     """Names to which a mode's participation refers."""
+    margins: tuple[LinkMargin, ...]
+    """One for each link, in the scene's order; none where they were not asked for."""
+    how_margins: str
+    """In words, which links of a large scene were worked out, and how surely; "" where all were."""
     link_budget: LinkBudget
 
     @property
@@ -111,27 +135,32 @@ class Prediction:
         return self.first is not None and self.first.dominant
 
 
-def predict(scene: Scene) -> Prediction:
-    """What the hand will meet in `scene`, whether the whole of it is stable, and whether the wire is fast enough."""
+def predict(scene: Scene, *, with_margins: bool = True) -> Prediction:
+    """What the hand will meet in `scene`, whether the whole of it is stable, and whether the wire is fast enough.
+
+    `with_margins`: also by how much each link may grow, which for a large scene takes longer than the rest.
+    """
     if not 1e-9 <= scene.rate <= 1e9:
         raise UsageError(f"rate: found {scene.rate:g} Hz, which is beyond what is worked out (1e-9 to 1e9 Hz)")
     network, points = _network(scene)
-    small = len(points) <= _MOST_POINTS
-    poles = network.poles() if small else np.empty(0, complex)
+    poles = network.poles()
     felt = tuple(_felt(scene, name) for name in scene.device_points if _is_alone(scene, name))
     coupled = tuple(name for name in scene.device_points if not _is_alone(scene, name))
     whole = not coupled and not scene.masses
-    # A loop of lone hands is judged by the formula, which resolves poles that rounding would place on the circle.
-    stable = all(one.stable for one in felt) if whole else bool(np.all(np.abs(poles) < 1.0))
     return Prediction(
         rate=scene.rate,
         felt=felt,
         coupled=coupled,
-        stable=stable if small else None,
-        spectral_radius=float(np.max(np.abs(poles), initial=0.0)) if small else math.nan,
+        # A loop of lone hands is judged by the formula, which resolves poles that rounding would place on the circle.
+        stable=all(one.stable for one in felt) if whole else network.is_stable(),
+        spectral_radius=network.spectral_radius(),
         poles=tuple(complex(pole) for pole in poles if abs(pole) > 1e-9),
-        modes=tuple(network.modes()) if small else (),
+        poles_in_all=network.solution.all,
+        how=network.how(),
+        modes=tuple(network.modes()),
         points=points,
+        margins=_margins(scene, network, felt) if with_margins else (),
+        how_margins=network.how_margins() if with_margins else "",
         link_budget=_link_budget(scene),
     )
 
@@ -139,7 +168,7 @@ def predict(scene: Scene) -> Prediction:
 def warnings_about(scene: Scene, prediction: Prediction) -> list[str]:
     """What a hand should know before `scene` runs, of which this was predicted: sentences, none where all is well."""
     warnings = []
-    if prediction.stable is False and prediction.spectral_radius > 1.0 + 1e-9:
+    if not prediction.stable and prediction.spectral_radius > 1.0 + 1e-9:
         warnings.append(
             "the scene is predicted unstable: the hand will be shaken, with up to the force limit of "
             f"{scene.device.force_limit:g} N. `hapsim check` tells by how much the stiffness has to go down."
@@ -157,13 +186,25 @@ def _links(scene: Scene) -> list[ViscoElastic]:
     return [link for link in scene.links.values() if isinstance(link, ViscoElastic)]
 
 
+def _links_of(scene: Scene, name: str) -> list[ViscoElastic]:
+    return [link for link in _links(scene) if name in link.between]
+
+
+def _dampers(links: list[ViscoElastic]) -> set[tuple[str, float | None]]:
+    """The kinds of damper that do something."""
+    return {(link.damper, link.cutoff) for link in links if link.damping > 0.0}
+
+
 def _is_alone(scene: Scene, name: str) -> bool:
-    """Whether every link of this device point ends on a ground."""
-    return all(set(link.between) - {name} <= set(scene.grounds) for link in _links(scene) if name in link.between)
+    """Whether every link of this device point ends on a ground, and their dampers are of one kind."""
+    links = _links_of(scene, name)
+    return all(set(link.between) - {name} <= set(scene.grounds) for link in links) and len(_dampers(links)) <= 1
 
 
-def configuration_of(scene: Scene, channel: int) -> Configuration:
-    """The temporary hybrid system of one channel, as the scene's device describes it."""
+def configuration_of(
+    scene: Scene, channel: int, damper: str = "backward", cutoff: float | None = None
+) -> Configuration:
+    """The temporary hybrid system of one channel, as the scene's device describes it, with such a damper."""
     device = scene.device
     return Configuration(
         mass=device.masses(scene.channels)[channel],
@@ -172,13 +213,17 @@ def configuration_of(scene: Scene, channel: int) -> Configuration:
         delay=device.delay,
         hold=device.hold,
         sampling=device.sampling,
+        stiffness=device.stiffnesses(scene.channels)[channel],
+        damper=damper,
+        cutoff=cutoff,
     )
 
 
 def _felt(scene: Scene, name: str) -> Felt:
     channel = scene.device_points[name].channel
-    configuration = configuration_of(scene, channel)
-    links = [link for link in _links(scene) if name in link.between]
+    links = _links_of(scene, name)
+    damper, cutoff = next(iter(_dampers(links)), ("backward", None))
+    configuration = configuration_of(scene, channel, damper, cutoff)
     stiffness = math.fsum(link.stiffness for link in links)
     damping = math.fsum(link.damping for link in links)
     k, b = (float(value) for value in configuration.equivalent(stiffness, damping))
@@ -200,14 +245,28 @@ def _felt(scene: Scene, name: str) -> Felt:
         poles=tuple(complex(pole) for pole in configuration.poles(stiffness, damping)),
         passive=_passive(configuration, stiffness, damping),
         stiffness_factor=_stiffness_factor(configuration, stiffness, damping),
-        reason="" if dominant else _why_no_equivalent(stiffness, damping),
+        stable_damping=_stable_damping(configuration, stiffness),
+        linear_limit=float(configuration.linear_stiffness_limit(damping)),
+        reason="" if dominant else _why_no_equivalent(configuration, stiffness, damping),
     )
 
 
-def _why_no_equivalent(stiffness: float, damping: float) -> str:
-    if stiffness == 0.0 and damping == 0.0:
+def _why_no_equivalent(configuration: Configuration, stiffness: float, damping: float) -> str:
+    if stiffness == 0.0 and damping == 0.0 and configuration.stiffness == 0.0:
         return "nothing is linked to the hand: it moves freely"
-    return "the slowest motion is not that of a mass on a spring and a damper: a further pole decays no faster"
+    return str(configuration.why_no_equivalent(stiffness, damping))
+
+
+def _margins(scene: Scene, network: Network, felt: tuple[Felt, ...]) -> tuple[LinkMargin, ...]:
+    """Where a hand's only link is all that holds it, its margin by the closed formula."""
+    lone = {one.name: one.stiffness_factor for one in felt if len(_links_of(scene, one.name)) == 1}
+    names = [name for name, link in scene.links.items() if isinstance(link, ViscoElastic)]
+    margins = []
+    for name, link, margin in zip(names, _links(scene), network.margins(), strict=True):
+        hand = next((end for end in link.between if end in lone), None)
+        factor = margin.stiffness_factor if hand is None else lone[hand]
+        margins.append(LinkMargin(name, factor, margin.damping_factor))
+    return tuple(margins)
 
 
 def _passive(configuration: Configuration, stiffness: float, damping: float) -> bool | None:
@@ -218,27 +277,15 @@ def _passive(configuration: Configuration, stiffness: float, damping: float) -> 
 
 
 def _stiffness_factor(configuration: Configuration, stiffness: float, damping: float) -> float:
-    """Bisection between a stable and an unstable factor, to 1e-9."""
     if stiffness == 0.0:
         return math.inf
-    factors = np.logspace(-12, 12, 193)
-    with np.errstate(over="ignore", invalid="ignore"):  # beyond what floating point holds nothing is stable
-        stable = np.asarray(configuration.is_stable(stiffness * factors, damping))
-    if not stable.any():
-        return 0.0
-    # The first unstable factor above the lowest stable one: beyond it, islands of stability are no use to a hand.
-    first = int(np.argmax(stable))
-    beyond = np.flatnonzero(~stable[first:])
-    if beyond.size == 0:
-        return math.inf
-    low, high = factors[first + beyond[0] - 1], factors[first + beyond[0]]
-    while high / low > 1.0 + 1e-9:
-        middle = math.sqrt(low * high)
-        if configuration.is_stable(stiffness * middle, damping):
-            low = middle
-        else:
-            high = middle
-    return float(low)
+    _, most = configuration.stable_stiffness(damping)
+    return float(most) / stiffness if most > 0.0 else 0.0
+
+
+def _stable_damping(configuration: Configuration, stiffness: float) -> tuple[float, float]:
+    least, most = configuration.stable_damping(stiffness)
+    return float(least), float(most)
 
 
 def _network(scene: Scene) -> tuple[Network, tuple[str, ...]]:
@@ -262,12 +309,15 @@ def _network(scene: Scene) -> tuple[Network, tuple[str, ...]]:
         ends=np.array([[number[end] for end in link.between] for link in links], int).reshape(-1, 2),
         stiffness=np.array([link.stiffness for link in links]),
         damping=np.array([link.damping for link in links]),
+        channel_stiffness=np.array(device.stiffnesses(scene.channels))[channels],
+        damper=tuple(damper_named(link.damper, link.cutoff, scene.rate) for link in links),
     )
     return network, tuple(points)
 
 
 def _link_budget(scene: Scene) -> LinkBudget:
-    to_host = schema.frame_bytes(scene.channels, to_device=False)
-    to_device = schema.frame_bytes(scene.channels, to_device=True)
+    velocity = any(link.damper == "sensed" for link in _links(scene))
+    to_host = schema.frame_bytes(scene.channels, to_device=False, velocity=velocity)
+    to_device = schema.frame_bytes(scene.channels, to_device=True, velocity=velocity)
     seconds = (to_host + to_device) * _BITS_PER_BYTE / scene.device.baud
     return LinkBudget(to_host, to_device, seconds, 1.0 / scene.rate)

@@ -27,6 +27,8 @@ def prediction_document(prediction: Prediction, channel: int | None = None) -> d
         "nominal_rate_hz": prediction.rate,
         "stable": prediction.stable,
         "spectral_radius": prediction.spectral_radius,
+        "worked_out": prediction.how or "every pole",
+        "poles_in_all": prediction.poles_in_all,
         "dominant": felt is not None and felt.dominant,
         "poles": prediction.poles,
         "predicted": None if felt is None else _felt(felt),
@@ -41,6 +43,11 @@ def prediction_document(prediction: Prediction, channel: int | None = None) -> d
             }
             for mode in prediction.modes
         ],
+        "margins": {
+            margin.name: {"stiffness_factor": margin.stiffness_factor, "damping_factor": margin.damping_factor}
+            for margin in prediction.margins
+        },
+        "margins_worked_out": prediction.how_margins or "every link",
         "link_budget": asdict(prediction.link_budget) | {"fits": prediction.link_budget.fits},
     }
 
@@ -69,7 +76,8 @@ def felt_on(prediction: Prediction, channel: int | None) -> Felt | None:
 def _felt(felt: Felt) -> dict[str, Any]:
     values = asdict(felt)
     configuration = values.pop("configuration")
-    return values | {"mass": configuration["mass"], "friction": configuration["friction"]}
+    hand = {name: configuration[name] for name in ("mass", "friction", "damper", "cutoff")}
+    return values | hand | {"device_stiffness": configuration["stiffness"]}
 
 
 def _plain(value: Any) -> Any:

@@ -27,18 +27,23 @@ def show_prediction(out: Console, name: str, prediction: Prediction) -> None:
         _show_felt(out, felt)
     for coupled in prediction.coupled:
         out.print(
-            f"\n[bold]{coupled}[/bold] also moves masses of the scene or another hand: no single spring and damper is "
-            "what it meets. The modes below are those of the whole."
+            f"\n[bold]{coupled}[/bold] also moves masses of the scene or another hand, or has dampers of several "
+            "kinds: no single spring and damper is what it meets. The modes below are those of the whole."
         )
     if prediction.modes:
         out.print()
         out.print(_modes(prediction))
+    if prediction.how:
+        out.print(f"A large scene: {prediction.how}.")
+    if prediction.margins:
+        out.print()
+        out.print(_margins(prediction))
+        if prediction.how_margins:
+            out.print(f"{prediction.how_margins[0].upper()}{prediction.how_margins[1:]}.")
     out.print(_budget(prediction.link_budget))
 
 
 def _stability(prediction: Prediction) -> str:
-    if prediction.stable is None:
-        return f"not judged: {len(prediction.points)} points are more than the closed loop is worked out for"
     radius = f"(spectral radius {prediction.spectral_radius:.9g})"
     if not prediction.stable and abs(prediction.spectral_radius - 1.0) < _MARGINAL:
         return (
@@ -52,7 +57,8 @@ def _show_felt(out: Console, felt: Felt) -> None:
     for heading in ("", "written", "met"):
         table.add_column(heading, justify="right" if heading else "left")
     real = felt.configuration.friction
-    table.add_row("stiffness  N/m", f"K = {felt.stiffness:.6g}", f"k = {_number(felt.k)}")
+    own = f" (+ {felt.configuration.stiffness:.6g} real)" if felt.configuration.stiffness else ""
+    table.add_row("stiffness  N/m", f"K = {felt.stiffness:.6g}{own}", f"k = {_number(felt.k)}")
     table.add_row("damping  N·s/m", f"B = {felt.damping:.6g} (+ {real:.6g} real)", f"b = {_number(felt.b)}")
     table.add_row("eigenfrequency  Hz", "", _number(felt.frequency_hz))
     table.add_row("damping ratio", "", _number(felt.damping_ratio))
@@ -68,20 +74,51 @@ def _margin(felt: Felt) -> str:
     if felt.stiffness == 0.0:
         return "There is no stiffness whose margin could be told."
     if felt.stiffness_factor == 0.0:
-        return "At this damping no stiffness is stable: give more damping, or real friction."
+        return f"At this damping no stiffness is stable{_enough_damping(felt)}."
     if not math.isfinite(felt.stiffness_factor):
         return "No stiffness makes it unstable at this damping."
     if felt.stable:
         return f"The stiffness may grow {felt.stiffness_factor:.3g} times before the loop becomes unstable."
-    return f"It becomes stable where the stiffness is {felt.stiffness_factor:.3g} of what is written, or less."
+    stiffness = f"where the stiffness is {felt.stiffness_factor:.3g} of what is written, or less"
+    return f"It becomes stable {stiffness}{_enough_damping(felt)}."
+
+
+def _enough_damping(felt: Felt) -> str:
+    least, most = felt.stable_damping
+    if not most > 0.0:
+        return "; no damping makes this stiffness stable: give it less, or the device more friction"
+    return f"; or where the damping is between {max(least, 0.0):.4g} and {most:.4g} N·s/m"
 
 
 def _passivity(felt: Felt) -> str:
     if felt.passive is None:
-        return "Passivity: no condition is known for this hold and sampling."
+        return "Passivity: no condition is known for this hold, sampling and damper."
     if felt.passive:
         return "Passive: no hand, however it moves, makes it unstable (Colgate and Schenkel)."
     return "Not passive: this hand is judged above; a heavier, lighter or stiffer one may make it unstable."
+
+
+def _margins(prediction: Prediction) -> Table:
+    """The links that are closest to the limit first, as many as fit the eye."""
+    table = Table(title="How much each link may grow before the scene becomes unstable", title_justify="left")
+    for heading in ("link", "stiffness times", "damping times"):
+        table.add_column(heading, justify="left" if heading == "link" else "right")
+    known = [margin for margin in prediction.margins if not math.isnan(margin.stiffness_factor)]
+    known.sort(key=lambda margin: min(margin.stiffness_factor, margin.damping_factor))
+    for margin in known[:12]:
+        table.add_row(margin.name, _factor(margin.stiffness_factor), _factor(margin.damping_factor))
+    left_out = len(prediction.margins) - min(len(known), 12)
+    if left_out:
+        table.caption = (
+            f"and {left_out} links that were not worked out, or may grow more; --json has all that are known"
+        )
+    return table
+
+
+def _factor(value: float) -> str:
+    if math.isnan(value):
+        return "–"
+    return "any" if math.isinf(value) else f"{value:.4g}"
 
 
 def _modes(prediction: Prediction) -> Table:
@@ -90,9 +127,9 @@ def _modes(prediction: Prediction) -> Table:
         table.add_column(heading, justify="left" if heading == "moves" else "right")
     for mode in prediction.modes[:12]:
         moving = sorted(zip(prediction.points, mode.participation, strict=True), key=lambda entry: -entry[1])
-        names = ", ".join(f"{name} {share:.0%}" for name, share in moving[:3] if share > 0.01)
+        names = ", ".join(f"{name} {share:.0%}" for name, share in moving[:3] if share > 0.01) or "many, a little each"
         pole = f"{mode.pole.real:.6f} ± {abs(mode.pole.imag):.6f}j" if mode.pole.imag else f"{mode.pole.real:.6f}"
-        table.add_row(pole, f"{abs(mode.pole):.6f}", *_oscillation(mode), names)
+        table.add_row(pole, f"{abs(mode.pole):.9g}", *_oscillation(mode), names)
     if len(prediction.modes) > 12:
         table.caption = f"and {len(prediction.modes) - 12} that decay faster; --json has them all"
     return table

@@ -31,6 +31,8 @@ _MOST_ORDER = 9
 _DRIFTS = tuple(
     1.0 - d for d in (0, 3e-4, 1e-3, 3e-3, 0.01, 0.02, 0.035, 0.05, 0.075, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.65, 1.0)
 )
+_LAWFUL = 1e-9  # of the largest force: what misses a law by less obeys it
+_CERTAIN = 0.02  # counts: a rest that is known so well is as good as exact
 _FAR_OFF = 5.0  # a fit that is this much less certain than the best one is no rival of it
 _UNDECIDED = 20.0  # criterion: four standard deviations of p, squared, and something for the coarseness of its steps
 
@@ -217,21 +219,38 @@ def _rest(
 ) -> tuple[float, bool]:
     """(where the asked force is zero, in counts; whether that is certain).
 
-    Exact for a hand on springs and dampers to the ground, whose force is linear in the two newest positions; the middle
-    of the motion where the scene has masses of its own.
+    A hand on springs and dampers to the ground is asked a force that is linear in its positions and its past: where the
+    record obeys such a law, its constant tells. The middle of the motion where the scene has masses of its own.
 
     `following`: for each row but the first, whether it follows the one before without a gap.
     """
-    now, before, force = position[1:][following], position[:-1][following], asked[1:][following]
-    if now.size < 8:
-        return 0.0, True
-    scale = float(np.max(np.abs(position))) or 1.0
-    columns = np.column_stack([now / scale, (now - before) / scale, np.ones_like(now)])
-    law, *_ = np.linalg.lstsq(columns, force, rcond=None)
-    missed = np.max(np.abs(force - columns @ law))
-    if missed > 1e-9 * np.max(np.abs(force)):
-        return float(np.median(position)), False
-    return (float(-law[2] / law[0] * scale) if abs(law[0]) > 1e-9 * abs(law[1]) else 0.0), True
+    for memory in (1, 4):  # the two newest positions; or what filters and the device's own sensor look back on
+        rest = _rest_by_law(position, asked, following, memory)
+        if rest is not None:
+            return rest, True
+    return float(np.median(position)), False
+
+
+def _rest_by_law(
+    position: NDArray[np.float64], asked: NDArray[np.float64], following: NDArray[np.bool_], memory: int
+) -> float | None:
+    """Rest by the law of the force in the `memory` + 1 newest positions and, beyond two of them, the forces before."""
+    whole = np.all([following[i : following.size - memory + 1 + i] for i in range(memory)], axis=0)
+    rows = memory + np.flatnonzero(whole)
+    if rows.size < 8 + 4 * memory:
+        return 0.0 if memory == 1 else None
+    size, most = float(np.max(np.abs(position))) or 1.0, float(np.max(np.abs(asked))) or 1.0
+    columns = [position[rows] / size]
+    columns += [(position[rows - i] - position[rows - i - 1]) / size for i in range(memory)]
+    columns += [asked[rows - i] / most for i in range(1, memory)]
+    table = np.column_stack([*columns, np.ones(rows.size)])
+    law, *_ = np.linalg.lstsq(table, asked[rows] / most, rcond=1e-13)
+    missed = asked[rows] / most - table @ law
+    if abs(law[0]) <= 1e-9 * float(np.max(np.abs(law))):
+        return 0.0 if memory == 1 and np.max(np.abs(missed)) <= _LAWFUL else None
+    uncertainty = size / abs(law[0]) * float(np.sqrt(np.mean(missed**2) / rows.size))
+    lawful = np.max(np.abs(missed)) <= _LAWFUL or (memory > 1 and uncertainty < _CERTAIN)
+    return float(-law[-1] / law[0] * size) if lawful else None
 
 
 def _fits(segments: list[Segment]) -> list[tuple[Fit, list[Fit]]]:

@@ -73,12 +73,14 @@ def _seen_in(motion: NDArray[np.float64], poles: NDArray[np.complex128]) -> NDAr
     # A growing mode is written backwards from its end, so that no power overflows.
     modes = np.where(np.abs(poles) > 1.0, poles, 1.0) ** (n - n[-1]) * np.where(np.abs(poles) > 1.0, 1.0, poles) ** n
     modes /= np.linalg.norm(modes, axis=0)
+    # Where the motion is counted from is not certain to the last count: what a constant explains is no mode.
+    modes = np.column_stack([modes, np.full(n.size, 1.0 / math.sqrt(n.size))])
     q, r = np.linalg.qr(modes)
     if np.min(np.abs(np.diag(r))) < 1e-15:
         return np.ones(poles.size, bool)
     amplitude = np.linalg.solve(r, q.conj().T @ motion[: n.size])
     left = motion[: n.size] - np.real(modes @ amplitude)
-    worse = np.abs(amplitude) ** 2 / np.sum(np.abs(np.linalg.inv(r)) ** 2, axis=1)
+    worse = (np.abs(amplitude) ** 2 / np.sum(np.abs(np.linalg.inv(r)) ** 2, axis=1))[: poles.size]
     return np.asarray(worse > _CLEARLY * np.mean(left**2))
 
 

@@ -29,8 +29,8 @@ class DeviceStep(NamedTuple):
     forces: Floats
 
 
-def device_step(damping: float, delay: float, hold: str) -> DeviceStep:
-    """The step of a mass with the normalised friction b0 T/m and a delay in sample periods."""
+def device_step(damping: float, delay: float, hold: str, stiffness: float = 0.0) -> DeviceStep:
+    """The step of a mass with the normalised friction b0 T/m and own spring k0 T²/m, and a delay in sample periods."""
     whole, fraction = whole_and_fraction(delay)
     segments = [segment for segment in HOLDS[hold].segments(fraction) if segment.duration > 0.0]
     ages = [age for segment in segments for age in (segment.kick, segment.constant) if age is not None]
@@ -42,18 +42,19 @@ def device_step(damping: float, delay: float, hold: str) -> DeviceStep:
         forces[FORCE] = 0.0
         if segment.constant is not None:
             forces[FORCE, whole + segment.constant] = 1.0
-        flow = _flow(damping, segment.duration)
+        flow = _flow(damping, stiffness, segment.duration)
         motion, forces = flow @ motion, flow @ forces
     rows = [POSITION, VELOCITY, TRAVEL]
     return DeviceStep(motion[rows], forces[rows])
 
 
-def _flow(damping: float, duration: float) -> Floats:
-    """exp(A t) of the mass with friction under a constant force."""
+def _flow(damping: float, stiffness: float, duration: float) -> Floats:
+    """exp(A t) of the mass with friction and spring, under a constant force."""
     rate = np.zeros((4, 4))
     rate[POSITION, VELOCITY] = rate[VELOCITY, FORCE] = rate[TRAVEL, POSITION] = 1.0
     rate[VELOCITY, VELOCITY] = -damping
-    halvings = max(0, math.ceil(math.log2(max(1.0, damping)))) + 2
+    rate[VELOCITY, POSITION] = -stiffness
+    halvings = math.ceil(math.log2(max(1.0, damping, stiffness))) + 2
     scaled = rate * (duration / 2.0**halvings)
     flow = np.eye(4)
     for n in reversed(range(1, TAYLOR_TERMS + 1)):

@@ -9,33 +9,34 @@ import numpy as np
 
 from hapsim.theory.arrays import Bools, Floats
 from hapsim.theory.loop_equation import LoopEquation, characteristic, element_on_pair
-from hapsim.theory.pair import OnPair, change_of_quadratic, pair_of_oscillator
+from hapsim.theory.pair import Pair, change_of_quadratic, pair_of_oscillator
 from hapsim.theory.poles import all_within, without_pair
 
 
 def element_of_oscillator(
     equation: LoopEquation, oscillator: tuple[Floats, Floats], more: tuple[Floats, Floats]
-) -> tuple[Floats, Floats, OnPair]:
+) -> tuple[Floats, Floats, Pair]:
     """(K T²/m, B T/m, the pair of poles). Neither finite where the element cannot tell the two poles apart.
 
     ``oscillator``: (sigma, kappa). ``more``: the same without the device's own friction and spring; apart, because
     the small part that the element has to add would be lost in their sum.
     """
     plant = equation.plant
-    w = pair_of_oscillator(*oscillator)
-    velocity, ratio = element_on_pair(equation, w)
+    pair = pair_of_oscillator(*oscillator)
+    velocity, ratio = element_on_pair(equation, pair.w)
     # The free mass's factor on the poles is the line p_change w + q_change: their own factor vanishes there.
-    p_change, q_change = change_of_quadratic(w, oscillator, more, plant.damping, plant.stiffness)
-    moving = w.times(velocity)
-    steepness = moving.slope.real
-    # K is multiplied out to products: for a slow motion the sum of its parts would cancel.
-    by_p = (w.near * w.far * (ratio.slope * velocity.far - ratio.far * velocity.slope)).real
-    by_q = (ratio.near * moving.slope - ratio.slope * moving.near).real
+    p_change, q_change = change_of_quadratic(pair, oscillator, more, plant.damping, plant.stiffness)
+    (H, H_slope, (p, q)), (r, r_slope, _) = velocity, ratio
+    # K + B w H + (p_change w + q_change) r = 0 modulo the pair's quadratic; K is multiplied out to products, because
+    # for a slow motion the sum of its parts would cancel.
+    steepness = H - H_slope * p
+    by_p = q * (r_slope * H - r * H_slope)
+    by_q = r * steepness + r_slope * H_slope * q
     stiffness = (p_change * by_p - q_change * by_q) / steepness
-    damping = -(p_change * (w.near * ratio.slope + ratio.far).real + q_change * ratio.slope.real) / steepness
+    damping = -(p_change * (r - r_slope * p) + q_change * r_slope) / steepness
     if equation.damper.senses:
-        stiffness -= plant.offset * damping
-    return stiffness, damping, w
+        stiffness = stiffness - plant.offset * damping
+    return stiffness, damping, pair
 
 
 def is_attainable(sigma: Floats, kappa: Floats) -> Bools:
@@ -43,7 +44,7 @@ def is_attainable(sigma: Floats, kappa: Floats) -> Bools:
     return np.asarray(kappa - 0.25 * sigma**2 < np.pi**2)
 
 
-def leads(equation: LoopEquation, stiffness: Floats, damping: Floats, w: OnPair) -> Bools:
+def leads(equation: LoopEquation, stiffness: Floats, damping: Floats, pair: Pair) -> Bools:
     """Whether every further pole of the loop decays faster than both of the pair."""
-    others = without_pair(characteristic(equation, stiffness, damping), w)
-    return all_within(others, np.minimum(np.abs(1.0 + w.near), np.abs(1.0 + w.far)))
+    others = without_pair(characteristic(equation, stiffness, damping), pair)
+    return all_within(others, pair.smaller_modulus)

@@ -13,8 +13,8 @@ import numpy as np
 from hapsim.theory.arrays import Bools, Floats
 from hapsim.theory.quartic import guess_of_slow_factor
 
-MOST_STEPS = 25
-TOGETHER = 2  # steps that all points take; then those that have arrived stay behind
+MOST_STEPS = 14
+TOGETHER = 1  # steps that all points take; then those that have arrived stay behind
 ARRIVED = 1e-10  # relative size of a step: Newton's next one would be its square
 GOOD_ENOUGH = 1e-9  # the same: two poles that nearly meet do not settle any better
 
@@ -100,7 +100,7 @@ def slow_factor(coefficients: list[Floats]) -> tuple[Floats, Floats, Bools]:
 def _size_of_step(p: Floats, q: Floats, dp: Floats, dq: Floats) -> Floats:
     """Relative to the roots' own size; NaN where a polynomial is not finite."""
     root = np.abs(p) + np.sqrt(np.abs(q))
-    return np.maximum(np.abs(dp) / (root + 1e-300), np.sqrt(np.abs(dq)) * np.sqrt(np.abs(dq)) / (np.abs(q) + 1e-300))
+    return np.maximum(np.abs(dp) / (root + 1e-300), np.abs(dq) / (np.abs(q) + 1e-300))
 
 
 def _step(coefficients: list[Floats], p: Floats, q: Floats) -> tuple[Floats, Floats]:

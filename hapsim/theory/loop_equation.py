@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hapsim.theory.arrays import Floats
-from hapsim.theory.pair import OnPair, constant_like
+from hapsim.theory.pair import OnPair, total
 from hapsim.theory.plant import Plant
 from hapsim.theory.shape import Damper
 
@@ -96,7 +96,7 @@ def element_on_pair(equation: LoopEquation, w: OnPair) -> tuple[OnPair, OnPair]:
     else:
         velocity = _in_w(damper.numerator, w).over(_in_w(damper.denominator, w).times(z.power(damper.delays)))
     if plant.lead < 0:
-        return velocity, constant_like(w, 1.0).over(z.power(-plant.lead).times(numerator))
+        return velocity, w.power(0).over(z.power(-plant.lead).times(numerator))
     return velocity, z.power(plant.lead).over(numerator)
 
 
@@ -113,18 +113,18 @@ def equation_on_pair(equation: LoopEquation, kappa: Floats, beta: Floats, w: OnP
     of_position = z.polynomial(plant.numerator).times(z.power(damper.delays + equation.lift))
     square = w.times(w)
     terms = [
-        of_position.times(_in_w(damper.denominator, w)).times(constant_like(w, stiffness_met(equation, kappa, beta))),
-        w.times(constant_like(w, velocity.sum() * (plant.damping + beta))),
+        of_position.times(_in_w(damper.denominator, w)).scaled(stiffness_met(equation, kappa, beta)),
+        w.scaled(velocity.sum() * (plant.damping + beta)),
         square.times(of_rest),
     ]
     if excess := _excess(plant, plant.p * rest.sum(), velocity.sum()):
-        terms.append(w.times(constant_like(w, excess)))
+        terms.append(w.scaled(excess))
     if plant.stiffness > 0.0:
-        terms.append(of_rest.times(constant_like(w, plant.q)))
+        terms.append(of_rest.scaled(plant.q))
     for polynomial, factor in ((rest, plant.p), (velocity, beta)):
         if polynomial.size > 1:
-            terms.append(square.times(z.polynomial(np.cumsum(polynomial)[:-1])).times(constant_like(w, factor)))
-    return OnPair(*(sum(parts) for parts in zip(*terms, strict=True)))
+            terms.append(square.times(z.polynomial(np.cumsum(polynomial)[:-1])).scaled(factor))
+    return total(terms)
 
 
 def _excess(plant: Plant, swung: float, velocity_at_rest: float) -> float:

@@ -2,39 +2,31 @@
 
 from __future__ import annotations
 
-import cmath
-import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hapsim.theory import checks
 from hapsim.theory.arrays import Complexes, Floats
-from hapsim.theory.device_step import device_step
-from hapsim.theory.interface import HOLDS, SAMPLINGS
+from hapsim.theory.interface import DAMPERS, HOLDS, SAMPLINGS
+from hapsim.theory.margin import Margin, margins_of
+from hapsim.theory.network_modes import Mode, Solution, modes_of, snapped
+from hapsim.theory.network_state import Triplets, transition
 from hapsim.theory.poles import sort_by_modulus
+from hapsim.theory.shape import Damper
+
+__all__ = ["LARGE", "Margin", "Mode", "Network", "Solution"]
 
 _quietly = np.errstate(all="ignore")  # what is out of range becomes NaN
 
-NO_MOTION = 1e-12  # a pole of smaller modulus is a memory that empties, not a motion
+LARGE = 640  # numbers in the state; above, eigenvalues of the whole matrix take longer than a user waits
+AT_THE_LIMIT = 1e-12  # a modulus this close to 1 is 1, to rounding
 
-
-class Mode(NamedTuple):
-    """One motion of the scene by itself: a conjugate pair of poles, or a real pole.
-
-    Attributes:
-        pole: in the z-plane; of a pair, the one above the real axis.
-        frequency_hz: |s|/(2 pi) with s = ln(pole)/T, the undamped eigenfrequency.
-        damping_ratio: -Re s/|s|; 1 for a real pole that decays, NaN for one that rests (s = 0).
-        participation: (C + M,) each point's share of the kinetic energy, sum 1, device channels first.
-    """
-
-    pole: complex
-    frequency_hz: float
-    damping_ratio: float
-    participation: Floats
+BACKWARD = DAMPERS["backward"](0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,14 +35,19 @@ class Network:
 
     Points are numbered: 0 to C - 1 the device channels, C to C + M - 1 the simulated masses, -1 a ground. A
     simulated mass moves by the centred scheme, m/T² (x[n+1] - 2 x[n] + x[n-1]) = F[n]. A link's force on its
-    first end is -K (xa - xb)[n] - (B/T) ((xa - xb)[n] - (xa - xb)[n-1]), the opposite on its second. A
-    channel's x[n] is its measured sample; the sum of its links' forces acts on its real mass from (n + delay)
-    T on, by the hold. The mass itself moves in continuous time, exactly (Florens et al., §6 and Figure 5).
+    first end is -K (xa - xb)[n] - (B/T) (va - vb)[n], the opposite on its second; its damper makes v, in metres
+    per sample period, of x (``shape.Damper``). A channel's x[n] is its measured sample; the sum of its links'
+    forces acts on its real mass from (n + delay) T on, by the hold. The mass itself moves in continuous time,
+    exactly: m x'' + b0 x' + k0 x = F (Florens et al., §6 and Figure 5).
+
+    A damper that senses has at an end that is a channel the velocity that the device reads: with ideal sampling
+    the real one at the instant of the sample, before any change of the force at that instant; with averaged
+    sampling its mean over the period that has just ended.
 
     Attributes:
         rate: sample rate, Hz, > 0.
         channel_mass: (C,) real masses, kg, > 0.
-        channel_friction: (C,) real viscous frictions, N·s/m, >= 0.
+        channel_friction: (C,) real viscous frictions b0, N·s/m, >= 0.
         delay: sample periods from the sampling of a position to the change of the force that answers it, >=
             0.
         hold: "zoh" or "impulse". sampling: "ideal" or "average". As for ``Configuration``.
@@ -58,6 +55,8 @@ class Network:
         ends: (L, 2) the two points that each link joins.
         stiffness: (L,) K in N/m.
         damping: (L,) B in N·s/m.
+        channel_stiffness: (C,) real springs k0 from the channels' masses to x = 0, N/m, >= 0; left out: none.
+        damper: (L,) each link's, as ``interface.damper_named`` makes it; left out: all backward.
 
     Raises:
         ValueError: an argument is out of its range or its shape does not fit; the sentence says which.
@@ -73,11 +72,14 @@ class Network:
     ends: NDArray[np.intp]
     stiffness: Floats
     damping: Floats
+    channel_stiffness: Floats = ()  # type: ignore[assignment]
+    damper: Sequence[Damper] = ()
 
     def __post_init__(self) -> None:
         mass = checks.vector("channel_mass", self.channel_mass, above=0.0)
         point_mass = checks.vector("point_mass", self.point_mass, above=0.0)
         ends = checks.link_ends("ends", self.ends, mass.size + point_mass.size)
+        own = np.zeros(mass.size) if len(self.channel_stiffness) == 0 else self.channel_stiffness
         checked: dict[str, Any] = {
             "rate": checks.positive("rate", self.rate),
             "channel_mass": mass,
@@ -89,106 +91,89 @@ class Network:
             "ends": ends,
             "stiffness": checks.vector("stiffness", self.stiffness, len(ends)),
             "damping": checks.vector("damping", self.damping, len(ends)),
+            "channel_stiffness": checks.vector("channel_stiffness", own, mass.size, least=0.0),
+            "damper": tuple(self.damper) or (BACKWARD,) * len(ends),
         }
+        if len(checked["damper"]) != len(ends):
+            raise ValueError(f"damper has {len(checked['damper'])} elements, but there are {len(ends)} links.")
         for name, value in checked.items():
             object.__setattr__(self, name, value)
 
+    @cached_property
     @_quietly
-    def transition(self) -> Floats:
+    def triplets(self) -> tuple[Triplets, int]:
+        """The transition's entries, and the size of the state (``network_state.py`` says what is in it)."""
+        return transition(self)
+
+    @property
+    def is_large(self) -> bool:
+        """Whether some of the poles are worked out in place of all."""
+        return self.triplets[1] > LARGE
+
+    @_quietly
+    def transition(self) -> Any:
         """The square matrix that takes the state at one sample to the state at the next.
 
-        The state is, in metres: the points' positions x[n] (C + M) and x[n-1] (C + M), the channels'
-        velocities times T (C), with averaged sampling the channels' true positions (C), and the forces
-        computed for them, newest first and times T²/m, that a later sample still needs (C each).
+        An array; of a large scene a sparse one, of scipy. ``network_state.py`` says what the state is.
         """
-        channels = self.channel_mass.size
-        averaged = SAMPLINGS[self.sampling].reads_mean
-        friction = self.channel_friction / (self.channel_mass * self.rate)
-        steps = [device_step(damping, self.delay, self.hold) for damping in friction]
-        remembered = steps[0].forces.shape[1] - 1 if steps else 0
-        layout = _layout(channels, self.point_mass.size, averaged, remembered)
+        entries, size = self.triplets
+        if self.is_large:
+            from hapsim.theory.sparse_modes import sparse_matrix
 
-        unit = np.eye(layout.size)
-        force = self._force_of_points() @ unit[: layout.before.stop]
-        memory = np.concatenate([force[:channels], unit[layout.held]])  # computed forces, the newest first
-        matrix = np.zeros_like(unit)
-        # The centred scheme for every point; a channel's rows are replaced below.
-        matrix[layout.now] = 2.0 * unit[layout.now] - unit[layout.before] + force
-        matrix[layout.before] = unit[layout.now]
-        matrix[layout.held] = memory[: remembered * channels]
-        for channel, step in enumerate(steps):
-            state = [layout.position.start + channel, layout.velocity.start + channel]
-            moved = step.motion @ unit[state] + step.forces @ memory[channel::channels]
-            if averaged:
-                matrix[channel] = moved[2]
-            matrix[state] = moved[:2]
+            return sparse_matrix(entries, size)
+        matrix = np.zeros((size, size))
+        np.add.at(matrix, (entries.row, entries.column), entries.value)
         return matrix
 
+    @cached_property
     @_quietly
+    def solution(self) -> Solution:
+        """The poles and modes: all of them, or of a large scene some, and how they were found."""
+        size = self.triplets[1]
+        if not np.isfinite(self.triplets[0].value).all():
+            return Solution(np.full(size, complex(np.nan, np.nan)), [], size)
+        if self.is_large:
+            from hapsim.theory.sparse_modes import some_modes
+
+            return some_modes(self)
+        poles, vectors = np.linalg.eig(self.transition())
+        poles = snapped(self, poles.astype(complex))
+        return Solution(sort_by_modulus(poles), modes_of(self, poles, vectors), size)
+
     def poles(self) -> Complexes:
-        """All eigenvalues (N,) of the transition matrix, by decreasing modulus; some are zero, memories."""
-        matrix = self.transition()
-        if not np.isfinite(matrix).all():
-            return np.full(len(matrix), complex(np.nan, np.nan))
-        return sort_by_modulus(np.linalg.eigvals(matrix).astype(complex))
+        """Eigenvalues (n,) of the transition, by decreasing modulus; some are zero, memories.
+
+        All of them, or of a large scene those that were worked out.
+        """
+        return self.solution.poles.copy()
 
     def spectral_radius(self) -> float:
-        """The largest modulus of a pole; 0 for a scene without points."""
-        return float(np.abs(self.poles()).max(initial=0.0))
+        """The largest modulus of a pole, of those worked out; 0 for a scene without points."""
+        return float(np.abs(self.solution.poles).max(initial=0.0))
 
-    @_quietly
     def modes(self) -> list[Mode]:
         """The scene's motions, the slowest to decay first; without the poles at zero, which are memories.
 
-        Empty where the transition matrix is not finite.
+        Empty where the transition is not finite. Of a large scene those that were worked out.
         """
-        mass = np.concatenate([self.channel_mass, self.point_mass])
-        matrix = self.transition()
-        if not np.isfinite(matrix).all():
-            return []
-        poles, vectors = np.linalg.eig(matrix)
-        slowest_first = np.lexsort((-poles.real, -np.abs(poles)))
-        kept = [i for i in slowest_first if poles[i].imag >= 0.0 and abs(poles[i]) > NO_MOTION]
-        energy = mass[:, None] * np.abs(vectors[: mass.size]) ** 2
-        return [_mode(complex(poles[i]), self.rate, energy[:, i] / energy[:, i].sum()) for i in kept]
+        return list(self.solution.modes)
 
-    def _force_of_points(self) -> Floats:
-        """(C + M, 2 (C + M)): the forces T²/m F on the points, from their positions x[n] and x[n-1]."""
-        mass = np.concatenate([self.channel_mass, self.point_mass])
-        joins = np.zeros((len(self.ends), mass.size + 1))  # the last column is the ground
-        link = np.arange(len(self.ends))
-        np.add.at(joins, (link, self.ends[:, 0]), 1.0)
-        np.add.at(joins, (link, self.ends[:, 1]), -1.0)
-        joins = joins[:, :-1]
-        elastic = joins.T @ (self.stiffness[:, None] * joins)
-        viscous = joins.T @ (self.damping[:, None] * self.rate * joins)
-        return np.hstack([-(elastic + viscous), viscous]) / (mass[:, None] * self.rate**2)
+    def is_stable(self) -> bool:
+        """Whether every motion dies out, as far as the poles were worked out; at the limit it does not."""
+        return self.spectral_radius() < 1.0 - AT_THE_LIMIT
 
+    def how(self) -> str:
+        """In words, what was worked out of a large scene's poles; "" where all were."""
+        return self.solution.how
 
-class _Layout(NamedTuple):
-    """Where the state's parts are."""
+    @cached_property
+    def _margins(self) -> tuple[list[Margin], str]:
+        return margins_of(self)
 
-    now: slice
-    before: slice
-    velocity: slice
-    position: slice
-    held: slice
+    def margins(self) -> list[Margin]:
+        """By how much each link may be stiffer, or damp more, before the scene becomes unstable (L,)."""
+        return list(self._margins[0])
 
-    @property
-    def size(self) -> int:
-        return self.held.stop
-
-
-def _layout(channels: int, masses: int, averaged: bool, remembered: int) -> _Layout:
-    points = channels + masses
-    velocity = slice(2 * points, 2 * points + channels)
-    position = slice(velocity.stop, velocity.stop + channels) if averaged else slice(0, channels)
-    start = max(velocity.stop, position.stop)
-    held = slice(start, start + remembered * channels)
-    return _Layout(slice(0, points), slice(points, 2 * points), velocity, position, held)
-
-
-def _mode(pole: complex, rate: float, participation: Floats) -> Mode:
-    s = rate * cmath.log(pole)
-    ratio = -s.real / abs(s) if s else math.nan
-    return Mode(pole, abs(s) / (2.0 * math.pi), ratio, participation)
+    def how_margins(self) -> str:
+        """In words, which margins were worked out and how surely; "" for every one, between all poles."""
+        return self._margins[1]

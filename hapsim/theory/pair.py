@@ -1,119 +1,144 @@
 """Functions on a pair of poles, kept accurate where the two poles meet.
 
 Two real conditions hold at a pair of poles, whether the two are complex conjugates, two real numbers or one
-double number. In terms of the values at the two alone the last case is lost. In terms of one value and the
-divided difference (f(w1) - f(w2))/(w1 - w2), carried along by the rules of products and quotients and never
-by that quotient, the three cases are one, to full accuracy: a divided difference of conjugates is Im f/Im w,
-of equals the derivative.
+double number. In terms of the values at the two the last case is lost. Modulo the quadratic w² + p w + q whose
+roots they are, every function is a line, constant + slope w, with real coefficients: its slope is the divided
+difference of the two values, Im f/Im w for conjugates, the derivative for equals. Products and quotients of
+lines are lines, so the three cases are one, to full accuracy, and no complex number is needed.
 
 The variable is w = z - 1, not z: slow poles, close to z = 1, keep all their digits.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from hapsim.theory.arrays import Complexes, Floats
 
-
 CANCELS = 0.1  # a difference smaller than this part of its terms is worked out from small quantities
 
 
+class Pair(NamedTuple):
+    """The two poles as the roots of w² + p w + q; arrays of one shape."""
+
+    p: Floats
+    q: Floats
+
+    @property
+    def w(self) -> OnPair:
+        """The identity."""
+        return OnPair(0.0, 1.0, self)
+
+    @property
+    def smaller_modulus(self) -> Floats:
+        """The modulus |1 + w| of the faster of the two."""
+        product = np.abs(1.0 - self.p + self.q)
+        bend = 0.25 * self.p * self.p - self.q
+        larger = np.abs(1.0 - 0.5 * self.p) + np.sqrt(np.maximum(bend, 0.0))
+        return np.where(bend < 0.0, np.sqrt(product), product / larger)
+
+    @property
+    def poles(self) -> Complexes:
+        """z = 1 + w, (..., 2): the one nearer to 1 first, of conjugates the upper."""
+        return 1.0 + np.stack(_roots(self.p, self.q), axis=-1)
+
+
 class OnPair(NamedTuple):
-    """A function's values at the pole nearer to z = 1 and at the other one, and its divided difference."""
+    """A function on a pair: the line that it is modulo the pair's quadratic. Scalars stand for arrays of one value."""
 
-    near: Complexes
-    far: Complexes
-    slope: Complexes
+    constant: Any
+    slope: Any
+    pair: Pair
 
-    def plus(self, constant: complex | Complexes) -> OnPair:
+    def plus(self, constant: Any) -> OnPair:
         """The function plus a constant."""
-        return OnPair(self.near + constant, self.far + constant, self.slope)
+        return OnPair(self.constant + constant, self.slope, self.pair)
+
+    def scaled(self, factor: Any) -> OnPair:
+        """The function times a constant."""
+        return OnPair(self.constant * factor, self.slope * factor, self.pair)
 
     def times(self, other: OnPair) -> OnPair:
         """The product of two functions."""
-        slope = self.near * other.slope + self.slope * other.far
-        return OnPair(self.near * other.near, self.far * other.far, slope)
+        (a, b, (p, q)), (c, d, _) = self, other
+        square = b * d
+        return OnPair(a * c - square * q, a * d + b * c - square * p, self.pair)
 
     def over(self, other: OnPair) -> OnPair:
         """The quotient of two functions."""
-        near = self.near / other.near
-        return OnPair(near, self.far / other.far, (self.slope - near * other.slope) / other.far)
+        (c, d, (p, q)) = other
+        turned = c - d * p
+        product = c * turned + d * d * q  # of the two values
+        return self.times(OnPair(turned / product, -d / product, self.pair))
 
     def power(self, exponent: int) -> OnPair:
         """The function raised to an integer >= 0."""
-        result = constant_like(self, 1.0)
-        square = self
-        while exponent:
-            if exponent % 2:
-                result = result.times(square)
-            square = square.times(square)
-            exponent //= 2
-        return result
+        if exponent == 0:
+            return OnPair(1.0, 0.0, self.pair)
+        if exponent == 1:
+            return self
+        half = self.power(exponent // 2)
+        return half.times(half).times(self) if exponent % 2 else half.times(half)
 
     def polynomial(self, coefficients: Floats) -> OnPair:
         """The polynomial of the function with scalar coefficients, highest power first."""
-        result = constant_like(self, coefficients[0])
+        result = OnPair(float(coefficients[0]), 0.0, self.pair)
         for coefficient in coefficients[1:]:
-            result = result.times(self).plus(coefficient)
+            result = result.times(self).plus(float(coefficient))
         return result
 
 
-def constant_like(function: OnPair, value: complex | Floats) -> OnPair:
-    """The constant function, of the same shape; an array of constants where the pairs have one each."""
-    constant = np.full_like(function.near, value)
-    return OnPair(constant, constant, np.zeros_like(constant))
+def total(functions: list[OnPair]) -> OnPair:
+    """The sum of functions on one pair."""
+    constants, slopes, pairs = zip(*functions, strict=True)
+    return OnPair(sum(constants), sum(slopes), pairs[0])
 
 
-def pair_of_quadratic(p: Floats, q: Floats) -> OnPair:
-    """The identity w on the two roots of w² + p w + q."""
-    near, far = _roots(p, q)
-    return OnPair(near, far, np.ones_like(near))
-
-
-def pair_of_oscillator(sigma: Floats, kappa: Floats) -> OnPair:
-    """The identity w on the poles w = e^s - 1 of s² + sigma s + kappa = 0, periods as time."""
+def pair_of_oscillator(sigma: Floats, kappa: Floats) -> Pair:
+    """The poles w = e^s - 1 of s² + sigma s + kappa = 0, periods as time."""
     half = -0.5 * sigma
     bend = half * half - kappa
     spread = np.sqrt(np.abs(bend))
     is_complex = bend < 0.0
     far = half - np.copysign(spread, -half)
     near = np.divide(kappa, far, out=np.zeros_like(far), where=far != 0.0)
-    # e^(a + jy) - 1 by real functions, several times as fast: (e^a - 1) + e^a (cos y - 1) + j e^a sin y.
-    shrunk, angle = np.expm1(np.where(is_complex, half, near)), np.where(is_complex, 0.5 * spread, 0.0)
+    # e^(a + jy) - 1 = (e^a - 1) + e^a (cos y - 1) + j e^a sin y
+    one, angle = np.expm1(np.where(is_complex, half, near)), np.where(is_complex, 0.5 * spread, 0.0)
+    other = np.expm1(np.where(is_complex, half, far))
     sine = np.sin(angle)
-    turned = np.empty(shrunk.shape, dtype=complex)
-    turned.real = shrunk - 2.0 * (1.0 + shrunk) * sine * sine
-    turned.imag = 2.0 * (1.0 + shrunk) * sine * np.cos(angle)
-    other = np.where(is_complex, turned.conj(), np.expm1(np.where(is_complex, half, far)))
-    return OnPair(turned, other, np.ones_like(turned))
+    twice = 2.0 * (1.0 + one) * sine
+    real, imaginary = one - twice * sine, twice * np.cos(angle)
+    return Pair(
+        -np.where(is_complex, 2.0 * real, one + other),
+        np.where(is_complex, real * real + imaginary * imaginary, one * other),
+    )
 
 
 def quadratic_of_oscillator(sigma: float, kappa: float) -> tuple[float, float]:
     """(p, q): the poles w = e^s - 1 of s² + sigma s + kappa = 0 are the roots of w² + p w + q."""
-    w = pair_of_oscillator(np.array([sigma]), np.array([kappa]))
-    return float(-(w.near + w.far).real[0]), float((w.near * w.far).real[0])
+    pair = pair_of_oscillator(np.array([sigma]), np.array([kappa]))
+    return float(pair.p[0]), float(pair.q[0])
 
 
 def change_of_quadratic(
-    w: OnPair, oscillator: tuple[Floats, Floats], more: tuple[Floats, Floats], damping: float, stiffness: float
+    pair: Pair, oscillator: tuple[Floats, Floats], more: tuple[Floats, Floats], damping: float, stiffness: float
 ) -> tuple[Floats, Floats]:
-    """(p, q) of the mass by itself, with its ``damping`` and ``stiffness``, less those of the pair ``w``.
+    """(p, q) of the mass by itself, with its ``damping`` and ``stiffness``, less those of the ``pair``.
 
-    ``oscillator``: (sigma, kappa) of the pair. ``more``: (sigma - damping, kappa - stiffness), which the caller knows to
-    all their digits: where the two oscillators are nearly the same, p and q cancel, and their changes are worked out
+    ``oscillator``: (sigma, kappa) of the pair. ``more``: (sigma - damping, kappa - stiffness), which the caller knows
+    to all their digits: where the two oscillators are nearly the same, p and q cancel, and their changes are worked out
     from these.
     """
     own_p, own_q = quadratic_of_oscillator(damping, stiffness)
-    p, q = -(w.near + w.far).real, (w.near * w.far).real
+    p, q = pair
     p_change, q_change = own_p - p, own_q - q
     p_cancels = np.abs(p_change) < CANCELS * np.maximum(np.abs(p), own_p)
     q_cancels = np.abs(q_change) < CANCELS * np.maximum(np.abs(q), own_q)
     cancels = np.nonzero(p_cancels | q_cancels)
     if cancels[0].size:
-        (sigma, kappa), (more_sigma, more_kappa) = ([value[cancels] for value in pair] for pair in (oscillator, more))
+        (sigma, kappa), (more_sigma, more_kappa) = ([value[cancels] for value in both] for both in (oscillator, more))
         careful = _small_change((sigma, kappa), (more_sigma, more_kappa), damping, stiffness)
         p_change[cancels] = np.where(p_cancels[cancels], careful[0], p_change[cancels])
         q_change[cancels] = np.where(q_cancels[cancels], careful[1], q_change[cancels])
@@ -123,7 +148,7 @@ def change_of_quadratic(
 def _small_change(
     oscillator: tuple[Floats, Floats], more: tuple[Floats, Floats], damping: float, stiffness: float
 ) -> tuple[Floats, Floats]:
-    """With e = exp(-sigma/2), u = kappa - sigma²/4, C(u) = cos(sqrt u): p = 2 - 2 e C and q = (1 - e)² + 2 e (1 - C)."""
+    """With e = exp(-sigma/2), u = kappa - sigma²/4, C = cos(sqrt u): p = 2 - 2 e C and q = (1 - e)² + 2 e (1 - C)."""
     (sigma, kappa), (more_damping, more_stiffness) = oscillator, more
     u, u0 = kappa - 0.25 * sigma**2, stiffness - 0.25 * damping**2
     of_u = more_stiffness - 0.25 * more_damping * (sigma + damping)

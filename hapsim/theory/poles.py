@@ -16,7 +16,7 @@ import numpy as np
 from hapsim.theory.arrays import Bools, Complexes, Floats
 from hapsim.theory.factors import Roots, divided, in_z, quadratic_factors, roots_of_factors, slow_factor
 from hapsim.theory.loop_equation import LoopEquation, characteristic, characteristic_in_w, equation_on_pair
-from hapsim.theory.pair import OnPair, pair_of_quadratic
+from hapsim.theory.pair import Pair
 
 POLISH_STEPS = 8
 POLISH_DONE = 1e-11  # relative size of a step
@@ -47,15 +47,9 @@ def leading(equation: LoopEquation, kappa: Floats, beta: Floats) -> Leading:
         if equation.degree > 2
         else (coefficients[1], coefficients[0], np.isfinite(sum(coefficients)))
     )
-    at_zero = 1.0 - p + q  # z = 0: the product of the two poles
-    half = 0.5 * p
-    bend = half * half - q
-    swings = bend < 0.0
-    spread = np.sqrt(np.abs(bend))
-    faster = np.abs(np.abs(1.0 - half) - spread)
-    radius = np.where(swings, np.sqrt(np.abs(at_zero)), faster)
+    is_pair = (0.25 * p * p < q) | ((1.0 - p + q > 0.0) & (p < 2.0))  # conjugates, or two positive poles
     others = in_z(divided(coefficients, p, q)[2:])
-    leads = found & (swings | ((at_zero > 0.0) & (p < 2.0))) & all_within(others, radius)
+    leads = found & is_pair & all_within(others, Pair(p, q).smaller_modulus)
     missed = np.flatnonzero(~leads)
     if missed.size:
         lead, _ = _solve(equation, kappa[missed], beta[missed])
@@ -70,9 +64,7 @@ def all_poles(equation: LoopEquation, kappa: Floats, beta: Floats) -> tuple[Lead
         poles = sort_by_modulus((1.0 + roots_of_all.real + 1j * roots_of_all.imaginary).T)
     else:
         poles = roots_of_all
-    w = pair_of_quadratic(lead.p, lead.q)
-    pair = 1.0 + np.stack([w.near, w.far], axis=-1)
-    poles[:, :2] = np.where(lead.dominant[:, None], pair, poles[:, :2])
+    poles[:, :2] = np.where(lead.dominant[:, None], Pair(lead.p, lead.q).poles, poles[:, :2])
     return lead, sort_by_modulus(poles)
 
 
@@ -142,9 +134,7 @@ def leading_pair(equation: LoopEquation, kappa: Floats, beta: Floats, poles: Com
     is_pair = conjugates | positive
     p, q = _polished(equation, kappa, beta, (p, q), others)
 
-    w = pair_of_quadratic(p, q)
-    slower_than = np.minimum(np.abs(1.0 + w.near), np.abs(1.0 + w.far))
-    dominant = is_pair & (np.abs(others).max(axis=-1, initial=0.0) < slower_than)
+    dominant = is_pair & (np.abs(others).max(axis=-1, initial=0.0) < Pair(p, q).smaller_modulus)
     return Leading(p, q, dominant)
 
 
@@ -158,12 +148,11 @@ def _polished(
     """
     p, q = start
     for _ in range(POLISH_STEPS):
-        w = pair_of_quadratic(p, q)
+        w = Pair(p, q).w
         change = equation_on_pair(equation, kappa, beta, w)
         for pole in np.moveaxis(others, -1, 0):
             change = change.over(w.plus(1.0 - pole))
-        dp = change.slope.real
-        dq = (change.near - dp * w.near).real
+        dp, dq = np.real(change.slope), np.real(change.constant)
         p, q = p + dp, q + dq
         step = np.maximum(
             np.abs(dp) / (np.abs(p) + np.sqrt(np.abs(q)) + FREE_MASS), np.abs(dq) / (np.abs(q) + FREE_MASS)
@@ -191,8 +180,6 @@ def all_within(coefficients: list[Floats], radius: Floats) -> Bools:
     return inside
 
 
-def without_pair(coefficients: list[Floats], w: OnPair) -> list[Floats]:
-    """Monic polynomials in z, highest power first, divided by (z - 1 - w.near)(z - 1 - w.far)."""
-    minus_sum = -(2.0 + w.near + w.far).real
-    product = ((1.0 + w.near) * (1.0 + w.far)).real
-    return divided(coefficients[::-1], minus_sum, product)[:1:-1]
+def without_pair(coefficients: list[Floats], pair: Pair) -> list[Floats]:
+    """Monic polynomials in z, highest power first, divided by the pair's factor."""
+    return divided(coefficients[::-1], pair.p - 2.0, 1.0 - pair.p + pair.q)[:1:-1]

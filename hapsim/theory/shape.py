@@ -58,10 +58,11 @@ class Sampling(NamedTuple):
 class Damper(NamedTuple):
     """How readings become the velocity that a link's damping acts on, in metres per sample period.
 
-    As a transfer function, v/y = w ``numerator``(w)/(``denominator``(w) z^``delays``), in powers of w = z - 1, the lowest
-    first; both have the same value at w = 0, so that a slow motion's velocity is true. As a recurrence, v[n] is the sum of
-    ``of_positions`` over y[n], y[n-1], ... and of ``of_velocities`` over v[n-1], v[n-2], ... Where it ``senses``, the
-    velocity of the device's end is read from the device instead, and both stand for the other end alone.
+    As a transfer function, v/y = w ``numerator``(w)/(``denominator``(w) z^``delays``), in powers of w = z - 1, the
+    lowest first; both have the same value at w = 0, so that a slow motion's velocity is true. As a recurrence,
+    v[n] is the sum of ``of_positions`` over y[n], y[n-1], ... and of ``of_velocities`` over v[n-1], v[n-2], ...
+    Where it ``senses``, the velocity of the device's end is read from the device instead, and both stand for the
+    other end alone.
     """
 
     numerator: tuple[float, ...]

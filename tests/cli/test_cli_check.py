@@ -68,7 +68,7 @@ def test_a_scene_with_masses_lists_modes_and_says_that_there_is_no_single_k_and_
     hapsim: Callable[..., Any], scene_file: Callable[..., Path], name: str
 ) -> None:
     told = hapsim("check", scene_file(name)).out
-    assert "hand also moves masses of the scene or another hand: no single spring and damper" in told
+    assert "hand also moves masses of the scene or another hand, or has dampers of several kinds" in told
     assert "Modes" in told
     document = hapsim("check", scene_file(name), "--json").document
     assert document["predicted"] is None
@@ -94,22 +94,67 @@ def test_two_hands_are_predicted_each_for_itself(hapsim: Callable[..., Any], sce
     assert points["other"]["stiffness"] == 500
 
 
-def test_a_scene_too_large_to_be_judged_is_not_called_stable(hapsim: Callable[..., Any], tmp_path: Path) -> None:
-    """A chain of very light masses, which diverges."""
-    row = ["hand", *(f"m{i}" for i in range(450))]
-    modules: dict[str, Any] = {"hand": {"type": "device", "channel": 0}}
-    modules |= {name: {"type": "mass", "mass": 1e-9} for name in row[1:]}
-    for i in range(450):
-        modules[f"l{i}"] = {"type": "viscoelastic", "between": row[i : i + 2], "stiffness": 5000.0}
+def chain(tmp_path: Path, masses: int, mass: float, damping: float) -> Path:
+    """A hand, and a row of masses that it pulls."""
+    row = ["hand", *(f"m{i}" for i in range(masses)), "wall"]
+    modules: dict[str, Any] = {"hand": {"type": "device", "channel": 0}, "wall": {"type": "ground"}}
+    modules |= {name: {"type": "mass", "mass": mass} for name in row[1:-1]}
+    for i in range(masses + 1):
+        link = {"type": "viscoelastic", "between": row[i : i + 2], "stiffness": 5000.0, "damping": damping}
+        modules[f"l{i}"] = link
     path = tmp_path / "many.yaml"
-    path.write_text(yaml.safe_dump({"version": 1, "rate": 1000, "device": {"mass": 0.2}, "modules": modules}))
-    told = hapsim("check", path)
-    assert told.status == 0
-    assert "stable" not in told.out
-    assert "not judged: 451 points are more" in told.out
+    device = {"mass": 0.2, "friction": 20.0}
+    path.write_text(yaml.safe_dump({"version": 1, "rate": 1000, "device": device, "modules": modules}))
+    return path
+
+
+def test_a_large_scene_is_judged_by_some_of_its_poles_and_says_by_which(
+    hapsim: Callable[..., Any], tmp_path: Path
+) -> None:
+    told = hapsim("check", chain(tmp_path, 450, 0.1, 0.5))
+    assert "poles were worked out: those nearest to 1, to -1" in told.out.replace("\n", " ")
+    document = hapsim("check", chain(tmp_path, 450, 0.1, 0.5), "--json").document
+    assert document["stable"] is True
+    assert document["spectral_radius"] < 1.0
+    assert document["poles_in_all"] > 900
+    assert "poles were worked out" in document["worked_out"]
+    assert document["margins"]["l0"]["stiffness_factor"] > 1.0
+
+
+def test_a_large_scene_that_diverges_is_called_unstable(hapsim: Callable[..., Any], tmp_path: Path) -> None:
+    document = hapsim("check", chain(tmp_path, 450, 1e-9, 0.0), "--json").document
+    assert document["stable"] is False
+    assert document["spectral_radius"] > 1.0
+
+
+def test_each_link_is_told_how_much_it_may_grow(hapsim: Callable[..., Any], tmp_path: Path) -> None:
+    path = chain(tmp_path, 3, 0.1, 0.5)
     document = hapsim("check", path, "--json").document
-    assert document["stable"] is None
-    assert document["spectral_radius"] is None
+    assert document["worked_out"] == "every pole"
+    assert set(document["margins"]) == {"l0", "l1", "l2", "l3"}
+    factor = document["margins"]["l1"]["stiffness_factor"]
+    text = path.read_text()
+    for grown, stable in ((0.999 * factor, True), (1.001 * factor, False)):
+        scene = yaml.safe_load(text)
+        scene["modules"]["l1"]["stiffness"] *= grown
+        path.write_text(yaml.safe_dump(scene))
+        assert hapsim("check", path, "--json").document["stable"] is stable
+    told = hapsim("check", path).out
+    assert "How much each link may grow" in told
+
+
+def test_a_hand_whose_dampers_are_of_several_kinds_has_no_single_k_and_b(
+    hapsim: Callable[..., Any], scene_file: Callable[..., Path]
+) -> None:
+    path = scene_file("spring")
+    scene = yaml.safe_load(path.read_text())
+    link = next(module for module in scene["modules"].values() if module["type"] == "viscoelastic")
+    for name, damper in (("one", "centred"), ("other", "backward")):
+        scene["modules"][name] = link | {"damping": 1.0, "damper": damper}
+    path.write_text(yaml.safe_dump(scene))
+    document = hapsim("check", path, "--json").document
+    assert document["predicted"] is None
+    assert document["stable"] is True
 
 
 def test_a_stiffness_beyond_reason_is_told_without_a_warning(

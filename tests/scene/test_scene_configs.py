@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
 from hapsim.scene import Scene, ViscoElastic, load_scene
 
@@ -17,31 +18,31 @@ FORETOLD = re.compile(
 )
 
 
-def touch_of(scene: Scene) -> tuple[float, float]:
-    """Stiffness and damping as written."""
+def touch_of(scene: Scene) -> ViscoElastic:
+    """The only link."""
     (link,) = scene.links.values()
     assert isinstance(link, ViscoElastic)
-    return link.stiffness, link.damping
+    return link
 
 
 def closed_loop(scene: Scene) -> np.ndarray:
     """From sample to sample: position, velocity, position one sample before, and the forces under way."""
     mock, period = scene.mock_device, scene.period
-    (stiffness, damping), (mass,), (friction,) = touch_of(scene), mock.mass, mock.friction
+    stiffness, damping = touch_of(scene).stiffness, touch_of(scene).damping
+    (mass,), (friction,) = mock.mass, mock.friction
     late = int(mock.delay)
-    decay = np.exp(-friction * period / mass)
-    glide = period if friction == 0 else mass / friction * (1 - decay)
-    moves = np.array([[1.0, glide], [0.0, decay]])
+    (own,) = mock.stiffness
+    # Position, velocity and a held force, over one sample.
+    moves = expm(period * np.array([[0.0, 1.0, 0.0], [-own / mass, -friction / mass, 1.0 / mass], [0.0, 0.0, 0.0]]))
+    moves, push = moves[:2, :2], moves[:2, 2]
     if mock.hold == "impulse":
         push = moves @ np.array([0.0, period / mass])
-    elif friction == 0:
-        push = np.array([period**2 / 2, period]) / mass
-    else:
-        push = np.array([(period - glide) / friction, (1 - decay) / friction])
     matrix = np.zeros((3 + late, 3 + late))
     matrix[:2, :2], matrix[2, 0] = moves, 1.0
     force = np.zeros(3 + late)
     force[0], force[2] = -stiffness - damping / period, damping / period
+    if touch_of(scene).damper == "sensed":
+        force[:3] = -stiffness, -damping, 0.0
     if late:
         matrix[:2, 3] += push
         matrix[3:-1, 4:] = np.eye(late - 1)
@@ -57,6 +58,8 @@ def test_the_scenes_that_ship_are_all_here() -> None:
         "paper_6_1_no_delay",
         "paper_6_2_one_sample",
         "paper_6_3_real_damping",
+        "sensed_velocity",
+        "sprung_device",
         "zero_order_hold",
     ]
 
@@ -92,14 +95,15 @@ def test_a_scene_that_ships_rings_as_its_comment_says(path: Path) -> None:
 @pytest.mark.parametrize("path", CONFIGS, ids=NAMES)
 def test_a_scene_that_ships_stays_within_its_force_limit_and_the_counts_of_the_wire(path: Path) -> None:
     scene = load_scene(path)
-    stiffness, damping = touch_of(scene)
+    touch = touch_of(scene)
     matrix = closed_loop(scene)
     state = np.zeros(len(matrix))
     state[1] = scene.mock_device.initial_velocity[0]
     assert 0 < state[1] <= 0.1
     force, position = [], []
     for _ in range(3000):
-        force.append(stiffness * state[0] + damping * (state[0] - state[2]) / scene.period)
+        speed = state[1] if touch.damper == "sensed" else (state[0] - state[2]) / scene.period
+        force.append(touch.stiffness * state[0] + touch.damping * speed)
         position.append(state[0])
         state = matrix @ state
     assert max(map(abs, force)) < 0.5 * scene.device.force_limit
@@ -125,3 +129,13 @@ def test_the_unstable_neighbours_that_the_comments_name_are_unstable(name: str, 
     neighbour = scene.model_copy(update={"modules": {**scene.modules, link_name: link}})
     slow = np.log(max(np.linalg.eigvals(closed_loop(neighbour)).astype(complex), key=abs)) / scene.period
     assert -2 * scene.mock_device.mass[0] * slow.real == pytest.approx(b, abs=0.00005)
+
+
+def test_the_scene_with_a_sensor_says_what_it_would_be_without() -> None:
+    path = CONFIGS[NAMES.index("sensed_velocity")]
+    scene = load_scene(path)
+    touch = touch_of(scene).model_copy(update={"damper": "backward"})
+    without = scene.model_copy(update={"modules": {**scene.modules, "touch": touch}})
+    slow = np.log(max(np.linalg.eigvals(closed_loop(without)).astype(complex), key=abs)) / scene.period
+    (mass,) = scene.mock_device.mass
+    assert f"k = {mass * abs(slow) ** 2:.2f} N/m and b = {-2 * mass * slow.real:.4f} N·s/m" in path.read_text()

@@ -1,0 +1,76 @@
+"""A scene's modes, and what is known of them: all of a small scene's, some of a large one's."""
+
+from __future__ import annotations
+
+import cmath
+import math
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hapsim.theory.arrays import Complexes, Floats
+from hapsim.theory.network_rigid import poles_at_rest
+
+if TYPE_CHECKING:
+    from hapsim.theory.network import Network
+
+NO_MOTION = 1e-12  # a pole of smaller modulus is a memory that empties, not a motion
+SAME_AS_REST = 1e-4  # a double pole at 1 comes out of the eigenvalues this far off, at the worst
+
+
+class Mode(NamedTuple):
+    """One motion of the scene by itself: a conjugate pair of poles, or a real pole.
+
+    Attributes:
+        pole: in the z-plane; of a pair, the one above the real axis.
+        frequency_hz: |s|/(2 pi) with s = ln(pole)/T, the undamped eigenfrequency.
+        damping_ratio: -Re s/|s|; 1 for a real pole that decays, NaN for one that rests (s = 0).
+        participation: (C + M,) each point's share of the kinetic energy, sum 1, device channels first.
+    """
+
+    pole: complex
+    frequency_hz: float
+    damping_ratio: float
+    participation: Floats
+
+
+class Solution(NamedTuple):
+    """What has been worked out of a scene's poles.
+
+    Attributes:
+        poles: (n,) by decreasing modulus. modes: the slowest to decay first.
+        all: how many poles the scene has, memories included; n where every one was worked out.
+        how: in words, which were worked out and what that says of the others; "" for every one.
+    """
+
+    poles: Complexes
+    modes: list[Mode]
+    all: int
+    how: str = ""
+
+
+def snapped(network: Network, poles: Complexes) -> Complexes:
+    """The poles with those that are known to be 1 there exactly: the free motions, a double pole each.
+
+    Rounding moves a double pole by the root of its own size, which would make a verdict of it.
+    """
+    poles = poles.copy()
+    nearest = np.argsort(np.abs(poles - 1.0), kind="stable")[: poles_at_rest(network)]
+    poles[nearest[np.abs(poles[nearest] - 1.0) < SAME_AS_REST]] = 1.0
+    return poles
+
+
+def modes_of(network: Network, poles: Complexes, vectors: NDArray) -> list[Mode]:
+    """The modes, the slowest to decay first; ``vectors`` (points or more, n) are the poles' motions."""
+    mass = np.concatenate([network.channel_mass, network.point_mass])
+    order = np.lexsort((-poles.real, -np.abs(poles)))
+    kept = [i for i in order if poles[i].imag >= 0.0 and abs(poles[i]) > NO_MOTION]
+    energy = mass[:, None] * np.abs(vectors[: mass.size]) ** 2
+    return [_mode(complex(poles[i]), network.rate, energy[:, i] / energy[:, i].sum()) for i in kept]
+
+
+def _mode(pole: complex, rate: float, participation: Floats) -> Mode:
+    s = rate * cmath.log(pole)
+    ratio = -s.real / abs(s) if s else math.nan
+    return Mode(pole, abs(s) / (2.0 * math.pi), ratio, participation)

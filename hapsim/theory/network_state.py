@@ -1,0 +1,233 @@
+"""The state of a scene from sample to sample, and the matrix that moves it, as triplets (row, column, value).
+
+The state is, in metres and in this order: the points' positions x[n] and x[n-1] (C + M each), the channels' velocities
+times T (C), with averaged sampling the channels' true positions (C) and the mean velocities of those that a link
+senses, the forces computed for the channels, newest first and times T²/m, that a later sample still needs (C each), and
+what the links' dampers remember: stretches y[n-2] and older, velocities v[n-1] and older. What nothing needs is not
+there.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hapsim.theory.arrays import Floats
+from hapsim.theory.device_step import DeviceStep, device_step
+from hapsim.theory.interface import SAMPLINGS
+from hapsim.theory.shape import Damper
+
+if TYPE_CHECKING:
+    from hapsim.theory.network import Network
+
+Indices = NDArray[np.intp]
+
+
+class Triplets(NamedTuple):
+    """A matrix (rows, columns) as its entries; entries of one place add up."""
+
+    row: Indices
+    column: Indices
+    value: Floats
+
+    def gathered(self, columns: int) -> Triplets:
+        """The same, one entry a place."""
+        place, entry = np.unique(self.row * columns + self.column, return_inverse=True)
+        value: Floats = np.bincount(entry, self.value, place.size).astype(float)
+        return Triplets(place // columns, place % columns, value)
+
+
+class Layout(NamedTuple):
+    """Where the state's parts are; per link and lag the first slot of what a damper remembers is in ``Memory``."""
+
+    now: slice
+    before: slice
+    velocity: slice
+    position: slice
+    held: slice
+    size: int
+    mean_velocity: Indices  # (C,) slots, -1 where no link senses the channel
+    memories: tuple[Memory, ...]
+
+
+class Memory(NamedTuple):
+    """The links (n,) of one damper that damp, and where they remember: (lags, n) slots each."""
+
+    damper: Damper
+    links: Indices
+    stretches: Indices
+    velocities: Indices
+
+
+def channel_steps(network: Network) -> list[DeviceStep]:
+    """What one sample period makes of each channel, in normalised units."""
+    mass, rate = network.channel_mass, network.rate
+    friction = network.channel_friction / (mass * rate)
+    stiffness = network.channel_stiffness / (mass * rate) / rate
+    return [
+        device_step(float(b), network.delay, network.hold, float(k)) for b, k in zip(friction, stiffness, strict=True)
+    ]
+
+
+def acting_links(network: Network) -> Indices:
+    """The links that join two different points, or a point and a ground."""
+    return np.flatnonzero(network.ends[:, 0] != network.ends[:, 1])
+
+
+def damping_links(network: Network) -> dict[Damper, Indices]:
+    """The links that act and damp, by their damper."""
+    acting = acting_links(network)
+    groups: dict[Damper, list[int]] = {}
+    for link in acting[network.damping[acting] != 0.0]:
+        groups.setdefault(network.damper[link], []).append(int(link))
+    return {damper: np.array(links, dtype=np.intp) for damper, links in groups.items()}
+
+
+def layout_of(network: Network, steps: list[DeviceStep]) -> Layout:
+    """Where everything is."""
+    channels, points = network.channel_mass.size, network.channel_mass.size + network.point_mass.size
+    averaged = SAMPLINGS[network.sampling].reads_mean
+    remembered = steps[0].forces.shape[1] - 1 if steps else 0
+    groups = damping_links(network)
+    velocity = slice(2 * points, 2 * points + channels)
+    position = slice(velocity.stop, velocity.stop + channels) if averaged else slice(0, channels)
+    size = max(velocity.stop, position.stop)
+    mean_velocity = np.full(channels, -1, dtype=np.intp)
+    if averaged:
+        some = [network.ends[links] for damper, links in groups.items() if damper.senses]
+        ends = np.concatenate([np.zeros((0, 2), np.intp), *some])
+        sensed = np.unique(ends[(ends >= 0) & (ends < channels)])
+        mean_velocity[sensed] = size + np.arange(sensed.size)
+        size += sensed.size
+    held = slice(size, size + remembered * channels)
+    size = held.stop
+    memories = []
+    for damper, links in groups.items():
+        older, past = max(0, len(damper.of_positions) - 2), len(damper.of_velocities)
+        slots = size + np.arange((older + past) * links.size).reshape(older + past, links.size)
+        memories.append(Memory(damper, links, slots[:older], slots[older:]))
+        size += slots.size
+    return Layout(
+        slice(0, points), slice(points, 2 * points), velocity, position, held, size, mean_velocity, tuple(memories)
+    )
+
+
+def transition(network: Network) -> tuple[Triplets, int]:
+    """The square matrix that takes the state at one sample to the state at the next, and its size."""
+    steps = channel_steps(network)
+    layout = layout_of(network, steps)
+    channels, points = network.channel_mass.size, layout.now.stop
+    parts = _Parts()
+    force = _forces(network, layout, parts)
+
+    point = np.arange(channels, points)
+    parts.add(point, point, 2.0)
+    parts.add(point, points + point, -1.0)
+    free = force.row >= channels
+    parts.add(force.row[free], force.column[free], force.value[free])
+    parts.add(points + np.arange(points), np.arange(points), 1.0)
+
+    remembered = (layout.held.stop - layout.held.start) // max(channels, 1)
+    held = layout.held.start + np.arange(remembered * channels).reshape(remembered, channels)
+    if remembered:
+        own = ~free
+        parts.add(held[0][force.row[own]], force.column[own], force.value[own])
+        parts.add(held[1:], held[:-1], 1.0)
+    for channel, step in enumerate(steps):
+        _move_channel(layout, channel, step, force, held[:, channel], parts)
+    return parts.joined(), layout.size
+
+
+class _Parts:
+    """Triplets as they come."""
+
+    def __init__(self) -> None:
+        self._parts: list[tuple[Indices, Indices, Floats]] = []
+
+    def add(self, row: Indices | int, column: Indices | int, value: Floats | float) -> None:
+        rows, columns, values = np.broadcast_arrays(row, column, value)
+        self._parts.append((rows.ravel(), columns.ravel(), values.ravel().astype(float)))
+
+    def joined(self) -> Triplets:
+        if not self._parts:
+            return Triplets(np.zeros(0, np.intp), np.zeros(0, np.intp), np.zeros(0))
+        row, column, value = (np.concatenate(part) for part in zip(*self._parts, strict=True))
+        return Triplets(row, column, value)
+
+
+def _move_channel(
+    layout: Layout, channel: int, step: DeviceStep, force: Triplets, held: Indices, parts: _Parts
+) -> None:
+    """The rows of one channel: its true position, its velocity, and what is read of them."""
+    position, velocity = layout.position.start + channel, layout.velocity.start + channel
+    rows = [(position, step.motion[0], step.forces[0]), (velocity, step.motion[1], step.forces[1])]
+    if layout.position.start != layout.now.start:
+        rows.append((channel, step.motion[2], step.forces[2]))
+    if layout.mean_velocity[channel] >= 0:
+        travelled = step.motion[0] - np.array([1.0, 0.0])
+        rows.append((int(layout.mean_velocity[channel]), travelled, step.forces[0]))
+    mine = force.row == channel
+    for row, motion, forces in rows:
+        parts.add(row, position, motion[0])
+        parts.add(row, velocity, motion[1])
+        parts.add(row, force.column[mine], forces[0] * force.value[mine])
+        parts.add(row, held, forces[1:])
+
+
+def _forces(network: Network, layout: Layout, parts: _Parts) -> Triplets:
+    """The forces T²/m F on the points (C + M, N) from the state; into ``parts`` goes what the dampers remember."""
+    pull = _Parts()  # on the links' first ends, N per metre of state
+    acting = acting_links(network)
+    _add_difference(pull, acting, network.ends[acting], 0, -network.stiffness[acting])
+    for memory in layout.memories:
+        velocity = _velocities(network, layout, memory, parts)
+        links = memory.links[velocity.row]
+        pull.add(links, velocity.column, -network.damping[links] * network.rate * velocity.value)
+    link, column, value = pull.joined()
+    force = _Parts()
+    for end, sign in ((0, 1.0), (1, -1.0)):
+        point = network.ends[link, end]
+        met = point >= 0
+        force.add(point[met], column[met], sign * value[met])
+    summed = force.joined().gathered(max(layout.size, 1))
+    mass = np.concatenate([network.channel_mass, network.point_mass])
+    return summed._replace(value=summed.value / (mass[summed.row] * network.rate**2))
+
+
+def _velocities(network: Network, layout: Layout, memory: Memory, parts: _Parts) -> Triplets:
+    """(links of the memory, N): the velocities v[n], m per sample period; into ``parts`` goes what is remembered."""
+    damper, ends = memory.damper, network.ends[memory.links]
+    number = np.arange(len(ends))
+    out = _Parts()
+    filtered = ends
+    if damper.senses:
+        senses = (ends >= 0) & (ends < network.channel_mass.size)
+        filtered = np.where(senses, -1, ends)
+        averaged = layout.position.start != layout.now.start
+        for end, sign in ((0, 1.0), (1, -1.0)):
+            link, channel = number[senses[:, end]], ends[senses[:, end], end]
+            out.add(link, layout.mean_velocity[channel] if averaged else layout.velocity.start + channel, sign)
+    for lag, weight in enumerate(damper.of_positions):
+        if lag >= 2:
+            out.add(number, memory.stretches[lag - 2], weight)
+        elif weight:
+            _add_difference(out, number, filtered, layout.before.start * lag, np.full(len(ends), weight))
+    for lag, weight in enumerate(damper.of_velocities):
+        out.add(number, memory.velocities[lag], weight)
+    velocity = out.joined()
+    if len(memory.stretches):
+        _add_difference(parts, memory.stretches[0], filtered, layout.before.start, np.ones(len(ends)))
+        parts.add(memory.stretches[1:], memory.stretches[:-1], 1.0)
+    if len(memory.velocities):
+        parts.add(memory.velocities[0][velocity.row], velocity.column, velocity.value)
+        parts.add(memory.velocities[1:], memory.velocities[:-1], 1.0)
+    return velocity
+
+
+def _add_difference(parts: _Parts, row: Indices, ends: Indices, start: int, value: Floats) -> None:
+    """``value`` times first end minus second end, of the positions whose part of the state begins at ``start``."""
+    for end, sign in ((0, 1.0), (1, -1.0)):
+        met = ends[:, end] >= 0
+        parts.add(row[met], start + ends[met, end], sign * value[met])

@@ -1,0 +1,272 @@
+"""Some of the poles of a large scene, by shift-inverted Arnoldi iterations on its sparse transition.
+
+The only file of the theory that calls scipy, and that only for a scene that is large. No dense matrix of the state's
+size is ever formed.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hapsim.theory.arrays import Complexes
+from hapsim.theory.network_modes import NO_MOTION, Solution, modes_of, snapped
+from hapsim.theory.network_state import Triplets
+from hapsim.theory.poles import sort_by_modulus
+
+if TYPE_CHECKING:
+    from hapsim.theory.network import Network
+
+BESIDE = 1e-6  # a shift stands this far beside 1, where a free motion's pole would make it singular
+ASIDE = 1e-7  # and this far beside a pole that was found
+APPROACHES = 6
+EDGE = 1.05  # a bound of the fastest motion this close to it is where to search
+ROW = 0.1  # a pole further from where it was looked for is another
+SAME = 1e-9  # two poles found by two searches are one within this
+TRUSTED = 1e-8  # residual of a pole and its motion, of the motion's own size
+STEPS = 4000  # of the search for a motion that grows
+MOST_HANDS = 4
+
+
+class Search(NamedTuple):
+    """``many`` poles nearest to ``shift``; ``where`` says it in words; ``start``: points that move in those,
+    among which a pole is found to search from, None: from the shift."""
+
+    shift: complex
+    many: int
+    where: str
+    start: slice | None = None
+
+
+def sparse_matrix(entries: Triplets, size: int) -> Any:
+    """The matrix (size, size), by compressed columns."""
+    import scipy.sparse
+
+    return scipy.sparse.csc_matrix((entries.value, (entries.row, entries.column)), (size, size))
+
+
+def some_modes(network: Network) -> Solution:
+    """The poles that the searches find, each with its motion; ``how`` says which those are."""
+    matrix = network.transition()
+    points = network.channel_mass.size + network.point_mass.size
+    poles, vectors, places = [np.zeros(0, complex)], [np.zeros((points, 0), complex)], []
+    for search in _searches(network):
+        found, motions = _nearest(matrix, search)
+        if found.size:
+            poles.append(found)
+            vectors.append(motions[:points])
+            places.append(search.where)
+    grown, motions = _growing(matrix)
+    poles.append(grown)
+    vectors.append(motions[:points])
+    every, motion = _once_each(np.concatenate(poles), np.concatenate(vectors, axis=1))
+    every = snapped(network, every)
+    both = sort_by_modulus(np.concatenate([every, every[every.imag > 0.0].conj()]))
+    growth = (
+        "and those that grow"
+        if grown.size
+        else f"none of the others made a random motion grow in {STEPS} sample periods"
+    )
+    how = f"{both.size} of {matrix.shape[0]} poles were worked out: those nearest to {_listed(places)}; {growth}"
+    return Solution(both, modes_of(network, every, motion), matrix.shape[0], how)
+
+
+def _searches(network: Network) -> Iterator[Search]:
+    yield Search(1.0 + BESIDE, 32, "1")
+    yield Search(-1.0 - BESIDE, 8, "-1")
+    top = _highest(network)
+    if top is not None:
+        yield top
+    hands = [_hand_alone(network, channel) for channel in range(min(network.channel_mass.size, MOST_HANDS))]
+    for hand in sorted({complex(np.round(hand, 6)) for hand in hands}, key=abs):
+        yield Search(hand, 12, "the hand's own" if len(hands) == 1 else "the hands' own", slice(0, len(hands)))
+
+
+def _nearest(matrix: Any, search: Search) -> tuple[Complexes, NDArray]:
+    """The poles nearest to the shift that converged, of pairs the upper, and their motions (N, n)."""
+    from scipy.sparse import linalg
+
+    size = matrix.shape[0]
+    shift = search.shift if search.shift.imag else search.shift.real
+    if search.start is not None:
+        shift = _beside_a_pole(matrix, search.shift, search.start)
+    solve = _inverse(matrix, shift)
+    if solve is None:
+        return np.zeros(0, complex), np.zeros((size, 0))
+    values, motions = _largest(linalg.LinearOperator((size, size), solve, dtype=type(shift)), search.many, 40)
+    with np.errstate(all="ignore"):
+        poles = shift + 1.0 / values
+    return _trusted(matrix, poles, motions)
+
+
+def _inverse(matrix: Any, shift: complex) -> Callable[[NDArray], NDArray] | None:
+    """x -> (matrix - shift)^-1 x; None where the shift is a pole, exactly."""
+    from scipy.sparse import eye, linalg
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            solve: Callable[[NDArray], NDArray] = linalg.splu(matrix - shift * eye(matrix.shape[0], format="csc")).solve
+        except RuntimeError:
+            return None
+    return solve
+
+
+def _beside_a_pole(matrix: Any, near: complex, start: slice) -> complex:
+    """A shift beside a pole near this one, by inverse iterations and then Rayleigh's.
+
+    Where poles stand in a row, and the shift beside the row, all of them are as far from it; from a place in the
+    row they differ, and the search ends soon.
+    """
+    motion = np.zeros(matrix.shape[0], complex)
+    motion[start] = 1.0
+    shift, pole = near, near
+    for step in range(APPROACHES):
+        solve = _inverse(matrix, shift)
+        if solve is None:
+            break
+        for _ in range(3 if step == 0 else 1):
+            motion = solve(motion)
+            motion /= np.linalg.norm(motion)
+        pole = complex(np.vdot(motion, matrix @ motion))
+        shift = pole
+    return (pole if abs(pole - near) < ROW else near) + ASIDE
+
+
+def _growing(matrix: Any) -> tuple[Complexes, NDArray]:
+    """The poles of the greatest modulus, where a random motion grows by more than a free one would."""
+    motion = np.random.default_rng(1).standard_normal(matrix.shape[0])
+    rows = matrix.tocsr()
+    sizes = []
+    for _ in range(4):
+        for _ in range(STEPS // 4):
+            motion = rows @ motion
+        size = float(np.linalg.norm(motion))
+        sizes.append(size)
+        if not 0.0 < size < np.inf:
+            break
+        motion /= size
+    # A free mass drifts in proportion to time, so that it grows by 4/3 in the last quarter, less than by 2.
+    if sizes[-1] < 2.0 and np.isfinite(sizes[-1]):
+        return np.zeros(0, complex), np.zeros((matrix.shape[0], 0))
+    start = motion if np.isfinite(motion).all() else None
+    return _trusted(matrix, *_largest(matrix, 8, 200, start))
+
+
+def _largest(operator: Any, count: int, iterations: int, start: Any = None) -> tuple[Complexes, NDArray]:
+    """The eigenvalues of the greatest modulus that converged, and their vectors."""
+    from scipy.sparse import linalg
+
+    size = operator.shape[0]
+    if start is None:
+        start = np.random.default_rng(0).standard_normal(size)
+    try:
+        return linalg.eigs(operator, k=count, v0=start.astype(operator.dtype), tol=1e-13, maxiter=iterations)
+    except linalg.ArpackNoConvergence as unfinished:
+        return unfinished.eigenvalues, unfinished.eigenvectors
+    except linalg.ArpackError:
+        return np.zeros(0, complex), np.zeros((size, 0), complex)
+
+
+def _trusted(matrix: Any, poles: Complexes, motions: NDArray) -> tuple[Complexes, NDArray]:
+    """Those whose motion is indeed multiplied by the pole, of pairs the upper."""
+    lower = poles.imag < 0.0
+    poles, motions = np.where(lower, poles.conj(), poles), np.where(lower, motions.conj(), motions)
+    residual = np.linalg.norm(matrix @ motions - motions * poles, axis=0)
+    good = (residual < TRUSTED * np.linalg.norm(motions, axis=0)) & (np.abs(poles) > NO_MOTION)
+    return poles[good], motions[:, good]
+
+
+def _once_each(poles: Complexes, motions: NDArray) -> tuple[Complexes, NDArray]:
+    """Without those that an earlier search had found; equal parts of a scene that do not touch count once."""
+    kept: list[int] = []
+    seen = np.zeros(0, complex)
+    for i, pole in enumerate(poles):
+        if not (np.abs(seen - pole) < SAME * max(1.0, abs(pole))).any():
+            kept.append(i)
+            seen = poles[kept]
+    return poles[kept], motions[:, kept]
+
+
+def _hand_alone(network: Network, channel: int) -> complex:
+    """The slowest pole, on or above the real axis, of a channel whose neighbours are held still."""
+    touching = np.flatnonzero((network.ends == channel).any(axis=1))
+    alone = type(network)(
+        network.rate,
+        network.channel_mass[[channel]],
+        network.channel_friction[[channel]],
+        network.delay,
+        network.hold,
+        network.sampling,
+        np.zeros(0),
+        np.where(network.ends[touching] == channel, 0, -1),
+        network.stiffness[touching],
+        network.damping[touching],
+        network.channel_stiffness[[channel]],
+        tuple(network.damper[link] for link in touching.tolist()),
+    )
+    if alone.is_large:
+        return 1.0 + 2.0 * BESIDE
+    pole = alone.poles()[0]
+    return complex(pole.real, abs(pole.imag)) * (1.0 + BESIDE)
+
+
+def _highest(network: Network) -> Search | None:
+    """About where the fastest motion of the simulated masses is: power iterations on their springs alone."""
+    channels, count = network.channel_mass.size, network.point_mass.size
+    if not count:
+        return None
+    ends = network.ends
+    ends = ends[(ends >= channels).any(axis=1)]
+    weight = network.stiffness[(network.ends >= channels).any(axis=1)]
+    damping = network.damping[(network.ends >= channels).any(axis=1)]
+    mobility = 1.0 / network.point_mass / network.rate**2
+    first, second = ends[:, 0] - channels, ends[:, 1] - channels
+
+    def stretch(x: NDArray) -> NDArray:
+        padded = np.append(x, 0.0)
+        return padded[np.where(first >= 0, first, count)] - padded[np.where(second >= 0, second, count)]
+
+    def pulled(link_force: NDArray) -> NDArray:
+        out = np.zeros(count + 1)
+        np.add.at(out, np.where(first >= 0, first, count), link_force)
+        np.add.at(out, np.where(second >= 0, second, count), -link_force)
+        return out[:count]
+
+    x = np.random.default_rng(2).standard_normal(count)
+    for _ in range(60):
+        x = mobility * pulled(weight * stretch(x))
+        size = np.linalg.norm(x)
+        if not 0.0 < size < np.inf:
+            return None
+        x /= size
+    inertia = float(x @ (x / mobility))
+    stretched = stretch(x) ** 2
+    kappa, beta = float(weight @ stretched) / inertia, float(damping @ stretched) * network.rate / inertia
+    # No motion is faster than where neighbours move against each other by as much as they do themselves.
+    most = mobility * _doubled(weight, first, second, count)
+    bound = float(most.max())
+    beside = bound < EDGE * kappa
+    if beside:
+        kappa, beta = bound * (1.0 + BESIDE), beta * bound / kappa
+    # z² - (2 - kappa - beta) z + 1 - beta = 0: the centred mass on its spring and its backward damper
+    pole = np.roots([1.0, kappa + beta - 2.0, 1.0 - beta])
+    pole = pole[np.argmin(pole.real)]
+    shift = complex(pole.real, abs(pole.imag)) * (1.0 + BESIDE)
+    return Search(shift, 16, "about the highest of the masses' own", None if beside else slice(None))
+
+
+def _doubled(weight: NDArray, first: NDArray, second: NDArray, count: int) -> NDArray:
+    """(count,) the sums of the absolute values of the springs' matrix, row by row."""
+    out = np.zeros(count)
+    for here, there in ((first, second), (second, first)):
+        np.add.at(out, here[here >= 0], np.abs(weight * np.where(there >= 0, 2.0, 1.0))[here >= 0])
+    return out
+
+
+def _listed(places: list[str]) -> str:
+    return " and to ".join([", to ".join(places[:-1]), places[-1]]) if len(places) > 1 else "".join(places)

@@ -1,0 +1,152 @@
+"""Margins to instability: against bisection on the formula of one hand, and on the poles of many scenes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hapsim.theory import Configuration, Network
+from hapsim.theory.interface import damper_named
+from hapsim.theory.network_modes import snapped
+
+RATE = 1000.0
+LIMIT = 1.0 + 1e-9
+DAMPERS = [("backward", None), ("centred", None), ("filtered", 80.0), ("sensed", None)]
+
+
+def bisected(stable: Callable[[float], bool]) -> float:
+    """The factor between stable and not, found by steps from 1 on and then halving."""
+    as_it_is = stable(1.0)
+    step, factor = (1.05, 1.0) if as_it_is else (1.0 / 1.05, 1.0)
+    while stable(factor * step) == as_it_is:
+        factor *= step
+        if not 1e-4 < factor < 1e4:
+            return math.inf if as_it_is else 0.0
+    near, far = factor, factor * step
+    while abs(near / far - 1.0) > 1e-8:
+        middle = math.sqrt(near * far)
+        near, far = (middle, far) if stable(middle) == as_it_is else (near, middle)
+    return near
+
+
+def agree(found: float, expected: float, rtol: float) -> bool:
+    """Equal, or both as good as never, or as nothing."""
+    if not 1e-4 < expected < 1e4:
+        return found > 1e4 if expected > 1.0 else found < 1e-4
+    return abs(found / expected - 1.0) < rtol
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.37, 1.0, 2.5])
+@pytest.mark.parametrize("sampling", ["ideal", "average"])
+@pytest.mark.parametrize("hold", ["zoh", "impulse"])
+def test_one_hand_on_one_spring_has_the_margins_of_the_formula(hold: str, sampling: str, delay: float) -> None:
+    c = Configuration(mass=0.3, rate=RATE, friction=2.0, delay=delay, hold=hold, sampling=sampling)
+    for K, B in ((200.0, 1.0), (3000.0, 10.0), (1e5, 5.0)):
+        (margin,) = Network(RATE, [0.3], [2.0], delay, hold, sampling, [], [[0, -1]], [K], [B]).margins()
+        by_stiffness = bisected(lambda f: bool(c.is_stable(K * f, B)))  # noqa: B023
+        by_damping = bisected(lambda f: bool(c.is_stable(K, B * f)))  # noqa: B023
+        assert agree(margin.stiffness_factor, by_stiffness, 1e-6), (K, B, margin, by_stiffness)
+        assert agree(margin.damping_factor, by_damping, 1e-6), (K, B, margin, by_damping)
+
+
+def random_scene(seed: int) -> Network:
+    rng = np.random.default_rng(seed)
+    channels, masses = rng.integers(1, 3), rng.integers(0, 5)
+    links = rng.integers(1, channels + masses + 3)
+    return Network(
+        rate=RATE,
+        channel_mass=rng.uniform(0.1, 1.0, channels),
+        channel_friction=rng.choice([0.0, 1.0, 5.0], channels),
+        delay=float(rng.choice([0.0, 0.3, 1.0, 2.5])),
+        hold=str(rng.choice(["zoh", "impulse"])),
+        sampling=str(rng.choice(["ideal", "average"])),
+        point_mass=rng.uniform(0.01, 0.1, masses),
+        ends=rng.integers(-1, channels + masses, (links, 2)),
+        stiffness=10.0 ** rng.uniform(1.0, 4.0, links),
+        damping=10.0 ** rng.uniform(-1.0, 1.0, links),
+        channel_stiffness=rng.choice([0.0, 0.0, 500.0], channels),
+        damper=[damper_named(*DAMPERS[i], RATE) for i in rng.integers(0, 4, links)],
+    )
+
+
+@pytest.mark.parametrize("seed", range(9))
+def test_random_scenes_have_the_margins_that_their_poles_say(seed: int) -> None:
+    scene = random_scene(seed)
+    for link, margin in enumerate(scene.margins()):
+        for name, found in (("stiffness", margin.stiffness_factor), ("damping", margin.damping_factor)):
+
+            def stable(factor: float, link: int = link, name: str = name) -> bool:
+                value = getattr(scene, name).copy()
+                value[link] *= factor
+                changed = replace(scene, **{name: value})
+                poles = np.linalg.eigvals(changed.transition()).astype(complex)
+                return bool(np.abs(snapped(changed, poles)).max() <= LIMIT)
+
+            expected = bisected(stable)
+            assert agree(found, expected, 1e-5), (link, name, found, expected)
+
+
+def chain(masses: int, B: float, held: int) -> Network:
+    """A string between two grounds, a hand tied to one of its masses; the hand's link is the last."""
+    ends = [[-1, 1], *([i, i + 1] for i in range(1, masses)), [masses, -1], [0, held]]
+    stiffness, damping = np.append(np.full(masses + 1, 1000.0), 500.0), np.append(np.full(masses + 1, B), 1.0)
+    return Network(RATE, [0.2], [1.0], 1.0, "zoh", "ideal", np.full(masses, 0.01), ends, stiffness, damping)
+
+
+@pytest.mark.parametrize(("B", "masses"), [(0.1, 60), (0.0, 60), (0.0, 100)])
+def test_a_strings_many_narrow_resonances_are_not_stepped_over(B: float, masses: int) -> None:
+    """Just below every margin of the hand's link and of some others the poles are inside, just above they are not."""
+    scene = chain(masses, B, masses // 3)
+    margins = scene.margins()
+    for link in (0, masses // 3 - 1, masses, masses + 1):
+        for name, factor in zip(("stiffness", "damping"), margins[link], strict=True):
+            for beside, stable in ((0.1 * factor + 0.9, True), (factor - 1e-3, True), (factor * 1.01, False)):
+                if math.isfinite(factor):
+                    value = getattr(scene, name).copy()
+                    value[link] *= beside
+                    assert (replace(scene, **{name: value}).spectral_radius() <= LIMIT) == stable, (link, name, factor)
+
+
+def test_what_cannot_become_unstable_has_no_margin() -> None:
+    scene = chain(3, 0.1, 1)
+    idle = replace(
+        scene,
+        ends=np.vstack([scene.ends, [[2, 2], [-1, -1]]]),
+        stiffness=np.append(scene.stiffness, [9.0, 9.0]),
+        damping=np.append(scene.damping, [9.0, 9.0]),
+        damper=(),
+    )
+    assert idle.margins()[-2:] == [(math.inf, math.inf)] * 2
+    np.testing.assert_allclose(idle.margins()[:-2], scene.margins(), rtol=1e-9)
+    assert Network(RATE, [], [], 0.0, "zoh", "ideal", [], [], [], []).margins() == []
+
+
+def test_where_something_else_is_unstable_no_factor_of_a_link_helps() -> None:
+    unit = 0.01 * RATE**2
+    scene = Network(
+        RATE, [], [], 0.0, "zoh", "ideal", [0.01, 0.01], [[0, -1], [1, -1]], [5.0 * unit, 0.1 * unit], [1.0, 1.0]
+    )
+    wild, tame = scene.margins()
+    # z² - (2 - kappa - beta) z + 1 - beta is zero at -1 where kappa = 4 - 2 beta
+    assert wild.stiffness_factor == pytest.approx((4.0 - 2.0 * 0.1) / 5.0, rel=1e-9)
+    assert wild.damping_factor == 0.0
+    assert tame == (0.0, 0.0)
+
+
+def test_what_drifts_is_at_the_limit_and_its_margin_is_that_of_the_rest() -> None:
+    """Two equal masses on one link: their distance moves like one of half the mass on a spring to the ground."""
+    free = Network(RATE, [], [], 0.0, "zoh", "ideal", [0.02, 0.02], [[0, 1]], [300.0], [2.0])
+    tied = Network(RATE, [], [], 0.0, "zoh", "ideal", [0.01], [[0, -1]], [300.0], [2.0])
+    assert free.spectral_radius() == 1.0
+    np.testing.assert_allclose(free.margins(), tied.margins(), rtol=1e-9)
+    np.testing.assert_allclose(tied.margins(), [((4.0 - 2.0 * 0.2) / 0.03, (4.0 - 0.03) / 0.4)], rtol=1e-9)
+
+
+def test_what_overflows_has_margins_that_are_not_known() -> None:
+    absurd = Network(RATE, [0.2], [0.0], 1.0, "zoh", "ideal", [], [[0, -1], [0, -1]], [1e308, 1e308], [0.0, 0.0])
+    assert np.isnan(absurd.margins()).all()
+    assert absurd.how_margins() != ""

@@ -1,0 +1,134 @@
+"""A string of many masses: its modes by the formula of the discrete string, all of them or some, in little memory."""
+
+from __future__ import annotations
+
+import math
+import resource
+
+import numpy as np
+import pytest
+
+from hapsim.theory import Network, network
+from hapsim.theory.interface import damper_named
+
+RATE = 1000.0
+M, K = 0.01, 1000.0
+
+
+def string(masses: int, B: float, *, held: int | None = None, **changed: object) -> Network:
+    """Equal masses and links between two grounds; ``held``: the mass that a hand is tied to, by a softer link."""
+    hands = 0 if held is None else 1
+    point = np.arange(masses) + hands
+    ends = np.stack([np.append(-1, point), np.append(point, -1)], axis=1)
+    stiffness, damping = np.full(masses + 1, K), np.full(masses + 1, B)
+    if held is not None:
+        ends, stiffness, damping = (
+            np.vstack([ends, [0, held + 1]]),
+            np.append(stiffness, 500.0),
+            np.append(damping, 1.0),
+        )
+    arguments = {
+        "rate": RATE,
+        "channel_mass": [0.2] * hands,
+        "channel_friction": [1.0] * hands,
+        "delay": 1.0,
+        "hold": "zoh",
+        "sampling": "ideal",
+        "point_mass": np.full(masses, M),
+        "ends": ends,
+        "stiffness": stiffness,
+        "damping": damping,
+    }
+    return Network(**(arguments | changed))  # type: ignore[arg-type]
+
+
+def string_poles(masses: int, B: float) -> np.ndarray:
+    """X+ + ((lambda K + lambda Z)/M - 2) X + (1 - lambda Z/M) X- = 0 for each eigenvalue of the string's Laplacian."""
+    laplacian = 4.0 * np.sin(np.arange(1, masses + 1) * math.pi / (2.0 * (masses + 1))) ** 2
+    kappa, beta = laplacian * K / (M * RATE**2), laplacian * B / (M * RATE)
+    half = 1.0 - 0.5 * (kappa + beta)
+    root = np.sqrt((half**2 - (1.0 - beta)).astype(complex))
+    return np.concatenate([half + root, half - root])
+
+
+def nearest(found: np.ndarray, expected: np.ndarray) -> np.ndarray:
+    """How far each found one is from the nearest expected one."""
+    return np.abs(found[:, None] - expected[None, :]).min(axis=1)
+
+
+@pytest.mark.parametrize("B", [0.0, 0.3, 3.0])
+def test_a_string_has_the_modes_of_the_discrete_string(B: float) -> None:
+    found, expected = string(60, B).poles(), string_poles(60, B)
+    assert found.size == expected.size
+    assert nearest(found, expected).max() < 1e-7  # where two real poles meet, the root of rounding
+    assert nearest(expected, found).max() < 1e-7
+
+
+def test_a_large_string_has_some_of_them_and_says_which() -> None:
+    large = string(1500, 0.3)
+    assert large.is_large
+    assert nearest(large.poles(), string_poles(1500, 0.3)).max() < 1e-10
+    assert f"{large.poles().size} of 3000 poles" in large.how()
+    frequencies = sorted(mode.frequency_hz for mode in large.modes())
+    expected = np.sort(np.abs(np.log(string_poles(1500, 0.3)))) * RATE / (2.0 * math.pi)
+    np.testing.assert_allclose(frequencies[:8], expected[::2][:8], rtol=1e-7)
+    assert frequencies[-1] > 0.999 * expected[-1]
+    shape = np.sin(np.arange(1, 1501) * math.pi / 1501) ** 2
+    slowest = large.modes()[0]
+    np.testing.assert_allclose(slowest.participation, shape / shape.sum(), atol=1e-9)
+
+
+@pytest.mark.parametrize("damper", ["backward", "centred", "filtered"])
+def test_sparse_and_dense_agree_on_300_masses(damper: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    made = damper_named(damper, 80.0 if damper == "filtered" else None, RATE)
+    scene = {"held": 120, "damper": [made] * 302}
+    monkeypatch.setattr(network, "LARGE", 10_000)
+    dense = string(300, 0.2, **scene)
+    every, margins, matrix = dense.poles(), dense.margins(), dense.transition()
+    assert dense.how() == ""
+    monkeypatch.setattr(network, "LARGE", 100)
+    sparse = string(300, 0.2, **scene)
+    np.testing.assert_array_equal(sparse.transition().toarray(), matrix)
+    found = sparse.poles()
+    assert nearest(found, every).max() < 1e-9
+    assert found.size < every.size
+    assert sparse.spectral_radius() == pytest.approx(dense.spectral_radius(), abs=1e-10)
+    assert sparse.is_stable() == dense.is_stable()
+    known = [i for i, margin in enumerate(sparse.margins()) if not math.isnan(margin.stiffness_factor)]
+    assert 301 in known
+    for i in known:
+        np.testing.assert_allclose(sparse.margins()[i], margins[i], rtol=1e-5)
+
+
+@pytest.mark.parametrize("places", [(0,), (0, 1)])
+def test_what_grows_is_found_wherever_it_is(places: tuple[int, ...]) -> None:
+    """One link far from everything, so stiff that its masses fly apart."""
+    scene = string(400, 0.1, held=3)
+    stiffness = scene.stiffness.copy()
+    stiffness[[200 + place for place in places]] = 3.0 * M * RATE**2
+    wild = string(400, 0.1, held=3, stiffness=stiffness)
+    dense = wild.transition().toarray()
+    assert not wild.is_stable()
+    assert wild.spectral_radius() == pytest.approx(np.abs(np.linalg.eigvals(dense)).max(), rel=1e-9)
+    assert "grow" in wild.how()
+
+
+def test_a_free_string_is_at_the_limit_and_no_more() -> None:
+    loose = string(1000, 0.1, held=500)
+    ends = [*loose.ends[1:-2].tolist(), [0, 501]]
+    free = string(1000, 0.1, held=500, ends=ends, stiffness=loose.stiffness[2:], damping=loose.damping[2:])
+    assert free.spectral_radius() == 1.0
+    assert not free.is_stable()
+    assert all(margin.stiffness_factor > 1.0 for margin in free.margins() if not math.isnan(margin.stiffness_factor))
+
+
+def test_ten_thousand_masses_answer_in_seconds_and_in_little_memory() -> None:
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    large = string(10_000, 0.1, held=3333)
+    assert large.is_stable()
+    assert large.modes()[0].participation.shape == (10_001,)
+    assert "of 20004 poles" in large.how()
+    found = string(10_000, 0.1).poles()
+    assert nearest(found, string_poles(10_000, 0.1)).max() < 1e-10
+    grown = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) * 1024
+    assert grown < 1e9  # one dense matrix would be 3.2e9
