@@ -31,11 +31,14 @@ class Factors(NamedTuple):
     found: Bools
 
 
-def quadratic_factors(coefficients: list[Floats]) -> Factors:
-    """The factors of monic polynomials of degree 2 and more."""
+def quadratic_factors(coefficients: list[Floats], known: tuple[Floats, Floats, Bools] | None = None) -> Factors:
+    """The factors of monic polynomials of degree 2 and more. ``known``: a slow one, if it has been found already."""
     p: list[Floats] = []
     q: list[Floats] = []
     found = np.isfinite(sum(coefficients))
+    if known is not None and len(coefficients) > 3:
+        p, q, found = [known[0]], [known[1]], found & known[2]
+        coefficients = divided(coefficients, p[0], q[0])[2:]
     while len(coefficients) > 3:
         one_p, one_q, arrived = slow_factor(coefficients)
         coefficients = divided(coefficients, one_p, one_q)[2:]

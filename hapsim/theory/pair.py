@@ -175,12 +175,15 @@ def oscillator_of_quadratic(p: Floats, q: Floats) -> tuple[Floats, Floats]:
 
     NaN where a real pole z = 1 + w is not positive: no motion in continuous time looks like it.
     """
-    near, far = _roots(p, q)
+    half = 0.5 * p
+    bend = half * half - q
+    spread = np.sqrt(np.abs(bend))
+    far = -(half + np.copysign(spread, half))
+    near = np.divide(q, far, out=np.zeros_like(far), where=far != 0.0)
     sigma = -np.log1p(q - p)
-    angle = np.arctan2(near.imag, 1.0 + near.real)
-    real = near.imag == 0.0
-    kappa = np.where(real, np.log1p(near.real) * np.log1p(far.real), (0.5 * sigma) ** 2 + angle**2)
-    good = ~real | ((near.real > -1.0) & (far.real > -1.0))
+    swinging = (0.5 * sigma) ** 2 + np.arctan2(spread, 1.0 - half) ** 2
+    kappa = np.where(bend < 0.0, swinging, np.log1p(near) * np.log1p(far))
+    good = (bend < 0.0) | ((near > -1.0) & (far > -1.0))
     return np.where(good, sigma, np.nan), np.where(good, kappa, np.nan)
 
 

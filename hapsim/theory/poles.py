@@ -52,7 +52,7 @@ def leading(equation: LoopEquation, kappa: Floats, beta: Floats) -> Leading:
     leads = found & is_pair & all_within(others, Pair(p, q).smaller_modulus)
     missed = np.flatnonzero(~leads)
     if missed.size:
-        lead, _ = _solve(equation, kappa[missed], beta[missed])
+        lead, _ = _solve(equation, kappa[missed], beta[missed], (p[missed], q[missed], found[missed]))
         p[missed], q[missed], leads[missed] = lead
     return Leading(p, q, leads)
 
@@ -68,10 +68,12 @@ def all_poles(equation: LoopEquation, kappa: Floats, beta: Floats) -> tuple[Lead
     return lead, sort_by_modulus(poles)
 
 
-def _solve(equation: LoopEquation, kappa: Floats, beta: Floats) -> tuple[Leading, Roots | Complexes]:
+def _solve(
+    equation: LoopEquation, kappa: Floats, beta: Floats, known: tuple[Floats, Floats, Bools] | None = None
+) -> tuple[Leading, Roots | Complexes]:
     if equation.degree > MOST_BY_FACTORS:
         return _by_eigenvalues(equation, kappa, beta)
-    factors = quadratic_factors(characteristic_in_w(equation, kappa, beta))
+    factors = quadratic_factors(characteristic_in_w(equation, kappa, beta), known)
     found = roots_of_factors(factors)
     lead = _leading_of(found)
     missed = np.flatnonzero(~factors.found)

@@ -19,12 +19,14 @@ def guess_of_slow_factor(coefficients: list[Floats]) -> tuple[Floats, Floats]:
     """
     constant, linear, square = coefficients[:3]
     p, q = linear / square, constant / square
-    far = np.flatnonzero(~(np.abs(p) + np.sqrt(np.abs(q)) < SLOW))
-    if far.size:
-        some = [coefficient[far] for coefficient in coefficients[:5]]
-        some = [coefficient / some[-1] for coefficient in some]
-        p[far], q[far] = _of_quartic(*some[:4]) if len(some) == 5 else _of_cubic(*some[:3])
-    return p, q
+    slow = np.abs(p) + np.sqrt(np.abs(q)) < SLOW
+    if slow.all():
+        return p, q
+    lowest = coefficients[:5]
+    if len(coefficients) > 5:
+        lowest = [coefficient / lowest[-1] for coefficient in lowest]
+    far_p, far_q = _of_quartic(*lowest[:4]) if len(lowest) == 5 else _of_cubic(*lowest[:3])
+    return np.where(slow, p, far_p), np.where(slow, q, far_q)
 
 
 def _of_quartic(d: Floats, c: Floats, b: Floats, a: Floats) -> tuple[Floats, Floats]:
