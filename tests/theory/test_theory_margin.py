@@ -11,7 +11,7 @@ import pytest
 
 from hapsim.theory import Configuration, Network
 from hapsim.theory.interface import damper_named
-from hapsim.theory.network_modes import snapped
+from hapsim.theory.network.modes import snapped
 
 RATE = 1000.0
 LIMIT = 1.0 + 1e-9

@@ -8,8 +8,9 @@ import resource
 import numpy as np
 import pytest
 
-from hapsim.theory import Network, network
+from hapsim.theory import Network
 from hapsim.theory.interface import damper_named
+from hapsim.theory.network import network
 
 RATE = 1000.0
 M, K = 0.01, 1000.0

@@ -13,13 +13,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hapsim.theory.arrays import Complexes
-from hapsim.theory.network_modes import NO_MOTION, Solution, modes_of, snapped
-from hapsim.theory.network_state import Triplets
-from hapsim.theory.poles import sort_by_modulus
+from hapsim.theory.arrays import Complexes, sort_by_modulus
+from hapsim.theory.network.modes import NO_MOTION, Solution, modes_of, snapped
+from hapsim.theory.network.state import Triplets
 
 if TYPE_CHECKING:
-    from hapsim.theory.network import Network
+    from hapsim.theory.network.network import Network
 
 BESIDE = 1e-6  # a shift stands this far beside 1, where a free motion's pole would make it singular
 ASIDE = 1e-7  # and this far beside a pole that was found

@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 
 from hapsim.theory.arrays import Bools, Floats
-from hapsim.theory.element import element_of_oscillator
-from hapsim.theory.loop_equation import LoopEquation, characteristic
+from hapsim.theory.hand.element import element_of_oscillator
+from hapsim.theory.hand.loop_equation import LoopEquation, characteristic
 
 SLOWEST = 1e-9  # radians per sample: what swings more slowly is not looked for
 POINTS_PER_DECADE = 24  # of the slow frequencies

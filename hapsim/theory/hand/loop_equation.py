@@ -18,9 +18,9 @@ from typing import NamedTuple
 import numpy as np
 
 from hapsim.theory.arrays import Floats
-from hapsim.theory.pair import OnPair, total
-from hapsim.theory.plant import Plant
-from hapsim.theory.shape import Damper
+from hapsim.theory.hand.pair import OnPair, total
+from hapsim.theory.hand.plant import Plant
+from hapsim.theory.interface.shape import Damper
 
 
 class LoopEquation(NamedTuple):

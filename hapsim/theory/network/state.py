@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapsim.theory.arrays import Floats
-from hapsim.theory.device_step import DeviceStep, device_step
 from hapsim.theory.interface import SAMPLINGS
-from hapsim.theory.shape import Damper
+from hapsim.theory.interface.shape import Damper
+from hapsim.theory.network.device_step import DeviceStep, device_step
 
 if TYPE_CHECKING:
-    from hapsim.theory.network import Network
+    from hapsim.theory.network.network import Network
 
 Indices = NDArray[np.intp]
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hapsim.theory.shape import Damper
+from hapsim.theory.interface.shape import Damper
 
 
 def centred(_cutoff: float) -> Damper:

@@ -8,9 +8,9 @@ from __future__ import annotations
 import numpy as np
 
 from hapsim.theory.arrays import Bools, Floats
-from hapsim.theory.loop_equation import LoopEquation, characteristic, element_on_pair
-from hapsim.theory.pair import Pair, change_of_quadratic, pair_of_oscillator
-from hapsim.theory.poles import all_within, without_pair
+from hapsim.theory.hand.loop_equation import LoopEquation, characteristic, element_on_pair
+from hapsim.theory.hand.pair import Pair, change_of_quadratic, pair_of_oscillator
+from hapsim.theory.hand.poles import all_within, without_pair
 
 
 def element_of_oscillator(

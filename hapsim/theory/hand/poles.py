@@ -13,10 +13,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hapsim.theory.arrays import Bools, Complexes, Floats
-from hapsim.theory.factors import Roots, divided, in_z, quadratic_factors, roots_of_factors, slow_factor
-from hapsim.theory.loop_equation import LoopEquation, characteristic, characteristic_in_w, equation_on_pair
-from hapsim.theory.pair import Pair
+from hapsim.theory.arrays import Bools, Complexes, Floats, sort_by_modulus
+from hapsim.theory.hand.factors import Roots, divided, in_z, quadratic_factors, roots_of_factors, slow_factor
+from hapsim.theory.hand.loop_equation import LoopEquation, characteristic, characteristic_in_w, equation_on_pair
+from hapsim.theory.hand.pair import Pair
 
 POLISH_STEPS = 8
 POLISH_DONE = 1e-11  # relative size of a step
@@ -118,12 +118,6 @@ def roots(coefficients: Floats) -> Complexes:
     companion[..., below + 1, below] = 1.0
     found = sort_by_modulus(np.linalg.eigvals(companion).astype(complex))
     return np.where(finite, found, np.nan)
-
-
-def sort_by_modulus(values: Complexes) -> Complexes:
-    """Along the last axis, by decreasing modulus; conjugates together, the one above the real axis first."""
-    order = np.lexsort((-values.imag, -values.real, -np.abs(values)), axis=-1)
-    return np.take_along_axis(values, order, axis=-1)
 
 
 def leading_pair(equation: LoopEquation, kappa: Floats, beta: Floats, poles: Complexes) -> Leading:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hapsim.theory.shape import Hold, Segment, Term
+from hapsim.theory.interface.shape import Hold, Segment, Term
 
 
 def _segments(fraction: float) -> list[Segment]:

@@ -11,9 +11,9 @@ from __future__ import annotations
 import numpy as np
 
 from hapsim.theory.arrays import Floats
-from hapsim.theory.element import element_of_oscillator
-from hapsim.theory.loop_equation import LoopEquation, characteristic
-from hapsim.theory.poles import roots, without_pair
+from hapsim.theory.hand.element import element_of_oscillator
+from hapsim.theory.hand.loop_equation import LoopEquation, characteristic
+from hapsim.theory.hand.poles import roots, without_pair
 
 
 def double_pole(equation: LoopEquation, decay: Floats) -> tuple[Floats, Floats, Floats]:

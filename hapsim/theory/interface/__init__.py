@@ -5,15 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from hapsim.theory.damper_backward import backward
-from hapsim.theory.damper_centred import centred
-from hapsim.theory.damper_filtered import filtered
-from hapsim.theory.damper_sensed import sensed
-from hapsim.theory.hold_impulse import IMPULSE
-from hapsim.theory.hold_zoh import ZERO_ORDER_HOLD
-from hapsim.theory.sampling_average import AVERAGE
-from hapsim.theory.sampling_ideal import IDEAL
-from hapsim.theory.shape import Damper, Hold, Sampling
+from hapsim.theory.interface.damper_backward import backward
+from hapsim.theory.interface.damper_centred import centred
+from hapsim.theory.interface.damper_filtered import filtered
+from hapsim.theory.interface.damper_sensed import sensed
+from hapsim.theory.interface.hold_impulse import IMPULSE
+from hapsim.theory.interface.hold_zoh import ZERO_ORDER_HOLD
+from hapsim.theory.interface.sampling_average import AVERAGE
+from hapsim.theory.interface.sampling_ideal import IDEAL
+from hapsim.theory.interface.shape import Damper, Hold, Sampling
 
 HOLDS: dict[str, Hold] = {"zoh": ZERO_ORDER_HOLD, "impulse": IMPULSE}
 SAMPLINGS: dict[str, Sampling] = {"ideal": IDEAL, "average": AVERAGE}

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from hapsim.theory.arrays import Complexes, Floats
 
 if TYPE_CHECKING:
-    from hapsim.theory.margin_response import Response
+    from hapsim.theory.network.margin_response import Response
 
 EVENLY = 200
 FAINT = 0.3  # a pole of smaller modulus does not show on the circle

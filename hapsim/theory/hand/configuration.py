@@ -10,18 +10,18 @@ from numpy.typing import ArrayLike, NDArray
 
 from hapsim.theory import checks
 from hapsim.theory.arrays import Bools, Complexes, Floats
-from hapsim.theory.blocks import quietly_in_blocks
-from hapsim.theory.element import element_of_oscillator, is_attainable, leads
-from hapsim.theory.fold import double_pole
-from hapsim.theory.impedance import damper_gain, late_and_held
+from hapsim.theory.hand.blocks import quietly_in_blocks
+from hapsim.theory.hand.element import element_of_oscillator, is_attainable, leads
+from hapsim.theory.hand.fold import double_pole
+from hapsim.theory.hand.impedance import damper_gain, late_and_held
+from hapsim.theory.hand.limits import Undamped, stable_interval, undamped_curve
+from hapsim.theory.hand.loop_equation import LoopEquation, characteristic, loop_equation
+from hapsim.theory.hand.pair import oscillator_of_quadratic
+from hapsim.theory.hand.passivity import Wall, needed_friction
+from hapsim.theory.hand.plant import sampled_plant
+from hapsim.theory.hand.poles import Leading, all_poles, leading
+from hapsim.theory.hand.reasons import why_not_attained, why_not_dominant
 from hapsim.theory.interface import HOLDS, SAMPLINGS, damper_named
-from hapsim.theory.limits import Undamped, stable_interval, undamped_curve
-from hapsim.theory.loop_equation import LoopEquation, characteristic, loop_equation
-from hapsim.theory.pair import oscillator_of_quadratic
-from hapsim.theory.passivity import Wall, needed_friction
-from hapsim.theory.plant import sampled_plant
-from hapsim.theory.poles import Leading, all_poles, leading
-from hapsim.theory.reasons import why_not_attained, why_not_dominant
 
 _quietly = np.errstate(all="ignore")  # what is out of range becomes NaN
 

@@ -5,7 +5,7 @@ With averaged sampling it is the mean velocity over the sample period that has j
 
 from __future__ import annotations
 
-from hapsim.theory.shape import Damper
+from hapsim.theory.interface.shape import Damper
 
 
 def sensed(_cutoff: float) -> Damper:

@@ -11,13 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapsim.theory import checks
-from hapsim.theory.arrays import Complexes, Floats
+from hapsim.theory.arrays import Complexes, Floats, sort_by_modulus
 from hapsim.theory.interface import DAMPERS, HOLDS, SAMPLINGS
-from hapsim.theory.margin import Margin, margins_of
-from hapsim.theory.network_modes import Mode, Solution, modes_of, snapped
-from hapsim.theory.network_state import Triplets, transition
-from hapsim.theory.poles import sort_by_modulus
-from hapsim.theory.shape import Damper
+from hapsim.theory.interface.shape import Damper
+from hapsim.theory.network.margin import Margin, margins_of
+from hapsim.theory.network.modes import Mode, Solution, modes_of, snapped
+from hapsim.theory.network.state import Triplets, transition
 
 __all__ = ["LARGE", "Margin", "Mode", "Network", "Solution"]
 
@@ -102,7 +101,7 @@ class Network:
     @cached_property
     @_quietly
     def triplets(self) -> tuple[Triplets, int]:
-        """The transition's entries, and the size of the state (``network_state.py`` says what is in it)."""
+        """The transition's entries, and the size of the state (``state.py`` says what is in it)."""
         return transition(self)
 
     @property
@@ -114,11 +113,11 @@ class Network:
     def transition(self) -> Any:
         """The square matrix that takes the state at one sample to the state at the next.
 
-        An array; of a large scene a sparse one, of scipy. ``network_state.py`` says what the state is.
+        An array; of a large scene a sparse one, of scipy. ``state.py`` says what the state is.
         """
         entries, size = self.triplets
         if self.is_large:
-            from hapsim.theory.sparse_modes import sparse_matrix
+            from hapsim.theory.network.sparse_modes import sparse_matrix
 
             return sparse_matrix(entries, size)
         matrix = np.zeros((size, size))
@@ -133,7 +132,7 @@ class Network:
         if not np.isfinite(self.triplets[0].value).all():
             return Solution(np.full(size, complex(np.nan, np.nan)), [], size)
         if self.is_large:
-            from hapsim.theory.sparse_modes import some_modes
+            from hapsim.theory.network.sparse_modes import some_modes
 
             return some_modes(self)
         poles, vectors = np.linalg.eig(self.transition())

@@ -6,7 +6,7 @@ import numpy as np
 
 from hapsim.theory.arrays import Complexes, Floats
 from hapsim.theory.interface import HOLDS, SAMPLINGS
-from hapsim.theory.shape import Damper, Term
+from hapsim.theory.interface.shape import Damper, Term
 
 
 def late_and_held(theta: Floats, delay: float, hold: str, sampling: str) -> Complexes:

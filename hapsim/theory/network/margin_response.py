@@ -15,14 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapsim.theory.arrays import Complexes, Floats
-from hapsim.theory.device_step import DeviceStep
 from hapsim.theory.interface import SAMPLINGS
-from hapsim.theory.network_state import acting_links, channel_steps
-from hapsim.theory.shape import Damper
-from hapsim.theory.sparse_elimination import Pattern, eliminate, invert
+from hapsim.theory.interface.shape import Damper
+from hapsim.theory.network.device_step import DeviceStep
+from hapsim.theory.network.sparse_elimination import Pattern, eliminate, invert
+from hapsim.theory.network.state import acting_links, channel_steps
 
 if TYPE_CHECKING:
-    from hapsim.theory.network import Network
+    from hapsim.theory.network.network import Network
 
 OUTSIDE = 1e-12  # the circle's radius is 1 and this: poles that rest on 1, and what never loses energy, lie inside
 AT_ONCE = 10_000_000  # complex numbers in memory

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapsim.theory.arrays import Complexes, Floats
-from hapsim.theory.network_rigid import poles_at_rest
+from hapsim.theory.network.rigid import poles_at_rest
 
 if TYPE_CHECKING:
-    from hapsim.theory.network import Network
+    from hapsim.theory.network.network import Network
 
 NO_MOTION = 1e-12  # a pole of smaller modulus is a memory that empties, not a motion
 SAME_AS_REST = 1e-4  # a double pole at 1 comes out of the eigenvalues this far off, at the worst

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hapsim.theory.arrays import Bools, Floats
-from hapsim.theory.quartic import guess_of_slow_factor
+from hapsim.theory.hand.quartic import guess_of_slow_factor
 
 MOST_STEPS = 14
 TOGETHER = 1  # steps that all points take; then those that have arrived stay behind

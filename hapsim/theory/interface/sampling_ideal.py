@@ -2,6 +2,6 @@
 
 from __future__ import annotations
 
-from hapsim.theory.shape import Sampling, Term
+from hapsim.theory.interface.shape import Sampling, Term
 
 IDEAL = Sampling(terms=(Term(1.0, 0, 0),), lag=0.0, reads_mean=False)

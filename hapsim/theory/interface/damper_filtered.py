@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-from hapsim.theory.shape import Damper
+from hapsim.theory.interface.shape import Damper
 
 
 def filtered(cutoff: float) -> Damper:

@@ -9,7 +9,7 @@ import numpy as np
 from hapsim.theory.arrays import Bools
 
 if TYPE_CHECKING:
-    from hapsim.theory.network import Network
+    from hapsim.theory.network.network import Network
 
 
 def poles_at_rest(network: Network) -> int:

@@ -17,12 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapsim.theory.arrays import Bools, Complexes, Floats
-from hapsim.theory.margin_angles import AFFORDABLE, angles_about, angles_for_links
-from hapsim.theory.margin_response import Response, TooLargeError
-from hapsim.theory.network_modes import snapped
+from hapsim.theory.network.margin_angles import AFFORDABLE, angles_about, angles_for_links
+from hapsim.theory.network.margin_response import Response, TooLargeError
+from hapsim.theory.network.modes import snapped
 
 if TYPE_CHECKING:
-    from hapsim.theory.network import Network
+    from hapsim.theory.network.network import Network
 
 LIMIT = 1.0 + 1e-9  # a pole within it is not unstable: it may rest on 1, or never lose its energy
 NEVER = 1e9  # a factor above it is none
