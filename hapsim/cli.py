@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from hapsim.chart.commands import app as chart
 from hapsim.errors import HapsimError, UsageError
 
 if TYPE_CHECKING:
@@ -31,6 +32,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
+app.add_typer(chart)
 
 SceneFile = Annotated[str, typer.Argument(metavar="SCENE", help="A scene in YAML, such as configs/first_touch.yaml.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on standard output, nothing else there.")]
@@ -64,7 +66,7 @@ def run(
     loaded = _scene(scene, port)
     if record is not None:
         require_writable_as_trace(record)
-    _warn(loaded, predict(loaded))
+    _warn(loaded, predict(loaded, with_margins=False))
     failure: RunError | None = None
     try:
         with live_line(_stderr()) as tell:
@@ -99,7 +101,9 @@ def check(scene: SceneFile, json: Json = False) -> None:
     """Predict, without running: stable or not, what the hand will meet, every mode, the link's budget."""
     from hapsim.prediction import predict
 
-    prediction = predict(_scene(scene))
+    loaded = _scene(scene)
+    with _stderr().status("working out the modes and how much each link may grow"):
+        prediction = predict(loaded)
     if json:
         from hapsim.console.as_json import document, prediction_document
 
@@ -143,7 +147,7 @@ def measure(
         require_writable_as_trace(record)
     if channel is None:
         channel = next(iter(loaded.device_points.values())).channel
-    prediction = predict(loaded)
+    prediction = predict(loaded, with_margins=False)
     felt = felt_on(prediction, channel)
     if felt is None and (picture is not None or data is not None):
         raise UsageError(

@@ -16,6 +16,9 @@ from hapsim.theory.hand.loop_equation import LoopEquation, characteristic
 from hapsim.theory.hand.poles import roots, without_pair
 
 
+FASTEST = 10.0  # decay in a sample period, above which the double pole is lost in the rounding of the others
+
+
 def double_pole(equation: LoopEquation, decay: Floats) -> tuple[Floats, Floats, Floats]:
     """(K T²/m, B T/m, decay of the slower pole) where the pole exp(-decay) is double and one further pole is slower.
 
@@ -30,6 +33,6 @@ def double_pole(equation: LoopEquation, decay: Floats) -> tuple[Floats, Floats, 
     others = roots(np.stack(without_pair(characteristic(equation, kappa, beta), w), axis=-1))
     slowest, modulus = others[..., 0], np.exp(-decay)
     next_one = np.abs(others[..., 1]) if others.shape[-1] > 1 else np.zeros_like(decay)
-    leads = (slowest.imag == 0.0) & (slowest.real > modulus) & (next_one < modulus)
+    leads = (decay < FASTEST) & (slowest.imag == 0.0) & (slowest.real > modulus) & (next_one < modulus)
     slow_decay = -np.log(np.where(leads, slowest.real, np.nan))
     return np.where(leads, kappa, np.nan), np.where(leads, beta, np.nan), slow_decay

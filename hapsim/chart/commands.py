@@ -1,0 +1,360 @@
+"""The commands `hapsim chart …`. They parse, call, and show; pictures are worked out and drawn beside this file."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from hapsim.errors import UsageError
+
+if TYPE_CHECKING:
+    from hapsim.chart.hand import Hand
+
+app = typer.Typer(
+    name="chart",
+    help="Draw what the hand meets: pictures as a paper prints them, and their numbers.",
+    no_args_is_help=True,
+)
+
+SceneFile = Annotated[str, typer.Argument(metavar="SCENE", help="A scene in YAML.")]
+MaybeScene = Annotated[
+    str | None, typer.Argument(metavar="[SCENE]", help="A scene in YAML; left out: a hand as the options describe it.")
+]
+Channel = Annotated[int | None, typer.Option(help="The channel whose hand it is; left out: the first.")]
+Rate = Annotated[float | None, typer.Option(metavar="HZ", help="Sample rate, Hz.")]
+Friction = Annotated[float | None, typer.Option(metavar="B0", help="Real friction of the device, N·s/m.")]
+Stiffness = Annotated[float | None, typer.Option(metavar="K0", help="Real spring of the device, N/m.")]
+Delay = Annotated[float | None, typer.Option(metavar="N", help="Delay, sample periods.")]
+Hold = Annotated[str | None, typer.Option(metavar="KIND", help="'zoh' or 'impulse'.")]
+Sampling = Annotated[str | None, typer.Option(metavar="KIND", help="'ideal' or 'average'.")]
+Damper = Annotated[str | None, typer.Option(metavar="KIND", help="'backward', 'centred', 'filtered' or 'sensed'.")]
+Cutoff = Annotated[float | None, typer.Option(metavar="HZ", help="Cutoff of the filtered damper, Hz.")]
+WrittenK = Annotated[
+    float | None, typer.Option("--written-stiffness", metavar="K", help="The stiffness K that is simulated, N/m.")
+]
+WrittenB = Annotated[
+    float | None, typer.Option("--written-damping", metavar="B", help="The damping B that is simulated, N·s/m.")
+]
+Picture = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE",
+        help="Where to draw: .svg, .png, .pdf; left out: the command's name with .svg, here, unless only --data or "
+        "--json is asked for.",
+    ),
+]
+Data = Annotated[Path | None, typer.Option(metavar="FILE", help="Write the numbers that are drawn: .csv.")]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on standard output, nothing else there.")]
+
+
+@app.command()
+def plane(
+    scene: MaybeScene = None,
+    channel: Channel = None,
+    mass: Annotated[
+        list[str] | None,
+        typer.Option(metavar="M", help="Hand and moving part, kg; several, 0.1,0.2,0.4, for a hand that nobody knows."),
+    ] = None,
+    rate: Rate = None,
+    friction: Friction = None,
+    stiffness: Stiffness = None,
+    delay: Delay = None,
+    hold: Hold = None,
+    sampling: Sampling = None,
+    damper: Damper = None,
+    cutoff: Cutoff = None,
+    written_stiffness: WrittenK = None,
+    written_damping: WrittenB = None,
+    normalised: Annotated[
+        bool, typer.Option("--normalised", help="The paper's units, K T²/m and B T/m; --mass and --rate default to 1.")
+    ] = False,
+    total_damping: Annotated[
+        bool, typer.Option("--total-damping", help="B + b0 on the axis, as in the paper's Figure 9.")
+    ] = False,
+    to_stiffness: Annotated[
+        float | None, typer.Option(metavar="K", help="Where the K axis ends, in its unit; left out: found.")
+    ] = None,
+    to_damping: Annotated[
+        float | None, typer.Option(metavar="B", help="Where the B axis ends, in its unit; left out: found.")
+    ] = None,
+    picture: Picture = None,
+    data: Data = None,
+    json: Json = False,
+) -> None:
+    """Draw the K,B plane: curves of equal k and b that the hand meets (the paper's Figures 7, 8 and 9).
+
+    The options of the loop are in place of what SCENE says.
+    """
+    from hapsim.chart.family import draw_family, family
+    from hapsim.chart.hand import described
+    from hapsim.chart.plane import draw_plane
+    from hapsim.chart.plane import plane as plane_of
+    from hapsim.chart.scale import scale_of
+    from hapsim.chart.view import view_of
+
+    picture = _writable(picture, data, json, "plane.svg")
+    masses = _numbers("--mass", mass)
+    if normalised and len(masses) > 1:
+        raise UsageError("--normalised: the unit of the axes holds for one mass only, found several; leave it out")
+    if normalised and scene is None:
+        masses, rate = masses or [1.0], 1.0 if rate is None else rate
+    given = _given(
+        mass=masses[0] if masses else None,
+        rate=rate,
+        friction=friction,
+        stiffness=stiffness,
+        delay=delay,
+        hold=hold,
+        sampling=sampling,
+        damper=damper,
+        cutoff=cutoff,
+    )
+    chosen, others = _hands(scene, channel, given, written_stiffness, written_damping)
+    members = [chosen.with_mass(mass) for mass in masses] if len(masses) > 1 else [chosen]
+    scale = scale_of(chosen.configuration, normalised=normalised, total=total_damping)
+    alike = [other for other in others if other.configuration == chosen.configuration]
+    drawn = members if len(members) > 1 else [chosen, *alike]
+    view = view_of(
+        drawn,
+        from_total=total_damping,
+        K_to=_end("--to-stiffness", to_stiffness, scale.stiffness),
+        B_to=_end("--to-damping", to_damping, scale.damping, scale.offset),
+    )
+    title = described(chosen.configuration, mass=len(members) == 1, normalised=normalised)
+    worked_out = family(members, view, scale) if len(members) > 1 else plane_of(drawn, view, scale)
+    _save_rows(worked_out.columns(), data)
+    if picture is not None and len(members) > 1:
+        draw_family(worked_out, title, picture)  # type: ignore[arg-type]
+    elif picture is not None:
+        draw_plane(worked_out, title, picture)  # type: ignore[arg-type]
+    if json:
+        _print_json({"scene": scene, "hands": [hand.summary() for hand in drawn]}, picture, data)
+        return
+    for hand in drawn:
+        for line in _told(hand):
+            print(line)
+    for other in others:
+        if other not in drawn:
+            print(f"{other.name} has a plane of its own: --channel {other.channel}")
+    _say(picture, data)
+
+
+@app.command()
+def transparency(
+    scene: MaybeScene = None,
+    channel: Channel = None,
+    mass: Annotated[float | None, typer.Option(metavar="M", help="Hand and moving part, kg.")] = None,
+    rate: Rate = None,
+    friction: Friction = None,
+    stiffness: Stiffness = None,
+    delay: Delay = None,
+    hold: Hold = None,
+    sampling: Sampling = None,
+    damper: Damper = None,
+    cutoff: Cutoff = None,
+    written_stiffness: WrittenK = None,
+    written_damping: WrittenB = None,
+    picture: Picture = None,
+    data: Data = None,
+    json: Json = False,
+) -> None:
+    """Draw the impedance that is written beside the one that is met, from frequency to frequency (Figure 2).
+
+    The options of the loop are in place of what SCENE says.
+    """
+    from hapsim.chart.figure import save_columns
+    from hapsim.chart.hand import described
+    from hapsim.chart.transparency import draw_transparency
+    from hapsim.chart.transparency import transparency as transparency_of
+
+    picture = _writable(picture, data, json, "transparency.svg")
+    given = _given(
+        mass=mass,
+        rate=rate,
+        friction=friction,
+        stiffness=stiffness,
+        delay=delay,
+        hold=hold,
+        sampling=sampling,
+        damper=damper,
+        cutoff=cutoff,
+    )
+    hand, _ = _hands(scene, channel, given, written_stiffness, written_damping)
+    if not hand.is_written:
+        raise UsageError("--written-stiffness is missing: without a SCENE, it says what is to be met")
+    worked_out = transparency_of(hand)
+    if data is not None:
+        save_columns(worked_out.columns(), data)
+    if picture is not None:
+        draw_transparency(worked_out, described(hand.configuration), picture)
+    bands = worked_out.gives_energy()
+    if json:
+        _print_json({"scene": scene, "hand": hand.summary(), "gives_energy_hz": bands}, picture, data)
+        return
+    for line in _told(hand):
+        print(line)
+    words = ", ".join(f"{low:.4g} to {high:.4g} Hz" for low, high in bands)
+    print(f"The wall gives the hand energy at {words}." if bands else "At no frequency does the wall give energy.")
+    _say(picture, data)
+
+
+@app.command()
+def table1(
+    scene: SceneFile,
+    channel: Channel = None,
+    as_scene: Annotated[
+        bool,
+        typer.Option(
+            "--as-scene", help="With the scene's hold, delay, friction and damping, in place of the paper's ideal loop."
+        ),
+    ] = False,
+    picture: Picture = None,
+    data: Data = None,
+    json: Json = False,
+) -> None:
+    """Couple the hand's mass with real and simulated springs (the paper's Table 1), predicted and run on the mock."""
+    from hapsim.chart.hand import described
+    from hapsim.chart.table1 import draw_table1
+    from hapsim.chart.table1 import table1 as table1_of
+    from hapsim.console.live import live_line
+
+    picture = _writable(picture, data, json, "table1.svg")
+    hand, _ = _hands(scene, channel, {}, None, None)
+    with live_line(_console(stderr=True)) as tell:
+        worked_out = table1_of(hand, as_scene=as_scene, on_progress=tell)
+    _save_rows(worked_out.columns(), data)
+    if picture is not None:
+        draw_table1(worked_out, described(worked_out.configuration), picture)
+    if json:
+        columns = worked_out.columns()
+        rows = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
+        _print_json({"scene": scene, "k": worked_out.k, "K": worked_out.K, "couplings": rows}, picture, data)
+        return
+    _console().print(_table(worked_out))
+    _say(picture, data)
+
+
+def _writable(picture: Path | None, data: Path | None, json: bool, otherwise: str) -> Path | None:
+    """Where the picture goes; UsageError where it or its numbers cannot be written."""
+    from hapsim.chart.figure import require_writable
+
+    if picture is None and data is None and not json:
+        picture = Path(otherwise)
+    require_writable(picture)
+    require_writable(data, (".csv",))
+    return picture
+
+
+def _numbers(option: str, words: list[str] | None) -> list[float]:
+    """Of an option that may be repeated, and may hold several numbers with commas between them; ordered, each once."""
+    found = set()
+    for word in ",".join(words or []).split(",") if words else []:
+        try:
+            found.add(float(word))
+        except ValueError:
+            raise UsageError(
+                f"{option}: found '{word}', expected a number, or several with commas between them"
+            ) from None
+    return sorted(found)
+
+
+def _given(**options: Any) -> dict[str, Any]:
+    return {name: value for name, value in options.items() if value is not None}
+
+
+def _hands(
+    scene: str | None, channel: int | None, given: dict[str, Any], stiffness: float | None, damping: float | None
+) -> tuple[Hand, list[Hand]]:
+    """The hand that is asked for, as it is written for, and the other hands of the scene."""
+    from hapsim.chart.hand import hand_of_options, hands_of_scene
+    from hapsim.scene import load_scene
+
+    if scene is None:
+        if channel is not None:
+            raise UsageError("--channel: without a SCENE there is one hand only")
+        return hand_of_options(given).written(stiffness, damping), []
+    hands = hands_of_scene(load_scene(scene), given)
+    chosen = next((hand for hand in hands if channel in (None, hand.channel)), None)
+    if chosen is None:
+        known = ", ".join(str(hand.channel) for hand in hands)
+        raise UsageError(
+            f"--channel {channel}: no hand there whose links all end on grounds; such hands are on: {known}"
+        )
+    return chosen.written(stiffness, damping), [hand for hand in hands if hand is not chosen]
+
+
+def _end(option: str, value: float | None, unit: float, offset: float = 0.0) -> float | None:
+    """The end of an axis in SI units."""
+    if value is None:
+        return None
+    if not 0.0 < value < float("inf"):
+        raise UsageError(f"{option}: found {value:g}, expected a finite number above 0")
+    return value * unit - offset
+
+
+def _told(hand: Hand) -> list[str]:
+    """What is written and met, and how far each may go: sentences."""
+    if not hand.is_written:
+        return []
+    known = hand.summary()
+    who = f"{hand.name} of {known['mass']:g} kg"
+    met = (
+        f"{who}: K = {known['stiffness']:g} N/m, B = {known['damping']:g} N·s/m is met as "
+        f"k = {known['k']:.6g} N/m, b = {known['b']:.6g} N·s/m"
+        if known["dominant"]
+        else f"{who}: no spring and damper is equivalent to what is met"
+    )
+    ends = []
+    for name, unit, other in (("stiffness", "N/m", "B"), ("damping", "N·s/m", "K")):
+        low, high = known[f"stable_{name}"]
+        if not math.isnan(low):
+            ends.append(f"for {'K' if other == 'B' else 'B'} from {low:.4g} to {high:.4g} {unit} at this {other}")
+    return [f"{met}; stable {' and '.join(ends)}." if ends else f"{met}; not stable with this K or B."]
+
+
+def _table(worked_out: Any) -> Any:
+    from rich.table import Table
+
+    table = Table(title="Table 1: a mass on real springs k and simulated springs K", title_justify="left")
+    for heading in ("", "k  N/m", "K  N/m", "predicted  Hz", "measured  Hz", "off by", "of I"):
+        table.add_column(heading, justify="right" if heading else "left")
+    for one in worked_out.couplings.values():
+        table.add_row(
+            one.numeral,
+            f"{one.configuration.stiffness:.6g}",
+            f"{one.K:.6g}",
+            f"{one.predicted_hz:.9g}",
+            f"{one.measured_hz:.9g}",
+            f"{one.off_by:+.0e}",
+            f"{worked_out.relative(one.numeral):.7f}",
+        )
+    return table
+
+
+def _save_rows(columns: dict[str, list[Any]], path: Path | None) -> None:
+    from hapsim.chart.figure import save_rows
+
+    if path is not None:
+        save_rows(columns, path)
+
+
+def _print_json(summary: dict[str, Any], picture: Path | None, data: Path | None) -> None:
+    from hapsim.console.as_json import document
+
+    files = {"picture": picture, "data": data}
+    print(document(summary | {name: None if path is None else str(path) for name, path in files.items()}))
+
+
+def _say(picture: Path | None, data: Path | None) -> None:
+    for what, path in (("Picture", picture), ("Its numbers", data)):
+        if path is not None:
+            print(f"{what}: {path}")
+
+
+def _console(stderr: bool = False) -> Any:
+    from rich.console import Console
+
+    return Console(stderr=stderr, highlight=False)

@@ -1,0 +1,137 @@
+"""Transparency: the impedance that is written beside the one that the hand meets (Florens et al., Figure 2)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hapsim.chart.figure import figure_to
+from hapsim.chart.hand import Hand
+from hapsim.theory.arrays import Complexes, Floats
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_BELOW_EIGENFREQUENCY, _BELOW_NYQUIST = 20.0, 1000.0  # where the picture begins, the second where nothing swings
+_POINTS = 1200
+
+
+@dataclass(frozen=True)
+class Transparency:
+    """Force over velocity of what is written and of what is met; the hand's own mass is in neither."""
+
+    hand: Hand
+    frequency: Floats
+    """Hz, (n,), up to just below the Nyquist frequency."""
+    written: Complexes
+    """N·s/m: the real spring K and damper B, with the device's own."""
+    met: Complexes
+    """N·s/m."""
+    eigenfrequency: float
+    """Hz, of the hand on what it meets; NaN where no spring and damper is equivalent."""
+
+    @property
+    def written_phase(self) -> Floats:
+        """Degrees."""
+        return _phase(self.written)
+
+    @property
+    def met_phase(self) -> Floats:
+        """Degrees, followed from the lowest frequency on: what is late goes on turning."""
+        return _phase(self.met)
+
+    def columns(self) -> dict[str, Any]:
+        """What is drawn, by the names that a data file uses."""
+        return {
+            "frequency_Hz": self.frequency,
+            "written_Ns_per_m": np.abs(self.written),
+            "met_Ns_per_m": np.abs(self.met),
+            "written_phase_deg": self.written_phase,
+            "met_phase_deg": self.met_phase,
+        }
+
+    def gives_energy(self) -> list[tuple[float, float]]:
+        """Bands (from, to) in Hz in which the wall gives the hand energy instead of taking it: Re Z < 0."""
+        power, f = self.met.real, self.frequency
+        gives = np.concatenate([[False], power < 0.0, [False]])
+        edges = np.flatnonzero(np.diff(gives.astype(int)))
+        # Between two frequencies the power is as good as straight.
+        nyquist = 0.5 * self.hand.configuration.rate
+        at = np.concatenate([[f[0]], f[:-1] - power[:-1] * np.diff(f) / _not_zero(np.diff(power)), [nyquist]])
+        return [(float(at[a]), float(at[b])) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def transparency(hand: Hand) -> Transparency:
+    """The impedances of one hand, for the K and B that are written for it."""
+    configuration = hand.configuration
+    nyquist = 0.5 * configuration.rate
+    eigenfrequency = hand.eigenfrequency()
+    lowest = eigenfrequency / _BELOW_EIGENFREQUENCY if eigenfrequency > 0.0 else nyquist / _BELOW_NYQUIST
+    frequency = np.geomspace(lowest, nyquist, _POINTS, endpoint=False)
+    jw = 2j * np.pi * frequency
+    written = np.asarray(
+        (hand.stiffness + configuration.stiffness) / jw + hand.damping + configuration.friction, complex
+    )
+    met = configuration.impedance(hand.stiffness, hand.damping, frequency)
+    return Transparency(hand, frequency, written, met, eigenfrequency)
+
+
+def draw_transparency(data: Transparency, title: str, path: Path) -> None:
+    """Draws it. The ending of `path` chooses SVG, PNG or PDF."""
+    with figure_to(path, 6.5, 5.6) as figure:
+        upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[1.15, 1.0])
+        upper.set_title(title)
+        _draw_both(upper, data.frequency, np.abs(data.written), np.abs(data.met), "written", "met")
+        upper.set_yscale("log")
+        upper.set_ylabel("|force / velocity|  (N·s/m)")
+        _draw_both(lower, data.frequency, data.written_phase, data.met_phase, "", "")
+        _mark_passive_band(lower, data)
+        lower.set_ylabel("phase  (degrees)")
+        lower.set_xlabel("frequency  (Hz)")
+        lower.set_xscale("log")
+        lower.xaxis.set_major_formatter("{x:g}")
+        lower.xaxis.set_minor_formatter("")
+        lower.set_xlim(data.frequency[0], 0.5 * data.hand.configuration.rate)
+        for axes in (upper, lower):
+            axes.grid(which="major", color="0.88", linewidth=0.6)
+        if math.isfinite(data.eigenfrequency):
+            label = f"eigenfrequency of the hand, {data.eigenfrequency:.4g} Hz"
+            for axes in (upper, lower):
+                style = {"color": "black", "linewidth": 0.9, "dashes": (2, 2), "zorder": 1.5}
+                axes.axvline(data.eigenfrequency, label=label if axes is upper else "", **style)
+        figure.legend(loc="outside lower center", ncols=2, frameon=False, handlelength=2.6, columnspacing=1.5)
+
+
+def _draw_both(axes: Axes, frequency: Floats, written: Floats, met: Floats, *labels: str) -> None:
+    axes.plot(frequency, written, color="0.5", linewidth=1.6, dashes=(5, 2), label=labels[0])
+    axes.plot(frequency, met, color="black", linewidth=1.4, label=labels[1])
+
+
+def _mark_passive_band(axes: Axes, data: Transparency) -> None:
+    """-90 to 90 degrees: outside of it the wall gives the hand energy."""
+    lowest = min(-90.0, float(np.min(data.met_phase)), float(np.min(data.written_phase)))
+    highest = max(0.0, float(np.max(data.met_phase)), float(np.max(data.written_phase)))
+    low = 45.0 * math.floor(lowest / 45.0 - 0.2)
+    high = 45.0 * math.ceil(highest / 45.0 + 0.2)
+    every = 45.0 if high - low <= 270.0 else 90.0 if high - low <= 900.0 else 360.0
+    axes.set_yticks(every * np.arange(math.ceil(low / every), math.floor(high / every) + 1))
+    outside: dict[str, Any] = {"facecolor": "0.86", "linewidth": 0, "zorder": 0.5}
+    label = "outside of −90° to 90°: the wall gives energy"
+    # A phase that goes on turning comes back into the band, a turn further down.
+    turn = math.floor((low + 90.0) / 360.0)
+    for centre in 360.0 * np.arange(turn, 2):
+        axes.axhspan(max(low, centre - 270.0), min(high, centre - 90.0), label=label, **outside)
+        label = ""
+    axes.set_ylim(low, high)
+
+
+def _not_zero(x: Floats) -> Floats:
+    return np.where(x == 0.0, 1.0, x)
+
+
+def _phase(impedance: Complexes) -> Floats:
+    return np.degrees(np.unwrap(np.angle(impedance)))

@@ -1,0 +1,80 @@
+"""`hapsim chart …` as a user calls it, in a directory of its own; scenes and configurations to draw."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from hapsim import cli
+
+
+@dataclass(frozen=True)
+class Answer:
+    status: int
+    out: str
+    err: str
+
+    @property
+    def document(self) -> dict[str, Any]:
+        """Standard output, which is one JSON document."""
+        document: dict[str, Any] = json.loads(self.out, parse_constant=pytest.fail)
+        return document
+
+
+@pytest.fixture
+def chart(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], tmp_path: Path) -> Callable[..., Answer]:
+    """Calls `hapsim chart …` in an empty directory and tells what came of it."""
+    monkeypatch.setenv("COLUMNS", "200")
+    monkeypatch.delenv("HAPSIM_TRACEBACK", raising=False)
+    monkeypatch.chdir(tmp_path)
+
+    def call(*words: object) -> Answer:
+        monkeypatch.setattr("sys.argv", ["hapsim", "chart", *map(str, words)])
+        with pytest.raises(SystemExit) as caught:
+            cli.main()
+        captured = capfd.readouterr()
+        assert "Traceback" not in captured.err
+        assert "defect" not in captured.err
+        return Answer(int(caught.value.code or 0), captured.out, captured.err)
+
+    return call
+
+
+WALL = {"type": "ground"}
+TOUCH = {"type": "viscoelastic", "between": ["hand", "wall"], "stiffness": 2000.0, "damping": 5.0}
+MODULES: dict[str, dict[str, Any]] = {
+    "spring": {"touch": TOUCH},
+    "damper": {"touch": TOUCH | {"stiffness": 0.0}},
+    "stiff": {"touch": TOUCH | {"stiffness": 4.2e5}},
+    "two_hands": {
+        "other": {"type": "device", "channel": 1},
+        "touch": TOUCH,
+        "hold": TOUCH | {"between": ["other", "wall"], "stiffness": 500.0},
+    },
+    "coupled": {
+        "ball": {"type": "mass", "mass": 0.05},
+        "touch": TOUCH | {"between": ["hand", "ball"]},
+        "hold": TOUCH | {"between": ["ball", "wall"]},
+    },
+}
+
+
+@pytest.fixture
+def scene_file(tmp_path: Path) -> Callable[..., Path]:
+    """Writes one of the scenes above."""
+
+    def write(name: str, **device: Any) -> Path:
+        path = tmp_path / f"{name}.yaml"
+        modules = {"hand": {"type": "device", "channel": 0}, "wall": WALL} | MODULES[name]
+        given = {"mass": 0.2, "friction": 1.0, "clock": "lockstep"} | device
+        document = {"version": 1, "rate": 1000.0, "device": given, "modules": modules}
+        path.write_text(yaml.safe_dump(document, sort_keys=False), encoding="utf-8")
+        return path
+
+    return write

@@ -1,0 +1,173 @@
+"""`hapsim chart …`: pictures in every format, their numbers, the summary for scripts, and what is refused."""
+
+from __future__ import annotations
+
+import csv
+import itertools
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hapsim.theory import Configuration
+
+Chart = Callable[..., Any]
+SceneFile = Callable[..., Path]
+BEGINS = {".svg": b"<?xml", ".png": b"\x89PNG", ".pdf": b"%PDF"}
+CALLS = {
+    "plane": ["plane", "spring", "--to-damping", "20"],
+    "family": ["plane", "spring", "--mass", "0.1,0.4"],
+    "paper": ["plane", "--hold", "impulse", "--normalised", "--friction", "0.5", "--total-damping"],
+    "transparency": ["transparency", "spring"],
+    "table1": ["table1", "spring"],
+}
+
+
+def columns_of(path: Path) -> dict[str, list[str]]:
+    with path.open(newline="", encoding="utf-8") as stream:
+        header, *rows = csv.reader(stream)
+    return dict(zip(header, map(list, zip(*rows, strict=True)), strict=True))
+
+
+def words_of(name: str, scene_file: SceneFile) -> list[str]:
+    return [str(scene_file("spring")) if word == "spring" else word for word in CALLS[name]]
+
+
+@pytest.mark.parametrize(
+    ("name", "ending"),
+    [*itertools.product(("plane", "transparency", "table1"), BEGINS), ("family", ".svg"), ("paper", ".png")],
+)
+def test_every_picture_is_drawn_in_every_format(chart: Chart, scene_file: SceneFile, name: str, ending: str) -> None:
+    answer = chart(*words_of(name, scene_file), "--picture", f"picture{ending}", "--data", "numbers.csv")
+    assert answer.status == 0
+    assert f"Picture: picture{ending}" in answer.out
+    assert Path(f"picture{ending}").read_bytes().startswith(BEGINS[ending])
+    assert len(columns_of(Path("numbers.csv"))) >= 5
+
+
+def test_left_out_the_picture_has_the_name_of_the_command(chart: Chart, scene_file: SceneFile) -> None:
+    answer = chart("transparency", scene_file("spring"))
+    assert "Picture: transparency.svg" in answer.out
+    assert Path("transparency.svg").exists()
+
+
+@pytest.mark.parametrize("only", [["--data", "numbers.csv"], ["--json"]])
+def test_who_asks_for_numbers_only_gets_no_picture(chart: Chart, scene_file: SceneFile, only: list[str]) -> None:
+    answer = chart("transparency", scene_file("spring"), *only)
+    assert (answer.status, answer.err) == (0, "")
+    assert not list(Path().glob("*.svg"))
+
+
+def test_the_numbers_of_a_plane_are_those_of_the_theory_to_the_last_digit(chart: Chart) -> None:
+    assert chart("plane", "--normalised", "--hold", "impulse", "--delay", "1", "--data", "numbers.csv").status == 0
+    table = columns_of(Path("numbers.csv"))
+    kind = np.array(table["curve"])
+    K, B, k, b = (np.array(table[name], float) for name in ("K_T2_per_m", "B_T_per_m", "k_T2_per_m", "b_T_per_m"))
+    configuration = Configuration(mass=1.0, rate=1.0, hold="impulse", delay=1.0)
+    here = (kind == "iso_k") | (kind == "iso_b") | (kind == "stability_limit")
+    expected = configuration.simulated(k[here], b[here])
+    drawn = np.isfinite(K[here])
+    assert np.array_equal(K[here][drawn], expected[0][drawn])
+    assert np.array_equal(B[here][drawn], expected[1][drawn])
+
+
+def test_the_summary_of_a_plane_tells_what_is_met_and_how_far_it_may_go(chart: Chart, scene_file: SceneFile) -> None:
+    answer = chart("plane", scene_file("spring"), "--json", "--picture", "p.png")
+    (hand,) = answer.document["hands"]
+    device = Configuration(mass=0.2, rate=1000.0, friction=1.0)
+    assert (hand["k"], hand["b"]) == pytest.approx(device.equivalent(2000.0, 5.0))
+    assert hand["stable_stiffness"] == pytest.approx(device.stable_stiffness(5.0))
+    assert hand["stable_damping"] == pytest.approx(device.stable_damping(2000.0))
+    assert answer.document["picture"] == "p.png"
+    assert Path("p.png").exists()
+
+
+def test_a_family_tells_what_each_mass_meets(chart: Chart, scene_file: SceneFile) -> None:
+    answer = chart("plane", scene_file("spring"), "--mass", "0.4", "--mass", "0.1,0.2", "--json")
+    assert [hand["mass"] for hand in answer.document["hands"]] == [0.1, 0.2, 0.4]
+    for hand in answer.document["hands"]:
+        configuration = Configuration(mass=hand["mass"], rate=1000.0, friction=1.0)
+        assert (hand["k"], hand["b"]) == pytest.approx(configuration.equivalent(2000.0, 5.0))
+
+
+def test_the_options_are_in_place_of_what_the_scene_says(chart: Chart, scene_file: SceneFile) -> None:
+    words = ["--delay", "0", "--hold", "impulse", "--written-damping", "7", "--json"]
+    (hand,) = chart("plane", scene_file("spring"), *words).document["hands"]
+    configuration = Configuration(mass=0.2, rate=1000.0, friction=1.0, delay=0.0, hold="impulse")
+    assert (hand["k"], hand["b"]) == pytest.approx(configuration.equivalent(2000.0, 7.0))
+
+
+def test_without_a_scene_a_hand_is_described_by_options(chart: Chart) -> None:
+    words = ["--mass", "0.2", "--rate", "1000", "--written-stiffness", "300", "--json"]
+    hand = chart("transparency", *words).document["hand"]
+    assert (hand["stiffness"], hand["damping"]) == (300.0, 0.0)
+    answer = chart("plane", "--mass", "0.2", "--rate", "1000", "--json")
+    assert answer.document["hands"][0]["k"] is None
+
+
+def test_hands_that_are_alike_share_a_plane_and_others_are_named(chart: Chart, scene_file: SceneFile) -> None:
+    together = chart("plane", scene_file("two_hands"), "--json")
+    assert [hand["name"] for hand in together.document["hands"]] == ["hand", "other"]
+    apart = chart("plane", scene_file("two_hands", mass=[0.2, 0.3]), "--channel", "1", "--data", "d.csv")
+    assert "hand has a plane of its own: --channel 0" in apart.out
+
+
+def test_table1_as_json(chart: Chart, scene_file: SceneFile) -> None:
+    answer = chart("table1", scene_file("spring"), "--as-scene", "--json")
+    couplings = {row["coupling"]: row for row in answer.document["couplings"]}
+    assert list(couplings) == ["I", "II", "III", "IV", "V"]
+    assert all(abs(row["measured_off_by"]) < 1e-6 for row in couplings.values())
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["plane"], "--mass is missing"),
+        (["plane", "--mass", "1"], "--rate is missing"),
+        (["plane", "--mass", "one"], "--mass: found 'one', expected a number"),
+        (["plane", "--mass", "-1", "--rate", "1000"], "--mass is -1, but it has to be greater than zero"),
+        (["plane", "spring", "--mass", "1,0"], "--mass is 0"),
+        (["plane", "spring", "--hold", "magnet"], "--hold is 'magnet', but it has to be one of: zoh, impulse"),
+        (["plane", "spring", "--damper", "filtered"], "cutoff"),
+        (["plane", "spring", "--cutoff", "50"], "cutoff"),
+        (["plane", "spring", "--mass", "1,2", "--normalised"], "holds for one mass only"),
+        (["plane", "spring", "--to-stiffness", "-1"], "--to-stiffness: found -1, expected a finite number above 0"),
+        (["plane", "spring", "--to-damping", "nan"], "--to-damping: found nan"),
+        (["plane", "spring", "--delay", "50"], "expected at most 40"),
+        (["plane", "spring", "--picture", "p.bmp"], "expected .svg, .png, .pdf"),
+        (["plane", "spring", "--picture", "nowhere/p.svg"], "there is no directory"),
+        (["plane", "spring", "--data", "d.txt"], "expected .csv"),
+        (["plane", "spring", "--channel", "7"], "--channel 7: no hand there"),
+        (["plane", "--mass", "1", "--rate", "1", "--channel", "0"], "without a SCENE there is one hand only"),
+        (["plane", "spring", "--written-stiffness", "nan"], "--written-stiffness: found nan"),
+        (["plane", "coupled"], "every hand of this scene moves masses"),
+        (["transparency", "coupled"], "every hand of this scene moves masses"),
+        (["transparency", "--mass", "1", "--rate", "1"], "--written-stiffness is missing"),
+        (["table1", "coupled"], "every hand of this scene moves masses"),
+        (["table1", "damper"], "found no spring"),
+        (["table1", "stiff"], "coupling IV of Table 1"),
+        (["table1"], "SCENE"),
+        (["plane", "nowhere.yaml"], "nowhere.yaml"),
+    ],
+)
+def test_what_cannot_be_drawn_is_a_sentence_and_status_2(
+    chart: Chart, scene_file: SceneFile, words: list[str], told: str
+) -> None:
+    scenes = ("spring", "coupled", "damper", "stiff")
+    answer = chart(*(scene_file(word) if word in scenes else word for word in words))
+    assert answer.status == 2
+    assert told in answer.err
+    assert answer.out == ""
+    assert not list(Path().glob("*.svg"))
+
+
+def test_help_loads_nothing_heavy() -> None:
+    code = (
+        "import sys, hapsim.cli; print([m for m in ('numpy', 'numba', 'matplotlib', 'pydantic') if m in sys.modules])"
+    )
+    answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert answer.stdout.strip() == "[]"

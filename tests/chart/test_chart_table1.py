@@ -1,0 +1,77 @@
+"""Table 1: what springs on both sides of the interface swing at, by closed forms, by the theory, and on the mock."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from hapsim.chart.hand import Hand
+from hapsim.chart.table1 import Table1, table1
+from hapsim.errors import UsageError
+from hapsim.theory import Configuration
+
+MASS, RATE, STIFFNESS = 0.001, 1000.0, 100.0
+
+
+def by_closed_forms(mass: float, rate: float, K: float) -> dict[str, float]:
+    """Hz, of Table 1 without damping, delay and hold (Florens et al., §3 and Table 2)."""
+    T = 1.0 / rate
+    w0 = math.acos(1.0 - 0.5 * K * T**2 / mass) / T
+    w = {
+        "I": w0,
+        "II": w0,
+        "III": math.sqrt(2.0) * w0,
+        "IV": math.acos(1.0 - K * T**2 / mass) / T,
+        "V": math.acos(math.cos(w0 * T) - K * T * math.sin(w0 * T) / (2.0 * mass * w0)) / T,
+    }
+    return {numeral: value / (2.0 * math.pi) for numeral, value in w.items()}
+
+
+def require_agreement(data: Table1, expected: dict[str, float], within: float) -> None:
+    for numeral, frequency in expected.items():
+        assert data.couplings[numeral].predicted_hz == pytest.approx(frequency, rel=1e-9)
+        assert data.couplings[numeral].measured_hz == pytest.approx(frequency, rel=within)
+
+
+@pytest.mark.parametrize("K", [0.1, 100.0, 900.0])
+def test_the_mock_swings_as_the_closed_forms_say(K: float) -> None:
+    hand = Hand("hand", 0, Configuration(MASS, RATE, friction=0.3, delay=1.0), K, 0.2)
+    data = table1(hand, as_scene=False)
+    require_agreement(data, by_closed_forms(MASS, RATE, K), 1e-6)
+    assert data.relative("III") == pytest.approx(math.sqrt(2.0))
+    # Two simulated springs are stiffer than two real ones, and one of each lies between them.
+    assert data.error("IV") > data.error("V") > 0.0
+
+
+def test_a_real_spring_alone_is_enough_to_tune_the_simulated_one() -> None:
+    real = Configuration(MASS, RATE, stiffness=100.84462625181537)
+    data = table1(Hand("hand", 0, real, 0.0, 0.0), as_scene=False)
+    assert pytest.approx(STIFFNESS, rel=1e-9) == data.K
+    require_agreement(data, by_closed_forms(MASS, RATE, STIFFNESS), 1e-6)
+
+
+def test_as_the_scene_is_the_simulated_spring_stands_for_the_real_one_that_it_is_met_as() -> None:
+    device = Configuration(mass=0.2, rate=1000.0, friction=1.0)
+    data = table1(Hand("hand", 0, device, 2000.0, 5.0), as_scene=True)
+    assert (data.k, data.couplings["I"].configuration.friction) == pytest.approx(device.equivalent(2000.0, 5.0))
+    assert data.relative("II") == pytest.approx(1.0)
+    for coupling in data.couplings.values():
+        assert abs(coupling.off_by) < 1e-6
+        assert abs(coupling.off_by) < 6.0 * coupling.uncertainty_hz / coupling.measured_hz + 1e-12
+
+
+@pytest.mark.parametrize(
+    ("stiffness", "damping", "as_scene", "told"),
+    [
+        (0.0, 5.0, False, "found no spring"),
+        (math.nan, math.nan, False, "found no spring"),
+        (4.2e5, 5.0, False, "coupling IV of Table 1 would not swing below half the rate"),
+        (1e7, 5.0, False, "swing"),
+        (2000.0, 0.0, True, "no real damper does that"),
+    ],
+)
+def test_what_cannot_be_coupled_is_told(stiffness: float, damping: float, as_scene: bool, told: str) -> None:
+    hand = Hand("hand", 0, Configuration(mass=0.2, rate=1000.0, friction=1.0), stiffness, damping)
+    with pytest.raises(UsageError, match=told):
+        table1(hand, as_scene=as_scene)

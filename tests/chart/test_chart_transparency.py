@@ -1,0 +1,49 @@
+"""The impedance written beside the impedance met."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from hapsim.chart.hand import Hand
+from hapsim.chart.transparency import transparency
+from hapsim.theory import Configuration
+
+DEVICE = Configuration(mass=0.2, rate=1000.0, friction=1.0, stiffness=100.0)
+
+
+def test_what_is_drawn_is_the_impedance_of_the_configuration() -> None:
+    data = transparency(Hand("hand", 0, DEVICE, 2000.0, 5.0))
+    columns = data.columns()
+    f = columns["frequency_Hz"]
+    assert f[-1] < 500.0
+    jw = 2j * np.pi * f
+    written = 6.0 + 2100.0 / jw
+    met = DEVICE.impedance(2000.0, 5.0, f)
+    for name, impedance in (("written", written), ("met", met)):
+        np.testing.assert_allclose(columns[f"{name}_Ns_per_m"], np.abs(impedance), rtol=1e-12)
+        turned = np.exp(1j * np.radians(columns[f"{name}_phase_deg"]))
+        np.testing.assert_allclose(turned, impedance / np.abs(impedance), atol=1e-9)
+        assert np.max(np.abs(np.diff(columns[f"{name}_phase_deg"]))) < 90.0
+
+
+def test_far_below_the_eigenfrequency_the_spring_is_met_as_it_is_written() -> None:
+    data = transparency(Hand("hand", 0, DEVICE, 2000.0, 5.0))
+    assert data.frequency[0] == pytest.approx(data.eigenfrequency / 20.0)
+    assert abs(data.met[0]) == pytest.approx(abs(data.written[0]), rel=1e-3)
+
+
+def test_the_wall_gives_energy_where_the_real_part_is_negative() -> None:
+    data = transparency(Hand("hand", 0, DEVICE, 2000.0, 5.0))
+    ((low, high),) = data.gives_energy()
+    at = np.array([0.999 * low, 1.001 * low, 0.999 * high, 1.001 * high])
+    assert (DEVICE.impedance(2000.0, 5.0, at).real < 0.0).tolist() == [False, True, True, False]
+    assert transparency(Hand("hand", 0, DEVICE, 100.0, 0.0)).gives_energy() == []
+
+
+def test_without_an_equivalent_there_is_no_eigenfrequency() -> None:
+    data = transparency(Hand("hand", 0, Configuration(mass=0.2, rate=1000.0, delay=0.0), 3000.0, 120.0))
+    assert math.isnan(data.eigenfrequency)
+    assert data.frequency[0] == pytest.approx(0.5)
