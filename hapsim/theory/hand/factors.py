@@ -14,6 +14,7 @@ from hapsim.theory.arrays import Bools, Floats
 from hapsim.theory.hand.quartic import guess_of_slow_factor
 
 MOST_STEPS = 14
+MOST_FROM_CLOSED_FORM = 5  # where the guess is a solution but for rounding: what does not settle then never does
 TOGETHER = 1  # steps that all points take; then those that have arrived stay behind
 ARRIVED = 1e-10  # relative size of a step: Newton's next one would be its square
 GOOD_ENOUGH = 1e-9  # the same: two poles that nearly meet do not settle any better
@@ -85,7 +86,7 @@ def slow_factor(coefficients: list[Floats]) -> tuple[Floats, Floats, Bools]:
         dp, dq = _step(coefficients, p, q)
         p, q = p + dp, q + dq
     size = _size_of_step(p, q, dp, dq)
-    for _ in range(MOST_STEPS - TOGETHER):
+    for _ in range((MOST_STEPS if len(coefficients) > 5 else MOST_FROM_CLOSED_FORM) - TOGETHER):
         under_way = np.flatnonzero(~(size <= ARRIVED))
         if under_way.size == 0:
             break

@@ -15,7 +15,6 @@ from hapsim.theory.hand.element import element_of_oscillator
 from hapsim.theory.hand.loop_equation import LoopEquation, characteristic
 from hapsim.theory.hand.poles import roots, without_pair
 
-
 FASTEST = 10.0  # decay in a sample period, above which the double pole is lost in the rounding of the others
 
 

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hapsim.theory.arrays import Complexes, Floats
+from hapsim.theory.arrays import Bools, Complexes, Floats
 
 CANCELS = 0.1  # a difference smaller than this part of its terms is worked out from small quantities
 
@@ -32,12 +32,21 @@ class Pair(NamedTuple):
         return OnPair(0.0, 1.0, self)
 
     @property
+    def swings(self) -> Bools:
+        """Whether they are conjugates."""
+        return np.asarray(0.25 * self.p * self.p < self.q)
+
+    @property
+    def larger_modulus(self) -> Floats:
+        """The modulus |1 + w| of the slower of the two."""
+        bend = 0.25 * self.p * self.p - self.q
+        swinging = np.sqrt(np.abs(1.0 - self.p + self.q))
+        return np.where(bend < 0.0, swinging, np.abs(1.0 - 0.5 * self.p) + np.sqrt(np.maximum(bend, 0.0)))
+
+    @property
     def smaller_modulus(self) -> Floats:
         """The modulus |1 + w| of the faster of the two."""
-        product = np.abs(1.0 - self.p + self.q)
-        bend = 0.25 * self.p * self.p - self.q
-        larger = np.abs(1.0 - 0.5 * self.p) + np.sqrt(np.maximum(bend, 0.0))
-        return np.where(bend < 0.0, np.sqrt(product), product / larger)
+        return np.abs(1.0 - self.p + self.q) / self.larger_modulus
 
     @property
     def poles(self) -> Complexes:

@@ -47,14 +47,30 @@ def leading(equation: LoopEquation, kappa: Floats, beta: Floats) -> Leading:
         if equation.degree > 2
         else (coefficients[1], coefficients[0], np.isfinite(sum(coefficients)))
     )
-    is_pair = (0.25 * p * p < q) | ((1.0 - p + q > 0.0) & (p < 2.0))  # conjugates, or two positive poles
-    others = in_z(divided(coefficients, p, q)[2:])
-    leads = found & is_pair & all_within(others, Pair(p, q).smaller_modulus)
+    pair, further = Pair(p, q), divided(coefficients, p, q)[2:]
+    is_pair = pair.swings | ((1.0 - p + q > 0.0) & (p < 2.0))  # conjugates, or two positive poles
+    leads = found & is_pair & all_within(in_z(further), pair.smaller_modulus)
     missed = np.flatnonzero(~leads)
+    if missed.size:
+        split = _surely_split(Pair(p[missed], q[missed]), [coefficient[missed] for coefficient in further])
+        missed = missed[~(found[missed] & split)]
     if missed.size:
         lead, _ = _solve(equation, kappa[missed], beta[missed], (p[missed], q[missed], found[missed]))
         p[missed], q[missed], leads[missed] = lead
     return Leading(p, q, leads)
+
+
+def _surely_split(pair: Pair, further: list[Floats]) -> Bools:
+    """Whether a real pole leads alone: the pair does not, and no other two could. Not all cases, but the common ones.
+
+    ``further``: the polynomial of the other poles, in w.
+    """
+    if len(further) == 2:
+        return np.asarray(pair.swings)
+    if len(further) != 3:
+        return np.zeros(pair.p.shape, dtype=bool)
+    others = Pair(further[1], further[0])
+    return np.asarray(~pair.swings & others.swings & (others.larger_modulus < pair.larger_modulus))
 
 
 def all_poles(equation: LoopEquation, kappa: Floats, beta: Floats) -> tuple[Leading, Complexes]:
