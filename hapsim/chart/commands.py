@@ -52,6 +52,7 @@ Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on s
 
 @app.command()
 def plane(
+    context: typer.Context,
     scene: MaybeScene = None,
     channel: Channel = None,
     mass: Annotated[
@@ -59,13 +60,13 @@ def plane(
         typer.Option(metavar="M", help="Hand and moving part, kg; several, 0.1,0.2,0.4, for a hand that nobody knows."),
     ] = None,
     rate: Rate = None,
-    friction: Friction = None,
-    stiffness: Stiffness = None,
-    delay: Delay = None,
-    hold: Hold = None,
-    sampling: Sampling = None,
-    damper: Damper = None,
-    cutoff: Cutoff = None,
+    friction: Friction = None,  # noqa: ARG001
+    stiffness: Stiffness = None,  # noqa: ARG001
+    delay: Delay = None,  # noqa: ARG001
+    hold: Hold = None,  # noqa: ARG001
+    sampling: Sampling = None,  # noqa: ARG001
+    damper: Damper = None,  # noqa: ARG001
+    cutoff: Cutoff = None,  # noqa: ARG001
     written_stiffness: WrittenK = None,
     written_damping: WrittenB = None,
     normalised: Annotated[
@@ -101,17 +102,7 @@ def plane(
         raise UsageError("--normalised: the unit of the axes holds for one mass only, found several; leave it out")
     if normalised and scene is None:
         masses, rate = masses or [1.0], 1.0 if rate is None else rate
-    given = _given(
-        mass=masses[0] if masses else None,
-        rate=rate,
-        friction=friction,
-        stiffness=stiffness,
-        delay=delay,
-        hold=hold,
-        sampling=sampling,
-        damper=damper,
-        cutoff=cutoff,
-    )
+    given = _loop_options(context, mass=masses[0] if masses else None, rate=rate)
     chosen, others = _hands(scene, channel, given, written_stiffness, written_damping)
     members = [chosen.with_mass(mass) for mass in masses] if len(masses) > 1 else [chosen]
     scale = scale_of(chosen.configuration, normalised=normalised, total=total_damping)
@@ -124,12 +115,10 @@ def plane(
         B_to=_end("--to-damping", to_damping, scale.damping, scale.offset),
     )
     title = described(chosen.configuration, mass=len(members) == 1, normalised=normalised)
-    worked_out = family(members, view, scale) if len(members) > 1 else plane_of(drawn, view, scale)
+    worked_out: Any = family(members, view, scale) if len(members) > 1 else plane_of(drawn, view, scale)
     _save_rows(worked_out.columns(), data)
-    if picture is not None and len(members) > 1:
-        draw_family(worked_out, title, picture)  # type: ignore[arg-type]
-    elif picture is not None:
-        draw_plane(worked_out, title, picture)  # type: ignore[arg-type]
+    if picture is not None:
+        (draw_family if len(members) > 1 else draw_plane)(worked_out, title, picture)
     if json:
         _print_json({"scene": scene, "hands": [hand.summary() for hand in drawn]}, picture, data)
         return
@@ -144,17 +133,18 @@ def plane(
 
 @app.command()
 def transparency(
+    context: typer.Context,
     scene: MaybeScene = None,
     channel: Channel = None,
     mass: Annotated[float | None, typer.Option(metavar="M", help="Hand and moving part, kg.")] = None,
     rate: Rate = None,
-    friction: Friction = None,
-    stiffness: Stiffness = None,
-    delay: Delay = None,
-    hold: Hold = None,
-    sampling: Sampling = None,
-    damper: Damper = None,
-    cutoff: Cutoff = None,
+    friction: Friction = None,  # noqa: ARG001
+    stiffness: Stiffness = None,  # noqa: ARG001
+    delay: Delay = None,  # noqa: ARG001
+    hold: Hold = None,  # noqa: ARG001
+    sampling: Sampling = None,  # noqa: ARG001
+    damper: Damper = None,  # noqa: ARG001
+    cutoff: Cutoff = None,  # noqa: ARG001
     written_stiffness: WrittenK = None,
     written_damping: WrittenB = None,
     picture: Picture = None,
@@ -171,17 +161,7 @@ def transparency(
     from hapsim.chart.transparency import transparency as transparency_of
 
     picture = _writable(picture, data, json, "transparency.svg")
-    given = _given(
-        mass=mass,
-        rate=rate,
-        friction=friction,
-        stiffness=stiffness,
-        delay=delay,
-        hold=hold,
-        sampling=sampling,
-        damper=damper,
-        cutoff=cutoff,
-    )
+    given = _loop_options(context, mass=mass, rate=rate)
     hand, _ = _hands(scene, channel, given, written_stiffness, written_damping)
     if not hand.is_written:
         raise UsageError("--written-stiffness is missing: without a SCENE, it says what is to be met")
@@ -261,7 +241,10 @@ def _numbers(option: str, words: list[str] | None) -> list[float]:
     return sorted(found)
 
 
-def _given(**options: Any) -> dict[str, Any]:
+def _loop_options(context: typer.Context, **more: Any) -> dict[str, Any]:
+    """The options that describe hand, device and loop, of those that were given; a command only has to declare them."""
+    names = ("friction", "stiffness", "delay", "hold", "sampling", "damper", "cutoff")
+    options = more | {name: context.params[name] for name in names}
     return {name: value for name, value in options.items() if value is not None}
 
 
