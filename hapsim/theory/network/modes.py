@@ -42,12 +42,14 @@ class Solution(NamedTuple):
         poles: (n,) by decreasing modulus. modes: the slowest to decay first.
         all: how many poles the scene has, memories included; n where every one was worked out.
         how: in words, which were worked out and what that says of the others; "" for every one.
+        growth: by how much a motion was seen to grow in a sample period of which no pole was found; else 0.
     """
 
     poles: Complexes
     modes: list[Mode]
     all: int
     how: str = ""
+    growth: float = 0.0
 
 
 def snapped(network: Network, poles: Complexes) -> Complexes:

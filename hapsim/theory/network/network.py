@@ -148,7 +148,7 @@ class Network:
 
     def spectral_radius(self) -> float:
         """The largest modulus of a pole, of those worked out; 0 for a scene without points."""
-        return float(np.abs(self.solution.poles).max(initial=0.0))
+        return float(np.abs(self.solution.poles).max(initial=self.solution.growth))
 
     def modes(self) -> list[Mode]:
         """The scene's motions, the slowest to decay first; without the poles at zero, which are memories.

@@ -19,6 +19,8 @@ from hapsim.theory.arrays import Complexes
 
 Indices = NDArray[np.intp]
 
+TOGETHER = 2  # neighbours: points of so many or fewer are eliminated in one round, every other one of a string
+
 
 class Round(NamedTuple):
     """Points eliminated together, g of them with r neighbours each, as slots of the matrix's entries.
@@ -115,11 +117,11 @@ def _chosen(waiting: list[tuple[int, int]], gone: set[int], neighbours: list[set
     chosen: list[int] = []
     put_back, barred = [], set()
     least = None
-    while waiting and (least is None or waiting[0][0] == least):
+    while waiting and (least is None or waiting[0][0] <= max(least, TOGETHER)):
         degree, point = heapq.heappop(waiting)
         if point in gone or degree != len(neighbours[point]) or point in chosen[-1:]:
             continue
-        least = degree
+        least = degree if least is None else least
         if point in barred:
             put_back.append((degree, point))
         else:

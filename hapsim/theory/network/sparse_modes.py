@@ -27,7 +27,7 @@ EDGE = 1.05  # a bound of the fastest motion this close to it is where to search
 ROW = 0.1  # a pole further from where it was looked for is another
 SAME = 1e-9  # two poles found by two searches are one within this
 TRUSTED = 1e-8  # residual of a pole and its motion, of the motion's own size
-STEPS = 4000  # of the search for a motion that grows
+STEPS = 40_000  # of the search for a motion that grows
 MOST_HANDS = 4
 
 
@@ -50,6 +50,13 @@ def sparse_matrix(entries: Triplets, size: int) -> Any:
 
 def some_modes(network: Network) -> Solution:
     """The poles that the searches find, each with its motion; ``how`` says which those are."""
+    from threadpoolctl import threadpool_limits
+
+    with threadpool_limits(1, user_api="blas"):  # further threads wait for each other, and longer where others run
+        return _some_modes(network)
+
+
+def _some_modes(network: Network) -> Solution:
     matrix = network.transition()
     points = network.channel_mass.size + network.point_mass.size
     poles, vectors, places = [np.zeros(0, complex)], [np.zeros((points, 0), complex)], []
@@ -59,19 +66,21 @@ def some_modes(network: Network) -> Solution:
             poles.append(found)
             vectors.append(motions[:points])
             places.append(search.where)
-    grown, motions = _growing(matrix)
+    grown, motions, growth = _growing(matrix)
     poles.append(grown)
     vectors.append(motions[:points])
     every, motion = _once_each(np.concatenate(poles), np.concatenate(vectors, axis=1))
     every = snapped(network, every)
     both = sort_by_modulus(np.concatenate([every, every[every.imag > 0.0].conj()]))
-    growth = (
+    others = (
         "and those that grow"
         if grown.size
+        else "a random motion grew, whose pole was not found"
+        if growth
         else f"none of the others made a random motion grow in {STEPS} sample periods"
     )
-    how = f"{both.size} of {matrix.shape[0]} poles were worked out: those nearest to {_listed(places)}; {growth}"
-    return Solution(both, modes_of(network, every, motion), matrix.shape[0], how)
+    how = f"{both.size} of {matrix.shape[0]} poles were worked out: those nearest to {_listed(places)}; {others}"
+    return Solution(both, modes_of(network, every, motion), matrix.shape[0], how, growth)
 
 
 def _searches(network: Network) -> Iterator[Search]:
@@ -136,8 +145,11 @@ def _beside_a_pole(matrix: Any, near: complex, start: slice) -> complex:
     return (pole if abs(pole - near) < ROW else near) + ASIDE
 
 
-def _growing(matrix: Any) -> tuple[Complexes, NDArray]:
-    """The poles of the greatest modulus, where a random motion grows by more than a free one would."""
+def _growing(matrix: Any) -> tuple[Complexes, NDArray, float]:
+    """The poles of the greatest modulus, where a random motion grows by more than a free one would.
+
+    And by how much it grows in a sample period, where no pole was found that does.
+    """
     motion = np.random.default_rng(1).standard_normal(matrix.shape[0])
     rows = matrix.tocsr()
     sizes = []
@@ -151,9 +163,12 @@ def _growing(matrix: Any) -> tuple[Complexes, NDArray]:
         motion /= size
     # A free mass drifts in proportion to time, so that it grows by 4/3 in the last quarter, less than by 2.
     if sizes[-1] < 2.0 and np.isfinite(sizes[-1]):
-        return np.zeros(0, complex), np.zeros((matrix.shape[0], 0))
+        return np.zeros(0, complex), np.zeros((matrix.shape[0], 0)), 0.0
     start = motion if np.isfinite(motion).all() else None
-    return _trusted(matrix, *_largest(matrix, 8, 200, start))
+    poles, motions = _trusted(matrix, *_largest(matrix, 8, 200, start))
+    found = bool((np.abs(poles) > 1.0).any())
+    growth = 0.0 if found else sizes[-1] ** (4.0 / STEPS) if np.isfinite(sizes[-1]) else np.inf
+    return poles, motions, float(growth)
 
 
 def _largest(operator: Any, count: int, iterations: int, start: Any = None) -> tuple[Complexes, NDArray]:
