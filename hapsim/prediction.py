@@ -152,7 +152,7 @@ def predict(scene: Scene, *, with_margins: bool = True) -> Prediction:
         felt=felt,
         coupled=coupled,
         # A loop of lone hands is judged by the formula, which resolves poles that rounding would place on the circle.
-        stable=all(one.stable for one in felt) if whole else network.is_stable(),
+        stable=all(one.stable for one in felt) and (whole or network.is_stable()),
         spectral_radius=network.spectral_radius(),
         poles=tuple(complex(pole) for pole in poles if abs(pole) > 1e-9),
         poles_in_all=network.solution.all,

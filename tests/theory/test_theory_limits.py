@@ -242,3 +242,43 @@ def test_large_grids_are_worked_out_in_parts_and_come_out_the_same() -> None:
             np.testing.assert_array_equal(whole[0][i], row[0])
             np.testing.assert_array_equal(whole[1][i], row[1])
     assert c.poles(K, B).shape == (300, 200, 4)
+
+
+class TestWhereKAndBAreTied:
+    """Impulses, no delay, no friction, a centred damper: at half the Nyquist frequency K + B = 2 has its pole at ±j."""
+
+    c = configuration(delay=0.0, hold="impulse", damper="centred")
+
+    def test_the_line_ends_what_is_stable(self) -> None:
+        beta = np.array([0.003, 0.05, 0.3, 1.0])
+        least, most = self.c.stable_stiffness(beta * DAMPING_UNIT)
+        np.testing.assert_allclose(least, 0.0, atol=1e-9)
+        np.testing.assert_allclose(most, (2.0 - beta) * STIFFNESS_UNIT, rtol=1e-9)
+        most = self.c.stable_damping(0.1 * STIFFNESS_UNIT)[1]
+        assert most == pytest.approx(1.9 * DAMPING_UNIT, rel=1e-9)
+
+    def test_the_poles_agree(self) -> None:
+        for inside, margin in ((True, 0.999), (False, 1.001)):
+            K = margin * 1.7 * STIFFNESS_UNIT
+            assert bool(self.c.is_stable(K, 0.3 * DAMPING_UNIT)) == inside
+
+
+def test_a_long_delay_is_judged_too() -> None:
+    c = configuration(friction=1.0, delay=60.0)
+    _, most = c.stable_stiffness(0.0)
+    assert most == pytest.approx(c.linear_stiffness_limit(0.0), rel=0.05)
+    assert c.is_stable(0.999 * most, 0.0)
+    assert not c.is_stable(1.001 * most, 0.0)
+
+
+def test_a_spring_above_the_nyquist_frequency_is_not_taken_for_its_image() -> None:
+    c = configuration(friction=1.0, stiffness=1.1 * np.pi**2 * STIFFNESS_UNIT)
+    assert np.isnan(c.equivalent(0.0, 0.0)).all()
+    assert not c.dominant(0.0, 0.0)
+    assert "Nyquist" in c.why_no_equivalent(0.0, 0.0)
+
+
+def test_the_fold_of_a_scalar_is_a_scalar() -> None:
+    K, B, k, b = configuration(friction=1.0, delay=1.0).fold(700.0)
+    assert np.ndim(K) == np.ndim(B) == np.ndim(k) == np.ndim(b) == 0
+    assert np.isfinite([K, B, k, b]).all()

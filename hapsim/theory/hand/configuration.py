@@ -19,8 +19,8 @@ from hapsim.theory.hand.loop_equation import LoopEquation, characteristic, loop_
 from hapsim.theory.hand.pair import oscillator_of_quadratic
 from hapsim.theory.hand.passivity import Wall, needed_friction
 from hapsim.theory.hand.plant import sampled_plant
-from hapsim.theory.hand.poles import Leading, all_poles, leading
-from hapsim.theory.hand.reasons import why_not_attained, why_not_dominant
+from hapsim.theory.hand.poles import MOST_BY_FACTORS, Leading, all_poles, all_within, leading
+from hapsim.theory.hand.reasons import OWN_ABOVE_NYQUIST, why_not_attained, why_not_dominant
 from hapsim.theory.interface import HOLDS, SAMPLINGS, damper_named
 
 _quietly = np.errstate(all="ignore")  # what is out of range becomes NaN
@@ -135,7 +135,7 @@ class Configuration:
         Returns:
             k in N/m and b in N·s/m, real friction included. NaN where ``dominant`` is False.
         """
-        lead = leading(self._equation, *self._normalised(K, B))
+        lead = self._leading(K, B)
         sigma, kappa = oscillator_of_quadratic(lead.p, lead.q)
         k = np.where(lead.dominant, kappa * self.stiffness_unit, np.nan)
         b = np.where(lead.dominant, sigma * self.damping_unit, np.nan)
@@ -148,7 +148,7 @@ class Configuration:
         It is where the slowest poles are a complex pair or two positive real ones, and every further pole
         decays faster than both.
         """
-        return leading(self._equation, *self._normalised(K, B)).dominant
+        return self._leading(K, B).dominant
 
     @quietly_in_blocks
     def dominant_poles(self, K: ArrayLike, B: ArrayLike) -> Complexes:
@@ -266,11 +266,12 @@ class Configuration:
         Returns:
             N/m, N·s/m, N/m, N·s/m; NaN where the double pole is not the pair's faster one.
         """
-        fast = np.asarray(decay, dtype=float) * self.period
+        decay = np.asarray(decay, dtype=float)
+        fast = decay.ravel() * self.period
         kappa, beta, slow = double_pole(self._equation, fast)
         K, B = kappa * self.stiffness_unit, beta * self.damping_unit
         k, b = slow * fast * self.stiffness_unit, (slow + fast) * self.damping_unit
-        return K[()], B[()], k[()], b[()]
+        return tuple(value.reshape(decay.shape)[()] for value in (K, B, k, b))  # type: ignore[return-value]
 
     @_quietly
     def impedance(self, K: ArrayLike, B: ArrayLike, frequency: ArrayLike) -> Complexes:
@@ -289,7 +290,8 @@ class Configuration:
     def why_no_equivalent(self, K: ArrayLike, B: ArrayLike) -> NDArray[np.str_]:
         """Why ``equivalent`` is NaN, in words; "" where it is not."""
         lead, poles = self._solved(K, B)
-        return why_not_dominant(poles, lead.dominant)
+        words = why_not_dominant(poles, lead.dominant)
+        return words if self._own_swing_is_seen else np.full(words.shape, OWN_ABOVE_NYQUIST)
 
     @quietly_in_blocks
     def why_not_simulated(self, k: ArrayLike, b: ArrayLike) -> NDArray[np.str_]:
@@ -326,6 +328,8 @@ class Configuration:
 
     def _stable_interval(self, sought: int, given: Floats) -> tuple[Floats, Floats]:
         def is_stable(kappa: Floats, beta: Floats) -> Bools:
+            if self._equation.degree > MOST_BY_FACTORS:  # of a long delay eigenvalues take too long
+                return all_within(characteristic(self._equation, kappa, beta), np.ones(kappa.shape))
             return np.asarray(self.is_stable(kappa * self.stiffness_unit, beta * self.damping_unit))
 
         least, most = stable_interval(self._equation, self._undamped, sought, given.ravel(), is_stable)
@@ -335,5 +339,15 @@ class Configuration:
         stiffness, damping = np.broadcast_arrays(np.asarray(stiffness, dtype=float), np.asarray(damping, dtype=float))
         return stiffness / self.stiffness_unit, damping / self.damping_unit
 
+    def _leading(self, K: ArrayLike, B: ArrayLike) -> Leading:
+        lead = leading(self._equation, *self._normalised(K, B))
+        return lead._replace(dominant=lead.dominant & self._own_swing_is_seen)
+
+    @cached_property
+    def _own_swing_is_seen(self) -> bool:
+        """Whether mass and real spring swing below the Nyquist frequency: of what is faster only an image is seen."""
+        return bool(is_attainable(self._equation.plant.damping, self._equation.plant.stiffness))
+
     def _solved(self, K: ArrayLike, B: ArrayLike) -> tuple[Leading, Complexes]:
-        return all_poles(self._equation, *self._normalised(K, B))
+        lead, poles = all_poles(self._equation, *self._normalised(K, B))
+        return lead._replace(dominant=lead.dominant & self._own_swing_is_seen), poles

@@ -9,7 +9,7 @@ import numpy as np
 
 from hapsim.theory.arrays import Bools, Floats
 from hapsim.theory.hand.loop_equation import LoopEquation, characteristic, element_on_pair
-from hapsim.theory.hand.pair import Pair, change_of_quadratic, pair_of_oscillator
+from hapsim.theory.hand.pair import OnPair, Pair, change_of_quadratic, pair_of_oscillator
 from hapsim.theory.hand.poles import all_within, without_pair
 
 
@@ -39,7 +39,25 @@ def element_of_oscillator(
     return stiffness, damping, pair
 
 
-def is_attainable(sigma: Floats, kappa: Floats) -> Bools:
+def undamped_parts(equation: LoopEquation, theta: Floats) -> tuple[OnPair, OnPair]:
+    """(h, g) with K T²/m + B T/m h + g = 0 where a pole swings undamped at theta radians per sample.
+
+    As lines over that pole and its conjugate: where both slopes vanish, K and B are tied by this one equation only.
+    """
+    zero = np.zeros_like(theta)
+    pair = pair_of_oscillator(zero, theta**2)
+    velocity, ratio = element_on_pair(equation, pair.w)
+    plant = equation.plant
+    p_change, q_change = change_of_quadratic(
+        pair, (zero, theta**2), (zero - plant.damping, theta**2 - plant.stiffness), plant.damping, plant.stiffness
+    )
+    moving = pair.w.times(velocity)
+    if equation.damper.senses:
+        moving = moving.plus(plant.offset)
+    return moving, pair.w.scaled(p_change).plus(q_change).times(ratio)
+
+
+def is_attainable(sigma: Floats | float, kappa: Floats | float) -> Bools:
     """Whether the oscillator swings below the Nyquist frequency."""
     return np.asarray(kappa - 0.25 * sigma**2 < np.pi**2)
 

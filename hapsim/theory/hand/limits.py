@@ -12,13 +12,14 @@ from typing import NamedTuple
 import numpy as np
 
 from hapsim.theory.arrays import Bools, Floats
-from hapsim.theory.hand.element import element_of_oscillator
+from hapsim.theory.hand.element import element_of_oscillator, undamped_parts
 from hapsim.theory.hand.loop_equation import LoopEquation, characteristic
 
 SLOWEST = 1e-9  # radians per sample: what swings more slowly is not looked for
 POINTS_PER_DECADE = 24  # of the slow frequencies
 POINTS_PER_SAMPLE = 48  # of the others, for each sample by which the loop is late
 BISECTIONS = 60
+IN_PHASE = 1e-9  # of its size: a part out of phase that is none
 ROUNDING = 1e-12  # an interval relatively narrower than this is none
 GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 
@@ -31,6 +32,8 @@ class Undamped(NamedTuple):
     theta: Floats
     kappa: Floats
     beta: Floats
+    tied: list[tuple[float, float]]
+    """(h, g) of frequencies at which a whole line K T²/m + B T/m h + g = 0 has its pole on the circle."""
 
 
 def undamped_element(equation: LoopEquation, theta: Floats) -> tuple[Floats, Floats]:
@@ -51,7 +54,7 @@ def undamped_curve(equation: LoopEquation) -> Undamped:
     along = undamped_element(equation, theta)
     turns = [_turning_points(equation, which, theta, along[which]) for which in (0, 1)]
     theta = np.unique(np.concatenate([theta, *turns]))
-    return Undamped(theta, *undamped_element(equation, theta))
+    return Undamped(theta, *undamped_element(equation, theta), _tied(equation, theta))
 
 
 def stable_interval(
@@ -63,7 +66,8 @@ def stable_interval(
     tells. Returns (least, most), NaN where nothing is stable, infinity where nothing ends it.
     """
     with_real_pole = [at(equation, sought, given)[:, None] for at in (_with_pole_at_rest, _with_alternating_pole)]
-    crossings = np.concatenate([*with_real_pole, _crossings(equation, curve, sought, given)], axis=-1)
+    tied = [(-(g + h * given) if sought == 0 else -(g + given) / h)[:, None] for h, g in curve.tied]
+    crossings = np.concatenate([*with_real_pole, *tied, _crossings(equation, curve, sought, given)], axis=-1)
     edges = np.sort(np.where(np.isfinite(crossings), crossings, np.inf), axis=-1)
     edges = np.concatenate([np.full((given.size, 1), -np.inf), edges, np.full((given.size, 1), np.inf)], axis=-1)
     inside = _between(edges[:, :-1], edges[:, 1:])
@@ -108,6 +112,22 @@ def _with_alternating_pole(equation: LoopEquation, sought: int, given: Floats) -
     values = coefficients @ (-1.0) ** np.arange(equation.degree, -1, -1)
     slopes = values[1:] - values[0]
     return np.asarray(-(values[0] + slopes[1 - sought] * given) / slopes[sought])
+
+
+def _tied(equation: LoopEquation, theta: Floats) -> list[tuple[float, float]]:
+    """Where the damper's reading is in phase with the position, and so is what moves the mass (a centred damper at half
+    the Nyquist frequency): K and B cannot be told apart there, and the curve has a hole."""
+    slope = np.asarray(undamped_parts(equation, theta)[0].slope) + 0.0 * theta
+    at = np.flatnonzero(np.sign(slope[1:]) != np.sign(slope[:-1]))
+    low, high, sign = theta[at], theta[at + 1], np.sign(slope[at])
+    for _ in range(BISECTIONS):
+        middle = 0.5 * (low + high)
+        before = np.sign(np.asarray(undamped_parts(equation, middle)[0].slope) + 0.0 * middle) == sign
+        low, high = np.where(before, middle, low), np.where(before, high, middle)
+    middle = 0.5 * (low + high)
+    h, g = undamped_parts(equation, middle)
+    tied = np.abs(g.slope) <= IN_PHASE * np.abs(g.constant)
+    return [(float(one), float(other)) for one, other in zip(h.constant[tied], g.constant[tied], strict=True)]
 
 
 def _crossings(equation: LoopEquation, curve: Undamped, sought: int, given: Floats) -> Floats:

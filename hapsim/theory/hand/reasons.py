@@ -12,6 +12,7 @@ NEGATIVE = "the slowest motion changes its sign with every sample, which no spri
 SINGLE = "the slowest motion is a single creep, and what follows it swings: no spring and damper does both"
 FURTHER = "a further pole of the loop decays no faster than the pair that would move the hand"
 ABOVE_NYQUIST = "the motion asked for swings at or above the Nyquist frequency, half the rate"
+OWN_ABOVE_NYQUIST = "mass and spring of the device swing by themselves at or above the Nyquist frequency, half the rate"
 LATE = "with these stiffness and damping a further pole of the loop decays no faster than the motion asked for"
 
 

@@ -6,6 +6,7 @@ size is ever formed.
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -28,7 +29,8 @@ ROW = 0.1  # a pole further from where it was looked for is another
 SAME = 1e-9  # two poles found by two searches are one within this
 TRUSTED = 1e-8  # residual of a pole and its motion, of the motion's own size
 STEPS = 40_000  # of the search for a motion that grows
-MOST_HANDS = 4
+BREATH = 16  # of them until it is measured, and made small again
+MOST_HANDS = 16
 
 
 class Search(NamedTuple):
@@ -152,23 +154,22 @@ def _growing(matrix: Any) -> tuple[Complexes, NDArray, float]:
     """
     motion = np.random.default_rng(1).standard_normal(matrix.shape[0])
     rows = matrix.tocsr()
-    sizes = []
-    for _ in range(4):
-        for _ in range(STEPS // 4):
+    logarithm = np.zeros(STEPS // BREATH + 1)
+    for n in range(STEPS // BREATH):
+        for _ in range(BREATH):
             motion = rows @ motion
         size = float(np.linalg.norm(motion))
-        sizes.append(size)
         if not 0.0 < size < np.inf:
-            break
+            return np.zeros(0, complex), np.zeros((matrix.shape[0], 0)), size
         motion /= size
+        logarithm[n + 1] = logarithm[n] + math.log(size)
     # A free mass drifts in proportion to time, so that it grows by 4/3 in the last quarter, less than by 2.
-    if sizes[-1] < 2.0 and np.isfinite(sizes[-1]):
+    last = float(logarithm[-1] - logarithm[-1 - logarithm.size // 4])
+    if last < math.log(2.0):
         return np.zeros(0, complex), np.zeros((matrix.shape[0], 0)), 0.0
-    start = motion if np.isfinite(motion).all() else None
-    poles, motions = _trusted(matrix, *_largest(matrix, 8, 200, start))
+    poles, motions = _trusted(matrix, *_largest(matrix, 8, 200, motion))
     found = bool((np.abs(poles) > 1.0).any())
-    growth = 0.0 if found else sizes[-1] ** (4.0 / STEPS) if np.isfinite(sizes[-1]) else np.inf
-    return poles, motions, float(growth)
+    return poles, motions, 0.0 if found else math.exp(last / (logarithm.size // 4 * BREATH))
 
 
 def _largest(operator: Any, count: int, iterations: int, start: Any = None) -> tuple[Complexes, NDArray]:
