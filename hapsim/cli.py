@@ -149,9 +149,10 @@ def measure(
         channel = next(iter(loaded.device_points.values())).channel
     prediction = predict(loaded, with_margins=False)
     felt = felt_on(prediction, channel)
+    why = next((prediction.coupled.get(n, "") for n, p in loaded.device_points.items() if p.channel == channel), "")
     if felt is None and (picture is not None or data is not None):
         raise UsageError(
-            "a ring-down is drawn for a hand whose links all end on grounds; this one moves masses of the scene too: "
+            f"a ring-down is drawn for a hand that is a spring and damper's alone; this one {why}: "
             "leave out --picture and --data"
         )
     _warn(loaded, prediction)
@@ -173,7 +174,7 @@ def measure(
 
         print(document({"scene": scene} | measurement_document(prediction, measurement, channel)))
     else:
-        _show_measured(loaded, channel, felt, measurement)
+        _show_measured(loaded, channel, felt, why, measurement)
         for what, path in (("Picture", picture), ("Its numbers", data), ("Trace", record)):
             if path is not None:
                 print(f"{what}: {path}")
@@ -290,11 +291,11 @@ def _line_kind(mock: bool, line: str | None, port: str | None) -> Any:
     return line or ("mock" if mock else "auto")
 
 
-def _show_measured(scene: Scene, channel: int, felt: Any, measurement: Any) -> None:
+def _show_measured(scene: Scene, channel: int, felt: Any, why: str, measurement: Any) -> None:
     from hapsim.console.tables import show_measurement, show_report
 
     hands = {point.channel: name for name, point in scene.device_points.items()}
-    show_measurement(_stdout(), f"{hands[channel]}, channel {channel}", felt, measurement)
+    show_measurement(_stdout(), f"{hands[channel]}, channel {channel}", felt, why, measurement)
     others = ", ".join(f"--channel {c} for {name}" for c, name in hands.items() if c != channel)
     if others:
         print(f"Other hands of this scene: {others}.")

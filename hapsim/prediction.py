@@ -84,8 +84,8 @@ class Prediction:
     rate: float
     felt: tuple[Felt, ...]
     """One for each device point that is a temporary hybrid system of its own, in the scene's order."""
-    coupled: tuple[str, ...]
-    """Device points that are not: their links lead to masses or to each other, or their dampers differ in kind."""
+    coupled: dict[str, str]
+    """Device points that are not, and why, in words that follow their name."""
     stable: bool
     """As far as the poles were worked out: see `how`."""
     spectral_radius: float
@@ -144,8 +144,8 @@ def predict(scene: Scene, *, with_margins: bool = True) -> Prediction:
         raise UsageError(f"rate: found {scene.rate:g} Hz, which is beyond what is worked out (1e-9 to 1e9 Hz)")
     network, points = _network(scene)
     poles = network.poles()
-    felt = tuple(_felt(scene, name) for name in scene.device_points if _is_alone(scene, name))
-    coupled = tuple(name for name in scene.device_points if not _is_alone(scene, name))
+    felt = tuple(_felt(scene, name) for name in scene.device_points if not why_coupled(scene, name))
+    coupled = {name: why for name in scene.device_points if (why := why_coupled(scene, name))}
     whole = not coupled and not scene.masses
     return Prediction(
         rate=scene.rate,
@@ -195,10 +195,24 @@ def _dampers(links: list[ViscoElastic]) -> set[tuple[str, float | None]]:
     return {(link.damper, link.cutoff) for link in links if link.damping > 0.0}
 
 
-def _is_alone(scene: Scene, name: str) -> bool:
-    """Whether every link of this device point ends on a ground, and their dampers are of one kind."""
-    links = _links_of(scene, name)
-    return all(set(link.between) - {name} <= set(scene.grounds) for link in links) and len(_dampers(links)) <= 1
+def why_coupled(scene: Scene, name: str) -> str:
+    """Why the hand at this device point is no oscillator of its own, in words that follow its name; "" where it is."""
+    links = {link: module for link, module in scene.links.items() if isinstance(module, ViscoElastic)}
+    own = {link: module for link, module in links.items() if name in module.between}
+    for link, module in own.items():
+        (other,) = set(module.between) - {name}
+        if other in scene.masses:
+            return f"moves a mass of the scene too ({other}, by {link})"
+        if other in scene.device_points:
+            return f"is tied to another hand ({other}, by {link})"
+    kinds = {
+        module.damper if module.cutoff is None else f"{module.damper} at {module.cutoff:g} Hz": link
+        for link, module in own.items()
+        if module.damping > 0.0
+    }
+    if len(kinds) > 1:
+        return f"has dampers of several kinds ({', '.join(f'{link}: {kind}' for kind, link in kinds.items())})"
+    return ""
 
 
 def configuration_of(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -124,7 +123,7 @@ def plane(
         return
     for hand in drawn:
         for line in _told(hand):
-            print(line)
+            _console().print(line)
     for other in others:
         if other not in drawn:
             print(f"{other.name} has a plane of its own: --channel {other.channel}")
@@ -169,15 +168,18 @@ def transparency(
     if data is not None:
         save_columns(worked_out.columns(), data)
     if picture is not None:
-        draw_transparency(worked_out, described(hand.configuration), picture)
+        written = f"K = {hand.stiffness:.6g} N/m, B = {hand.damping:.6g} N·s/m"
+        draw_transparency(worked_out, f"{written}; {described(hand.configuration)}", picture)
     bands = worked_out.gives_energy()
     if json:
         _print_json({"scene": scene, "hand": hand.summary(), "gives_energy_hz": bands}, picture, data)
         return
     for line in _told(hand):
-        print(line)
-    words = ", ".join(f"{low:.4g} to {high:.4g} Hz" for low, high in bands)
-    print(f"The wall gives the hand energy at {words}." if bands else "At no frequency does the wall give energy.")
+        _console().print(line)
+    frequency = worked_out.frequency
+    words = ", ".join(_band(low, high, frequency[0], frequency[-1]) for low, high in bands)
+    said = f"The wall gives the hand energy {words}." if bands else "At no frequency does the wall give energy."
+    _console().print(said)
     _say(picture, data)
 
 
@@ -207,7 +209,8 @@ def table1(
         worked_out = table1_of(hand, as_scene=as_scene, on_progress=tell)
     _save_rows(worked_out.columns(), data)
     if picture is not None:
-        draw_table1(worked_out, described(worked_out.configuration), picture)
+        tuned = f"K = {worked_out.K:.6g} N/m, k = {worked_out.k:.6g} N/m"
+        draw_table1(worked_out, f"{tuned}; {described(worked_out.configuration)}", picture)
     if json:
         columns = worked_out.columns()
         rows = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
@@ -284,6 +287,7 @@ def _told(hand: Hand) -> list[str]:
         return []
     known = hand.summary()
     who = f"{hand.name} of {known['mass']:g} kg"
+    who = who if known["stable"] else f"UNSTABLE: {who}"
     met = (
         f"{who}: K = {known['stiffness']:g} N/m, B = {known['damping']:g} N·s/m is met as "
         f"k = {known['k']:.6g} N/m, b = {known['b']:.6g} N·s/m"
@@ -293,9 +297,21 @@ def _told(hand: Hand) -> list[str]:
     ends = []
     for name, unit, other in (("stiffness", "N/m", "B"), ("damping", "N·s/m", "K")):
         low, high = known[f"stable_{name}"]
-        if not math.isnan(low):
-            ends.append(f"for {'K' if other == 'B' else 'B'} from {low:.4g} to {high:.4g} {unit} at this {other}")
+        if high > 0.0:  # nobody writes a negative one
+            which = "K" if other == "B" else "B"
+            ends.append(f"for {which} from {_not_below_zero(low, high):.4g} to {high:.4g} {unit} at this {other}")
     return [f"{met}; stable {' and '.join(ends)}." if ends else f"{met}; not stable with this K or B."]
+
+
+def _band(low: float, high: float, first: float, last: float) -> str:
+    """Where a band begins or ends with the picture, that is no property of the wall."""
+    if low <= first:
+        return "at every frequency drawn" if high >= last else f"below {high:.4g} Hz"
+    return f"above {low:.4g} Hz" if high >= last else f"from {low:.4g} to {high:.4g} Hz"
+
+
+def _not_below_zero(low: float, high: float) -> float:
+    return low if low > 1e-12 * high else 0.0
 
 
 def _table(worked_out: Any) -> Any:

@@ -106,11 +106,12 @@ def described(configuration: Configuration, *, mass: bool = True, normalised: bo
 
 def hands_of_scene(scene: Scene, given: Mapping[str, Any]) -> list[Hand]:
     """The lone hands of a scene, in its order; `given`: fields of a Configuration that are to be other than it says."""
-    felt = predict(scene, with_margins=False).felt
+    prediction = predict(scene, with_margins=False)
+    felt = prediction.felt
     if not felt:
+        why = "; ".join(f"{name} {words}" for name, words in prediction.coupled.items())
         raise UsageError(
-            "a hand is drawn where all its links end on grounds; every hand of this scene moves masses or another hand "
-            "too. `hapsim check` lists the modes of the whole"
+            f"a hand is drawn that is a spring and damper's alone, but {why}. `hapsim check` lists the whole's modes"
         )
     return [
         Hand(one.name, one.channel, configured(one.configuration, given), one.stiffness, one.damping) for one in felt

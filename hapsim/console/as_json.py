@@ -27,7 +27,7 @@ def prediction_document(prediction: Prediction, channel: int | None = None) -> d
         "nominal_rate_hz": prediction.rate,
         "stable": prediction.stable,
         "spectral_radius": prediction.spectral_radius,
-        "worked_out": prediction.how or "every pole",
+        "worked_out": prediction.how or "every pole (memories, at zero, are not listed)",
         "poles_in_all": prediction.poles_in_all,
         "dominant": felt is not None and felt.dominant,
         "poles": prediction.poles,
@@ -47,7 +47,7 @@ def prediction_document(prediction: Prediction, channel: int | None = None) -> d
             margin.name: {"stiffness_factor": margin.stiffness_factor, "damping_factor": margin.damping_factor}
             for margin in prediction.margins
         },
-        "margins_worked_out": prediction.how_margins or "every link",
+        "margins_worked_out": prediction.how_margins or ("every link" if prediction.margins else "none"),
         "link_budget": asdict(prediction.link_budget) | {"fits": prediction.link_budget.fits},
     }
 

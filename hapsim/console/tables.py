@@ -25,10 +25,10 @@ def show_prediction(out: Console, name: str, prediction: Prediction) -> None:
     out.print(f"[bold]{escape(name)}[/bold] at {prediction.rate:g} Hz: {_stability(prediction)}")
     for felt in prediction.felt:
         _show_felt(out, felt)
-    for coupled in prediction.coupled:
+    for coupled, why in prediction.coupled.items():
         out.print(
-            f"\n[bold]{coupled}[/bold] also moves masses of the scene or another hand, or has dampers of several "
-            "kinds: no single spring and damper is what it meets. The modes below are those of the whole."
+            f"\n[bold]{coupled}[/bold] {why}: no single spring and damper is what it meets. The modes below are those "
+            "of the whole."
         )
     if prediction.modes:
         out.print()
@@ -100,7 +100,10 @@ def _passivity(felt: Felt) -> str:
 
 def _margins(prediction: Prediction) -> Table:
     """The links that are closest to the limit first, as many as fit the eye."""
-    table = Table(title="How much each link may grow before the scene becomes unstable", title_justify="left")
+    title = "How much each link may grow before the scene becomes unstable"
+    if not prediction.stable:
+        title = "By what a link would have to shrink for the scene to be stable (0: no such factor; see above for more)"
+    table = Table(title=title, title_justify="left")
     for heading in ("link", "stiffness times", "damping times"):
         table.add_column(heading, justify="left" if heading == "link" else "right")
     known = [margin for margin in prediction.margins if not math.isnan(margin.stiffness_factor)]
@@ -150,8 +153,11 @@ def _budget(budget: LinkBudget) -> str:
     )
 
 
-def show_measurement(out: Console, where: str, felt: Felt | None, measurement: Measurement) -> None:
-    """Prediction beside measurement, as `hapsim measure` tells them. `where`: the hand in question."""
+def show_measurement(out: Console, where: str, felt: Felt | None, why: str, measurement: Measurement) -> None:
+    """Prediction beside measurement, as `hapsim measure` tells them.
+
+    `where`: the hand in question; `why`: there is no prediction for it, in words.
+    """
     table = Table(title=f"What the hand meets at {escape(where)}", title_justify="left")
     for heading in ("", "predicted", "measured", "uncertainty", "off by"):
         table.add_column(heading, justify="right" if heading else "left")
@@ -176,7 +182,7 @@ def show_measurement(out: Console, where: str, felt: Felt | None, measurement: M
     out.print(table)
     if felt is None:
         out.print(
-            "This hand also moves masses of the scene or another hand: no single spring and damper is predicted "
+            f"This hand {why}: no single spring and damper is predicted "
             "for it. Measured is its slowest mode, as if it were the hand's mass alone; `hapsim check` lists the modes."
         )
     limited = measurement.trace.report.limited_ticks

@@ -68,7 +68,8 @@ def test_a_scene_with_masses_lists_modes_and_says_that_there_is_no_single_k_and_
     hapsim: Callable[..., Any], scene_file: Callable[..., Path], name: str
 ) -> None:
     told = hapsim("check", scene_file(name)).out
-    assert "hand also moves masses of the scene or another hand, or has dampers of several kinds" in told
+    why = "is tied to another hand (wall, by touch)" if name == "hand_in_hand" else "moves a mass of the scene too ("
+    assert f"hand {why}" in told.replace("\n", " ")
     assert "Modes" in told
     document = hapsim("check", scene_file(name), "--json").document
     assert document["predicted"] is None
@@ -111,18 +112,18 @@ def chain(tmp_path: Path, masses: int, mass: float, damping: float) -> Path:
 def test_a_large_scene_is_judged_by_some_of_its_poles_and_says_by_which(
     hapsim: Callable[..., Any], tmp_path: Path
 ) -> None:
-    told = hapsim("check", chain(tmp_path, 450, 0.1, 0.5))
+    told = hapsim("check", chain(tmp_path, 600, 0.1, 0.5))
     assert "poles were worked out: those nearest to 1, to -1" in told.out.replace("\n", " ")
-    document = hapsim("check", chain(tmp_path, 450, 0.1, 0.5), "--json").document
+    document = hapsim("check", chain(tmp_path, 600, 0.1, 0.5), "--json").document
     assert document["stable"] is True
     assert document["spectral_radius"] < 1.0
-    assert document["poles_in_all"] > 900
+    assert document["poles_in_all"] > 1200
     assert "poles were worked out" in document["worked_out"]
     assert document["margins"]["l0"]["stiffness_factor"] > 1.0
 
 
 def test_a_large_scene_that_diverges_is_called_unstable(hapsim: Callable[..., Any], tmp_path: Path) -> None:
-    document = hapsim("check", chain(tmp_path, 450, 1e-9, 0.0), "--json").document
+    document = hapsim("check", chain(tmp_path, 600, 1e-9, 0.0), "--json").document
     assert document["stable"] is False
     assert document["spectral_radius"] > 1.0
 
@@ -130,8 +131,9 @@ def test_a_large_scene_that_diverges_is_called_unstable(hapsim: Callable[..., An
 def test_each_link_is_told_how_much_it_may_grow(hapsim: Callable[..., Any], tmp_path: Path) -> None:
     path = chain(tmp_path, 3, 0.1, 0.5)
     document = hapsim("check", path, "--json").document
-    assert document["worked_out"] == "every pole"
+    assert document["worked_out"].startswith("every pole")
     assert set(document["margins"]) == {"l0", "l1", "l2", "l3"}
+    assert "How much each link may grow" in hapsim("check", path).out
     factor = document["margins"]["l1"]["stiffness_factor"]
     text = path.read_text()
     for grown, stable in ((0.999 * factor, True), (1.001 * factor, False)):
@@ -139,8 +141,7 @@ def test_each_link_is_told_how_much_it_may_grow(hapsim: Callable[..., Any], tmp_
         scene["modules"]["l1"]["stiffness"] *= grown
         path.write_text(yaml.safe_dump(scene))
         assert hapsim("check", path, "--json").document["stable"] is stable
-    told = hapsim("check", path).out
-    assert "How much each link may grow" in told
+    assert "By what a link would have to shrink" in hapsim("check", path).out
 
 
 def test_a_hand_whose_dampers_are_of_several_kinds_has_no_single_k_and_b(
@@ -155,6 +156,7 @@ def test_a_hand_whose_dampers_are_of_several_kinds_has_no_single_k_and_b(
     document = hapsim("check", path, "--json").document
     assert document["predicted"] is None
     assert document["stable"] is True
+    assert "has dampers of several kinds (one: centred, " in document["coupled_device_points"]["hand"]
 
 
 def test_a_stiffness_beyond_reason_is_told_without_a_warning(

@@ -104,10 +104,10 @@ def test_sparse_and_dense_agree_on_300_masses(damper: str, monkeypatch: pytest.M
 @pytest.mark.parametrize("places", [(0,), (0, 1)])
 def test_what_grows_is_found_wherever_it_is(places: tuple[int, ...]) -> None:
     """One link far from everything, so stiff that its masses fly apart."""
-    scene = string(400, 0.1, held=3)
+    scene = string(520, 0.1, held=3)
     stiffness = scene.stiffness.copy()
     stiffness[[200 + place for place in places]] = 3.0 * M * RATE**2
-    wild = string(400, 0.1, held=3, stiffness=stiffness)
+    wild = string(520, 0.1, held=3, stiffness=stiffness)
     dense = wild.transition().toarray()
     assert not wild.is_stable()
     assert wild.spectral_radius() == pytest.approx(np.abs(np.linalg.eigvals(dense)).max(), rel=1e-9)
@@ -133,3 +133,56 @@ def test_ten_thousand_masses_answer_in_seconds_and_in_little_memory() -> None:
     assert nearest(found, string_poles(10_000, 0.1)).max() < 1e-10
     grown = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) * 1024
     assert grown < 1e9  # one dense matrix would be 3.2e9
+
+
+class TestAVerdictOnALargeScene:
+    """A scene too large for all of its poles, whose growing motion is not where one would look first."""
+
+    @staticmethod
+    def by_every_pole(network: Network) -> float:
+        return float(np.abs(np.linalg.eigvals(network.transition().toarray())).max())
+
+    def test_a_hand_on_a_wall_and_in_the_middle_of_a_string_is_found_to_shake(self) -> None:
+        masses = 520
+        ends = [[i - 1 if i > 1 else -1, i] for i in range(1, masses + 1)] + [[masses, -1], [0, 244], [0, -1]]
+        stiffness, damping = [340.0] * (masses + 1) + [2100.0, 4000.0], [0.04] * (masses + 1) + [7.0, 2.0]
+        shaken = Network(RATE, [0.5], [0.2], 1.0, "zoh", "ideal", [0.01] * masses, ends, stiffness, damping)
+        assert shaken.is_large
+        expected = self.by_every_pole(shaken)
+        assert 1.0005 < expected < 1.002
+        assert not shaken.is_stable()
+        assert shaken.spectral_radius() == pytest.approx(expected, abs=1e-6)
+
+    def test_every_hand_is_looked_at(self) -> None:
+        hands, masses = 5, 520
+        ends = [[i - 1 if i > hands else -1, i] for i in range(hands, hands + masses)] + [[hands + masses - 1, -1]]
+        ends += [[hand, -1] for hand in range(hands)]
+        stiffness = [1000.0] * (masses + 1) + [500.0] * 4 + [2100.0]
+        damping = [0.1] * (masses + 1) + [2.0] * 5
+        network = Network(
+            RATE, [0.2] * hands, [1.0] * hands, 1.0, "zoh", "ideal", [0.01] * masses, ends, stiffness, damping
+        )
+        assert network.is_large
+        assert self.by_every_pole(network) > 1.0001
+        assert not network.is_stable()
+
+    def test_one_growing_oscillator_among_hundreds_is_seen(self) -> None:
+        count = 520
+        stiffness = np.geomspace(100.0, 30000.0, count)
+        damper = [damper_named("backward", None, RATE)] * count
+        damper[502] = damper_named("centred", None, RATE)
+        ends = [[i, -1] for i in range(count)]
+        network = Network(
+            RATE, [], [], 0.0, "zoh", "ideal", [0.01] * count, ends, stiffness, [0.05] * count, (), damper
+        )
+        assert network.is_large
+        expected = self.by_every_pole(network)
+        assert expected > 1.0001
+        assert not network.is_stable()
+
+    def test_a_motion_that_dies_away_slowly_is_not_called_growing(self) -> None:
+        slow = string(600, 0.001, held=300)
+        assert slow.is_large
+        assert self.by_every_pole(slow) < 1.0
+        assert slow.is_stable()
+        assert "grows by more than" in slow.how()

@@ -22,7 +22,7 @@ __all__ = ["LARGE", "Margin", "Mode", "Network", "Solution"]
 
 _quietly = np.errstate(all="ignore")  # what is out of range becomes NaN
 
-LARGE = 640  # numbers in the state; above, eigenvalues of the whole matrix take longer than a user waits
+LARGE = 1000  # numbers in the state; above, eigenvalues of the whole matrix take longer than a user waits
 AT_THE_LIMIT = 1e-12  # a modulus this close to 1 is 1, to rounding
 
 BACKWARD = DAMPERS["backward"](0.0)

@@ -28,8 +28,10 @@ EDGE = 1.05  # a bound of the fastest motion this close to it is where to search
 ROW = 0.1  # a pole further from where it was looked for is another
 SAME = 1e-9  # two poles found by two searches are one within this
 TRUSTED = 1e-8  # residual of a pole and its motion, of the motion's own size
-STEPS = 40_000  # of the search for a motion that grows
+STATE_STEPS = 6e8  # what the search for a motion that grows may take: steps times numbers in the state,
+MOST_STEPS = 200_000  # and steps
 BREATH = 16  # of them until it is measured, and made small again
+GREW = 1.6  # a motion that is larger in the last quarter by more than this; a free mass drifts by 4/3
 MOST_HANDS = 16
 
 
@@ -75,12 +77,10 @@ def _some_modes(network: Network) -> Solution:
     every = snapped(network, every)
     both = sort_by_modulus(np.concatenate([every, every[every.imag > 0.0].conj()]))
     others = (
-        "and those that grow"
-        if grown.size
-        else "a random motion grew, whose pole was not found"
-        if growth
-        else f"none of the others made a random motion grow in {STEPS} sample periods"
+        f"no other that grows by more than {_least_seen(matrix.shape[0]):.1g} of itself in a sample period was seen"
     )
+    if grown.size or growth:
+        others = "and those that grow" if grown.size else "a random motion grew, whose pole was not found"
     how = f"{both.size} of {matrix.shape[0]} poles were worked out: those nearest to {_listed(places)}; {others}"
     return Solution(both, modes_of(network, every, motion), matrix.shape[0], how, growth)
 
@@ -154,8 +154,9 @@ def _growing(matrix: Any) -> tuple[Complexes, NDArray, float]:
     """
     motion = np.random.default_rng(1).standard_normal(matrix.shape[0])
     rows = matrix.tocsr()
-    logarithm = np.zeros(STEPS // BREATH + 1)
-    for n in range(STEPS // BREATH):
+    breaths = _steps(matrix.shape[0]) // BREATH
+    logarithm = np.zeros(breaths + 1)
+    for n in range(breaths):
         for _ in range(BREATH):
             motion = rows @ motion
         size = float(np.linalg.norm(motion))
@@ -163,13 +164,23 @@ def _growing(matrix: Any) -> tuple[Complexes, NDArray, float]:
             return np.zeros(0, complex), np.zeros((matrix.shape[0], 0)), size
         motion /= size
         logarithm[n + 1] = logarithm[n] + math.log(size)
-    # A free mass drifts in proportion to time, so that it grows by 4/3 in the last quarter, less than by 2.
-    last = float(logarithm[-1] - logarithm[-1 - logarithm.size // 4])
-    if last < math.log(2.0):
+    # By their peaks: a slow motion's size swings.
+    quarter = breaths // 4
+    last = float(logarithm[-quarter:].max() - logarithm[-2 * quarter : -quarter].max())
+    if last < math.log(GREW):
         return np.zeros(0, complex), np.zeros((matrix.shape[0], 0)), 0.0
     poles, motions = _trusted(matrix, *_largest(matrix, 8, 200, motion))
     found = bool((np.abs(poles) > 1.0).any())
-    return poles, motions, 0.0 if found else math.exp(last / (logarithm.size // 4 * BREATH))
+    return poles, motions, 0.0 if found else math.exp(last / (quarter * BREATH))
+
+
+def _steps(size: int) -> int:
+    return int(min(MOST_STEPS, STATE_STEPS / size))
+
+
+def _least_seen(size: int) -> float:
+    """The growth in a sample period that a random motion shows: it has to outgrow all the others before its end."""
+    return max(4.0 * math.log(GREW), math.log(size) / 1.5) / _steps(size)
 
 
 def _largest(operator: Any, count: int, iterations: int, start: Any = None) -> tuple[Complexes, NDArray]:
