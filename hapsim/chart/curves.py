@@ -113,20 +113,20 @@ def iso_k(sheet: Sheet, value: float) -> Curve:
     """Where the stiffness met is `value`, as drawn, whatever the damping met."""
     unit = sheet.configuration.damping_unit
     u = np.linspace(0.0, 1.0, 3000)
-    k, b = value * sheet.scale.stiffness, unit * _MOST_DECAY * u**3
+    k, b = value * sheet.scale.stiffness, _also_up_to(sheet.view.B_to, unit * _MOST_DECAY * u**3)
     return sheet.oscillators("iso_k", value, np.full(b.shape, k), b)
 
 
 def iso_b(sheet: Sheet, value: float) -> Curve:
     """Where the damping met is `value`, as drawn, whatever the stiffness met."""
     b = value * sheet.scale.damping
-    k = _stiffnesses(sheet.configuration, b)
+    k = _also_up_to(sheet.view.K_to, _stiffnesses(sheet.configuration, b))
     return sheet.oscillators("iso_b", value, k, np.full(k.shape, b))
 
 
 def stability_limit(sheet: Sheet) -> Curve:
     """The curve b = 0 (§6.2)."""
-    k = _stiffnesses(sheet.configuration, 0.0)
+    k = _also_up_to(sheet.view.K_to, _stiffnesses(sheet.configuration, 0.0))
     return sheet.oscillators("stability_limit", 0.0, k, np.zeros(k.shape))
 
 
@@ -185,6 +185,12 @@ def _stiffnesses(configuration: Configuration, b: float) -> Floats:
     decay = 0.5 * b / configuration.damping_unit
     u = np.linspace(0.0, 1.0, 4000)
     return np.asarray(configuration.stiffness_unit * (np.pi**2 + decay**2) * u**3)
+
+
+def _also_up_to(end: float, values: Floats) -> Floats:
+    """With more of them where the picture is: it may show a small part of all that can be met."""
+    shown = np.linspace(0.0, 2.0 * end, 600)
+    return np.unique(np.concatenate([values, shown[shown < values[-1]]]))
 
 
 def joined(curves: list[Curve]) -> dict[str, list[object]]:
