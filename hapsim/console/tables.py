@@ -130,12 +130,20 @@ def _modes(prediction: Prediction) -> Table:
         table.add_column(heading, justify="left" if heading == "moves" else "right")
     for mode in prediction.modes[:12]:
         moving = sorted(zip(prediction.points, mode.participation, strict=True), key=lambda entry: -entry[1])
-        names = ", ".join(f"{name} {share:.0%}" for name, share in moving[:3] if share > 0.01) or "many, a little each"
+        names = ", ".join(f"{name} {share:.0%}" for name, share in moving[:3] if share > 0.05)
+        names = names or f"many, most {moving[0][0]}"
         pole = f"{mode.pole.real:.6f} ± {abs(mode.pole.imag):.6f}j" if mode.pole.imag else f"{mode.pole.real:.6f}"
-        table.add_row(pole, f"{abs(mode.pole):.9g}", *_oscillation(mode), names)
+        table.add_row(pole, _modulus(abs(mode.pole)), *_oscillation(mode), names)
     if len(prediction.modes) > 12:
         table.caption = f"and {len(prediction.modes) - 12} that decay faster; --json has them all"
     return table
+
+
+def _modulus(value: float) -> str:
+    """Close to the circle, what is missing from 1 or beyond it."""
+    if value == 1.0:
+        return "1"
+    return f"1{value - 1.0:+.1e}" if abs(value - 1.0) < 1e-5 else f"{value:.6f}"
 
 
 def _oscillation(mode: Mode) -> tuple[str, str]:

@@ -282,3 +282,13 @@ def test_the_fold_of_a_scalar_is_a_scalar() -> None:
     K, B, k, b = configuration(friction=1.0, delay=1.0).fold(700.0)
     assert np.ndim(K) == np.ndim(B) == np.ndim(k) == np.ndim(b) == 0
     assert np.isfinite([K, B, k, b]).all()
+
+
+def test_a_device_with_a_spring_may_be_given_a_little_of_it_away() -> None:
+    """A negative K is stable as long as it leaves something of the device's own spring."""
+    c = configuration(friction=1.0, stiffness=500.0, delay=0.0)
+    assert c.is_stable(-499.0, 0.0)
+    assert not c.is_stable(-501.0, 0.0)
+    least, _ = c.stable_stiffness(0.0)
+    assert least == pytest.approx(-500.0, rel=1e-6)
+    assert not configuration(friction=1.0).is_stable(-1e-12, 0.0)
