@@ -91,6 +91,8 @@ def run(
         print(document(report_document(trace.report) | problem))
     else:
         show_report(_stdout(), trace.report)
+        if record is not None:
+            print(f"Trace: {record}")
     if failure is not None:
         _complain(failure)
         raise typer.Exit(failure.exit_status)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapsim.chart.figure import save_figure
+from hapsim.chart.hand import described
 from hapsim.loop.trace import Trace
 from hapsim.prediction import Felt
 
@@ -95,11 +96,10 @@ def draw_ring_down(data: RingDown, felt: Felt, measured: tuple[float, float], pa
     axes.axhline(0.0, color="black", linewidth=0.5)
     axes.set_xlabel("time (s)")
     axes.set_ylabel("position of the hand (mm)")
-    axes.set_title(
-        f"{felt.name}: written K = {felt.stiffness:.5g} N/m, B = {felt.damping:.4g} N·s/m "
-        f"(real friction {felt.configuration.friction:.3g} N·s/m)",
-        fontsize=10,
-    )
-    axes.legend(loc="upper right", frameon=False, fontsize=9)
+    written = f"{felt.name}: K = {felt.stiffness:.5g} N/m, B = {felt.damping:.4g} N·s/m"
+    axes.set_title(f"{written}; {described(felt.configuration)}", fontsize=9)
+    figure.legend(
+        loc="outside lower left", ncols=2, frameon=False, fontsize=9
+    )  # a ring that grows leaves no room inside
     axes.margins(x=0.01)
     save_figure(figure, path)
