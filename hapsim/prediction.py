@@ -144,8 +144,8 @@ def predict(scene: Scene, *, with_margins: bool = True) -> Prediction:
         raise UsageError(f"rate: found {scene.rate:g} Hz, which is beyond what is worked out (1e-9 to 1e9 Hz)")
     network, points = _network(scene)
     poles = network.poles()
-    felt = tuple(_felt(scene, name) for name in scene.device_points if not why_coupled(scene, name))
-    coupled = {name: why for name in scene.device_points if (why := why_coupled(scene, name))}
+    coupled = {name: why for name in scene.device_points if (why := _why_coupled(scene, name))}
+    felt = tuple(_felt(scene, name) for name in scene.device_points if name not in coupled)
     whole = not coupled and not scene.masses
     return Prediction(
         rate=scene.rate,
@@ -190,29 +190,30 @@ def _links_of(scene: Scene, name: str) -> list[ViscoElastic]:
     return [link for link in _links(scene) if name in link.between]
 
 
-def _dampers(links: list[ViscoElastic]) -> set[tuple[str, float | None]]:
-    """The kinds of damper that do something."""
-    return {(link.damper, link.cutoff) for link in links if link.damping > 0.0}
+def _dampers(scene: Scene, name: str) -> dict[tuple[str, float | None], str]:
+    """The kinds of damper that do something at this device point, (damper, cutoff), each with a link that has it."""
+    links = scene.links.items()
+    own = {link: module for link, module in links if isinstance(module, ViscoElastic) and name in module.between}
+    return {(module.damper, module.cutoff): link for link, module in own.items() if module.damping > 0.0}
 
 
-def why_coupled(scene: Scene, name: str) -> str:
+def _why_coupled(scene: Scene, name: str) -> str:
     """Why the hand at this device point is no oscillator of its own, in words that follow its name; "" where it is."""
-    links = {link: module for link, module in scene.links.items() if isinstance(module, ViscoElastic)}
-    own = {link: module for link, module in links.items() if name in module.between}
-    for link, module in own.items():
+    links = {link: module for link, module in scene.links.items() if name in module.between}
+    masses, hands = scene.masses, scene.device_points
+    for link, module in links.items():
         (other,) = set(module.between) - {name}
-        if other in scene.masses:
+        if other in masses:
             return f"moves a mass of the scene too ({other}, by {link})"
-        if other in scene.device_points:
+        if other in hands:
             return f"is tied to another hand ({other}, by {link})"
-    kinds = {
-        module.damper if module.cutoff is None else f"{module.damper} at {module.cutoff:g} Hz": link
-        for link, module in own.items()
-        if module.damping > 0.0
-    }
-    if len(kinds) > 1:
-        return f"has dampers of several kinds ({', '.join(f'{link}: {kind}' for kind, link in kinds.items())})"
-    return ""
+    kinds = _dampers(scene, name)
+    if len(kinds) < 2:
+        return ""
+    words = (
+        f"{link}: {kind}" + ("" if cutoff is None else f" at {cutoff:g} Hz") for (kind, cutoff), link in kinds.items()
+    )
+    return f"has dampers of several kinds ({', '.join(words)})"
 
 
 def configuration_of(
@@ -236,7 +237,7 @@ def configuration_of(
 def _felt(scene: Scene, name: str) -> Felt:
     channel = scene.device_points[name].channel
     links = _links_of(scene, name)
-    damper, cutoff = next(iter(_dampers(links)), ("backward", None))
+    damper, cutoff = next(iter(_dampers(scene, name)), ("backward", None))
     configuration = configuration_of(scene, channel, damper, cutoff)
     stiffness = math.fsum(link.stiffness for link in links)
     damping = math.fsum(link.damping for link in links)
@@ -261,14 +262,8 @@ def _felt(scene: Scene, name: str) -> Felt:
         stiffness_factor=_stiffness_factor(configuration, stiffness, damping),
         stable_damping=_stable_damping(configuration, stiffness),
         linear_limit=float(configuration.linear_stiffness_limit(damping)),
-        reason="" if dominant else _why_no_equivalent(configuration, stiffness, damping),
+        reason=str(configuration.why_no_equivalent(stiffness, damping)),
     )
-
-
-def _why_no_equivalent(configuration: Configuration, stiffness: float, damping: float) -> str:
-    if stiffness == 0.0 and damping == 0.0 and configuration.stiffness == 0.0:
-        return "nothing is linked to the hand: it moves freely"
-    return str(configuration.why_no_equivalent(stiffness, damping))
 
 
 def _margins(scene: Scene, network: Network, felt: tuple[Felt, ...]) -> tuple[LinkMargin, ...]:
@@ -330,7 +325,7 @@ def _network(scene: Scene) -> tuple[Network, tuple[str, ...]]:
 
 
 def _link_budget(scene: Scene) -> LinkBudget:
-    velocity = any(link.damper == "sensed" for link in _links(scene))
+    velocity = bool(scene.sensed_links)
     to_host = schema.frame_bytes(scene.channels, to_device=False, velocity=velocity)
     to_device = schema.frame_bytes(scene.channels, to_device=True, velocity=velocity)
     seconds = (to_host + to_device) * _BITS_PER_BYTE / scene.device.baud

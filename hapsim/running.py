@@ -97,7 +97,7 @@ def run(
         watchdog = _watchdog_samples(scene.rate, description)
         with _signals(loop.control) if stop_on_signals else contextlib.nullcontext():
             try:
-                arm(opened, description, _PACING[scene.device.clock], watchdog, needs_velocity(scene))
+                arm(opened, description, _PACING[scene.device.clock], watchdog, bool(scene.sensed_links))
                 ending = _run_in_thread(body, loop, recorder, tell)
                 trace = _trace(scene, loop, recorder, _ENDINGS[ending])
             finally:
@@ -105,15 +105,6 @@ def run(
                 disarm(opened, loop.wire)
     _raise_what_failed(opened.name, ending, loop, trace)
     return trace
-
-
-def needs_velocity(scene: Scene) -> bool:
-    """Whether the device is asked for velocities: where a link's damper is driven by what the device senses."""
-    return bool(_links_sensed(scene))
-
-
-def _links_sensed(scene: Scene) -> list[str]:
-    return [name for name, link in scene.links.items() if getattr(link, "damper", "backward") == "sensed"]
 
 
 def _require_fit(scene: Scene, line: Line, description: Description) -> None:
@@ -134,12 +125,12 @@ def _require_fit(scene: Scene, line: Line, description: Description) -> None:
         raise UsageError(
             f"{line.name}: the device cannot be run with clock: {scene.device.clock}; try another clock in the scene"
         )
-    if needs_velocity(scene):
+    if scene.sensed_links:
         _require_velocity(scene, line, description)
 
 
 def _require_velocity(scene: Scene, line: Line, description: Description) -> None:
-    links = _links_sensed(scene)
+    links = scene.sensed_links
     if not description.velocity_scale:
         raise UsageError(
             f"{line.name}: the device does not sense velocity, but {', '.join(links)} {'ask' if links[1:] else 'asks'} "
@@ -174,7 +165,7 @@ def _assemble(
         port=line.port,
         inbox=line.inbox,
         decoder=line.decoder,
-        wire=armed_format(channels, needs_velocity(scene)),
+        wire=armed_format(channels, bool(scene.sensed_links)),
         program=compile_scene(scene),
         ring=new_ring(channels, _RING_ROWS, waits=scene.device.clock == "lockstep"),
         desk=_desk(scene, description),
@@ -189,7 +180,7 @@ def _desk(scene: Scene, description: Description) -> Any:
     desk["channels"] = channels
     desk["position_scale"][:channels] = description.position_scale
     desk["force_scale"][:channels] = description.force_scale
-    if needs_velocity(scene):
+    if scene.sensed_links:
         desk["velocity_scale"][:channels] = description.velocity_scale
     # In whole counts, so that the rounding of a force at its limit does not go beyond it, nor a count beyond 32 bits.
     scale, limit = np.array(description.force_scale), np.minimum(description.force_limit, scene.device.force_limit)

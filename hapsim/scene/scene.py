@@ -10,7 +10,7 @@ from .across import findings_across
 from .device import Device
 from .finding import Path
 from .mock import Mock, MockDevice, resolve
-from .modules import DevicePoint, Ground, Link, Mass, Module, Surroundings, TypedModule
+from .modules import DevicePoint, Ground, Link, Mass, Module, Surroundings, TypedModule, ViscoElastic
 from .part import Part
 from .quantity import Expectation, Name, Quantity, unexpected
 from .table import Table
@@ -121,6 +121,11 @@ class Scene(Part):
     def links(self) -> dict[str, Link]:
         """The elements between two points, by name, in the order of the file."""
         return self._of(Link)
+
+    @property
+    def sensed_links(self) -> tuple[str, ...]:
+        """Names of the links whose damper is driven by the device's own velocity sensor."""
+        return tuple(name for name, link in self._of(ViscoElastic).items() if link.damper == "sensed")
 
     @property
     def mock_device(self) -> MockDevice:

@@ -2,46 +2,24 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pytest
 import yaml
 
-from hapsim import cli
-
-
-@dataclass(frozen=True)
-class Answer:
-    status: int
-    out: str
-    err: str
-
-    @property
-    def document(self) -> dict[str, Any]:
-        """Standard output, which is one JSON document."""
-        document: dict[str, Any] = json.loads(self.out, parse_constant=pytest.fail)
-        return document
-
 
 @pytest.fixture
-def chart(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], tmp_path: Path) -> Callable[..., Answer]:
+def chart(hapsim: Callable[..., Any], monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., Any]:
     """Calls `hapsim chart …` in an empty directory and tells what came of it."""
-    monkeypatch.setenv("COLUMNS", "200")
-    monkeypatch.delenv("HAPSIM_TRACEBACK", raising=False)
     monkeypatch.chdir(tmp_path)
 
-    def call(*words: object) -> Answer:
-        monkeypatch.setattr("sys.argv", ["hapsim", "chart", *map(str, words)])
-        with pytest.raises(SystemExit) as caught:
-            cli.main()
-        captured = capfd.readouterr()
-        assert "Traceback" not in captured.err
-        assert "defect" not in captured.err
-        return Answer(int(caught.value.code or 0), captured.out, captured.err)
+    def call(*words: object) -> Any:
+        answer = hapsim("chart", *words)
+        assert "Traceback" not in answer.err
+        assert "defect" not in answer.err
+        return answer
 
     return call
 

@@ -1,59 +1,13 @@
-"""The command line, called in this process as the console script calls it; and scenes to call it with."""
+"""Scenes to call the command line with."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pytest
 import yaml
-
-from hapsim import cli
-
-
-@dataclass(frozen=True)
-class Answer:
-    status: int
-    out: str
-    err: str
-
-    @property
-    def document(self) -> dict[str, Any]:
-        """Standard output, which is one JSON document and holds no NaN or infinity."""
-
-        def refuse(constant: str) -> None:
-            pytest.fail(f"{constant} in JSON")
-
-        document: dict[str, Any] = json.loads(self.out, parse_constant=refuse)
-        return document
-
-    @property
-    def sentence(self) -> str:
-        """Standard error after a failure: no traceback, no defect of ours, nothing on standard output."""
-        assert "Traceback" not in self.err
-        assert "defect" not in self.err
-        assert self.out == ""
-        return self.err
-
-
-@pytest.fixture
-def hapsim(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Callable[..., Answer]:
-    """Calls `hapsim …` and tells what came of it."""
-    monkeypatch.setenv("COLUMNS", "200")
-    monkeypatch.delenv("HAPSIM_TRACEBACK", raising=False)
-
-    def call(*words: object) -> Answer:
-        monkeypatch.setattr("sys.argv", ["hapsim", *map(str, words)])
-        with pytest.raises(SystemExit) as caught:
-            cli.main()
-        captured = capfd.readouterr()
-        return Answer(int(caught.value.code or 0), captured.out, captured.err)
-
-    return call
-
 
 WALL = {"type": "ground"}
 SPRING = {"type": "viscoelastic", "between": ["hand", "wall"], "stiffness": 1000.0, "damping": 5.0}

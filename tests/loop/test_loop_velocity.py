@@ -16,7 +16,7 @@ from hapsim.device.open_line import open_line
 from hapsim.errors import DeviceError, UsageError
 from hapsim.loop.exchange import DONE, Loop
 from hapsim.loop.paced_by_device import run_paced_by_device
-from hapsim.running import _assemble, needs_velocity, run
+from hapsim.running import _assemble, run
 from hapsim.scene import Scene, parse_scene
 
 Scripted = Callable[..., Any]
@@ -30,7 +30,7 @@ def looped(scene: Scene, ticks: int) -> Loop:
     with open_line(scene) as line:
         description = describe(line)
         loop = _assemble(scene, line, description, None, ticks / scene.rate)
-        velocity = needs_velocity(scene)
+        velocity = bool(scene.sensed_links)
         assert arm(line, description, schema.LOCKSTEP, 100, velocity) == loop.wire
         assert run_paced_by_device(loop) == DONE
         assert loop.decoder["crc_errors"] + loop.decoder["form_errors"] == 0
@@ -51,7 +51,7 @@ def test_velocities_are_asked_for_where_a_damper_is_driven_by_them(
     scripted: Scripted, scene_of: SceneOf, frame: FrameOf, damper: str, asked: bool
 ) -> None:
     scene = scene_of(damper=damper)
-    assert needs_velocity(scene) == asked
+    assert bool(scene.sensed_links) == asked
     script = [frame(n, 0, velocity=(0,) if asked else ()) for n in range(3)]
     with scripted(script, scene=scene, velocity_scale=(SCALE,)) as (there, device):
         assert run(there, duration=0.003).sample.tolist() == [0, 1, 2]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import wraps
+from inspect import signature
 from typing import Any
 
 import numpy as np
@@ -25,11 +26,15 @@ def quietly_in_blocks(method: Callable[..., Any]) -> Callable[..., Any]:
         with np.errstate(all="ignore"):
             return method(self, one, other, **named)
 
+    takes = signature(method)
+    first_three = list(takes.parameters)[:3]
+
     @wraps(method)
     def whole(self: Any, *values: ArrayLike, **named: Any) -> Any:
-        names = method.__code__.co_varnames[1:3]
-        values += tuple(named.pop(name) for name in names[len(values) :])
-        one, other = np.broadcast_arrays(*(np.asarray(value, dtype=float) for value in values))
+        given = takes.bind(self, *values, **named).arguments
+        _, *values_given = (given.pop(name) for name in first_three)
+        one, other = np.broadcast_arrays(*(np.asarray(value, dtype=float) for value in values_given))
+        named = given
         shape, one, other = one.shape, one.ravel(), other.ravel()
         if one.size <= 2 * POINTS:
             return _in_shape(quietly(self, one, other, **named), shape)

@@ -16,7 +16,7 @@ from hapsim.theory.hand.fold import double_pole
 from hapsim.theory.hand.impedance import damper_gain, late_and_held
 from hapsim.theory.hand.limits import Undamped, stable_interval, undamped_curve
 from hapsim.theory.hand.loop_equation import LoopEquation, characteristic, loop_equation
-from hapsim.theory.hand.pair import oscillator_of_quadratic
+from hapsim.theory.hand.pair import Pair, oscillator_of_quadratic
 from hapsim.theory.hand.passivity import Wall, needed_friction
 from hapsim.theory.hand.plant import sampled_plant
 from hapsim.theory.hand.poles import MOST_BY_FACTORS, Leading, all_poles, all_within, leading
@@ -101,7 +101,7 @@ class Configuration:
         """The simulated (K, B) that the hand meets as the real (k, b): the paper's Figure 4, in closed form.
 
         Args:
-            k: stiffness that the hand is to meet, N/m.
+            k: total stiffness that the hand is to meet, the device's own spring included, N/m.
             b: total damping that it is to meet, real friction included, N·s/m. Over-, critically and
                 under-damped alike; negative for a motion that grows.
             dominant: also ask that the two poles of (k, b) be the slowest of the loop. Where a further pole
@@ -112,12 +112,9 @@ class Configuration:
             K in N/m and B in N·s/m, NaN where no (K, B) does it: at and above the Nyquist frequency, and,
             unless ``dominant`` is False, where the loop has slower poles than those asked for.
         """
-        kappa, sigma = self._normalised(k, b)
-        more_kappa, more_sigma = self._normalised(np.subtract(k, self.stiffness), np.subtract(b, self.friction))
-        K, B, w = element_of_oscillator(self._equation, (sigma, kappa), (more_sigma, more_kappa))
-        good = np.isfinite(K) & np.isfinite(B) & is_attainable(sigma, kappa)
+        K, B, pair, good = self._element(k, b)
         if dominant:
-            good &= leads(self._equation, K, B, w)
+            good &= leads(self._equation, K, B, pair)
         K, B = K * self.stiffness_unit, B * self.damping_unit
         return np.where(good, K, np.nan), np.where(good, B, np.nan)
 
@@ -133,7 +130,8 @@ class Configuration:
             B: simulated damping, N·s/m.
 
         Returns:
-            k in N/m and b in N·s/m, real friction included. NaN where ``dominant`` is False.
+            k in N/m and b in N·s/m, the device's own spring and friction included. NaN where ``dominant`` is
+            False.
         """
         lead = self._leading(K, B)
         sigma, kappa = oscillator_of_quadratic(lead.p, lead.q)
@@ -161,7 +159,8 @@ class Configuration:
         """All poles (..., N) of the loop in the z-plane, by decreasing modulus.
 
         N is 2 for the impulse hold with ideal sampling and no delay, one more for each whole sample of delay,
-        one more for a fraction of one, for the zero-order hold and for averaged sampling.
+        one more for a fraction of one, for the zero-order hold and for averaged sampling; the centred damper
+        remembers one more, and so does the filtered one where nothing else is late.
         """
         return self._solved(K, B)[1]
 
@@ -173,7 +172,7 @@ class Configuration:
     def is_stable(self, K: ArrayLike, B: ArrayLike) -> Bools:
         """Whether every motion dies out (Florens et al., §6.2: the limit is the curve b = 0).
 
-        Where ``dominant`` is True it is K > 0 and b > 0, which holds for the slowest of motions, where a
+        Where ``dominant`` is True it is k > 0 and b > 0, which holds for the slowest of motions, where a
         spectral radius rounds to 1; elsewhere a spectral radius below 1.
         """
         lead, poles = self._solved(K, B)
@@ -296,11 +295,10 @@ class Configuration:
     @quietly_in_blocks
     def why_not_simulated(self, k: ArrayLike, b: ArrayLike) -> NDArray[np.str_]:
         """Why ``simulated`` is NaN, in words; "" where it is not."""
-        K, B = self.simulated(k, b)
-        any_K, any_B = self.simulated(k, b, dominant=False)
+        K, B, pair, any_had = self._element(k, b)
         kappa, sigma = self._normalised(k, b)
-        had = np.isfinite(K) & np.isfinite(B), np.isfinite(any_K) & np.isfinite(any_B)
-        return why_not_attained(had, np.isfinite(kappa + sigma), is_attainable(sigma, kappa))[()]
+        had = any_had & leads(self._equation, K, B, pair), any_had
+        return why_not_attained(had, np.isfinite(kappa + sigma), is_attainable(sigma, kappa))
 
     @_quietly
     def characteristic(self, K: ArrayLike, B: ArrayLike) -> Floats:
@@ -338,6 +336,13 @@ class Configuration:
     def _normalised(self, stiffness: ArrayLike, damping: ArrayLike) -> tuple[Floats, Floats]:
         stiffness, damping = np.broadcast_arrays(np.asarray(stiffness, dtype=float), np.asarray(damping, dtype=float))
         return stiffness / self.stiffness_unit, damping / self.damping_unit
+
+    def _element(self, k: ArrayLike, b: ArrayLike) -> tuple[Floats, Floats, Pair, Bools]:
+        """(K T²/m, B T/m, the poles of (k, b), whether there is an answer), further poles left out of account."""
+        kappa, sigma = self._normalised(k, b)
+        more_kappa, more_sigma = self._normalised(np.subtract(k, self.stiffness), np.subtract(b, self.friction))
+        K, B, pair = element_of_oscillator(self._equation, (sigma, kappa), (more_sigma, more_kappa))
+        return K, B, pair, np.isfinite(K) & np.isfinite(B) & is_attainable(sigma, kappa)
 
     def _leading(self, K: ArrayLike, B: ArrayLike) -> Leading:
         lead = leading(self._equation, *self._normalised(K, B))

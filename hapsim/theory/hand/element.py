@@ -21,12 +21,9 @@ def element_of_oscillator(
     ``oscillator``: (sigma, kappa). ``more``: the same without the device's own friction and spring; apart, because
     the small part that the element has to add would be lost in their sum.
     """
-    plant = equation.plant
-    pair = pair_of_oscillator(*oscillator)
-    velocity, ratio = element_on_pair(equation, pair.w)
-    # The free mass's factor on the poles is the line p_change w + q_change: their own factor vanishes there.
-    p_change, q_change = change_of_quadratic(pair, oscillator, more, plant.damping, plant.stiffness)
-    (H, H_slope, (p, q)), (r, r_slope, _) = velocity, ratio
+    velocity, ratio, (p_change, q_change) = _parts(equation, oscillator, more)
+    (H, H_slope, pair), (r, r_slope, _) = velocity, ratio
+    p, q = pair
     # K + B w H + (p_change w + q_change) r = 0 modulo the pair's quadratic; K is multiplied out to products, because
     # for a slow motion the sum of its parts would cancel.
     steepness = H - H_slope * p
@@ -35,8 +32,21 @@ def element_of_oscillator(
     stiffness = (p_change * by_p - q_change * by_q) / steepness
     damping = -(p_change * (r - r_slope * p) + q_change * r_slope) / steepness
     if equation.damper.senses:
-        stiffness = stiffness - plant.offset * damping
+        stiffness = stiffness - equation.plant.offset * damping
     return stiffness, damping, pair
+
+
+def _parts(
+    equation: LoopEquation, oscillator: tuple[Floats, Floats], more: tuple[Floats, Floats]
+) -> tuple[OnPair, OnPair, tuple[Floats, Floats]]:
+    """(H, r, change) on the oscillator's poles, where the equation is K + B w H + (change[0] w + change[1]) r = 0.
+
+    The free mass's factor is that line there: the oscillator's own vanishes.
+    """
+    pair = pair_of_oscillator(*oscillator)
+    plant = equation.plant
+    change = change_of_quadratic(pair, oscillator, more, plant.damping, plant.stiffness)
+    return *element_on_pair(equation, pair.w), change
 
 
 def undamped_parts(equation: LoopEquation, theta: Floats) -> tuple[OnPair, OnPair]:
@@ -44,17 +54,18 @@ def undamped_parts(equation: LoopEquation, theta: Floats) -> tuple[OnPair, OnPai
 
     As lines over that pole and its conjugate: where both slopes vanish, K and B are tied by this one equation only.
     """
-    zero = np.zeros_like(theta)
-    pair = pair_of_oscillator(zero, theta**2)
-    velocity, ratio = element_on_pair(equation, pair.w)
-    plant = equation.plant
-    p_change, q_change = change_of_quadratic(
-        pair, (zero, theta**2), (zero - plant.damping, theta**2 - plant.stiffness), plant.damping, plant.stiffness
-    )
-    moving = pair.w.times(velocity)
+    velocity, ratio, (p_change, q_change) = _parts(equation, *undamped(equation, theta))
+    w = velocity.pair.w
+    moving = w.times(velocity)
     if equation.damper.senses:
-        moving = moving.plus(plant.offset)
-    return moving, pair.w.scaled(p_change).plus(q_change).times(ratio)
+        moving = moving.plus(equation.plant.offset)
+    return moving, w.scaled(p_change).plus(q_change).times(ratio)
+
+
+def undamped(equation: LoopEquation, theta: Floats) -> tuple[tuple[Floats, Floats], tuple[Floats, Floats]]:
+    """``oscillator`` and ``more`` of a swing of theta radians per sample that neither grows nor dies away."""
+    zero, plant = np.zeros_like(theta), equation.plant
+    return (zero, theta**2), (zero - plant.damping, theta**2 - plant.stiffness)
 
 
 def is_attainable(sigma: Floats | float, kappa: Floats | float) -> Bools:

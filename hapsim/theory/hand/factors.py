@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hapsim.theory.arrays import Bools, Floats
+from hapsim.theory.hand.pair import roots_of_quadratic
 from hapsim.theory.hand.quartic import guess_of_slow_factor
 
 MOST_STEPS = 14
@@ -64,15 +65,10 @@ def roots_of_factors(factors: Factors) -> Roots:
     count = 2 * pairs + (factors.single is not None)
     real, imaginary = np.zeros((count, factors.found.size)), np.zeros((count, factors.found.size))
     for i, (p, q) in enumerate(zip(factors.p, factors.q, strict=True)):
-        half = 0.5 * p
-        bend = half * half - q
-        spread = np.sqrt(np.abs(bend))
-        is_complex = bend < 0.0
-        far = -(half + np.copysign(spread, half))
-        near = np.divide(q, far, out=np.zeros_like(far), where=far != 0.0)
-        real[2 * i] = np.where(is_complex, -half, near)
-        real[2 * i + 1] = np.where(is_complex, -half, far)
-        imaginary[2 * i] = np.where(is_complex, spread, 0.0)
+        swings, spread, near, far = roots_of_quadratic(p, q)
+        real[2 * i] = np.where(swings, -0.5 * p, near)
+        real[2 * i + 1] = np.where(swings, -0.5 * p, far)
+        imaginary[2 * i] = np.where(swings, spread, 0.0)
         imaginary[2 * i + 1] = -imaginary[2 * i]
     if factors.single is not None:
         real[-1] = factors.single

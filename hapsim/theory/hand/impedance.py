@@ -19,11 +19,14 @@ def damper_gain(damper: Damper, theta: Floats) -> Complexes:
     """The damper's velocity over the true one at theta: 1 where it is what it should be."""
     if damper.senses:
         return np.ones_like(theta, dtype=complex)
-    w = np.expm1(1j * theta)
+    return np.asarray(velocity_read(damper, theta) / (1j * theta))
+
+
+def velocity_read(damper: Damper, theta: Floats) -> Complexes:
+    """What the damper makes of positions, in metres per sample, over the position, at z = exp(j theta)."""
+    w = 2j * np.sin(0.5 * theta) * np.exp(0.5j * theta)  # z - 1, to all its digits
     numerator, denominator = (np.polyval(part[::-1], w) for part in (damper.numerator, damper.denominator))
-    # w/(j theta), without 0/0.
-    straight = np.sinc(0.5 * theta / np.pi) * np.exp(0.5j * theta)
-    return np.asarray(straight * numerator / denominator * np.exp(-1j * damper.delays * theta))
+    return np.asarray(w * numerator / denominator * np.exp(-1j * damper.delays * theta))
 
 
 def _through(terms: tuple[Term, ...], theta: Floats) -> Complexes:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hapsim.theory.arrays import Bools, Floats
-from hapsim.theory.hand.element import element_of_oscillator, undamped_parts
+from hapsim.theory.hand.element import element_of_oscillator, undamped, undamped_parts
 from hapsim.theory.hand.loop_equation import LoopEquation, characteristic
 
 SLOWEST = 1e-9  # radians per sample: what swings more slowly is not looked for
@@ -38,12 +38,7 @@ class Undamped(NamedTuple):
 
 def undamped_element(equation: LoopEquation, theta: Floats) -> tuple[Floats, Floats]:
     """(K T²/m, B T/m) with which the hand swings undamped, theta radians per sample."""
-    zero = np.zeros_like(theta)
-    plant = equation.plant
-    kappa, beta, _ = element_of_oscillator(
-        equation, (zero, theta**2), (zero - plant.damping, theta**2 - plant.stiffness)
-    )
-    return kappa, beta
+    return element_of_oscillator(equation, *undamped(equation, theta))[:2]
 
 
 def undamped_curve(equation: LoopEquation) -> Undamped:

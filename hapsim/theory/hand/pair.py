@@ -51,7 +51,10 @@ class Pair(NamedTuple):
     @property
     def poles(self) -> Complexes:
         """z = 1 + w, (..., 2): the one nearer to 1 first, of conjugates the upper."""
-        return 1.0 + np.stack(_roots(self.p, self.q), axis=-1)
+        swings, spread, near, far = roots_of_quadratic(self.p, self.q)
+        turn = 1j * np.where(swings, spread, 0.0)
+        middle = -0.5 * self.p
+        return 1.0 + np.stack([np.where(swings, middle, near) + turn, np.where(swings, middle, far) - turn], axis=-1)
 
 
 class OnPair(NamedTuple):
@@ -105,17 +108,31 @@ def total(functions: list[OnPair]) -> OnPair:
     return OnPair(sum(constants), sum(slopes), pairs[0])
 
 
+class RealRoots(NamedTuple):
+    """Roots of x² + p x + q without complex numbers: -p/2 ± j spread where it ``swings``, else ``near`` and ``far``."""
+
+    swings: Bools
+    spread: Floats
+    near: Floats
+    """The one closer to zero, to all its digits."""
+    far: Floats
+
+
+def roots_of_quadratic(p: Floats, q: Floats) -> RealRoots:
+    """Of many at once."""
+    half = 0.5 * p
+    bend = half * half - q
+    spread = np.sqrt(np.abs(bend))
+    far = -(half + np.copysign(spread, half))
+    return RealRoots(bend < 0.0, spread, np.divide(q, far, out=np.zeros_like(far), where=far != 0.0), far)
+
+
 def pair_of_oscillator(sigma: Floats, kappa: Floats) -> Pair:
     """The poles w = e^s - 1 of s² + sigma s + kappa = 0, periods as time."""
-    half = -0.5 * sigma
-    bend = half * half - kappa
-    spread = np.sqrt(np.abs(bend))
-    is_complex = bend < 0.0
-    far = half - np.copysign(spread, -half)
-    near = np.divide(kappa, far, out=np.zeros_like(far), where=far != 0.0)
+    is_complex, spread, near, far = roots_of_quadratic(sigma, kappa)
     # e^(a + jy) - 1 = (e^a - 1) + e^a (cos y - 1) + j e^a sin y
-    one, angle = np.expm1(np.where(is_complex, half, near)), np.where(is_complex, 0.5 * spread, 0.0)
-    other = np.expm1(np.where(is_complex, half, far))
+    one, angle = np.expm1(np.where(is_complex, -0.5 * sigma, near)), np.where(is_complex, 0.5 * spread, 0.0)
+    other = np.expm1(np.where(is_complex, -0.5 * sigma, far))
     sine = np.sin(angle)
     twice = 2.0 * (1.0 + one) * sine
     real, imaginary = one - twice * sine, twice * np.cos(angle)
@@ -184,25 +201,9 @@ def oscillator_of_quadratic(p: Floats, q: Floats) -> tuple[Floats, Floats]:
 
     NaN where a real pole z = 1 + w is not positive: no motion in continuous time looks like it.
     """
-    half = 0.5 * p
-    bend = half * half - q
-    spread = np.sqrt(np.abs(bend))
-    far = -(half + np.copysign(spread, half))
-    near = np.divide(q, far, out=np.zeros_like(far), where=far != 0.0)
+    swings, spread, near, far = roots_of_quadratic(p, q)
     sigma = -np.log1p(q - p)
-    swinging = (0.5 * sigma) ** 2 + np.arctan2(spread, 1.0 - half) ** 2
-    kappa = np.where(bend < 0.0, swinging, np.log1p(near) * np.log1p(far))
-    good = (bend < 0.0) | ((near > -1.0) & (far > -1.0))
+    swinging = (0.5 * sigma) ** 2 + np.arctan2(spread, 1.0 - 0.5 * p) ** 2
+    kappa = np.where(swings, swinging, np.log1p(near) * np.log1p(far))
+    good = swings | ((near > -1.0) & (far > -1.0))
     return np.where(good, sigma, np.nan), np.where(good, kappa, np.nan)
-
-
-def _roots(p: Floats, q: Floats) -> tuple[Complexes, Complexes]:
-    """The roots of x² + p x + q, the smaller first (for a complex pair the one above the real axis)."""
-    half = 0.5 * p
-    discriminant = half * half - q
-    spread = np.sqrt(np.abs(discriminant))
-    far = -(half + np.copysign(spread, half))
-    near = np.divide(q, far, out=np.zeros_like(far), where=far != 0.0)
-    is_complex = discriminant < 0.0
-    near_pole = np.where(is_complex, -half + 1j * spread, near)
-    return near_pole, np.where(is_complex, -half - 1j * spread, far)

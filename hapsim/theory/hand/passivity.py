@@ -25,6 +25,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hapsim.theory.arrays import Complexes, Floats
+from hapsim.theory.hand.impedance import velocity_read
 from hapsim.theory.interface import whole_and_fraction
 from hapsim.theory.interface.shape import Damper
 
@@ -83,20 +84,13 @@ def _slope_and_bend(before: Floats, here: Floats, after: Floats) -> tuple[Floats
 def _demand(wall: Wall, theta: Floats) -> Floats:
     """What is demanded at theta, (1 or n, points): (n, points)."""
     theta = np.maximum(np.abs(theta), SLOWEST)
-    reaction = wall.elastic[:, None] + wall.viscous[:, None] * _moving(wall.damper, theta)
+    reaction = wall.elastic[:, None] + wall.viscous[:, None] * velocity_read(wall.damper, theta)
     whole, fraction = whole_and_fraction(wall.delay)
     on_time = _at_whole_delay(reaction, theta, whole)
     if fraction == 0.0:
         return on_time
     between = (1.0 - fraction) * on_time + fraction * _at_whole_delay(reaction, theta, whole + 1)
     return 0.5 * (between + np.sqrt(between**2 + fraction * (1.0 - fraction) * np.abs(reaction) ** 2))
-
-
-def _moving(damper: Damper, theta: Floats) -> Complexes:
-    """The damper's velocity over the position, in metres per sample, at z = exp(j theta)."""
-    w = 2j * np.sin(0.5 * theta) * np.exp(0.5j * theta)  # z - 1, to all its digits
-    numerator, denominator = (np.polyval(part[::-1], w) for part in (damper.numerator, damper.denominator))
-    return np.asarray(w * numerator / denominator * np.exp(-1j * damper.delays * theta))
 
 
 def _at_whole_delay(reaction: Complexes, theta: Floats, delay: int) -> Floats:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from hapsim.theory.arrays import Floats
+from hapsim.theory.hand.pair import Pair
 
 SLOW = 1e-3  # roots so close to w = 0 are those of the three lowest terms, to as good a guess as any
 
@@ -34,9 +35,9 @@ def _of_quartic(d: Floats, c: Floats, b: Floats, a: Floats) -> tuple[Floats, Flo
     y = _largest_root(-b, a * c - 4.0 * d, 4.0 * b * d - a * a * d - c * c)
     apart = np.sqrt(np.maximum(0.25 * a * a - b + y, 0.0))
     between = np.copysign(np.sqrt(np.maximum(0.25 * y * y - d, 0.0)), 0.5 * a * y - c)
-    one, other = (0.5 * a + apart, 0.5 * y + between), (0.5 * a - apart, 0.5 * y - between)
-    first = _slowest(*one) > _slowest(*other)
-    return np.where(first, one[0], other[0]), np.where(first, one[1], other[1])
+    one, other = Pair(0.5 * a + apart, 0.5 * y + between), Pair(0.5 * a - apart, 0.5 * y - between)
+    slower = one.larger_modulus > other.larger_modulus
+    return np.where(slower, one.p, other.p), np.where(slower, one.q, other.q)
 
 
 def _of_cubic(c: Floats, b: Floats, a: Floats) -> tuple[Floats, Floats]:
@@ -58,9 +59,3 @@ def _largest_root(a: Floats, b: Floats, c: Floats) -> Floats:
     cube = -np.copysign(np.exp(np.log(np.abs(r) + np.sqrt(np.maximum(bend, 0.0)) + 1e-300) / 3.0), r)
     one = cube + q / cube
     return np.where(bend < 0.0, three, one) - third
-
-
-def _slowest(p: Floats, q: Floats) -> Floats:
-    """The square of the larger modulus |1 + w| of the roots of w² + p w + q."""
-    bend = 0.25 * p * p - q
-    return np.where(bend < 0.0, 1.0 - p + q, (np.abs(1.0 - 0.5 * p) + np.sqrt(np.maximum(bend, 0.0))) ** 2)

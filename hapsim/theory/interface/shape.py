@@ -2,7 +2,7 @@
 
 Each is described twice, and the two descriptions are read by different codes on purpose: its transfer function by the
 characteristic equation (``plant.py``, ``loop_equation.py``), its behaviour in time by the state space
-(``device_step.py``, ``network.py``). That the two agree is a test of both. To add one: a file beside ``hold_zoh.py``
+(``device_step.py``, ``state.py``). That the two agree is a test of both. To add one: a file beside ``hold_zoh.py``
 or ``damper_backward.py`` and a line in a table of ``interface.py``; a damper has besides its recurrence in the kernel.
 """
 
