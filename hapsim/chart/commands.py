@@ -97,10 +97,8 @@ def plane(
 
     picture = _writable(picture, data, json, "plane.svg")
     masses = _numbers("--mass", mass)
-    if normalised and len(masses) > 1:
-        raise UsageError("--normalised: the unit of the axes holds for one mass only, found several; leave it out")
-    if normalised and scene is None:
-        masses, rate = masses or [1.0], 1.0 if rate is None else rate
+    if normalised:
+        masses, rate = _normalised(masses, rate, described_by_options=scene is None)
     given = _loop_options(context, mass=masses[0] if masses else None, rate=rate)
     chosen, others = _hands(scene, channel, given, written_stiffness, written_damping)
     members = [chosen.with_mass(mass) for mass in masses] if len(masses) > 1 else [chosen]
@@ -121,12 +119,7 @@ def plane(
     if json:
         _print_json({"scene": scene, "hands": [hand.summary() for hand in drawn]}, picture, data)
         return
-    for hand in drawn:
-        for line in _told(hand):
-            _console().print(line)
-    for other in others:
-        if other not in drawn:
-            print(f"{other.name} has a plane of its own: --channel {other.channel}")
+    _tell_of(drawn, [other for other in others if other not in drawn])
     _say(picture, data)
 
 
@@ -174,8 +167,7 @@ def transparency(
     if json:
         _print_json({"scene": scene, "hand": hand.summary(), "gives_energy_hz": bands}, picture, data)
         return
-    for line in _told(hand):
-        _console().print(line)
+    _tell_of([hand], [])
     frequency = worked_out.frequency
     words = ", ".join(_band(low, high, frequency[0], frequency[-1]) for low, high in bands)
     said = f"The wall gives the hand energy {words}." if bands else "At no frequency does the wall give energy."
@@ -244,6 +236,17 @@ def _numbers(option: str, words: list[str] | None) -> list[float]:
     return sorted(found)
 
 
+def _normalised(
+    masses: list[float], rate: float | None, described_by_options: bool
+) -> tuple[list[float], float | None]:
+    """Mass and rate are 1 in the paper's units where nothing says otherwise."""
+    if len(masses) > 1:
+        raise UsageError("--normalised: the unit of the axes holds for one mass only, found several; leave it out")
+    if not described_by_options:
+        return masses, rate
+    return masses or [1.0], 1.0 if rate is None else rate
+
+
 def _loop_options(context: typer.Context, **more: Any) -> dict[str, Any]:
     """The options that describe hand, device and loop, of those that were given; a command only has to declare them."""
     names = ("friction", "stiffness", "delay", "hold", "sampling", "damper", "cutoff")
@@ -281,10 +284,17 @@ def _end(option: str, value: float | None, unit: float, offset: float = 0.0) -> 
     return value * unit - offset
 
 
-def _told(hand: Hand) -> list[str]:
-    """What is written and met, and how far each may go: sentences."""
-    if not hand.is_written:
-        return []
+def _tell_of(drawn: list[Hand], others: list[Hand]) -> None:
+    """What is written and met of what is drawn, and where the others are."""
+    for hand in drawn:
+        if hand.is_written:
+            _console().print(_told(hand))
+    for other in others:
+        print(f"{other.name} has a plane of its own: --channel {other.channel}")
+
+
+def _told(hand: Hand) -> str:
+    """What is written and met, and how far each may go, in a sentence."""
     known = hand.summary()
     who = f"{hand.name} of {known['mass']:g} kg"
     who = who if known["stable"] else f"UNSTABLE: {who}"
@@ -300,7 +310,7 @@ def _told(hand: Hand) -> list[str]:
         if high > 0.0:  # nobody writes a negative one
             which = "K" if other == "B" else "B"
             ends.append(f"for {which} from {_not_below_zero(low, high):.4g} to {high:.4g} {unit} at this {other}")
-    return [f"{met}; stable {' and '.join(ends)}." if ends else f"{met}; not stable with this K or B."]
+    return f"{met}; stable {' and '.join(ends)}." if ends else f"{met}; not stable with this K or B."
 
 
 def _band(low: float, high: float, first: float, last: float) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import os
 import sys
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +32,7 @@ BLOCK = 20
 QUANTUM = 1e-11  # m
 
 
+@cache
 def points() -> list[tuple[Configuration, float, float]]:
     """Configurations, each with a damping and the largest stable stiffness for it."""
     rng = np.random.default_rng(17)

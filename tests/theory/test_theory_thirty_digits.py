@@ -93,8 +93,8 @@ def test_simulated_agrees_over_twelve_decades(hold: str, sampling: str, delay: f
     c = Configuration(mass=MASS, rate=RATE, friction=friction, delay=delay, hold=hold, sampling=sampling)
     k = (np.geomspace(1e-12, 3.0, 7) * UNIT)[:, None]
     K_error, B_error = worst_errors(c, k, 2.0 * np.array(RATIOS) * np.sqrt(k * MASS))
-    assert K_error < 1e-11
-    assert B_error < 1e-9
+    assert K_error < 5e-12
+    assert B_error < 5e-12
 
 
 @pytest.mark.parametrize("stiffness", [0.0, 0.04, 4e4])
@@ -120,8 +120,8 @@ def test_so_it_does_with_every_damper_and_with_a_spring_in_the_device(
     k = stiffness + (np.array([1e-12, 1e-7, 1e-3, 0.3]) * UNIT)[:, None]
     b = 2.0 * np.array([0.1, 1.0 - 1e-9, 1.5]) * np.sqrt(k * MASS)
     K_error, B_error = worst_errors(c, k, b)
-    assert K_error < 1e-9
-    assert B_error < 1e-9
+    assert K_error < 1e-9  # a spring a millionth as stiff as the device's own
+    assert B_error < 2e-12
 
 
 @pytest.mark.parametrize("delay", [0.0, 1.5])
