@@ -4,10 +4,10 @@ there the overhead is exactly one byte, so a frame's length says nothing of its 
 
 from __future__ import annotations
 
-from firmware_protocol.compiled import jit
+from firmware_protocol.compiled import jit_inlined
 
 
-@jit
+@jit_inlined
 def stuff(buffer, start, stop):
     """Encodes the body that stands in buffer[start + 1 : stop]; buffer[start] is the room for the first code."""
     last = start
@@ -18,7 +18,7 @@ def stuff(buffer, start, stop):
     buffer[last] = stop - last
 
 
-@jit
+@jit_inlined
 def unstuff(buffer, start, stop):
     """Decodes buffer[start:stop]; the body is then buffer[start + 1 : stop]. False where the codes do not add up."""
     at = start

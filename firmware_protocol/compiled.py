@@ -1,8 +1,18 @@
-"""The decorator that compiles the hot path, and where its machine code is kept between runs.
+"""The decorators that compile the hot path, and where its machine code is kept between runs.
+
+`jit` is for a function that stands by itself: Python calls it, its machine code is kept. `inlined` is for the parts
+that such a function is made of: they are woven into whichever compiled function calls them, which saves each of them
+the passing of dozens of arrays, and the wrapper and the file that nobody would use. Called from Python, a part runs as
+plain Python. `jit_inlined` is for what is called from both sides in the hot path, `part` for what is off it: woven in
+everywhere, it would only make the compilation longer.
 
 numba keeps compiled code on disk but looks only at the file a function stands in: it does not notice that a compiled
 function which that one calls has changed (numba issues 1833 and 9483). So the code is kept in a directory named after
 the text of *all* sources it may have been built from; an edit anywhere starts a fresh one.
+
+Nothing is allocated in the hot path, and no array in it outlives the call that brought it. So numba's counting of
+references is switched off there (`_nrt`): an atomic addition for every array at every step was most of an exchange's
+time. What tries to allocate all the same does not compile.
 
 `error_model="numpy"`: a division by zero gives an infinity that a guard can see, instead of an exception out of the
 loop. `fastmath` stays off: it would let the compiler delete the guard's test for NaN (numba issue 2919).
@@ -23,22 +33,52 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numba
+from numba.extending import overload, register_jitable
 
 Function = TypeVar("Function", bound=Callable[..., Any])
+
+_OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True, "_nrt": False}
+
+_PART = _OPTIONS | {"no_cpython_wrapper": True}
+_WOVEN = _PART | {"forceinline": True}
 
 _KEPT = 6  # builds kept side by side: a few branches and Python versions
 
 
-def compiler_for(*packages: Path) -> Callable[[Function], Function]:
-    """A decorator for functions whose machine code depends on the sources under `packages` (directories)."""
+class Compiler:
+    """Decorators for functions whose machine code depends on the sources under `packages` (directories)."""
 
-    def jit(function: Function) -> Function:
-        directory = _build_directory(packages)
+    def __init__(self, *packages: Path) -> None:
+        self._packages = packages
+
+    def jit(self, function: Function) -> Function:
+        """Compiles a function that Python calls."""
+        return self._entry(function)
+
+    def jit_inlined(self, function: Function) -> Function:
+        """Compiles a function that Python calls, and weaves it into compiled functions that call it."""
+        return self._entry(function, forceinline=True)
+
+    def inlined(self, function: Function) -> Function:
+        """Weaves a function into the compiled functions that call it."""
+        woven: Function = register_jitable(**_WOVEN)(function)
+        return woven
+
+    def part(self, function: Function) -> Function:
+        """Compiles a function that compiled functions call; whether it is woven in is the compiler's choice."""
+        kept: Function = register_jitable(**_PART)(function)
+        return kept
+
+    def overload(self, function: Callable[..., Any]) -> Callable[[Function], Function]:
+        """numba's `overload` of `function`; what it chooses is woven in like any part."""
+        chosen: Callable[[Function], Function] = overload(function, jit_options=_WOVEN)
+        return chosen
+
+    def _entry(self, function: Function, **options: Any) -> Function:
+        directory = _build_directory(self._packages)
         with _numba_cache_in(directory):
-            compiled: Function = numba.njit(cache=directory is not None, nogil=True, error_model="numpy")(function)
+            compiled: Function = numba.njit(cache=directory is not None, **_OPTIONS, **options)(function)
         return compiled
-
-    return jit
 
 
 @contextlib.contextmanager
@@ -111,5 +151,6 @@ def _forget_old_builds(root: Path) -> None:
             shutil.rmtree(build, ignore_errors=True)
 
 
-jit = compiler_for(Path(__file__).parent)
-"""Compiles a function of this package."""
+_compiler = Compiler(Path(__file__).parent)
+jit, inlined, jit_inlined = _compiler.jit, _compiler.inlined, _compiler.jit_inlined
+"""For functions of this package."""

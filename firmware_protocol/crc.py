@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_protocol.compiled import jit
+from firmware_protocol.compiled import jit_inlined
 
 
 def _table(reflected_polynomial: int) -> NDArray[np.uint32]:
@@ -27,7 +27,7 @@ _DNP = _table(0xA6BC)  # 0x3D65, its bits reversed
 _CASTAGNOLI = _table(0x82F63B78)  # 0x1EDC6F41, its bits reversed
 
 
-@jit
+@jit_inlined
 def crc16_dnp(data, start, stop, seed):
     """CRC-16/DNP of data[start:stop] from start value `seed` (0: the catalogued one)."""
     crc = np.uint32(seed)
@@ -36,7 +36,7 @@ def crc16_dnp(data, start, stop, seed):
     return crc ^ np.uint32(0xFFFF)
 
 
-@jit
+@jit_inlined
 def crc32_c(data, start, stop, seed):
     """CRC-32C of data[start:stop] from start value `seed` (0xFFFFFFFF: the catalogued one)."""
     crc = np.uint32(seed)

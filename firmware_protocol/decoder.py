@@ -13,7 +13,7 @@ import numpy as np
 
 from firmware_protocol import schema
 from firmware_protocol.cobs import unstuff
-from firmware_protocol.compiled import jit
+from firmware_protocol.compiled import inlined, jit, jit_inlined
 from firmware_protocol.frames import Format, check_of, words_of
 
 _RECENT = 256  # a power of two above the longest frame
@@ -80,7 +80,7 @@ def use_format(decoder, wire):
     decoder.seen = 0
 
 
-@jit
+@jit_inlined
 def next_frame(decoder, data, start, stop):
     """Reads data[start:stop] up to the end of the first valid frame.
 
@@ -99,7 +99,7 @@ def next_frame(decoder, data, start, stop):
     return start, False
 
 
-@jit
+@inlined
 def _accept(decoder):
     """Looks at the last L bytes before a delimiter; fills in the frame where they are one."""
     check_bytes = 5 if decoder.long_check else 3
@@ -127,7 +127,7 @@ def _accept(decoder):
     return True
 
 
-@jit
+@inlined
 def _check_holds(frame, body, long_check, seed):
     """Every bit of the check's bytes is looked at, the ones that are always set or clear too."""
     check = check_of(frame, 0, body, long_check, seed)
@@ -137,7 +137,7 @@ def _check_holds(frame, body, long_check, seed):
     return True
 
 
-@jit
+@inlined
 def _read(decoder, frame):
     """Fields of the body in frame[1:]; False where the type is none of this direction's."""
     kind = np.int64(frame[1]) >> 4

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from firmware_protocol import schema
 from firmware_protocol.cobs import stuff
-from firmware_protocol.compiled import jit
+from firmware_protocol.compiled import inlined, jit_inlined
 from firmware_protocol.crc import crc16_dnp, crc32_c
 
 Integers = Sequence[int] | NDArray[np.int64]
@@ -51,13 +51,13 @@ def armed_format(channels: int, velocity: bool = False) -> Format:
     return Format(channels, velocity, long_check, seed)
 
 
-@jit
+@inlined
 def words_of(wire, to_device):
     """Words of a frame's payload in one direction: to the host, velocities stand behind the positions."""
     return 2 * wire.channels if wire.velocity and not to_device else wire.channels
 
 
-@jit
+@inlined
 def check_of(data, start, stop, long_check, seed):
     """The check of the encoded bytes data[start:stop]."""
     if long_check:
@@ -65,14 +65,14 @@ def check_of(data, start, stop, long_check, seed):
     return crc16_dnp(data, start, stop, seed)
 
 
-@jit
+@inlined
 def _put_header(buffer, at, frame_type, number):
     buffer[at] = (frame_type << 4) | ((number >> 8) & 0xF)
     buffer[at + 1] = number & 0xFF
     return at + 2
 
 
-@jit
+@inlined
 def _put_payload(buffer, at, counts, words):
     for i in range(words):
         word = counts[i]
@@ -82,7 +82,7 @@ def _put_payload(buffer, at, counts, words):
     return at
 
 
-@jit
+@inlined
 def _seal(wire, buffer, start, stop):
     """Stuffs the body, appends the check in seven-bit bytes that cannot be zero, and the delimiter."""
     stuff(buffer, start, stop)
@@ -94,7 +94,7 @@ def _seal(wire, buffer, start, stop):
     return stop + 1
 
 
-@jit
+@jit_inlined
 def write_to_host(wire, buffer, start, frame_type, number, counts):
     """Writes a frame of the device at buffer[start:] and returns where it ends. `counts`: int64, one per word."""
     at = _put_header(buffer, start + 1, frame_type, number)
@@ -102,7 +102,7 @@ def write_to_host(wire, buffer, start, frame_type, number, counts):
     return _seal(wire, buffer, start, at)
 
 
-@jit
+@jit_inlined
 def write_to_device(wire, buffer, start, frame_type, number, argument, counts):
     """Writes a frame of the host at buffer[start:] and returns where it ends. `argument` is one byte."""
     at = _put_header(buffer, start + 1, frame_type, number)

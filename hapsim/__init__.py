@@ -18,15 +18,17 @@ if TYPE_CHECKING:
     from hapsim.measuring.measure import measure as measure
     from hapsim.prediction import predict as predict
     from hapsim.running import run as run
+    from hapsim.running import start as start
     from hapsim.scene import load_scene as load_scene
 
 _HOME = {
     "load_scene": "hapsim.scene",
     "predict": "hapsim.prediction",
     "run": "hapsim.running",
+    "start": "hapsim.running",
     "measure": "hapsim.measuring.measure",
 }
-__all__ = ["load_scene", "measure", "predict", "run"]
+__all__ = ["load_scene", "measure", "predict", "run", "start"]
 
 
 def __dir__() -> list[str]:

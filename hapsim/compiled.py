@@ -1,4 +1,4 @@
-"""Compiling hapsim's hot path: the decorator, and a sign of life while the first compilation runs."""
+"""Compiling hapsim's hot path: the decorators, and a sign of life while the first compilation runs."""
 
 from __future__ import annotations
 
@@ -10,10 +10,12 @@ from typing import Any
 import numba
 
 import firmware_protocol
-from firmware_protocol.compiled import compiler_for
+from firmware_protocol.compiled import Compiler
 
-jit = compiler_for(Path(__file__).parent, Path(firmware_protocol.__file__).parent)
-"""Compiles a function of hapsim, which may call any compiled function of either package."""
+_compiler = Compiler(Path(__file__).parent, Path(firmware_protocol.__file__).parent)
+jit, inlined, jit_inlined = _compiler.jit, _compiler.inlined, _compiler.jit_inlined
+part, overload = _compiler.part, _compiler.overload
+"""For functions of hapsim, which may call any compiled function of either package (see firmware_protocol.compiled)."""
 
 
 def compile_for(function: Any, *arguments: Any) -> None:

@@ -13,6 +13,7 @@ from hapsim.prediction import Felt, LinkBudget, Prediction
 from hapsim.theory import Mode
 
 if TYPE_CHECKING:
+    from hapsim.loop.histogram import Spread
     from hapsim.loop.trace import Report
     from hapsim.measuring.identify import Measurement
 
@@ -222,9 +223,13 @@ def show_report(out: Console, report: Report) -> None:
     table.add_row("rate  Hz", f"{report.rate_hz:.2f}{slow}")
     share = report.late_ticks / report.ticks if report.ticks else 0.0
     table.add_row("late ticks", f"{report.late_ticks} ({share:.2%})")
-    table.add_row("oldest force  samples", str(report.max_age_samples))
-    if report.max_lateness_s > 0:
-        table.add_row("latest wake-up  ms", f"{report.max_lateness_s * 1e3:.3f}")
+    if report.age_samples.max is not None:
+        table.add_row("oldest force  samples", f"{report.age_samples.max:.0f}")
+    if not report.virtual_time:
+        table.add_row("lateness  µs", _spread_in_us(report.lateness_s))
+        table.add_row("exchange  µs", _spread_in_us(report.exchange_s))
+    if report.parameter_changes:
+        table.add_row("changes of parameters", str(report.parameter_changes))
     for label, count in (
         ("positions lost", report.lost_frames),
         ("frames refused", report.crc_errors),
@@ -236,6 +241,13 @@ def show_report(out: Console, report: Report) -> None:
             table.add_row(label, f"[yellow]{count}[/yellow]")
     out.print()
     out.print(table)
+
+
+def _spread_in_us(spread: Spread) -> str:
+    """Median, 99 %, the largest."""
+    if spread.p50 is None or spread.p99 is None or spread.max is None:
+        return "–"
+    return f"{spread.p50 * 1e6:.0f} median, {spread.p99 * 1e6:.0f} in 99 %, {spread.max * 1e6:.0f} at most"
 
 
 def _number(value: float, digits: int = 6) -> str:

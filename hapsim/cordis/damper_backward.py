@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from hapsim.compiled import jit
+from hapsim.compiled import inlined
 from hapsim.cordis.viscoelastic import pull, stretch
 
 
-@jit
+@inlined
 def pull_backward(links, position, previous, force):
     """Adds the force of every link."""
     for i in range(links.first.size):

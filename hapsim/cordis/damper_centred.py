@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hapsim.compiled import jit
+from hapsim.compiled import inlined
 from hapsim.cordis.viscoelastic import Links, pull, stretch
 
 
@@ -23,14 +23,14 @@ def centred_links(links: Links) -> CentredLinks:
     return CentredLinks(links, np.zeros(links.first.size))
 
 
-@jit
+@inlined
 def settle_centred(group, position, previous):
     """Before the first tick: as if every point had moved up to now as it does."""
     for i in range(group.older.size):
         group.older[i] = 2.0 * stretch(group.links, i, previous) - stretch(group.links, i, position)
 
 
-@jit
+@inlined
 def pull_centred(group, position, previous, force):
     """Adds the force of every link."""
     for i in range(group.older.size):

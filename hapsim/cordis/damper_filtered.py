@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hapsim.compiled import jit
+from hapsim.compiled import inlined
 from hapsim.cordis.viscoelastic import Links, pull, stretch
 
 
@@ -29,14 +29,14 @@ def filtered_links(links: Links, cutoff: Sequence[float], rate: float) -> Filter
     return FilteredLinks(links, kept, np.zeros(links.first.size))
 
 
-@jit
+@inlined
 def settle_filtered(group, position, previous):
     """Before the first tick: as if every point had moved up to now as it does."""
     for i in range(group.growth.size):
         group.growth[i] = stretch(group.links, i, position) - stretch(group.links, i, previous)
 
 
-@jit
+@inlined
 def pull_filtered(group, position, previous, force):
     """Adds the force of every link."""
     for i in range(group.growth.size):

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from hapsim.compiled import jit
+from hapsim.compiled import inlined
 from hapsim.cordis.viscoelastic import Links, pull, stretch
 
 
@@ -23,7 +23,7 @@ def sensed_links(links: Links, rate: float) -> SensedLinks:
     return SensedLinks(links, 1.0 / rate)
 
 
-@jit
+@inlined
 def _way(point, devices, period, velocity, position, previous):
     """How far a point moves in a sample period, by its sensor where it has one. Device points come first."""
     if point < devices.channel.size:
@@ -31,7 +31,7 @@ def _way(point, devices, period, velocity, position, previous):
     return position[point] - previous[point]
 
 
-@jit
+@inlined
 def pull_sensed(group, devices, velocity, position, previous, force):
     """Adds the force of every link. `velocity`: sensed, in m/s, one per channel."""
     links = group.links

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hapsim.compiled import jit
+from hapsim.compiled import inlined
 
 
 class DevicePoints(NamedTuple):
@@ -22,7 +22,7 @@ def device_points(channels: Sequence[int]) -> DevicePoints:
     return DevicePoints(np.array(channels, np.int64))
 
 
-@jit
+@inlined
 def place(points, measured, position, previous):
     """Puts every device point where the device says it is, at rest: for the first sample."""
     for i in range(points.channel.size):
@@ -30,7 +30,7 @@ def place(points, measured, position, previous):
         previous[i] = position[i]
 
 
-@jit
+@inlined
 def follow(points, measured, position, previous):
     """Moves every device point to the new sample, `measured` in m, one value per channel."""
     for i in range(points.channel.size):
@@ -38,7 +38,7 @@ def follow(points, measured, position, previous):
         position[i] = measured[points.channel[i]]
 
 
-@jit
+@inlined
 def felt(points, force, out):
     """The scene's force on each channel, in N; 0 on a channel that the scene does not use."""
     for c in range(out.size):

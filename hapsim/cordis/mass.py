@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hapsim.compiled import jit
+from hapsim.compiled import inlined
 
 
 class Masses(NamedTuple):
@@ -27,7 +27,7 @@ def masses(start: int, mass: Sequence[float], rate: float) -> Masses:
         return Masses(start, 1.0 / (np.array(mass, np.float64) * rate * rate))
 
 
-@jit
+@inlined
 def advance(group, position, previous, force):
     """Moves every mass by one sample."""
     for i in range(group.mobility.size):

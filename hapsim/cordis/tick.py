@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hapsim.compiled import jit
+from hapsim.compiled import jit_inlined
 from hapsim.cordis.damper_backward import pull_backward
 from hapsim.cordis.damper_centred import pull_centred, settle_centred
 from hapsim.cordis.damper_filtered import pull_filtered, settle_filtered
@@ -11,7 +11,7 @@ from hapsim.cordis.device_point import felt, follow, place
 from hapsim.cordis.mass import advance
 
 
-@jit
+@jit_inlined
 def start(program, measured):
     """Puts the device points where the hand is, at rest, so that the first tick feels no jump."""
     place(program.devices, measured, program.position, program.previous)
@@ -19,7 +19,7 @@ def start(program, measured):
     settle_filtered(program.filtered, program.position, program.previous)
 
 
-@jit
+@jit_inlined
 def tick(program, measured, velocity, force):
     """Moves the scene by one sample.
 

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hapsim.compiled import jit
+from hapsim.compiled import inlined
 
 
 class Links(NamedTuple):
@@ -27,27 +27,20 @@ class Links(NamedTuple):
 
 
 def links_between(
-    ends: Sequence[tuple[int, int]], stiffness: Sequence[float], damping: Sequence[float], rate: float
+    ends: Sequence[tuple[int, int]], stiffness: NDArray[np.float64], damping_per_sample: NDArray[np.float64]
 ) -> Links:
-    """Links between numbered points; `stiffness` in N/m, `damping` in N·s/m, `rate` in Hz."""
+    """Links between numbered points; the two arrays, N/m both, are kept, not copied."""
     pairs = np.array(ends, np.uint32).reshape(-1, 2)
-    with np.errstate(over="ignore"):  # the guard sees what comes of an infinity
-        damping_per_sample = np.array(damping, np.float64) * rate
-    return Links(
-        np.ascontiguousarray(pairs[:, 0]),
-        np.ascontiguousarray(pairs[:, 1]),
-        np.array(stiffness, np.float64),
-        damping_per_sample,
-    )
+    return Links(np.ascontiguousarray(pairs[:, 0]), np.ascontiguousarray(pairs[:, 1]), stiffness, damping_per_sample)
 
 
-@jit
+@inlined
 def stretch(links, i, position):
     """Link i's first end minus its second, where the points are at `position`, in m."""
     return position[links.first[i]] - position[links.second[i]]
 
 
-@jit
+@inlined
 def pull(links, i, d, growth, force):
     """Adds link i's force to the points it joins: stretched by `d`, by `growth` more than a sample before, in m."""
     f = links.stiffness[i] * d + links.damping_per_sample[i] * growth

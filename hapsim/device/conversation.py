@@ -14,9 +14,7 @@ from firmware_protocol.description import Description, from_registers, registers
 from firmware_protocol.frames import SETUP, Format, armed_format, frame_to_device
 from hapsim.device.line import Line
 from hapsim.errors import DeviceError
-from hapsim.loop.inbox import next_frame_within
-from hapsim.loop.port import send_from
-from hapsim.loop.system import FAILED, HUNG_UP
+from hapsim.loop.codes import FAILED, HUNG_UP
 
 _ANSWER_S = 0.25  # how long one answer is waited for
 _TRIES = 12  # together three seconds: a board that the opening of its port resets needs them
@@ -143,8 +141,7 @@ def _exchange(
 
 
 def _send(line: Line, frame: bytes) -> None:
-    data = np.frombuffer(frame, np.uint8).copy()
-    if send_from(line.port, data, data.size) != 0:
+    if not line.write(frame):
         raise DeviceError(f"{line.name}: the port does not take what is written to it: is the device still there?")
 
 
@@ -154,7 +151,7 @@ def _answer(
     """The first word of the next frame of this kind and number (None: any) that `fits`; None where none comes."""
     deadline = time.monotonic() + timeout_s
     while (left := deadline - time.monotonic()) > 0:
-        found, code = next_frame_within(line.port, line.inbox, line.decoder, int(left * 1e9))
+        found, code = line.next_frame(left)
         if code in (HUNG_UP, FAILED):
             raise DeviceError(f"{line.name}: the device is gone (the port hung up)")
         if found and line.decoder["type"] == kind and number in (None, line.decoder["number"]):

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Literal
 
 from hapsim.device.line import Line
-from hapsim.device.serial_port import open_serial_port
+from hapsim.device.serial_port import open_portable_port, open_serial_port
 from hapsim.errors import UsageError
 from hapsim.scene import Scene
 
@@ -17,10 +17,11 @@ time is virtual and on a pseudo-terminal where it is real. loopback, terminal: t
 
 
 @contextlib.contextmanager
-def open_line(scene: Scene, kind: LineKind = "auto") -> Iterator[Line]:
-    """The line to the scene's device, open inside the with-block."""
+def open_line(scene: Scene, kind: LineKind = "auto", portable: bool = False) -> Iterator[Line]:
+    """The line to the scene's device, open inside the with-block; `portable`: for the loop in Python."""
+    open_port = open_portable_port if portable else open_serial_port
     if kind == "auto" and scene.device.port is not None:
-        line = open_serial_port(scene.device.port, scene.device.baud)
+        line = open_port(scene.device.port, scene.device.baud)
         with contextlib.closing(line):
             yield line
         return
@@ -29,10 +30,12 @@ def open_line(scene: Scene, kind: LineKind = "auto") -> Iterator[Line]:
         raise UsageError(
             f"the loopback has no time of its own: it takes clock: lockstep, the scene says {scene.device.clock}"
         )
-    if kind == "loopback" or (kind != "terminal" and virtual):
+    if kind == "loopback" and portable:
+        raise UsageError("the portable loop reads and writes a port: found the loopback, expected a terminal or a port")
+    if kind == "loopback" or (kind != "terminal" and virtual and not portable):
         yield _loopback(scene)
     else:
-        with _mock_terminal(scene) as line:
+        with _mock_terminal(scene, open_port) as line:
             yield line
 
 
@@ -44,12 +47,12 @@ def _loopback(scene: Scene) -> Line:
 
 
 @contextlib.contextmanager
-def _mock_terminal(scene: Scene) -> Iterator[Line]:
+def _mock_terminal(scene: Scene, open_port: Callable[[str, int], Line]) -> Iterator[Line]:
     from hapsim.device.mock.assemble import assemble_mock
     from hapsim.device.mock.terminal import serving
 
     with (
         serving(assemble_mock(scene)) as path,
-        contextlib.closing(open_serial_port(path, scene.device.baud)) as line,
+        contextlib.closing(open_port(path, scene.device.baud)) as line,
     ):
         yield line

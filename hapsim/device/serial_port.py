@@ -9,6 +9,7 @@ import contextlib
 import errno
 import fcntl
 import termios
+from typing import Any
 
 from hapsim.device.line import Line
 from hapsim.errors import DeviceError
@@ -16,16 +17,29 @@ from hapsim.loop.descriptor import descriptor_port
 
 
 def open_serial_port(path: str, baud: int) -> Line:
-    """Opens a port at `baud` bit/s. DeviceError, with what to do, where that fails."""
-    import serial
-
-    try:
-        port = serial.Serial(path, baud, timeout=0, exclusive=True)
-    except (OSError, ValueError) as error:  # SerialException is an OSError
-        raise DeviceError(_why_not(path, baud, error)) from error
+    """Opens a port at `baud` bit/s for the compiled loop. DeviceError, with what to do, where that fails."""
+    port = _open(path, baud)
     descriptor = port.fileno()
     _make_raw(descriptor)
     return Line(port=descriptor_port(descriptor), name=path, close=port.close, baud=baud, note=_low_latency(port))
+
+
+def open_portable_port(path: str, baud: int) -> Line:
+    """Opens a port at `baud` bit/s for the portable loop. DeviceError, with what to do, where that fails."""
+    from hapsim.device.portable_line import PortableLine
+    from hapsim.loop.portable import PortablePort
+
+    port = _open(path, baud)
+    return PortableLine(port=PortablePort(port), name=path, close=port.close, baud=baud, note=_low_latency(port))
+
+
+def _open(path: str, baud: int) -> Any:
+    import serial
+
+    try:
+        return serial.Serial(path, baud, timeout=0, write_timeout=0.1, exclusive=True)
+    except (OSError, ValueError) as error:  # SerialException is an OSError
+        raise DeviceError(_why_not(path, baud, error)) from error
 
 
 def serial_ports() -> list[dict[str, str]]:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hapsim.compiled import jit
+from hapsim.compiled import inlined
 from hapsim.loop.port import transport
 from hapsim.loop.system import read_some, write_all
 
@@ -26,12 +26,12 @@ def descriptor_port(descriptor: int) -> DescriptorPort:
     return DescriptorPort(descriptor, np.zeros(4, np.int64))
 
 
-@jit
+@inlined
 def _receive(port, buffer, start, timeout_ns):
     return read_some(port.descriptor, buffer, start, timeout_ns, port.scratch)
 
 
-@jit
+@inlined
 def _send(port, buffer, stop):
     return write_all(port.descriptor, buffer, stop, _SEND_TIMEOUT_NS, port.scratch)
 

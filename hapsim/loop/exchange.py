@@ -1,4 +1,7 @@
-"""One exchange: positions in, the scene moved, the guarded force out. Shared by both clocks."""
+"""One exchange: positions in, the scene moved, the guarded force out. Shared by every loop.
+
+No system call is made here: whoever waits (waiting.py in the kernel, portable.py in Python) brings bytes and time.
+"""
 
 from __future__ import annotations
 
@@ -8,29 +11,26 @@ import numpy as np
 
 from firmware_protocol import schema
 from firmware_protocol.frames import Format, write_to_device
-from hapsim.compiled import jit
+from hapsim.compiled import inlined, jit_inlined
+from hapsim.cordis.ground import settle
 from hapsim.cordis.program import Program
 from hapsim.cordis.tick import start, tick
+from hapsim.loop.codes import BAD_FORCE, FAULT, HEARD, TIMED_OUT
 from hapsim.loop.guard.finite import all_finite
 from hapsim.loop.guard.limit import cut
-from hapsim.loop.inbox import fetch, frame_waiting
-from hapsim.loop.port import send
+from hapsim.loop.histogram import new_histogram, note
+from hapsim.loop.inbox import frame_waiting
+from hapsim.loop.parameters import Parameters, move_parameters
 from hapsim.loop.ring import BRIDGED, HELD, LIMITED, OFF_GRID, UNSENT, Ring, mark_last, publish, push
-from hapsim.loop.system import TIMED_OUT, now_ns
 
-# Why the loop returned.
-DONE, STOPPED, RING_FULL, SILENT, GONE, NOT_FINITE, DEVICE_STOPPED = range(7)
-
-HEARD = 1  # a position was taken; beside TIMED_OUT, HUNG_UP and FAILED of system.py
-FAULT = -3  # the device said that it stopped
-BAD_FORCE = -4  # the scene's force is not a number
+DEVICE_CLOCK, HOST_CLOCK, NO_CLOCK = range(3)  # who keeps the time; nobody in virtual time
 
 CONTROL = np.dtype(
     [
         ("stop", np.int64),  # set by another thread
         ("ticks", np.int64),  # how many to run, negative: until told to stop
         ("period_ns", np.int64),
-        ("host_is_clock", np.int64),
+        ("clock", np.int64),  # DEVICE_CLOCK, HOST_CLOCK, NO_CLOCK
         ("silence_ns", np.int64),  # a device quiet for longer is gone
         ("time_to_live", np.int64),  # samples that a force may act without being replaced
         ("pulse_first", np.int64),  # the excitation: 1 for a push on the first ticks,
@@ -52,11 +52,12 @@ STATE = np.dtype(
         ("stale_positions", np.int64),
         ("limited_ticks", np.int64),
         ("age", np.int64),  # samples from the position that the acting force answers to the force's change
-        ("max_age", np.int64),
         ("fault", np.int64),  # what the device said when it stopped
         ("first_ns", np.int64),  # when the first and the newest position arrived
         ("newest_ns", np.int64),
-        ("max_lateness_ns", np.int64),  # of a wake-up, where the host is the clock
+        ("sent_ns", np.int64),  # when the last force had left
+        ("grounds_moved", np.int64),  # with the last sample: with the next their velocity is zero again
+        ("due_ns", np.int64),  # when the next position is expected, where the device is the clock
     ],
     align=True,
 )
@@ -89,6 +90,23 @@ DESK = np.dtype(
 """What one exchange is worked out on. One record instead of a dozen arrays: compiled code passes it as one pointer."""
 
 
+class Statistics(NamedTuple):
+    """Histograms of every tick (HISTOGRAM of histogram.py)."""
+
+    lateness: np.void
+    """ns: of the wake-up, where the host is the clock; of the position, where the device is."""
+    exchange: np.void
+    """ns: from a position's arrival until its force has left; where the host is the clock, from the force until the
+    position has arrived."""
+    age: np.void
+    """Samples from the position that the acting force answers to the force's change."""
+
+
+def new_statistics() -> Statistics:
+    """Empty histograms."""
+    return Statistics(new_histogram(), new_histogram(), new_histogram())
+
+
 class Loop(NamedTuple):
     """All that an exchange works on. Everything is allocated before the device is armed."""
 
@@ -97,51 +115,42 @@ class Loop(NamedTuple):
     decoder: np.void
     wire: Format
     program: Program
+    parameters: Parameters
     ring: Ring
     desk: np.void
     control: np.void
     state: np.void
+    statistics: Statistics
 
 
-@jit
-def take_newest_position(loop, timeout_ns):
-    """Waits for a position, takes all that are there and leaves the force that answers the newest.
+@jit_inlined
+def digest(loop, now):
+    """Takes every position among the bytes at hand, which arrived at `now` (ns), and works out the force that answers
+    the newest: HEARD, or TIMED_OUT, FAULT, BAD_FORCE.
 
     Every position moves the scene by one sample, in order, so that its velocities stay true; only the newest is
-    answered. Returns HEARD, or TIMED_OUT, HUNG_UP, FAILED, FAULT, BAD_FORCE. Bytes without end that are no position
-    do not make the wait any longer.
+    answered.
     """
-    give_up = now_ns(loop.desk.scratch) + timeout_ns
-    heard = False
-    last_look = False
-    while True:
-        while frame_waiting(loop.inbox, loop.decoder):
-            if loop.decoder.type == schema.STATUS:
-                loop.state.fault = (loop.decoder.counts[0] >> 8) & 0xFF
-                return FAULT
-            if not _is_news(loop):
-                continue
-            if heard:
-                loop.state.stale_positions += 1
-                mark_last(loop.ring, UNSENT)
-            if not _take_position(loop):
-                return BAD_FORCE
-            heard = True
-        if heard:
-            return HEARD
-        if last_look:
-            return TIMED_OUT
-        left = give_up - now_ns(loop.desk.scratch)
-        last_look = left <= 0
-        code = fetch(loop.port, loop.inbox, left)
-        if code < 0:
-            return code
+    heard = TIMED_OUT
+    while frame_waiting(loop.inbox, loop.decoder):
+        if loop.decoder.type == schema.STATUS:
+            loop.state.fault = (loop.decoder.counts[0] >> 8) & 0xFF
+            return FAULT
+        if not _is_news(loop):
+            continue
+        if heard == HEARD:
+            loop.state.stale_positions += 1
+            mark_last(loop.ring, UNSENT)
+        if not _take_position(loop, now):
+            return BAD_FORCE
+        heard = HEARD
+    return heard
 
 
-@jit
-def answer(loop):
-    """Sends the force that answers the newest position; then shows the tick to the reader."""
-    stop = write_to_device(
+@jit_inlined
+def compose_force(loop):
+    """Writes the frame with the force that answers the newest position into the outbox; where it ends."""
+    return write_to_device(
         loop.wire,
         loop.desk.outbox,
         0,
@@ -150,32 +159,27 @@ def answer(loop):
         loop.control.time_to_live,
         loop.desk.force_counts,
     )
-    code = send(loop.port, loop.desk.outbox, stop)
-    publish(loop.ring)
-    return code
 
 
-@jit
-def let_go(loop):
-    """Zero force, at once: the last frame of every loop, whatever ended it."""
+@jit_inlined
+def compose_disarm(loop):
+    """Writes the frame that lets go, with zero force, into the outbox; where it ends. The last frame of every loop,
+    whatever ended it."""
     for c in range(loop.desk.channels):
         loop.desk.force_counts[c] = 0
-    stop = write_to_device(loop.wire, loop.desk.outbox, 0, schema.DISARM, 0, 0, loop.desk.force_counts)
-    send(loop.port, loop.desk.outbox, stop)
+    return write_to_device(loop.wire, loop.desk.outbox, 0, schema.DISARM, 0, 0, loop.desk.force_counts)
+
+
+@jit_inlined
+def sent(loop, now):
+    """The force has left, at `now` (ns): shows the tick to the reader and counts what it took."""
+    if loop.control.clock != HOST_CLOCK:
+        note(loop.statistics.exchange, now - loop.state.newest_ns)
+    loop.state.sent_ns = now
     publish(loop.ring)
 
 
-@jit
-def ending_of(code):
-    """Why the loop ends, after a wait for a position that ended in `code`."""
-    if code == FAULT:
-        return DEVICE_STOPPED
-    if code == BAD_FORCE:
-        return NOT_FINITE
-    return SILENT if code == TIMED_OUT else GONE
-
-
-@jit
+@inlined
 def _is_news(loop):
     """Whether the decoder holds a position newer than the last. One that comes twice, or after a newer one, is counted
     and passed over: the scene never goes back in time."""
@@ -188,21 +192,25 @@ def _is_news(loop):
     return True
 
 
-@jit
-def _take_position(loop):
+@inlined
+def _take_position(loop, now):
     """The decoder's position moves the scene up to its sample; False where the force came out as no number."""
     state = loop.state
-    now = now_ns(loop.desk.scratch)
     _read_position(loop)
     if state.ticks == 0:
         start(loop.program, loop.desk.measured)
         state.sample = loop.decoder.number - 1
         state.first_ns = now
-    flags = _count_age(loop.decoder, state) | _off_grid(loop.control, state, now)
+        state.due_ns = now
+    flags = _count_age(loop, state) | _off_grid(loop.control, state, now)
     gap = (loop.decoder.number - state.sample) % schema.SAMPLE_MODULUS
     if gap > 1:
         state.lost_frames += gap - 1
         flags |= BRIDGED
+    if loop.control.clock == DEVICE_CLOCK:
+        _note_lateness(loop, now, gap)
+    elif loop.control.clock == HOST_CLOCK and state.ticks > 0:
+        note(loop.statistics.exchange, now - state.sent_ns)
     _move_scene(loop, gap)
     state.sample += gap
     state.newest_ns = now
@@ -213,7 +221,7 @@ def _take_position(loop):
     return flags & _NOT_A_NUMBER == 0
 
 
-@jit
+@inlined
 def _read_position(loop):
     """The decoder's position, and its velocity where they are on the wire, in SI units."""
     desk = loop.desk
@@ -226,40 +234,56 @@ def _read_position(loop):
             desk.velocity[c] = loop.decoder.counts[desk.channels + c] * desk.velocity_scale[c]
 
 
-@jit
-def _count_age(decoder, state):
+@inlined
+def _count_age(loop, state):
     """The device tells with each position whether the force of the sample before came in time."""
-    if decoder.type == schema.POSITION_HELD:
-        state.late_ticks += 1
-        state.age += 1
-        state.max_age = max(state.max_age, state.age)
-        return HELD
-    state.age = 1
-    state.max_age = max(state.max_age, 1)
-    return 0
+    held = loop.decoder.type == schema.POSITION_HELD
+    state.late_ticks += held
+    state.age = state.age + 1 if held else 1
+    note(loop.statistics.age, state.age)
+    return HELD if held else 0
 
 
-@jit
+@inlined
+def _note_lateness(loop, now, gap):
+    """How much later a position came than the earliest ones of late, by the device's own count of samples.
+
+    Nobody tells when the device sampled. The grid of expected arrivals moves to every arrival that is earlier, and a
+    little, a 64th of the lateness, after every later one, so that it follows a device whose clock is slow.
+    """
+    state = loop.state
+    late = now - state.due_ns
+    note(loop.statistics.lateness, late)
+    state.due_ns += (late if late < 0 else late >> 6) + gap * loop.control.period_ns
+
+
+@inlined
 def _off_grid(control, state, now):
     """Whether the time from the last position to this one is clearly not a period, where the host keeps the time."""
-    if not control.host_is_clock or state.ticks == 0:
+    if control.clock != HOST_CLOCK or state.ticks == 0:
         return 0
     error = now - state.newest_ns - control.period_ns
     return OFF_GRID if abs(error) > control.period_ns // 8 else 0
 
 
-@jit
+@inlined
 def _move_scene(loop, samples):
     """Moves the scene by `samples`, its device points along a straight line from the last position to this one, and
     their velocities along one of their own."""
     desk = loop.desk
-    for i in range(1, samples):
-        for c in range(desk.channels):
-            desk.bridge[c] = desk.before[c] + (desk.measured[c] - desk.before[c]) * i / samples
-            rise = desk.velocity[c] - desk.velocity_before[c]
-            desk.velocity_bridge[c] = desk.velocity_before[c] + rise * i / samples
-        tick(loop.program, desk.bridge, desk.velocity_bridge, desk.asked)
-    tick(loop.program, desk.measured, desk.velocity, desk.asked)
+    for i in range(1, samples + 1):
+        position, velocity = desk.measured, desk.velocity
+        if i < samples:
+            for c in range(desk.channels):
+                rise, gain = desk.measured[c] - desk.before[c], desk.velocity[c] - desk.velocity_before[c]
+                desk.bridge[c] = desk.before[c] + rise * i / samples
+                desk.velocity_bridge[c] = desk.velocity_before[c] + gain * i / samples
+            position, velocity = desk.bridge, desk.velocity_bridge
+        moved = move_parameters(loop.parameters)
+        if moved or loop.state.grounds_moved:
+            settle(loop.program.grounds, loop.program.position, loop.program.previous)
+            loop.state.grounds_moved = moved
+        tick(loop.program, position, velocity, desk.asked)
 
 
 _NOT_A_NUMBER = 128  # in the flags of `_set_force`
@@ -268,7 +292,7 @@ _NOT_A_NUMBER = 128  # in the flags of `_set_force`
 _GOLDEN = 0.6180339887498949  # its multiples are spread evenly over every interval
 
 
-@jit
+@inlined
 def _push(control, tick):
     """The excitation's force at this tick, in N: no two pushes alike, so that no two ring-downs are rounded alike."""
     if control.pulse_first and tick < control.pulse_ticks:
@@ -281,7 +305,7 @@ def _push(control, tick):
     return -force if count & 1 else force
 
 
-@jit
+@inlined
 def _set_force(desk, control, state):
     """Adds the excitation, guards the force and turns it into counts. Returns the row's flags for it."""
     for c in range(desk.channels):

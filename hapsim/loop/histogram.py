@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hapsim.compiled import jit
+from hapsim.compiled import jit_inlined
 
 _PART_BITS = 4  # 16 bins to the octave
 _OCTAVES = 42
@@ -22,13 +22,13 @@ _FIRST = (1023 << _PART_BITS) - 1  # so that 1.0 falls into bin 1
 HISTOGRAM = np.dtype([("maximum", np.int64), ("counts", np.int64, (_BINS,))], align=True)
 
 
-@jit
+@jit_inlined
 def note(histogram, value):
     """Counts one whole number; a negative one counts as 0."""
     i = 0
     if value > 0:
-        i = min((np.float64(value).view(np.int64) >> _SHIFT) - _FIRST, _BINS - 1)
-        histogram.maximum = max(histogram.maximum, value)
+        i = min(int(np.float64(value).view(np.int64) >> _SHIFT) - _FIRST, _BINS - 1)
+        histogram.maximum = max(value, histogram.maximum)
     histogram.counts[i] += 1
 
 
@@ -44,7 +44,7 @@ class Spread:
     max: float | None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Histogram:
     """A copy of what a loop counted, in `unit` (1e-9: it counted nanoseconds, this tells seconds)."""
 
@@ -81,6 +81,20 @@ class Histogram:
         """Its quantiles."""
         largest = self.maximum if self.total else None
         return Spread(self.total, self.quantile(0.5), self.quantile(0.99), self.quantile(0.999), largest)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Histogram) and np.array_equal(self.as_row(), other.as_row())
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def as_row(self) -> NDArray[np.float64]:
+        """All of it in one array, for a file."""
+        return np.concatenate([[self.unit, self.maximum], self.counts])
+
+    @staticmethod
+    def from_row(row: NDArray[np.float64]) -> Histogram:
+        """What `as_row` wrote."""
+        return Histogram(row[2:].astype(np.int64), float(row[1]), float(row[0]))
 
     def _greatest_in(self, i: int) -> float:
         """The largest whole number of bin i, times the unit; the last bin has no end."""

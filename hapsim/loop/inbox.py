@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from firmware_protocol.decoder import next_frame
-from hapsim.compiled import jit
+from hapsim.compiled import inlined, jit
 from hapsim.loop.port import receive
 
 INBOX = np.dtype([("start", np.int64), ("stop", np.int64), ("bytes", np.uint8, 8192)], align=True)
@@ -17,16 +17,16 @@ def new_inbox() -> np.void:
     return inbox
 
 
-@jit
+@inlined
 def frame_waiting(inbox, decoder):
     """Whether the bytes at hand hold a whole frame; it is then in the decoder."""
     inbox.start, found = next_frame(decoder, inbox.bytes, inbox.start, inbox.stop)
     return found
 
 
-@jit
+@inlined
 def fetch(port, inbox, timeout_ns):
-    """Reads what has arrived into an inbox that is used up: the count, or a code of system.py."""
+    """Reads what has arrived into an inbox that is used up: the count, or a code of codes.py."""
     inbox.start = 0
     inbox.stop = 0
     count = receive(port, inbox.bytes, 0, timeout_ns)
@@ -37,7 +37,7 @@ def fetch(port, inbox, timeout_ns):
 
 @jit
 def next_frame_within(port, inbox, decoder, timeout_ns):
-    """Waits for a frame: (1, whatever) when there is one, else (0, a code of system.py)."""
+    """Waits for a frame: (1, whatever) when there is one, else (0, a code of codes.py)."""
     if frame_waiting(inbox, decoder):
         return True, 0
     count = fetch(port, inbox, timeout_ns)

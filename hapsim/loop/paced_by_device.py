@@ -3,23 +3,17 @@
 from __future__ import annotations
 
 from hapsim.compiled import jit
-from hapsim.loop.exchange import (
-    DONE,
-    GONE,
-    HEARD,
-    RING_FULL,
-    STOPPED,
-    answer,
-    ending_of,
-    let_go,
-    take_newest_position,
-)
+from hapsim.loop.codes import HEARD
+from hapsim.loop.endings import DONE, GONE, RING_FULL, STOPPED, ending_of
 from hapsim.loop.ring import full
+from hapsim.loop.system import now_ns
+from hapsim.loop.waiting import answer, let_go, take_newest_position
 
 
 @jit
 def run_paced_by_device(loop):
     """Answers every position until something ends it; returns what did. RING_FULL alone leaves the device armed."""
+    loop.state.sent_ns = now_ns(loop.desk.scratch)
     while True:
         if loop.control.stop:
             ending = STOPPED
@@ -28,7 +22,7 @@ def run_paced_by_device(loop):
         elif full(loop.ring):
             return RING_FULL
         else:
-            code = take_newest_position(loop, loop.control.silence_ns)
+            code = take_newest_position(loop, loop.state.sent_ns, loop.control.silence_ns)
             if code == HEARD:
                 if answer(loop) == 0:
                     continue

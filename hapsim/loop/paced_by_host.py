@@ -6,18 +6,12 @@ catching up would hand the device a burst.
 
 from __future__ import annotations
 
-from hapsim.compiled import jit
-from hapsim.loop.exchange import (
-    DONE,
-    GONE,
-    HEARD,
-    STOPPED,
-    answer,
-    ending_of,
-    let_go,
-    take_newest_position,
-)
-from hapsim.loop.system import TIMED_OUT, now_ns, sleep_until
+from hapsim.compiled import inlined, jit, jit_inlined
+from hapsim.loop.codes import HEARD, TIMED_OUT
+from hapsim.loop.endings import DONE, GONE, STOPPED, ending_of
+from hapsim.loop.histogram import note
+from hapsim.loop.system import now_ns, sleep_until
+from hapsim.loop.waiting import answer, let_go, take_newest_position
 
 
 @jit
@@ -32,51 +26,45 @@ def run_paced_by_host(loop):
             ending = DONE
         else:
             sleep_until(due, loop.desk.scratch)
-            _note_lateness(loop, due)
-            due = _next_due(loop, due)
-            ending = _exchange_before(loop, due)
+            now = now_ns(loop.desk.scratch)
+            note(loop.statistics.lateness, now - due)
+            due = next_due(loop, due, now)
+            ending = exchange_before(loop, now, due)
     let_go(loop)
     return ending
 
 
-@jit
+@inlined
 def _first_position(loop):
     """The device sends position 0 of its own accord when it is armed. Negative, or why the loop ends."""
-    code = take_newest_position(loop, loop.control.silence_ns)
+    code = take_newest_position(loop, now_ns(loop.desk.scratch), loop.control.silence_ns)
     return -1 if code == HEARD else ending_of(code)
 
 
-@jit
-def _exchange_before(loop, due):
+@jit_inlined
+def exchange_before(loop, now, due):
     """Force out, position in, until the next tick is due; a position that does not come by then is asked for again.
+    Negative, or why the loop ends.
 
     One that came after its tick was over is taken first: answered in its turn it would leave every later force a sample
     older than need be.
     """
-    code = take_newest_position(loop, 0)
+    code = take_newest_position(loop, now, 0)
     if code not in (HEARD, TIMED_OUT):
         return ending_of(code)
     if answer(loop) != 0:
         return GONE
-    now = now_ns(loop.desk.scratch)
-    code = take_newest_position(loop, max(due - now, 0))
-    if code == TIMED_OUT and now - loop.state.newest_ns < loop.control.silence_ns:
+    code = take_newest_position(loop, loop.state.sent_ns, max(due - loop.state.sent_ns, 0))
+    if code == TIMED_OUT and loop.state.sent_ns - loop.state.newest_ns < loop.control.silence_ns:
         return -1
     return -1 if code == HEARD else ending_of(code)
 
 
-@jit
-def _next_due(loop, due):
+@jit_inlined
+def next_due(loop, due, now):
     """The next point of the grid, or of a new grid where this tick came a whole period late."""
     due += loop.control.period_ns
-    now = now_ns(loop.desk.scratch)
     if now < due:
         return due
     loop.state.late_ticks += 1
     return now + loop.control.period_ns
-
-
-@jit
-def _note_lateness(loop, due):
-    lateness = now_ns(loop.desk.scratch) - due
-    loop.state.max_lateness_ns = max(loop.state.max_lateness_ns, lateness)

@@ -10,13 +10,12 @@ from collections.abc import Callable
 from typing import Any
 
 from numba import types
-from numba.extending import overload
 
-from hapsim.compiled import jit
+from hapsim.compiled import jit, overload
 
 
 def receive(port: Any, buffer: Any, start: int, timeout_ns: int) -> Any:
-    """Bytes that have arrived, into buffer[start:]: their count, or TIMED_OUT, HUNG_UP, FAILED of system.py."""
+    """Bytes that have arrived, into buffer[start:]: their count, or TIMED_OUT, HUNG_UP, FAILED of codes.py."""
     raise NotImplementedError("only compiled code calls this")
 
 
@@ -26,7 +25,10 @@ def send(port: Any, buffer: Any, stop: int) -> Any:
 
 
 def transport(port_type: type, receive_from: Callable[..., Any], send_to: Callable[..., Any]) -> None:
-    """Makes `receive` and `send` mean these two compiled functions for ports of `port_type`, a NamedTuple class."""
+    """Makes `receive` and `send` mean these two functions for ports of `port_type`, a NamedTuple class.
+
+    Their parameters carry the names of `receive`'s and `send`'s.
+    """
 
     def is_ours(port: types.Type) -> bool:
         return isinstance(port, types.BaseNamedTuple) and port.instance_class is port_type
@@ -35,13 +37,13 @@ def transport(port_type: type, receive_from: Callable[..., Any], send_to: Callab
     def choose_receive(port, buffer, start, timeout_ns):  # noqa: ARG001
         if not is_ours(port):
             return None
-        return lambda port, buffer, start, timeout_ns: receive_from(port, buffer, start, timeout_ns)  # noqa: PLW0108
+        return receive_from
 
     @overload(send)
     def choose_send(port, buffer, stop):  # noqa: ARG001
         if not is_ours(port):
             return None
-        return lambda port, buffer, stop: send_to(port, buffer, stop)  # noqa: PLW0108
+        return send_to
 
 
 @jit

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapsim.loop.ring import Ring, Rows, drain
-from hapsim.loop.trace import Report, Trace
+from hapsim.loop.trace import Report, Statistics, Trace
 
 
 class Recorder:
@@ -28,6 +28,7 @@ class Recorder:
         rate: float,
         position_scale: NDArray[np.float64],
         force_scale: NDArray[np.float64],
+        statistics: Statistics,
         report: Report,
     ) -> Trace:
         """Everything collected, as one trace."""
@@ -42,5 +43,6 @@ class Recorder:
             asked_force=rows.asked,
             position_scale=position_scale,
             force_scale=force_scale,
+            statistics=statistics,
             report=report,
         )

@@ -11,7 +11,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hapsim.compiled import jit
+from hapsim.compiled import inlined
+from hapsim.loop.ordering import fence
 
 HELD = 1
 """The device says: in the sample that this position ends, no force had answered the sample before in time."""
@@ -63,14 +64,14 @@ def new_ring(channels: int, capacity: int, waits: bool) -> Ring:
     )
 
 
-@jit
+@inlined
 def full(ring):
     """Whether the loop has to return for want of room; with a margin, for positions that arrive several at once."""
     cursor = ring.cursor
     return cursor.waits != 0 and cursor.head - cursor.tail > ring.sample.size // 2
 
 
-@jit
+@inlined
 def push(ring, sample, time_ns, flags, position, force, asked):
     """Writes a row, which the reader does not see before `publish`."""
     cursor = ring.cursor
@@ -89,7 +90,7 @@ def push(ring, sample, time_ns, flags, position, force, asked):
     cursor.unpublished += 1
 
 
-@jit
+@inlined
 def mark_last(ring, flag):
     """Adds a flag to the row that was pushed last, while the reader cannot see it yet."""
     cursor = ring.cursor
@@ -97,9 +98,10 @@ def mark_last(ring, flag):
         ring.flags[(cursor.head + cursor.unpublished - 1) % ring.sample.size] |= flag
 
 
-@jit
+@inlined
 def publish(ring):
-    """Shows the pushed rows to the reader."""
+    """Shows the pushed rows to the reader, once they are written."""
+    fence()
     ring.cursor.head += ring.cursor.unpublished
     ring.cursor.unpublished = 0
 

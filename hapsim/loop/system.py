@@ -8,19 +8,14 @@ from __future__ import annotations
 
 from numba import types
 
-from hapsim.compiled import jit
+from hapsim.compiled import inlined
+from hapsim.loop.codes import FAILED, HUNG_UP, TIMED_OUT
 
-CLOCK_MONOTONIC = 1
+_CLOCK_MONOTONIC = 1
 _TIMER_ABSTIME = 1
 _EINTR = 4
 _EAGAIN = 11
 _POLLIN, _POLLOUT, _POLLHUP, _POLLERR, _POLLNVAL = 0x1, 0x4, 0x10, 0x8, 0x20
-
-TIMED_OUT = 0
-HUNG_UP = -1
-"""The other side of the port is gone."""
-FAILED = -2
-"""The system refused; there is nothing to be retried."""
 
 _clock_gettime = types.ExternalFunction("clock_gettime", types.int32(types.int32, types.uintp))
 _clock_nanosleep = types.ExternalFunction(
@@ -32,25 +27,25 @@ _write = types.ExternalFunction("write", types.intp(types.int32, types.uintp, ty
 _errno_location = types.ExternalFunction("__errno_location", types.CPointer(types.int32)())
 
 
-@jit
+@inlined
 def now_ns(scratch):
     """Monotonic time in ns. `scratch`: int64[4], the caller's own, so that nothing is allocated."""
-    _clock_gettime(CLOCK_MONOTONIC, scratch.ctypes.data)
+    _clock_gettime(_CLOCK_MONOTONIC, scratch.ctypes.data)
     return scratch[0] * 1_000_000_000 + scratch[1]
 
 
-@jit
+@inlined
 def sleep_until(deadline_ns, scratch):
     """Sleeps until an absolute monotonic time. A deadline already past costs no system call."""
     while now_ns(scratch) < deadline_ns:
         scratch[0] = deadline_ns // 1_000_000_000
         scratch[1] = deadline_ns % 1_000_000_000
         # Returns its error number instead of setting errno; a signal's interruption is simply slept on.
-        if _clock_nanosleep(CLOCK_MONOTONIC, _TIMER_ABSTIME, scratch.ctypes.data, 0) not in (0, _EINTR):
+        if _clock_nanosleep(_CLOCK_MONOTONIC, _TIMER_ABSTIME, scratch.ctypes.data, 0) not in (0, _EINTR):
             return
 
 
-@jit
+@inlined
 def _wait(descriptor, events, timeout_ns, scratch):
     """Waits for `events`; the events seen, 0 when the time is over, negative on failure."""
     timeout_ns = max(timeout_ns, 0)
@@ -63,9 +58,9 @@ def _wait(descriptor, events, timeout_ns, scratch):
     return (scratch[2] >> 48) & 0xFFFF
 
 
-@jit
+@inlined
 def read_some(descriptor, buffer, start, timeout_ns, scratch):
-    """Reads what is there into buffer[start:] within `timeout_ns`: the count, or one of the codes above."""
+    """Reads what is there into buffer[start:] within `timeout_ns`: the count, or a code of codes.py."""
     seen = _wait(descriptor, _POLLIN, timeout_ns, scratch)
     if seen <= 0:
         return seen
@@ -85,7 +80,7 @@ def read_some(descriptor, buffer, start, timeout_ns, scratch):
     return HUNG_UP if seen & (_POLLHUP | _POLLERR) else FAILED
 
 
-@jit
+@inlined
 def write_all(descriptor, buffer, stop, timeout_ns, scratch):
     """Writes buffer[:stop]; 0 when all went out, else HUNG_UP or FAILED."""
     at = 0

@@ -14,6 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapsim.errors import UsageError
+from hapsim.loop.histogram import Histogram, Spread
+
+_COUNTED = "counted_"  # before the name of a histogram in the file
 
 
 @dataclass(frozen=True)
@@ -41,11 +44,26 @@ class Report:
     """Ticks whose force was cut to its limit."""
     dropped_rows: int
     """Rows missing from the trace because its reader was too slow; the force was not affected."""
-    max_age_samples: int
-    """The oldest that a force became, in samples."""
-    max_lateness_s: float
-    """The latest wake-up of the loop, where the host is the clock."""
+    parameter_changes: int
+    """Sets of live parameters that were taken."""
+    lateness_s: Spread
+    """Where the host is the clock: of the loop's wake-up, after the tick was due. Where the device is: of its position,
+    after the earliest ones of late, by its own count of samples. Nothing in virtual time."""
+    exchange_s: Spread
+    """From a position's arrival until its force has left; where the host is the clock, from the force until the next
+    position has arrived."""
+    age_samples: Spread
+    """From the position that the acting force answers to the force's change."""
     virtual_time: bool
+
+
+@dataclass(frozen=True)
+class Statistics:
+    """The histograms of which a report tells the quantiles: s, s and samples."""
+
+    lateness: Histogram
+    exchange: Histogram
+    age: Histogram
 
 
 @dataclass(frozen=True)
@@ -70,6 +88,7 @@ class Trace:
     """(C,) m per count."""
     force_scale: NDArray[np.float64]
     """(C,) N per count."""
+    statistics: Statistics
     report: Report
 
     @property
@@ -96,7 +115,8 @@ class Trace:
 
     def _save_npz(self, path: Path) -> None:
         arrays: dict[str, Any] = {name: value for name, value in vars(self).items() if isinstance(value, np.ndarray)}
-        np.savez_compressed(path, rate=self.rate, report=json.dumps(asdict(self.report)), **arrays)
+        counted = {f"{_COUNTED}{name}": histogram.as_row() for name, histogram in vars(self.statistics).items()}
+        np.savez_compressed(path, rate=self.rate, report=json.dumps(asdict(self.report)), **arrays, **counted)
 
     def _save_csv(self, path: Path) -> None:
         channels = range(self.position_scale.size)
@@ -122,6 +142,15 @@ def load_trace(path: str | Path) -> Trace:
     try:
         with Path(path).open("rb") as stream, np.load(stream) as file:  # numpy leaves a torn file open
             arrays = {name: file[name] for name in file.files if name not in ("rate", "report")}
-            return Trace(rate=float(file["rate"]), report=Report(**json.loads(str(file["report"]))), **arrays)
+            counted = {name: arrays.pop(name) for name in list(arrays) if name.startswith(_COUNTED)}
+            statistics = Statistics(**{name[len(_COUNTED) :]: Histogram.from_row(row) for name, row in counted.items()})
+            report = _report(json.loads(str(file["report"])))
+            return Trace(rate=float(file["rate"]), statistics=statistics, report=report, **arrays)
     except (OSError, EOFError, ValueError, KeyError, TypeError, zipfile.BadZipFile, zlib.error) as error:
         raise UsageError(f"{path}: not a trace that hapsim wrote ({error})") from error
+
+
+def _report(values: dict[str, Any]) -> Report:
+    for name in ("lateness_s", "exchange_s", "age_samples"):
+        values[name] = Spread(**values[name])
+    return Report(**values)

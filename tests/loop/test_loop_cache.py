@@ -97,7 +97,7 @@ def test_where_nothing_can_be_written_functions_are_compiled_all_the_same(
     (tmp_path / "temporary").write_text("here too", encoding="utf-8")
     assert directory_for(package) is None
 
-    @compiled.compiler_for(package)
+    @compiled.Compiler(package).jit
     def double(x: int) -> int:
         return 2 * x
 
@@ -112,7 +112,7 @@ def test_a_program_that_uses_hapsim_keeps_its_own_setting_of_numba(
 ) -> None:
     monkeypatch.setattr(numba.config, "CACHE_DIR", setting)
 
-    @compiled.compiler_for(package)
+    @compiled.Compiler(package).jit
     def half(x: float) -> float:
         return x / 2
 

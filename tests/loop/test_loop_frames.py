@@ -120,7 +120,7 @@ def test_what_the_device_held_is_counted_as_late_and_ages_the_force(scripted: Sc
     kinds = [schema.POSITION] * 2 + [schema.POSITION_HELD] * 3 + [schema.POSITION]
     trace, _ = play(scripted, [frame(n, 0, kind=kind) for n, kind in enumerate(kinds)], 6)
     assert trace.report.late_ticks == 3
-    assert trace.report.max_age_samples == 4
+    assert trace.report.age_samples.max == 4
     assert trace.flags.tolist() == [0, 0, HELD, HELD, HELD, 0]
 
 

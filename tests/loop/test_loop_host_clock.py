@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import time
 import tty
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -13,11 +14,12 @@ import pytest
 from firmware_protocol.decoder import frames_in, new_decoder, use_format
 from firmware_protocol.description import Description
 from hapsim.device.line import Line
+from hapsim.loop.codes import HEARD
 from hapsim.loop.descriptor import descriptor_port
-from hapsim.loop.exchange import HEARD, take_newest_position
-from hapsim.loop.paced_by_host import _exchange_before
+from hapsim.loop.paced_by_host import exchange_before
 from hapsim.loop.ring import OFF_GRID
-from hapsim.running import _assemble
+from hapsim.loop.waiting import take_newest_position
+from hapsim.running.assemble import assemble_loop
 
 FrameOf = Callable[..., bytes]
 LONG_NS = 10_000_000_000
@@ -33,7 +35,7 @@ def held_port(scene_of: Callable[..., Any]) -> Iterator[tuple[Any, int]]:
     scene = scene_of(device={"clock": "host"})
     description = Description("test", 1000.0, 0b111, 200, (1e-6,), (1e-3,), (10.0,))
     line = Line(port=descriptor_port(far), name="test", close=lambda: None)
-    loop = _assemble(scene, line, description, None, None)
+    loop = assemble_loop(scene, line, description)
     use_format(line.decoder, loop.wire)
     yield loop, near
     for end in (near, far):
@@ -46,10 +48,10 @@ def test_a_position_that_came_after_its_tick_is_answered_and_leaves_no_lag(
 ) -> None:
     loop, near = held_port
     os.write(near, frame(0, 0))
-    assert take_newest_position(loop, LONG_NS) == HEARD
+    assert take_newest_position(loop, time.monotonic_ns(), LONG_NS) == HEARD
     # The tick that asked for position 1 is over before it comes, so at the next tick it waits in the line.
     os.write(near, frame(1, 5))
-    _exchange_before(loop, 0)
+    exchange_before(loop, time.monotonic_ns(), 0)
     forces = frames_in(new_decoder(loop.wire, to_device=True), os.read(near, 4096))
     assert [force.number for force in forces] == [1]
 
@@ -60,7 +62,7 @@ def test_a_sample_that_took_far_more_or_less_than_a_period_is_marked(
     loop, near = held_port
     for number in range(3):
         os.write(near, frame(number, number))
-        assert take_newest_position(loop, LONG_NS) == HEARD
+        assert take_newest_position(loop, time.monotonic_ns(), LONG_NS) == HEARD
         # As if this position had come an hour ago: the next one is far off the grid, whatever the machine does.
         loop.state["newest_ns"] -= 3_600_000_000_000
     assert loop.ring.flags[:3].tolist() == [0, OFF_GRID, OFF_GRID]

@@ -15,8 +15,8 @@ import serial
 
 from hapsim.device.serial_port import open_serial_port, serial_ports
 from hapsim.errors import DeviceError
+from hapsim.loop.codes import HUNG_UP, TIMED_OUT
 from hapsim.loop.port import receive_into, send_from
-from hapsim.loop.system import HUNG_UP, TIMED_OUT
 
 BAUD = 2_000_000
 

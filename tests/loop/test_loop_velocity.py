@@ -14,9 +14,11 @@ from firmware_protocol import schema
 from hapsim.device.conversation import arm, describe, disarm
 from hapsim.device.open_line import open_line
 from hapsim.errors import DeviceError, UsageError
-from hapsim.loop.exchange import DONE, Loop
+from hapsim.loop.endings import DONE
+from hapsim.loop.exchange import Loop
 from hapsim.loop.paced_by_device import run_paced_by_device
-from hapsim.running import _assemble, run
+from hapsim.running import run
+from hapsim.running.assemble import assemble_loop
 from hapsim.scene import Scene, parse_scene
 
 Scripted = Callable[..., Any]
@@ -29,7 +31,7 @@ def looped(scene: Scene, ticks: int) -> Loop:
     """The loop as it stands after so many ticks."""
     with open_line(scene) as line:
         description = describe(line)
-        loop = _assemble(scene, line, description, None, ticks / scene.rate)
+        loop = assemble_loop(scene, line, description, None, ticks / scene.rate)
         velocity = bool(scene.sensed_links)
         assert arm(line, description, schema.LOCKSTEP, 100, velocity) == loop.wire
         assert run_paced_by_device(loop) == DONE

@@ -56,11 +56,15 @@ def _flip(stream, bit):
     stream[bit >> 3] ^= np.uint8(1 << (bit & 7))
 
 
-@jit
 def _flip_every(decoder, stream, first, last, flips, fields, all_of_them):
     """Flips every choice of `flips` bits of stream[first:last]: how many choices there were, how many were misread."""
+    return _flip_all_from(np.arange(flips), decoder, stream, first, last, fields, all_of_them)
+
+
+@jit
+def _flip_all_from(chosen, decoder, stream, first, last, fields, all_of_them):
+    flips = chosen.size
     bits = 8 * (last - first)
-    chosen = np.arange(flips)
     tried = 0
     misread = 0
     i = 0

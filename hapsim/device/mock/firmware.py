@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from firmware_protocol import schema
 from firmware_protocol.decoder import next_frame, use_format
 from firmware_protocol.frames import SETUP, Format, write_to_host
-from hapsim.compiled import jit
+from hapsim.compiled import jit, part
 from hapsim.device.mock.sampler import (
     advance_body,
     first_sample,
@@ -117,7 +117,7 @@ def look_at_watchdog(mock, now):
         _fail(mock, schema.HOST_QUIET)
 
 
-@jit
+@part
 def _host_is_quiet(mock, now):
     """The watchdog counts samples. Virtual time has none while the host is quiet: there only a real wait tells."""
     board = mock.board
@@ -129,7 +129,7 @@ def _host_is_quiet(mock, now):
     return quiet > board.watchdog
 
 
-@jit
+@part
 def _take_force(mock, now):
     """A force arrives: it is commanded for the sample that lasts, unless it is older than it may be."""
     board = mock.board
@@ -152,7 +152,7 @@ def _take_force(mock, now):
         take_sample(mock, now)
 
 
-@jit
+@part
 def _decide_command(mock):
     """Settles the command of the sample that lasts; whether the force that answers it arrived in time.
 
@@ -172,7 +172,7 @@ def _decide_command(mock):
     return False
 
 
-@jit
+@part
 def _show_position(mock, channel, position):
     counts, fits = to_counts(position, mock.converters[channel].quantum)
     mock.counts[channel] = counts
@@ -180,26 +180,26 @@ def _show_position(mock, channel, position):
         mock.board.scale_out_of_range = 1
 
 
-@jit
+@part
 def _show_velocity(mock, channel, velocity):
     """One that does not fit stands at the end of its scale: no fault."""
     counts, _ = to_counts(velocity, mock.converters[channel].velocity_quantum)
     mock.counts[mock.bodies.size + channel] = counts
 
 
-@jit
+@part
 def _armed_format(mock):
     return mock.armed_with_velocity if mock.board.velocity else mock.armed
 
 
-@jit
+@part
 def _say(mock, wire, kind, number, counts):
     """Puts a frame into the outbox. What nobody fetches is lost once the outbox is full, as on a line."""
     if mock.board.out + _LONGEST_ANSWER <= mock.outbox.size:
         mock.board.out = write_to_host(wire, mock.outbox, mock.board.out, kind, number, counts)
 
 
-@jit
+@part
 def _say_position(mock, kind):
     if mock.board.scale_out_of_range:
         _fail(mock, schema.POSITION_OUT_OF_RANGE)
@@ -207,7 +207,7 @@ def _say_position(mock, kind):
         _say(mock, _armed_format(mock), kind, mock.board.n % schema.SAMPLE_MODULUS, mock.counts)
 
 
-@jit
+@part
 def _say_status(mock, wire):
     counts = mock.counts
     counts[:] = 0
@@ -215,7 +215,7 @@ def _say_status(mock, wire):
     _say(mock, wire, schema.STATUS, mock.board.n % schema.SAMPLE_MODULUS, counts)
 
 
-@jit
+@part
 def _describe(mock):
     """Answers with one register; one that does not exist reads 0."""
     number = mock.decoder.number
@@ -229,7 +229,7 @@ def _describe(mock):
     _say(mock, SETUP, schema.DESCRIPTION, number, mock.counts)
 
 
-@jit
+@part
 def _refusal(mock):
     """Why the device does not arm, or NO_FAULT."""
     if mock.decoder.counts[0] & 0xFFFFFFFF != schema.SCHEMA_HASH:
@@ -244,17 +244,17 @@ def _refusal(mock):
     return schema.NO_FAULT
 
 
-@jit
+@part
 def _pacing_asked(mock):
     return mock.decoder.argument & (schema.WITH_VELOCITY - 1)
 
 
-@jit
+@part
 def _velocity_asked(mock):
     return mock.decoder.argument & schema.WITH_VELOCITY != 0
 
 
-@jit
+@part
 def _arm(mock, now):
     """Begins at sample 0, from the initial state; says so, and speaks the armed format from then on."""
     board = mock.board
@@ -283,7 +283,7 @@ def _arm(mock, now):
     _say_position(mock, schema.POSITION)
 
 
-@jit
+@part
 def _disarm(mock, state):
     """Zero force, at once, and the setup format."""
     mock.board.state = state
@@ -291,7 +291,7 @@ def _disarm(mock, state):
     use_format(mock.decoder, SETUP)
 
 
-@jit
+@part
 def _fail(mock, fault):
     """Latches: the force is zero until the host arms again. The host is told in the format that it listens to."""
     mock.board.fault = fault

@@ -10,10 +10,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hapsim.compiled import jit
+from hapsim.compiled import inlined, part
 from hapsim.device.mock.firmware import INPUT_BYTES, Mock, take_bytes
+from hapsim.loop.codes import FAILED, TIMED_OUT
 from hapsim.loop.port import transport
-from hapsim.loop.system import FAILED, TIMED_OUT
 
 
 class LoopbackPort(NamedTuple):
@@ -22,7 +22,7 @@ class LoopbackPort(NamedTuple):
     mock: Mock
 
 
-@jit
+@inlined
 def _receive(port, buffer, start, timeout_ns):  # noqa: ARG001  nothing comes by waiting
     waiting = port.mock.board.out
     count = min(waiting, buffer.size - start)
@@ -37,7 +37,7 @@ def _receive(port, buffer, start, timeout_ns):  # noqa: ARG001  nothing comes by
     return count
 
 
-@jit
+@part
 def _send(port, buffer, stop):
     if stop > INPUT_BYTES:
         return FAILED

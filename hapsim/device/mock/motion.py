@@ -14,7 +14,7 @@ import math
 
 import numpy as np
 
-from hapsim.compiled import jit
+from hapsim.compiled import jit, part
 
 BODY = np.dtype(
     [
@@ -32,7 +32,7 @@ _SERIES_END = 4.0  # of b0 h/m and of k0 h²/m: up to here by series, beyond it 
 _MAX_STOPS = 1000  # within one interval
 
 
-@jit
+@part
 def _phi(u):
     """phi1, phi2, phi3 of u >= 0: phi1 = (1 - exp(-u))/u, phi2 = (1 - phi1)/u, phi3 = (1/2 - phi2)/u.
 
@@ -50,7 +50,7 @@ def _phi(u):
     return 1.0 - u * phi2, phi2, phi3
 
 
-@jit
+@part
 def _glide(body, force, h):
     """Moves under a constant total force, without Coulomb friction."""
     phi1, phi2, phi3 = _phi(body.friction / body.mass * h)
@@ -61,7 +61,7 @@ def _glide(body, force, h):
     body.velocity = v + h * phi1 * (push - body.friction / body.mass * v)
 
 
-@jit
+@part
 def _time_to_rest(body, force):
     """When the velocity crosses zero under a constant total force: infinity where it never does."""
     if not body.velocity * force < 0.0:
@@ -73,7 +73,7 @@ def _time_to_rest(body, force):
     return -body.mass * body.velocity / force * shrunk
 
 
-@jit
+@part
 def _move_free(body, force, h):
     """Moves a body without a spring."""
     if body.coulomb == 0.0:
@@ -94,7 +94,7 @@ def _move_free(body, force, h):
         h -= rest
 
 
-@jit
+@part
 def _spring_phi(u, w):
     """phi1, phi2, phi3 of u = b0 h/m and w = k0 h²/m.
 
@@ -110,7 +110,7 @@ def _spring_phi(u, w):
     return _phi_of_a_swing(u, w, discriminant)
 
 
-@jit
+@part
 def _phi_by_series(u, w):
     """Downwards from a phi[n] that no longer counts, scaled by n! so that every term is of the order of 1.
 
@@ -124,7 +124,7 @@ def _phi_by_series(u, w):
     return 1.0 - u * phi2 - w * phi3, phi2, phi3
 
 
-@jit
+@part
 def _phi_of_two_rates(u, w, root):
     """Two real decays, of which the faster is at least twice the slower: their divided difference.
 
@@ -138,7 +138,7 @@ def _phi_of_two_rates(u, w, root):
     return (math.exp(-slow) - math.exp(-fast)) / apart, (slow1 - fast1) / apart, (slow2 - fast2) / apart
 
 
-@jit
+@part
 def _phi_of_a_swing(u, w, discriminant):
     """A decaying oscillation, or two decays close to each other or equal, where w > 3: by the recursion upwards."""
     if discriminant < 0.0:
@@ -154,7 +154,7 @@ def _phi_of_a_swing(u, w, discriminant):
     return sine, phi2, (1.0 - sine - u * phi2) / w
 
 
-@jit
+@part
 def _swing(body, force, h):
     """Moves on the spring under a constant further force, without Coulomb friction.
 
@@ -171,7 +171,7 @@ def _swing(body, force, h):
     body.velocity = v + h * (phi1 * (push - damped * v) - h * phi2 * sprung * v)
 
 
-@jit
+@part
 def _swing_to_rest(body, force, direction):
     """When a mass on the spring, moving in `direction` or about to, next comes to rest: infinity where it never does.
 
@@ -194,7 +194,7 @@ def _swing_to_rest(body, force, direction):
     return math.log1p(u) / (2.0 * root) if u > 0.0 else speed / braking
 
 
-@jit
+@part
 def _move_on_spring(body, force, h):
     """Moves a body on its spring.
 

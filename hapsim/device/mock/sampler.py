@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from hapsim.compiled import jit
+from hapsim.compiled import jit, part
 from hapsim.device.mock.motion import move, strike
 
 CONVERTER = np.dtype(
@@ -95,12 +95,12 @@ def to_counts(value, quantum):
     return np.int64(counts), True
 
 
-@jit
+@part
 def _noise(converter):
     return converter.noise * _normal(converter) if converter.noise > 0.0 else 0.0
 
 
-@jit
+@part
 def _uniform(converter):
     """xorshift64*, in (0, 1]: the mock's own, so that the same seed gives the same noise everywhere."""
     x = converter.state
@@ -112,7 +112,7 @@ def _uniform(converter):
     return (np.float64(scrambled >> np.uint64(11)) + 1.0) / 9007199254740992.0
 
 
-@jit
+@part
 def _normal(converter):
     """A standard normal value (Box and Muller)."""
     radius = math.sqrt(-2.0 * math.log(_uniform(converter)))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from firmware_protocol import schema
-from hapsim.compiled import jit
+from hapsim.compiled import inlined, jit
 from hapsim.device.mock.firmware import INPUT_BYTES, look_at_watchdog, take_bytes, take_sample
 from hapsim.loop.port import receive, send
 from hapsim.loop.system import now_ns, sleep_until
@@ -50,7 +50,7 @@ def serve(port, mock, service, buffer, scratch):
         _send_outbox(port, mock, service)
 
 
-@jit
+@inlined
 def _send_outbox(port, mock, service):
     if mock.board.out > 0:
         if send(port, mock.outbox, mock.board.out) != 0:

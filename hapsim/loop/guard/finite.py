@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 
-from hapsim.compiled import jit
+from hapsim.compiled import inlined
 
 
-@jit
+@inlined
 def all_finite(force):
     """Whether every channel's force is a number."""
     for f in force:  # noqa: SIM110  compiled: a plain loop

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from hapsim.compiled import jit
+from hapsim.compiled import inlined
 
 
-@jit
+@inlined
 def cut(force, limit):
     """Cuts each channel's force (N) to its limit; whether any was cut."""
     any_cut = False

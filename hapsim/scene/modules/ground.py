@@ -1,4 +1,4 @@
-"""The ground: a point that never moves."""
+"""The ground: a point that no force moves."""
 
 from typing import Annotated, ClassVar, Literal
 
@@ -12,6 +12,7 @@ class Ground(Module):
     """A fixed point."""
 
     can_move: ClassVar[bool] = False
+    live: ClassVar[tuple[str, ...]] = ("position",)
 
     type: Literal["ground"] = Field(default="ground", description="A fixed point")
     position: Annotated[float, Quantity("Where it is", "m")] = 0.0

@@ -20,6 +20,8 @@ class Module(Part):
     can_move: ClassVar[bool] = True
     #: The fields that `findings` looks at, its own and others'.
     shared: ClassVar[tuple[str, ...]] = ()
+    #: The fields that may change while the scene runs.
+    live: ClassVar[tuple[str, ...]] = ()
 
     type: str
 

@@ -21,6 +21,7 @@ class ViscoElastic(Link):
     """A spring and a damper in parallel between two points, at rest where the two coincide."""
 
     shared: ClassVar[tuple[str, ...]] = (*Link.shared, "damper", "cutoff")
+    live: ClassVar[tuple[str, ...]] = ("stiffness", "damping")
 
     type: Literal["viscoelastic"] = Field(default="viscoelastic", description="A spring and a damper in parallel")
     stiffness: Annotated[float, Quantity("Stiffness of the spring", "N/m", least=0)]

@@ -1,0 +1,19 @@
+"""What waiting for bytes, and reading them, can come to: one set of numbers, so that one passes through the other.
+
+A positive number where bytes are read is their count.
+"""
+
+from __future__ import annotations
+
+HEARD = 1
+"""A position was taken."""
+TIMED_OUT = 0
+"""Nothing came, or nothing among the bytes was a position."""
+HUNG_UP = -1
+"""The other side of the port is gone."""
+FAILED = -2
+"""The system refused; there is nothing to be retried."""
+FAULT = -3
+"""The device said that it stopped."""
+BAD_FORCE = -4
+"""The scene's force is not a number."""

@@ -1,0 +1,28 @@
+"""Why a loop returned."""
+
+from __future__ import annotations
+
+from hapsim.compiled import inlined
+from hapsim.loop.codes import BAD_FORCE, FAULT, TIMED_OUT
+
+DONE, STOPPED, RING_FULL, SILENT, GONE, NOT_FINITE, DEVICE_STOPPED = range(7)
+
+IN_WORDS = {
+    DONE: "done",
+    STOPPED: "stopped",
+    SILENT: "device silent",
+    GONE: "device gone",
+    NOT_FINITE: "force not finite",
+    DEVICE_STOPPED: "device stopped",
+}
+"""As a report tells it. RING_FULL is no end: the loop goes on once the reader has made room."""
+
+
+@inlined
+def ending_of(code):
+    """Why the loop ends, after a wait for a position that ended in `code`."""
+    if code == FAULT:
+        return DEVICE_STOPPED
+    if code == BAD_FORCE:
+        return NOT_FINITE
+    return SILENT if code == TIMED_OUT else GONE

@@ -1,0 +1,49 @@
+"""What the compiled loops do between two exchanges: wait in the kernel for bytes, send what was composed.
+
+It never spins: bytes of a terminal pass through a kernel worker of ordinary priority, which a spinning loop starves.
+"""
+
+from __future__ import annotations
+
+from hapsim.compiled import jit_inlined, part
+from hapsim.loop.codes import TIMED_OUT
+from hapsim.loop.exchange import compose_disarm, compose_force, digest, sent
+from hapsim.loop.inbox import fetch
+from hapsim.loop.port import send
+from hapsim.loop.ring import publish
+from hapsim.loop.system import now_ns
+
+
+@jit_inlined
+def take_newest_position(loop, now, timeout_ns):
+    """Waits for a position from `now` on, takes all that are there and leaves the force that answers the newest.
+
+    Returns HEARD, or TIMED_OUT, HUNG_UP, FAILED, FAULT, BAD_FORCE. Bytes without end that are no position do not make
+    the wait any longer.
+    """
+    give_up = now + timeout_ns
+    last_look = False
+    while True:
+        code = digest(loop, now)  # at first what the frame before has left
+        if code != TIMED_OUT or last_look:
+            return code
+        last_look = now >= give_up
+        count = fetch(loop.port, loop.inbox, give_up - now)
+        now = now_ns(loop.desk.scratch)
+        if count < 0:
+            return count
+
+
+@jit_inlined
+def answer(loop):
+    """Sends the force that answers the newest position; 0, or HUNG_UP or FAILED."""
+    code = send(loop.port, loop.desk.outbox, compose_force(loop))
+    sent(loop, now_ns(loop.desk.scratch))
+    return code
+
+
+@part
+def let_go(loop):
+    """Zero force, at once."""
+    send(loop.port, loop.desk.outbox, compose_disarm(loop))
+    publish(loop.ring)

@@ -1,0 +1,37 @@
+"""What `hapsim run --realtime` asks of the system: one measure a file, each tried, and told as got or denied.
+
+Nothing is guessed from the kernel's name or from limits: the system call is made and its error read. A measure that is
+denied costs a sentence, never the run. To add one: write it as a file beside these and name it in `_MEASURES`.
+`no_timer_slack` is no part of them: it needs no privilege and serves every run.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+
+from hapsim.realtime.collector import frozen
+from hapsim.realtime.grant import Grant, Measure
+from hapsim.realtime.memory import locked
+from hapsim.realtime.power import awake
+from hapsim.realtime.processor import pinned
+from hapsim.realtime.scheduling import fifo
+from hapsim.realtime.slack import no_timer_slack
+
+__all__ = ["Grant", "no_timer_slack", "realtime"]
+
+# What is collected need not be locked, and the thread is put before all others only when the rest is in place.
+_MEASURES: tuple[Measure, ...] = (frozen, locked, awake, pinned, fifo)
+
+
+@contextlib.contextmanager
+def realtime(thread_id: int) -> Iterator[list[Grant]]:
+    """While open, every measure that the system grants is in force: for this process, and for its thread with the
+    native id `thread_id` (`threading.get_native_id()` of the loop's thread). Yields a Grant for each measure.
+
+    Enter it when everything is allocated and compiled: it takes some tenths of a second, in which memory is read in. On
+    leaving, the measures are undone in reverse order, whatever the body raised; what cannot be undone (the thread may
+    have ended) is passed over. Raises nothing for what is denied.
+    """
+    with contextlib.ExitStack() as held:
+        yield [held.enter_context(measure(thread_id)) for measure in _MEASURES]

@@ -1,0 +1,49 @@
+"""Whether a scene and the device that answers go together."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from firmware_protocol import schema
+from firmware_protocol.description import Description
+from hapsim.errors import DeviceError, UsageError
+from hapsim.scene import Scene
+
+PACING = {
+    "device": schema.PACED_BY_DEVICE,
+    "host": schema.PACED_BY_HOST,
+    "lockstep": schema.LOCKSTEP,
+}
+"""How a scene's clock is called on the wire."""
+
+
+def require_fit(scene: Scene, name: str, description: Description) -> None:
+    """UsageError or DeviceError where scene and device do not go together. `name`: what a user calls the port."""
+    if description.channels < scene.channels:
+        raise UsageError(f"{name}: the device has {description.channels} channel(s), the scene uses {scene.channels}")
+    scales = (*description.position_scale, *description.force_scale, *description.force_limit, description.rate_hz)
+    if not all(np.isfinite(scales)) or min(scales) <= 0:
+        raise DeviceError(f"{name}: the device declares a rate, scale or limit that is not a number above 0")
+    if abs(description.rate_hz / scene.rate - 1.0) > 1e-6:
+        raise UsageError(
+            f"{name}: the device samples at {description.rate_hz:g} Hz, the scene says {scene.rate:g} Hz: "
+            f"write rate: {description.rate_hz:g} into the scene, or set the device"
+        )
+    if not description.paces(PACING[scene.device.clock]):
+        raise UsageError(
+            f"{name}: the device cannot be run with clock: {scene.device.clock}; try another clock in the scene"
+        )
+    if scene.sensed_links:
+        _require_velocity(scene, name, description)
+
+
+def _require_velocity(scene: Scene, name: str, description: Description) -> None:
+    links = scene.sensed_links
+    if not description.velocity_scale:
+        raise UsageError(
+            f"{name}: the device does not sense velocity, but {', '.join(links)} {'ask' if links[1:] else 'asks'} "
+            "for it with damper: sensed; write damper: backward, centred or filtered there, or use a firmware that "
+            "reports velocity"
+        )
+    if not description.senses_velocity or not all(np.isfinite(description.velocity_scale)):
+        raise DeviceError(f"{name}: the device declares a velocity scale that is not a number above 0")
