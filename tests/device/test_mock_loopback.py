@@ -15,8 +15,8 @@ from hapsim.device.line import Line
 from hapsim.device.mock.assemble import assemble_mock, describe_mock
 from hapsim.device.mock.firmware import INPUT_BYTES
 from hapsim.device.mock.loopback import loopback_port, outbox_of
+from hapsim.loop.codes import FAILED, TIMED_OUT
 from hapsim.loop.port import receive_into, send_from
-from hapsim.loop.system import FAILED, TIMED_OUT
 
 New = Callable[..., Any]
 

@@ -13,7 +13,8 @@ import pytest
 import hapsim
 from hapsim.errors import UsageError
 from hapsim.loop.ring import BRIDGED, HELD
-from hapsim.loop.trace import Report, Trace
+from hapsim.loop.histogram import histogram_of, new_histogram
+from hapsim.loop.trace import Report, Statistics, Trace
 from hapsim.measuring.identify import identify
 from hapsim.running import run
 
@@ -39,7 +40,10 @@ def imports_of(folder: str) -> set[str]:
 def trace_of(position: np.ndarray, asked: np.ndarray, rate: float = 1000.0) -> Trace:
     """A trace of one channel, rounded to counts of a nanometre; every force as asked."""
     n = position.size
-    report = Report("done", n, n / rate, rate, rate, 0, 0, 0, 0, 0, 0, 1, 0.0, True)
+    nothing = histogram_of(new_histogram())
+    statistics = Statistics(nothing, nothing, nothing)
+    spreads = (nothing.spread(),) * 3
+    report = Report("done", n, n / rate, rate, rate, 0, 0, 0, 0, 0, 0, 0, *spreads, virtual_time=True)
     force_scale = 1e-8
     counts = np.rint(position / QUANTUM).astype(np.int32)[:, None]
     return Trace(
@@ -52,6 +56,7 @@ def trace_of(position: np.ndarray, asked: np.ndarray, rate: float = 1000.0) -> T
         asked_force=asked[:, None],
         position_scale=np.array([QUANTUM]),
         force_scale=np.array([force_scale]),
+        statistics=statistics,
         report=report,
     )
 

@@ -1,0 +1,142 @@
+"""What an examination runs, and that a device's hand is never pushed by it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from hapsim.doctor import examine as examination_module
+from hapsim.doctor.examine import Examination, examine
+from hapsim.doctor.step import Step
+from hapsim.doctor.tree import Tree
+from hapsim.errors import DeviceError, UsageError
+from hapsim.loop.histogram import Histogram
+from hapsim.progress import Progress
+from hapsim.realtime import Grant
+from hapsim.scene import Scene, parse_scene
+
+GRANT = Grant("SCHED_FIFO", True, "priority 80")
+TEXT = """
+version: 1
+rate: {rate}
+device: {{mass: 0.2, force_limit: 7, clock: {clock}{port}}}
+modules:
+  hand:  {{type: device, channel: 0}}
+  wall:  {{type: ground}}
+  ball:  {{type: mass, mass: 0.1}}
+  touch: {{type: viscoelastic, between: [hand, wall], stiffness: 2000, damping: 5}}
+  hold:  {{type: viscoelastic, between: [hand, ball], stiffness: 100}}
+"""
+
+
+def scene(rate: float = 3000.0, clock: str = "host", port: str = "") -> Scene:
+    return parse_scene(TEXT.format(rate=rate, clock=clock, port=f", port: {port}" if port else ""))
+
+
+@pytest.fixture
+def examined(
+    monkeypatch: pytest.MonkeyPatch,
+    tree: Callable[..., Tree],
+    fake_run: Callable[..., Any],
+    histogram: Callable[[dict[float, int]], Histogram],
+) -> Callable[..., tuple[Examination, Any]]:
+    """An examination whose wake-ups and runs are made up, and what ran."""
+
+    def wake_up_lateness(rate: float, seconds: float, tell: Any, **options: Any) -> Histogram:
+        tell(0.0, "sleep_on_grid")
+        tell(seconds, "")
+        options["on_grants"]([GRANT] if options["realtime"] else [])
+        return histogram({1e-6 * rate: 10})
+
+    monkeypatch.setattr(examination_module, "wake_up_lateness", wake_up_lateness)
+
+    def call(given: Scene | None, error: Exception | None = None, **options: Any) -> tuple[Examination, Any]:
+        run = fake_run()
+        run.error = error
+        return examine(given, tree=tree(), run=run, **options), run
+
+    return call
+
+
+def test_without_a_device_every_rate_is_run_on_the_mock_under_either_clock(examined: Callable[..., Any]) -> None:
+    examination, run = examined(scene(), rates=(1000.0, 2000.0))
+    rates = [1000.0, 2000.0, 3000.0]
+    assert [(s.device.clock, s.rate) for s in run.scenes] == [(c, r) for c in ("device", "host") for r in rates]
+    assert {options["line"] for options in run.options} == {"terminal"}
+    assert {options["keep"] for options in run.options} == {False}
+    assert list(examination.wakeups) == rates
+    assert [verdict.answer for verdict in examination.verdicts] == ["yes", "yes", "no"] * 2
+    assert examination.best_rates == {"device": 2000.0, "host": 2000.0}
+    assert examination.device_failed is None
+
+
+def test_without_a_scene_the_shipped_one_runs(examined: Callable[..., Any]) -> None:
+    examination, run = examined(None, rates=(1000.0, 4000.0))
+    assert examination.scene == "first_touch.yaml"
+    assert examination.rate_hz == 1000.0
+    assert all("touch" in s.modules for s in run.scenes)
+
+
+def test_a_device_runs_once_at_its_own_rate_and_without_a_force(examined: Callable[..., Any]) -> None:
+    examination, run = examined(scene(port="/dev/ttyACM0"), rates=(1000.0,))
+    (ran,) = run.scenes
+    assert (ran.rate, ran.device.clock, ran.device.port) == (3000.0, "host", "/dev/ttyACM0")
+    assert list(ran.modules) == ["hand", "wall", "ball"]
+    assert ran.links == {}
+    assert ran.device.force_limit < 1e-9
+    assert run.options[0]["line"] == "auto"
+    assert list(examination.wakeups) == [1000.0, 3000.0]
+    assert examination.best_rates == {}
+
+
+def test_the_mock_may_be_asked_for_in_the_place_of_a_device(examined: Callable[..., Any]) -> None:
+    _, run = examined(scene(port="/dev/ttyACM0"), rates=(1000.0,), line="mock")
+    assert len(run.scenes) == 4
+    assert {options["line"] for options in run.options} == {"terminal"}
+    assert all("touch" in s.modules for s in run.scenes)
+
+
+def test_a_device_that_fails_is_part_of_the_answer(examined: Callable[..., Any]) -> None:
+    examination, _ = examined(scene(port="/dev/ttyACM0"), DeviceError("no such port"))
+    assert examination.device_failed is not None
+    assert examination.device_failed.exit_status == 3
+    assert examination.verdicts[0].sentence == "3 kHz: no verdict (no such port)"
+
+
+def test_a_scene_that_does_not_fit_its_device_is_refused(examined: Callable[..., Any]) -> None:
+    with pytest.raises(UsageError, match="other rate"):
+        examined(scene(port="/dev/ttyACM0"), UsageError("other rate"))
+
+
+def test_virtual_time_is_refused(examined: Callable[..., Any]) -> None:
+    with pytest.raises(UsageError, match="lockstep"):
+        examined(scene(clock="lockstep", port="/dev/ttyACM0"))
+    with pytest.raises(UsageError, match="loopback"):
+        examined(scene(), line="loopback")
+    examination, _ = examined(scene(clock="lockstep"), rates=())
+    assert [verdict.clock for verdict in examination.verdicts] == ["device", "host"]
+
+
+def test_real_time_is_asked_for_everywhere_and_what_was_granted_is_kept(examined: Callable[..., Any]) -> None:
+    examination, run = examined(scene(), rates=(), realtime=True)
+    assert examination.grants == (GRANT,)
+    assert all(options["realtime"] for options in run.options)
+    assert examined(scene(), rates=())[0].grants is None
+
+
+def test_every_measurement_is_told_once_it_begins(examined: Callable[..., Any]) -> None:
+    told: list[Step] = []
+
+    _, run = examined(scene(), rates=(), on_progress=told.append, seconds=2.0)
+    run.options[-1]["on_progress"](Progress("running", elapsed_s=1.0))
+    assert told[0] == Step(1, 3, "wake-ups at 3 kHz", 0.0, 2.0, "sleep_on_grid")
+    assert told[1] == Step(1, 3, "wake-ups at 3 kHz", 2.0, 2.0, "")
+    assert told[2] == Step(3, 3, "exchanges at 3 kHz, clock: host, on the mock", 1.0, 2.0, "")
+
+
+def test_advice_is_on_what_was_found(examined: Callable[..., Any]) -> None:
+    examination, _ = examined(scene(), rates=())
+    # The made-up wake-ups are 3 ms late, and the made-up system is no real-time one.
+    assert any("3 ms late" in advice.found for advice in examination.advice)

@@ -1,0 +1,99 @@
+"""What a share of forces in time comes to, in words."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from hapsim.doctor.exchanges import MOCK, Exchanges, share_in_time
+from hapsim.doctor.verdict import Verdict, answer_for, best_rate, verdict_on
+
+
+def run_of(report: Any, *, clock: Any = "device", where: str = MOCK, failure: str = "") -> Exchanges:
+    rate = 1000.0 if report is None else report.nominal_rate_hz
+    return Exchanges(rate, clock, where, report, None, None, failure)
+
+
+@pytest.mark.parametrize(
+    ("share", "answer"),
+    [
+        (1.0, "yes"),
+        (0.999, "yes"),
+        (0.9989, "with gaps"),
+        (0.95, "with gaps"),
+        (0.9499, "no"),
+        (0.0, "no"),
+        (None, "no verdict"),
+    ],
+)
+def test_answers(share: float | None, answer: str) -> None:
+    assert answer_for(share) == answer
+
+
+@pytest.mark.parametrize(
+    ("share", "sentence"),
+    [
+        (1.0, "4 kHz: yes, 100 % in time"),
+        (0.9998, "4 kHz: yes, 99.98 % in time"),
+        (0.9999999, "4 kHz: yes, 99.999 % in time"),
+        (0.999951, "4 kHz: yes, 99.995 % in time"),
+        (0.97, "4 kHz: with gaps, 97.0 % in time"),
+        (0.713, "4 kHz: no, 71.3 % in time"),
+        (0.0, "4 kHz: no, 0 % in time"),
+        (None, "4 kHz: no verdict"),
+    ],
+)
+def test_sentences_never_round_a_gap_away(share: float | None, sentence: str) -> None:
+    assert Verdict(4000.0, "host", MOCK, answer_for(share), share).sentence == sentence
+
+
+def test_late_and_lost_are_not_in_time(report: Callable[..., Any]) -> None:
+    run = report(ticks=990, late_ticks=5, lost_frames=10, duration_s=0.989)
+    assert share_in_time(run, device_asks=True) == 985 / 1000
+
+
+def test_a_host_that_is_too_slow_to_ask_is_not_in_time(report: Callable[..., Any]) -> None:
+    slow = report(ticks=900, duration_s=0.999)
+    assert share_in_time(slow, device_asks=False) == 0.9
+    assert share_in_time(slow, device_asks=True) == 1.0
+
+
+def test_more_lates_than_ticks_are_no_share_below_zero(report: Callable[..., Any]) -> None:
+    assert share_in_time(report(ticks=2, late_ticks=5), device_asks=True) == 0.0
+
+
+def test_nothing_ran_is_nothing_known(report: Callable[..., Any]) -> None:
+    assert share_in_time(report(ticks=0), device_asks=True) is None
+    assert run_of(None).share_in_time is None
+    assert run_of(report(ticks=1, duration_s=0.0)).share_of_rate is None
+
+
+def test_a_run_that_failed_is_never_a_yes(report: Callable[..., Any]) -> None:
+    broken = verdict_on(run_of(report(), failure="the device went away"))
+    assert broken.answer == "no"
+    assert broken.sentence == "1 kHz: no, 100 % in time (the device went away)"
+    assert verdict_on(run_of(None, failure="no such port")).answer == "no verdict"
+
+
+def test_a_mock_that_does_not_keep_the_rate_lets_nothing_be_said(report: Callable[..., Any]) -> None:
+    slow = report(ticks=900, duration_s=0.999)
+    verdict = verdict_on(run_of(slow))
+    assert verdict.answer == "no verdict"
+    assert "the mock itself kept only 90.0 % of the rate" in verdict.sentence
+    assert verdict_on(run_of(slow, where="/dev/ttyACM0")).answer == "yes"
+    assert verdict_on(run_of(slow, clock="host")).answer == "no"
+
+
+def verdicts(*answers: Any, clock: str = "host", where: str = MOCK) -> list[Verdict]:
+    return [Verdict(1000.0 * (i + 1), clock, where, answer, None) for i, answer in enumerate(answers)]
+
+
+def test_the_best_rate_is_the_last_before_the_first_gap() -> None:
+    assert best_rate(verdicts("yes", "yes", "no"), "host") == 2000.0
+    assert best_rate(verdicts("yes", "with gaps", "yes"), "host") == 1000.0
+    assert best_rate(reversed(verdicts("yes", "yes", "no")), "host") == 2000.0
+    assert best_rate(verdicts("no verdict", "yes"), "host") is None
+    assert best_rate(verdicts("yes"), "device") is None
+    assert best_rate(verdicts("yes", where="/dev/ttyACM0"), "host") is None

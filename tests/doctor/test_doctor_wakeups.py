@@ -1,0 +1,102 @@
+"""The sleeper keeps its books; how punctual this machine is, no test asks."""
+
+from __future__ import annotations
+
+import threading
+import time
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hapsim.doctor.wakeups import GRID, sleep_on_grid, wake_up_lateness
+from hapsim.errors import UsageError
+from hapsim.loop.histogram import histogram_of, new_histogram
+
+SECOND = 1_000_000_000
+
+
+def grid(**values: int) -> Any:
+    record = np.zeros(1, GRID)[0]
+    for name, value in values.items():
+        record[name] = value
+    return record
+
+
+def test_deadline_long_past_is_counted_and_starts_the_grid_anew() -> None:
+    now = time.clock_gettime_ns(time.CLOCK_MONOTONIC)
+    made, lateness = grid(due_ns=now - SECOND, end_ns=now - 1, period_ns=1000), new_histogram()
+    sleep_on_grid(made, lateness)
+    assert made["wakeups"] == made["restarts"] == 1  # and not the million that were missed
+    assert made["due_ns"] >= now + 1000
+    assert histogram_of(lateness, 1e-9).maximum >= 1.0
+
+
+def test_every_point_of_a_grid_is_woken_up_for_or_was_missed() -> None:
+    now = time.clock_gettime_ns(time.CLOCK_MONOTONIC)
+    period = SECOND // 2000
+    made, lateness = grid(due_ns=now + period, end_ns=now + 40 * period, period_ns=period), new_histogram()
+    sleep_on_grid(made, lateness)
+    assert histogram_of(lateness).total == made["wakeups"]
+    assert made["wakeups"] == 40 if made["restarts"] == 0 else made["wakeups"] < 40
+    assert made["due_ns"] > made["end_ns"]
+
+
+def test_nothing_is_slept_for_where_the_grid_is_over() -> None:
+    made, lateness = grid(due_ns=2, end_ns=1, period_ns=1), new_histogram()
+    sleep_on_grid(made, lateness)
+    assert made["wakeups"] == 0
+
+
+def test_stops_at_the_wake_up_after_it_is_told_to() -> None:
+    now = time.clock_gettime_ns(time.CLOCK_MONOTONIC)
+    made, lateness = grid(due_ns=now, end_ns=now + 3600 * SECOND, period_ns=SECOND // 1000), new_histogram()
+    thread = threading.Thread(target=sleep_on_grid, args=(made, lateness), daemon=True)
+    thread.start()
+    while made["wakeups"] == 0:
+        time.sleep(0.001)
+    made["stop"] = 1
+    thread.join(60.0)
+    assert not thread.is_alive()
+    assert histogram_of(lateness).total == made["wakeups"]
+
+
+def test_as_many_wake_ups_as_rate_and_time_make_or_fewer() -> None:
+    told: list[tuple[float, str]] = []
+    lateness = wake_up_lateness(500.0, 0.1, lambda elapsed, compiling: told.append((elapsed, compiling)))
+    assert 1 <= lateness.total <= 50
+    assert lateness.unit == 1e-9
+    assert told
+
+
+def test_an_interruption_ends_the_thread() -> None:
+    def interrupt(elapsed: float, compiling: str) -> None:
+        if not compiling and elapsed > 0.0:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        wake_up_lateness(1000.0, 3600.0, interrupt)
+    assert not [thread for thread in threading.enumerate() if thread.name == "wake-ups"]
+
+
+def test_what_was_granted_is_told_before_the_first_wake_up() -> None:
+    granted: list[Any] = []
+    wake_up_lateness(1000.0, 0.01, realtime=True, on_grants=granted.append)
+    assert len(granted) == 1
+    assert {"SCHED_FIFO", "memory locked"} <= {grant.measure for grant in granted[0]}
+
+
+@pytest.mark.parametrize(
+    ("rate", "seconds", "found"),
+    [
+        (0.5, 10.0, "found 0.5 Hz"),
+        (2e5, 1.0, "found 200000 Hz"),
+        (float("nan"), 1.0, "found nan Hz"),
+        (1000.0, 1e-4, "found 0.0001"),
+        (1000.0, float("inf"), "found inf"),
+        (1000.0, float("nan"), "found nan"),
+    ],
+)
+def test_rates_and_times_that_cannot_be_measured_are_refused(rate: float, seconds: float, found: str) -> None:
+    with pytest.raises(UsageError, match=found):
+        wake_up_lateness(rate, seconds)

@@ -1,0 +1,152 @@
+"""Live parameters: a change is taken whole, between two samples, and led there no faster than it was said."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import hapsim
+from firmware_protocol.description import Description
+from hapsim.compiled import jit
+from hapsim.cordis.program import parameter_values
+from hapsim.device.line import Line
+from hapsim.loop.descriptor import descriptor_port
+from hapsim.loop.exchange import Loop, _move_scene
+from hapsim.loop.parameters import post
+from hapsim.running.assemble import assemble_loop
+from hapsim.scene import Scene
+
+SceneOf = Callable[..., Scene]
+T = 1e-3
+RNG = np.random.default_rng(4)
+
+
+@jit
+def one_sample(loop):
+    """The loop's own way from one sample to the next, without a device."""
+    _move_scene(loop, 1)
+
+
+def assembled(scene: Scene) -> Loop:
+    c = scene.channels
+    description = Description("test", 1000.0, 0b111, 200, (1e-6,) * c, (1e-3,) * c, (10.0,) * c)
+    return assemble_loop(scene, Line(port=descriptor_port(0), name="test", close=lambda: None), description)
+
+
+def forces_at(loop: Loop, positions: Iterable[float]) -> NDArray[np.float64]:
+    """The force on the first hand while it goes through `positions`."""
+    forces = []
+    for position in positions:
+        loop.desk["measured"][:] = position
+        one_sample(loop)
+        forces.append(float(loop.desk["asked"][0]))
+    return np.array(forces)
+
+
+@pytest.mark.parametrize("damper", ["backward", "centred"])
+@pytest.mark.parametrize("samples", [1, 2, 7, 100])
+def test_a_change_is_there_when_it_was_said_and_begins_and_ends_without_a_kink(
+    scene_of: SceneOf, samples: int, damper: str
+) -> None:
+    loop = assembled(scene_of(stiffness=1000.0, damping=0.0, damper=damper))
+    still = forces_at(loop, [0.01] * 5)
+    assert still[-1] == -10.0
+    post(loop.parameters, parameter_values(scene_of(stiffness=400.0, damping=0.0, damper=damper)), samples)
+    s = np.arange(1, samples + 1) / samples
+    np.testing.assert_allclose(
+        forces_at(loop, [0.01] * samples), -0.01 * (1000.0 - 600.0 * (3.0 * s**2 - 2.0 * s**3)), rtol=1e-12
+    )
+    assert forces_at(loop, [0.01] * 3).tolist() == [-4.0] * 3
+
+
+def test_no_value_moves_by_more_than_one_and_a_half_nth_of_its_way_in_a_sample(scene_of: SceneOf) -> None:
+    loop = assembled(scene_of(stiffness=1000.0, damping=0.0))
+    forces_at(loop, [0.01])
+    post(loop.parameters, parameter_values(scene_of(stiffness=0.0, damping=0.0)), 50)
+    steps = np.abs(np.diff(forces_at(loop, [0.01] * 60), prepend=-10.0))
+    assert 10.0 * 1.4 / 50 < steps.max() <= 10.0 * 1.5 / 50
+
+
+def test_a_change_that_comes_during_another_goes_on_from_where_the_values_are(scene_of: SceneOf) -> None:
+    loop = assembled(scene_of(stiffness=1000.0, damping=0.0))
+    forces_at(loop, [0.01])
+    post(loop.parameters, parameter_values(scene_of(stiffness=0.0, damping=0.0)), 10)
+    half_way = forces_at(loop, [0.01] * 5)[-1]
+    assert half_way == pytest.approx(-5.0)
+    post(loop.parameters, parameter_values(scene_of(stiffness=2000.0, damping=0.0)), 4)
+    s = np.arange(1, 5) / 4
+    expected = half_way + (-20.0 - half_way) * (3.0 * s**2 - 2.0 * s**3)
+    np.testing.assert_allclose(forces_at(loop, [0.01] * 4), expected, rtol=1e-12)
+
+
+def test_a_ground_that_moves_is_felt_through_its_damper_and_then_stands_still(scene_of: SceneOf) -> None:
+    scene = scene_of(stiffness=1000.0, damping=2.0)
+    wall = scene.modules["wall"].model_copy(update={"position": 0.005})
+    there = scene.model_copy(update={"modules": {**scene.modules, "wall": wall}})
+    loop = assembled(scene)
+    forces_at(loop, [0.0, 0.0])
+    post(loop.parameters, parameter_values(there), 10)
+    s = np.arange(0, 11) / 10
+    rest = 0.005 * (3.0 * s**2 - 2.0 * s**3)
+    np.testing.assert_allclose(
+        forces_at(loop, [0.0] * 10), 1000.0 * rest[1:] + 2.0 * np.diff(rest) / T, rtol=1e-12, atol=1e-15
+    )
+    assert forces_at(loop, [0.0] * 3).tolist() == [5.0] * 3
+
+
+def test_while_a_set_is_being_written_the_loop_goes_on_with_what_it_has(scene_of: SceneOf) -> None:
+    loop = assembled(scene_of(stiffness=1000.0, damping=0.0))
+    mail = loop.parameters.mail
+    mail["posted"] += 1
+    loop.parameters.posted[:] = 0.0
+    mail["posted_samples"] = 1
+    assert forces_at(loop, [0.01] * 3).tolist() == [-10.0] * 3
+    mail["posted"] += 1
+    assert forces_at(loop, [0.01]).tolist() == [0.0]
+
+
+def two_hands(scene_of: SceneOf, share: float) -> Scene:
+    """All parameters on one line: where one hand's spring grows the other's shrinks."""
+    scene = scene_of(2, mock={"noise": 1e-3})  # so that the hands always feel something
+    touch = {
+        "touch0": {"stiffness": 500.0 + 1000.0 * share, "damping": 1.0 + 2.0 * share},
+        "touch1": {"stiffness": 1500.0 - 1000.0 * share, "damping": 3.0 - 2.0 * share},
+    }
+    modules = {n: m.model_copy(update=touch.get(n, {})) for n, m in scene.modules.items()}
+    return scene.model_copy(update={"modules": modules})
+
+
+def share_met(trace: hapsim.loop.trace.Trace, channel: int, least: float) -> NDArray[np.float64]:
+    """The share of `two_hands` that explains each tick's force; NaN where the hand hardly feels it."""
+    d = trace.position[1:, channel]
+    g = np.diff(trace.position[:, channel]) / T
+    sign, stiffness, damping = (1.0, 500.0, 1.0) if channel == 0 else (-1.0, 1500.0, 3.0)
+    slope = sign * (1000.0 * d + 2.0 * g)
+    share = (-trace.asked_force[1:, channel] - stiffness * d - damping * g) / np.where(slope == 0.0, np.nan, slope)
+    return np.where(np.abs(slope) > least, share, np.nan)
+
+
+@pytest.mark.parametrize("samples", [1, 20])
+def test_a_million_changes_and_no_tick_sees_half_of_one_or_jumps_further_than_it_was_said(
+    scene_of: SceneOf, samples: int
+) -> None:
+    origin = parameter_values(two_hands(scene_of, 0.0))
+    way = parameter_values(two_hands(scene_of, 1.0)) - origin
+    scene = two_hands(scene_of, 0.0)
+    with hapsim.start(scene) as session:
+        parameters = session._loop.parameters
+        for share in RNG.uniform(0.0, 1.0, 500_000):
+            post(parameters, origin + share * way, samples)
+        session.stop()
+    trace = session.trace
+    assert trace.report.parameter_changes > 1000
+    first, second = share_met(trace, 0, 0.01), share_met(trace, 1, 0.01)
+    both = np.isfinite(first) & np.isfinite(second)
+    assert both.sum() > 1000
+    np.testing.assert_allclose(first[both], second[both], atol=1e-9)
+    jumps = np.abs(np.diff(first))
+    assert np.nanmax(jumps) <= min(1.0, 1.5 / samples) + 1e-9
+    assert np.nanmax(jumps) > 0.5 * min(1.0, 1.5 / samples)  # the instrument sees jumps

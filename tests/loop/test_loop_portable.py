@@ -1,0 +1,70 @@
+"""The loop in plain Python: the same forces as the compiled one, and the same ways out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+import hapsim
+from hapsim.errors import DeviceError, UsageError
+from hapsim.running import Excitation, run
+from hapsim.scene import Scene
+
+SceneOf = Callable[..., Scene]
+FrameOf = Callable[..., bytes]
+
+
+@pytest.mark.parametrize("channels", [1, 4])
+def test_the_portable_loop_sends_the_forces_of_the_compiled_one(scene_of: SceneOf, channels: int) -> None:
+    push = Excitation(channel=0, force=1.0, ticks=3, every=40, start=10, first=True)
+    scene = scene_of(channels, damper="centred", mock={"noise": 1e-6})
+    compiled = run(scene, duration=0.3, line="terminal", excitation=push)
+    portable = run(scene, duration=0.3, line="terminal", excitation=push, portable=True)
+    for name in ("sample", "flags", "position_counts", "force_counts", "asked_force"):
+        np.testing.assert_array_equal(getattr(portable, name), getattr(compiled, name))
+    assert portable.report.ending == "done"
+    assert portable.report.crc_errors == 0
+    assert portable.statistics.age == compiled.statistics.age
+
+
+@pytest.mark.parametrize("clock", ["device", "host"])
+def test_the_portable_loop_runs_in_real_time_by_either_clock(scene_of: SceneOf, clock: str) -> None:
+    trace = run(scene_of(rate=100.0, device={"clock": clock}), duration=0.2, portable=True)
+    assert (trace.report.ending, trace.report.ticks) == ("done", 20)
+    assert trace.statistics.lateness.total > 0
+    assert trace.statistics.exchange.total > 0
+
+
+def test_its_parameters_are_live_too(scene_of: SceneOf) -> None:
+    with hapsim.start(scene_of(mock={"noise": 1e-4}), line="terminal", portable=True) as session:
+        session.set({"touch0": {"stiffness": 100.0, "damping": 0.0}}, over=0.005)
+        taken = session._loop.parameters.mail
+        while not session.wait(0.01):
+            if int(taken["sets"]) == 1 and int(taken["left"]) == 0:
+                session.stop()
+    trace = session.trace
+    np.testing.assert_allclose(trace.asked_force[-1], -100.0 * trace.position[-1], rtol=1e-9)
+
+
+def test_a_device_that_hangs_up_is_gone(scripted: Any, frame: FrameOf) -> None:
+    with scripted([frame(0, 0), frame(1, 1), None]) as (scene, _):
+        with pytest.raises(DeviceError, match="went away after 2 ticks") as caught:
+            run(scene, portable=True)
+        assert caught.value.trace is not None
+        assert caught.value.trace.sample.tolist() == [0, 1]
+
+
+def test_a_silent_device_is_told_and_let_go(scripted: Any, frame: FrameOf) -> None:
+    with scripted([frame(0, 0)]) as (scene, device):
+        paced = scene.model_copy(update={"device": scene.device.model_copy(update={"clock": "device"})})
+        with pytest.raises(DeviceError, match="silent"):
+            run(paced, portable=True)
+        assert device.disarmed >= 1
+
+
+def test_memory_is_no_port_for_it(scene_of: SceneOf) -> None:
+    with pytest.raises(UsageError, match="portable loop"):
+        run(scene_of(), duration=0.1, line="loopback", portable=True)

@@ -1,0 +1,125 @@
+"""A scene while it runs: watched, changed, stopped; and what is refused leaves everything as it was."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+import hapsim
+from hapsim.errors import DeviceError, UsageError
+from hapsim.running import Session
+from hapsim.scene import Scene
+
+SceneOf = Callable[..., Scene]
+
+
+def reaches(session: Session, done: Callable[[], bool]) -> None:
+    """Waits until the loop has got so far; a run that never does is a failure."""
+    for _ in range(5000):
+        if done():
+            return
+        time.sleep(0.002)
+    session.stop()
+    pytest.fail("the loop never got there")
+
+
+def test_a_session_runs_until_it_is_stopped_and_leaves_its_trace(scene_of: SceneOf) -> None:
+    with hapsim.start(scene_of()) as session:
+        reaches(session, lambda: session.progress().elapsed_s >= 0 and session.statistics().age.total > 1000)
+        with pytest.raises(UsageError, match="leave the with-block"):
+            _ = session.trace
+        session.stop()
+        assert session.wait(10.0)
+    assert session.trace.report.ending == "stopped"
+    assert session.trace.sample.tolist() == list(range(session.trace.report.ticks))
+    assert session.trace.statistics.age.total == session.trace.report.ticks
+
+
+def test_leaving_the_block_stops_it(scene_of: SceneOf) -> None:
+    with hapsim.start(scene_of()) as session:
+        pass
+    assert session.trace.report.ending == "stopped"
+
+
+def test_a_session_that_has_a_duration_ends_by_itself(scene_of: SceneOf) -> None:
+    with hapsim.start(scene_of(), duration=0.5) as session:
+        assert session.wait(30.0)
+    assert (session.trace.report.ending, session.trace.report.ticks) == ("done", 500)
+
+
+def test_an_exception_in_the_block_lets_go_of_the_device(scene_of: SceneOf, served: Any) -> None:
+    with served(scene_of()) as (scene, mock):
+        with pytest.raises(ZeroDivisionError), hapsim.start(scene):
+            raise ZeroDivisionError
+        assert mock.board["state"] == 0
+        assert not mock.commands.any()
+
+
+def test_a_device_that_goes_away_is_told_when_the_block_is_left(scripted: Any, frame: Callable[..., bytes]) -> None:
+    with scripted([frame(0, 0), None]) as (scene, _):
+        with pytest.raises(DeviceError, match="went away after 1 tick"), hapsim.start(scene) as session:
+            assert session.wait(30.0)
+        assert session.trace.report.ending == "device gone"
+
+
+def test_parameters_are_set_by_the_names_of_the_scene(scene_of: SceneOf) -> None:
+    with hapsim.start(scene_of(2, mock={"noise": 1e-4})) as session:
+        session.set({"touch0": {"stiffness": 500.0}, "touch1": {"stiffness": 250.0, "damping": 0.0}}, over=0.0)
+        session.set({"wall": {"position": 0.001}}, over=0.01)
+        taken = session._loop.parameters.mail
+        reaches(session, lambda: int(taken["sets"]) >= 1 and int(taken["left"]) == 0)
+        assert session.scene.links["touch1"].stiffness == 250.0
+        session.stop()
+    trace = session.trace
+    d = trace.position[-50:, 1] - 0.001
+    np.testing.assert_allclose(trace.asked_force[-50:, 1], -250.0 * d, rtol=1e-9)
+    g = np.diff(trace.position[-51:, 0]) * 1000.0
+    np.testing.assert_allclose(
+        trace.asked_force[-50:, 0], -500.0 * (trace.position[-50:, 0] - 0.001) - 2.0 * g, rtol=1e-9, atol=1e-12
+    )
+
+
+@pytest.mark.parametrize(
+    ("changes", "over", "sentence"),
+    [
+        ({"tuch0": {"stiffness": 1.0}}, 0.0, "found 'tuch0', expected the name of a module; did you mean 'touch0'"),
+        ({"touch0": {"stifness": 1.0}}, 0.0, "found 'stifness', but of a viscoelastic stiffness and damping can"),
+        ({"touch0": {"damper": "centred"}}, 0.0, "found 'damper', but of a viscoelastic"),
+        ({"hand0": {"channel": 1}}, 0.0, "of a device nothing can change"),
+        ({"touch0": {"stiffness": -1.0}}, 0.0, r"touch0.stiffness: found -1.0, expected a number >= 0 \(N/m\)"),
+        ({"touch0": {"damping": float("nan")}}, 0.0, "expected a finite number"),
+        ({"touch0": {"stiffness": 5.0}, "wall": {"position": "x"}}, 0.0, "wall.position: found 'x'"),
+        ({"touch0": {"stiffness": 5.0}}, -1.0, "over: found -1.0 s"),
+        ({"touch0": {"stiffness": 5.0}}, float("inf"), "over: found inf s"),
+    ],
+)
+def test_a_wrong_change_is_told_and_changes_nothing(
+    scene_of: SceneOf, changes: Any, over: float, sentence: str
+) -> None:
+    scene = scene_of()
+    with hapsim.start(scene) as session:
+        with pytest.raises(UsageError, match=sentence):
+            session.set(changes, over=over)
+        assert session.scene == scene
+        session.stop()
+    assert session.trace.report.parameter_changes == 0
+
+
+@pytest.mark.parametrize(
+    ("other", "sentence"),
+    [
+        ({"rate": 2000.0}, "rate cannot change"),
+        ({"device": {"mass": 0.3}}, "device cannot change"),
+        ({"damper": "centred"}, "damper of touch0 cannot change"),
+        ({"channels": 2}, "the list of modules cannot change"),
+    ],
+)
+def test_a_scene_that_differs_in_more_than_parameters_is_not_adopted(
+    scene_of: SceneOf, other: Any, sentence: str
+) -> None:
+    with hapsim.start(scene_of()) as session, pytest.raises(UsageError, match=sentence):
+        session.adopt(scene_of(**other))

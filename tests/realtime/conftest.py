@@ -1,0 +1,51 @@
+"""A thread to ask for, and a system that refuses."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Callable, Iterator
+from typing import Any, NoReturn
+
+import pytest
+
+
+@pytest.fixture
+def thread_id() -> Iterator[int]:
+    """The native id of a thread of this process that waits."""
+    end = threading.Event()
+    thread = threading.Thread(target=end.wait)
+    thread.start()
+    assert thread.native_id is not None
+    yield thread.native_id
+    end.set()
+    thread.join()
+
+
+@pytest.fixture
+def ended_thread_id() -> int:
+    thread = threading.Thread(target=lambda: None)
+    thread.start()
+    thread.join()
+    assert thread.native_id is not None
+    return thread.native_id
+
+
+@pytest.fixture
+def refuse(monkeypatch: pytest.MonkeyPatch) -> Callable[[str, int], None]:
+    """Makes a function, named as in ``os.open``, fail with an error number."""
+
+    def make(function: str, number: int) -> None:
+        def fail(*_arguments: Any) -> NoReturn:
+            raise OSError(number, os.strerror(number))
+
+        monkeypatch.setattr(function, fail)
+
+    return make
+
+
+@pytest.fixture(params=["root", "somebody"])
+def root(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> bool:
+    """Whether root is told, whoever runs the tests."""
+    monkeypatch.setattr("os.geteuid", lambda: 0 if request.param == "root" else 1000)
+    return bool(request.param == "root")

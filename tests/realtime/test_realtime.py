@@ -1,0 +1,206 @@
+"""Asking for everything: whatever the system says, the run goes on, and afterwards all is as it was."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import gc
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+
+import pytest
+
+import hapsim.realtime as room
+from hapsim.realtime import Grant, no_timer_slack, realtime
+from hapsim.realtime.collector import frozen
+from hapsim.realtime.grant import Measure, measure
+from hapsim.realtime.memory import locked
+from hapsim.realtime.power import awake
+from hapsim.realtime.processor import pinned
+from hapsim.realtime.scheduling import fifo
+
+# What each measure that can be refused is refused by.
+CALLS = {
+    "memory locked": (locked, "hapsim.realtime.c_library.call"),
+    "power saving off": (awake, "os.open"),
+    "one processor": (pinned, "os.sched_setaffinity"),
+    "SCHED_FIFO": (fifo, "os.sched_setscheduler"),
+}
+
+
+@pytest.mark.parametrize("name", CALLS)
+@pytest.mark.usefixtures("root")
+def test_whatever_the_error_is_a_measure_is_denied_with_a_sentence(
+    name: str, thread_id: int, refuse: Callable[[str, int], None]
+) -> None:
+    ask, function = CALLS[name]
+    for number in errno.errorcode:
+        refuse(function, number)
+        with ask(thread_id) as grant:
+            pass
+        assert (grant.measure, grant.got) == (name, False)
+        assert len(grant.detail) > 20
+        assert not grant.detail.endswith(".")
+
+
+@pytest.mark.parametrize("name", CALLS)
+@pytest.mark.parametrize(("number", "words"), [(errno.ESRCH, "ended"), (errno.ENOSYS, "does not have the call")])
+def test_no_thread_and_no_such_call_read_alike_for_every_measure(
+    name: str, number: int, words: str, thread_id: int, refuse: Callable[[str, int], None]
+) -> None:
+    ask, function = CALLS[name]
+    refuse(function, number)
+    with ask(thread_id) as grant:
+        assert words in grant.detail
+
+
+def test_elsewhere_each_measure_says_that_only_linux_has_it(thread_id: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    for missing in ("sched_setscheduler", "sched_getscheduler", "sched_getparam", "sched_setaffinity"):
+        monkeypatch.delattr(os, missing)
+    monkeypatch.delattr(os, "sched_getaffinity")
+    monkeypatch.setattr("sys.platform", "darwin")
+    with realtime(thread_id) as grants:
+        denied = {grant.measure: grant.detail for grant in [*grants, no_timer_slack()] if not grant.got}
+        assert gc.isenabled() is False
+    assert denied == dict.fromkeys([*CALLS, "timer slack"], "only Linux has it")
+
+
+# In a process of its own: locking what a test's process has mapped takes memory from all the others.
+WHOLE = """
+import contextlib, gc, os, pwd, resource, sys, threading
+from pathlib import Path
+from hapsim.realtime import realtime
+
+if sys.argv[1] == "nobody":
+    with contextlib.suppress(PermissionError):  # whoever this is, is nobody already
+        os.setgroups([])
+        os.setgid(65534)
+        os.setuid(65534)
+
+end = threading.Event()
+thread = threading.Thread(target=end.wait, daemon=True)
+thread.start()
+id = thread.native_id
+
+def is_open(path):
+    # What /proc tells of open files is not for a process that changed its user.
+    device = os.stat(path).st_rdev if os.path.exists(path) else None
+    for descriptor in range(100):
+        with contextlib.suppress(OSError):
+            if os.fstat(descriptor).st_rdev == device:
+                return True
+    return False
+
+def state():
+    locked = Path("/proc/self/status").read_text().partition("VmLck:")[2].split()[0]
+    return {
+        "SCHED_FIFO": (os.sched_getscheduler(id), os.sched_getparam(id).sched_priority),
+        "one processor": (os.sched_getaffinity(id), os.sched_getaffinity(0)),
+        "garbage collector frozen": (gc.isenabled(), gc.get_freeze_count() > 0),
+        "memory locked": int(locked) > 0,
+        "power saving off": is_open("/dev/cpu_dma_latency"),
+    }
+
+before = state()
+failure = ValueError("the body's own")
+try:
+    with realtime(id) as grants:
+        inside = state()
+        raise failure
+except ValueError as caught:
+    assert caught is failure
+after = state()
+
+assert after == before, (before, after)
+assert {grant.measure for grant in grants} == set(before)
+for grant in grants:
+    print(grant)
+    alone = grant.measure == "one processor" and len(before["one processor"][0]) == 1
+    assert (inside[grant.measure] != before[grant.measure]) == (grant.got and not alone), (grant, before, inside)
+assert not {"numba", "numpy", "rich"} & set(sys.modules)
+print("well")
+"""
+
+
+@pytest.mark.parametrize("who", ["whoever this is", "nobody"])
+def test_what_is_said_to_be_got_has_happened_and_what_is_denied_has_not(who: str) -> None:
+    done = subprocess.run([sys.executable, "-c", WHOLE, who], capture_output=True, text=True, check=False, timeout=100)
+    assert done.stdout.endswith("well\n"), done.stdout + done.stderr
+
+
+def named(name: str, told: list[str], undo: Callable[[], object] = lambda: None) -> Measure:
+    """A measure that tells when it is asked for and undone."""
+
+    def ask(_thread_id: int) -> tuple[str, Callable[[], object]]:
+        told.append(f"{name} asked")
+
+        def undone() -> None:
+            told.append(f"{name} undone")
+            undo()
+
+        return "all of it", undone
+
+    return measure(name, str)(ask)
+
+
+def fail() -> None:
+    raise OSError(errno.EPERM, "no way back")
+
+
+def defect() -> None:
+    raise RuntimeError("not the body's")
+
+
+@pytest.mark.parametrize("undo", [fail, defect])
+def test_an_undoing_that_fails_keeps_neither_the_others_from_theirs_nor_the_body_from_its_failure(
+    undo: Callable[[], None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told: list[str] = []
+    measures = (named("one", told), named("two", told, undo), named("three", told))
+    monkeypatch.setattr(room, "_MEASURES", measures)
+    with pytest.raises(ValueError, match="the body's own") as caught, realtime(1):
+        raise ValueError("the body's own")
+    assert caught.value.__context__ is None
+    assert told == ["one asked", "two asked", "three asked", "three undone", "two undone", "one undone"]
+
+
+def test_what_was_got_is_given_back_when_asking_for_the_next_meets_a_defect(monkeypatch: pytest.MonkeyPatch) -> None:
+    @contextlib.contextmanager
+    def broken(_thread_id: int) -> Iterator[Grant]:
+        raise RuntimeError("a defect")
+        yield
+
+    told: list[str] = []
+    monkeypatch.setattr(room, "_MEASURES", (named("one", told), broken))
+    with pytest.raises(RuntimeError), realtime(1):
+        pass
+    assert told == ["one asked", "one undone"]
+
+
+def test_the_failure_of_a_body_does_not_carry_the_refusal_along(refuse: Callable[[str, int], None]) -> None:
+    refuse("os.open", errno.EPERM)
+    with pytest.raises(ValueError, match="the body's own") as caught, awake(1):
+        raise ValueError("the body's own")
+    assert caught.value.__context__ is None
+
+
+def test_a_thread_that_has_ended_is_said_to_have_and_the_rest_goes_on(
+    ended_thread_id: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(room, "_MEASURES", (frozen, pinned, fifo))
+    with realtime(ended_thread_id) as grants:
+        assert [grant.got for grant in grants] == [True, False, False]
+        assert all("ended" in grant.detail for grant in grants[1:])
+
+
+def test_a_thread_may_end_before_the_undoing() -> None:
+    script = (
+        "import threading; from hapsim.realtime import realtime\n"
+        "end = threading.Event(); thread = threading.Thread(target=end.wait, daemon=True)\n"
+        "thread.start()\n"
+        "with realtime(thread.native_id): end.set(); thread.join()\n"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False, timeout=100)
+    assert (done.returncode, done.stderr) == (0, "")
