@@ -4,31 +4,37 @@ there the overhead is exactly one byte, so a frame's length says nothing of its 
 
 from __future__ import annotations
 
+import numpy as np
+
 from firmware_protocol.compiled import jit_inlined
+from firmware_protocol.unsigned import ONE
 
 
 @jit_inlined
 def stuff(buffer, start, stop):
     """Encodes the body that stands in buffer[start + 1 : stop]; buffer[start] is the room for the first code."""
-    last = start
-    for i in range(start + 1, stop):
-        if buffer[i] == 0:
-            buffer[last] = i - last
-            last = i
-    buffer[last] = stop - last
+    last, end = np.uint64(start), np.uint64(stop)
+    at = last + ONE
+    while at < end:
+        if buffer[at] == 0:
+            buffer[last] = at - last
+            last = at
+        at += ONE
+    buffer[last] = end - last
 
 
 @jit_inlined
 def unstuff(buffer, start, stop):
     """Decodes buffer[start:stop]; the body is then buffer[start + 1 : stop]. False where the codes do not add up."""
-    at = start
+    begun, end = np.uint64(start), np.uint64(stop)
+    at = begun
     while True:
-        code = buffer[at]
+        code = np.uint64(buffer[at])
         following = at + code
-        if code == 0 or following > stop:
+        if code == 0 or following > end:
             return False
-        if at > start:
+        if at > begun:
             buffer[at] = 0
-        if following == stop:
+        if following == end:
             return True
         at = following

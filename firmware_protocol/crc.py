@@ -3,6 +3,9 @@ significant bit first, so bursts on the line are bursts in the check).
 
 Why these two: Koopman's tables give polynomial 0x3D65 distance 6 up to 135 bits of data and CRC-32C distance 6 up to
 655 bytes; every frame stays within.
+
+Up to eight bytes are looked up at once, each in the table of its distance from the end: looked up one after the other,
+each would wait for the one before.
 """
 
 from __future__ import annotations
@@ -10,36 +13,51 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_protocol.compiled import jit_inlined
+from firmware_protocol.compiled import inlined, jit_inlined
+from firmware_protocol.unsigned import ONE
+
+_AT_ONCE, _FOUR, _THREE = np.uint64(8), np.uint64(4), np.uint64(3)
 
 
-def _table(reflected_polynomial: int) -> NDArray[np.uint32]:
-    table = np.zeros(256, np.uint32)
+def _tables(reflected_polynomial: int) -> NDArray[np.uint32]:
+    """Entry [k, byte]: what a byte that k more bytes follow does to the check."""
+    tables = np.zeros((int(_AT_ONCE), 256), np.uint32)
     for byte in range(256):
         crc = byte
         for _ in range(8):
             crc = (crc >> 1) ^ (reflected_polynomial if crc & 1 else 0)
-        table[byte] = crc
-    return table
+        tables[0, byte] = crc
+    for k in range(1, int(_AT_ONCE)):
+        tables[k] = (tables[k - 1] >> 8) ^ tables[0, tables[k - 1] & 0xFF]
+    return tables
 
 
-_DNP = _table(0xA6BC)  # 0x3D65, its bits reversed
-_CASTAGNOLI = _table(0x82F63B78)  # 0x1EDC6F41, its bits reversed
+_DNP = _tables(0xA6BC)  # 0x3D65, its bits reversed
+_CASTAGNOLI = _tables(0x82F63B78)  # 0x1EDC6F41, its bits reversed
 
 
 @jit_inlined
 def crc16_dnp(data, start, stop, seed):
     """CRC-16/DNP of data[start:stop] from start value `seed` (0: the catalogued one)."""
-    crc = np.uint32(seed)
-    for i in range(start, stop):
-        crc = (crc >> np.uint32(8)) ^ _DNP[(crc ^ np.uint32(data[i])) & np.uint32(0xFF)]
-    return crc ^ np.uint32(0xFFFF)
+    return _crc(_DNP, data, start, stop, np.uint32(seed)) ^ np.uint32(0xFFFF)
 
 
 @jit_inlined
 def crc32_c(data, start, stop, seed):
     """CRC-32C of data[start:stop] from start value `seed` (0xFFFFFFFF: the catalogued one)."""
-    crc = np.uint32(seed)
-    for i in range(start, stop):
-        crc = (crc >> np.uint32(8)) ^ _CASTAGNOLI[(crc ^ np.uint32(data[i])) & np.uint32(0xFF)]
-    return crc ^ np.uint32(0xFFFFFFFF)
+    return _crc(_CASTAGNOLI, data, start, stop, np.uint32(seed)) ^ np.uint32(0xFFFFFFFF)
+
+
+@inlined
+def _crc(tables, data, start, stop, crc):
+    at, end = np.uint64(start), np.uint64(stop)
+    while at < end:
+        count = min(end - at, _AT_ONCE)
+        following = crc >> np.uint32(count << _THREE) if count < _FOUR else np.uint32(0)  # what the bytes do not reach
+        for k in range(count):
+            byte = np.uint32(data[at + k]) ^ (crc & np.uint32(0xFF))
+            crc >>= np.uint32(8)
+            following ^= tables[count - ONE - k, byte]
+        crc = following
+        at += count
+    return crc

@@ -15,6 +15,7 @@ from firmware_protocol import schema
 from firmware_protocol.cobs import unstuff
 from firmware_protocol.compiled import inlined, jit, jit_inlined
 from firmware_protocol.frames import Format, check_of, words_of
+from firmware_protocol.unsigned import ONE, copy, find_zero
 
 _RECENT = 256  # a power of two above the longest frame
 
@@ -87,25 +88,33 @@ def next_frame(decoder, data, start, stop):
     Returns (where reading stopped, whether a frame was found). The frame is then in the decoder's `type`, `number`,
     `argument` and `counts`. Without one, everything was consumed and the beginning of a frame is remembered.
     """
-    while start < stop:
-        byte = data[start]
-        start += 1
-        if byte != 0:
-            decoder.recent[decoder.at] = byte
-            decoder.at = (decoder.at + 1) & (_RECENT - 1)
-            decoder.seen += 1
-        elif _accept(decoder):
-            return start, True
-    return start, False
+    while True:
+        delimiter = find_zero(data, start, stop)
+        if delimiter == stop:
+            _remember(decoder, data, start, stop)
+            return stop, False
+        if _accept(decoder, data, start, delimiter):
+            return delimiter + 1, True
+        start = delimiter + 1
 
 
 @inlined
-def _accept(decoder):
-    """Looks at the last L bytes before a delimiter; fills in the frame where they are one."""
+def _remember(decoder, data, start, stop):
+    """Keeps the beginning of a frame until the rest of it comes; of more bytes than fit, the last."""
+    for i in range(max(start, stop - _RECENT), stop):
+        decoder.recent[decoder.at] = data[i]
+        decoder.at = (decoder.at + 1) & (_RECENT - 1)
+    decoder.seen += stop - start
+
+
+@inlined
+def _accept(decoder, data, start, stop):
+    """Looks at the last L bytes before a delimiter, which end with data[start:stop]; fills in the frame where they are
+    one."""
     check_bytes = 5 if decoder.long_check else 3
     body = 1 + 2 + decoder.to_device + 4 * decoder.words
     length = body + check_bytes
-    seen = decoder.seen
+    seen = decoder.seen + stop - start
     decoder.seen = 0
     if seen == 0:
         return False
@@ -114,9 +123,11 @@ def _accept(decoder):
         return False
     decoder.garbage_bytes += seen - length
     frame = decoder.frame
-    first = decoder.at - length
-    for i in range(length):
+    remembered = max(length - (stop - start), 0)
+    first = decoder.at - remembered
+    for i in range(remembered):
         frame[i] = decoder.recent[(first + i) & (_RECENT - 1)]
+    copy(data, stop - length + remembered, frame, remembered, length - remembered)
     if not _check_holds(frame, body, decoder.long_check != 0, decoder.seed):
         decoder.crc_errors += 1
         return False
@@ -131,9 +142,11 @@ def _accept(decoder):
 def _check_holds(frame, body, long_check, seed):
     """Every bit of the check's bytes is looked at, the ones that are always set or clear too."""
     check = check_of(frame, 0, body, long_check, seed)
+    at = np.uint64(body)
     for i in range(5 if long_check else 3):
-        if frame[body + i] != (0x80 | ((check >> np.uint32(7 * i)) & np.uint32(0x7F))):
+        if frame[at] != (0x80 | ((check >> np.uint32(7 * i)) & np.uint32(0x7F))):
             return False
+        at += ONE
     return True
 
 
@@ -149,14 +162,14 @@ def _read(decoder, frame):
         return False
     decoder.type = kind
     decoder.number = ((np.int64(frame[1]) & 0xF) << 8) | np.int64(frame[2])
-    at = 3
+    at = np.uint64(3)
     if decoder.to_device:
         decoder.argument = frame[3]
-        at = 4
+        at += ONE
     for k in range(decoder.words):
         word = np.int64(0)
-        for i in range(4):
-            word |= np.int64(frame[at + i]) << (8 * i)
+        for shift in range(0, 32, 8):
+            word |= np.int64(frame[at]) << shift
+            at += ONE
         decoder.counts[k] = word - ((word & 0x80000000) << 1)
-        at += 4
     return True

@@ -17,6 +17,7 @@ from firmware_protocol import schema
 from firmware_protocol.cobs import stuff
 from firmware_protocol.compiled import inlined, jit_inlined
 from firmware_protocol.crc import crc16_dnp, crc32_c
+from firmware_protocol.unsigned import ONE
 
 Integers = Sequence[int] | NDArray[np.int64]
 
@@ -68,8 +69,8 @@ def check_of(data, start, stop, long_check, seed):
 @inlined
 def _put_header(buffer, at, frame_type, number):
     buffer[at] = (frame_type << 4) | ((number >> 8) & 0xF)
-    buffer[at + 1] = number & 0xFF
-    return at + 2
+    buffer[at + ONE] = number & 0xFF
+    return at + ONE + ONE
 
 
 @inlined
@@ -78,7 +79,7 @@ def _put_payload(buffer, at, counts, words):
         word = counts[i]
         for shift in range(0, 32, 8):
             buffer[at] = (word >> shift) & 0xFF
-            at += 1
+            at += ONE
     return at
 
 
@@ -87,28 +88,29 @@ def _seal(wire, buffer, start, stop):
     """Stuffs the body, appends the check in seven-bit bytes that cannot be zero, and the delimiter."""
     stuff(buffer, start, stop)
     check = check_of(buffer, start, stop, wire.long_check, wire.seed)
+    at = np.uint64(stop)
     for i in range(5 if wire.long_check else 3):
-        buffer[stop + i] = 0x80 | ((check >> np.uint32(7 * i)) & np.uint32(0x7F))
-    stop += 5 if wire.long_check else 3
-    buffer[stop] = 0
-    return stop + 1
+        buffer[at] = 0x80 | ((check >> np.uint32(7 * i)) & np.uint32(0x7F))
+        at += ONE
+    buffer[at] = 0
+    return np.int64(at + ONE)
 
 
 @jit_inlined
 def write_to_host(wire, buffer, start, frame_type, number, counts):
     """Writes a frame of the device at buffer[start:] and returns where it ends. `counts`: int64, one per word."""
-    at = _put_header(buffer, start + 1, frame_type, number)
+    at = _put_header(buffer, np.uint64(start + 1), frame_type, number)
     at = _put_payload(buffer, at, counts, words_of(wire, False))
-    return _seal(wire, buffer, start, at)
+    return _seal(wire, buffer, start, np.int64(at))
 
 
 @jit_inlined
 def write_to_device(wire, buffer, start, frame_type, number, argument, counts):
     """Writes a frame of the host at buffer[start:] and returns where it ends. `argument` is one byte."""
-    at = _put_header(buffer, start + 1, frame_type, number)
+    at = _put_header(buffer, np.uint64(start + 1), frame_type, number)
     buffer[at] = argument & 0xFF
-    at = _put_payload(buffer, at + 1, counts, words_of(wire, True))
-    return _seal(wire, buffer, start, at)
+    at = _put_payload(buffer, at + ONE, counts, words_of(wire, True))
+    return _seal(wire, buffer, start, np.int64(at))
 
 
 def frame_to_host(wire: Format, frame_type: int, number: int, counts: Integers) -> bytes:

@@ -43,6 +43,12 @@ Line = Annotated[
 ]
 
 
+Realtime = Annotated[
+    bool,
+    typer.Option("--realtime", help="Ask the system for what makes a loop steady; tell what it granted and what not."),
+]
+
+
 @app.command()
 def run(
     scene: SceneFile,
@@ -53,29 +59,40 @@ def run(
         float | None, typer.Option(metavar="S", callback=_seconds, help="Seconds; left out: until stopped.")
     ] = None,
     record: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the trace: .npz or .csv.")] = None,
+    realtime: Realtime = False,
+    watch: Annotated[
+        bool, typer.Option("--watch", help="Follow the scene's file: stiffness, damping and positions edited are felt.")
+    ] = False,
+    portable: Annotated[bool, typer.Option("--portable", help="The loop in plain Python: less steady.")] = False,
     json: Json = False,
 ) -> None:
     """Run SCENE against its device, or against the embedded mock where it names none."""
+    from hapsim.console.attendant import Attendant
     from hapsim.console.live import live_line
     from hapsim.console.tables import show_report
     from hapsim.errors import RunError
     from hapsim.loop.trace import require_writable_as_trace
-    from hapsim.prediction import predict
     from hapsim.running import run as run_scene
 
     loaded = _scene(scene, port)
     if record is not None:
         require_writable_as_trace(record)
-    _warn(loaded, predict(loaded, with_margins=False))
+    _warn(loaded, _poles_of(loaded))
+    error_console = _stderr()
+    attendant = Attendant(error_console, scene if watch else None, lambda changed: _warn(changed, _poles_of(changed)))
     failure: RunError | None = None
     try:
-        with live_line(_stderr()) as tell:
+        with live_line(error_console) as tell:
             trace = run_scene(
                 loaded,
                 duration=duration,
                 line=_line_kind(mock, line, port),
                 keep=record is not None,
+                realtime=realtime,
+                portable=portable,
                 on_progress=tell,
+                on_start=attendant.started,
+                while_running=attendant.look,
                 stop_on_signals=True,
             )
     except RunError as error:
@@ -88,7 +105,7 @@ def run(
         from hapsim.console.as_json import document, report_document
 
         problem = {} if failure is None else {"error": str(failure), "exit_status": failure.exit_status}
-        print(document(report_document(trace.report) | problem))
+        print(document(report_document(trace.report, attendant.grants) | problem))
     else:
         show_report(_stdout(), trace.report)
         if record is not None:
@@ -183,9 +200,73 @@ def measure(
 
 
 @app.command()
+def doctor(
+    scene: Annotated[
+        str | None, typer.Argument(metavar="[SCENE]", help="Its device is tried; left out: the mock.")
+    ] = None,
+    port: Port = None,
+    mock: MockFlag = False,
+    seconds: Annotated[
+        float, typer.Option(metavar="S", help="For each of its measurements; a longer one sees rarer gaps.")
+    ] = 2.0,
+    rates: Annotated[
+        list[str] | None, typer.Option(metavar="HZ,…", help="Left out: 1000,2000,4000,10000 and the scene's.")
+    ] = None,
+    realtime: Realtime = False,
+    picture: Annotated[Path | None, typer.Option(metavar="FILE", help="Draw the latenesses: .svg, .png, .pdf.")] = None,
+    data: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the picture's numbers: .csv.")] = None,
+    json: Json = False,
+) -> None:
+    """Tell how steady this machine is for a haptic loop, which rates it keeps, and what would help.
+
+    A device that is tried feels no force: the scene runs without its links, every force cut to zero.
+    """
+    from hapsim.chart.figure import require_writable, save_rows
+    from hapsim.console.doctor import examination_document, examination_line, show_examination
+    from hapsim.console.options import numbers
+    from hapsim.doctor.examine import RATES_HZ, examine
+
+    if port is not None and scene is None:
+        raise UsageError("--port: found no SCENE, expected the scene whose device is at that port")
+    require_writable(picture)
+    require_writable(data, (".csv",))
+    with examination_line(_stderr()) as tell:
+        found = examine(
+            None if scene is None else _scene(scene, port),
+            seconds=seconds,
+            rates=tuple(numbers("--rates", rates)) or RATES_HZ,
+            realtime=realtime,
+            line=_line_kind(mock, None, port),
+            on_progress=tell,
+        )
+    if picture is not None or data is not None:
+        from hapsim.chart.steadiness import columns, draw_steadiness, steadiness
+
+        curves = steadiness(found)
+        if data is not None:
+            save_rows(columns(curves), data)
+        if picture is not None:
+            draw_steadiness(curves, f"How steady this machine is: {found.scene}, {seconds:g} s each", picture)
+    if json:
+        from hapsim.console.as_json import document
+
+        print(document(examination_document(found)))
+    else:
+        show_examination(_stdout(), found)
+        for what, path in (("Picture", picture), ("Its numbers", data)):
+            if path is not None:
+                print(f"{what}: {path}")
+    if found.device_failed is not None:
+        raise typer.Exit(found.device_failed.exit_status)
+
+
+@app.command()
 def mock(
     scene: SceneFile,
     link: Annotated[Path | None, typer.Option(metavar="PATH", help="Also give the port this name (a link).")] = None,
+    realtime: Annotated[
+        bool, typer.Option("--realtime", help="Keep time as hardware does: before every program, where permitted.")
+    ] = False,
     json: Json = False,
 ) -> None:
     """Serve the scene's mock device on a pseudo-terminal of its own; print its path; serve until told to stop."""
@@ -194,7 +275,7 @@ def mock(
 
     loaded = _scene(scene)
     with live_line(_stderr()) as tell:
-        serve_until_stopped(loaded, link, _announce_json if json else _announce, tell)
+        serve_until_stopped(loaded, link, _announce_json if json else _announce, tell, realtime)
 
 
 @app.command()
@@ -266,6 +347,12 @@ def main() -> None:
             file=sys.stderr,
         )
         sys.exit(1)
+
+
+def _poles_of(scene: Scene) -> Prediction:
+    from hapsim.prediction import predict
+
+    return predict(scene, with_margins=False)
 
 
 def _warn(scene: Scene, prediction: Prediction) -> None:

@@ -20,7 +20,13 @@ part, overload = _compiler.part, _compiler.overload
 
 def compile_for(function: Any, *arguments: Any) -> None:
     """Compiles a function for arguments of these types, or loads it, without calling it."""
-    function.compile(tuple(numba.typeof(argument) for argument in arguments))
+    signature = tuple(numba.typeof(argument) for argument in arguments)
+    try:
+        function.compile(signature)
+    except (ImportError, AttributeError):
+        # What was kept names the type of a port that another program brought along, and that is not here.
+        function._cache.flush()
+        function.compile(signature)
 
 
 @contextlib.contextmanager

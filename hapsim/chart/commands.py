@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from hapsim.console.options import numbers
 from hapsim.errors import UsageError
 
 if TYPE_CHECKING:
@@ -96,7 +97,7 @@ def plane(
     from hapsim.chart.view import view_of
 
     picture = _writable(picture, data, json, "plane.svg")
-    masses = _numbers("--mass", mass)
+    masses = numbers("--mass", mass)
     if normalised:
         masses, rate = _normalised(masses, rate, described_by_options=scene is None)
     given = _loop_options(context, mass=masses[0] if masses else None, rate=rate)
@@ -221,19 +222,6 @@ def _writable(picture: Path | None, data: Path | None, json: bool, otherwise: st
     require_writable(picture)
     require_writable(data, (".csv",))
     return picture
-
-
-def _numbers(option: str, words: list[str] | None) -> list[float]:
-    """Of an option that may be repeated, and may hold several numbers with commas between them; ordered, each once."""
-    found = set()
-    for word in ",".join(words or []).split(",") if words else []:
-        try:
-            found.add(float(word))
-        except ValueError:
-            raise UsageError(
-                f"{option}: found '{word}', expected a number, or several with commas between them"
-            ) from None
-    return sorted(found)
 
 
 def _normalised(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +13,7 @@ from hapsim.prediction import Felt, Prediction
 if TYPE_CHECKING:
     from hapsim.loop.trace import Report
     from hapsim.measuring.identify import Measurement
+    from hapsim.realtime import Grant
 
 
 def document(value: dict[str, Any]) -> str:
@@ -60,9 +62,9 @@ def measurement_document(prediction: Prediction, measurement: Measurement, chann
     return prediction_document(prediction, channel) | {"measured": measured} | report
 
 
-def report_document(report: Report) -> dict[str, Any]:
-    """What `hapsim run` prints."""
-    return asdict(report)
+def report_document(report: Report, grants: Sequence[Grant] = ()) -> dict[str, Any]:
+    """What `hapsim run` prints; `grants`: what a real-time set-up asked for."""
+    return asdict(report) | ({"realtime": [asdict(grant) for grant in grants]} if grants else {})
 
 
 def felt_on(prediction: Prediction, channel: int | None) -> Felt | None:

@@ -26,6 +26,8 @@ def centred_links(links: Links) -> CentredLinks:
 @inlined
 def settle_centred(group, position, previous):
     """Before the first tick: as if every point had moved up to now as it does."""
+    if group is None:
+        return
     for i in range(group.older.size):
         group.older[i] = 2.0 * stretch(group.links, i, previous) - stretch(group.links, i, position)
 
@@ -33,6 +35,8 @@ def settle_centred(group, position, previous):
 @inlined
 def pull_centred(group, position, previous, force):
     """Adds the force of every link."""
+    if group is None:
+        return
     for i in range(group.older.size):
         d = stretch(group.links, i, position)
         pull(group.links, i, d, 0.5 * (d - group.older[i]), force)

@@ -32,6 +32,8 @@ def filtered_links(links: Links, cutoff: Sequence[float], rate: float) -> Filter
 @inlined
 def settle_filtered(group, position, previous):
     """Before the first tick: as if every point had moved up to now as it does."""
+    if group is None:
+        return
     for i in range(group.growth.size):
         group.growth[i] = stretch(group.links, i, position) - stretch(group.links, i, previous)
 
@@ -39,6 +41,8 @@ def settle_filtered(group, position, previous):
 @inlined
 def pull_filtered(group, position, previous, force):
     """Adds the force of every link."""
+    if group is None:
+        return
     for i in range(group.growth.size):
         d = stretch(group.links, i, position)
         newest = d - stretch(group.links, i, previous)

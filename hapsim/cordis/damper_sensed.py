@@ -34,6 +34,8 @@ def _way(point, devices, period, velocity, position, previous):
 @inlined
 def pull_sensed(group, devices, velocity, position, previous, force):
     """Adds the force of every link. `velocity`: sensed, in m/s, one per channel."""
+    if group is None:
+        return
     links = group.links
     for i in range(links.first.size):
         first = _way(links.first[i], devices, group.period, velocity, position, previous)

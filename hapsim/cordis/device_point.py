@@ -40,8 +40,6 @@ def follow(points, measured, position, previous):
 
 @inlined
 def felt(points, force, out):
-    """The scene's force on each channel, in N; 0 on a channel that the scene does not use."""
-    for c in range(out.size):
-        out[c] = 0.0
+    """The scene's force on each channel that it uses, in N; the others are left as they are."""
     for i in range(points.channel.size):
         out[points.channel[i]] = force[i]

@@ -30,6 +30,8 @@ def masses(start: int, mass: Sequence[float], rate: float) -> Masses:
 @inlined
 def advance(group, position, previous, force):
     """Moves every mass by one sample."""
+    if group is None:
+        return
     for i in range(group.mobility.size):
         p = group.start + i
         following = 2.0 * position[p] - previous[p] + group.mobility[i] * force[p]

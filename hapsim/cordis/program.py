@@ -25,7 +25,7 @@ from hapsim.scene import Scene, ViscoElastic
 class Program(NamedTuple):
     """A scene as the tick sees it: state of N points (m, and N for the force), and the modules that move them.
 
-    The visco-elastic links stand by their damper.
+    The visco-elastic links stand by their damper. What the scene lacks is None, and the tick is compiled without it.
     """
 
     position: NDArray[np.float64]
@@ -34,11 +34,11 @@ class Program(NamedTuple):
     parameters: NDArray[np.float64]
     devices: DevicePoints
     grounds: Grounds
-    masses: Masses
-    backward: Links
-    centred: CentredLinks
-    filtered: FilteredLinks
-    sensed: SensedLinks
+    masses: Masses | None
+    backward: Links | None
+    centred: CentredLinks | None
+    filtered: FilteredLinks | None
+    sensed: SensedLinks | None
 
 
 def compile_scene(scene: Scene) -> Program:
@@ -58,7 +58,9 @@ def compile_scene(scene: Scene) -> Program:
     links = {
         damper: links_between([(number[one.between[0]], number[one.between[1]]) for one in of_kind], *part)
         for (damper, of_kind), part in zip(_by_damper(scene), zip(parts[::2], parts[1::2], strict=True), strict=True)
+        if of_kind
     }
+    first_mass = len(scene.device_points) + len(scene.grounds)
     return Program(
         position,
         previous,
@@ -66,11 +68,11 @@ def compile_scene(scene: Scene) -> Program:
         values,
         device_points([point.channel for point in scene.device_points.values()]),
         Grounds(len(scene.device_points), rest),
-        masses(len(scene.device_points) + len(scene.grounds), [m.mass for m in scene.masses.values()], scene.rate),
-        links["backward"],
-        centred_links(links["centred"]),
-        filtered_links(links["filtered"], cutoffs, scene.rate),
-        sensed_links(links["sensed"], scene.rate),
+        masses(first_mass, [m.mass for m in scene.masses.values()], scene.rate) if scene.masses else None,
+        links.get("backward"),
+        centred_links(links["centred"]) if "centred" in links else None,
+        filtered_links(links["filtered"], cutoffs, scene.rate) if "filtered" in links else None,
+        sensed_links(links["sensed"], scene.rate) if "sensed" in links else None,
     )
 
 

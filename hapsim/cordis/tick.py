@@ -24,7 +24,7 @@ def tick(program, measured, velocity, force):
     """Moves the scene by one sample.
 
     `measured`: the device's positions in m, one per channel. `velocity`: those that it senses in m/s, 0 where it does
-    not. `force`: receives the force on each channel in N.
+    not. `force`: receives the force in N on each channel that the scene uses.
     """
     position, previous = program.position, program.previous
     follow(program.devices, measured, position, previous)

@@ -17,8 +17,11 @@ time is virtual and on a pseudo-terminal where it is real. loopback, terminal: t
 
 
 @contextlib.contextmanager
-def open_line(scene: Scene, kind: LineKind = "auto", portable: bool = False) -> Iterator[Line]:
-    """The line to the scene's device, open inside the with-block; `portable`: for the loop in Python."""
+def open_line(
+    scene: Scene, kind: LineKind = "auto", *, portable: bool = False, realtime: bool = False
+) -> Iterator[Line]:
+    """The line to the scene's device, open inside the with-block. `portable`: for the loop in Python; `realtime`: where
+    the mock has a time of its own, it keeps it as hardware does, as far as the system lets it."""
     open_port = open_portable_port if portable else open_serial_port
     if kind == "auto" and scene.device.port is not None:
         line = open_port(scene.device.port, scene.device.baud)
@@ -35,7 +38,7 @@ def open_line(scene: Scene, kind: LineKind = "auto", portable: bool = False) -> 
     if kind == "loopback" or (kind != "terminal" and virtual and not portable):
         yield _loopback(scene)
     else:
-        with _mock_terminal(scene, open_port) as line:
+        with _mock_terminal(scene, open_port, realtime and not virtual) as line:
             yield line
 
 
@@ -47,12 +50,12 @@ def _loopback(scene: Scene) -> Line:
 
 
 @contextlib.contextmanager
-def _mock_terminal(scene: Scene, open_port: Callable[[str, int], Line]) -> Iterator[Line]:
+def _mock_terminal(scene: Scene, open_port: Callable[[str, int], Line], as_hardware: bool) -> Iterator[Line]:
     from hapsim.device.mock.assemble import assemble_mock
     from hapsim.device.mock.terminal import serving
 
     with (
-        serving(assemble_mock(scene)) as path,
+        serving(assemble_mock(scene), as_hardware) as path,
         contextlib.closing(open_port(path, scene.device.baud)) as line,
     ):
         yield line

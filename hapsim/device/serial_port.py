@@ -15,6 +15,8 @@ from hapsim.device.line import Line
 from hapsim.errors import DeviceError
 from hapsim.loop.descriptor import descriptor_port
 
+_WRITE_TIMEOUT_S = 1.0  # of the portable loop, whose own interpreter may be held up for a tenth of a second
+
 
 def open_serial_port(path: str, baud: int) -> Line:
     """Opens a port at `baud` bit/s for the compiled loop. DeviceError, with what to do, where that fails."""
@@ -37,7 +39,7 @@ def _open(path: str, baud: int) -> Any:
     import serial
 
     try:
-        return serial.Serial(path, baud, timeout=0, write_timeout=0.1, exclusive=True)
+        return serial.Serial(path, baud, timeout=0, write_timeout=_WRITE_TIMEOUT_S, exclusive=True)
     except (OSError, ValueError) as error:  # SerialException is an OSError
         raise DeviceError(_why_not(path, baud, error)) from error
 

@@ -16,12 +16,14 @@ from hapsim.cordis.ground import settle
 from hapsim.cordis.program import Program
 from hapsim.cordis.tick import start, tick
 from hapsim.loop.codes import BAD_FORCE, FAULT, HEARD, TIMED_OUT
-from hapsim.loop.guard.finite import all_finite
+from hapsim.loop.guard.finite import is_finite
 from hapsim.loop.guard.limit import cut
 from hapsim.loop.histogram import new_histogram, note
 from hapsim.loop.inbox import frame_waiting
 from hapsim.loop.parameters import Parameters, move_parameters
 from hapsim.loop.ring import BRIDGED, HELD, LIMITED, OFF_GRID, UNSENT, Ring, mark_last, publish, push
+
+_MODULUS_MASK = schema.SAMPLE_MODULUS - 1  # it is a power of two
 
 DEVICE_CLOCK, HOST_CLOCK, NO_CLOCK = range(3)  # who keeps the time; nobody in virtual time
 
@@ -55,6 +57,7 @@ STATE = np.dtype(
         ("fault", np.int64),  # what the device said when it stopped
         ("first_ns", np.int64),  # when the first and the newest position arrived
         ("newest_ns", np.int64),
+        ("tick_ns", np.int64),  # when the loop woke up for the tick, where the host is the clock
         ("sent_ns", np.int64),  # when the last force had left
         ("grounds_moved", np.int64),  # with the last sample: with the next their velocity is zero again
         ("due_ns", np.int64),  # when the next position is expected, where the device is the clock
@@ -63,31 +66,32 @@ STATE = np.dtype(
 )
 
 
-_PER_CHANNEL = (schema.MAX_CHANNELS,)
+def desk_of(channels: int) -> np.dtype[np.void]:
+    """What one exchange is worked out on. One record instead of a dozen arrays: compiled code passes it as one pointer.
 
-DESK = np.dtype(
-    [
-        ("channels", np.int64),
-        ("measured", np.float64, _PER_CHANNEL),  # m, the newest position
-        ("before", np.float64, _PER_CHANNEL),  # m, the one before
-        ("bridge", np.float64, _PER_CHANNEL),  # m, between the two where positions were lost
-        ("velocity", np.float64, _PER_CHANNEL),  # m/s, sensed with the newest position; 0 where not asked for
-        ("velocity_before", np.float64, _PER_CHANNEL),  # m/s, with the one before
-        ("velocity_bridge", np.float64, _PER_CHANNEL),  # m/s, between the two where positions were lost
-        ("asked", np.float64, _PER_CHANNEL),  # N, the scene's force
-        ("force", np.float64, _PER_CHANNEL),  # N, what excitation and guards make of it
-        ("position_counts", np.int64, _PER_CHANNEL),
-        ("force_counts", np.int64, _PER_CHANNEL),
-        ("position_scale", np.float64, _PER_CHANNEL),  # m per count
-        ("velocity_scale", np.float64, _PER_CHANNEL),  # (m/s) per count
-        ("force_scale", np.float64, _PER_CHANNEL),  # N per count
-        ("force_limit", np.float64, _PER_CHANNEL),  # N
-        ("scratch", np.int64, (4,)),  # of the system calls
-        ("outbox", np.uint8, (128,)),  # the frame that is being written
-    ],
-    align=True,
-)
-"""What one exchange is worked out on. One record instead of a dozen arrays: compiled code passes it as one pointer."""
+    The number of channels is part of its type, so that loops over them are compiled for that number.
+    """
+    each = (channels,)
+    return np.dtype(
+        [
+            ("measured", np.float64, each),  # m, the newest position
+            ("before", np.float64, each),  # m, the one before
+            ("bridge", np.float64, each),  # m, between the two where positions were lost
+            ("velocity", np.float64, each),  # m/s, sensed with the newest position; 0 where not asked for
+            ("velocity_before", np.float64, each),  # m/s, with the one before
+            ("velocity_bridge", np.float64, each),  # m/s, between the two where positions were lost
+            ("asked", np.float64, each),  # N, the scene's force
+            ("position_counts", np.int64, each),
+            ("force_counts", np.int64, each),  # what excitation and guards make of it
+            ("position_scale", np.float64, each),  # m per count
+            ("velocity_scale", np.float64, each),  # (m/s) per count
+            ("force_scale", np.float64, each),  # N per count
+            ("force_limit", np.float64, each),  # N
+            ("scratch", np.int64, (4,)),  # of the system calls
+            ("outbox", np.uint8, (128,)),  # the frame that is being written
+        ],
+        align=True,
+    )
 
 
 class Statistics(NamedTuple):
@@ -96,8 +100,8 @@ class Statistics(NamedTuple):
     lateness: np.void
     """ns: of the wake-up, where the host is the clock; of the position, where the device is."""
     exchange: np.void
-    """ns: from a position's arrival until its force has left; where the host is the clock, from the force until the
-    position has arrived."""
+    """ns: from a position's arrival until its force has left; where the host is the clock, from waking up for the tick
+    until the position has arrived, the force sent in between."""
     age: np.void
     """Samples from the position that the acting force answers to the force's change."""
 
@@ -155,7 +159,7 @@ def compose_force(loop):
         loop.desk.outbox,
         0,
         schema.FORCE,
-        loop.state.sample % schema.SAMPLE_MODULUS,
+        loop.state.sample & _MODULUS_MASK,
         loop.control.time_to_live,
         loop.desk.force_counts,
     )
@@ -165,7 +169,7 @@ def compose_force(loop):
 def compose_disarm(loop):
     """Writes the frame that lets go, with zero force, into the outbox; where it ends. The last frame of every loop,
     whatever ended it."""
-    for c in range(loop.desk.channels):
+    for c in range(loop.desk.measured.size):
         loop.desk.force_counts[c] = 0
     return write_to_device(loop.wire, loop.desk.outbox, 0, schema.DISARM, 0, 0, loop.desk.force_counts)
 
@@ -185,7 +189,7 @@ def _is_news(loop):
     and passed over: the scene never goes back in time."""
     if loop.decoder.type not in (schema.POSITION, schema.POSITION_HELD):
         return False
-    gap = (loop.decoder.number - loop.state.sample) % schema.SAMPLE_MODULUS
+    gap = (loop.decoder.number - loop.state.sample) & _MODULUS_MASK
     if loop.state.ticks > 0 and (gap == 0 or gap >= schema.SAMPLE_MODULUS // 2):
         loop.state.stale_positions += 1
         return False
@@ -203,14 +207,14 @@ def _take_position(loop, now):
         state.first_ns = now
         state.due_ns = now
     flags = _count_age(loop, state) | _off_grid(loop.control, state, now)
-    gap = (loop.decoder.number - state.sample) % schema.SAMPLE_MODULUS
+    gap = (loop.decoder.number - state.sample) & _MODULUS_MASK
     if gap > 1:
         state.lost_frames += gap - 1
         flags |= BRIDGED
     if loop.control.clock == DEVICE_CLOCK:
         _note_lateness(loop, now, gap)
     elif loop.control.clock == HOST_CLOCK and state.ticks > 0:
-        note(loop.statistics.exchange, now - state.sent_ns)
+        note(loop.statistics.exchange, now - state.tick_ns)
     _move_scene(loop, gap)
     state.sample += gap
     state.newest_ns = now
@@ -225,13 +229,13 @@ def _take_position(loop, now):
 def _read_position(loop):
     """The decoder's position, and its velocity where they are on the wire, in SI units."""
     desk = loop.desk
-    for c in range(desk.channels):
+    for c in range(desk.measured.size):
         desk.position_counts[c] = loop.decoder.counts[c]
         desk.before[c] = desk.measured[c]
         desk.measured[c] = loop.decoder.counts[c] * desk.position_scale[c]
         if loop.wire.velocity:
             desk.velocity_before[c] = desk.velocity[c]
-            desk.velocity[c] = loop.decoder.counts[desk.channels + c] * desk.velocity_scale[c]
+            desk.velocity[c] = loop.decoder.counts[desk.measured.size + c] * desk.velocity_scale[c]
 
 
 @inlined
@@ -249,12 +253,12 @@ def _note_lateness(loop, now, gap):
     """How much later a position came than the earliest ones of late, by the device's own count of samples.
 
     Nobody tells when the device sampled. The grid of expected arrivals moves to every arrival that is earlier, and a
-    little, a 64th of the lateness, after every later one, so that it follows a device whose clock is slow.
+    little, a 16th of the lateness, after every later one, so that it follows a device whose clock is slow.
     """
     state = loop.state
     late = now - state.due_ns
     note(loop.statistics.lateness, late)
-    state.due_ns += (late if late < 0 else late >> 6) + gap * loop.control.period_ns
+    state.due_ns += (late if late < 0 else late >> 4) + gap * loop.control.period_ns
 
 
 @inlined
@@ -274,7 +278,7 @@ def _move_scene(loop, samples):
     for i in range(1, samples + 1):
         position, velocity = desk.measured, desk.velocity
         if i < samples:
-            for c in range(desk.channels):
+            for c in range(desk.measured.size):
                 rise, gain = desk.measured[c] - desk.before[c], desk.velocity[c] - desk.velocity_before[c]
                 desk.bridge[c] = desk.before[c] + rise * i / samples
                 desk.velocity_bridge[c] = desk.velocity_before[c] + gain * i / samples
@@ -308,17 +312,19 @@ def _push(control, tick):
 @inlined
 def _set_force(desk, control, state):
     """Adds the excitation, guards the force and turns it into counts. Returns the row's flags for it."""
-    for c in range(desk.channels):
-        desk.force[c] = desk.asked[c]
-    if control.pulse_every > 0:
-        desk.force[control.pulse_channel] += _push(control, state.ticks)
-    if not all_finite(desk.force):
-        for c in range(desk.channels):
+    push = _push(control, state.ticks) if control.pulse_every > 0 else 0.0
+    sound = True
+    limited = False
+    for c in range(desk.measured.size):
+        wanted = desk.asked[c] + push if c == control.pulse_channel else desk.asked[c]
+        sound = sound and is_finite(wanted)
+        force = cut(wanted, desk.force_limit[c])
+        limited = limited or force != wanted
+        counts = np.rint(force / desk.force_scale[c])
+        desk.force_counts[c] = np.int64(min(max(counts, -2147483647.0), 2147483647.0))
+    if not sound:
+        for c in range(desk.measured.size):
             desk.force_counts[c] = 0
         return _NOT_A_NUMBER
-    limited = cut(desk.force, desk.force_limit)
-    for c in range(desk.channels):
-        counts = np.rint(desk.force[c] / desk.force_scale[c])
-        desk.force_counts[c] = np.int64(min(max(counts, -2147483647.0), 2147483647.0))
-    state.limited_ticks += 1 if limited else 0
+    state.limited_ticks += limited
     return LIMITED if limited else 0

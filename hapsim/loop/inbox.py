@@ -20,6 +20,8 @@ def new_inbox() -> np.void:
 @inlined
 def frame_waiting(inbox, decoder):
     """Whether the bytes at hand hold a whole frame; it is then in the decoder."""
+    if inbox.start == inbox.stop:
+        return False
     inbox.start, found = next_frame(decoder, inbox.bytes, inbox.start, inbox.stop)
     return found
 

@@ -49,6 +49,7 @@ def exchange_before(loop, now, due):
     One that came after its tick was over is taken first: answered in its turn it would leave every later force a sample
     older than need be.
     """
+    loop.state.tick_ns = now
     code = take_newest_position(loop, now, 0)
     if code not in (HEARD, TIMED_OUT):
         return ending_of(code)

@@ -102,6 +102,7 @@ class PortableLoop:
             now = time.monotonic_ns()
             note(loop.statistics.lateness, now - due)
             due = int(next_due(loop, due, now))
+            loop.state["tick_ns"] = now
             # One that came after its tick was over is taken first, as in the compiled loop.
             code, newer = self._take(now)
             if code not in (HEARD, TIMED_OUT):
@@ -122,7 +123,7 @@ class PortableLoop:
         if 0 <= loop.control["ticks"] <= loop.state["ticks"]:
             return DONE
         cursor = loop.ring.cursor
-        if cursor["waits"] and cursor["head"] - cursor["tail"] > loop.ring.sample.size // 2:
+        if cursor["waits"] and cursor["head"] - cursor["tail"] > loop.ring.rows.shape[0] // 2:
             return RING_FULL
         return None
 

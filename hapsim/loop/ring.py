@@ -6,7 +6,7 @@ costs nothing, the loop returns instead so that the reader can make room (`full`
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,39 +36,33 @@ _CURSOR = np.dtype(
 )
 
 
-class Ring(NamedTuple):
-    """Rows, shape (capacity,) or (capacity, channels), and the two ends. Counts, but `asked` in N: the scene's force
-    before excitation, limit and rounding."""
+_SAMPLE, _TIME, _FLAGS, _VALUES = 0, 1, 2, 3  # columns; then C each of position, force and asked
 
-    sample: NDArray[np.int64]
-    time_ns: NDArray[np.int64]
-    flags: NDArray[np.uint8]
-    position: NDArray[np.int32]
-    force: NDArray[np.int32]
-    asked: NDArray[np.float64]
+
+class Ring(NamedTuple):
+    """Rows of one tick each, shape (capacity, 3 + 3 C), and the two ends. A row lies together in memory, which the loop
+    touches once a tick: sample, time in ns, flags, the positions and the forces in counts, and the bits of the scene's
+    force in N before excitation, limit and rounding."""
+
+    rows: NDArray[np.int64]
     cursor: np.void
 
 
 def new_ring(channels: int, capacity: int, waits: bool) -> Ring:
-    """An empty ring. `waits`: the loop returns when it is full (virtual time) instead of dropping rows."""
+    """An empty ring; `capacity` is a power of two. `waits`: the loop returns when it is full (virtual time) instead of
+    dropping rows."""
     cursor = np.zeros(1, _CURSOR)[0]
     cursor["waits"] = waits
-    return Ring(
-        np.zeros(capacity, np.int64),
-        np.zeros(capacity, np.int64),
-        np.zeros(capacity, np.uint8),
-        np.zeros((capacity, channels), np.int32),
-        np.zeros((capacity, channels), np.int32),
-        np.zeros((capacity, channels)),
-        cursor,
-    )
+    rows = np.zeros((capacity, _VALUES + 3 * channels), np.int64)
+    rows.fill(0)  # touched here: the loop meets no page that is not there yet
+    return Ring(rows, cursor)
 
 
 @inlined
 def full(ring):
     """Whether the loop has to return for want of room; with a margin, for positions that arrive several at once."""
     cursor = ring.cursor
-    return cursor.waits != 0 and cursor.head - cursor.tail > ring.sample.size // 2
+    return cursor.waits != 0 and cursor.head - cursor.tail > ring.rows.shape[0] // 2
 
 
 @inlined
@@ -76,17 +70,18 @@ def push(ring, sample, time_ns, flags, position, force, asked):
     """Writes a row, which the reader does not see before `publish`."""
     cursor = ring.cursor
     at = cursor.head + cursor.unpublished
-    if at - cursor.tail >= ring.sample.size:
+    if at - cursor.tail >= ring.rows.shape[0]:
         cursor.dropped += 1
         return
-    i = at % ring.sample.size
-    ring.sample[i] = sample
-    ring.time_ns[i] = time_ns
-    ring.flags[i] = flags
-    for c in range(ring.position.shape[1]):
-        ring.position[i, c] = position[c]
-        ring.force[i, c] = force[c]
-        ring.asked[i, c] = asked[c]
+    row = ring.rows[np.uint64(at & (ring.rows.shape[0] - 1))]
+    row[_SAMPLE] = sample
+    row[_TIME] = time_ns
+    row[_FLAGS] = flags
+    channels = (row.size - _VALUES) // 3
+    for c in range(channels):
+        row[_VALUES + c] = position[c]
+        row[_VALUES + channels + c] = force[c]
+        row[_VALUES + 2 * channels + c] = np.float64(asked[c]).view(np.int64)
     cursor.unpublished += 1
 
 
@@ -95,7 +90,7 @@ def mark_last(ring, flag):
     """Adds a flag to the row that was pushed last, while the reader cannot see it yet."""
     cursor = ring.cursor
     if cursor.unpublished > 0:
-        ring.flags[(cursor.head + cursor.unpublished - 1) % ring.sample.size] |= flag
+        ring.rows[(cursor.head + cursor.unpublished - 1) & (ring.rows.shape[0] - 1), _FLAGS] |= flag
 
 
 @inlined
@@ -120,8 +115,14 @@ class Rows(NamedTuple):
 def drain(ring: Ring) -> Rows:
     """Copies out and frees every published row."""
     tail, head = int(ring.cursor["tail"]), int(ring.cursor["head"])
-    indices = np.arange(tail, head) % ring.sample.size
-    columns: tuple[Any, ...] = ring[:-1]
-    rows = Rows(*(column[indices] for column in columns))
+    taken = ring.rows[np.arange(tail, head) & (ring.rows.shape[0] - 1)]
     ring.cursor["tail"] = head
-    return rows
+    position, force, asked = np.split(taken[:, _VALUES:], 3, axis=1)
+    return Rows(
+        sample=taken[:, _SAMPLE].copy(),
+        time_ns=taken[:, _TIME].copy(),
+        flags=taken[:, _FLAGS].astype(np.uint8),
+        position=position.astype(np.int32),
+        force=force.astype(np.int32),
+        asked=np.ascontiguousarray(asked).view(np.float64),
+    )

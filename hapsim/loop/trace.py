@@ -50,8 +50,8 @@ class Report:
     """Where the host is the clock: of the loop's wake-up, after the tick was due. Where the device is: of its position,
     after the earliest ones of late, by its own count of samples. Nothing in virtual time."""
     exchange_s: Spread
-    """From a position's arrival until its force has left; where the host is the clock, from the force until the next
-    position has arrived."""
+    """From a position's arrival until its force has left; where the host is the clock, from waking up for the tick
+    until the position has arrived, the force sent in between."""
     age_samples: Spread
     """From the position that the acting force answers to the force's change."""
     virtual_time: bool

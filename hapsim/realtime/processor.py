@@ -65,8 +65,8 @@ def _isolated() -> set[int]:
 
 
 def _clear(cpu: int) -> dict[int, set[int]]:
-    """Moves the threads of the process off `cpu` that may run elsewhere, so not the one that was just pinned to it; which
-    ones, and where they were allowed before."""
+    """Moves the threads of the process off `cpu`, but for those that may run nowhere else, as the one just pinned to
+    it; which ones, and where they were allowed before."""
     moved = {}
     for thread in _threads():
         with contextlib.suppress(OSError):  # it has ended, or has nowhere else to go

@@ -11,7 +11,16 @@ from firmware_protocol.description import Description
 from firmware_protocol.frames import armed_format
 from hapsim.cordis.program import compile_scene
 from hapsim.device.line import Line
-from hapsim.loop.exchange import CONTROL, DESK, DEVICE_CLOCK, HOST_CLOCK, NO_CLOCK, STATE, Loop, new_statistics
+from hapsim.loop.exchange import (
+    CONTROL,
+    DEVICE_CLOCK,
+    HOST_CLOCK,
+    NO_CLOCK,
+    STATE,
+    Loop,
+    desk_of,
+    new_statistics,
+)
 from hapsim.loop.parameters import parameters_of
 from hapsim.loop.ring import new_ring
 from hapsim.running.excitation import Excitation
@@ -71,16 +80,14 @@ def _control(scene: Scene, excitation: Excitation | None, duration: float | None
 
 
 def _desk(scene: Scene, description: Description) -> Any:
-    desk = np.zeros(1, DESK)[0]
-    channels = description.channels
-    desk["channels"] = channels
-    desk["position_scale"][:channels] = description.position_scale
-    desk["force_scale"][:channels] = description.force_scale
+    desk = np.zeros(1, desk_of(description.channels))[0]
+    desk["position_scale"] = description.position_scale
+    desk["force_scale"] = description.force_scale
     if scene.sensed_links:
-        desk["velocity_scale"][:channels] = description.velocity_scale
+        desk["velocity_scale"] = description.velocity_scale
     # In whole counts, so that the rounding of a force at its limit does not go beyond it, nor a count beyond 32 bits.
     scale, limit = np.array(description.force_scale), np.minimum(description.force_limit, scene.device.force_limit)
     with np.errstate(over="ignore"):
         counts = np.minimum(np.floor(limit / scale * (1.0 + 1e-12)), 2.0**31 - 1.0)
-    desk["force_limit"][:channels] = counts * scale
+    desk["force_limit"] = counts * scale
     return desk

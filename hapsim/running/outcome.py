@@ -15,11 +15,10 @@ from hapsim.scene import Scene
 
 def trace_of(scene: Scene, loop: Loop, recorder: Recorder, ending: int) -> Trace:
     """Everything that was recorded of a loop that has ended."""
-    channels = int(loop.desk["channels"])
     return recorder.trace(
         scene.rate,
-        loop.desk["position_scale"][:channels].copy(),
-        loop.desk["force_scale"][:channels].copy(),
+        loop.desk["position_scale"].copy(),
+        loop.desk["force_scale"].copy(),
         statistics_of(loop),
         _report(scene, loop, ending),
     )
@@ -44,7 +43,7 @@ def progress_of(loop: Loop) -> Progress:
         "running",
         elapsed_s=elapsed,
         rate_hz=(ticks - 1) / elapsed if elapsed > 0 else 0.0,
-        force=tuple((desk["force_counts"] * desk["force_scale"])[: int(desk["channels"])].tolist()),
+        force=tuple((desk["force_counts"] * desk["force_scale"]).tolist()),
         age_samples=int(state["age"]),
         late_ticks=int(state["late_ticks"]),
         limited_ticks=int(state["limited_ticks"]),

@@ -164,7 +164,10 @@ def start(
     if duration is not None and not 0 < duration * scene.rate < _MOST_TICKS:
         raise UsageError(f"duration: found {duration}, expected a finite number of seconds above 0")
     tell = on_progress or (lambda _: None)
-    with on_compilation(lambda name: tell(Progress("compiling", name))), open_line(scene, line, portable) as opened:
+    with (
+        on_compilation(lambda name: tell(Progress("compiling", name))),
+        open_line(scene, line, portable=portable, realtime=realtime) as opened,
+    ):
         description = describe(opened)
         require_fit(scene, opened.name, description)
         loop = assemble_loop(scene, opened, description, excitation, duration)

@@ -98,6 +98,13 @@ def test_a_device_is_said_to_feel_no_force(examination: Examination) -> None:
     assert "Nothing was found that would make it steadier." in text
 
 
+def test_no_rate_is_refused_of_which_nothing_is_known(examination: Examination) -> None:
+    unknown = Exchanges(1000.0, "host", MOCK, None, None, None, "the mock is gone")
+    text = shown(replace(examination, exchanges=(unknown,), verdicts=(verdict_on(unknown),)), 200)
+    assert "With clock: host nothing can be said of any of these rates." in text
+    assert "this machine keeps" not in text
+
+
 def test_a_terminal_without_unicode_gets_none(examination: Examination) -> None:
     assert "20.5 us" in shown(examination, encoding="ascii")
 

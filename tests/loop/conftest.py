@@ -20,11 +20,14 @@ from firmware_protocol import schema
 from firmware_protocol.decoder import Frame, frames_in, new_decoder, use_format
 from firmware_protocol.description import Description, to_registers
 from firmware_protocol.frames import SETUP, armed_format, frame_to_host
+from hapsim.device.line import Line
 from hapsim.device.mock.assemble import assemble_mock
 from hapsim.device.mock.firmware import Mock
 from hapsim.device.mock.serve import SERVICE, input_buffer, serve
 from hapsim.device.mock.terminal import serving
 from hapsim.loop.descriptor import descriptor_port
+from hapsim.loop.exchange import Loop
+from hapsim.running.assemble import assemble_loop
 from hapsim.scene import Scene, parse_scene
 
 POSITION_SCALE, FORCE_SCALE = 1e-6, 1e-3
@@ -224,3 +227,16 @@ def scripted(
 def frame() -> Callable[..., bytes]:
     """`position` above."""
     return position
+
+
+def assemble(scene: Scene) -> Loop:
+    """A loop that nobody listens to, over no device."""
+    c = scene.channels
+    description = Description("test", 1000.0, 0b111, 200, (1e-6,) * c, (1e-3,) * c, (10.0,) * c)
+    return assemble_loop(scene, Line(port=descriptor_port(0), name="test", close=lambda: None), description)
+
+
+@pytest.fixture
+def assembled() -> Callable[[Scene], Loop]:
+    """`assemble` above."""
+    return assemble

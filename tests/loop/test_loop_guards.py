@@ -10,14 +10,17 @@ import numpy as np
 import pytest
 
 from firmware_protocol import schema
+from hapsim.compiled import jit
 from hapsim.device.mock.firmware import Mock
 from hapsim.errors import GuardError, UsageError
-from hapsim.loop.guard.finite import all_finite
+from hapsim.loop.exchange import _NOT_A_NUMBER, Loop, _set_force
+from hapsim.loop.guard.finite import is_finite
 from hapsim.loop.guard.limit import cut
 from hapsim.loop.ring import LIMITED
 from hapsim.running import Excitation, run
 from hapsim.scene import Scene, parse_scene
 
+Assembled = Callable[[Scene], Loop]
 Served = Callable[[Scene], contextlib.AbstractContextManager[tuple[Scene, Mock]]]
 
 
@@ -94,21 +97,41 @@ def test_a_mass_of_the_scene_that_diverges_stops_the_loop_once_the_hand_would_fe
     assert np.isfinite(caught.value.trace.force).all()
 
 
+@jit
+def guarded(force, limit):
+    """The guards as the loop has them woven in."""
+    return is_finite(force), cut(force, limit)
+
+
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-def test_the_guard_sees_every_value_that_is_no_number_on_every_channel(value: float) -> None:
+def test_the_guard_sees_every_value_that_is_no_number(value: float) -> None:
     """It would not, were anything here compiled with fastmath."""
-    for channel in range(16):
-        force = np.zeros(16)
-        assert all_finite(force)
-        force[channel] = value
-        assert not all_finite(force)
+    assert guarded(1e300, 1.0)[0]
+    assert not guarded(value, 1.0)[0]
 
 
-def test_the_limit_cuts_to_either_side_and_leaves_the_rest_alone() -> None:
-    force, limit = np.array([0.5, -2.0, 3.0, 1.0, -1.0]), np.array([1.0, 1.5, 2.5, 1.0, 1.0])
-    assert cut(force, limit)
-    assert force.tolist() == [0.5, -1.5, 2.5, 1.0, -1.0]
-    assert not cut(force, limit)
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+@pytest.mark.parametrize("channel", [0, 1, 15])
+def test_one_channel_without_a_number_stops_them_all(
+    assembled: Assembled, scene_of: Callable[..., Scene], value: float, channel: int
+) -> None:
+    loop = assembled(scene_of(16))
+    loop.desk["asked"][:] = 1.0
+    assert force_flags(loop) == 0
+    assert np.all(loop.desk["force_counts"] == 1000)
+    loop.desk["asked"][channel] = value
+    assert force_flags(loop) == _NOT_A_NUMBER
+    assert not loop.desk["force_counts"].any()
+
+
+@jit
+def force_flags(loop):
+    return _set_force(loop.desk, loop.control, loop.state)
+
+
+@pytest.mark.parametrize(("force", "held"), [(0.5, 0.5), (-2.0, -1.5), (3.0, 1.5), (1.5, 1.5), (-1.5, -1.5)])
+def test_the_limit_cuts_to_either_side_and_leaves_the_rest_alone(force: float, held: float) -> None:
+    assert guarded(force, 1.5)[1] == held
 
 
 @pytest.mark.parametrize("duration", [0.0, -1.0, float("nan"), float("inf"), 1e300])

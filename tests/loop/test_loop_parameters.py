@@ -9,17 +9,14 @@ import pytest
 from numpy.typing import NDArray
 
 import hapsim
-from firmware_protocol.description import Description
 from hapsim.compiled import jit
 from hapsim.cordis.program import parameter_values
-from hapsim.device.line import Line
-from hapsim.loop.descriptor import descriptor_port
 from hapsim.loop.exchange import Loop, _move_scene
 from hapsim.loop.parameters import post
-from hapsim.running.assemble import assemble_loop
 from hapsim.scene import Scene
 
 SceneOf = Callable[..., Scene]
+Assembled = Callable[[Scene], Loop]
 T = 1e-3
 RNG = np.random.default_rng(4)
 
@@ -28,12 +25,6 @@ RNG = np.random.default_rng(4)
 def one_sample(loop):
     """The loop's own way from one sample to the next, without a device."""
     _move_scene(loop, 1)
-
-
-def assembled(scene: Scene) -> Loop:
-    c = scene.channels
-    description = Description("test", 1000.0, 0b111, 200, (1e-6,) * c, (1e-3,) * c, (10.0,) * c)
-    return assemble_loop(scene, Line(port=descriptor_port(0), name="test", close=lambda: None), description)
 
 
 def forces_at(loop: Loop, positions: Iterable[float]) -> NDArray[np.float64]:
@@ -49,7 +40,7 @@ def forces_at(loop: Loop, positions: Iterable[float]) -> NDArray[np.float64]:
 @pytest.mark.parametrize("damper", ["backward", "centred"])
 @pytest.mark.parametrize("samples", [1, 2, 7, 100])
 def test_a_change_is_there_when_it_was_said_and_begins_and_ends_without_a_kink(
-    scene_of: SceneOf, samples: int, damper: str
+    assembled: Assembled, scene_of: SceneOf, samples: int, damper: str
 ) -> None:
     loop = assembled(scene_of(stiffness=1000.0, damping=0.0, damper=damper))
     still = forces_at(loop, [0.01] * 5)
@@ -62,7 +53,9 @@ def test_a_change_is_there_when_it_was_said_and_begins_and_ends_without_a_kink(
     assert forces_at(loop, [0.01] * 3).tolist() == [-4.0] * 3
 
 
-def test_no_value_moves_by_more_than_one_and_a_half_nth_of_its_way_in_a_sample(scene_of: SceneOf) -> None:
+def test_no_value_moves_by_more_than_one_and_a_half_nth_of_its_way_in_a_sample(
+    assembled: Assembled, scene_of: SceneOf
+) -> None:
     loop = assembled(scene_of(stiffness=1000.0, damping=0.0))
     forces_at(loop, [0.01])
     post(loop.parameters, parameter_values(scene_of(stiffness=0.0, damping=0.0)), 50)
@@ -70,7 +63,9 @@ def test_no_value_moves_by_more_than_one_and_a_half_nth_of_its_way_in_a_sample(s
     assert 10.0 * 1.4 / 50 < steps.max() <= 10.0 * 1.5 / 50
 
 
-def test_a_change_that_comes_during_another_goes_on_from_where_the_values_are(scene_of: SceneOf) -> None:
+def test_a_change_that_comes_during_another_goes_on_from_where_the_values_are(
+    assembled: Assembled, scene_of: SceneOf
+) -> None:
     loop = assembled(scene_of(stiffness=1000.0, damping=0.0))
     forces_at(loop, [0.01])
     post(loop.parameters, parameter_values(scene_of(stiffness=0.0, damping=0.0)), 10)
@@ -82,7 +77,9 @@ def test_a_change_that_comes_during_another_goes_on_from_where_the_values_are(sc
     np.testing.assert_allclose(forces_at(loop, [0.01] * 4), expected, rtol=1e-12)
 
 
-def test_a_ground_that_moves_is_felt_through_its_damper_and_then_stands_still(scene_of: SceneOf) -> None:
+def test_a_ground_that_moves_is_felt_through_its_damper_and_then_stands_still(
+    assembled: Assembled, scene_of: SceneOf
+) -> None:
     scene = scene_of(stiffness=1000.0, damping=2.0)
     wall = scene.modules["wall"].model_copy(update={"position": 0.005})
     there = scene.model_copy(update={"modules": {**scene.modules, "wall": wall}})
@@ -97,7 +94,9 @@ def test_a_ground_that_moves_is_felt_through_its_damper_and_then_stands_still(sc
     assert forces_at(loop, [0.0] * 3).tolist() == [5.0] * 3
 
 
-def test_while_a_set_is_being_written_the_loop_goes_on_with_what_it_has(scene_of: SceneOf) -> None:
+def test_while_a_set_is_being_written_the_loop_goes_on_with_what_it_has(
+    assembled: Assembled, scene_of: SceneOf
+) -> None:
     loop = assembled(scene_of(stiffness=1000.0, damping=0.0))
     mail = loop.parameters.mail
     mail["posted"] += 1

@@ -83,7 +83,7 @@ def by_matrices(scene: Scene, measured: np.ndarray) -> tuple[np.ndarray, np.ndar
 def by_the_tick(scene: Scene, measured: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     program = compile_scene(scene)
     start(program, measured[0])
-    first = program.masses.start
+    first = program.grounds.start + program.grounds.rest.size
     forces, positions = np.zeros_like(measured), np.zeros((len(measured), len(scene.masses)))
     for n in range(len(measured)):
         tick(program, measured[n], np.zeros(measured.shape[1]), forces[n])

@@ -12,8 +12,8 @@ import pytest
 
 import hapsim
 from hapsim.errors import UsageError
-from hapsim.loop.ring import BRIDGED, HELD
 from hapsim.loop.histogram import histogram_of, new_histogram
+from hapsim.loop.ring import BRIDGED, HELD
 from hapsim.loop.trace import Report, Statistics, Trace
 from hapsim.measuring.identify import identify
 from hapsim.running import run

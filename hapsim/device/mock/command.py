@@ -17,19 +17,23 @@ from hapsim.scene import Scene
 
 
 def serve_until_stopped(
-    scene: Scene, link: Path | None, announce: Callable[[str], None], tell: Callable[[Progress], None]
+    scene: Scene,
+    link: Path | None,
+    announce: Callable[[str], None],
+    tell: Callable[[Progress], None],
+    as_hardware: bool = False,
 ) -> None:
     """Serves the scene's mock; `announce(path)` once it answers. SIGINT, SIGTERM and SIGHUP end it in good order.
 
     `link`: a further name for the port, made as a symbolic link and taken away at the end. UsageError where that name
-    is taken.
+    is taken. `as_hardware`: before every other program, where the system grants that.
     """
     stopped = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, lambda _number, _frame: stopped.set())
     with (
         on_compilation(lambda name: tell(Progress("compiling", name))),
-        serving(assemble_mock(scene)) as path,
+        serving(assemble_mock(scene), as_hardware) as path,
         _linked(link, path) as name,
     ):
         announce(name)

@@ -11,6 +11,7 @@ import os
 import threading
 import tty
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 
@@ -19,11 +20,16 @@ from hapsim.device.mock.firmware import Mock
 from hapsim.device.mock.serve import SERVICE, input_buffer, serve
 from hapsim.errors import DeviceError
 from hapsim.loop.descriptor import descriptor_port
+from hapsim.realtime.scheduling import fifo
+from hapsim.realtime.slack import no_timer_slack
 
 
 @contextlib.contextmanager
-def serving(mock: Mock) -> Iterator[str]:
-    """Serves `mock` from a thread of its own while open; the path of its port. DeviceError where none is to be had."""
+def serving(mock: Mock, as_hardware: bool = False) -> Iterator[str]:
+    """Serves `mock` from a thread of its own while open; the path of its port. DeviceError where none is to be had.
+
+    `as_hardware`: before every program of this machine, where the system grants that: a device's timer waits for none.
+    """
     try:
         near, far = os.openpty()
     except OSError as error:
@@ -36,13 +42,19 @@ def serving(mock: Mock) -> Iterator[str]:
         arguments = (descriptor_port(near), mock, service, input_buffer(), np.zeros(4, np.int64))
         # Compiled before anybody can knock: a host does not wait for as long as the first compilation takes.
         compile_for(serve, *arguments)
-        thread = threading.Thread(target=serve, args=arguments, name="mock device")
+        thread = threading.Thread(target=_serve, args=arguments, name="mock device")
         thread.start()
         try:
-            yield os.ttyname(far)
+            with fifo(thread.native_id or 0) if as_hardware else contextlib.nullcontext():
+                yield os.ttyname(far)
         finally:
             service["stop"] = 1
             thread.join()
     finally:
         os.close(near)
         os.close(far)
+
+
+def _serve(*arguments: Any) -> None:
+    no_timer_slack()
+    serve(*arguments)

@@ -8,9 +8,6 @@ from hapsim.compiled import inlined
 
 
 @inlined
-def all_finite(force):
-    """Whether every channel's force is a number."""
-    for f in force:  # noqa: SIM110  compiled: a plain loop
-        if not math.isfinite(f):
-            return False
-    return True
+def is_finite(force):
+    """Whether a force is a number."""
+    return math.isfinite(force)

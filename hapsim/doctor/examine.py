@@ -1,0 +1,162 @@
+"""The examination: wake-ups and exchanges, rate after rate, and what they come to."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from hapsim.device.open_line import LineKind
+from hapsim.doctor import words
+from hapsim.doctor.advice import Advice, Case, advice_on
+from hapsim.doctor.exchanges import MOCK, Exchanges, Run, Trial, exchanges, trials
+from hapsim.doctor.load import Load, cpu_times, load_between
+from hapsim.doctor.machine import Machine, machine_of
+from hapsim.doctor.step import Step, Tell
+from hapsim.doctor.tree import Tree
+from hapsim.doctor.verdict import Verdict, best_rate, verdict_on
+from hapsim.doctor.wakeups import wake_up_lateness
+from hapsim.errors import UsageError
+from hapsim.loop.histogram import Histogram
+from hapsim.scene import Scene, parse_scene
+
+if TYPE_CHECKING:
+    from hapsim.realtime import Grant
+
+RATES_HZ = (1000.0, 2000.0, 4000.0, 10000.0)
+_SHIPPED = "first_touch.yaml"
+
+
+@dataclass(frozen=True)
+class Examination:
+    """What a machine was found to be, and to keep up with."""
+
+    scene: str
+    """The file of the scene that ran."""
+    rate_hz: float
+    """The scene's own."""
+    seconds: float
+    """How long each measurement took."""
+    machine: Machine
+    grants: tuple[Grant, ...] | None
+    """What was asked for of real time; None where nothing was."""
+    wakeups: dict[float, Histogram]
+    """By rate (Hz): how late (s) a thread was woken up."""
+    exchanges: tuple[Exchanges, ...]
+    verdicts: tuple[Verdict, ...]
+    """One for each of `exchanges`."""
+    load: Load | None
+    advice: tuple[Advice, ...]
+
+    @property
+    def best_rates(self) -> dict[str, float | None]:
+        """By clock: the fastest rate (Hz) that this machine keeps on the mock; empty where a device was examined."""
+        clocks = dict.fromkeys(verdict.clock for verdict in self.verdicts if verdict.where == MOCK)
+        return {clock: best_rate(self.verdicts, clock) for clock in clocks}
+
+    @property
+    def device_failed(self) -> Exchanges | None:
+        """The run whose device, on a port, failed; None where none did."""
+        return next((run for run in self.exchanges if run.failure and run.where != MOCK), None)
+
+
+def examine(
+    scene: Scene | None,
+    *,
+    seconds: float = 2.0,
+    rates: tuple[float, ...] = RATES_HZ,
+    realtime: bool = False,
+    line: LineKind = "auto",
+    on_progress: Callable[[Step], None] | None = None,
+    tree: Tree | None = None,
+    run: Run | None = None,
+) -> Examination:
+    """How steady this machine is for a haptic loop.
+
+    First a thread sleeps to a grid of each of `rates` (Hz), and of the scene's own, and it is counted how late it is
+    woken up. Then `scene` (None: the shipped first_touch) runs: on its device where it names a port and `line` is
+    "auto", at its own rate and with no force whatever; otherwise on the mock, at every rate and under either clock.
+    Each of these takes `seconds`. `realtime`: with what this user may have of real time. `tree`, `run`: in place of
+    this system's files and of hapsim.run, for tests.
+
+    A run that fails is part of the answer. Raises UsageError for rates and times that cannot be measured, and where a
+    scene and its device do not go together.
+    """
+    if line == "loopback":
+        raise UsageError("--line: found loopback, which has no time of its own; expected terminal, or nothing")
+    scene, tree = scene or _shipped(), tree or Tree()
+    rates = tuple(sorted({*rates, scene.rate}))
+    to_run = trials(scene, rates, line)
+    granted: list[list[Grant]] = []
+    steps = _Steps(len(rates) + len(to_run), seconds, on_progress)
+    before = cpu_times(tree)
+    wakeups = {
+        rate: wake_up_lateness(
+            rate,
+            seconds,
+            steps.next(f"wake-ups at {words.rate(rate)}"),
+            realtime=realtime,
+            on_grants=granted.append,
+        )
+        for rate in rates
+    }
+    ran = tuple(
+        exchanges(trial, seconds, steps.next(_named(trial)), run or _hapsim_run(), realtime=realtime)
+        for trial in to_run
+    )
+    machine = machine_of(tree)
+    load = load_between(before, cpu_times(tree), machine.cores_online, tree)
+    verdicts = tuple(map(verdict_on, ran))
+    grants = tuple(granted[-1]) if realtime else None
+    case = Case(
+        tree=tree,
+        machine=machine,
+        port=scene.device.port if to_run[0].where != MOCK else None,
+        grants=grants,
+        worst_wakeup_s=max(histogram.maximum for histogram in wakeups.values()),
+        keeps_up=all(verdict.answer == "yes" for verdict in verdicts),
+        load=load,
+    )
+    return Examination(
+        scene=scene.path or _SHIPPED,
+        rate_hz=scene.rate,
+        seconds=seconds,
+        machine=machine,
+        grants=grants,
+        wakeups=wakeups,
+        exchanges=ran,
+        verdicts=verdicts,
+        load=load,
+        advice=tuple(advice_on(case)),
+    )
+
+
+class _Steps:
+    """Counts measurements, and tells how far each is."""
+
+    def __init__(self, of: int, seconds: float, tell: Callable[[Step], None] | None) -> None:
+        self._of, self._seconds, self._number = of, seconds, 0
+        self._tell = tell or (lambda _: None)
+
+    def next(self, what: str) -> Tell:
+        """Begins a measurement; returns what is to be told how far it is."""
+        self._number += 1
+        number = self._number
+        return lambda elapsed, compiling: self._tell(Step(number, self._of, what, elapsed, self._seconds, compiling))
+
+
+def _named(trial: Trial) -> str:
+    where = "the mock" if trial.where == MOCK else trial.where
+    return f"exchanges at {words.rate(trial.scene.rate)}, clock: {trial.scene.device.clock}, on {where}"
+
+
+def _shipped() -> Scene:
+    from hapsim.shipped import shipped_scene
+
+    return parse_scene(shipped_scene(_SHIPPED), _SHIPPED)
+
+
+def _hapsim_run() -> Run:
+    import hapsim
+
+    return hapsim.run

@@ -1,0 +1,150 @@
+"""How late this machine wakes up a program that sleeps to a grid: what every real-time loop stands on."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hapsim.compiled import compile_for, jit, on_compilation
+from hapsim.doctor.step import Tell
+from hapsim.errors import HapsimError, UsageError
+from hapsim.loop.histogram import Histogram, histogram_of, new_histogram, note
+from hapsim.loop.system import now_ns, sleep_until
+
+if TYPE_CHECKING:
+    from hapsim.realtime import Grant
+
+_LOOK_S = 0.05
+_SLOWEST_HZ, _FASTEST_HZ = 1.0, 1e5
+
+GRID = np.dtype(
+    [
+        ("stop", np.int64),  # set by another thread, looked at after each wake-up
+        ("due_ns", np.int64),  # the next point of the grid
+        ("end_ns", np.int64),  # the last one
+        ("period_ns", np.int64),
+        ("wakeups", np.int64),
+        ("restarts", np.int64),  # how often the grid started anew, a whole period late
+        ("scratch", np.int64, (4,)),  # of the system calls
+    ],
+    align=True,
+)
+
+
+@jit
+def sleep_on_grid(grid: Any, lateness: Any) -> None:
+    """Sleeps to every point of a grid (a GRID record) and counts how late, in ns, it was woken up.
+
+    A wake-up that is a whole period late starts the grid anew, as the loop does (hapsim/loop/paced_by_host.py).
+    """
+    while grid.due_ns <= grid.end_ns and not grid.stop:
+        sleep_until(grid.due_ns, grid.scratch)
+        now = now_ns(grid.scratch)
+        note(lateness, now - grid.due_ns)
+        grid.wakeups += 1
+        grid.due_ns += grid.period_ns
+        if now >= grid.due_ns:
+            grid.restarts += 1
+            grid.due_ns = now + grid.period_ns
+
+
+def wake_up_lateness(
+    rate_hz: float,
+    seconds: float,
+    on_progress: Tell | None = None,
+    *,
+    realtime: bool = False,
+    on_grants: Callable[[list[Grant]], None] | None = None,
+) -> Histogram:
+    """How late (s) a thread is woken up that sleeps to a grid of `rate_hz`, for so many `seconds`.
+
+    It counts `rate_hz * seconds` wake-ups, fewer where some came a whole period late. `realtime`: the thread first asks
+    for real-time scheduling; what it was granted is told to `on_grants`. Interrupted by an exception, as by Ctrl-C, it
+    ends at the next wake-up.
+
+    Raises:
+        UsageError: the rate is not between 1 Hz and 100 kHz, or there is not one period in the time.
+    """
+    if not _SLOWEST_HZ <= rate_hz <= _FASTEST_HZ:
+        raise UsageError(
+            f"rate: found {rate_hz:g} Hz, expected {_SLOWEST_HZ:g} to {_FASTEST_HZ:g} Hz: the wake-ups of others are "
+            "not worth counting"
+        )
+    if not 1.0 <= rate_hz * seconds < 1e12:
+        raise UsageError(f"seconds: found {seconds:g}, expected a finite time of at least a period of {rate_hz:g} Hz")
+    grid, lateness = _new_grid(rate_hz), new_histogram()
+    tell = on_progress or (lambda *_: None)
+    with on_compilation(lambda name: tell(0.0, name)):
+        compile_for(sleep_on_grid, grid, lateness)
+    _sleep_in_thread(grid, lateness, round(rate_hz * seconds), tell, realtime, on_grants or (lambda _: None))
+    return histogram_of(lateness, 1e-9)
+
+
+def _new_grid(rate_hz: float) -> np.void:
+    grid: np.void = np.zeros(1, GRID)[0]
+    grid["period_ns"] = round(1e9 / rate_hz)
+    return grid
+
+
+def _sleep_in_thread(
+    grid: Any,
+    lateness: np.void,
+    count: int,
+    tell: Tell,
+    realtime: bool,
+    on_grants: Callable[[list[Grant]], None],
+) -> None:
+    """Sleeps in a thread of its own, beside which this one hears Ctrl-C and tells how far it is."""
+    failures: list[BaseException] = []
+
+    def work() -> None:
+        try:
+            with _punctual(realtime) as grants:
+                on_grants(grants)
+                _lay(grid, count)
+                sleep_on_grid(grid, lateness)
+        except BaseException as failure:
+            failures.append(failure)
+
+    thread = threading.Thread(target=work, name="wake-ups")
+    thread.start()
+    try:
+        while thread.is_alive():
+            thread.join(_LOOK_S)
+            tell(int(grid["wakeups"]) * int(grid["period_ns"]) * 1e-9, "")
+    finally:
+        grid["stop"] = 1
+        thread.join()
+    if failures:
+        raise (
+            failures[0]
+            if isinstance(failures[0], HapsimError)
+            else HapsimError(f"the thread that was to be woken up failed: {failures[0]}")
+        ) from failures[0]
+
+
+def _lay(grid: Any, count: int) -> None:
+    """A grid of `count` points from now on."""
+    import time
+
+    now, period = time.clock_gettime_ns(time.CLOCK_MONOTONIC), int(grid["period_ns"])
+    grid["due_ns"], grid["end_ns"] = now + period, now + count * period
+
+
+@contextlib.contextmanager
+def _punctual(realtime: bool) -> Iterator[list[Grant]]:
+    """While open, this thread is woken up as punctually as it may: at the least without the kernel's slack of 50 µs."""
+    from hapsim.realtime.slack import no_timer_slack
+
+    no_timer_slack()
+    if not realtime:
+        yield []
+        return
+    from hapsim.realtime import realtime as in_real_time
+
+    with in_real_time(threading.get_native_id()) as grants:
+        yield list(grants)

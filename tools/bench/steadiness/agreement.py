@@ -1,0 +1,42 @@
+"""Before anything is measured: the C loop sends the same bytes as hapsim, or it does not do the same job."""
+
+from __future__ import annotations
+
+from steadiness.bench import Bench
+from steadiness.mock import mock_device
+from steadiness.processes import PeerError
+from steadiness.record import COMPILED, NO_LOAD, PORTABLE, C
+
+_EXCHANGES = 3 * 4096 + 17
+_TICKS = 20_000
+_AMPLITUDES = (0.004, 0.008)  # m: the second one is cut to the force's limit now and then
+
+
+def require_agreement(bench: Bench) -> list[str]:
+    """Runs every peer once, which compiles what is not yet compiled. Raises PeerError where two of them differ. Which
+    loops were compared, in sentences."""
+    for amplitude in _AMPLITUDES:
+        bench.tell(f"the same answers in memory, {1e3 * amplitude:g} mm?")
+        told = {peer: bench.compute(peer, _EXCHANGES, amplitude) for peer in bench.peers(C, COMPILED)}
+        for what in ("frames_crc32", "answers_crc32", "limited"):
+            _require_one(f"in memory, {1e3 * amplitude:g} mm, {what}", {p: t[what] for p, t in told.items()})
+    told = {}
+    for peer in bench.peers(C, COMPILED, PORTABLE):
+        bench.tell(f"the same forces against the same device? {peer}")
+        with mock_device(bench.scenes["lockstep"], bench.device_cpus) as port:
+            result = bench.run(peer, "lockstep", port, NO_LOAD, ticks=_TICKS)
+        if result is None:
+            bench.leave_out(peer, "hapsim.run takes no portable=True here: its column stays empty.")
+        else:
+            told[peer] = result
+    for what in ("forces_crc32", "positions_crc32", "ticks"):
+        _require_one(f"on a port, {what}", {p: t[what] for p, t in told.items()})
+    return [
+        f"{', '.join(bench.peers(C, COMPILED))}: the same answers to {_EXCHANGES} positions in memory, byte for byte",
+        f"{', '.join(told)}: the same {_TICKS} forces in virtual time against the mock",
+    ]
+
+
+def _require_one(what: str, values: dict[str, object]) -> None:
+    if len(set(values.values())) > 1:
+        raise PeerError(f"{what}: the peers do not do the same job: {values}")

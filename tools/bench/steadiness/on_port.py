@@ -1,0 +1,83 @@
+"""hapsim's own loop on a port, beside a load in the same process."""
+
+from __future__ import annotations
+
+import time
+import zlib
+from pathlib import Path
+from typing import Any
+
+import hapsim
+from hapsim.errors import RunError
+from hapsim.loop.trace import Trace
+from steadiness.loads import Load, loaded
+
+
+def run_on_port(
+    scene: str, port: str, load: str, portable: bool, ticks: int = 0, seconds: float = 0.0
+) -> dict[str, Any] | None:
+    """`ticks` samples, or 0: as many as there are in so many `seconds`. None where there is no portable loop."""
+    loaded_scene = hapsim.load_scene(Path(scene))
+    device = loaded_scene.device.model_copy(update={"port": port})
+    loaded_scene = loaded_scene.model_copy(update={"device": device})
+    options: dict[str, Any] = {"portable": True} if portable else {}
+    with loaded(load) as at_work:
+        try:
+            trace = hapsim.run(
+                loaded_scene,
+                duration=ticks / loaded_scene.rate if ticks else None,
+                on_start=lambda _session: at_work.go.set(),
+                while_running=None if ticks else _Stopper(seconds, at_work),
+                on_progress=lambda _progress: None,
+                **options,
+            )
+        except RunError as error:  # the device let go, or went silent: that is a result
+            if error.trace is None:
+                raise
+            trace = error.trace
+        except TypeError:
+            if portable:
+                return None
+            raise
+    return _result(trace) | at_work.summary()
+
+
+class _Stopper:
+    """Stops a run some seconds after it began, and its load: what is measured is the loop, not how hapsim says goodbye
+    to the device."""
+
+    def __init__(self, seconds: float, load: Load) -> None:
+        self._end = 0.0
+        self._seconds, self._load = seconds, load
+
+    def __call__(self, session: Any) -> None:
+        self._end = self._end or time.monotonic() + self._seconds
+        if time.monotonic() >= self._end:
+            session.stop()
+            self._load.stop = True
+
+
+def _result(trace: Trace) -> dict[str, Any]:
+    report = trace.report
+    # The report tells of virtual time; here the clock on the wall counts.
+    taken = 1e-9 * float(trace.time_ns[-1] - trace.time_ns[0]) if trace.time_ns.size > 1 else 0.0
+    return {
+        "ending": report.ending,
+        "ticks": report.ticks,
+        "seconds": taken,
+        "exchanges_per_second": (trace.time_ns.size - 1) / taken if taken else 0.0,
+        "late": report.late_ticks,
+        "lost": report.lost_frames,
+        "stale": report.stale_positions,
+        "exchange_ns": _in_ns(report.exchange_s),
+        "lateness_ns": _in_ns(report.lateness_s),
+        "age_samples": vars(report.age_samples),
+        "forces_crc32": zlib.crc32(trace.force_counts.tobytes()),
+        "positions_crc32": zlib.crc32(trace.position_counts.tobytes()),
+    }
+
+
+def _in_ns(spread: Any) -> dict[str, float] | None:
+    if not spread.count:
+        return None
+    return {name: 1e9 * getattr(spread, name) for name in ("p50", "p99", "p999", "max")}
