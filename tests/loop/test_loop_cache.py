@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numba
@@ -126,3 +129,36 @@ def test_old_builds_are_forgotten_and_the_newest_kept(package: Path, cache: Path
         newest = directory_for(package)
     assert newest in cache.iterdir()
     assert len(list(cache.iterdir())) <= compiled._KEPT
+
+
+def test_what_another_program_left_in_the_cache_is_compiled_anew(tmp_path: Path) -> None:
+    """numba's index of what was kept names the types of a port that only the other program has."""
+    program = (
+        "import sys; sys.path.insert(0, {where!r})\n"
+        "import numpy as np\n"
+        "{port}\n"
+        "from hapsim.compiled import compile_for\n"
+        "from hapsim.loop.port import send_from\n"
+        "compile_for(send_from, {argument}, np.zeros(4, np.uint8), 1)\n"
+        "print('compiled')\n"
+    )
+    (tmp_path / "theirs.py").write_text(
+        "from typing import NamedTuple\n"
+        "from hapsim.compiled import inlined\n"
+        "from hapsim.loop.port import transport\n"
+        "class TheirPort(NamedTuple):\n    number: int\n"
+        "@inlined\ndef take(port, buffer, start, timeout_ns):\n    return 0\n"
+        "@inlined\ndef give(port, buffer, stop):\n    return 0\n"
+        "transport(TheirPort, take, give)\n",
+        encoding="utf-8",
+    )
+    ours = program.format(
+        where="", port="from hapsim.loop.descriptor import descriptor_port", argument="descriptor_port(0)"
+    )
+    theirs = program.format(where=str(tmp_path), port="from theirs import TheirPort", argument="TheirPort(1)")
+    environment = os.environ | {"XDG_CACHE_HOME": str(tmp_path / "cache")}
+    for text in (theirs, ours, ours):
+        done = subprocess.run(
+            [sys.executable, "-c", text], env=environment, capture_output=True, text=True, check=False
+        )
+        assert done.stdout == "compiled\n", done.stderr

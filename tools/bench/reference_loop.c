@@ -447,7 +447,7 @@ static inline int set_force(loop *l, double asked) {
 static inline void note_lateness(loop *l, int64_t now, int64_t gap) {
     const int64_t late = now - l->due;
     note(&l->lateness, late);
-    l->due += (late < 0 ? late : late >> 6) + gap * l->period;
+    l->due += (late < 0 ? late : late >> 4) + gap * l->period;
 }
 
 static inline uint8_t timing_flags(loop *l, int64_t now, int64_t gap) {

@@ -75,7 +75,12 @@ def _lateness(axes: Axes, records: Records) -> None:
         for i, peer in enumerate(_SLEEPING):
             x = rates.index(case.rate_hz) + (i - 1) * 0.13 + (0.21 if case.scheduling == FIFO else -0.21)
             _stroke(axes, x, records, case, peer)
+    from matplotlib.ticker import FormatStrFormatter, LogLocator, NullLocator
+
     axes.set_yscale("log")
+    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 3.0, 4.0, 6.0)))
+    axes.yaxis.set_major_formatter(FormatStrFormatter("%g"))
+    axes.yaxis.set_minor_locator(NullLocator())
     axes.yaxis.set_major_formatter(_plain)
     axes.yaxis.set_minor_formatter(_plain_where_rare)
     axes.set_xticks(range(len(rates)), [f"{rate / 1000:g} kHz" for rate in rates])

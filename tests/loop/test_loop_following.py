@@ -1,0 +1,107 @@
+"""A scene's file is followed while the scene runs."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import hapsim
+from hapsim.running import Session
+from hapsim.running.following import FollowedFile
+from hapsim.scene import load_scene
+
+TEXT = """\
+version: 1
+rate: 1000
+device: {mass: 0.2, clock: lockstep, friction: 1.0}
+modules:
+  hand:  {type: device, channel: 0}
+  wall:  {type: ground, position: 0.0}
+  touch: {type: viscoelastic, between: [hand, wall], stiffness: 1000, damping: 2}
+"""
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    (tmp_path / "scene.yaml").write_text(TEXT, encoding="utf-8")
+    return tmp_path / "scene.yaml"
+
+
+@pytest.fixture
+def session(path: Path) -> Iterator[Session]:
+    with hapsim.start(load_scene(path)) as session:
+        yield session
+
+
+def edit(path: Path, old: str, new: str) -> None:
+    """As an editor does: a new file under the old name, and a time of its own however fast the test is."""
+    text = path.read_text(encoding="utf-8")
+    assert old in text
+    before = path.stat().st_mtime_ns
+    path.write_text(text.replace(old, new), encoding="utf-8")
+    os.utime(path, ns=(before + 10**9, before + 10**9))
+
+
+def test_a_file_that_nobody_touches_is_no_news(path: Path, session: Session) -> None:
+    file = FollowedFile(str(path))
+    assert file.look(session) is None
+    assert file.look(session) is None
+
+
+def test_what_is_edited_is_adopted_and_told_once(path: Path, session: Session) -> None:
+    file = FollowedFile(str(path))
+    edit(path, "stiffness: 1000, damping: 2", "stiffness: 500, damping: 3")
+    edit(path, "position: 0.0", "position: 0.01")
+    news = file.look(session)
+    assert news is not None
+    assert news.changed == ("wall.position 0 → 0.01", "touch.stiffness 1000 → 500", "touch.damping 2 → 3")
+    assert session.scene.links["touch"].stiffness == 500.0  # type: ignore[attr-defined]
+    assert file.look(session) is None
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "sentence"),
+    [
+        ("stiffness: 1000", "stiffness: -1", "scene.yaml:7:65: stiffness: found -1, expected a number >= 0"),
+        ("mass: 0.2", "mass: 0.3", "device cannot change while the scene runs"),
+        ("version: 1", "version: [", "scene.yaml:"),
+    ],
+)
+def test_what_cannot_be_changes_nothing_and_is_told_once(
+    path: Path, session: Session, old: str, new: str, sentence: str
+) -> None:
+    file, before = FollowedFile(str(path)), session.scene
+    edit(path, old, new)
+    news = file.look(session)
+    assert news is not None
+    assert sentence in news.refused
+    assert not news.changed
+    assert session.scene == before
+    assert file.look(session) is None
+    edit(path, new, old)
+    assert file.look(session) is not None
+
+
+def test_a_file_that_is_gone_for_a_moment_is_waited_for(path: Path, session: Session) -> None:
+    file = FollowedFile(str(path))
+    text = path.read_text(encoding="utf-8")
+    path.unlink()
+    assert file.look(session) is None
+    path.write_text(text.replace("1000, damping", "700, damping"), encoding="utf-8")
+    news = file.look(session)
+    assert news is not None
+    assert news.changed == ("touch.stiffness 1000 → 700",)
+
+
+def test_the_port_of_the_command_counts_more_than_the_files(path: Path, served: Callable[..., Any]) -> None:
+    with served(load_scene(path)) as (scene, _), hapsim.start(scene) as session:
+        file = FollowedFile(str(path))
+        edit(path, "stiffness: 1000", "stiffness: 400")
+        news = file.look(session)
+        assert news is not None
+        assert news.changed == ("touch.stiffness 1000 → 400",)
+        assert session.scene.device.port == scene.device.port
