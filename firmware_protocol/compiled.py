@@ -119,7 +119,9 @@ def _build_directory(packages: tuple[Path, ...]) -> Path | None:
 def _is_ours(directory: Path) -> bool:
     """Whether nobody else can put code there, which would then run as ours: numba's index files are pickles."""
     status = directory.lstat()
-    mine = stat.S_ISDIR(status.st_mode) and status.st_uid == _user() and not status.st_mode & stat.S_IWOTH
+    mine = (
+        stat.S_ISDIR(status.st_mode) and status.st_uid == _user() and not status.st_mode & (stat.S_IWOTH | stat.S_IWGRP)
+    )
     return mine and os.access(directory, os.W_OK)
 
 

@@ -73,6 +73,7 @@ def run(
     from hapsim.errors import RunError
     from hapsim.loop.trace import require_writable_as_trace
     from hapsim.running import run as run_scene
+    from hapsim.running.signals import undisturbed
 
     loaded = _scene(scene, port)
     if record is not None:
@@ -99,17 +100,18 @@ def run(
         if error.trace is None:
             raise
         failure, trace = error, error.trace
-    if record is not None:
-        trace.save(record)
-    if json:
-        from hapsim.console.as_json import document, report_document
-
-        problem = {} if failure is None else {"error": str(failure), "exit_status": failure.exit_status}
-        print(document(report_document(trace.report, attendant.grants) | problem))
-    else:
-        show_report(_stdout(), trace.report)
+    with undisturbed():
         if record is not None:
-            print(f"Trace: {record}")
+            trace.save(record)
+        if json:
+            from hapsim.console.as_json import document, report_document
+
+            problem = {} if failure is None else {"error": str(failure), "exit_status": failure.exit_status}
+            print(document(report_document(trace.report, attendant.grants) | problem))
+        else:
+            show_report(_stdout(), trace.report)
+            if record is not None:
+                print(f"Trace: {record}")
     if failure is not None:
         _complain(failure)
         raise typer.Exit(failure.exit_status)

@@ -34,12 +34,15 @@ def examination_line(error: Console) -> Iterator[Callable[[Step], None]]:
         with error.status("starting") as status:
             yield lambda step: status.update(_now(step))
         return
-    told = set()
+    told: set[object] = set()
 
     def tell(step: Step) -> None:
         if step.number not in told:
             told.add(step.number)
             error.print(f"{step.number} of {step.of}: {step.what}, {step.seconds:g} s", soft_wrap=True)
+        if step.compiling and (step.number, "compiling") not in told:
+            told.add((step.number, "compiling"))
+            error.print("  compiling (only the first time, up to a minute)", soft_wrap=True)
 
     yield tell
 
@@ -82,7 +85,7 @@ def _machine(machine: Machine) -> str:
 def _show_grants(out: Console, examination: Examination) -> None:
     for grant in examination.grants or ():
         # Why something was denied is said with what would help.
-        answer = f"[green]granted[/green], {escape(grant.detail)}" if grant.got else "[yellow]denied[/yellow]"
+        answer = f"[green]got[/green], {escape(grant.detail)}" if grant.got else "[yellow]denied[/yellow]"
         out.print(f"{escape(grant.measure)}: {answer}")
 
 
@@ -143,7 +146,7 @@ def _conclusion(best: float | None, clock: str, verdicts: list[Verdict]) -> str:
 
 def _show_advice(out: Console, advice: tuple[Advice, ...]) -> None:
     if not advice:
-        out.print("\nNothing was found that would make it steadier.")
+        out.print("\nNothing was found that could be set better.")
         return
     out.print("\n[bold]What would help[/bold]")
     for number, one in enumerate(advice, start=1):

@@ -70,10 +70,7 @@ def wake_up_lateness(
         UsageError: the rate is not between 1 Hz and 100 kHz, or there is not one period in the time.
     """
     if not _SLOWEST_HZ <= rate_hz <= _FASTEST_HZ:
-        raise UsageError(
-            f"rate: found {rate_hz:g} Hz, expected {_SLOWEST_HZ:g} to {_FASTEST_HZ:g} Hz: the wake-ups of others are "
-            "not worth counting"
-        )
+        raise UsageError(f"rate: found {rate_hz:g} Hz, expected {_SLOWEST_HZ:g} to {_FASTEST_HZ:g} Hz")
     if not 1.0 <= rate_hz * seconds < 1e12:
         raise UsageError(f"seconds: found {seconds:g}, expected a finite time of at least a period of {rate_hz:g} Hz")
     grid, lateness = _new_grid(rate_hz), new_histogram()

@@ -19,8 +19,10 @@ IN_WORDS = {
 
 
 @inlined
-def ending_of(code):
-    """Why the loop ends, after a wait for a position that ended in `code`."""
+def ending_of(code, stop):
+    """Why the loop ends, after a wait for a position that ended in `code`; `stop`: it was told to."""
+    if stop != 0 and code == TIMED_OUT:
+        return STOPPED
     if code == FAULT:
         return DEVICE_STOPPED
     if code == BAD_FORCE:

@@ -57,7 +57,8 @@ STATE = np.dtype(
         ("fault", np.int64),  # what the device said when it stopped
         ("first_ns", np.int64),  # when the first and the newest position arrived
         ("newest_ns", np.int64),
-        ("tick_ns", np.int64),  # when the loop woke up for the tick, where the host is the clock
+        ("unanswered", np.int64),  # 1: the newest position's force has not left yet
+        ("tick_ns", np.int64),  # when the loop woke up to ask for the next position, where the host is the clock
         ("sent_ns", np.int64),  # when the last force had left
         ("grounds_moved", np.int64),  # with the last sample: with the next their velocity is zero again
         ("due_ns", np.int64),  # when the next position is expected, where the device is the clock
@@ -142,7 +143,7 @@ def digest(loop, now):
             return FAULT
         if not _is_news(loop):
             continue
-        if heard == HEARD:
+        if loop.state.unanswered:
             loop.state.stale_positions += 1
             mark_last(loop.ring, UNSENT)
         if not _take_position(loop, now):
@@ -180,6 +181,15 @@ def sent(loop, now):
     if loop.control.clock != HOST_CLOCK:
         note(loop.statistics.exchange, now - loop.state.newest_ns)
     loop.state.sent_ns = now
+    loop.state.unanswered = 0
+    publish(loop.ring)
+
+
+@inlined
+def never_sent(loop):
+    """The loop ends: shows the last tick to the reader, and that its force, if it still waits, never left."""
+    if loop.state.unanswered:
+        mark_last(loop.ring, UNSENT)
     publish(loop.ring)
 
 
@@ -222,6 +232,7 @@ def _take_position(loop, now):
     shown = flags & ~_NOT_A_NUMBER
     push(loop.ring, state.sample, now, shown, loop.desk.position_counts, loop.desk.force_counts, loop.desk.asked)
     state.ticks += 1
+    state.unanswered = 1
     return flags & _NOT_A_NUMBER == 0
 
 

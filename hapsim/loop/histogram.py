@@ -57,8 +57,7 @@ class Histogram:
     @property
     def edges(self) -> NDArray[np.float64]:
         """(bins + 1,)"""
-        octave, part = np.divmod(np.arange(_BINS), 1 << _PART_BITS)
-        return self.unit * np.concatenate([[0.0], np.ldexp(1.0 + part / (1 << _PART_BITS), octave)])
+        return self.unit * _edges()
 
     @property
     def total(self) -> int:
@@ -67,9 +66,11 @@ class Histogram:
 
     def quantile(self, share: float) -> float | None:
         """The value that `share` of all (0 to 1) do not exceed: the upper end of its bin, so never told too small; for
-        whole numbers below 32 the number itself. None of nothing."""
+        whole numbers below 32 the number itself. None of nothing; ValueError for a share that is none."""
         if self.total == 0:
             return None
+        if not 0.0 <= share <= 1.0:
+            raise ValueError(f"share {share}: a share of all is 0 to 1")
         at = int(np.searchsorted(np.cumsum(self.counts), np.ceil(share * self.total)))
         return float(min(self._greatest_in(at), self.maximum))
 
@@ -100,7 +101,13 @@ class Histogram:
         """The largest whole number of bin i, times the unit; the last bin has no end."""
         if i == _BINS - 1:
             return self.maximum
-        return float((np.ceil(self.edges[i + 1] / self.unit) - 1) * self.unit)
+        return float((np.ceil(_edges()[i + 1]) - 1) * self.unit)
+
+
+def _edges() -> NDArray[np.float64]:
+    """Where the bins begin, in what was counted; the last entry is where the last of them does not end."""
+    octave, part = np.divmod(np.arange(_BINS), 1 << _PART_BITS)
+    return np.concatenate([[0.0], np.ldexp(1.0 + part / (1 << _PART_BITS), octave)])
 
 
 def new_histogram() -> np.void:

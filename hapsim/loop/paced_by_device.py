@@ -28,6 +28,6 @@ def run_paced_by_device(loop):
                     continue
                 ending = GONE
             else:
-                ending = ending_of(code)
+                ending = ending_of(code, loop.control.stop)
         let_go(loop)
         return ending

@@ -11,12 +11,13 @@ from hapsim.loop.codes import HEARD, TIMED_OUT
 from hapsim.loop.endings import DONE, GONE, STOPPED, ending_of
 from hapsim.loop.histogram import note
 from hapsim.loop.system import now_ns, sleep_until
-from hapsim.loop.waiting import answer, let_go, take_newest_position
+from hapsim.loop.waiting import SLICE_NS, answer, let_go, take_newest_position
 
 
 @jit
 def run_paced_by_host(loop):
     """Exchanges once a period until something ends it; returns what did."""
+    loop.state.tick_ns = now_ns(loop.desk.scratch)
     ending = _first_position(loop)
     due = now_ns(loop.desk.scratch) + loop.control.period_ns
     while ending < 0:
@@ -25,8 +26,7 @@ def run_paced_by_host(loop):
         elif 0 <= loop.control.ticks <= loop.state.ticks:
             ending = DONE
         else:
-            sleep_until(due, loop.desk.scratch)
-            now = now_ns(loop.desk.scratch)
+            now = _sleep_until_due(loop, due)
             note(loop.statistics.lateness, now - due)
             due = next_due(loop, due, now)
             ending = exchange_before(loop, now, due)
@@ -35,10 +35,20 @@ def run_paced_by_host(loop):
 
 
 @inlined
+def _sleep_until_due(loop, due):
+    """Sleeps until `due`, or until told to stop; the time of waking up."""
+    now = now_ns(loop.desk.scratch)
+    while now < due and not loop.control.stop:
+        sleep_until(min(due, now + SLICE_NS), loop.desk.scratch)
+        now = now_ns(loop.desk.scratch)
+    return now
+
+
+@inlined
 def _first_position(loop):
     """The device sends position 0 of its own accord when it is armed. Negative, or why the loop ends."""
     code = take_newest_position(loop, now_ns(loop.desk.scratch), loop.control.silence_ns)
-    return -1 if code == HEARD else ending_of(code)
+    return -1 if code == HEARD else ending_of(code, loop.control.stop)
 
 
 @jit_inlined
@@ -49,16 +59,17 @@ def exchange_before(loop, now, due):
     One that came after its tick was over is taken first: answered in its turn it would leave every later force a sample
     older than need be.
     """
-    loop.state.tick_ns = now
     code = take_newest_position(loop, now, 0)
     if code not in (HEARD, TIMED_OUT):
-        return ending_of(code)
+        return ending_of(code, loop.control.stop)
+    if loop.state.unanswered:
+        loop.state.tick_ns = now  # else the same position is asked for again, and has been waited for since then
     if answer(loop) != 0:
         return GONE
     code = take_newest_position(loop, loop.state.sent_ns, max(due - loop.state.sent_ns, 0))
     if code == TIMED_OUT and loop.state.sent_ns - loop.state.newest_ns < loop.control.silence_ns:
         return -1
-    return -1 if code == HEARD else ending_of(code)
+    return -1 if code == HEARD else ending_of(code, loop.control.stop)
 
 
 @jit_inlined

@@ -15,10 +15,10 @@ import numpy as np
 from hapsim.compiled import compile_for, jit
 from hapsim.loop.codes import FAILED, HEARD, HUNG_UP, TIMED_OUT
 from hapsim.loop.endings import DONE, GONE, RING_FULL, STOPPED, ending_of
-from hapsim.loop.exchange import HOST_CLOCK, Loop, compose_disarm, compose_force, digest, sent
+from hapsim.loop.exchange import HOST_CLOCK, Loop, compose_disarm, compose_force, digest, never_sent, sent
 from hapsim.loop.histogram import note
 from hapsim.loop.paced_by_host import next_due
-from hapsim.loop.ring import publish
+from hapsim.loop.waiting import SLICE_NS
 
 
 class PortablePort:
@@ -69,7 +69,7 @@ class PortableLoop:
         compile_for(digest_and_compose, self._loop, 0)
         compile_for(sent, self._loop, 0)
         compile_for(compose_disarm, self._loop)
-        compile_for(publish_rows, self._loop)
+        compile_for(show_last_rows, self._loop)
         compile_for(next_due, self._loop, 0, 0)
         compile_for(note, loop.statistics.lateness, 0)
 
@@ -87,26 +87,27 @@ class PortableLoop:
                 return ending
             code, stop = self._take(time.monotonic_ns() + int(self._loop.control["silence_ns"]))
             if code != HEARD:
-                return int(ending_of(code))
+                return int(ending_of(code, self._loop.control["stop"]))
             if self._answer(stop) != 0:
                 return GONE
 
     def _paced_by_host(self) -> int:
         loop, period = self._loop, int(self._loop.control["period_ns"])
+        loop.state["tick_ns"] = time.monotonic_ns()
         code, stop = self._take(time.monotonic_ns() + int(loop.control["silence_ns"]))
         due = time.monotonic_ns() + period
         while code in (HEARD, TIMED_OUT):
             if (ending := self._told_to_end()) is not None:
                 return ending
-            time.sleep(max(due - time.monotonic_ns(), 0) * 1e-9)
-            now = time.monotonic_ns()
+            now = self._sleep_until(due)
             note(loop.statistics.lateness, now - due)
             due = int(next_due(loop, due, now))
-            loop.state["tick_ns"] = now
             # One that came after its tick was over is taken first, as in the compiled loop.
             code, newer = self._take(now)
             if code not in (HEARD, TIMED_OUT):
                 break
+            if loop.state["unanswered"]:
+                loop.state["tick_ns"] = now
             stop = newer or stop
             if self._answer(stop) != 0:
                 return GONE
@@ -114,7 +115,13 @@ class PortableLoop:
             stop = newer or stop
             if code == TIMED_OUT and time.monotonic_ns() - int(loop.state["newest_ns"]) > loop.control["silence_ns"]:
                 break
-        return int(ending_of(code))
+        return int(ending_of(code, loop.control["stop"]))
+
+    def _sleep_until(self, due: int) -> int:
+        """Sleeps until `due`, or until told to stop; the time of waking up."""
+        while (left := due - time.monotonic_ns()) > 0 and not self._loop.control["stop"]:
+            time.sleep(min(left, SLICE_NS) * 1e-9)
+        return time.monotonic_ns()
 
     def _told_to_end(self) -> int | None:
         loop = self._loop
@@ -135,8 +142,8 @@ class PortableLoop:
             code, stop = digest_and_compose(self._loop, now)
             if code != TIMED_OUT or last_look:
                 return int(code), int(stop)
-            last_look = now >= give_up
-            count = self._port.receive(self._loop.inbox, give_up - now)
+            last_look = now >= give_up or bool(self._loop.control["stop"])
+            count = self._port.receive(self._loop.inbox, min(give_up - now, SLICE_NS))
             now = time.monotonic_ns()
             if count < 0:
                 return count, 0
@@ -149,10 +156,10 @@ class PortableLoop:
     def _let_go(self) -> None:
         stop = compose_disarm(self._loop)
         self._port.send(self._loop.desk["outbox"][:stop].tobytes())
-        publish_rows(self._loop)
+        show_last_rows(self._loop)
 
 
 @jit
-def publish_rows(loop):
-    """`publish`, callable from Python."""
-    publish(loop.ring)
+def show_last_rows(loop):
+    """`never_sent`, callable from Python."""
+    never_sent(loop)

@@ -7,11 +7,13 @@ from __future__ import annotations
 
 from hapsim.compiled import jit_inlined, part
 from hapsim.loop.codes import TIMED_OUT
-from hapsim.loop.exchange import compose_disarm, compose_force, digest, sent
+from hapsim.loop.exchange import compose_disarm, compose_force, digest, never_sent, sent
 from hapsim.loop.inbox import fetch
 from hapsim.loop.port import send
-from hapsim.loop.ring import publish
 from hapsim.loop.system import now_ns
+
+SLICE_NS = 100_000_000
+"""No wait is longer without a look at whether the loop was told to stop."""
 
 
 @jit_inlined
@@ -19,7 +21,7 @@ def take_newest_position(loop, now, timeout_ns):
     """Waits for a position from `now` on, takes all that are there and leaves the force that answers the newest.
 
     Returns HEARD, or TIMED_OUT, HUNG_UP, FAILED, FAULT, BAD_FORCE. Bytes without end that are no position do not make
-    the wait any longer.
+    the wait any longer; being told to stop makes it shorter.
     """
     give_up = now + timeout_ns
     last_look = False
@@ -27,8 +29,8 @@ def take_newest_position(loop, now, timeout_ns):
         code = digest(loop, now)  # at first what the frame before has left
         if code != TIMED_OUT or last_look:
             return code
-        last_look = now >= give_up
-        count = fetch(loop.port, loop.inbox, give_up - now)
+        last_look = now >= give_up or loop.control.stop != 0
+        count = fetch(loop.port, loop.inbox, min(give_up - now, SLICE_NS))
         now = now_ns(loop.desk.scratch)
         if count < 0:
             return count
@@ -46,4 +48,4 @@ def answer(loop):
 def let_go(loop):
     """Zero force, at once."""
     send(loop.port, loop.desk.outbox, compose_disarm(loop))
-    publish(loop.ring)
+    never_sent(loop)

@@ -8,6 +8,7 @@ denied costs a sentence, never the run. To add one: write it as a file beside th
 from __future__ import annotations
 
 import contextlib
+import threading
 from collections.abc import Iterator
 
 from hapsim.realtime.collector import frozen
@@ -21,6 +22,8 @@ from hapsim.realtime.slack import no_timer_slack
 __all__ = ["Grant", "no_timer_slack", "realtime"]
 
 # What is collected need not be locked, and the thread is put before all others only when the rest is in place.
+_HELD = threading.Lock()  # by one at a time: two that undo in another order than they began would leave neither
+
 _MEASURES: tuple[Measure, ...] = (frozen, locked, awake, pinned, fifo)
 
 
@@ -31,7 +34,13 @@ def realtime(thread_id: int) -> Iterator[list[Grant]]:
 
     Enter it when everything is allocated and compiled: it takes some tenths of a second, in which memory is read in. On
     leaving, the measures are undone in reverse order, whatever the body raised; what cannot be undone (the thread may
-    have ended) is passed over. Raises nothing for what is denied.
+    have ended) is passed over. Raises nothing for what is denied. Of two loops in one process the second is denied it.
     """
-    with contextlib.ExitStack() as held:
-        yield [held.enter_context(measure(thread_id)) for measure in _MEASURES]
+    if not _HELD.acquire(blocking=False):
+        yield [Grant("real time", False, "another loop of this process has it, and gives it back for all when it ends")]
+        return
+    try:
+        with contextlib.ExitStack() as held:
+            yield [held.enter_context(measure(thread_id)) for measure in _MEASURES]
+    finally:
+        _HELD.release()

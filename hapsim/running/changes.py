@@ -16,6 +16,7 @@ from hapsim.scene.finding import did_you_mean
 from hapsim.scene.modules import Module
 from hapsim.scene.table import Table
 
+_EXAMPLE = '{"touch": {"stiffness": 500.0}}'
 _LONGEST = 2.0**40  # samples
 
 
@@ -42,7 +43,8 @@ class LiveParameters:
             self._post(scene, over)
 
     def _post(self, scene: Scene, over: float) -> None:
-        samples = math.ceil(over * scene.rate) if math.isfinite(over) else -1
+        sound = isinstance(over, int | float) and math.isfinite(over) and over >= 0
+        samples = math.ceil(over * scene.rate) if sound else -1
         if not 0 <= samples <= _LONGEST:
             raise UsageError(f"over: found {over} s, expected the seconds in which the parameters change, 0 or more")
         post(self._parameters, parameter_values(scene), max(samples, 1))
@@ -51,11 +53,18 @@ class LiveParameters:
 
 def what_cannot_change(now: Scene, wanted: Scene) -> str:
     """Names the first thing in which two scenes differ that cannot change while one runs; empty where there is none."""
-    for key in ("rate", "device", "mock"):
-        if getattr(now, key) != getattr(wanted, key):
-            return key
+    if now.rate != wanted.rate:
+        return "rate"
+    for part in ("device", "mock"):
+        before, after = getattr(now, part), getattr(wanted, part)
+        if type(before) is not type(after):
+            return part
+        for key in type(before).model_fields if before is not None else ():
+            if getattr(before, key) != getattr(after, key):
+                return f"{part}.{key}"
     if list(now.modules) != list(wanted.modules):
-        return "the list of modules"
+        odd = sorted(set(now.modules) ^ set(wanted.modules))
+        return f"the list of modules ({', '.join(odd)})" if odd else "the order of the modules"
     for name, module in now.modules.items():
         other = wanted.modules[name]
         if type(module) is not type(other):
@@ -69,9 +78,11 @@ def what_cannot_change(now: Scene, wanted: Scene) -> str:
 def _changed(scene: Scene, changes: Mapping[str, Mapping[str, float]]) -> Scene:
     """The scene with some values changed, checked as a scene file's values are."""
     modules: dict[str, Module] = dict(scene.modules)
+    if not isinstance(changes, Mapping) or not all(isinstance(values, Mapping) for values in changes.values()):
+        raise UsageError(f"found {changes!r}, expected the names of modules, each with what changes: {_EXAMPLE}")
     for name, values in changes.items():
         if name not in modules:
-            raise UsageError(f"found '{name}', expected the name of a module{did_you_mean(name, modules)}")
+            raise UsageError(f"found '{name}', expected the name of a module{did_you_mean(str(name), modules)}")
         modules[name] = _module_with(name, modules[name], values)
     return scene.model_copy(update={"modules": Table(modules)})
 

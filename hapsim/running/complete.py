@@ -36,7 +36,15 @@ def run(
     SIGINT, SIGTERM and SIGHUP end the run in good order (main thread only). The rest, and the errors, as `start`.
     """
     tell = on_progress or (lambda _: None)
+    running: list[Session] = []
+
+    def stop() -> None:
+        if not running:
+            raise KeyboardInterrupt  # nothing is armed yet
+        running[0].stop()
+
     with (
+        stopping_on_signals(stop) if stop_on_signals else contextlib.nullcontext(),
         start(
             scene,
             duration=duration,
@@ -47,8 +55,8 @@ def run(
             portable=portable,
             on_progress=tell,
         ) as session,
-        stopping_on_signals(session.stop) if stop_on_signals else contextlib.nullcontext(),
     ):
+        running.append(session)
         if on_start is not None:
             on_start(session)
         while not session.wait(_LOOK_S):

@@ -31,6 +31,7 @@ from hapsim.scene import Scene
 
 _MOST_TICKS = 2.0**62
 _COLLECT_S = 0.05  # how often the recorder empties the ring, which holds 65536 rows
+_SIZING = threading.Lock()
 _STACK_BYTES = 1 << 20  # of the loop's thread: little is needed, and all of it is locked in memory
 
 
@@ -59,13 +60,16 @@ class Session:
         "wall": {"position": 0.01}}`, in the scene's names and units.
 
         They are led there within `over` seconds (0: at once), no value by more than 1.5/N of its way in one of the N
-        samples. UsageError where a name, a key or a value is wrong, or what is asked for cannot change while the scene
+        samples. A set that comes while another is on its way takes all values over, and brings them there in its own
+        time. UsageError where a name, a key or a value is wrong, or what is asked for cannot change while the scene
         runs; nothing has changed then.
         """
+        self._require_running()
         self._parameters.set(changes, over)
 
     def adopt(self, scene: Scene, over: float = 0.02) -> None:
         """Changes parameters to those of `scene`, which may differ from the running one in nothing else; as `set`."""
+        self._require_running()
         self._parameters.adopt(scene, over)
 
     def progress(self) -> Progress:
@@ -91,6 +95,10 @@ class Session:
             raise UsageError("the trace is there once the run is over: leave the with-block of `start` first")
         return self._trace
 
+    def _require_running(self) -> None:
+        if self._over.is_set():
+            raise UsageError("the run is over: nothing can be changed any more")
+
     def _work(self) -> None:
         no_timer_slack()
         self._armed.wait()
@@ -112,11 +120,12 @@ class Session:
                 self._recorder.collect()
 
     def _begin(self) -> None:
-        stack = threading.stack_size(_STACK_BYTES)
-        try:
-            self._thread.start()
-        finally:
-            threading.stack_size(stack)
+        with _SIZING:  # the size is the whole process's: another session must not take ours for what it was before
+            stack = threading.stack_size(_STACK_BYTES)
+            try:
+                self._thread.start()
+            finally:
+                threading.stack_size(stack)
         self._reader.start()
 
     def _go(self) -> None:
@@ -125,12 +134,17 @@ class Session:
     def _end(self) -> int:
         self.stop()
         self._armed.set()
-        self._thread.join()
-        self._reader.join()
+        self._join()
         self._recorder.collect()
-        if self._ending is None:
+        if self._ending is None and self._thread.ident is not None:
             raise HapsimError("the compiled loop ended with an exception, which is a defect of hapsim")
-        return self._ending
+        return endings.STOPPED if self._ending is None else self._ending
+
+    def _join(self) -> None:
+        """Waits for the threads that were started."""
+        for thread in (self._thread, self._reader):
+            if thread.ident is not None:
+                thread.join()
 
     @property
     def _thread_id(self) -> int:
@@ -159,8 +173,8 @@ def start(
     Raises SceneError and UsageError for what cannot be run; DeviceError where port or device fail, GuardError where a
     guard stopped the force, both when the with-block is left; they carry what was recorded as their attribute `trace`.
     """
-    if not 1e-9 <= scene.rate <= 1e9:
-        raise UsageError(f"rate: found {scene.rate:g} Hz, which no clock keeps (1e-9 to 1e9 Hz)")
+    if not 1e-3 <= scene.rate <= 1e9:
+        raise UsageError(f"rate: found {scene.rate:g} Hz, which no clock keeps (1e-3 to 1e9 Hz)")
     if duration is not None and not 0 < duration * scene.rate < _MOST_TICKS:
         raise UsageError(f"duration: found {duration}, expected a finite number of seconds above 0")
     tell = on_progress or (lambda _: None)
@@ -173,8 +187,8 @@ def start(
         loop = assemble_loop(scene, opened, description, excitation, duration)
         # Everything is compiled now: the device is armed only when the loop can answer at once.
         session = Session(scene, loop, _ready_body(scene, opened, loop), Recorder(loop.ring, keep))
-        session._begin()
         try:
+            session._begin()
             with _real_time(session) if realtime else contextlib.nullcontext():
                 arm(
                     opened,
@@ -190,6 +204,7 @@ def start(
                 ending = session._end()
                 session._trace = trace_of(scene, loop, session._recorder, ending)
             finally:
+                session._join()  # whatever interrupted the first: nobody else may be on the line
                 # The loop let go already; this is for every way out that did not get so far.
                 disarm(opened, loop.wire)
     failure = failure_of(opened.name, loop, session.trace, ending)

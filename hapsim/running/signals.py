@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 
 @contextlib.contextmanager
 def stopping_on_signals(stop: Callable[[], None]) -> Iterator[None]:
-    """While open, SIGINT, SIGTERM and SIGHUP call `stop` (main thread only)."""
+    """While open, SIGINT, SIGTERM and SIGHUP call `stop` (main thread only), however often they come."""
 
     def heard(_signal: int, _frame: object) -> None:
         stop()
@@ -21,3 +21,14 @@ def stopping_on_signals(stop: Callable[[], None]) -> Iterator[None]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+@contextlib.contextmanager
+def undisturbed() -> Iterator[None]:
+    """While open, an interrupt is passed over: what a run has left is being written, and takes no time worth stopping
+    for. Main thread only."""
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)

@@ -74,7 +74,7 @@ def test_an_examination_is_told_in_full(examination: Examination) -> None:
     text = shown(examination, 200)
     for words_of_it in (
         "Some [bold] Processor; 2 of 4 cores (two threads a core)",
-        "SCHED_FIFO: granted, priority 80",
+        "SCHED_FIFO: got, priority 80",
         "memory locked: denied",
         "With clock: device this machine keeps up to 1 kHz.",
         "With clock: host this machine keeps none of these rates without gaps.",
@@ -95,7 +95,7 @@ def test_a_device_is_said_to_feel_no_force(examination: Examination) -> None:
     assert "on /dev/ttyACM0, without force; clock: device" in text
     assert "this machine keeps" not in text
     assert "the mock" not in text
-    assert "Nothing was found that would make it steadier." in text
+    assert "Nothing was found that could be set better." in text
 
 
 def test_no_rate_is_refused_of_which_nothing_is_known(examination: Examination) -> None:

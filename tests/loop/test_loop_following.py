@@ -67,7 +67,7 @@ def test_what_is_edited_is_adopted_and_told_once(path: Path, session: Session) -
     ("old", "new", "sentence"),
     [
         ("stiffness: 1000", "stiffness: -1", "scene.yaml:7:65: stiffness: found -1, expected a number >= 0"),
-        ("mass: 0.2", "mass: 0.3", "device cannot change while the scene runs"),
+        ("mass: 0.2", "mass: 0.3", "device.mass cannot change while the scene runs"),
         ("version: 1", "version: [", "scene.yaml:"),
     ],
 )
@@ -83,7 +83,9 @@ def test_what_cannot_be_changes_nothing_and_is_told_once(
     assert session.scene == before
     assert file.look(session) is None
     edit(path, new, old)
-    assert file.look(session) is not None
+    back = file.look(session)
+    assert back is not None
+    assert back.changed == ("nothing: the file says what runs",)
 
 
 def test_a_file_that_is_gone_for_a_moment_is_waited_for(path: Path, session: Session) -> None:
@@ -95,6 +97,21 @@ def test_a_file_that_is_gone_for_a_moment_is_waited_for(path: Path, session: Ses
     news = file.look(session)
     assert news is not None
     assert news.changed == ("touch.stiffness 1000 → 700",)
+
+
+def test_a_file_that_stays_away_is_told_once(path: Path, session: Session) -> None:
+    file = FollowedFile(str(path))
+    path.unlink()
+    told = [news for _ in range(30) if (news := file.look(session)) is not None]
+    assert len(told) == 1
+    assert "the file is gone" in told[0].refused
+
+
+def test_a_pipe_in_its_place_holds_nobody_up(path: Path, session: Session) -> None:
+    file = FollowedFile(str(path))
+    path.unlink()
+    os.mkfifo(path)
+    assert file.look(session) is None
 
 
 def test_the_port_of_the_command_counts_more_than_the_files(path: Path, served: Callable[..., Any]) -> None:

@@ -67,6 +67,17 @@ def test_nanoseconds_are_told_in_seconds() -> None:
     assert histogram.total == 100
 
 
+@pytest.mark.parametrize("value", range(32))
+def test_nanoseconds_below_32_are_told_to_the_digit(value: int) -> None:
+    assert counted(value, 100, unit=1e-9).quantile(0.5) == value * 1e-9
+
+
+@pytest.mark.parametrize("share", [-0.1, 1.5, float("nan")])
+def test_a_share_that_is_none_is_refused(share: float) -> None:
+    with pytest.raises(ValueError, match="a share of all is 0 to 1"):
+        counted(1).quantile(share)
+
+
 def test_a_histogram_comes_back_from_its_row() -> None:
     histogram = counted(3, 7, 10**9, unit=1e-9)
     assert Histogram.from_row(histogram.as_row()) == histogram

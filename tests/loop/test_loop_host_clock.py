@@ -16,9 +16,10 @@ from firmware_protocol.description import Description
 from hapsim.device.line import Line
 from hapsim.loop.codes import HEARD
 from hapsim.loop.descriptor import descriptor_port
+from hapsim.loop.histogram import histogram_of
 from hapsim.loop.paced_by_host import exchange_before
-from hapsim.loop.portable import publish_rows
-from hapsim.loop.ring import OFF_GRID, drain
+from hapsim.loop.portable import show_last_rows
+from hapsim.loop.ring import OFF_GRID, UNSENT, drain
 from hapsim.loop.waiting import take_newest_position
 from hapsim.running.assemble import assemble_loop
 
@@ -66,5 +67,33 @@ def test_a_sample_that_took_far_more_or_less_than_a_period_is_marked(
         assert take_newest_position(loop, time.monotonic_ns(), LONG_NS) == HEARD
         # As if this position had come an hour ago: the next one is far off the grid, whatever the machine does.
         loop.state["newest_ns"] -= 3_600_000_000_000
-    publish_rows(loop)
-    assert drain(loop.ring).flags.tolist() == [0, OFF_GRID, OFF_GRID]
+    show_last_rows(loop)
+    assert drain(loop.ring).flags.tolist() == [UNSENT, OFF_GRID | UNSENT, OFF_GRID | UNSENT]
+
+
+def test_a_position_that_came_after_its_tick_is_measured_from_when_it_was_asked_for(
+    held_port: tuple[Any, int], frame: FrameOf
+) -> None:
+    loop, near = held_port
+    os.write(near, frame(0, 0))
+    assert take_newest_position(loop, time.monotonic_ns(), LONG_NS) == HEARD
+    exchange_before(loop, time.monotonic_ns(), 0)  # asks for position 1, which does not come
+    loop.state["tick_ns"] -= 3_600_000_000_000  # as if that had been an hour ago
+    exchange_before(loop, time.monotonic_ns(), 0)  # asks again
+    os.write(near, frame(1, 5))
+    exchange_before(loop, time.monotonic_ns(), 0)
+    exchange = histogram_of(loop.statistics.exchange, 1e-9)
+    assert exchange.total == 1
+    assert exchange.maximum > 3600.0
+
+
+def test_a_position_that_a_newer_one_overtakes_between_two_ticks_was_never_answered(
+    held_port: tuple[Any, int], frame: FrameOf
+) -> None:
+    loop, near = held_port
+    for number in (0, 1, 2):
+        os.write(near, frame(number, number))
+        assert take_newest_position(loop, time.monotonic_ns(), LONG_NS) == HEARD
+    exchange_before(loop, time.monotonic_ns(), 0)
+    assert drain(loop.ring).flags.tolist() == [UNSENT, OFF_GRID | UNSENT, OFF_GRID]
+    assert loop.state["stale_positions"] == 2

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable
 from typing import Any
@@ -11,7 +12,7 @@ import pytest
 
 import hapsim
 from hapsim.errors import DeviceError, UsageError
-from hapsim.running import Session
+from hapsim.running import Session, run
 from hapsim.scene import Scene
 
 SceneOf = Callable[..., Scene]
@@ -95,6 +96,9 @@ def test_parameters_are_set_by_the_names_of_the_scene(scene_of: SceneOf) -> None
         ({"touch0": {"stiffness": 5.0}, "wall": {"position": "x"}}, 0.0, "wall.position: found 'x'"),
         ({"touch0": {"stiffness": 5.0}}, -1.0, "over: found -1.0 s"),
         ({"touch0": {"stiffness": 5.0}}, float("inf"), "over: found inf s"),
+        ({"touch0": {"stiffness": 5.0}}, "x", "over: found x s"),
+        ({"touch0": 5.0}, 0.0, "expected the names of modules, each with what changes"),
+        (5.0, 0.0, "expected the names of modules, each with what changes"),
     ],
 )
 def test_a_wrong_change_is_told_and_changes_nothing(
@@ -109,13 +113,45 @@ def test_a_wrong_change_is_told_and_changes_nothing(
     assert session.trace.report.parameter_changes == 0
 
 
+def test_when_it_is_over_nothing_can_be_changed_any_more(scene_of: SceneOf) -> None:
+    with hapsim.start(scene_of(), duration=0.01) as session:
+        assert session.wait(30.0)
+        with pytest.raises(UsageError, match="the run is over"):
+            session.set({"touch0": {"stiffness": 5.0}})
+
+
+@pytest.mark.parametrize("clock", ["device", "host"])
+@pytest.mark.parametrize("portable", [False, True])
+def test_it_stops_within_a_wait_for_a_device_that_stays_silent(
+    scripted: Any, frame: Callable[..., bytes], clock: str, portable: bool
+) -> None:
+    """At 0.05 Hz a device is silent only after 400 s: a run that waits for that is told as a hang."""
+    with scripted([frame(0, 0)], rate_hz=0.05) as (scene, _):
+        slow = scene.model_copy(update={"rate": 0.05, "device": scene.device.model_copy(update={"clock": clock})})
+        with hapsim.start(slow, portable=portable) as session:
+            reaches(session, lambda: session.statistics().age.total > 0)
+            session.stop()
+            assert session.wait(60.0)
+    assert session.trace.report.ending == "stopped"
+
+
+def test_the_thread_size_of_others_stays_as_it_was(scene_of: SceneOf) -> None:
+    before = threading.stack_size()
+    starting = [threading.Thread(target=run, args=(scene_of(),), kwargs={"duration": 0.01}) for _ in range(4)]
+    for thread in starting:
+        thread.start()
+    for thread in starting:
+        thread.join()
+    assert threading.stack_size() == before
+
+
 @pytest.mark.parametrize(
     ("other", "sentence"),
     [
         ({"rate": 2000.0}, "rate cannot change"),
-        ({"device": {"mass": 0.3}}, "device cannot change"),
+        ({"device": {"mass": 0.3}}, "device.mass cannot change"),
         ({"damper": "centred"}, "damper of touch0 cannot change"),
-        ({"channels": 2}, "the list of modules cannot change"),
+        ({"channels": 2}, r"the list of modules \(hand1, touch1\) cannot change"),
     ],
 )
 def test_a_scene_that_differs_in_more_than_parameters_is_not_adopted(

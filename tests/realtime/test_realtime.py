@@ -8,6 +8,7 @@ import gc
 import os
 import subprocess
 import sys
+import threading
 from collections.abc import Callable, Iterator
 
 import pytest
@@ -204,3 +205,13 @@ def test_a_thread_may_end_before_the_undoing() -> None:
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False, timeout=100)
     assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_of_two_loops_the_second_is_denied_and_leaves_the_first_what_it_has() -> None:
+    was_enabled = gc.isenabled()
+    with realtime(threading.get_native_id()):
+        with realtime(threading.get_native_id()) as second:
+            assert [grant.got for grant in second] == [False]
+            assert "another loop" in second[0].detail
+        assert not gc.isenabled()
+    assert gc.isenabled() == was_enabled

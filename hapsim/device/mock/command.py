@@ -36,6 +36,8 @@ def serve_until_stopped(
         serving(assemble_mock(scene), as_hardware) as path,
         _linked(link, path) as name,
     ):
+        if stopped.is_set():
+            return  # told to stop while it was compiled: nobody shall take it for a port that answers
         announce(name)
         tell(Progress("serving", name))
         stopped.wait()
