@@ -29,6 +29,7 @@ DEVICE_CLOCK, HOST_CLOCK, NO_CLOCK = range(3)  # who keeps the time; nobody in v
 
 CONTROL = np.dtype(
     [
+        ("go", np.int64),  # set by another thread once the device is armed
         ("stop", np.int64),  # set by another thread
         ("ticks", np.int64),  # how many to run, negative: until told to stop
         ("period_ns", np.int64),

@@ -7,12 +7,13 @@ from hapsim.loop.codes import HEARD
 from hapsim.loop.endings import DONE, GONE, RING_FULL, STOPPED, ending_of
 from hapsim.loop.ring import full
 from hapsim.loop.system import now_ns
-from hapsim.loop.waiting import answer, let_go, take_newest_position
+from hapsim.loop.waiting import answer, let_go, take_newest_position, wait_for_go
 
 
 @jit
 def run_paced_by_device(loop):
     """Answers every position until something ends it; returns what did. RING_FULL alone leaves the device armed."""
+    wait_for_go(loop)
     loop.state.sent_ns = now_ns(loop.desk.scratch)
     while True:
         if loop.control.stop:

@@ -11,12 +11,13 @@ from hapsim.loop.codes import HEARD, TIMED_OUT
 from hapsim.loop.endings import DONE, GONE, STOPPED, ending_of
 from hapsim.loop.histogram import note
 from hapsim.loop.system import now_ns, sleep_until
-from hapsim.loop.waiting import SLICE_NS, answer, let_go, take_newest_position
+from hapsim.loop.waiting import SLICE_NS, answer, let_go, take_newest_position, wait_for_go
 
 
 @jit
 def run_paced_by_host(loop):
     """Exchanges once a period until something ends it; returns what did."""
+    wait_for_go(loop)
     loop.state.tick_ns = now_ns(loop.desk.scratch)
     ending = _first_position(loop)
     due = now_ns(loop.desk.scratch) + loop.control.period_ns

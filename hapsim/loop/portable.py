@@ -75,6 +75,8 @@ class PortableLoop:
 
     def run(self, _loop: Loop) -> int:
         """Exchanges until something ends it; returns what did. RING_FULL alone leaves the device armed."""
+        while not self._loop.control["go"] and not self._loop.control["stop"]:
+            time.sleep(1e-4)
         host = self._loop.control["clock"] == HOST_CLOCK
         ending = self._paced_by_host() if host else self._paced_by_device()
         if ending != RING_FULL:

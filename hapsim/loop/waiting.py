@@ -10,10 +10,21 @@ from hapsim.loop.codes import TIMED_OUT
 from hapsim.loop.exchange import compose_disarm, compose_force, digest, never_sent, sent
 from hapsim.loop.inbox import fetch
 from hapsim.loop.port import send
-from hapsim.loop.system import now_ns
+from hapsim.loop.system import now_ns, sleep_until
 
 SLICE_NS = 100_000_000
 """No wait is longer without a look at whether the loop was told to stop."""
+
+
+_GLANCE_NS = 50_000
+
+
+@part
+def wait_for_go(loop):
+    """Waits until the device is armed, or the loop told to stop. Done in here, the loop needs Python no more once it is
+    armed: whatever holds Python up at that moment makes no first force late."""
+    while not loop.control.go and not loop.control.stop:
+        sleep_until(now_ns(loop.desk.scratch) + _GLANCE_NS, loop.desk.scratch)
 
 
 @jit_inlined

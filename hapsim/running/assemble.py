@@ -63,6 +63,7 @@ def watchdog_samples(rate: float, description: Description) -> int:
 def _control(scene: Scene, excitation: Excitation | None, duration: float | None) -> Any:
     control = np.zeros(1, CONTROL)[0]
     control["ticks"] = -1 if duration is None else max(1, round(duration * scene.rate))
+    control["go"] = 1
     control["period_ns"] = round(1e9 / scene.rate)
     control["clock"] = _CLOCK[scene.device.clock]
     control["silence_ns"] = round(1e9 * max(0.25, 20.0 / scene.rate))

@@ -42,7 +42,6 @@ class Session:
         self._loop, self._body, self._recorder = loop, body, recorder
         self._parameters = LiveParameters(scene, loop.parameters)
         self._ending: int | None = None
-        self._armed = threading.Event()
         self._thread = threading.Thread(target=self._work, name="haptic loop")
         self._reader = threading.Thread(target=self._read, name="telemetry")
         self._over = threading.Event()
@@ -101,11 +100,7 @@ class Session:
 
     def _work(self) -> None:
         no_timer_slack()
-        self._armed.wait()
         try:
-            if self._loop.control["stop"]:
-                self._ending = endings.STOPPED  # never armed
-                return
             ending = self._body(self._loop)
             while ending == endings.RING_FULL:
                 self._recorder.collect()
@@ -120,6 +115,7 @@ class Session:
                 self._recorder.collect()
 
     def _begin(self) -> None:
+        self._loop.control["go"] = 0
         with _SIZING:  # the size is the whole process's: another session must not take ours for what it was before
             stack = threading.stack_size(_STACK_BYTES)
             try:
@@ -129,11 +125,10 @@ class Session:
         self._reader.start()
 
     def _go(self) -> None:
-        self._armed.set()
+        self._loop.control["go"] = 1
 
     def _end(self) -> int:
         self.stop()
-        self._armed.set()
         self._join()
         self._recorder.collect()
         if self._ending is None and self._thread.ident is not None:
