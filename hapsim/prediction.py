@@ -9,7 +9,8 @@ import numpy as np
 
 from firmware_protocol import schema
 from hapsim.errors import UsageError
-from hapsim.scene import Scene, ViscoElastic
+from hapsim.linear import LinearLink, LinearScene, linear_scene
+from hapsim.scene import Scene
 from hapsim.theory import Configuration, Mode, Network, frequency_and_ratio
 from hapsim.theory.interface import damper_named
 
@@ -103,6 +104,8 @@ class Prediction:
     how_margins: str
     """In words, which links of a large scene were worked out, and how surely; "" where all were."""
     link_budget: LinkBudget
+    assumptions: tuple[str, ...] = ()
+    """Sentences: where the scene is not linear, and what was taken for it."""
 
     @property
     def first(self) -> Felt | None:
@@ -142,11 +145,12 @@ def predict(scene: Scene, *, with_margins: bool = True) -> Prediction:
     """
     if not 1e-9 <= scene.rate <= 1e9:
         raise UsageError(f"rate: found {scene.rate:g} Hz, which is beyond what is worked out (1e-9 to 1e9 Hz)")
-    network, points = _network(scene)
+    linear = linear_scene(scene)
+    network, points = _network(scene, linear)
     poles = network.poles()
-    coupled = {name: why for name in scene.device_points if (why := _why_coupled(scene, name))}
-    felt = tuple(_felt(scene, name) for name in scene.device_points if name not in coupled)
-    whole = not coupled and not scene.masses
+    coupled = {name: why for name in scene.device_points if (why := _why_coupled(scene, linear, name))}
+    felt = tuple(_felt(scene, linear, name) for name in scene.device_points if name not in coupled)
+    whole = not coupled and not linear.masses
     return Prediction(
         rate=scene.rate,
         felt=felt,
@@ -159,9 +163,10 @@ def predict(scene: Scene, *, with_margins: bool = True) -> Prediction:
         how=network.how(),
         modes=tuple(network.modes()),
         points=points,
-        margins=_margins(scene, network, felt) if with_margins else (),
+        margins=_margins(linear, network, felt) if with_margins else (),
         how_margins=network.how_margins() if with_margins else "",
         link_budget=_link_budget(scene),
+        assumptions=tuple(linear.assumptions),
     )
 
 
@@ -182,32 +187,27 @@ def warnings_about(scene: Scene, prediction: Prediction) -> list[str]:
     return warnings
 
 
-def _links(scene: Scene) -> list[ViscoElastic]:
-    return [link for link in scene.links.values() if isinstance(link, ViscoElastic)]
+def _links_of(linear: LinearScene, name: str) -> list[LinearLink]:
+    return [link for link in linear.links.values() if name in link.between]
 
 
-def _links_of(scene: Scene, name: str) -> list[ViscoElastic]:
-    return [link for link in _links(scene) if name in link.between]
-
-
-def _dampers(scene: Scene, name: str) -> dict[tuple[str, float | None], str]:
+def _dampers(linear: LinearScene, name: str) -> dict[tuple[str, float | None], str]:
     """The kinds of damper that do something at this device point, (damper, cutoff), each with a link that has it."""
-    links = scene.links.items()
-    own = {link: module for link, module in links if isinstance(module, ViscoElastic) and name in module.between}
+    own = {link: module for link, module in linear.links.items() if name in module.between}
     return {(module.damper, module.cutoff): link for link, module in own.items() if module.damping > 0.0}
 
 
-def _why_coupled(scene: Scene, name: str) -> str:
+def _why_coupled(scene: Scene, linear: LinearScene, name: str) -> str:
     """Why the hand at this device point is no oscillator of its own, in words that follow its name; "" where it is."""
-    links = {link: module for link, module in scene.links.items() if name in module.between}
-    masses, hands = scene.masses, scene.device_points
+    links = {link: module for link, module in linear.links.items() if name in module.between}
+    masses, hands = linear.masses, scene.device_points
     for link, module in links.items():
         (other,) = set(module.between) - {name}
         if other in masses:
             return f"moves a mass of the scene too ({other}, by {link})"
         if other in hands:
             return f"is tied to another hand ({other}, by {link})"
-    kinds = _dampers(scene, name)
+    kinds = _dampers(linear, name)
     if len(kinds) < 2:
         return ""
     words = (
@@ -234,10 +234,10 @@ def configuration_of(
     )
 
 
-def _felt(scene: Scene, name: str) -> Felt:
+def _felt(scene: Scene, linear: LinearScene, name: str) -> Felt:
     channel = scene.device_points[name].channel
-    links = _links_of(scene, name)
-    damper, cutoff = next(iter(_dampers(scene, name)), ("backward", None))
+    links = _links_of(linear, name)
+    damper, cutoff = next(iter(_dampers(linear, name)), ("backward", None))
     configuration = configuration_of(scene, channel, damper, cutoff)
     stiffness = math.fsum(link.stiffness for link in links)
     damping = math.fsum(link.damping for link in links)
@@ -266,12 +266,11 @@ def _felt(scene: Scene, name: str) -> Felt:
     )
 
 
-def _margins(scene: Scene, network: Network, felt: tuple[Felt, ...]) -> tuple[LinkMargin, ...]:
+def _margins(linear: LinearScene, network: Network, felt: tuple[Felt, ...]) -> tuple[LinkMargin, ...]:
     """Where a hand's only link is all that holds it, its margin by the closed formula."""
-    lone = {one.name: one.stiffness_factor for one in felt if len(_links_of(scene, one.name)) == 1}
-    names = [name for name, link in scene.links.items() if isinstance(link, ViscoElastic)]
+    lone = {one.name: one.stiffness_factor for one in felt if len(_links_of(linear, one.name)) == 1}
     margins = []
-    for name, link, margin in zip(names, _links(scene), network.margins(), strict=True):
+    for (name, link), margin in zip(linear.links.items(), network.margins(), strict=False):
         hand = next((end for end in link.between if end in lone), None)
         factor = margin.stiffness_factor if hand is None else lone[hand]
         margins.append(LinkMargin(name, factor, margin.damping_factor))
@@ -297,15 +296,15 @@ def _stable_damping(configuration: Configuration, stiffness: float) -> tuple[flo
     return float(least), float(most)
 
 
-def _network(scene: Scene) -> tuple[Network, tuple[str, ...]]:
-    """The whole scene as arrays: one point for every device point, one for every mass.
+def _network(scene: Scene, linear: LinearScene) -> tuple[Network, tuple[str, ...]]:
+    """The whole scene as arrays: one point for every device point, one for every mass; the scene's own links first.
 
     Channels below the highest that no module holds are no part of it: what nothing touches is neither stable nor not.
     """
     channels = [point.channel for point in scene.device_points.values()]
-    points = [*scene.device_points, *scene.masses]
-    number = {name: i for i, name in enumerate(points)} | dict.fromkeys(scene.grounds, -1)
-    links = _links(scene)
+    points = [*scene.device_points, *linear.masses]
+    number = {name: i for i, name in enumerate(points)} | dict.fromkeys(linear.fixed, -1)
+    links = [*linear.links.values(), *linear.inner]
     device = scene.device
     network = Network(
         rate=scene.rate,
@@ -314,12 +313,13 @@ def _network(scene: Scene) -> tuple[Network, tuple[str, ...]]:
         delay=device.delay,
         hold=device.hold,
         sampling=device.sampling,
-        point_mass=np.array([mass.mass for mass in scene.masses.values()]),
+        point_mass=np.array(list(linear.masses.values())),
         ends=np.array([[number[end] for end in link.between] for link in links], int).reshape(-1, 2),
         stiffness=np.array([link.stiffness for link in links]),
         damping=np.array([link.damping for link in links]),
         channel_stiffness=np.array(device.stiffnesses(scene.channels))[channels],
         damper=tuple(damper_named(link.damper, link.cutoff, scene.rate) for link in links),
+        judged=len(linear.links),
     )
     return network, tuple(points)
 

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from hapsim.compiled import inlined
-from hapsim.cordis.viscoelastic import pull, stretch
+from hapsim.cordis.acting import pulls
+from hapsim.cordis.kind import Kind
+from hapsim.cordis.link import Links, stretch
+from hapsim.cordis.viscoelastic import links_of, live_links, pull_link, with_damper
+
+BACKWARD = Kind(with_damper("backward"), links_of, live_links)
 
 
+@pulls(Links)
 @inlined
-def pull_backward(links, position, previous, force):
+def pull_backward(links, moment):
     """Adds the force of every link."""
-    if links is None:
-        return
-    for i in range(links.first.size):
-        d = stretch(links, i, position)
-        pull(links, i, d, d - stretch(links, i, previous), force)
+    for i in range(links.ends.first.size):
+        d = stretch(links.ends, i, moment.position)
+        pull_link(links, i, d, d - stretch(links.ends, i, moment.previous), moment.force)

@@ -2,42 +2,50 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hapsim.compiled import inlined
-from hapsim.cordis.viscoelastic import Links, pull, stretch
+from hapsim.cordis.acting import pulls, settles
+from hapsim.cordis.kind import Column, Frame, Kind
+from hapsim.cordis.link import Links, stretch
+from hapsim.cordis.viscoelastic import links_of, live_links, pull_link, with_damper
+from hapsim.scene import ViscoElastic
 
 
 class CentredLinks(NamedTuple):
     """L links; `older`: d two samples before the next tick, m, shape (L,)."""
 
     links: Links
-    older: NDArray[np.float64]
+    older: Column
 
 
-def centred_links(links: Links) -> CentredLinks:
-    """Links at rest until `settle_centred` was called."""
-    return CentredLinks(links, np.zeros(links.first.size))
+def _build(links: Mapping[str, ViscoElastic], columns: Sequence[Column], frame: Frame) -> CentredLinks:
+    return CentredLinks(links_of(links, columns, frame), np.zeros(len(links), frame.real))
 
 
+CENTRED = Kind(with_damper("centred"), _build, live_links)
+
+
+@settles(CentredLinks)
 @inlined
-def settle_centred(group, position, previous):
+def settle_centred(group, moment):
     """Before the first tick: as if every point had moved up to now as it does."""
-    if group is None:
-        return
+    ends = group.links.ends
     for i in range(group.older.size):
-        group.older[i] = 2.0 * stretch(group.links, i, previous) - stretch(group.links, i, position)
+        before = stretch(ends, i, moment.previous)
+        group.older[i] = before + (before - stretch(ends, i, moment.position))
 
 
+@pulls(CentredLinks)
 @inlined
-def pull_centred(group, position, previous, force):
+def pull_centred(group, moment):
     """Adds the force of every link."""
-    if group is None:
-        return
+    ends = group.links.ends
     for i in range(group.older.size):
-        d = stretch(group.links, i, position)
-        pull(group.links, i, d, 0.5 * (d - group.older[i]), force)
-        group.older[i] = stretch(group.links, i, previous)
+        d = stretch(ends, i, moment.position)
+        growth = np.float32(0.5) * (d - group.older[i])  # exact in either precision, and takes neither to the other
+        pull_link(group.links, i, d, growth, moment.force)
+        group.older[i] = stretch(ends, i, moment.previous)

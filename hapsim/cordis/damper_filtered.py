@@ -5,46 +5,52 @@ g[n] = k g[n-1] + (1 - k) (d[n] - d[n-1]),      k = exp(-2 pi cutoff T)
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hapsim.compiled import inlined
-from hapsim.cordis.viscoelastic import Links, pull, stretch
+from hapsim.cordis.acting import pulls, settles
+from hapsim.cordis.kind import Column, Frame, Kind
+from hapsim.cordis.link import Links, stretch
+from hapsim.cordis.viscoelastic import links_of, live_links, pull_link, with_damper
+from hapsim.scene import ViscoElastic
 
 
 class FilteredLinks(NamedTuple):
     """L links; `kept`: k; `growth`: g of the last tick, m; shape (L,) both."""
 
     links: Links
-    kept: NDArray[np.float64]
-    growth: NDArray[np.float64]
+    kept: Column
+    growth: Column
 
 
-def filtered_links(links: Links, cutoff: Sequence[float], rate: float) -> FilteredLinks:
-    """Links at rest until `settle_filtered` was called. `cutoff` and `rate` in Hz."""
-    kept = np.exp(-2.0 * np.pi * np.array(cutoff, np.float64) / rate)
-    return FilteredLinks(links, kept, np.zeros(links.first.size))
+def _build(links: Mapping[str, ViscoElastic], columns: Sequence[Column], frame: Frame) -> FilteredLinks:
+    cutoff = np.array([link.cutoff for link in links.values()], np.float64)  # Hz
+    kept = np.exp(-2.0 * np.pi * cutoff / frame.rate).astype(frame.real)
+    return FilteredLinks(links_of(links, columns, frame), kept, np.zeros(len(links), frame.real))
 
 
+FILTERED = Kind(with_damper("filtered"), _build, live_links)
+
+
+@settles(FilteredLinks)
 @inlined
-def settle_filtered(group, position, previous):
+def settle_filtered(group, moment):
     """Before the first tick: as if every point had moved up to now as it does."""
-    if group is None:
-        return
+    ends = group.links.ends
     for i in range(group.growth.size):
-        group.growth[i] = stretch(group.links, i, position) - stretch(group.links, i, previous)
+        group.growth[i] = stretch(ends, i, moment.position) - stretch(ends, i, moment.previous)
 
 
+@pulls(FilteredLinks)
 @inlined
-def pull_filtered(group, position, previous, force):
+def pull_filtered(group, moment):
     """Adds the force of every link."""
-    if group is None:
-        return
+    ends = group.links.ends
     for i in range(group.growth.size):
-        d = stretch(group.links, i, position)
-        newest = d - stretch(group.links, i, previous)
+        d = stretch(ends, i, moment.position)
+        newest = d - stretch(ends, i, moment.previous)
         group.growth[i] = newest + group.kept[i] * (group.growth[i] - newest)
-        pull(group.links, i, d, group.growth[i], force)
+        pull_link(group.links, i, d, group.growth[i], moment.force)

@@ -5,39 +5,46 @@ A link's end that is no device point has no sensor: there g is the backward diff
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
+import numpy as np
+
 from hapsim.compiled import inlined
-from hapsim.cordis.viscoelastic import Links, pull, stretch
+from hapsim.cordis.acting import pulls
+from hapsim.cordis.kind import Column, Frame, Kind
+from hapsim.cordis.link import Links, stretch
+from hapsim.cordis.viscoelastic import links_of, live_links, pull_link, with_damper
+from hapsim.scene import ViscoElastic
 
 
 class SensedLinks(NamedTuple):
-    """L links; `period`: T in s."""
+    """L links; `period`: T in s, shape (1,)."""
 
     links: Links
-    period: float
+    period: Column
 
 
-def sensed_links(links: Links, rate: float) -> SensedLinks:
-    """Links whose device ends are driven by a sensor. `rate` in Hz."""
-    return SensedLinks(links, 1.0 / rate)
+def _build(links: Mapping[str, ViscoElastic], columns: Sequence[Column], frame: Frame) -> SensedLinks:
+    return SensedLinks(links_of(links, columns, frame), np.array([1.0 / frame.rate], frame.real))
+
+
+SENSED = Kind(with_damper("sensed"), _build, live_links)
 
 
 @inlined
-def _way(point, devices, period, velocity, position, previous):
+def _way(point, period, moment):
     """How far a point moves in a sample period, by its sensor where it has one. Device points come first."""
-    if point < devices.channel.size:
-        return period * velocity[devices.channel[point]]
-    return position[point] - previous[point]
+    if point < moment.devices.channel.size:
+        return period * moment.velocity[moment.devices.channel[point]]
+    return moment.position[point] - moment.previous[point]
 
 
+@pulls(SensedLinks)
 @inlined
-def pull_sensed(group, devices, velocity, position, previous, force):
-    """Adds the force of every link. `velocity`: sensed, in m/s, one per channel."""
-    if group is None:
-        return
-    links = group.links
-    for i in range(links.first.size):
-        first = _way(links.first[i], devices, group.period, velocity, position, previous)
-        second = _way(links.second[i], devices, group.period, velocity, position, previous)
-        pull(links, i, stretch(links, i, position), first - second, force)
+def pull_sensed(group, moment):
+    """Adds the force of every link."""
+    ends, period = group.links.ends, group.period[0]
+    for i in range(ends.first.size):
+        growth = _way(ends.first[i], period, moment) - _way(ends.second[i], period, moment)
+        pull_link(group.links, i, stretch(ends, i, moment.position), growth, moment.force)

@@ -14,27 +14,18 @@ from hapsim.compiled import inlined
 class DevicePoints(NamedTuple):
     """P device points, which are the scene's first points; `channel`: the device's channel of each, shape (P,)."""
 
-    channel: NDArray[np.int64]
+    channel: NDArray[np.uint32]
 
 
 def device_points(channels: Sequence[int]) -> DevicePoints:
     """Device points on these channels of the device."""
-    return DevicePoints(np.array(channels, np.int64))
+    return DevicePoints(np.array(channels, np.uint32))
 
 
 @inlined
-def place(points, measured, position, previous):
-    """Puts every device point where the device says it is, at rest: for the first sample."""
+def follow(points, measured, position):
+    """Puts every device point where the device says it is: `measured` in m, one value per channel."""
     for i in range(points.channel.size):
-        position[i] = measured[points.channel[i]]
-        previous[i] = position[i]
-
-
-@inlined
-def follow(points, measured, position, previous):
-    """Moves every device point to the new sample, `measured` in m, one value per channel."""
-    for i in range(points.channel.size):
-        previous[i] = position[i]
         position[i] = measured[points.channel[i]]
 
 

@@ -1,39 +1,50 @@
-"""The mass: second-order centred scheme (Florens et al., §6, Figure 5a).
+"""The mass: second-order centred scheme (Florens et al., §6, Figure 5a; CORDIS: MAS).
 
 (m / T²) (x[n+1] - 2 x[n] + x[n-1]) = F[n]
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hapsim.compiled import inlined
+from hapsim.cordis.acting import moves
+from hapsim.cordis.kind import Column, Frame, Kind
+from hapsim.scene import Mass, Scene
 
 
 class Masses(NamedTuple):
     """M masses, which stand together from point `start` on; `mobility`: T²/m in m/N, shape (M,)."""
 
     start: int
-    mobility: NDArray[np.float64]
+    mobility: Column
 
 
-def masses(start: int, mass: Sequence[float], rate: float) -> Masses:
-    """Masses in kg that stand from point `start` on, sampled at `rate` Hz."""
+def mobility_of(mass: Sequence[float] | float, frame: Frame) -> Column:
+    """T²/m of masses in kg."""
     with np.errstate(over="ignore", divide="ignore"):  # the guard sees what comes of an infinity
-        return Masses(start, 1.0 / (np.array(mass, np.float64) * rate * rate))
+        return np.asarray(1.0 / (np.asarray(mass, np.float64) * frame.rate * frame.rate), frame.real)
 
 
+def _select(scene: Scene) -> Mapping[str, Mass]:
+    return scene.masses
+
+
+def _build(masses: Mapping[str, Mass], _columns: Sequence[Column], frame: Frame) -> Masses:
+    return Masses(frame.number[next(iter(masses))], mobility_of([one.mass for one in masses.values()], frame))
+
+
+MASS = Kind(_select, _build)
+
+
+@moves(Masses)
 @inlined
-def advance(group, position, previous, force):
+def advance(group, moment):
     """Moves every mass by one sample."""
-    if group is None:
-        return
     for i in range(group.mobility.size):
         p = group.start + i
-        following = 2.0 * position[p] - previous[p] + group.mobility[i] * force[p]
-        previous[p] = position[p]
-        position[p] = following
+        x = moment.position[p]
+        moment.following[p] = x + x - moment.previous[p] + group.mobility[i] * moment.force[p]

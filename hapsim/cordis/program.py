@@ -1,102 +1,139 @@
 """Scene -> Program: the arrays that the compiled tick works on, and nothing that the scene does not have.
 
-Points are numbered: device points first (the exchange writes them), then grounds, then masses (which stand together,
-so that they advance in one pass). What can be changed while the scene runs (stiffness, damping, rest positions) stands
-together in one array, of which the modules hold their parts: `parameter_values` says what stands where.
+Points are numbered: device points first (the exchange writes them), then grounds, then masses (which stand together, so
+that they advance in one pass), then the points of strings and membranes, each in one piece with the borders that its
+stencil needs. What can be changed while the scene runs (stiffness, damping, rest positions) stands together in one
+array, of which the parts hold their columns: `parameter_values` says what stands where.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Iterator
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hapsim.cordis.damper_centred import CentredLinks, centred_links
-from hapsim.cordis.damper_filtered import FilteredLinks, filtered_links
-from hapsim.cordis.damper_sensed import SensedLinks, sensed_links
 from hapsim.cordis.device_point import DevicePoints, device_points
-from hapsim.cordis.ground import Grounds
-from hapsim.cordis.mass import Masses, masses
-from hapsim.cordis.viscoelastic import Links, links_between
-from hapsim.scene import Scene, ViscoElastic
+from hapsim.cordis.ground import GROUND, Grounds
+from hapsim.cordis.kind import Column, Frame, Kind, Layout
+from hapsim.cordis.kinds import KINDS
+from hapsim.scene import Scene
+
+_REAL = {"double": np.float64, "single": np.float32}
 
 
 class Program(NamedTuple):
-    """A scene as the tick sees it: state of N points (m, and N for the force), and the modules that move them.
+    """A scene as the tick sees it: the state of N points, and the parts that move them."""
 
-    The visco-elastic links stand by their damper. What the scene lacks is None, and the tick is compiled without it.
-    """
-
-    position: NDArray[np.float64]
-    previous: NDArray[np.float64]
-    force: NDArray[np.float64]
-    parameters: NDArray[np.float64]
+    rows: Column
+    """(3, N) positions in m: of this sample, the one before and the next, taking turns."""
+    turn: NDArray[np.uint64]
+    """(1,) which row is this sample's."""
+    force: Column
+    """(N,) N"""
+    loose: int
+    """How many points, the first, have their force set to zero with every tick; the others' parts see to theirs."""
     devices: DevicePoints
-    grounds: Grounds
-    masses: Masses | None
-    backward: Links | None
-    centred: CentredLinks | None
-    filtered: FilteredLinks | None
-    sensed: SensedLinks | None
+    grounds: Grounds | None
+    parts: tuple[Any, ...]
+    """One for each kind of module that the scene has: see `acting`."""
 
 
-def compile_scene(scene: Scene) -> Program:
-    """The program of `scene`, at its initial state."""
-    points = [*scene.device_points, *scene.grounds, *scene.masses]
-    number = {name: i for i, name in enumerate(points)}
-    position = np.zeros(len(points))
-    previous = np.zeros(len(points))
-    for name, ground in scene.grounds.items():
-        position[number[name]] = previous[number[name]] = ground.position
-    for name, mass in scene.masses.items():
-        position[number[name]] = mass.position
-        previous[number[name]] = mass.position - mass.velocity / scene.rate
-    cutoffs = [link.cutoff for link in _with_damper(scene, "filtered") if link.cutoff is not None]
-    values = parameter_values(scene)
-    rest, *parts = _cut(values, scene)
-    links = {
-        damper: links_between([(number[one.between[0]], number[one.between[1]]) for one in of_kind], *part)
-        for (damper, of_kind), part in zip(_by_damper(scene), zip(parts[::2], parts[1::2], strict=True), strict=True)
-        if of_kind
-    }
-    first_mass = len(scene.device_points) + len(scene.grounds)
+def compile_scene(scene: Scene, values: Column | None = None) -> Program:
+    """The program of `scene`, at its initial state.
+
+    `values`: what `parameter_values` gives, kept and read at every tick, so that who holds it may change it.
+    """
+    frame, loose, rests = _frame(scene)
+    if values is None:
+        values = parameter_values(scene)
+    built = [(kind, kind.build(modules, columns, frame)) for kind, modules, columns in _taken(scene, values)]
+    rows = _rows(scene, frame, loose, rests)
     return Program(
-        position,
-        previous,
-        np.zeros(len(points)),
-        values,
-        device_points([point.channel for point in scene.device_points.values()]),
-        Grounds(len(scene.device_points), rest),
-        masses(first_mass, [m.mass for m in scene.masses.values()], scene.rate) if scene.masses else None,
-        links.get("backward"),
-        centred_links(links["centred"]) if "centred" in links else None,
-        filtered_links(links["filtered"], cutoffs, scene.rate) if "filtered" in links else None,
-        sensed_links(links["sensed"], scene.rate) if "sensed" in links else None,
+        rows=rows,
+        turn=np.zeros(1, np.uint64),
+        force=np.zeros(rows.shape[1], frame.real),
+        loose=loose,
+        devices=device_points([point.channel for point in scene.device_points.values()]),
+        grounds=next((part for kind, part in built if kind is GROUND), None),
+        parts=tuple(part for kind, part in built if kind is not GROUND),
     )
 
 
-def parameter_values(scene: Scene) -> NDArray[np.float64]:
-    """What can be changed while the scene runs, shape (P,): the grounds' positions in m; then for each kind of damper
-    the links' K, and their B/T, in N/m."""
-    values = [ground.position for ground in scene.grounds.values()]
-    for _, links in _by_damper(scene):
-        values += [link.stiffness for link in links]
-        values += [link.damping * scene.rate for link in links]  # the guard sees what comes of an infinity
-    return np.array(values, np.float64)
+def parameter_values(scene: Scene) -> Column:
+    """What can be changed while the scene runs, shape (P,): the live columns of every kind of module, in turn."""
+    columns = [
+        column for kind in KINDS if (modules := kind.select(scene)) for column in _columns(kind, modules, scene.rate)
+    ]
+    with np.errstate(over="ignore"):
+        return np.array([value for column in columns for value in column], np.float64).astype(real_of(scene))
 
 
-def _cut(values: NDArray[np.float64], scene: Scene) -> list[NDArray[np.float64]]:
-    """The parts of `parameter_values`, not copied."""
-    counts = [len(scene.grounds)]
-    for _, links in _by_damper(scene):
-        counts += [len(links), len(links)]
-    return np.split(values, np.cumsum(counts)[:-1])
+def real_of(scene: Scene) -> Any:
+    """The kind of number that a scene is worked out in."""
+    return _REAL[scene.precision]
 
 
-def _by_damper(scene: Scene) -> list[tuple[str, list[ViscoElastic]]]:
-    return [(damper, _with_damper(scene, damper)) for damper in ("backward", "centred", "filtered", "sensed")]
+def positions_of(program: Program) -> tuple[Column, Column]:
+    """(N,) where the points are, and where they were a sample before, in m; the program's own, not copies."""
+    now = int(program.turn[0])
+    return program.rows[now], program.rows[now - 1]
 
 
-def _with_damper(scene: Scene, damper: str) -> list[ViscoElastic]:
-    return [link for link in scene.links.values() if isinstance(link, ViscoElastic) and link.damper == damper]
+def numbers_of(scene: Scene) -> dict[str, int]:
+    """Where each point stands in a program's arrays, by its name."""
+    return dict(_frame(scene)[0].number)
+
+
+def _columns(kind: Kind, modules: Any, rate: float) -> list[list[float]]:
+    return kind.live(list(modules.values()), rate)
+
+
+def _taken(scene: Scene, values: Column) -> Iterator[tuple[Kind, Any, list[Column]]]:
+    """The kinds that the scene has, with their modules and their columns of the parameters."""
+    begin = 0
+    for kind in KINDS:
+        modules = kind.select(scene)
+        if not modules:
+            continue
+        columns = []
+        for column in _columns(kind, modules, scene.rate):
+            columns.append(values[begin : begin + len(column)])
+            begin += len(column)
+        yield kind, modules, columns
+
+
+def _structures(scene: Scene) -> Iterator[tuple[Layout, str, Any]]:
+    """The structures, in the order in which they stand in memory."""
+    for kind in KINDS:
+        if kind.layout is not None:
+            for name, structure in kind.select(scene).items():
+                yield kind.layout, name, structure
+
+
+def _frame(scene: Scene) -> tuple[Frame, int, list[float]]:
+    """The numbers of all points, how many stand before the first structure's, and where the structures' rest, in m."""
+    names = [*scene.device_points, *scene.grounds, *scene.masses]
+    number = {name: i for i, name in enumerate(names)}
+    loose = points = len(names)
+    rests = []
+    for layout, name, structure in _structures(scene):
+        numbers, size = layout(structure)
+        number |= {f"{name}.{place}": points + i for place, i in zip(structure.places(), numbers, strict=True)}
+        rests += [structure.position] * size
+        points += size
+    ends = {end for link in scene.links.values() for end in link.between}
+    return Frame(number, scene.rate, real_of(scene), frozenset(number[end] for end in ends)), loose, rests
+
+
+def _rows(scene: Scene, frame: Frame, loose: int, rests: list[float]) -> Column:
+    """The positions at the first sample, and where the points were before it."""
+    rows = np.zeros((3, loose + len(rests)), np.float64)
+    rows[:, loose:] = rests
+    for name, ground in scene.grounds.items():
+        rows[:, frame.number[name]] = ground.position
+    for name, mass in scene.masses.items():
+        rows[0, frame.number[name]] = mass.position
+        rows[2, frame.number[name]] = mass.position - mass.velocity / scene.rate
+    return rows.astype(frame.real)

@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
-from hapsim.compiled import jit_inlined
-from hapsim.cordis.damper_backward import pull_backward
-from hapsim.cordis.damper_centred import pull_centred, settle_centred
-from hapsim.cordis.damper_filtered import pull_filtered, settle_filtered
-from hapsim.cordis.damper_sensed import pull_sensed
-from hapsim.cordis.device_point import felt, follow, place
-from hapsim.cordis.mass import advance
+from hapsim.compiled import inlined, jit_inlined
+from hapsim.cordis.acting import move_all, pull_all, settle_all
+from hapsim.cordis.device_point import felt, follow
+from hapsim.cordis.ground import settle
+from hapsim.cordis.moment import moment_of, pass_on
 
 
 @jit_inlined
 def start(program, measured):
     """Puts the device points where the hand is, at rest, so that the first tick feels no jump."""
-    place(program.devices, measured, program.position, program.previous)
-    settle_centred(program.centred, program.position, program.previous)
-    settle_filtered(program.filtered, program.position, program.previous)
+    moment = moment_of(program, measured)
+    follow(program.devices, measured, moment.position)
+    follow(program.devices, measured, moment.previous)
+    settle_all(program.parts, moment)
+
+
+@inlined
+def settle_grounds(program):
+    """After parameters moved, before the tick: grounds go where they are told."""
+    settle(program.grounds, moment_of(program, program.force))
 
 
 @jit_inlined
@@ -26,13 +31,11 @@ def tick(program, measured, velocity, force):
     `measured`: the device's positions in m, one per channel. `velocity`: those that it senses in m/s, 0 where it does
     not. `force`: receives the force in N on each channel that the scene uses.
     """
-    position, previous = program.position, program.previous
-    follow(program.devices, measured, position, previous)
-    for p in range(program.force.size):
-        program.force[p] = 0.0
-    pull_backward(program.backward, position, previous, program.force)
-    pull_centred(program.centred, position, previous, program.force)
-    pull_filtered(program.filtered, position, previous, program.force)
-    pull_sensed(program.sensed, program.devices, velocity, position, previous, program.force)
-    felt(program.devices, program.force, force)
-    advance(program.masses, position, previous, program.force)
+    moment = moment_of(program, velocity)
+    follow(program.devices, measured, moment.position)
+    for p in range(program.loose):
+        moment.force[p] = 0.0
+    pull_all(program.parts, moment)
+    felt(program.devices, moment.force, force)
+    move_all(program.parts, moment)
+    pass_on(program)

@@ -1,48 +1,37 @@
-"""The visco-elastic link (Florens et al., §6, Figure 5b): a spring and a damper between two points.
-
-    F[n] = -K d[n] - (B / T) g[n]      d: first end minus second end; g: by how much d grows in a sample period
-
-F acts on the first end, -F on the second. What g is, the damper says: `damper_backward.py` and its kin, one a file,
-each the recurrence of the transfer function that stands under the same name in `hapsim.theory`.
-"""
+"""The visco-elastic link: a spring and a damper between two points (CORDIS: REF)."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import NamedTuple
-
-import numpy as np
-from numpy.typing import NDArray
+from collections.abc import Callable, Mapping, Sequence
 
 from hapsim.compiled import inlined
+from hapsim.cordis.kind import Column, Frame
+from hapsim.cordis.link import Links, ends_of, pull_ends
+from hapsim.scene import Scene, ViscoElastic
 
 
-class Links(NamedTuple):
-    """L links: the points they join (uint32), K in N/m, B/T in N/m; arrays of shape (L,)."""
+def with_damper(damper: str) -> Callable[[Scene], Mapping[str, ViscoElastic]]:
+    """Selects the visco-elastic links of a scene that have this damper."""
 
-    first: NDArray[np.uint32]
-    second: NDArray[np.uint32]
-    stiffness: NDArray[np.float64]
-    damping_per_sample: NDArray[np.float64]
+    def select(scene: Scene) -> Mapping[str, ViscoElastic]:
+        modules = scene.modules.items()
+        return {name: one for name, one in modules if isinstance(one, ViscoElastic) and one.damper == damper}
+
+    return select
 
 
-def links_between(
-    ends: Sequence[tuple[int, int]], stiffness: NDArray[np.float64], damping_per_sample: NDArray[np.float64]
-) -> Links:
-    """Links between numbered points; the two arrays, N/m both, are kept, not copied."""
-    pairs = np.array(ends, np.uint32).reshape(-1, 2)
-    return Links(np.ascontiguousarray(pairs[:, 0]), np.ascontiguousarray(pairs[:, 1]), stiffness, damping_per_sample)
+def live_links(links: Sequence[ViscoElastic], rate: float) -> list[list[float]]:
+    """K, and B/T, in N/m."""
+    # The guard sees what comes of an infinity.
+    return [[link.stiffness for link in links], [link.damping * rate for link in links]]
+
+
+def links_of(links: Mapping[str, ViscoElastic], columns: Sequence[Column], frame: Frame) -> Links:
+    """What every damper's part begins with."""
+    return Links(ends_of(list(links.values()), frame), *columns)
 
 
 @inlined
-def stretch(links, i, position):
-    """Link i's first end minus its second, where the points are at `position`, in m."""
-    return position[links.first[i]] - position[links.second[i]]
-
-
-@inlined
-def pull(links, i, d, growth, force):
-    """Adds link i's force to the points it joins: stretched by `d`, by `growth` more than a sample before, in m."""
-    f = links.stiffness[i] * d + links.damping_per_sample[i] * growth
-    force[links.first[i]] -= f
-    force[links.second[i]] += f
+def pull_link(links, i, d, growth, force):
+    """Adds link i's force: stretched by `d`, by `growth` more than a sample before, in m."""
+    pull_ends(links.ends, i, links.stiffness[i] * d + links.damping_per_sample[i] * growth, force)

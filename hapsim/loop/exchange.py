@@ -12,9 +12,8 @@ import numpy as np
 from firmware_protocol import schema
 from firmware_protocol.frames import Format, write_to_device
 from hapsim.compiled import inlined, jit_inlined
-from hapsim.cordis.ground import settle
 from hapsim.cordis.program import Program
-from hapsim.cordis.tick import start, tick
+from hapsim.cordis.tick import settle_grounds, start, tick
 from hapsim.loop.codes import BAD_FORCE, FAULT, HEARD, TIMED_OUT
 from hapsim.loop.guard.finite import is_finite
 from hapsim.loop.guard.limit import cut
@@ -297,7 +296,7 @@ def _move_scene(loop, samples):
             position, velocity = desk.bridge, desk.velocity_bridge
         moved = move_parameters(loop.parameters)
         if moved or loop.state.grounds_moved:
-            settle(loop.program.grounds, loop.program.position, loop.program.previous)
+            settle_grounds(loop.program)
             loop.state.grounds_moved = moved
         tick(loop.program, position, velocity, desk.asked)
 

@@ -13,7 +13,7 @@ The loop never waits: while a set is being written it goes on with what it has, 
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,7 +37,7 @@ _MAIL = np.dtype(
 class Parameters(NamedTuple):
     """P values that can be changed, each array of shape (P,), in the units that the program keeps them in."""
 
-    now: NDArray[np.float64]
+    now: NDArray[np.floating[Any]]
     """What the tick works with."""
     posted: NDArray[np.float64]
     incoming: NDArray[np.float64]
@@ -46,9 +46,9 @@ class Parameters(NamedTuple):
     mail: np.void
 
 
-def parameters_of(values: NDArray[np.float64]) -> Parameters:
+def parameters_of(values: NDArray[np.floating[Any]]) -> Parameters:
     """`values` (the tick's own, not a copy) as parameters that stand still."""
-    posted, incoming, origin, target = (values.copy() for _ in range(4))
+    posted, incoming, origin, target = (values.astype(np.float64) for _ in range(4))
     return Parameters(values, posted, incoming, origin, target, np.zeros(1, _MAIL)[0])
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from firmware_protocol import schema
 from firmware_protocol.description import Description
 from firmware_protocol.frames import armed_format
-from hapsim.cordis.program import compile_scene
+from hapsim.cordis.program import compile_scene, parameter_values
 from hapsim.device.line import Line
 from hapsim.loop.exchange import (
     CONTROL,
@@ -39,14 +39,14 @@ def assemble_loop(
 ) -> Loop:
     """The loop of `scene` over `line`, for `duration` seconds (None: until stopped), not yet armed."""
     channels = description.channels
-    program = compile_scene(scene)
+    values = parameter_values(scene)
     return Loop(
         port=line.port,
         inbox=line.inbox,
         decoder=line.decoder,
         wire=armed_format(channels, bool(scene.sensed_links)),
-        program=program,
-        parameters=parameters_of(program.parameters),
+        program=compile_scene(scene, values),
+        parameters=parameters_of(values),
         ring=new_ring(channels, _RING_ROWS, waits=scene.device.clock == "lockstep"),
         desk=_desk(scene, description),
         control=_control(scene, excitation, duration),

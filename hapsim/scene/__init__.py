@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from .device import Clock, Device, Hold, Sampling
     from .load import load_scene, parse_scene
     from .mock import Initial, Mock, MockDevice
-    from .modules import DevicePoint, Ground, Link, Mass, Module, ViscoElastic
+    from .modules import Buffer, DevicePoint, Ground, Link, Mass, Module, String, Structure, ViscoElastic
     from .scene import VERSION, Scene
     from .schema import scene_schema
 
@@ -20,7 +20,7 @@ _EXPORTS = {
     "device": ("Clock", "Device", "Hold", "Sampling"),
     "load": ("load_scene", "parse_scene"),
     "mock": ("Initial", "Mock", "MockDevice"),
-    "modules": ("DevicePoint", "Ground", "Link", "Mass", "Module", "ViscoElastic"),
+    "modules": ("Buffer", "DevicePoint", "Ground", "Link", "Mass", "Module", "String", "Structure", "ViscoElastic"),
     "scene": ("VERSION", "Scene"),
     "schema": ("scene_schema",),
 }
@@ -28,6 +28,7 @@ _HOMES = {name: home for home, names in _EXPORTS.items() for name in names}
 
 __all__ = [
     "VERSION",
+    "Buffer",
     "Clock",
     "Device",
     "DevicePoint",
@@ -41,6 +42,8 @@ __all__ = [
     "Module",
     "Sampling",
     "Scene",
+    "String",
+    "Structure",
     "ViscoElastic",
     "load_scene",
     "parse_scene",

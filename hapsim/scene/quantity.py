@@ -154,6 +154,41 @@ class Count(Expectation):
 
 
 @dataclass(frozen=True)
+class Words(Expectation):
+    """A list of words, each one of a few.
+
+    Attributes:
+        description: what they say, for the schema.
+        words: which there are.
+        count: how many the list has.
+    """
+
+    description: str
+    words: tuple[str, ...]
+    count: int
+
+    def expected(self) -> str:
+        return f"a list of {self.count} words, each {' or '.join(self.words)}"
+
+    def check(self, value: object) -> tuple[str, ...]:
+        if not isinstance(value, list | tuple) or len(value) != self.count:
+            unexpected(self.expected())
+        for index, word in enumerate(value):
+            if word not in self.words:
+                unexpected(" or ".join(self.words), (index,))
+        return tuple(value)
+
+    def json_schema(self) -> dict[str, Any]:
+        return {
+            "description": self.description,
+            "type": "array",
+            "items": {"enum": list(self.words)},
+            "minItems": self.count,
+            "maxItems": self.count,
+        }
+
+
+@dataclass(frozen=True)
 class Name(Expectation):
     """The name of a module: letters, digits, ``_`` and ``-``, starting with a letter or ``_``."""
 

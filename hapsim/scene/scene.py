@@ -1,7 +1,7 @@
 """The scene: what the user wrote, validated, in SI units. Its parts never change once it is made."""
 
 from collections.abc import Mapping
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import AfterValidator, Field, PlainSerializer, PrivateAttr, model_validator
 from pydantic_core import PydanticCustomError
@@ -10,7 +10,7 @@ from .across import findings_across
 from .device import Device
 from .finding import Path
 from .mock import Mock, MockDevice, resolve
-from .modules import DevicePoint, Ground, Link, Mass, Module, Surroundings, TypedModule, ViscoElastic
+from .modules import DevicePoint, Ground, Link, Mass, Module, Structure, Surroundings, TypedModule, ViscoElastic
 from .part import Part
 from .quantity import Expectation, Name, Quantity, unexpected
 from .table import Table
@@ -71,6 +71,10 @@ class Scene(Part):
     mock: Mock | None = Field(
         default=None, description="Only where the mock device differs from what `device` says, or adds to it"
     )
+    precision: Literal["double", "single"] = Field(
+        default="double",
+        description="How long the real values are that the scene is worked out in: 64 bits (double), or 32 (single)",
+    )
     modules: ModulesByName
 
     _path: str | None = PrivateAttr(None)
@@ -116,6 +120,12 @@ class Scene(Part):
     def masses(self) -> dict[str, Mass]:
         """The simulated material points, by name, in the order of the file."""
         return self._of(Mass)
+
+    @property
+    def structures(self) -> dict[str, Structure]:
+        """Many masses under one name each, in the order of the file."""
+        modules = self.modules.items()
+        return {name: module for name, module in modules if isinstance(module, Structure)}
 
     @property
     def links(self) -> dict[str, Link]:

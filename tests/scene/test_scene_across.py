@@ -4,6 +4,8 @@ from collections.abc import Callable
 
 import pytest
 
+from hapsim.scene.modules import MODULE_TYPES
+
 OnlyFault = Callable[[str, str], str]
 Faults = Callable[[str], list[str]]
 
@@ -93,7 +95,7 @@ def test_a_fault_in_one_part_does_not_hide_how_the_others_fit(faults: Faults, go
 
 def test_a_link_to_a_faulty_module_is_no_fault_of_the_link(only_fault: OnlyFault) -> None:
     assert only_fault("type: ground", "type: wall") == (
-        "6:17: type: found 'wall' (text), expected device, ground, mass or viscoelastic"
+        f"6:17: type: found 'wall' (text), expected {', '.join([*MODULE_TYPES][:-1])} or {[*MODULE_TYPES][-1]}"
     )
 
 

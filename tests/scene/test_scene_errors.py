@@ -4,6 +4,8 @@ from collections.abc import Callable
 
 import pytest
 
+from hapsim.scene.modules import MODULE_TYPES
+
 OnlyFault = Callable[[str, str], str]
 Faults = Callable[[str], list[str]]
 
@@ -11,7 +13,7 @@ HZ = "expected a number > 0 (Hz)"
 FINITE = "expected a finite number > 0 (Hz)"
 DECIMALS = "; write plain decimals without a unit, such as 2000, 0.5 or 1e-9"
 MASS = "expected a number > 0 (kg), or a list with one per channel"
-TYPES = "expected device, ground, mass or viscoelastic"
+TYPES = f"expected {', '.join([*MODULE_TYPES][:-1])} or {[*MODULE_TYPES][-1]}"
 NAME = "not a name, expected letters, digits, _ and -, starting with a letter or _"
 NO_TAG = "expected a plain value without a tag"
 
@@ -188,7 +190,7 @@ def test_what_is_no_module_is_told(faults: Faults, good: str, old: str, new: str
         (
             "rate: 1000",
             "rte: 1000",
-            "2:1: rte: unknown key, expected version, rate, device, mock or modules; did you mean 'rate'?",
+            "2:1: rte: unknown key, expected version, rate, device, mock, precision or modules; did you mean 'rate'?",
         ),
         ("rate: 1000\n", "", f"1:1: 'rate' is missing, {HZ}"),
         (

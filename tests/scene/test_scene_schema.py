@@ -8,6 +8,7 @@ import yaml
 from jsonschema import Draft202012Validator
 
 from hapsim.scene import load_scene, scene_schema
+from hapsim.scene.modules import MODULE_TYPES
 
 CONFIGS = sorted((Path(__file__).parents[2] / "configs").glob("*.yaml"))
 
@@ -90,6 +91,6 @@ def test_the_defaults_of_the_format_are_in_the_schema(schema: dict[str, Any]) ->
 
 def test_the_type_says_which_module_is_meant(schema: dict[str, Any]) -> None:
     (modules,) = schema["properties"]["modules"]["patternProperties"].values()
-    assert set(modules["discriminator"]["mapping"]) == {"device", "ground", "mass", "viscoelastic"}
-    for kind in ("DevicePoint", "Ground", "Mass", "ViscoElastic"):
-        assert "type" in schema["$defs"][kind]["required"]
+    assert set(modules["discriminator"]["mapping"]) == set(MODULE_TYPES)
+    for kind in MODULE_TYPES.values():
+        assert "type" in schema["$defs"][kind.__name__]["required"]

@@ -4,14 +4,17 @@ from typing import Annotated, get_args
 
 from pydantic import Field
 
+from .buffer import Buffer
 from .device_point import DevicePoint
 from .ground import Ground
 from .link import Link
 from .mass import Mass
 from .module import Module, Surroundings
+from .string import String
+from .structure import Elements, Structure
 from .viscoelastic import ViscoElastic
 
-AnyModule = DevicePoint | Ground | Mass | ViscoElastic
+AnyModule = DevicePoint | Ground | Mass | String | ViscoElastic | Buffer
 
 #: A module as the file has it: its ``type`` says which.
 TypedModule = Annotated[AnyModule, Field(discriminator="type")]
@@ -22,11 +25,15 @@ MODULE_TYPES: dict[str, type[Module]] = {module.model_fields["type"].default: mo
 __all__ = [
     "MODULE_TYPES",
     "AnyModule",
+    "Buffer",
     "DevicePoint",
+    "Elements",
     "Ground",
     "Link",
     "Mass",
     "Module",
+    "String",
+    "Structure",
     "Surroundings",
     "TypedModule",
     "ViscoElastic",

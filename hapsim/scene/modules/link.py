@@ -7,6 +7,7 @@ from typing import Annotated, Any, ClassVar
 from ..finding import Finding, did_you_mean, quote
 from ..quantity import Expectation, unexpected
 from .module import Module, Surroundings
+from .structure import Structure
 
 
 @dataclass(frozen=True)
@@ -56,21 +57,46 @@ class Link(Module):
         first, second = self.between
         if first == second:
             yield Finding(path, f"found {quote(first)} at both ends, expected two different points")
-        elif all(kind is not None and not kind.can_move for kind in map(around.kinds.get, self.between)):
+        elif all(_stays(end, around) for end in self.between):
             yield Finding(
                 path,
                 f"found {quote(first)} and {quote(second)}, of which neither can move; expected one end that can",
             )
 
 
+def _stays(end: str, around: Surroundings) -> bool:
+    """Whether no force moves what is at this end."""
+    kind = around.kinds.get(end)
+    return kind is not None and not kind.can_move
+
+
 def _wrong_end(name: str, end: str, around: Surroundings) -> str | None:
     if end == name:
         return f"found {quote(end)}, the link itself; expected a point to hold"
-    if end not in around.kinds:
+    holder = around.holder(end)
+    if holder not in around.kinds:
         points = [other for other, kind in around.kinds.items() if kind is None or kind.is_point]
         hint = did_you_mean(end, points)
         return f"found {quote(end)}, expected the name of a module of this scene{hint}"
-    kind = around.kinds[end]
+    kind = around.kinds[holder]
+    if kind is not None and (holder != end or issubclass(kind, Structure)):
+        return _wrong_place(end, holder, kind, around)
     if kind is not None and not kind.is_point:
         return f"found {quote(end)}, which is a link; expected a point: a link joins points, not links"
     return None
+
+
+def _wrong_place(end: str, holder: str, kind: type[Module], around: Surroundings) -> str | None:
+    """What is wrong with an end that names a structure, or a place in a module."""
+    if not issubclass(kind, Structure):
+        what = kind.model_fields["type"].default
+        return f"found {quote(end)}, but {quote(holder)} is a single {what}; leave out the dot and what follows"
+    structure = around.sound.get(holder)
+    if not isinstance(structure, Structure):
+        return None
+    place = end[len(holder) + 1 :]
+    if structure.has_place(place):
+        return None
+    example = f"{holder}.{structure.places()[0]}"
+    expected = f"expected one of its masses, {structure.place_words()}, such as {example}"
+    return f"found {quote(end)}, but {quote(holder)} is a {structure.type}; {expected}"

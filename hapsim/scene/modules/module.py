@@ -51,3 +51,8 @@ class Surroundings:
 
     sound: Mapping[str, Module]
     kinds: Mapping[str, type[Module] | None]
+
+    def holder(self, end: str) -> str:
+        """The module that the end of a link names: itself, or the structure of which it names a point."""
+        name, dot, _ = end.partition(".")
+        return name if dot else end

@@ -83,17 +83,18 @@ def margins_of(network: Network) -> tuple[list[Margin], str]:
         return unknown, "none was worked out: the scene's links are too many, and too entwined"
     idle = Margin(0.0, 0.0) if growing else Margin(math.inf, math.inf)
     margins = [idle] * len(network.ends)
-    for link, (stiffness, damping) in zip(response.links.tolist(), factors.tolist(), strict=True):
+    for link, (stiffness, damping) in zip(response.links[: len(factors)].tolist(), factors.tolist(), strict=True):
         margins[link] = Margin(stiffness, damping)
     return margins, how
 
 
 def _worked_out(network: Network, response: Response, growing: int) -> tuple[Floats, str]:
     """(links, 2): the factors of stiffness and damping; and which, in words."""
-    every = np.arange(response.links.size)
+    judged = len(network.ends) if network.judged is None else network.judged
+    every = np.arange(np.searchsorted(response.links, judged))
     if not every.size:
         return np.zeros((0, 2)), ""
-    touching = _touching(network, response)
+    touching = _touching(network, response)[: every.size]
     large, how = network.is_large, ""
     angles = angles_about(network.solution.poles, response.work * (LESS if large else 1))
     crossings = _crossings(response, angles, every)

@@ -56,6 +56,7 @@ class Network:
         damping: (L,) B in N·s/m.
         channel_stiffness: (C,) real springs k0 from the channels' masses to x = 0, N/m, >= 0; left out: none.
         damper: (L,) each link's, as ``interface.damper_named`` makes it; left out: all backward.
+        judged: of how many links, the first, margins are worked out; left out: of all.
 
     Raises:
         ValueError: an argument is out of its range or its shape does not fit; the sentence says which.
@@ -73,6 +74,7 @@ class Network:
     damping: Floats
     channel_stiffness: Floats = ()  # type: ignore[assignment]
     damper: Sequence[Damper] = ()
+    judged: int | None = None
 
     def __post_init__(self) -> None:
         mass = checks.vector("channel_mass", self.channel_mass, above=0.0)

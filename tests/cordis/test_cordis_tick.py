@@ -11,7 +11,7 @@ import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from hapsim.cordis.program import compile_scene
+from hapsim.cordis.program import compile_scene, numbers_of, positions_of
 from hapsim.cordis.tick import start, tick
 from hapsim.scene import Scene, parse_scene
 
@@ -83,11 +83,11 @@ def by_matrices(scene: Scene, measured: np.ndarray) -> tuple[np.ndarray, np.ndar
 def by_the_tick(scene: Scene, measured: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     program = compile_scene(scene)
     start(program, measured[0])
-    first = program.grounds.start + program.grounds.rest.size
+    first = len(scene.device_points) + len(scene.grounds)
     forces, positions = np.zeros_like(measured), np.zeros((len(measured), len(scene.masses)))
     for n in range(len(measured)):
         tick(program, measured[n], np.zeros(measured.shape[1]), forces[n])
-        positions[n] = program.position[first : first + len(scene.masses)]
+        positions[n] = positions_of(program)[0][first : first + len(scene.masses)]
     return forces, positions
 
 
@@ -141,10 +141,11 @@ def step_of(scene: Scene) -> np.ndarray:
     columns = []
     for unit in np.eye(2 * count):
         program = compile_scene(scene)
-        ours = slice(program.masses.start, program.masses.start + count)
-        program.position[ours], program.previous[ours] = unit[:count], unit[count:]
+        ours = [numbers_of(scene)[name] for name in scene.masses]
+        position, previous = positions_of(program)
+        position[ours], previous[ours] = unit[:count], unit[count:]
         tick(program, np.zeros(1), np.zeros(1), np.zeros(1))
-        columns.append(np.concatenate([program.position[ours], program.previous[ours]]))
+        columns.append(np.concatenate([row[ours] for row in positions_of(program)]))
     return np.array(columns).T
 
 

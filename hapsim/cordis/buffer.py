@@ -1,0 +1,56 @@
+"""The buffer: a contact from one side (CORDIS: BUT).
+
+    p[n] = distance - d[n]                                  how deep the first end is below the second
+    F[n] = max(0, K p[n] + (B/T) (p[n] - p[n-1]))  where p[n] > 0, else 0
+
+F pushes the ends apart. It never pulls: a damper would hold back what leaves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+from hapsim.compiled import inlined
+from hapsim.cordis.acting import pulls
+from hapsim.cordis.kind import Column, Frame, Kind, all_of
+from hapsim.cordis.link import Ends, ends_of, pull_ends, stretch
+from hapsim.scene import Buffer
+
+
+class Buffers(NamedTuple):
+    """L buffers: K and B/T in N/m, distance in m; shape (L,)."""
+
+    ends: Ends
+    stiffness: Column
+    damping_per_sample: Column
+    distance: Column
+
+
+def _live(buffers: Sequence[Buffer], rate: float) -> list[list[float]]:
+    """K, B/T, and the distance."""
+    return [
+        [one.stiffness for one in buffers],
+        [one.damping * rate for one in buffers],
+        [one.distance for one in buffers],
+    ]
+
+
+def _build(buffers: Mapping[str, Buffer], columns: Sequence[Column], frame: Frame) -> Buffers:
+    return Buffers(ends_of(list(buffers.values()), frame), *columns)
+
+
+BUFFER = Kind(all_of(Buffer), _build, _live)
+
+
+@pulls(Buffers)
+@inlined
+def push_apart(group, moment):
+    """Adds the force of every buffer that is touched."""
+    for i in range(group.distance.size):
+        d = stretch(group.ends, i, moment.position)
+        if d < group.distance[i]:
+            growth = d - stretch(group.ends, i, moment.previous)
+            tension = group.stiffness[i] * (d - group.distance[i]) + group.damping_per_sample[i] * growth
+            if not tension > 0:  # what is not a number goes on to the guard
+                pull_ends(group.ends, i, tension, moment.force)

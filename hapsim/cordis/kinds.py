@@ -1,0 +1,15 @@
+"""The kinds of module that a program can have, in the order in which they act. A new one is a file and a line here."""
+
+from __future__ import annotations
+
+from hapsim.cordis.buffer import BUFFER
+from hapsim.cordis.damper_backward import BACKWARD
+from hapsim.cordis.damper_centred import CENTRED
+from hapsim.cordis.damper_filtered import FILTERED
+from hapsim.cordis.damper_sensed import SENSED
+from hapsim.cordis.ground import GROUND
+from hapsim.cordis.kind import Kind
+from hapsim.cordis.mass import MASS
+from hapsim.cordis.string import STRING
+
+KINDS: tuple[Kind, ...] = (GROUND, MASS, STRING, BACKWARD, CENTRED, FILTERED, SENSED, BUFFER)

@@ -1,0 +1,67 @@
+"""Scene -> what the linear theory works on: points with masses, springs and dampers between them, and what was assumed.
+
+Each type of link is taken for what its file under `theory/links` makes of it. A structure is taken apart.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from hapsim.scene import Buffer, Scene, ViscoElastic
+from hapsim.theory.links.buffer import buffer
+from hapsim.theory.links.shape import Linear
+
+
+class LinearLink(NamedTuple):
+    """A spring and a damper between two points, named as in the scene."""
+
+    between: tuple[str, str]
+    stiffness: float
+    damping: float
+    damper: str = "backward"
+    cutoff: float | None = None
+
+
+class LinearScene(NamedTuple):
+    """A scene as the linear theory sees it."""
+
+    masses: dict[str, float]
+    """Points that the scene moves, with their masses in kg."""
+    fixed: frozenset[str]
+    """Points that stay."""
+    links: dict[str, LinearLink]
+    """The scene's links, by name."""
+    inner: list[LinearLink]
+    """What its structures and cells consist of."""
+    assumptions: list[str]
+    """Sentences: where the scene is not linear, and what was taken for it."""
+
+
+_STAYS = "."  # what is inside a structure and stays where it is: no module is called so
+
+_LINEAR: dict[type[Any], Callable[[Any], Linear]] = {
+    ViscoElastic: lambda link: Linear(link.stiffness, link.damping),
+    Buffer: lambda link: buffer(link.stiffness, link.damping),
+}
+
+
+def linear_scene(scene: Scene) -> LinearScene:
+    """What the theory takes `scene` for."""
+    masses = {name: mass.mass for name, mass in scene.masses.items()}
+    links: dict[str, LinearLink] = {}
+    assumptions = []
+    for name, link in scene.links.items():
+        linear = _LINEAR[type(link)](link)
+        damper = (link.damper, link.cutoff) if isinstance(link, ViscoElastic) else ("backward", None)
+        links[name] = LinearLink(link.between, linear.stiffness, linear.damping, *damper)
+        if linear.assumption:
+            assumptions.append(f"{name} {linear.assumption}")
+    inner: list[LinearLink] = []
+    for name, structure in scene.structures.items():
+        places = [f"{name}.{place}" for place in structure.places()]
+        elements = structure.elements()
+        masses |= dict(zip(places, elements.masses, strict=True))
+        named = [*places, _STAYS]  # -1 is the last
+        inner += [LinearLink((named[a], named[b]), k, z) for a, b, k, z in elements.links]
+    return LinearScene(masses, frozenset([*scene.grounds, _STAYS]), links, inner, assumptions)
