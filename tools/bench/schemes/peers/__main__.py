@@ -37,7 +37,7 @@ def _string_rows(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
     string = StringOfMasses.tuned(arguments.string)
     modes = [mode for mode in arguments.modes if mode <= string.masses]
     for peer in every_peer():
-        if not arguments.only or any(word.lower() in peer.name.lower() for word in arguments.only):
+        if not arguments.only or any(word in peer.name for word in arguments.only):
             yield row_of(peer, string, arguments.rate, modes, arguments.rounds)
 
 

@@ -15,7 +15,7 @@ from schemes.ringing import frequencies_of, project
 from schemes.strings import StringOfMasses
 from schemes.timing import cost_of
 
-_BLOCK = 4096  # samples of the hand's motion that are ready in memory
+_BLOCK = 16384  # samples of the hand's motion that are ready in memory
 _HAND, _LEFT, _RIGHT, _MASSES = range(4)  # the points: the hand, the two ends, and where the masses begin
 
 

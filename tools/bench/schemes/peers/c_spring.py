@@ -12,13 +12,12 @@ from schemes.reference.build import build_c
 from schemes.reference.memory import pointer
 from schemes.timing import cost_of
 
-_BLOCK = 4096  # samples of the hand's motion that are ready in memory
+_BLOCK = 16384  # samples of the hand's motion that are ready in memory
 
 
 class _State(Structure):
     _fields_ = (
         ("hand", c_double),
-        ("before", c_double),
         ("ground", c_double),
         ("stiffness", c_double),
         ("damping_per_sample", c_double),

@@ -13,6 +13,8 @@ from schemes.reference.build import BuildError, Built, build, cache, why_no_comp
 
 LIMIT_S = 120.0
 _ARCHITECTURE = Path(__file__).resolve().parent / "faust_architecture.cpp"
+# Every delay a ring, none copied along: 2 to 4 times as fast here as what Faust does of its own accord.
+_FAUST_FLAGS = ("-lang", "cpp", "-double", "-mcd", "0", "-t", "0")
 _FLAGS = ("-std=c++11", "-O3", "-march=native", "-ffp-contract=fast")
 
 
@@ -40,7 +42,7 @@ class BuiltByFaust:
 
 def build_faust(program: str) -> BuiltByFaust:
     """The library of `program`. BuildError where a compiler gave up, at once when it did so before."""
-    text = program + _ARCHITECTURE.read_text(encoding="utf-8") + _version()
+    text = "".join([program, _ARCHITECTURE.read_text(encoding="utf-8"), *_FAUST_FLAGS, _version()])
     source = cache() / f"faust-{hashlib.sha256(text.encode()).hexdigest()[:24]}.cpp"
     gave_up = source.with_suffix(".gave-up")
     if gave_up.exists():
@@ -64,7 +66,7 @@ def _to_cpp(program: str, source: Path) -> float:
 def _run_faust(program: str, source: Path) -> float:
     text = source.with_suffix(".dsp")
     text.write_text(program, encoding="utf-8")
-    command = ["faust", "-lang", "cpp", "-double", "-t", "0", "-a", _ARCHITECTURE.name, "-A", str(_ARCHITECTURE.parent)]
+    command = ["faust", *_FAUST_FLAGS, "-a", _ARCHITECTURE.name, "-A", str(_ARCHITECTURE.parent)]
     begin = time.perf_counter()
     try:
         done = subprocess.run(

@@ -14,12 +14,11 @@ from schemes.strings import StringOfMasses
 from schemes.timing import cost_of
 
 METHODS = ("DOP853", "LSODA")
-_RELATIVE = 1e-9
-_ABSOLUTE = 1e-12  # of the largest displacement at the begin
+_TOLERANCE = 1e-9  # of a displacement as it is, and of the largest one at the begin
 
 
 class SciPy:
-    """`solve_ivp` by `method` with a relative tolerance of 1e-9."""
+    """`solve_ivp` by `method` with a tolerance of 1e-9, relative and to the largest displacement."""
 
     precision = "double"
 
@@ -27,7 +26,7 @@ class SciPy:
         self._method = method
         self.name = f"SciPy {method}"
         self.preparation_s: float | None = None
-        self.note = "chooses its own steps, rtol 1e-9"
+        self.note = "chooses its own steps, tolerance 1e-9"
 
     def available(self) -> str:
         return "" if find_spec("scipy") else "There is no module scipy."
@@ -60,8 +59,8 @@ class SciPy:
             np.stack([start, np.zeros_like(start)], axis=1).ravel(),
             method=self._method,
             t_eval=np.arange(samples + 1) / rate,
-            rtol=_RELATIVE,
-            atol=_ABSOLUTE * float(np.max(np.abs(start))),
+            rtol=_TOLERANCE,
+            atol=_TOLERANCE * float(np.max(np.abs(start))),
             **self._options(),
         )
         return see(solution.y[0::2].T)

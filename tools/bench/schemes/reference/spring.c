@@ -10,19 +10,17 @@
 #include <stdint.h>
 
 struct spring {
-    double hand;   /* m */
-    double before; /* where it was, m */
-    double ground; /* m */
-    double stiffness;
+    double hand;               /* where it was at the last tick, m */
+    double ground;             /* m */
+    double stiffness;          /* K, N/m */
     double damping_per_sample; /* B/T, N/m */
 };
 
 /* The force on the hand, N, that is now at `measured`. */
 static inline double tick(struct spring *s, double measured) {
-    s->before = s->hand;
+    const double growth = measured - s->hand;
     s->hand = measured;
-    const double stretch = s->hand - s->ground;
-    return -(s->stiffness * stretch + s->damping_per_sample * (s->hand - s->before));
+    return -(s->stiffness * (measured - s->ground) + s->damping_per_sample * growth);
 }
 
 void spring_run(struct spring *s, int64_t samples, const double *hand, double *forces) {
