@@ -33,14 +33,14 @@ class CNetwork:
         return why_no_compiler()
 
     def cost(self, string: StringOfMasses, rate: float, rounds: int) -> list[float]:
-        run = self._running(string, rate)
+        run = self.running(string, rate)
         run.start_in(string.plucked())
         run.hold(*hand_link(string))
         return cost_of(run.with_hand, rate, rounds)
 
     def frequencies(self, string: StringOfMasses, rate: float, modes: Sequence[int]) -> list[float]:
         """The hand's link is there but without stiffness and damping."""
-        run = self._running(string, rate)
+        run = self.running(string, rate)
 
         def record(shape: NDArray[np.float64], samples: int) -> NDArray[np.float64]:
             run.start_in(shape)
@@ -48,7 +48,8 @@ class CNetwork:
 
         return frequencies_of(record, string, rate, modes)
 
-    def _running(self, string: StringOfMasses, rate: float) -> RunningNetwork:
+    def running(self, string: StringOfMasses, rate: float) -> RunningNetwork:
+        """The program and its state, at rest."""
         built = build_c("network.c")
         self.preparation_s = built.seconds
         return RunningNetwork(built.load(), string, rate)

@@ -33,14 +33,14 @@ class CStencil:
         return why_no_compiler()
 
     def cost(self, string: StringOfMasses, rate: float, rounds: int) -> list[float]:
-        run = self._running(string, rate)
+        run = self.running(string, rate)
         run.start_in(string.plucked())
         run.hold(*hand_link(string))
         return cost_of(run.with_hand if self.hand else run.alone, rate, rounds)
 
     def frequencies(self, string: StringOfMasses, rate: float, modes: Sequence[int]) -> list[float]:
         """With a hand, its link is there but without stiffness and damping."""
-        run = self._running(string, rate)
+        run = self.running(string, rate)
 
         def record(shape: NDArray[np.float64], samples: int) -> NDArray[np.float64]:
             run.start_in(shape)
@@ -49,7 +49,8 @@ class CStencil:
 
         return frequencies_of(record, string, rate, modes)
 
-    def _running(self, string: StringOfMasses, rate: float) -> RunningStencil:
+    def running(self, string: StringOfMasses, rate: float) -> RunningStencil:
+        """The program and its state, at rest."""
         built = build_c("stencil.c", f"MASSES={string.masses}")
         self.preparation_s = built.seconds
         return RunningStencil(built.load(), string, rate)

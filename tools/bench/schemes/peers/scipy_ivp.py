@@ -61,13 +61,13 @@ class SciPy:
             t_eval=np.arange(samples + 1) / rate,
             rtol=_TOLERANCE,
             atol=_TOLERANCE * float(np.max(np.abs(start))),
-            **self._options(),
+            **self._options(string.masses),
         )
         return see(solution.y[0::2].T)
 
-    def _options(self) -> dict[str, Any]:
+    def _options(self, masses: int) -> dict[str, Any]:
         """Where the Jacobian is banded, a solver that may need it is told."""
-        return {"lband": 3, "uband": 2} if self._method == "LSODA" else {}
+        return {"lband": min(3, 2 * masses - 1), "uband": min(2, 2 * masses - 1)} if self._method == "LSODA" else {}
 
 
 def _derivative(string: StringOfMasses) -> Callable[[float, NDArray[np.float64]], NDArray[np.float64]]:
