@@ -1,0 +1,1 @@
+"""C programs that hapsim's compiled ticks are measured against, and what builds them."""

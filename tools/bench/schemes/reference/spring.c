@@ -1,0 +1,36 @@
+/* The smallest tick: a hand on a spring and damper to the ground.
+ *
+ *     cc -O3 -march=native -ffp-contract=fast -fPIC -shared spring.c
+ *
+ * Every value stands in memory, as in a program that reads a scene and lets it be edited. In a loop against a device
+ * each tick finds its values there anew and leaves its own there; spring_run keeps to that with a barrier to the
+ * compiler behind each tick. spring_run_free lets the compiler do what it can over many ticks at once, which no device
+ * lets a program do.
+ */
+#include <stdint.h>
+
+struct spring {
+    double hand;               /* where it was at the last tick, m */
+    double ground;             /* m */
+    double stiffness;          /* K, N/m */
+    double damping_per_sample; /* B/T, N/m */
+};
+
+/* The force on the hand, N, that is now at `measured`. */
+static inline double tick(struct spring *s, double measured) {
+    const double growth = measured - s->hand;
+    s->hand = measured;
+    return -(s->stiffness * (measured - s->ground) + s->damping_per_sample * growth);
+}
+
+void spring_run(struct spring *s, int64_t samples, const double *hand, double *forces) {
+    for (int64_t n = 0; n < samples; n++) {
+        forces[n] = tick(s, hand[n]);
+        __asm__ volatile("" ::: "memory");
+    }
+}
+
+void spring_run_free(struct spring *restrict s, int64_t samples, const double *restrict hand, double *restrict forces) {
+    for (int64_t n = 0; n < samples; n++)
+        forces[n] = tick(s, hand[n]);
+}
