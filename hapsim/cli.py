@@ -15,6 +15,7 @@ from hapsim.chart.commands import app as chart
 from hapsim.errors import HapsimError, UsageError
 
 if TYPE_CHECKING:
+    from hapsim.cordis.explain import Explanation
     from hapsim.prediction import Prediction
     from hapsim.scene import Scene
 
@@ -118,21 +119,41 @@ def run(
 
 
 @app.command()
-def check(scene: SceneFile, json: Json = False) -> None:
+def check(
+    scene: SceneFile,
+    json: Json = False,
+    explain: Annotated[
+        bool,
+        typer.Option("--explain", help="Compile the scene too: what was kept of it, and what that costs per tick."),
+    ] = False,
+) -> None:
     """Predict, without running: stable or not, what the hand will meet, every mode, the link's budget."""
     from hapsim.prediction import predict
 
     loaded = _scene(scene)
     with _stderr().status("working out the modes and how much each link may grow"):
         prediction = predict(loaded)
+    explanation = _explanation(loaded) if explain else None
     if json:
         from hapsim.console.as_json import document, prediction_document
 
-        print(document({"scene": scene} | prediction_document(prediction)))
-    else:
-        from hapsim.console.tables import show_prediction
+        compiled = {} if explanation is None else {"compiled": explanation.as_document()}
+        print(document({"scene": scene} | prediction_document(prediction) | compiled))
+        return
+    from hapsim.console.tables import show_prediction
 
-        show_prediction(_stdout(), scene, prediction)
+    show_prediction(_stdout(), scene, prediction)
+    if explanation is not None:
+        from hapsim.console.explained import show_explanation
+
+        show_explanation(_stdout(), explanation)
+
+
+def _explanation(scene: Scene) -> Explanation:
+    from hapsim.cordis.explain import explain
+
+    with _stderr().status("compiling") as status:
+        return explain(scene, lambda part: status.update(f"compiling and timing {part}"))
 
 
 @app.command()

@@ -14,7 +14,7 @@ from typing import NamedTuple
 from hapsim.compiled import inlined
 from hapsim.cordis.acting import pulls
 from hapsim.cordis.kind import Column, Frame, Kind, all_of
-from hapsim.cordis.link import Ends, ends_of, pull_ends, stretch
+from hapsim.cordis.link import Ends, count, ends_of, pull_ends, stretch
 from hapsim.scene import Buffer
 
 
@@ -40,14 +40,16 @@ def _build(buffers: Mapping[str, Buffer], columns: Sequence[Column], frame: Fram
     return Buffers(ends_of(list(buffers.values()), frame), *columns)
 
 
-BUFFER = Kind(all_of(Buffer), _build, _live)
+BUFFER = Kind(
+    all_of(Buffer), _build, _live, name="buffers", compiled_as="gathered through unsigned indices; one comparison each"
+)
 
 
 @pulls(Buffers)
 @inlined
 def push_apart(group, moment):
     """Adds the force of every buffer that is touched."""
-    for i in range(group.distance.size):
+    for i in range(count(group.ends)):
         d = stretch(group.ends, i, moment.position)
         if d < group.distance[i]:
             growth = d - stretch(group.ends, i, moment.previous)

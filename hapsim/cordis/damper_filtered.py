@@ -13,7 +13,7 @@ import numpy as np
 from hapsim.compiled import inlined
 from hapsim.cordis.acting import pulls, settles
 from hapsim.cordis.kind import Column, Frame, Kind
-from hapsim.cordis.link import Links, stretch
+from hapsim.cordis.link import Links, count, stretch
 from hapsim.cordis.viscoelastic import links_of, live_links, pull_link, with_damper
 from hapsim.scene import ViscoElastic
 
@@ -32,7 +32,13 @@ def _build(links: Mapping[str, ViscoElastic], columns: Sequence[Column], frame: 
     return FilteredLinks(links_of(links, columns, frame), kept, np.zeros(len(links), frame.real))
 
 
-FILTERED = Kind(with_damper("filtered"), _build, live_links)
+FILTERED = Kind(
+    with_damper("filtered"),
+    _build,
+    live_links,
+    name="visco-elastic links, filtered damper",
+    compiled_as="gathered through unsigned indices; one remembered velocity each",
+)
 
 
 @settles(FilteredLinks)
@@ -40,7 +46,7 @@ FILTERED = Kind(with_damper("filtered"), _build, live_links)
 def settle_filtered(group, moment):
     """Before the first tick: as if every point had moved up to now as it does."""
     ends = group.links.ends
-    for i in range(group.growth.size):
+    for i in range(count(ends)):
         group.growth[i] = stretch(ends, i, moment.position) - stretch(ends, i, moment.previous)
 
 
@@ -49,7 +55,7 @@ def settle_filtered(group, moment):
 def pull_filtered(group, moment):
     """Adds the force of every link."""
     ends = group.links.ends
-    for i in range(group.growth.size):
+    for i in range(count(ends)):
         d = stretch(ends, i, moment.position)
         newest = d - stretch(ends, i, moment.previous)
         group.growth[i] = newest + group.kept[i] * (group.growth[i] - newest)

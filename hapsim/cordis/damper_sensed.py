@@ -12,8 +12,9 @@ import numpy as np
 
 from hapsim.compiled import inlined
 from hapsim.cordis.acting import pulls
+from hapsim.cordis.device_point import sensed
 from hapsim.cordis.kind import Column, Frame, Kind
-from hapsim.cordis.link import Links, stretch
+from hapsim.cordis.link import Links, count, stretch
 from hapsim.cordis.viscoelastic import links_of, live_links, pull_link, with_damper
 from hapsim.scene import ViscoElastic
 
@@ -29,14 +30,21 @@ def _build(links: Mapping[str, ViscoElastic], columns: Sequence[Column], frame: 
     return SensedLinks(links_of(links, columns, frame), np.array([1.0 / frame.rate], frame.real))
 
 
-SENSED = Kind(with_damper("sensed"), _build, live_links)
+SENSED = Kind(
+    with_damper("sensed"),
+    _build,
+    live_links,
+    name="visco-elastic links, sensed damper",
+    compiled_as="gathered through unsigned indices; velocities come from the device",
+)
 
 
 @inlined
 def _way(point, period, moment):
-    """How far a point moves in a sample period, by its sensor where it has one. Device points come first."""
-    if point < moment.devices.channel.size:
-        return period * moment.velocity[moment.devices.channel[point]]
+    """How far a point moves in a sample period, by its sensor where it has one."""
+    velocity, has_sensor = sensed(moment.devices, moment.velocity, point)
+    if has_sensor:
+        return moment.position.dtype.type(period * velocity)
     return moment.position[point] - moment.previous[point]
 
 
@@ -45,6 +53,6 @@ def _way(point, period, moment):
 def pull_sensed(group, moment):
     """Adds the force of every link."""
     ends, period = group.links.ends, group.period[0]
-    for i in range(ends.first.size):
+    for i in range(count(ends)):
         growth = _way(ends.first[i], period, moment) - _way(ends.second[i], period, moment)
         pull_link(group.links, i, stretch(ends, i, moment.position), growth, moment.force)

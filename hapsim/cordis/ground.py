@@ -29,17 +29,20 @@ def _build(grounds: Mapping[str, Ground], columns: Sequence[Column], frame: Fram
     return Grounds(frame.number[next(iter(grounds))], columns[0])
 
 
-GROUND = Kind(all_of(Ground), _build, _live)
+GROUND = Kind(
+    all_of(Ground), _build, _live, name="grounds", compiled_as="points that nothing moves; no force is kept for them"
+)
 
 
 @inlined
 def settle(grounds, moment):
     """Puts every ground to its rest position: to be called with each sample in which one moves, and with the next.
 
-    Between, they stand still by themselves: all three rows of positions have them where they are.
+    Between, they stand still by themselves: all rows of positions have them where they are.
     """
     if grounds is None:
         return
     for i in range(grounds.rest.size):
-        moment.position[grounds.start + i] = grounds.rest[i]
-        moment.following[grounds.start + i] = grounds.rest[i]
+        p = grounds.start + i
+        moment.previous[p] = moment.position[p]
+        moment.position[p] = moment.following[p] = grounds.rest[i]

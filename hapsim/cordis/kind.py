@@ -25,6 +25,8 @@ class Frame(NamedTuple):
     """Of positions, forces and everything that is worked out with them."""
     touched: frozenset[int]
     """Numbers of the points that a link holds."""
+    grounds: frozenset[int]
+    """Numbers of the grounds."""
 
     def ends(self, pairs: Sequence[tuple[str, str]]) -> NDArray[np.uint32]:
         """The numbers of the points that links join, shape (2, L)."""
@@ -51,6 +53,10 @@ class Kind(NamedTuple):
     """Their values that may change while the scene runs, at a rate in Hz: columns with one value per module."""
     layout: Layout | None = None
     """Of a structure."""
+    name: str = ""
+    """What people call its modules, in the plural."""
+    compiled_as: str = ""
+    """What they become, in words."""
 
 
 def all_of(module: type[Module]) -> Callable[[Scene], Mapping[str, Any]]:

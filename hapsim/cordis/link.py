@@ -24,6 +24,10 @@ class Ends(NamedTuple):
 
     first: NDArray[np.uint32]
     second: NDArray[np.uint32]
+    several: int | None
+    """L; None where there is one link, so that its tick is compiled without a loop."""
+    anchored: bool | None
+    """True where there is one link and its second end is a ground, which feels nothing; else None."""
 
 
 class Links(NamedTuple):
@@ -34,9 +38,25 @@ class Links(NamedTuple):
     damping_per_sample: Column
 
 
-def ends_of(links: Sequence[Any], frame: Frame) -> Ends:
-    """The ends of these modules of a scene."""
-    return Ends(*frame.ends([link.between for link in links]))
+def ends_of(links: Sequence[Any], frame: Frame, *, alike: bool = False) -> Ends:
+    """The ends of these modules of a scene; `alike`: it makes no difference which of two is the first."""
+    first, second = frame.ends([link.between for link in links])
+    if len(links) > 1:
+        return Ends(first, second, len(links), None)
+    if alike and first[0] in frame.grounds:
+        first, second = second, first
+    return Ends(first, second, None, True if second[0] in frame.grounds else None)
+
+
+@inlined
+def count(ends):
+    """How many links there are."""
+    return _count(ends.several)
+
+
+@inlined
+def _count(several):
+    return np.uint64(1) if several is None else np.uint64(several)
 
 
 @inlined
@@ -49,4 +69,10 @@ def stretch(ends, i, position):
 def pull_ends(ends, i, tension, force):
     """Pulls link i's ends towards each other by `tension` N."""
     force[ends.first[i]] -= tension
-    force[ends.second[i]] += tension
+    _pull_second(ends.anchored, ends.second, i, tension, force)
+
+
+@inlined
+def _pull_second(anchored, second, i, tension, force):
+    if anchored is None:
+        force[second[i]] += tension

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hapsim.compiled import inlined
+from hapsim.compiled import fused
 from hapsim.cordis.acting import moves
 from hapsim.cordis.kind import Column, Frame, Kind
 from hapsim.scene import Mass, Scene
@@ -37,14 +37,16 @@ def _build(masses: Mapping[str, Mass], _columns: Sequence[Column], frame: Frame)
     return Masses(frame.number[next(iter(masses))], mobility_of([one.mass for one in masses.values()], frame))
 
 
-MASS = Kind(_select, _build)
+MASS = Kind(_select, _build, name="masses", compiled_as="one pass over contiguous memory")
 
 
 @moves(Masses)
-@inlined
+@fused
 def advance(group, moment):
-    """Moves every mass by one sample."""
+    """Moves every mass by one sample, and uses up the force on it."""
+    first, end = group.start, group.start + group.mobility.size
+    x, before, after = moment.position[first:end], moment.previous[first:end], moment.following[first:end]
+    force = moment.force[first:end]
     for i in range(group.mobility.size):
-        p = group.start + i
-        x = moment.position[p]
-        moment.following[p] = x + x - moment.previous[p] + group.mobility[i] * moment.force[p]
+        after[i] = x[i] + x[i] - before[i] + group.mobility[i] * force[i]
+        force[i] = 0.0

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapsim.compiled import inlined
-from hapsim.cordis.device_point import DevicePoints
+from hapsim.cordis.device_point import DevicePoints, keep
 
 
 class Moment(NamedTuple):
@@ -29,15 +29,30 @@ class Moment(NamedTuple):
 @inlined
 def moment_of(program, velocity):
     """The program's moment. Its three rows of positions take turns, so that no sample is ever copied."""
-    now = program.turn[0]
-    before = now - np.uint64(1) if now > 0 else np.uint64(2)
-    after = now + np.uint64(1) if now < 2 else np.uint64(0)
+    now, after, before = _turns(program.turn)
     rows = program.rows
     return Moment(rows[now], rows[before], rows[after], program.force, program.devices, velocity)
 
 
 @inlined
-def pass_on(program):
-    """The following sample becomes the one at hand."""
-    now = program.turn[0]
-    program.turn[0] = now + np.uint64(1) if now < 2 else np.uint64(0)
+def pass_on(program, moment):
+    """The following sample becomes the one at hand; where nothing but the hand moves, it is kept where it was."""
+    _pass_on(program.turn, moment)
+
+
+@inlined
+def _turns(turn):
+    if turn is None:
+        return np.uint64(0), np.uint64(1), np.uint64(2)
+    now = turn[0]
+    before = now - np.uint64(1) if now > 0 else np.uint64(2)
+    return now, now + np.uint64(1) if now < 2 else np.uint64(0), before
+
+
+@inlined
+def _pass_on(turn, moment):
+    if turn is None:
+        keep(moment.devices, moment.velocity, moment.position, moment.previous)
+    else:
+        now = turn[0]
+        turn[0] = now + np.uint64(1) if now < 2 else np.uint64(0)

@@ -27,13 +27,11 @@ class Program(NamedTuple):
     """A scene as the tick sees it: the state of N points, and the parts that move them."""
 
     rows: Column
-    """(3, N) positions in m: of this sample, the one before and the next, taking turns."""
-    turn: NDArray[np.uint64]
-    """(1,) which row is this sample's."""
+    """(3, N) positions in m: of this sample, the next and the one before, taking turns."""
+    turn: NDArray[np.uint64] | None
+    """(1,) which row is this sample's; None where the scene itself moves nothing: then it is always the first."""
     force: Column
-    """(N,) N"""
-    loose: int
-    """How many points, the first, have their force set to zero with every tick; the others' parts see to theirs."""
+    """(N,) N, added up during a tick; who uses a force sets it to zero. Nobody uses a ground's."""
     devices: DevicePoints
     grounds: Grounds | None
     parts: tuple[Any, ...]
@@ -52,10 +50,9 @@ def compile_scene(scene: Scene, values: Column | None = None) -> Program:
     rows = _rows(scene, frame, loose, rests)
     return Program(
         rows=rows,
-        turn=np.zeros(1, np.uint64),
+        turn=np.zeros(1, np.uint64) if scene.masses or scene.structures else None,
         force=np.zeros(rows.shape[1], frame.real),
-        loose=loose,
-        devices=device_points([point.channel for point in scene.device_points.values()]),
+        devices=device_points(sorted(point.channel for point in scene.device_points.values())),
         grounds=next((part for kind, part in built if kind is GROUND), None),
         parts=tuple(part for kind, part in built if kind is not GROUND),
     )
@@ -77,7 +74,7 @@ def real_of(scene: Scene) -> Any:
 
 def positions_of(program: Program) -> tuple[Column, Column]:
     """(N,) where the points are, and where they were a sample before, in m; the program's own, not copies."""
-    now = int(program.turn[0])
+    now = 0 if program.turn is None else int(program.turn[0])
     return program.rows[now], program.rows[now - 1]
 
 
@@ -114,7 +111,8 @@ def _structures(scene: Scene) -> Iterator[tuple[Layout, str, Any]]:
 
 def _frame(scene: Scene) -> tuple[Frame, int, list[float]]:
     """The numbers of all points, how many stand before the first structure's, and where the structures' rest, in m."""
-    names = [*scene.device_points, *scene.grounds, *scene.masses]
+    hands = sorted(scene.device_points, key=lambda name: scene.device_points[name].channel)
+    names = [*hands, *scene.grounds, *scene.masses]
     number = {name: i for i, name in enumerate(names)}
     loose = points = len(names)
     rests = []
@@ -124,7 +122,8 @@ def _frame(scene: Scene) -> tuple[Frame, int, list[float]]:
         rests += [structure.position] * size
         points += size
     ends = {end for link in scene.links.values() for end in link.between}
-    return Frame(number, scene.rate, real_of(scene), frozenset(number[end] for end in ends)), loose, rests
+    touched, grounds = (frozenset(number[name] for name in names) for names in (ends, scene.grounds))
+    return Frame(number, scene.rate, real_of(scene), touched, grounds), loose, rests
 
 
 def _rows(scene: Scene, frame: Frame, loose: int, rests: list[float]) -> Column:

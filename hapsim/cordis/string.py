@@ -95,7 +95,14 @@ def string_layout(string: String) -> tuple[Sequence[int], int]:
     return range(1, string.masses + 1), string.masses + 2
 
 
-STRING = Kind(_select, _build, live_string, string_layout)
+STRING = Kind(
+    _select,
+    _build,
+    live_string,
+    string_layout,
+    name="strings",
+    compiled_as="a stencil over contiguous memory; only the masses that links hold are asked for a force",
+)
 
 
 @settles(Strings)

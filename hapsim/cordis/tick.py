@@ -33,9 +33,7 @@ def tick(program, measured, velocity, force):
     """
     moment = moment_of(program, velocity)
     follow(program.devices, measured, moment.position)
-    for p in range(program.loose):
-        moment.force[p] = 0.0
     pull_all(program.parts, moment)
     felt(program.devices, moment.force, force)
     move_all(program.parts, moment)
-    pass_on(program)
+    pass_on(program, moment)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 
-from hapsim.compiled import inlined
+from hapsim.compiled import fused
 from hapsim.cordis.kind import Column, Frame
 from hapsim.cordis.link import Links, ends_of, pull_ends
 from hapsim.scene import Scene, ViscoElastic
@@ -28,10 +28,10 @@ def live_links(links: Sequence[ViscoElastic], rate: float) -> list[list[float]]:
 
 def links_of(links: Mapping[str, ViscoElastic], columns: Sequence[Column], frame: Frame) -> Links:
     """What every damper's part begins with."""
-    return Links(ends_of(list(links.values()), frame), *columns)
+    return Links(ends_of(list(links.values()), frame, alike=True), *columns)
 
 
-@inlined
+@fused
 def pull_link(links, i, d, growth, force):
     """Adds link i's force: stretched by `d`, by `growth` more than a sample before, in m."""
     pull_ends(links.ends, i, links.stiffness[i] * d + links.damping_per_sample[i] * growth, force)

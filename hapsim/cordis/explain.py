@@ -1,0 +1,123 @@
+"""What a scene was compiled to, and what each part of it costs per tick: measured, on this machine, now."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from hapsim.compiled import jit
+from hapsim.cordis.acting import move_all, pull_all
+from hapsim.cordis.ground import GROUND
+from hapsim.cordis.kinds import KINDS
+from hapsim.cordis.moment import moment_of
+from hapsim.cordis.program import Program, compile_scene
+from hapsim.cordis.tick import start, tick
+from hapsim.scene import Scene
+
+_ROUNDS = 7
+_ROUND_S = 2e-3
+
+
+class ExplainedPart(NamedTuple):
+    """One part of a program: `seconds` is what it takes alone, NaN where it does nothing in a tick."""
+
+    name: str
+    modules: int
+    compiled_as: str
+    bytes: int
+    seconds: float
+
+
+class Explanation(NamedTuple):
+    """A whole program. `seconds`: of a tick; its parts take less together than one by one, or more, as they overlap."""
+
+    parts: tuple[ExplainedPart, ...]
+    absent: tuple[str, ...]
+    """Kinds of module that the scene does not have, and of which nothing was compiled."""
+    points: int
+    precision: str
+    bytes: int
+    seconds: float
+    period: float
+
+    def as_document(self) -> dict[str, Any]:
+        """The same by names, for scripts."""
+        return self._asdict() | {"parts": [part._asdict() for part in self.parts]}
+
+
+def explain(scene: Scene, on_part: Callable[[str], None] = lambda _: None) -> Explanation:
+    """Compiles `scene`, runs it on a hand that rests, and tells what it consists of; `on_part` hears what is at hand."""
+    program = compile_scene(scene)
+    desk = _desk(scene)
+    start(program, desk["measured"])
+    on_part("the whole tick")
+    whole = _seconds(lambda samples: _ticks(program, desk, samples))
+    parts = []
+    acting = iter(program.parts)
+    for kind in KINDS:
+        modules = kind.select(scene)
+        if not modules:
+            continue
+        on_part(kind.name)
+        part = program.grounds if kind is GROUND else next(acting)
+        alone = float("nan") if kind is GROUND else _alone(program, part, desk)
+        parts.append(ExplainedPart(kind.name, len(modules), kind.compiled_as, _bytes_of(part), alone))
+    absent = tuple(kind.name for kind in KINDS if not kind.select(scene))
+    points = program.rows.shape[1]
+    return Explanation(tuple(parts), absent, points, scene.precision, _bytes_of(program), whole, scene.period)
+
+
+def _desk(scene: Scene) -> Any:
+    """One value per channel of each kind, of a number that the compiler knows, as in the loop."""
+    each = (scene.channels,)
+    kinds = [(name, np.float64, each) for name in ("measured", "velocity", "force")]
+    return np.zeros(1, np.dtype(kinds))[0]
+
+
+def _alone(program: Program, part: Any, desk: Any) -> float:
+    return _seconds(lambda samples: _acts(program, (part,), desk, samples))
+
+
+def _seconds(run: Callable[[int], None]) -> float:
+    """What one sample takes, at best."""
+    run(1)
+    samples = 64
+    while _timed(run, samples) < _ROUND_S:
+        samples *= 2
+    return min(_timed(run, samples) for _ in range(_ROUNDS)) / samples
+
+
+def _timed(run: Callable[[int], None], samples: int) -> float:
+    begin = time.perf_counter()
+    run(samples)
+    return time.perf_counter() - begin
+
+
+@jit
+def _ticks(program, desk, samples):
+    for _ in range(samples):
+        tick(program, desk.measured, desk.velocity, desk.force)
+
+
+@jit
+def _acts(program, parts, desk, samples):
+    moment = moment_of(program, desk.velocity)
+    for _ in range(samples):
+        pull_all(parts, moment)
+        move_all(parts, moment)
+
+
+def _bytes_of(part: Any) -> int:
+    """What its arrays take, those counted once that it has from the array of the parameters."""
+    return sum(array.nbytes for array in _arrays(part))
+
+
+def _arrays(part: Any) -> Iterator[np.ndarray]:
+    if isinstance(part, np.ndarray):
+        yield part
+    elif isinstance(part, tuple):
+        for field in part:
+            yield from _arrays(field)
