@@ -16,7 +16,9 @@ from numpy.typing import NDArray
 from firmware_protocol.compiled import inlined, jit_inlined
 from firmware_protocol.unsigned import ONE
 
-_AT_ONCE, _FOUR, _THREE = np.uint64(8), np.uint64(4), np.uint64(3)
+_AT_ONCE = np.uint64(8)  # bytes
+_CRC_BYTES = np.uint64(4)  # of the register; CRC-16 uses half of it
+_BYTE_BITS = np.uint64(8)
 
 
 def _tables(reflected_polynomial: int) -> NDArray[np.uint32]:
@@ -53,7 +55,8 @@ def _crc(tables, data, start, stop, crc):
     at, end = np.uint64(start), np.uint64(stop)
     while at < end:
         count = min(end - at, _AT_ONCE)
-        following = crc >> np.uint32(count << _THREE) if count < _FOUR else np.uint32(0)  # what the bytes do not reach
+        # What the bytes do not reach.
+        following = crc >> np.uint32(count * _BYTE_BITS) if count < _CRC_BYTES else np.uint32(0)
         for k in range(count):
             byte = np.uint32(data[at + k]) ^ (crc & np.uint32(0xFF))
             crc >>= np.uint32(8)

@@ -16,7 +16,10 @@ from hapsim.errors import HapsimError, UsageError
 
 if TYPE_CHECKING:
     from hapsim.cordis.explain import Explanation
+    from hapsim.errors import RunError
+    from hapsim.loop.trace import Report
     from hapsim.prediction import Prediction
+    from hapsim.realtime import Grant
     from hapsim.scene import Scene
 
 
@@ -72,16 +75,14 @@ def run(
     from hapsim.console.live import live_line
     from hapsim.console.tables import show_report
     from hapsim.errors import RunError
-    from hapsim.loop.trace import require_writable_as_trace
     from hapsim.running import run as run_scene
     from hapsim.running.signals import undisturbed
 
     loaded = _scene(scene, port)
-    if record is not None:
-        require_writable_as_trace(record)
-    _warn(loaded, _poles_of(loaded))
+    _require_writable(record=record)
+    _predict_and_warn(loaded)
     error_console = _stderr()
-    attendant = Attendant(error_console, scene if watch else None, lambda changed: _warn(changed, _poles_of(changed)))
+    attendant = Attendant(error_console, scene if watch else None, _predict_and_warn)
     failure: RunError | None = None
     try:
         with live_line(error_console) as tell:
@@ -105,14 +106,10 @@ def run(
         if record is not None:
             trace.save(record)
         if json:
-            from hapsim.console.as_json import document, report_document
-
-            problem = {} if failure is None else {"error": str(failure), "exit_status": failure.exit_status}
-            print(document(report_document(trace.report, attendant.grants) | problem))
+            _print_run(trace.report, attendant.grants, failure)
         else:
             show_report(_stdout(), trace.report)
-            if record is not None:
-                print(f"Trace: {record}")
+            _say(record=record)
     if failure is not None:
         _complain(failure)
         raise typer.Exit(failure.exit_status)
@@ -124,7 +121,7 @@ def check(
     json: Json = False,
     explain: Annotated[
         bool,
-        typer.Option("--explain", help="Compile the scene too: what was kept of it, and what that costs per tick."),
+        typer.Option("--explain", help="Compile the scene too: what is kept of it, what that costs."),
     ] = False,
 ) -> None:
     """Predict, without running: stable or not, what the hand will meet, every mode, the link's budget."""
@@ -175,18 +172,13 @@ def measure(
 
     It pushes the hand: now and then, to one side and the other, with up to a quarter of the scene's force_limit.
     """
-    from hapsim.chart.figure import require_writable
     from hapsim.console.as_json import felt_on
     from hapsim.console.live import live_line
-    from hapsim.loop.trace import require_writable_as_trace
     from hapsim.measuring.measure import measure as measure_scene
     from hapsim.prediction import predict
 
     loaded = _scene(scene, port)
-    require_writable(picture)
-    require_writable(data, (".csv",))
-    if record is not None:
-        require_writable_as_trace(record)
+    _require_writable(picture, data, record)
     if channel is None:
         channel = next(iter(loaded.device_points.values())).channel
     prediction = predict(loaded, with_margins=False)
@@ -217,9 +209,7 @@ def measure(
         print(document({"scene": scene} | measurement_document(prediction, measurement, channel)))
     else:
         _show_measured(loaded, channel, felt, why, measurement)
-        for what, path in (("Picture", picture), ("Its numbers", data), ("Trace", record)):
-            if path is not None:
-                print(f"{what}: {path}")
+        _say(picture, data, record)
 
 
 @app.command()
@@ -244,15 +234,13 @@ def doctor(
 
     A device that is tried feels no force: the scene runs without its links, every force cut to zero.
     """
-    from hapsim.chart.figure import require_writable, save_rows
     from hapsim.console.doctor import examination_document, examination_line, show_examination
     from hapsim.console.options import numbers
     from hapsim.doctor.examine import RATES_HZ, examine
 
     if port is not None and scene is None:
         raise UsageError("--port: found no SCENE, expected the scene whose device is at that port")
-    require_writable(picture)
-    require_writable(data, (".csv",))
+    _require_writable(picture, data)
     with examination_line(_stderr()) as tell:
         found = examine(
             None if scene is None else _scene(scene, port),
@@ -263,6 +251,7 @@ def doctor(
             on_progress=tell,
         )
     if picture is not None or data is not None:
+        from hapsim.chart.figure import save_rows
         from hapsim.chart.steadiness import columns, draw_steadiness, steadiness
 
         curves = steadiness(found)
@@ -276,9 +265,7 @@ def doctor(
         print(document(examination_document(found)))
     else:
         show_examination(_stdout(), found)
-        for what, path in (("Picture", picture), ("Its numbers", data)):
-            if path is not None:
-                print(f"{what}: {path}")
+        _say(picture, data)
     if found.device_failed is not None:
         raise typer.Exit(found.device_failed.exit_status)
 
@@ -372,10 +359,10 @@ def main() -> None:
         sys.exit(1)
 
 
-def _poles_of(scene: Scene) -> Prediction:
+def _predict_and_warn(scene: Scene) -> None:
     from hapsim.prediction import predict
 
-    return predict(scene, with_margins=False)
+    _warn(scene, predict(scene, with_margins=False))
 
 
 def _warn(scene: Scene, prediction: Prediction) -> None:
@@ -401,6 +388,33 @@ def _line_kind(mock: bool, line: str | None, port: str | None) -> Any:
     if line is not None and line not in ("loopback", "terminal"):
         raise UsageError(f"--line: found '{line}', expected loopback or terminal")
     return line or ("mock" if mock else "auto")
+
+
+def _require_writable(picture: Path | None = None, data: Path | None = None, record: Path | None = None) -> None:
+    """UsageError where one of the files could not be written: better before the run than after it."""
+    if picture is not None or data is not None:
+        from hapsim.chart.figure import require_writable
+
+        require_writable(picture)
+        require_writable(data, (".csv",))
+    if record is not None:
+        from hapsim.loop.trace import require_writable_as_trace
+
+        require_writable_as_trace(record)
+
+
+def _say(picture: Path | None = None, data: Path | None = None, record: Path | None = None) -> None:
+    """Which files were written."""
+    for what, path in (("Picture", picture), ("Its numbers", data), ("Trace", record)):
+        if path is not None:
+            print(f"{what}: {path}")
+
+
+def _print_run(report: Report, grants: list[Grant], failure: RunError | None) -> None:
+    from hapsim.console.as_json import document, report_document
+
+    problem = {} if failure is None else {"error": str(failure), "exit_status": failure.exit_status}
+    print(document(report_document(report, grants) | problem))
 
 
 def _show_measured(scene: Scene, channel: int, felt: Any, why: str, measurement: Any) -> None:

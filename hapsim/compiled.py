@@ -46,10 +46,11 @@ def on_compilation(tell: Callable[[str], None]) -> Iterator[None]:
             self._depth = 0
 
         def on_start(self, event: Any) -> None:
-            if self._depth == 0:
+            self._depth += 1  # first: numba calls `on_end` even where this raises
+            if self._depth == 1:
                 self._interrupts.hold()
-            self._interrupts.raise_held()
-            self._depth += 1
+            else:
+                self._interrupts.raise_held()
             tell(str(event.data["dispatcher"].py_func.__name__))
 
         def on_end(self, event: Any) -> None:  # noqa: ARG002

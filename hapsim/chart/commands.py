@@ -12,6 +12,8 @@ from hapsim.errors import UsageError
 
 if TYPE_CHECKING:
     from hapsim.chart.hand import Hand
+    from hapsim.chart.scale import Scale
+    from hapsim.chart.view import View
 
 app = typer.Typer(
     name="chart",
@@ -89,12 +91,7 @@ def plane(
 
     The options of the loop are in place of what SCENE says.
     """
-    from hapsim.chart.family import draw_family, family
-    from hapsim.chart.hand import described
-    from hapsim.chart.plane import draw_plane
-    from hapsim.chart.plane import plane as plane_of
     from hapsim.chart.scale import scale_of
-    from hapsim.chart.view import view_of
 
     picture = _writable(picture, data, json, "plane.svg")
     masses = numbers("--mass", mass)
@@ -102,21 +99,10 @@ def plane(
         masses, rate = _normalised(masses, rate, described_by_options=scene is None)
     given = _loop_options(context, mass=masses[0] if masses else None, rate=rate)
     chosen, others = _hands(scene, channel, given, written_stiffness, written_damping)
-    members = [chosen.with_mass(mass) for mass in masses] if len(masses) > 1 else [chosen]
+    drawn = _in_one_plane(chosen, others, masses)
     scale = scale_of(chosen.configuration, normalised=normalised, total=total_damping)
-    alike = [other for other in others if other.configuration == chosen.configuration]
-    drawn = members if len(members) > 1 else [chosen, *alike]
-    view = view_of(
-        drawn,
-        from_total=total_damping,
-        K_to=_end("--to-stiffness", to_stiffness, scale.stiffness),
-        B_to=_end("--to-damping", to_damping, scale.damping, scale.offset),
-    )
-    title = described(chosen.configuration, mass=len(members) == 1, normalised=normalised)
-    worked_out: Any = family(members, view, scale) if len(members) > 1 else plane_of(drawn, view, scale)
-    _save_rows(worked_out.columns(), data)
-    if picture is not None:
-        (draw_family if len(members) > 1 else draw_plane)(worked_out, title, picture)
+    view = _view(drawn, scale, total_damping, to_stiffness, to_damping)
+    _draw_plane(drawn, len(masses) > 1, view, scale, normalised, picture, data)
     if json:
         _print_json({"scene": scene, "hands": [hand.summary() for hand in drawn]}, picture, data)
         return
@@ -263,6 +249,27 @@ def _hands(
     return chosen.written(stiffness, damping), [hand for hand in hands if hand is not chosen]
 
 
+def _in_one_plane(chosen: Hand, others: list[Hand], masses: list[float]) -> list[Hand]:
+    """One hand of several masses; or all the hands that stand in the plane of the one that is asked for."""
+    if len(masses) > 1:
+        return [chosen.with_mass(mass) for mass in masses]
+    return [chosen, *(other for other in others if other.configuration == chosen.configuration)]
+
+
+def _view(
+    drawn: list[Hand], scale: Scale, from_total: bool, to_stiffness: float | None, to_damping: float | None
+) -> View:
+    """The part of the plane that is drawn; its ends in the unit of `scale`, None where they are to be found."""
+    from hapsim.chart.view import view_of
+
+    return view_of(
+        drawn,
+        from_total=from_total,
+        K_to=_end("--to-stiffness", to_stiffness, scale.stiffness),
+        B_to=_end("--to-damping", to_damping, scale.damping, scale.offset),
+    )
+
+
 def _end(option: str, value: float | None, unit: float, offset: float = 0.0) -> float | None:
     """The end of an axis in SI units."""
     if value is None:
@@ -270,6 +277,28 @@ def _end(option: str, value: float | None, unit: float, offset: float = 0.0) -> 
     if not 0.0 < value < float("inf"):
         raise UsageError(f"{option}: found {value:g}, expected a finite number above 0")
     return value * unit - offset
+
+
+def _draw_plane(
+    drawn: list[Hand],
+    several_masses: bool,
+    view: View,
+    scale: Scale,
+    normalised: bool,
+    picture: Path | None,
+    data: Path | None,
+) -> None:
+    """The plane, or the planes of several masses in one, to where they are asked for."""
+    from hapsim.chart.family import draw_family, family
+    from hapsim.chart.hand import described
+    from hapsim.chart.plane import draw_plane
+    from hapsim.chart.plane import plane as plane_of
+
+    worked_out: Any = family(drawn, view, scale) if several_masses else plane_of(drawn, view, scale)
+    _save_rows(worked_out.columns(), data)
+    if picture is not None:
+        title = described(drawn[0].configuration, mass=not several_masses, normalised=normalised)
+        (draw_family if several_masses else draw_plane)(worked_out, title, picture)
 
 
 def _tell_of(drawn: list[Hand], others: list[Hand]) -> None:

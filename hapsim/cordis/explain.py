@@ -49,7 +49,7 @@ class Explanation(NamedTuple):
 
 
 def explain(scene: Scene, on_part: Callable[[str], None] = lambda _: None) -> Explanation:
-    """Compiles `scene`, runs it on a hand that rests, and tells what it consists of; `on_part` hears what is at hand."""
+    """Compiles `scene`, runs it on a hand that rests, and tells what it is made of; `on_part` hears what is at hand."""
     program = compile_scene(scene)
     desk = _desk(scene)
     start(program, desk["measured"])

@@ -37,7 +37,12 @@ def _build(masses: Mapping[str, Mass], _columns: Sequence[Column], frame: Frame)
     return Masses(frame.number[next(iter(masses))], mobility_of([one.mass for one in masses.values()], frame))
 
 
-MASS = Kind(_select, _build, name="masses", compiled_as="one pass over contiguous memory")
+MASS = Kind(
+    _select,
+    _build,
+    name="masses",
+    compiled_as="one pass over contiguous memory",
+)
 
 
 @moves(Masses)

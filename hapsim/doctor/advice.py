@@ -51,6 +51,8 @@ class Case:
     worst_wakeup_s: float | None = None
     keeps_up: bool = True
     """Whether every rate was a yes."""
+    again: str = "hapsim doctor"
+    """What examines the same again, for a shell."""
     load: Load | None = None
     may_open: Callable[[Path], bool] = lambda path: os.access(path, os.R_OK | os.W_OK)
 
@@ -143,7 +145,7 @@ def _not_asked(case: Case) -> Advice | None:
         found="These figures are of a program like any other: real-time scheduling was not asked for.",
         why="Every other program may keep the loop waiting for a few milliseconds.",
         do="Measure again with it; what you are not allowed will be said:",
-        commands=("hapsim doctor --realtime",),
+        commands=(f"{case.again} --realtime",),
     )
 
 

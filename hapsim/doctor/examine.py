@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -15,7 +16,7 @@ from hapsim.doctor.machine import Machine, machine_of
 from hapsim.doctor.step import Step, Tell
 from hapsim.doctor.tree import Tree
 from hapsim.doctor.verdict import Verdict, best_rate, verdict_on
-from hapsim.doctor.wakeups import wake_up_lateness
+from hapsim.doctor.wakeups import require_measurable, wake_up_lateness
 from hapsim.errors import UsageError
 from hapsim.loop.histogram import Histogram
 from hapsim.scene import Scene, parse_scene
@@ -79,17 +80,60 @@ def examine(
     Each of these takes `seconds`. `realtime`: with what this user may have of real time. `tree`, `run`: in place of
     this system's files and of hapsim.run, for tests.
 
-    A run that fails is part of the answer. Raises UsageError for rates and times that cannot be measured, and where a
-    scene and its device do not go together.
+    A run that fails is part of the answer. Raises UsageError, before anything is measured, for rates and times that
+    cannot be; and where a scene and its device do not go together.
     """
     if line == "loopback":
         raise UsageError("--line: found loopback, which has no time of its own; expected terminal, or nothing")
-    scene, tree = scene or _shipped(), tree or Tree()
-    rates = tuple(sorted({*rates, scene.rate}))
-    to_run = trials(scene, rates, line)
-    granted: list[list[Grant]] = []
+    examined, tree = scene or _shipped(), tree or Tree()
+    _require_measurable(examined, rates, seconds)
+    rates = tuple(sorted({*rates, examined.rate}))
+    to_run = trials(examined, rates, line)
     steps = _Steps(len(rates) + len(to_run), seconds, on_progress)
     before = cpu_times(tree)
+    wakeups, grants = _wakeups(rates, seconds, steps, realtime)
+    ran = tuple(
+        exchanges(trial, seconds, steps.next(_named(trial)), run or _hapsim_run(), realtime=realtime)
+        for trial in to_run
+    )
+    machine = machine_of(tree)
+    load = load_between(before, cpu_times(tree), machine.cores_online, tree)
+    verdicts = tuple(map(verdict_on, ran))
+    case = Case(
+        tree=tree,
+        machine=machine,
+        port=examined.device.port if to_run[0].where != MOCK else None,
+        grants=grants,
+        worst_wakeup_s=max(histogram.maximum for histogram in wakeups.values()),
+        keeps_up=all(verdict.answer == "yes" for verdict in verdicts),
+        load=load,
+        again=_again(scene, to_run[0].where),
+    )
+    return Examination(
+        scene=examined.path or _SHIPPED,
+        rate_hz=examined.rate,
+        seconds=seconds,
+        machine=machine,
+        grants=grants,
+        wakeups=wakeups,
+        exchanges=ran,
+        verdicts=verdicts,
+        load=load,
+        advice=tuple(advice_on(case)),
+    )
+
+
+def _require_measurable(scene: Scene, rates: tuple[float, ...], seconds: float) -> None:
+    for rate in rates:
+        require_measurable(rate, seconds)
+    require_measurable(scene.rate, seconds, f"{scene.path or 'the scene'}: rate")
+
+
+def _wakeups(
+    rates: tuple[float, ...], seconds: float, steps: _Steps, realtime: bool
+) -> tuple[dict[float, Histogram], tuple[Grant, ...] | None]:
+    """(by rate, how late a thread was woken up; what was granted of real time, None where it was not asked for)."""
+    granted: list[list[Grant]] = []
     wakeups = {
         rate: wake_up_lateness(
             rate,
@@ -100,35 +144,7 @@ def examine(
         )
         for rate in rates
     }
-    ran = tuple(
-        exchanges(trial, seconds, steps.next(_named(trial)), run or _hapsim_run(), realtime=realtime)
-        for trial in to_run
-    )
-    machine = machine_of(tree)
-    load = load_between(before, cpu_times(tree), machine.cores_online, tree)
-    verdicts = tuple(map(verdict_on, ran))
-    grants = tuple(granted[-1]) if realtime else None
-    case = Case(
-        tree=tree,
-        machine=machine,
-        port=scene.device.port if to_run[0].where != MOCK else None,
-        grants=grants,
-        worst_wakeup_s=max(histogram.maximum for histogram in wakeups.values()),
-        keeps_up=all(verdict.answer == "yes" for verdict in verdicts),
-        load=load,
-    )
-    return Examination(
-        scene=scene.path or _SHIPPED,
-        rate_hz=scene.rate,
-        seconds=seconds,
-        machine=machine,
-        grants=grants,
-        wakeups=wakeups,
-        exchanges=ran,
-        verdicts=verdicts,
-        load=load,
-        advice=tuple(advice_on(case)),
-    )
+    return wakeups, tuple(granted[-1]) if realtime else None
 
 
 class _Steps:
@@ -143,6 +159,18 @@ class _Steps:
         self._number += 1
         number = self._number
         return lambda elapsed, compiling: self._tell(Step(number, self._of, what, elapsed, self._seconds, compiling))
+
+
+def _again(scene: Scene | None, where: str) -> str:
+    """What examines a scene (None: the shipped one) on this port, or on the mock, again: for a shell."""
+    told = ["hapsim", "doctor"]
+    if scene is not None and scene.path is not None:
+        told.append(scene.path)
+        if where != MOCK:
+            told += ["--port", where]
+        elif scene.device.port is not None:
+            told.append("--mock")
+    return shlex.join(told)
 
 
 def _named(trial: Trial) -> str:

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 _LOOK_S = 0.05
 _SLOWEST_HZ, _FASTEST_HZ = 1.0, 1e5
+_MOST_WAKEUPS = 1e12
 
 GRID = np.dtype(
     [
@@ -52,6 +53,20 @@ def sleep_on_grid(grid: Any, lateness: Any) -> None:
             grid.due_ns = now + grid.period_ns
 
 
+def require_measurable(rate_hz: float, seconds: float, named: str = "--rates") -> None:
+    """UsageError where no lateness can be measured at this rate for so many `seconds`; `named`: where the rate stands.
+
+    The rate has to be between 1 Hz and 100 kHz, and there has to be one period in the time.
+    """
+    if not _SLOWEST_HZ <= rate_hz <= _FASTEST_HZ:
+        raise UsageError(f"{named}: found {rate_hz:g} Hz, expected {_SLOWEST_HZ:g} to {_FASTEST_HZ:g} Hz")
+    if not 1.0 <= rate_hz * seconds <= _MOST_WAKEUPS:
+        raise UsageError(
+            f"--seconds: found {seconds:g}, expected at least a period of {rate_hz:g} Hz, "
+            f"and at most {_MOST_WAKEUPS / rate_hz:g}"
+        )
+
+
 def wake_up_lateness(
     rate_hz: float,
     seconds: float,
@@ -67,12 +82,9 @@ def wake_up_lateness(
     ends at the next wake-up.
 
     Raises:
-        UsageError: the rate is not between 1 Hz and 100 kHz, or there is not one period in the time.
+        UsageError: as `require_measurable`.
     """
-    if not _SLOWEST_HZ <= rate_hz <= _FASTEST_HZ:
-        raise UsageError(f"rate: found {rate_hz:g} Hz, expected {_SLOWEST_HZ:g} to {_FASTEST_HZ:g} Hz")
-    if not 1.0 <= rate_hz * seconds < 1e12:
-        raise UsageError(f"seconds: found {seconds:g}, expected a finite time of at least a period of {rate_hz:g} Hz")
+    require_measurable(rate_hz, seconds)
     grid, lateness = _new_grid(rate_hz), new_histogram()
     tell = on_progress or (lambda *_: None)
     with on_compilation(lambda name: tell(0.0, name)):

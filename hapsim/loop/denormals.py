@@ -9,9 +9,10 @@ from __future__ import annotations
 import platform
 from typing import Any
 
-from llvmlite import ir
 from numba.core import cgutils, types
 from numba.extending import intrinsic
+
+ir = cgutils.ir
 
 _FLUSH_TO_ZERO, _DENORMALS_ARE_ZERO = 1 << 15, 1 << 6  # of the control register of SSE and AVX
 

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 from hapsim.compiled import inlined
 from hapsim.loop.codes import BAD_FORCE, FAULT, TIMED_OUT
+from hapsim.loop.ring import full
 
 DONE, STOPPED, RING_FULL, SILENT, GONE, NOT_FINITE, DEVICE_STOPPED = range(7)
+
+GOES_ON = -1
+"""Nothing ends it yet."""
 
 IN_WORDS = {
     DONE: "done",
@@ -16,6 +20,19 @@ IN_WORDS = {
     DEVICE_STOPPED: "device stopped",
 }
 """As a report tells it. RING_FULL is no end: the loop goes on once the reader has made room."""
+
+
+@inlined
+def told_to_end(control, state, ring):
+    """Why the loop ends before its next exchange: GOES_ON, or STOPPED, DONE, RING_FULL.
+
+    Fields are read by key, which plain Python can as well: the portable loop calls this as it stands.
+    """
+    if control["stop"]:
+        return STOPPED
+    if 0 <= control["ticks"] <= state["ticks"]:
+        return DONE
+    return RING_FULL if full(ring) else GOES_ON
 
 
 @inlined

@@ -128,7 +128,7 @@ class Loop(NamedTuple):
     statistics: Statistics
 
 
-@jit_inlined
+@inlined
 def digest(loop, now):
     """Takes every position among the bytes at hand, which arrived at `now` (ns), and works out the force that answers
     the newest: HEARD, or TIMED_OUT, FAULT, BAD_FORCE.
@@ -152,7 +152,7 @@ def digest(loop, now):
     return heard
 
 
-@jit_inlined
+@inlined
 def compose_force(loop):
     """Writes the frame with the force that answers the newest position into the outbox; where it ends."""
     return write_to_device(

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from hapsim.compiled import jit
+from hapsim.compiled import inlined, jit
 from hapsim.loop.codes import HEARD
-from hapsim.loop.endings import DONE, GONE, RING_FULL, STOPPED, ending_of
-from hapsim.loop.ring import full
+from hapsim.loop.endings import GOES_ON, GONE, RING_FULL, ending_of, told_to_end
 from hapsim.loop.system import now_ns
 from hapsim.loop.waiting import answer, let_go, take_newest_position, wait_for_go
 
@@ -15,20 +14,20 @@ def run_paced_by_device(loop):
     """Answers every position until something ends it; returns what did. RING_FULL alone leaves the device armed."""
     wait_for_go(loop)
     loop.state.sent_ns = now_ns(loop.desk.scratch)
-    while True:
-        if loop.control.stop:
-            ending = STOPPED
-        elif 0 <= loop.control.ticks <= loop.state.ticks:
-            ending = DONE
-        elif full(loop.ring):
-            return RING_FULL
-        else:
-            code = take_newest_position(loop, loop.state.sent_ns, loop.control.silence_ns)
-            if code == HEARD:
-                if answer(loop) == 0:
-                    continue
-                ending = GONE
-            else:
-                ending = ending_of(code, loop.control.stop)
+    ending = GOES_ON
+    while ending == GOES_ON:
+        ending = told_to_end(loop.control, loop.state, loop.ring)
+        if ending == GOES_ON:
+            ending = _exchange(loop)
+    if ending != RING_FULL:
         let_go(loop)
-        return ending
+    return ending
+
+
+@inlined
+def _exchange(loop):
+    """Position in, force out. GOES_ON, or why the loop ends."""
+    code = take_newest_position(loop, loop.state.sent_ns, loop.control.silence_ns)
+    if code != HEARD:
+        return ending_of(code, loop.control.stop)
+    return GOES_ON if answer(loop) == 0 else GONE

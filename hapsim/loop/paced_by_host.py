@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from hapsim.compiled import inlined, jit, jit_inlined
 from hapsim.loop.codes import HEARD, TIMED_OUT
-from hapsim.loop.endings import DONE, GONE, STOPPED, ending_of
+from hapsim.loop.endings import GOES_ON, GONE, ending_of, told_to_end
 from hapsim.loop.histogram import note
 from hapsim.loop.system import now_ns, sleep_until
 from hapsim.loop.waiting import SLICE_NS, answer, let_go, take_newest_position, wait_for_go
@@ -21,16 +21,16 @@ def run_paced_by_host(loop):
     loop.state.tick_ns = now_ns(loop.desk.scratch)
     ending = _first_position(loop)
     due = now_ns(loop.desk.scratch) + loop.control.period_ns
-    while ending < 0:
+    while ending == GOES_ON:
+        ending = told_to_end(loop.control, loop.state, loop.ring)
+        if ending != GOES_ON:
+            break
+        now = _sleep_until_due(loop, due)
         if loop.control.stop:
-            ending = STOPPED
-        elif 0 <= loop.control.ticks <= loop.state.ticks:
-            ending = DONE
-        else:
-            now = _sleep_until_due(loop, due)
-            note(loop.statistics.lateness, now - due)
-            due = next_due(loop, due, now)
-            ending = exchange_before(loop, now, due)
+            continue  # woken up for that, not for an exchange
+        note(loop.statistics.lateness, now - due)
+        due = next_due(loop, due, now)
+        ending = exchange_before(loop, now, due)
     let_go(loop)
     return ending
 
@@ -47,15 +47,15 @@ def _sleep_until_due(loop, due):
 
 @inlined
 def _first_position(loop):
-    """The device sends position 0 of its own accord when it is armed. Negative, or why the loop ends."""
+    """The device sends position 0 of its own accord when it is armed. GOES_ON, or why the loop ends."""
     code = take_newest_position(loop, now_ns(loop.desk.scratch), loop.control.silence_ns)
-    return -1 if code == HEARD else ending_of(code, loop.control.stop)
+    return GOES_ON if code == HEARD else ending_of(code, loop.control.stop)
 
 
-@jit_inlined
+@inlined
 def exchange_before(loop, now, due):
     """Force out, position in, until the next tick is due; a position that does not come by then is asked for again.
-    Negative, or why the loop ends.
+    GOES_ON, or why the loop ends.
 
     One that came after its tick was over is taken first: answered in its turn it would leave every later force a sample
     older than need be.
@@ -69,8 +69,8 @@ def exchange_before(loop, now, due):
         return GONE
     code = take_newest_position(loop, loop.state.sent_ns, max(due - loop.state.sent_ns, 0))
     if code == TIMED_OUT and loop.state.sent_ns - loop.state.newest_ns < loop.control.silence_ns:
-        return -1
-    return -1 if code == HEARD else ending_of(code, loop.control.stop)
+        return GOES_ON
+    return GOES_ON if code == HEARD else ending_of(code, loop.control.stop)
 
 
 @jit_inlined

@@ -14,7 +14,7 @@ import numpy as np
 
 from hapsim.compiled import compile_for, jit
 from hapsim.loop.codes import FAILED, HEARD, HUNG_UP, TIMED_OUT
-from hapsim.loop.endings import DONE, GONE, RING_FULL, STOPPED, ending_of
+from hapsim.loop.endings import GOES_ON, GONE, RING_FULL, ending_of, told_to_end
 from hapsim.loop.exchange import HOST_CLOCK, Loop, compose_disarm, compose_force, digest, never_sent, sent
 from hapsim.loop.histogram import note
 from hapsim.loop.paced_by_host import next_due
@@ -84,14 +84,13 @@ class PortableLoop:
         return ending
 
     def _paced_by_device(self) -> int:
-        while True:
-            if (ending := self._told_to_end()) is not None:
-                return ending
+        while (ending := self._told_to_end()) == GOES_ON:
             code, stop = self._take(time.monotonic_ns() + int(self._loop.control["silence_ns"]))
             if code != HEARD:
                 return int(ending_of(code, self._loop.control["stop"]))
             if self._answer(stop) != 0:
                 return GONE
+        return ending
 
     def _paced_by_host(self) -> int:
         loop, period = self._loop, int(self._loop.control["period_ns"])
@@ -99,9 +98,11 @@ class PortableLoop:
         code, stop = self._take(time.monotonic_ns() + int(loop.control["silence_ns"]))
         due = time.monotonic_ns() + period
         while code in (HEARD, TIMED_OUT):
-            if (ending := self._told_to_end()) is not None:
+            if (ending := self._told_to_end()) != GOES_ON:
                 return ending
             now = self._sleep_until(due)
+            if loop.control["stop"]:
+                continue  # woken up for that, not for an exchange
             note(loop.statistics.lateness, now - due)
             due = int(next_due(loop, due, now))
             # One that came after its tick was over is taken first, as in the compiled loop.
@@ -125,16 +126,8 @@ class PortableLoop:
             time.sleep(min(left, SLICE_NS) * 1e-9)
         return time.monotonic_ns()
 
-    def _told_to_end(self) -> int | None:
-        loop = self._loop
-        if loop.control["stop"]:
-            return STOPPED
-        if 0 <= loop.control["ticks"] <= loop.state["ticks"]:
-            return DONE
-        cursor = loop.ring.cursor
-        if cursor["waits"] and cursor["head"] - cursor["tail"] > loop.ring.rows.shape[0] // 2:
-            return RING_FULL
-        return None
+    def _told_to_end(self) -> int:
+        return int(told_to_end(self._loop.control, self._loop.state, self._loop.ring))
 
     def _take(self, give_up: int) -> tuple[int, int]:
         """Waits for a position until `give_up`: (HEARD, where the force's frame ends), or (a code, 0)."""

@@ -62,7 +62,7 @@ def new_ring(channels: int, capacity: int, waits: bool) -> Ring:
 def full(ring):
     """Whether the loop has to return for want of room; with a margin, for positions that arrive several at once."""
     cursor = ring.cursor
-    return cursor.waits != 0 and cursor.head - cursor.tail > ring.rows.shape[0] // 2
+    return cursor["waits"] != 0 and cursor["head"] - cursor["tail"] > ring.rows.shape[0] // 2
 
 
 @inlined

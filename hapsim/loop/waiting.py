@@ -5,7 +5,7 @@ It never spins: bytes of a terminal pass through a kernel worker of ordinary pri
 
 from __future__ import annotations
 
-from hapsim.compiled import jit_inlined, part
+from hapsim.compiled import inlined, part
 from hapsim.loop.codes import TIMED_OUT
 from hapsim.loop.denormals import flush_denormals
 from hapsim.loop.exchange import compose_disarm, compose_force, digest, never_sent, sent
@@ -29,7 +29,7 @@ def wait_for_go(loop):
         sleep_until(now_ns(loop.desk.scratch) + _GLANCE_NS, loop.desk.scratch)
 
 
-@jit_inlined
+@inlined
 def take_newest_position(loop, now, timeout_ns):
     """Waits for a position from `now` on, takes all that are there and leaves the force that answers the newest.
 
@@ -49,7 +49,7 @@ def take_newest_position(loop, now, timeout_ns):
             return count
 
 
-@jit_inlined
+@inlined
 def answer(loop):
     """Sends the force that answers the newest position; 0, or HUNG_UP or FAILED."""
     code = send(loop.port, loop.desk.outbox, compose_force(loop))

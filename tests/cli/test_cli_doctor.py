@@ -8,6 +8,10 @@ from typing import Any
 
 import pytest
 
+from hapsim.doctor import examine
+from hapsim.doctor.advice import Advice
+
+ADVICE = Advice("The test was slow.", "It waits.", "Make it quicker:", ("pytest --quick",))
 QUICK = ("--seconds", 0.05, "--rates", "200")
 MEASURES = {
     "garbage collector frozen",
@@ -18,19 +22,36 @@ MEASURES = {
 }
 
 
+@pytest.fixture
+def advised(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One piece of advice, whatever the machine is like."""
+    monkeypatch.setattr(examine, "advice_on", lambda _: [ADVICE])
+
+
+@pytest.mark.usefixtures("advised")
 def test_the_doctor_tells_every_rate_a_verdict_and_advice(hapsim: Callable[..., Any]) -> None:
     told = hapsim("doctor", *QUICK)
     assert told.status == 0
     assert "How late a sleeping thread is woken up" in told.out
     assert "200 Hz" in told.out
-    assert "What would help" in told.out
+    for words in ("What would help", ADVICE.found, f"{ADVICE.why} {ADVICE.do}", *ADVICE.commands):
+        assert words in told.out
 
 
+def test_a_machine_that_could_not_be_set_better_is_told_so(
+    hapsim: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(examine, "advice_on", lambda _: [])
+    assert "Nothing was found that could be set better." in hapsim("doctor", *QUICK).out
+
+
+@pytest.mark.usefixtures("advised")
 def test_its_document_holds_the_same(hapsim: Callable[..., Any]) -> None:
     document = hapsim("doctor", *QUICK, "--json").document
     assert document["machine"]
     assert {entry["rate_hz"] for entry in document["wakeups"]} == {200.0, 1000.0}
-    assert document["advice"]
+    (advice,) = document["advice"]
+    assert Advice(**advice | {"commands": tuple(advice["commands"])}) == ADVICE
 
 
 def test_its_picture_and_numbers_are_written(hapsim: Callable[..., Any], tmp_path: Path) -> None:
@@ -46,8 +67,8 @@ def test_its_picture_and_numbers_are_written(hapsim: Callable[..., Any], tmp_pat
     ("words", "sentence"),
     [
         (("--rates", "fast"), "--rates: found 'fast', expected a number"),
-        (("--rates", "0"), "expected"),
-        (("--seconds", "0"), "expected"),
+        (("--rates", "200,0"), "--rates: found 0 Hz, expected 1 to 100000 Hz"),
+        (("--seconds", "0"), "--seconds: found 0, expected at least a period of 1000 Hz"),
         (("--port", "/dev/ttyNOPE7"), "--port: found no SCENE"),
         (("--picture", "p.txt"), "found the ending '.txt'"),
     ],
@@ -56,6 +77,7 @@ def test_a_wrong_call_of_the_doctor_is_told(hapsim: Callable[..., Any], words: t
     answer = hapsim("doctor", *words)
     assert answer.status == 2
     assert sentence in answer.sentence
+    assert answer.err.count("\n") == 1  # nothing was measured before
 
 
 def test_a_run_in_real_time_tells_what_it_got(hapsim: Callable[..., Any], scene_file: Callable[..., Path]) -> None:

@@ -119,6 +119,8 @@ def test_real_time_is_advised_where_it_was_not_asked_for_and_is_needed(case: Cal
     assert advice_on(case(grants=None)) == []
     assert only(case(grants=None, keeps_up=False)).commands == ("hapsim doctor --realtime",)
     assert only(case(grants=None, worst_wakeup_s=2e-3)).commands == ("hapsim doctor --realtime",)
+    of_mine = case(grants=None, keeps_up=False, again="hapsim doctor mine.yaml")
+    assert only(of_mine).commands == ("hapsim doctor mine.yaml --realtime",)
 
 
 def test_a_governor_other_than_performance(case: Callable[..., Case]) -> None:

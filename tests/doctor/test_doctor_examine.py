@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -15,7 +16,7 @@ from hapsim.errors import DeviceError, UsageError
 from hapsim.loop.histogram import Histogram
 from hapsim.progress import Progress
 from hapsim.realtime import Grant
-from hapsim.scene import Scene, parse_scene
+from hapsim.scene import Scene, load_scene, parse_scene
 
 GRANT = Grant("SCHED_FIFO", True, "priority 80")
 TEXT = """
@@ -31,8 +32,12 @@ modules:
 """
 
 
+def text(rate: float = 3000.0, clock: str = "host", port: str = "") -> str:
+    return TEXT.format(rate=rate, clock=clock, port=f", port: {port}" if port else "")
+
+
 def scene(rate: float = 3000.0, clock: str = "host", port: str = "") -> Scene:
-    return parse_scene(TEXT.format(rate=rate, clock=clock, port=f", port: {port}" if port else ""))
+    return parse_scene(text(rate, clock, port))
 
 
 @pytest.fixture
@@ -119,6 +124,29 @@ def test_virtual_time_is_refused(examined: Callable[..., Any]) -> None:
     assert [verdict.clock for verdict in examination.verdicts] == ["device", "host"]
 
 
+@pytest.mark.parametrize(
+    ("rate", "options", "sentence"),
+    [
+        (3000.0, {"rates": (1000.0, 0.5)}, "--rates: found 0.5 Hz"),
+        (3000.0, {"rates": (1000.0, 2e5)}, "--rates: found 200000 Hz"),
+        (
+            3000.0,
+            {"rates": (2000.0, 10.0), "seconds": 0.05},
+            "--seconds: found 0.05, expected at least a period of 10 Hz",
+        ),
+        (10.0, {"rates": (2000.0,), "seconds": 0.05}, "--seconds: found 0.05, expected at least a period of 10 Hz"),
+        (2e5, {}, "the scene: rate: found 200000 Hz"),
+    ],
+)
+def test_what_cannot_be_measured_is_refused_before_anything_is(
+    examined: Callable[..., Any], rate: float, options: dict[str, Any], sentence: str
+) -> None:
+    told: list[Step] = []
+    with pytest.raises(UsageError, match=sentence):
+        examined(scene(rate), on_progress=told.append, **options)
+    assert told == []
+
+
 def test_real_time_is_asked_for_everywhere_and_what_was_granted_is_kept(examined: Callable[..., Any]) -> None:
     examination, run = examined(scene(), rates=(), realtime=True)
     assert examination.grants == (GRANT,)
@@ -140,3 +168,28 @@ def test_advice_is_on_what_was_found(examined: Callable[..., Any]) -> None:
     examination, _ = examined(scene(), rates=())
     # The made-up wake-ups are 3 ms late, and the made-up system is no real-time one.
     assert any("3 ms late" in advice.found for advice in examination.advice)
+
+
+@pytest.mark.parametrize(
+    ("port", "line", "told"),
+    [
+        ("", "auto", "'my scene.yaml'"),
+        ("/dev/ttyACM0", "auto", "'my scene.yaml' --port /dev/ttyACM0"),
+        ("/dev/ttyACM0", "mock", "'my scene.yaml' --mock"),
+    ],
+)
+def test_the_command_it_advises_examines_the_same(
+    examined: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, port: str, line: str, told: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("my scene.yaml").write_text(text(port=port), encoding="utf-8")
+    examination, _ = examined(load_scene("my scene.yaml"), rates=(), line=line)
+    assert f"hapsim doctor {told} --realtime" in commands(examination)
+
+
+def test_without_a_scene_the_command_it_advises_has_none(examined: Callable[..., Any]) -> None:
+    assert "hapsim doctor --realtime" in commands(examined(None, rates=())[0])
+
+
+def commands(examination: Examination) -> list[str]:
+    return [command for advice in examination.advice for command in advice.commands]

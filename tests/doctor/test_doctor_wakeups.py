@@ -89,10 +89,10 @@ def test_what_was_granted_is_told_before_the_first_wake_up() -> None:
 @pytest.mark.parametrize(
     ("rate", "seconds", "found"),
     [
-        (0.5, 10.0, "found 0.5 Hz"),
+        (0.5, 10.0, "--rates: found 0.5 Hz, expected 1 to 100000 Hz"),
         (2e5, 1.0, "found 200000 Hz"),
         (float("nan"), 1.0, "found nan Hz"),
-        (1000.0, 1e-4, "found 0.0001"),
+        (1000.0, 1e-4, "--seconds: found 0.0001, expected at least a period of 1000 Hz"),
         (1000.0, float("inf"), "found inf"),
         (1000.0, float("nan"), "found nan"),
     ],

@@ -229,14 +229,17 @@ def frame() -> Callable[..., bytes]:
     return position
 
 
-def assemble(scene: Scene) -> Loop:
-    """A loop that nobody listens to, over no device."""
+def assemble(scene: Scene, descriptor: int = 0) -> Loop:
+    """A loop over a port's descriptor, armed; for loops that nobody listens to any descriptor does."""
     c = scene.channels
     description = Description("test", 1000.0, 0b111, 200, (1e-6,) * c, (1e-3,) * c, (10.0,) * c)
-    return assemble_loop(scene, Line(port=descriptor_port(0), name="test", close=lambda: None), description)
+    line = Line(port=descriptor_port(descriptor), name="test", close=lambda: None)
+    loop = assemble_loop(scene, line, description)
+    use_format(loop.decoder, loop.wire)
+    return loop
 
 
 @pytest.fixture
-def assembled() -> Callable[[Scene], Loop]:
+def assembled() -> Callable[..., Loop]:
     """`assemble` above."""
     return assemble

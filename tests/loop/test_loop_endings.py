@@ -18,10 +18,15 @@ import numpy as np
 import pytest
 import yaml
 
+import hapsim
 from firmware_protocol import schema
 from firmware_protocol.frames import armed_format, frame_to_host
+from hapsim.compiled import jit
 from hapsim.device.mock.firmware import Mock
 from hapsim.errors import DeviceError
+from hapsim.loop.endings import DONE, GOES_ON, RING_FULL, STOPPED, told_to_end
+from hapsim.loop.exchange import Loop
+from hapsim.loop.ring import UNSENT
 from hapsim.loop.trace import load_trace
 from hapsim.progress import Progress
 from hapsim.running import run
@@ -46,6 +51,56 @@ def test_at_the_end_of_the_duration_the_device_is_disarmed(
         require_let_go(mock)
     assert trace.report.ending == "done"
     assert trace.report.ticks >= 100
+
+
+@pytest.mark.parametrize("portable", [False, True])
+def test_a_stop_between_two_ticks_ends_a_run_by_the_hosts_clock_before_the_next(
+    scene_of: Callable[..., Scene], portable: bool
+) -> None:
+    """A tick lasts ten seconds: nobody waits for the next, and no exchange is made early in its place."""
+    scene = scene_of(rate=0.1, device={"clock": "host"})
+    with hapsim.start(scene, portable=portable) as session:
+        while session.statistics().age.total == 0:
+            session.wait(0.01)
+        session.wait(0.05)  # by now it sleeps
+        session.stop()
+        assert session.wait(5.0)
+    trace = session.trace
+    assert trace.report.ending == "stopped"
+    assert trace.flags.tolist() == [UNSENT]
+    assert trace.statistics.lateness.total == 0
+
+
+@jit
+def told_in_compiled_code(loop):
+    """`told_to_end` as the compiled loops have it."""
+    return told_to_end(loop.control, loop.state, loop.ring)
+
+
+@pytest.mark.parametrize(
+    ("stop", "ticks", "unread", "waits", "ending"),
+    [
+        (0, -1, 0, 1, GOES_ON),
+        (0, 8, 0, 1, GOES_ON),
+        (0, 7, 0, 1, DONE),
+        (1, 7, 0, 1, STOPPED),
+        (0, -1, 65536, 1, RING_FULL),
+        (0, -1, 65536, 0, GOES_ON),
+    ],
+)
+def test_what_ends_a_loop_is_the_same_in_compiled_code_and_in_python(
+    assembled: Callable[..., Loop],
+    scene_of: Callable[..., Scene],
+    stop: int,
+    ticks: int,
+    unread: int,
+    waits: int,
+    ending: int,
+) -> None:
+    loop = assembled(scene_of())
+    loop.control["stop"], loop.control["ticks"], loop.state["ticks"] = stop, ticks, 7
+    loop.ring.cursor["head"], loop.ring.cursor["waits"] = unread, waits
+    assert told_in_compiled_code(loop) == told_to_end(loop.control, loop.state, loop.ring) == ending
 
 
 @pytest.mark.parametrize("clock", CLOCKS)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+from typing import Any
 
 import numba
 import pytest
@@ -43,6 +44,27 @@ def test_the_next_function_is_not_begun() -> None:
     def outer(x: int) -> int:
         return int(inner(x))
 
+    before = signal.getsignal(signal.SIGINT)
     with pytest.raises(KeyboardInterrupt), on_compilation(interrupt):
         outer(1)
     assert told == ["outer"]
+    assert signal.getsignal(signal.SIGINT) == before
+
+
+def test_one_that_comes_as_soon_as_interrupts_are_kept_is_kept_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    set_handler, before = signal.signal, signal.getsignal(signal.SIGINT)
+
+    def set_and_interrupt(number: int, handler: Any) -> Any:
+        old = set_handler(number, handler)
+        if handler != before:
+            os.kill(os.getpid(), signal.SIGINT)
+        return old
+
+    function = numba.njit(lambda x: x + 1)
+    told: list[str] = []
+    monkeypatch.setattr(signal, "signal", set_and_interrupt)
+    with pytest.raises(KeyboardInterrupt), on_compilation(told.append):
+        function(1)
+    assert told == ["<lambda>"]
+    assert signal.getsignal(signal.SIGINT) == before
+    assert function(1) == 2
