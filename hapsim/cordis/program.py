@@ -1,9 +1,9 @@
 """Scene -> Program: the arrays that the compiled tick works on, and nothing that the scene does not have.
 
-Points are numbered: device points first (the exchange writes them), then grounds, then masses (which stand together, so
-that they advance in one pass), then the points of strings and membranes, each in one piece with the borders that its
-stencil needs. What can be changed while the scene runs (stiffness, damping, rest positions) stands together in one
-array, of which the parts hold their columns: `parameter_values` says what stands where.
+Points are numbered: device points first (the exchange writes them), then grounds, then masses and behind them cells
+(which stand together, so that they advance in one pass), then the points of strings and membranes, each in one piece
+with the borders that its stencil needs. What can be changed while the scene runs (stiffness, damping, rest positions)
+stands together in one array, of which the parts hold their columns: `parameter_values` says what stands where.
 """
 
 from __future__ import annotations
@@ -114,7 +114,7 @@ def _structures(scene: Scene) -> Iterator[tuple[Layout, str, Any]]:
 
 def _frame(scene: Scene) -> tuple[Frame, int, list[float]]:
     """The numbers of all points, how many stand before the first structure's, and where the structures' rest, in m."""
-    names = [*scene.device_points, *scene.grounds, *scene.masses]
+    names = [*scene.device_points, *scene.grounds, *scene.masses, *scene.cells]
     number = {name: i for i, name in enumerate(names)}
     loose = points = len(names)
     rests = []
@@ -133,7 +133,9 @@ def _rows(scene: Scene, frame: Frame, loose: int, rests: list[float]) -> Column:
     rows[:, loose:] = rests
     for name, ground in scene.grounds.items():
         rows[:, frame.number[name]] = ground.position
-    for name, mass in scene.masses.items():
-        rows[0, frame.number[name]] = mass.position
-        rows[2, frame.number[name]] = mass.position - mass.velocity / scene.rate
+    starts = {name: (mass.position, mass.velocity) for name, mass in scene.masses.items()}
+    starts |= {name: (cell.start, cell.velocity) for name, cell in scene.cells.items()}
+    for name, (position, velocity) in starts.items():
+        rows[0, frame.number[name]] = position
+        rows[2, frame.number[name]] = position - velocity / scene.rate
     return rows.astype(frame.real)
