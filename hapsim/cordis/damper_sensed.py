@@ -36,7 +36,8 @@ SENSED = Kind(with_damper("sensed"), _build, live_links)
 def _way(point, period, moment):
     """How far a point moves in a sample period, by its sensor where it has one. Device points come first."""
     if point < moment.devices.channel.size:
-        return period * moment.velocity[moment.devices.channel[point]]
+        real = moment.position.dtype.type
+        return period * real(moment.velocity[moment.devices.channel[point]])
     return moment.position[point] - moment.previous[point]
 
 

@@ -40,7 +40,7 @@ class CurvePoints(Expectation):
         for index, entry in enumerate(value):
             points.append(self._point(entry, index))
             if index and not points[index - 1][0] < points[index][0]:
-                before = f"{points[index - 1][0]:.17g}"
+                before = f"{points[index - 1][0]:.15g}"
                 unexpected(f"a number > {before} ({self.along}): the points stand in ascending order", (index, 0))
         return tuple(points)
 
