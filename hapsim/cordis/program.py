@@ -1,9 +1,9 @@
 """Scene -> Program: the arrays that the compiled tick works on, and nothing that the scene does not have.
 
-Points are numbered: device points first (the exchange writes them), then grounds, then masses (which stand together, so
-that they advance in one pass), then the points of strings and membranes, each in one piece with the borders that its
-stencil needs. What can be changed while the scene runs (stiffness, damping, rest positions) stands together in one
-array, of which the parts hold their columns: `parameter_values` says what stands where.
+Points are numbered: device points first (the exchange writes them), then grounds, then masses and behind them cells
+(which stand together, so that they advance in one pass), then the points of strings and membranes, each in one piece
+with the borders that its stencil needs. What can be changed while the scene runs (stiffness, damping, rest positions)
+stands together in one array, of which the parts hold their columns: `parameter_values` says what stands where.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def compile_scene(scene: Scene, values: Column | None = None) -> Program:
     rows = _rows(scene, frame, loose, rests)
     return Program(
         rows=rows,
-        turn=np.zeros(1, np.uint64) if scene.masses or scene.structures else None,
+        turn=np.zeros(1, np.uint64) if len(frame.number) > len(frame.grounds) + len(scene.device_points) else None,
         force=np.zeros(rows.shape[1], frame.real),
         devices=device_points(sorted(point.channel for point in scene.device_points.values())),
         grounds=next((part for kind, part in built if kind is GROUND), None),
@@ -112,7 +112,7 @@ def _structures(scene: Scene) -> Iterator[tuple[Layout, str, Any]]:
 def _frame(scene: Scene) -> tuple[Frame, int, list[float]]:
     """The numbers of all points, how many stand before the first structure's, and where the structures' rest, in m."""
     hands = sorted(scene.device_points, key=lambda name: scene.device_points[name].channel)
-    names = [*hands, *scene.grounds, *scene.masses]
+    names = [*hands, *scene.grounds, *scene.masses, *scene.cells]
     number = {name: i for i, name in enumerate(names)}
     loose = points = len(names)
     rests = []
@@ -132,7 +132,9 @@ def _rows(scene: Scene, frame: Frame, loose: int, rests: list[float]) -> Column:
     rows[:, loose:] = rests
     for name, ground in scene.grounds.items():
         rows[:, frame.number[name]] = ground.position
-    for name, mass in scene.masses.items():
-        rows[0, frame.number[name]] = mass.position
-        rows[2, frame.number[name]] = mass.position - mass.velocity / scene.rate
+    starts = {name: (mass.position, mass.velocity) for name, mass in scene.masses.items()}
+    starts |= {name: (cell.start, cell.velocity) for name, cell in scene.cells.items()}
+    for name, (position, velocity) in starts.items():
+        rows[0, frame.number[name]] = position
+        rows[2, frame.number[name]] = position - velocity / scene.rate
     return rows.astype(frame.real)

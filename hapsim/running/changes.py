@@ -13,7 +13,7 @@ from hapsim.errors import UsageError
 from hapsim.loop.parameters import Parameters, post
 from hapsim.scene import Scene
 from hapsim.scene.finding import did_you_mean
-from hapsim.scene.modules import Module
+from hapsim.scene.modules import Module, Surroundings
 from hapsim.scene.table import Table
 
 _EXAMPLE = '{"touch": {"stiffness": 500.0}}'
@@ -84,6 +84,10 @@ def _changed(scene: Scene, changes: Mapping[str, Mapping[str, float]]) -> Scene:
         if name not in modules:
             raise UsageError(f"found '{name}', expected the name of a module{did_you_mean(str(name), modules)}")
         modules[name] = _module_with(name, modules[name], values)
+    around = Surroundings(modules, {name: type(module) for name, module in modules.items()})
+    for name in changes:
+        for finding in modules[name].findings(name, around):
+            raise UsageError(f"{name}.{finding.path[-1]}: {finding.sentence}")
     return scene.model_copy(update={"modules": Table(modules)})
 
 

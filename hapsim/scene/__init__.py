@@ -12,7 +12,23 @@ if TYPE_CHECKING:
     from .device import Clock, Device, Hold, Sampling
     from .load import load_scene, parse_scene
     from .mock import Initial, Mock, MockDevice
-    from .modules import Buffer, DevicePoint, Ground, Link, Mass, Module, String, Structure, ViscoElastic
+    from .modules import (
+        Buffer,
+        Cell,
+        Damper,
+        DevicePoint,
+        Friction,
+        Ground,
+        Link,
+        Mass,
+        Module,
+        Nonlinear,
+        Plectrum,
+        Spring,
+        String,
+        Structure,
+        ViscoElastic,
+    )
     from .scene import VERSION, Scene
     from .schema import scene_schema
 
@@ -20,7 +36,23 @@ _EXPORTS = {
     "device": ("Clock", "Device", "Hold", "Sampling"),
     "load": ("load_scene", "parse_scene"),
     "mock": ("Initial", "Mock", "MockDevice"),
-    "modules": ("Buffer", "DevicePoint", "Ground", "Link", "Mass", "Module", "String", "Structure", "ViscoElastic"),
+    "modules": (
+        "Buffer",
+        "Cell",
+        "Damper",
+        "DevicePoint",
+        "Friction",
+        "Ground",
+        "Link",
+        "Mass",
+        "Module",
+        "Nonlinear",
+        "Plectrum",
+        "Spring",
+        "String",
+        "Structure",
+        "ViscoElastic",
+    ),
     "scene": ("VERSION", "Scene"),
     "schema": ("scene_schema",),
 }
@@ -29,9 +61,12 @@ _HOMES = {name: home for home, names in _EXPORTS.items() for name in names}
 __all__ = [
     "VERSION",
     "Buffer",
+    "Cell",
     "Clock",
+    "Damper",
     "Device",
     "DevicePoint",
+    "Friction",
     "Ground",
     "Hold",
     "Initial",
@@ -40,8 +75,11 @@ __all__ = [
     "Mock",
     "MockDevice",
     "Module",
+    "Nonlinear",
+    "Plectrum",
     "Sampling",
     "Scene",
+    "Spring",
     "String",
     "Structure",
     "ViscoElastic",
