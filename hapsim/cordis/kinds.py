@@ -10,6 +10,8 @@ from hapsim.cordis.damper_sensed import SENSED
 from hapsim.cordis.ground import GROUND
 from hapsim.cordis.kind import Kind
 from hapsim.cordis.mass import MASS
+from hapsim.cordis.membrane import MEMBRANE
+from hapsim.cordis.stiff_string import STIFF_STRING
 from hapsim.cordis.string import STRING
 
-KINDS: tuple[Kind, ...] = (GROUND, MASS, STRING, BACKWARD, CENTRED, FILTERED, SENSED, BUFFER)
+KINDS: tuple[Kind, ...] = (GROUND, MASS, STRING, STIFF_STRING, MEMBRANE, BACKWARD, CENTRED, FILTERED, SENSED, BUFFER)

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from .device import Clock, Device, Hold, Sampling
     from .load import load_scene, parse_scene
     from .mock import Initial, Mock, MockDevice
-    from .modules import Buffer, DevicePoint, Ground, Link, Mass, Module, String, Structure, ViscoElastic
+    from .modules import Buffer, DevicePoint, Ground, Link, Mass, Membrane, Module, String, Structure, ViscoElastic
     from .scene import VERSION, Scene
     from .schema import scene_schema
 
@@ -20,7 +20,18 @@ _EXPORTS = {
     "device": ("Clock", "Device", "Hold", "Sampling"),
     "load": ("load_scene", "parse_scene"),
     "mock": ("Initial", "Mock", "MockDevice"),
-    "modules": ("Buffer", "DevicePoint", "Ground", "Link", "Mass", "Module", "String", "Structure", "ViscoElastic"),
+    "modules": (
+        "Buffer",
+        "DevicePoint",
+        "Ground",
+        "Link",
+        "Mass",
+        "Membrane",
+        "Module",
+        "String",
+        "Structure",
+        "ViscoElastic",
+    ),
     "scene": ("VERSION", "Scene"),
     "schema": ("scene_schema",),
 }
@@ -37,6 +48,7 @@ __all__ = [
     "Initial",
     "Link",
     "Mass",
+    "Membrane",
     "Mock",
     "MockDevice",
     "Module",

@@ -9,12 +9,13 @@ from .device_point import DevicePoint
 from .ground import Ground
 from .link import Link
 from .mass import Mass
+from .membrane import Membrane
 from .module import Module, Surroundings
 from .string import String
 from .structure import Elements, Structure
 from .viscoelastic import ViscoElastic
 
-AnyModule = DevicePoint | Ground | Mass | String | ViscoElastic | Buffer
+AnyModule = DevicePoint | Ground | Mass | String | Membrane | ViscoElastic | Buffer
 
 #: A module as the file has it: its ``type`` says which.
 TypedModule = Annotated[AnyModule, Field(discriminator="type")]
@@ -31,6 +32,7 @@ __all__ = [
     "Ground",
     "Link",
     "Mass",
+    "Membrane",
     "Module",
     "String",
     "Structure",
