@@ -49,7 +49,13 @@ def _build(cells: Mapping[str, Any], columns: Sequence[Column], frame: Frame) ->
     return Cells(start, stiffness, damping, rest, rest.copy())
 
 
-CELL = Kind(all_of(Cell), _build, _live)
+CELL = Kind(
+    all_of(Cell),
+    _build,
+    _live,
+    name="cells",
+    compiled_as="pulled home in one pass, without a name being looked up; they move with the masses",
+)
 
 
 @pulls(Cells)

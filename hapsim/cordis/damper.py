@@ -31,7 +31,13 @@ def _build(dampers: Mapping[str, Damper], columns: Sequence[Column], frame: Fram
     return Dampers(ends_of(list(dampers.values()), frame), *columns)
 
 
-DAMPER = Kind(all_of(Damper), _build, _live)
+DAMPER = Kind(
+    all_of(Damper),
+    _build,
+    _live,
+    name="dampers",
+    compiled_as="gathered through unsigned indices; no stiffness is carried",
+)
 
 
 @pulls(Dampers)

@@ -57,7 +57,13 @@ def _build(links: Mapping[str, Friction], columns: Sequence[Column], frame: Fram
     return Frictions(ends_of(list(links.values()), frame), force, static, stiffness, damping, anchor, sliding)
 
 
-FRICTION = Kind(all_of(Friction), _build, _live)
+FRICTION = Kind(
+    all_of(Friction),
+    _build,
+    _live,
+    name="friction links",
+    compiled_as="gathered through unsigned indices; an anchor and a direction each",
+)
 
 
 @settles(Frictions)

@@ -13,9 +13,11 @@ from hapsim.cordis.friction import FRICTION
 from hapsim.cordis.ground import GROUND
 from hapsim.cordis.kind import Kind
 from hapsim.cordis.mass import MASS
+from hapsim.cordis.membrane import MEMBRANE
 from hapsim.cordis.nonlinear import NONLINEAR_DAMPER, NONLINEAR_SPRING
 from hapsim.cordis.plectrum import PLECTRUM
 from hapsim.cordis.spring import SPRING
+from hapsim.cordis.stiff_string import STIFF_STRING
 from hapsim.cordis.string import STRING
 
 KINDS: tuple[Kind, ...] = (
@@ -23,6 +25,8 @@ KINDS: tuple[Kind, ...] = (
     MASS,
     CELL,
     STRING,
+    STIFF_STRING,
+    MEMBRANE,
     BACKWARD,
     CENTRED,
     FILTERED,

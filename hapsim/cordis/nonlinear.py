@@ -77,8 +77,18 @@ def _over_velocity(links: Mapping[str, Nonlinear], _columns: Sequence[Column], f
     return OverVelocity(ends_of(modules, frame), curves)
 
 
-NONLINEAR_SPRING = Kind(_with("force_over_distance"), _over_distance)
-NONLINEAR_DAMPER = Kind(_with("force_over_velocity"), _over_velocity)
+NONLINEAR_SPRING = Kind(
+    _with("force_over_distance"),
+    _over_distance,
+    name="forces over distance",
+    compiled_as="gathered through unsigned indices; a search by halves in each table",
+)
+NONLINEAR_DAMPER = Kind(
+    _with("force_over_velocity"),
+    _over_velocity,
+    name="forces over velocity",
+    compiled_as="gathered through unsigned indices; a search by halves in each table",
+)
 
 
 @inlined

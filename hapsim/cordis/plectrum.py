@@ -45,7 +45,13 @@ def _build(plectra: Mapping[str, Plectrum], columns: Sequence[Column], frame: Fr
     return Plectra(links, release, np.zeros(len(plectra), frame.real))
 
 
-PLECTRUM = Kind(all_of(Plectrum), _build, _live)
+PLECTRUM = Kind(
+    all_of(Plectrum),
+    _build,
+    _live,
+    name="plectra",
+    compiled_as="gathered through unsigned indices; a grip each",
+)
 
 
 @pulls(Plectra)

@@ -43,11 +43,11 @@ def compile_scene(scene: Scene, values: Column | None = None) -> Program:
 
     `values`: what `parameter_values` gives, kept and read at every tick, so that who holds it may change it.
     """
-    frame, loose, rests = _frame(scene)
+    frame, loose, begins = _frame(scene)
     if values is None:
         values = parameter_values(scene)
     built = [(kind, kind.build(modules, columns, frame)) for kind, modules, columns in _taken(scene, values)]
-    rows = _rows(scene, frame, loose, rests)
+    rows = _rows(scene, frame, loose, begins)
     return Program(
         rows=rows,
         turn=np.zeros(1, np.uint64) if len(frame.number) > len(frame.grounds) + len(scene.device_points) else None,
@@ -110,26 +110,28 @@ def _structures(scene: Scene) -> Iterator[tuple[Layout, str, Any]]:
 
 
 def _frame(scene: Scene) -> tuple[Frame, int, list[float]]:
-    """The numbers of all points, how many stand before the first structure's, and where the structures' rest, in m."""
+    """The numbers of all points, how many stand before the first structure's, and where the structures begin, in m."""
     hands = sorted(scene.device_points, key=lambda name: scene.device_points[name].channel)
     names = [*hands, *scene.grounds, *scene.masses, *scene.cells]
     number = {name: i for i, name in enumerate(names)}
     loose = points = len(names)
-    rests = []
+    begins: list[float] = []
     for layout, name, structure in _structures(scene):
         numbers, size = layout(structure)
-        number |= {f"{name}.{place}": points + i for place, i in zip(structure.places(), numbers, strict=True)}
-        rests += [structure.position] * size
+        begins += [structure.position] * size
+        for place, i, position in zip(structure.places(), numbers, structure.begins(), strict=True):
+            number[f"{name}.{place}"] = points + i
+            begins[points + i - loose] = position
         points += size
     ends = {end for link in scene.links.values() for end in link.between}
     touched, grounds = (frozenset(number[name] for name in names) for names in (ends, scene.grounds))
-    return Frame(number, scene.rate, real_of(scene), touched, grounds), loose, rests
+    return Frame(number, scene.rate, real_of(scene), touched, grounds), loose, begins
 
 
-def _rows(scene: Scene, frame: Frame, loose: int, rests: list[float]) -> Column:
+def _rows(scene: Scene, frame: Frame, loose: int, begins: list[float]) -> Column:
     """The positions at the first sample, and where the points were before it."""
-    rows = np.zeros((3, loose + len(rests)), np.float64)
-    rows[:, loose:] = rests
+    rows = np.zeros((3, loose + len(begins)), np.float64)
+    rows[:, loose:] = begins
     for name, ground in scene.grounds.items():
         rows[:, frame.number[name]] = ground.position
     starts = {name: (mass.position, mass.velocity) for name, mass in scene.masses.items()}

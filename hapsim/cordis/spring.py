@@ -31,7 +31,13 @@ def _build(springs: Mapping[str, Spring], columns: Sequence[Column], frame: Fram
     return Springs(ends_of(list(springs.values()), frame), *columns)
 
 
-SPRING = Kind(all_of(Spring), _build, _live)
+SPRING = Kind(
+    all_of(Spring),
+    _build,
+    _live,
+    name="springs",
+    compiled_as="gathered through unsigned indices; no previous positions are read",
+)
 
 
 @pulls(Springs)

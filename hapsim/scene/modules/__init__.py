@@ -12,6 +12,7 @@ from .friction import Friction
 from .ground import Ground
 from .link import Link
 from .mass import Mass
+from .membrane import Membrane
 from .module import Module, Surroundings
 from .nonlinear import Nonlinear
 from .plectrum import Plectrum
@@ -26,6 +27,7 @@ AnyModule = (
     | Mass
     | Cell
     | String
+    | Membrane
     | ViscoElastic
     | Spring
     | Damper
@@ -53,6 +55,7 @@ __all__ = [
     "Ground",
     "Link",
     "Mass",
+    "Membrane",
     "Module",
     "Nonlinear",
     "Plectrum",
