@@ -402,15 +402,12 @@ RECURRENCES: dict[str, tuple[Recurrence, set[str]]] = {
 
 @pytest.mark.parametrize("precision", NUMBERS)
 @pytest.mark.parametrize("name", RECURRENCES)
-def test_a_module_is_the_recurrence_that_its_file_says(
-    name: str, precision: str, runs: Callable[[str], Run], record_property: Callable[[str, object], None]
-) -> None:
+def test_a_module_is_the_recurrence_that_its_file_says(name: str, precision: str, runs: Callable[[str], Run]) -> None:
     recurrence, branches = RECURRENCES[name]
     took: Branches = Counter()
     run = runs(precision)
     expected = np.array(list(recurrence(run, NUMBERS[precision], took)))
     error = float(np.max(np.abs(run.force[name] - expected)) / np.max(np.abs(expected)))
-    record_property("error", error)
     assert set(took) == branches
     assert all(count >= 5 for count in took.values()), took
     assert np.max(np.abs(expected)) > 0.5
