@@ -157,14 +157,15 @@ def _by_differences(step, x, before, after, here):
     a, b, e, pitch = step
     way = x[here] - before[here]
     pull, pull_before = _pull(x, here, pitch), _pull(before, here, pitch)
-    after[here] = x[here] + (way + (a * pull + b * (pull - pull_before) - e * way))
+    after[here] = x[here] + (((way - e * way) + (a + b) * pull) - b * pull_before)
 
 
 @fused
 def _pull(x, here, pitch):
     """By how much the four neighbours together are away."""
-    along = (x[here - np.uint64(1)] - x[here]) + (x[here + np.uint64(1)] - x[here])
-    return along + ((x[here - pitch] - x[here]) + (x[here + pitch] - x[here]))
+    real = x.dtype.type
+    neighbours = (x[here - np.uint64(1)] + x[here + np.uint64(1)]) + (x[here - pitch] + x[here + pitch])
+    return neighbours - real(4) * x[here]
 
 
 steps(MembraneStep, _by_coefficients, _by_differences)

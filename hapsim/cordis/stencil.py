@@ -1,10 +1,10 @@
 """Stencils: every mass of a structure moved alike, in one pass over contiguous memory.
 
 What moves one mass is a step: a named tuple of the structure's numbers, with two functions (step, x, before, after,
-here) registered for its type by `@steps`. Both work out the same recurrence; which one is compiled, the kind of number
-says. With 64 bits, each value is multiplied by a coefficient of its own: the fewest operations. With 32 bits that
-would lose what makes a long wave swing, small differences between coefficients and between positions that are nearly
-equal; there the differences of positions are taken first, which is exact, and multiplied afterwards.
+here) registered for its type by `steps`. Both work out the same recurrence; which one is compiled, the kind of number
+says. With 64 bits, each position is multiplied by a coefficient of its own: the fewest operations. With 32 bits these
+coefficients, rounded, no longer cancel: a string of 100 masses would swing in its lowest mode by up to a thousandth too
+fast or too slow. There differences of positions are taken first and multiplied afterwards, which leaves 3e-7.
 """
 
 from __future__ import annotations

@@ -171,16 +171,14 @@ def _by_coefficients(step, x, before, after, here):
 
 @fused
 def _by_differences(step, x, before, after, here):
+    real = x.dtype.type
     a, b, e, g = step
     left, right = here - np.uint64(1), here + np.uint64(1)
     way = x[here] - before[here]
-    to_left, to_right = x[left] - x[here], x[right] - x[here]
-    pull = to_left + to_right
-    pull_before = (before[left] - before[here]) + (before[right] - before[here])
-    pull_left = (x[left - np.uint64(1)] - x[left]) - to_left
-    pull_right = (x[right + np.uint64(1)] - x[right]) - to_right
-    bend = (pull_left - pull) + (pull_right - pull)
-    after[here] = x[here] + (way + (a * pull + b * (pull - pull_before) - e * way - g * bend))
+    pull = (x[left] + x[right]) - real(2) * x[here]
+    pull_before = (before[left] + before[right]) - real(2) * before[here]
+    bend = ((x[left - np.uint64(1)] + x[right + np.uint64(1)]) - real(2) * x[here]) - real(4) * pull
+    after[here] = x[here] + ((((way - e * way) + (a + b) * pull) - b * pull_before) - g * bend)
 
 
 steps(StiffStringStep, _by_coefficients, _by_differences)

@@ -152,12 +152,13 @@ def _by_coefficients(step, x, before, after, here):
 
 @fused
 def _by_differences(step, x, before, after, here):
+    real = x.dtype.type
     a, b, e = step
     left, right = here - np.uint64(1), here + np.uint64(1)
     way = x[here] - before[here]
-    pull = (x[left] - x[here]) + (x[right] - x[here])
-    pull_before = (before[left] - before[here]) + (before[right] - before[here])
-    after[here] = x[here] + (way + (a * pull + b * (pull - pull_before) - e * way))
+    pull = (x[left] + x[right]) - real(2) * x[here]
+    pull_before = (before[left] + before[right]) - real(2) * before[here]
+    after[here] = x[here] + (((way - e * way) + (a + b) * pull) - b * pull_before)
 
 
 steps(StringStep, _by_coefficients, _by_differences)
