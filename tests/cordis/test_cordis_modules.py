@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterator
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,6 +19,8 @@ import pytest
 import yaml
 from numpy.typing import NDArray
 
+from hapsim.cordis.friction import Frictions
+from hapsim.cordis.plectrum import Plectra
 from hapsim.cordis.program import Program, compile_scene, parameter_values
 from hapsim.cordis.tick import settle_grounds, start, tick
 from hapsim.linear import linear_scene
@@ -106,6 +109,7 @@ HANDS = (
 CUTOFF = 61.0
 
 
+@cache
 def scene_of(precision: str) -> Scene:
     """The scene, with a hand `h_…` for each module."""
     n = NUMBERS[precision]
@@ -164,8 +168,10 @@ class Run(NamedTuple):
     force: dict[str, Array]
 
 
-def place_of(scene: Scene, name: str, field: str) -> int:
+@cache
+def place_of(precision: str, name: str, field: str) -> int:
     """Where a live value stands among the parameters."""
+    scene = scene_of(precision)
     other = scene.modules[name].model_copy(update={field: getattr(scene.modules[name], field) + 1.0})
     changed = scene.model_copy(update={"modules": dict(scene.modules) | {name: other}})
     (place,) = np.flatnonzero(parameter_values(changed) != parameter_values(scene))
@@ -178,7 +184,7 @@ class Bench:
     def __init__(self, precision: str) -> None:
         self.scene = scene_of(precision)
         self._values = parameter_values(self.scene)
-        self._places = [place_of(self.scene, "moved", "position"), place_of(self.scene, "c", "rest")]
+        self._places = [place_of(precision, "moved", "position"), place_of(precision, "c", "rest")]
         self.program: Program = compile_scene(self.scene, self._values)
         self._moved = False
 
@@ -421,13 +427,19 @@ def test_what_is_not_a_number_comes_out_as_such_whatever_state_a_module_is_in(pr
     rng = np.random.default_rng(21)
     position = np.array([walk(rng, precision) for _ in HANDS]).T.copy()
     nothing = np.full(len(HANDS), np.nan)
-    still = np.zeros(len(HANDS))
-    for samples in (0, 1, 2, 3, 100, 700, 1500, 1501, 1502, 2999):
+    states: Counter[tuple[str, float]] = Counter()
+    for last in rng.integers(30, SAMPLES, 60):
         bench = Bench(precision)
-        bench.start(position[max(3000 - samples, 0)])
-        for n in range(3000 - samples, 3000):
-            bench.step(position[n], still)
-        assert np.all(np.isnan(bench.step(nothing, nothing))), samples
+        bench.start(position[last - 30])
+        for n in range(last - 30, last):
+            bench.step(position[n], np.zeros(len(HANDS)))
+        for part in bench.program.parts:
+            if isinstance(part, Frictions):
+                states["friction", float(part.sliding[0])] += 1
+            elif isinstance(part, Plectra):
+                states["plectrum", float(part.side[0])] += 1
+        assert np.all(np.isnan(bench.step(nothing, nothing))), states
+    assert set(states) == {(name, state) for name in ("friction", "plectrum") for state in (-1.0, 0.0, 1.0)}
 
 
 SWING = 1e-7  # m
