@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from hapsim import predict
-from hapsim.errors import GuardError
+from hapsim.errors import RunError
 from hapsim.running import run
 from hapsim.scene import Scene
 
@@ -39,10 +39,10 @@ def scene_of(ratio: float, factor: float, damping: float) -> Scene:
 
 
 def rumble(scene: Scene) -> np.ndarray:
-    """N: how the fast part of the force on the hand changes, in eight blocks; a guard may end it early."""
+    """N: how the fast part of the force on the hand changes, in eight blocks; a guard, or the end of the counts, may end it early."""
     try:
         trace = run(scene, duration=TICKS / scene.rate)
-    except GuardError as error:
+    except RunError as error:
         if error.trace is None:
             raise
         trace = error.trace
@@ -51,7 +51,7 @@ def rumble(scene: Scene) -> np.ndarray:
     return np.array([np.std(block) for block in blocks])
 
 
-@pytest.mark.parametrize("ratio", [1e4, 1e6])
+@pytest.mark.parametrize("ratio", [1e3, 1e6])
 @pytest.mark.parametrize("damping", [0.02, 0.3])
 def test_the_predicted_limit_of_a_link_on_a_mote_is_the_observed_one(ratio: float, damping: float) -> None:
     prediction = predict(scene_of(ratio, 1.0, damping))
