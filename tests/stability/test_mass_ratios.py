@@ -39,7 +39,7 @@ def scene_of(ratio: float, factor: float, damping: float) -> Scene:
 
 
 def rumble(scene: Scene) -> np.ndarray:
-    """N: how the fast part of the force on the hand changes, in eight blocks; a guard, or the end of the counts, may end it early."""
+    """N: how the fast part of the force on the hand changes, in eight blocks; it may be ended early."""
     try:
         trace = run(scene, duration=TICKS / scene.rate)
     except RunError as error:
