@@ -40,7 +40,7 @@ def _build(buffers: Mapping[str, Buffer], columns: Sequence[Column], frame: Fram
     return Buffers(ends_of(list(buffers.values()), frame), *columns)
 
 
-BUFFER = Kind(all_of(Buffer), _build, _live)
+BUFFER = Kind(all_of(Buffer), _build, _live, forgets=True)
 
 
 @pulls(Buffers)

@@ -8,7 +8,7 @@ from hapsim.cordis.kind import Kind
 from hapsim.cordis.link import Links, stretch
 from hapsim.cordis.viscoelastic import links_of, live_links, pull_link, with_damper
 
-BACKWARD = Kind(with_damper("backward"), links_of, live_links)
+BACKWARD = Kind(with_damper("backward"), links_of, live_links, forgets=True)
 
 
 @pulls(Links)

@@ -29,7 +29,7 @@ def _build(links: Mapping[str, ViscoElastic], columns: Sequence[Column], frame: 
     return SensedLinks(links_of(links, columns, frame), np.array([1.0 / frame.rate], frame.real))
 
 
-SENSED = Kind(with_damper("sensed"), _build, live_links)
+SENSED = Kind(with_damper("sensed"), _build, live_links, forgets=True)
 
 
 @inlined

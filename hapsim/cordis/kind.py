@@ -25,6 +25,8 @@ class Frame(NamedTuple):
     """Of positions, forces and everything that is worked out with them."""
     touched: frozenset[int]
     """Numbers of the points that a link holds."""
+    points: int
+    """How many there are, borders of structures included."""
 
     def ends(self, pairs: Sequence[tuple[str, str]]) -> NDArray[np.uint32]:
         """The numbers of the points that links join, shape (2, L)."""
@@ -51,6 +53,8 @@ class Kind(NamedTuple):
     """Their values that may change while the scene runs, at a rate in Hz: columns with one value per module."""
     layout: Layout | None = None
     """Of a structure."""
+    forgets: bool = False
+    """Its links remember nothing, so that they can be asked for their forces between samples too."""
 
 
 def all_of(module: type[Module]) -> Callable[[Scene], Mapping[str, Any]]:
