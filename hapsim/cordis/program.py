@@ -58,7 +58,7 @@ def compile_scene(scene: Scene, values: Column | None = None) -> Program:
         loose=loose,
         devices=device_points([point.channel for point in scene.device_points.values()]),
         grounds=grounds[0] if grounds else None,
-        parts=SCHEMES[scene.scheme].parts(scene, frame, [one for one in taken if one.kind is not GROUND]),
+        parts=SCHEMES[scene.scheme].parts(scene, frame, [one for one in taken if one.kind is not GROUND], rows),
     )
 
 
