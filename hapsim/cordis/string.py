@@ -102,7 +102,7 @@ STRING = Kind(
 def settle_strings(strings, moment):
     """Before the first tick: a free end's border follows its neighbour."""
     for s in range(strings.rows.border.size):
-        _free_ends(strings.rows, s, moment.previous)
+        free_ends(strings.rows, s, moment.previous)
 
 
 @moves(Strings)
@@ -111,7 +111,7 @@ def advance_strings(strings, moment):
     """Moves every string by one sample."""
     rows = strings.rows
     for s in range(rows.border.size):
-        _free_ends(rows, s, moment.position)
+        free_ends(rows, s, moment.position)
         first, size = rows.border[s], rows.masses[s] + np.uint64(2)
         step = StringStep(
             strings.mobility[s] * strings.stiffness[s],
@@ -130,7 +130,7 @@ def advance_strings(strings, moment):
 
 
 @inlined
-def _free_ends(rows, s, position):
+def free_ends(rows, s, position):
     """The border of a free end goes where its neighbour is."""
     left, right = rows.border[s], rows.border[s] + rows.masses[s] + np.uint64(1)
     if rows.free[s, 0]:

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
         Structure,
         ViscoElastic,
     )
-    from .scene import VERSION, Scene
+    from .scene import VERSION, Scene, SchemeName
     from .schema import scene_schema
 
 _EXPORTS = {
@@ -50,12 +50,13 @@ _EXPORTS = {
         "Module",
         "Nonlinear",
         "Plectrum",
+        "SchemeName",
         "Spring",
         "String",
         "Structure",
         "ViscoElastic",
     ),
-    "scene": ("VERSION", "Scene"),
+    "scene": ("VERSION", "Scene", "SchemeName"),
     "schema": ("scene_schema",),
 }
 _HOMES = {name: home for home, names in _EXPORTS.items() for name in names}
@@ -82,6 +83,7 @@ __all__ = [
     "Plectrum",
     "Sampling",
     "Scene",
+    "SchemeName",
     "Spring",
     "String",
     "Structure",
