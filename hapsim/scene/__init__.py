@@ -12,7 +12,19 @@ if TYPE_CHECKING:
     from .device import Clock, Device, Hold, Sampling
     from .load import load_scene, parse_scene
     from .mock import Initial, Mock, MockDevice
-    from .modules import Buffer, DevicePoint, Ground, Link, Mass, Membrane, Module, String, Structure, ViscoElastic
+    from .modules import (
+        Buffer,
+        DevicePoint,
+        Ground,
+        Link,
+        Mass,
+        Membrane,
+        Module,
+        Pluck,
+        String,
+        Structure,
+        ViscoElastic,
+    )
     from .scene import VERSION, Scene
     from .schema import scene_schema
 
@@ -28,6 +40,7 @@ _EXPORTS = {
         "Mass",
         "Membrane",
         "Module",
+        "Pluck",
         "String",
         "Structure",
         "ViscoElastic",
@@ -52,6 +65,7 @@ __all__ = [
     "Mock",
     "MockDevice",
     "Module",
+    "Pluck",
     "Sampling",
     "Scene",
     "String",

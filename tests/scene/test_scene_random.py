@@ -22,6 +22,9 @@ modules:
   m1:    {type: mass, mass: 0.01, velocity: 2.5}
   touch: {type: viscoelastic, between: [hand, wall], stiffness: 2000, damping: 2}
   more:  {type: viscoelastic, between: [other, m1], stiffness: 1e3}
+  s: {type: string, masses: 9, mass: 0.1, stiffness: 100, ends: [fixed, clamped], pluck: {at: 3, by: 0.01}}
+  skin: {type: membrane, rows: 3, columns: 4, mass: 0.1, stiffness: 100, edges: [fixed, free, free, free]}
+  grip: {type: viscoelastic, between: [s.8, skin.2.3], stiffness: 10}
 """
 
 SCRAPS = st.sampled_from(
@@ -52,7 +55,9 @@ VALUES = st.one_of(
     st.dictionaries(st.one_of(st.text(max_size=3), st.integers(), st.none()), st.integers(), max_size=2),
 )
 KEYS = st.one_of(
-    st.sampled_from(["type", "mass", "channel", "between", "device", "modules", "[key]", "", "touch", "initial"]),
+    st.sampled_from(
+        ["type", "mass", "channel", "between", "device", "modules", "[key]", "", "touch", "initial", "pluck", "masses"]
+    ),
     st.integers(),
     st.booleans(),
     st.text(max_size=3),

@@ -11,7 +11,7 @@ from .link import Link
 from .mass import Mass
 from .membrane import Membrane
 from .module import Module, Surroundings
-from .string import String
+from .string import Pluck, String
 from .structure import Elements, Structure
 from .viscoelastic import ViscoElastic
 
@@ -34,6 +34,7 @@ __all__ = [
     "Mass",
     "Membrane",
     "Module",
+    "Pluck",
     "String",
     "Structure",
     "Surroundings",
