@@ -8,12 +8,11 @@ from ctypes import CDLL, POINTER, Structure, byref, c_double, c_int64, c_uint32
 import numpy as np
 from numpy.typing import NDArray
 
-from schemes.peers.peer import hand_link, hand_motion, held_mass
-from schemes.reference.build import build_c, why_no_compiler
-from schemes.reference.memory import pointer, rows
-from schemes.ringing import frequencies_of, project
-from schemes.strings import StringOfMasses
-from schemes.timing import cost_of
+from hapsim.speed_accuracy.ringing import frequencies_of, project
+from hapsim.speed_accuracy.strings import StringOfMasses, hand_link, hand_motion, held_mass
+from hapsim.speed_accuracy.timing import cost_of
+from speed.reference.build import build_c, why_no_compiler
+from speed.reference.memory import pointer, rows
 
 _BLOCK = 16384  # samples of the hand's motion that are ready in memory
 _HAND, _LEFT, _RIGHT, _MASSES = range(4)  # the points: the hand, the two ends, and where the masses begin

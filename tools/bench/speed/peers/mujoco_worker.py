@@ -1,4 +1,4 @@
-"""One job for MuJoCo: `python -m schemes.peers.mujoco_worker JOB`, a JSON document; another one is printed.
+"""One job for MuJoCo: `python -m speed.peers.mujoco_worker JOB`, a JSON document; another one is printed.
 
 Wants numpy and mujoco of its Python, nothing else.
 """
@@ -14,9 +14,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from schemes.ringing import frequencies_of, project
-from schemes.strings import StringOfMasses
-from schemes.timing import cost_of
+from hapsim.speed_accuracy.ringing import frequencies_of, project
+from hapsim.speed_accuracy.strings import StringOfMasses
+from hapsim.speed_accuracy.timing import cost_of
 
 _OFF = (
     *("constraint", "equality", "frictionloss", "limit", "contact", "warmstart", "filterparent", "midphase"),

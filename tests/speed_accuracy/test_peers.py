@@ -12,14 +12,14 @@ import pytest
 
 sys.path.append(str(Path(__file__).resolve().parents[2] / "tools" / "bench"))
 
-from schemes.peers import every_peer
-from schemes.peers.c_network import CNetwork
-from schemes.peers.c_spring import CSpring
-from schemes.peers.c_stencil import CStencil
-from schemes.peers.faust_mi import FaustMi
-from schemes.peers.faust_model import Drive
-from schemes.peers.peer import hand_link, hand_motion
-from schemes.strings import StringOfMasses
+from speed.peers import every_peer
+from speed.peers.c_network import CNetwork
+from speed.peers.c_spring import CSpring
+from speed.peers.c_stencil import CStencil
+from speed.peers.faust_mi import FaustMi
+from speed.peers.faust_model import Drive
+
+from hapsim.speed_accuracy.strings import StringOfMasses, hand_link, hand_motion
 
 RATE = 10_000.0
 STRING = StringOfMasses.tuned(10)

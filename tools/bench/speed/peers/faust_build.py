@@ -9,7 +9,7 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from schemes.reference.build import BuildError, Built, build, cache, why_no_compiler
+from speed.reference.build import BuildError, Built, build, cache, why_no_compiler
 
 LIMIT_S = 120.0
 _ARCHITECTURE = Path(__file__).resolve().parent / "faust_architecture.cpp"

@@ -5,10 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
-from schemes.strings import StringOfMasses
+from hapsim.speed_accuracy.strings import StringOfMasses
 
 
 class Peer(Protocol):
@@ -32,19 +29,3 @@ class Peer(Protocol):
 
     def frequencies(self, string: StringOfMasses, rate: float, modes: Sequence[int]) -> list[float]:
         """The eigenfrequency in Hz that each mode rings at; NaN where the string is unstable or the peer gave up."""
-
-
-def held_mass(string: StringOfMasses) -> int:
-    """The mass, from 0, that a hand holds: a third of the way."""
-    return string.masses // 3
-
-
-def hand_link(string: StringOfMasses) -> tuple[float, float]:
-    """K in N/m and B in N·s/m between a hand and the mass it holds: a hundredth of a link's, so that a string that is
-    stable stays so."""
-    return 0.01 * string.stiffness, 0.01 * string.damping
-
-
-def hand_motion(samples: int, rate: float) -> NDArray[np.float64]:
-    """A hand that moves by 1 mm, twice a second; m, shape (samples,)."""
-    return np.asarray(1e-3 * np.sin(4.0 * np.pi * np.arange(samples) / rate))

@@ -7,10 +7,10 @@ from ctypes import POINTER, Structure, byref, c_double, c_int64
 import numpy as np
 from numpy.typing import NDArray
 
-from schemes.peers.peer import hand_motion
-from schemes.reference.build import build_c
-from schemes.reference.memory import pointer
-from schemes.timing import cost_of
+from hapsim.speed_accuracy.strings import hand_motion
+from hapsim.speed_accuracy.timing import cost_of
+from speed.reference.build import build_c
+from speed.reference.memory import pointer
 
 _BLOCK = 16384  # samples of the hand's motion that are ready in memory
 

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from schemes.ringing import frequencies_of, project
-from schemes.strings import StringOfMasses
-from schemes.timing import cost_of
+from hapsim.speed_accuracy.ringing import frequencies_of, project
+from hapsim.speed_accuracy.strings import StringOfMasses
+from hapsim.speed_accuracy.timing import cost_of
 
 METHODS = ("DOP853", "LSODA")
 _TOLERANCE = 1e-9  # of a displacement as it is, and of the largest one at the begin

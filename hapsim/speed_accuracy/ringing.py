@@ -8,25 +8,33 @@ from collections.abc import Callable, Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from schemes.strings import StringOfMasses
+from hapsim.speed_accuracy.strings import StringOfMasses
 
 # (shape, samples) -> the motion along that shape, sample by sample, once the string was let go in it at rest.
 Record = Callable[[NDArray[np.float64], int], NDArray[np.float64]]
 
+STEADY = 1.0 + 1e-9  # the largest modulus of a pole that counts as stable: the fit's own error stays below
+STEADY_IN_SINGLE = 1.0 + 1e-4
+
 _PERIODS = 2.0
 _LEAST_SAMPLES = 64
 _POINTS_PER_PERIOD = 16.0
-_STEADY = 1.0 + 1e-9  # the largest modulus of a pole that counts as stable: the fit's own error stays below
 
 
 def frequencies_of(
-    record: Record, string: StringOfMasses, rate: float, modes: Iterable[int], explicit: bool = True
+    record: Record,
+    string: StringOfMasses,
+    rate: float,
+    modes: Iterable[int],
+    explicit: bool = True,
+    steady: float = STEADY,
 ) -> list[float]:
     """The eigenfrequency in Hz of each mode as it is simulated at `rate` Hz; NaN for all where that is unstable.
 
-    `explicit`: the scheme may be unstable, which its highest mode is told by: that one is the first to be.
+    `explicit`: the scheme may be unstable, which its highest mode is told by: that one is the first to be. `steady`:
+    the largest modulus of a pole that counts as stable.
     """
-    if explicit and not _stable(record, string):
+    if explicit and not _stable(record, string, steady):
         return [math.nan for _ in modes]
     return [_frequency(record, string, rate, mode) for mode in modes]
 
@@ -47,10 +55,10 @@ def _frequency(record: Record, string: StringOfMasses, rate: float, mode: int) -
     return float(math.sqrt(abs(exponents[0] * exponents[1])) / (2.0 * math.pi))
 
 
-def _stable(record: Record, string: StringOfMasses) -> bool:
+def _stable(record: Record, string: StringOfMasses, steady: float) -> bool:
     with np.errstate(all="ignore"):
         pair = poles(record(string.shape(string.masses), _LEAST_SAMPLES), 1)
-        return bool(np.all(np.abs(pair) <= _STEADY))
+        return bool(np.all(np.abs(pair) <= steady))
 
 
 def poles(motion: NDArray[np.float64], stride: int) -> NDArray[np.complex128]:

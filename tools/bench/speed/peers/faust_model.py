@@ -8,8 +8,7 @@ from __future__ import annotations
 
 from enum import Enum
 
-from schemes.peers.peer import hand_link, held_mass
-from schemes.strings import StringOfMasses
+from hapsim.speed_accuracy.strings import StringOfMasses, hand_link, held_mass
 
 
 class Drive(Enum):

@@ -9,13 +9,12 @@ from math import nan
 import numpy as np
 from numpy.typing import NDArray
 
-from schemes.peers.faust_build import BuiltByFaust, build_faust, why_no_faust
-from schemes.peers.faust_model import Drive, program_of
-from schemes.peers.peer import hand_motion
-from schemes.reference.build import BuildError
-from schemes.ringing import frequencies_of, project
-from schemes.strings import StringOfMasses
-from schemes.timing import cost_of
+from hapsim.speed_accuracy.ringing import frequencies_of, project
+from hapsim.speed_accuracy.strings import StringOfMasses, hand_motion
+from hapsim.speed_accuracy.timing import cost_of
+from speed.peers.faust_build import BuiltByFaust, build_faust, why_no_faust
+from speed.peers.faust_model import Drive, program_of
+from speed.reference.build import BuildError
 
 _BLOCK = 512  # samples that one call computes
 

@@ -1,6 +1,6 @@
 """What each peer makes of a string: the processor time of a simulated second, and how far its modes ring off.
 
-    PYTHONPATH=. python -m schemes.peers [--string 100] [--rate 10000] [--modes 1 3 10] [--rounds 3]
+    PYTHONPATH=. python -m speed.peers [--string 100] [--rate 10000] [--modes 1 3 10] [--rounds 3]
                                          [--only WORD ...] [--spring] [--json]
 
 The string weighs 5 g, rings at 20 Hz, with a damping ratio of 1e-4. `--only` keeps the peers whose names have one of
@@ -16,10 +16,10 @@ import sys
 from collections.abc import Iterator
 from typing import Any
 
-from schemes.peers import every_peer
-from schemes.peers.c_spring import CSpring
-from schemes.peers.rows import row_of
-from schemes.strings import StringOfMasses
+from hapsim.speed_accuracy.strings import StringOfMasses
+from speed.peers import every_peer
+from speed.peers.c_spring import CSpring
+from speed.peers.rows import row_of
 
 
 def main() -> int:
@@ -67,7 +67,7 @@ def _line(row: dict[str, Any]) -> str:
 
 def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(
-        "schemes.peers", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+        "speed.peers", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--string", type=int, default=100, metavar="MASSES")
     parser.add_argument("--rate", type=float, default=10_000.0, metavar="HZ")

@@ -12,7 +12,7 @@ MuJoCo Euler, implicitfast, RK4     `mujoco_tendons.py`. A physics engine for ro
                                     HAPSIM_PEERS_PYTHON; without it, the Python that runs this is asked.
 SciPy DOP853, LSODA                 `scipy_ivp.py`. General solvers that choose their own steps; nothing to install.
 
-    PYTHONPATH=. HAPSIM_PEERS_PYTHON=/path/to/venv/bin/python python -m schemes.peers --string 100 --rate 10000 --json
+    PYTHONPATH=. HAPSIM_PEERS_PYTHON=/path/to/venv/bin/python python -m speed.peers --string 100 --rate 10000 --json
 
 (from tools/bench). C, Faust and MuJoCo's integrators step at the rate; SciPy's answer at it. The C programs and
 mi.lib share one scheme, centred with a damper by backward difference, so that they ring at the same frequencies.
@@ -20,12 +20,12 @@ mi.lib share one scheme, centred with a damper by backward difference, so that t
 
 from __future__ import annotations
 
-from schemes.peers.c_network import CNetwork
-from schemes.peers.c_stencil import CStencil
-from schemes.peers.faust_mi import FaustMi
-from schemes.peers.mujoco_tendons import INTEGRATORS, MuJoCo
-from schemes.peers.peer import Peer
-from schemes.peers.scipy_ivp import METHODS, SciPy
+from speed.peers.c_network import CNetwork
+from speed.peers.c_stencil import CStencil
+from speed.peers.faust_mi import FaustMi
+from speed.peers.mujoco_tendons import INTEGRATORS, MuJoCo
+from speed.peers.peer import Peer
+from speed.peers.scipy_ivp import METHODS, SciPy
 
 
 def every_peer() -> list[Peer]:

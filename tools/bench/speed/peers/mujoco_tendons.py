@@ -6,13 +6,14 @@ import json
 import os
 import subprocess
 import sys
+import tempfile
 from collections.abc import Sequence
 from dataclasses import asdict
 from math import nan
 from pathlib import Path
 from typing import Any
 
-from schemes.strings import StringOfMasses
+from hapsim.speed_accuracy.strings import StringOfMasses
 
 INTEGRATORS = ("Euler", "implicitfast", "RK4")
 PYTHON_NAMED_BY = "HAPSIM_PEERS_PYTHON"
@@ -59,10 +60,17 @@ class MuJoCo:
 
 
 def _work(job: dict[str, Any]) -> dict[str, Any]:
-    environment = {**os.environ, "PYTHONPATH": str(_BENCH)}
-    command = [_python(), "-m", "schemes.peers.mujoco_worker", json.dumps(job)]
+    place = tempfile.gettempdir()  # where it keeps a log
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(_BENCH), str(_BENCH.parents[1])])}
+    command = [_python(), "-m", "speed.peers.mujoco_worker", json.dumps(job)]
     done = subprocess.run(
-        command, capture_output=True, text=True, check=False, timeout=_LIMIT_S, env=environment, cwd=_BENCH
+        command,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=_LIMIT_S,
+        env=environment,
+        cwd=place,
     )
     if done.returncode != 0:
         raise RuntimeError(f"MuJoCo's worker failed: {done.stderr.strip()[-500:]}")

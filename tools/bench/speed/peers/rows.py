@@ -6,8 +6,8 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from schemes.peers.peer import Peer
-from schemes.strings import StringOfMasses
+from hapsim.speed_accuracy.strings import StringOfMasses
+from speed.peers.peer import Peer
 
 
 def row_of(peer: Peer, string: StringOfMasses, rate: float, modes: Sequence[int], rounds: int) -> dict[str, Any]:
