@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -31,28 +31,25 @@ class Running:
         ticks_with_hand(self._program, self._desk, self._motion, self._forces, samples)
 
 
-def costs_of(
-    scenes: Sequence[Scene],
-    rounds: int,
-    on_round: Callable[[int], None] = lambda _: None,
-    on_scene: Callable[[int], None] = lambda _: None,
-) -> list[tuple[float, ...]]:
-    """For each scene, one number a round: seconds of processor time for a simulated second.
+class Clocks:
+    """Scenes that are timed, in a thread of their own, so that the caller's arithmetic stays as it is."""
 
-    `on_scene` hears which scene is made ready, `on_round` which round begins. It is all done in a thread of its own, so
-    that the caller's arithmetic stays as it is.
-    """
-    with ThreadPoolExecutor(1) as apart:
-        timed = []
-        for i, scene in enumerate(scenes):
-            on_scene(i)
-            timed.append(apart.submit(_timed, scene).result())
-        taken = []
-        for i in range(rounds):
-            on_round(i)
-            taken.append([apart.submit(one.round).result() for one in timed])
-    return list(zip(*taken, strict=True)) if taken else [() for _ in scenes]
+    def __init__(self) -> None:
+        self._apart = ThreadPoolExecutor(1)
+        self._timed: list[Timed] = []
 
+    def add(self, scene: Scene) -> None:
+        """Compiles a scene and runs it warm."""
 
-def _timed(scene: Scene) -> Timed:
-    return Timed(Running(scene).advance, scene.rate, _ROUND_S)
+        def warm() -> Timed:
+            return Timed(Running(scene).advance, scene.rate, _ROUND_S)
+
+        self._timed.append(self._apart.submit(warm).result())
+
+    def round(self) -> Iterator[float]:
+        """Seconds of processor time for a simulated second of each scene, one after the other."""
+        return (self._apart.submit(timed.round).result() for timed in self._timed)
+
+    def close(self) -> None:
+        """Ends the thread."""
+        self._apart.shutdown()

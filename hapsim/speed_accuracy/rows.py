@@ -66,7 +66,7 @@ def row_of_document(document: Any) -> Row:
 
 
 def peers_in(path: Path, objects: Iterable[str]) -> list[Row]:
-    """The rows of others than hapsim that a file holds for these objects. UsageError where it is no file of the bench."""
+    """The rows of others than hapsim that a file holds for these objects. UsageError where it holds no rows."""
     try:
         rows = [row_of_document(row) for row in json.loads(path.read_text(encoding="utf-8"))["rows"]]
     except OSError as error:

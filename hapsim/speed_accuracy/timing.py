@@ -32,6 +32,7 @@ def cost_of(advance: Callable[[int], object], rate: float, rounds: int, round_s:
 
 def _samples_for(advance: Callable[[int], object], round_s: float) -> int:
     samples = 1
+    advance(samples)  # the first may compile
     while (took := _took(advance, samples)) < _WARM * round_s:
         samples *= 4 if took < 0.25 * _WARM * round_s else 2
     return max(1, round(samples * round_s / took))
