@@ -72,6 +72,11 @@ class Compiler:
         woven: Function = register_jitable(**_WOVEN, fastmath={"contract"})(function)
         return woven
 
+    def summed(self, function: Function) -> Function:
+        """Like `fused`, for long sums: their terms may be added in any order, many at once. A NaN stays one."""
+        woven: Function = register_jitable(**_WOVEN, fastmath={"contract", "reassoc", "nsz"})(function)
+        return woven
+
     def part(self, function: Function) -> Function:
         """Compiles a function that compiled functions call; whether it is woven in is the compiler's choice."""
         kept: Function = register_jitable(**_PART)(function)

@@ -16,7 +16,7 @@ from firmware_protocol.compiled import Compiler
 
 _compiler = Compiler(Path(__file__).parent, Path(firmware_protocol.__file__).parent)
 jit, inlined, jit_inlined = _compiler.jit, _compiler.inlined, _compiler.jit_inlined
-fused, part, overload = _compiler.fused, _compiler.part, _compiler.overload
+fused, summed, part, overload = _compiler.fused, _compiler.summed, _compiler.part, _compiler.overload
 """For functions of hapsim, which may call any compiled function of either package (see firmware_protocol.compiled)."""
 
 

@@ -41,7 +41,12 @@ def _build(buffers: Mapping[str, Buffer], columns: Sequence[Column], frame: Fram
 
 
 BUFFER = Kind(
-    all_of(Buffer), _build, _live, name="buffers", compiled_as="gathered through unsigned indices; one comparison each"
+    all_of(Buffer),
+    _build,
+    _live,
+    name="buffers",
+    compiled_as="gathered through unsigned indices; one comparison each",
+    forgets=True,
 )
 
 

@@ -14,6 +14,7 @@ BACKWARD = Kind(
     live_links,
     name="visco-elastic links",
     compiled_as="gathered through unsigned indices",
+    forgets=True,
 )
 
 

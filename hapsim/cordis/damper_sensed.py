@@ -36,6 +36,7 @@ SENSED = Kind(
     live_links,
     name="visco-elastic links, sensed damper",
     compiled_as="gathered through unsigned indices; velocities come from the device",
+    forgets=True,
 )
 
 

@@ -27,6 +27,8 @@ class Frame(NamedTuple):
     """Numbers of the points that a link holds."""
     grounds: frozenset[int]
     """Numbers of the grounds."""
+    points: int
+    """How many there are, borders of structures included."""
 
     def ends(self, pairs: Sequence[tuple[str, str]]) -> NDArray[np.uint32]:
         """The numbers of the points that links join, shape (2, L)."""
@@ -57,6 +59,8 @@ class Kind(NamedTuple):
     """What people call its modules, in the plural."""
     compiled_as: str = ""
     """What they become, in words."""
+    forgets: bool = False
+    """Its links remember nothing, so that they can be asked for their forces between samples too."""
 
 
 def all_of(module: type[Module]) -> Callable[[Scene], Mapping[str, Any]]:

@@ -18,6 +18,8 @@ from hapsim.cordis.device_point import DevicePoints, device_points
 from hapsim.cordis.ground import GROUND, Grounds
 from hapsim.cordis.kind import Column, Frame, Kind, Layout
 from hapsim.cordis.kinds import KINDS
+from hapsim.cordis.schemes import SCHEMES
+from hapsim.cordis.schemes.scheme import Taken
 from hapsim.scene import Scene
 
 _REAL = {"double": np.float64, "single": np.float32}
@@ -44,27 +46,29 @@ def compile_scene(scene: Scene, values: Column | None = None) -> Program:
     `values`: what `parameter_values` gives, kept and read at every tick, so that who holds it may change it.
     """
     frame, loose, rests = _frame(scene)
-    if values is None:
-        values = parameter_values(scene)
-    built = [(kind, kind.build(modules, columns, frame)) for kind, modules, columns in _taken(scene, values)]
+    taken = list(_taken(scene, parameter_values(scene) if values is None else values))
+    grounds = [one.kind.build(one.modules, one.columns, frame) for one in taken if one.kind is GROUND]
     rows = _rows(scene, frame, loose, rests)
     return Program(
         rows=rows,
         turn=np.zeros(1, np.uint64) if scene.masses or scene.structures else None,
         force=np.zeros(rows.shape[1], frame.real),
         devices=device_points(sorted(point.channel for point in scene.device_points.values())),
-        grounds=next((part for kind, part in built if kind is GROUND), None),
-        parts=tuple(part for kind, part in built if kind is not GROUND),
+        grounds=grounds[0] if grounds else None,
+        parts=SCHEMES[scene.scheme].parts(scene, frame, [one for one in taken if one.kind is not GROUND]),
     )
 
 
 def parameter_values(scene: Scene) -> Column:
     """What can be changed while the scene runs, shape (P,): the live columns of every kind of module, in turn."""
-    columns = [
-        column for kind in KINDS if (modules := kind.select(scene)) for column in _columns(kind, modules, scene.rate)
-    ]
+    columns = [column for kind, modules in _by_kind(scene) for column in _columns(kind, modules, scene.rate)]
     with np.errstate(over="ignore"):
         return np.array([value for column in columns for value in column], np.float64).astype(real_of(scene))
+
+
+def fixed_modules(scene: Scene) -> frozenset[str]:
+    """The modules of which nothing can change while the scene runs, because its scheme has them in a matrix."""
+    return SCHEMES[scene.scheme].inside(scene)
 
 
 def real_of(scene: Scene) -> Any:
@@ -87,18 +91,24 @@ def _columns(kind: Kind, modules: Any, rate: float) -> list[list[float]]:
     return kind.live(list(modules.values()), rate)
 
 
-def _taken(scene: Scene, values: Column) -> Iterator[tuple[Kind, Any, list[Column]]]:
-    """The kinds that the scene has, with their modules and their columns of the parameters."""
-    begin = 0
+def _by_kind(scene: Scene) -> Iterator[tuple[Kind, Any]]:
+    """The kinds that the scene has, each with its modules, without those that are in its scheme's matrices."""
+    fixed = fixed_modules(scene)
     for kind in KINDS:
-        modules = kind.select(scene)
-        if not modules:
-            continue
+        modules = {name: one for name, one in kind.select(scene).items() if name not in fixed}
+        if modules:
+            yield kind, modules
+
+
+def _taken(scene: Scene, values: Column) -> Iterator[Taken]:
+    """The same with their columns of the parameters."""
+    begin = 0
+    for kind, modules in _by_kind(scene):
         columns = []
         for column in _columns(kind, modules, scene.rate):
             columns.append(values[begin : begin + len(column)])
             begin += len(column)
-        yield kind, modules, columns
+        yield Taken(kind, modules, columns)
 
 
 def _structures(scene: Scene) -> Iterator[tuple[Layout, str, Any]]:
@@ -123,7 +133,7 @@ def _frame(scene: Scene) -> tuple[Frame, int, list[float]]:
         points += size
     ends = {end for link in scene.links.values() for end in link.between}
     touched, grounds = (frozenset(number[name] for name in names) for names in (ends, scene.grounds))
-    return Frame(number, scene.rate, real_of(scene), touched, grounds), loose, rests
+    return Frame(number, scene.rate, real_of(scene), touched, grounds, points), loose, rests
 
 
 def _rows(scene: Scene, frame: Frame, loose: int, rests: list[float]) -> Column:

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 
 from pydantic import ValidationError
 
-from hapsim.cordis.program import parameter_values
+from hapsim.cordis.program import fixed_modules, parameter_values
 from hapsim.errors import UsageError
 from hapsim.loop.parameters import Parameters, post
 from hapsim.scene import Scene
@@ -53,8 +53,9 @@ class LiveParameters:
 
 def what_cannot_change(now: Scene, wanted: Scene) -> str:
     """Names the first thing in which two scenes differ that cannot change while one runs; empty where there is none."""
-    if now.rate != wanted.rate:
-        return "rate"
+    for key in ("rate", "precision", "scheme"):
+        if getattr(now, key) != getattr(wanted, key):
+            return key
     for part in ("device", "mock"):
         before, after = getattr(now, part), getattr(wanted, part)
         if type(before) is not type(after):
@@ -63,16 +64,23 @@ def what_cannot_change(now: Scene, wanted: Scene) -> str:
             if getattr(before, key) != getattr(after, key):
                 return f"{part}.{key}"
     if list(now.modules) != list(wanted.modules):
-        odd = sorted(set(now.modules) ^ set(wanted.modules))
-        return f"the list of modules ({', '.join(odd)})" if odd else "the order of the modules"
+        others = sorted(set(now.modules) ^ set(wanted.modules))
+        return f"the list of modules ({', '.join(others)})" if others else "the order of the modules"
+    fixed = fixed_modules(now)
     for name, module in now.modules.items():
-        other = wanted.modules[name]
-        if type(module) is not type(other):
-            return f"the type of {name}"
-        for key in type(module).model_fields:
-            if key not in module.live and getattr(module, key) != getattr(other, key):
-                return f"{key} of {name}"
+        odd = _what_cannot_change_of(module, wanted.modules[name])
+        if odd:
+            return f"{odd} of {name}"
+        if name in fixed and module != wanted.modules[name]:
+            return f"{name}, which {_in_a_matrix(now)},"
     return ""
+
+
+def _what_cannot_change_of(now: Module, wanted: Module) -> str:
+    if type(now) is not type(wanted):
+        return "the type"
+    keys = (key for key in type(now).model_fields if key not in now.live)
+    return next((key for key in keys if getattr(now, key) != getattr(wanted, key)), "")
 
 
 def _changed(scene: Scene, changes: Mapping[str, Mapping[str, float]]) -> Scene:
@@ -80,11 +88,21 @@ def _changed(scene: Scene, changes: Mapping[str, Mapping[str, float]]) -> Scene:
     modules: dict[str, Module] = dict(scene.modules)
     if not isinstance(changes, Mapping) or not all(isinstance(values, Mapping) for values in changes.values()):
         raise UsageError(f"found {changes!r}, expected the names of modules, each with what changes: {_EXAMPLE}")
+    fixed = fixed_modules(scene)
     for name, values in changes.items():
         if name not in modules:
             raise UsageError(f"found '{name}', expected the name of a module{did_you_mean(str(name), modules)}")
+        if name in fixed and modules[name].live:
+            raise UsageError(
+                f"{name}: nothing of it can change while the scene runs, because it {_in_a_matrix(scene)}; "
+                "under scheme: cordis, semi_implicit or rk4 it can"
+            )
         modules[name] = _module_with(name, modules[name], values)
     return scene.model_copy(update={"modules": Table(modules)})
+
+
+def _in_a_matrix(scene: Scene) -> str:
+    return f"is in the matrix that scheme: {scene.scheme} makes once"
 
 
 def _module_with(name: str, module: Module, values: Mapping[str, float]) -> Module:

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from .load import load_scene, parse_scene
     from .mock import Initial, Mock, MockDevice
     from .modules import Buffer, DevicePoint, Ground, Link, Mass, Module, String, Structure, ViscoElastic
-    from .scene import VERSION, Scene
+    from .scene import VERSION, Scene, SchemeName
     from .schema import scene_schema
 
 _EXPORTS = {
@@ -21,7 +21,7 @@ _EXPORTS = {
     "load": ("load_scene", "parse_scene"),
     "mock": ("Initial", "Mock", "MockDevice"),
     "modules": ("Buffer", "DevicePoint", "Ground", "Link", "Mass", "Module", "String", "Structure", "ViscoElastic"),
-    "scene": ("VERSION", "Scene"),
+    "scene": ("VERSION", "Scene", "SchemeName"),
     "schema": ("scene_schema",),
 }
 _HOMES = {name: home for home, names in _EXPORTS.items() for name in names}
@@ -42,6 +42,7 @@ __all__ = [
     "Module",
     "Sampling",
     "Scene",
+    "SchemeName",
     "String",
     "Structure",
     "ViscoElastic",

@@ -38,6 +38,10 @@ class Version(Expectation):
         return {"const": VERSION, "type": "integer", "description": "Version of the scene format"}
 
 
+#: What moves the scene's masses from sample to sample: those that are offered. Each has a line in
+#: `hapsim.cordis.schemes`.
+SchemeName = Literal["cordis", "semi_implicit", "midpoint", "rk4", "exact"]
+
 ModulesByName = Annotated[
     Mapping[Annotated[str, Name()], TypedModule],
     AfterValidator(Table),
@@ -74,6 +78,12 @@ class Scene(Part):
     precision: Literal["double", "single"] = Field(
         default="double",
         description="How long the real values are that the scene is worked out in: 64 bits (double), or 32 (single)",
+    )
+    scheme: SchemeName = Field(
+        default="cordis",
+        description="How masses move from sample to sample: by CORDIS's centred scheme (cordis), by the same with the "
+        "step stored itself (semi_implicit), by the trapezoidal rule (midpoint), by the Runge-Kutta rule of fourth "
+        "order (rk4), or by the exact solution between forces that are held (exact)",
     )
     modules: ModulesByName
 

@@ -190,7 +190,8 @@ def test_what_is_no_module_is_told(faults: Faults, good: str, old: str, new: str
         (
             "rate: 1000",
             "rte: 1000",
-            "2:1: rte: unknown key, expected version, rate, device, mock, precision or modules; did you mean 'rate'?",
+            "2:1: rte: unknown key, expected version, rate, device, mock, precision, scheme or modules; did you mean "
+            "'rate'?",
         ),
         ("rate: 1000\n", "", f"1:1: 'rate' is missing, {HZ}"),
         (

@@ -1,0 +1,23 @@
+"""What moves the masses from sample to sample. A new scheme is a file and a line here, and a word in the scene's own
+list, `hapsim.scene.SchemeName`, which says which of them are offered.
+
+Forces are those at sample n, worked out from the positions at n, whatever the scheme: only then can the hand have them
+at once. What differs is where the masses are at n + 1.
+"""
+
+from __future__ import annotations
+
+from hapsim.cordis.schemes.centred import CORDIS
+from hapsim.cordis.schemes.exact import EXACT
+from hapsim.cordis.schemes.midpoint import MIDPOINT
+from hapsim.cordis.schemes.rk4 import RK4
+from hapsim.cordis.schemes.scheme import Scheme
+from hapsim.cordis.schemes.semi_implicit import SEMI_IMPLICIT
+
+SCHEMES: dict[str, Scheme] = {
+    "cordis": CORDIS,
+    "semi_implicit": SEMI_IMPLICIT,
+    "midpoint": MIDPOINT,
+    "rk4": RK4,
+    "exact": EXACT,
+}

@@ -1,0 +1,96 @@
+"""The exact scheme as one dense matrix, where no coordinates make every motion go by itself.
+
+With w = T v, z = (x, w): z[n+1] = E z[n] + D f[n], where E = exp(A), D the integral of exp(A t) over one sample period.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hapsim.compiled import inlined, summed
+from hapsim.cordis.acting import moves
+from hapsim.cordis.kind import Column, Frame
+from hapsim.cordis.schemes.inner import Inner, Ties, pull_ties
+from hapsim.errors import UsageError
+
+MOST_POINTS = 1000  # whose matrix is 32 MB, and some milliseconds a tick
+
+
+class ExactDense(NamedTuple):
+    """n points, of which something from outside holds H."""
+
+    point: NDArray[np.uint32]
+    """(n,) by number"""
+    held: NDArray[np.uint32]
+    """(H,) by number"""
+    matrix: Column
+    """(2 n, 2 n + H + 1): what positions, steps, forces and 1 do to positions and steps."""
+    state: Column
+    """(2 n + H + 1,)"""
+    next: Column
+    """(2 n,)"""
+    ties: Ties | None
+
+
+def dense_part(inner: Inner, frame: Frame) -> ExactDense:
+    """The part of the program that moves the inner system as one."""
+    from scipy.linalg import expm
+
+    n, h = inner.point.size, inner.held.size
+    if n > MOST_POINTS:
+        raise UsageError(
+            f"scheme: exact is for {MOST_POINTS} masses at most where damping joins the scene's modes, and this one "
+            f"moves {n}: make the damping proportional to stiffness or to mass, or take midpoint"
+        )
+    inertia = 1.0 / (inner.mass * frame.rate**2)
+    # Steps are measured in units of the fastest motion, so that no part of the matrix dwarfs the others.
+    stiffness = inertia[:, None] * inner.stiffness_matrix().toarray()
+    scale = max(1.0, float(np.sqrt(np.abs(stiffness).sum(axis=1).max(initial=0.0))))
+    a = np.zeros((2 * n + h + 1, 2 * n + h + 1))
+    a[:n, n : 2 * n] = scale * np.eye(n)
+    a[n : 2 * n, :n] = -stiffness / scale
+    a[n : 2 * n, n : 2 * n] = -inertia[:, None] * inner.damping_matrix().toarray() * frame.rate
+    a[n + inner.held, 2 * n + np.arange(h)] = inertia[inner.held] / scale
+    a[n : 2 * n, -1] = inertia * inner.force / scale
+    matrix = expm(a)[: 2 * n]
+    matrix[n:] *= scale
+    matrix[:, n : 2 * n] /= scale
+    state = np.concatenate([inner.position, inner.velocity / frame.rate, np.zeros(h), [1.0]])
+    real = frame.real
+    return ExactDense(
+        point=inner.point,
+        held=inner.point[inner.held],
+        matrix=matrix.astype(real),
+        state=state.astype(real),
+        next=np.zeros(2 * n, real),
+        ties=inner.ties,
+    )
+
+
+@moves(ExactDense)
+@inlined
+def advance_dense(points, moment):
+    """Moves every inner point by one sample."""
+    pull_ties(points.ties, moment)
+    n = np.uint64(points.point.size)
+    for h in range(np.uint64(points.held.size)):
+        points.state[n + n + h] = moment.force[points.held[h]]
+        moment.force[points.held[h]] = points.state.dtype.type(0)
+    for i in range(n + n):
+        points.next[i] = _row(points.matrix[i], points.state)
+    for i in range(n + n):
+        points.state[i] = points.next[i]
+    for i in range(n):
+        moment.following[points.point[i]] = points.state[i]
+        moment.position[points.point[i]] = points.state[i] - points.state[n + i]
+
+
+@summed
+def _row(row, state):
+    total = row.dtype.type(0)
+    for j in range(np.uint64(row.size)):
+        total += row[j] * state[j]
+    return total

@@ -1,0 +1,192 @@
+"""The exact scheme in coordinates in which every motion goes by itself.
+
+With x = S q, where S^T M S = 1 and S^T K S, S^T B S are diagonal (proportional damping is one case), each mode is an
+oscillator q'' + b q' + k q = g of unit mass. With p = T q' its step is
+
+    q[n+1] = e11 q + e12 p + d1 g,      p[n+1] = e21 q + e22 p + d2 g,     g = S^T f
+
+Only the points that something from outside holds are put where they are, in each sample; the others are there, but
+nobody reads them.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hapsim.compiled import fused, inlined, summed
+from hapsim.cordis.acting import moves
+from hapsim.cordis.kind import Column, Frame
+from hapsim.cordis.schemes.inner import Inner, Ties, pull_ties
+
+Reals = NDArray[np.float64]
+
+DIAGONAL = 1e-9  # what is left beside the diagonal, as a part of the whole, where the modes are taken for modes
+
+
+class Modes(NamedTuple):
+    """`shape` (n, n): x = shape q, a column a mode; (n,) k T² and b T."""
+
+    shape: Reals
+    stiffness: Reals
+    damping: Reals
+
+
+class ExactModes(NamedTuple):
+    """n modes, and H points that something from outside holds."""
+
+    point: NDArray[np.uint32]
+    """(H,) by number"""
+    shape: Column
+    """(H, n) how far mode j moves point h."""
+    constant: Column
+    """(n,) of what stays, as `push`."""
+    gain: Column
+    """(6, n) e11, e12, e21, e22, d1, d2"""
+    position: Column
+    """(n,) q"""
+    step: Column
+    """(n,) p"""
+    push: Column
+    """(n,) T² g"""
+    period_squared: Column
+    """(1,) T² in s²"""
+    ties: Ties | None
+
+
+def modes_of(inner: Inner, frame: Frame) -> Modes | None:
+    """The modes of the inner system; None where damping couples them."""
+    root = 1.0 / (np.sqrt(inner.mass) * frame.rate)
+    stiffness = root[:, None] * inner.stiffness_matrix().toarray() * root
+    damping = root[:, None] * inner.damping_matrix().toarray() * root * frame.rate
+    sizes = [float(np.abs(matrix).max(initial=0.0)) or 1.0 for matrix in (stiffness, damping)]
+    for share in (0.0, 0.5, 0.3819660112501051):  # where K alone leaves open which, B says so together with it
+        vectors = np.linalg.eigh(stiffness / sizes[0] + share * damping / sizes[1])[1]
+        if all(
+            _is_diagonal(vectors.T @ matrix @ vectors, size)
+            for matrix, size in zip((stiffness, damping), sizes, strict=True)
+        ):
+            return _refined(inner, vectors * root[:, None] * frame.rate, frame)
+    return None
+
+
+def _is_diagonal(matrix: Reals, size: float) -> bool:
+    return bool(np.abs(matrix - np.diag(np.diag(matrix))).max(initial=0.0) <= DIAGONAL * size)
+
+
+def _refined(inner: Inner, shape: Reals, frame: Frame) -> Modes:
+    """Each mode's k and b as the sum over all links of what it stretches them: a slow mode's are then as accurate as a
+    fast one's, which those that eigenvalues come with are not."""
+    squares = (inner.stretches() @ shape) ** 2
+    stiffness = inner.links.stiffness @ squares / frame.rate**2
+    damping = inner.links.damping @ squares / frame.rate
+    return Modes(shape, np.maximum(stiffness, 0.0), np.maximum(damping, 0.0))
+
+
+def modes_part(inner: Inner, modes: Modes, frame: Frame) -> ExactModes:
+    """The part of the program that moves these modes."""
+    momentum = modes.shape.T * inner.mass
+    gain = _gains(modes.stiffness, modes.damping)
+    real = frame.real
+    return ExactModes(
+        point=inner.point[inner.held],
+        shape=np.ascontiguousarray(modes.shape[inner.held]).astype(real),
+        constant=(modes.shape.T @ inner.force / frame.rate**2).astype(real),
+        gain=gain.astype(real),
+        position=(momentum @ inner.position).astype(real),
+        step=(momentum @ inner.velocity / frame.rate).astype(real),
+        push=np.zeros(gain.shape[1], real),
+        period_squared=np.array([1.0 / frame.rate**2], real),
+        ties=inner.ties,
+    )
+
+
+def _gains(k: Reals, b: Reals) -> Reals:
+    """(6, n): of the oscillators q'' + b q' + k q = g over a time of one."""
+    decay, square = 0.5 * b, k - 0.25 * b * b
+    omega = np.sqrt(np.abs(square))
+    swings = square > 0.0
+    faster = np.where(swings, 0.0, omega)
+    # An over-damped motion's slower rate is k over the faster, and not the difference of two large numbers.
+    slow = np.where(swings, -decay, -k / np.maximum(decay + faster, 1e-300))
+    slow = np.where(decay + faster > 0.0, slow, 0.0)
+    fast = -decay - faster
+    grown = np.exp(np.where(swings, -decay, slow))
+    fell = np.exp(np.where(swings, -decay, fast))
+    cosine = np.where(swings, grown * np.cos(omega), 0.5 * (grown + fell))
+    # sinh(w)/w exp(-decay) = exp(slow) (1 - exp(-2 w))/(2 w)
+    spread = np.where(omega > 0.0, -np.expm1(-2.0 * omega) / np.where(omega > 0.0, 2.0 * omega, 1.0), 1.0)
+    sine = np.where(swings, grown * np.sinc(omega / np.pi), grown * spread)
+    stays, moves_on = cosine + decay * sine, sine
+    return np.array([stays, moves_on, -k * sine, cosine - decay * sine, _lag(k, b, stays), sine])
+
+
+def _lag(k: Reals, b: Reals, stays: Reals) -> Reals:
+    """q after a time of one from rest, under g = 1: (1 - e11)/k, and where that is 0/0 its series in time."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        closed = (1.0 - stays) / k
+    # q = sum a_m t^m with a_2 = 1/2, (m+2)(m+1) a_(m+2) = -b (m+1) a_(m+1) - k a_m
+    older, newer = np.zeros_like(k), np.full_like(k, 0.5)
+    total = newer.copy()
+    small = (k < 1.0) & (b < 4.0)
+    kk, bb = np.where(small, k, 0.0), np.where(small, b, 0.0)
+    for m in range(1, 60):
+        older, newer = newer, (-bb * (m + 1) * newer - kk * older) / ((m + 2) * (m + 1))
+        total += newer
+    braked = ~small & (k < 1e-3 * b * b)  # a damper alone: (b - 1 + exp(-b))/b², and what k does to it
+    slow = _slow_lag(np.where(braked, k, 0.0), np.where(braked, b, 1.0))
+    return np.where(small, total, np.where(braked, slow, closed))
+
+
+def _slow_lag(k: Reals, b: Reals) -> Reals:
+    """The same where the damper is far beyond the critical: two rates r < R, q = (h(r) - h(R))/(R - r), with
+    h(r) = (1 - exp(-r))/r."""
+    rates = np.sqrt(b * b - 4.0 * k)
+    fast = 0.5 * (b + rates)
+    slow = k / fast
+    one = np.where(slow > 0.0, -np.expm1(-slow) / np.where(slow > 0.0, slow, 1.0), 1.0)
+    return (one + np.expm1(-fast) / fast) / rates
+
+
+@moves(ExactModes)
+@inlined
+def advance_modes(modes, moment):
+    """Moves every mode by one sample, and puts the points where they are that something holds."""
+    pull_ties(modes.ties, moment)
+    for j in range(np.uint64(modes.push.size)):
+        modes.push[j] = modes.constant[j]
+    for h in range(np.uint64(modes.point.size)):
+        p = modes.point[h]
+        _push(modes.push, modes.shape[h], modes.period_squared[0] * moment.force[p])
+        moment.force[p] = modes.push.dtype.type(0)
+    _advance(modes.gain, modes.position, modes.step, modes.push)
+    for h in range(np.uint64(modes.point.size)):
+        p = modes.point[h]
+        x = _sum(modes.shape[h], modes.position)
+        moment.following[p] = x
+        moment.position[p] = x - _sum(modes.shape[h], modes.step)
+
+
+@fused
+def _push(push, shape, force):
+    for j in range(np.uint64(push.size)):
+        push[j] += shape[j] * force
+
+
+@fused
+def _advance(gain, position, step, push):
+    e11, e12, e21, e22, d1, d2 = gain[0], gain[1], gain[2], gain[3], gain[4], gain[5]
+    for j in range(np.uint64(position.size)):
+        q, p = position[j], step[j]
+        position[j] = e11[j] * q + e12[j] * p + d1[j] * push[j]
+        step[j] = e21[j] * q + e22[j] * p + d2[j] * push[j]
+
+
+@summed
+def _sum(shape, motion):
+    total = shape.dtype.type(0)
+    for j in range(np.uint64(shape.size)):
+        total += shape[j] * motion[j]
+    return total

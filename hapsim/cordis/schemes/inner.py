@@ -1,0 +1,186 @@
+"""The inner linear system of a scene: M x'' + B x' + K x = f.
+
+Inside are the points that the scene moves, and what joins them to each other, to grounds and to themselves at rest:
+what structures consist of, and visco-elastic links with a backward damper. Everything else pulls from outside, and so
+does the place of a ground, which may change while the scene runs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hapsim.compiled import inlined
+from hapsim.cordis.damper_backward import BACKWARD
+from hapsim.cordis.kind import Column, Frame
+from hapsim.cordis.schemes.pulled import masses_of
+from hapsim.cordis.schemes.scheme import Taken
+from hapsim.errors import UsageError
+from hapsim.scene import Scene, ViscoElastic
+
+STAYS = -1
+
+
+class InnerLinks(NamedTuple):
+    """L springs and dampers: ends (L, 2), places among the inner points or STAYS; N/m; N·s/m."""
+
+    ends: NDArray[np.intp]
+    stiffness: NDArray[np.float64]
+    damping: NDArray[np.float64]
+
+
+class Ties(NamedTuple):
+    """L inner links to grounds: point and ground by number, K and B/T in N/m. What moves the ground pulls the point."""
+
+    point: NDArray[np.uint32]
+    ground: NDArray[np.uint32]
+    stiffness: Column
+    damping_per_sample: Column
+
+
+class Inner(NamedTuple):
+    """n points."""
+
+    point: NDArray[np.uint32]
+    """(n,) by number, rising"""
+    mass: NDArray[np.float64]
+    """(n,) kg"""
+    links: InnerLinks
+    force: NDArray[np.float64]
+    """(n,) N, of what stays where structures are at rest."""
+    ties: Ties | None
+    held: NDArray[np.uint32]
+    """(H,) places of the points that something from outside pulls."""
+    position: NDArray[np.float64]
+    """(n,) m at the first sample"""
+    velocity: NDArray[np.float64]
+    """(n,) m/s at the first sample"""
+
+    def stiffness_matrix(self) -> Any:
+        """K, N/m, a sparse (n, n)."""
+        return self._joined(self.links.stiffness)
+
+    def damping_matrix(self) -> Any:
+        """B, N·s/m, a sparse (n, n)."""
+        return self._joined(self.links.damping)
+
+    def stretches(self) -> Any:
+        """Sparse (L, n): what takes positions to the links' stretches."""
+        from scipy.sparse import coo_array
+
+        link, end = np.nonzero(self.links.ends != STAYS)
+        place = self.links.ends[link, end]
+        return coo_array((1.0 - 2.0 * end, (link, place)), (len(self.links.ends), self.point.size)).tocsr()
+
+    def _joined(self, values: NDArray[np.float64]) -> Any:
+        from scipy.sparse import diags_array
+
+        spread = self.stretches()
+        return (spread.T @ diags_array(values) @ spread).tocsr()
+
+
+def inner_links(scene: Scene) -> dict[str, ViscoElastic]:
+    """The scene's links that are inside."""
+    hands = scene.device_points
+    links = BACKWARD.select(scene).items()
+    return {name: link for name, link in links if not any(end in hands for end in link.between)}
+
+
+def inside(scene: Scene) -> frozenset[str]:
+    """The modules that the inner system is made of, by name."""
+    return frozenset([*scene.masses, *scene.structures, *inner_links(scene)])
+
+
+def outer_parts(frame: Frame, taken: Sequence[Taken]) -> tuple[Any, ...]:
+    """The parts of what is not inside."""
+    return tuple(kind.build(modules, columns, frame) for kind, modules, columns in taken)
+
+
+def inner_system(scene: Scene, frame: Frame) -> Inner | None:
+    """The inner system of `scene`; None where the scene moves nothing. UsageError where a number in it is too large."""
+    mass = {frame.number[name]: kilograms for name, kilograms in masses_of(scene)}
+    if not mass:
+        return None
+    point = np.array(sorted(mass), np.uint32)
+    place = {int(number): i for i, number in enumerate(point)}
+    joins = [*_structure_links(scene, frame, place), *_scene_links(scene, frame, place)]
+    ends = np.array([(first, second) for first, second, *_ in joins], np.intp).reshape(-1, 2)
+    stiffness, damping = (np.array([join[column] for join in joins], np.float64) for column in (2, 3))
+    position, velocity = np.zeros((2, point.size))
+    force = np.zeros(point.size)
+    structures: Mapping[str, Any] = scene.structures
+    for name, structure in structures.items():
+        for each in structure.places():
+            position[place[frame.number[f"{name}.{each}"]]] = structure.position
+    for first, second, k, _, rest in joins:
+        if second == STAYS:
+            force[first] += k * rest
+    for name, one in scene.masses.items():
+        position[place[frame.number[name]]], velocity[place[frame.number[name]]] = one.position, one.velocity
+    ties = _ties(scene, frame)
+    outer = {end for name, link in scene.links.items() if name not in inside(scene) for end in link.between}
+    held = {frame.number[end] for end in outer} | ({int(p) for p in ties.point} if ties else set())
+    return Inner(
+        point=point,
+        mass=np.array([mass[int(number)] for number in point]),
+        links=InnerLinks(ends, stiffness, damping),
+        force=force,
+        ties=ties,
+        held=np.array(sorted(place[number] for number in held if number in place), np.uint32),
+        position=position,
+        velocity=velocity,
+    )
+
+
+def require_finite(*arrays: Any) -> None:
+    """UsageError where a number of the inner system is beyond what is worked out."""
+    if not all(np.isfinite(array).all() for array in arrays):
+        raise UsageError("a stiffness, a damping or one over a mass is too large for the scene's scheme: try cordis")
+
+
+_Join = tuple[int, int, float, float, float]  # first place, second, N/m, N·s/m, m where the second stays
+
+
+def _structure_links(scene: Scene, frame: Frame, place: Mapping[int, int]) -> Iterator[_Join]:
+    structures: Mapping[str, Any] = scene.structures
+    for name, structure in structures.items():
+        places = [place[frame.number[f"{name}.{each}"]] for each in structure.places()]
+        for first, second, k, z in structure.elements().links:
+            yield places[first], STAYS if second < 0 else places[second], k, z, structure.position
+
+
+def _scene_links(scene: Scene, frame: Frame, place: Mapping[int, int]) -> Iterator[_Join]:
+    """Those of the scene's own links; the place of a ground is a force from outside, so here it is 0."""
+    for link in inner_links(scene).values():
+        first, second = (place.get(frame.number[end], STAYS) for end in link.between)
+        if first == STAYS:
+            first, second = second, first
+        yield first, second, link.stiffness, link.damping, 0.0
+
+
+def _ties(scene: Scene, frame: Frame) -> Ties | None:
+    tied = [
+        (frame.number[end], frame.number[ground], link.stiffness, link.damping * frame.rate)
+        for link in inner_links(scene).values()
+        for end, ground in (link.between, link.between[::-1])
+        if ground in scene.grounds
+    ]
+    if not tied:
+        return None
+    point, ground, stiffness, damping = zip(*tied, strict=True)
+    points, grounds = np.array([point, ground], np.uint32)
+    return Ties(points, grounds, np.array(stiffness, frame.real), np.array(damping, frame.real))
+
+
+@inlined
+def pull_ties(ties, moment):
+    """Adds what the grounds' places and velocities do to the points that are tied to them."""
+    if ties is None:
+        return
+    for i in range(ties.point.size):
+        x = moment.position[ties.ground[i]]
+        way = x - moment.previous[ties.ground[i]]
+        moment.force[ties.point[i]] += ties.stiffness[i] * x + ties.damping_per_sample[i] * way
