@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,9 +26,9 @@ from scipy.optimize import brentq
 from hapsim.cordis.desk import desk_of, ticks_watched
 from hapsim.cordis.program import compile_scene, numbers_of
 from hapsim.cordis.tick import start
-from hapsim.scene import Buffer, Device, DevicePoint, Ground, Mass, Module, Scene
+from hapsim.scene import Buffer, Device, DevicePoint, Ground, Mass, Scene
 from hapsim.speed_accuracy.compared import Found
-from hapsim.speed_accuracy.methods import scene_with, schemes
+from hapsim.speed_accuracy.methods import schemes
 
 MASS = 0.02  # kg
 STIFFNESS, DAMPING = 8000.0, 0.85  # N/m, N·s/m
@@ -110,13 +111,20 @@ def _stay(positions: Sequence[float] | NDArray[np.float64], rate: float) -> tupl
 
 
 def _scene(method: str, precision: str, rate: float, ball: Mass) -> Scene:
-    modules: dict[str, Module] = {
+    modules: dict[str, Any] = {
         "hand": DevicePoint(channel=0),
         "floor": Ground(),
         "ball": ball,
         "bounce": Buffer(between=("ball", "floor"), stiffness=STIFFNESS, damping=DAMPING),
     }
-    return scene_with(method, precision, rate=rate, device=Device(clock="lockstep", mass=0.2), modules=modules)
+    return Scene(
+        version=1,
+        scheme=method,  # type: ignore[arg-type]
+        precision=precision,  # type: ignore[arg-type]
+        rate=rate,
+        device=Device(clock="lockstep", mass=0.2),
+        modules=modules,
+    )
 
 
 def _rms(values: NDArray[np.float64]) -> float:

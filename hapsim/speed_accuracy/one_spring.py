@@ -13,7 +13,6 @@ from hapsim.measuring.measure import measure
 from hapsim.prediction import predict
 from hapsim.scene import Device, DevicePoint, Ground, Initial, Mock, Scene, ViscoElastic
 from hapsim.speed_accuracy.compared import Found
-from hapsim.speed_accuracy.methods import scene_with
 
 MASS, FRICTION = 0.2, 1.0
 STIFFNESS, DAMPING = 2000.0, 5.0
@@ -35,9 +34,9 @@ class OneSpring:
         return (ONE_SAMPLE, ONE_MILLISECOND)
 
     def scene(self, method: str, precision: str, rate: float) -> Scene:
-        return scene_with(
-            "cordis",
-            precision,
+        return Scene(
+            version=1,
+            precision=precision,  # type: ignore[arg-type]
             rate=rate,
             device=Device(
                 clock="lockstep",

@@ -13,7 +13,7 @@ from functools import partial
 from hapsim.scene import Device, DevicePoint, Scene, String, ViscoElastic
 from hapsim.speed_accuracy.compared import Found
 from hapsim.speed_accuracy.let_go import record
-from hapsim.speed_accuracy.methods import scene_with, schemes
+from hapsim.speed_accuracy.methods import schemes
 from hapsim.speed_accuracy.ringing import STEADY, STEADY_IN_SINGLE, frequencies_of
 from hapsim.speed_accuracy.strings import StringOfMasses, hand_link, held_mass
 
@@ -48,9 +48,10 @@ def scene_of(
     string: StringOfMasses, method: str, precision: str, rate: float, stiffness: float = 0.0, damping: float = 0.0
 ) -> Scene:
     """The string as a scene; the hand's link in N/m and N·s/m."""
-    return scene_with(
-        method,
-        precision,
+    return Scene(
+        version=1,
+        scheme=method,  # type: ignore[arg-type]
+        precision=precision,  # type: ignore[arg-type]
         rate=rate,
         device=Device(clock="lockstep", mass=0.2),
         modules={

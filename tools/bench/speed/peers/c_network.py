@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from ctypes import CDLL, POINTER, Structure, byref, c_double, c_int64, c_uint32
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,16 +16,48 @@ from speed.reference.build import build_c, why_no_compiler
 from speed.reference.memory import pointer, rows
 
 _BLOCK = 16384  # samples of the hand's motion that are ready in memory
-_HAND, _LEFT, _RIGHT, _MASSES = range(4)  # the points: the hand, the two ends, and where the masses begin
+_HAND, _LEFT, _RIGHT, _MASSES = range(4)  # the points of a string: the hand, the two ends, and where the masses begin
+
+
+@dataclass(frozen=True)
+class Network:
+    """Point 0 is the hand; then come `fixed` points that stay, at 0, then the masses, `mass` in kg each, shape (M,).
+
+    `first`, `second`: the points that each link joins; `stiffness`, `damping`: N/m, N·s/m; shape (L,).
+    """
+
+    fixed: int
+    mass: NDArray[np.float64]
+    first: NDArray[np.uint32]
+    second: NDArray[np.uint32]
+    stiffness: NDArray[np.float64]
+    damping: NDArray[np.float64]
+
+
+def network_of(string: StringOfMasses) -> Network:
+    """The string, and a last link from the hand to a mass, without stiffness and damping."""
+    masses = [_MASSES + i for i in range(string.masses)]
+    first, second = [_LEFT, *masses, _HAND], [*masses, _RIGHT, _MASSES + held_mass(string)]
+    along = np.append(np.ones(string.masses + 1), 0.0)
+    return Network(
+        fixed=2,
+        mass=np.full(string.masses, string.mass),
+        first=np.array(first, np.uint32),
+        second=np.array(second, np.uint32),
+        stiffness=string.stiffness * along,
+        damping=string.damping * along,
+    )
 
 
 class CNetwork:
-    """The string as a network, N + 1 links and one to the hand."""
+    """The string as a network, N + 1 links and one to the hand. `plain`: compiled with -O3 -march=native and nothing
+    else."""
 
     name = "C network with a hand"
     precision = "double"
 
-    def __init__(self) -> None:
+    def __init__(self, plain: bool = False) -> None:
+        self.plain = plain
         self.preparation_s: float | None = None
         self.note = ""
 
@@ -49,9 +82,9 @@ class CNetwork:
 
     def running(self, string: StringOfMasses, rate: float) -> RunningNetwork:
         """The program and its state, at rest."""
-        built = build_c("network.c")
+        built = build_c("network.c", plain=self.plain)
         self.preparation_s = built.seconds
-        return RunningNetwork(built.load(), string, rate)
+        return RunningNetwork(built.load(), network_of(string), rate)
 
 
 class _State(Structure):
@@ -74,32 +107,32 @@ class _State(Structure):
 class RunningNetwork:
     """The compiled program and its state."""
 
-    def __init__(self, library: CDLL, string: StringOfMasses, rate: float) -> None:
-        self._rate = rate
+    def __init__(self, library: CDLL, network: Network, rate: float) -> None:
+        self._network, self._rate = network, rate
         self._run = library.network_run
         self._run.argtypes = [POINTER(_State), c_int64, POINTER(c_double), POINTER(c_double)]
-        self._first, self._second = _ends(string)
-        count = string.masses + _MASSES
-        self._position, self._previous, self._force, self._stiffness, self._damping, self._mobility = rows(6, count)
-        self._links = self._first.size
-        self._stiffness[: self._links - 1] = string.stiffness
-        self._damping[: self._links - 1] = string.damping * rate
-        self._mobility[: string.masses] = 1.0 / (string.mass * rate**2)
+        self._first_mass = 1 + network.fixed
+        self._position, self._previous, self._force = rows(3, self._first_mass + network.mass.size)
+        self._stiffness, self._damping = rows(2, network.first.size)
+        (self._mobility,) = rows(1, network.mass.size)
+        self._stiffness[:] = network.stiffness
+        self._damping[:] = network.damping * rate
+        self._mobility[:] = 1.0 / (network.mass * rate**2)
         self._motion = hand_motion(_BLOCK, rate)
         self._forces = np.zeros(_BLOCK)
-        self._state = self._described(string)
+        self._state = self._described()
 
     def start_in(self, displacement: NDArray[np.float64]) -> None:
         """Puts the masses at `displacement` in m, shape (N,), at rest, and lets go of them."""
         for row in (self._position, self._previous):
-            row[:_MASSES] = 0.0
-            row[_MASSES:] = displacement
+            row[: self._first_mass] = 0.0
+            row[self._first_mass :] = displacement
         self.hold(0.0, 0.0)
 
     def hold(self, stiffness: float, damping: float) -> None:
-        """Links the hand to its mass, K in N/m and B in N·s/m."""
-        self._stiffness[self._links - 1] = stiffness
-        self._damping[self._links - 1] = damping * self._rate
+        """Gives the last link, the hand's, its K in N/m and B in N·s/m."""
+        self._stiffness[-1] = stiffness
+        self._damping[-1] = damping * self._rate
 
     def with_hand(self, samples: int) -> None:
         """The hand's motion repeats itself after a block."""
@@ -118,16 +151,17 @@ class RunningNetwork:
     def step_and_see(self) -> NDArray[np.float64]:
         """The masses' positions in m after one sample."""
         self.with_hand(1)
-        return self._position[_MASSES:]
+        return self._position[self._first_mass :]
 
-    def _described(self, string: StringOfMasses) -> _State:
+    def _described(self) -> _State:
+        network = self._network
         return _State(
-            points=string.masses + _MASSES,
-            links=self._links,
-            masses=string.masses,
-            first_mass=_MASSES,
-            first=self._first.ctypes.data_as(POINTER(c_uint32)),
-            second=self._second.ctypes.data_as(POINTER(c_uint32)),
+            points=self._position.size,
+            links=network.first.size,
+            masses=network.mass.size,
+            first_mass=self._first_mass,
+            first=network.first.ctypes.data_as(POINTER(c_uint32)),
+            second=network.second.ctypes.data_as(POINTER(c_uint32)),
             stiffness=pointer(self._stiffness),
             damping_per_sample=pointer(self._damping),
             mobility=pointer(self._mobility),
@@ -135,11 +169,3 @@ class RunningNetwork:
             previous=pointer(self._previous),
             force=pointer(self._force),
         )
-
-
-def _ends(string: StringOfMasses) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
-    """The points that each link joins: along the string, then the hand's."""
-    masses = [_MASSES + i for i in range(string.masses)]
-    first = [_LEFT, *masses, _HAND]
-    second = [*masses, _RIGHT, _MASSES + held_mass(string)]
-    return np.array(first, np.uint32), np.array(second, np.uint32)

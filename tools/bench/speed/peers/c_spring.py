@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from ctypes import POINTER, Structure, byref, c_double, c_int64
 
 import numpy as np
@@ -26,10 +27,10 @@ class _State(Structure):
 
 class CSpring:
     """K in N/m and B in N·s/m between a hand and the ground, at `rate` Hz. `free`: the compiler may work on many ticks
-    at once."""
+    at once. `plain`: compiled with -O3 -march=native and nothing else."""
 
-    def __init__(self, stiffness: float, damping: float, rate: float, free: bool = False) -> None:
-        built = build_c("spring.c")
+    def __init__(self, stiffness: float, damping: float, rate: float, free: bool = False, plain: bool = False) -> None:
+        built = build_c("spring.c", plain=plain)
         library = built.load()
         self.preparation_s = built.seconds
         self._rate = rate
@@ -46,6 +47,10 @@ class CSpring:
 
     def cost(self, rounds: int) -> list[float]:
         """Seconds of processor time for a simulated second, one for each round."""
+        return cost_of(self.advancing(), self._rate, rounds)
+
+    def advancing(self) -> Callable[[int], None]:
+        """What simulates so many samples, the hand moving."""
         motion, forces = hand_motion(_BLOCK, self._rate), np.zeros(_BLOCK)
         there, back, state = pointer(motion), pointer(forces), byref(self._state)
 
@@ -53,4 +58,4 @@ class CSpring:
             for begin in range(0, samples, _BLOCK):
                 self._run(state, min(_BLOCK, samples - begin), there, back)
 
-        return cost_of(advance, self._rate, rounds)
+        return advance

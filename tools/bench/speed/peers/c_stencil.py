@@ -1,4 +1,4 @@
-"""A C program for one string: `reference/stencil.c`, compiled for its number of masses."""
+"""A C program for one string: `reference/stencil.c`."""
 
 from __future__ import annotations
 
@@ -18,12 +18,13 @@ _BLOCK = 16384  # samples of the hand's motion that are ready in memory
 
 
 class CStencil:
-    """The string alone, or with a `hand` on one of its masses."""
+    """The string alone, or with a `hand` on one of its masses; compiled for its number of masses and the widest vectors
+    there are, or, `plain`, for any number with -O3 -march=native."""
 
     precision = "double"
 
-    def __init__(self, hand: bool = False) -> None:
-        self.hand = hand
+    def __init__(self, hand: bool = False, plain: bool = False) -> None:
+        self.hand, self.plain = hand, plain
         self.name = "C stencil with a hand" if hand else "C stencil"
         self.preparation_s: float | None = None
         self.note = ""
@@ -50,7 +51,7 @@ class CStencil:
 
     def running(self, string: StringOfMasses, rate: float) -> RunningStencil:
         """The program and its state, at rest."""
-        built = build_c("stencil.c", f"MASSES={string.masses}")
+        built = build_c("stencil.c", f"MASSES={string.masses}", plain=self.plain)
         self.preparation_s = built.seconds
         return RunningStencil(built.load(), string, rate)
 
@@ -69,6 +70,7 @@ class _State(Structure):
         ("hand_damping", c_double),
         ("hand_before", c_double),
         ("held", c_int64),
+        ("masses", c_int64),
     )
 
 
@@ -132,4 +134,5 @@ class RunningStencil:
             old_side=damping,
             mobility=mobility,
             held=held_mass(string) + 1,
+            masses=string.masses,
         )

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
+PLAIN_FLAGS = ("-O3", "-march=native")
 C_FLAGS = ("-std=c11", "-O3", "-march=native", "-ffp-contract=fast")
 _WIDE = "-mprefer-vector-width=512"  # gcc and clang stay at 256 bits of their own accord
 
@@ -35,11 +36,17 @@ class Built:
         return CDLL(str(self.path))
 
 
-def build_c(name: str, *defines: str) -> Built:
-    """The C program `name` beside this file, with `defines` such as MASSES=100."""
-    source = HERE / name
-    flags = [*C_FLAGS, *_wide("cc"), *(f"-D{define}" for define in defines)]
-    return build(source, "cc", flags)
+def build_c(name: str, *defines: str, plain: bool = False) -> Built:
+    """The C program `name` beside this file, with `defines` such as MASSES=100; `plain`: with -O3 -march=native and
+    nothing else."""
+    flags = list(PLAIN_FLAGS) if plain else [*C_FLAGS, *_wide("cc"), *(f"-D{define}" for define in defines)]
+    return build(HERE / name, "cc", flags)
+
+
+def compiler_words(compiler: str = "cc") -> str:
+    """Which one it is, and what it is told."""
+    first = (_output_of(compiler, "--version").splitlines() or ["none"])[0]
+    return f"{first}, {' '.join(PLAIN_FLAGS)}"
 
 
 def why_no_compiler(compiler: str = "cc") -> str:

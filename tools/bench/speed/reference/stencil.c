@@ -1,23 +1,26 @@
-/* A string of MASSES equal masses between two fixed ends, and nothing else: what a program for one object can do.
+/* A string of equal masses between two fixed ends, and nothing else: what a program for one object can do.
  *
+ *     cc -O3 -march=native -fPIC -shared stencil.c
  *     cc -DMASSES=100 -O3 -march=native -mprefer-vector-width=512 -ffp-contract=fast -fPIC -shared stencil.c
  *
  * The centred scheme of CORDIS, dampers by backward difference, both written out in positions:
  *
  *     x[n+1] = 2 x - x- + (T²/m) (K L x + (B/T) (L x - L x-)),   (L x)_i = x_{i-1} - 2 x_i + x_{i+1}
  *
- * so that the next row comes from the two before it with four constants, and three rows take turns. The number of
- * masses is the compiler's to know: short strings are unrolled whole.
+ * so that the next row comes from the two before it with four constants, and three rows take turns. With MASSES the
+ * number of masses is the compiler's to know: short strings are unrolled whole.
  */
 #include <stdint.h>
 
-#ifndef MASSES
-#error "MASSES is to be defined: how many masses the string has"
+#ifdef MASSES
+#define COUNT(s) MASSES
+#else
+#define COUNT(s) ((s)->masses)
 #endif
 
 #define INLINE static inline __attribute__((always_inline))
 
-/* Rows hold MASSES + 2 points, the first and the last at 0 for ever; m. */
+/* Rows hold `masses` + 2 points, the first and the last at 0 for ever; m. */
 struct stencil {
     double *now;
     double *before;
@@ -30,13 +33,15 @@ struct stencil {
     double hand_stiffness; /* K of the link from the hand to a mass, N/m */
     double hand_damping;   /* B/T of it, N/m */
     double hand_before;    /* where the hand was, m */
-    int64_t held;          /* the point that it holds, 1 to MASSES */
+    int64_t held;          /* the point that it holds, 1 to `masses` */
+    int64_t masses;
 };
 
 INLINE void advance(const struct stencil *s, const double *restrict now, const double *restrict before,
                     double *restrict next) {
     const double centre = s->centre, side = s->side, old_centre = s->old_centre, old_side = s->old_side;
-    for (int64_t i = 1; i <= MASSES; i++)
+    const int64_t masses = COUNT(s);
+    for (int64_t i = 1; i <= masses; i++)
         next[i] = centre * now[i] + side * (now[i - 1] + now[i + 1]) - old_centre * before[i] -
                   old_side * (before[i - 1] + before[i + 1]);
 }
