@@ -33,14 +33,14 @@ def ticks_with_hand(program, desk, motion, forces, samples):
     As in the loop, numbers too small to be normal become zero, in the calling thread from then on.
     """
     flush_denormals()
-    n = 0
-    for _ in range(samples):
-        desk.measured[0] = motion[n]
-        tick(program, desk.measured, desk.velocity, desk.force)
-        forces[n] = desk.force[0]
-        n += 1
-        if n == motion.size:
-            n = 0
+    done = 0
+    while done < samples:
+        block = min(samples - done, motion.size)
+        for n in range(block):
+            desk.measured[0] = motion[n]
+            tick(program, desk.measured, desk.velocity, desk.force)
+            forces[n] = desk.force[0]
+        done += block
 
 
 @jit

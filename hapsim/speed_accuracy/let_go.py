@@ -39,8 +39,8 @@ def record(scene: Scene, string: StringOfMasses, shape: NDArray[np.float64], sam
 
 
 def _kept(program: Program, scene: Scene, shape: NDArray[np.float64]) -> _Kept:
-    """As positions of its masses; or, by the exact scheme, as how much there is of each of its modes: sines of one norm,
-    the slowest first."""
+    """As positions of its masses; or, by the exact scheme, as how much there is of each of its modes: sines, all of one
+    norm, the slowest first."""
     for part in program.parts:
         if isinstance(part, ExactModes):
             return _Kept(part.position.reshape(1, -1), None, 0, dst(shape, type=1) / (shape.size + 1))
