@@ -38,6 +38,9 @@ class LinearScene(NamedTuple):
     """Sentences: where the scene is not linear, and what was taken for it."""
 
 
+AS_PREDICTED = ("cordis", "semi_implicit")
+"""The schemes that the theory's network has; the two are one in exact arithmetic."""
+
 _STAYS = "."  # what is inside a structure and stays where it is: no module is called so
 
 _LINEAR: dict[type[Any], Callable[[Any], Linear]] = {
@@ -64,4 +67,9 @@ def linear_scene(scene: Scene) -> LinearScene:
         masses |= dict(zip(places, elements.masses, strict=True))
         named = [*places, _STAYS]  # -1 is the last
         inner += [LinearLink((named[a], named[b]), k, z) for a, b, k, z in elements.links]
+    if masses and scene.scheme not in AS_PREDICTED:
+        assumptions.append(
+            "the masses are taken to move by CORDIS's scheme; up to where they are stable under "
+            f"{scene.scheme}, and how fast they swing, is not worked out"
+        )
     return LinearScene(masses, frozenset([*scene.grounds, _STAYS]), links, inner, assumptions)

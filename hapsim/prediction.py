@@ -9,7 +9,7 @@ import numpy as np
 
 from firmware_protocol import schema
 from hapsim.errors import UsageError
-from hapsim.linear import LinearLink, LinearScene, linear_scene
+from hapsim.linear import AS_PREDICTED, LinearLink, LinearScene, linear_scene
 from hapsim.scene import Scene
 from hapsim.theory import Configuration, Mode, Network, frequency_and_ratio
 from hapsim.theory.interface import damper_named
@@ -173,7 +173,11 @@ def predict(scene: Scene, *, with_margins: bool = True) -> Prediction:
 def warnings_about(scene: Scene, prediction: Prediction) -> list[str]:
     """What a hand should know before `scene` runs, of which this was predicted: sentences, none where all is well."""
     warnings = []
-    if not prediction.stable and prediction.spectral_radius > 1.0 + 1e-9:
+    if scene.scheme not in AS_PREDICTED and (scene.masses or scene.structures):
+        warnings.append(
+            f"how stable the scene is was worked out for scheme: cordis, not for {scene.scheme}, by which it runs."
+        )
+    elif not prediction.stable and prediction.spectral_radius > 1.0 + 1e-9:
         warnings.append(
             "the scene is predicted unstable: the hand will be shaken, with up to the force limit of "
             f"{scene.device.force_limit:g} N. `hapsim check` tells by how much the stiffness has to go down."

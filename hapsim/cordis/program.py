@@ -55,7 +55,7 @@ def compile_scene(scene: Scene, values: Column | None = None) -> Program:
         force=np.zeros(rows.shape[1], frame.real),
         devices=device_points(sorted(point.channel for point in scene.device_points.values())),
         grounds=grounds[0] if grounds else None,
-        parts=SCHEMES[scene.scheme].parts(scene, frame, [one for one in taken if one.kind is not GROUND]),
+        parts=SCHEMES[scene.scheme].parts(scene, frame, [one for one in taken if one.kind is not GROUND], rows),
     )
 
 

@@ -303,3 +303,8 @@ def test_no_word_of_pydantic_reaches_the_user(faults: Faults, good: str) -> None
     text = good.replace("1000", "[]").replace("0.2", "{}").replace("ground", "3") + "  x: []\nmock: 1\n"
     told = "\n".join(faults(text)).lower()
     assert not [word for word in ("input", "valid", "pydantic", "http", "_type", "dict") if word in told]
+
+
+def test_what_is_no_scheme_is_told(only_fault: OnlyFault) -> None:
+    told = "found 'midpont' (text), expected cordis, semi_implicit, midpoint, rk4 or exact; did you mean 'midpoint'?"
+    assert only_fault("rate: 1000", "scheme: midpont\nrate: 1000") == f"2:9: scheme: {told}"

@@ -4,11 +4,12 @@ import copy
 import pickle
 import subprocess
 import sys
-from typing import Any
+from typing import Any, get_args
 
 import pytest
 from pydantic import ValidationError
 
+from hapsim.cordis.schemes import SCHEMES
 from hapsim.scene import (
     Device,
     DevicePoint,
@@ -18,9 +19,11 @@ from hapsim.scene import (
     Mock,
     MockDevice,
     Scene,
+    SchemeName,
     ViscoElastic,
     parse_scene,
 )
+from hapsim.theory.schemes import SCHEMES as THEORY
 
 TEXT = """\
 version: 1
@@ -210,3 +213,13 @@ def test_a_link_says_where_its_damper_has_its_velocity_from(good: str, damper: s
     assert isinstance(link, ViscoElastic)
     assert link.damper == damper.partition(",")[0]
     assert link.cutoff == (80.0 if "80" in damper else None)
+
+
+def test_the_scheme_is_cordis_unless_the_scene_says_another() -> None:
+    assert parse_scene(TEXT).scheme == "cordis"
+    for scheme in SCHEMES:
+        assert parse_scene(f"{TEXT}scheme: {scheme}\n").scheme == scheme
+
+
+def test_every_scheme_that_is_offered_is_known_to_kernel_and_theory() -> None:
+    assert set(get_args(SchemeName)) <= set(SCHEMES) <= set(THEORY)

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from hapsim.cordis.kind import Frame
+from hapsim.cordis.kind import Column, Frame
 from hapsim.cordis.schemes.exact_dense import dense_part
 from hapsim.cordis.schemes.exact_modes import modes_of, modes_part
 from hapsim.cordis.schemes.inner import inner_system, inside, outer_parts, require_finite
@@ -24,8 +24,8 @@ from hapsim.scene import Scene
 MOST_MODES = 4000  # whose shapes take some 15 s to be worked out
 
 
-def _parts(scene: Scene, frame: Frame, taken: Sequence[Taken]) -> tuple[Any, ...]:
-    inner = inner_system(scene, frame)
+def _parts(scene: Scene, frame: Frame, taken: Sequence[Taken], rows: Column) -> tuple[Any, ...]:
+    inner = inner_system(scene, frame, rows)
     parts = outer_parts(frame, taken)
     if inner is None:
         return parts

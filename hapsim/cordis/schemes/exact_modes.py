@@ -51,6 +51,8 @@ class ExactModes(NamedTuple):
     """(n,) p"""
     push: Column
     """(n,) T² g"""
+    after: Column
+    """(n,) q of the next sample"""
     period_squared: Column
     """(1,) T² in s²"""
     ties: Ties | None
@@ -98,6 +100,7 @@ def modes_part(inner: Inner, modes: Modes, frame: Frame) -> ExactModes:
         position=(momentum @ inner.position).astype(real),
         step=(momentum @ inner.velocity / frame.rate).astype(real),
         push=np.zeros(gain.shape[1], real),
+        after=np.zeros(gain.shape[1], real),
         period_squared=np.array([1.0 / frame.rate**2], real),
         ties=inner.ties,
     )
@@ -161,7 +164,7 @@ def advance_modes(modes, moment):
         p = modes.point[h]
         _push(modes.push, modes.shape[h], modes.period_squared[0] * moment.force[p])
         moment.force[p] = modes.push.dtype.type(0)
-    _advance(modes.gain, modes.position, modes.step, modes.push)
+    _advance(modes.gain, modes.position, modes.step, modes.push, modes.after)
     for h in range(np.uint64(modes.point.size)):
         p = modes.point[h]
         x = _sum(modes.shape[h], modes.position)
@@ -176,12 +179,18 @@ def _push(push, shape, force):
 
 
 @fused
-def _advance(gain, position, step, push):
-    e11, e12, e21, e22, d1, d2 = gain[0], gain[1], gain[2], gain[3], gain[4], gain[5]
-    for j in range(np.uint64(position.size)):
-        q, p = position[j], step[j]
-        position[j] = e11[j] * q + e12[j] * p + d1[j] * push[j]
-        step[j] = e21[j] * q + e22[j] * p + d2[j] * push[j]
+def _advance(gain, position, step, push, after):
+    """One loop for each array that is written: more at once the compiler does not take for apart from each other, and
+    then it moves no two modes at a time."""
+    modes = np.uint64(position.size)
+    e11, e12, d1 = gain[0], gain[1], gain[4]
+    for j in range(modes):
+        after[j] = e11[j] * position[j] + e12[j] * step[j] + d1[j] * push[j]
+    e21, e22, d2 = gain[2], gain[3], gain[5]
+    for j in range(modes):
+        step[j] = e21[j] * position[j] + e22[j] * step[j] + d2[j] * push[j]
+    for j in range(modes):
+        position[j] = after[j]
 
 
 @summed

@@ -99,8 +99,8 @@ def outer_parts(frame: Frame, taken: Sequence[Taken]) -> tuple[Any, ...]:
     return tuple(kind.build(modules, columns, frame) for kind, modules, columns in taken)
 
 
-def inner_system(scene: Scene, frame: Frame) -> Inner | None:
-    """The inner system of `scene`; None where the scene moves nothing. UsageError where a number in it is too large."""
+def inner_system(scene: Scene, frame: Frame, rows: Column) -> Inner | None:
+    """The inner system of `scene`, which begins as the program's `rows` have it; None where the scene moves nothing."""
     mass = {frame.number[name]: kilograms for name, kilograms in masses_of(scene)}
     if not mass:
         return None
@@ -109,17 +109,14 @@ def inner_system(scene: Scene, frame: Frame) -> Inner | None:
     joins = [*_structure_links(scene, frame, place), *_scene_links(scene, frame, place)]
     ends = np.array([(first, second) for first, second, *_ in joins], np.intp).reshape(-1, 2)
     stiffness, damping = (np.array([join[column] for join in joins], np.float64) for column in (2, 3))
-    position, velocity = np.zeros((2, point.size))
+    position = rows[0, point].astype(np.float64)
+    velocity = frame.rate * (position - rows[2, point])
     force = np.zeros(point.size)
-    structures: Mapping[str, Any] = scene.structures
-    for name, structure in structures.items():
-        for each in structure.places():
-            position[place[frame.number[f"{name}.{each}"]]] = structure.position
     for first, second, k, _, rest in joins:
         if second == STAYS:
             force[first] += k * rest
     for name, one in scene.masses.items():
-        position[place[frame.number[name]]], velocity[place[frame.number[name]]] = one.position, one.velocity
+        velocity[place[frame.number[name]]] = one.velocity  # to the last digit, whatever the rows' precision
     ties = _ties(scene, frame)
     outer = {end for name, link in scene.links.items() if name not in inside(scene) for end in link.between}
     held = {frame.number[end] for end in outer} | ({int(p) for p in ties.point} if ties else set())

@@ -87,8 +87,8 @@ class _Rows(NamedTuple):
     size: int
 
 
-def _parts(scene: Scene, frame: Frame, taken: Sequence[Taken]) -> tuple[Any, ...]:
-    inner = inner_system(scene, frame)
+def _parts(scene: Scene, frame: Frame, taken: Sequence[Taken], rows: Column) -> tuple[Any, ...]:
+    inner = inner_system(scene, frame, rows)
     parts = outer_parts(frame, taken)
     return parts if inner is None else (*parts, _midpoint(inner, frame))
 

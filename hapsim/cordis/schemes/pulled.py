@@ -101,6 +101,8 @@ def shares_of(taken: Taken, frame: Frame) -> tuple[Any, ...]:
         for live in structure.live:
             unit = structure.model_copy(update={key: float(key == live) for key in structure.live})
             weights = [column[0] for column in taken.kind.live([unit], frame.rate)]
+            if not any(weights):
+                continue  # this kind does not have it
             (column,) = np.flatnonzero(weights)
             weight = weights[column]
             for first, second, k, z in unit.elements().links:

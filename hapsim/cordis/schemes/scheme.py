@@ -27,8 +27,9 @@ def nothing_inside(_scene: Scene) -> frozenset[str]:
 class Scheme(NamedTuple):
     """A way of moving masses."""
 
-    parts: Callable[[Scene, Frame, Sequence[Taken]], tuple[Any, ...]]
-    """The program's parts, in the order in which they act; grounds are no part."""
+    parts: Callable[[Scene, Frame, Sequence[Taken], Column], tuple[Any, ...]]
+    """The program's parts, in the order in which they act; grounds are no part. The column is the program's rows, at
+    the first sample."""
     inside: Callable[[Scene], frozenset[str]] = nothing_inside
     """The modules, by name, that are worked into matrices when the scene is compiled: no kind of module builds a part
     of them, and nothing of them can change while the scene runs."""

@@ -31,7 +31,7 @@ class Steps(NamedTuple):
     step: Column
 
 
-def _parts(scene: Scene, frame: Frame, taken: Sequence[Taken]) -> tuple[Any, ...]:
+def _parts(scene: Scene, frame: Frame, taken: Sequence[Taken], _rows: Column) -> tuple[Any, ...]:
     parts: list[Any] = []
     for one in taken:
         parts += pulled(one, frame) if moves_points(one.kind) else [one.kind.build(one.modules, one.columns, frame)]
@@ -60,8 +60,14 @@ def advance_steps(points, moment):
 
 @fused
 def _advance(mobility, step, position, following, force):
-    for i in range(np.uint64(step.size)):
+    """One loop for each array that is written: more at once the compiler does not take for apart from each other, and
+    then it moves no two points at a time."""
+    points = np.uint64(step.size)
+    for i in range(points):
         step[i] += mobility[i] * force[i]
+    for i in range(points):
         following[i] = position[i] + step[i]
+    for i in range(points):
         position[i] = following[i] - step[i]
+    for i in range(points):
         force[i] = force.dtype.type(0)
