@@ -8,9 +8,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from hapsim.scene import Buffer, Scene, ViscoElastic
+from hapsim.scene import Buffer, Damper, Friction, Nonlinear, Plectrum, Scene, Spring, ViscoElastic
 from hapsim.theory.links.buffer import buffer
+from hapsim.theory.links.cell import cell
+from hapsim.theory.links.damper import damper
+from hapsim.theory.links.friction import friction
+from hapsim.theory.links.nonlinear import nonlinear
+from hapsim.theory.links.plectrum import plectrum
 from hapsim.theory.links.shape import Linear
+from hapsim.theory.links.spring import spring
 
 
 class LinearLink(NamedTuple):
@@ -45,7 +51,12 @@ _STAYS = "."  # what is inside a structure and stays where it is: no module is c
 
 _LINEAR: dict[type[Any], Callable[[Any], Linear]] = {
     ViscoElastic: lambda link: Linear(link.stiffness, link.damping),
+    Spring: lambda link: spring(link.stiffness),
+    Damper: lambda link: damper(link.damping),
     Buffer: lambda link: buffer(link.stiffness, link.damping),
+    Nonlinear: lambda link: nonlinear(link.force_over_distance, link.force_over_velocity),
+    Friction: lambda link: friction(link.stiffness, link.damping),
+    Plectrum: lambda link: plectrum(link.stiffness, link.damping),
 }
 
 
@@ -56,11 +67,15 @@ def linear_scene(scene: Scene) -> LinearScene:
     assumptions = []
     for name, link in scene.links.items():
         linear = _LINEAR[type(link)](link)
-        damper = (link.damper, link.cutoff) if isinstance(link, ViscoElastic) else ("backward", None)
-        links[name] = LinearLink(link.between, linear.stiffness, linear.damping, *damper)
+        scheme = (link.damper, link.cutoff) if isinstance(link, ViscoElastic) else ("backward", None)
+        links[name] = LinearLink(link.between, linear.stiffness, linear.damping, *scheme)
         if linear.assumption:
             assumptions.append(f"{name} {linear.assumption}")
     inner: list[LinearLink] = []
+    for name, one in scene.cells.items():
+        masses[name] = one.mass
+        held = cell(one.stiffness, one.damping)
+        inner.append(LinearLink((name, _STAYS), held.stiffness, held.damping))
     for name, structure in scene.structures.items():
         places = [f"{name}.{place}" for place in structure.places()]
         elements = structure.elements()

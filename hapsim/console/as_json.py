@@ -36,6 +36,7 @@ def prediction_document(prediction: Prediction, channel: int | None = None) -> d
         "predicted": None if felt is None else _felt(felt),
         "device_points": {one.name: _felt(one) for one in prediction.felt},
         "coupled_device_points": prediction.coupled,
+        "assumptions": prediction.assumptions,
         "modes": [
             {
                 "pole": mode.pole,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 from rich.console import Console
@@ -24,6 +25,8 @@ _MARGINAL = 1e-9  # of the spectral radius: a free motion, which rounding places
 def show_prediction(out: Console, name: str, prediction: Prediction) -> None:
     """What `hapsim check` tells."""
     out.print(f"[bold]{escape(name)}[/bold] at {prediction.rate:g} Hz: {_stability(prediction)}")
+    for assumption in prediction.assumptions:
+        out.print(f"[yellow]Not linear:[/yellow] {escape(assumption)}.")
     for felt in prediction.felt:
         _show_felt(out, felt)
     for coupled, why in prediction.coupled.items():
@@ -130,7 +133,7 @@ def _modes(prediction: Prediction) -> Table:
     for heading in ("pole", "|pole|", "Hz", "damping ratio", "moves"):
         table.add_column(heading, justify="left" if heading == "moves" else "right")
     for mode in prediction.modes[:12]:
-        moving = sorted(zip(prediction.points, mode.participation, strict=True), key=lambda entry: -entry[1])
+        moving = _moving(prediction.points, mode.participation)
         names = ", ".join(f"{name} {share:.0%}" for name, share in moving[:3] if share > 0.05)
         names = names or f"many, most {moving[0][0]}"
         pole = f"{mode.pole.real:.6f} ± {abs(mode.pole.imag):.6f}j" if mode.pole.imag else f"{mode.pole.real:.6f}"
@@ -138,6 +141,15 @@ def _modes(prediction: Prediction) -> Table:
     if len(prediction.modes) > 12:
         table.caption = f"and {len(prediction.modes) - 12} that decay faster; --json has them all"
     return table
+
+
+def _moving(points: tuple[str, ...], participation: Iterable[float]) -> list[tuple[str, float]]:
+    """Modules and their share of a mode, the largest first; a structure's points together."""
+    shares: dict[str, float] = {}
+    for point, share in zip(points, participation, strict=True):
+        module = point.partition(".")[0]
+        shares[module] = shares.get(module, 0.0) + share
+    return sorted(shares.items(), key=lambda entry: -entry[1])
 
 
 def _modulus(value: float) -> str:

@@ -56,8 +56,8 @@ def push_apart(group, moment):
     """Adds the force of every buffer that is touched."""
     for i in range(count(group.ends)):
         d = stretch(group.ends, i, moment.position)
-        if d < group.distance[i]:
+        if not d >= group.distance[i]:  # what is not a number goes on to the guard
             growth = d - stretch(group.ends, i, moment.previous)
             tension = group.stiffness[i] * (d - group.distance[i]) + group.damping_per_sample[i] * growth
-            if not tension > 0:  # what is not a number goes on to the guard
+            if not tension > 0:
                 pull_ends(group.ends, i, tension, moment.force)

@@ -30,7 +30,7 @@ CENTRED = Kind(
     with_damper("centred"),
     _build,
     live_links,
-    name="visco-elastic links, centred damper",
+    name="visco-elastic links (centred damper)",
     compiled_as="gathered through unsigned indices; one remembered stretch each",
 )
 

@@ -36,7 +36,7 @@ FILTERED = Kind(
     with_damper("filtered"),
     _build,
     live_links,
-    name="visco-elastic links, filtered damper",
+    name="visco-elastic links (filtered damper)",
     compiled_as="gathered through unsigned indices; one remembered velocity each",
 )
 

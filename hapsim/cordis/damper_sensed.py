@@ -34,7 +34,7 @@ SENSED = Kind(
     with_damper("sensed"),
     _build,
     live_links,
-    name="visco-elastic links, sensed damper",
+    name="visco-elastic links (sensed damper)",
     compiled_as="gathered through unsigned indices; velocities come from the device",
     forgets=True,
 )

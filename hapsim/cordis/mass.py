@@ -13,11 +13,11 @@ import numpy as np
 from hapsim.compiled import fused
 from hapsim.cordis.acting import moves
 from hapsim.cordis.kind import Column, Frame, Kind
-from hapsim.scene import Mass, Scene
+from hapsim.scene import Cell, Mass, Scene
 
 
 class Masses(NamedTuple):
-    """M masses, which stand together from point `start` on; `mobility`: T²/m in m/N, shape (M,)."""
+    """M masses, those of cells last, which stand together from point `start` on; `mobility`: T²/m in m/N, (M,)."""
 
     start: int
     mobility: Column
@@ -29,11 +29,11 @@ def mobility_of(mass: Sequence[float] | float, frame: Frame) -> Column:
         return np.asarray(1.0 / (np.asarray(mass, np.float64) * frame.rate * frame.rate), frame.real)
 
 
-def _select(scene: Scene) -> Mapping[str, Mass]:
-    return scene.masses
+def _select(scene: Scene) -> Mapping[str, Mass | Cell]:
+    return scene.masses | scene.cells
 
 
-def _build(masses: Mapping[str, Mass], _columns: Sequence[Column], frame: Frame) -> Masses:
+def _build(masses: Mapping[str, Mass | Cell], _columns: Sequence[Column], frame: Frame) -> Masses:
     return Masses(frame.number[next(iter(masses))], mobility_of([one.mass for one in masses.values()], frame))
 
 

@@ -1,9 +1,9 @@
 """Scene -> Program: the arrays that the compiled tick works on, and nothing that the scene does not have.
 
-Points are numbered: device points first (the exchange writes them), then grounds, then masses (which stand together, so
-that they advance in one pass), then the points of strings and membranes, each in one piece with the borders that its
-stencil needs. What can be changed while the scene runs (stiffness, damping, rest positions) stands together in one
-array, of which the parts hold their columns: `parameter_values` says what stands where.
+Points are numbered: device points first (the exchange writes them), then grounds, then masses and behind them cells
+(which stand together, so that they advance in one pass), then the points of strings and membranes, each in one piece
+with the borders that its stencil needs. What can be changed while the scene runs (stiffness, damping, rest positions)
+stands together in one array, of which the parts hold their columns: `parameter_values` says what stands where.
 """
 
 from __future__ import annotations
@@ -45,13 +45,13 @@ def compile_scene(scene: Scene, values: Column | None = None) -> Program:
 
     `values`: what `parameter_values` gives, kept and read at every tick, so that who holds it may change it.
     """
-    frame, loose, rests = _frame(scene)
+    frame, loose, begins = _frame(scene)
     taken = list(_taken(scene, parameter_values(scene) if values is None else values))
     grounds = [one.kind.build(one.modules, one.columns, frame) for one in taken if one.kind is GROUND]
-    rows = _rows(scene, frame, loose, rests)
+    rows = _rows(scene, frame, loose, begins)
     return Program(
         rows=rows,
-        turn=np.zeros(1, np.uint64) if scene.masses or scene.structures else None,
+        turn=np.zeros(1, np.uint64) if len(frame.number) > len(frame.grounds) + len(scene.device_points) else None,
         force=np.zeros(rows.shape[1], frame.real),
         devices=device_points(sorted(point.channel for point in scene.device_points.values())),
         grounds=grounds[0] if grounds else None,
@@ -120,29 +120,33 @@ def _structures(scene: Scene) -> Iterator[tuple[Layout, str, Any]]:
 
 
 def _frame(scene: Scene) -> tuple[Frame, int, list[float]]:
-    """The numbers of all points, how many stand before the first structure's, and where the structures' rest, in m."""
+    """The numbers of all points, how many stand before the first structure's, and where the structures begin, in m."""
     hands = sorted(scene.device_points, key=lambda name: scene.device_points[name].channel)
-    names = [*hands, *scene.grounds, *scene.masses]
+    names = [*hands, *scene.grounds, *scene.masses, *scene.cells]
     number = {name: i for i, name in enumerate(names)}
     loose = points = len(names)
-    rests = []
+    begins: list[float] = []
     for layout, name, structure in _structures(scene):
         numbers, size = layout(structure)
-        number |= {f"{name}.{place}": points + i for place, i in zip(structure.places(), numbers, strict=True)}
-        rests += [structure.position] * size
+        begins += [structure.position] * size
+        for place, i, position in zip(structure.places(), numbers, structure.begins(), strict=True):
+            number[f"{name}.{place}"] = points + i
+            begins[points + i - loose] = position
         points += size
     ends = {end for link in scene.links.values() for end in link.between}
     touched, grounds = (frozenset(number[name] for name in names) for names in (ends, scene.grounds))
-    return Frame(number, scene.rate, real_of(scene), touched, grounds, points), loose, rests
+    return Frame(number, scene.rate, real_of(scene), touched, grounds, points), loose, begins
 
 
-def _rows(scene: Scene, frame: Frame, loose: int, rests: list[float]) -> Column:
+def _rows(scene: Scene, frame: Frame, loose: int, begins: list[float]) -> Column:
     """The positions at the first sample, and where the points were before it."""
-    rows = np.zeros((3, loose + len(rests)), np.float64)
-    rows[:, loose:] = rests
+    rows = np.zeros((3, loose + len(begins)), np.float64)
+    rows[:, loose:] = begins
     for name, ground in scene.grounds.items():
         rows[:, frame.number[name]] = ground.position
-    for name, mass in scene.masses.items():
-        rows[0, frame.number[name]] = mass.position
-        rows[2, frame.number[name]] = mass.position - mass.velocity / scene.rate
+    starts = {name: (mass.position, mass.velocity) for name, mass in scene.masses.items()}
+    starts |= {name: (cell.start, cell.velocity) for name, cell in scene.cells.items()}
+    for name, (position, velocity) in starts.items():
+        rows[0, frame.number[name]] = position
+        rows[2, frame.number[name]] = position - velocity / scene.rate
     return rows.astype(frame.real)

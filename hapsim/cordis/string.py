@@ -1,30 +1,30 @@
 """The string: equal masses in a row, moved in one pass over contiguous memory.
 
 Each mass is the one of `mass.py`, each link the one of `damper_backward.py`. With the sum of neighbours
-s[i] = x[i-1] + x[i+1], and a = T²/m K, b = T²/m B/T, e = T²/m (friction)/T, their recurrences together are
+s[i] = x[i-1] + x[i+1], a = T²/m K, b = T²/m B/T, e = T²/m (friction)/T, their recurrences together are
 
     x[n+1] = (2 - 2 (a + b) - e) x[n] + (a + b) s[n] - (1 - 2 b - e) x[n-1] - b s[n-1]
 
 A string stands in memory between two borders. The border of an end that is held stays where it is; that of a free end
-follows its neighbour, so that the link to it is never stretched. Forces of other links reach only the masses that they
-hold: those are moved once more, and no other mass is asked.
+follows its neighbour, so that the link to it is never stretched. A string with a stiffness against bending is another
+kind: `stiff_string.py`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hapsim.compiled import fused, inlined
 from hapsim.cordis.acting import moves, settles
+from hapsim.cordis.held import Held, held_of, push_held
 from hapsim.cordis.kind import Column, Frame, Kind
 from hapsim.cordis.mass import mobility_of
+from hapsim.cordis.stencil import steps, sweep
 from hapsim.scene import Scene, String
-
-_LANES = np.uint64(16)  # masses that the compiler moves at once
 
 
 class Rows(NamedTuple):
@@ -33,13 +33,6 @@ class Rows(NamedTuple):
     border: NDArray[np.uint64]
     masses: NDArray[np.uint64]
     free: NDArray[np.bool_]
-
-
-class Held(NamedTuple):
-    """The H masses of a structure that links hold, by number, and their T²/m in m/N."""
-
-    point: NDArray[np.uint32]
-    mobility: Column
 
 
 class Strings(NamedTuple):
@@ -53,16 +46,24 @@ class Strings(NamedTuple):
     held: Held | None
 
 
+class StringStep(NamedTuple):
+    """`a`, `b`, `e` as above."""
+
+    a: float
+    b: float
+    e: float
+
+
 def _select(scene: Scene) -> Mapping[str, String]:
     return {name: one for name, one in scene.modules.items() if isinstance(one, String) and not one.bending}
 
 
-def live_string(strings: Sequence[String], rate: float) -> list[list[float]]:
-    """K, and what it and its friction do in a sample, in N/m."""
+def live_structures(structures: Sequence[Any], rate: float) -> list[list[float]]:
+    """K, and what it and its friction do in a sample, in N/m, of strings or membranes."""
     return [
-        [one.stiffness for one in strings],
-        [one.damping * rate for one in strings],
-        [one.friction * rate for one in strings],
+        [one.stiffness for one in structures],
+        [one.damping * rate for one in structures],
+        [one.friction * rate for one in structures],
     ]
 
 
@@ -75,22 +76,13 @@ def rows_of(strings: Mapping[str, String], frame: Frame) -> Rows:
     )
 
 
-def held_of(points: Mapping[str, float], frame: Frame) -> Held | None:
-    """Those of the points, by name and mass in kg, that a link holds; None where none does."""
-    held = {frame.number[name]: mass for name, mass in points.items() if frame.number[name] in frame.touched}
-    if not held:
-        return None
-    return Held(np.array(list(held), np.uint32), mobility_of(list(held.values()), frame))
-
-
 def _build(strings: Mapping[str, String], columns: Sequence[Column], frame: Frame) -> Strings:
-    masses = {f"{name}.{place}": one.mass for name, one in strings.items() for place in one.places()}
     mobility = mobility_of([one.mass for one in strings.values()], frame)
     stiffness, damping, friction = columns
-    return Strings(rows_of(strings, frame), mobility, stiffness, damping, friction, held_of(masses, frame))
+    return Strings(rows_of(strings, frame), mobility, stiffness, damping, friction, held_of(strings, frame))
 
 
-def string_layout(string: String) -> tuple[Sequence[int], int]:
+def _layout(string: String) -> tuple[Sequence[int], int]:
     """A border, the masses, a border."""
     return range(1, string.masses + 1), string.masses + 2
 
@@ -98,8 +90,8 @@ def string_layout(string: String) -> tuple[Sequence[int], int]:
 STRING = Kind(
     _select,
     _build,
-    live_string,
-    string_layout,
+    live_structures,
+    _layout,
     name="strings",
     compiled_as="a stencil over contiguous memory; only the masses that links hold are asked for a force",
 )
@@ -121,13 +113,18 @@ def advance_strings(strings, moment):
     for s in range(rows.border.size):
         free_ends(rows, s, moment.position)
         first, size = rows.border[s], rows.masses[s] + np.uint64(2)
-        _advance(
-            moment.position[first : first + size],
-            moment.previous[first : first + size],
-            moment.following[first : first + size],
+        step = StringStep(
             strings.mobility[s] * strings.stiffness[s],
             strings.mobility[s] * strings.damping_per_sample[s],
             strings.mobility[s] * strings.friction_per_sample[s],
+        )
+        sweep(
+            step,
+            moment.position[first : first + size],
+            moment.previous[first : first + size],
+            moment.following[first : first + size],
+            np.uint64(1),
+            rows.masses[s],
         )
     push_held(strings.held, moment)
 
@@ -142,50 +139,26 @@ def free_ends(rows, s, position):
         position[right] = position[right - np.uint64(1)]
 
 
-@inlined
-def push_held(held, moment):
-    """Adds to the motion of each mass that links hold what their force on it does, and forgets the force."""
-    if held is None:
-        return
-    for h in range(held.point.size):
-        p = held.point[h]
-        moment.following[p] += held.mobility[h] * moment.force[p]
-        moment.force[p] = 0.0
-
-
-@inlined
-def _advance(x, before, after, a, b, e):
-    """One string with its borders: `a`, `b`, `e` as above.
-
-    The loop is left to the compiler to do many masses at once. What does not fill its last round is done by going over
-    some masses a second time, which changes nothing: a sample is never worked out from itself.
-    """
+@fused
+def _by_coefficients(step, x, before, after, here):
     real = x.dtype.type
-    sum_now, now = a + b, real(2) - real(2) * (a + b) - e
-    sum_before, old = b, real(1) - real(2) * b - e
-    masses = np.uint64(x.size - 2)
-    if masses < _LANES:
-        for i in range(masses):
-            _move(x, before, after, i, now, sum_now, old, sum_before)
-        return
-    for i in range(masses & ~(_LANES - np.uint64(1))):
-        _move(x, before, after, i, now, sum_now, old, sum_before)
-    rest = masses & (_LANES - np.uint64(1))
-    if rest > np.uint64(8):
-        for i in range(np.uint64(16)):
-            _move(x, before, after, masses - np.uint64(16) + i, now, sum_now, old, sum_before)
-    elif rest > np.uint64(4):
-        for i in range(np.uint64(8)):
-            _move(x, before, after, masses - np.uint64(8) + i, now, sum_now, old, sum_before)
-    elif rest > np.uint64(0):
-        for i in range(np.uint64(4)):
-            _move(x, before, after, masses - np.uint64(4) + i, now, sum_now, old, sum_before)
+    a, b, e = step
+    left, right = here - np.uint64(1), here + np.uint64(1)
+    now, old = real(2) - real(2) * (a + b) - e, real(1) - real(2) * b - e
+    after[here] = (
+        now * x[here] + (a + b) * (x[left] + x[right]) - old * before[here] - b * (before[left] + before[right])
+    )
 
 
 @fused
-def _move(x, before, after, i, now, sum_now, old, sum_before):
-    """Mass i, whose left neighbour stands at i, and itself at i + 1."""
-    here, right = i + np.uint64(1), i + np.uint64(2)
-    after[here] = (
-        now * x[here] + sum_now * (x[i] + x[right]) - old * before[here] - sum_before * (before[i] + before[right])
-    )
+def _by_differences(step, x, before, after, here):
+    real = x.dtype.type
+    a, b, e = step
+    left, right = here - np.uint64(1), here + np.uint64(1)
+    way = x[here] - before[here]
+    pull = (x[left] + x[right]) - real(2) * x[here]
+    pull_before = (before[left] + before[right]) - real(2) * before[here]
+    after[here] = x[here] + (((way - e * way) + (a + b) * pull) - b * pull_before)
+
+
+steps(StringStep, _by_coefficients, _by_differences)

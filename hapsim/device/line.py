@@ -28,6 +28,8 @@ class Line:
     """Bit/s, where the line has a speed of its own."""
     note: str = ""
     """What opening it had to leave undone, for the user."""
+    has_timer: bool = False
+    """Whether the device has a timer of its own: a mock in this process is only as punctual as this machine."""
     inbox: np.void = field(default_factory=new_inbox)
     decoder: np.void = field(default_factory=lambda: new_decoder(SETUP, to_device=False))
 

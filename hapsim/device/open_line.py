@@ -58,4 +58,5 @@ def _mock_terminal(scene: Scene, open_port: Callable[[str, int], Line], as_hardw
         serving(assemble_mock(scene), as_hardware) as path,
         contextlib.closing(open_port(path, scene.device.baud)) as line,
     ):
+        line.has_timer = False
         yield line

@@ -23,7 +23,14 @@ def open_serial_port(path: str, baud: int) -> Line:
     port = _open(path, baud)
     descriptor = port.fileno()
     _make_raw(descriptor)
-    return Line(port=descriptor_port(descriptor), name=path, close=port.close, baud=baud, note=_low_latency(port))
+    return Line(
+        port=descriptor_port(descriptor),
+        name=path,
+        close=port.close,
+        baud=baud,
+        note=_low_latency(port),
+        has_timer=True,
+    )
 
 
 def open_portable_port(path: str, baud: int) -> Line:
@@ -32,7 +39,9 @@ def open_portable_port(path: str, baud: int) -> Line:
     from hapsim.loop.portable import PortablePort
 
     port = _open(path, baud)
-    return PortableLine(port=PortablePort(port), name=path, close=port.close, baud=baud, note=_low_latency(port))
+    return PortableLine(
+        port=PortablePort(port), name=path, close=port.close, baud=baud, note=_low_latency(port), has_timer=True
+    )
 
 
 def _open(path: str, baud: int) -> Any:

@@ -17,3 +17,5 @@ FAULT = -3
 """The device said that it stopped."""
 BAD_FORCE = -4
 """The scene's force is not a number."""
+OFF_RATE = -5
+"""The device does not sample at the rate that it declares."""

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from hapsim.compiled import inlined
-from hapsim.loop.codes import BAD_FORCE, FAULT, TIMED_OUT
+from hapsim.loop.codes import BAD_FORCE, FAULT, OFF_RATE, TIMED_OUT
 from hapsim.loop.ring import full
 
-DONE, STOPPED, RING_FULL, SILENT, GONE, NOT_FINITE, DEVICE_STOPPED = range(7)
+DONE, STOPPED, RING_FULL, SILENT, GONE, NOT_FINITE, DEVICE_STOPPED, WRONG_RATE = range(8)
 
 GOES_ON = -1
 """Nothing ends it yet."""
@@ -18,6 +18,7 @@ IN_WORDS = {
     GONE: "device gone",
     NOT_FINITE: "force not finite",
     DEVICE_STOPPED: "device stopped",
+    WRONG_RATE: "wrong rate",
 }
 """As a report tells it. RING_FULL is no end: the loop goes on once the reader has made room."""
 
@@ -44,4 +45,6 @@ def ending_of(code, stop):
         return DEVICE_STOPPED
     if code == BAD_FORCE:
         return NOT_FINITE
+    if code == OFF_RATE:
+        return WRONG_RATE
     return SILENT if code == TIMED_OUT else GONE

@@ -14,9 +14,10 @@ from firmware_protocol.frames import Format, write_to_device
 from hapsim.compiled import inlined, jit_inlined
 from hapsim.cordis.program import Program
 from hapsim.cordis.tick import settle_grounds, start, tick
-from hapsim.loop.codes import BAD_FORCE, FAULT, HEARD, TIMED_OUT
+from hapsim.loop.codes import BAD_FORCE, FAULT, HEARD, OFF_RATE, TIMED_OUT
 from hapsim.loop.guard.finite import is_finite
 from hapsim.loop.guard.limit import cut
+from hapsim.loop.guard.rate import is_off_rate
 from hapsim.loop.histogram import new_histogram, note
 from hapsim.loop.inbox import frame_waiting
 from hapsim.loop.parameters import Parameters, move_parameters
@@ -125,13 +126,14 @@ class Loop(NamedTuple):
     desk: np.void
     control: np.void
     state: np.void
+    watch: np.void
     statistics: Statistics
 
 
 @inlined
 def digest(loop, now):
     """Takes every position among the bytes at hand, which arrived at `now` (ns), and works out the force that answers
-    the newest: HEARD, or TIMED_OUT, FAULT, BAD_FORCE.
+    the newest: HEARD, or TIMED_OUT, FAULT, BAD_FORCE, OFF_RATE.
 
     Every position moves the scene by one sample, in order, so that its velocities stay true; only the newest is
     answered.
@@ -148,6 +150,8 @@ def digest(loop, now):
             mark_last(loop.ring, UNSENT)
         if not _take_position(loop, now):
             return BAD_FORCE
+        if is_off_rate(loop.watch, loop.state.sample, now, loop.control.period_ns):
+            return OFF_RATE
         heard = HEARD
     return heard
 

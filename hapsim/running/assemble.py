@@ -21,6 +21,7 @@ from hapsim.loop.exchange import (
     desk_of,
     new_statistics,
 )
+from hapsim.loop.guard.rate import WATCH
 from hapsim.loop.parameters import parameters_of
 from hapsim.loop.ring import new_ring
 from hapsim.running.excitation import Excitation
@@ -51,6 +52,7 @@ def assemble_loop(
         desk=_desk(scene, description),
         control=_control(scene, excitation, duration),
         state=np.zeros(1, STATE)[0],
+        watch=_watch(scene, line),
         statistics=new_statistics(),
     )
 
@@ -78,6 +80,12 @@ def _control(scene: Scene, excitation: Excitation | None, duration: float | None
         control["pulse_first"] = excitation.first
         control["pulse_from"] = excitation.start
     return control
+
+
+def _watch(scene: Scene, line: Line) -> Any:
+    watch = np.zeros(1, WATCH)[0]
+    watch["judges"] = scene.device.clock == "device" and line.has_timer
+    return watch
 
 
 def _desk(scene: Scene, description: Description) -> Any:

@@ -13,7 +13,7 @@ from hapsim.errors import UsageError
 from hapsim.loop.parameters import Parameters, post
 from hapsim.scene import Scene
 from hapsim.scene.finding import did_you_mean
-from hapsim.scene.modules import Module
+from hapsim.scene.modules import Module, Surroundings
 from hapsim.scene.table import Table
 
 _EXAMPLE = '{"touch": {"stiffness": 500.0}}'
@@ -98,6 +98,10 @@ def _changed(scene: Scene, changes: Mapping[str, Mapping[str, float]]) -> Scene:
                 "under scheme: cordis, semi_implicit or rk4 it can"
             )
         modules[name] = _module_with(name, modules[name], values)
+    around = Surroundings(modules, {name: type(module) for name, module in modules.items()})
+    for name in changes:
+        for finding in modules[name].findings(name, around):
+            raise UsageError(f"{name}.{finding.path[-1]}: {finding.sentence}")
     return scene.model_copy(update={"modules": Table(modules)})
 
 

@@ -93,6 +93,12 @@ def failure_of(name: str, loop: Loop, trace: Trace, ending: int) -> RunError | N
             f"the scene's force was not a finite number at tick {ticks}; the force was set to zero. A stiffness or a "
             "damping is beyond what floating point holds at this rate: `hapsim check` tells what is stable"
         )
+    elif ending == endings.WRONG_RATE:
+        error = GuardError(
+            f"{name}: the device samples at {loop.watch['rate_hz']:.4g} Hz, where it declares {trace.rate:g} Hz; after "
+            f"{ticks} ticks the force was set to zero. At another rate than the scene's no stiffness and no damping is "
+            "what it says: set the device's timer right"
+        )
     else:
         return None
     error.trace = trace

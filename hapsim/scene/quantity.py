@@ -105,7 +105,7 @@ class Quantity(Expectation):
         return f"a {kind}{_bounds(self.above, self.least, self.most)} ({self.unit})"
 
     def _number(self, value: object, at: tuple[int, ...]) -> float:
-        number = _as_float(value)
+        number = as_float(value)
         if number is None:
             unexpected(self._one() if at else self.expected(), at)
         if not math.isfinite(number):
@@ -216,7 +216,8 @@ def per_channel(value: PerChannel, channels: int) -> tuple[float, ...]:
     return value if isinstance(value, tuple) else (value,) * channels
 
 
-def _as_float(value: object) -> float | None:
+def as_float(value: object) -> float | None:
+    """The number that a value of the file is, or nothing."""
     if isinstance(value, bool) or not isinstance(value, Real):
         return None
     try:

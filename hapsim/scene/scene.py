@@ -10,7 +10,7 @@ from .across import findings_across
 from .device import Device
 from .finding import Path
 from .mock import Mock, MockDevice, resolve
-from .modules import DevicePoint, Ground, Link, Mass, Module, Structure, Surroundings, TypedModule, ViscoElastic
+from .modules import Cell, DevicePoint, Ground, Link, Mass, Module, Structure, Surroundings, TypedModule, ViscoElastic
 from .part import Part
 from .quantity import Expectation, Name, Quantity, unexpected
 from .table import Table
@@ -130,6 +130,11 @@ class Scene(Part):
     def masses(self) -> dict[str, Mass]:
         """The simulated material points, by name, in the order of the file."""
         return self._of(Mass)
+
+    @property
+    def cells(self) -> dict[str, Cell]:
+        """The material points that are held where they rest, by name, in the order of the file."""
+        return self._of(Cell)
 
     @property
     def structures(self) -> dict[str, Structure]:

@@ -90,7 +90,12 @@ class _Detail:
 
     def _part(self) -> type[BaseModel]:
         """The class of the part that holds the value."""
-        return _PARTS[self.place] if self.place in _PARTS else MODULE_TYPES[str(self.place[2])]
+        if self.place in _PARTS:
+            return _PARTS[self.place]
+        part: type[BaseModel] = MODULE_TYPES[str(self.place[2])]
+        for key in self.place[3:]:
+            part = _part_in(part.model_fields[str(key)].annotation)
+        return part
 
     def _known_keys(self) -> list[str]:
         return list(self._part().model_fields)
@@ -105,6 +110,12 @@ class _Detail:
         annotation = self._part().model_fields[self.key].annotation
         options = [word for option in get_args(annotation) for word in get_args(option) or (option,)]
         return [word for word in options if isinstance(word, str)]
+
+
+def _part_in(annotation: Any) -> type[BaseModel]:
+    """The part that a field holds, from its class or from that class ``| None``."""
+    options = get_args(annotation) or (annotation,)
+    return next(option for option in options if isinstance(option, type) and issubclass(option, BaseModel))
 
 
 def _no_type(path: Path, document: Document) -> Finding:

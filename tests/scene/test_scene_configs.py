@@ -9,8 +9,12 @@ from scipy.linalg import expm
 
 from hapsim.scene import Scene, ViscoElastic, load_scene
 
-CONFIGS = sorted((Path(__file__).parents[2] / "configs").glob("*.yaml"))
-NAMES = [path.stem for path in CONFIGS]
+FOLDER = Path(__file__).parents[2] / "configs"
+EVERY = sorted(path.stem for path in FOLDER.glob("*.yaml"))
+#: With masses, strings or contacts: what they do is told where the tick is tested.
+PLAYED = ["buzzing_contact", "four_keys", "plucked_string", "rubbed_string", "wall"]
+NAMES = [name for name in EVERY if name not in PLAYED]
+CONFIGS = [FOLDER / f"{name}.yaml" for name in NAMES]
 FORETOLD = re.compile(
     r"#     k = (?P<k>[\d.]+) N/m, b = (?P<b>[\d.]+) N·s/m, "
     r"ringing at (?P<hertz>[\d.]+) Hz with damping ratio (?P<ratio>[\d.]+)\.$",
@@ -53,6 +57,7 @@ def closed_loop(scene: Scene) -> np.ndarray:
 
 
 def test_the_scenes_that_ship_are_all_here() -> None:
+    assert sorted(NAMES + PLAYED) == EVERY
     assert NAMES == [
         "first_touch",
         "paper_6_1_no_delay",
@@ -64,7 +69,7 @@ def test_the_scenes_that_ship_are_all_here() -> None:
     ]
 
 
-@pytest.mark.parametrize("path", CONFIGS, ids=NAMES)
+@pytest.mark.parametrize("path", [FOLDER / f"{name}.yaml" for name in EVERY], ids=EVERY)
 def test_a_scene_that_ships_opens_with_what_to_feel_and_what_to_expect(path: Path) -> None:
     text = path.read_text()
     opening = text[: text.index("version: 1")]

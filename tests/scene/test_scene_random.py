@@ -22,6 +22,12 @@ modules:
   m1:    {type: mass, mass: 0.01, velocity: 2.5}
   touch: {type: viscoelastic, between: [hand, wall], stiffness: 2000, damping: 2}
   more:  {type: viscoelastic, between: [other, m1], stiffness: 1e3}
+  c:     {type: cell, mass: 0.01, stiffness: 100, position: 0.1}
+  s:     {type: spring, between: [hand, c], stiffness: 10}
+  d:     {type: damper, between: [other, c], damping: 1}
+  n:     {type: nonlinear, between: [hand, wall], force_over_distance: [[-0.1, -5], [0, 0], [0.1, 20]]}
+  rub:   {type: friction, between: [hand, wall], force: 1, static: 2, stiffness: 3000}
+  pick:  {type: plectrum, between: [hand, m1], stiffness: 500, release: 0.002}
 """
 
 SCRAPS = st.sampled_from(
@@ -47,7 +53,9 @@ VALUES = st.one_of(
     st.integers(min_value=10**300, max_value=10**320),
     st.floats(),
     st.text(max_size=5),
-    st.sampled_from(["device", "ground", "mass", "viscoelastic", "hand", "touch", "zoh", "[key]", "type"]),
+    st.sampled_from(
+        ["device", "ground", "viscoelastic", "nonlinear", "friction", "hand", "touch", "zoh", "[key]", "type"]
+    ),
     st.lists(st.one_of(st.floats(), st.text(max_size=3), st.lists(st.none(), max_size=1)), max_size=3),
     st.dictionaries(st.one_of(st.text(max_size=3), st.integers(), st.none()), st.integers(), max_size=2),
 )

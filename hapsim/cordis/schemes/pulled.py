@@ -23,6 +23,7 @@ from hapsim.cordis.string import Rows, free_ends, rows_of
 from hapsim.scene import Scene
 
 _ONE = np.uint64(1)
+_NEVER_CHANGES = -1  # in place of a column of the parameters
 
 
 class StringForces(NamedTuple):
@@ -76,7 +77,7 @@ def mobility_of_all(scene: Scene, frame: Frame) -> Column:
 
 def masses_of(scene: Scene) -> Iterator[tuple[str, float]]:
     """Every point that the scene moves, with its mass in kg."""
-    for name, mass in scene.masses.items():
+    for name, mass in (scene.masses | scene.cells).items():
         yield name, mass.mass
     for name, structure in scene.structures.items():
         for place, kilograms in zip(structure.places(), structure.elements().masses, strict=True):
@@ -96,21 +97,31 @@ def pulled(taken: Taken, frame: Frame) -> tuple[Any, ...]:
 def shares_of(taken: Taken, frame: Frame) -> tuple[Any, ...]:
     """The links inside structures of any kind."""
     lists: dict[tuple[int, bool], list[Any]] = {}
-    for owner, (name, structure) in enumerate(taken.modules.items()):
+
+    def share(owner: int, name: str, structure: Any, column: int, weight: float) -> None:
         places = [frame.number[f"{name}.{place}"] for place in structure.places()]
+        for first, second, k, z in structure.elements().links:
+            if k or z:
+                entry = (owner, k / weight, z * frame.rate / weight)
+                second_end = structure.position if second < 0 else places[second]
+                lists.setdefault((column, second < 0), []).append((places[first], second_end, *entry))
+
+    for owner, (name, structure) in enumerate(taken.modules.items()):
+        nothing = dict.fromkeys({"bending", *structure.live} & type(structure).model_fields.keys(), 0.0)
         for live in structure.live:
-            unit = structure.model_copy(update={key: float(key == live) for key in structure.live})
+            unit = structure.model_copy(update=nothing | {live: 1.0})
             weights = [column[0] for column in taken.kind.live([unit], frame.rate)]
             if not any(weights):
                 continue  # this kind does not have it
             (column,) = np.flatnonzero(weights)
-            weight = weights[column]
-            for first, second, k, z in unit.elements().links:
-                share = (owner, k / weight, z * frame.rate / weight)
-                second_end = structure.position if second < 0 else places[second]
-                lists.setdefault((int(column), second < 0), []).append((places[first], second_end, *share))
+            share(owner, name, unit, int(column), weights[column])
+        if "bending" in nothing and "bending" not in structure.live:
+            bent = structure.model_copy(update=nothing | {"bending": structure.bending})
+            share(owner, name, bent, _NEVER_CHANGES, 1.0)
+    fixed = np.ones(len(taken.modules), frame.real)
     return tuple(
-        _shares(entries, at_rest, taken.columns[column], frame) for (column, at_rest), entries in lists.items()
+        _shares(entries, at_rest, fixed if column == _NEVER_CHANGES else taken.columns[column], frame)
+        for (column, at_rest), entries in lists.items()
     )
 
 
@@ -120,7 +131,8 @@ def _shares(entries: list[Any], at_rest: bool, value: Column, frame: Frame) -> S
     shares = (np.array(owner, np.uint32), np.array(of_stretch, frame.real), np.array(of_growth, frame.real), value)
     if at_rest:
         return SharesAtRest(point, np.array(second, frame.real), *shares)
-    return Shares(Ends(point, np.array(second, np.uint32)), *shares)
+    several = point.size if point.size > 1 else None
+    return Shares(Ends(point, np.array(second, np.uint32), several, None), *shares)
 
 
 @pulls(StringForces)

@@ -5,16 +5,37 @@ from typing import Annotated, get_args
 from pydantic import Field
 
 from .buffer import Buffer
+from .cell import Cell
+from .damper import Damper
 from .device_point import DevicePoint
+from .friction import Friction
 from .ground import Ground
 from .link import Link
 from .mass import Mass
+from .membrane import Membrane
 from .module import Module, Surroundings
+from .nonlinear import Nonlinear
+from .plectrum import Plectrum
+from .spring import Spring
 from .string import String
 from .structure import Elements, Structure
 from .viscoelastic import ViscoElastic
 
-AnyModule = DevicePoint | Ground | Mass | String | ViscoElastic | Buffer
+AnyModule = (
+    DevicePoint
+    | Ground
+    | Mass
+    | Cell
+    | String
+    | Membrane
+    | ViscoElastic
+    | Spring
+    | Damper
+    | Buffer
+    | Nonlinear
+    | Friction
+    | Plectrum
+)
 
 #: A module as the file has it: its ``type`` says which.
 TypedModule = Annotated[AnyModule, Field(discriminator="type")]
@@ -26,12 +47,19 @@ __all__ = [
     "MODULE_TYPES",
     "AnyModule",
     "Buffer",
+    "Cell",
+    "Damper",
     "DevicePoint",
     "Elements",
+    "Friction",
     "Ground",
     "Link",
     "Mass",
+    "Membrane",
     "Module",
+    "Nonlinear",
+    "Plectrum",
+    "Spring",
     "String",
     "Structure",
     "Surroundings",

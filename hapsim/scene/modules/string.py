@@ -1,11 +1,15 @@
 """The string: equal masses in a row, each linked to the next."""
 
+from collections.abc import Iterator
 from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
+from ..finding import Finding
+from ..part import Part
 from ..quantity import Count, Quantity, Words
-from .structure import Elements, Structure
+from .module import Surroundings
+from .structure import Elements, Structure, is_number
 
 MOST_MASSES = 100_000
 
@@ -19,11 +23,18 @@ BENDING = Quantity(
 )
 
 
+class Pluck(Part):
+    """A string that is pulled aside before the run begins, and let go at rest. SI units."""
+
+    at: Annotated[int, Count("Number of the mass that is pulled aside", 0, MOST_MASSES - 1)]
+    by: Annotated[float, Quantity("How far it is pulled aside", "m")]
+
+
 class String(Structure):
     """Equal masses in a row, each linked to the next; at rest where all are at `position`."""
 
     shared: ClassVar[tuple[str, ...]] = ("masses",)
-    live: ClassVar[tuple[str, ...]] = ("stiffness", "damping", "friction", "bending")
+    live: ClassVar[tuple[str, ...]] = ("stiffness", "damping", "friction")
 
     type: Literal["string"] = Field(default="string", description="Equal masses in a row, each linked to the next")
     masses: Annotated[int, Count("How many masses", 2, MOST_MASSES)]
@@ -37,6 +48,12 @@ class String(Structure):
         "fixed",
     )
     position: Annotated[float, Quantity("Where it is at rest, and begins", "m")] = 0.0
+    pluck: Pluck | None = Field(
+        default=None,
+        title="Pluck",
+        description="How it is pulled aside at the start: straight from that mass down to where a mass beyond each end "
+        "would be; left out: not at all",
+    )
 
     def places(self) -> list[str]:
         return [str(i) for i in range(self.masses)]
@@ -45,11 +62,29 @@ class String(Structure):
         return f"0 to {self.masses - 1}"
 
     def has_place(self, place: str) -> bool:
-        return place.isdecimal() and str(int(place)) == place and int(place) < self.masses
+        return is_number(place, self.masses)
+
+    def begins(self) -> list[float]:
+        if self.pluck is None:
+            return [self.position] * self.masses
+        at, by, masses = self.pluck.at, self.pluck.by, self.masses
+        shares = (min((i + 1) / (at + 1), (masses - i) / (masses - at)) for i in range(masses))
+        return [self.position + by * share for share in shares]
+
+    def findings(self, name: str, _around: Surroundings) -> Iterator[Finding]:
+        if self.pluck is not None and self.pluck.at >= self.masses:
+            yield Finding(
+                ("modules", name, "pluck", "at"),
+                f"found {self.pluck.at}, but {name} has {self.masses} masses; expected {self.place_words()}",
+            )
 
     def elements(self) -> Elements:
         """Bending about a point is half the square of x- - 2 x + x+, times its stiffness: with the stretches a and b
-        of the two links that is (2 a² + 2 b² - (a + b)²)/2, a sum of links."""
+        of the two links that is (2 a² + 2 b² - (a + b)²)/2, a sum of links.
+
+        It acts about every mass with two neighbours, of which one may be what holds an end. At a free end it does not:
+        nothing turns the end. At a clamped end it also acts about what holds it, with a further point that stands
+        still beyond; at a fixed one it does not: the string turns there as on a hinge."""
         last = self.masses - 1
         links = [(i, i + 1, self.stiffness, self.damping) for i in range(last)]
         held = [end for end, how in zip((0, last), self.ends, strict=True) if how != "free"]

@@ -36,9 +36,18 @@ class Structure(Module):
         """Which places there are, in words that follow 'expected'."""
 
     @abstractmethod
+    def begins(self) -> list[float]:
+        """Where each of its points is when the run begins, at rest there, in m."""
+
+    @abstractmethod
     def elements(self) -> Elements:
         """The modules that it stands for."""
 
     def has_place(self, place: str) -> bool:
         """Whether one of its points is called so."""
         return place in self.places()
+
+
+def is_number(text: str, below: int) -> bool:
+    """Whether this is how a whole number from 0 to one less than `below` is written."""
+    return len(text) <= 9 and text.isdecimal() and str(int(text)) == text and int(text) < below

@@ -1,0 +1,39 @@
+"""Dry friction."""
+
+from collections.abc import Iterator
+from typing import Annotated, ClassVar, Literal
+
+from pydantic import Field
+
+from ..finding import Finding
+from ..quantity import Quantity
+from .link import Link
+from .module import Surroundings
+
+
+class Friction(Link):
+    """Dry friction between two points: a bristle that holds like a spring, and slides where it is pulled too hard."""
+
+    shared: ClassVar[tuple[str, ...]] = (*Link.shared, "force", "static")
+    live: ClassVar[tuple[str, ...]] = ("force", "static", "stiffness", "damping")
+
+    type: Literal["friction"] = Field(default="friction", description="Dry friction: sticks, and slides")
+    force: Annotated[float, Quantity("Friction while it slides", "N", least=0)]
+    static: Annotated[
+        float | None, Quantity("Force at which it breaks away", "N", least=0, left_out="that of sliding")
+    ] = None
+    stiffness: Annotated[float, Quantity("Stiffness of the bristle that sticks", "N/m", above=0)]
+    damping: Annotated[float, Quantity("Viscosity of the bristle while it sticks", "N·s/m", least=0)] = 0.0
+
+    @property
+    def break_away(self) -> float:
+        """Force at which it breaks away, N."""
+        return self.force if self.static is None else self.static
+
+    def findings(self, name: str, around: Surroundings) -> Iterator[Finding]:
+        yield from super().findings(name, around)
+        if self.break_away < self.force:
+            yield Finding(
+                ("modules", name, "static"),
+                f"found {self.static:g}, less than the force while it slides; expected a number >= {self.force:g} (N)",
+            )

@@ -1,0 +1,201 @@
+"""What each type of module expects in the file, told where it is not so; and what the scene makes of it."""
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+import yaml
+from jsonschema import Draft202012Validator
+
+from hapsim.errors import SceneError, UsageError
+from hapsim.running.changes import _changed
+from hapsim.scene import Cell, Damper, Friction, Nonlinear, Plectrum, Scene, Spring, parse_scene, scene_schema
+
+Faults = Callable[[str], list[str]]
+
+CURVE_M = "expected a list of 2 to 1000 points [m, N]"
+POINT_M = "expected a point [m, N], two numbers"
+ORDER = "the points stand in ascending order"
+
+MODULES = {
+    "cell": "{type: cell, mass: 0.01, stiffness: 100}",
+    "spring": "{type: spring, between: [hand, wall], stiffness: 2000}",
+    "damper": "{type: damper, between: [hand, wall], damping: 2}",
+    "nonlinear": "{type: nonlinear, between: [hand, wall], force_over_distance: [[-1, -5], [1, 5]]}",
+    "friction": "{type: friction, between: [hand, wall], force: 1, stiffness: 2000}",
+    "plectrum": "{type: plectrum, between: [hand, wall], stiffness: 500, release: 0.002}",
+}
+
+
+def with_module(good: str, text: str) -> str:
+    return f"{good}  it: {text}\n"
+
+
+def scene_with(good: str, kind: str) -> Scene:
+    return parse_scene(with_module(good, MODULES[kind]))
+
+
+def test_what_is_left_out_of_a_module_has_the_defaults_of_the_format(good: str) -> None:
+    ends = ("hand", "wall")
+    expected = {
+        "cell": Cell(mass=0.01, stiffness=100.0, damping=0.0, rest=0.0, position=None, velocity=0.0),
+        "spring": Spring(between=ends, stiffness=2000.0),
+        "damper": Damper(between=ends, damping=2.0),
+        "nonlinear": Nonlinear(between=ends, force_over_distance=((-1.0, -5.0), (1.0, 5.0)), force_over_velocity=None),
+        "friction": Friction(between=ends, force=1.0, static=None, stiffness=2000.0, damping=0.0),
+        "plectrum": Plectrum(between=ends, stiffness=500.0, damping=0.0, release=0.002),
+    }
+    assert {kind: scene_with(good, kind).modules["it"] for kind in MODULES} == expected
+
+
+def test_a_cell_begins_where_it_rests_unless_it_is_told_where(good: str) -> None:
+    resting = "{type: cell, mass: 0.01, stiffness: 100, rest: 0.02%s}"
+    starts = [parse_scene(with_module(good, resting % more)).cells["it"].start for more in ("", ", position: 0.0")]
+    assert starts == [0.02, 0.0]
+
+
+def test_a_cell_is_a_point_that_a_link_can_hold(good: str) -> None:
+    scene = parse_scene(with_module(good, MODULES["cell"]) + "  l: {type: spring, between: [it, wall], stiffness: 1}\n")
+    assert scene.links["l"].between == ("it", "wall")
+    assert list(scene.masses) == []
+
+
+@pytest.mark.parametrize("kind", MODULES)
+def test_a_scene_with_such_a_module_reads_back_the_same_and_can_be_hashed(good: str, kind: str) -> None:
+    scene = scene_with(good, kind)
+    assert Scene.model_validate(scene.model_dump()) == scene
+    assert Scene.model_validate_json(scene.model_dump_json()) == scene
+    assert hash(scene) == hash(scene_with(good, kind))
+
+
+@pytest.mark.parametrize(
+    ("kind", "old", "new", "told"),
+    [
+        ("cell", "mass: 0.01", "mass: 0", "mass: found 0, expected a number > 0 (kg)"),
+        ("cell", ", stiffness: 100", "", "it: 'stiffness' is missing, expected a number >= 0 (N/m)"),
+        ("cell", "100", "100, position: x", "position: found 'x' (text), expected a number (m)"),
+        ("spring", "2000", "-1", "stiffness: found -1, expected a number >= 0 (N/m)"),
+        ("damper", "damping: 2", "damping: -1", "damping: found -1, expected a number >= 0 (N·s/m)"),
+        (
+            "damper",
+            "damping: 2",
+            "stiffness: 2, damping: 2",
+            "stiffness: unknown key, expected type, between or damping",
+        ),
+        ("nonlinear", "[[-1, -5], [1, 5]]", "3", f"force_over_distance: found 3, {CURVE_M}"),
+        ("nonlinear", "[[-1, -5], [1, 5]]", "[[1, 5]]", f"force_over_distance: found a list, {CURVE_M}"),
+        ("nonlinear", "[1, 5]", "[1, 5, 6]", f"force_over_distance[1]: found a list, {POINT_M}"),
+        ("nonlinear", "[1, 5]", "1", f"force_over_distance[1]: found 1, {POINT_M}"),
+        (
+            "nonlinear",
+            "[1, 5]",
+            "[1, true]",
+            "force_over_distance[1][1]: found true (a boolean), expected a finite number (N)",
+        ),
+        (
+            "nonlinear",
+            "[1, 5]",
+            "[.nan, 5]",
+            "force_over_distance[1][0]: found .nan, expected a finite number (m)",
+        ),
+        (
+            "nonlinear",
+            "[1, 5]",
+            "[-1, 5]",
+            f"force_over_distance[1][0]: found -1, expected a number > -1 (m): {ORDER}",
+        ),
+        (
+            "nonlinear",
+            "force_over_distance: [[-1, -5], [1, 5]]",
+            "force_over_velocity: [[0.1, 0], [0.0, 1]]",
+            f"force_over_velocity[1][0]: found 0.0, expected a number > 0.1 (m/s): {ORDER}",
+        ),
+        (
+            "nonlinear",
+            ", force_over_distance: [[-1, -5], [1, 5]]",
+            "",
+            "it: found neither force_over_distance nor force_over_velocity, expected at least one of them",
+        ),
+        ("friction", "force: 1", "force: -1", "force: found -1, expected a number >= 0 (N)"),
+        ("friction", "2000", "0", "stiffness: found 0, expected a number > 0 (N/m)"),
+        (
+            "friction",
+            "force: 1",
+            "force: 1, static: 0.5",
+            "static: found 0.5, less than the force while it slides; expected a number >= 1 (N)",
+        ),
+        ("plectrum", ", release: 0.002", "", "it: 'release' is missing, expected a number > 0 (m)"),
+        ("plectrum", "0.002", "0", "release: found 0, expected a number > 0 (m)"),
+    ],
+)
+def test_what_is_wrong_with_a_module_is_told(
+    faults: Faults, good: str, kind: str, old: str, new: str, told: str
+) -> None:
+    text = MODULES[kind]
+    assert text.count(old) == 1
+    (fault,) = faults(with_module(good, text.replace(old, new)))
+    assert fault.startswith("8:")
+    assert fault.split(": ", 1)[1] == told
+
+
+def test_a_curve_of_a_thousand_points_is_taken_and_one_of_more_is_not(faults: Faults, good: str) -> None:
+    def text(points: int) -> str:
+        curve = ", ".join(f"[{i}, 0]" for i in range(points))
+        return with_module(good, MODULES["nonlinear"].replace("[[-1, -5], [1, 5]]", f"[{curve}]"))
+
+    link = parse_scene(text(1000)).links["it"]
+    assert isinstance(link, Nonlinear)
+    assert link.force_over_distance is not None
+    assert len(link.force_over_distance) == 1000
+    assert faults(text(1001)) == [f"8:69: force_over_distance: found a list, {CURVE_M}"]
+
+
+@pytest.mark.parametrize(
+    ("kind", "old", "new"),
+    [
+        ("nonlinear", "[[-1, -5], [1, 5]]", "[[-1, -5]]"),
+        ("nonlinear", "[1, 5]", "[1]"),
+        ("nonlinear", "[1, 5]", "[1, x]"),
+        ("friction", "force: 1", "force: -1"),
+        ("plectrum", "0.002", "0"),
+        ("cell", "100", "-100"),
+    ],
+)
+def test_the_schema_takes_these_modules_and_refuses_what_the_loader_refuses(
+    good: str, kind: str, old: str, new: str
+) -> None:
+    validator = Draft202012Validator(scene_schema())
+    text = with_module(good, MODULES[kind])
+    assert validator.is_valid(yaml.safe_load(text))
+    assert not validator.is_valid(yaml.safe_load(text.replace(old, new)))
+    with pytest.raises(SceneError):
+        parse_scene(text.replace(old, new))
+
+
+@pytest.mark.parametrize(
+    ("kind", "changes"),
+    [
+        ("cell", {"stiffness": 1.0, "damping": 2.0, "rest": 3.0}),
+        ("spring", {"stiffness": 1.0}),
+        ("damper", {"damping": 1.0}),
+        ("friction", {"force": 2.0, "static": 3.0, "stiffness": 4.0, "damping": 5.0}),
+        ("plectrum", {"stiffness": 1.0, "damping": 2.0, "release": 3.0}),
+    ],
+)
+def test_live_values_may_change_while_the_scene_runs(good: str, kind: str, changes: dict[str, float]) -> None:
+    module: Any = _changed(scene_with(good, kind), {"it": changes}).modules["it"]
+    assert set(changes) == set(module.live)
+    assert {key: getattr(module, key) for key in changes} == changes
+
+
+def test_a_change_is_checked_against_the_other_values_of_its_module(good: str) -> None:
+    scene = parse_scene(with_module(good, MODULES["friction"].replace("force: 1", "force: 1, static: 2")))
+    with pytest.raises(UsageError, match=r"it.static: found 2, less than the force .* expected a number >= 3 \(N\)"):
+        _changed(scene, {"it": {"force": 3.0}})
+    assert _changed(scene, {"it": {"force": 3.0, "static": 3.0}})
+    assert _changed(scene_with(good, "friction"), {"it": {"force": 3.0}})
+
+
+def test_curves_do_not_change_while_the_scene_runs(good: str) -> None:
+    with pytest.raises(UsageError, match="of a nonlinear nothing can change"):
+        _changed(scene_with(good, "nonlinear"), {"it": {"force_over_distance": 1.0}})

@@ -1,0 +1,153 @@
+"""A device that samples at another rate than it declares: what the hand then meets, and the guard that ends it.
+
+The loop makes a damper's force with the rate that was declared, B/T; at half the rate the positions are twice as far
+apart, and the damping is 2 B. Every delay lasts twice as long. Both are the theory with the true rate and 2 B.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numba
+import numpy as np
+import pytest
+
+from hapsim.device.line import Line
+from hapsim.device.mock.assemble import assemble_mock
+from hapsim.device.mock.firmware import Mock
+from hapsim.device.mock.loopback import loopback_port
+from hapsim.device.mock.terminal import serving
+from hapsim.errors import GuardError
+from hapsim.loop.guard.rate import MOST_OFF, WATCH, WINDOW_NS, WINDOW_SAMPLES, WINDOWS, is_off_rate
+from hapsim.measuring.identify import identify
+from hapsim.running import run, session
+from hapsim.scene import Scene
+from hapsim.theory import Configuration
+
+sys.path.insert(0, str(Path(__file__).parent))
+from hands import RATE, hand_scene, spring
+
+MASS, FRICTION = 0.2, 1.0
+
+
+def mistaken_mock(scene: Scene, ratio: float) -> Mock:
+    """A mock that declares the scene's rate and samples at `ratio` times that."""
+    mock = assemble_mock(scene)
+    mock.converters["period"] /= ratio
+    return mock
+
+
+def scene_of(K: float, B: float, **device: Any) -> Scene:
+    return hand_scene(
+        {"touch": spring(K, B)},
+        device={"mass": MASS, "friction": FRICTION, "delay": 1.0, "force_limit": 100.0, **device},
+        mock={"initial": {"velocity": 0.1}},
+    )
+
+
+@pytest.fixture
+def at_half_the_rate(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Runs in virtual time meet a mock that samples at half the rate."""
+
+    @contextlib.contextmanager
+    def half(scene: Scene, *_: Any, **__: Any) -> Iterator[Line]:
+        yield Line(port=loopback_port(mistaken_mock(scene, 0.5)), name="half", close=lambda: None)
+
+    monkeypatch.setattr(session, "open_line", half)
+
+
+@pytest.mark.usefixtures("at_half_the_rate")
+@pytest.mark.parametrize(("K", "B"), [(500.0, 2.0), (2000.0, 5.0), (3000.0, 8.0)])
+def test_what_is_met_is_the_theory_with_the_true_rate_and_twice_the_damping(K: float, B: float) -> None:
+    trace = run(scene_of(K, B), duration=0.4)
+    assert trace.report.rate_hz == trace.report.nominal_rate_hz  # virtual time cannot know
+    found = identify(trace, MASS)
+    true = Configuration(mass=MASS, rate=0.5 * RATE, friction=FRICTION, delay=1.0)
+    # What is identified is told per declared period: a frequency twice too high, k four times and b twice.
+    k, b = true.equivalent(K, 2.0 * B)
+    assert found.k == pytest.approx(4.0 * k, rel=1e-5)
+    assert found.b == pytest.approx(2.0 * b, rel=1e-5)
+    believed, _ = Configuration(mass=MASS, rate=RATE, friction=FRICTION, delay=1.0).equivalent(K, B)
+    assert abs(k / believed - 1.0) > 0.03
+
+
+@pytest.mark.usefixtures("at_half_the_rate")
+def test_the_limit_of_stiffness_is_that_of_the_true_rate() -> None:
+    B = 5.0
+    believed = Configuration(mass=MASS, rate=RATE, friction=FRICTION, delay=1.0)
+    _, limit = Configuration(mass=MASS, rate=0.5 * RATE, friction=FRICTION, delay=1.0).stable_stiffness(2.0 * B)
+    assert believed.is_stable(1.1 * limit, B)
+    ends = []
+    for K in (0.999 * limit, 1.001 * limit):
+        position = run(scene_of(float(K), B, force_limit=1000.0), duration=6.0).position[:, 0]
+        ends.append(np.log(np.std(position[-2000:]) / np.std(position[:2000])))
+    assert ends[0] < 0.0 < ends[1]
+
+
+@numba.njit
+def first_off(watch, arrivals_ns, period_ns):  # type: ignore[no-untyped-def]
+    """The guard as the loop has it woven in: at which position it says that the rate is off; -1 if it never does."""
+    for sample in range(arrivals_ns.size):
+        if is_off_rate(watch, sample, np.int64(arrivals_ns[sample]) + 1, period_ns):
+            return sample
+    return -1
+
+
+def watched(arrivals_ns: np.ndarray, period_ns: int, judges: bool = True) -> int | None:
+    """At which position the guard says that the rate is off; None if it never does."""
+    watch = np.zeros(1, WATCH)[0]
+    watch["judges"] = judges
+    sample = int(first_off(watch, arrivals_ns, period_ns))
+    return None if sample < 0 else sample
+
+
+@pytest.mark.parametrize("rate", [50.0, 1000.0, 20_000.0])
+@pytest.mark.parametrize("ratio", [0.5, 0.9 / MOST_OFF, 1.1 * MOST_OFF, 2.0])
+def test_a_rate_that_stays_off_is_told_after_some_windows(rate: float, ratio: float) -> None:
+    period = round(1e9 / rate)
+    window = max(WINDOW_SAMPLES, -(-WINDOW_NS // period))
+    arrivals = np.arange(10 * window) * (period / ratio)
+    assert watched(arrivals, period) == WINDOWS * window
+
+
+@pytest.mark.parametrize("rate", [50.0, 1000.0, 20_000.0])
+def test_a_host_that_is_held_up_is_no_device_at_another_rate(rate: float) -> None:
+    """Held up for up to half a second again and again, it finds positions waiting and takes them all at once."""
+    period = round(1e9 / rate)
+    rng = np.random.default_rng(3)
+    due = np.arange(round(60.0 * rate)) * float(period)
+    for longest_s, steady in ((0.02, 1.0), (0.1, 0.9), (0.5, 1.1)):
+        arrivals = due / steady
+        for begin in rng.uniform(0.0, 60e9, 60):
+            end = begin + rng.uniform(0.0, longest_s * 1e9)
+            arrivals = np.where((arrivals >= begin) & (arrivals < end), end, arrivals)
+        assert watched(arrivals, period) is None
+
+
+def test_what_has_no_timer_is_not_judged() -> None:
+    assert watched(np.arange(10_000) * 1e9, 1_000_000) == WINDOWS * 250
+    assert watched(np.arange(10_000) * 1e9, 1_000_000, judges=False) is None
+
+
+@pytest.mark.parametrize("ratio", [0.5, 2.0])
+def test_a_device_at_another_rate_is_stopped_with_a_sentence_that_says_so(ratio: float) -> None:
+    scene = hand_scene(
+        {"touch": spring(500.0, 2.0)},
+        rate=200.0,
+        device={"mass": MASS, "friction": FRICTION, "clock": "device", "force_limit": 10.0},
+    )
+    mock = mistaken_mock(scene, ratio)
+    with serving(mock) as path:
+        scene = scene.model_copy(update={"device": scene.device.model_copy(update={"port": path})})
+        with pytest.raises(GuardError, match=r"the device samples at \d+.*Hz, where it declares 200 Hz") as caught:
+            run(scene, duration=60.0)
+        assert not mock.commands.any()
+    assert caught.value.exit_status == 4
+    trace = caught.value.trace
+    assert trace is not None
+    assert trace.report.ending == "wrong rate"
+    assert trace.report.ticks < 1000
