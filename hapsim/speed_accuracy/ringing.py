@@ -65,7 +65,8 @@ def poles(motion: NDArray[np.float64], stride: int) -> NDArray[np.complex128]:
     """The pole pair, to the power of `stride`, of the recurrence q[n+s] = c1 q[n] + c2 q[n-s] that fits `motion` best.
 
     Least squares on the second difference, α q[n] + β (q[n] - q[n-s]): slow motion would leave c1 and c2 hardly other
-    than 2 and -1. With w = z - 1 the poles solve w² - (α + β) w - α = 0. NaN where the motion is not finite.
+    than 2 and -1. With w = z - 1 the poles solve w² - (α + β) w - α = 0. NaN where the motion is not finite, or there
+    is none.
     """
     if not np.all(np.isfinite(motion)) or np.max(np.abs(motion)) > 1e150:
         return np.full(2, complex(math.nan, math.nan))
@@ -74,6 +75,8 @@ def poles(motion: NDArray[np.float64], stride: int) -> NDArray[np.complex128]:
     bend = (motion[2 * stride :] - now) - growth
     columns = np.stack([now, growth], axis=1)
     scale = np.linalg.norm(columns, axis=0)
+    if not np.all(scale > 0.0):
+        return np.full(2, complex(math.nan, math.nan))
     alpha, beta = np.linalg.lstsq(columns / scale, bend, rcond=None)[0] / scale
     half = (alpha + beta) / 2.0
     root = np.sqrt(complex(half * half + alpha))
