@@ -49,6 +49,7 @@ Picture = Annotated[
     ),
 ]
 Data = Annotated[Path | None, typer.Option(metavar="FILE", help="Write the numbers that are drawn: .csv.")]
+_OBJECTS = "spring, contact, string-10, string-100, string-1000, stiff-string-100"
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on standard output, nothing else there.")]
 
 
@@ -197,6 +198,61 @@ def table1(
         return
     _console().print(_table(worked_out))
     _say(picture, data)
+
+
+@app.command("speed-accuracy")
+def speed_accuracy(
+    objects: Annotated[
+        list[str] | None,
+        typer.Option("--object", metavar="NAME", help=f"{_OBJECTS}; several, spring,contact; left out: all."),
+    ] = None,
+    rates: Annotated[
+        list[str] | None,
+        typer.Option("--rates", metavar="HZ", help="Sample rates, Hz: several, 1000,10000; left out: 500 to 50000."),
+    ] = None,
+    rounds: Annotated[int, typer.Option(metavar="N", help="How often each is timed; all take turns.")] = 5,
+    peers: Annotated[
+        Path | None,
+        typer.Option("--with", metavar="FILE.json", help="Peers on the same axes, as tools/bench/schemes kept them."),
+    ] = None,
+    picture: Picture = None,
+    data: Data = None,
+    json: Json = False,
+) -> None:
+    """Draw what a simulated second costs against how far it is from the continuous object: objects, schemes, rates."""
+    from hapsim.chart.speed_accuracy import draw_speed_accuracy
+    from hapsim.console.live import live_words
+    from hapsim.speed_accuracy.compare import RATES, compare
+    from hapsim.speed_accuracy.front import fronts
+    from hapsim.speed_accuracy.objects import objects_named
+    from hapsim.speed_accuracy.rows import columns, peers_in
+    from hapsim.speed_accuracy.verdict import verdict
+
+    chosen = objects_named(",".join(objects or []).split(",") if objects else [])
+    at = _rates(numbers("--rates", rates)) or RATES
+    if rounds < 1:
+        raise UsageError(f"--rounds: found {rounds}, expected a whole number of at least 1")
+    picture = _writable(picture, data, json, "speed-accuracy.svg")
+    rows = [] if peers is None else peers_in(peers, [one.name for one in chosen])
+    with live_words(_console(stderr=True)) as say:
+        rows = compare(chosen, at, rounds, say) + rows
+    _save_rows(columns(rows, [row for front in fronts(rows).values() for row in front]), data)
+    if picture is not None:
+        draw_speed_accuracy(chosen, rows, picture)
+    told = {one.name: verdict(one, rows) for one in chosen}
+    if json:
+        _print_json({"objects": told, "rows": [row.as_document() for row in rows]}, picture, data)
+        return
+    for sentence in told.values():
+        print(sentence)
+    _say(picture, data)
+
+
+def _rates(found: list[float]) -> list[float]:
+    for rate in found:
+        if not 0.0 < rate < float("inf"):
+            raise UsageError(f"--rates: found {rate:g}, expected a finite number above 0")
+    return found
 
 
 def _writable(picture: Path | None, data: Path | None, json: bool, otherwise: str) -> Path | None:

@@ -19,12 +19,18 @@ _STEP_S = 5.0  # between two lines where the output is no terminal
 @contextlib.contextmanager
 def live_line(error: Console) -> Iterator[Callable[[Progress], None]]:
     """A function to tell progress to. On a terminal one line changes in place; elsewhere a line comes now and then."""
+    with live_words(error) as say:
+        yield _Line(say).tell
+
+
+@contextlib.contextmanager
+def live_words(error: Console) -> Iterator[Callable[[str], None]]:
+    """The same for whoever has words of his own; the first of them says of what kind they are."""
     if error.is_terminal:
         with error.status("starting") as status:
-            yield _Line(lambda text: _update(status, text)).tell
+            yield lambda text: _update(status, text)
     else:
-        spoken = _Spoken(error)
-        yield _Line(spoken.say).tell
+        yield _Spoken(error).say
 
 
 def _update(status: Status, text: str) -> None:

@@ -10,11 +10,12 @@ import numpy as np
 
 from hapsim.compiled import jit
 from hapsim.cordis.acting import move_all, pull_all
+from hapsim.cordis.desk import desk_of, ticks
 from hapsim.cordis.ground import GROUND
 from hapsim.cordis.kinds import KINDS
 from hapsim.cordis.moment import moment_of
 from hapsim.cordis.program import Program, compile_scene
-from hapsim.cordis.tick import start, tick
+from hapsim.cordis.tick import start
 from hapsim.scene import Scene
 
 _ROUNDS = 7
@@ -51,10 +52,10 @@ class Explanation(NamedTuple):
 def explain(scene: Scene, on_part: Callable[[str], None] = lambda _: None) -> Explanation:
     """Compiles `scene`, runs it on a hand that rests, and tells what it is made of; `on_part` hears what is at hand."""
     program = compile_scene(scene)
-    desk = _desk(scene)
+    desk = desk_of(scene)
     start(program, desk["measured"])
     on_part("the whole tick")
-    whole = _seconds(lambda samples: _ticks(program, desk, samples))
+    whole = _seconds(lambda samples: ticks(program, desk, samples))
     parts = []
     acting = iter(program.parts)
     for kind in KINDS:
@@ -68,13 +69,6 @@ def explain(scene: Scene, on_part: Callable[[str], None] = lambda _: None) -> Ex
     absent = tuple(kind.name for kind in KINDS if not kind.select(scene))
     points = program.rows.shape[1]
     return Explanation(tuple(parts), absent, points, scene.precision, _bytes_of(program), whole, scene.period)
-
-
-def _desk(scene: Scene) -> Any:
-    """One value per channel of each kind, of a number that the compiler knows, as in the loop."""
-    each = (scene.channels,)
-    kinds = [(name, np.float64, each) for name in ("measured", "velocity", "force")]
-    return np.zeros(1, np.dtype(kinds))[0]
 
 
 def _alone(program: Program, part: Any, desk: Any) -> float:
@@ -94,12 +88,6 @@ def _timed(run: Callable[[int], None], samples: int) -> float:
     begin = time.thread_time()  # of the processor, whatever else it is doing
     run(samples)
     return time.thread_time() - begin
-
-
-@jit
-def _ticks(program, desk, samples):
-    for _ in range(samples):
-        tick(program, desk.measured, desk.velocity, desk.force)
 
 
 @jit

@@ -100,9 +100,10 @@ def shares_of(taken: Taken, frame: Frame) -> tuple[Any, ...]:
         places = [frame.number[f"{name}.{place}"] for place in structure.places()]
         for column, unit, weight in _units(taken.kind, structure, frame.rate):
             for first, second, k, z in unit.elements().links:
-                share = (owner, k / weight, z * frame.rate / weight)
-                second_end = structure.position if second < 0 else places[second]
-                lists.setdefault((column, second < 0), []).append((places[first], second_end, *share))
+                if k or z:
+                    share = (owner, k / weight, z * frame.rate / weight)
+                    second_end = structure.position if second < 0 else places[second]
+                    lists.setdefault((column, second < 0), []).append((places[first], second_end, *share))
     ones = np.ones(len(taken.modules), frame.real)
     values = [*taken.columns, ones]
     return tuple(_shares(entries, at_rest, values[column], frame) for (column, at_rest), entries in lists.items())

@@ -101,7 +101,7 @@ class String(Structure):
         links = []
         for left, middle, right in zip(points, points[1:], points[2:], strict=False):
             links += [(middle, left, 2.0 * self.bending, 0.0), (middle, right, 2.0 * self.bending, 0.0)]
-            links.append((left, right, -self.bending, 0.0))
+            links.append((max(left, right), min(left, right), -self.bending, 0.0))  # what stays is the second
         for end, how in zip((0, self.masses - 1), self.ends, strict=True):
             if how == "clamped":  # the point beyond the end stands still too: the bending at the end itself
                 links.append((end, -1, self.bending, 0.0))

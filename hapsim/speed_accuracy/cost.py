@@ -1,0 +1,55 @@
+"""What a simulated second of a scene costs: compiled ticks in a compiled loop, in rounds in which all take turns."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+
+from hapsim.cordis.desk import desk_of, ticks_with_hand
+from hapsim.cordis.program import compile_scene
+from hapsim.cordis.tick import start
+from hapsim.scene import Scene
+from hapsim.speed_accuracy.strings import hand_motion
+from hapsim.speed_accuracy.timing import Timed
+
+_BLOCK = 16384  # samples of the hand's motion that are ready in memory
+_ROUND_S = 0.02
+
+
+class Running:
+    """A scene whose first hand moves by a millimetre, twice a second."""
+
+    def __init__(self, scene: Scene) -> None:
+        self._program, self._desk = compile_scene(scene), desk_of(scene)
+        self._motion, self._forces = hand_motion(_BLOCK, scene.rate), np.zeros(_BLOCK)
+        start(self._program, self._desk["measured"])
+
+    def advance(self, samples: int) -> None:
+        """Simulates so many samples. Numbers too small to be normal are zero in the calling thread from then on."""
+        ticks_with_hand(self._program, self._desk, self._motion, self._forces, samples)
+
+
+class Clocks:
+    """Scenes that are timed, in a thread of their own, so that the caller's arithmetic stays as it is."""
+
+    def __init__(self) -> None:
+        self._apart = ThreadPoolExecutor(1)
+        self._timed: list[Timed] = []
+
+    def add(self, scene: Scene) -> None:
+        """Compiles a scene and runs it warm."""
+
+        def warm() -> Timed:
+            return Timed(Running(scene).advance, scene.rate, _ROUND_S)
+
+        self._timed.append(self._apart.submit(warm).result())
+
+    def round(self) -> Iterator[float]:
+        """Seconds of processor time for a simulated second of each scene, one after the other."""
+        return (self._apart.submit(timed.round).result() for timed in self._timed)
+
+    def close(self) -> None:
+        """Ends the thread."""
+        self._apart.shutdown()

@@ -1,0 +1,70 @@
+"""A hand on one spring and damper: what it feels of them, measured on the mock.
+
+The hand weighs 0.2 kg and has a real friction of 1 N·s/m; K = 2000 N/m and B = 5 N·s/m are simulated, the force is held
+(zero-order hold), positions are sampled at the instant. Continuous in time the hand would meet k = K and b = B + 1; the
+errors are those of the k and b that `hapsim.measure` identifies. No mass is simulated, so there is no scheme: what
+differs is the delay, either one sample, which a higher rate makes shorter, or 1 ms whatever the rate.
+"""
+
+from __future__ import annotations
+
+from hapsim.errors import DeviceError, GuardError, UsageError
+from hapsim.measuring.measure import measure
+from hapsim.prediction import predict
+from hapsim.scene import Device, DevicePoint, Ground, Initial, Mock, Scene, ViscoElastic
+from hapsim.speed_accuracy.compared import Found
+
+MASS, FRICTION = 0.2, 1.0
+STIFFNESS, DAMPING = 2000.0, 5.0
+DELAY_S = 1e-3
+ONE_SAMPLE, ONE_MILLISECOND = "delay of a sample", "delay of 1 ms"
+
+_FLICK = 0.05  # m/s: it swings by half a millimetre, in the range that counts of a picometre have
+_QUANTUM = 1e-12
+
+
+class OneSpring:
+    """Its methods are its delays."""
+
+    name = "spring"
+    title = "a hand on one spring"
+    quantities: tuple[str, ...] = ("k", "b")
+
+    def methods(self) -> tuple[str, ...]:
+        return (ONE_SAMPLE, ONE_MILLISECOND)
+
+    def scene(self, method: str, precision: str, rate: float) -> Scene:
+        return Scene(
+            version=1,
+            precision=precision,  # type: ignore[arg-type]
+            rate=rate,
+            device=Device(
+                clock="lockstep",
+                mass=MASS,
+                friction=FRICTION,
+                delay=1.0 if method == ONE_SAMPLE else DELAY_S * rate,
+                force_limit=1000.0,
+            ),
+            mock=Mock(initial=Initial(velocity=_FLICK), quantum=_QUANTUM),
+            modules={
+                "hand": DevicePoint(channel=0),
+                "wall": Ground(),
+                "touch": ViscoElastic(between=("hand", "wall"), stiffness=STIFFNESS, damping=DAMPING),
+            },
+        )
+
+    def found(self, method: str, precision: str, rate: float) -> Found:
+        scene = self.scene(method, precision, rate)
+        predicted = predict(scene, with_margins=False)
+        felt = predicted.felt[0]
+        if not predicted.stable:
+            return Found({}, "unstable, as predicted")
+        if not felt.dominant:
+            return Found({}, f"as predicted, no spring and damper is equivalent: {felt.reason}")
+        try:
+            measured = measure(scene)
+        except (UsageError, DeviceError, GuardError) as error:
+            return Found({}, str(error))
+        if not measured.dominant:
+            return Found({}, f"no spring and damper was identified: {measured.reason}")
+        return Found({"k": measured.k / STIFFNESS - 1.0, "b": measured.b / (DAMPING + FRICTION) - 1.0})

@@ -1,0 +1,57 @@
+"""How long it takes from a scene to its first tick: a string of 1000 masses, with and without what was compiled before.
+
+`python -m speed.first_tick` does it once and prints it as JSON; imports are not counted.
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+_ROOT = Path(__file__).resolve().parents[3]
+_LIMIT_S = 600.0
+
+
+def first_tick() -> dict[str, float]:
+    """Seconds: of the scene, of its program, of the compiled tick and its first call."""
+    from hapsim.cordis.desk import desk_of, ticks_with_hand
+    from hapsim.cordis.program import compile_scene
+    from hapsim.speed_accuracy.ringing_string import scene_of
+    from hapsim.speed_accuracy.strings import StringOfMasses, hand_link, hand_motion
+
+    string = StringOfMasses.tuned(1000)
+    times = [time.perf_counter()]
+    scene = scene_of(string, "cordis", "double", 50_000.0, *hand_link(string))
+    times.append(time.perf_counter())
+    program, desk = compile_scene(scene), desk_of(scene)
+    times.append(time.perf_counter())
+    motion = hand_motion(1, scene.rate)
+    ticks_with_hand(program, desk, motion, motion.copy(), 1)
+    times.append(time.perf_counter())
+    parts = [after - before for before, after in itertools.pairwise(times)]
+    return dict(zip(("scene", "program", "tick"), parts, strict=True)) | {"all": sum(parts)}
+
+
+def cold_and_warm() -> tuple[dict[str, float], dict[str, float]]:
+    """In two processes, of which the first finds nothing that was compiled before."""
+    with tempfile.TemporaryDirectory(prefix="hapsim-cold-") as cache:
+        first, second = (_in_a_process(cache) for _ in range(2))
+    return first, second
+
+
+def _in_a_process(cache: str) -> dict[str, float]:
+    paths = os.pathsep.join([str(_ROOT), str(_ROOT / "tools" / "bench")])
+    environment = {**os.environ, "XDG_CACHE_HOME": cache, "PYTHONPATH": paths}
+    command = [sys.executable, "-m", "speed.first_tick"]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=_LIMIT_S, env=environment)
+    return dict(json.loads(done.stdout))
+
+
+if __name__ == "__main__":
+    print(json.dumps(first_tick()))
