@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hapsim.console.options import numbers
+from hapsim.console.options import names, numbers
 from hapsim.errors import UsageError
 
 if TYPE_CHECKING:
@@ -206,6 +206,10 @@ def speed_accuracy(
         list[str] | None,
         typer.Option("--object", metavar="NAME", help=f"{_OBJECTS}; several, spring,contact; left out: all."),
     ] = None,
+    schemes: Annotated[
+        list[str] | None,
+        typer.Option("--scheme", metavar="NAME", help="Schemes: several, cordis,exact; left out: all."),
+    ] = None,
     rates: Annotated[
         list[str] | None,
         typer.Option("--rates", metavar="HZ", help="Sample rates, Hz: several, 1000,10000; left out: 500 to 50000."),
@@ -224,18 +228,19 @@ def speed_accuracy(
     from hapsim.console.live import live_words
     from hapsim.speed_accuracy.compare import RATES, compare
     from hapsim.speed_accuracy.front import fronts
+    from hapsim.speed_accuracy.methods import schemes_named
     from hapsim.speed_accuracy.objects import objects_named
     from hapsim.speed_accuracy.rows import columns, peers_in
     from hapsim.speed_accuracy.verdict import verdict
 
-    chosen = objects_named(",".join(objects or []).split(",") if objects else [])
+    chosen, by = objects_named(names(objects)), schemes_named(names(schemes))
     at = _rates(numbers("--rates", rates)) or RATES
     if rounds < 1:
         raise UsageError(f"--rounds: found {rounds}, expected a whole number of at least 1")
     picture = _writable(picture, data, json, "speed-accuracy.svg")
     rows = [] if peers is None else peers_in(peers, [one.name for one in chosen])
     with live_words(_console(stderr=True)) as say:
-        rows = compare(chosen, at, rounds, say) + rows
+        rows = compare(chosen, at, rounds, say, by) + rows
     _save_rows(columns(rows, [row for front in fronts(rows).values() for row in front]), data)
     if picture is not None:
         draw_speed_accuracy(chosen, rows, picture)

@@ -8,6 +8,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
+from hapsim.cordis.schemes import SCHEMES
 from hapsim.errors import UsageError
 from hapsim.speed_accuracy.compared import Found, Object
 from hapsim.speed_accuracy.cost import Clocks
@@ -45,8 +46,10 @@ class Comparison:
     `tell` hears what is at hand.
     """
 
-    def __init__(self, objects: Sequence[Object], rates: Sequence[float], tell: Tell = quiet) -> None:
-        self._cases = cases_of(objects, rates)
+    def __init__(
+        self, objects: Sequence[Object], rates: Sequence[float], tell: Tell = quiet, schemes: Sequence[str] = ()
+    ) -> None:
+        self._cases = cases_of(objects, rates, schemes)
         self._found = [_found(case, f"{i + 1} of {len(self._cases)}", tell) for i, case in enumerate(self._cases)]
         self._timed = [case for case, found in zip(self._cases, self._found, strict=True) if found.errors]
         self._costs: dict[Case, list[float]] = {case: [] for case in self._timed}
@@ -73,21 +76,25 @@ class Comparison:
         self._clocks.close()
 
 
-def compare(objects: Sequence[Object], rates: Sequence[float], rounds: int, tell: Tell = quiet) -> list[Row]:
-    """The rows of a comparison of so many rounds."""
-    with contextlib.closing(Comparison(objects, rates, tell)) as comparison:
+def compare(
+    objects: Sequence[Object], rates: Sequence[float], rounds: int, tell: Tell = quiet, schemes: Sequence[str] = ()
+) -> list[Row]:
+    """The rows of a comparison of so many rounds; `schemes`: those alone, where there are any to choose from."""
+    with contextlib.closing(Comparison(objects, rates, tell, schemes)) as comparison:
         for number in range(rounds):
             tell(f"timing, round {number + 1} of {rounds}")
             comparison.round()
         return comparison.rows()
 
 
-def cases_of(objects: Sequence[Object], rates: Sequence[float]) -> list[Case]:
-    """All there are."""
+def cases_of(objects: Sequence[Object], rates: Sequence[float], schemes: Sequence[str] = ()) -> list[Case]:
+    """All there are. Where an object's methods are no schemes, it has them all."""
+    left_out = set(SCHEMES) - set(schemes) if schemes else set()
     return [
         Case(one, method, precision, rate)
         for one in objects
         for method, precision, rate in itertools.product(one.methods(), PRECISIONS, rates)
+        if method not in left_out
     ]
 
 

@@ -60,6 +60,8 @@ class Contact:
             if not (math.isfinite(stay) and 0.0 < restitution < math.inf):
                 return Found({}, "the mass did not leave again, or faster and faster")
             pairs.append(contact_felt(stay, restitution))
+        if not np.isfinite(pairs).all():
+            return Found({}, "no spring and damper throws back so little")
         k, b = np.transpose(pairs)
         return Found({"k": _rms(k / STIFFNESS - 1.0), "b": _rms(b / DAMPING - 1.0)})
 
@@ -96,10 +98,10 @@ def _thrown(method: str, precision: str, rate: float, phase: float) -> tuple[flo
     length = math.ceil(_STAYS * contact_of(STIFFNESS, DAMPING)[0] * rate) + 8
     watched = np.empty(length)
     ticks_watched(program, desk, program.rows, program.turn, numbers_of(scene)["ball"], np.ones(1), watched)
-    return _stay([above, *watched], rate)
+    return stay_of([above, *watched], rate)
 
 
-def _stay(positions: Sequence[float] | NDArray[np.float64], rate: float) -> tuple[float, float]:
+def stay_of(positions: Sequence[float] | NDArray[np.float64], rate: float) -> tuple[float, float]:
     """(stay in s, restitution) from the lines of flight through the first two and the last two positions."""
     x = np.asarray(positions)
     came, left = x[1] - x[0], x[-1] - x[-2]

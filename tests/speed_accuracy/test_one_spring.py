@@ -1,0 +1,40 @@
+"""What the hand feels of one spring is off by what the theory predicts, and more rate does not cure a delay."""
+
+from __future__ import annotations
+
+import pytest
+
+from hapsim.speed_accuracy.one_spring import (
+    DAMPING,
+    DELAY_S,
+    FRICTION,
+    MASS,
+    ONE_MILLISECOND,
+    ONE_SAMPLE,
+    STIFFNESS,
+    OneSpring,
+)
+from hapsim.theory import Configuration
+
+
+@pytest.mark.parametrize("rate", [1000.0, 20_000.0])
+@pytest.mark.parametrize("method", [ONE_SAMPLE, ONE_MILLISECOND])
+def test_the_errors_are_those_of_the_theory(method: str, rate: float) -> None:
+    delay = 1.0 if method == ONE_SAMPLE else DELAY_S * rate
+    k, b = Configuration(MASS, rate, friction=FRICTION, delay=delay).equivalent(STIFFNESS, DAMPING)
+    found = OneSpring().found(method, "double", rate).errors
+    assert found["k"] == pytest.approx(k / STIFFNESS - 1.0, abs=1e-6)
+    assert found["b"] == pytest.approx(b / (DAMPING + FRICTION) - 1.0, abs=1e-6)
+
+
+def test_more_rate_does_not_cure_the_delay() -> None:
+    spring = OneSpring()
+    a_sample, a_millisecond = (
+        abs(spring.found(method, "double", 20_000.0).errors["b"]) for method in (ONE_SAMPLE, ONE_MILLISECOND)
+    )
+    assert a_sample < 0.03
+    assert a_millisecond > 0.3
+
+
+def test_what_is_predicted_to_be_unstable_is_left_out() -> None:
+    assert OneSpring().found(ONE_SAMPLE, "double", 400.0).why_not == "unstable, as predicted"
