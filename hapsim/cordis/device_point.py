@@ -18,9 +18,9 @@ class DevicePoints(NamedTuple):
     """(P,) the device's channel of each; None where every channel has its point: their numbers are then the same."""
 
 
-def device_points(channels: Sequence[int]) -> DevicePoints:
-    """Device points on these channels of the device, which ascend."""
-    every = list(channels) == list(range(len(channels)))
+def device_points(channels: Sequence[int], of_device: int) -> DevicePoints:
+    """Device points on these channels, which ascend, of a device that has so many."""
+    every = list(channels) == list(range(of_device))
     return DevicePoints(None if every else np.array(channels, np.uint32))
 
 

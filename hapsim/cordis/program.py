@@ -40,10 +40,11 @@ class Program(NamedTuple):
     """One for each kind of module that the scene has: see `acting`."""
 
 
-def compile_scene(scene: Scene, values: Column | None = None) -> Program:
+def compile_scene(scene: Scene, values: Column | None = None, channels: int | None = None) -> Program:
     """The program of `scene`, at its initial state.
 
     `values`: what `parameter_values` gives, kept and read at every tick, so that who holds it may change it.
+    `channels`: how many the device has, and positions and forces stand for; left out: as many as the scene needs.
     """
     frame, loose, begins = _frame(scene)
     if values is None:
@@ -55,7 +56,10 @@ def compile_scene(scene: Scene, values: Column | None = None) -> Program:
         rows=rows,
         turn=np.zeros(1, np.uint64) if len(frame.number) > len(frame.grounds) + len(scene.device_points) else None,
         force=np.zeros(rows.shape[1], frame.real),
-        devices=device_points(sorted(point.channel for point in scene.device_points.values())),
+        devices=device_points(
+            sorted(point.channel for point in scene.device_points.values()),
+            scene.channels if channels is None else channels,
+        ),
         grounds=grounds[0] if grounds else None,
         parts=SCHEMES[scene.scheme].parts(scene, frame, [one for one in taken if one.kind is not GROUND], rows),
     )

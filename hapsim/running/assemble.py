@@ -46,7 +46,7 @@ def assemble_loop(
         inbox=line.inbox,
         decoder=line.decoder,
         wire=armed_format(channels, bool(scene.sensed_links)),
-        program=compile_scene(scene, values),
+        program=compile_scene(scene, values, channels),
         parameters=parameters_of(values),
         ring=new_ring(channels, _RING_ROWS, waits=scene.device.clock == "lockstep"),
         desk=_desk(scene, description),
