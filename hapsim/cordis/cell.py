@@ -55,6 +55,7 @@ CELL = Kind(
     _live,
     name="cells",
     compiled_as="pulled home in one pass, without a name being looked up; they move with the masses",
+    forgets=True,
 )
 
 

@@ -37,6 +37,7 @@ DAMPER = Kind(
     _live,
     name="dampers",
     compiled_as="gathered through unsigned indices; no stiffness is carried",
+    forgets=True,
 )
 
 

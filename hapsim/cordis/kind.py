@@ -30,6 +30,11 @@ class Frame(NamedTuple):
     points: int
     """How many there are, borders of structures included."""
 
+    def column(self, values: Sequence[float]) -> Column:
+        """Values in the scene's kind of number; the guard sees what comes of an infinity."""
+        with np.errstate(over="ignore"):
+            return np.array(values, np.float64).astype(self.real)
+
     def ends(self, pairs: Sequence[tuple[str, str]]) -> NDArray[np.uint32]:
         """The numbers of the points that links join, shape (2, L)."""
         numbers = [(self.number[first], self.number[second]) for first, second in pairs]

@@ -61,7 +61,7 @@ def _build(membranes: Mapping[str, Membrane], columns: Sequence[Column], frame: 
         np.array([one.rows for one in ones], np.uint64),
         np.array([one.columns for one in ones], np.uint64),
         np.array([[edge == "free" for edge in one.edges] for one in ones]),
-        np.array([one.position for one in ones], np.float64).astype(frame.real),
+        frame.column([one.position for one in ones]),
         mobility_of([one.mass for one in ones], frame),
         stiffness,
         damping,

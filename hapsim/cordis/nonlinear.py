@@ -82,12 +82,14 @@ NONLINEAR_SPRING = Kind(
     _over_distance,
     name="forces over distance",
     compiled_as="gathered through unsigned indices; a search by halves in each table",
+    forgets=True,
 )
 NONLINEAR_DAMPER = Kind(
     _with("force_over_velocity"),
     _over_velocity,
     name="forces over velocity",
     compiled_as="gathered through unsigned indices; a search by halves in each table",
+    forgets=True,
 )
 
 

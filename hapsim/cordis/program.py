@@ -46,7 +46,9 @@ def compile_scene(scene: Scene, values: Column | None = None) -> Program:
     `values`: what `parameter_values` gives, kept and read at every tick, so that who holds it may change it.
     """
     frame, loose, begins = _frame(scene)
-    taken = list(_taken(scene, parameter_values(scene) if values is None else values))
+    if values is None:
+        values = parameter_values(scene)
+    taken = list(_taken(scene, values))
     grounds = [one.kind.build(one.modules, one.columns, frame) for one in taken if one.kind is GROUND]
     rows = _rows(scene, frame, loose, begins)
     return Program(
@@ -149,4 +151,5 @@ def _rows(scene: Scene, frame: Frame, loose: int, begins: list[float]) -> Column
     for name, (position, velocity) in starts.items():
         rows[0, frame.number[name]] = position
         rows[2, frame.number[name]] = position - velocity / scene.rate
-    return rows.astype(frame.real)
+    with np.errstate(over="ignore"):  # the guard sees what comes of an infinity
+        return rows.astype(frame.real)

@@ -37,6 +37,7 @@ SPRING = Kind(
     _live,
     name="springs",
     compiled_as="gathered through unsigned indices; no previous positions are read",
+    forgets=True,
 )
 
 

@@ -4,7 +4,7 @@ What moves one mass is a step: a named tuple of the structure's numbers, with tw
 here) registered for its type by `steps`. Both work out the same recurrence; which one is compiled, the kind of number
 says. With 64 bits, each position is multiplied by a coefficient of its own: the fewest operations. With 32 bits these
 coefficients, rounded, no longer cancel: a string of 100 masses would swing in its lowest mode by up to a thousandth too
-fast or too slow. There differences of positions are taken first and multiplied afterwards, which leaves 3e-7.
+fast or too slow. There differences of positions are taken first and multiplied afterwards, which leaves 1e-5 at most.
 """
 
 from __future__ import annotations

@@ -65,8 +65,6 @@ def _select(scene: Scene) -> Mapping[str, String]:
 
 
 def _build(strings: Mapping[str, String], columns: Sequence[Column], frame: Frame) -> StiffStrings:
-    with np.errstate(over="ignore"):
-        bending = np.array([one.bending for one in strings.values()], np.float64).astype(frame.real)
     stiffness, damping, friction = columns
     return StiffStrings(
         np.array([frame.number[f"{name}.0"] for name in strings], np.uint64),
@@ -76,7 +74,7 @@ def _build(strings: Mapping[str, String], columns: Sequence[Column], frame: Fram
         stiffness,
         damping,
         friction,
-        bending,
+        frame.column([one.bending for one in strings.values()]),
         held_of(strings, frame),
     )
 

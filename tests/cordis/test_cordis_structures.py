@@ -283,14 +283,14 @@ def test_a_damped_mode_dies_away_as_the_closed_form_says(swinging: list[Swinging
 
 @pytest.mark.parametrize(
     "swinging",
-    [swinging_strings(UNDAMPED), swinging_strings(STIFF), swinging_membranes(Numbers(a=0.4))],
+    [swinging_strings(Numbers(a=0.03)), swinging_strings(Numbers(a=0.03, g=0.01)), swinging_membranes(Numbers(a=0.03))],
     ids=["string", "stiff string", "membrane"],
 )
 def test_single_precision_keeps_the_frequency_of_a_slow_mode(swinging: list[Swinging]) -> None:
-    """Where the recurrence is worked out from differences: coefficients of 32 bits would be wrong by 1e-5 and more."""
+    """Where the recurrence is worked out from differences: coefficients of 32 bits would be wrong by 1e-3."""
     swinging = [one for one in swinging if len(one.shape) <= 204]
     for one, z in zip(swinging, poles_of(swinging, "single"), strict=True):
-        assert np.angle(z) == pytest.approx(np.angle(expected_pole(one)), rel=2e-6)
+        assert np.angle(z) == pytest.approx(np.angle(expected_pole(one)), rel=1e-5)
 
 
 def undamped(rng: np.random.Generator, ends: tuple[str, str], edges: Sequence[tuple[str, ...]]) -> Scene:

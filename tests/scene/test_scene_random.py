@@ -28,6 +28,9 @@ modules:
   n:     {type: nonlinear, between: [hand, wall], force_over_distance: [[-0.1, -5], [0, 0], [0.1, 20]]}
   rub:   {type: friction, between: [hand, wall], force: 1, static: 2, stiffness: 3000}
   pick:  {type: plectrum, between: [hand, m1], stiffness: 500, release: 0.002}
+  row: {type: string, masses: 9, mass: 0.1, stiffness: 100, ends: [fixed, clamped], pluck: {at: 3, by: 0.01}}
+  skin: {type: membrane, rows: 3, columns: 4, mass: 0.1, stiffness: 100, edges: [fixed, free, free, free]}
+  grip: {type: viscoelastic, between: [row.8, skin.2.3], stiffness: 10}
 """
 
 SCRAPS = st.sampled_from(
@@ -60,7 +63,9 @@ VALUES = st.one_of(
     st.dictionaries(st.one_of(st.text(max_size=3), st.integers(), st.none()), st.integers(), max_size=2),
 )
 KEYS = st.one_of(
-    st.sampled_from(["type", "mass", "channel", "between", "device", "modules", "[key]", "", "touch", "initial"]),
+    st.sampled_from(
+        ["type", "mass", "channel", "between", "device", "modules", "[key]", "", "touch", "initial", "pluck", "masses"]
+    ),
     st.integers(),
     st.booleans(),
     st.text(max_size=3),

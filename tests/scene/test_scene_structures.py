@@ -5,9 +5,7 @@ from collections.abc import Callable
 
 import pytest
 
-from hapsim.scene import Membrane, Structure, parse_scene
-from hapsim.scene.modules import String
-from hapsim.scene.modules.string import Pluck
+from hapsim.scene import Membrane, Pluck, String, Structure, parse_scene
 
 Faults = Callable[[str], list[str]]
 

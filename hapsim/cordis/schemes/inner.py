@@ -1,8 +1,8 @@
 """The inner linear system of a scene: M x'' + B x' + K x = f.
 
 Inside are the points that the scene moves, and what joins them to each other, to grounds and to themselves at rest:
-what structures consist of, and visco-elastic links with a backward damper. Everything else pulls from outside, and so
-does the place of a ground, which may change while the scene runs.
+what structures and cells consist of, springs, dampers, and visco-elastic links with a backward damper. Everything else
+pulls from outside, and so does the place of a ground, which may change while the scene runs.
 """
 
 from __future__ import annotations
@@ -14,12 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapsim.compiled import inlined
+from hapsim.cordis.damper import DAMPER
 from hapsim.cordis.damper_backward import BACKWARD
 from hapsim.cordis.kind import Column, Frame
 from hapsim.cordis.schemes.pulled import masses_of
 from hapsim.cordis.schemes.scheme import Taken
+from hapsim.cordis.spring import SPRING
 from hapsim.errors import UsageError
-from hapsim.scene import Scene, ViscoElastic
+from hapsim.scene import Link, Scene, ViscoElastic
 
 STAYS = -1
 
@@ -83,15 +85,22 @@ class Inner(NamedTuple):
 
 
 def inner_links(scene: Scene) -> dict[str, ViscoElastic]:
-    """The scene's links that are inside."""
+    """The scene's links that are inside, each as the visco-elastic link that it is."""
     hands = scene.device_points
-    links = BACKWARD.select(scene).items()
-    return {name: link for name, link in links if not any(end in hands for end in link.between)}
+    springs, dampers = SPRING.select(scene), DAMPER.select(scene)
+    links: dict[str, Any] = {**BACKWARD.select(scene)}
+    links |= {name: _as_viscoelastic(one, one.stiffness, 0.0) for name, one in springs.items()}
+    links |= {name: _as_viscoelastic(one, 0.0, one.damping) for name, one in dampers.items()}
+    return {name: link for name, link in links.items() if not any(end in hands for end in link.between)}
+
+
+def _as_viscoelastic(link: Link, stiffness: float, damping: float) -> ViscoElastic:
+    return ViscoElastic(between=link.between, stiffness=stiffness, damping=damping)
 
 
 def inside(scene: Scene) -> frozenset[str]:
     """The modules that the inner system is made of, by name."""
-    return frozenset([*scene.masses, *scene.structures, *inner_links(scene)])
+    return frozenset([*scene.masses, *scene.cells, *scene.structures, *inner_links(scene)])
 
 
 def outer_parts(frame: Frame, taken: Sequence[Taken]) -> tuple[Any, ...]:
@@ -106,7 +115,11 @@ def inner_system(scene: Scene, frame: Frame, rows: Column) -> Inner | None:
         return None
     point = np.array(sorted(mass), np.uint32)
     place = {int(number): i for i, number in enumerate(point)}
-    joins = [*_structure_links(scene, frame, place), *_scene_links(scene, frame, place)]
+    joins = [
+        *_structure_links(scene, frame, place),
+        *_cell_links(scene, frame, place),
+        *_scene_links(scene, frame, place),
+    ]
     ends = np.array([(first, second) for first, second, *_ in joins], np.intp).reshape(-1, 2)
     stiffness, damping = (np.array([join[column] for join in joins], np.float64) for column in (2, 3))
     position = rows[0, point].astype(np.float64)
@@ -115,7 +128,7 @@ def inner_system(scene: Scene, frame: Frame, rows: Column) -> Inner | None:
     for first, second, k, _, rest in joins:
         if second == STAYS:
             force[first] += k * rest
-    for name, one in scene.masses.items():
+    for name, one in (scene.masses | scene.cells).items():
         velocity[place[frame.number[name]]] = one.velocity  # to the last digit, whatever the rows' precision
     ties = _ties(scene, frame)
     outer = {end for name, link in scene.links.items() if name not in inside(scene) for end in link.between}
@@ -147,6 +160,11 @@ def _structure_links(scene: Scene, frame: Frame, place: Mapping[int, int]) -> It
         places = [place[frame.number[f"{name}.{each}"]] for each in structure.places()]
         for first, second, k, z in structure.elements().links:
             yield places[first], STAYS if second < 0 else places[second], k, z, structure.position
+
+
+def _cell_links(scene: Scene, frame: Frame, place: Mapping[int, int]) -> Iterator[_Join]:
+    for name, cell in scene.cells.items():
+        yield place[frame.number[name]], STAYS, cell.stiffness, cell.damping, cell.rest
 
 
 def _scene_links(scene: Scene, frame: Frame, place: Mapping[int, int]) -> Iterator[_Join]:

@@ -23,7 +23,6 @@ from hapsim.cordis.string import Rows, free_ends, rows_of
 from hapsim.scene import Scene
 
 _ONE = np.uint64(1)
-_NEVER_CHANGES = -1  # in place of a column of the parameters
 
 
 class StringForces(NamedTuple):
@@ -97,32 +96,32 @@ def pulled(taken: Taken, frame: Frame) -> tuple[Any, ...]:
 def shares_of(taken: Taken, frame: Frame) -> tuple[Any, ...]:
     """The links inside structures of any kind."""
     lists: dict[tuple[int, bool], list[Any]] = {}
-
-    def share(owner: int, name: str, structure: Any, column: int, weight: float) -> None:
-        places = [frame.number[f"{name}.{place}"] for place in structure.places()]
-        for first, second, k, z in structure.elements().links:
-            if k or z:
-                entry = (owner, k / weight, z * frame.rate / weight)
-                second_end = structure.position if second < 0 else places[second]
-                lists.setdefault((column, second < 0), []).append((places[first], second_end, *entry))
-
     for owner, (name, structure) in enumerate(taken.modules.items()):
-        nothing = dict.fromkeys({"bending", *structure.live} & type(structure).model_fields.keys(), 0.0)
-        for live in structure.live:
-            unit = structure.model_copy(update=nothing | {live: 1.0})
-            weights = [column[0] for column in taken.kind.live([unit], frame.rate)]
-            if not any(weights):
-                continue  # this kind does not have it
-            (column,) = np.flatnonzero(weights)
-            share(owner, name, unit, int(column), weights[column])
-        if "bending" in nothing and "bending" not in structure.live:
-            bent = structure.model_copy(update=nothing | {"bending": structure.bending})
-            share(owner, name, bent, _NEVER_CHANGES, 1.0)
-    fixed = np.ones(len(taken.modules), frame.real)
-    return tuple(
-        _shares(entries, at_rest, fixed if column == _NEVER_CHANGES else taken.columns[column], frame)
-        for (column, at_rest), entries in lists.items()
-    )
+        places = [frame.number[f"{name}.{place}"] for place in structure.places()]
+        for column, unit, weight in _units(taken.kind, structure, frame.rate):
+            for first, second, k, z in unit.elements().links:
+                if k or z:
+                    share = (owner, k / weight, z * frame.rate / weight)
+                    second_end = structure.position if second < 0 else places[second]
+                    lists.setdefault((column, second < 0), []).append((places[first], second_end, *share))
+    ones = np.ones(len(taken.modules), frame.real)
+    values = [*taken.columns, ones]
+    return tuple(_shares(entries, at_rest, values[column], frame) for (column, at_rest), entries in lists.items())
+
+
+def _units(kind: Kind, structure: Any, rate: float) -> Iterator[tuple[int, Any, float]]:
+    """The structure with one of its live values at 1 and all else at 0: which column that is, and what stands there.
+
+    Last what cannot change, with all live values at 0: a column after the last one, of ones.
+    """
+    fixed = {"bending": 0.0} if "bending" in type(structure).model_fields else {}
+    for live in structure.live:
+        unit = structure.model_copy(update=fixed | {key: float(key == live) for key in structure.live})
+        weights = [column[0] for column in kind.live([unit], rate)]
+        (column,) = np.flatnonzero(weights)
+        yield int(column), unit, weights[column]
+    if fixed:
+        yield len(kind.live([structure], rate)), structure.model_copy(update=dict.fromkeys(structure.live, 0.0)), 1.0
 
 
 def _shares(entries: list[Any], at_rest: bool, value: Column, frame: Frame) -> Shares | SharesAtRest:
@@ -131,8 +130,7 @@ def _shares(entries: list[Any], at_rest: bool, value: Column, frame: Frame) -> S
     shares = (np.array(owner, np.uint32), np.array(of_stretch, frame.real), np.array(of_growth, frame.real), value)
     if at_rest:
         return SharesAtRest(point, np.array(second, frame.real), *shares)
-    several = point.size if point.size > 1 else None
-    return Shares(Ends(point, np.array(second, np.uint32), several, None), *shares)
+    return Shares(Ends(point, np.array(second, np.uint32), point.size, None), *shares)
 
 
 @pulls(StringForces)

@@ -17,7 +17,7 @@ from .module import Module, Surroundings
 from .nonlinear import Nonlinear
 from .plectrum import Plectrum
 from .spring import Spring
-from .string import String
+from .string import Pluck, String
 from .structure import Elements, Structure
 from .viscoelastic import ViscoElastic
 
@@ -59,6 +59,7 @@ __all__ = [
     "Module",
     "Nonlinear",
     "Plectrum",
+    "Pluck",
     "Spring",
     "String",
     "Structure",
