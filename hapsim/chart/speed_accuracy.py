@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hapsim.chart.figure import figure_to
+from hapsim.doctor import words
 from hapsim.speed_accuracy.compared import Object
 from hapsim.speed_accuracy.front import fronts
 from hapsim.speed_accuracy.rows import Row
@@ -24,6 +25,7 @@ _PEER_MARKERS = ("v", "^", "<", ">", "P", "X", "*", "p", "h", "8")
 _LINES = {"double": "-", "single": (0, (3.0, 1.6))}
 _SECOND = 1  # the quantity whose markers are hollow
 _FRONT: Any = {"color": "#f6cf65", "linewidth": 4.5, "alpha": 0.75, "solid_joinstyle": "round", "zorder": 1.2}
+_REAL_TIME: Any = {"color": "0.2", "linewidth": 0.9, "linestyle": ":", "zorder": 1.0}
 _Group = tuple[str, str, str]
 
 
@@ -31,7 +33,7 @@ def draw_speed_accuracy(objects: Sequence[Object], rows: Sequence[Row], path: Pa
     """Draws it. The ending of `path` chooses SVG, PNG or PDF."""
     across = min(len(objects), _ABREAST)
     down = math.ceil(len(objects) / across)
-    with figure_to(path, max(6.4, 3.9 * across), 3.3 * down + 1.0) as figure:
+    with figure_to(path, max(6.4, 3.45 * across), 3.0 * down + 1.1) as figure:
         panels = figure.subplots(down, across, squeeze=False).ravel()
         styles = _Styles(objects, rows)
         for axes, one in zip(panels, objects, strict=False):
@@ -39,8 +41,8 @@ def draw_speed_accuracy(objects: Sequence[Object], rows: Sequence[Row], path: Pa
         for axes in panels[len(objects) :]:
             axes.set_axis_off()
         for i, axes in enumerate(panels[: len(objects)]):
-            axes.set_ylabel("error, relative" if i % across == 0 else "")
-            axes.set_xlabel("seconds of processor time a second" if i + across >= len(objects) else "")
+            axes.set_ylabel("relative error" if i % across == 0 else "")
+            axes.set_xlabel("processor time of a simulated second, s" if i + across >= len(objects) else "")
         _legend(figure, objects, styles)
 
 
@@ -61,7 +63,7 @@ def _draw(axes: Axes, one: Object, rows: Sequence[Row], styles: _Styles) -> None
     axes.set_xscale("log")
     axes.set_yscale("log")
     axes.set_title(one.title)
-    axes.axvline(1.0, color="0.2", linewidth=0.9, linestyle=":", zorder=1.0)
+    axes.axvline(1.0, **_REAL_TIME)
     for front in fronts(rows).values():
         if front:
             _draw_front(axes, front)
@@ -73,8 +75,23 @@ def _draw(axes: Axes, one: Object, rows: Sequence[Row], styles: _Styles) -> None
         hollow = one.quantities.index(quantity) == _SECOND if quantity in one.quantities else False
         style = _of_method(styles, name, precision, hollow) if members[0].ours else _of_peer(styles, name)
         axes.plot([row.cost for row in members], [_drawn(row) for row in members], **style)
+    _tell_rates(axes, [members for members in groups.values() if members[0].ours])
+    axes.margins(x=0.08, y=0.1)
     axes.grid(which="major", color="0.9", linewidth=0.6, zorder=0.0)
     axes.set_axisbelow(True)
+
+
+def _tell_rates(axes: Axes, lines: Sequence[Sequence[Row]]) -> None:
+    """At the ends of lines with as many points as there are: above the highest, and below the lowest; in between all
+    go the same way."""
+    most = max(map(len, lines), default=0)
+    whole = [line for line in lines if len(line) == most]
+    if not whole:
+        return
+    first, last = max(whole, key=lambda line: line[0].off)[0], min(whole, key=lambda line: line[-1].off)[-1]
+    for row, beside in ((first, (3, 5)), (last, (0, -11))) if most > 1 else ((first, (3, 5)),):
+        place: Any = {"xy": (row.cost, _drawn(row)), "xytext": beside, "textcoords": "offset points"}
+        axes.annotate(words.rate(row.rate_hz), **place, fontsize=8, color="0.25", zorder=4.0)
 
 
 def _draw_front(axes: Axes, front: Sequence[Row]) -> None:
@@ -128,6 +145,7 @@ def _legend(figure: Figure, objects: Sequence[Object], styles: _Styles) -> None:
             line("$k$", marker="o", **plain),
             line("$b$", marker="s", markerfacecolor="white", **plain),
         ]
-    handles.append(line("front of hapsim's own", **{k: v for k, v in _FRONT.items() if k != "solid_joinstyle"}))
+    handles.append(line("front of hapsim's own", **_FRONT))
+    handles.append(line("real time", **_REAL_TIME))
     handles += [line(name, **_of_peer(styles, name)) for name in styles.peers]
     figure.legend(handles=handles, loc="outside lower center", ncols=6, frameon=False, columnspacing=1.4, fontsize=8)

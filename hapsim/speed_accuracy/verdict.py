@@ -23,7 +23,10 @@ def _of_quantity(quantity: str, rows: Sequence[Row]) -> str:
     front = [row for members in fronts(rows).values() for row in members]
     if not front:
         return f"{quantity}: nothing that could be timed"
-    names = list(dict.fromkeys(f"{row.method} ({row.precision})" for row in front))
+    precisions: dict[str, dict[str, None]] = {}
+    for row in front:
+        precisions.setdefault(row.method, {})[row.precision] = None
+    names = [f"{method} ({', '.join(sorted(lengths))})" for method, lengths in precisions.items()]
     best = cheapest_within(rows, WITHIN)
     if best is None:
         advice = f"none within {WITHIN:g} in real time"
