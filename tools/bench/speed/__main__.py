@@ -3,7 +3,8 @@
     tools/bench/schemes [--rounds 5] [--quick] [--only PART ...] [--object NAME ...]
                         [--json FILE] [--data FILE.csv] [--picture FILE] [--from FILE.json]
 
-chart      the objects of `hapsim chart speed-accuracy`, by hapsim's schemes and precisions and, strings, by the peers
+chart      the objects of `hapsim chart speed-accuracy`, by hapsim's schemes and precisions and, strings without
+           bending, by the peers
 ratios     what a sample costs, hapsim's over C's, Faust's and MuJoCo's: strings with and without a hand, a network, one
            spring; before, the forces of all are compared
 first      from a scene to its first tick: a string of 1000 masses, with and without what was compiled before
@@ -76,7 +77,9 @@ def _measure(arguments: argparse.Namespace) -> dict[str, Any]:
             objects = objects_named(arguments.object)
             comparison = Comparison(objects, rates, _tell)
             open_ones.callback(comparison.close)
-            peers = PeerRows([one for one in objects if isinstance(one, RingingString)], rates, _tell)
+            peers = PeerRows(
+                [one for one in objects if isinstance(one, RingingString) and not one.string.bending], rates, _tell
+            )
             about["conditions"] += peers.left_out
         if "ratios" in arguments.only:
             ratios = Ratios(_tell)

@@ -21,7 +21,7 @@ from speed.peers.c_stencil import CStencil
 from speed.reference.build import build_c
 
 RATE = 50_000.0  # Hz: at which every one of them is stable
-PLAIN, STRONG = "cc -O3 -march=native", "cc, number of masses known, 512-bit vectors"
+PLAIN, STRONG = "cc -O3 -march=native", "cc, -DMASSES and 512-bit vectors"
 SIDE = 32  # of the net
 
 Advance = Callable[[int], None]

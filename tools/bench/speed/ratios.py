@@ -22,23 +22,21 @@ Measured = dict[str, dict[str, list[float]]]
 
 
 class Ratios:
-    """Everything compiled and warm, to be timed round by round."""
+    """Contests that were held to the same forces, to be timed round by round."""
 
     def __init__(self, tell: Callable[[str], None]) -> None:
-        self._timed: dict[str, dict[str, Timed]] = {}
         self.measured: Measured = {}
         self.agreed: list[str] = []
         for contest in contests():
             tell(f"compiling {contest.what}")
             self.agreed += _require_agreement(contest)
-            self._timed[contest.what] = {who: Timed(advance, 1e9, _ROUND_S) for who, advance in contest.advance.items()}
         self._others = list(_others(tell))
 
     def round(self) -> None:
-        """Everybody once; hapsim beside Faust and MuJoCo too."""
-        for what, timed in self._timed.items():
-            for who, one in timed.items():
-                self._note(what, who, one.round())
+        """Everybody once, made anew: where its arrays happen to stand in memory decides too what a tick costs."""
+        for contest in contests():
+            for who, advance in contest.advance.items():
+                self._note(contest.what, who, Timed(advance, 1e9, _ROUND_S).round())
         for what, costs in self._others:
             for who, cost in costs.items():
                 self._note(what, who, cost())
