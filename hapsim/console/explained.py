@@ -19,7 +19,7 @@ def show_explanation(out: Console, explanation: Explanation) -> None:
         table.add_column(heading, justify="right")
     for part in explanation.parts:
         alone = "" if math.isnan(part.seconds) else f"{part.seconds * 1e9:.3g}"
-        table.add_row(part.name, str(part.modules), part.compiled_as, str(part.bytes), alone)
+        table.add_row(part.name, str(part.modules or ""), part.compiled_as, str(part.bytes), alone)
     out.print()
     out.print(table)
     share = explanation.seconds / explanation.period

@@ -57,18 +57,28 @@ def explain(scene: Scene, on_part: Callable[[str], None] = lambda _: None) -> Ex
     on_part("the whole tick")
     whole = _seconds(lambda samples: ticks(program, desk, samples))
     parts = []
-    acting = iter(program.parts)
-    for kind in KINDS:
-        modules = kind.select(scene)
-        if not modules:
-            continue
-        on_part(kind.name)
-        part = program.grounds if kind is GROUND else next(acting)
-        alone = float("nan") if kind is GROUND else _alone(program, part, desk)
-        parts.append(ExplainedPart(kind.name, len(modules), kind.compiled_as, _bytes_of(part), alone))
+    for name, modules, compiled_as, part in _named(scene, program):
+        on_part(name)
+        alone = float("nan") if part is program.grounds else _alone(program, part, desk)
+        parts.append(ExplainedPart(name, modules, compiled_as, _bytes_of(part), alone))
     absent = tuple(kind.name for kind in KINDS if not kind.select(scene))
     points = program.rows.shape[1]
     return Explanation(tuple(parts), absent, points, scene.precision, _bytes_of(program), whole, scene.period)
+
+
+def _named(scene: Scene, program: Program) -> Iterator[tuple[str, int, str, Any]]:
+    """The program's parts, with their names, how many modules each has, and in words what they are."""
+    if scene.scheme != "cordis":  # whose parts are not one for each kind of module
+        if program.grounds is not None:
+            yield GROUND.name, len(scene.grounds), GROUND.compiled_as, program.grounds
+        for part in program.parts:
+            yield type(part).__name__, 0, f"a part of the scheme {scene.scheme}, or pulled from outside it", part
+        return
+    acting = iter(program.parts)
+    for kind in KINDS:
+        modules = kind.select(scene)
+        if modules:
+            yield kind.name, len(modules), kind.compiled_as, program.grounds if kind is GROUND else next(acting)
 
 
 def _alone(program: Program, part: Any, desk: Any) -> float:
