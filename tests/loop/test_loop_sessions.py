@@ -72,7 +72,9 @@ def test_parameters_are_set_by_the_names_of_the_scene(scene_of: SceneOf) -> None
         session.set({"touch0": {"stiffness": 500.0}, "touch1": {"stiffness": 250.0, "damping": 0.0}}, over=0.0)
         session.set({"wall": {"position": 0.001}}, over=0.01)
         taken = session._loop.parameters.mail
-        reaches(session, lambda: int(taken["sets"]) >= 1 and int(taken["left"]) == 0)
+        reaches(session, lambda: int(taken["taken"]) == int(taken["posted"]) and int(taken["left"]) == 0)
+        there = int(session._loop.state["ticks"])
+        reaches(session, lambda: int(session._loop.state["ticks"]) > there + 60)
         assert session.scene.links["touch1"].stiffness == 250.0
         session.stop()
     trace = session.trace
