@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from hapsim.compiled import inlined, part
 from hapsim.loop.codes import TIMED_OUT
-from hapsim.loop.denormals import flush_denormals
 from hapsim.loop.exchange import compose_disarm, compose_force, digest, never_sent, sent
 from hapsim.loop.inbox import fetch
 from hapsim.loop.port import send
@@ -24,7 +23,6 @@ _GLANCE_NS = 50_000
 def wait_for_go(loop):
     """Waits until the device is armed, or the loop told to stop. Done in here, the loop needs Python no more once it is
     armed: whatever holds Python up at that moment makes no first force late."""
-    flush_denormals()
     while not loop.control.go and not loop.control.stop:
         sleep_until(now_ns(loop.desk.scratch) + _GLANCE_NS, loop.desk.scratch)
 
