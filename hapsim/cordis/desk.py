@@ -8,7 +8,6 @@ import numpy as np
 
 from hapsim.compiled import inlined, jit
 from hapsim.cordis.tick import tick
-from hapsim.loop.denormals import flush_denormals
 from hapsim.scene import Scene
 
 
@@ -32,7 +31,6 @@ def ticks_with_hand(program, desk, motion, forces, samples):
 
     As in the loop, numbers too small to be normal become zero, in the calling thread from then on.
     """
-    flush_denormals()
     done = 0
     while done < samples:
         block = min(samples - done, motion.size)

@@ -19,6 +19,16 @@ sys.path.insert(0, str(Path(__file__).parent))
 from scenes import one_spring
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
+#: Scenes of a hand on one spring and damper; the others are played where the tick is tested.
+RINGING = [
+    "first_touch",
+    "paper_6_1_no_delay",
+    "paper_6_2_one_sample",
+    "paper_6_3_real_damping",
+    "sensed_velocity",
+    "sprung_device",
+    "zero_order_hold",
+]
 MASS, RATE = 0.2, 1000.0
 COMBINATIONS = list(
     itertools.product(("zoh", "impulse"), ("ideal", "average"), (0.0, 0.37, 1.0, 1.5, 2.0), (0.0, 0.05))
@@ -96,7 +106,7 @@ def test_at_a_picometre_every_pole_lies_within_four_of_the_uncertainties_stated(
     assert 0.4 < np.sqrt(np.mean(np.square(ratios))) < 1.3
 
 
-@pytest.mark.parametrize("path", sorted(CONFIGS.glob("*.yaml")), ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", [CONFIGS / f"{name}.yaml" for name in RINGING], ids=lambda path: path.stem)
 def test_every_shipped_scene_is_met_as_predicted_over_a_pseudo_terminal(path: Path) -> None:
     scene = hapsim.load_scene(path)
     scene = scene.model_copy(update={"device": scene.device.model_copy(update={"clock": "lockstep"})})
