@@ -27,10 +27,7 @@ def ticks(program, desk, samples):
 
 @jit
 def ticks_with_hand(program, desk, motion, forces, samples):
-    """So many samples in which the first hand moves as `motion` says, in m, over and over; `forces` in N, beside it.
-
-    As in the loop, numbers too small to be normal become zero, in the calling thread from then on.
-    """
+    """So many samples in which the first hand moves as `motion` says, in m, over and over; `forces` in N, beside it."""
     done = 0
     while done < samples:
         block = min(samples - done, motion.size)
