@@ -41,7 +41,7 @@ class LinearScene(NamedTuple):
     inner: list[LinearLink]
     """What its structures and cells consist of."""
     assumptions: list[str]
-    """Sentences: where the scene is not linear, and what was taken for it."""
+    """Sentences: what was taken for what the theory does not have."""
 
 
 AS_PREDICTED = ("cordis", "semi_implicit")

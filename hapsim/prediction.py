@@ -105,7 +105,7 @@ class Prediction:
     """In words, which links of a large scene were worked out, and how surely; "" where all were."""
     link_budget: LinkBudget
     assumptions: tuple[str, ...] = ()
-    """Sentences: where the scene is not linear, and what was taken for it."""
+    """Sentences: what was taken for what the theory does not have."""
 
     @property
     def first(self) -> Felt | None:
@@ -173,7 +173,7 @@ def predict(scene: Scene, *, with_margins: bool = True) -> Prediction:
 def warnings_about(scene: Scene, prediction: Prediction) -> list[str]:
     """What a hand should know before `scene` runs, of which this was predicted: sentences, none where all is well."""
     warnings = []
-    if scene.scheme not in AS_PREDICTED and (scene.masses or scene.structures):
+    if scene.scheme not in AS_PREDICTED and len(prediction.points) > len(scene.device_points):
         warnings.append(
             f"how stable the scene is was worked out for scheme: cordis, not for {scene.scheme}, by which it runs."
         )

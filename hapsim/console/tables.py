@@ -26,7 +26,7 @@ def show_prediction(out: Console, name: str, prediction: Prediction) -> None:
     """What `hapsim check` tells."""
     out.print(f"[bold]{escape(name)}[/bold] at {prediction.rate:g} Hz: {_stability(prediction)}")
     for assumption in prediction.assumptions:
-        out.print(f"[yellow]Not linear:[/yellow] {escape(assumption)}.")
+        out.print(f"[yellow]Assumed:[/yellow] {escape(assumption)}.")
     for felt in prediction.felt:
         _show_felt(out, felt)
     for coupled, why in prediction.coupled.items():

@@ -63,12 +63,15 @@ def scene(scheme: str, modules: str) -> Scene:
 
 
 MASS = "  m: {type: mass, mass: 0.1}\n  l: {type: viscoelastic, between: [m, wall], stiffness: 1e6, damping: 1}\n"
+CELL = "  m: {type: cell, mass: 0.1, stiffness: 1e6, damping: 1}\n"
+STRING = "  m: {type: string, masses: 2, mass: 0.1, stiffness: 1e6, damping: 1}\n"
 TOUCH = "  touch: {type: viscoelastic, between: [hand, wall], stiffness: 100, damping: 1}\n"
 
 
+@pytest.mark.parametrize("moved", [MASS, CELL, STRING], ids=["mass", "cell", "string"])
 @pytest.mark.parametrize("scheme", SCHEMES)
-def test_a_prediction_says_where_it_is_for_another_scheme(scheme: str) -> None:
-    stiff = scene(scheme, MASS + TOUCH)
+def test_a_prediction_says_where_it_is_for_another_scheme(scheme: str, moved: str) -> None:
+    stiff = scene(scheme, moved + TOUCH)
     warnings, assumptions = warnings_about(stiff, predict(stiff)), predict(stiff).assumptions
     if scheme in ("cordis", "semi_implicit"):
         assert assumptions == ()
