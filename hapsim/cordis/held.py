@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from hapsim.compiled import inlined
 from hapsim.cordis.kind import Column, Frame
+from hapsim.cordis.lanes import add_to_one
 from hapsim.cordis.mass import mobility_of
 
 
@@ -42,5 +43,5 @@ def push_held(held, moment):
         return
     for h in range(held.point.size):
         p = held.point[h]
-        moment.following[p] += held.mobility[h] * moment.force[p]
+        add_to_one(moment.following, np.uint64(p), held.mobility[h] * moment.force[p])
         moment.force[p] = 0.0

@@ -6,8 +6,7 @@ The recurrence is that of `string.py`, with four neighbours: s[i] = x[left] + x[
 
 A membrane stands in memory row after row, each between two borders, and between two rows of borders above and below.
 The border of an edge that is held stays where it is; that of a free edge follows its neighbour, so that no link to it
-is ever stretched. The pass goes on from each row to the next across their borders and moves these like masses; before
-each sample they are put back.
+is ever stretched. Every row begins where lanes may begin, so that what is above and below is fetched whole.
 """
 
 from __future__ import annotations
@@ -22,21 +21,22 @@ from hapsim.compiled import fused, inlined
 from hapsim.cordis.acting import moves, settles
 from hapsim.cordis.held import Held, held_of, push_held
 from hapsim.cordis.kind import Column, Frame, Kind, all_of
+from hapsim.cordis.lanes import beside, fetch, padded, put, put_one, width_of
 from hapsim.cordis.mass import mobility_of
-from hapsim.cordis.stencil import steps, sweep
-from hapsim.cordis.string import live_structures
+from hapsim.cordis.stencil import Way, steps, sweep
+from hapsim.cordis.string import live_structures, tell_places
 from hapsim.scene import Membrane
 
 
 class Membranes(NamedTuple):
-    """S membranes: where their memory begins, how many rows and columns of masses each has, which edges are free
-    (S, 4); where the others rest, in m; T²/m in m/N; K, B/T and friction/T in N/m; shape (S,)."""
+    """S membranes: their first mass, how far it is in memory from one row to the next, how many rows and columns of
+    masses each has, which edges are free (S, 4); T²/m in m/N; K, B/T and friction/T in N/m; shape (S,)."""
 
-    begin: NDArray[np.uint64]
+    first: NDArray[np.uint64]
+    pitch: NDArray[np.uint64]
     rows: NDArray[np.uint64]
     columns: NDArray[np.uint64]
     free: NDArray[np.bool_]
-    rest: Column
     mobility: Column
     stiffness: Column
     damping_per_sample: Column
@@ -57,11 +57,11 @@ def _build(membranes: Mapping[str, Membrane], columns: Sequence[Column], frame: 
     ones = membranes.values()
     stiffness, damping, friction = columns
     return Membranes(
-        np.array([frame.number[f"{name}.0.0"] - one.columns - 3 for name, one in membranes.items()], np.uint64),
+        np.array([frame.number[f"{name}.0.0"] for name in membranes], np.uint64),
+        np.array([_pitch(one) for one in ones], np.uint64),
         np.array([one.rows for one in ones], np.uint64),
         np.array([one.columns for one in ones], np.uint64),
         np.array([[edge == "free" for edge in one.edges] for one in ones]),
-        frame.column([one.position for one in ones]),
         mobility_of([one.mass for one in ones], frame),
         stiffness,
         damping,
@@ -70,9 +70,14 @@ def _build(membranes: Mapping[str, Membrane], columns: Sequence[Column], frame: 
     )
 
 
+def _pitch(membrane: Membrane) -> int:
+    """A border, a row of masses, a border."""
+    return padded(membrane.columns + 2)
+
+
 def _layout(membrane: Membrane) -> tuple[Sequence[int], int]:
     """Rows with a border at each end, between two rows of borders."""
-    rows, columns, pitch = range(1, membrane.rows + 1), range(1, membrane.columns + 1), membrane.columns + 2
+    rows, columns, pitch = range(1, membrane.rows + 1), range(1, membrane.columns + 1), _pitch(membrane)
     return [row * pitch + column for row in rows for column in columns], (membrane.rows + 2) * pitch
 
 
@@ -82,7 +87,7 @@ MEMBRANE = Kind(
     live_structures,
     _layout,
     name="membranes",
-    compiled_as="a stencil over contiguous memory, across the rows",
+    compiled_as="a stencil over contiguous memory, row by row, many masses at once",
 )
 
 
@@ -90,82 +95,87 @@ MEMBRANE = Kind(
 @inlined
 def settle_membranes(membranes, moment):
     """Before the first tick: the borders go where the masses were."""
-    for s in range(membranes.begin.size):
-        _place_borders(membranes, s, moment.previous)
+    for s in range(membranes.first.size):
+        _free_edges(membranes, s, moment.previous)
 
 
 @moves(Membranes)
 @inlined
 def advance_membranes(membranes, moment):
     """Moves every membrane by one sample."""
-    for s in range(membranes.begin.size):
-        _place_borders(membranes, s, moment.position)
-        begin, pitch = membranes.begin[s], membranes.columns[s] + np.uint64(2)
-        size = (membranes.rows[s] + np.uint64(2)) * pitch
+    for s in range(membranes.first.size):
+        _free_edges(membranes, s, moment.position)
         step = MembraneStep(
             membranes.mobility[s] * membranes.stiffness[s],
             membranes.mobility[s] * membranes.damping_per_sample[s],
             membranes.mobility[s] * membranes.friction_per_sample[s],
-            pitch,
+            membranes.pitch[s],
         )
-        sweep(
-            step,
-            moment.position[begin : begin + size],
-            moment.previous[begin : begin + size],
-            moment.following[begin : begin + size],
-            pitch + np.uint64(1),
-            membranes.rows[s] * pitch - np.uint64(2),
-        )
+        for row in range(membranes.rows[s]):
+            first = membranes.first[s] + row * membranes.pitch[s]
+            sweep(step, moment.position, moment.previous, moment.following, first, membranes.columns[s])
     push_held(membranes.held, moment)
 
 
 @inlined
-def _place_borders(membranes, s, position):
-    """The border of a held edge goes back to where it rests, that of a free one to where its neighbour is."""
-    pitch, rest = membranes.columns[s] + np.uint64(2), membranes.rest[s]
-    first = membranes.begin[s] + pitch + np.uint64(1)
-    right = membranes.columns[s] - np.uint64(1)
-    below = (membranes.rows[s] - np.uint64(1)) * pitch
-    if membranes.free[s, 0]:
-        for i in range(membranes.columns[s]):
-            position[first - pitch + i] = position[first + i]
-    if membranes.free[s, 1]:
-        for i in range(membranes.columns[s]):
-            position[first + below + pitch + i] = position[first + below + i]
+def _free_edges(membranes, s, position):
+    """The border of a free edge goes where its neighbour is."""
+    first, pitch, columns, free = membranes.first[s], membranes.pitch[s], membranes.columns[s], membranes.free
+    last_row = first + (membranes.rows[s] - np.uint64(1)) * pitch
+    if free[s, 0]:
+        _copy_row(position, first, first - pitch, columns)
+    if free[s, 1]:
+        _copy_row(position, last_row, last_row + pitch, columns)
     for row in range(membranes.rows[s]):
         left = first + row * pitch
-        position[left - np.uint64(1)] = position[left] if membranes.free[s, 2] else rest
-        position[left + right + np.uint64(1)] = position[left + right] if membranes.free[s, 3] else rest
+        right = left + columns - np.uint64(1)
+        if free[s, 2]:
+            put_one(position, left - np.uint64(1), position[left])
+        if free[s, 3]:
+            put_one(position, right + np.uint64(1), position[right])
+
+
+@inlined
+def _copy_row(position, masses, borders, columns):
+    """Puts a row of borders where a row of masses is, in lanes. What stands beside them goes along: nobody asks it."""
+    begin, end = np.uint64(1), columns + np.uint64(1)
+    for i in range(np.uint64(0), end, width_of(position)):
+        put(position, borders - begin + i, fetch(position, masses - begin + i))
 
 
 @fused
-def _by_coefficients(step, x, before, after, here):
-    real = x.dtype.type
+def _tell_coefficients(step, x, before):
+    """What is s[n] and s[n-1] to a neighbour."""
+    return ((step.a + step.b) * x - step.b * before,)
+
+
+@fused
+def _follow_coefficients(step, rows, here, told):
+    x, before = fetch(rows[0], here), fetch(rows[1], here)
     a, b, e, pitch = step
-    left, right, above, below = here - np.uint64(1), here + np.uint64(1), here - pitch, here + pitch
+    real = rows[0].dtype.type
     now, old = real(2) - real(4) * (a + b) - e, real(1) - real(4) * b - e
-    after[here] = (
-        now * x[here]
-        + (a + b) * ((x[left] + x[right]) + (x[above] + x[below]))
-        - old * before[here]
-        - b * ((before[left] + before[right]) + (before[above] + before[below]))
+    sides = beside(told, 0, -1) + beside(told, 0, 1)
+    return (now * x - old * before) + (
+        sides + ((a + b) * _upright(rows[0], here, pitch) - b * _upright(rows[1], here, pitch))
     )
 
 
 @fused
-def _by_differences(step, x, before, after, here):
+def _follow_differences(step, rows, here, told):
+    x, before = fetch(rows[0], here), fetch(rows[1], here)
     a, b, e, pitch = step
-    way = x[here] - before[here]
-    pull, pull_before = _pull(x, here, pitch), _pull(before, here, pitch)
-    after[here] = x[here] + (((way - e * way) + (a + b) * pull) - b * pull_before)
+    four = rows[0].dtype.type(4)
+    way = x - before
+    pull = ((beside(told, 0, -1) + beside(told, 0, 1)) + _upright(rows[0], here, pitch)) - four * x
+    pull_before = ((beside(told, 1, -1) + beside(told, 1, 1)) + _upright(rows[1], here, pitch)) - four * before
+    return x + (((way - e * way) + (a + b) * pull) - b * pull_before)
 
 
-@fused
-def _pull(x, here, pitch):
-    """By how much the four neighbours together are away."""
-    real = x.dtype.type
-    neighbours = (x[here - np.uint64(1)] + x[here + np.uint64(1)]) + (x[here - pitch] + x[here + pitch])
-    return neighbours - real(4) * x[here]
+@inlined
+def _upright(row, here, pitch):
+    """The sum of what is above and below."""
+    return fetch(row, here - pitch) + fetch(row, here + pitch)
 
 
-steps(MembraneStep, _by_coefficients, _by_differences)
+steps(MembraneStep, Way(_tell_coefficients, _follow_coefficients), Way(tell_places, _follow_differences))

@@ -2,8 +2,9 @@
 
 Points are numbered: device points first (the exchange writes them), then grounds, then masses and behind them cells
 (which stand together, so that they advance in one pass), then the points of strings and membranes, each in one piece
-with the borders that its stencil needs. What can be changed while the scene runs (stiffness, damping, rest positions)
-stands together in one array, of which the parts hold their columns: `parameter_values` says what stands where.
+with the borders that its stencil needs, in whole lanes. What can be changed while the scene runs (stiffness, damping,
+rest positions) stands together in one array, of which the parts hold their columns: `parameter_values` says what
+stands where.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from hapsim.cordis.device_point import DevicePoints, device_points
 from hapsim.cordis.ground import GROUND, Grounds
 from hapsim.cordis.kind import Column, Frame, Kind, Layout
 from hapsim.cordis.kinds import KINDS
+from hapsim.cordis.lanes import aligned, padded
 from hapsim.cordis.schemes import SCHEMES
 from hapsim.cordis.schemes.scheme import Taken
 from hapsim.scene import Scene
@@ -130,7 +132,8 @@ def _frame(scene: Scene) -> tuple[Frame, int, list[float]]:
     hands = sorted(scene.device_points, key=lambda name: scene.device_points[name].channel)
     names = [*hands, *scene.grounds, *scene.masses, *scene.cells]
     number = {name: i for i, name in enumerate(names)}
-    loose = points = len(names)
+    loose = len(names) if not scene.structures else padded(len(names))
+    points = loose
     begins: list[float] = []
     for layout, name, structure in _structures(scene):
         numbers, size = layout(structure)
@@ -156,4 +159,4 @@ def _rows(scene: Scene, frame: Frame, loose: int, begins: list[float]) -> Column
         rows[0, frame.number[name]] = position
         rows[2, frame.number[name]] = position - velocity / scene.rate
     with np.errstate(over="ignore"):  # the guard sees what comes of an infinity
-        return rows.astype(frame.real)
+        return aligned(rows, frame.real)

@@ -27,9 +27,10 @@ from hapsim.compiled import fused, inlined
 from hapsim.cordis.acting import moves, settles
 from hapsim.cordis.held import Held, held_of, push_held
 from hapsim.cordis.kind import Column, Frame, Kind
+from hapsim.cordis.lanes import beside, fetch, padded, put_one
 from hapsim.cordis.mass import mobility_of
-from hapsim.cordis.stencil import steps, sweep
-from hapsim.cordis.string import live_structures
+from hapsim.cordis.stencil import Way, steps, sweep
+from hapsim.cordis.string import live_structures, tell_places
 from hapsim.scene import Scene, String
 
 _FIXED, _CLAMPED, _FREE = np.uint8(0), np.uint8(1), np.uint8(2)
@@ -81,7 +82,7 @@ def _build(strings: Mapping[str, String], columns: Sequence[Column], frame: Fram
 
 def _layout(string: String) -> tuple[Sequence[int], int]:
     """Two borders, the masses, two borders."""
-    return range(2, string.masses + 2), string.masses + 4
+    return range(2, string.masses + 2), padded(string.masses + 4)
 
 
 STIFF_STRING = Kind(
@@ -90,7 +91,7 @@ STIFF_STRING = Kind(
     live_structures,
     _layout,
     name="stiff strings",
-    compiled_as="a stencil of five over contiguous memory",
+    compiled_as="a stencil of five over contiguous memory, many masses at once",
 )
 
 
@@ -108,21 +109,19 @@ def advance_stiff_strings(strings, moment):
     """Moves every stiff string by one sample."""
     for s in range(strings.first.size):
         _place_borders(strings, s, moment.position)
-        begin, size = strings.first[s] - np.uint64(2), strings.masses[s] + np.uint64(4)
         step = StiffStringStep(
             strings.mobility[s] * strings.stiffness[s],
             strings.mobility[s] * strings.damping_per_sample[s],
             strings.mobility[s] * strings.friction_per_sample[s],
             strings.mobility[s] * strings.bending[s],
         )
-        x = moment.position[begin : begin + size]
-        before = moment.previous[begin : begin + size]
-        after = moment.following[begin : begin + size]
-        sweep(step, x, before, after, np.uint64(2), strings.masses[s])
+        x, before, after = moment.position, moment.previous, moment.following
+        first, end = strings.first[s], strings.first[s] + strings.masses[s]
+        sweep(step, x, before, after, first, strings.masses[s])
         if strings.ends[s, 0] == _FREE:
-            _let_go(step, x, before, after, np.uint64(2), np.uint64(1))
+            _let_go(step, x, before, after, first, first - np.uint64(1))
         if strings.ends[s, 1] == _FREE:
-            _let_go(step, x, before, after, size - np.uint64(3), size - np.uint64(2))
+            _let_go(step, x, before, after, end - np.uint64(1), end)
     push_held(strings.held, moment)
 
 
@@ -139,44 +138,47 @@ def _place_borders(strings, s, position):
 def _place(end, position, inner, outer, border, beyond):
     """The end's mass is at `outer`, its neighbour at `inner`."""
     if end == _FREE:
-        position[border] = position[outer] + (position[outer] - position[inner])
-        position[beyond] = position[border] + (position[outer] - position[inner])
+        way = position[outer] - position[inner]
+        put_one(position, border, position[outer] + way)
+        put_one(position, beyond, position[outer] + way + way)
     elif end == _FIXED:
-        position[beyond] = position[border] + (position[border] - position[outer])
+        put_one(position, beyond, position[border] + (position[border] - position[outer]))
 
 
 @inlined
 def _let_go(step, x, before, after, mass, border):
     """Takes back what the link to a free end's border did."""
     d, d_before = x[border] - x[mass], before[border] - before[mass]
-    after[mass] -= step.a * d + step.b * (d - d_before)
+    put_one(after, mass, after[mass] - (step.a * d + step.b * (d - d_before)))
 
 
 @fused
-def _by_coefficients(step, x, before, after, here):
-    real = x.dtype.type
+def _tell_coefficients(step, x, before):
+    """What is asked of a neighbour, and of the one behind it."""
+    a, b, _, g = step
+    return (a + b + (g + g + g + g)) * x - b * before, x
+
+
+@fused
+def _follow_coefficients(step, rows, here, told):
+    x, before = fetch(rows[0], here), fetch(rows[1], here)
     a, b, e, g = step
-    left, right = here - np.uint64(1), here + np.uint64(1)
+    real = rows[0].dtype.type
     now, old = real(2) - real(2) * (a + b) - e - real(6) * g, real(1) - real(2) * b - e
-    after[here] = (
-        now * x[here]
-        + (a + b + real(4) * g) * (x[left] + x[right])
-        - g * (x[left - np.uint64(1)] + x[right + np.uint64(1)])
-        - old * before[here]
-        - b * (before[left] + before[right])
-    )
+    pull = (beside(told, 0, -1) + beside(told, 0, 1)) - g * (beside(told, 1, -2) + beside(told, 1, 2))
+    return (now * x - old * before) + pull
 
 
 @fused
-def _by_differences(step, x, before, after, here):
-    real = x.dtype.type
+def _follow_differences(step, rows, here, told):
+    x, before = fetch(rows[0], here), fetch(rows[1], here)
     a, b, e, g = step
-    left, right = here - np.uint64(1), here + np.uint64(1)
-    way = x[here] - before[here]
-    pull = (x[left] + x[right]) - real(2) * x[here]
-    pull_before = (before[left] + before[right]) - real(2) * before[here]
-    bend = ((x[left - np.uint64(1)] + x[right + np.uint64(1)]) - real(2) * x[here]) - real(4) * pull
-    after[here] = x[here] + ((((way - e * way) + (a + b) * pull) - b * pull_before) - g * bend)
+    real = rows[0].dtype.type
+    way = x - before
+    pull = (beside(told, 0, -1) + beside(told, 0, 1)) - real(2) * x
+    pull_before = (beside(told, 1, -1) + beside(told, 1, 1)) - real(2) * before
+    bend = ((beside(told, 0, -2) + beside(told, 0, 2)) - real(2) * x) - real(4) * pull
+    return x + ((((way - e * way) + (a + b) * pull) - b * pull_before) - g * bend)
 
 
-steps(StiffStringStep, _by_coefficients, _by_differences)
+steps(StiffStringStep, Way(_tell_coefficients, _follow_coefficients), Way(tell_places, _follow_differences))

@@ -1,4 +1,4 @@
-"""The string: equal masses in a row, moved in one pass over contiguous memory.
+"""The string: equal masses in a row, moved in one pass over contiguous memory, many at once (`stencil.py`).
 
 Each mass is the one of `mass.py`, each link the one of `damper_backward.py`. With the sum of neighbours
 s[i] = x[i-1] + x[i+1], a = T²/m K, b = T²/m B/T, e = T²/m (friction)/T, their recurrences together are
@@ -22,8 +22,9 @@ from hapsim.compiled import fused, inlined
 from hapsim.cordis.acting import moves, settles
 from hapsim.cordis.held import Held, held_of, push_held
 from hapsim.cordis.kind import Column, Frame, Kind
+from hapsim.cordis.lanes import beside, fetch, padded, put_one
 from hapsim.cordis.mass import mobility_of
-from hapsim.cordis.stencil import steps, sweep
+from hapsim.cordis.stencil import Way, steps, sweep
 from hapsim.scene import Scene, String
 
 
@@ -83,8 +84,8 @@ def _build(strings: Mapping[str, String], columns: Sequence[Column], frame: Fram
 
 
 def _layout(string: String) -> tuple[Sequence[int], int]:
-    """A border, the masses, a border."""
-    return range(1, string.masses + 1), string.masses + 2
+    """A border, the masses, a border, and what a sweep reads behind it."""
+    return range(1, string.masses + 1), padded(string.masses + 3)
 
 
 STRING = Kind(
@@ -93,7 +94,7 @@ STRING = Kind(
     live_structures,
     _layout,
     name="strings",
-    compiled_as="a stencil over contiguous memory; only the masses that links hold are asked for a force",
+    compiled_as="a stencil over contiguous memory, many masses at once; only those under links are asked for a force",
 )
 
 
@@ -112,20 +113,13 @@ def advance_strings(strings, moment):
     rows = strings.rows
     for s in range(rows.border.size):
         free_ends(rows, s, moment.position)
-        first, size = rows.border[s], rows.masses[s] + np.uint64(2)
         step = StringStep(
             strings.mobility[s] * strings.stiffness[s],
             strings.mobility[s] * strings.damping_per_sample[s],
             strings.mobility[s] * strings.friction_per_sample[s],
         )
-        sweep(
-            step,
-            moment.position[first : first + size],
-            moment.previous[first : first + size],
-            moment.following[first : first + size],
-            np.uint64(1),
-            rows.masses[s],
-        )
+        first = rows.border[s] + np.uint64(1)
+        sweep(step, moment.position, moment.previous, moment.following, first, rows.masses[s])
     push_held(strings.held, moment)
 
 
@@ -134,31 +128,41 @@ def free_ends(rows, s, position):
     """The border of a free end goes where its neighbour is."""
     left, right = rows.border[s], rows.border[s] + rows.masses[s] + np.uint64(1)
     if rows.free[s, 0]:
-        position[left] = position[left + np.uint64(1)]
+        put_one(position, left, position[left + np.uint64(1)])
     if rows.free[s, 1]:
-        position[right] = position[right - np.uint64(1)]
+        put_one(position, right, position[right - np.uint64(1)])
 
 
 @fused
-def _by_coefficients(step, x, before, after, here):
-    real = x.dtype.type
+def _tell_coefficients(step, x, before):
+    """What is s[n] and s[n-1] to a neighbour."""
+    return ((step.a + step.b) * x - step.b * before,)
+
+
+@fused
+def _follow_coefficients(step, rows, here, told):
+    x, before = fetch(rows[0], here), fetch(rows[1], here)
     a, b, e = step
-    left, right = here - np.uint64(1), here + np.uint64(1)
+    real = rows[0].dtype.type
     now, old = real(2) - real(2) * (a + b) - e, real(1) - real(2) * b - e
-    after[here] = (
-        now * x[here] + (a + b) * (x[left] + x[right]) - old * before[here] - b * (before[left] + before[right])
-    )
+    return (now * x - old * before) + (beside(told, 0, -1) + beside(told, 0, 1))
+
+
+@inlined
+def tell_places(step, x, before):  # noqa: ARG001  (every step's)
+    """Where masses are and were, for steps that work out differences."""
+    return x, before
 
 
 @fused
-def _by_differences(step, x, before, after, here):
-    real = x.dtype.type
+def _follow_differences(step, rows, here, told):
+    x, before = fetch(rows[0], here), fetch(rows[1], here)
     a, b, e = step
-    left, right = here - np.uint64(1), here + np.uint64(1)
-    way = x[here] - before[here]
-    pull = (x[left] + x[right]) - real(2) * x[here]
-    pull_before = (before[left] + before[right]) - real(2) * before[here]
-    after[here] = x[here] + (((way - e * way) + (a + b) * pull) - b * pull_before)
+    two = rows[0].dtype.type(2)
+    way = x - before
+    pull = (beside(told, 0, -1) + beside(told, 0, 1)) - two * x
+    pull_before = (beside(told, 1, -1) + beside(told, 1, 1)) - two * before
+    return x + (((way - e * way) + (a + b) * pull) - b * pull_before)
 
 
-steps(StringStep, _by_coefficients, _by_differences)
+steps(StringStep, Way(_tell_coefficients, _follow_coefficients), Way(tell_places, _follow_differences))

@@ -71,12 +71,12 @@ def many_structures(
 ) -> dict[str, Any]:
     """Strings with and without bending and membranes, of every size that a sweep treats in another way."""
     structures: dict[str, Any] = {}
-    sizes = [2, 15, 16, 17, 100, *rng.integers(3, 71, 2).tolist()]
+    sizes = [2, 5, 6, 7, 14, 15, 16, 17, 100, *rng.integers(3, 71, 2).tolist()]
     for (i, size), bending in itertools.product(enumerate(sizes), (False, True)):
         values = some(rng, bending=bending).values(rng.uniform(0.001, 0.1))
         where = {"position": float(rng.uniform(-0.02, 0.02)), "ends": list(ends)}
         structures[f"s{i}{'b' if bending else ''}"] = {"type": "string", "masses": size, **values, **where}
-    areas = [(2, 2), (3, 5), (2, 16), tuple(rng.integers(2, 11, 2).tolist())]
+    areas = [(2, 2), (3, 5), (3, 7), (2, 14), (2, 15), (2, 16), tuple(rng.integers(2, 11, 2).tolist())]
     for i, ((rows, columns), held) in enumerate(zip(areas, itertools.cycle(edges), strict=False)):
         values = some(rng, neighbours=4).values(rng.uniform(0.001, 0.1))
         where = {"position": float(rng.uniform(-0.02, 0.02)), "edges": list(held)}
