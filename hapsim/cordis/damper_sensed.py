@@ -14,7 +14,7 @@ from hapsim.compiled import inlined
 from hapsim.cordis.acting import pulls
 from hapsim.cordis.device_point import sensed
 from hapsim.cordis.kind import Column, Frame, Kind
-from hapsim.cordis.link import Links, count, stretch
+from hapsim.cordis.link import Links, count, first_end, second_end, stretch
 from hapsim.cordis.viscoelastic import links_of, live_links, pull_link, with_damper
 from hapsim.scene import ViscoElastic
 
@@ -55,5 +55,5 @@ def pull_sensed(group, moment):
     """Adds the force of every link."""
     ends, period = group.links.ends, group.period[0]
     for i in range(count(ends)):
-        growth = _way(ends.first[i], period, moment) - _way(ends.second[i], period, moment)
+        growth = _way(first_end(ends, i), period, moment) - _way(second_end(ends, i), period, moment)
         pull_link(group.links, i, stretch(ends, i, moment.position), growth, moment.force)

@@ -1,10 +1,17 @@
-"""A program on a desk: its ticks in a compiled loop, without a device, for whoever asks what they cost or do."""
+"""A program on a desk: its ticks in a compiled loop, without a device, for whoever asks what they cost or do.
+
+Between two ticks of a loop with a device, other code runs: what stands in memory is written by then, and read anew. The
+loops here keep to that (`_other_code`), lest the compiler work on several ticks at once.
+"""
 
 from __future__ import annotations
 
 from typing import Any
 
 import numpy as np
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic
 
 from hapsim.compiled import inlined, jit
 from hapsim.cordis.tick import tick
@@ -13,9 +20,14 @@ from hapsim.scene import Scene
 
 def desk_of(scene: Scene) -> Any:
     """One value per channel of each kind, of a number that the compiler knows, as in the loop."""
+    return desks_of(scene, 1)[0]
+
+
+def desks_of(scene: Scene, samples: int) -> Any:
+    """A desk for each sample: where every hand is, and, once it is ticked, what every hand feels."""
     each = (scene.channels,)
     kinds = [(name, np.float64, each) for name in ("measured", "velocity", "force")]
-    return np.zeros(1, np.dtype(kinds))[0]
+    return np.zeros(samples, np.dtype(kinds))
 
 
 @jit
@@ -23,19 +35,17 @@ def ticks(program, desk, samples):
     """So many samples; every hand stays where the desk says."""
     for _ in range(samples):
         tick(program, desk.measured, desk.velocity, desk.force)
+        _other_code()
 
 
 @jit
-def ticks_with_hand(program, desk, motion, forces, samples):
-    """So many samples in which the first hand moves as `motion` says, in m, over and over; `forces` in N, beside it."""
-    done = 0
-    while done < samples:
-        block = min(samples - done, motion.size)
-        for n in range(block):
-            desk.measured[0] = motion[n]
+def ticks_at(program, desks, samples):
+    """So many samples, each at the next desk, over and over."""
+    for begin in range(0, samples, desks.size):
+        for n in range(min(desks.size, samples - begin)):
+            desk = desks[n]
             tick(program, desk.measured, desk.velocity, desk.force)
-            forces[n] = desk.force[0]
-        done += block
+            _other_code()
 
 
 @jit
@@ -52,6 +62,18 @@ def ticks_watched(program, desk, rows, turn, first, weights, watched):
         for i in range(weights.size):
             total += weights[i] * row[first + i]
         watched[n] = total
+
+
+@intrinsic
+def _other_code(_typing: Any) -> Any:
+    """To the compiler, code that may read and write all memory."""
+
+    def generate(context: Any, builder: Any, _signature: Any, _arguments: Any) -> Any:
+        nothing = cgutils.ir.FunctionType(cgutils.ir.VoidType(), [])
+        builder.asm(nothing, "", "~{memory}", [], side_effect=True)
+        return context.get_dummy_value()
+
+    return types.void(), generate
 
 
 @inlined

@@ -13,7 +13,7 @@ from hapsim.cordis.acting import move_all, pull_all
 from hapsim.cordis.desk import desk_of, ticks
 from hapsim.cordis.ground import GROUND
 from hapsim.cordis.kinds import KINDS
-from hapsim.cordis.moment import moment_of
+from hapsim.cordis.moment import at_hand, registers_for
 from hapsim.cordis.program import Program, compile_scene
 from hapsim.cordis.tick import start
 from hapsim.scene import Scene
@@ -102,7 +102,7 @@ def _timed(run: Callable[[int], None], samples: int) -> float:
 
 @jit
 def _acts(program, parts, desk, samples):
-    moment = moment_of(program, desk.velocity)
+    moment = at_hand(program, desk.velocity, registers_for(program))
     for _ in range(samples):
         pull_all(parts, moment)
         move_all(parts, moment)

@@ -27,6 +27,9 @@ class Frame(NamedTuple):
     """Numbers of the points that a link holds."""
     grounds: frozenset[int]
     """Numbers of the grounds."""
+    hand_on_ground: bool
+    """There is one link, from the hand on the device's only channel to the first ground, and nothing that moves: its
+    ends are constants, and its force is the hand's."""
     points: int
     """How many there are, borders of structures included."""
 

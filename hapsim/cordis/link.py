@@ -20,10 +20,11 @@ from hapsim.cordis.kind import Column, Frame
 
 
 class Ends(NamedTuple):
-    """The points that L links join, by number: uint32, shape (L,)."""
+    """The points that L links join, by number: uint32, shape (L,); None: they are the program's first two points, and
+    the only link joins them."""
 
-    first: NDArray[np.uint32]
-    second: NDArray[np.uint32]
+    first: NDArray[np.uint32] | None
+    second: NDArray[np.uint32] | None
     several: int | None
     """L; None where there is one link, so that its tick is compiled without a loop."""
     anchored: bool | None
@@ -40,6 +41,8 @@ class Links(NamedTuple):
 
 def ends_of(links: Sequence[Any], frame: Frame, *, alike: bool = False) -> Ends:
     """The ends of these modules of a scene; `alike`: it makes no difference which of two is the first."""
+    if frame.hand_on_ground:
+        return Ends(None, None, None, True)
     first, second = frame.ends([link.between for link in links])
     if len(links) > 1:
         return Ends(first, second, len(links), None)
@@ -60,19 +63,36 @@ def _count(several):
 
 
 @inlined
+def first_end(ends, i):
+    """The number of the point that link i joins to another."""
+    return _number(ends.first, i, np.uint64(0))
+
+
+@inlined
+def second_end(ends, i):
+    """The number of the other."""
+    return _number(ends.second, i, np.uint64(1))
+
+
+@inlined
+def _number(numbers, i, alone):
+    return alone if numbers is None else np.uint64(numbers[i])
+
+
+@inlined
 def stretch(ends, i, position):
     """Link i's first end minus its second, where the points are at `position`, in m."""
-    return position[ends.first[i]] - position[ends.second[i]]
+    return position[first_end(ends, i)] - position[second_end(ends, i)]
 
 
 @inlined
 def pull_ends(ends, i, tension, force):
     """Pulls link i's ends towards each other by `tension` N."""
-    force[ends.first[i]] -= tension
-    _pull_second(ends.anchored, ends.second, i, tension, force)
+    force[first_end(ends, i)] -= tension
+    _pull_second(ends.anchored, ends, i, tension, force)
 
 
 @inlined
-def _pull_second(anchored, second, i, tension, force):
+def _pull_second(anchored, ends, i, tension, force):
     if anchored is None:
-        force[second[i]] += tension
+        force[second_end(ends, i)] += tension

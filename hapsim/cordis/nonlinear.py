@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from hapsim.compiled import inlined
 from hapsim.cordis.acting import pulls
 from hapsim.cordis.kind import Column, Frame, Kind
-from hapsim.cordis.link import Ends, ends_of, pull_ends, stretch
+from hapsim.cordis.link import Ends, count, ends_of, pull_ends, stretch
 from hapsim.scene import Nonlinear, Scene
 
 
@@ -115,7 +115,7 @@ def curve_at(curves, i, x):
 @inlined
 def pull_over_distance(group, moment):
     """Adds what every link does for the distance of its ends."""
-    for i in range(group.ends.first.size):
+    for i in range(count(group.ends)):
         d = stretch(group.ends, i, moment.position)
         pull_ends(group.ends, i, curve_at(group.curves, i, d), moment.force)
 
@@ -124,6 +124,6 @@ def pull_over_distance(group, moment):
 @inlined
 def pull_over_velocity(group, moment):
     """Adds what every link does for how fast its ends part."""
-    for i in range(group.ends.first.size):
+    for i in range(count(group.ends)):
         growth = stretch(group.ends, i, moment.position) - stretch(group.ends, i, moment.previous)
         pull_ends(group.ends, i, curve_at(group.curves, i, growth), moment.force)

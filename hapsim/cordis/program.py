@@ -34,8 +34,9 @@ class Program(NamedTuple):
     """(3, N) positions in m: of this sample, the next and the one before, taking turns."""
     turn: NDArray[np.uint64] | None
     """(1,) which row is this sample's; None where the scene itself moves nothing: then it is always the first."""
-    force: Column
-    """(N,) N, added up during a tick; who uses a force sets it to zero. Nobody uses a ground's."""
+    force: Column | None
+    """(N,) N, added up during a tick; who uses a force sets it to zero. Nobody uses a ground's. None where there is but
+    the force of one link on the only hand: then it is kept where the device gets it from."""
     devices: DevicePoints
     grounds: Grounds | None
     parts: tuple[Any, ...]
@@ -48,7 +49,8 @@ def compile_scene(scene: Scene, values: Column | None = None, channels: int | No
     `values`: what `parameter_values` gives, kept and read at every tick, so that who holds it may change it.
     `channels`: how many the device has, and positions and forces stand for; left out: as many as the scene needs.
     """
-    frame, loose, begins = _frame(scene)
+    channels = scene.channels if channels is None else channels
+    frame, loose, begins = _frame(scene, channels)
     if values is None:
         values = parameter_values(scene)
     taken = list(_taken(scene, values))
@@ -57,11 +59,8 @@ def compile_scene(scene: Scene, values: Column | None = None, channels: int | No
     return Program(
         rows=rows,
         turn=np.zeros(1, np.uint64) if len(frame.number) > len(frame.grounds) + len(scene.device_points) else None,
-        force=np.zeros(rows.shape[1], frame.real),
-        devices=device_points(
-            sorted(point.channel for point in scene.device_points.values()),
-            scene.channels if channels is None else channels,
-        ),
+        force=None if frame.hand_on_ground else np.zeros(rows.shape[1], frame.real),
+        devices=device_points(sorted(point.channel for point in scene.device_points.values()), channels),
         grounds=grounds[0] if grounds else None,
         parts=SCHEMES[scene.scheme].parts(scene, frame, [one for one in taken if one.kind is not GROUND], rows),
     )
@@ -92,7 +91,7 @@ def positions_of(program: Program) -> tuple[Column, Column]:
 
 def numbers_of(scene: Scene) -> dict[str, int]:
     """Where each point stands in a program's arrays, by its name."""
-    return dict(_frame(scene)[0].number)
+    return dict(_frame(scene, scene.channels)[0].number)
 
 
 def _columns(kind: Kind, modules: Any, rate: float) -> list[list[float]]:
@@ -127,7 +126,7 @@ def _structures(scene: Scene) -> Iterator[tuple[Layout, str, Any]]:
                 yield kind.layout, name, structure
 
 
-def _frame(scene: Scene) -> tuple[Frame, int, list[float]]:
+def _frame(scene: Scene, channels: int) -> tuple[Frame, int, list[float]]:
     """The numbers of all points, how many stand before the first structure's, and where the structures begin, in m."""
     hands = sorted(scene.device_points, key=lambda name: scene.device_points[name].channel)
     names = [*hands, *scene.grounds, *scene.masses, *scene.cells]
@@ -144,7 +143,9 @@ def _frame(scene: Scene) -> tuple[Frame, int, list[float]]:
         points += size
     ends = {end for link in scene.links.values() for end in link.between}
     touched, grounds = (frozenset(number[name] for name in names) for names in (ends, scene.grounds))
-    return Frame(number, scene.rate, real_of(scene), touched, grounds, points), loose, begins
+    alone = channels == 1 and [link.between for link in scene.links.values()] == [tuple(names)[:2]]
+    on_ground = alone and len(hands) == 1 and bool(scene.grounds) and points == 1 + len(scene.grounds)
+    return Frame(number, scene.rate, real_of(scene), touched, grounds, on_ground, points), loose, begins
 
 
 def _rows(scene: Scene, frame: Frame, loose: int, begins: list[float]) -> Column:

@@ -6,7 +6,7 @@ from hapsim.compiled import inlined, jit_inlined
 from hapsim.cordis.acting import move_all, pull_all, settle_all
 from hapsim.cordis.device_point import felt, follow
 from hapsim.cordis.ground import settle
-from hapsim.cordis.moment import moment_of, pass_on
+from hapsim.cordis.moment import at_hand, moment_of, pass_on, registers_for
 
 
 @jit_inlined
@@ -21,7 +21,7 @@ def start(program, measured):
 @inlined
 def settle_grounds(program):
     """After parameters moved, before the tick: grounds go where they are told."""
-    settle(program.grounds, moment_of(program, program.force))
+    settle(program.grounds, moment_of(program, None))
 
 
 @jit_inlined
@@ -31,7 +31,7 @@ def tick(program, measured, velocity, force):
     `measured`: the device's positions in m, one per channel. `velocity`: those that it senses in m/s, 0 where it does
     not. `force`: receives the force in N on each channel that the scene uses.
     """
-    moment = moment_of(program, velocity)
+    moment = at_hand(program, velocity, registers_for(program))
     follow(program.devices, measured, moment.position)
     pull_all(program.parts, moment)
     felt(program.devices, moment.force, force)

@@ -5,16 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 
-import numpy as np
-
-from hapsim.cordis.desk import desk_of, ticks_with_hand
+from hapsim.cordis.desk import desks_of, ticks_at
 from hapsim.cordis.program import compile_scene
 from hapsim.cordis.tick import start
 from hapsim.scene import Scene
 from hapsim.speed_accuracy.strings import hand_motion
 from hapsim.speed_accuracy.timing import Timed
 
-_BLOCK = 16384  # samples of the hand's motion that are ready in memory
+_BLOCK = 1024  # samples of the hand's motion that are ready: few enough to stay in the nearest cache
 _ROUND_S = 0.02
 
 
@@ -22,13 +20,13 @@ class Running:
     """A scene whose first hand moves by a millimetre, twice a second."""
 
     def __init__(self, scene: Scene) -> None:
-        self._program, self._desk = compile_scene(scene), desk_of(scene)
-        self._motion, self._forces = hand_motion(_BLOCK, scene.rate), np.zeros(_BLOCK)
-        start(self._program, self._desk["measured"])
+        self._program, self._desks = compile_scene(scene), desks_of(scene, _BLOCK)
+        self._desks["measured"][:, 0] = hand_motion(_BLOCK, scene.rate)
+        start(self._program, self._desks["measured"][0].copy())
 
     def advance(self, samples: int) -> None:
-        """Simulates so many samples. Numbers too small to be normal are zero in the calling thread from then on."""
-        ticks_with_hand(self._program, self._desk, self._motion, self._forces, samples)
+        """Simulates so many samples."""
+        ticks_at(self._program, self._desks, samples)
 
 
 class Clocks:

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hapsim.cordis.desk import desk_of, ticks, ticks_with_hand
-from hapsim.cordis.program import compile_scene
+from hapsim.cordis.desk import desk_of, desks_of, ticks, ticks_at
+from hapsim.cordis.program import compile_scene, numbers_of
 from hapsim.cordis.tick import start
 from hapsim.scene import Device, DevicePoint, Ground, Mass, Scene, ViscoElastic
 from hapsim.speed_accuracy.cost import Running
@@ -54,9 +54,9 @@ def contests() -> Iterator[Contest]:
 
 
 def _string_alone(string: StringOfMasses) -> Contest:
-    program = compile_scene(_without_hand(scene_of(string, "cordis", "double", RATE)))
-    desk = desk_of(scene_of(string, "cordis", "double", RATE))
-    program.rows[:, -string.masses - 1 : -1] = string.plucked()
+    scene = _without_hand(scene_of(string, "cordis", "double", RATE))
+    program, desk, first = compile_scene(scene), desk_of(scene), numbers_of(scene)["string.0"]
+    program.rows[:, first : first + string.masses] = string.plucked()
     start(program, desk["measured"])
     advance: dict[str, Advance] = {OURS: lambda samples: ticks(program, desk, samples)}
     for name, plain in ((PLAIN, True), (STRONG, False)):
@@ -141,7 +141,9 @@ def _without_hand(scene: Scene) -> Scene:
 
 
 def _forces_of(scene: Scene, motion: NDArray[np.float64]) -> NDArray[np.float64]:
-    program, desk, forces = compile_scene(scene), desk_of(scene), np.zeros(motion.size)
-    start(program, desk["measured"])
-    ticks_with_hand(program, desk, motion, forces, motion.size)
+    program, desks = compile_scene(scene), desks_of(scene, motion.size)
+    desks["measured"][:, 0] = motion
+    start(program, np.zeros(scene.channels))
+    ticks_at(program, desks, motion.size)
+    forces: NDArray[np.float64] = desks["force"][:, 0]
     return forces

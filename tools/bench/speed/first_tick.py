@@ -20,19 +20,18 @@ _LIMIT_S = 600.0
 
 def first_tick() -> dict[str, float]:
     """Seconds: of the scene, of its program, of the compiled tick and its first call."""
-    from hapsim.cordis.desk import desk_of, ticks_with_hand
+    from hapsim.cordis.desk import desks_of, ticks_at
     from hapsim.cordis.program import compile_scene
     from hapsim.speed_accuracy.ringing_string import scene_of
-    from hapsim.speed_accuracy.strings import StringOfMasses, hand_link, hand_motion
+    from hapsim.speed_accuracy.strings import StringOfMasses, hand_link
 
     string = StringOfMasses.tuned(1000)
     times = [time.perf_counter()]
     scene = scene_of(string, "cordis", "double", 50_000.0, *hand_link(string))
     times.append(time.perf_counter())
-    program, desk = compile_scene(scene), desk_of(scene)
+    program, desks = compile_scene(scene), desks_of(scene, 1)
     times.append(time.perf_counter())
-    motion = hand_motion(1, scene.rate)
-    ticks_with_hand(program, desk, motion, motion.copy(), 1)
+    ticks_at(program, desks, 1)
     times.append(time.perf_counter())
     parts = [after - before for before, after in itertools.pairwise(times)]
     return dict(zip(("scene", "program", "tick"), parts, strict=True)) | {"all": sum(parts)}

@@ -13,7 +13,7 @@ from hapsim.speed_accuracy.timing import cost_of
 from speed.reference.build import build_c
 from speed.reference.memory import pointer
 
-_BLOCK = 16384  # samples of the hand's motion that are ready in memory
+_BLOCK = 1024  # samples of the hand's motion that are ready: few enough to stay in the nearest cache
 
 
 class _State(Structure):
@@ -35,14 +35,14 @@ class CSpring:
         self.preparation_s = built.seconds
         self._rate = rate
         self._run = library.spring_run_free if free else library.spring_run
-        self._run.argtypes = [POINTER(_State), c_int64, POINTER(c_double), POINTER(c_double)]
+        self._run.argtypes = [POINTER(_State), c_int64, c_int64, POINTER(c_double), POINTER(c_double)]
         self._state = _State(stiffness=stiffness, damping_per_sample=damping * rate)
 
     def run(self, motion: NDArray[np.float64]) -> NDArray[np.float64]:
         """The forces on the hand in N while it moves as told, in m; shape (samples,) both."""
         moved = np.ascontiguousarray(motion)
         forces = np.zeros(moved.size)
-        self._run(byref(self._state), moved.size, pointer(moved), pointer(forces))
+        self._run(byref(self._state), moved.size, moved.size, pointer(moved), pointer(forces))
         return forces
 
     def cost(self, rounds: int) -> list[float]:
@@ -55,7 +55,6 @@ class CSpring:
         there, back, state = pointer(motion), pointer(forces), byref(self._state)
 
         def advance(samples: int) -> None:
-            for begin in range(0, samples, _BLOCK):
-                self._run(state, min(_BLOCK, samples - begin), there, back)
+            self._run(state, samples, _BLOCK, there, back)
 
         return advance

@@ -23,14 +23,22 @@ static inline double tick(struct spring *s, double measured) {
     return -(s->stiffness * (measured - s->ground) + s->damping_per_sample * growth);
 }
 
-void spring_run(struct spring *s, int64_t samples, const double *hand, double *forces) {
-    for (int64_t n = 0; n < samples; n++) {
-        forces[n] = tick(s, hand[n]);
-        __asm__ volatile("" ::: "memory");
+/* So many samples; the hand moves as `hand` says (m, `block` of them), over and over. Forces in N, beside it. */
+void spring_run(struct spring *s, int64_t samples, int64_t block, const double *hand, double *forces) {
+    for (int64_t begin = 0; begin < samples; begin += block) {
+        const int64_t end = samples - begin < block ? samples - begin : block;
+        for (int64_t n = 0; n < end; n++) {
+            forces[n] = tick(s, hand[n]);
+            __asm__ volatile("" ::: "memory");
+        }
     }
 }
 
-void spring_run_free(struct spring *restrict s, int64_t samples, const double *restrict hand, double *restrict forces) {
-    for (int64_t n = 0; n < samples; n++)
-        forces[n] = tick(s, hand[n]);
+void spring_run_free(struct spring *restrict s, int64_t samples, int64_t block, const double *restrict hand,
+                     double *restrict forces) {
+    for (int64_t begin = 0; begin < samples; begin += block) {
+        const int64_t end = samples - begin < block ? samples - begin : block;
+        for (int64_t n = 0; n < end; n++)
+            forces[n] = tick(s, hand[n]);
+    }
 }
