@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from hapsim.compiled import inlined, jit
 from hapsim.loop.codes import HEARD
+from hapsim.loop.denormals import flush_denormals, restore
 from hapsim.loop.endings import GOES_ON, GONE, RING_FULL, ending_of, told_to_end
 from hapsim.loop.system import now_ns
 from hapsim.loop.waiting import answer, let_go, take_newest_position, wait_for_go
@@ -12,6 +13,7 @@ from hapsim.loop.waiting import answer, let_go, take_newest_position, wait_for_g
 @jit
 def run_paced_by_device(loop):
     """Answers every position until something ends it; returns what did. RING_FULL alone leaves the device armed."""
+    mode = flush_denormals()
     wait_for_go(loop)
     loop.state.sent_ns = now_ns(loop.desk.scratch)
     ending = GOES_ON
@@ -21,6 +23,7 @@ def run_paced_by_device(loop):
             ending = _exchange(loop)
     if ending != RING_FULL:
         let_go(loop)
+    restore(mode)
     return ending
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from hapsim.compiled import inlined, jit, jit_inlined
 from hapsim.loop.codes import HEARD, TIMED_OUT
+from hapsim.loop.denormals import flush_denormals, restore
 from hapsim.loop.endings import GOES_ON, GONE, ending_of, told_to_end
 from hapsim.loop.histogram import note
 from hapsim.loop.system import now_ns, sleep_until
@@ -17,6 +18,7 @@ from hapsim.loop.waiting import SLICE_NS, answer, let_go, take_newest_position, 
 @jit
 def run_paced_by_host(loop):
     """Exchanges once a period until something ends it; returns what did."""
+    mode = flush_denormals()
     wait_for_go(loop)
     loop.state.tick_ns = now_ns(loop.desk.scratch)
     ending = _first_position(loop)
@@ -32,6 +34,7 @@ def run_paced_by_host(loop):
         due = next_due(loop, due, now)
         ending = exchange_before(loop, now, due)
     let_go(loop)
+    restore(mode)
     return ending
 
 
