@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from hapsim.theory.arrays import Bools, Floats
 from hapsim.theory.network.exact_null_space import PRIME, Row, TooMuchWorkError, null_space, rank, residue
+from hapsim.theory.network.parts import part_of_each
 
 if TYPE_CHECKING:
     from hapsim.theory.network.network import Network
@@ -55,31 +56,16 @@ def _at_points(network: Network, of_channels: Floats) -> Floats:
 
 def _free_parts(network: Network, links: Bools, held: Bools) -> int:
     """How many parts, joined by these links, neither reach a ground nor one of the points that are held."""
-    part = _part_of_each(network.ends[links], held.size)
+    part = part_of_each(network.ends[links], held.size)
     ends = network.ends[links]
     grounded = ends[(ends == -1).any(axis=1)].max(axis=1, initial=-1)
     stays = np.concatenate([part[held], part[grounded[grounded >= 0]]])
     return np.setdiff1d(part, stays).size
 
 
-def _part_of_each(ends: Indices, points: int) -> Indices:
-    """(points,): the same number for the points that links, (L, 2) ends, join, a ground (-1) joining none."""
-    parent = list(range(points))
-
-    def part(point: int) -> int:
-        while parent[point] != point:
-            parent[point] = parent[parent[point]]
-            point = parent[point]
-        return point
-
-    for a, b in ends[(ends >= 0).all(axis=1)].tolist():
-        parent[part(a)] = part(b)
-    return np.array([part(point) for point in range(points)], dtype=np.intp)
-
-
 def _parts_with(network: Network, some: Bools, links: Bools) -> list[tuple[Indices, Indices]]:
     """The points and the links of each part, joined by these links, in which there is one of some."""
-    part = _part_of_each(network.ends[links], network.channel_mass.size + network.point_mass.size)
+    part = part_of_each(network.ends[links], network.channel_mass.size + network.point_mass.size)
     acting = np.flatnonzero(links & (network.ends[:, 0] != network.ends[:, 1]))
     own = part[network.ends[acting].max(axis=1)]
     wanted = np.unique(own[some[acting]])

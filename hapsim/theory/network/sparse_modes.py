@@ -1,7 +1,7 @@
 """Some of the poles of a large scene, by shift-inverted Arnoldi iterations on its sparse transition.
 
-The only file of the theory that calls scipy, and that only for a scene that is large. No dense matrix of the state's
-size is ever formed.
+The only file of the network's that computes by scipy, and that only for a scene that is large. No dense matrix of the
+state's size is ever formed.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from hapsim.theory.arrays import Complexes, sort_by_modulus
 from hapsim.theory.network.modes import NO_MOTION, Solution, modes_of, snapped
 from hapsim.theory.network.state import Triplets
+from hapsim.theory.network.threads import one_thread
 
 if TYPE_CHECKING:
     from hapsim.theory.network.network import Network
@@ -54,9 +55,7 @@ def sparse_matrix(entries: Triplets, size: int) -> Any:
 
 def some_modes(network: Network) -> Solution:
     """The poles that the searches find, each with its motion; ``how`` says which those are."""
-    from threadpoolctl import threadpool_limits
-
-    with threadpool_limits(1, user_api="blas"):  # further threads wait for each other, and longer where others run
+    with one_thread():
         return _some_modes(network)
 
 
