@@ -181,3 +181,39 @@ def test_a_bar_on_a_membrane_turns_where_it_is_held() -> None:
     assert poles_at_rest(scene(rows**2 + 7, skin + bar + one)) == 4
     assert poles_at_rest(scene(rows**2 + 7, [*skin, *bar, *one, (0, -1, 1.0, 0.0)])) == 2
     assert poles_at_rest(scene(rows**2 + 7, [*skin, *bar, *one, (41, rows**2 + 3, 5.0, 0.0)])) == 2
+
+
+class TestALongBar:
+    """So long that some of its poles are worked out in place of all."""
+
+    def test_it_drifts_and_turns_and_no_more(self) -> None:
+        network = scene(900, bends(range(900)))
+        assert network.is_large
+        assert network.spectral_radius() == pytest.approx(1.0, abs=1e-11)
+        assert not network.is_stable()
+        assert sum(mode.frequency_hz == 0.0 for mode in network.modes()) == 4
+
+    @pytest.mark.parametrize(
+        ("first", "beta_l"), [([], 4.730040744862704), ([-1], 3.926602312047919)], ids=["free", "hinged"]
+    )
+    def test_its_first_swing_is_that_of_the_continuous_bar(self, first: list[int], beta_l: float) -> None:
+        """omega = (beta l / N)² sqrt(bending/mass), where the wave is long against the masses' distance."""
+        network = scene(900, bends([*first, *range(900)]))
+        swing = min(mode.frequency_hz for mode in network.modes() if mode.frequency_hz > 0.0)
+        expected = (beta_l / 900) ** 2 * np.sqrt(BENDING / M) / (2.0 * np.pi)
+        assert swing == pytest.approx(expected, rel=3e-3)
+
+    def test_clamped_and_undamped_it_swings_for_ever_and_does_not_grow(self) -> None:
+        network = scene(900, [*bends([-1, *range(900)]), (0, -1, BENDING, 0.0)])
+        assert poles_at_rest(network) == 0
+        assert network.spectral_radius() == pytest.approx(1.0, abs=1e-11)
+
+    def test_braked_it_comes_to_rest_wherever_it_is(self) -> None:
+        braked = [(i, -1, 0.0, 0.01) for i in range(900)]
+        network = scene(900, bends(range(900)) + braked)
+        assert network.spectral_radius() == 1.0
+        assert sum(mode.pole == 1.0 for mode in network.modes()) == 2
+
+    def test_beyond_its_limit_it_is_unstable(self) -> None:
+        assert scene(900, bends(range(900), 249.0)).spectral_radius() == pytest.approx(1.0, abs=1e-11)
+        assert scene(900, bends(range(900), 251.0)).spectral_radius() > 1.1

@@ -15,7 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapsim.theory.arrays import Complexes, sort_by_modulus
-from hapsim.theory.network.modes import NO_MOTION, Solution, modes_of, snapped
+from hapsim.theory.network.modes import NO_MOTION, SAME_AS_REST, Solution, modes_of
+from hapsim.theory.network.rayleigh import at_rest, refined
+from hapsim.theory.network.rigid import poles_at_rest
 from hapsim.theory.network.state import Triplets
 from hapsim.theory.network.threads import one_thread
 
@@ -72,8 +74,8 @@ def _some_modes(network: Network) -> Solution:
     grown, motions, growth = _growing(matrix)
     poles.append(grown)
     vectors.append(motions[:points])
-    every, motion = _once_each(np.concatenate(poles), np.concatenate(vectors, axis=1))
-    every = snapped(network, every)
+    motion = np.concatenate(vectors, axis=1)
+    every, motion = _once_each(network, refined(network, np.concatenate(poles), motion), motion)
     both = sort_by_modulus(np.concatenate([every, every[every.imag > 0.0].conj()]))
     others = (
         f"no other that grows by more than {_least_seen(matrix.shape[0]):.1g} of itself in a sample period was seen"
@@ -206,15 +208,21 @@ def _trusted(matrix: Any, poles: Complexes, motions: NDArray) -> tuple[Complexes
     return poles[good], motions[:, good]
 
 
-def _once_each(poles: Complexes, motions: NDArray) -> tuple[Complexes, NDArray]:
-    """Without those that an earlier search had found; equal parts of a scene that do not touch count once."""
-    kept: list[int] = []
+def _once_each(network: Network, poles: Complexes, motions: NDArray) -> tuple[Complexes, NDArray]:
+    """Without those that an earlier search had found; equal parts of a scene that do not touch count once.
+
+    But those that are known to be 1 as many times as they are: the searches find some of them, and about.
+    """
+    known, rests = poles_at_rest(network), at_rest(network, poles, motions, SAME_AS_REST)
+    resting = np.flatnonzero(rests) if known else np.zeros(0, np.intp)
+    kept = np.resize(resting, known if resting.size else 0).tolist()
+    first = len(kept)
     seen = np.zeros(0, complex)
     for i, pole in enumerate(poles):
-        if not (np.abs(seen - pole) < SAME * max(1.0, abs(pole))).any():
+        if i not in resting and not (np.abs(seen - pole) < SAME * max(1.0, abs(pole))).any():
             kept.append(i)
-            seen = poles[kept]
-    return poles[kept], motions[:, kept]
+            seen = poles[kept[first:]]
+    return np.concatenate([np.ones(first, complex), seen]), motions[:, kept]
 
 
 def _hand_alone(network: Network, channel: int) -> complex:
