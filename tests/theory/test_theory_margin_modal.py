@@ -91,7 +91,7 @@ def test_a_structure_that_is_damped_unevenly_has_no_modes_of_its_own() -> None:
 def test_margins_are_where_the_poles_leave_the_circle(links: Sequence[Link], monkeypatch: pytest.MonkeyPatch) -> None:
     dense = skin(11, links)
     monkeypatch.setattr(network, "LARGE", 100)
-    monkeypatch.setattr(margin, "FINELY", 0.0)
+    monkeypatch.setattr(margin, "QUICK", 0)
     scene = skin(11, links)
     assert isinstance(margin._response(scene), ModalResponse)
     for link, factors in enumerate(scene.margins()):

@@ -217,3 +217,30 @@ class TestALongBar:
     def test_beyond_its_limit_it_is_unstable(self) -> None:
         assert scene(900, bends(range(900), 249.0)).spectral_radius() == pytest.approx(1.0, abs=1e-11)
         assert scene(900, bends(range(900), 251.0)).spectral_radius() > 1.1
+
+
+@pytest.mark.parametrize("seed", range(100))
+def test_random_bars_springs_and_hands_rest_as_their_null_spaces_say(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    channels, masses = int(rng.integers(0, 3)), int(rng.integers(4, 14))
+    points = channels + masses
+    links = [(0, -1, 0.0, 0.0)]
+    for _ in range(rng.integers(1, 4)):
+        row = rng.permutation(points)[: int(rng.integers(3, 7))].tolist()
+        links += bends([-1, *row] if rng.random() < 0.3 else row, float(rng.uniform(1.0, 50.0)))
+    for _ in range(rng.integers(0, 6)):
+        first, second = rng.integers(-1, points, 2).tolist()
+        links.append((first, second, float(rng.choice([0.0, 0.0, 30.0, 7.3])), float(rng.choice([0.0, 0.1]))))
+    friction, own = rng.choice([0.0, 1.0], channels), rng.choice([0.0, 0.0, 5.0], channels)
+    network = scene(masses, links, channel_mass=[0.2] * channels, channel_friction=friction, channel_stiffness=own)
+    pull = np.zeros((2, points + 1, points + 1))
+    for (a, b), *values in zip(network.ends, network.stiffness, network.damping, strict=True):
+        ends = np.zeros(points + 1)
+        ends[a] += 1.0
+        ends[b] -= 1.0
+        pull += np.array(values)[:, None, None] * np.outer(ends, ends)
+    stiffness, damping = pull[:, :points, :points] + [np.diag(np.append(x, np.zeros(masses))) for x in (own, friction)]
+    values, shapes = np.linalg.eigh(stiffness)
+    rigid = shapes[:, np.abs(values) < 1e-9]
+    braked = np.linalg.matrix_rank(rigid.T @ damping @ rigid, tol=1e-9) if rigid.size else 0
+    assert poles_at_rest(network) == 2 * rigid.shape[1] - braked

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapsim.theory.arrays import Bools, Complexes, Floats
-from hapsim.theory.network.margin_angles import AFFORDABLE, FINELY, angles_about, angles_for_links
+from hapsim.theory.network.margin_angles import AFFORDABLE, angles_about, angles_for_links
 from hapsim.theory.network.margin_modal import ModalResponse, NotModalError
 from hapsim.theory.network.margin_response import Response, TooLargeError
 from hapsim.theory.network.modes import snapped
@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 
 AnyResponse = Response | ModalResponse
 
+QUICK = 2000  # multiplications for each place on the circle: an elimination of fewer takes no time
+ONCE = 200_000  # the cube of so many masses' number for each of them: as long does it take to find their modes, once
 LIMIT = 1.0 + 1e-9  # a pole within it is not unstable: it may rest on 1, or never lose its energy
 NEVER = 1e9  # a factor above it is none
 FEW, MANY = 3, 300  # crossings that are worked out of one link, and of a hand's
@@ -94,11 +96,11 @@ def margins_of(network: Network) -> tuple[list[Margin], str]:
 
 
 def _response(network: Network) -> AnyResponse:
-    """By the modes of a large scene's structures, where it would take too long to eliminate its points so often."""
+    """By the modes of the scene's structures, where it would take longer to eliminate its points again and again."""
     eliminated = None
     with suppress(TooLargeError):
         eliminated = Response(network)
-    if eliminated and not (network.is_large and eliminated.work * eliminated.most_angles > FINELY):
+    if eliminated and eliminated.work < max(QUICK, network.point_mass.size**3 / ONCE):
         return eliminated
     with suppress(NotModalError):
         by_modes = ModalResponse(network)
