@@ -63,6 +63,21 @@ def test_a_hand_that_nothing_pulls_back_is_not_called_unstable(
     assert "There is no stiffness whose margin could be told." in told
 
 
+@pytest.mark.parametrize("masses", [10, 700])
+@pytest.mark.parametrize("ends", [["free", "free"], ["fixed", "free"]], ids=["free", "hinged"])
+def test_a_bar_that_nothing_keeps_from_turning_is_not_called_unstable(
+    hapsim: Callable[..., Any], tmp_path: Path, masses: int, ends: list[str]
+) -> None:
+    bar = {"type": "string", "masses": masses, "mass": 0.001, "stiffness": 0, "bending": 50, "ends": ends}
+    scene = {"version": 1, "rate": 1000, "device": {"clock": "lockstep", "mass": 0.2, "friction": 1.0}}
+    path = tmp_path / "bar.yaml"
+    path.write_text(yaml.safe_dump(scene | {"modules": {"hand": {"type": "device", "channel": 0}, "bar": bar}}))
+    assert "at the limit between stable and unstable: something drifts" in hapsim("check", path).out
+    bar["bending"] = 400  # well above m/(4 T²)
+    path.write_text(yaml.safe_dump(scene | {"modules": {"hand": {"type": "device", "channel": 0}, "bar": bar}}))
+    assert "Hz: unstable (spectral radius" in hapsim("check", path).out
+
+
 @pytest.mark.parametrize("name", ["mass", "mass_on_channel_2", "hand_in_hand"])
 def test_a_scene_with_masses_lists_modes_and_says_that_there_is_no_single_k_and_b(
     hapsim: Callable[..., Any], scene_file: Callable[..., Path], name: str

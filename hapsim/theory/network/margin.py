@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -18,12 +19,18 @@ from numpy.typing import NDArray
 
 from hapsim.theory.arrays import Bools, Complexes, Floats
 from hapsim.theory.network.margin_angles import AFFORDABLE, angles_about, angles_for_links
+from hapsim.theory.network.margin_modal import ModalResponse, NotModalError
 from hapsim.theory.network.margin_response import Response, TooLargeError
 from hapsim.theory.network.modes import snapped
+from hapsim.theory.network.threads import one_thread
 
 if TYPE_CHECKING:
     from hapsim.theory.network.network import Network
 
+AnyResponse = Response | ModalResponse
+
+QUICK = 2000  # multiplications for each place on the circle: an elimination of fewer takes no time
+ONCE = 200_000  # the cube of so many masses' number for each of them: as long does it take to find their modes, once
 LIMIT = 1.0 + 1e-9  # a pole within it is not unstable: it may rest on 1, or never lose its energy
 NEVER = 1e9  # a factor above it is none
 FEW, MANY = 3, 300  # crossings that are worked out of one link, and of a hand's
@@ -76,8 +83,8 @@ def margins_of(network: Network) -> tuple[list[Margin], str]:
         return unknown, "none was worked out: the scene's numbers are out of range"
     growing = int((np.abs(poles) > LIMIT).sum())
     try:
-        with np.errstate(all="ignore"):
-            response = Response(network)
+        with np.errstate(all="ignore"), one_thread(network.is_large):
+            response = _response(network)
             factors, how = _worked_out(network, response, growing)
     except TooLargeError:
         return unknown, "none was worked out: the scene's links are too many, and too entwined"
@@ -88,7 +95,23 @@ def margins_of(network: Network) -> tuple[list[Margin], str]:
     return margins, how
 
 
-def _worked_out(network: Network, response: Response, growing: int) -> tuple[Floats, str]:
+def _response(network: Network) -> AnyResponse:
+    """By the modes of the scene's structures, where it would take longer to eliminate its points again and again."""
+    eliminated = None
+    with suppress(TooLargeError):
+        eliminated = Response(network)
+    if eliminated and eliminated.work < max(QUICK, network.point_mass.size**3 / ONCE):
+        return eliminated
+    with suppress(NotModalError):
+        by_modes = ModalResponse(network)
+        if eliminated is None or by_modes.work < eliminated.work:
+            return by_modes
+    if eliminated is None:
+        raise TooLargeError
+    return eliminated
+
+
+def _worked_out(network: Network, response: AnyResponse, growing: int) -> tuple[Floats, str]:
     """(links, 2): the factors of stiffness and damping; and which, in words."""
     judged = len(network.ends) if network.judged is None else network.judged
     every = np.arange(np.searchsorted(response.links, judged))
@@ -128,14 +151,14 @@ def _worked_out(network: Network, response: Response, growing: int) -> tuple[Flo
     return factors, how
 
 
-def _touching(network: Network, response: Response) -> Bools:
+def _touching(network: Network, response: AnyResponse) -> Bools:
     """Which links touch a hand."""
     ends = network.ends[response.links]
     hand = (ends >= 0) & (ends < network.channel_mass.size)
     return hand[:, 0] | hand[:, 1]
 
 
-def _crossings(response: Response, angles: Floats, links: NDArray[np.intp]) -> Crossings:
+def _crossings(response: AnyResponse, angles: Floats, links: NDArray[np.intp]) -> Crossings:
     """Those of some links that show between neighbouring angles, the first 0, the last pi; and those at 0 and pi."""
     found = []
     step = response.at_once(links.size)
@@ -215,7 +238,7 @@ def _begins(group: NDArray[np.intp]) -> NDArray[np.intp]:
     return np.maximum.accumulate(np.where(new, np.arange(group.size), 0))
 
 
-def _refined(response: Response, crossings: Crossings, precision: float) -> Floats:
+def _refined(response: AnyResponse, crossings: Crossings, precision: float) -> Floats:
     """The factors where the change is real, between each crossing's angles: false position, halved where it lingers."""
     left, right, factor = crossings.left.copy(), crossings.right.copy(), crossings.factor.copy()
     if not left.size:
@@ -255,7 +278,7 @@ def _may_be_nearest(crossings: Crossings, factor: Floats, settled: Bools) -> Boo
     return near
 
 
-def _own(response: Response, crossings: Crossings, angles: Floats) -> Complexes:
+def _own(response: AnyResponse, crossings: Crossings, angles: Floats) -> Complexes:
     """Each crossing's change at its own angle."""
     links, place = np.unique(crossings.link, return_inverse=True)
     out = np.zeros(angles.size, dtype=complex)
@@ -269,7 +292,7 @@ def _own(response: Response, crossings: Crossings, angles: Floats) -> Complexes:
     return out
 
 
-def _check(network: Network, response: Response, factors: Floats, unstable: bool) -> None:
+def _check(network: Network, response: AnyResponse, factors: Floats, unstable: bool) -> None:
     """Looks at the poles beside each factor, the nearest to 1 first; where they say otherwise, searches by them."""
     size = network.triplets[1]
     affordable = int(EIGENVALUES / (size + 40) ** 3)

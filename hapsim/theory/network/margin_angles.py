@@ -11,13 +11,14 @@ from numpy.typing import NDArray
 from hapsim.theory.arrays import Complexes, Floats
 
 if TYPE_CHECKING:
+    from hapsim.theory.network.margin_modal import ModalResponse
     from hapsim.theory.network.margin_response import Response
 
 EVENLY = 200
 FAINT = 0.3  # a pole of smaller modulus does not show on the circle
 RESTS = 1e-9  # a pole this close to the circle is on it; closer by, rounding would speak of it
 AFFORDABLE = 6e7  # multiplications for a walk along the circle
-MOST = 2500  # angles for the hands' links of a large scene
+FINELY = 4.0 * AFFORDABLE  # the same for the hands' links, where they turn fast
 TURN = 0.7  # between two angles an answer changes by less than exp of it, in size and in angle
 ABOUT = ((0.0, 0.15, 0.4, 0.8, 1.5, 3.0, 7.0, 20.0), (0.0, 0.5, 1.0, 3.0), (0.0, 1.0), (0.0,))  # widths of a resonance
 
@@ -42,9 +43,11 @@ def angles_about(poles: Complexes, work: int) -> Floats:
     return angles
 
 
-def angles_for_links(response: Response, links: NDArray[np.intp], angles: Floats) -> tuple[Floats, bool]:
+def angles_for_links(
+    response: Response | ModalResponse, links: NDArray[np.intp], angles: Floats
+) -> tuple[Floats, bool]:
     """These angles, and more where the answers of the links turn fast; False where time is up before none does."""
-    most = min(MOST, int(4.0 * AFFORDABLE / max(1, response.work)))
+    most = min(response.most_angles, int(FINELY / max(1, response.work)))
     wanted = _answers(response, links, angles)
     while angles.size < most:
         with np.errstate(all="ignore"):
@@ -61,7 +64,7 @@ def angles_for_links(response: Response, links: NDArray[np.intp], angles: Floats
     return angles, False
 
 
-def _answers(response: Response, links: NDArray[np.intp], angles: Floats) -> Complexes:
+def _answers(response: Response | ModalResponse, links: NDArray[np.intp], angles: Floats) -> Complexes:
     """(2 links, n): those of the stiffnesses, then those of the dampings."""
     parts = []
     step = response.at_once(links.size)

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 OUTSIDE = 1e-12  # the circle's radius is 1 and this: poles that rest on 1, and what never loses energy, lie inside
 AT_ONCE = 10_000_000  # complex numbers in memory
 MOST_COEFFICIENTS = 20_000_000
+MOST_ANGLES = 2500  # for the hands' links of a large scene
 MOST_WORK = 300_000  # multiplications for each place on the circle, likewise
 FILL = 40  # entries a point: a scene whose elimination adds more takes too long
 
@@ -49,6 +50,8 @@ class Response:
         links: (n,) those that join two points or a point and a ground; the answers are theirs.
         work: multiplications for each place.
     """
+
+    most_angles = MOST_ANGLES
 
     def __init__(self, network: Network) -> None:
         channels, points = network.channel_mass.size, network.channel_mass.size + network.point_mass.size
@@ -104,8 +107,7 @@ class Response:
     def at(self, angle: Floats, only: NDArray[np.intp] | None = None) -> Answer:
         """The answers at exp(j angle), (n,) angles from 0 to pi: of all links, or of ``only`` some, by number."""
         some = np.arange(self.links.size) if only is None else only
-        z = (1.0 + OUTSIDE) * np.exp(1j * angle)
-        w = OUTSIDE * np.exp(1j * angle) - 2.0 * np.sin(0.5 * angle) ** 2 + 1j * np.sin(angle)
+        z, w = at_places(angle)
         velocity, read = self._known(z, w)
         known = [np.ones_like(z)[None], (w * w / z)[None], velocity, 1.0 / read]
         entries = np.matmul(self._coefficients, np.concatenate(known), out=self._room(z.size))
@@ -131,21 +133,28 @@ class Response:
     def _known(self, z: Complexes, w: Complexes) -> tuple[Complexes, Complexes]:
         """The velocities (kinds, n) that the ends have, and the readings (C, n), of forces T²/m F z^n."""
         reads_mean = SAMPLINGS[self._network.sampling].reads_mean
-        read = [_channel(step, reads_mean, z, w) for step in self._steps]
-        velocity = [_velocity(damper, z, w) for damper in self._dampers] + [v / x for x, v in read]
+        read = [channel_answer(step, reads_mean, z, w) for step in self._steps]
+        velocity = [damper_answer(damper, z, w) for damper in self._dampers] + [v / x for x, v in read]
         return np.array(velocity).reshape(-1, z.size), np.array([x for x, _ in read]).reshape(-1, z.size)
 
 
 PAIRS = ((0, 0), (0, 1), (1, 0), (1, 1))
 
 
-def _velocity(damper: Damper, z: Complexes, w: Complexes) -> Complexes:
+def at_places(angle: Floats) -> tuple[Complexes, Complexes]:
+    """(n,) the places on the circle at these angles, z and w = z - 1."""
+    z = (1.0 + OUTSIDE) * np.exp(1j * angle)
+    w = OUTSIDE * np.exp(1j * angle) - 2.0 * np.sin(0.5 * angle) ** 2 + 1j * np.sin(angle)
+    return z, w
+
+
+def damper_answer(damper: Damper, z: Complexes, w: Complexes) -> Complexes:
     """v/y of the damper's recurrence; its weights of positions add up to zero, which leaves a factor 1 - 1/z = w/z."""
     from_positions = np.polyval(np.cumsum(damper.of_positions)[-2::-1], 1.0 / z)
     return w / z * from_positions / (1.0 - np.polyval([*damper.of_velocities[::-1], 0.0], 1.0 / z))
 
 
-def _channel(step: DeviceStep, reads_mean: bool, z: Complexes, w: Complexes) -> tuple[Complexes, Complexes]:
+def channel_answer(step: DeviceStep, reads_mean: bool, z: Complexes, w: Complexes) -> tuple[Complexes, Complexes]:
     """What the device reads after a force T²/m F z^n: its position, and its velocity times T."""
     force = [sum((f * z**-age for age, f in enumerate(row) if f), 0.0 * z) for row in step.forces]
     (aa, ab), (ba, bb) = step.motion[:2] - np.eye(2)

@@ -1,7 +1,7 @@
 """Some of the poles of a large scene, by shift-inverted Arnoldi iterations on its sparse transition.
 
-The only file of the theory that calls scipy, and that only for a scene that is large. No dense matrix of the state's
-size is ever formed.
+The only file of the network's that computes by scipy, and that only for a scene that is large. No dense matrix of the
+state's size is ever formed.
 """
 
 from __future__ import annotations
@@ -15,8 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapsim.theory.arrays import Complexes, sort_by_modulus
-from hapsim.theory.network.modes import NO_MOTION, Solution, modes_of, snapped
+from hapsim.theory.network.modes import NO_MOTION, SAME_AS_REST, Solution, modes_of
+from hapsim.theory.network.rayleigh import at_rest, refined
+from hapsim.theory.network.rigid import poles_at_rest
 from hapsim.theory.network.state import Triplets
+from hapsim.theory.network.threads import one_thread
 
 if TYPE_CHECKING:
     from hapsim.theory.network.network import Network
@@ -54,9 +57,7 @@ def sparse_matrix(entries: Triplets, size: int) -> Any:
 
 def some_modes(network: Network) -> Solution:
     """The poles that the searches find, each with its motion; ``how`` says which those are."""
-    from threadpoolctl import threadpool_limits
-
-    with threadpool_limits(1, user_api="blas"):  # further threads wait for each other, and longer where others run
+    with one_thread():
         return _some_modes(network)
 
 
@@ -73,8 +74,8 @@ def _some_modes(network: Network) -> Solution:
     grown, motions, growth = _growing(matrix)
     poles.append(grown)
     vectors.append(motions[:points])
-    every, motion = _once_each(np.concatenate(poles), np.concatenate(vectors, axis=1))
-    every = snapped(network, every)
+    motion = np.concatenate(vectors, axis=1)
+    every, motion = _once_each(network, refined(network, np.concatenate(poles), motion), motion)
     both = sort_by_modulus(np.concatenate([every, every[every.imag > 0.0].conj()]))
     others = (
         f"no other that grows by more than {_least_seen(matrix.shape[0]):.1g} of itself in a sample period was seen"
@@ -207,15 +208,21 @@ def _trusted(matrix: Any, poles: Complexes, motions: NDArray) -> tuple[Complexes
     return poles[good], motions[:, good]
 
 
-def _once_each(poles: Complexes, motions: NDArray) -> tuple[Complexes, NDArray]:
-    """Without those that an earlier search had found; equal parts of a scene that do not touch count once."""
-    kept: list[int] = []
+def _once_each(network: Network, poles: Complexes, motions: NDArray) -> tuple[Complexes, NDArray]:
+    """Without those that an earlier search had found; equal parts of a scene that do not touch count once.
+
+    But those that are known to be 1 as many times as they are: the searches find some of them, and about.
+    """
+    known, rests = poles_at_rest(network), at_rest(network, poles, motions, SAME_AS_REST)
+    resting = np.flatnonzero(rests) if known else np.zeros(0, np.intp)
+    kept = np.resize(resting, known if resting.size else 0).tolist()
+    first = len(kept)
     seen = np.zeros(0, complex)
     for i, pole in enumerate(poles):
-        if not (np.abs(seen - pole) < SAME * max(1.0, abs(pole))).any():
+        if i not in resting and not (np.abs(seen - pole) < SAME * max(1.0, abs(pole))).any():
             kept.append(i)
-            seen = poles[kept]
-    return poles[kept], motions[:, kept]
+            seen = poles[kept[first:]]
+    return np.concatenate([np.ones(first, complex), seen]), motions[:, kept]
 
 
 def _hand_alone(network: Network, channel: int) -> complex:

@@ -1,0 +1,246 @@
+"""Scenes that can move without stretching anything: against 60 digits, and against their own recurrence."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from functools import cache
+
+import mpmath as mp
+import numpy as np
+import pytest
+
+from hapsim.theory import Network
+from hapsim.theory.network.rigid import poles_at_rest
+
+RATE, M, BENDING = 1000.0, 0.001, 50.0
+Link = tuple[int, int, float, float]
+
+
+def bends(points: Iterable[int], bending: float = BENDING) -> list[Link]:
+    """About each point between two others bending/2 (x- - 2 x + x+)², as links; -1 stays where it is."""
+    row = list(points)
+    links: list[Link] = []
+    for left, middle, right in zip(row, row[1:], row[2:], strict=False):
+        links += [(middle, left, 2.0 * bending, 0.0), (middle, right, 2.0 * bending, 0.0)]
+        links.append((max(left, right), min(left, right), -bending, 0.0))
+    return links
+
+
+def scene(masses: int, links: list[Link], **changed: object) -> Network:
+    arguments = {
+        "rate": RATE,
+        "channel_mass": [],
+        "channel_friction": [],
+        "delay": 1.0,
+        "hold": "zoh",
+        "sampling": "ideal",
+        "point_mass": np.full(masses, M),
+        "ends": [link[:2] for link in links],
+        "stiffness": [link[2] for link in links],
+        "damping": [link[3] for link in links],
+    }
+    return Network(**(arguments | changed))  # type: ignore[arg-type]
+
+
+def neighbours(masses: int, stiffness: float, damping: float) -> list[Link]:
+    return [(i, i + 1, stiffness, damping) for i in range(masses - 1)]
+
+
+BARS = {
+    "free": (bends(range(6)), 4),
+    "free and taut": (bends(range(6)) + neighbours(6, 30.0, 0.0), 2),
+    "of three masses": (bends(range(3)), 4),
+    "with a damper from one mass to the ground": ([*bends(range(6)), (2, -1, 0.0, 0.05)], 3),
+    "with dampers from two masses to the ground": (
+        [*bends(range(6)), (2, -1, 0.0, 0.05), (5, -1, 0.0, 0.05)],
+        2,
+    ),
+    "with dampers along it, which brake its tilt": (bends(range(6)) + neighbours(6, 0.0, 0.02), 3),
+    "on a spring to the ground": ([*bends(range(6)), (2, -1, 20.0, 0.0)], 2),
+    "on two springs to the ground": ([*bends(range(6)), (2, -1, 20.0, 0.0), (5, -1, 20.0, 0.1)], 0),
+    "on a hinge": (bends([-1, *range(6)]), 2),
+    "on a braked hinge": ([*bends([-1, *range(6)]), (4, -1, 0.0, 0.1)], 1),
+    "clamped": ([*bends([-1, *range(6)]), (0, -1, BENDING, 0.0)], 0),
+    "held by two hinges": (bends([-1, *range(6), -1]), 0),
+    "joined to another by a spring": (bends(range(4)) + bends(range(4, 8)) + [(2, 5, 40.0, 0.0)], 6),
+    "joined to another by a spring with a damper": (bends(range(4)) + bends(range(4, 8)) + [(2, 5, 40.0, 0.1)], 6),
+    "joined to another by a damper": (bends(range(4)) + bends(range(4, 8)) + [(2, 5, 0.0, 0.1)], 7),
+    "beside another": (bends(range(4)) + bends(range(4, 8), 3.3), 8),
+    "with a mass on a spring and a free mass": ([*bends(range(6)), (3, 6, 10.0, 0.0), (7, 7, 1.0, 0.0)], 6),
+    "of a stiffness that is not a dyadic fraction": (bends(range(6), 12.3456789), 4),
+    "of two lengths that differ in stiffness": (bends(range(4), 7.7) + bends(range(2, 7), 0.1), 4),
+}
+
+
+def bar(name: str) -> Network:
+    links, _ = BARS[name]
+    return scene(1 + max(max(link[:2]) for link in links), links)
+
+
+@cache
+def exact_poles(name: str) -> np.ndarray:
+    """Of one of the bars, by x[n+1] = 2 x[n] - x[n-1] - T²/M (K x[n] + B (x[n] - x[n-1])/T) with 60 digits."""
+    network = bar(name)
+    n = network.point_mass.size
+    with mp.workdps(60):
+        k, b = mp.zeros(n), mp.zeros(n)
+        for (first, second), stiffness, damping in zip(network.ends, network.stiffness, network.damping, strict=True):
+            for row, column, sign in ((first, first, 1), (second, second, 1), (first, second, -1), (second, first, -1)):
+                if row >= 0 and column >= 0:
+                    k[int(row), int(column)] += sign * mp.mpf(float(stiffness))
+                    b[int(row), int(column)] += sign * mp.mpf(float(damping))
+        matrix = mp.zeros(2 * n)
+        for i in range(n):
+            matrix[i, i], matrix[i, n + i], matrix[n + i, i] = mp.mpf(2), mp.mpf(-1), mp.mpf(1)
+            scale = 1 / (mp.mpf(float(network.point_mass[i])) * mp.mpf(network.rate) ** 2)
+            for j in range(n):
+                matrix[i, j] -= scale * (k[i, j] + b[i, j] * network.rate)
+                matrix[i, n + j] += scale * b[i, j] * network.rate
+        poles = mp.eig(matrix, left=False, right=False)
+        # A pole at 1 is a double one at the most in a chain: 60 digits leave it within 1e-28 of there.
+        return np.array([1.0 if abs(pole - 1) < mp.mpf(10) ** -25 else complex(pole) for pole in poles])
+
+
+@pytest.mark.parametrize("name", BARS)
+def test_a_bar_rests_and_drifts_in_as_many_ways_as_sixty_digits_say(name: str) -> None:
+    _, expected = BARS[name]
+    assert int((exact_poles(name) == 1.0).sum()) == expected
+    assert poles_at_rest(bar(name)) == expected
+
+
+@pytest.mark.parametrize("name", BARS)
+def test_a_bars_spectral_radius_is_that_of_sixty_digits(name: str) -> None:
+    assert bar(name).spectral_radius() == pytest.approx(np.abs(exact_poles(name)).max(), abs=1e-12)
+
+
+@pytest.mark.parametrize("masses", [4, 10, 30, 100, 300])
+@pytest.mark.parametrize("first", [[], [-1]], ids=["free", "hinged"])
+def test_a_bar_of_any_length_is_at_the_limit_and_no_more(masses: int, first: list[int]) -> None:
+    network = scene(masses, bends([*first, *range(masses)]))
+    assert network.spectral_radius() == pytest.approx(1.0, abs=1e-11)
+    assert not network.is_stable()
+    resting = sum(mode.frequency_hz == 0.0 for mode in network.modes())
+    assert resting == poles_at_rest(network) == (2 if first else 4)
+
+
+@pytest.mark.parametrize("beyond", [1.0 + 1e-6, 1.01, 2.0])
+def test_a_bar_beyond_its_limit_is_unstable_and_grows_as_told(beyond: float) -> None:
+    """Its fastest motion is at -1 where the largest eigenvalue of its K T²/m is 4."""
+    curve = np.diff(np.eye(10), n=2, axis=0)
+    bending = 4.0 * M * RATE**2 / np.linalg.eigvalsh(curve.T @ curve).max()
+    assert scene(10, bends(range(10), bending / beyond)).spectral_radius() == pytest.approx(1.0, abs=1e-12)
+    wild = scene(10, bends(range(10), bending * beyond))
+    assert not wild.is_stable()
+    x = before = np.random.default_rng(0).standard_normal(10)
+    steps, grown = 40_000 if beyond < 1.001 else 400, 0.0
+    for n in range(steps):
+        force = -bending * beyond * (curve.T @ (curve @ x))
+        x, before = 2.0 * x - before + force / (M * RATE**2), x
+        size = float(np.linalg.norm(x))
+        x, before = x / size, before / size
+        grown += np.log(size) if n >= steps // 2 else 0.0
+    assert wild.spectral_radius() == pytest.approx(np.exp(grown / (steps - steps // 2)), abs=1e-5)
+    assert wild.spectral_radius() > 1.0 + 1e-4
+
+
+@pytest.mark.parametrize("delay", [0.0, 1.0, 1.5])
+@pytest.mark.parametrize("sampling", ["ideal", "average"])
+def test_a_bar_that_a_hand_holds_drifts_and_turns_about_it(sampling: str, delay: float) -> None:
+    """The hand's friction brakes the way along, not the turning about the hand."""
+    links = [*bends(range(1, 9)), (0, 3, 100.0, 0.5)]
+    held = {"channel_mass": [0.2], "channel_friction": [1.0], "delay": delay, "sampling": sampling}
+    network = scene(8, links, **held)
+    assert poles_at_rest(network) == 3
+    assert network.spectral_radius() == 1.0
+    assert poles_at_rest(scene(8, links, **(held | {"channel_friction": [0.0]}))) == 4
+    assert poles_at_rest(scene(8, links, **(held | {"channel_stiffness": [9.0]}))) == 2
+
+
+def test_springs_that_cancel_hold_nothing() -> None:
+    both = [(0, -1, 0.1, 0.0), (0, -1, 0.2, 0.0), (0, -1, -0.1, 0.0), (0, -1, -0.2, 0.0)]
+    assert poles_at_rest(scene(1, both)) == 2
+    assert poles_at_rest(scene(1, [*both[:2], (0, -1, -0.3, 0.0)])) == 0  # 0.1 + 0.2 is not 0.3, as they are written
+
+
+def test_membranes_and_cells_move_as_they_did() -> None:
+    """Springs alone: one way along for each part that nothing holds, whatever its shape."""
+    square = [(3 * i + j, 3 * i + j + 1, 10.0, 0.1) for i in range(3) for j in range(2)]
+    square += [(3 * i + j, 3 * i + j + 3, 10.0, 0.1) for i in range(2) for j in range(3)]
+    assert poles_at_rest(scene(9, square)) == 2
+    assert poles_at_rest(scene(9, [*square, (4, -1, 0.0, 1.0)])) == 1
+    assert poles_at_rest(scene(9, [*square, (4, -1, 1.0, 0.0)])) == 0
+    assert poles_at_rest(scene(10, [*square, (9, -1, 1.0, 0.0)])) == 2
+
+
+def test_a_bar_on_a_membrane_turns_where_it_is_held() -> None:
+    rows = 12
+    skin = [(rows * i + j, rows * i + j + 1, 10.0, 0.1) for i in range(rows) for j in range(rows - 1)]
+    skin += [(rows * i + j, rows * i + j + rows, 10.0, 0.1) for i in range(rows - 1) for j in range(rows)]
+    bar = bends(range(rows**2, rows**2 + 7))
+    one = [(40, rows**2 + 1, 5.0, 0.0)]
+    assert poles_at_rest(scene(rows**2 + 7, skin + bar + one)) == 4
+    assert poles_at_rest(scene(rows**2 + 7, [*skin, *bar, *one, (0, -1, 1.0, 0.0)])) == 2
+    assert poles_at_rest(scene(rows**2 + 7, [*skin, *bar, *one, (41, rows**2 + 3, 5.0, 0.0)])) == 2
+
+
+class TestALongBar:
+    """So long that some of its poles are worked out in place of all."""
+
+    def test_it_drifts_and_turns_and_no_more(self) -> None:
+        network = scene(900, bends(range(900)))
+        assert network.is_large
+        assert network.spectral_radius() == pytest.approx(1.0, abs=1e-11)
+        assert not network.is_stable()
+        assert sum(mode.frequency_hz == 0.0 for mode in network.modes()) == 4
+
+    @pytest.mark.parametrize(
+        ("first", "beta_l"), [([], 4.730040744862704), ([-1], 3.926602312047919)], ids=["free", "hinged"]
+    )
+    def test_its_first_swing_is_that_of_the_continuous_bar(self, first: list[int], beta_l: float) -> None:
+        """omega = (beta l / N)² sqrt(bending/mass), where the wave is long against the masses' distance."""
+        network = scene(900, bends([*first, *range(900)]))
+        swing = min(mode.frequency_hz for mode in network.modes() if mode.frequency_hz > 0.0)
+        expected = (beta_l / 900) ** 2 * np.sqrt(BENDING / M) / (2.0 * np.pi)
+        assert swing == pytest.approx(expected, rel=3e-3)
+
+    def test_clamped_and_undamped_it_swings_for_ever_and_does_not_grow(self) -> None:
+        network = scene(900, [*bends([-1, *range(900)]), (0, -1, BENDING, 0.0)])
+        assert poles_at_rest(network) == 0
+        assert network.spectral_radius() == pytest.approx(1.0, abs=1e-11)
+
+    def test_braked_it_comes_to_rest_wherever_it_is(self) -> None:
+        braked = [(i, -1, 0.0, 0.01) for i in range(900)]
+        network = scene(900, bends(range(900)) + braked)
+        assert network.spectral_radius() == 1.0
+        assert sum(mode.pole == 1.0 for mode in network.modes()) == 2
+
+    def test_beyond_its_limit_it_is_unstable(self) -> None:
+        assert scene(900, bends(range(900), 249.0)).spectral_radius() == pytest.approx(1.0, abs=1e-11)
+        assert scene(900, bends(range(900), 251.0)).spectral_radius() > 1.1
+
+
+@pytest.mark.parametrize("seed", range(100))
+def test_random_bars_springs_and_hands_rest_as_their_null_spaces_say(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    channels, masses = int(rng.integers(0, 3)), int(rng.integers(4, 14))
+    points = channels + masses
+    links = [(0, -1, 0.0, 0.0)]
+    for _ in range(rng.integers(1, 4)):
+        row = rng.permutation(points)[: int(rng.integers(3, 7))].tolist()
+        links += bends([-1, *row] if rng.random() < 0.3 else row, float(rng.uniform(1.0, 50.0)))
+    for _ in range(rng.integers(0, 6)):
+        first, second = rng.integers(-1, points, 2).tolist()
+        links.append((first, second, float(rng.choice([0.0, 0.0, 30.0, 7.3])), float(rng.choice([0.0, 0.1]))))
+    friction, own = rng.choice([0.0, 1.0], channels), rng.choice([0.0, 0.0, 5.0], channels)
+    network = scene(masses, links, channel_mass=[0.2] * channels, channel_friction=friction, channel_stiffness=own)
+    pull = np.zeros((2, points + 1, points + 1))
+    for (a, b), *values in zip(network.ends, network.stiffness, network.damping, strict=True):
+        ends = np.zeros(points + 1)
+        ends[a] += 1.0
+        ends[b] -= 1.0
+        pull += np.array(values)[:, None, None] * np.outer(ends, ends)
+    stiffness, damping = pull[:, :points, :points] + [np.diag(np.append(x, np.zeros(masses))) for x in (own, friction)]
+    values, shapes = np.linalg.eigh(stiffness)
+    rigid = shapes[:, np.abs(values) < 1e-9]
+    braked = np.linalg.matrix_rank(rigid.T @ damping @ rigid, tol=1e-9) if rigid.size else 0
+    assert poles_at_rest(network) == 2 * rigid.shape[1] - braked
