@@ -14,7 +14,7 @@ from hapsim.cordis.desk import desk_of, ticks
 from hapsim.cordis.ground import GROUND
 from hapsim.cordis.kinds import KINDS
 from hapsim.cordis.moment import at_hand, registers_for
-from hapsim.cordis.program import Program, compile_scene
+from hapsim.cordis.program import Program, compile_scene, numbers_of
 from hapsim.cordis.tick import start
 from hapsim.scene import Scene
 
@@ -39,6 +39,7 @@ class Explanation(NamedTuple):
     absent: tuple[str, ...]
     """Kinds of module that the scene does not have, and of which nothing was compiled."""
     points: int
+    """Hands, grounds and masses, without what structures have beside theirs."""
     precision: str
     bytes: int
     seconds: float
@@ -62,7 +63,7 @@ def explain(scene: Scene, on_part: Callable[[str], None] = lambda _: None) -> Ex
         alone = float("nan") if part is program.grounds else _alone(program, part, desk)
         parts.append(ExplainedPart(name, modules, compiled_as, _bytes_of(part), alone))
     absent = tuple(kind.name for kind in KINDS if not kind.select(scene))
-    points = program.rows.shape[1]
+    points = len(numbers_of(scene))
     return Explanation(tuple(parts), absent, points, scene.precision, _bytes_of(program), whole, scene.period)
 
 

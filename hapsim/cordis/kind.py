@@ -31,7 +31,7 @@ class Frame(NamedTuple):
     """There is one link, from the hand on the device's only channel to the first ground, and nothing that moves: its
     ends are constants, and its force is the hand's."""
     points: int
-    """How many there are, borders of structures included."""
+    """How many numbers a row of positions has: borders of structures, and what fills their lanes, included."""
 
     def column(self, values: Sequence[float]) -> Column:
         """Values in the scene's kind of number; the guard sees what comes of an infinity."""
