@@ -1,7 +1,7 @@
 """A program on a desk: its ticks in a compiled loop, without a device, for whoever asks what they cost or do.
 
 Between two ticks of a loop with a device, other code runs: what stands in memory is written by then, and read anew. The
-loops here keep to that (`_other_code`), lest the compiler work on several ticks at once.
+loops here keep to that (`other_code`), lest the compiler work on several ticks at once.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def ticks(program, desk, samples):
     """So many samples; every hand stays where the desk says."""
     for _ in range(samples):
         tick(program, desk.measured, desk.velocity, desk.force)
-        _other_code()
+        other_code()
 
 
 @jit
@@ -45,7 +45,7 @@ def ticks_at(program, desks, samples):
         for n in range(min(desks.size, samples - begin)):
             desk = desks[n]
             tick(program, desk.measured, desk.velocity, desk.force)
-            _other_code()
+            other_code()
 
 
 @jit
@@ -65,7 +65,7 @@ def ticks_watched(program, desk, rows, turn, first, weights, watched):
 
 
 @intrinsic
-def _other_code(_typing: Any) -> Any:
+def other_code(_typing: Any) -> Any:
     """To the compiler, code that may read and write all memory."""
 
     def generate(context: Any, builder: Any, _signature: Any, _arguments: Any) -> Any:

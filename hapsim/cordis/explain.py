@@ -10,7 +10,8 @@ import numpy as np
 
 from hapsim.compiled import jit
 from hapsim.cordis.acting import move_all, pull_all
-from hapsim.cordis.desk import desk_of, ticks
+from hapsim.cordis.desk import desk_of, other_code, ticks
+from hapsim.cordis.device_point import felt
 from hapsim.cordis.ground import GROUND
 from hapsim.cordis.kinds import KINDS
 from hapsim.cordis.moment import at_hand, registers_for
@@ -106,7 +107,9 @@ def _acts(program, parts, desk, samples):
     moment = at_hand(program, desk.velocity, registers_for(program))
     for _ in range(samples):
         pull_all(parts, moment)
+        felt(program.devices, moment.force, desk.force)
         move_all(parts, moment)
+        other_code()
 
 
 def _bytes_of(part: Any) -> int:
