@@ -86,7 +86,8 @@ def draw_transparency(data: Transparency, title: str, path: Path) -> None:
         upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[1.15, 1.0])
         upper.set_title(title)
         _draw_both(upper, data.frequency, np.abs(data.written), np.abs(data.met), "written", "met")
-        upper.set_yscale("log")
+        if data.written.any() or data.met.any():  # of a hand that feels nothing there is nothing to draw
+            upper.set_yscale("log")
         upper.set_ylabel("|force / velocity|  (N·s/m)")
         _draw_both(lower, data.frequency, data.written_phase, data.met_phase, "", "")
         _mark_passive_band(lower, data)

@@ -204,7 +204,8 @@ def show_measurement(out: Console, where: str, felt: Felt | None, why: str, meas
     if felt is None:
         out.print(
             f"This hand {why}: no single spring and damper is predicted "
-            "for it. Measured is its slowest mode, as if it were the hand's mass alone; `hapsim check` lists the modes."
+            "for it. Measured is, of the modes that its motion shows, the one that rings longest; k and b would give "
+            "the hand's mass alone the same mode. `hapsim check` lists the modes."
         )
     limited = measurement.trace.report.limited_ticks
     if limited:
@@ -263,4 +264,4 @@ def _spread_in_us(spread: Spread) -> str:
 
 
 def _number(value: float, digits: int = 6) -> str:
-    return f"{value:.{digits}g}" if math.isfinite(value) else "–"
+    return f"{value + 0.0:.{digits}g}" if math.isfinite(value) else "–"  # + 0.0: no minus before a zero

@@ -90,8 +90,9 @@ def failure_of(name: str, loop: Loop, trace: Trace, ending: int) -> RunError | N
         error = DeviceError(f"{name}: the device stopped after {ticks} ticks: {reason}; its force is zero")
     elif ending == endings.NOT_FINITE:
         error = GuardError(
-            f"the scene's force was not a finite number at tick {ticks}; the force was set to zero. A stiffness or a "
-            "damping is beyond what floating point holds at this rate: `hapsim check` tells what is stable"
+            f"the scene's force was not a finite number at tick {ticks}; the force was set to zero. The scene "
+            "has grown without bounds, or a stiffness or a damping is beyond what floating point holds at this rate: "
+            "`hapsim check` tells what is stable"
         )
     elif ending == endings.WRONG_RATE:
         error = GuardError(

@@ -27,6 +27,7 @@ def chart(hapsim: Callable[..., Any], monkeypatch: pytest.MonkeyPatch, tmp_path:
 WALL = {"type": "ground"}
 TOUCH = {"type": "viscoelastic", "between": ["hand", "wall"], "stiffness": 2000.0, "damping": 5.0}
 MODULES: dict[str, dict[str, Any]] = {
+    "nothing": {},
     "spring": {"touch": TOUCH},
     "damper": {"touch": TOUCH | {"stiffness": 0.0}},
     "stiff": {"touch": TOUCH | {"stiffness": 4.2e5}},

@@ -55,6 +55,11 @@ def test_left_out_the_picture_has_the_name_of_the_command(chart: Chart, scene_fi
     assert Path("transparency.svg").exists()
 
 
+def test_a_hand_that_feels_nothing_can_be_drawn(chart: Callable[..., Any], scene_file: Callable[..., Path]) -> None:
+    chart("transparency", scene_file("nothing", friction=0.0))
+    assert Path("transparency.svg").exists()
+
+
 @pytest.mark.parametrize("only", [["--data", "numbers.csv"], ["--json"]])
 def test_who_asks_for_numbers_only_gets_no_picture(chart: Chart, scene_file: SceneFile, only: list[str]) -> None:
     answer = chart("transparency", scene_file("spring"), *only)
