@@ -24,7 +24,7 @@ from hapsim.cordis.kind import Column, Frame, Kind, all_of
 from hapsim.cordis.lanes import beside, fetch, padded, put, put_one, width_of
 from hapsim.cordis.mass import mobility_of
 from hapsim.cordis.stencil import Way, steps, sweep
-from hapsim.cordis.string import live_structures, tell_places
+from hapsim.cordis.string import live_structures, tell_coefficients, tell_places
 from hapsim.scene import Membrane
 
 
@@ -144,12 +144,6 @@ def _copy_row(position, masses, borders, columns):
 
 
 @fused
-def _tell_coefficients(step, x, before):
-    """What is s[n] and s[n-1] to a neighbour."""
-    return ((step.a + step.b) * x - step.b * before,)
-
-
-@fused
 def _follow_coefficients(step, rows, here, told):
     x, before = fetch(rows[0], here), fetch(rows[1], here)
     a, b, e, pitch = step
@@ -178,4 +172,4 @@ def _upright(row, here, pitch):
     return fetch(row, here - pitch) + fetch(row, here + pitch)
 
 
-steps(MembraneStep, Way(_tell_coefficients, _follow_coefficients), Way(tell_places, _follow_differences))
+steps(MembraneStep, Way(tell_coefficients, _follow_coefficients), Way(tell_places, _follow_differences))

@@ -36,7 +36,7 @@ class Program(NamedTuple):
     """(1,) which row is this sample's; None where the scene itself moves nothing: then it is always the first."""
     force: Column | None
     """(N,) N, added up during a tick; who uses a force sets it to zero. Nobody uses a ground's. None where there is but
-    the force of one link on the only hand: then it is kept where the device gets it from."""
+    the force of one link on the only hand: then each tick works it out in registers (`moment.py`)."""
     devices: DevicePoints
     grounds: Grounds | None
     parts: tuple[Any, ...]
@@ -84,7 +84,10 @@ def real_of(scene: Scene) -> Any:
 
 
 def positions_of(program: Program) -> tuple[Column, Column]:
-    """(N,) where the points are, and where they were a sample before, in m; the program's own, not copies."""
+    """(N,) where the points are, and where they were a sample before, in m; the program's own, not copies.
+
+    Of hands, the second is of use to the tick alone.
+    """
     now = 0 if program.turn is None else int(program.turn[0])
     return program.rows[now], program.rows[now - 1]
 
@@ -143,9 +146,16 @@ def _frame(scene: Scene, channels: int) -> tuple[Frame, int, list[float]]:
         points += size
     ends = {end for link in scene.links.values() for end in link.between}
     touched, grounds = (frozenset(number[name] for name in names) for names in (ends, scene.grounds))
-    alone = channels == 1 and [link.between for link in scene.links.values()] == [tuple(names)[:2]]
-    on_ground = alone and len(hands) == 1 and bool(scene.grounds) and points == 1 + len(scene.grounds)
+    on_ground = channels == 1 and _is_hand_on_ground(scene)
     return Frame(number, scene.rate, real_of(scene), touched, grounds, on_ground, points), loose, begins
+
+
+def _is_hand_on_ground(scene: Scene) -> bool:
+    """Whether the scene is one hand, grounds, and one link, from the hand to the first of them."""
+    first_two = (*scene.device_points, *scene.grounds)[:2]
+    nothing_else = len(scene.modules) == len(scene.device_points) + len(scene.grounds) + len(scene.links)
+    links = [link.between for link in scene.links.values()]
+    return nothing_else and len(scene.device_points) == 1 and links == [first_two]
 
 
 def _rows(scene: Scene, frame: Frame, loose: int, begins: list[float]) -> Column:

@@ -134,8 +134,8 @@ def free_ends(rows, s, position):
 
 
 @fused
-def _tell_coefficients(step, x, before):
-    """What is s[n] and s[n-1] to a neighbour."""
+def tell_coefficients(step, x, before):
+    """What is s[n] and s[n-1] to a neighbour, of a string or a membrane."""
     return ((step.a + step.b) * x - step.b * before,)
 
 
@@ -165,4 +165,4 @@ def _follow_differences(step, rows, here, told):
     return x + (((way - e * way) + (a + b) * pull) - b * pull_before)
 
 
-steps(StringStep, Way(_tell_coefficients, _follow_coefficients), Way(tell_places, _follow_differences))
+steps(StringStep, Way(tell_coefficients, _follow_coefficients), Way(tell_places, _follow_differences))

@@ -17,7 +17,7 @@ _ROUND_S = 0.02
 
 
 class Running:
-    """A scene whose first hand moves by a millimetre, twice a second."""
+    """A scene whose first hand moves as `hand_motion` says, the first samples of it over and over."""
 
     def __init__(self, scene: Scene) -> None:
         self._program, self._desks = compile_scene(scene), desks_of(scene, _BLOCK)
