@@ -6,11 +6,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from firmware_protocol.compiled import jit_inlined
+from firmware_protocol.compiled import inlined
 from firmware_protocol.unsigned import ONE
 
 
-@jit_inlined
+@inlined
 def stuff(buffer, start, stop):
     """Encodes the body that stands in buffer[start + 1 : stop]; buffer[start] is the room for the first code."""
     last, end = np.uint64(start), np.uint64(stop)
@@ -23,7 +23,7 @@ def stuff(buffer, start, stop):
     buffer[last] = end - last
 
 
-@jit_inlined
+@inlined
 def unstuff(buffer, start, stop):
     """Decodes buffer[start:stop]; the body is then buffer[start + 1 : stop]. False where the codes do not add up."""
     begun, end = np.uint64(start), np.uint64(stop)

@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_protocol.compiled import inlined, jit_inlined
+from firmware_protocol.compiled import inlined
 from firmware_protocol.unsigned import ONE
 
 _AT_ONCE = np.uint64(8)  # bytes
@@ -34,27 +34,32 @@ def _tables(reflected_polynomial: int) -> NDArray[np.uint32]:
     return tables
 
 
-_DNP = _tables(0xA6BC)  # 0x3D65, its bits reversed
-_CASTAGNOLI = _tables(0x82F63B78)  # 0x1EDC6F41, its bits reversed
-
-
-@jit_inlined
-def crc16_dnp(data, start, stop, seed):
-    """CRC-16/DNP of data[start:stop] from start value `seed` (0: the catalogued one)."""
-    return _crc(_DNP, data, start, stop, np.uint32(seed)) ^ np.uint32(0xFFFF)
-
-
-@jit_inlined
-def crc32_c(data, start, stop, seed):
-    """CRC-32C of data[start:stop] from start value `seed` (0xFFFFFFFF: the catalogued one)."""
-    return _crc(_CASTAGNOLI, data, start, stop, np.uint32(seed)) ^ np.uint32(0xFFFFFFFF)
+# CRC-16/DNP, 0x3D65, and CRC-32C, 0x1EDC6F41, their bits reversed.
+_TABLES = np.stack([_tables(0xA6BC), _tables(0x82F63B78)])
+_FINAL = np.array([0xFFFF, 0xFFFFFFFF], np.uint32)
+_DNP, _CASTAGNOLI = 0, 1
 
 
 @inlined
-def _crc(tables, data, start, stop, crc):
-    at, end = np.uint64(start), np.uint64(stop)
+def crc16_dnp(data, start, stop, seed):
+    """CRC-16/DNP of data[start:stop] from start value `seed` (0: the catalogued one)."""
+    return crc_of(_DNP, data, start, stop, seed)
+
+
+@inlined
+def crc32_c(data, start, stop, seed):
+    """CRC-32C of data[start:stop] from start value `seed` (0xFFFFFFFF: the catalogued one)."""
+    return crc_of(_CASTAGNOLI, data, start, stop, seed)
+
+
+@inlined
+def crc_of(which, data, start, stop, seed):
+    """The check of data[start:stop]: CRC-32C where `which` is not 0, else CRC-16/DNP."""
+    at, end, crc = np.uint64(start), np.uint64(stop), np.uint32(seed)
+    table = np.uint64(1) if which else np.uint64(0)
+    tables = _TABLES[table]
     while at < end:
-        count = min(end - at, _AT_ONCE)
+        count = end - at if end - at < _AT_ONCE else _AT_ONCE
         # What the bytes do not reach.
         following = crc >> np.uint32(count * _BYTE_BITS) if count < _CRC_BYTES else np.uint32(0)
         for k in range(count):
@@ -63,4 +68,4 @@ def _crc(tables, data, start, stop, crc):
             following ^= tables[count - ONE - k, byte]
         crc = following
         at += count
-    return crc
+    return crc ^ _FINAL[table]

@@ -7,26 +7,23 @@ garbage of any length is found, without a second delimiter on the wire. Fewer th
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from firmware_protocol import schema
 from firmware_protocol.cobs import unstuff
-from firmware_protocol.compiled import inlined, jit, jit_inlined
-from firmware_protocol.frames import Format, check_of, words_of
-from firmware_protocol.unsigned import ONE, copy, find_zero
-
-_RECENT = 256  # a power of two above the longest frame
+from firmware_protocol.code_size import out_of_line
+from firmware_protocol.compiled import entry, helper, inlined
+from firmware_protocol.crc import crc_of
+from firmware_protocol.frames import FRAMING, ROOM, Format, framing_of
+from firmware_protocol.records import new_record
+from firmware_protocol.unsigned import ONE
 
 DECODER = np.dtype(
     [
-        ("words", np.int64),  # of a payload in this direction
-        ("long_check", np.int64),
-        ("seed", np.int64),
-        ("to_device", np.int64),
+        ("framing", FRAMING),
         ("seen", np.int64),  # bytes since the last delimiter
-        ("at", np.int64),  # where the next byte goes in `recent`
         ("accepted", np.int64),
         ("crc_errors", np.int64),
         ("length_errors", np.int64),  # fewer bytes than a frame has between two delimiters
@@ -36,8 +33,8 @@ DECODER = np.dtype(
         ("number", np.int64),
         ("argument", np.int64),
         ("counts", np.int64, schema.MAX_WORDS),
-        ("recent", np.uint8, _RECENT),
-        ("frame", np.uint8, _RECENT),
+        ("recent", np.uint8, ROOM),  # the last of the bytes that were seen, as many as a frame may have
+        ("frame", np.uint8, ROOM),
     ],
     align=True,
 )
@@ -52,121 +49,133 @@ class Frame(NamedTuple):
     counts: tuple[int, ...]
 
 
-def new_decoder(wire: Format, to_device: bool) -> np.void:
+def new_decoder(wire: Format, to_device: bool) -> Any:
     """A decoder for the frames of one direction: `to_device` for what the host writes."""
-    decoder: np.void = np.zeros(1, DECODER)[0]
-    decoder["to_device"] = to_device
-    use_format(decoder, wire)
+    decoder = new_record(DECODER)
+    begin_decoding(decoder, wire, to_device)
     return decoder
 
 
-def frames_in(decoder: np.void, data: bytes) -> list[Frame]:
+def begin_decoding(decoder: Any, wire: Format, to_device: bool) -> None:
+    """Makes a decoder of a record of zeros."""
+    decoder.framing = framing_of(wire, to_device)
+
+
+def use_format(decoder: Any, wire: Format) -> None:
+    """From the next byte on, expect frames of this format. Bytes of an unfinished frame are forgotten."""
+    use_framing(decoder, framing_of(wire, bool(decoder.framing.from_host)))
+
+
+def frames_in(decoder: Any, data: bytes) -> list[Frame]:
     """Every frame that ends in `data`. For tests and tools; the loops call `next_frame` on their own buffers."""
     buffer = np.frombuffer(bytearray(data), np.uint8)
     frames = []
-    at, found = next_frame(decoder, buffer, 0, buffer.size)
+    at, found = next_frame_in(decoder, buffer, 0, buffer.size)
     while found:
-        counts = tuple(decoder["counts"][: decoder["words"]].tolist())
-        frames.append(Frame(int(decoder["type"]), int(decoder["number"]), int(decoder["argument"]), counts))
-        at, found = next_frame(decoder, buffer, at, buffer.size)
+        counts = tuple(decoder.counts[: decoder.framing.words].tolist())
+        frames.append(Frame(int(decoder.type), int(decoder.number), int(decoder.argument), counts))
+        at, found = next_frame_in(decoder, buffer, at, buffer.size)
     return frames
 
 
-@jit
-def use_format(decoder, wire):
-    """From the next byte on, expect frames of this format. Bytes of an unfinished frame are forgotten."""
-    decoder.words = words_of(wire, decoder.to_device != 0)
-    decoder.long_check = 1 if wire.long_check else 0
-    decoder.seed = wire.seed
+@entry
+def next_frame_in(decoder, data, start, stop):
+    """`next_frame`, callable from Python."""
+    return next_frame(decoder, data, start, stop)
+
+
+@inlined
+def use_framing(decoder, framing):
+    """`use_format` in compiled code: `framing` is the format in the decoder's own direction."""
+    decoder.framing.words = framing.words
+    decoder.framing.long_check = framing.long_check
+    decoder.framing.seed = framing.seed
     decoder.seen = 0
 
 
-@jit_inlined
+@inlined
 def next_frame(decoder, data, start, stop):
     """Reads data[start:stop] up to the end of the first valid frame.
 
     Returns (where reading stopped, whether a frame was found). The frame is then in the decoder's `type`, `number`,
     `argument` and `counts`. Without one, everything was consumed and the beginning of a frame is remembered.
     """
-    while True:
-        delimiter = find_zero(data, start, stop)
-        if delimiter == stop:
-            _remember(decoder, data, start, stop)
-            return stop, False
-        if _accept(decoder, data, start, delimiter):
-            return delimiter + 1, True
-        start = delimiter + 1
+    body = np.uint64(1 + 2 + decoder.framing.from_host + 4 * decoder.framing.words)
+    length = body + (np.uint64(5) if decoder.framing.long_check else np.uint64(3))
+    at, end = np.uint64(start), np.uint64(stop)
+    while at < end:
+        delimiter = at
+        while delimiter < end and data[delimiter] != 0:
+            delimiter += ONE
+        if delimiter == end:
+            _remember(decoder, data, at, end, length)
+            break
+        remembered = np.uint64(decoder.seen)
+        seen = remembered + (delimiter - at)
+        decoder.seen = 0
+        if seen >= length:
+            # The last bytes before the delimiter, of which some may only be remembered.
+            here = _smaller(delimiter - at, length)
+            before, first = length - here, _smaller(remembered, length) + here - length
+            for i in range(before):
+                decoder.frame[i] = decoder.recent[first + i]
+            for i in range(here):
+                decoder.frame[before + i] = data[delimiter - here + i]
+            decoder.garbage_bytes += np.int64(seen - length)
+            if _accept(decoder, body):
+                return np.int64(delimiter + ONE), True
+        elif seen > 0:
+            decoder.length_errors += 1
+        at = delimiter + ONE
+    return stop, False
+
+
+@helper
+def _remember(decoder, data, at, end, length):
+    """Keeps the beginning of a frame until the rest of it comes; of more bytes than a frame has, the last."""
+    out_of_line()
+    remembered, new = _smaller(np.uint64(decoder.seen), length), _smaller(end - at, length)
+    kept = _smaller(remembered, length - new)
+    for i in range(kept):
+        decoder.recent[i] = decoder.recent[remembered - kept + i]
+    for i in range(new):
+        decoder.recent[kept + i] = data[end - new + i]
+    decoder.seen += np.int64(end - at)
 
 
 @inlined
-def _remember(decoder, data, start, stop):
-    """Keeps the beginning of a frame until the rest of it comes; of more bytes than fit, the last."""
-    for i in range(max(start, stop - _RECENT), stop):
-        decoder.recent[decoder.at] = data[i]
-        decoder.at = (decoder.at + 1) & (_RECENT - 1)
-    decoder.seen += stop - start
+def _smaller(one, other):
+    return one if one < other else other
 
 
 @inlined
-def _accept(decoder, data, start, stop):
-    """Looks at the last L bytes before a delimiter, which end with data[start:stop]; fills in the frame where they are
-    one."""
-    check_bytes = 5 if decoder.long_check else 3
-    body = 1 + 2 + decoder.to_device + 4 * decoder.words
-    length = body + check_bytes
-    seen = decoder.seen + stop - start
-    decoder.seen = 0
-    if seen == 0:
-        return False
-    if seen < length:
-        decoder.length_errors += 1
-        return False
-    decoder.garbage_bytes += seen - length
-    frame = decoder.frame
-    remembered = max(length - (stop - start), 0)
-    first = decoder.at - remembered
-    for i in range(remembered):
-        frame[i] = decoder.recent[(first + i) & (_RECENT - 1)]
-    copy(data, stop - length + remembered, frame, remembered, length - remembered)
-    if not _check_holds(frame, body, decoder.long_check != 0, decoder.seed):
-        decoder.crc_errors += 1
-        return False
-    if not unstuff(frame, 0, body) or not _read(decoder, frame):
+def _accept(decoder, body):
+    """Whether the bytes in `frame`, of which `body` are encoded, are a frame; what it carries is then in the decoder.
+
+    Every bit of the check's bytes is looked at, the ones that are always set or clear too.
+    """
+    frame, framing = decoder.frame, decoder.framing
+    check = crc_of(framing.long_check, frame, np.uint64(0), body, framing.seed)
+    at = body
+    for i in range(5 if framing.long_check else 3):
+        if frame[at] != (0x80 | ((check >> np.uint32(7 * i)) & np.uint32(0x7F))):
+            decoder.crc_errors += 1
+            return False
+        at += ONE
+    fits = unstuff(frame, np.uint64(0), body)
+    kind = np.int64(frame[1]) >> 4
+    first, last = (schema.DESCRIBE, schema.DISARM) if framing.from_host else (schema.DESCRIPTION, schema.STATUS)
+    if not fits or kind < first or kind > last:
         decoder.form_errors += 1
         return False
     decoder.accepted += 1
-    return True
-
-
-@inlined
-def _check_holds(frame, body, long_check, seed):
-    """Every bit of the check's bytes is looked at, the ones that are always set or clear too."""
-    check = check_of(frame, 0, body, long_check, seed)
-    at = np.uint64(body)
-    for i in range(5 if long_check else 3):
-        if frame[at] != (0x80 | ((check >> np.uint32(7 * i)) & np.uint32(0x7F))):
-            return False
-        at += ONE
-    return True
-
-
-@inlined
-def _read(decoder, frame):
-    """Fields of the body in frame[1:]; False where the type is none of this direction's."""
-    kind = np.int64(frame[1]) >> 4
-    if decoder.to_device:
-        known = schema.DESCRIBE <= kind <= schema.DISARM
-    else:
-        known = schema.DESCRIPTION <= kind <= schema.STATUS
-    if not known:
-        return False
     decoder.type = kind
     decoder.number = ((np.int64(frame[1]) & 0xF) << 8) | np.int64(frame[2])
     at = np.uint64(3)
-    if decoder.to_device:
+    if framing.from_host:
         decoder.argument = frame[3]
         at += ONE
-    for k in range(decoder.words):
+    for k in range(np.uint64(framing.words)):
         word = np.int64(0)
         for shift in range(0, 32, 8):
             word |= np.int64(frame[at]) << shift

@@ -8,15 +8,16 @@ frame torn apart by a flipped delimiter impossible to mistake for another (PROTO
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from firmware_protocol import schema
 from firmware_protocol.cobs import stuff
-from firmware_protocol.compiled import inlined, jit_inlined
-from firmware_protocol.crc import crc16_dnp, crc32_c
+from firmware_protocol.compiled import inlined
+from firmware_protocol.crc import crc_of
+from firmware_protocol.records import new_record
 from firmware_protocol.unsigned import ONE
 
 Integers = Sequence[int] | NDArray[np.int64]
@@ -34,8 +35,22 @@ class Format(NamedTuple):
     """Its start value."""
 
 
+ROOM = 256
+"""Bytes; more than any frame has."""
+
 SETUP = Format(1, False, False, schema.SETUP_SEED)
 """The format of describe, description, arm and of every frame of a device that is not armed."""
+
+FRAMING = np.dtype(
+    [
+        ("from_host", np.int64),  # 1: frames carry an argument
+        ("words", np.int64),  # of a payload
+        ("long_check", np.int64),
+        ("seed", np.int64),
+    ],
+    align=True,
+)
+"""A format in one direction, as compiled code has it."""
 
 
 def armed_format(channels: int, velocity: bool = False) -> Format:
@@ -52,95 +67,73 @@ def armed_format(channels: int, velocity: bool = False) -> Format:
     return Format(channels, velocity, long_check, seed)
 
 
-@inlined
-def words_of(wire, to_device):
-    """Words of a frame's payload in one direction: to the host, velocities stand behind the positions."""
-    return 2 * wire.channels if wire.velocity and not to_device else wire.channels
+def framing_of(wire: Format, to_device: bool) -> Any:
+    """FRAMING, a record, of a format in one direction."""
+    framing = new_record(FRAMING)
+    framing.from_host = to_device
+    framing.words = schema.words(wire.channels, to_device, wire.velocity)
+    framing.long_check = wire.long_check
+    framing.seed = wire.seed
+    return framing
 
 
 @inlined
-def check_of(data, start, stop, long_check, seed):
-    """The check of the encoded bytes data[start:stop]."""
-    if long_check:
-        return crc32_c(data, start, stop, seed)
-    return crc16_dnp(data, start, stop, seed)
-
-
-@inlined
-def _put_header(buffer, at, frame_type, number):
+def write_frame(framing, buffer, start, frame_type, number, argument, counts):
+    """Writes a frame at buffer[start:] and returns where it ends. `counts`: int64, one per word; `argument`: one byte,
+    left out of a frame to the host."""
+    first = np.uint64(start)
+    at = first + ONE
     buffer[at] = (frame_type << 4) | ((number >> 8) & 0xF)
     buffer[at + ONE] = number & 0xFF
-    return at + ONE + ONE
-
-
-@inlined
-def _put_payload(buffer, at, counts, words):
-    for i in range(words):
+    at += ONE + ONE
+    if framing.from_host:
+        buffer[at] = argument & 0xFF
+        at += ONE
+    for i in range(np.uint64(framing.words)):
         word = counts[i]
         for shift in range(0, 32, 8):
             buffer[at] = (word >> shift) & 0xFF
             at += ONE
-    return at
-
-
-@inlined
-def _seal(wire, buffer, start, stop):
-    """Stuffs the body, appends the check in seven-bit bytes that cannot be zero, and the delimiter."""
-    stuff(buffer, start, stop)
-    check = check_of(buffer, start, stop, wire.long_check, wire.seed)
-    at = np.uint64(stop)
-    for i in range(5 if wire.long_check else 3):
+    stuff(buffer, first, at)
+    # The check goes in bytes of seven bits that cannot be zero; the delimiter behind it is.
+    check = crc_of(framing.long_check, buffer, first, at, framing.seed)
+    for i in range(5 if framing.long_check else 3):
         buffer[at] = 0x80 | ((check >> np.uint32(7 * i)) & np.uint32(0x7F))
         at += ONE
     buffer[at] = 0
     return np.int64(at + ONE)
 
 
-@jit_inlined
-def write_to_host(wire, buffer, start, frame_type, number, counts):
-    """Writes a frame of the device at buffer[start:] and returns where it ends. `counts`: int64, one per word."""
-    at = _put_header(buffer, np.uint64(start + 1), frame_type, number)
-    at = _put_payload(buffer, at, counts, words_of(wire, False))
-    return _seal(wire, buffer, start, np.int64(at))
-
-
-@jit_inlined
-def write_to_device(wire, buffer, start, frame_type, number, argument, counts):
-    """Writes a frame of the host at buffer[start:] and returns where it ends. `argument` is one byte."""
-    at = _put_header(buffer, np.uint64(start + 1), frame_type, number)
-    buffer[at] = argument & 0xFF
-    at = _put_payload(buffer, at + ONE, counts, words_of(wire, True))
-    return _seal(wire, buffer, start, np.int64(at))
-
-
 def frame_to_host(wire: Format, frame_type: int, number: int, counts: Integers) -> bytes:
-    """One frame of the device, as bytes. For set-up, tests and tools; the loops write into their own buffers.
+    """One frame of the device, as bytes, in plain Python. For set-up, tests and tools; the loops write into their own
+    buffers.
 
-    Raises ValueError where a field does not fit: what the compiled writers do then is cut it off.
+    Raises ValueError where a field does not fit: what the compiled writer does then is cut it off.
     """
-    words = _fitting(wire, False, frame_type, number, 0, counts)
-    buffer = np.zeros(frame_bytes(wire, to_device=False), np.uint8)
-    write_to_host(wire, buffer, 0, frame_type, number, words)
-    return buffer.tobytes()
+    return _frame(wire, False, frame_type, number, 0, counts)
 
 
 def frame_to_device(wire: Format, frame_type: int, number: int, argument: int, counts: Integers) -> bytes:
     """One frame of the host, as bytes. Raises ValueError where a field does not fit."""
-    words = _fitting(wire, True, frame_type, number, argument, counts)
-    buffer = np.zeros(frame_bytes(wire, to_device=True), np.uint8)
-    write_to_device(wire, buffer, 0, frame_type, number, argument, words)
-    return buffer.tobytes()
+    return _frame(wire, True, frame_type, number, argument, counts)
 
 
 def frame_bytes(wire: Format, to_device: bool) -> int:
     """Bytes of a whole frame in this format, its delimiter included."""
-    return schema.encoded_bytes(wire.channels, to_device, wire.velocity) + (5 if wire.long_check else 3) + 1
+    return schema.frame_bytes(wire.channels, to_device, wire.velocity)
+
+
+def _frame(wire: Format, to_device: bool, frame_type: int, number: int, argument: int, counts: Integers) -> bytes:
+    words = _fitting(wire, to_device, frame_type, number, argument, counts)
+    buffer = np.zeros(frame_bytes(wire, to_device), np.uint8)
+    write_frame(framing_of(wire, to_device), buffer, 0, frame_type, number, argument, words)
+    return buffer.tobytes()
 
 
 def _fitting(
     wire: Format, to_device: bool, frame_type: int, number: int, argument: int, counts: Integers
 ) -> NDArray[np.int64]:
-    """The counts as the compiled writers want them, once every field was found to fit."""
+    """The counts as the compiled writer wants them, once every field was found to fit."""
     for name, value, bits in (("type", frame_type, 4), ("number", number, 12), ("argument", argument, 8)):
         if not 0 <= value < 1 << bits:
             raise ValueError(f"{name} {value}: a frame carries {bits} bits of it")

@@ -13,17 +13,15 @@ import numpy as np
 
 from firmware_protocol import schema
 from firmware_protocol.cobs import stuff
-from firmware_protocol.crc import crc16_dnp, crc32_c
+from firmware_protocol.crc import crc16_dnp, crc32_c, crc_of
 from firmware_protocol.decoder import frames_in, new_decoder, use_format
 from firmware_protocol.frames import (
     SETUP,
     Format,
     armed_format,
-    check_of,
     frame_bytes,
     frame_to_device,
     frame_to_host,
-    words_of,
 )
 
 CHANNELS = (1, 3, 4, 16)
@@ -76,7 +74,8 @@ def frame(format_name: str, kind: str, number: int, argument: int, counts: list[
 
 def words_in(format_name: str, kind: str) -> int:
     """Words in the payload of a frame, by the names that the vectors use."""
-    return int(words_of(FORMATS[format_name], kind in TO_DEVICE))
+    wire = FORMATS[format_name]
+    return schema.words(wire.channels, kind in TO_DEVICE, wire.velocity)
 
 
 def reading(about: str, direction: str, steps: list[tuple[str, bytes]]) -> Entry:
@@ -99,7 +98,7 @@ def reading(about: str, direction: str, steps: list[tuple[str, bytes]]) -> Entry
 
 def sealed(wire: Format, encoded: bytes) -> bytes:
     """Encoded bytes with the check that belongs to them, whatever they are, and the delimiter."""
-    check = int(check_of(np.frombuffer(encoded, np.uint8), 0, len(encoded), wire.long_check, wire.seed))
+    check = int(crc_of(wire.long_check, np.frombuffer(encoded, np.uint8), 0, len(encoded), wire.seed))
     return encoded + bytes(0x80 | check >> 7 * i & 0x7F for i in range(5 if wire.long_check else 3)) + b"\0"
 
 
@@ -256,7 +255,7 @@ def _refused_of(wire: Format, direction: str, good: bytes) -> list[tuple[str, by
     stranger = wire._replace(seed=wire.seed ^ 1)
     beyond = bytes([checked + 1]) + b"\x33" * (checked - 1)
     write = frame_to_device if to_device else frame_to_host
-    zeros = [0] * int(words_of(wire, to_device))
+    zeros = [0] * schema.words(wire.channels, to_device, wire.velocity)
     fields = (300, 20, zeros) if to_device else (300, zeros)
     unknown = (0, 5, 8, 9, 15) if to_device else (0, 1, 8, 13, 15)
     return [

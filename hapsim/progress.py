@@ -12,6 +12,8 @@ class Progress:
 
     phase: Literal["compiling", "running", "serving"]
     text: str = ""
+    share: float | None = None
+    """How far it is, 0 to 1, where that is known."""
     elapsed_s: float = 0.0
     rate_hz: float = 0.0
     force: tuple[float, ...] = ()

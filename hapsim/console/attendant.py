@@ -40,6 +40,8 @@ class Attendant:
 
     def look(self, session: Session) -> None:
         """Some twenty times a second."""
+        from hapsim.realtime.giving_way import giving_way
+
         news = self._file.look(session) if self._file is not None else None
         if news is None:
             return
@@ -48,7 +50,7 @@ class Attendant:
         for change in news.changed:
             self._say(f"changed: {change}")
         if news.changed:
-            self._about(session.scene)
+            giving_way(lambda: self._about(session.scene))
 
     def _say(self, text: str) -> None:
         self._error.print(text, soft_wrap=True, highlight=False, markup=False)

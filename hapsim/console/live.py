@@ -63,11 +63,9 @@ class _Line:
     def tell(self, progress: Progress) -> None:
         if progress.phase == "compiling":
             self._compiled += 1
+            far = "" if progress.share is None else f"{100.0 * progress.share:.0f} %, "
             elapsed = time.monotonic() - self._since
-            self._show(
-                f"compiling (only the first time, up to a minute): {self._compiled} functions in {elapsed:.0f} s, now "
-                f"{progress.text}"
-            )
+            self._show(f"compiling, once on this machine: {far}{self._compiled} functions in {elapsed:.0f} s")
             return
         if progress.phase == "serving":
             self._show(f"serving the mock device at {progress.text} · Ctrl-C stops it")

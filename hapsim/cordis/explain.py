@@ -8,15 +8,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hapsim.compiled import jit
-from hapsim.cordis.acting import move_all, pull_all
-from hapsim.cordis.desk import desk_of, other_code, ticks
-from hapsim.cordis.device_point import felt
-from hapsim.cordis.ground import GROUND
-from hapsim.cordis.kinds import KINDS
-from hapsim.cordis.moment import at_hand, registers_for
+from hapsim.cordis.dispatch import Part
+from hapsim.cordis.offline import act_alone, start, ticks
 from hapsim.cordis.program import Program, compile_scene, numbers_of
-from hapsim.cordis.tick import start
+from hapsim.cordis.registry import PART_TYPES
 from hapsim.scene import Scene
 
 _ROUNDS = 7
@@ -38,7 +33,7 @@ class Explanation(NamedTuple):
 
     parts: tuple[ExplainedPart, ...]
     absent: tuple[str, ...]
-    """Kinds of module that the scene does not have, and of which nothing was compiled."""
+    """Types of module that the scene does not have, and of which nothing was compiled."""
     points: int
     """Hands, grounds and masses, without what structures have beside theirs."""
     precision: str
@@ -52,39 +47,46 @@ class Explanation(NamedTuple):
 
 
 def explain(scene: Scene, on_part: Callable[[str], None] = lambda _: None) -> Explanation:
-    """Compiles `scene`, runs it on a hand that rests, and tells what it is made of; `on_part` hears what is at hand."""
+    """Compiles `scene`, runs it on a hand that rests, and reports what it is made of; `on_part` hears what is at
+    hand."""
     program = compile_scene(scene)
-    desk = desk_of(scene)
-    start(program, desk["measured"])
+    rest, force = np.zeros((2, 1, scene.channels))
+    start(program, rest[0])
     on_part("the whole tick")
-    whole = _seconds(lambda samples: ticks(program, desk, samples))
+    whole = _seconds(lambda samples: ticks(program, rest, rest, force, samples))
     parts = []
     for name, modules, compiled_as, part in _named(scene, program):
         on_part(name)
-        alone = float("nan") if part is program.grounds else _alone(program, part, desk)
-        parts.append(ExplainedPart(name, modules, compiled_as, _bytes_of(part), alone))
-    absent = tuple(kind.name for kind in KINDS if not kind.select(scene))
-    points = len(numbers_of(scene))
-    return Explanation(tuple(parts), absent, points, scene.precision, _bytes_of(program), whole, scene.period)
+        parts.append(ExplainedPart(name, modules, compiled_as, _bytes_of(part.numbers), _alone(program, part)))
+    absent = tuple(kind.name for kind in PART_TYPES if not kind.select(scene))
+    size = _bytes_of((program.rows, program.force, *(part.numbers for part in program.parts)))
+    return Explanation(tuple(parts), absent, len(numbers_of(scene)), scene.precision, size, whole, scene.period)
 
 
-def _named(scene: Scene, program: Program) -> Iterator[tuple[str, int, str, Any]]:
+def _named(scene: Scene, program: Program) -> Iterator[tuple[str, int, str, Part]]:
     """The program's parts, with their names, how many modules each has, and in words what they are."""
-    if scene.scheme != "cordis":  # whose parts are not one for each kind of module
-        if program.grounds is not None:
-            yield GROUND.name, len(scene.grounds), GROUND.compiled_as, program.grounds
+    if scene.scheme != "cordis":  # whose parts are not one for each type of module
         for part in program.parts:
-            yield type(part).__name__, 0, f"a part of the scheme {scene.scheme}, or pulled from outside it", part
+            name = type(part.numbers).__name__
+            yield name, 0, f"a part of the scheme {scene.scheme}, or what pulls from outside it", part
         return
-    acting = iter(program.parts)
-    for kind in KINDS:
+    parts = iter(program.parts)
+    for kind in PART_TYPES:
         modules = kind.select(scene)
         if modules:
-            yield kind.name, len(modules), kind.compiled_as, program.grounds if kind is GROUND else next(acting)
+            yield kind.name, len(modules), kind.compiled_as, next(parts)
 
 
-def _alone(program: Program, part: Any, desk: Any) -> float:
-    return _seconds(lambda samples: _acts(program, (part,), desk, samples))
+def _alone(program: Program, part: Part) -> float:
+    """What a part takes of a tick, called by itself; NaN where a tick does not call it."""
+    in_a_tick = [name for name in ("add_forces", "integrate") if getattr(part, name) is not None]
+    if not in_a_tick:
+        return float("nan")
+
+    def act(name: str) -> Callable[[int], None]:
+        return lambda samples: act_alone(program, name, part, samples)
+
+    return sum(_seconds(act(name)) for name in in_a_tick)
 
 
 def _seconds(run: Callable[[int], None]) -> float:
@@ -102,24 +104,14 @@ def _timed(run: Callable[[int], None], samples: int) -> float:
     return time.thread_time() - begin
 
 
-@jit
-def _acts(program, parts, desk, samples):
-    moment = at_hand(program, desk.velocity, registers_for(program))
-    for _ in range(samples):
-        pull_all(parts, moment)
-        felt(program.devices, moment.force, desk.force)
-        move_all(parts, moment)
-        other_code()
-
-
-def _bytes_of(part: Any) -> int:
+def _bytes_of(numbers: Any) -> int:
     """What its arrays take, those counted once that it has from the array of the parameters."""
-    return sum(array.nbytes for array in _arrays(part))
+    return sum(array.nbytes for array in _arrays(numbers))
 
 
-def _arrays(part: Any) -> Iterator[np.ndarray]:
-    if isinstance(part, np.ndarray):
-        yield part
-    elif isinstance(part, tuple):
-        for field in part:
+def _arrays(numbers: Any) -> Iterator[np.ndarray]:
+    if isinstance(numbers, np.ndarray):
+        yield numbers
+    elif isinstance(numbers, tuple):
+        for field in numbers:
             yield from _arrays(field)

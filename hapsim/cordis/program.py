@@ -1,76 +1,122 @@
-"""Scene -> Program: the arrays that the compiled tick works on, and nothing that the scene does not have.
+"""Scene -> Program: the numbers that the compiled tick works on, the actions that it calls, and nothing that the scene
+does not have.
 
-Points are numbered: device points first (the exchange writes them), then grounds, then masses and behind them cells
-(which stand together, so that they advance in one pass), then the points of strings and membranes, each in one piece
-with the borders that its stencil needs, in whole lanes. What can be changed while the scene runs (stiffness, damping,
-rest positions) stands together in one array, of which the parts hold their columns: `parameter_values` says what
-stands where.
+Points are numbered: device points first (the tick writes them), then grounds, then masses and behind them cells (which
+stand together, so that they advance in one pass), then the points of strings and membranes, each in one piece with the
+borders that its stencil needs, in whole lanes. What can be changed while the scene runs (stiffness, damping, rest
+positions) stands together in one array, of which the parts hold their columns: `parameter_values` says what stands
+where.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Any, NamedTuple
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hapsim.cordis.device_point import DevicePoints, device_points
-from hapsim.cordis.ground import GROUND, Grounds
-from hapsim.cordis.kind import Column, Frame, Kind, Layout
-from hapsim.cordis.kinds import KINDS
-from hapsim.cordis.lanes import aligned, padded
+from firmware_protocol.records import new_record
+from hapsim.compiling.native import Behind, NativeFunction, address_of
+from hapsim.cordis.build_context import BuildContext, Layout, PartType
+from hapsim.cordis.dispatch import Part, calls_of
+from hapsim.cordis.parameters import LiveValues
+from hapsim.cordis.registry import PART_TYPES
 from hapsim.cordis.schemes import SCHEMES
 from hapsim.cordis.schemes.scheme import Taken
+from hapsim.cordis.simd.lanes import aligned, padded
+from hapsim.cordis.tick import PROGRAM
+from hapsim.cordis.tick_state import Column, TickState
 from hapsim.scene import Scene
 
 _REAL = {"double": np.float64, "single": np.float32}
 
 
-class Program(NamedTuple):
-    """A scene as the tick sees it: the state of N points, and the parts that move them."""
+class Program:
+    """A scene that is ready to be ticked: the state of N points, and the parts that move them."""
 
-    rows: Column
-    """(3, N) positions in m: of this sample, the next and the one before, taking turns."""
-    turn: NDArray[np.uint64] | None
-    """(1,) which row is this sample's; None where the scene itself moves nothing: then it is always the first."""
-    force: Column | None
-    """(N,) N, added up during a tick; who uses a force sets it to zero. Nobody uses a ground's. None where there is but
-    the force of one link on the only hand: then each tick works it out in registers (`moment.py`)."""
-    devices: DevicePoints
-    grounds: Grounds | None
-    parts: tuple[Any, ...]
-    """One for each kind of module that the scene has: see `acting`."""
+    def __init__(self, scene: Scene, rows: Column, state: TickState, values: Column, parts: tuple[Part, ...]) -> None:
+        self.rows = rows
+        """(3, N) positions in m: of this sample, the next and the one before, taking turns."""
+        self.force = state.force
+        self.parts = parts
+        self.record = new_record(PROGRAM)
+        """What compiled code sees of it. It holds addresses of what this object keeps."""
+        self.parameters = LiveValues(values, self.record.parameters)
+        self._kept: list[Any] = []
+        hands = sorted(point.channel for point in scene.device_points.values())
+        self.record.hands = len(hands)
+        self.record.channel[: len(hands)] = hands
+        self.record.senses = bool(scene.sensed_links)
+        self.record.single = rows.dtype == np.float32
+        self.record.rows = [row.ctypes.data for row in rows]
+        self.record.force = state.force.ctypes.data
+        self.record.velocity = state.velocity.ctypes.data
+        self._states = [Behind(_state_at(rows, turn, state.force, state.velocity)) for turn in range(3)]
+        self.record.states = [one.address for one in self._states]
+        self._set_calls()
+
+    @property
+    def address(self) -> int:
+        """Where compiled code finds it. Good for as long as this object is there."""
+        return address_of(self.record)
+
+    def call(self, name: str, actions: Sequence[tuple[NativeFunction, Any]]) -> None:
+        """Fills one of the lists of calls in PROGRAM with actions, compiled where they are not yet, each with the
+        numbers that it works on: before the first tick."""
+        self._fill(name, [(act, Behind(numbers)) for act, numbers in actions])
+
+    def _set_calls(self) -> None:
+        """Every action of every part."""
+        numbers = [Behind(part.numbers) for part in self.parts]
+        for name in ("initialize", "retarget", "add_forces", "integrate"):
+            actions = [(getattr(part, name), behind) for part, behind in zip(self.parts, numbers, strict=True)]
+            self._fill(name, [(act, behind) for act, behind in actions if act is not None])
+
+    def _fill(self, name: str, actions: Sequence[tuple[NativeFunction, Behind]]) -> None:
+        pairs = calls_of(actions, self._states[0])
+        calls = self.record[name]
+        calls.pairs, calls.count = pairs.ctypes.data, len(pairs)
+        self._kept.append((actions, pairs))
 
 
-def compile_scene(scene: Scene, values: Column | None = None, channels: int | None = None) -> Program:
+def compile_scene(scene: Scene, values: Column | None = None) -> Program:
     """The program of `scene`, at its initial state.
 
     `values`: what `parameter_values` gives, kept and read at every tick, so that who holds it may change it.
-    `channels`: how many the device has, and positions and forces stand for; left out: as many as the scene needs.
     """
-    channels = scene.channels if channels is None else channels
-    frame, loose, begins = _frame(scene, channels)
     if values is None:
         values = parameter_values(scene)
-    taken = list(_taken(scene, values))
-    grounds = [one.kind.build(one.modules, one.columns, frame) for one in taken if one.kind is GROUND]
-    rows = _rows(scene, frame, loose, begins)
-    return Program(
-        rows=rows,
-        turn=np.zeros(1, np.uint64) if len(frame.number) > len(frame.grounds) + len(scene.device_points) else None,
-        force=None if frame.hand_on_ground else np.zeros(rows.shape[1], frame.real),
-        devices=device_points(sorted(point.channel for point in scene.device_points.values()), channels),
-        grounds=grounds[0] if grounds else None,
-        parts=SCHEMES[scene.scheme].parts(scene, frame, [one for one in taken if one.kind is not GROUND], rows),
+    number, size, structures = _numbers(scene)
+    rows = _rows(scene, number, size, structures)
+    velocity = np.zeros(len(scene.device_points))
+    context = BuildContext(
+        number=number,
+        rate=scene.rate,
+        real=real_of(scene),
+        loaded=frozenset(number[end] for link in scene.links.values() for end in link.between),
+        state=_state_at(rows, 0, np.zeros(size, real_of(scene)), velocity),
     )
+    parts = SCHEMES[scene.scheme].parts(scene, context, list(_taken(scene, values)))
+    return Program(scene, rows, context.state, values, parts)
 
 
 def parameter_values(scene: Scene) -> Column:
-    """What can be changed while the scene runs, shape (P,): the live columns of every kind of module, in turn."""
-    columns = [column for kind, modules in _by_kind(scene) for column in _columns(kind, modules, scene.rate)]
+    """What can be changed while the scene runs, shape (P,): the live columns of every type of module, in turn."""
+    columns = [column for kind, modules in _by_type(scene) for column in _columns(kind, modules, scene.rate)]
     with np.errstate(over="ignore"):
         return np.array([value for column in columns for value in column], np.float64).astype(real_of(scene))
+
+
+def places_of_values(scene: Scene) -> dict[tuple[Any, str, int], int]:
+    """Where each value that can be changed stands in `parameter_values`: by what gives it, the name of its module, and
+    its column."""
+    keys = [
+        (kind.live, name, column)
+        for kind, modules in _by_type(scene)
+        for column in range(len(_columns(kind, modules, scene.rate)))
+        for name in modules
+    ]
+    return {key: i for i, key in enumerate(keys)}
 
 
 def fixed_modules(scene: Scene) -> frozenset[str]:
@@ -79,7 +125,7 @@ def fixed_modules(scene: Scene) -> frozenset[str]:
 
 
 def real_of(scene: Scene) -> Any:
-    """The kind of number that a scene is worked out in."""
+    """The type of number that a scene is worked out in."""
     return _REAL[scene.precision]
 
 
@@ -88,23 +134,23 @@ def positions_of(program: Program) -> tuple[Column, Column]:
 
     Of hands, the second is of use to the tick alone.
     """
-    now = 0 if program.turn is None else int(program.turn[0])
-    return program.rows[now], program.rows[now - 1]
+    turn = int(program.record.turn)
+    return program.rows[turn], program.rows[turn - 1]
 
 
 def numbers_of(scene: Scene) -> dict[str, int]:
     """Where each point stands in a program's arrays, by its name."""
-    return dict(_frame(scene, scene.channels)[0].number)
+    return dict(_numbers(scene)[0])
 
 
-def _columns(kind: Kind, modules: Any, rate: float) -> list[list[float]]:
+def _columns(kind: PartType, modules: Any, rate: float) -> list[list[float]]:
     return kind.live(list(modules.values()), rate)
 
 
-def _by_kind(scene: Scene) -> Iterator[tuple[Kind, Any]]:
-    """The kinds that the scene has, each with its modules, without those that are in its scheme's matrices."""
+def _by_type(scene: Scene) -> Iterator[tuple[PartType, Any]]:
+    """The types that the scene has, each with its modules, without those that are in its scheme's matrices."""
     fixed = fixed_modules(scene)
-    for kind in KINDS:
+    for kind in PART_TYPES:
         modules = {name: one for name, one in kind.select(scene).items() if name not in fixed}
         if modules:
             yield kind, modules
@@ -113,7 +159,7 @@ def _by_kind(scene: Scene) -> Iterator[tuple[Kind, Any]]:
 def _taken(scene: Scene, values: Column) -> Iterator[Taken]:
     """The same with their columns of the parameters."""
     begin = 0
-    for kind, modules in _by_kind(scene):
+    for kind, modules in _by_type(scene):
         columns = []
         for column in _columns(kind, modules, scene.rate):
             columns.append(values[begin : begin + len(column)])
@@ -123,51 +169,45 @@ def _taken(scene: Scene, values: Column) -> Iterator[Taken]:
 
 def _structures(scene: Scene) -> Iterator[tuple[Layout, str, Any]]:
     """The structures, in the order in which they stand in memory."""
-    for kind in KINDS:
+    for kind in PART_TYPES:
         if kind.layout is not None:
             for name, structure in kind.select(scene).items():
                 yield kind.layout, name, structure
 
 
-def _frame(scene: Scene, channels: int) -> tuple[Frame, int, list[float]]:
-    """The numbers of all points, how many stand before the first structure's, and where the structures begin, in m."""
+def _numbers(scene: Scene) -> tuple[dict[str, int], int, dict[str, slice]]:
+    """The number of each point, how many there are with borders and fill, and which of them each structure takes up."""
     hands = sorted(scene.device_points, key=lambda name: scene.device_points[name].channel)
     names = [*hands, *scene.grounds, *scene.masses, *scene.cells]
     number = {name: i for i, name in enumerate(names)}
-    loose = len(names) if not scene.structures else padded(len(names))
-    points = loose
-    begins: list[float] = []
+    points = len(names) if not scene.structures else padded(len(names))
+    structures: dict[str, slice] = {}
     for layout, name, structure in _structures(scene):
-        numbers, size = layout(structure)
-        begins += [structure.position] * size
-        for place, i, position in zip(structure.places(), numbers, structure.begins(), strict=True):
-            number[f"{name}.{place}"] = points + i
-            begins[points + i - loose] = position
+        places, size = layout(structure)
+        number |= {f"{name}.{place}": points + i for place, i in zip(structure.places(), places, strict=True)}
+        structures[name] = slice(points, points + size)
         points += size
-    ends = {end for link in scene.links.values() for end in link.between}
-    touched, grounds = (frozenset(number[name] for name in names) for names in (ends, scene.grounds))
-    on_ground = channels == 1 and _is_hand_on_ground(scene)
-    return Frame(number, scene.rate, real_of(scene), touched, grounds, on_ground, points), loose, begins
+    return number, points, structures
 
 
-def _is_hand_on_ground(scene: Scene) -> bool:
-    """Whether the scene is one hand, grounds, and one link, from the hand to the first of them."""
-    first_two = (*scene.device_points, *scene.grounds)[:2]
-    nothing_else = len(scene.modules) == len(scene.device_points) + len(scene.grounds) + len(scene.links)
-    links = [link.between for link in scene.links.values()]
-    return nothing_else and len(scene.device_points) == 1 and links == [first_two]
-
-
-def _rows(scene: Scene, frame: Frame, loose: int, begins: list[float]) -> Column:
+def _rows(scene: Scene, number: Mapping[str, int], size: int, structures: Mapping[str, slice]) -> Column:
     """The positions at the first sample, and where the points were before it."""
-    rows = np.zeros((3, loose + len(begins)), np.float64)
-    rows[:, loose:] = begins
+    rows = np.zeros((3, size), np.float64)
+    modules: Mapping[str, Any] = scene.structures
+    for name, structure in modules.items():
+        rows[:, structures[name]] = structure.position
+        rows[:, [number[f"{name}.{place}"] for place in structure.places()]] = structure.begins()
     for name, ground in scene.grounds.items():
-        rows[:, frame.number[name]] = ground.position
+        rows[:, number[name]] = ground.position
     starts = {name: (mass.position, mass.velocity) for name, mass in scene.masses.items()}
     starts |= {name: (cell.start, cell.velocity) for name, cell in scene.cells.items()}
     for name, (position, velocity) in starts.items():
-        rows[0, frame.number[name]] = position
-        rows[2, frame.number[name]] = position - velocity / scene.rate
+        rows[0, number[name]] = position
+        rows[2, number[name]] = position - velocity / scene.rate
     with np.errstate(over="ignore"):  # the guard sees what comes of an infinity
-        return aligned(rows, frame.real)
+        return aligned(rows, real_of(scene))
+
+
+def _state_at(rows: Column, turn: int, force: Column, velocity: Any) -> TickState:
+    """The program's state where the positions of this sample are in row `turn`."""
+    return TickState(rows[turn], rows[turn - 1], rows[(turn + 1) % 3], force, velocity)

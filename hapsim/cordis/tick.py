@@ -1,39 +1,134 @@
-"""One sample of the scene: positions in, forces out, masses moved."""
+"""One sample of a scene: positions in, forces out, masses moved. Compiled once, for every scene there is."""
 
 from __future__ import annotations
 
-from hapsim.compiled import inlined, jit_inlined
-from hapsim.cordis.acting import move_all, pull_all, settle_all
-from hapsim.cordis.device_point import felt, follow
-from hapsim.cordis.ground import settle
-from hapsim.cordis.moment import at_hand, moment_of, pass_on, registers_for
+import numpy as np
 
+from firmware_protocol import schema
+from firmware_protocol.code_size import compact
+from firmware_protocol.unsigned import ONE
+from hapsim.compiling import inlined
+from hapsim.compiling.native import array_at, record_at
+from hapsim.cordis.dispatch import CALLS, call_all
+from hapsim.cordis.parameters import PARAMETERS, call_move
 
-@jit_inlined
-def start(program, measured):
-    """Puts the device points where the hand is, at rest, so that the first tick feels no jump."""
-    moment = moment_of(program, measured)
-    follow(program.devices, measured, moment.position)
-    follow(program.devices, measured, moment.previous)
-    settle_all(program.parts, moment)
+PROGRAM = np.dtype(
+    [
+        ("turn", np.int64),  # which of the three rows of positions is this sample's; the next one is the next sample's
+        ("states", np.uint64, (3,)),  # addresses of the TickState at each turn
+        ("rows", np.uint64, (3,)),  # and of the positions
+        ("force", np.uint64),  # address of all points' forces
+        ("single", np.int64),  # 1: positions and forces have single precision
+        ("hands", np.int64),  # H device points, which come first among the points
+        ("channel", np.uint64, (schema.MAX_CHANNELS,)),  # the device's channel of each
+        ("senses", np.int64),  # 1: something asks for velocities
+        ("velocity", np.uint64),  # address of the device points' velocities in m/s
+        ("settling", np.int64),  # 1: parameters moved with the last sample
+        ("initialize", CALLS),
+        ("retarget", CALLS),
+        ("add_forces", CALLS),
+        ("integrate", CALLS),
+        ("place", CALLS),  # before another program takes over,
+        ("carry_points", CALLS),  # and in one that does: first of all,
+        ("carry_numbers", CALLS),  # after `initialize`,
+        ("resume", CALLS),  # and last
+        ("parameters", PARAMETERS),
+    ],
+    align=True,
+)
+"""A scene as compiled code has it."""
+
+program_at = record_at(PROGRAM)
+_doubles_at, _singles_at = array_at(np.float64), array_at(np.float32)
 
 
 @inlined
-def settle_grounds(program):
-    """After parameters moved, before the tick: grounds go where they are told."""
-    settle(program.grounds, moment_of(program, None))
+def start(program, measured):
+    """Puts the device points where the hands are, at rest, so that the first tick feels no jump. `measured`: m, one
+    value per channel of the device."""
+    compact()
+    turn = np.uint64(program.turn)
+    _set_positions(program, program.rows[turn], measured)
+    _set_positions(program, program.rows[turn - ONE if turn > 0 else np.uint64(2)], measured)
+    call_all(program.initialize, program.states[turn])
 
 
-@jit_inlined
+@inlined
+def take_over(older, program, measured):
+    """Instead of `start`, for a program that follows another in a running loop: what both have goes on from where the
+    older one has it, and hands that are new begin at rest."""
+    call_all(older.place, older.states[np.uint64(older.turn)])
+    turn = np.uint64(program.turn)
+    state, row = program.states[turn], program.rows[turn]
+    _set_positions(program, row, measured)
+    _set_positions(program, program.rows[turn - ONE if turn > 0 else np.uint64(2)], measured)
+    call_all(program.carry_points, state)
+    _set_positions(program, row, measured)
+    call_all(program.initialize, state)
+    call_all(program.carry_numbers, state)
+    call_all(program.resume, state)
+
+
+@inlined
 def tick(program, measured, velocity, force):
     """Moves the scene by one sample.
 
     `measured`: the device's positions in m, one per channel. `velocity`: those that it senses in m/s, 0 where it does
     not. `force`: receives the force in N on each channel that the scene uses.
     """
-    moment = at_hand(program, velocity, registers_for(program))
-    follow(program.devices, measured, moment.position)
-    pull_all(program.parts, moment)
-    felt(program.devices, moment.force, force)
-    move_all(program.parts, moment)
-    pass_on(program, moment)
+    compact()
+    turn = np.uint64(program.turn)
+    program.turn = turn + ONE if turn < 2 else np.uint64(0)
+    state = program.states[turn]
+    _set_positions(program, program.rows[turn], measured)
+    if program.senses:
+        sensed = _doubles_at(program.velocity, program.hands)
+        for h in range(np.uint64(program.hands)):
+            sensed[h] = velocity[program.channel[h]]
+    call_all(program.add_forces, state)
+    _read_forces(program, force)
+    call_all(program.integrate, state)
+
+
+@inlined
+def follow_parameters(program):
+    """Before the tick: moves live parameters by one sample, and what they put elsewhere, which has no velocity any more
+    with the sample after."""
+    compact()
+    parameters, moved = program.parameters, 0
+    if parameters.posted != parameters.taken or parameters.left > 0:
+        moved = call_move(parameters.move, (parameters.address,))
+    if moved or program.settling:
+        call_all(program.retarget, program.states[np.uint64(program.turn)])
+        program.settling = moved
+
+
+@inlined
+def _set_positions(program, row, measured):
+    compact()
+    hands = np.uint64(program.hands)
+    if program.single:
+        singles = _singles_at(row, program.hands)
+        for h in range(hands):
+            singles[h] = measured[program.channel[h]]
+    else:
+        doubles = _doubles_at(row, program.hands)
+        for h in range(hands):
+            doubles[h] = measured[program.channel[h]]
+
+
+@inlined
+def _read_forces(program, force):
+    """The force on each device point, which is used up."""
+    compact()
+    hands = np.uint64(program.hands)
+    if program.single:
+        singles = _singles_at(program.force, program.hands)
+        for h in range(hands):
+            force[program.channel[h]] = singles[h]
+            singles[h] = 0.0
+    else:
+        doubles = _doubles_at(program.force, program.hands)
+        for h in range(hands):
+            force[program.channel[h]] = doubles[h]
+            doubles[h] = 0.0

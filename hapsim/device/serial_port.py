@@ -11,20 +11,20 @@ import fcntl
 import termios
 from typing import Any
 
-from hapsim.device.line import Line
+from hapsim.device.connection import Connection
 from hapsim.errors import DeviceError
-from hapsim.loop.descriptor import descriptor_port
+from hapsim.loop.descriptor import descriptor_transport
 
 _WRITE_TIMEOUT_S = 1.0  # of the portable loop, whose own interpreter may be held up for a tenth of a second
 
 
-def open_serial_port(path: str, baud: int) -> Line:
+def open_serial_port(path: str, baud: int) -> Connection:
     """Opens a port at `baud` bit/s for the compiled loop. DeviceError, with what to do, where that fails."""
     port = _open(path, baud)
     descriptor = port.fileno()
     _make_raw(descriptor)
-    return Line(
-        port=descriptor_port(descriptor),
+    return Connection(
+        transport=descriptor_transport(descriptor),
         name=path,
         close=port.close,
         baud=baud,
@@ -33,14 +33,18 @@ def open_serial_port(path: str, baud: int) -> Line:
     )
 
 
-def open_portable_port(path: str, baud: int) -> Line:
+def open_portable_port(path: str, baud: int) -> Connection:
     """Opens a port at `baud` bit/s for the portable loop. DeviceError, with what to do, where that fails."""
-    from hapsim.device.portable_line import PortableLine
-    from hapsim.loop.portable import PortablePort
+    from hapsim.loop.portable import PortableTransport
 
     port = _open(path, baud)
-    return PortableLine(
-        port=PortablePort(port), name=path, close=port.close, baud=baud, note=_low_latency(port), has_timer=True
+    return Connection(
+        transport=PortableTransport(port),
+        name=path,
+        close=port.close,
+        baud=baud,
+        note=_low_latency(port),
+        has_timer=True,
     )
 
 

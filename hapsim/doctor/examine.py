@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from hapsim.device.open_line import LineKind
+from hapsim.device.open_connection import LineKind
 from hapsim.doctor import words
 from hapsim.doctor.advice import Advice, Case, advice_on
 from hapsim.doctor.exchanges import MOCK, Exchanges, Run, Trial, exchanges, trials

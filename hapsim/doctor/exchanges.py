@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from hapsim.device.open_line import LineKind
+from hapsim.device.open_connection import LineKind
 from hapsim.doctor.step import Tell
 from hapsim.errors import RunError, UsageError
 from hapsim.loop.histogram import Histogram

@@ -7,13 +7,13 @@ import threading
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from hapsim.compiled import compile_for, jit, on_compilation
+from firmware_protocol.records import new_record
+from hapsim.compiling.entries import compile_for
+from hapsim.compiling.progress import on_compilation
 from hapsim.doctor.step import Tell
 from hapsim.errors import HapsimError, UsageError
-from hapsim.loop.histogram import Histogram, histogram_of, new_histogram, note
-from hapsim.loop.system import now_ns, sleep_until
+from hapsim.loop.grid import GRID, sleep_on_grid
+from hapsim.loop.histogram import Histogram, histogram_of
 
 if TYPE_CHECKING:
     from hapsim.realtime import Grant
@@ -21,36 +21,6 @@ if TYPE_CHECKING:
 _LOOK_S = 0.05
 _SLOWEST_HZ, _FASTEST_HZ = 1.0, 1e5
 _MOST_WAKEUPS = 1e12
-
-GRID = np.dtype(
-    [
-        ("stop", np.int64),  # set by another thread, looked at after each wake-up
-        ("due_ns", np.int64),  # the next point of the grid
-        ("end_ns", np.int64),  # the last one
-        ("period_ns", np.int64),
-        ("wakeups", np.int64),
-        ("restarts", np.int64),  # how often the grid started anew, a whole period late
-        ("scratch", np.int64, (4,)),  # of the system calls
-    ],
-    align=True,
-)
-
-
-@jit
-def sleep_on_grid(grid: Any, lateness: Any) -> None:
-    """Sleeps to every point of a grid (a GRID record) and counts how late, in ns, it was woken up.
-
-    A wake-up that is a whole period late starts the grid anew, as the loop does (hapsim/loop/paced_by_host.py).
-    """
-    while grid.due_ns <= grid.end_ns and not grid.stop:
-        sleep_until(grid.due_ns, grid.scratch)
-        now = now_ns(grid.scratch)
-        note(lateness, now - grid.due_ns)
-        grid.wakeups += 1
-        grid.due_ns += grid.period_ns
-        if now >= grid.due_ns:
-            grid.restarts += 1
-            grid.due_ns = now + grid.period_ns
 
 
 def require_measurable(rate_hz: float, seconds: float, named: str = "--rates") -> None:
@@ -85,23 +55,17 @@ def wake_up_lateness(
         UsageError: as `require_measurable`.
     """
     require_measurable(rate_hz, seconds)
-    grid, lateness = _new_grid(rate_hz), new_histogram()
+    grid = new_record(GRID)
+    grid.period_ns = round(1e9 / rate_hz)
     tell = on_progress or (lambda *_: None)
     with on_compilation(lambda name: tell(0.0, name)):
-        compile_for(sleep_on_grid, grid, lateness)
-    _sleep_in_thread(grid, lateness, round(rate_hz * seconds), tell, realtime, on_grants or (lambda _: None))
-    return histogram_of(lateness, 1e-9)
-
-
-def _new_grid(rate_hz: float) -> np.void:
-    grid: np.void = np.zeros(1, GRID)[0]
-    grid["period_ns"] = round(1e9 / rate_hz)
-    return grid
+        compile_for(sleep_on_grid, grid)
+    _sleep_in_thread(grid, round(rate_hz * seconds), tell, realtime, on_grants or (lambda _: None))
+    return histogram_of(grid.lateness, 1e-9)
 
 
 def _sleep_in_thread(
     grid: Any,
-    lateness: np.void,
     count: int,
     tell: Tell,
     realtime: bool,
@@ -115,7 +79,7 @@ def _sleep_in_thread(
             with _punctual(realtime) as grants:
                 on_grants(grants)
                 _lay(grid, count)
-                sleep_on_grid(grid, lateness)
+                sleep_on_grid(grid)
         except BaseException as failure:
             failures.append(failure)
 
@@ -124,9 +88,9 @@ def _sleep_in_thread(
     try:
         while thread.is_alive():
             thread.join(_LOOK_S)
-            tell(int(grid["wakeups"]) * int(grid["period_ns"]) * 1e-9, "")
+            tell(int(grid.wakeups) * int(grid.period_ns) * 1e-9, "")
     finally:
-        grid["stop"] = 1
+        grid.stop = 1
         thread.join()
     if failures:
         raise (
@@ -140,8 +104,8 @@ def _lay(grid: Any, count: int) -> None:
     """A grid of `count` points from now on."""
     import time
 
-    now, period = time.clock_gettime_ns(time.CLOCK_MONOTONIC), int(grid["period_ns"])
-    grid["due_ns"], grid["end_ns"] = now + period, now + count * period
+    now, period = time.clock_gettime_ns(time.CLOCK_MONOTONIC), int(grid.period_ns)
+    grid.due_ns, grid.end_ns = now + period, now + count * period
 
 
 @contextlib.contextmanager

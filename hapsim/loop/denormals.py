@@ -1,4 +1,4 @@
-"""Numbers too small to be normal become zero while a loop runs.
+"""Denormals, the smallest floating-point numbers, become zero while a loop runs.
 
 A string that has rung down is full of them, and arithmetic with them takes many times as long: a scene would become
 slow by falling silent. They lie below 1e-307; no hand can tell. It is a mode of the processor, kept for each thread, so

@@ -2,38 +2,34 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
-from numpy.typing import NDArray
 
-from hapsim.compiled import inlined
-from hapsim.loop.port import transport
-from hapsim.loop.system import read_some, write_all
+from firmware_protocol.records import new_record
+from hapsim.compiling.native import array_at, record_at
+from hapsim.loop.system import SCRATCH, read_some, write_all
+from hapsim.loop.transport import Transport, receiver, sender
 
-_SEND_TIMEOUT_NS = 100_000_000  # a line that takes nothing for this long is not a line
+_SEND_TIMEOUT_NS = 100_000_000  # a port that takes nothing for this long is no port
 
+_DESCRIPTOR = np.dtype([("number", np.int64), SCRATCH], align=True)
 
-class DescriptorPort(NamedTuple):
-    """An open, raw, non-blocking descriptor, and the scratch space of its system calls."""
-
-    descriptor: int
-    scratch: NDArray[np.int64]
+_descriptor_at, _bytes_at = record_at(_DESCRIPTOR), array_at(np.uint8)
 
 
-def descriptor_port(descriptor: int) -> DescriptorPort:
-    """A port on an open descriptor, which stays the caller's to close."""
-    return DescriptorPort(descriptor, np.zeros(4, np.int64))
+@receiver
+def receive(context, buffer, room, timeout_ns):
+    port = _descriptor_at(context)
+    return read_some(port.number, _bytes_at(buffer, room), timeout_ns, port.scratch)
 
 
-@inlined
-def _receive(port, buffer, start, timeout_ns):
-    return read_some(port.descriptor, buffer, start, timeout_ns, port.scratch)
+@sender
+def send(context, buffer, stop):
+    port = _descriptor_at(context)
+    return write_all(port.number, _bytes_at(buffer, stop), stop, _SEND_TIMEOUT_NS, port.scratch)
 
 
-@inlined
-def _send(port, buffer, stop):
-    return write_all(port.descriptor, buffer, stop, _SEND_TIMEOUT_NS, port.scratch)
-
-
-transport(DescriptorPort, _receive, _send)
+def descriptor_transport(number: int) -> Transport:
+    """A transport over an open, raw, non-blocking descriptor, which stays the caller's to close."""
+    context = new_record(_DESCRIPTOR)
+    context.number = number
+    return Transport(receive, send, context)

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from hapsim.compiled import inlined
+from hapsim.compiling import inlined
 from hapsim.loop.codes import BAD_FORCE, FAULT, OFF_RATE, TIMED_OUT
-from hapsim.loop.ring import full
 
 DONE, STOPPED, RING_FULL, SILENT, GONE, NOT_FINITE, DEVICE_STOPPED, WRONG_RATE = range(8)
 
@@ -24,16 +23,15 @@ IN_WORDS = {
 
 
 @inlined
-def told_to_end(control, state, ring):
-    """Why the loop ends before its next exchange: GOES_ON, or STOPPED, DONE, RING_FULL.
-
-    Fields are read by key, which plain Python can as well: the portable loop calls this as it stands.
-    """
-    if control["stop"]:
+def told_to_end(loop):
+    """Why the loop ends before its next exchange: GOES_ON, or STOPPED, DONE, RING_FULL."""
+    if loop.control.stop:
         return STOPPED
-    if 0 <= control["ticks"] <= state["ticks"]:
+    if 0 <= loop.control.ticks <= loop.state.ticks:
         return DONE
-    return RING_FULL if full(ring) else GOES_ON
+    # With a margin, for positions that arrive several at once.
+    ring = loop.ring
+    return RING_FULL if ring.waits and ring.head - ring.tail > ring.capacity // 2 else GOES_ON
 
 
 @inlined

@@ -5,24 +5,22 @@ No system call is made here: whoever waits (waiting.py in the kernel, portable.p
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
-
 import numpy as np
 
 from firmware_protocol import schema
-from firmware_protocol.frames import Format, write_to_device
-from hapsim.compiled import inlined, jit_inlined
-from hapsim.cordis.program import Program
-from hapsim.cordis.tick import settle_grounds, start, tick
+from firmware_protocol.code_size import compact
+from firmware_protocol.frames import FRAMING, write_frame
+from hapsim.compiling import inlined
+from hapsim.cordis.tick import program_at, start
 from hapsim.loop.codes import BAD_FORCE, FAULT, HEARD, OFF_RATE, TIMED_OUT
-from hapsim.loop.guard.finite import is_finite
-from hapsim.loop.guard.limit import cut
-from hapsim.loop.guard.rate import is_off_rate
-from hapsim.loop.histogram import new_histogram, note
-from hapsim.loop.inbox import frame_waiting
-from hapsim.loop.parameters import Parameters, move_parameters
-from hapsim.loop.ring import BRIDGED, HELD, LIMITED, OFF_GRID, UNSENT, Ring, mark_last, publish, push
+from hapsim.loop.guard.force import cut, is_finite
+from hapsim.loop.guard.rate import WATCH, is_off_rate
+from hapsim.loop.histogram import HISTOGRAM, note
+from hapsim.loop.io_buffer import IO_BUFFER
+from hapsim.loop.ring import BRIDGED, LATE_FORCE, LIMITED, OFF_GRID, RING, UNSENT, mark_last, publish, push
+from hapsim.loop.stage import STAGE, move_scene
 
+_MOST_COUNTS = 2**31 - 1
 _MODULUS_MASK = schema.SAMPLE_MODULUS - 1  # it is a power of two
 
 DEVICE_CLOCK, HOST_CLOCK, NO_CLOCK = range(3)  # who keeps the time; nobody in virtual time
@@ -61,136 +59,130 @@ STATE = np.dtype(
         ("unanswered", np.int64),  # 1: the newest position's force has not left yet
         ("tick_ns", np.int64),  # when the loop woke up to ask for the next position, where the host is the clock
         ("sent_ns", np.int64),  # when the last force had left
-        ("grounds_moved", np.int64),  # with the last sample: with the next their velocity is zero again
         ("due_ns", np.int64),  # when the next position is expected, where the device is the clock
     ],
     align=True,
 )
 
+WAIT = np.dtype(
+    [
+        ("begun_ns", np.int64),  # since when,
+        ("for_ns", np.int64),  # and for how long at most, the loop waits for a position
+        ("answers", np.int64),  # 1: then it sends a force
+        ("due_ns", np.int64),  # when the next tick is due, where the host is the clock
+    ],
+    align=True,
+)
 
-def desk_of(channels: int) -> np.dtype[np.void]:
-    """What one exchange is worked out on. One record instead of a dozen arrays: compiled code passes it as one pointer.
+HISTOGRAMS = np.dtype(
+    [
+        # ns: of the wake-up, where the host is the clock; of the position, where the device is.
+        ("lateness", HISTOGRAM),
+        # ns: from a position's arrival until its force has left; where the host is the clock, from waking up for the
+        # tick until the position has arrived, the force sent in between.
+        ("exchange", HISTOGRAM),
+        # Samples from the position that the acting force answers to the force's change.
+        ("age", HISTOGRAM),
+    ],
+    align=True,
+)
 
-    The number of channels is part of its type, so that loops over them are compiled for that number.
-    """
-    each = (channels,)
-    return np.dtype(
-        [
-            ("measured", np.float64, each),  # m, the newest position
-            ("before", np.float64, each),  # m, the one before
-            ("bridge", np.float64, each),  # m, between the two where positions were lost
-            ("velocity", np.float64, each),  # m/s, sensed with the newest position; 0 where not asked for
-            ("velocity_before", np.float64, each),  # m/s, with the one before
-            ("velocity_bridge", np.float64, each),  # m/s, between the two where positions were lost
-            ("asked", np.float64, each),  # N, the scene's force
-            ("position_counts", np.int64, each),
-            ("force_counts", np.int64, each),  # what excitation and guards make of it
-            ("position_scale", np.float64, each),  # m per count
-            ("velocity_scale", np.float64, each),  # (m/s) per count
-            ("force_scale", np.float64, each),  # N per count
-            ("force_limit", np.float64, each),  # N
-            ("scratch", np.int64, (4,)),  # of the system calls
-            ("outbox", np.uint8, (128,)),  # the frame that is being written
-        ],
-        align=True,
-    )
-
-
-class Statistics(NamedTuple):
-    """Histograms of every tick (HISTOGRAM of histogram.py)."""
-
-    lateness: np.void
-    """ns: of the wake-up, where the host is the clock; of the position, where the device is."""
-    exchange: np.void
-    """ns: from a position's arrival until its force has left; where the host is the clock, from waking up for the tick
-    until the position has arrived, the force sent in between."""
-    age: np.void
-    """Samples from the position that the acting force answers to the force's change."""
-
-
-def new_statistics() -> Statistics:
-    """Empty histograms."""
-    return Statistics(new_histogram(), new_histogram(), new_histogram())
-
-
-class Loop(NamedTuple):
-    """All that an exchange works on. Everything is allocated before the device is armed."""
-
-    port: Any
-    inbox: np.void
-    decoder: np.void
-    wire: Format
-    program: Program
-    parameters: Parameters
-    ring: Ring
-    desk: np.void
-    control: np.void
-    state: np.void
-    watch: np.void
-    statistics: Statistics
+LOOP = np.dtype(
+    [
+        ("inbox", np.uint64),  # address of an INBOX
+        ("framing", FRAMING),  # of the frames to the device
+        ("stage", STAGE),
+        ("ring", RING),
+        ("io", IO_BUFFER),
+        ("control", CONTROL),
+        ("state", STATE),
+        ("wait", WAIT),
+        ("watch", WATCH),
+        ("histograms", HISTOGRAMS),
+    ],
+    align=True,
+)
+"""All that an exchange works on. Everything is allocated before the device is armed."""
 
 
 @inlined
-def digest(loop, now):
-    """Takes every position among the bytes at hand, which arrived at `now` (ns), and works out the force that answers
-    the newest: HEARD, or TIMED_OUT, FAULT, BAD_FORCE, OFF_RATE.
+def take_frame(loop, decoder, now):
+    """Takes the decoder's frame, which arrived at `now` (ns). A position moves the scene up to its sample, and the
+    force that answers it is worked out: HEARD; or BAD_FORCE, OFF_RATE. FAULT: the device has stopped.
 
-    Every position moves the scene by one sample, in order, so that its velocities stay true; only the newest is
-    answered.
+    A position that comes twice, or after a newer one, is counted and passed over, as is a frame of another type:
+    TIMED_OUT. The scene never goes back in time.
     """
-    heard = TIMED_OUT
-    while frame_waiting(loop.inbox, loop.decoder):
-        if loop.decoder.type == schema.STATUS:
-            loop.state.fault = (loop.decoder.counts[0] >> 8) & 0xFF
-            return FAULT
-        if not _is_news(loop):
-            continue
-        if loop.state.unanswered:
-            loop.state.stale_positions += 1
-            mark_last(loop.ring, UNSENT)
-        if not _take_position(loop, now):
-            return BAD_FORCE
-        if is_off_rate(loop.watch, loop.state.sample, now, loop.control.period_ns):
-            return OFF_RATE
-        heard = HEARD
-    return heard
+    compact()
+    state, io, control = loop.state, loop.io, loop.control
+    if decoder.type == schema.STATUS:
+        state.fault = (decoder.counts[0] >> 8) & 0xFF
+        return FAULT
+    gap = (decoder.number - state.sample) & _MODULUS_MASK if state.ticks > 0 else 1
+    if decoder.type not in (schema.POSITION, schema.POSITION_HELD):
+        return TIMED_OUT
+    if gap == 0 or gap >= schema.SAMPLE_MODULUS // 2:
+        state.stale_positions += 1
+        return TIMED_OUT
+    if state.unanswered:
+        state.stale_positions += 1
+        mark_last(loop.ring, UNSENT)
+    for c in range(np.uint64(io.channels)):
+        io.position_counts[c] = decoder.counts[c]
+        io.before[c] = io.measured[c]
+        io.measured[c] = decoder.counts[c] * io.position_scale[c]
+        if io.velocities:
+            io.velocity_before[c] = io.velocity[c]
+            io.velocity[c] = decoder.counts[np.uint64(io.channels) + c] * io.velocity_scale[c]
+    if state.ticks == 0:
+        start(program_at(loop.stage.program), io.measured)
+        state.sample = decoder.number - 1
+        state.first_ns = state.due_ns = now
+    late = decoder.type == schema.POSITION_HELD
+    state.late_ticks += late
+    state.age = state.age + 1 if late else 1
+    note(loop.histograms.age, state.age)
+    state.lost_frames += gap - 1
+    flags = (LATE_FORCE if late else 0) | (BRIDGED if gap > 1 else 0) | _note_time(loop, now, gap)
+    move_scene(loop.stage, io, gap)
+    state.sample += gap
+    state.newest_ns = now
+    sound, limited = _set_force(io, control, state.ticks)
+    state.limited_ticks += limited
+    push(loop.ring, state.sample, now, flags | LIMITED if limited else flags, io)
+    state.ticks += 1
+    state.unanswered = 1
+    if not sound:
+        return BAD_FORCE
+    return OFF_RATE if is_off_rate(loop.watch, state.sample, now, control.period_ns) else HEARD
 
 
 @inlined
-def compose_force(loop):
-    """Writes the frame with the force that answers the newest position into the outbox; where it ends."""
-    return write_to_device(
-        loop.wire,
-        loop.desk.outbox,
-        0,
-        schema.FORCE,
-        loop.state.sample & _MODULUS_MASK,
-        loop.control.time_to_live,
-        loop.desk.force_counts,
-    )
+def compose_frame(loop, disarm):
+    """Writes the frame with the force that answers the newest position into the outbox; or the one that disarms, with
+    zero force, the last frame of every loop whatever ended it. Where the frame ends."""
+    compact()
+    io = loop.io
+    kind, number, argument = schema.FORCE, loop.state.sample & _MODULUS_MASK, loop.control.time_to_live
+    if disarm:
+        kind, number, argument = schema.DISARM, 0, 0
+        for c in range(np.uint64(io.channels)):
+            io.force_counts[c] = 0
+    return write_frame(loop.framing, io.outbox, 0, kind, number, argument, io.force_counts)
 
 
-@jit_inlined
-def compose_disarm(loop):
-    """Writes the frame that lets go, with zero force, into the outbox; where it ends. The last frame of every loop,
-    whatever ended it."""
-    for c in range(loop.desk.measured.size):
-        loop.desk.force_counts[c] = 0
-    return write_to_device(loop.wire, loop.desk.outbox, 0, schema.DISARM, 0, 0, loop.desk.force_counts)
-
-
-@jit_inlined
-def sent(loop, now):
+@inlined
+def on_force_sent(loop, now):
     """The force has left, at `now` (ns): shows the tick to the reader and counts what it took."""
     if loop.control.clock != HOST_CLOCK:
-        note(loop.statistics.exchange, now - loop.state.newest_ns)
+        note(loop.histograms.exchange, now - loop.state.newest_ns)
     loop.state.sent_ns = now
     loop.state.unanswered = 0
     publish(loop.ring)
 
 
 @inlined
-def never_sent(loop):
+def flush_unsent(loop):
     """The loop ends: shows the last tick to the reader, and that its force, if it still waits, never left."""
     if loop.state.unanswered:
         mark_last(loop.ring, UNSENT)
@@ -198,122 +190,33 @@ def never_sent(loop):
 
 
 @inlined
-def _is_news(loop):
-    """Whether the decoder holds a position newer than the last. One that comes twice, or after a newer one, is counted
-    and passed over: the scene never goes back in time."""
-    if loop.decoder.type not in (schema.POSITION, schema.POSITION_HELD):
-        return False
-    gap = (loop.decoder.number - loop.state.sample) & _MODULUS_MASK
-    if loop.state.ticks > 0 and (gap == 0 or gap >= schema.SAMPLE_MODULUS // 2):
-        loop.state.stale_positions += 1
-        return False
-    return True
+def _note_time(loop, now, gap):
+    """Counts how late a position is, `gap` samples after the last. Returns the row's flag for it.
 
-
-@inlined
-def _take_position(loop, now):
-    """The decoder's position moves the scene up to its sample; False where the force came out as no number."""
-    state = loop.state
-    _read_position(loop)
-    if state.ticks == 0:
-        start(loop.program, loop.desk.measured)
-        state.sample = loop.decoder.number - 1
-        state.first_ns = now
-        state.due_ns = now
-    flags = _count_age(loop, state) | _off_grid(loop.control, state, now)
-    gap = (loop.decoder.number - state.sample) & _MODULUS_MASK
-    if gap > 1:
-        state.lost_frames += gap - 1
-        flags |= BRIDGED
-    if loop.control.clock == DEVICE_CLOCK:
-        _note_lateness(loop, now, gap)
-    elif loop.control.clock == HOST_CLOCK and state.ticks > 0:
-        note(loop.statistics.exchange, now - state.tick_ns)
-    _move_scene(loop, gap)
-    state.sample += gap
-    state.newest_ns = now
-    flags |= _set_force(loop.desk, loop.control, state)
-    shown = flags & ~_NOT_A_NUMBER
-    push(loop.ring, state.sample, now, shown, loop.desk.position_counts, loop.desk.force_counts, loop.desk.asked)
-    state.ticks += 1
-    state.unanswered = 1
-    return flags & _NOT_A_NUMBER == 0
-
-
-@inlined
-def _read_position(loop):
-    """The decoder's position, and its velocity where they are on the wire, in SI units."""
-    desk = loop.desk
-    for c in range(desk.measured.size):
-        desk.position_counts[c] = loop.decoder.counts[c]
-        desk.before[c] = desk.measured[c]
-        desk.measured[c] = loop.decoder.counts[c] * desk.position_scale[c]
-        if loop.wire.velocity:
-            desk.velocity_before[c] = desk.velocity[c]
-            desk.velocity[c] = loop.decoder.counts[desk.measured.size + c] * desk.velocity_scale[c]
-
-
-@inlined
-def _count_age(loop, state):
-    """The device tells with each position whether the force of the sample before came in time."""
-    held = loop.decoder.type == schema.POSITION_HELD
-    state.late_ticks += held
-    state.age = state.age + 1 if held else 1
-    note(loop.statistics.age, state.age)
-    return HELD if held else 0
-
-
-@inlined
-def _note_lateness(loop, now, gap):
-    """How much later a position came than the earliest ones of late, by the device's own count of samples.
-
+    Where the device is the clock: how much later than the earliest recent ones, by the device's own count of samples.
     Nobody tells when the device sampled. The grid of expected arrivals moves to every arrival that is earlier, and a
     little, a 16th of the lateness, after every later one, so that it follows a device whose clock is slow.
     """
-    state = loop.state
-    late = now - state.due_ns
-    note(loop.statistics.lateness, late)
-    state.due_ns += (late if late < 0 else late >> 4) + gap * loop.control.period_ns
-
-
-@inlined
-def _off_grid(control, state, now):
-    """Whether the time from the last position to this one is clearly not a period, where the host keeps the time."""
-    if control.clock != HOST_CLOCK or state.ticks == 0:
-        return 0
-    error = now - state.newest_ns - control.period_ns
-    return OFF_GRID if abs(error) > control.period_ns // 8 else 0
-
-
-@inlined
-def _move_scene(loop, samples):
-    """Moves the scene by `samples`, its device points along a straight line from the last position to this one, and
-    their velocities along one of their own."""
-    desk = loop.desk
-    for i in range(1, samples + 1):
-        position, velocity = desk.measured, desk.velocity
-        if i < samples:
-            for c in range(desk.measured.size):
-                rise, gain = desk.measured[c] - desk.before[c], desk.velocity[c] - desk.velocity_before[c]
-                desk.bridge[c] = desk.before[c] + rise * i / samples
-                desk.velocity_bridge[c] = desk.velocity_before[c] + gain * i / samples
-            position, velocity = desk.bridge, desk.velocity_bridge
-        moved = move_parameters(loop.parameters)
-        if moved or loop.state.grounds_moved:
-            settle_grounds(loop.program)
-            loop.state.grounds_moved = moved
-        tick(loop.program, position, velocity, desk.asked)
-
-
-_NOT_A_NUMBER = 128  # in the flags of `_set_force`
+    state, period = loop.state, loop.control.period_ns
+    if loop.control.clock == DEVICE_CLOCK:
+        late = now - (state.due_ns + (gap - 1) * period)
+        note(loop.histograms.lateness, late)
+        state.due_ns += (late if late < 0 else late >> 4) + gap * period
+    elif loop.control.clock == HOST_CLOCK and state.ticks > 0:
+        note(loop.histograms.exchange, now - state.tick_ns)
+        if abs(now - state.newest_ns - period) > period // 8:
+            return OFF_GRID
+    return 0
 
 
 _GOLDEN = 0.6180339887498949  # its multiples are spread evenly over every interval
 
 
 @inlined
-def _push(control, tick):
+def _excitation(control, tick):
     """The excitation's force at this tick, in N: no two pushes alike, so that no two ring-downs are rounded alike."""
+    if control.pulse_every == 0:
+        return 0.0
     if control.pulse_first and tick < control.pulse_ticks:
         return control.pulse_force
     since = tick - control.pulse_from
@@ -325,21 +228,20 @@ def _push(control, tick):
 
 
 @inlined
-def _set_force(desk, control, state):
-    """Adds the excitation, guards the force and turns it into counts. Returns the row's flags for it."""
-    push = _push(control, state.ticks) if control.pulse_every > 0 else 0.0
-    sound = True
-    limited = False
-    for c in range(desk.measured.size):
-        wanted = desk.asked[c] + push if c == control.pulse_channel else desk.asked[c]
+def _set_force(io, control, tick):
+    """Adds the excitation, guards the force and turns it into counts: (whether it is a number, whether it was cut)."""
+    compact()
+    excitation = _excitation(control, tick)
+    sound, limited = True, False
+    for c in range(np.uint64(io.channels)):
+        wanted = io.asked[c] + excitation if c == np.uint64(control.pulse_channel) else io.asked[c]
         sound = sound and is_finite(wanted)
-        force = cut(wanted, desk.force_limit[c])
+        force = cut(wanted, io.force_limit[c])
         limited = limited or force != wanted
-        counts = np.rint(force / desk.force_scale[c])
-        desk.force_counts[c] = np.int64(min(max(counts, -2147483647.0), 2147483647.0))
+        counts = np.rint(force / io.force_scale[c])
+        io.force_counts[c] = np.int64(cut(counts, 2147483647.0))
     if not sound:
-        for c in range(desk.measured.size):
-            desk.force_counts[c] = 0
-        return _NOT_A_NUMBER
-    state.limited_ticks += limited
-    return LIMITED if limited else 0
+        for c in range(np.uint64(io.channels)):
+            io.force_counts[c] = 0
+        return False, False
+    return True, limited

@@ -7,11 +7,12 @@ floating-point form. Whole numbers below 32 have bins of their own; above, a bin
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hapsim.compiled import jit_inlined
+from hapsim.compiling import inlined
 
 _PART_BITS = 4  # 16 bins to the octave
 _OCTAVES = 42
@@ -22,14 +23,15 @@ _FIRST = (1023 << _PART_BITS) - 1  # so that 1.0 falls into bin 1
 HISTOGRAM = np.dtype([("maximum", np.int64), ("counts", np.int64, (_BINS,))], align=True)
 
 
-@jit_inlined
+@inlined
 def note(histogram, value):
     """Counts one whole number; a negative one counts as 0."""
-    i = 0
+    i: Any = 0
     if value > 0:
-        i = min(int(np.float64(value).view(np.int64) >> _SHIFT) - _FIRST, _BINS - 1)
-        histogram.maximum = max(value, histogram.maximum)
-    histogram.counts[i] += 1
+        i = (np.float64(value).view(np.int64) >> _SHIFT) - _FIRST
+        i = i if i < _BINS else _BINS - 1
+        histogram.maximum = value if value > histogram.maximum else histogram.maximum
+    histogram.counts[np.uint64(i)] += 1
 
 
 @dataclass(frozen=True)
@@ -110,12 +112,6 @@ def _edges() -> NDArray[np.float64]:
     return np.concatenate([[0.0], np.ldexp(1.0 + part / (1 << _PART_BITS), octave)])
 
 
-def new_histogram() -> np.void:
-    """An empty one, for a loop to fill."""
-    histogram: np.void = np.zeros(1, HISTOGRAM)[0]
-    return histogram
-
-
-def histogram_of(record: np.void, unit: float = 1.0) -> Histogram:
-    """A copy of what is counted so far."""
-    return Histogram(record["counts"].copy(), float(record["maximum"]) * unit, unit)
+def histogram_of(record: Any, unit: float = 1.0) -> Histogram:
+    """A copy of what is counted so far in a HISTOGRAM."""
+    return Histogram(record.counts.copy(), float(record.maximum) * unit, unit)

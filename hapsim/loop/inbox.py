@@ -2,45 +2,33 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
-from firmware_protocol.decoder import next_frame
-from hapsim.compiled import inlined, jit
-from hapsim.loop.port import receive
+from firmware_protocol.decoder import DECODER
+from hapsim.compiling.native import record_at
+from hapsim.loop.transport import TRANSPORT, PythonTransport
 
-INBOX = np.dtype([("start", np.int64), ("stop", np.int64), ("bytes", np.uint8, 8192)], align=True)
+INBOX = np.dtype(
+    [
+        ("transport", TRANSPORT),
+        ("decoder", DECODER),
+        ("start", np.int64),  # of what is not yet looked at
+        ("stop", np.int64),
+        ("bytes", np.uint8, 8192),
+    ],
+    align=True,
+)
+"""A transport, the bytes that arrived over it, and the frames that are found in them."""
 
-
-def new_inbox() -> np.void:
-    """An empty inbox."""
-    inbox: np.void = np.zeros(1, INBOX)[0]
-    return inbox
-
-
-@inlined
-def frame_waiting(inbox, decoder):
-    """Whether the bytes at hand hold a whole frame; it is then in the decoder."""
-    if inbox.start == inbox.stop:
-        return False
-    inbox.start, found = next_frame(decoder, inbox.bytes, inbox.start, inbox.stop)
-    return found
+inbox_at = record_at(INBOX)
 
 
-@inlined
-def fetch(port, inbox, timeout_ns):
-    """Reads what has arrived into an inbox that is used up: the count, or a code of codes.py."""
-    inbox.start = 0
-    inbox.stop = 0
-    count = receive(port, inbox.bytes, 0, timeout_ns)
-    if count > 0:
-        inbox.stop = count
+def fetch_in_python(inbox: Any, transport: PythonTransport, timeout_ns: int) -> int:
+    """Reads what has arrived into an inbox that is used up, outside of the compiled loop: the count, or a code of
+    codes.py."""
+    inbox.start = inbox.stop = 0
+    count = transport.receive(inbox.bytes, timeout_ns)
+    inbox.stop = max(count, 0)
     return count
-
-
-@jit
-def next_frame_within(port, inbox, decoder, timeout_ns):
-    """Waits for a frame: (1, whatever) when there is one, else (0, a code of codes.py)."""
-    if frame_waiting(inbox, decoder):
-        return True, 0
-    count = fetch(port, inbox, timeout_ns)
-    return count > 0 and frame_waiting(inbox, decoder), min(count, 0)

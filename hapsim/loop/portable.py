@@ -11,37 +11,37 @@ import time
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from hapsim.compiled import compile_for, jit
+from hapsim.compiling import entry
+from hapsim.compiling.entries import compile_for
 from hapsim.loop.codes import FAILED, HEARD, HUNG_UP, TIMED_OUT
-from hapsim.loop.endings import GOES_ON, GONE, RING_FULL, ending_of, told_to_end
-from hapsim.loop.exchange import HOST_CLOCK, Loop, compose_disarm, compose_force, digest, never_sent, sent
-from hapsim.loop.histogram import note
-from hapsim.loop.paced_by_host import next_due
-from hapsim.loop.waiting import SLICE_NS
+from hapsim.loop.endings import GOES_ON, GONE, RING_FULL, ending_of
+from hapsim.loop.exchange import HOST_CLOCK, compose_frame, flush_unsent, on_force_sent
+from hapsim.loop.inbox import fetch_in_python
+from hapsim.loop.paced_by_device import plan_by_device
+from hapsim.loop.paced_by_host import is_patient, plan_by_host
+from hapsim.loop.transport import PythonTransport, receiver
+from hapsim.loop.waiting import SLICE_NS, take_newest_position
 
 
-class PortablePort:
+class PortableTransport:
     """A port as pyserial has it, read and written from Python."""
 
     def __init__(self, serial: Any) -> None:
         self._serial = serial
 
-    def receive(self, inbox: np.void, timeout_ns: int) -> int:
-        """Waits for bytes, and takes all that are there into an inbox that is used up: their count, or a code."""
-        inbox["start"] = inbox["stop"] = 0
+    def receive(self, buffer: NDArray[np.uint8], timeout_ns: int) -> int:
+        """Waits for bytes, and takes all that are there: their count, or a code of codes.py."""
         try:
             self._serial.timeout = max(timeout_ns, 0) * 1e-9
             data = self._serial.read(1)
             if data:
-                data += self._serial.read(min(self._serial.in_waiting, inbox["bytes"].size - 1))
+                data += self._serial.read(min(self._serial.in_waiting, buffer.size - 1))
         except (OSError, TypeError):  # pyserial's own errors are OSErrors; TypeError where it was closed meanwhile
             return HUNG_UP
-        if not data:
-            return TIMED_OUT
-        inbox["bytes"][: len(data)] = np.frombuffer(data, np.uint8)
-        inbox["stop"] = len(data)
-        return len(data)
+        buffer[: len(data)] = np.frombuffer(data, np.uint8)
+        return len(data) if data else TIMED_OUT
 
     def send(self, frame: bytes) -> int:
         """0, or FAILED."""
@@ -52,109 +52,96 @@ class PortablePort:
         return 0
 
 
-@jit
-def digest_and_compose(loop, now):
-    """(what `digest` says, where the force's frame in the outbox ends), in one call from Python."""
-    code = digest(loop, now)
-    return code, compose_force(loop) if code == HEARD else 0
+@receiver
+def receive_nothing(context, buffer, room, timeout_ns):  # noqa: ARG001
+    """In place of a transport of compiled code: what arrives, Python puts into the inbox."""
+    return TIMED_OUT
+
+
+@entry
+def _take_and_compose(loop, now):
+    """(what the bytes at hand come to, where the force's frame in the outbox ends), in one call from Python."""
+    code = take_newest_position(loop, now, 0)
+    return code, compose_frame(loop, False) if code == HEARD else 0
+
+
+@entry
+def _on_force_sent(loop, now):
+    on_force_sent(loop, now)
+
+
+@entry
+def _plan_by_device(loop):
+    return plan_by_device(loop)
+
+
+@entry
+def _compose_last(loop):
+    """The frame that disarms; nothing is left unseen."""
+    stop = compose_frame(loop, True)
+    flush_unsent(loop)
+    return stop
+
+
+def entries_for(loop: Any) -> list[tuple[Any, tuple[Any, ...]]]:
+    """What the loop in Python calls, each with arguments of the types that it is called with."""
+    return [
+        (_take_and_compose, (loop, 0)),
+        (_on_force_sent, (loop, 0)),
+        (_plan_by_device, (loop,)),
+        (_compose_last, (loop,)),
+    ]
 
 
 class PortableLoop:
-    """`run_paced_by_device` and `run_paced_by_host` in Python."""
+    """`run_loop` in Python. `loop`: LOOP; `inbox`: the INBOX that it reads; `transport`: what fills it."""
 
-    def __init__(self, loop: Loop, port: PortablePort) -> None:
-        self._port = port
-        # The compiled code never touches this loop's port, which is no transport of compiled code.
-        self._loop = loop._replace(port=0)
-        compile_for(digest_and_compose, self._loop, 0)
-        compile_for(sent, self._loop, 0)
-        compile_for(compose_disarm, self._loop)
-        compile_for(show_last_rows, self._loop)
-        compile_for(next_due, self._loop, 0, 0)
-        compile_for(note, loop.statistics.lateness, 0)
+    def __init__(self, loop: Any, inbox: Any, transport: PythonTransport) -> None:
+        self._loop, self._inbox, self._transport = loop, inbox, transport
+        self._control, self._wait = loop.control, loop.wait
+        self._stop = 0
+        """Where the newest force's frame ends."""
+        inbox.transport.receive = receive_nothing.address()
+        for function, arguments in entries_for(loop):
+            compile_for(function, *arguments)
 
-    def run(self, _loop: Loop) -> int:
+    def run(self, _loop: Any = None) -> int:
         """Exchanges until something ends it; returns what did. RING_FULL alone leaves the device armed."""
-        while not self._loop.control["go"] and not self._loop.control["stop"]:
+        loop, control, wait = self._loop, self._control, self._wait
+        while not control["go"] and not control["stop"]:
             time.sleep(1e-4)
-        host = self._loop.control["clock"] == HOST_CLOCK
-        ending = self._paced_by_host() if host else self._paced_by_device()
+        loop.state.sent_ns = loop.state.tick_ns = time.monotonic_ns()
+        by_host, ending = control["clock"] == HOST_CLOCK, GOES_ON
+        while ending == GOES_ON:
+            ending = int(plan_by_host(loop) if by_host else _plan_by_device(loop))
+            if ending != GOES_ON:
+                break
+            code = self._take_newest_position(int(wait["begun_ns"]), int(wait["for_ns"]))
+            if code != HEARD and not (by_host and code == TIMED_OUT and is_patient(loop)):
+                ending = int(ending_of(code, control["stop"]))
+            elif wait["answers"]:
+                if by_host and loop.state.unanswered:
+                    loop.state.tick_ns = wait["begun_ns"]
+                ending = GOES_ON if self._send(self._stop) == 0 else GONE
+                _on_force_sent(loop, time.monotonic_ns())
         if ending != RING_FULL:
-            self._let_go()
+            self._send(_compose_last(loop))
         return ending
 
-    def _paced_by_device(self) -> int:
-        while (ending := self._told_to_end()) == GOES_ON:
-            code, stop = self._take(time.monotonic_ns() + int(self._loop.control["silence_ns"]))
-            if code != HEARD:
-                return int(ending_of(code, self._loop.control["stop"]))
-            if self._answer(stop) != 0:
-                return GONE
-        return ending
-
-    def _paced_by_host(self) -> int:
-        loop, period = self._loop, int(self._loop.control["period_ns"])
-        loop.state["tick_ns"] = time.monotonic_ns()
-        code, stop = self._take(time.monotonic_ns() + int(loop.control["silence_ns"]))
-        due = time.monotonic_ns() + period
-        while code in (HEARD, TIMED_OUT):
-            if (ending := self._told_to_end()) != GOES_ON:
-                return ending
-            now = self._sleep_until(due)
-            if loop.control["stop"]:
-                continue  # woken up for that, not for an exchange
-            note(loop.statistics.lateness, now - due)
-            due = int(next_due(loop, due, now))
-            # One that came after its tick was over is taken first, as in the compiled loop.
-            code, newer = self._take(now)
-            if code not in (HEARD, TIMED_OUT):
-                break
-            if loop.state["unanswered"]:
-                loop.state["tick_ns"] = now
-            stop = newer or stop
-            if self._answer(stop) != 0:
-                return GONE
-            code, newer = self._take(due)
-            stop = newer or stop
-            if code == TIMED_OUT and time.monotonic_ns() - int(loop.state["newest_ns"]) > loop.control["silence_ns"]:
-                break
-        return int(ending_of(code, loop.control["stop"]))
-
-    def _sleep_until(self, due: int) -> int:
-        """Sleeps until `due`, or until told to stop; the time of waking up."""
-        while (left := due - time.monotonic_ns()) > 0 and not self._loop.control["stop"]:
-            time.sleep(min(left, SLICE_NS) * 1e-9)
-        return time.monotonic_ns()
-
-    def _told_to_end(self) -> int:
-        return int(told_to_end(self._loop.control, self._loop.state, self._loop.ring))
-
-    def _take(self, give_up: int) -> tuple[int, int]:
-        """Waits for a position until `give_up`: (HEARD, where the force's frame ends), or (a code, 0)."""
-        now = time.monotonic_ns()
-        last_look = False
+    def _take_newest_position(self, begun: int, timeout_ns: int) -> int:
+        """As in waiting.py."""
+        now, give_up, last_look = begun, begun + timeout_ns, False
         while True:
-            code, stop = digest_and_compose(self._loop, now)
+            code, stop = _take_and_compose(self._loop, now)
+            if code == HEARD:
+                self._stop = stop
             if code != TIMED_OUT or last_look:
-                return int(code), int(stop)
-            last_look = now >= give_up or bool(self._loop.control["stop"])
-            count = self._port.receive(self._loop.inbox, min(give_up - now, SLICE_NS))
+                return int(code)
+            last_look = now >= give_up or bool(self._control["stop"])
+            count = fetch_in_python(self._inbox, self._transport, min(give_up - now, SLICE_NS))
             now = time.monotonic_ns()
             if count < 0:
-                return count, 0
+                return count
 
-    def _answer(self, stop: int) -> int:
-        code = self._port.send(self._loop.desk["outbox"][:stop].tobytes())
-        sent(self._loop, time.monotonic_ns())
-        return code
-
-    def _let_go(self) -> None:
-        stop = compose_disarm(self._loop)
-        self._port.send(self._loop.desk["outbox"][:stop].tobytes())
-        show_last_rows(self._loop)
-
-
-@jit
-def show_last_rows(loop):
-    """`never_sent`, callable from Python."""
-    never_sent(loop)
+    def _send(self, stop: int) -> int:
+        return self._transport.send(self._loop.io.outbox[:stop].tobytes())

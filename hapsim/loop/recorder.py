@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hapsim.loop.ring import Ring, Rows, drain
+from hapsim.loop.ring import Ring, Rows
 from hapsim.loop.trace import Report, Statistics, Trace
 
 
@@ -15,11 +15,11 @@ class Recorder:
     def __init__(self, ring: Ring, keep: bool) -> None:
         self._ring = ring
         self._keep = keep
-        self._parts = [drain(ring)]
+        self._parts = [ring.drain()]
 
     def collect(self) -> None:
         """Takes what is in the ring now."""
-        part = drain(self._ring)
+        part = self._ring.drain()
         if self._keep and part.sample.size:
             self._parts.append(part)
 

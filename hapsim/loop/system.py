@@ -6,10 +6,16 @@ it lets the compiled code be kept on disk. Structures are int64 or int32 arrays 
 
 from __future__ import annotations
 
+import time
+
+import numpy as np
 from numba import types
 
-from hapsim.compiled import inlined
+from hapsim.compiling import inlined, overload
 from hapsim.loop.codes import FAILED, HUNG_UP, TIMED_OUT
+
+SCRATCH = ("scratch", np.int64, (4,))
+"""A field of a record: where the system calls put their structures, so that nothing is allocated."""
 
 _CLOCK_MONOTONIC = 1
 _TIMER_ABSTIME = 1
@@ -27,28 +33,43 @@ _write = types.ExternalFunction("write", types.intp(types.int32, types.uintp, ty
 _errno_location = types.ExternalFunction("__errno_location", types.CPointer(types.int32)())
 
 
-@inlined
-def now_ns(scratch):
-    """Monotonic time in ns. `scratch`: int64[4], the caller's own, so that nothing is allocated."""
-    _clock_gettime(_CLOCK_MONOTONIC, scratch.ctypes.data)
-    return scratch[0] * 1_000_000_000 + scratch[1]
+def now_ns(scratch):  # noqa: ARG001
+    """Monotonic time in ns. `scratch`: the caller's own, SCRATCH. In plain Python it is Python's own clock."""
+    return time.monotonic_ns()
 
 
-@inlined
-def sleep_until(deadline_ns, scratch):
-    """Sleeps until an absolute monotonic time. A deadline already past costs no system call."""
-    while now_ns(scratch) < deadline_ns:
-        scratch[0] = deadline_ns // 1_000_000_000
-        scratch[1] = deadline_ns % 1_000_000_000
-        # Returns its error number instead of setting errno; a signal's interruption is simply slept on.
-        if _clock_nanosleep(_CLOCK_MONOTONIC, _TIMER_ABSTIME, scratch.ctypes.data, 0) not in (0, _EINTR):
-            return
+def sleep_until(deadline_ns, scratch):  # noqa: ARG001
+    """Sleeps until an absolute monotonic time. A deadline already past costs no system call. In plain Python it is
+    Python's own sleep."""
+    time.sleep(max(deadline_ns - time.monotonic_ns(), 0) * 1e-9)
+
+
+@overload(now_ns)
+def _compiled_now_ns(scratch):  # noqa: ARG001
+    def read_clock(scratch):
+        _clock_gettime(_CLOCK_MONOTONIC, scratch.ctypes.data)
+        return scratch[0] * 1_000_000_000 + scratch[1]
+
+    return read_clock
+
+
+@overload(sleep_until)
+def _compiled_sleep_until(deadline_ns, scratch):  # noqa: ARG001
+    def sleep(deadline_ns, scratch):
+        while now_ns(scratch) < deadline_ns:
+            scratch[0] = deadline_ns // 1_000_000_000
+            scratch[1] = deadline_ns % 1_000_000_000
+            # Returns its error number instead of setting errno; a signal's interruption is simply slept on.
+            if _clock_nanosleep(_CLOCK_MONOTONIC, _TIMER_ABSTIME, scratch.ctypes.data, 0) not in (0, _EINTR):
+                return
+
+    return sleep
 
 
 @inlined
 def _wait(descriptor, events, timeout_ns, scratch):
     """Waits for `events`; the events seen, 0 when the time is over, negative on failure."""
-    timeout_ns = max(timeout_ns, 0)
+    timeout_ns = timeout_ns if timeout_ns > 0 else 0
     scratch[0] = timeout_ns // 1_000_000_000
     scratch[1] = timeout_ns % 1_000_000_000
     scratch[2] = descriptor | (events << 32)  # struct pollfd {int fd; short events; short revents;}
@@ -59,8 +80,8 @@ def _wait(descriptor, events, timeout_ns, scratch):
 
 
 @inlined
-def read_some(descriptor, buffer, start, timeout_ns, scratch):
-    """Reads what is there into buffer[start:] within `timeout_ns`: the count, or a code of codes.py."""
+def read_some(descriptor, buffer, timeout_ns, scratch):
+    """Reads what is there into a buffer within `timeout_ns`: the count, or a code of codes.py."""
     seen = _wait(descriptor, _POLLIN, timeout_ns, scratch)
     if seen <= 0:
         return seen
@@ -68,7 +89,7 @@ def read_some(descriptor, buffer, start, timeout_ns, scratch):
         return FAILED
     if not seen & _POLLIN:
         return HUNG_UP
-    count = _read(descriptor, buffer.ctypes.data + start, buffer.size - start)
+    count = _read(descriptor, buffer.ctypes.data, buffer.size)
     if count > 0:
         return count
     if count == 0:

@@ -45,7 +45,7 @@ class Report:
     dropped_rows: int
     """Rows missing from the trace because its reader was too slow; the force was not affected."""
     parameter_changes: int
-    """Sets of live parameters that were taken."""
+    """Changes of the scene while it ran that were taken: sets of parameters, or another structure."""
     lateness_s: Spread
     """Where the host is the clock: of the loop's wake-up, after the tick was due. Where the device is: of its position,
     after the earliest ones of late, by its own count of samples. Nothing in virtual time."""
@@ -77,7 +77,7 @@ class Trace:
     time_ns: NDArray[np.int64]
     """(N,) monotonic time at which it arrived."""
     flags: NDArray[np.uint8]
-    """(N,) HELD, UNSENT, LIMITED, BRIDGED, OFF_GRID of hapsim.loop.ring."""
+    """(N,) LATE_FORCE, UNSENT, LIMITED, BRIDGED, OFF_GRID of hapsim.loop.ring."""
     position_counts: NDArray[np.int32]
     """(N, C) as on the wire."""
     force_counts: NDArray[np.int32]

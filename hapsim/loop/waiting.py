@@ -1,62 +1,70 @@
-"""What the compiled loops do between two exchanges: wait in the kernel for bytes, send what was composed.
+"""What the compiled loop does between two exchanges: wait in the kernel for bytes, send what was composed.
 
 It never spins: bytes of a terminal pass through a kernel worker of ordinary priority, which a spinning loop starves.
 """
 
 from __future__ import annotations
 
-from hapsim.compiled import inlined, part
+from firmware_protocol.code_size import compact
+from firmware_protocol.decoder import next_frame
+from hapsim.compiling import inlined
 from hapsim.loop.codes import TIMED_OUT
-from hapsim.loop.exchange import compose_disarm, compose_force, digest, never_sent, sent
-from hapsim.loop.inbox import fetch
-from hapsim.loop.port import send
+from hapsim.loop.exchange import compose_frame, flush_unsent, on_force_sent, take_frame
+from hapsim.loop.inbox import inbox_at
 from hapsim.loop.system import now_ns, sleep_until
+from hapsim.loop.transport import receive, send
 
 SLICE_NS = 100_000_000
 """No wait is longer without a look at whether the loop was told to stop."""
 
-
 _GLANCE_NS = 50_000
 
 
-@part
+@inlined
 def wait_for_go(loop):
     """Waits until the device is armed, or the loop told to stop. Done in here, the loop needs Python no more once it is
     armed: whatever holds Python up at that moment makes no first force late."""
     while not loop.control.go and not loop.control.stop:
-        sleep_until(now_ns(loop.desk.scratch) + _GLANCE_NS, loop.desk.scratch)
+        sleep_until(now_ns(loop.io.scratch) + _GLANCE_NS, loop.io.scratch)
 
 
 @inlined
-def take_newest_position(loop, now, timeout_ns):
-    """Waits for a position from `now` on, takes all that are there and leaves the force that answers the newest.
+def take_newest_position(loop, begun, timeout_ns):
+    """Waits for a position from `begun` (ns) on, takes all that are there and leaves the force that answers the newest.
+    Every one of them moves the scene, in order, so that its velocities stay true; only the newest is answered.
 
-    Returns HEARD, or TIMED_OUT, HUNG_UP, FAILED, FAULT, BAD_FORCE. Bytes without end that are no position do not make
-    the wait any longer; being told to stop makes it shorter.
+    Returns HEARD, or TIMED_OUT, HUNG_UP, FAILED, FAULT, BAD_FORCE, OFF_RATE. Bytes without end that are no position do
+    not make the wait any longer; being told to stop makes it shorter.
     """
-    give_up = now + timeout_ns
-    last_look = False
+    compact()
+    inbox, heard, last_look = inbox_at(loop.inbox), TIMED_OUT, False
+    arrived, give_up = begun, begun + timeout_ns
     while True:
-        code = digest(loop, now)  # at first what the frame before has left
-        if code != TIMED_OUT or last_look:
-            return code
-        last_look = now >= give_up or loop.control.stop != 0
-        count = fetch(loop.port, loop.inbox, min(give_up - now, SLICE_NS))
-        now = now_ns(loop.desk.scratch)
+        while inbox.start < inbox.stop:  # at first what the frame before has left
+            inbox.start, found = next_frame(inbox.decoder, inbox.bytes, inbox.start, inbox.stop)
+            code = take_frame(loop, inbox.decoder, arrived) if found else TIMED_OUT
+            if code < TIMED_OUT:
+                return code
+            heard |= code
+        if heard != TIMED_OUT or last_look:
+            return heard
+        last_look = arrived >= give_up or loop.control.stop != 0
+        left = give_up - arrived
+        inbox.start = inbox.stop = 0
+        count = receive(inbox.transport, inbox.bytes, left if left < SLICE_NS else SLICE_NS)
+        arrived = now_ns(loop.io.scratch)
         if count < 0:
             return count
+        inbox.stop = count
 
 
 @inlined
-def answer(loop):
-    """Sends the force that answers the newest position; 0, or HUNG_UP or FAILED."""
-    code = send(loop.port, loop.desk.outbox, compose_force(loop))
-    sent(loop, now_ns(loop.desk.scratch))
+def send_frame(loop, disarm):
+    """Sends the force that answers the newest position; or, to `disarm`, zero force, the last frame of every loop
+    whatever ended it: 0, or HUNG_UP or FAILED."""
+    code = send(inbox_at(loop.inbox).transport, loop.io.outbox, compose_frame(loop, disarm))
+    if disarm:
+        flush_unsent(loop)
+    else:
+        on_force_sent(loop, now_ns(loop.io.scratch))
     return code
-
-
-@part
-def let_go(loop):
-    """Zero force, at once."""
-    send(loop.port, loop.desk.outbox, compose_disarm(loop))
-    never_sent(loop)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from hapsim.errors import UsageError
-from hapsim.loop.ring import BRIDGED, HELD, OFF_GRID, UNSENT
+from hapsim.loop.ring import BRIDGED, LATE_FORCE, OFF_GRID, UNSENT
 from hapsim.loop.trace import Trace
 from hapsim.measuring.pair import Pair, dominant_pair
 from hapsim.measuring.regression import Fit, Segment, fit
@@ -77,11 +77,11 @@ def identify(trace: Trace, mass: float, channel: int = 0) -> Measurement:
 def _identify(trace: Trace, mass: float, channel: int) -> Measurement:
     if not np.all(np.isfinite(trace.asked_force)):
         raise UsageError("the scene's force was not finite throughout: there is nothing to be identified")
-    segments = _segments(trace, channel, HELD | BRIDGED | OFF_GRID)
+    segments = _segments(trace, channel, LATE_FORCE | BRIDGED | OFF_GRID)
     fits = _fits(segments)
     if not fits:
         # A host whose clock is seldom on time leaves too little between two late ticks: then better rough than nothing.
-        segments = _segments(trace, channel, HELD | BRIDGED)
+        segments = _segments(trace, channel, LATE_FORCE | BRIDGED)
         fits = _fits(segments)
     free = _longest_free_motion(segments)
     if not fits:

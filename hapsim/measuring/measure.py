@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from hapsim.device.open_line import LineKind
+from hapsim.device.open_connection import LineKind
 from hapsim.errors import DeviceError, UsageError
 from hapsim.measuring.identify import Measurement, identify
 from hapsim.progress import Progress

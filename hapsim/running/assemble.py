@@ -1,4 +1,4 @@
-"""Scene, line and description -> Loop: every array that the loop works on, allocated once and touched once."""
+"""Scene, connection and description -> Loop: everything that the loop works on, allocated once and touched once."""
 
 from __future__ import annotations
 
@@ -8,22 +8,15 @@ import numpy as np
 
 from firmware_protocol import schema
 from firmware_protocol.description import Description
-from firmware_protocol.frames import armed_format
-from hapsim.cordis.program import compile_scene, parameter_values
-from hapsim.device.line import Line
-from hapsim.loop.exchange import (
-    CONTROL,
-    DEVICE_CLOCK,
-    HOST_CLOCK,
-    NO_CLOCK,
-    STATE,
-    Loop,
-    desk_of,
-    new_statistics,
-)
-from hapsim.loop.guard.rate import WATCH
-from hapsim.loop.parameters import parameters_of
-from hapsim.loop.ring import new_ring
+from firmware_protocol.frames import armed_format, framing_of
+from firmware_protocol.records import new_record
+from hapsim.compiling.native import address_of
+from hapsim.cordis.program import Program, compile_scene
+from hapsim.device.connection import Connection
+from hapsim.loop.exchange import DEVICE_CLOCK, HOST_CLOCK, LOOP, NO_CLOCK
+from hapsim.loop.ring import Ring
+from hapsim.loop.stage import cross_fade, post
+from hapsim.loop.transport import Transport
 from hapsim.running.excitation import Excitation
 from hapsim.scene import Scene
 
@@ -31,30 +24,84 @@ _RING_ROWS = 1 << 16
 _CLOCK = {"device": DEVICE_CLOCK, "host": HOST_CLOCK, "lockstep": NO_CLOCK}
 
 
+class Loop:
+    """A loop that is ready to run, and all that has to stay in memory while it does."""
+
+    def __init__(self, connection: Connection, description: Description, velocity: bool, virtual_time: bool) -> None:
+        self.record = new_record(LOOP)
+        """LOOP of hapsim.loop.exchange."""
+        self.inbox = connection.inbox
+        self.wire = armed_format(description.channels, velocity)
+        """The format that an armed device speaks."""
+        self.ring = Ring(self.record.ring, description.channels, _RING_ROWS, waits=virtual_time)
+        self.record.inbox = address_of(self.inbox)
+        self.record.stage.address = address_of(self.record.stage)
+        self.record.io.address = address_of(self.record.io)
+        self.record.framing = framing_of(self.wire, to_device=True)
+        self._programs: list[Program] = []
+        self._changes_before = 0
+
+    @property
+    def program(self) -> Program:
+        """The newest scene's."""
+        return self._programs[-1]
+
+    def begin_with(self, program: Program) -> None:
+        """The scene that is moved from the first tick on."""
+        self._programs = [program]
+        self.record.stage.program = program.address
+
+    def follow_with(self, program: Program, samples: int) -> None:
+        """The scene that follows the one that is moved now, over so many samples: prepared by `take_over_from`, and
+        not before the last one has followed."""
+        if self.is_replacing:
+            raise ValueError("the scene before is not yet left")
+        self._forget_what_was_left()
+        self._programs.append(program)
+        post(self.record.stage, program.address, samples, cross_fade.address())
+
+    @property
+    def is_replacing(self) -> bool:
+        """Whether a scene was posted, and the one before is not yet left."""
+        return len(self._programs) > 1 and bool(self.record.stage.cross_fade)
+
+    @property
+    def changes(self) -> int:
+        """Sets of live parameters that were taken."""
+        return self._changes_before + sum(int(program.record.parameters.sets) for program in self._programs)
+
+    def _forget_what_was_left(self) -> None:
+        for program in self._programs[:-1]:
+            self._changes_before += int(program.record.parameters.sets)
+        self._programs = self._programs[-1:]
+
+    # Names that everybody asks for.
+
+    @property
+    def control(self) -> Any:
+        return self.record.control
+
+    @property
+    def state(self) -> Any:
+        return self.record.state
+
+
 def assemble_loop(
     scene: Scene,
-    line: Line,
+    connection: Connection,
     description: Description,
     excitation: Excitation | None = None,
     duration: float | None = None,
 ) -> Loop:
-    """The loop of `scene` over `line`, for `duration` seconds (None: until stopped), not yet armed."""
-    channels = description.channels
-    values = parameter_values(scene)
-    return Loop(
-        port=line.port,
-        inbox=line.inbox,
-        decoder=line.decoder,
-        wire=armed_format(channels, bool(scene.sensed_links)),
-        program=compile_scene(scene, values, channels),
-        parameters=parameters_of(values),
-        ring=new_ring(channels, _RING_ROWS, waits=scene.device.clock == "lockstep"),
-        desk=_desk(scene, description),
-        control=_control(scene, excitation, duration),
-        state=np.zeros(1, STATE)[0],
-        watch=_watch(scene, line),
-        statistics=new_statistics(),
-    )
+    """The loop of `scene` over `connection`, for `duration` seconds (None: until stopped), not yet armed."""
+    loop = Loop(connection, description, bool(scene.sensed_links), scene.device.clock == "lockstep")
+    if isinstance(connection.transport, Transport):
+        loop.inbox.transport = connection.transport.record
+    loop.begin_with(compile_scene(scene))
+    _set_io(loop.record.io, scene, description)
+    _set_control(loop.record.control, scene, excitation, duration)
+    loop.record.watch.judges = scene.device.clock == "device" and connection.has_timer
+    return loop
 
 
 def watchdog_samples(rate: float, description: Description) -> int:
@@ -62,41 +109,34 @@ def watchdog_samples(rate: float, description: Description) -> int:
     return min(max(round(0.1 * rate), 10), description.max_watchdog_samples)
 
 
-def _control(scene: Scene, excitation: Excitation | None, duration: float | None) -> Any:
-    control = np.zeros(1, CONTROL)[0]
-    control["ticks"] = -1 if duration is None else max(1, round(duration * scene.rate))
-    control["go"] = 1
-    control["period_ns"] = round(1e9 / scene.rate)
-    control["clock"] = _CLOCK[scene.device.clock]
-    control["silence_ns"] = round(1e9 * max(0.25, 20.0 / scene.rate))
-    control["time_to_live"] = min(max(round(0.02 * scene.rate), 2), schema.MAX_TIME_TO_LIVE_SAMPLES)
+def _set_control(control: Any, scene: Scene, excitation: Excitation | None, duration: float | None) -> None:
+    control.ticks = -1 if duration is None else max(1, round(duration * scene.rate))
+    control.go = 1
+    control.period_ns = round(1e9 / scene.rate)
+    control.clock = _CLOCK[scene.device.clock]
+    control.silence_ns = round(1e9 * max(0.25, 20.0 / scene.rate))
+    control.time_to_live = min(max(round(0.02 * scene.rate), 2), schema.MAX_TIME_TO_LIVE_SAMPLES)
     if scene.device.clock == "lockstep":
-        control["silence_ns"] = 5_000_000_000  # the mock may live in a process that is only now being compiled
+        control.silence_ns = 5_000_000_000  # the mock may live in a process that is only now being compiled
     if excitation is not None:
-        control["pulse_channel"] = excitation.channel
-        control["pulse_force"] = excitation.force
-        control["pulse_ticks"] = excitation.ticks
-        control["pulse_every"] = excitation.every
-        control["pulse_first"] = excitation.first
-        control["pulse_from"] = excitation.start
-    return control
+        control.pulse_channel = excitation.channel
+        control.pulse_force = excitation.force
+        control.pulse_ticks = excitation.ticks
+        control.pulse_every = excitation.every
+        control.pulse_first = excitation.first
+        control.pulse_from = excitation.start
 
 
-def _watch(scene: Scene, line: Line) -> Any:
-    watch = np.zeros(1, WATCH)[0]
-    watch["judges"] = scene.device.clock == "device" and line.has_timer
-    return watch
-
-
-def _desk(scene: Scene, description: Description) -> Any:
-    desk = np.zeros(1, desk_of(description.channels))[0]
-    desk["position_scale"] = description.position_scale
-    desk["force_scale"] = description.force_scale
+def _set_io(io: Any, scene: Scene, description: Description) -> None:
+    channels = description.channels
+    io.channels = channels
+    io.velocities = bool(scene.sensed_links)
+    io.position_scale[:channels] = description.position_scale
+    io.force_scale[:channels] = description.force_scale
     if scene.sensed_links:
-        desk["velocity_scale"] = description.velocity_scale
+        io.velocity_scale[:channels] = description.velocity_scale
     # In whole counts, so that the rounding of a force at its limit does not go beyond it, nor a count beyond 32 bits.
     scale, limit = np.array(description.force_scale), np.minimum(description.force_limit, scene.device.force_limit)
     with np.errstate(over="ignore"):
         counts = np.minimum(np.floor(limit / scale * (1.0 + 1e-12)), 2.0**31 - 1.0)
-    desk["force_limit"] = counts * scale
-    return desk
+    io.force_limit[:channels] = counts * scale

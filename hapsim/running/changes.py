@@ -1,86 +1,155 @@
-"""Changing a scene while it runs: what may change, and what is wrong with a change that may not."""
+"""Changing a scene while it runs: what may change, and what is wrong with a change that may not.
+
+Where nothing but live parameters differs they are led to their new values. Anything else in the list of modules makes
+another program, compiled here beside the running loop, which takes over from the one before.
+"""
 
 from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Mapping
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
 
 from pydantic import ValidationError
 
-from hapsim.cordis.program import fixed_modules, parameter_values
+from hapsim.cordis.program import compile_scene, fixed_modules, parameter_values
+from hapsim.cordis.succession import take_over_from
 from hapsim.errors import UsageError
-from hapsim.loop.parameters import Parameters, post
+from hapsim.prediction import surely_grows_by
+from hapsim.realtime.giving_way import giving_way
+from hapsim.running.assemble import Loop
 from hapsim.scene import Scene
 from hapsim.scene.finding import did_you_mean
 from hapsim.scene.modules import Module, Surroundings
+from hapsim.scene.part import Part
 from hapsim.scene.table import Table
+
+OVER = "the run is over: nothing can be changed any more"
 
 _EXAMPLE = '{"touch": {"stiffness": 500.0}}'
 _LONGEST = 2.0**40  # samples
+_GLANCE_S = 1e-3
+_HOW_IT_BEGAN = ("mock", "initial")
 
 
-class LiveParameters:
-    """The parameters of a running loop. Any thread may change them."""
+class LiveScene:
+    """The scene of a running loop. Any thread may change it, one after the other."""
 
-    def __init__(self, scene: Scene, parameters: Parameters) -> None:
+    def __init__(self, scene: Scene, loop: Loop, is_over: Callable[[], bool] = lambda: False) -> None:
+        """`is_over`: whether the loop has ended, so that nobody has to be waited for any more."""
         self.scene = scene
-        """The scene with every change that was posted."""
-        self._parameters = parameters
+        """With every change that was posted."""
+        self._loop, self._is_over = loop, is_over
         self._writing = threading.Lock()
 
     def set(self, changes: Mapping[str, Mapping[str, float]], over: float) -> None:
-        """Changes some of them; UsageError, and nothing is changed, where a name, a key or a value is wrong."""
+        """Changes some live parameters; UsageError, and nothing is changed, where a name, a key or a value is wrong."""
         with self._writing:
-            self._post(_changed(self.scene, changes), over)
+            self._lead_to(_changed(self.scene, changes), over)
 
     def adopt(self, scene: Scene, over: float) -> None:
-        """Changes all of them to those of `scene`; UsageError where it differs in something else."""
+        """Changes to `scene`, whatever its modules are; UsageError, and nothing is changed, where that cannot be."""
         with self._writing:
-            other = what_cannot_change(self.scene, scene)
-            if other:
-                raise UsageError(f"{other} cannot change while the scene runs: stop it and start it anew")
-            self._post(scene, over)
+            if differs_in_live_parameters_alone(self.scene, scene):
+                self._lead_to(scene, over)
+            else:
+                self._replace(scene, over)
 
-    def _post(self, scene: Scene, over: float) -> None:
-        sound = isinstance(over, int | float) and math.isfinite(over) and over >= 0
-        samples = math.ceil(over * scene.rate) if sound else -1
-        if not 0 <= samples <= _LONGEST:
-            raise UsageError(f"over: found {over} s, expected the seconds in which the parameters change, 0 or more")
-        post(self._parameters, parameter_values(scene), max(samples, 1))
+    def _lead_to(self, scene: Scene, over: float) -> None:
+        samples = _samples(scene, over)
+        self._loop.program.parameters.post(parameter_values(scene), samples)
         self.scene = scene
 
+    def _replace(self, scene: Scene, over: float) -> None:
+        if scene.device.clock == "lockstep":
+            self._replace_now(scene, over)
+        else:
+            giving_way(lambda: self._replace_now(scene, over))
 
-def what_cannot_change(now: Scene, wanted: Scene) -> str:
-    """Names the first thing in which two scenes differ that cannot change while one runs; empty where there is none."""
-    for key in ("rate", "precision", "scheme"):
-        if getattr(now, key) != getattr(wanted, key):
-            return key
+    def _replace_now(self, scene: Scene, over: float) -> None:
+        samples = _samples(scene, over)
+        self._require_possible(scene)
+        program = compile_scene(scene)
+        while self._loop.is_replacing:
+            if self._is_over():
+                raise UsageError(OVER)
+            time.sleep(_GLANCE_S)
+        take_over_from(self._loop.program, self.scene, program, scene)
+        program.parameters.post(parameter_values(scene), samples)
+        self._loop.follow_with(program, samples)
+        self.scene = scene
+
+    def _require_possible(self, scene: Scene) -> None:
+        stays = what_stays(self.scene, scene)
+        if stays:
+            raise UsageError(f"{stays} cannot change while the scene runs: stop it and start it anew")
+        io = self._loop.record.io
+        if scene.channels > io.channels:
+            raise UsageError(f"the device has {io.channels} channel(s), the scene uses {scene.channels}")
+        if scene.sensed_links and not io.velocities:
+            raise UsageError(
+                f"{scene.sensed_links[0]}: damper: sensed needs the device's velocities, which it was not asked for "
+                "when it was armed: stop the scene and start it anew, or write damper: backward"
+            )
+        growth = surely_grows_by(scene)
+        if growth > 1.0:
+            raise UsageError(
+                f"the scene is predicted unstable (its slowest motion grows by {growth:.6g} in a sample): "
+                "`hapsim check` tells what would be stable"
+            )
+
+
+def what_stays(now: Scene, wanted: Scene) -> str:
+    """The first thing in which two scenes differ that stays as it is while one runs; empty where there is none."""
+    if now.rate != wanted.rate:
+        return "rate"
     for part in ("device", "mock"):
         before, after = getattr(now, part), getattr(wanted, part)
         if type(before) is not type(after):
             return part
         for key in type(before).model_fields if before is not None else ():
-            if getattr(before, key) != getattr(after, key):
+            if (part, key) != _HOW_IT_BEGAN and not _agree(getattr(before, key), getattr(after, key)):
                 return f"{part}.{key}"
-    if list(now.modules) != list(wanted.modules):
-        others = sorted(set(now.modules) ^ set(wanted.modules))
-        return f"the list of modules ({', '.join(others)})" if others else "the order of the modules"
-    fixed = fixed_modules(now)
-    for name, module in now.modules.items():
-        odd = _what_cannot_change_of(module, wanted.modules[name])
-        if odd:
-            return f"{odd} of {name}"
-        if name in fixed and module != wanted.modules[name]:
-            return f"{name}, which {_in_a_matrix(now)},"
     return ""
 
 
-def _what_cannot_change_of(now: Module, wanted: Module) -> str:
-    if type(now) is not type(wanted):
-        return "the type"
-    keys = (key for key in type(now).model_fields if key not in now.live)
-    return next((key for key in keys if getattr(now, key) != getattr(wanted, key)), "")
+def _agree(before: Any, after: Any) -> bool:
+    """Whether two values of a device mean the same. Of lists, which have a value for each channel, and of one value for
+    all, those channels count that both have."""
+    if isinstance(before, Part) and type(before) is type(after):
+        return all(_agree(getattr(before, key), getattr(after, key)) for key in type(before).model_fields)
+    channels = [len(one) for one in (before, after) if isinstance(one, tuple | list)]
+    if not channels:
+        return bool(before == after)
+    lists = [one if isinstance(one, tuple | list) else [one] * min(channels) for one in (before, after)]
+    return all(one == other for one, other in zip(*lists, strict=False))
+
+
+def differs_in_live_parameters_alone(now: Scene, wanted: Scene) -> bool:
+    """Whether one becomes the other by nothing but parameters that may change while it runs."""
+    if what_stays(now, wanted) or (now.precision, now.scheme) != (wanted.precision, wanted.scheme):
+        return False
+    fixed = fixed_modules(now)
+    return list(now.modules) == list(wanted.modules) and all(
+        before == after or (name not in fixed and type(before) is type(after) and _same_but_for_live(before, after))
+        for (name, before), after in zip(now.modules.items(), wanted.modules.values(), strict=True)
+    )
+
+
+def _same_but_for_live(before: Module, after: Module) -> bool:
+    keys = (key for key in type(before).model_fields if key not in before.live)
+    return all(getattr(before, key) == getattr(after, key) for key in keys)
+
+
+def _samples(scene: Scene, over: float) -> int:
+    """In how many samples a change is led to the hand, 1 or more."""
+    sound = isinstance(over, int | float) and math.isfinite(over) and over >= 0
+    samples = math.ceil(over * scene.rate) if sound else -1
+    if not 0 <= samples <= _LONGEST:
+        raise UsageError(f"over: found {over} s, expected the seconds in which the scene changes, 0 or more")
+    return max(samples, 1)
 
 
 def _changed(scene: Scene, changes: Mapping[str, Mapping[str, float]]) -> Scene:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable
 
-from hapsim.device.open_line import LineKind
+from hapsim.device.open_connection import LineKind
 from hapsim.loop.trace import Trace
 from hapsim.progress import Progress
 from hapsim.running.excitation import Excitation

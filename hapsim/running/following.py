@@ -4,13 +4,18 @@ from __future__ import annotations
 
 import os
 import stat
+from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 from hapsim.errors import SceneError, UsageError
+from hapsim.realtime.giving_way import giving_way
 from hapsim.running.session import Session
 from hapsim.scene import Scene, load_scene
+from hapsim.scene.modules import Module
 
 _OVER_S = 0.05  # in which a change is led to the hand
+_AT_THE_NEXT_START = " (how it begins: felt at the next start)"
 _PATIENCE = 10  # looks at a file that is not there
 
 
@@ -36,7 +41,7 @@ class FollowedFile:
     def look(self, session: Session) -> News | None:
         """Where the file was written since the last look, changes the running scene to what it says; None otherwise.
 
-        A file that is wrong, gone for ten looks, or asks for what cannot change while the scene runs, changes nothing.
+        A file that is wrong, gone for ten looks, or asks for what cannot change while a scene runs, changes nothing.
         """
         stamp = _stamp(self._path)
         if stamp is None:
@@ -45,6 +50,9 @@ class FollowedFile:
         if stamp == self._stamp:
             return None
         self._stamp = stamp
+        return giving_way(lambda: self._follow(session))
+
+    def _follow(self, session: Session) -> News | None:
         before = session.scene
         try:
             wanted = load_scene(self._path)
@@ -55,7 +63,7 @@ class FollowedFile:
             return self._refuse(str(error))
         except UsageError as error:
             return self._refuse(f"{self._path}: {error}")
-        changed = _differences(before, session.scene)
+        changed = _differences(before, wanted)
         if not changed and not self._refused:
             return None
         self._refused = False
@@ -87,9 +95,41 @@ def _stamp(path: str) -> tuple[int, ...] | None:
 
 
 def _differences(before: Scene, after: Scene) -> tuple[str, ...]:
-    return tuple(
-        f"{name}.{key} {getattr(module, key):g} → {getattr(after.modules[name], key):g}"
-        for name, module in before.modules.items()
-        for key in module.live
-        if getattr(module, key) != getattr(after.modules[name], key)
-    )
+    """What the one has that the other has not, thing by thing."""
+    changed = [
+        f"{key} {_text(a)} → {_text(b)}"
+        for key in ("scheme", "precision")
+        for a, b in [_both(before, after, key)]
+        if a != b
+    ]
+    if before.mock is not None and after.mock is not None and before.mock.initial != after.mock.initial:
+        changed.append(f"mock.initial{_AT_THE_NEXT_START}")
+    for name, module in before.modules.items():
+        if name not in after.modules:
+            changed.append(f"{name}: removed ({module.type})")
+        elif module.type != after.modules[name].type:
+            changed.append(f"{name}: {module.type} → {after.modules[name].type}")
+        else:
+            changed += _different_keys(name, module, after.modules[name])
+    changed += [f"{name}: added ({one.type})" for name, one in after.modules.items() if name not in before.modules]
+    return tuple(changed)
+
+
+def _different_keys(name: str, before: Module, after: Module) -> Iterator[str]:
+    for key in type(before).model_fields:
+        old, new = _both(before, after, key)
+        if old != new:
+            later = _AT_THE_NEXT_START if key in before.initial else ""
+            yield f"{name}.{key} {_text(old)} → {_text(new)}{later}"
+
+
+def _both(before: object, after: object, key: str) -> tuple[Any, Any]:
+    return getattr(before, key), getattr(after, key)
+
+
+def _text(value: object) -> str:
+    if isinstance(value, float):
+        return f"{value:g}"
+    if isinstance(value, tuple | list):
+        return f"[{', '.join(_text(one) for one in value)}]"
+    return str(value)

@@ -7,26 +7,27 @@ import threading
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
-from hapsim.compiled import compile_for, on_compilation
+from hapsim.compiling.ahead import compile_ahead
+from hapsim.compiling.entries import compile_for
+from hapsim.compiling.progress import Counted, on_compilation
+from hapsim.device.connection import Connection
 from hapsim.device.conversation import arm, describe, disarm
-from hapsim.device.line import Line
-from hapsim.device.open_line import LineKind, open_line
+from hapsim.device.open_connection import LineKind, open_connection, place_of_device
 from hapsim.errors import HapsimError, UsageError
 from hapsim.loop import endings
-from hapsim.loop.exchange import Loop
-from hapsim.loop.paced_by_device import run_paced_by_device
-from hapsim.loop.paced_by_host import run_paced_by_host
-from hapsim.loop.portable import PortableLoop, PortablePort
+from hapsim.loop.portable import PortableLoop, PortableTransport
 from hapsim.loop.recorder import Recorder
+from hapsim.loop.run import run_loop
 from hapsim.loop.trace import Statistics, Trace
 from hapsim.progress import Progress
 from hapsim.realtime import Grant, realtime
 from hapsim.realtime.slack import no_timer_slack
-from hapsim.running.assemble import assemble_loop, watchdog_samples
-from hapsim.running.changes import LiveParameters
+from hapsim.running.assemble import Loop, assemble_loop, watchdog_samples
+from hapsim.running.changes import OVER, LiveScene
 from hapsim.running.excitation import Excitation
 from hapsim.running.fit import PACING, require_fit
 from hapsim.running.outcome import failure_of, progress_of, statistics_of, trace_of
+from hapsim.running.preparing import MOCK_UNITS
 from hapsim.scene import Scene
 
 _MOST_TICKS = 2.0**62
@@ -38,13 +39,13 @@ _STACK_BYTES = 1 << 20  # of the loop's thread: little is needed, and all of it 
 class Session:
     """A running scene. Made by `start`; every method may be called from any thread."""
 
-    def __init__(self, scene: Scene, loop: Loop, body: Callable[[Loop], int], recorder: Recorder) -> None:
+    def __init__(self, scene: Scene, loop: Loop, body: Callable[[Any], int], recorder: Recorder) -> None:
         self._loop, self._body, self._recorder = loop, body, recorder
-        self._parameters = LiveParameters(scene, loop.parameters)
+        self._over = threading.Event()
+        self._live = LiveScene(scene, loop, self._over.is_set)
         self._ending: int | None = None
         self._thread = threading.Thread(target=self._work, name="haptic loop")
         self._reader = threading.Thread(target=self._read, name="telemetry")
-        self._over = threading.Event()
         self._trace: Trace | None = None
         self.grants: list[Grant] = []
         """What the real-time set-up asked of the system, and got."""
@@ -52,7 +53,7 @@ class Session:
     @property
     def scene(self) -> Scene:
         """The scene as it is now, with every change that was made."""
-        return self._parameters.scene
+        return self._live.scene
 
     def set(self, changes: Mapping[str, Mapping[str, float]], over: float = 0.02) -> None:
         """Changes parameters between two samples, all or nothing: `{"touch": {"stiffness": 500.0, "damping": 2.0},
@@ -64,12 +65,20 @@ class Session:
         runs; nothing has changed then.
         """
         self._require_running()
-        self._parameters.set(changes, over)
+        self._live.set(changes, over)
 
     def adopt(self, scene: Scene, over: float = 0.02) -> None:
-        """Changes parameters to those of `scene`, which may differ from the running one in nothing else; as `set`."""
+        """Changes to `scene`. Where it differs in nothing but live parameters, as `set` does; otherwise its modules are
+        compiled beside the running loop, which then moves both scenes for `over` seconds, and leads the force in the
+        hand from the one's to the other's: in one of the N samples by no more than 1.5/N of what is between them.
+
+        What both have under one name and of one type goes on from where it is: points with their velocities, live
+        parameters, what links remember. UsageError, and nothing is changed, where the rate, the device or the mock
+        differ, where the device has too few channels or was not asked for the velocities that are needed, where the
+        scene is predicted unstable, or has too much for its scheme.
+        """
         self._require_running()
-        self._parameters.adopt(scene, over)
+        self._live.adopt(scene, over)
 
     def progress(self) -> Progress:
         """How it is doing."""
@@ -81,7 +90,7 @@ class Session:
 
     def stop(self) -> None:
         """Ends it in good order; returns at once."""
-        self._loop.control["stop"] = 1
+        self._loop.control.stop = 1
 
     def wait(self, timeout: float | None = None) -> bool:
         """Waits until it has ended, at most for `timeout` seconds; whether it has."""
@@ -96,26 +105,26 @@ class Session:
 
     def _require_running(self) -> None:
         if self._over.is_set():
-            raise UsageError("the run is over: nothing can be changed any more")
+            raise UsageError(OVER)
 
     def _work(self) -> None:
         no_timer_slack()
         try:
-            ending = self._body(self._loop)
+            ending = self._body(self._loop.record)
             while ending == endings.RING_FULL:
                 self._recorder.collect()
-                ending = self._body(self._loop)
+                ending = self._body(self._loop.record)
             self._ending = ending
         finally:
             self._over.set()
 
     def _read(self) -> None:
         while not self._over.wait(_COLLECT_S):
-            if not self._loop.ring.cursor["waits"]:
+            if not self._loop.record.ring.waits:
                 self._recorder.collect()
 
     def _begin(self) -> None:
-        self._loop.control["go"] = 0
+        self._loop.control.go = 0
         with _SIZING:  # the size is the whole process's: another session must not take ours for what it was before
             stack = threading.stack_size(_STACK_BYTES)
             try:
@@ -125,7 +134,7 @@ class Session:
         self._reader.start()
 
     def _go(self) -> None:
-        self._loop.control["go"] = 1
+        self._loop.control.go = 1
 
     def _end(self) -> int:
         self.stop()
@@ -173,15 +182,19 @@ def start(
     if duration is not None and not 0 < duration * scene.rate < _MOST_TICKS:
         raise UsageError(f"duration: found {duration}, expected a finite number of seconds above 0")
     tell = on_progress or (lambda _: None)
-    with (
-        on_compilation(lambda name: tell(Progress("compiling", name))),
-        open_line(scene, line, portable=portable, realtime=realtime) as opened,
-    ):
+    place = place_of_device(scene, line, portable=portable)
+    counted = Counted(lambda name, share: tell(Progress("compiling", name, share=share)))
+    with on_compilation(counted.add), contextlib.ExitStack() as stack:
+        if place != "port":
+            compile_ahead(MOCK_UNITS[place] if portable else ("loop", *MOCK_UNITS[place]), counted)
+        opened = stack.enter_context(open_connection(scene, line, portable=portable, realtime=realtime))
+        if not portable:
+            compile_ahead(("loop", "port"), counted)
         description = describe(opened)
         require_fit(scene, opened.name, description)
         loop = assemble_loop(scene, opened, description, excitation, duration)
         # Everything is compiled now: the device is armed only when the loop can answer at once.
-        session = Session(scene, loop, _ready_body(scene, opened, loop), Recorder(loop.ring, keep))
+        session = Session(scene, loop, _ready_body(opened, loop), Recorder(loop.ring, keep))
         try:
             session._begin()
             with _real_time(session) if realtime else contextlib.nullcontext():
@@ -199,21 +212,20 @@ def start(
                 ending = session._end()
                 session._trace = trace_of(scene, loop, session._recorder, ending)
             finally:
-                session._join()  # whatever interrupted the first: nobody else may be on the line
-                # The loop let go already; this is for every way out that did not get so far.
+                session._join()  # whatever interrupted the first: nobody else may be on the port
+                # The loop has disarmed already; this is for every way out that did not get so far.
                 disarm(opened, loop.wire)
     failure = failure_of(opened.name, loop, session.trace, ending)
     if failure is not None:
         raise failure
 
 
-def _ready_body(scene: Scene, line: Line, loop: Loop) -> Callable[[Any], int]:
+def _ready_body(connection: Connection, loop: Loop) -> Callable[[Any], int]:
     """The loop, compiled: nothing is left to be done when the device is armed."""
-    if isinstance(line.port, PortablePort):
-        return PortableLoop(loop, line.port).run
-    body = run_paced_by_host if scene.device.clock == "host" else run_paced_by_device
-    compile_for(body, loop)
-    return body
+    if isinstance(connection.transport, PortableTransport):
+        return PortableLoop(loop.record, loop.inbox, connection.transport).run
+    compile_for(run_loop, loop.record)
+    return run_loop
 
 
 @contextlib.contextmanager

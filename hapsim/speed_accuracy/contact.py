@@ -23,9 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from hapsim.cordis.desk import desk_of, ticks_watched
+from hapsim.cordis.offline import start, ticks_watched
 from hapsim.cordis.program import compile_scene, numbers_of
-from hapsim.cordis.tick import start
 from hapsim.scene import Buffer, Device, DevicePoint, Ground, Mass, Scene
 from hapsim.speed_accuracy.compared import Found
 from hapsim.speed_accuracy.methods import schemes
@@ -93,11 +92,11 @@ def _thrown(method: str, precision: str, rate: float, phase: float) -> tuple[flo
     step = VELOCITY / rate
     above = (2.0 + phase) * step
     scene = _scene(method, precision, rate, Mass(mass=MASS, position=above, velocity=-VELOCITY))
-    program, desk = compile_scene(scene), desk_of(scene)
-    start(program, desk["measured"])
+    program, ball = compile_scene(scene), numbers_of(scene)["ball"]
+    start(program, np.zeros(scene.channels))
     length = math.ceil(_STAYS * contact_of(STIFFNESS, DAMPING)[0] * rate) + 8
     watched = np.empty(length)
-    ticks_watched(program, desk, program.rows, program.turn, numbers_of(scene)["ball"], np.ones(1), watched)
+    ticks_watched(program, [row[ball:] for row in program.rows], np.ones(1), watched)
     return stay_of([above, *watched], rate)
 
 

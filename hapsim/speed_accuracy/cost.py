@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 
-from hapsim.cordis.desk import desks_of, ticks_at
+import numpy as np
+
+from hapsim.cordis.offline import start, ticks
 from hapsim.cordis.program import compile_scene
-from hapsim.cordis.tick import start
 from hapsim.scene import Scene
 from hapsim.speed_accuracy.strings import hand_motion
 from hapsim.speed_accuracy.timing import Timed
@@ -20,13 +21,14 @@ class Running:
     """A scene whose first hand moves as `hand_motion` says, the first samples of it over and over."""
 
     def __init__(self, scene: Scene) -> None:
-        self._program, self._desks = compile_scene(scene), desks_of(scene, _BLOCK)
-        self._desks["measured"][:, 0] = hand_motion(_BLOCK, scene.rate)
-        start(self._program, self._desks["measured"][0].copy())
+        self._program = compile_scene(scene)
+        self._measured, self._velocity, self._force = np.zeros((3, _BLOCK, scene.channels))
+        self._measured[:, 0] = hand_motion(_BLOCK, scene.rate)
+        start(self._program, self._measured[0])
 
     def advance(self, samples: int) -> None:
         """Simulates so many samples."""
-        ticks_at(self._program, self._desks, samples)
+        ticks(self._program, self._measured, self._velocity, self._force, samples)
 
 
 class Clocks:

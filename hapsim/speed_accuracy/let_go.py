@@ -1,4 +1,4 @@
-"""A string that is let go in a shape, at rest, and watched along it: whatever coordinates its scheme keeps it in."""
+"""A string that is released in a shape, at rest, and watched along it: whatever coordinates its scheme keeps it in."""
 
 from __future__ import annotations
 
@@ -8,33 +8,29 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import dst
 
-from hapsim.cordis.desk import desk_of, ticks_watched
+from hapsim.cordis.offline import start, ticks_watched
 from hapsim.cordis.program import Program, compile_scene, numbers_of
 from hapsim.cordis.schemes.exact_modes import ExactModes
-from hapsim.cordis.tick import start
 from hapsim.scene import Scene
 from hapsim.speed_accuracy.strings import StringOfMasses
 
 
 class _Kept(NamedTuple):
-    """Where a program keeps a string: from number `first` on, in the row whose `turn` it is; `amounts`, there, of the
-    shape."""
+    """Where a program keeps a string: at the beginning of the row whose turn it is; `amounts`, there, of the shape."""
 
-    rows: NDArray[np.floating]
-    turn: NDArray[np.uint64] | None
-    first: int
+    rows: list[NDArray[np.floating]]
     amounts: NDArray[np.float64]
 
 
 def record(scene: Scene, string: StringOfMasses, shape: NDArray[np.float64], samples: int) -> NDArray[np.float64]:
-    """The motion along `shape` (N,), sample by sample, once the scene's string was let go in it; shape (samples,)."""
-    program, desk = compile_scene(scene), desk_of(scene)
+    """The motion along `shape` (N,), sample by sample, once the scene's string was released in it; shape (samples,)."""
+    program = compile_scene(scene)
     kept = _kept(program, scene, shape)
-    kept.rows[:, kept.first : kept.first + string.masses] = kept.amounts
-    start(program, desk["measured"])
+    for row in kept.rows:
+        row[: string.masses] = kept.amounts
+    start(program, np.zeros(scene.channels))
     watched = np.empty(samples)
-    weights = kept.amounts / (kept.amounts @ kept.amounts)
-    ticks_watched(program, desk, kept.rows, kept.turn, kept.first, weights, watched)
+    ticks_watched(program, kept.rows, kept.amounts / (kept.amounts @ kept.amounts), watched)
     return watched
 
 
@@ -42,6 +38,7 @@ def _kept(program: Program, scene: Scene, shape: NDArray[np.float64]) -> _Kept:
     """As positions of its masses; or, by the exact scheme, as how much there is of each of its modes: sines, all of one
     norm, the slowest first."""
     for part in program.parts:
-        if isinstance(part, ExactModes):
-            return _Kept(part.position.reshape(1, -1), None, 0, dst(shape, type=1) / (shape.size + 1))
-    return _Kept(program.rows, program.turn, numbers_of(scene)["string.0"], shape)
+        if isinstance(part.numbers, ExactModes):
+            return _Kept(3 * [part.numbers.position], dst(shape, type=1) / (shape.size + 1))
+    first = numbers_of(scene)["string.0"]
+    return _Kept([row[first:] for row in program.rows], shape)

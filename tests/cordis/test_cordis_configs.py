@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
+from hapsim.cordis.offline import start, tick
 from hapsim.cordis.program import compile_scene, numbers_of, positions_of
-from hapsim.cordis.tick import start, tick
 from hapsim.scene import Scene, load_scene
 
 FOLDER = Path(__file__).parents[2] / "configs"

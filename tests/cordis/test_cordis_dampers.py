@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from hapsim.cordis.offline import start, tick
 from hapsim.cordis.program import compile_scene
-from hapsim.cordis.tick import start, tick
 from hapsim.scene import Scene, parse_scene
 from hapsim.theory.interface import DAMPERS, WITH_CUTOFF, damper_named
 

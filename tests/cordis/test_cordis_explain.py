@@ -6,7 +6,7 @@ import json
 import math
 
 from hapsim.cordis.explain import explain
-from hapsim.cordis.kinds import KINDS
+from hapsim.cordis.registry import PART_TYPES
 from hapsim.scene import Scene
 
 MODULES = {
@@ -28,7 +28,7 @@ def test_each_kind_that_a_scene_has_is_told_with_what_it_costs_and_the_others_by
     told = explain(scene_of("cordis"), heard.append)
     assert {part.name: part.modules for part in told.parts} == {"grounds": 1, "strings": 1, "buffers": 1, "springs": 1}
     assert heard == ["the whole tick", *(part.name for part in told.parts)]
-    assert set(told.absent) == {kind.name for kind in KINDS} - {part.name for part in told.parts}
+    assert set(told.absent) == {kind.name for kind in PART_TYPES} - {part.name for part in told.parts}
     assert told.points == 11
     assert all(part.bytes > 0 and part.compiled_as for part in told.parts)
     assert [part.name for part in told.parts if math.isnan(part.seconds)] == ["grounds"]
@@ -43,7 +43,7 @@ def test_of_another_scheme_its_own_parts_are_told() -> None:
     assert told.points == 11
 
 
-def test_a_hand_on_one_spring_is_told_though_it_has_no_forces_in_memory() -> None:
+def test_a_hand_on_a_single_link_is_told_as_any_other_scene() -> None:
     scene = Scene.model_validate(
         {
             "version": 1,

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hapsim.compiled import jit
-from hapsim.cordis.lanes import BYTES, WIDEST, add_to_one, aligned, padded, put_one
+from hapsim.compiling import entry
 from hapsim.cordis.program import compile_scene, numbers_of
+from hapsim.cordis.simd.lanes import BYTES, WIDEST, add_to_one, aligned, padded, put_one
 from hapsim.scene import Scene
 
 
@@ -37,7 +37,7 @@ def test_every_structure_begins_where_lanes_may_and_ends_in_its_own(precision: s
         assert lanes.setdefault(at // WIDEST, owner) == owner
 
 
-@jit
+@entry
 def put_and_add(row, i, number, more):
     put_one(row, np.uint64(i), number)
     add_to_one(row, np.uint64(i), more)

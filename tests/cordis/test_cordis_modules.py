@@ -19,10 +19,10 @@ import pytest
 import yaml
 from numpy.typing import NDArray
 
-from hapsim.cordis.friction import Frictions
-from hapsim.cordis.plectrum import Plectra
+from hapsim.cordis.modules.friction import Frictions
+from hapsim.cordis.modules.plectrum import Plectra
+from hapsim.cordis.offline import follow_parameters, start, tick
 from hapsim.cordis.program import Program, compile_scene, parameter_values
-from hapsim.cordis.tick import settle_grounds, start, tick
 from hapsim.linear import linear_scene
 from hapsim.scene import Scene, parse_scene
 
@@ -183,10 +183,9 @@ class Bench:
 
     def __init__(self, precision: str) -> None:
         self.scene = scene_of(precision)
-        self._values = parameter_values(self.scene)
+        self._wanted = parameter_values(self.scene)
         self._places = [place_of(precision, "moved", "position"), place_of(precision, "c", "rest")]
-        self.program: Program = compile_scene(self.scene, self._values)
-        self._moved = False
+        self.program: Program = compile_scene(self.scene)
 
     def start(self, position: Array) -> None:
         """Hands at `position` (C,) m, at rest."""
@@ -194,12 +193,10 @@ class Bench:
 
     def step(self, position: Array, velocity: Array, rests: Array | None = None) -> Array:
         """The forces (C,) N at a sample; `rests`: where the ground and the cell rest from now on."""
-        moved = rests is not None and not np.array_equal(self._values[self._places], rests.astype(self._values.dtype))
-        if rests is not None:
-            self._values[self._places] = rests
-        if moved or self._moved:
-            settle_grounds(self.program)
-        self._moved = moved
+        if rests is not None and not np.array_equal(self._wanted[self._places], rests.astype(self._wanted.dtype)):
+            self._wanted[self._places] = rests
+            self.program.parameters.post(self._wanted, 1)
+        follow_parameters(self.program)
         force = np.zeros(len(HANDS))
         tick(self.program, position, velocity, force)
         return force
@@ -434,10 +431,10 @@ def test_what_is_not_a_number_comes_out_as_such_whatever_state_a_module_is_in(pr
         for n in range(last - 30, last):
             bench.step(position[n], np.zeros(len(HANDS)))
         for part in bench.program.parts:
-            if isinstance(part, Frictions):
-                states["friction", float(part.sliding[0])] += 1
-            elif isinstance(part, Plectra):
-                states["plectrum", float(part.side[0])] += 1
+            if isinstance(part.numbers, Frictions):
+                states["friction", float(part.numbers.sliding[0])] += 1
+            elif isinstance(part.numbers, Plectra):
+                states["plectrum", float(part.numbers.side[0])] += 1
         assert np.all(np.isnan(bench.step(nothing, nothing))), states
     assert set(states) == {(name, state) for name in ("friction", "plectrum") for state in (-1.0, 0.0, 1.0)}
 

@@ -1,90 +1,190 @@
-"""The compiled tick of a scene holds nothing of what the scene does not have."""
+"""A tick calls what the types of module that a scene has do, and nothing of those that it lacks; so is it compiled."""
 
 from __future__ import annotations
 
-import re
+import json
+import os
 import subprocess
 import sys
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any, NamedTuple
 
+import numpy as np
 import pytest
+from numpy.typing import NDArray
 
-SCENE = """
-version: 1
-rate: 1000
-device: {mass: 0.2}
-modules:
-  hand: {type: device, channel: 0}
-  wall: {type: ground}
-  ball: {type: mass, mass: 0.1}
-  touch: {type: viscoelastic, between: [hand, wall], stiffness: 2000, damping: 5}
-  hold: {type: viscoelastic, between: [hand, ball], stiffness: 100}
-"""
-BUFFER = "  bump: {type: buffer, between: [ball, wall], stiffness: 100}\n"
+from hapsim.compiling import entry
+from hapsim.compiling.native import array_at, value_of
+from hapsim.cordis import program as programs
+from hapsim.cordis.build_context import PartType
+from hapsim.cordis.dispatch import Part, action
+from hapsim.cordis.offline import start, tick
+from hapsim.cordis.program import Program, compile_scene
+from hapsim.cordis.registry import PART_TYPES
+from hapsim.scene import Scene
 
-# A kind of module that hapsim does not have: it would double every force.
-ANOTHER_KIND = """
-from typing import NamedTuple
-import hapsim.cordis.kinds
-from hapsim.compiled import inlined
-from hapsim.cordis.acting import moves, pulls, settles
-from hapsim.cordis.kind import Kind
+LISTS = ("initialize", "retarget", "add_forces", "integrate")
+LINK: dict[str, Any] = {"between": ["ball", "hand"]}
+VALUES: dict[str, Any] = {"mass": 0.01, "stiffness": 100.0}
+CURVE = [[-0.1, -1.0], [0.1, 1.0]]
+
+#: One module of each type by the name of the type, and the lists in which it is called. A mass, which the links hold,
+#: stands in every scene here.
+MODULES: dict[str, tuple[dict[str, Any], tuple[str, ...]]] = {
+    "grounds": ({"type": "ground"}, ("retarget",)),
+    "cells": ({"type": "cell", **VALUES}, ("add_forces",)),
+    "strings": ({"type": "string", "masses": 5, **VALUES}, ("initialize", "integrate")),
+    "stiff strings": ({"type": "string", "masses": 5, "bending": 9.0, **VALUES}, ("initialize", "integrate")),
+    "membranes": ({"type": "membrane", "rows": 2, "columns": 3, **VALUES}, ("initialize", "integrate")),
+    "visco-elastic links": ({"type": "viscoelastic", "stiffness": 9.0, **LINK}, ("add_forces",)),
+    "visco-elastic links (centred damper)": (
+        {"type": "viscoelastic", "stiffness": 9.0, "damper": "centred", **LINK},
+        ("initialize", "add_forces"),
+    ),
+    "visco-elastic links (filtered damper)": (
+        {"type": "viscoelastic", "stiffness": 9.0, "damper": "filtered", "cutoff": 50.0, **LINK},
+        ("initialize", "add_forces"),
+    ),
+    "visco-elastic links (sensed damper)": (
+        {"type": "viscoelastic", "stiffness": 9.0, "damper": "sensed", **LINK},
+        ("add_forces",),
+    ),
+    "springs": ({"type": "spring", "stiffness": 9.0, **LINK}, ("add_forces",)),
+    "dampers": ({"type": "damper", "damping": 1.0, **LINK}, ("add_forces",)),
+    "buffers": ({"type": "buffer", "stiffness": 9.0, **LINK}, ("add_forces",)),
+    "forces over distance": ({"type": "nonlinear", "force_over_distance": CURVE, **LINK}, ("add_forces",)),
+    "forces over velocity": ({"type": "nonlinear", "force_over_velocity": CURVE, **LINK}, ("add_forces",)),
+    "friction links": (
+        {"type": "friction", "force": 1.0, "stiffness": 9.0, **LINK},
+        ("initialize", "add_forces"),
+    ),
+    "plectra": ({"type": "plectrum", "stiffness": 9.0, "release": 0.1, **LINK}, ("add_forces",)),
+}
+
+
+def scene_of(modules: Mapping[str, Any]) -> Scene:
+    always = {"hand": {"type": "device", "channel": 0}, "ball": {"type": "mass", "mass": 0.1, "position": 0.01}}
+    return Scene.model_validate({"version": 1, "rate": 1000, "device": {"mass": 0.2}, "modules": always | modules})
+
+
+def with_types(names: Sequence[str]) -> Scene:
+    return scene_of({f"m{i}": MODULES[name][0] for i, name in enumerate(names)})
+
+
+_words_at = array_at(np.uint64)
+
+
+@entry
+def copy_pairs(calls, pairs):
+    words = _words_at(calls.pairs, 2 * calls.count)
+    for i in range(2 * calls.count):
+        pairs[i] = words[i]
+
+
+def calls_in(program: Program) -> dict[str, NDArray[np.uint64]]:
+    """What a tick finds in each list: (calls, 2), addresses of actions and of their numbers."""
+    found = {}
+    for name in LISTS:
+        calls = program.record[name]
+        pairs = np.zeros(2 * int(calls.count), np.uint64)
+        copy_pairs(calls, pairs)
+        found[name] = pairs.reshape(-1, 2)
+    return found
+
+
+def test_every_type_of_module_is_here() -> None:
+    assert {"masses", *MODULES} == {kind.name for kind in PART_TYPES}
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_a_type_of_module_adds_its_own_calls_and_no_other(name: str) -> None:
+    without, having = (calls_in(compile_scene(with_types(names))) for names in ([], [name]))
+    assert {each: len(calls) for each, calls in without.items()} == dict.fromkeys(LISTS, 0) | {"integrate": 1}
+    for each in LISTS:
+        more = Counter(having[each][:, 0].tolist()) - Counter(without[each][:, 0].tolist())
+        assert more.total() == (each in MODULES[name][1]), each
+        # What a mass does stays the very same code.
+        assert set(without[each][:, 0].tolist()) <= set(having[each][:, 0].tolist())
+
+
+def test_modules_of_one_type_are_one_call_however_many_there_are() -> None:
+    one, many = (calls_in(compile_scene(with_types(["springs"] * count))) for count in (1, 20))
+    assert {each: calls[:, 0].tolist() for each, calls in one.items()} == {
+        each: calls[:, 0].tolist() for each, calls in many.items()
+    }
+
+
+def test_a_scene_of_every_type_has_the_calls_of_all_and_each_with_numbers_of_its_own() -> None:
+    program = compile_scene(with_types(list(MODULES)))
+    for each, calls in calls_in(program).items():
+        expected = sum(each in lists for _, lists in MODULES.values()) + (each == "integrate")
+        assert len(calls) == expected == len(set(calls[:, 0].tolist())) == len(set(calls[:, 1].tolist()))
+    assert len(program.parts) == len(PART_TYPES)
+
+
+# A type of module that hapsim does not have: it doubles every force.
+
 
 class Doublers(NamedTuple):
-    points: object
+    points: np.uint64
 
-@settles(Doublers)
-@pulls(Doublers)
-@moves(Doublers)
-@inlined
-def double(part, moment):
-    for p in range(moment.force.size):
-        moment.force[p] += moment.force[p]
 
-hapsim.cordis.kinds.KINDS = (Kind(lambda scene: {}, lambda *_: Doublers(None)), *hapsim.cordis.kinds.KINDS)
+@action
+def double(numbers, state):
+    numbers, state = value_of(numbers), value_of(state)
+    for p in range(numbers.points):
+        state.force[p] += state.force[p]
+
+
+def doublers(present: bool) -> PartType:
+    def build(_modules: Any, _columns: Any, context: Any) -> Part:
+        return Part(Doublers(np.uint64(context.state.force.size)), add_forces=double)
+
+    return PartType(lambda _scene: {"doubler": None} if present else {}, build)
+
+
+def test_a_type_of_module_more_changes_nothing_in_a_scene_without_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = with_types(["grounds", "visco-elastic links"])
+
+    def forces() -> tuple[dict[str, list[int]], float]:
+        program, force = compile_scene(scene), np.zeros(1)
+        start(program, np.array([0.02]))
+        tick(program, np.array([0.02]), np.zeros(1), force)
+        return {name: calls[:, 0].tolist() for name, calls in calls_in(program).items()}, float(force[0])
+
+    calls, force = forces()
+    assert force == -9.0 * (0.02 - 0.01)
+    monkeypatch.setattr(programs, "PART_TYPES", (*PART_TYPES, doublers(present=False)))
+    assert forces() == (calls, force)
+    monkeypatch.setattr(programs, "PART_TYPES", (*PART_TYPES, doublers(present=True)))
+    assert {name: len(found) for name, found in forces()[0].items()} == {
+        name: len(found) + (name == "add_forces") for name, found in calls.items()
+    }
+    assert forces()[1] == 2.0 * force
+
+
+COMPILED = """
+import json, sys
+from hapsim.compiling.progress import on_compilation
+from hapsim.cordis.program import compile_scene
+from hapsim.scene import Scene
+
+for document in json.loads(sys.argv[1]):
+    told = []
+    with on_compilation(told.append):
+        compile_scene(Scene.model_validate(document))
+    print(json.dumps(sorted(name for name in told if "." in name)))
 """
-COMPILE = """
-import sys
-import numpy as np
-from hapsim.compiled import jit
-from hapsim.cordis.program import KINDS, compile_scene
-from hapsim.cordis.tick import tick
-from hapsim.scene import parse_scene
-
-program = compile_scene(parse_scene(sys.argv[1]))
-tick(program, np.zeros(1), np.zeros(1), np.zeros(1))
-(assembly,) = tick.inspect_asm().values()
-print(len(KINDS))
-print(assembly)
-"""
 
 
-def compiled(scene: str, cache: Path, before: str = "") -> tuple[int, list[str]]:
-    """How many kinds of module there are, and the instructions of a tick, without the names that numba numbers."""
-    command = [sys.executable, "-c", before + COMPILE, scene]
-    done = subprocess.run(command, capture_output=True, text=True, check=True, env={"XDG_CACHE_HOME": str(cache)})
-    kinds, _, assembly = done.stdout.partition("\n")
-    code = assembly.split(".cfi_endproc")[0]
-    lines = (line.strip() for line in code.splitlines())
-    instructions = [line for line in lines if line and not line.startswith((".", "_")) and not line.endswith(":")]
-    return int(kinds), [re.sub(r"_ZN\w+", "", line) for line in instructions]
-
-
-@pytest.fixture(scope="module")
-def as_it_is(tmp_path_factory: pytest.TempPathFactory) -> tuple[int, list[str]]:
-    return compiled(SCENE, tmp_path_factory.mktemp("as_it_is"))
-
-
-def test_a_kind_of_module_more_changes_no_instruction_of_a_scene_without_it(
-    as_it_is: tuple[int, list[str]], tmp_path: Path
-) -> None:
-    kinds, instructions = as_it_is
-    more_kinds, with_another = compiled(SCENE, tmp_path, ANOTHER_KIND)
-    assert more_kinds == kinds + 1
-    assert len(instructions) > 50
-    assert with_another == instructions
-
-
-def test_a_module_that_a_scene_has_is_seen_in_its_instructions(as_it_is: tuple[int, list[str]], tmp_path: Path) -> None:
-    _, with_buffer = compiled(SCENE + BUFFER, tmp_path)
-    assert len(with_buffer) > len(as_it_is[1]) + 10
+def test_what_is_compiled_for_a_scene_is_what_its_types_do_and_once(tmp_path: Path) -> None:
+    """A process that begins with nothing kept; each scene finds what the ones before it had compiled."""
+    scenes = [with_types(names) for names in ([], ["grounds", "springs"], ["springs"] * 3, ["buffers", "springs"])]
+    documents = json.dumps([scene.model_dump() for scene in scenes])
+    environment = os.environ | {"XDG_CACHE_HOME": str(tmp_path)}
+    command = [sys.executable, "-c", COMPILED, documents]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, env=environment)
+    told = [json.loads(line) for line in done.stdout.splitlines()]
+    assert told == [["mass.integrate"], ["ground.retarget", "spring.add_forces"], [], ["buffer.add_forces"]]

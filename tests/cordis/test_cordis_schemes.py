@@ -11,16 +11,14 @@ import pytest
 import yaml
 from scipy.linalg import expm
 
+from hapsim.cordis.offline import follow_parameters, start, tick
 from hapsim.cordis.program import compile_scene, numbers_of, parameter_values, positions_of
-from hapsim.cordis.schemes import SCHEMES, pulled
+from hapsim.cordis.schemes import SCHEMES, force_expansion
 from hapsim.cordis.schemes.exact_dense import ExactDense
 from hapsim.cordis.schemes.exact_modes import ExactModes
+from hapsim.cordis.schemes.force_expansion import StringForces, WeightedLinks
 from hapsim.cordis.schemes.midpoint import Midpoint
-from hapsim.cordis.schemes.pulled import Shares, StringForces
-from hapsim.cordis.tick import settle_grounds, start, tick
 from hapsim.errors import UsageError
-from hapsim.loop.parameters import parameters_of
-from hapsim.running.changes import LiveParameters
 from hapsim.scene import Scene, parse_scene
 from hapsim.theory.schemes import SCHEMES as THEORY
 from hapsim.theory.schemes import spectral_radius
@@ -260,15 +258,15 @@ def test_a_scheme_is_the_one_that_is_written_here(scheme: str, seed: int) -> Non
 @pytest.mark.parametrize("seed", range(3))
 def test_motions_that_go_by_themselves_are_the_same_system(seed: int) -> None:
     scene = scene_of("exact", network(seed, share=3e-4))
-    assert type(compile_scene(scene).parts[-1]) is ExactModes
+    assert ExactModes in numbers_in(scene)
     agree(scene, seed, HELD)
 
 
 def test_a_damping_that_joins_the_modes_takes_the_dense_matrix() -> None:
-    assert type(compile_scene(scene_of("exact", network(0))).parts[-1]) is ExactDense
+    assert ExactDense in numbers_in(scene_of("exact", network(0)))
     nearly = network(0, share=3e-4)
     nearly["l0"]["damping"] *= 1.001
-    assert type(compile_scene(scene_of("exact", nearly)).parts[-1]) is ExactDense
+    assert ExactDense in numbers_in(scene_of("exact", nearly))
 
 
 def shuffled_chain(count: int) -> dict[str, Any]:
@@ -283,25 +281,26 @@ def shuffled_chain(count: int) -> dict[str, Any]:
 
 def test_a_chain_in_any_order_is_narrow() -> None:
     scene = scene_of("midpoint", shuffled_chain(30))
-    part = compile_scene(scene).parts[-1]
-    assert type(part) is Midpoint
-    assert part.order is not None
-    assert part.factor.columns.shape[1] == 1
+    numbers = compile_scene(scene).parts[-1].numbers
+    assert type(numbers) is Midpoint
+    assert numbers.order.size == 30
+    assert numbers.factor.columns.shape[1] == 1
     agree(scene, 1, ["m29"])
 
 
 @pytest.mark.parametrize("scheme", ["semi_implicit", "rk4"])
 def test_a_structure_taken_apart_is_the_same_as_in_one_pass(scheme: str, monkeypatch: pytest.MonkeyPatch) -> None:
     scene = scene_of(scheme, network(1))
-    assert any(type(part) is StringForces for part in pulled_parts(scene))
-    monkeypatch.setattr(pulled, "STRING", None)
-    assert any(type(part) is Shares for part in pulled_parts(scene))
+    assert StringForces in numbers_in(scene)
+    monkeypatch.setattr(force_expansion, "STRING", None)
+    assert StringForces not in numbers_in(scene)
+    assert WeightedLinks in numbers_in(scene)
     agree(scene, 1, HELD)
 
 
-def pulled_parts(scene: Scene) -> tuple[Any, ...]:
-    parts = compile_scene(scene).parts
-    return (*parts, *getattr(parts[-1], "links", ()))
+def numbers_in(scene: Scene) -> set[type]:
+    """What the parts of a scene's program work on."""
+    return {type(part.numbers) for part in compile_scene(scene).parts}
 
 
 def test_links_that_remember_are_asked_once_a_sample() -> None:
@@ -419,33 +418,7 @@ def test_no_stiffness_makes_an_implicit_scheme_unstable(scheme: str, damping: fl
         assert energy[0] == pytest.approx(energy[1], rel=1e-6)
 
 
-# --- what may change, and what is refused ---
-
-
-def live(scene: Scene) -> LiveParameters:
-    return LiveParameters(scene, parameters_of(parameter_values(scene)))
-
-
-@pytest.mark.parametrize("scheme", ["midpoint", "exact"])
-def test_what_is_in_a_matrix_cannot_change_while_the_scene_runs(scheme: str) -> None:
-    scene = scene_of(scheme, network(0))
-    for name in ("l0", "s"):
-        with pytest.raises(UsageError, match=f"{name}: nothing of it can change .* scheme: {scheme} makes once"):
-            live(scene).set({name: {"stiffness": 1.0}}, 0.0)
-    other = scene_of(scheme, network(0) | {"l0": network(0)["l0"] | {"stiffness": 1.0}})
-    with pytest.raises(UsageError, match=r"l0, which is in the matrix .* cannot change"):
-        live(scene).adopt(other, 0.0)
-    changing = live(scene)
-    changing.set({"touch": {"stiffness": 111.0}, "wall": {"position": 0.02}, "stop": {"distance": 0.003}}, 0.0)
-    assert changing.scene.modules["touch"].stiffness == 111.0
-    values = parameter_values(changing.scene)
-    assert values.size == 1 + 4 + 3  # the wall, two links to hands, the buffer
-    assert {0.02, 111.0, 0.003} < set(values)
-
-
-def test_the_scheme_itself_cannot_change_while_the_scene_runs() -> None:
-    with pytest.raises(UsageError, match="scheme cannot change"):
-        live(scene_of("cordis", network(0))).adopt(scene_of("rk4", network(0)), 0.0)
+# --- what may change while the scene runs ---
 
 
 @pytest.mark.parametrize("scheme", ["cordis", "semi_implicit", "rk4"])
@@ -469,11 +442,12 @@ def test_a_ground_that_moves_pulls_what_is_tied_to_it(scheme: str) -> None:
     """By where it is, and by how it got there: its position is one of the values that may change."""
     state = np.zeros(2)
     scene = chain(scheme, state, 1000.0, 2.0)
-    values = parameter_values(scene)
-    program = compile_scene(scene, values)
+    program = compile_scene(scene)
     start(program, np.zeros(1))
+    values = parameter_values(scene)
     values[0] = 0.01
-    settle_grounds(program)
+    program.parameters.post(values, 1)
+    follow_parameters(program)
     tick(program, np.zeros(1), np.zeros(1), np.zeros(1))
     a = np.array(
         [[0.0, 1.0, 0.0], [-2 * 1e3 / 0.1, -2 * 2.0 / 0.1, (1e3 * 0.01 + 2.0 * 0.01 * RATE) / 0.1], [0.0, 0.0, 0.0]]

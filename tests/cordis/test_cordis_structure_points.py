@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import yaml
 
+from hapsim.cordis.offline import start, tick
 from hapsim.cordis.program import compile_scene
-from hapsim.cordis.tick import start, tick
 from hapsim.scene import Scene, parse_scene
 
 RATE, MASSES, STIFFNESS, DAMPING = 1000.0, 10, 2000.0, 0.3

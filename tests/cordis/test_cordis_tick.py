@@ -11,8 +11,8 @@ import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from hapsim.cordis.offline import start, tick
 from hapsim.cordis.program import compile_scene, numbers_of, positions_of
-from hapsim.cordis.tick import start, tick
 from hapsim.scene import Scene, parse_scene
 
 SAMPLES = 3000

@@ -10,8 +10,8 @@ import numpy as np
 import yaml
 from scipy import sparse
 
+from hapsim.cordis.offline import start, tick
 from hapsim.cordis.program import compile_scene, numbers_of, parameter_values, positions_of
-from hapsim.cordis.tick import start, tick
 from hapsim.scene import Scene, parse_scene
 
 RATE = 1000.0

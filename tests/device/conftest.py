@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from firmware_protocol import schema
-from firmware_protocol.decoder import new_decoder, next_frame
+from firmware_protocol.decoder import frames_in, new_decoder
 from firmware_protocol.frames import SETUP, armed_format, frame_to_device
 from hapsim.device.mock.assemble import assemble_mock
-from hapsim.device.mock.firmware import Mock, look_at_watchdog, take_bytes, take_sample
+from hapsim.device.mock.firmware import look_at_watchdog, prepare, take_bytes, take_sample
 from hapsim.scene import Scene
 
 
@@ -45,9 +45,11 @@ class Host:
     """The far end of a line to a mock. `wire`: the armed format it speaks. `armed`: the device last said so.
     `misread`: chunks that are no frame, or one in several formats."""
 
-    def __init__(self, mock: Mock) -> None:
+    def __init__(self, mock: Any) -> None:
+        """`mock`: a MOCK."""
+        prepare(mock)
         self.mock = mock
-        self.channels = len(mock.bodies)
+        self.channels = int(mock.channels)
         self.armed_formats = [armed_format(self.channels, velocity) for velocity in (False, True)]
         self.wire = self.armed_formats[0]
         self.decoders = [new_decoder(wire, to_device=False) for wire in (SETUP, *self.armed_formats)]
@@ -106,9 +108,8 @@ class Host:
     # Hearing the answer.
 
     def listen(self) -> list[Heard]:
-        out = int(self.mock.board["out"])
-        data = self.mock.outbox[:out].copy()
-        self.mock.board["out"] = 0
+        data = self.mock.outbox[: int(self.mock.board.out)].copy()
+        self.mock.board.out = 0
         return self.read(data)
 
     def read(self, data: np.ndarray) -> list[Heard]:
@@ -124,24 +125,30 @@ class Host:
                     self.armed = frame.state == schema.ARMED
         return heard
 
-    def _read_one(self, decoder: np.void, chunk: bytes) -> Heard | None:
-        whole = np.frombuffer(chunk + b"\0", np.uint8).copy()
-        garbage = int(decoder["garbage_bytes"])
-        if not next_frame(decoder, whole, 0, whole.size)[1] or decoder["garbage_bytes"] > garbage:
+    def _read_one(self, decoder: Any, chunk: bytes) -> Heard | None:
+        garbage = int(decoder.garbage_bytes)
+        frames = frames_in(decoder, chunk + b"\0")
+        if not frames or decoder.garbage_bytes > garbage:
             return None
-        counts = decoder["counts"][: decoder["words"]]
-        return Heard(int(decoder["type"]), int(decoder["number"]), tuple(counts.tolist()))
+        return Heard(frames[0].type, frames[0].number, frames[0].counts)
 
     # What no line tells.
 
     @property
     def state(self) -> int:
-        return int(self.mock.board["state"])
+        return int(self.mock.board.state)
 
     @property
     def commanded(self) -> np.ndarray:
-        """Every force that acts or may yet act, N."""
-        return self.mock.commands
+        """Every force that acts or may yet act, N: a row for each sample, a column for each channel."""
+        commands: np.ndarray = self.mock.commands[: self.mock.depth, : self.channels]
+        return commands
+
+    @property
+    def bodies(self) -> np.ndarray:
+        """What the forces move, one for each channel."""
+        bodies: np.ndarray = self.mock.bodies[: self.channels]
+        return bodies
 
 
 def scene_of(

@@ -31,7 +31,7 @@ def assert_safe(host: Any) -> None:
     assert host.state in (schema.IDLE, schema.ARMED, schema.LATCHED)
     if host.state != schema.ARMED:
         assert not mock.commands.any()
-    assert 0 <= mock.board["out"] <= OUTBOX_BYTES
+    assert 0 <= mock.board.out <= OUTBOX_BYTES
 
 
 def assert_like_new(new: New, host: Any, **fields: Any) -> None:
@@ -100,7 +100,7 @@ def test_no_stream_of_bytes_breaks_the_mock_or_its_promises(
     for i, piece in enumerate(stream):
         host.send(piece, now=i * T_NS)
         assert_safe(host)
-        if host.state == schema.ARMED and host.mock.board["pacing"] == DEVICE:
+        if host.state == schema.ARMED and host.mock.board.pacing == DEVICE:
             host.sample_passes(now=i * T_NS)
             assert_safe(host)
         host.look_at_watchdog(now=i * T_NS)
@@ -295,8 +295,8 @@ def test_whatever_is_said_the_mock_and_a_model_of_its_firmware_say_and_command_t
         elif event == "wrong format":
             heard += host.send(host.frame(what[0], 0, 1, [HASH], armed=not listening), now)
         if i == 0 and model.state == schema.ARMED:  # as after a long run
-            host.mock.board["n"] = host.mock.board["heard"] = model.n = model.quiet_since = start
-            host.mock.board["answered"] = start - 1
+            host.mock.board.n = host.mock.board.heard = model.n = model.quiet_since = start
+            host.mock.board.answered = start - 1
         assert_safe(host)
         assert host.state == model.state
         if model.state == schema.ARMED:
@@ -397,6 +397,6 @@ def test_no_scene_however_absurd_its_numbers_breaks_the_mock(
         assert all(frame.type == schema.POSITION for frame in positions)
         assert last.type == schema.POSITION or last.fault == schema.POSITION_OUT_OF_RANGE
         if last.type == schema.POSITION:
-            assert math.isfinite(host.mock.bodies["position"][0])
+            assert math.isfinite(host.bodies["position"][0])
         host.disarm()
         assert_safe(host)

@@ -212,7 +212,7 @@ def test_ages_are_counted_across_the_wrap(new_host: New, start: int) -> None:
     host = new_host(device={"delay": 0})
     host.arm(DEVICE, watchdog=100)
     board = host.mock.board
-    board["n"] = board["heard"] = start
+    board.n = board.heard = start
     host.sample_passes()
     host.sample_passes()  # sample start + 2 lasts now
     host.force(start, [FULL], time_to_live=1)
@@ -223,7 +223,7 @@ def test_ages_are_counted_across_the_wrap(new_host: New, start: int) -> None:
     assert host.mock.registers[schema.REG_ACCEPTED] == 1
     for expected in (True, True, False):
         host.sample_passes()
-        assert host.commanded[(int(board["n"]) - 1) % len(host.commanded)].any() == expected
+        assert host.commanded[(int(board.n) - 1) % len(host.commanded)].any() == expected
 
 
 def test_a_run_of_a_thousand_years_goes_on_as_it_began(new_host: New) -> None:
@@ -232,7 +232,7 @@ def test_a_run_of_a_thousand_years_goes_on_as_it_began(new_host: New) -> None:
     years = 2**45 * 3 * schema.SAMPLE_MODULUS
     for host in (young, old):
         host.arm()
-    old.mock.board["n"] = years
+    old.mock.board.n = years
     for n in range(30):
         counts = [(n * 7919 % 101 - 50) * 2**24]
         assert old.force(years + n, counts) == young.force(n, counts)

@@ -10,19 +10,18 @@ import pytest
 
 from firmware_protocol import schema
 from firmware_protocol.description import to_registers
+from hapsim.device.connection import Connection
 from hapsim.device.conversation import arm, describe, disarm, read_register
-from hapsim.device.line import Line
 from hapsim.device.mock.assemble import assemble_mock, describe_mock
 from hapsim.device.mock.firmware import INPUT_BYTES
-from hapsim.device.mock.loopback import loopback_port, outbox_of
+from hapsim.device.mock.loopback import loopback_transport, outbox_of
 from hapsim.loop.codes import FAILED, TIMED_OUT
-from hapsim.loop.port import receive_into, send_from
 
 New = Callable[..., Any]
 
 
-def line_to(mock: Any) -> Line:
-    return Line(port=loopback_port(mock), name="mock in memory", close=lambda: None)
+def line_to(mock: Any) -> Connection:
+    return Connection(transport=loopback_transport(mock), name="mock in memory", close=lambda: None)
 
 
 @pytest.mark.parametrize("channels", [1, 4, 16])
@@ -40,9 +39,9 @@ def test_the_conversation_arms_and_disarms(new_scene: New) -> None:
     line = line_to(mock)
     for _ in range(2):
         wire = arm(line, describe(line), schema.LOCKSTEP, 100)
-        assert mock.board["state"] == schema.ARMED
+        assert mock.board.state == schema.ARMED
         assert disarm(line, wire)
-        assert mock.board["state"] == schema.IDLE
+        assert mock.board.state == schema.IDLE
 
 
 def test_a_disarm_in_doubt_is_heard_by_a_mock_that_was_not_armed(new_scene: New) -> None:
@@ -55,27 +54,29 @@ def test_a_disarm_in_doubt_is_heard_by_a_mock_that_was_not_armed(new_scene: New)
 @pytest.mark.parametrize("room", [1, 2, 7, 11, 64])
 def test_answers_can_be_fetched_in_pieces_of_any_size(new_host: New, room: int) -> None:
     host = new_host(4)
-    port = loopback_port(host.mock)
+    transport = loopback_transport(host.mock)
     said = host.arm_frame() + b"".join(host.force_frame(n, [n] * 4) for n in range(20))
-    assert send_from(port, np.frombuffer(said, np.uint8).copy(), len(said)) == 0
+    assert transport.send(said) == 0
     whole = outbox_of(host.mock).tobytes()
-    buffer, data = np.zeros(room + 3, np.uint8), b""
-    while (count := receive_into(port, buffer, 3, 10**9)) > 0:
+    buffer, data = np.full(room + 6, 0xEE, np.uint8), b""
+    while (count := transport.receive(buffer[3 : 3 + room], 10**9)) > 0:
         data += buffer[3 : 3 + count].tobytes()
     assert count == TIMED_OUT
     assert data == whole
-    assert (buffer[:3] == 0).all()
+    assert (buffer[:3] == 0xEE).all()
+    assert (buffer[-3:] == 0xEE).all()
     assert [frame.number for frame in host.read(np.frombuffer(data, np.uint8))] == [0, *range(21)]
 
 
 def test_nothing_comes_by_waiting(new_host: New) -> None:
-    assert receive_into(loopback_port(new_host().mock), np.zeros(10, np.uint8), 0, 10**18) == TIMED_OUT
+    assert loopback_transport(new_host().mock).receive(np.zeros(10, np.uint8), 10**18) == TIMED_OUT
 
 
 def test_more_than_the_mock_takes_at_once_is_refused_whole(new_host: New) -> None:
     host = new_host()
-    flood = np.frombuffer(host.disarm_frame(armed=False) * 400, np.uint8).copy()
-    assert send_from(loopback_port(host.mock), flood, INPUT_BYTES + 1) == FAILED
+    transport = loopback_transport(host.mock)
+    flood = host.disarm_frame(armed=False) * 400
+    assert transport.send(flood[: INPUT_BYTES + 1]) == FAILED
     assert outbox_of(host.mock).size == 0
-    assert send_from(loopback_port(host.mock), flood, INPUT_BYTES) == 0
+    assert transport.send(flood[:INPUT_BYTES]) == 0
     assert outbox_of(host.mock).size > 0

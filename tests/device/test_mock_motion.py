@@ -8,6 +8,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Sequence
+from functools import cache
 from time import perf_counter
 
 import mpmath as mp
@@ -17,9 +18,11 @@ from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from hapsim.device.mock.motion import BODY, move, strike
+from hapsim.compiling.native import address_of
+from hapsim.device.mock.motion import BODY, move_free, move_gliding, move_of, move_on_spring, strike
 
 ROUNDING = 1e-14
+NATIVES = (move_gliding, move_free, move_on_spring)
 
 
 def body_of(
@@ -29,13 +32,24 @@ def body_of(
     position: float = 0.0,
     velocity: float = 0.0,
     stiffness: float = 0.0,
-) -> np.void:
+) -> np.record:
     fields = (mass, friction, stiffness, coulomb, position, velocity, 0.0)
-    body: np.void = np.array([fields], BODY)[0:1].view(np.recarray)[0]
+    body: np.record = np.array([fields], BODY).view(np.recarray)[0]
     return body
 
 
-def state_of(body: np.void) -> np.ndarray:
+@cache
+def natives() -> dict[int, Callable[[int, float, float], None]]:
+    """By address. Compiled when first asked for."""
+    return {native.address(): native for native in NATIVES}
+
+
+def move(body: np.record, force: float, h: float, beside: Sequence[np.record] = ()) -> None:
+    """Moves it as a device does that has this body, and `beside` it others."""
+    natives()[move_of(np.array([*beside, body]))](address_of(body), force, h)
+
+
+def state_of(body: np.record) -> np.ndarray:
     """Position, velocity, area."""
     return np.array([body["position"], body["velocity"], body["area"]])
 
@@ -442,7 +456,7 @@ def test_on_a_spring_two_intervals_are_as_good_as_one(
     assert (np.abs(state_of(whole) - state_of(parts)) <= 10 * ROUNDING * spring_sizes(m, b, k, force, x, v, t)).all()
 
 
-def energy_of(body: np.void) -> float:
+def energy_of(body: np.record) -> float:
     return float(body["mass"] * body["velocity"] ** 2 + body["stiffness"] * body["position"] ** 2) / 2
 
 
@@ -627,6 +641,7 @@ def test_on_a_spring_dry_friction_knows_neither_left_from_right_nor_one_interval
 def test_no_number_makes_the_motion_on_a_spring_hang_or_raise(
     m: float, b: float, k: float, coulomb: float, force: float, x: float, v: float, t: float
 ) -> None:
+    natives()  # compiled before the time is taken
     begun = perf_counter()
     move(body_of(m, b, coulomb, x, v, k), force, t)
     assert perf_counter() - begun < 1.0
@@ -638,3 +653,34 @@ def test_dry_friction_of_almost_nothing_hardly_slows_thousands_of_swings_within_
     move(body, 0.0, 2e3)
     move(freed, 0.0, 2e3)
     np.testing.assert_allclose(state_of(body), state_of(freed), rtol=0, atol=1e-9)
+
+
+# Several bodies in one device.
+
+
+@settings(max_examples=300, deadline=None, derandomize=True)
+@given(
+    masses,
+    frictions,
+    st.one_of(st.just(0.0), decades(-3, 2)),
+    st.one_of(st.just(0.0), stiffnesses),
+    forces,
+    positions,
+    velocities,
+    decades(-9, 1),
+)
+def test_what_moves_beside_it_makes_no_difference_to_a_body(
+    m: float, b: float, coulomb: float, k: float, force: float, x: float, v: float, t: float
+) -> None:
+    others = [
+        body_of(1.0),
+        body_of(1.0, coulomb=1.0),
+        body_of(1.0, stiffness=1.0),
+        body_of(1.0, 1.0, 1.0, stiffness=1.0),
+    ]
+    alone = body_of(m, b, coulomb, x, v, k)
+    move(alone, force, t)
+    for beside in ([other] for other in others):
+        body = body_of(m, b, coulomb, x, v, k)
+        move(body, force, t, beside)
+        assert state_of(body).tolist() == state_of(alone).tolist()

@@ -47,7 +47,7 @@ def test_the_answers_to_the_worst_input_fit_the_outbox(new_host: New, channels: 
             take_bytes(host.mock, stream, begun, 0)
             host.listen()
             take_bytes(host.mock, stream[begun:].copy(), INPUT_BYTES, 0)
-            assert host.mock.board["out"] <= OUTBOX_BYTES - longest, name
+            assert host.mock.board.out <= OUTBOX_BYTES - longest, name
             assert len(host.listen()) >= 1
             assert host.misread == 0
 
@@ -68,7 +68,7 @@ def test_answers_that_nobody_fetches_are_lost_whole_and_never_beyond_the_outbox(
     stream = np.frombuffer(host.arm_frame() * (INPUT_BYTES // 12), np.uint8).copy()
     for _ in range(8):
         take_bytes(host.mock, stream, stream.size, 0)
-        assert host.mock.board["out"] <= OUTBOX_BYTES
+        assert host.mock.board.out <= OUTBOX_BYTES
     assert len(host.listen()) > 100
     assert host.misread == 0
     host.send(host.disarm_frame(armed=False))
@@ -79,5 +79,5 @@ def test_two_mocks_share_nothing(new_host: New) -> None:
     one, other = new_host(), new_host()
     one.arm()
     one.force(0, [FULL])
-    assert (other.state, other.commanded.any(), other.mock.board["n"]) == (schema.IDLE, False, 0)
+    assert (other.state, other.commanded.any(), other.mock.board.n) == (schema.IDLE, False, 0)
     assert other.arm()[1].counts == (0,)

@@ -20,12 +20,35 @@ from hypothesis import strategies as st
 from scipy.stats import kstest
 
 from firmware_protocol import schema
-from hapsim.device.mock.motion import BODY
-from hapsim.device.mock.sampler import CONVERTER, advance_body, first_sample, sample, to_counts
+from firmware_protocol.records import new_record
+from hapsim.compiling import entry
+from hapsim.device.mock import sampler
+from hapsim.device.mock.motion import BODY, move_of
+from hapsim.device.mock.sampler import CONVERTER
 
 T = 1e-3
 DELAYS = [0.0, 0.37, 1.0, 1.5, 2.0]
 CASES = list(itertools.product(("zoh", "impulse"), ("ideal", "average"), DELAYS, (0.0, 60.0)))
+
+
+@entry
+def advance_body(how, body, converter, commands, n, h):
+    sampler.advance_body(how, body, converter, commands, len(commands), 0, n, h)
+
+
+@entry
+def sample(body, converter, h):
+    return sampler.sample(body, converter, h)
+
+
+@entry
+def first_sample(body, converter):
+    return sampler.first_sample(body, converter)
+
+
+@entry
+def to_counts(value, quantum):
+    return sampler.to_counts(value, quantum)
 
 
 @dataclass
@@ -78,33 +101,31 @@ def event_by_event(
         return positions, velocities
 
 
-def converter_of(**fields: float) -> np.void:
-    converter = np.zeros(1, CONVERTER)
-    converter["period"], converter["quantum"] = T, 1e-9
+def converter_of(**fields: float) -> Any:
+    converter = new_record(CONVERTER)
+    converter.period, converter.quantum = T, 1e-9
     for name, value in fields.items():
         converter[name] = value
-    return converter.view(np.recarray)[0]
+    return converter
 
 
-def body_of(m: float, b: float = 0.0, x: float = 0.0, v: float = 0.0) -> np.void:
-    body = np.zeros(1, BODY)
+def body_of(m: float, b: float = 0.0, x: float = 0.0, v: float = 0.0) -> Any:
+    body = new_record(BODY)
     for name, value in {"mass": m, "friction": b, "position": x, "velocity": v}.items():
         body[name] = value
-    return body.view(np.recarray)[0]
+    return body
 
 
-def measured_by_the_mock(
-    hold: str, sampling: str, delay: float, body: np.void, commands: Sequence[float]
-) -> list[float]:
+def measured_by_the_mock(hold: str, sampling: str, delay: float, body: Any, commands: Sequence[float]) -> list[float]:
     whole = math.floor(delay)
     converter = converter_of(
         whole_delay=whole, part_delay=delay - whole, impulse=hold == "impulse", average=sampling == "average"
     )
-    ring = np.zeros((whole + 2, 1))
+    ring, how = np.zeros((whole + 2, 1)), np.uint64(move_of(np.array([body])))
     measured = []
     for n, command in enumerate(commands):
         ring[n % len(ring), 0] = command
-        advance_body(body, converter, ring, 0, n, T)
+        advance_body(how, body, converter, ring, n, T)
         measured.append(sample(body, converter, T))
     return measured
 
@@ -152,6 +173,27 @@ def test_both_holds_give_the_same_momentum() -> None:
         measured_by_the_mock(hold, "ideal", 1.5, body, [1.0, 2.0, -0.5, 0.0, 0.0, 0.0])
         speeds.append(body["velocity"])
     assert speeds == pytest.approx([2.5 * T / 0.2] * 2, rel=1e-14)
+
+
+@pytest.mark.parametrize("delay", [1.0, 1.25, 1.5])
+@pytest.mark.parametrize("lengths", [[T] * 5, [0.4e-3, 2.5e-3, 1e-6, 1.1e-3, 7e-3], [3e-3, 0.25e-3, 0.8e-3, T, 0.1e-3]])
+def test_an_impulse_gives_what_its_force_gives_in_a_period_however_long_the_sample_lasts(
+    new_host: Callable[..., Any], delay: float, lengths: list[float]
+) -> None:
+    """Paced by the host, a sample lasts for as long as the host takes; the mass is free from the instant on."""
+    m, force, quantum = 0.5, 5.0, 1e-9
+    host = new_host(
+        device={"mass": m, "delay": delay, "hold": "impulse", "force_limit": 2 * force}, mock={"quantum": quantum}
+    )
+    host.arm(schema.PACED_BY_HOST, now=0, velocity=True)
+    speed = force * T / m
+    acts = lengths[0] + (delay - 1.0) * lengths[1]
+    for n, end in enumerate(np.cumsum(lengths)):
+        (heard,) = host.force(n, [2**30 if n == 0 else 0], now=round(end * 1e9))
+        gone, moving = (end - acts) * speed, n > 0
+        assert heard.counts[0] == pytest.approx(moving * gone / quantum, abs=0.5 + 1e-6)
+        assert heard.counts[1] == moving * round(speed / (quantum / T))
+    assert host.bodies["velocity"][0] == pytest.approx(speed, rel=1e-15)
 
 
 @pytest.mark.parametrize(("hold", "sampling", "delay", "b"), CASES)
@@ -402,11 +444,11 @@ def test_noise_is_in_the_sensor_and_not_in_the_motion(new_host: Callable[..., An
     quiet, noisy = new_host(mock=moving), new_host(mock=moving | {"noise": 1e-4})
     for host in (quiet, noisy):
         exchange(host, [[2**30]] * 50)
-    assert quiet.mock.bodies.tolist() == noisy.mock.bodies.tolist()
+    assert quiet.bodies.tolist() == noisy.bodies.tolist()
 
 
 def test_without_noise_the_generator_stands_still() -> None:
     converter = converter_of(seed=99)
     sample(body_of(1.0), converter, T)
-    assert converter["state"] == 0
+    assert converter.state == 0
     assert first_sample(body_of(1.0, x=0.5), converter) == 0.5

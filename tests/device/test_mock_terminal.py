@@ -19,9 +19,10 @@ import serial
 from firmware_protocol import schema
 from firmware_protocol.frames import SETUP, armed_format, frame_to_device
 from hapsim.device.mock.assemble import assemble_mock
-from hapsim.device.mock.serve import SERVICE, input_buffer, serve
+from hapsim.device.mock.firmware import prepare
+from hapsim.device.mock.serve import new_service, serve
 from hapsim.device.mock.terminal import serving
-from hapsim.loop.descriptor import descriptor_port
+from hapsim.loop.descriptor import descriptor_transport
 
 DEVICE, HOST, LOCKSTEP = schema.PACED_BY_DEVICE, schema.PACED_BY_HOST, schema.LOCKSTEP
 PATIENCE_S = 60.0
@@ -257,19 +258,20 @@ def test_an_error_of_the_program_stops_the_mock_too(new_scene: New) -> None:
 
 
 @contextlib.contextmanager
-def served(mock: Any) -> Iterator[tuple[socket.socket, np.void, threading.Thread]]:
+def served(mock: Any) -> Iterator[tuple[socket.socket, Any, threading.Thread]]:
     """The host's end of a pair of sockets, the service and its thread."""
     near, far = socket.socketpair()
     near.setblocking(False)
     far.settimeout(PATIENCE_S)
-    service = np.zeros(1, SERVICE)[0]
-    arguments = (descriptor_port(near.fileno()), mock, service, input_buffer(), np.zeros(4, np.int64))
-    thread = threading.Thread(target=serve, args=arguments)
+    prepare(mock)
+    transport = descriptor_transport(near.fileno())
+    service = new_service(transport)
+    thread = threading.Thread(target=serve, args=(mock, service))
     thread.start()
     try:
         yield far, service, thread
     finally:
-        service["stop"] = 1
+        service.stop = 1
         thread.join(PATIENCE_S)
         near.close()
         far.close()
@@ -282,7 +284,7 @@ def test_a_line_that_hangs_up_is_waited_at_until_the_mock_is_told_to_stop(new_sc
         far.close()
         thread.join(0.1)
         assert thread.is_alive()
-        service["stop"] = 1
+        service.stop = 1
         thread.join(PATIENCE_S)
         assert not thread.is_alive()
 

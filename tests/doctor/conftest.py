@@ -11,17 +11,18 @@ from typing import Any
 import numpy as np
 import pytest
 
+from firmware_protocol.records import new_record
 from hapsim.doctor.tree import Tree
-from hapsim.loop.histogram import Histogram, histogram_of, new_histogram
+from hapsim.loop.histogram import HISTOGRAM, Histogram, histogram_of
 
 
 def counted(values: dict[float, int]) -> Histogram:
     """A histogram of durations in s, by how often each came."""
-    record = new_histogram()
+    record = new_record(HISTOGRAM)
     empty = histogram_of(record, 1e-9)
     for value, times in values.items():
-        record["counts"][np.searchsorted(empty.edges, value, side="right") - 1] += times
-        record["maximum"] = max(int(record["maximum"]), round(value * 1e9))
+        record.counts[np.searchsorted(empty.edges, value, side="right") - 1] += times
+        record.maximum = max(int(record.maximum), round(value * 1e9))
     return histogram_of(record, 1e-9)
 
 

@@ -6,18 +6,19 @@ import threading
 import time
 from typing import Any
 
-import numpy as np
 import pytest
 
-from hapsim.doctor.wakeups import GRID, sleep_on_grid, wake_up_lateness
+from firmware_protocol.records import new_record
+from hapsim.doctor.wakeups import wake_up_lateness
 from hapsim.errors import UsageError
-from hapsim.loop.histogram import histogram_of, new_histogram
+from hapsim.loop.grid import GRID, sleep_on_grid
+from hapsim.loop.histogram import histogram_of
 
 SECOND = 1_000_000_000
 
 
 def grid(**values: int) -> Any:
-    record = np.zeros(1, GRID)[0]
+    record = new_record(GRID)
     for name, value in values.items():
         record[name] = value
     return record
@@ -25,40 +26,40 @@ def grid(**values: int) -> Any:
 
 def test_deadline_long_past_is_counted_and_starts_the_grid_anew() -> None:
     now = time.clock_gettime_ns(time.CLOCK_MONOTONIC)
-    made, lateness = grid(due_ns=now - SECOND, end_ns=now - 1, period_ns=1000), new_histogram()
-    sleep_on_grid(made, lateness)
-    assert made["wakeups"] == made["restarts"] == 1  # and not the million that were missed
-    assert made["due_ns"] >= now + 1000
-    assert histogram_of(lateness, 1e-9).maximum >= 1.0
+    made = grid(due_ns=now - SECOND, end_ns=now - 1, period_ns=1000)
+    sleep_on_grid(made)
+    assert made.wakeups == made.restarts == 1  # and not the million that were missed
+    assert made.due_ns >= now + 1000
+    assert histogram_of(made.lateness, 1e-9).maximum >= 1.0
 
 
 def test_every_point_of_a_grid_is_woken_up_for_or_was_missed() -> None:
     now = time.clock_gettime_ns(time.CLOCK_MONOTONIC)
     period = SECOND // 2000
-    made, lateness = grid(due_ns=now + period, end_ns=now + 40 * period, period_ns=period), new_histogram()
-    sleep_on_grid(made, lateness)
-    assert histogram_of(lateness).total == made["wakeups"]
-    assert made["wakeups"] == 40 if made["restarts"] == 0 else made["wakeups"] < 40
-    assert made["due_ns"] > made["end_ns"]
+    made = grid(due_ns=now + period, end_ns=now + 40 * period, period_ns=period)
+    sleep_on_grid(made)
+    assert histogram_of(made.lateness).total == made.wakeups
+    assert made.wakeups == 40 if made.restarts == 0 else made.wakeups < 40
+    assert made.due_ns > made.end_ns
 
 
 def test_nothing_is_slept_for_where_the_grid_is_over() -> None:
-    made, lateness = grid(due_ns=2, end_ns=1, period_ns=1), new_histogram()
-    sleep_on_grid(made, lateness)
-    assert made["wakeups"] == 0
+    made = grid(due_ns=2, end_ns=1, period_ns=1)
+    sleep_on_grid(made)
+    assert made.wakeups == 0
 
 
 def test_stops_at_the_wake_up_after_it_is_told_to() -> None:
     now = time.clock_gettime_ns(time.CLOCK_MONOTONIC)
-    made, lateness = grid(due_ns=now, end_ns=now + 3600 * SECOND, period_ns=SECOND // 1000), new_histogram()
-    thread = threading.Thread(target=sleep_on_grid, args=(made, lateness), daemon=True)
+    made = grid(due_ns=now, end_ns=now + 3600 * SECOND, period_ns=SECOND // 1000)
+    thread = threading.Thread(target=sleep_on_grid, args=(made,), daemon=True)
     thread.start()
-    while made["wakeups"] == 0:
+    while made.wakeups == 0:
         time.sleep(0.001)
-    made["stop"] = 1
+    made.stop = 1
     thread.join(60.0)
     assert not thread.is_alive()
-    assert histogram_of(lateness).total == made["wakeups"]
+    assert histogram_of(made.lateness).total == made.wakeups
 
 
 def test_as_many_wake_ups_as_rate_and_time_make_or_fewer() -> None:

@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
-import numba
 import numpy as np
 import pytest
 import yaml
@@ -20,14 +19,13 @@ from firmware_protocol import schema
 from firmware_protocol.decoder import Frame, frames_in, new_decoder, use_format
 from firmware_protocol.description import Description, to_registers
 from firmware_protocol.frames import SETUP, armed_format, frame_to_host
-from hapsim.device.line import Line
+from hapsim.compiling.ahead import UNITS
+from hapsim.device.connection import Connection
 from hapsim.device.mock.assemble import assemble_mock
-from hapsim.device.mock.firmware import Mock
-from hapsim.device.mock.serve import SERVICE, input_buffer, serve
 from hapsim.device.mock.terminal import serving
-from hapsim.loop.descriptor import descriptor_port
-from hapsim.loop.exchange import Loop
-from hapsim.running.assemble import assemble_loop
+from hapsim.loop.descriptor import descriptor_transport
+from hapsim.loop.portable import _take_and_compose, receive_nothing
+from hapsim.running.assemble import Loop, assemble_loop
 from hapsim.scene import Scene, parse_scene
 
 POSITION_SCALE, FORCE_SCALE = 1e-6, 1e-3
@@ -63,8 +61,8 @@ def make_scene(
 @pytest.fixture(scope="session", autouse=True)
 def _serving_is_compiled() -> None:
     """A mock in a thread answers only once it is compiled, which is longer than a host waits for an answer."""
-    arguments = (descriptor_port(0), assemble_mock(make_scene()), np.zeros(1, SERVICE)[0], input_buffer())
-    serve.compile((*map(numba.typeof, arguments), numba.typeof(np.zeros(4, np.int64))))
+    for name in ("port", "mock"):
+        UNITS[name].compile()
 
 
 @pytest.fixture
@@ -83,11 +81,11 @@ def on_port() -> Callable[[Scene, str], Scene]:
 
 
 @pytest.fixture
-def served() -> Callable[[Scene], contextlib.AbstractContextManager[tuple[Scene, Mock]]]:
+def served() -> Callable[[Scene], contextlib.AbstractContextManager[tuple[Scene, Any]]]:
     """The scene's mock on a pseudo-terminal, open to look at; and the scene with its port."""
 
     @contextlib.contextmanager
-    def serve(scene: Scene) -> Iterator[tuple[Scene, Mock]]:
+    def serve(scene: Scene) -> Iterator[tuple[Scene, Any]]:
         mock = assemble_mock(scene)
         with serving(mock) as path:
             yield scene.model_copy(update={"device": scene.device.model_copy(update={"port": path})}), mock
@@ -127,6 +125,7 @@ class ScriptedDevice:
         self.disarmed = 0
         self.arms: list[Frame] = []
         self.forces: list[Frame] = []
+        self.farewells: list[Frame] = []  # by which it was disarmed while it was armed
         self.stop = threading.Event()
         self._near, self._script, self._refuses = near, list(script), refuses
         self._decoder = new_decoder(SETUP, to_device=True)
@@ -166,6 +165,7 @@ class ScriptedDevice:
             self.forces.append(frame)
             return self._next()
         elif frame.type == schema.DISARM:
+            self.farewells += [frame] if self.armed else []
             self.armed, self.disarmed = False, self.disarmed + 1
             use_format(self._decoder, SETUP)
             self._status(schema.IDLE, schema.NO_FAULT)
@@ -229,17 +229,33 @@ def frame() -> Callable[..., bytes]:
     return position
 
 
-def assemble(scene: Scene, descriptor: int = 0) -> Loop:
+@pytest.fixture
+def assembled() -> Callable[..., Loop]:
     """A loop over a port's descriptor, armed; for loops that nobody listens to any descriptor does."""
-    c = scene.channels
-    description = Description("test", 1000.0, 0b111, 200, (1e-6,) * c, (1e-3,) * c, (10.0,) * c)
-    line = Line(port=descriptor_port(descriptor), name="test", close=lambda: None)
-    loop = assemble_loop(scene, line, description)
-    use_format(loop.decoder, loop.wire)
-    return loop
+    open_ones = []
+
+    def assemble(scene: Scene, descriptor: int = 0, **differences: Any) -> Loop:
+        c = scene.channels
+        description = Description("test", 1000.0, 0b111, 200, (1e-6,) * c, (1e-3,) * c, (10.0,) * c)
+        connection = Connection(transport=descriptor_transport(descriptor), name="test", close=lambda: None)
+        open_ones.append(connection)  # a loop has but the address of what it receives from
+        loop = assemble_loop(scene, connection, replace(description, **differences))
+        use_format(loop.inbox.decoder, loop.wire)
+        return loop
+
+    return assemble
 
 
 @pytest.fixture
-def assembled() -> Callable[..., Loop]:
-    """`assemble` above."""
-    return assemble
+def arrive() -> Callable[[Loop, bytes, int], int]:
+    """Has an assembled loop take these bytes as if they had arrived at a time of the test's own (ns); returns what the
+    loop makes of them, a code of hapsim.loop.codes."""
+
+    def take(loop: Loop, data: bytes, now: int) -> int:
+        loop.inbox.transport.receive = receive_nothing.address()
+        loop.inbox.bytes[: len(data)] = np.frombuffer(data, np.uint8)
+        loop.inbox.start, loop.inbox.stop = 0, len(data)
+        code, _ = _take_and_compose(loop.record, now)
+        return int(code)
+
+    return take

@@ -1,4 +1,5 @@
-"""Where compiled code is kept: apart for every state of the sources, and only where nobody else can put any."""
+"""Where compiled code is kept: apart for every state of the sources, and only where nobody else can put any; and that
+what is kept is not compiled again."""
 
 from __future__ import annotations
 
@@ -6,36 +7,65 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numba
 import pytest
 
-from firmware_protocol import compiled
+import hapsim
+from firmware_protocol import code_cache, compiled
+from hapsim.compiling.progress import on_compilation
+from hapsim.scene import Scene, parse_scene
+
+SOURCES = {
+    "package/__init__.py": "",
+    "package/tick.py": "from package.room.one import a\n\nx = 1\n",
+    "package/room/__init__.py": "",
+    "package/room/one.py": "import os\nfrom package.room import two, three as third\n",
+    "package/room/two.py": "from package.outside import z\n",
+    "package/room/three.py": "def late():\n    from package.room.four import (\n        first,\n        last,\n    )\n",
+    "package/room/four.py": "import package.room.five as five, sys\n",
+    "package/room/five.py": "from package.room.one import a  # in a circle\n",
+    "package/room/nobody.py": "y = 2\n",
+    "package/room/notes.md": "notes\n",
+    "package/outside.py": "z = 3\n",
+}
+"""A package of which `tick.py` is compiled. It stands outside of the room itself."""
 
 
 @pytest.fixture
-def package(tmp_path: Path) -> Path:
-    (tmp_path / "package" / "room").mkdir(parents=True)
-    (tmp_path / "package" / "one.py").write_text("x = 1\n", encoding="utf-8")
-    (tmp_path / "package" / "room" / "two.py").write_text("y = 2\n", encoding="utf-8")
+def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Sources that stand beside firmware_protocol, as far as the cache can see."""
+    for name, text in SOURCES.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    monkeypatch.setattr(code_cache, "__file__", str(tmp_path / "firmware_protocol" / "code_cache.py"))
     return tmp_path / "package"
 
 
 @pytest.fixture
 def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    monkeypatch.setattr(compiled.tempfile, "gettempdir", lambda: str(tmp_path / "temporary"))
+    monkeypatch.setattr(code_cache.tempfile, "gettempdir", lambda: str(tmp_path / "temporary"))
     (tmp_path / "temporary").mkdir()
     return tmp_path / "cache" / "hapsim"
 
 
-def directory_for(*packages: Path) -> Path | None:
-    """As a process that begins now would choose it."""
-    compiled._build_directory.cache_clear()
+def forget() -> None:
+    """What this process has read of the sources, as if it began now."""
+    for function in (code_cache.directory_for, code_cache._imports_of, code_cache._files_of, code_cache._digest_of):
+        function.cache_clear()
+
+
+def directory_for(package: Path, *sources: str) -> Path | None:
+    """As a process that begins now would choose it for what is compiled from these sources."""
+    forget()
     try:
-        return compiled._build_directory(packages)
+        return code_cache.directory_for(
+            frozenset(package / source for source in sources or ("tick.py",)), (package / "room",)
+        )
     finally:
-        compiled._build_directory.cache_clear()
+        forget()
 
 
 @pytest.mark.usefixtures("cache")
@@ -43,8 +73,22 @@ def test_the_same_sources_keep_their_directory(package: Path) -> None:
     assert directory_for(package) == directory_for(package)
 
 
+def test_the_sources_of_a_function_are_its_file_and_what_that_imports_of_the_rooms_through_whatever(
+    package: Path,
+) -> None:
+    forget()
+    found = code_cache.sources_of([package / "tick.py"], [package / "room"])
+    forget()
+    assert [source.relative_to(package).as_posix() for source in found] == [
+        *("room/__init__.py", "room/five.py", "room/four.py", "room/one.py", "room/three.py", "room/two.py"),
+        "tick.py",
+    ]
+
+
 @pytest.mark.usefixtures("cache")
-@pytest.mark.parametrize("name", ["one.py", "room/two.py", "room/new.py"])
+@pytest.mark.parametrize(
+    "name", ["tick.py", "room/__init__.py", *(f"room/{name}.py" for name in ("one", "two", "three", "four", "five"))]
+)
 def test_a_change_of_any_source_gives_another_directory(package: Path, name: str) -> None:
     before = directory_for(package)
     with (package / name).open("a", encoding="utf-8") as file:
@@ -53,19 +97,53 @@ def test_a_change_of_any_source_gives_another_directory(package: Path, name: str
 
 
 @pytest.mark.usefixtures("cache")
-def test_a_source_that_moves_or_goes_gives_another_directory(package: Path) -> None:
+@pytest.mark.parametrize("name", ["room/nobody.py", "room/new.py", "room/notes.md", "outside.py", "__init__.py"])
+def test_a_file_that_is_not_imported_or_stands_in_no_room_changes_nothing(package: Path, name: str) -> None:
+    before = directory_for(package)
+    with (package / name).open("a", encoding="utf-8") as file:
+        file.write("# changed\n")
+    assert directory_for(package) == before
+
+
+@pytest.mark.usefixtures("cache")
+def test_an_import_that_comes_or_goes_gives_another_directory(package: Path) -> None:
     first = directory_for(package)
-    (package / "one.py").rename(package / "other.py")
+    (package / "room" / "five.py").write_text("from package.room import nobody\n", encoding="utf-8")
     second = directory_for(package)
-    (package / "other.py").unlink()
+    (package / "room" / "nobody.py").write_text("y = 3\n", encoding="utf-8")
     assert len({first, second, directory_for(package)}) == 3
 
 
 @pytest.mark.usefixtures("cache")
-def test_a_file_that_is_no_source_changes_nothing(package: Path) -> None:
+def test_a_source_that_moves_or_goes_gives_another_directory(package: Path) -> None:
+    first = directory_for(package)
+    (package / "room" / "three.py").rename(package / "room" / "other.py")
+    (package / "room" / "one.py").write_text(SOURCES["package/room/one.py"].replace("three", "other"), encoding="utf-8")
+    second = directory_for(package)
+    (package / "room" / "other.py").unlink()
+    assert len({first, second, directory_for(package)}) == 3
+
+
+@pytest.mark.usefixtures("cache")
+def test_another_source_beside_it_gives_another_directory(package: Path) -> None:
+    """Such as that of a class, the order of whose fields is compiled in."""
+    assert directory_for(package, "tick.py", "outside.py") not in (
+        directory_for(package),
+        directory_for(package, "outside.py"),
+    )
+
+
+@pytest.mark.usefixtures("cache")
+@pytest.mark.parametrize(
+    ("owner", "name"),
+    [(numba, "__version__"), (code_cache.platform, "machine"), (code_cache.platform, "python_version")],
+)
+def test_another_compiler_or_machine_has_a_directory_of_its_own(
+    package: Path, monkeypatch: pytest.MonkeyPatch, owner: Any, name: str
+) -> None:
     before = directory_for(package)
-    (package / "notes.md").write_text("notes", encoding="utf-8")
-    assert directory_for(package) == before
+    monkeypatch.setattr(owner, name, "0.0" if owner is numba else lambda: "another")
+    assert directory_for(package) != before
 
 
 def test_the_directory_is_ours_alone(package: Path, cache: Path) -> None:
@@ -75,12 +153,29 @@ def test_the_directory_is_ours_alone(package: Path, cache: Path) -> None:
     assert directory.stat().st_mode & 0o777 == 0o700
 
 
-def test_a_cache_that_others_can_write_to_is_passed_over(package: Path, cache: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("mode", [0o777, 0o770, 0o707])
+def test_a_cache_that_others_can_write_to_is_passed_over(package: Path, cache: Path, tmp_path: Path, mode: int) -> None:
     cache.mkdir(parents=True)
-    cache.chmod(0o777)
+    cache.chmod(mode)
     directory = directory_for(package)
     assert directory is not None
     assert directory.is_relative_to(tmp_path / "temporary")
+
+
+def test_a_directory_that_others_can_write_to_is_passed_over(package: Path, cache: Path, tmp_path: Path) -> None:
+    before = directory_for(package)
+    assert before is not None
+    assert before.parent == cache
+    before.chmod(0o777)
+    directory = directory_for(package)
+    assert directory is not None
+    assert directory.is_relative_to(tmp_path / "temporary")
+
+
+def test_a_cache_of_somebody_else_is_passed_over(package: Path, cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    cache.mkdir(parents=True, mode=0o700)
+    monkeypatch.setattr(os, "getuid", lambda: os.stat(cache).st_uid + 1)
+    assert directory_for(package) is None  # nor is the temporary one ours
 
 
 def test_where_the_cache_cannot_be_made_the_temporary_directory_serves(
@@ -100,11 +195,11 @@ def test_where_nothing_can_be_written_functions_are_compiled_all_the_same(
     (tmp_path / "temporary").write_text("here too", encoding="utf-8")
     assert directory_for(package) is None
 
-    @compiled.Compiler(package).jit
+    @compiled.Compiler(package).entry
     def double(x: int) -> int:
         return 2 * x
 
-    compiled._build_directory.cache_clear()
+    forget()
     assert double(21) == 42
 
 
@@ -115,50 +210,142 @@ def test_a_program_that_uses_hapsim_keeps_its_own_setting_of_numba(
 ) -> None:
     monkeypatch.setattr(numba.config, "CACHE_DIR", setting)
 
-    @compiled.Compiler(package).jit
+    @compiled.Compiler(package).entry
     def half(x: float) -> float:
         return x / 2
 
-    compiled._build_directory.cache_clear()
+    forget()
     assert setting == numba.config.CACHE_DIR
 
 
-def test_old_builds_are_forgotten_and_the_newest_kept(package: Path, cache: Path) -> None:
-    for change in range(10):
-        (package / "one.py").write_text(f"x = {change}\n", encoding="utf-8")
-        newest = directory_for(package)
-    assert newest in cache.iterdir()
-    assert len(list(cache.iterdir())) <= compiled._KEPT
+def test_what_nobody_has_loaded_for_a_month_is_removed_and_the_rest_kept(package: Path, cache: Path) -> None:
+    def aged(name: str, days: float) -> Path:
+        directory = cache / name
+        (directory / "inside").mkdir(parents=True)
+        then = directory.stat().st_mtime - 86400.0 * days
+        os.utime(directory, (then, then))
+        return directory
+
+    used = directory_for(package)
+    assert used is not None
+    os.utime(used, (0.0, 0.0))
+    assert directory_for(package) == used  # whoever loads from it keeps it
+    old, recent = aged("old", 31.0), aged("recent", 29.0)
+    assert directory_for(package) == used
+    assert old.exists()  # it is looked for once the sources change, and not at every start
+    with (package / "tick.py").open("a", encoding="utf-8") as file:
+        file.write("# changed\n")
+    newest = directory_for(package)
+    assert newest is not None
+    assert newest != used
+    assert not old.exists()
+    assert recent.exists()
+    assert used.exists()
+    assert newest.exists()
 
 
-def test_what_another_program_left_in_the_cache_is_compiled_anew(tmp_path: Path) -> None:
-    """numba's index of what was kept names the types of a port that only the other program has."""
-    program = (
-        "import sys; sys.path.insert(0, {where!r})\n"
-        "import numpy as np\n"
-        "{port}\n"
-        "from hapsim.compiled import compile_for\n"
-        "from hapsim.loop.port import send_from\n"
-        "compile_for(send_from, {argument}, np.zeros(4, np.uint8), 1)\n"
-        "print('compiled')\n"
-    )
-    (tmp_path / "theirs.py").write_text(
-        "from typing import NamedTuple\n"
-        "from hapsim.compiled import inlined\n"
-        "from hapsim.loop.port import transport\n"
-        "class TheirPort(NamedTuple):\n    number: int\n"
-        "@inlined\ndef take(port, buffer, start, timeout_ns):\n    return 0\n"
-        "@inlined\ndef give(port, buffer, stop):\n    return 0\n"
-        "transport(TheirPort, take, give)\n",
+ORDER = """
+import ctypes, sys
+sys.path.insert(0, {where!r})
+from numba import types
+from hapsim.compiling.native import Behind, NativeFunction
+from difference import difference
+from numbers_of_it import Numbers
+
+compiled = NativeFunction(difference, types.float64)
+function, numbers = compiled.call_on(Behind(Numbers(minuend=5.0, subtrahend=2.0)))
+print(ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_void_p)(function)(numbers))
+"""
+
+
+def test_numbers_whose_order_has_changed_are_not_read_by_what_was_compiled_for_the_old_one(tmp_path: Path) -> None:
+    """numba tells two tuples with the same names and other places apart by neither their type nor the function."""
+    (tmp_path / "difference.py").write_text(
+        "from hapsim.compiling.native import value_of\n\n"
+        "def difference(numbers):\n    numbers = value_of(numbers)\n    return numbers.minuend - numbers.subtrahend\n",
         encoding="utf-8",
     )
-    ours = program.format(
-        where="", port="from hapsim.loop.descriptor import descriptor_port", argument="descriptor_port(0)"
-    )
-    theirs = program.format(where=str(tmp_path), port="from theirs import TheirPort", argument="TheirPort(1)")
-    environment = os.environ | {"XDG_CACHE_HOME": str(tmp_path / "cache")}
-    for text in (theirs, ours, ours):
-        done = subprocess.run(
-            [sys.executable, "-c", text], env=environment, capture_output=True, text=True, check=False
+    fields = ["minuend: float", "subtrahend: float"]
+    for order in (fields, fields[::-1], fields):
+        (tmp_path / "numbers_of_it.py").write_text(
+            "from typing import NamedTuple\n\nclass Numbers(NamedTuple):\n    " + "\n    ".join(order) + "\n",
+            encoding="utf-8",
         )
-        assert done.stdout == "compiled\n", done.stderr
+        environment = os.environ | {"XDG_CACHE_HOME": str(tmp_path / "cache"), "PYTHONDONTWRITEBYTECODE": "1"}
+        program = ORDER.format(where=str(tmp_path))
+        done = subprocess.run(
+            [sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=False
+        )
+        assert done.stdout == "3.0\n", done.stderr[-2000:]
+
+
+TEXT = """
+version: 1
+rate: 1000
+device: {mass: 0.2, clock: lockstep}
+modules:
+  hand:  {type: device, channel: 0}
+  wall:  {type: ground}
+  ball:  {type: mass, mass: 0.05}
+  touch: {type: viscoelastic, between: [hand, ball], stiffness: 500, damping: 2}
+  hold:  {type: viscoelastic, between: [ball, wall], stiffness: 500}
+"""
+
+MORE = """
+version: 1
+rate: 3000
+device: {mass: 0.4, clock: lockstep, force_limit: 3, delay: 2}
+modules:
+  left:  {type: device, channel: 0}
+  right: {type: device, channel: 3}
+  wall:  {type: ground}
+  floor: {type: ground, position: -0.01}
+  egg:   {type: mass, mass: 0.01}
+  ball:  {type: mass, mass: 0.02, velocity: 0.1}
+  brick: {type: mass, mass: 0.03}
+  one:   {type: viscoelastic, between: [left, egg], stiffness: 300, damping: 1}
+  two:   {type: viscoelastic, between: [right, ball], stiffness: 200}
+  three: {type: viscoelastic, between: [ball, brick], stiffness: 100, damping: 3}
+  four:  {type: viscoelastic, between: [brick, floor], stiffness: 50}
+  five:  {type: viscoelastic, between: [egg, wall], stiffness: 25}
+"""
+
+PROGRAM = """
+import sys
+from hapsim.compiling.progress import on_compilation
+from hapsim.running import run
+from hapsim.scene import parse_scene
+
+told = []
+with on_compilation(told.append):
+    for line in ("loopback", "terminal"):
+        run(parse_scene(sys.argv[1]), duration=0.02, line=line)
+print(told)
+"""
+
+
+def compiled_for(scene: Scene, **options: Any) -> list[str]:
+    """What is compiled for a run of it."""
+    told: list[str] = []
+    with on_compilation(told.append):
+        hapsim.run(scene, duration=0.02, **options)
+    return told
+
+
+@pytest.fixture
+def ran() -> None:
+    """A run has left what it compiled, in memory and with a terminal."""
+    for line in ("loopback", "terminal"):
+        compiled_for(parse_scene(TEXT), line=line)
+
+
+@pytest.mark.usefixtures("ran")
+def test_a_second_process_that_starts_the_same_scene_compiles_nothing() -> None:
+    done = subprocess.run([sys.executable, "-c", PROGRAM, TEXT], capture_output=True, text=True, check=False)
+    assert done.stdout == "[]\n", done.stderr[-2000:]
+
+
+@pytest.mark.usefixtures("ran")
+@pytest.mark.parametrize("line", ["loopback", "terminal"])
+def test_a_scene_with_other_numbers_of_the_same_modules_compiles_nothing(line: str) -> None:
+    assert compiled_for(parse_scene(MORE), line=line) == []

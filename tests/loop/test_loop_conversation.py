@@ -42,12 +42,12 @@ def refusal(scripted: Scripted, kind: type[Exception], scene: Scene | None = Non
 
 def test_a_description_arrives_as_the_device_says_it(scripted: Scripted) -> None:
     with scripted(name="a device", force_limit=(3.5,)) as (scene, device):
-        line = open_serial_port(scene.device.port, scene.device.baud)
+        connection = open_serial_port(scene.device.port, scene.device.baud)
         try:
-            assert conversation.describe(line) == device.description
-            assert conversation.read_register(line, schema.REG_SCHEMA) == schema.SCHEMA_HASH
+            assert conversation.describe(connection) == device.description
+            assert conversation.read_register(connection, schema.REG_SCHEMA) == schema.SCHEMA_HASH
         finally:
-            line.close()
+            connection.close()
 
 
 def test_a_newer_protocol_asks_for_a_newer_hapsim(scripted: Scripted) -> None:
@@ -177,8 +177,8 @@ def test_a_device_that_hangs_up_while_it_is_asked_is_gone(scripted: Scripted) ->
 def test_every_value_survives_the_registers_as_bits(scripted: Scripted) -> None:
     value = struct.unpack("<d", bytes.fromhex("ffffffff0000f03f"))[0]  # a low word with its highest bit set
     with scripted(position_scale=(value,)) as (scene, _):
-        line = open_serial_port(scene.device.port, scene.device.baud)
+        connection = open_serial_port(scene.device.port, scene.device.baud)
         try:
-            assert conversation.describe(line).position_scale == (value,)
+            assert conversation.describe(connection).position_scale == (value,)
         finally:
-            line.close()
+            connection.close()

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import hapsim
-from hapsim.compiled import jit
+from hapsim.compiling import entry
 from hapsim.cordis.program import numbers_of, positions_of
 from hapsim.loop.denormals import flush_denormals, restore
 from hapsim.running import Session
@@ -22,7 +22,7 @@ SMALLEST = np.finfo(np.float64).tiny
 RATE, MASS = 1000.0, 0.1
 
 
-@jit
+@entry
 def product_while_flushed(a, b):
     mode = flush_denormals()
     flushed = a * b
@@ -30,7 +30,7 @@ def product_while_flushed(a, b):
     return flushed
 
 
-@jit
+@entry
 def product(a, b):
     return a * b
 
@@ -44,7 +44,8 @@ def falling_silent() -> Scene:
     a, b = 0.01, 0.19  # T²/m K, T/m B
     cell = {"type": "cell", "mass": MASS, "stiffness": a * MASS * RATE**2, "damping": b * MASS * RATE, "position": 1.0}
     modules = {"hand": {"type": "device", "channel": 0}, "ball": cell}
-    return Scene.model_validate({"version": 1, "rate": RATE, "device": {"mass": 0.2}, "modules": modules})
+    device = {"mass": 0.2, "clock": "lockstep"}
+    return Scene.model_validate({"version": 1, "rate": RATE, "device": device, "modules": modules})
 
 
 def test_a_running_scene_has_no_such_numbers_and_leaves_its_thread_as_it_was(monkeypatch: pytest.MonkeyPatch) -> None:

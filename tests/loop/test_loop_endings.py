@@ -21,24 +21,23 @@ import yaml
 import hapsim
 from firmware_protocol import schema
 from firmware_protocol.frames import armed_format, frame_to_host
-from hapsim.compiled import jit
-from hapsim.device.mock.firmware import Mock
+from hapsim.compiling import entry
 from hapsim.errors import DeviceError
 from hapsim.loop.endings import DONE, GOES_ON, RING_FULL, STOPPED, told_to_end
-from hapsim.loop.exchange import Loop
 from hapsim.loop.ring import UNSENT
 from hapsim.loop.trace import load_trace
 from hapsim.progress import Progress
 from hapsim.running import run
+from hapsim.running.assemble import Loop
 from hapsim.scene import Scene
 
-Served = Callable[[Scene], contextlib.AbstractContextManager[tuple[Scene, Mock]]]
+Served = Callable[[Scene], contextlib.AbstractContextManager[tuple[Scene, Any]]]
 Scripted = Callable[..., Any]
 CLOCKS = ["lockstep", "device", "host"]
 
 
-def require_let_go(mock: Mock, state: int = schema.IDLE) -> None:
-    assert mock.board["state"] == state
+def require_let_go(mock: Any, state: int = schema.IDLE) -> None:
+    assert mock.board.state == state
     assert not mock.commands.any()
 
 
@@ -71,10 +70,10 @@ def test_a_stop_between_two_ticks_ends_a_run_by_the_hosts_clock_before_the_next(
     assert trace.statistics.lateness.total == 0
 
 
-@jit
+@entry
 def told_in_compiled_code(loop):
     """`told_to_end` as the compiled loops have it."""
-    return told_to_end(loop.control, loop.state, loop.ring)
+    return told_to_end(loop)
 
 
 @pytest.mark.parametrize(
@@ -98,9 +97,9 @@ def test_what_ends_a_loop_is_the_same_in_compiled_code_and_in_python(
     ending: int,
 ) -> None:
     loop = assembled(scene_of())
-    loop.control["stop"], loop.control["ticks"], loop.state["ticks"] = stop, ticks, 7
-    loop.ring.cursor["head"], loop.ring.cursor["waits"] = unread, waits
-    assert told_in_compiled_code(loop) == told_to_end(loop.control, loop.state, loop.ring) == ending
+    loop.control.stop, loop.control.ticks, loop.state.ticks = stop, ticks, 7
+    loop.record.ring.head, loop.record.ring.waits = unread, waits
+    assert told_in_compiled_code(loop.record) == told_to_end(loop.record) == ending
 
 
 @pytest.mark.parametrize("clock", CLOCKS)
@@ -149,7 +148,7 @@ def test_the_command_ends_with_status_0_on_a_signal_and_keeps_the_record(
         file.write_text(yaml.safe_dump(scene.model_dump(mode="json", exclude_none=True)), encoding="utf-8")
         command = [sys.executable, "-m", "hapsim", "run", str(file), "--record", str(record), "--json"]
         with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-            while mock.board["state"] != schema.ARMED and process.poll() is None:
+            while mock.board.state != schema.ARMED and process.poll() is None:
                 time.sleep(0.01)
             process.send_signal(number)
             out, err = process.communicate()
@@ -249,7 +248,7 @@ def test_a_host_that_died_in_virtual_time_does_not_lock_the_next_one_out(
             assert subprocess.run([sys.executable, "-c", code, str(path)], check=False).returncode == -9
         finally:
             path.unlink()
-        assert mock.board["state"] == schema.ARMED
+        assert mock.board.state == schema.ARMED
         trace = run(scene, duration=0.05)
         require_let_go(mock)
     assert trace.sample.tolist() == list(range(50))

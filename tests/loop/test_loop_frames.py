@@ -11,7 +11,7 @@ import pytest
 from firmware_protocol import schema
 from firmware_protocol.frames import armed_format, frame_to_host
 from hapsim.errors import DeviceError
-from hapsim.loop.ring import BRIDGED, HELD, UNSENT
+from hapsim.loop.ring import BRIDGED, LATE_FORCE, UNSENT
 from hapsim.loop.trace import Trace
 from hapsim.running import run
 
@@ -121,7 +121,7 @@ def test_what_the_device_held_is_counted_as_late_and_ages_the_force(scripted: Sc
     trace, _ = play(scripted, [frame(n, 0, kind=kind) for n, kind in enumerate(kinds)], 6)
     assert trace.report.late_ticks == 3
     assert trace.report.age_samples.max == 4
-    assert trace.flags.tolist() == [0, 0, HELD, HELD, HELD, 0]
+    assert trace.flags.tolist() == [0, 0, LATE_FORCE, LATE_FORCE, LATE_FORCE, 0]
 
 
 def test_a_frame_that_is_no_position_moves_nothing(scripted: Scripted, frame: FrameOf) -> None:

@@ -10,18 +10,15 @@ import numpy as np
 import pytest
 
 from firmware_protocol import schema
-from hapsim.compiled import jit
-from hapsim.device.mock.firmware import Mock
+from hapsim.compiling import entry
 from hapsim.errors import GuardError, UsageError
-from hapsim.loop.exchange import _NOT_A_NUMBER, Loop, _set_force
-from hapsim.loop.guard.finite import is_finite
-from hapsim.loop.guard.limit import cut
+from hapsim.loop.guard.force import cut, is_finite
 from hapsim.loop.ring import LIMITED
 from hapsim.running import Excitation, run
 from hapsim.scene import Scene, parse_scene
 
-Assembled = Callable[[Scene], Loop]
-Served = Callable[[Scene], contextlib.AbstractContextManager[tuple[Scene, Mock]]]
+CLOCKS = ["lockstep", "device", "host"]
+Served = Callable[[Scene], contextlib.AbstractContextManager[tuple[Scene, Any]]]
 
 
 def test_a_force_beyond_the_limit_is_cut_flagged_and_counted(scene_of: Callable[..., Scene]) -> None:
@@ -65,7 +62,7 @@ def test_counts_on_the_wire_never_mean_more_than_the_limit(
     assert np.all(trace.flags & LIMITED)
 
 
-@pytest.mark.parametrize("clock", ["lockstep", "device", "host"])
+@pytest.mark.parametrize("clock", CLOCKS)
 def test_a_force_that_is_no_number_stops_the_loop_with_zero_force(
     scene_of: Callable[..., Scene], served: Served, clock: str
 ) -> None:
@@ -73,7 +70,7 @@ def test_a_force_that_is_no_number_stops_the_loop_with_zero_force(
     with served(scene) as (scene, mock):
         with pytest.raises(GuardError, match="not a finite number at tick") as caught:
             run(scene, duration=1.0)
-        assert mock.board["state"] == schema.IDLE
+        assert mock.board.state == schema.IDLE
         assert not mock.commands.any()
     assert caught.value.exit_status == 4
     trace = caught.value.trace
@@ -97,7 +94,7 @@ def test_a_mass_of_the_scene_that_diverges_stops_the_loop_once_the_hand_would_fe
     assert np.isfinite(caught.value.trace.force).all()
 
 
-@jit
+@entry
 def guarded(force, limit):
     """The guards as the loop has them woven in."""
     return is_finite(force), cut(force, limit)
@@ -110,28 +107,99 @@ def test_the_guard_sees_every_value_that_is_no_number(value: float) -> None:
     assert not guarded(value, 1.0)[0]
 
 
-@pytest.mark.parametrize("value", [np.nan, np.inf])
-@pytest.mark.parametrize("channel", [0, 1, 15])
-def test_one_channel_without_a_number_stops_them_all(
-    assembled: Assembled, scene_of: Callable[..., Scene], value: float, channel: int
-) -> None:
-    loop = assembled(scene_of(16))
-    loop.desk["asked"][:] = 1.0
-    assert force_flags(loop) == 0
-    assert np.all(loop.desk["force_counts"] == 1000)
-    loop.desk["asked"][channel] = value
-    assert force_flags(loop) == _NOT_A_NUMBER
-    assert not loop.desk["force_counts"].any()
-
-
-@jit
-def force_flags(loop):
-    return _set_force(loop.desk, loop.control, loop.state)
-
-
 @pytest.mark.parametrize(("force", "held"), [(0.5, 0.5), (-2.0, -1.5), (3.0, 1.5), (1.5, 1.5), (-1.5, -1.5)])
 def test_the_limit_cuts_to_either_side_and_leaves_the_rest_alone(force: float, held: float) -> None:
     assert guarded(force, 1.5)[1] == held
+
+
+FORCE_SCALE = 2.0**-10  # N per count
+POSITION_SCALE = 2.0**-20  # m per count: at 1024 N/m a count of position asks for a count of force, without rounding
+LIMIT = 5000  # counts
+FAR = 2**31 - 1
+
+
+def springs(scene: Scene, stiffness: float, **of_channel: dict[str, float]) -> Scene:
+    """Every hand on a spring of so many N/m, without a damper, but for the links that are named."""
+    changes = {name: {"stiffness": stiffness, "damping": 0.0} | of_channel.get(name, {}) for name in scene.links}
+    modules = {name: module.model_copy(update=changes.get(name, {})) for name, module in scene.modules.items()}
+    return scene.model_copy(update={"modules": modules})
+
+
+def alike(channels: int) -> dict[str, tuple[float, ...]]:
+    """What a scripted device with so many channels, all alike, says of itself."""
+    each = {"position_scale": POSITION_SCALE, "force_scale": FORCE_SCALE, "force_limit": LIMIT * FORCE_SCALE}
+    return {name: (value,) * channels for name, value in each.items()}
+
+
+@pytest.mark.parametrize("clock", CLOCKS)
+@pytest.mark.parametrize("channel", [0, 1, 2])
+def test_up_to_the_limit_a_force_leaves_as_it_is_and_beyond_it_the_limit_to_the_same_side(
+    scene_of: Callable[..., Scene], scripted: Callable[..., Any], frame: Callable[..., bytes], clock: str, channel: int
+) -> None:
+    wanted = [0, 1, LIMIT - 1, LIMIT, LIMIT + 1, LIMIT + 2, 2 * LIMIT, FAR, LIMIT]
+    wanted += [-counts for counts in wanted]
+    others = [7, -8, 9]  # counts, of the channels that are below their limits
+
+    def asked(counts: int) -> list[int]:
+        return [counts if c == channel else others[c] for c in range(3)]
+
+    script = [frame(n, *(-counts for counts in asked(wanted[n]))) for n in range(len(wanted))]
+    scene = springs(scene_of(3, rate=100.0, device={"clock": clock}), 1024.0)
+    with scripted(script, scene=scene, rate_hz=100.0, **alike(3)) as (there, device):
+        trace = run(there, duration=len(wanted) / 100.0)
+    beyond = np.abs(wanted) > LIMIT
+    leaves = np.clip(wanted, -LIMIT, LIMIT)
+    np.testing.assert_array_equal(trace.asked_force[:, channel] / FORCE_SCALE, wanted)
+    np.testing.assert_array_equal(trace.force_counts[:, channel], leaves)
+    np.testing.assert_array_equal((trace.flags & LIMITED) != 0, beyond)
+    assert trace.report.limited_ticks == beyond.sum() == 8
+    # By the host's clock a tick that comes late lets a force be overtaken: what does leave is the guarded one.
+    assert {heard.number for heard in device.forces} <= set(range(len(wanted)))
+    assert len(device.forces) == len(wanted) or clock == "host"
+    for heard in device.forces:
+        assert list(heard.counts) == asked(int(leaves[heard.number]))
+
+
+NO_NUMBER: dict[str, tuple[dict[str, float], int, int]] = {
+    "too large": ({"stiffness": 1.7e308}, -FAR, 3),
+    "too small": ({"stiffness": 1.7e308}, FAR, 3),
+    "nan": ({"damping": 1e308}, 0, 0),  # at rest: no velocity times an infinite B/T
+}
+"""What a link is like, where its hand is at sample 3 in counts, and at which sample its force is no number."""
+
+
+@pytest.mark.parametrize("clock", CLOCKS)
+@pytest.mark.parametrize("channel", [0, 1, 15])
+@pytest.mark.parametrize("kind", NO_NUMBER)
+def test_one_channel_without_a_number_lets_go_of_all_of_them(
+    scene_of: Callable[..., Scene],
+    scripted: Callable[..., Any],
+    frame: Callable[..., bytes],
+    clock: str,
+    channel: int,
+    kind: str,
+) -> None:
+    link, far, last = NO_NUMBER[kind]
+    still = [-100] * 16
+    still[channel] = 0
+    moved = [far if c == channel else -100 for c in range(16)]
+    scene = springs(scene_of(16, rate=100.0, device={"clock": clock}), 1024.0, **{f"touch{channel}": link})
+    script = [frame(n, *(moved if n == 3 else still)) for n in range(6)]
+    with scripted(script, scene=scene, rate_hz=100.0, **alike(16)) as (there, device):
+        with pytest.raises(GuardError, match="not a finite number at tick") as caught:
+            run(there, duration=1.0)
+        assert not device.armed
+    trace = caught.value.trace
+    assert trace is not None
+    assert trace.report.ending == "force not finite"
+    assert trace.sample.tolist() == list(range(last + 1))
+    assert np.isfinite(trace.asked_force[:-1]).all()
+    assert np.isfinite(trace.asked_force[-1]).sum() == 15
+    assert not np.isfinite(trace.asked_force[-1, channel])
+    assert not trace.force_counts[-1].any()
+    # What left: the forces of the samples before, and then the frame that disarms, with zeros.
+    assert all(heard.number < last and 0 < max(heard.counts) <= LIMIT for heard in device.forces)
+    assert [list(farewell.counts) for farewell in device.farewells] == [[0] * 16]
 
 
 @pytest.mark.parametrize("duration", [0.0, -1.0, float("nan"), float("inf"), 1e300])

@@ -9,11 +9,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hapsim.loop.histogram import Histogram, histogram_of, new_histogram, note
+from firmware_protocol.records import new_record
+from hapsim.loop.histogram import HISTOGRAM, Histogram, histogram_of, note
 
 
 def counted(*values: int, unit: float = 1.0) -> Histogram:
-    record = new_histogram()
+    record = new_record(HISTOGRAM)
     for value in values:
         note(record, value)
     return histogram_of(record, unit)

@@ -1,103 +1,144 @@
-"""The loop when the host is the clock, one exchange at a time: a port in the test's hands, no time asserted."""
+"""The loop when the host is the clock, tick by tick: over a transport that follows a script, no time asserted beyond
+what the clock itself guarantees."""
 
 from __future__ import annotations
 
-import contextlib
-import os
-import time
-import tty
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Sequence
 from typing import Any
 
+import numpy as np
 import pytest
 
-from firmware_protocol.decoder import frames_in, new_decoder
-from hapsim.compiled import jit
-from hapsim.loop.codes import HEARD
+from firmware_protocol import schema
+from firmware_protocol.decoder import Frame, frames_in, new_decoder
+from firmware_protocol.records import new_record
+from hapsim.compiling.native import array_at, record_at
+from hapsim.loop.codes import HEARD, TIMED_OUT
+from hapsim.loop.endings import DONE
 from hapsim.loop.histogram import histogram_of
-from hapsim.loop.paced_by_host import exchange_before
-from hapsim.loop.portable import show_last_rows
-from hapsim.loop.ring import OFF_GRID, UNSENT, drain
-from hapsim.loop.waiting import take_newest_position
+from hapsim.loop.portable import PortableLoop, _compose_last
+from hapsim.loop.ring import OFF_GRID, UNSENT
+from hapsim.loop.run import run_loop
+from hapsim.loop.transport import Transport, receiver, sender
+from hapsim.running.assemble import Loop
 
 FrameOf = Callable[..., bytes]
-LONG_NS = 10_000_000_000
+RATE = 500.0
+PERIOD_S = 1 / RATE
+
+SCRIPT = np.dtype(
+    [
+        ("items", np.int64),
+        ("next", np.int64),  # item
+        ("after", np.int64, 8),  # so many frames of the host an item comes,
+        ("late", np.int64, 8),  # 1: and only once whoever waited for it has given up
+        ("stop", np.int64, 8),  # where it ends
+        ("bytes", np.uint8, 512),
+        ("sent", np.int64),  # frames of the host
+        ("given_up", np.int64),  # 1: since the last of them somebody has waited in vain
+        ("heard", np.int64),  # bytes of them
+        ("frames", np.uint8, 4096),
+    ],
+    align=True,
+)
+_script_at, _bytes_at = record_at(SCRIPT), array_at(np.uint8)
 
 
-@jit
-def take(loop, now, timeout_ns):
-    """A part of the compiled loop, callable from Python."""
-    return take_newest_position(loop, now, timeout_ns)
+@receiver
+def follow_script(context, buffer, room, timeout_ns):
+    script, buffer = _script_at(context), _bytes_at(buffer, room)
+    item = script.next
+    if item == script.items or script.sent < script.after[item] or script.late[item] > script.given_up:
+        script.given_up |= timeout_ns <= 0
+        return TIMED_OUT
+    start = script.stop[item - 1] if item > 0 else 0
+    for i in range(start, script.stop[item]):
+        buffer[i - start] = script.bytes[i]
+    script.next += 1
+    return script.stop[item] - start
 
 
-@jit
-def exchange(loop, now, due):
-    """Another."""
-    return exchange_before(loop, now, due)
+@sender
+def note_frame(context, buffer, stop):
+    script, buffer = _script_at(context), _bytes_at(buffer, stop)
+    for i in range(stop):
+        script.frames[script.heard + i] = buffer[i]
+    script.heard += stop
+    script.sent += 1
+    script.given_up = 0
+    return 0
 
 
-@pytest.fixture
-def held_port(scene_of: Callable[..., Any], assembled: Callable[..., Any]) -> Iterator[tuple[Any, int]]:
-    """(a loop over one end of a pseudo-terminal, armed; the descriptor of the other end)."""
-    near, far = os.openpty()
-    for end in (near, far):
-        tty.setraw(end)
-        os.set_blocking(end, False)
-    yield assembled(scene_of(device={"clock": "host"}), far), near
-    for end in (near, far):
-        with contextlib.suppress(OSError):
-            os.close(end)
+Play = Callable[..., tuple[Loop, list[Frame]]]
+Item = tuple[int, bool, bytes]
+"""Bytes of the device: after how many frames of the host they come, and whether too late for the tick before."""
 
 
-def test_a_position_that_came_after_its_tick_is_answered_and_leaves_no_lag(
-    held_port: tuple[Any, int], frame: FrameOf
-) -> None:
-    loop, near = held_port
-    os.write(near, frame(0, 0))
-    assert take(loop, time.monotonic_ns(), LONG_NS) == HEARD
+@pytest.fixture(params=["compiled", "portable"])
+def play(request: pytest.FixtureRequest, assembled: Callable[..., Loop], scene_of: Callable[..., Any]) -> Play:
+    """Runs a loop by the host's clock until it has taken so many positions; it, and the frames that it sent."""
+
+    def run(script: Sequence[Item], ticks: int) -> tuple[Loop, list[Frame]]:
+        loop = assembled(scene_of(rate=RATE, device={"clock": "host"}))
+        record = new_record(SCRIPT)
+        record.items = len(script)
+        record.after[: len(script)] = [after for after, _, _ in script]
+        record.late[: len(script)] = [late for _, late, _ in script]
+        record.stop[: len(script)] = np.cumsum([len(data) for _, _, data in script])
+        whole = b"".join(data for _, _, data in script)
+        record.bytes[: len(whole)] = np.frombuffer(whole, np.uint8)
+        transport = Transport(follow_script, note_frame, record)
+        loop.inbox.transport = transport.record
+        loop.control.ticks = ticks
+        loop.control.silence_ns = 60 * 10**9
+        portable = request.param == "portable"
+        ending = PortableLoop(loop.record, loop.inbox, transport).run() if portable else run_loop(loop.record)
+        assert ending == DONE
+        frames = frames_in(new_decoder(loop.wire, to_device=True), record.frames[: record.heard].tobytes())
+        assert frames.pop().type == schema.DISARM
+        return loop, frames
+
+    return run
+
+
+def test_a_position_that_came_after_its_tick_is_answered_and_leaves_no_lag(play: Play, frame: FrameOf) -> None:
     # The tick that asked for position 1 is over before it comes, so at the next tick it waits in the line.
-    os.write(near, frame(1, 5))
-    exchange(loop, time.monotonic_ns(), 0)
-    forces = frames_in(new_decoder(loop.wire, to_device=True), os.read(near, 4096))
-    assert [force.number for force in forces] == [1]
+    loop, forces = play([(0, False, frame(0, 0)), (1, True, frame(1, 5)), (2, False, frame(2, 5))], 3)
+    assert [force.number for force in forces] == [0, 1]
+    assert loop.ring.drain().sample.tolist() == [0, 1, 2]
 
 
-def test_a_sample_that_took_far_more_or_less_than_a_period_is_marked(
-    held_port: tuple[Any, int], frame: FrameOf
-) -> None:
-    loop, near = held_port
-    for number in range(3):
-        os.write(near, frame(number, number))
-        assert take(loop, time.monotonic_ns(), LONG_NS) == HEARD
-        # As if this position had come an hour ago: the next one is far off the grid, whatever the machine does.
-        loop.state["newest_ns"] -= 3_600_000_000_000
-    show_last_rows(loop)
-    assert drain(loop.ring).flags.tolist() == [UNSENT, OFF_GRID | UNSENT, OFF_GRID | UNSENT]
+def test_a_position_that_does_not_come_is_asked_for_again(play: Play, frame: FrameOf) -> None:
+    loop, forces = play([(0, False, frame(0, 0)), (4, False, frame(1, 5)), (5, False, frame(2, 5))], 3)
+    assert [force.number for force in forces] == [0, 0, 0, 0, 1]
+    assert (loop.state.stale_positions, loop.state.lost_frames) == (0, 0)
 
 
-def test_a_position_that_came_after_its_tick_is_measured_from_when_it_was_asked_for(
-    held_port: tuple[Any, int], frame: FrameOf
-) -> None:
-    loop, near = held_port
-    os.write(near, frame(0, 0))
-    assert take(loop, time.monotonic_ns(), LONG_NS) == HEARD
-    exchange(loop, time.monotonic_ns(), 0)  # asks for position 1, which does not come
-    loop.state["tick_ns"] -= 3_600_000_000_000  # as if that had been an hour ago
-    exchange(loop, time.monotonic_ns(), 0)  # asks again
-    os.write(near, frame(1, 5))
-    exchange(loop, time.monotonic_ns(), 0)
-    took = histogram_of(loop.statistics.exchange, 1e-9)
+def test_a_position_that_came_after_its_tick_is_measured_from_when_it_was_asked_for(play: Play, frame: FrameOf) -> None:
+    loop, forces = play([(0, False, frame(0, 0)), (10, False, frame(1, 5))], 2)
+    assert [force.number for force in forces] == [0] * 10
+    took = histogram_of(loop.record.histograms.exchange, 1e-9)
     assert took.total == 1
-    assert took.maximum > 3600.0
+    assert took.maximum > 8 * PERIOD_S  # nine periods lie between; the first tick may be late by up to one
 
 
-def test_a_position_that_a_newer_one_overtakes_between_two_ticks_was_never_answered(
-    held_port: tuple[Any, int], frame: FrameOf
+def test_a_position_that_a_newer_one_overtakes_between_two_ticks_was_never_answered(play: Play, frame: FrameOf) -> None:
+    loop, forces = play([(0, False, frame(0, 0)), (0, False, frame(1, 1) + frame(2, 2))], 3)
+    assert [force.number for force in forces] == [2]
+    assert (loop.ring.drain().flags & UNSENT).tolist() == [UNSENT, UNSENT, 0]
+    assert loop.state.stale_positions == 2
+
+
+def test_a_sample_that_took_clearly_more_or_less_than_a_period_is_marked(
+    assembled: Callable[..., Loop], scene_of: Callable[..., Any], arrive: Callable[..., int], frame: FrameOf
 ) -> None:
-    loop, near = held_port
-    for number in (0, 1, 2):
-        os.write(near, frame(number, number))
-        assert take(loop, time.monotonic_ns(), LONG_NS) == HEARD
-    exchange(loop, time.monotonic_ns(), 0)
-    assert drain(loop.ring).flags.tolist() == [UNSENT, OFF_GRID | UNSENT, OFF_GRID]
-    assert loop.state["stale_positions"] == 2
+    loop = assembled(scene_of(rate=RATE, device={"clock": "host"}))
+    period, now = int(loop.control.period_ns), 10**9
+    most = period // 8
+    took = [0, period, period + most, period + most + 1, period - most, period - most - 1, 0, 3600 * 10**9, period]
+    for number, ns in enumerate(took):
+        now += ns
+        assert arrive(loop, frame(number, number), now) == HEARD
+    _compose_last(loop.record)  # which shows the reader what there is
+    marked = [0, 0, 0, OFF_GRID, 0, OFF_GRID, OFF_GRID, OFF_GRID, 0]
+    assert (loop.ring.drain().flags & OFF_GRID).tolist() == marked

@@ -9,7 +9,7 @@ from typing import Any
 import numba
 import pytest
 
-from hapsim.compiled import on_compilation
+from hapsim.compiling.progress import on_compilation
 
 
 def test_an_interrupt_during_a_compilation_comes_when_it_is_over() -> None:

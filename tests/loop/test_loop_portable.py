@@ -41,9 +41,9 @@ def test_the_portable_loop_runs_in_real_time_by_either_clock(scene_of: SceneOf, 
 def test_its_parameters_are_live_too(scene_of: SceneOf) -> None:
     with hapsim.start(scene_of(mock={"noise": 1e-4}), line="terminal", portable=True) as session:
         session.set({"touch0": {"stiffness": 100.0, "damping": 0.0}}, over=0.005)
-        taken = session._loop.parameters.mail
+        taken = session._loop.program.record.parameters
         while not session.wait(0.01):
-            if int(taken["sets"]) == 1 and int(taken["left"]) == 0:
+            if int(taken.sets) == 1 and int(taken.left) == 0:
                 session.stop()
     trace = session.trace
     np.testing.assert_allclose(trace.asked_force[-1], -100.0 * trace.position[-1], rtol=1e-9)

@@ -16,7 +16,6 @@ import serial
 from hapsim.device.serial_port import open_serial_port, serial_ports
 from hapsim.errors import DeviceError
 from hapsim.loop.codes import HUNG_UP, TIMED_OUT
-from hapsim.loop.port import receive_into, send_from
 
 BAUD = 2_000_000
 
@@ -70,11 +69,11 @@ def test_a_pipe_is_no_serial_port(tmp_path: Path) -> None:
 
 
 def test_a_port_that_is_in_use_is_told_so(terminal: tuple[int, str]) -> None:
-    line = open_serial_port(terminal[1], BAUD)
+    connection = open_serial_port(terminal[1], BAUD)
     try:
         assert "another program is using the port" in refusal(terminal[1])
     finally:
-        line.close()
+        connection.close()
     open_serial_port(terminal[1], BAUD).close()
 
 
@@ -108,27 +107,28 @@ def test_what_is_sent_arrives_unchanged_in_both_directions(terminal: tuple[int, 
     """Raw: no byte means anything to the terminal, none is echoed."""
     near, path = terminal
     every = np.arange(256, dtype=np.uint8)
-    line = open_serial_port(path, BAUD)
+    connection = open_serial_port(path, BAUD)
+    port = connection.transport
     try:
-        assert send_from(line.port, every, every.size) == 0
+        assert port.send(every.tobytes()) == 0
         assert os.read(near, 1000) == every.tobytes()
         os.write(near, every.tobytes())
         buffer = np.zeros(1000, np.uint8)
-        assert receive_into(line.port, buffer, 0, 10**9) == 256
+        assert port.receive(buffer, 10**9) == 256
         assert buffer[:256].tolist() == every.tolist()
-        assert receive_into(line.port, buffer, 0, 0) == TIMED_OUT
+        assert port.receive(buffer, 0) == TIMED_OUT
         os.close(near)
-        assert receive_into(line.port, buffer, 0, 10**9) == HUNG_UP
-        assert send_from(line.port, every, 1) == HUNG_UP
+        assert port.receive(buffer, 10**9) == HUNG_UP
+        assert port.send(b"x") == HUNG_UP
     finally:
-        line.close()
+        connection.close()
 
 
 def test_a_port_without_a_low_latency_mode_is_noted(terminal: tuple[int, str]) -> None:
-    line = open_serial_port(terminal[1], BAUD)
-    line.close()
-    assert line.note == "the port's driver offers no low-latency mode"
-    assert line.baud == BAUD
+    connection = open_serial_port(terminal[1], BAUD)
+    connection.close()
+    assert connection.note == "the port's driver offers no low-latency mode"
+    assert connection.baud == BAUD
 
 
 def test_the_ports_found_have_names() -> None:

@@ -1,17 +1,29 @@
-"""In virtual time nothing depends on the transport, on the machine, or on what ran before."""
+"""In virtual time nothing depends on the transport, on the machine, or on what ran before; and what each transport
+says of a line that is quiet, gone or full."""
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable
+import os
+import tty
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 import pytest
+import serial
 
-from hapsim.device.mock.firmware import Mock
+from firmware_protocol import schema
+from firmware_protocol.frames import SETUP, frame_to_device, frame_to_host
+from hapsim.device.mock.assemble import assemble_mock
+from hapsim.device.mock.firmware import INPUT_BYTES
+from hapsim.device.mock.loopback import loopback_transport
+from hapsim.loop.codes import FAILED, HUNG_UP, TIMED_OUT
+from hapsim.loop.descriptor import descriptor_transport
+from hapsim.loop.portable import PortableTransport
 from hapsim.loop.ring import UNSENT
 from hapsim.loop.trace import Trace
+from hapsim.loop.transport import Transport
 from hapsim.running import Excitation, run
 from hapsim.scene import Scene
 
@@ -22,7 +34,7 @@ DEVICES: list[dict[str, Any]] = [
     {"delay": 2.4, "hold": "zoh", "sampling": "average", "force_limit": 0.5},
 ]
 
-Served = Callable[[Scene], contextlib.AbstractContextManager[tuple[Scene, Mock]]]
+Served = Callable[[Scene], contextlib.AbstractContextManager[tuple[Scene, Any]]]
 
 
 def require_same(one: Trace, other: Trace) -> None:
@@ -118,3 +130,105 @@ def test_both_real_clocks_run_to_the_end(scene_of: Callable[..., Scene], clock: 
     assert not trace.report.virtual_time
     assert np.all(np.diff(trace.sample) >= 1)
     assert np.all(np.diff(trace.time_ns) >= 0)
+
+
+MEGABYTE = bytes(1 << 20)  # more than any line holds that nobody reads
+
+
+@pytest.fixture
+def terminal() -> Iterator[tuple[int, int]]:
+    """(the device's end of a pseudo-terminal, the host's)"""
+    near, far = os.openpty()
+    for end in (near, far):
+        tty.setraw(end)
+        os.set_blocking(end, False)
+    yield near, far
+    for end in (near, far):
+        with contextlib.suppress(OSError):
+            os.close(end)
+
+
+class Portable(PortableTransport):
+    """The same line, as pyserial has it open; it gives up sooner."""
+
+    def __init__(self, descriptor: int) -> None:
+        super().__init__(serial.Serial(os.ttyname(descriptor), timeout=0, write_timeout=0.1))
+
+
+OverTerminal = type[Portable] | Callable[[int], Transport]
+both = pytest.mark.parametrize("over", [descriptor_transport, Portable], ids=["descriptor", "portable"])
+
+
+@both
+def test_bytes_over_a_port_arrive_as_they_are_in_both_directions(terminal: tuple[int, int], over: OverTerminal) -> None:
+    near, far = terminal
+    transport, buffer, every = over(far), np.zeros(300, np.uint8), bytes(range(256))
+    assert transport.send(every) == 0
+    assert os.read(near, 1000) == every
+    os.write(near, every)
+    assert transport.receive(buffer, 10**9) == 256
+    assert buffer[:256].tobytes() == every
+    assert not buffer[256:].any()
+
+
+@both
+def test_of_more_bytes_than_there_is_room_for_the_rest_is_had_the_next_time(
+    terminal: tuple[int, int], over: OverTerminal
+) -> None:
+    near, far = terminal
+    transport, buffer = over(far), np.full(10, 99, np.uint8)
+    os.write(near, bytes(range(15)))
+    assert transport.receive(buffer[:8], 10**9) == 8
+    assert buffer.tolist() == [*range(8), 99, 99]
+    assert transport.receive(buffer, 10**9) == 7
+    assert buffer[:7].tolist() == list(range(8, 15))
+
+
+@both
+@pytest.mark.parametrize("timeout_ns", [0, -1, -(10**18), 1000])
+def test_a_quiet_port_has_timed_out_and_what_comes_later_is_heard(
+    terminal: tuple[int, int], over: OverTerminal, timeout_ns: int
+) -> None:
+    near, far = terminal
+    transport, buffer = over(far), np.zeros(8, np.uint8)
+    assert transport.receive(buffer, timeout_ns) == TIMED_OUT
+    os.write(near, b"x")
+    assert transport.receive(buffer, 10**9) == 1
+
+
+@both
+def test_a_port_whose_other_side_is_gone_has_hung_up(terminal: tuple[int, int], over: OverTerminal) -> None:
+    near, far = terminal
+    transport, buffer = over(far), np.zeros(8, np.uint8)
+    os.close(near)
+    assert transport.receive(buffer, 10**9) == HUNG_UP
+    assert transport.receive(buffer, 0) == HUNG_UP
+    assert transport.send(b"x") == (HUNG_UP if over is descriptor_transport else FAILED)
+
+
+@both
+def test_a_port_that_takes_nothing_any_more_has_failed(terminal: tuple[int, int], over: OverTerminal) -> None:
+    transport = over(terminal[1])
+    assert transport.send(MEGABYTE) == FAILED
+
+
+def test_a_descriptor_that_is_none_has_failed() -> None:
+    transport = descriptor_transport(1_000_000)
+    assert transport.receive(np.zeros(8, np.uint8), 10**9) == FAILED
+    assert transport.send(b"x") == HUNG_UP
+
+
+def test_memory_is_quiet_until_the_mock_was_asked_and_takes_no_more_than_the_mock_at_once(
+    scene_of: Callable[..., Scene],
+) -> None:
+    transport, buffer = loopback_transport(assemble_mock(scene_of())), np.zeros(1000, np.uint8)
+    assert transport.receive(buffer, 10**9) == TIMED_OUT
+    question = frame_to_device(SETUP, schema.DESCRIBE, schema.REG_VERSION, 0, [0])
+    answer = frame_to_host(SETUP, schema.DESCRIPTION, schema.REG_VERSION, [schema.VERSION])
+    assert transport.send(question * 2) == 0
+    assert transport.receive(buffer[:5], 0) == 5
+    assert transport.receive(buffer[5:], 0) == 2 * len(answer) - 5
+    assert buffer[: 2 * len(answer)].tobytes() == 2 * answer
+    assert transport.receive(buffer, 0) == TIMED_OUT
+    assert transport.send(bytes(INPUT_BYTES + 1)) == FAILED
+    assert transport.send(bytes(INPUT_BYTES)) == 0

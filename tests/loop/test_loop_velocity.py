@@ -12,13 +12,12 @@ import yaml
 
 from firmware_protocol import schema
 from hapsim.device.conversation import arm, describe, disarm
-from hapsim.device.open_line import open_line
+from hapsim.device.open_connection import open_connection
 from hapsim.errors import DeviceError, UsageError
 from hapsim.loop.endings import DONE
-from hapsim.loop.exchange import Loop
-from hapsim.loop.paced_by_device import run_paced_by_device
+from hapsim.loop.run import run_loop
 from hapsim.running import run
-from hapsim.running.assemble import assemble_loop
+from hapsim.running.assemble import Loop, assemble_loop
 from hapsim.scene import Scene, parse_scene
 
 Scripted = Callable[..., Any]
@@ -29,23 +28,23 @@ SCALE = 1e-3  # (m/s) per count of the scripted device
 
 def looped(scene: Scene, ticks: int) -> Loop:
     """The loop as it stands after so many ticks."""
-    with open_line(scene) as line:
-        description = describe(line)
-        loop = assemble_loop(scene, line, description, None, ticks / scene.rate)
+    with open_connection(scene) as connection:
+        description = describe(connection)
+        loop = assemble_loop(scene, connection, description, None, ticks / scene.rate)
         velocity = bool(scene.sensed_links)
-        assert arm(line, description, schema.LOCKSTEP, 100, velocity) == loop.wire
-        assert run_paced_by_device(loop) == DONE
-        assert loop.decoder["crc_errors"] + loop.decoder["form_errors"] == 0
-        disarm(line, loop.wire)
+        assert arm(connection, description, schema.LOCKSTEP, 100, velocity) == loop.wire
+        assert run_loop(loop.record) == DONE
+        assert connection.decoder.crc_errors + connection.decoder.form_errors == 0
+        disarm(connection, loop.wire)
     return loop
 
 
 def after(scripted: Scripted, scene: Scene, script: Sequence[bytes], channels: int = 1) -> Any:
-    """The desk after a script, each item of which is a position that is answered."""
+    """The loop's io buffer after a script, each item of which is a position that is answered."""
     fields = {name: (value,) * channels for name, value in (("position_scale", 1e-6), ("force_scale", 1e-3))}
     fields |= {"force_limit": (10.0,) * channels, "velocity_scale": tuple(SCALE * (c + 1) for c in range(channels))}
     with scripted(script, scene=scene, **fields) as (there, _):
-        return looped(there, len(script)).desk
+        return looped(there, len(script)).record.io
 
 
 @pytest.mark.parametrize(("damper", "asked"), [("backward", False), ("centred", False), ("sensed", True)])
@@ -104,19 +103,19 @@ def test_the_scene_is_given_the_velocities_in_metres_per_second_beside_the_posit
     scripted: Scripted, scene_of: SceneOf, frame: FrameOf
 ) -> None:
     script = [frame(n, 10 * n, -20 * n, velocity=(7 * n, -(2**31) + n)) for n in range(4)]
-    desk = after(scripted, scene_of(2, damper="sensed"), script, channels=2)
-    np.testing.assert_allclose(desk["measured"][:2], [30e-6, -60e-6], rtol=1e-15)
-    np.testing.assert_allclose(desk["velocity"][:2], [21 * SCALE, (-(2**31) + 3) * 2 * SCALE], rtol=1e-15)
-    assert not desk["velocity"][2:].any()
+    io = after(scripted, scene_of(2, damper="sensed"), script, channels=2)
+    np.testing.assert_allclose(io.measured[:2], [30e-6, -60e-6], rtol=1e-15)
+    np.testing.assert_allclose(io.velocity[:2], [21 * SCALE, (-(2**31) + 3) * 2 * SCALE], rtol=1e-15)
+    assert not io.velocity[2:].any()
 
 
 def test_where_positions_were_lost_velocities_run_along_a_straight_line_too(
     scripted: Scripted, scene_of: SceneOf, frame: FrameOf
 ) -> None:
     script = [frame(0, 0, velocity=(100,)), frame(1, 0, velocity=(200,)), frame(5, 0, velocity=(-600,))]
-    desk = after(scripted, scene_of(damper="sensed"), script)
-    assert desk["velocity_bridge"][0] == pytest.approx(-400 * SCALE)  # that of sample 4, the last that was lost
-    assert desk["velocity"][0] == pytest.approx(-600 * SCALE)
+    io = after(scripted, scene_of(damper="sensed"), script)
+    assert io.velocity_bridge[0] == pytest.approx(-400 * SCALE)  # that of sample 4, the last that was lost
+    assert io.velocity[0] == pytest.approx(-600 * SCALE)
 
 
 def test_a_sensed_damper_brakes_by_the_velocity_on_the_wire_and_not_by_the_way_gone(
@@ -159,9 +158,9 @@ def test_a_mass_is_led_past_lost_velocities_as_if_they_had_run_along_a_straight_
 def test_without_sensed_velocities_the_scene_is_given_zeros(
     scripted: Scripted, scene_of: SceneOf, frame: FrameOf
 ) -> None:
-    desk = after(scripted, scene_of(), [frame(0, 0), frame(1, 500), frame(4, 900)])
-    assert not desk["velocity"].any()
-    assert not desk["velocity_bridge"].any()
+    io = after(scripted, scene_of(), [frame(0, 0), frame(1, 500), frame(4, 900)])
+    assert not io.velocity.any()
+    assert not io.velocity_bridge.any()
 
 
 @pytest.mark.parametrize("sampling", ["ideal", "average"])
@@ -169,7 +168,7 @@ def test_the_mock_s_velocity_reaches_the_loop(scene_of: SceneOf, sampling: str) 
     scene = scene_of(
         2, stiffness=0.0, damping=0.0, damper="sensed", device={"sampling": sampling, "friction": 4.0, "mass": 0.2}
     )
-    velocity = looped(scene, 21).desk["velocity"][:2]
+    velocity = looped(scene, 21).record.io.velocity[:2]
     instant = 0.1 * np.exp(-20 * 0.020)
     mean = 0.1 * np.exp(-20 * 0.019) * -np.expm1(-20 * 0.001) / (20 * 0.001)
     np.testing.assert_allclose(velocity, instant if sampling == "ideal" else mean, atol=0.51e-6)
@@ -189,8 +188,8 @@ def test_a_host_that_died_while_velocities_were_sent_does_not_lock_the_next_one_
     scene_of: SceneOf, served: Callable[[Scene], Any]
 ) -> None:
     with served(scene_of(2, damper="sensed")) as (scene, mock):
-        with open_line(scene) as line:
-            arm(line, describe(line), schema.LOCKSTEP, 100, velocity=True)
-        assert mock.board["state"] == schema.ARMED
+        with open_connection(scene) as connection:
+            arm(connection, describe(connection), schema.LOCKSTEP, 100, velocity=True)
+        assert mock.board.state == schema.ARMED
         assert run(scene, duration=0.05).report.ticks == 50
-        assert mock.board["state"] == schema.IDLE
+        assert mock.board.state == schema.IDLE

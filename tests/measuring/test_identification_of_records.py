@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 
 import hapsim
+from firmware_protocol.records import new_record
 from hapsim.errors import UsageError
-from hapsim.loop.histogram import histogram_of, new_histogram
-from hapsim.loop.ring import BRIDGED, HELD
+from hapsim.loop.histogram import HISTOGRAM, histogram_of
+from hapsim.loop.ring import BRIDGED, LATE_FORCE, OFF_GRID, UNSENT
 from hapsim.loop.trace import Report, Statistics, Trace
 from hapsim.measuring.identify import identify
 from hapsim.running import run
@@ -40,7 +41,7 @@ def imports_of(folder: str) -> set[str]:
 def trace_of(position: np.ndarray, asked: np.ndarray, rate: float = 1000.0) -> Trace:
     """A trace of one channel, rounded to counts of a nanometre; every force as asked."""
     n = position.size
-    nothing = histogram_of(new_histogram())
+    nothing = histogram_of(new_record(HISTOGRAM))
     statistics = Statistics(nothing, nothing, nothing)
     spreads = (nothing.spread(),) * 3
     report = Report("done", n, n / rate, rate, rate, 0, 0, 0, 0, 0, 0, 0, *spreads, virtual_time=True)
@@ -96,7 +97,7 @@ def test_late_and_lost_samples_are_stepped_over() -> None:
     trace = run(one_spring(2000.0, 5.0, friction=1.0), duration=1.0)
     whole = identify(trace, 0.2)
     flags = trace.flags.copy()
-    flags[[120, 260]] |= HELD
+    flags[[120, 260]] |= LATE_FORCE
     kept = np.ones(flags.size, bool)
     kept[180:185] = False
     flags[185] |= BRIDGED
@@ -120,6 +121,46 @@ def test_a_late_force_that_is_not_flagged_would_have_shown() -> None:
     counts = trace.position_counts.copy()
     counts[200:] += 5000
     assert identify(replace(trace, position_counts=counts), 0.2).residual_m > 10 * QUANTUM
+
+
+BLOWS = (120, 260)  # the samples from which on they show
+
+
+def struck_again(trace: Trace) -> Trace:
+    """The same hand, set off anew while it still rings, as at the beginning: a linear loop's motions add up."""
+    summed = {}
+    for name in ("position_counts", "force_counts", "asked_force"):
+        once = getattr(trace, name)
+        summed[name] = once.copy()
+        for at in BLOWS:
+            summed[name][at:] += once[1 : 1 + len(once) - at]
+    return replace(trace, **summed)
+
+
+@pytest.mark.parametrize(
+    ("flag", "before"),
+    [(LATE_FORCE, 0), (OFF_GRID, 0), (BRIDGED, 0), (UNSENT, 1)],  # an unsent force is missed in the sample after it
+    ids=["late force", "off grid", "bridged", "unsent"],
+)
+def test_what_happens_around_a_flagged_sample_is_left_out(flag: int, before: int) -> None:
+    trace = struck_again(run(one_spring(2000.0, 5.0, friction=1.0), duration=1.0))
+    flags = trace.flags.copy()
+    flags[np.array(BLOWS) - before] |= flag
+    felt = hapsim.predict(one_spring(2000.0, 5.0, friction=1.0)).felt[0]
+    measured = identify(replace(trace, flags=flags), 0.2)
+    assert measured.residual_m < QUANTUM
+    assert abs(measured.k - felt.k) < 4 * measured.k_uncertainty
+    assert abs(measured.b - felt.b) < 4 * measured.b_uncertainty
+    assert identify(trace, 0.2).residual_m > 1000 * QUANTUM
+
+
+def test_where_all_samples_are_off_the_grid_they_are_used_and_late_forces_still_left_out() -> None:
+    trace = struck_again(run(one_spring(2000.0, 5.0, friction=1.0), duration=1.0))
+    flags = trace.flags | OFF_GRID
+    flags[list(BLOWS)] |= LATE_FORCE
+    measured = identify(replace(trace, flags=flags), 0.2)
+    assert measured.residual_m < QUANTUM
+    assert measured.samples > 500
 
 
 def test_a_growing_motion_is_measured_until_the_device_stops_it() -> None:

@@ -1,16 +1,25 @@
-"""A decoder in plain Python, written from PROTOCOL.md and from nothing else: it shares no line with the codec."""
+"""A decoder in plain Python, written from PROTOCOL.md and from nothing else: it shares no line with the codec.
+
+And the codec itself both ways: as machine code, and as the plain Python that its pieces are when Python calls them.
+"""
 
 from __future__ import annotations
 
 import json
 import struct
 from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import pytest
 
 import firmware_protocol
+from firmware_protocol.cobs import stuff, unstuff
+from firmware_protocol.compiled import entry
+from firmware_protocol.crc import crc_of
+from firmware_protocol.decoder import next_frame, next_frame_in
+from firmware_protocol.frames import write_frame
 
 PACKAGE = Path(firmware_protocol.__file__).parent
 TYPES = {
@@ -96,6 +105,57 @@ class PlainDecoder:
         payload = body[3:] if self.direction == "to_device" else body[2:]
         frame["payload"] = list(struct.unpack(f"<{self._words()}i", payload))
         return frame
+
+
+class Codec(NamedTuple):
+    """The pieces of the codec, run in one way."""
+
+    stuff: Callable[..., None]
+    unstuff: Callable[..., bool]
+    crc_of: Callable[..., int]
+    write_frame: Callable[..., int]
+    next_frame: Callable[..., tuple[int, bool]]
+
+
+@entry
+def _stuff(buffer, start, stop):
+    stuff(buffer, start, stop)
+
+
+@entry
+def _unstuff(buffer, start, stop):
+    return unstuff(buffer, start, stop)
+
+
+@entry
+def _crc_of(which, data, start, stop, seed):
+    return crc_of(which, data, start, stop, seed)
+
+
+@entry
+def _write_frame(framing, buffer, start, frame_type, number, argument, counts):
+    return write_frame(framing, buffer, start, frame_type, number, argument, counts)
+
+
+COMPILED = Codec(_stuff, _unstuff, _crc_of, _write_frame, next_frame_in)
+PLAIN = Codec(stuff, unstuff, crc_of, write_frame, next_frame)
+
+
+@pytest.fixture(scope="session")
+def compiled_codec() -> Codec:
+    return COMPILED
+
+
+@pytest.fixture(scope="session")
+def plain_codec() -> Codec:
+    return PLAIN
+
+
+@pytest.fixture(scope="session", params=[COMPILED, PLAIN], ids=["compiled", "plain"])
+def codec(request: pytest.FixtureRequest) -> Codec:
+    """For what has to hold both ways."""
+    chosen: Codec = request.param
+    return chosen
 
 
 @pytest.fixture(scope="session")

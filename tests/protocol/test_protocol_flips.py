@@ -6,6 +6,7 @@ Every test puts the damaged frame between two good ones, as it stands on a line,
 from __future__ import annotations
 
 from math import comb
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from firmware_protocol.compiled import jit
+from firmware_protocol.compiled import entry, inlined
 from firmware_protocol.decoder import Frame, frames_in, new_decoder, next_frame
 from firmware_protocol.frames import Format
 from firmware_protocol.vectors import FORMATS, TO_DEVICE, TYPES, frame, words_in
@@ -25,15 +26,15 @@ ONE_EACH = [("setup", "describe"), ("setup", "description"), ("armed_1", "force"
 ONE_EACH += [("velocity_1", "force"), ("velocity_1", "position")]
 
 
-@jit
+@inlined
 def _is(decoder, fields):
     same = decoder.type == fields[0] and decoder.number == fields[1]
-    for i in range(decoder.words):
+    for i in range(decoder.framing.words):
         same = same and decoder.counts[i] == fields[2 + i]
     return same
 
 
-@jit
+@entry
 def _reads_as(decoder, stream, fields, all_of_them):
     """Whether these frames and no others come out, in order; all of them, or some."""
     decoder.seen = 0
@@ -51,7 +52,7 @@ def _reads_as(decoder, stream, fields, all_of_them):
         k += 1
 
 
-@jit
+@inlined
 def _flip(stream, bit):
     stream[bit >> 3] ^= np.uint8(1 << (bit & 7))
 
@@ -61,7 +62,7 @@ def _flip_every(decoder, stream, first, last, flips, fields, all_of_them):
     return _flip_all_from(np.arange(flips), decoder, stream, first, last, fields, all_of_them)
 
 
-@jit
+@entry
 def _flip_all_from(chosen, decoder, stream, first, last, fields, all_of_them):
     flips = chosen.size
     bits = 8 * (last - first)
@@ -85,7 +86,7 @@ def _flip_all_from(chosen, decoder, stream, first, last, fields, all_of_them):
     return tried, misread
 
 
-@jit
+@entry
 def _burst_every(decoder, stream, first, last, fields):
     """Every burst of at most 16 bits that lies within stream[first:last]."""
     tried = 0
@@ -103,7 +104,7 @@ def _burst_every(decoder, stream, first, last, fields):
     return tried, misread
 
 
-def _line(name: str, kind: str, number: int, word: int) -> tuple[np.void, NDArray[np.uint8], NDArray[np.int64]]:
+def _line(name: str, kind: str, number: int, word: int) -> tuple[Any, NDArray[np.uint8], NDArray[np.int64]]:
     """A decoder, three frames on the line, and what should be read of them; the middle one carries the arguments."""
     counts = [[w, ~w][: words_in(name, kind)] for w in (77, word, -78)]
     fields = [(TYPES[kind], n, *c) for n, c in zip((number ^ 1, number, number ^ 2), counts, strict=True)]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from cobs import cobs
@@ -14,13 +16,10 @@ from firmware_protocol.frames import (
     SETUP,
     Format,
     armed_format,
-    check_of,
     frame_bytes,
     frame_to_device,
     frame_to_host,
-    words_of,
-    write_to_device,
-    write_to_host,
+    framing_of,
 )
 from firmware_protocol.vectors import COUNTERS, TO_DEVICE, TO_HOST, sealed
 
@@ -28,6 +27,11 @@ LOWEST, HIGHEST = -(2**31), 2**31 - 1
 words = st.one_of(st.integers(LOWEST, HIGHEST), st.sampled_from([LOWEST, HIGHEST, 0, -1, 1, 255, 256, -256]))
 codes = st.one_of(st.integers(1, 6), st.integers(1, 255))
 formats = st.one_of(st.just(SETUP), st.builds(armed_format, st.integers(1, 16), st.booleans()))
+
+
+def words_of(wire: Format, to_device: bool) -> int:
+    """Words of a frame's payload in one direction."""
+    return schema.words(wire.channels, to_device, wire.velocity)
 
 
 def read(wire: Format, to_device: bool, data: bytes) -> tuple[list[Frame], dict[str, int]]:
@@ -40,7 +44,7 @@ def read(wire: Format, to_device: bool, data: bytes) -> tuple[list[Frame], dict[
 @settings(max_examples=400, deadline=None)
 @given(formats, st.sampled_from(sorted(TO_HOST.values())), st.integers(0, 4095), st.data())
 def test_a_frame_to_the_host_comes_back_as_it_was(wire: Format, kind: int, number: int, data: st.DataObject) -> None:
-    size = int(words_of(wire, False))
+    size = words_of(wire, False)
     counts = data.draw(st.lists(words, min_size=size, max_size=size))
     sent = frame_to_host(wire, kind, number, counts)
     assert len(sent) == frame_bytes(wire, to_device=False) == schema.frame_bytes(wire.channels, False, wire.velocity)
@@ -67,17 +71,49 @@ def test_every_sample_number_survives_its_twelve_bits() -> None:
     assert [frame.number for frame in frames_in(decoder, sent)] == list(range(4096))
 
 
-def test_the_compiled_writers_write_where_they_are_told_and_cut_what_does_not_fit() -> None:
+def test_the_writer_writes_where_it_is_told_and_cuts_what_does_not_fit(codec: Any) -> None:
     wire = armed_format(2)
     counts = np.array([2**31, -(2**31) - 1])
     buffer = np.full(64, 0xEE, np.uint8)
-    stop = write_to_device(wire, buffer, 10, schema.FORCE, 4096 + 5, 256 + 7, counts)
+    stop = codec.write_frame(framing_of(wire, True), buffer, 10, schema.FORCE, 4096 + 5, 256 + 7, counts)
     assert (buffer[:10] == 0xEE).all()
     assert (buffer[stop:] == 0xEE).all()
     expected = Frame(schema.FORCE, 5, 7, (-(2**31), 2**31 - 1))
     assert read(wire, True, buffer[10:stop].tobytes())[0] == [expected]
-    stop = write_to_host(wire, buffer, 20, schema.POSITION, -1, counts)
+    stop = codec.write_frame(framing_of(wire, False), buffer, 20, schema.POSITION, -1, 0, counts)
     assert read(wire, False, buffer[20:stop].tobytes())[0] == [Frame(schema.POSITION, 4095, 0, expected.counts)]
+
+
+@settings(max_examples=300, deadline=None)
+@given(
+    formats,
+    st.booleans(),
+    st.integers(0, 15),
+    st.integers(-(2**15), 2**15),
+    st.integers(-300, 300),
+    st.integers(0, 9),
+    st.data(),
+)
+def test_plain_python_writes_a_frame_as_machine_code_does_what_does_not_fit_included(
+    plain_codec: Any,
+    compiled_codec: Any,
+    wire: Format,
+    to_device: bool,
+    kind: int,
+    number: int,
+    argument: int,
+    start: int,
+    data: st.DataObject,
+) -> None:
+    size = words_of(wire, to_device)
+    wide = st.one_of(words, st.integers(-(2**63), 2**63 - 1))
+    counts = np.array(data.draw(st.lists(wide, min_size=size, max_size=size)), np.int64)
+    framing = framing_of(wire, to_device)
+    plain, compiled = (np.full(start + frame_bytes(wire, to_device) + 9, 0xEE, np.uint8) for _ in range(2))
+    stop = plain_codec.write_frame(framing, plain, start, kind, number, argument, counts)
+    assert compiled_codec.write_frame(framing, compiled, start, kind, number, argument, counts) == stop
+    assert compiled.tobytes() == plain.tobytes()
+    assert stop == start + frame_bytes(wire, to_device)
 
 
 @pytest.mark.parametrize("fields", [(16, 0, 0), (-1, 0, 0), (3, 4096, 0), (3, -1, 0), (3, 0, 256), (3, 0, -1)])
@@ -107,7 +143,7 @@ def test_a_frame_from_another_start_value_is_a_crc_error(
 ) -> None:
     change = change if wire.long_check else (change & 0xFFFF or 1)
     stranger = wire._replace(seed=wire.seed ^ change)
-    counts = [word] * int(words_of(wire, to_device))
+    counts = [word] * words_of(wire, to_device)
     sent = (
         frame_to_device(stranger, schema.FORCE, number, 1, counts)
         if to_device
@@ -121,7 +157,7 @@ def test_a_frame_from_another_start_value_is_a_crc_error(
 def test_a_frame_of_another_format_is_never_accepted(
     wire: Format, other: Format, to_device: bool, kind: int, number: int, word: int
 ) -> None:
-    counts = [word] * int(words_of(other, to_device))
+    counts = [word] * words_of(other, to_device)
     sent = (
         frame_to_device(other, schema.DESCRIBE + kind, number, 1, counts)
         if to_device
@@ -143,7 +179,7 @@ def test_a_frame_of_another_format_is_never_accepted(
 @settings(max_examples=300, deadline=None)
 @given(formats, st.sampled_from(sorted(TO_HOST.values())), st.integers(0, 4095), words)
 def test_a_device_that_hears_itself_accepts_nothing(wire: Format, kind: int, number: int, word: int) -> None:
-    echo = frame_to_host(wire, kind, number, [word] * int(words_of(wire, False)))
+    echo = frame_to_host(wire, kind, number, [word] * words_of(wire, False))
     frames, counted = read(wire, True, echo)
     assert frames == []
     if not wire.velocity:
@@ -167,23 +203,28 @@ def test_a_host_that_hears_itself_accepts_nothing(
         assert sum(counted.values()) == 1
 
 
-def test_the_velocity_mark_keeps_a_device_of_one_channel_from_ever_taking_its_own_position_for_a_frame() -> None:
+def test_the_velocity_mark_keeps_a_device_of_one_channel_from_ever_taking_its_own_position_for_a_frame(
+    compiled_codec: Any,
+) -> None:
     # It would look at the last eight encoded bytes of eleven. Their check is the whole frame's only where the three
     # bytes before them (code and header) lead from the start value back to it, whatever follows. If this fails after a
     # change of the schema, count up the last byte of VELOCITY_MARK until it holds.
     wire = armed_format(1, velocity=True)
     front = schema.encoded_bytes(1, False, True) - schema.encoded_bytes(1, True, True)
-    back_to_the_start = int(check_of(np.zeros(0, np.uint8), 0, 0, wire.long_check, wire.seed))
+    back_to_the_start = compiled_codec.crc_of(wire.long_check, np.zeros(0, np.uint8), 0, 0, wire.seed)
+    framing, buffer = framing_of(wire, to_device=False), np.zeros(frame_bytes(wire, to_device=False), np.uint8)
     fronts = set()
     for kind in (schema.POSITION, schema.POSITION_HELD):
         for number in range(schema.SAMPLE_MODULUS):
             for zeros in range(9):  # where the first zero byte of the payload is, which the code in front points to
                 payload = bytes(0 if i == zeros else 0xFF for i in range(8))
-                sent = frame_to_host(wire, kind, number, np.frombuffer(payload, "<i4").astype(np.int64))
-                fronts.add(sent[:front])
+                counts = np.frombuffer(payload, "<i4").astype(np.int64)
+                compiled_codec.write_frame(framing, buffer, 0, kind, number, 0, counts)
+                fronts.add(buffer[:front].tobytes())
     assert front == 3
     for start in fronts:
-        assert int(check_of(np.frombuffer(start, np.uint8), 0, front, wire.long_check, wire.seed)) != back_to_the_start
+        data = np.frombuffer(bytearray(start), np.uint8)
+        assert compiled_codec.crc_of(wire.long_check, data, 0, front, wire.seed) != back_to_the_start
 
 
 @pytest.mark.parametrize("channels", [1, 2, 3])
@@ -218,7 +259,7 @@ def test_with_velocities_a_frame_to_the_host_carries_the_positions_first_and_the
 @pytest.mark.parametrize("wire", [SETUP, armed_format(1), armed_format(4), armed_format(1, True)])
 def test_an_unknown_type_under_a_right_check_is_a_form_error(wire: Format, to_device: bool) -> None:
     known = set((TO_DEVICE if to_device else TO_HOST).values())
-    counts = [5] * int(words_of(wire, to_device))
+    counts = [5] * words_of(wire, to_device)
     for kind in range(16):
         sent = frame_to_device(wire, kind, 1, 2, counts) if to_device else frame_to_host(wire, kind, 1, counts)
         assert read(wire, to_device, sent)[1] == ({"accepted": 1} if kind in known else {"form_errors": 1})

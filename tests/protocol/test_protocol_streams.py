@@ -17,7 +17,7 @@ from firmware_protocol.vectors import COUNTERS, FORMATS, NAMES, TO_DEVICE, TYPES
 EVERY_FORMAT_AND_DIRECTION = [(name, kind) for name in FORMATS for kind in ("force", "position")]
 
 
-def new(name: str, kind: str) -> np.void:
+def new(name: str, kind: str) -> Any:
     return new_decoder(FORMATS[name], kind in TO_DEVICE)
 
 
@@ -28,7 +28,7 @@ def some(name: str, kind: str, number: int) -> tuple[bytes, Frame]:
     return frame(name, kind, number, argument, counts), Frame(TYPES[kind], number, argument, tuple(counts))
 
 
-def counters(decoder: np.void) -> dict[str, int]:
+def counters(decoder: Any) -> dict[str, int]:
     return {name: int(decoder[name]) for name in COUNTERS}
 
 
@@ -90,7 +90,7 @@ def test_a_frame_that_lost_any_of_its_bytes_is_refused_as_too_short(name: str, k
             decoder = new(name, kind)
             assert frames_in(decoder, first + hit[:start] + hit[stop:] + last) == [before, after]
             whole_frame_gone = stop - start == len(hit) - 1
-            assert decoder["length_errors"] == (0 if whole_frame_gone else 1)
+            assert decoder.length_errors == (0 if whole_frame_gone else 1)
 
 
 @pytest.mark.parametrize("velocity", [False, True])
@@ -164,6 +164,39 @@ def test_chunks_of_any_size_give_the_same_frames_and_counters_as_one_read(
     bounds = zip([0, *cuts], [*cuts, len(whole)], strict=True)
     assert [read for start, stop in bounds for read in frames_in(in_chunks, whole[start:stop])] == expected
     assert counters(in_chunks) == counters(at_once)
+
+
+@settings(max_examples=200, deadline=None)
+@given(pieces(), st.data())
+def test_plain_python_reads_any_stream_split_anywhere_as_machine_code_does(
+    plain_codec: Any, compiled_codec: Any, stream: tuple[str, str, list[bytes]], data: st.DataObject
+) -> None:
+    name, kind, parts = stream
+    whole = b"".join(parts)
+    cuts = sorted(data.draw(st.lists(st.integers(0, len(whole)), max_size=20)))
+    later = data.draw(st.sampled_from(sorted(FORMATS)))
+    plain, compiled = new(name, kind), new(name, kind)
+    for start, stop in zip([0, *cuts], [*cuts, len(whole)], strict=True):
+        chunk = whole[start:stop]
+        assert read_by(plain_codec, plain, chunk) == read_by(compiled_codec, compiled, chunk)
+        assert plain.tobytes() == compiled.tobytes()
+    for decoder in (plain, compiled):
+        use_format(decoder, FORMATS[later])
+    last = some(later, kind, 8)[0] + whole
+    assert read_by(plain_codec, plain, last) == read_by(compiled_codec, compiled, last)
+    assert counters(plain) == counters(compiled)
+
+
+def read_by(codec: Any, decoder: Any, data: bytes) -> list[tuple[int, Frame]]:
+    """Every frame that ends in `data`, and where it ends."""
+    buffer = np.frombuffer(bytearray(data), np.uint8)
+    read = []
+    at, found = codec.next_frame(decoder, buffer, 0, buffer.size)
+    while found:
+        counts = tuple(decoder.counts[: decoder.framing.words].tolist())
+        read.append((int(at), Frame(int(decoder.type), int(decoder.number), int(decoder.argument), counts)))
+        at, found = codec.next_frame(decoder, buffer, at, buffer.size)
+    return read
 
 
 @settings(max_examples=400, deadline=None)

@@ -72,6 +72,24 @@ def test_a_list_of_the_device_has_one_number_per_channel(only_fault: OnlyFault, 
     assert only_fault("{mass: 0.2}", device) == told
 
 
+@pytest.mark.parametrize(
+    ("device", "told"),
+    [
+        ("{mass: [0.2, -1]}", "3:22: mass[1]: found -1, expected a number > 0 (kg)"),
+        ("{mass: 1, friction: [0, -1, 0]}", "3:33: friction[1]: found -1, expected a number >= 0 (N·s/m)"),
+        ("{mass: 1}\nmock: {stiffness: [0, x]}", "4:23: stiffness[1]: found 'x' (text), expected a number >= 0 (N/m)"),
+        (
+            "{mass: 1}\nmock: {initial: {velocity: [0, .nan]}}",
+            "4:32: velocity[1]: found .nan, expected a finite number (m/s)",
+        ),
+    ],
+)
+def test_of_a_list_with_a_faulty_number_nothing_is_said_of_how_long_it_is(
+    only_fault: OnlyFault, device: str, told: str
+) -> None:
+    assert only_fault("{mass: 0.2}", device) == told
+
+
 def test_a_list_of_the_mock_has_one_number_per_channel(faults: Faults, good: str) -> None:
     text = good.replace("channel: 0", "channel: 1") + "mock: {friction: [1], initial: {velocity: [1, 2, 3]}}\n"
     assert faults(text) == [

@@ -10,34 +10,32 @@ from __future__ import annotations
 import json
 import math
 
-import numba
 import numpy as np
 import pytest
 
-from hapsim.cordis.program import compile_scene, numbers_of
-from hapsim.cordis.tick import start, tick
+from hapsim.cordis.offline import start, ticks_watched
+from hapsim.cordis.program import Program, compile_scene, numbers_of, positions_of
 from hapsim.scene import parse_scene
 from hapsim.theory import Configuration
 
 RATE, MASS, AMPLITUDE = 1000.0, 1e-3, 1e-3
 
 
-@numba.njit
-def upward_crossings(program, point, centre, wanted, most):  # type: ignore[no-untyped-def]
+def upward_crossings(program: Program, point: int, centre: float, wanted: int, most: int) -> np.ndarray:
     """Samples at which a point passes `centre` upwards, interpolated: `wanted` of them, in `most` samples."""
-    found, count = np.zeros(wanted), 0
-    measured, force = np.zeros(1), np.zeros(1)
-    before = program.rows[program.turn[0], point] - centre
-    for i in range(1, most):
-        tick(program, measured, measured, force)
-        now = program.rows[program.turn[0], point] - centre
-        if before < 0.0 <= now:
-            found[count] = i - now / (now - before)
-            count += 1
-            if count == wanted:
-                break
-        before = now
-    return found[:count]
+    weights = np.zeros(program.rows.shape[1])
+    weights[point] = 1.0
+    found: list[float] = []
+    before, done = float(positions_of(program)[0][point]) - centre, 0
+    while len(found) < wanted and done < most:
+        watched = np.empty(min(most - done, 1 << 20))
+        ticks_watched(program, list(program.rows), weights, watched)
+        now = watched - centre
+        earlier = np.append(before, now[:-1])
+        crossed = np.flatnonzero((earlier < 0.0) & (now >= 0.0))
+        found += (done + 1 + crossed - now[crossed] / (now - earlier)[crossed]).tolist()
+        before, done = now[-1], done + now.size
+    return np.array(found[:wanted])
 
 
 def frequency_off(kappa: float, precision: str, at: float) -> float:

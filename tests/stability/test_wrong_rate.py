@@ -12,14 +12,14 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import numba
 import numpy as np
 import pytest
 
-from hapsim.device.line import Line
+from firmware_protocol.records import new_record
+from hapsim.compiling import entry
+from hapsim.device.connection import Connection
 from hapsim.device.mock.assemble import assemble_mock
-from hapsim.device.mock.firmware import Mock
-from hapsim.device.mock.loopback import loopback_port
+from hapsim.device.mock.loopback import loopback_transport
 from hapsim.device.mock.terminal import serving
 from hapsim.errors import GuardError
 from hapsim.loop.guard.rate import MOST_OFF, WATCH, WINDOW_NS, WINDOW_SAMPLES, WINDOWS, is_off_rate
@@ -34,7 +34,7 @@ from hands import RATE, hand_scene, spring
 MASS, FRICTION = 0.2, 1.0
 
 
-def mistaken_mock(scene: Scene, ratio: float) -> Mock:
+def mistaken_mock(scene: Scene, ratio: float) -> Any:
     """A mock that declares the scene's rate and samples at `ratio` times that."""
     mock = assemble_mock(scene)
     mock.converters["period"] /= ratio
@@ -54,10 +54,10 @@ def at_half_the_rate(monkeypatch: pytest.MonkeyPatch) -> None:
     """Runs in virtual time meet a mock that samples at half the rate."""
 
     @contextlib.contextmanager
-    def half(scene: Scene, *_: Any, **__: Any) -> Iterator[Line]:
-        yield Line(port=loopback_port(mistaken_mock(scene, 0.5)), name="half", close=lambda: None)
+    def half(scene: Scene, *_: Any, **__: Any) -> Iterator[Connection]:
+        yield Connection(loopback_transport(mistaken_mock(scene, 0.5)), "half", close=lambda: None)
 
-    monkeypatch.setattr(session, "open_line", half)
+    monkeypatch.setattr(session, "open_connection", half)
 
 
 @pytest.mark.usefixtures("at_half_the_rate")
@@ -88,9 +88,9 @@ def test_the_limit_of_stiffness_is_that_of_the_true_rate() -> None:
     assert ends[0] < 0.0 < ends[1]
 
 
-@numba.njit
-def first_off(watch, arrivals_ns, period_ns):  # type: ignore[no-untyped-def]
-    """The guard as the loop has it woven in: at which position it says that the rate is off; -1 if it never does."""
+@entry
+def first_off(watch, arrivals_ns, period_ns):
+    """The guard as the loop has it: at which position it says that the rate is off; -1 if it never does."""
     for sample in range(arrivals_ns.size):
         if is_off_rate(watch, sample, np.int64(arrivals_ns[sample]) + 1, period_ns):
             return sample
@@ -99,8 +99,8 @@ def first_off(watch, arrivals_ns, period_ns):  # type: ignore[no-untyped-def]
 
 def watched(arrivals_ns: np.ndarray, period_ns: int, judges: bool = True) -> int | None:
     """At which position the guard says that the rate is off; None if it never does."""
-    watch = np.zeros(1, WATCH)[0]
-    watch["judges"] = judges
+    watch = new_record(WATCH)
+    watch.judges = judges
     sample = int(first_off(watch, arrivals_ns, period_ns))
     return None if sample < 0 else sample
 

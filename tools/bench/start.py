@@ -1,14 +1,21 @@
-"""How long `hapsim run` takes until the device is armed: the first time, when it compiles, and from then on.
+"""How long a start takes, and what it costs the processors: the first, which compiles, and every later one.
 
-    tools/bench/start [--first-runs 3] [--rounds 10]
+    tools/bench/start [--rounds 5] [--random 40] [--only PART ...] [--json FILE]
 
-A mock outside the command's process tells when it is armed: the time is from the start of the command to that moment. A
-first run begins with an empty cache, a directory of its own. Beside the later ones, in turn, `hapsim --help`.
+first   `hapsim run configs/first_touch.yaml` where nothing was ever compiled, to its first tick: loop and mock, and the
+        process that compiles one of them beside the other
+armed   the same where everything is kept, until the device is armed; a mock of this process tells when. Beside it,
+        in turn, `hapsim --help`, which is Python and the command line alone
+scenes  after a first start of first_touch: each shipped scene, then scenes by chance of every module, scheme,
+        precision, clock and number of channels, in one cache; how much longer than the second time each takes
+
+Processor seconds are those of all processes that a command started.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import pty
 import statistics
@@ -18,16 +25,47 @@ import tempfile
 import threading
 import time
 import tty
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from random_scenes import random_scenes
 
 from firmware_protocol import schema
 from hapsim.device.mock.assemble import assemble_mock
-from hapsim.device.mock.firmware import take_bytes
+from hapsim.device.mock.firmware import prepare, take_bytes
 from hapsim.scene import load_scene
 
-SCENE = Path(__file__).resolve().parents[2] / "configs" / "first_touch.yaml"
+CONFIGS = Path(__file__).resolve().parents[2] / "configs"
+SCENE = CONFIGS / "first_touch.yaml"
+_SEED = 1
+
+
+@dataclass(frozen=True)
+class Took:
+    """Seconds."""
+
+    wall: float
+    processor: float
+
+
+def run(*words: str, cache: str | None = None) -> Took:
+    """The whole of a command."""
+    environment = os.environ | ({} if cache is None else {"XDG_CACHE_HOME": cache})
+    begin = time.perf_counter()
+    process = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=environment)
+    _, status, usage = os.wait4(process.pid, 0)
+    took = Took(time.perf_counter() - begin, usage.ru_utime + usage.ru_stime)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    if process.returncode != 0:
+        raise SystemExit(f"{' '.join(words)}: exit status {process.returncode}")
+    return took
+
+
+def run_scene(path: Path, cache: str) -> Took:
+    return run("hapsim", "run", str(path), "--duration", "0.001", cache=cache)
 
 
 class Listener:
@@ -40,63 +78,107 @@ class Listener:
         self.path = os.ttyname(self._far)
         self.armed_at: float | None = None
         self._mock = assemble_mock(load_scene(SCENE))
+        prepare(self._mock)
         threading.Thread(target=self._serve, daemon=True).start()
 
     def _serve(self) -> None:
         while data := os.read(self._near, 4096):
             take_bytes(self._mock, np.frombuffer(data, np.uint8).copy(), len(data), time.monotonic_ns())
-            if self._mock.board["state"] == schema.ARMED and self.armed_at is None:
+            if self._mock.board.state == schema.ARMED and self.armed_at is None:
                 self.armed_at = time.perf_counter()
-            waiting = int(self._mock.board["out"])
+            waiting = int(self._mock.board.out)
             os.write(self._near, self._mock.outbox[:waiting].tobytes())
-            self._mock.board["out"] = 0
+            self._mock.board.out = 0
+
+    def seconds_to_armed(self) -> float:
+        """From the start of a run to the device's being armed."""
+        self.armed_at = None
+        begin = time.perf_counter()
+        run("hapsim", "run", str(SCENE), "--port", self.path, "--duration", "0.001", "--json")
+        if self.armed_at is None:
+            raise SystemExit("the device was never armed")
+        return self.armed_at - begin
 
 
-def seconds_of(*words: str) -> float:
-    """The whole of a command."""
-    begin = time.perf_counter()
-    subprocess.run(words, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    return time.perf_counter() - begin
+def measure_first(rounds: int) -> dict[str, Any]:
+    found = []
+    for number in range(rounds):
+        tell(f"first start {number + 1} of {rounds}")
+        with tempfile.TemporaryDirectory() as empty:
+            found.append(run_scene(SCENE, empty))
+    return {"first": [asdict(took) for took in found]}
 
 
-def seconds_to_armed(listener: Listener, **environment: str) -> float:
-    """From the start of a run to the device's being armed."""
-    listener.armed_at = None
-    begin = time.perf_counter()
-    words = ["hapsim", "run", str(SCENE), "--port", listener.path, "--duration", "0.001", "--json"]
-    subprocess.run(
-        words, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env={**os.environ, **environment}
-    )
-    if listener.armed_at is None:
-        sys.exit("the device was never armed")
-    return listener.armed_at - begin
+def measure_armed(rounds: int) -> dict[str, Any]:
+    listener = Listener()
+    listener.seconds_to_armed()  # compiles, where that was never done, and is not counted
+    found: dict[str, list[float]] = {"armed": [], "help": []}
+    for number in range(rounds):
+        tell(f"later start {number + 1} of {rounds}")
+        found["help"].append(run("hapsim", "--help").wall)
+        found["armed"].append(listener.seconds_to_armed())
+    return found
 
 
-def seconds_to_armed_at_first(listener: Listener) -> float:
-    """The same where nothing was ever compiled."""
-    with tempfile.TemporaryDirectory() as empty:
-        return seconds_to_armed(listener, XDG_CACHE_HOME=empty)
+def measure_scenes(random: int) -> dict[str, Any]:
+    rows = []
+    with tempfile.TemporaryDirectory() as place:
+        paths = sorted(CONFIGS.glob("*.yaml"))
+        for number, text in enumerate(random_scenes(random, _SEED)):
+            paths.append(Path(place) / f"random_{number}.yaml")
+            paths[-1].write_text(text, encoding="utf-8")
+        run_scene(SCENE, place)
+        for number, path in enumerate(paths):
+            tell(f"scene {number + 1} of {len(paths)}")
+            first, second = run_scene(path, place), run_scene(path, place)
+            more = {"wall": first.wall - second.wall, "processor": first.processor - second.processor}
+            rows.append({"scene": path.stem, "first": asdict(first), "second": asdict(second), "more": more})
+    return {"scenes": rows}
+
+
+def report(found: dict[str, Any]) -> None:
+    if "first" in found:
+        for what in ("wall", "processor"):
+            print(f"first start, {what}: {spread([took[what] for took in found['first']])}")
+    if "armed" in found:
+        print(f"later starts, to armed: {spread(found['armed'])}; hapsim --help: {spread(found['help'])}")
+    for row in found.get("scenes", ()):
+        more, second = row["more"], row["second"]
+        print(
+            f"{row['scene']}: {more['wall']:+.2f} s and {more['processor']:+.2f} s of processor time "
+            f"more than the second time, which took {second['wall']:.2f} s"
+        )
+
+
+def spread(seconds: list[float]) -> str:
+    return f"{statistics.median(seconds):.2f} s [{min(seconds):.2f}, {max(seconds):.2f}]"
+
+
+def tell(words: str) -> None:
+    """A sign of life."""
+    print(words, file=sys.stderr, flush=True)
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--first-runs", type=int, default=3)
-    parser.add_argument("--rounds", type=int, default=10)
+    parser = argparse.ArgumentParser(
+        "tools/bench/start", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--random", type=int, default=40, metavar="N", help="scenes by chance")
+    parts: dict[str, Callable[[argparse.Namespace], dict[str, Any]]] = {
+        "first": lambda arguments: measure_first(arguments.rounds),
+        "armed": lambda arguments: measure_armed(arguments.rounds),
+        "scenes": lambda arguments: measure_scenes(arguments.random),
+    }
+    parser.add_argument("--only", nargs="+", choices=parts, default=list(parts), metavar="PART")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="every number")
     arguments = parser.parse_args()
-    listener = Listener()
-    seconds_to_armed(listener)  # compiles, this process too, and is not counted
-    found: dict[str, list[float]] = {"hapsim run, to armed, first": [], "hapsim --help": [], "hapsim run, to armed": []}
-    for i in range(arguments.first_runs):
-        print(f"first run {i + 1} of {arguments.first_runs}", file=sys.stderr)
-        found["hapsim run, to armed, first"].append(seconds_to_armed_at_first(listener))
-    for i in range(arguments.rounds):
-        print(f"round {i + 1} of {arguments.rounds}", file=sys.stderr)
-        found["hapsim --help"].append(seconds_of("hapsim", "--help"))
-        found["hapsim run, to armed"].append(seconds_to_armed(listener))
-    for what, seconds in found.items():
-        if not seconds:
-            continue
-        print(f"{what}: {statistics.median(seconds):.2f} s [{min(seconds):.2f}, {max(seconds):.2f}]")
+    found: dict[str, Any] = {}
+    for part in arguments.only:
+        found |= parts[part](arguments)
+    if arguments.json:
+        arguments.json.write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")
+    report(found)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""The exact solution of the inner linear system (`inner.py`), with the force from outside held from n to n + 1.
+"""The exact solution of the linear subsystem (`linear_subsystem.py`), with the force from outside held from n to n + 1.
 
     M x'' + B x' + K x = f[n]      for n T <= t < (n + 1) T
 
@@ -9,14 +9,14 @@ that something from outside holds (`exact_modes.py`); otherwise by the matrix ex
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
-from hapsim.cordis.kind import Column, Frame
+from hapsim.cordis.build_context import BuildContext
+from hapsim.cordis.dispatch import Part
 from hapsim.cordis.schemes.exact_dense import dense_part
 from hapsim.cordis.schemes.exact_modes import modes_of, modes_part
-from hapsim.cordis.schemes.inner import inner_system, inside, outer_parts, require_finite
+from hapsim.cordis.schemes.linear_subsystem import external_parts, inside, linear_subsystem, require_finite
 from hapsim.cordis.schemes.scheme import Scheme, Taken
 from hapsim.errors import UsageError
 from hapsim.scene import Scene
@@ -24,9 +24,9 @@ from hapsim.scene import Scene
 MOST_MODES = 4000  # whose shapes take some 15 s to be worked out
 
 
-def _parts(scene: Scene, frame: Frame, taken: Sequence[Taken], rows: Column) -> tuple[Any, ...]:
-    inner = inner_system(scene, frame, rows)
-    parts = outer_parts(frame, taken)
+def _parts(scene: Scene, context: BuildContext, taken: Sequence[Taken]) -> tuple[Part, ...]:
+    inner = linear_subsystem(scene, context)
+    parts = external_parts(context, taken)
     if inner is None:
         return parts
     if inner.point.size > MOST_MODES:
@@ -36,10 +36,10 @@ def _parts(scene: Scene, frame: Frame, taken: Sequence[Taken], rows: Column) -> 
         )
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
         root = 1.0 / np.sqrt(inner.mass)
-        scale = root / frame.rate
+        scale = root / context.rate
         require_finite(scale, inner.links.stiffness * scale.max() ** 2, inner.links.damping * scale.max() ** 2)
-    modes = modes_of(inner, frame)
-    return (*parts, dense_part(inner, frame) if modes is None else modes_part(inner, modes, frame))
+    modes = modes_of(inner, context)
+    return (*parts, dense_part(inner, context) if modes is None else modes_part(inner, modes, context))
 
 
 EXACT = Scheme(_parts, inside)

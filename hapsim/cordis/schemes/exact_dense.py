@@ -10,87 +10,101 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hapsim.compiled import inlined, summed
-from hapsim.cordis.acting import moves
-from hapsim.cordis.kind import Column, Frame
-from hapsim.cordis.schemes.inner import Inner, Ties, pull_ties
+from hapsim.compiling import reassociated
+from hapsim.compiling.native import value_of
+from hapsim.cordis.build_context import BuildContext
+from hapsim.cordis.dispatch import Part, action
+from hapsim.cordis.schemes.linear_subsystem import LinearSubsystem, Ties, add_tie_forces
+from hapsim.cordis.tick_state import Column
 from hapsim.errors import UsageError
 
 MOST_POINTS = 1000  # whose matrix is 32 MB, and some milliseconds a tick
 
 
 class ExactDense(NamedTuple):
-    """n points, of which something from outside holds H."""
+    """n points, of which something from outside pulls P."""
 
     point: NDArray[np.uint32]
     """(n,) by number"""
-    held: NDArray[np.uint32]
-    """(H,) by number"""
+    loaded: NDArray[np.uint32]
+    """(P,) by number"""
     matrix: Column
-    """(2 n, 2 n + H + 1): what positions, steps, forces and 1 do to positions and steps."""
+    """(2 n, 2 n + P + 1): what positions, steps, forces and 1 do to positions and steps."""
     state: Column
-    """(2 n + H + 1,)"""
+    """(2 n + P + 1,)"""
     next: Column
     """(2 n,)"""
-    ties: Ties | None
+    ties: Ties
 
 
-def dense_part(inner: Inner, frame: Frame) -> ExactDense:
-    """The part of the program that moves the inner system as one."""
+@action
+def integrate(points, state):
+    """Moves every inner point by one sample."""
+    points, state = value_of(points), value_of(state)
+    add_tie_forces(points.ties, state)
+    n = np.uint64(points.point.size)
+    for h in range(np.uint64(points.loaded.size)):
+        points.state[n + n + h] = state.force[points.loaded[h]]
+        state.force[points.loaded[h]] = points.state.dtype.type(0)
+    for i in range(n + n):
+        points.next[i] = _row(points.matrix[i], points.state)
+    for i in range(n + n):
+        points.state[i] = points.next[i]
+    for i in range(n):
+        state.following[points.point[i]] = points.state[i]
+        state.position[points.point[i]] = points.state[i] - points.state[n + i]
+
+
+@action
+def resume(points, state):
+    """Goes on from where the points are, and were."""
+    points, state = value_of(points), value_of(state)
+    n = np.uint64(points.point.size)
+    for i in range(n):
+        p = points.point[i]
+        points.state[i] = state.position[p]
+        points.state[n + i] = state.position[p] - state.previous[p]
+
+
+@reassociated
+def _row(row, state):
+    total = row.dtype.type(0)
+    for j in range(np.uint64(row.size)):
+        total += row[j] * state[j]
+    return total
+
+
+def dense_part(inner: LinearSubsystem, context: BuildContext) -> Part:
+    """The part of the program that moves the subsystem as one."""
     from scipy.linalg import expm
 
-    n, h = inner.point.size, inner.held.size
+    n, h = inner.point.size, inner.loaded.size
     if n > MOST_POINTS:
         raise UsageError(
             f"scheme: exact is for {MOST_POINTS} masses at most where damping joins the scene's modes, and this one "
             f"moves {n}: make the damping proportional to stiffness or to mass, or take midpoint"
         )
-    inertia = 1.0 / (inner.mass * frame.rate**2)
+    inertia = 1.0 / (inner.mass * context.rate**2)
     # Steps are measured in units of the fastest motion, so that no part of the matrix dwarfs the others.
     stiffness = inertia[:, None] * inner.stiffness_matrix().toarray()
     scale = max(1.0, float(np.sqrt(np.abs(stiffness).sum(axis=1).max(initial=0.0))))
     a = np.zeros((2 * n + h + 1, 2 * n + h + 1))
     a[:n, n : 2 * n] = scale * np.eye(n)
     a[n : 2 * n, :n] = -stiffness / scale
-    a[n : 2 * n, n : 2 * n] = -inertia[:, None] * inner.damping_matrix().toarray() * frame.rate
-    a[n + inner.held, 2 * n + np.arange(h)] = inertia[inner.held] / scale
+    a[n : 2 * n, n : 2 * n] = -inertia[:, None] * inner.damping_matrix().toarray() * context.rate
+    a[n + inner.loaded, 2 * n + np.arange(h)] = inertia[inner.loaded] / scale
     a[n : 2 * n, -1] = inertia * inner.force / scale
     matrix = expm(a)[: 2 * n]
     matrix[n:] *= scale
     matrix[:, n : 2 * n] /= scale
-    state = np.concatenate([inner.position, inner.velocity / frame.rate, np.zeros(h), [1.0]])
-    real = frame.real
-    return ExactDense(
+    state = np.concatenate([inner.position, inner.velocity / context.rate, np.zeros(h), [1.0]])
+    real = context.real
+    numbers = ExactDense(
         point=inner.point,
-        held=inner.point[inner.held],
+        loaded=inner.point[inner.loaded],
         matrix=matrix.astype(real),
         state=state.astype(real),
         next=np.zeros(2 * n, real),
         ties=inner.ties,
     )
-
-
-@moves(ExactDense)
-@inlined
-def advance_dense(points, moment):
-    """Moves every inner point by one sample."""
-    pull_ties(points.ties, moment)
-    n = np.uint64(points.point.size)
-    for h in range(np.uint64(points.held.size)):
-        points.state[n + n + h] = moment.force[points.held[h]]
-        moment.force[points.held[h]] = points.state.dtype.type(0)
-    for i in range(n + n):
-        points.next[i] = _row(points.matrix[i], points.state)
-    for i in range(n + n):
-        points.state[i] = points.next[i]
-    for i in range(n):
-        moment.following[points.point[i]] = points.state[i]
-        moment.position[points.point[i]] = points.state[i] - points.state[n + i]
-
-
-@summed
-def _row(row, state):
-    total = row.dtype.type(0)
-    for j in range(np.uint64(row.size)):
-        total += row[j] * state[j]
-    return total
+    return Part(numbers, integrate=integrate, resume=resume)

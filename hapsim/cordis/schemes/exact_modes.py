@@ -5,7 +5,7 @@ oscillator q'' + b q' + k q = g of unit mass. With p = T q' its step is
 
     q[n+1] = e11 q + e12 p + d1 g,      p[n+1] = e21 q + e22 p + d2 g,     g = S^T f
 
-Only the points that something from outside holds are put where they are, in each sample; the others are there, but
+Only the points that something from outside pulls are put where they are, in each sample; the others are there, but
 nobody reads them.
 """
 
@@ -16,10 +16,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hapsim.compiled import fused, inlined, summed
-from hapsim.cordis.acting import moves
-from hapsim.cordis.kind import Column, Frame
-from hapsim.cordis.schemes.inner import Inner, Ties, pull_ties
+from hapsim.compiling import fma, reassociated
+from hapsim.compiling.native import value_of
+from hapsim.cordis.build_context import BuildContext
+from hapsim.cordis.dispatch import Part, action
+from hapsim.cordis.schemes.linear_subsystem import LinearSubsystem, Ties, add_tie_forces
+from hapsim.cordis.tick_state import Column
 
 Reals = NDArray[np.float64]
 
@@ -35,12 +37,18 @@ class Modes(NamedTuple):
 
 
 class ExactModes(NamedTuple):
-    """n modes, and H points that something from outside holds."""
+    """n modes, and P points that something from outside pulls."""
 
     point: NDArray[np.uint32]
-    """(H,) by number"""
+    """(P,) by number"""
     shape: Column
-    """(H, n) how far mode j moves point h."""
+    """(P, n) how far mode j moves point h."""
+    hidden: NDArray[np.uint32]
+    """(n - P,) the other points, by number"""
+    hidden_shape: Column
+    """(n - P, n)"""
+    mass: Column
+    """(n,) kg, of the former and then of the latter"""
     constant: Column
     """(n,) of what stays, as `push`."""
     gain: Column
@@ -55,14 +63,87 @@ class ExactModes(NamedTuple):
     """(n,) q of the next sample"""
     period_squared: Column
     """(1,) T² in s²"""
-    ties: Ties | None
+    ties: Ties
 
 
-def modes_of(inner: Inner, frame: Frame) -> Modes | None:
-    """The modes of the inner system; None where damping couples them."""
-    root = 1.0 / (np.sqrt(inner.mass) * frame.rate)
+@action
+def integrate(modes, state):
+    """Moves every mode by one sample, and puts the points where they are that something pulls."""
+    modes, state = value_of(modes), value_of(state)
+    add_tie_forces(modes.ties, state)
+    for j in range(np.uint64(modes.push.size)):
+        modes.push[j] = modes.constant[j]
+    for h in range(np.uint64(modes.point.size)):
+        p = modes.point[h]
+        _push(modes.push, modes.shape[h], modes.period_squared[0] * state.force[p])
+        state.force[p] = modes.push.dtype.type(0)
+    _advance(modes.gain, modes.position, modes.step, modes.push, modes.after)
+    for h in range(np.uint64(modes.point.size)):
+        p = modes.point[h]
+        x = _sum(modes.shape[h], modes.position)
+        state.following[p] = x
+        state.position[p] = x - _sum(modes.shape[h], modes.step)
+
+
+@action
+def place(modes, state):
+    """Puts the points that nobody looks at where they are."""
+    modes, state = value_of(modes), value_of(state)
+    for h in range(np.uint64(modes.hidden.size)):
+        x = _sum(modes.hidden_shape[h], modes.position)
+        state.position[modes.hidden[h]] = x
+        state.previous[modes.hidden[h]] = x - _sum(modes.hidden_shape[h], modes.step)
+
+
+@action
+def resume(modes, state):
+    """Goes on from where the points are, and were: q = S^T M x."""
+    modes, state = value_of(modes), value_of(state)
+    for j in range(np.uint64(modes.position.size)):
+        modes.position[j] = modes.step[j] = modes.mass.dtype.type(0)
+    looked_at = np.uint64(modes.point.size)
+    for h in range(np.uint64(modes.mass.size)):
+        p = modes.point[h] if h < looked_at else modes.hidden[h - looked_at]
+        shape = modes.shape[h] if h < looked_at else modes.hidden_shape[h - looked_at]
+        x = state.position[p]
+        _push(modes.position, shape, modes.mass[h] * x)
+        _push(modes.step, shape, modes.mass[h] * (x - state.previous[p]))
+
+
+@fma
+def _push(push, shape, force):
+    for j in range(np.uint64(push.size)):
+        push[j] += shape[j] * force
+
+
+@fma
+def _advance(gain, position, step, push, after):
+    """One loop for each array that is written: more at once the compiler does not take for apart from each other, and
+    then it moves no two modes at a time."""
+    modes = np.uint64(position.size)
+    e11, e12, d1 = gain[0], gain[1], gain[4]
+    for j in range(modes):
+        after[j] = e11[j] * position[j] + e12[j] * step[j] + d1[j] * push[j]
+    e21, e22, d2 = gain[2], gain[3], gain[5]
+    for j in range(modes):
+        step[j] = e21[j] * position[j] + e22[j] * step[j] + d2[j] * push[j]
+    for j in range(modes):
+        position[j] = after[j]
+
+
+@reassociated
+def _sum(shape, motion):
+    total = shape.dtype.type(0)
+    for j in range(np.uint64(shape.size)):
+        total += shape[j] * motion[j]
+    return total
+
+
+def modes_of(inner: LinearSubsystem, context: BuildContext) -> Modes | None:
+    """The modes of the subsystem; None where damping couples them."""
+    root = 1.0 / (np.sqrt(inner.mass) * context.rate)
     stiffness = root[:, None] * inner.stiffness_matrix().toarray() * root
-    damping = root[:, None] * inner.damping_matrix().toarray() * root * frame.rate
+    damping = root[:, None] * inner.damping_matrix().toarray() * root * context.rate
     sizes = [float(np.abs(matrix).max(initial=0.0)) or 1.0 for matrix in (stiffness, damping)]
     for share in (0.0, 0.5, 0.3819660112501051):  # where K alone leaves open which, B says so together with it
         vectors = np.linalg.eigh(stiffness / sizes[0] + share * damping / sizes[1])[1]
@@ -70,7 +151,7 @@ def modes_of(inner: Inner, frame: Frame) -> Modes | None:
             _is_diagonal(vectors.T @ matrix @ vectors, size)
             for matrix, size in zip((stiffness, damping), sizes, strict=True)
         ):
-            return _refined(inner, vectors * root[:, None] * frame.rate, frame)
+            return _refined(inner, vectors * root[:, None] * context.rate, context)
     return None
 
 
@@ -78,32 +159,37 @@ def _is_diagonal(matrix: Reals, size: float) -> bool:
     return bool(np.abs(matrix - np.diag(np.diag(matrix))).max(initial=0.0) <= DIAGONAL * size)
 
 
-def _refined(inner: Inner, shape: Reals, frame: Frame) -> Modes:
+def _refined(inner: LinearSubsystem, shape: Reals, context: BuildContext) -> Modes:
     """Each mode's k and b as the sum over all links of what it stretches them: a slow mode's are then as accurate as a
     fast one's, which those that eigenvalues come with are not."""
     squares = (inner.stretches() @ shape) ** 2
-    stiffness = inner.links.stiffness @ squares / frame.rate**2
-    damping = inner.links.damping @ squares / frame.rate
+    stiffness = inner.links.stiffness @ squares / context.rate**2
+    damping = inner.links.damping @ squares / context.rate
     return Modes(shape, np.maximum(stiffness, 0.0), np.maximum(damping, 0.0))
 
 
-def modes_part(inner: Inner, modes: Modes, frame: Frame) -> ExactModes:
+def modes_part(inner: LinearSubsystem, modes: Modes, context: BuildContext) -> Part:
     """The part of the program that moves these modes."""
     momentum = modes.shape.T * inner.mass
     gain = _gains(modes.stiffness, modes.damping)
-    real = frame.real
-    return ExactModes(
-        point=inner.point[inner.held],
-        shape=np.ascontiguousarray(modes.shape[inner.held]).astype(real),
-        constant=(modes.shape.T @ inner.force / frame.rate**2).astype(real),
+    real = context.real
+    hidden = np.setdiff1d(np.arange(inner.point.size, dtype=np.uint32), inner.loaded)
+    numbers = ExactModes(
+        point=inner.point[inner.loaded],
+        shape=np.ascontiguousarray(modes.shape[inner.loaded]).astype(real),
+        hidden=inner.point[hidden],
+        hidden_shape=np.ascontiguousarray(modes.shape[hidden]).astype(real),
+        mass=np.concatenate([inner.mass[inner.loaded], inner.mass[hidden]]).astype(real),
+        constant=(modes.shape.T @ inner.force / context.rate**2).astype(real),
         gain=gain.astype(real),
         position=(momentum @ inner.position).astype(real),
-        step=(momentum @ inner.velocity / frame.rate).astype(real),
+        step=(momentum @ inner.velocity / context.rate).astype(real),
         push=np.zeros(gain.shape[1], real),
         after=np.zeros(gain.shape[1], real),
-        period_squared=np.array([1.0 / frame.rate**2], real),
+        period_squared=np.array([1.0 / context.rate**2], real),
         ties=inner.ties,
     )
+    return Part(numbers, integrate=integrate, place=place, resume=resume)
 
 
 def _gains(k: Reals, b: Reals) -> Reals:
@@ -151,51 +237,3 @@ def _slow_lag(k: Reals, b: Reals) -> Reals:
     slow = k / fast
     one = np.where(slow > 0.0, -np.expm1(-slow) / np.where(slow > 0.0, slow, 1.0), 1.0)
     return (one + np.expm1(-fast) / fast) / rates
-
-
-@moves(ExactModes)
-@inlined
-def advance_modes(modes, moment):
-    """Moves every mode by one sample, and puts the points where they are that something holds."""
-    pull_ties(modes.ties, moment)
-    for j in range(np.uint64(modes.push.size)):
-        modes.push[j] = modes.constant[j]
-    for h in range(np.uint64(modes.point.size)):
-        p = modes.point[h]
-        _push(modes.push, modes.shape[h], modes.period_squared[0] * moment.force[p])
-        moment.force[p] = modes.push.dtype.type(0)
-    _advance(modes.gain, modes.position, modes.step, modes.push, modes.after)
-    for h in range(np.uint64(modes.point.size)):
-        p = modes.point[h]
-        x = _sum(modes.shape[h], modes.position)
-        moment.following[p] = x
-        moment.position[p] = x - _sum(modes.shape[h], modes.step)
-
-
-@fused
-def _push(push, shape, force):
-    for j in range(np.uint64(push.size)):
-        push[j] += shape[j] * force
-
-
-@fused
-def _advance(gain, position, step, push, after):
-    """One loop for each array that is written: more at once the compiler does not take for apart from each other, and
-    then it moves no two modes at a time."""
-    modes = np.uint64(position.size)
-    e11, e12, d1 = gain[0], gain[1], gain[4]
-    for j in range(modes):
-        after[j] = e11[j] * position[j] + e12[j] * step[j] + d1[j] * push[j]
-    e21, e22, d2 = gain[2], gain[3], gain[5]
-    for j in range(modes):
-        step[j] = e21[j] * position[j] + e22[j] * step[j] + d2[j] * push[j]
-    for j in range(modes):
-        position[j] = after[j]
-
-
-@summed
-def _sum(shape, motion):
-    total = shape.dtype.type(0)
-    for j in range(np.uint64(shape.size)):
-        total += shape[j] * motion[j]
-    return total

@@ -11,15 +11,17 @@ to an ulp of its own, and what is lost where it is added to the position never c
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from hapsim.compiled import fused, inlined
-from hapsim.cordis.acting import moves, settles
-from hapsim.cordis.kind import Column, Frame
-from hapsim.cordis.schemes.pulled import first_moved, mobility_of_all, moves_points, pulled
+from hapsim.compiling import fma
+from hapsim.compiling.native import value_of
+from hapsim.cordis.build_context import BuildContext
+from hapsim.cordis.dispatch import Part, action
+from hapsim.cordis.schemes.force_expansion import expanded_forces, first_moved, mobility_of_all, moves_points
 from hapsim.cordis.schemes.scheme import Scheme, Taken
+from hapsim.cordis.tick_state import Column
 from hapsim.scene import Scene
 
 
@@ -31,34 +33,23 @@ class Steps(NamedTuple):
     step: Column
 
 
-def _parts(scene: Scene, frame: Frame, taken: Sequence[Taken], _rows: Column) -> tuple[Any, ...]:
-    parts: list[Any] = []
-    for one in taken:
-        parts += pulled(one, frame) if moves_points(one.kind) else [one.kind.build(one.modules, one.columns, frame)]
-    mobility = mobility_of_all(scene, frame)
-    return (*parts, Steps(np.uint64(first_moved(scene)), mobility, np.zeros_like(mobility)))
-
-
-SEMI_IMPLICIT = Scheme(_parts)
-
-
-@settles(Steps)
-@inlined
-def settle_steps(points, moment):
-    """Before the first tick: the steps that the points come with."""
+@action
+def initialize(points, state):
+    """The steps that the points come with."""
+    points, state = value_of(points), value_of(state)
     for i in range(np.uint64(points.step.size)):
-        points.step[i] = moment.position[points.start + i] - moment.previous[points.start + i]
+        points.step[i] = state.position[points.start + i] - state.previous[points.start + i]
 
 
-@moves(Steps)
-@inlined
-def advance_steps(points, moment):
+@action
+def integrate(points, state):
     """Moves every point by one sample; what becomes its previous position is where the step came from."""
+    points, state = value_of(points), value_of(state)
     start = points.start
-    _advance(points.mobility, points.step, moment.position[start:], moment.following[start:], moment.force[start:])
+    _advance(points.mobility, points.step, state.position[start:], state.following[start:], state.force[start:])
 
 
-@fused
+@fma
 def _advance(mobility, step, position, following, force):
     """One loop for each array that is written: more at once the compiler does not take for apart from each other, and
     then it moves no two points at a time."""
@@ -71,3 +62,15 @@ def _advance(mobility, step, position, following, force):
         position[i] = following[i] - step[i]
     for i in range(points):
         force[i] = force.dtype.type(0)
+
+
+def _parts(scene: Scene, context: BuildContext, taken: Sequence[Taken]) -> tuple[Part, ...]:
+    parts: list[Part] = []
+    for one in taken:
+        parts += expanded_forces(one, context) if moves_points(one.kind) else [one.build(context)]
+    mobility = mobility_of_all(scene, context)
+    steps = Steps(np.uint64(first_moved(scene)), mobility, np.zeros_like(mobility))
+    return (*parts, Part(steps, initialize=initialize, integrate=integrate))
+
+
+SEMI_IMPLICIT = Scheme(_parts)

@@ -1,18 +1,18 @@
-"""Scene -> Mock: the device that the scene describes, at rest and disarmed."""
+"""Scene -> MOCK: the device that the scene describes, at rest and disarmed."""
 
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
 from firmware_protocol import schema
-from firmware_protocol.decoder import new_decoder
+from firmware_protocol.decoder import begin_decoding
 from firmware_protocol.description import Description, to_registers
-from firmware_protocol.frames import SETUP, armed_format
-from hapsim.device.mock.firmware import BOARD, OUTBOX_BYTES, Mock
-from hapsim.device.mock.motion import BODY
-from hapsim.device.mock.sampler import CONVERTER
+from firmware_protocol.frames import SETUP, armed_format, framing_of
+from firmware_protocol.records import new_record
+from hapsim.device.mock.firmware import MOCK
 from hapsim.scene import Scene
 
 _FORCE_COUNTS = 2.0**31  # the limit in N lies at the end of the counts' range: the finest step that 32 bits give
@@ -34,21 +34,40 @@ def describe_mock(scene: Scene) -> Description:
     )
 
 
-def assemble_mock(scene: Scene) -> Mock:
-    """The mock that the scene's `device` and `mock` describe."""
+def assemble_mock(scene: Scene) -> Any:
+    """The mock that the scene's `device` and `mock` describe: MOCK."""
     description = describe_mock(scene)
-    device = scene.mock_device
-    channels = scene.channels
-    bodies = np.zeros(channels, BODY)
+    mock = new_record(MOCK)
+    mock.channels = scene.channels
+    _set_bodies(mock, scene)
+    _set_converters(mock, scene, description)
+    mock.force_scale[: scene.channels] = description.force_scale
+    mock.force_limit[: scene.channels] = description.force_limit
+    mock.registers[:] = to_registers(description)
+    for formats, to_device in ((mock.heard, True), (mock.spoken, False)):
+        formats.setup = framing_of(SETUP, to_device)
+        formats.armed = framing_of(armed_format(scene.channels), to_device)
+        formats.armed_with_velocity = framing_of(armed_format(scene.channels, velocity=True), to_device)
+    begin_decoding(mock.decoder, SETUP, to_device=True)
+    return mock
+
+
+def _set_bodies(mock: Any, scene: Scene) -> None:
+    device, bodies = scene.mock_device, mock.initial[: scene.channels]
     bodies["mass"] = device.mass
     bodies["friction"] = device.friction
     bodies["stiffness"] = device.stiffness
     bodies["coulomb"] = device.coulomb
     bodies["position"] = device.initial_position
     bodies["velocity"] = device.initial_velocity
-    converters = np.zeros(channels, CONVERTER)
-    converters["period"] = 1.0 / scene.rate
+    mock.bodies[: scene.channels] = bodies
+
+
+def _set_converters(mock: Any, scene: Scene, description: Description) -> None:
+    device, converters = scene.mock_device, mock.converters[: scene.channels]
     whole = math.floor(device.delay)
+    mock.depth = whole + 2
+    converters["period"] = 1.0 / scene.rate
     converters["whole_delay"] = whole
     converters["part_delay"] = device.delay - whole
     converters["impulse"] = device.hold == "impulse"
@@ -57,19 +76,5 @@ def assemble_mock(scene: Scene) -> Mock:
     converters["velocity_quantum"] = description.velocity_scale
     converters["noise"] = device.noise
     # Spread apart, and never zero, from which the generator would not move.
-    converters["seed"] = np.random.SeedSequence(device.seed).generate_state(channels, np.uint64) | np.uint64(1)
-    return Mock(
-        bodies=bodies.copy(),
-        initial=bodies,
-        converters=converters,
-        commands=np.zeros((whole + 2, channels)),
-        force_scale=np.array(description.force_scale),
-        force_limit=np.array(description.force_limit),
-        counts=np.zeros(2 * channels, np.int64),
-        registers=to_registers(description),
-        decoder=new_decoder(SETUP, to_device=True),
-        board=np.zeros(1, BOARD)[0],
-        armed=armed_format(channels),
-        armed_with_velocity=armed_format(channels, velocity=True),
-        outbox=np.zeros(OUTBOX_BYTES, np.uint8),
-    )
+    seeds = np.random.SeedSequence(device.seed).generate_state(scene.channels, np.uint64)
+    converters["seed"] = seeds | np.uint64(1)

@@ -8,7 +8,7 @@ import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from hapsim.compiled import on_compilation
+from hapsim.compiling.progress import Counted, on_compilation
 from hapsim.device.mock.assemble import assemble_mock
 from hapsim.device.mock.terminal import serving
 from hapsim.errors import UsageError
@@ -32,7 +32,7 @@ def serve_until_stopped(
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, lambda _number, _frame: stopped.set())
     with (
-        on_compilation(lambda name: tell(Progress("compiling", name))),
+        on_compilation(Counted(lambda name, share: tell(Progress("compiling", name, share=share))).add),
         serving(assemble_mock(scene), as_hardware) as path,
         _linked(link, path) as name,
     ):

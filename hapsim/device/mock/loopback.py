@@ -5,54 +5,48 @@ The mock answers within `send`, so this is for lockstep: virtual time, one threa
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hapsim.compiled import inlined, part
-from hapsim.device.mock.firmware import INPUT_BYTES, Mock, take_bytes
+from hapsim.compiling.native import array_at
+from hapsim.device.mock.firmware import INPUT_BYTES, call_take_bytes, mock_at, prepare
 from hapsim.loop.codes import FAILED, TIMED_OUT
-from hapsim.loop.port import transport
+from hapsim.loop.transport import Transport, receiver, sender
+
+_bytes_at = array_at(np.uint8)
 
 
-class LoopbackPort(NamedTuple):
-    """The host's end of a line to a mock in memory."""
-
-    mock: Mock
-
-
-@inlined
-def _receive(port, buffer, start, timeout_ns):  # noqa: ARG001  nothing comes by waiting
-    waiting = port.mock.board.out
-    count = min(waiting, buffer.size - start)
+@receiver
+def receive(context, buffer, room, timeout_ns):  # noqa: ARG001  nothing comes by waiting
+    mock, buffer = mock_at(context), _bytes_at(buffer, room)
+    waiting = mock.board.out
+    count = waiting if waiting < room else room
     if count == 0:
         return TIMED_OUT
-    outbox = port.mock.outbox
-    for i in range(count):
-        buffer[start + i] = outbox[i]
+    for i in range(np.uint64(count)):
+        buffer[i] = mock.outbox[i]
     for i in range(count, waiting):
-        outbox[i - count] = outbox[i]
-    port.mock.board.out = waiting - count
+        mock.outbox[i - count] = mock.outbox[i]
+    mock.board.out = waiting - count
     return count
 
 
-@part
-def _send(port, buffer, stop):
+@sender
+def send(context, buffer, stop):
     if stop > INPUT_BYTES:
         return FAILED
-    take_bytes(port.mock, buffer, stop, 0)
+    call_take_bytes(mock_at(context).called.take_bytes, (context, buffer, stop, 0))
     return 0
 
 
-transport(LoopbackPort, _receive, _send)
+def loopback_transport(mock: Any) -> Transport:
+    """A transport to `mock`, a MOCK."""
+    prepare(mock)
+    return Transport(receive, send, mock)
 
 
-def loopback_port(mock: Mock) -> LoopbackPort:
-    """A line to `mock`."""
-    return LoopbackPort(mock)
-
-
-def outbox_of(mock: Mock) -> NDArray[np.uint8]:
+def outbox_of(mock: Any) -> NDArray[np.uint8]:
     """What the mock has sent and nobody read yet."""
-    return mock.outbox[: int(mock.board["out"])].copy()
+    return mock.outbox[: int(mock.board.out)].copy()

@@ -6,6 +6,9 @@ No step method: whatever the interval, position, velocity and the integral of th
 Coulomb friction the instant at which the mass comes to rest has a closed form too; it then sticks, or sets off again.
 
 The spring's rest position is x = 0. Without a spring, k0 = 0, the mass moves by formulas of its own.
+
+How a body moves is called by an address (`move_of`), so that nobody compiles the spring and the dry friction of a
+device that has neither.
 """
 
 from __future__ import annotations
@@ -13,8 +16,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numba import types
+from numpy.typing import NDArray
 
-from hapsim.compiled import jit, part
+from hapsim.compiling import helper, inlined
+from hapsim.compiling.native import address_in_memory, function_at, native, record_at
 
 BODY = np.dtype(
     [
@@ -32,7 +38,7 @@ _SERIES_END = 4.0  # of b0 h/m and of k0 h²/m: up to here by series, beyond it 
 _MAX_STOPS = 1000  # within one interval
 
 
-@part
+@helper
 def _phi(u):
     """phi1, phi2, phi3 of u >= 0: phi1 = (1 - exp(-u))/u, phi2 = (1 - phi1)/u, phi3 = (1/2 - phi2)/u.
 
@@ -50,7 +56,7 @@ def _phi(u):
     return 1.0 - u * phi2, phi2, phi3
 
 
-@part
+@helper
 def _glide(body, force, h):
     """Moves under a constant total force, without Coulomb friction."""
     phi1, phi2, phi3 = _phi(body.friction / body.mass * h)
@@ -61,7 +67,7 @@ def _glide(body, force, h):
     body.velocity = v + h * phi1 * (push - body.friction / body.mass * v)
 
 
-@part
+@helper
 def _time_to_rest(body, force):
     """When the velocity crosses zero under a constant total force: infinity where it never does."""
     if not body.velocity * force < 0.0:
@@ -73,7 +79,7 @@ def _time_to_rest(body, force):
     return -body.mass * body.velocity / force * shrunk
 
 
-@part
+@helper
 def _move_free(body, force, h):
     """Moves a body without a spring."""
     if body.coulomb == 0.0:
@@ -94,7 +100,7 @@ def _move_free(body, force, h):
         h -= rest
 
 
-@part
+@helper
 def _spring_phi(u, w):
     """phi1, phi2, phi3 of u = b0 h/m and w = k0 h²/m.
 
@@ -110,7 +116,7 @@ def _spring_phi(u, w):
     return _phi_of_a_swing(u, w, discriminant)
 
 
-@part
+@helper
 def _phi_by_series(u, w):
     """Downwards from a phi[n] that no longer counts, scaled by n! so that every term is of the order of 1.
 
@@ -124,7 +130,7 @@ def _phi_by_series(u, w):
     return 1.0 - u * phi2 - w * phi3, phi2, phi3
 
 
-@part
+@helper
 def _phi_of_two_rates(u, w, root):
     """Two real decays, of which the faster is at least twice the slower: their divided difference.
 
@@ -138,7 +144,7 @@ def _phi_of_two_rates(u, w, root):
     return (math.exp(-slow) - math.exp(-fast)) / apart, (slow1 - fast1) / apart, (slow2 - fast2) / apart
 
 
-@part
+@helper
 def _phi_of_a_swing(u, w, discriminant):
     """A decaying oscillation, or two decays close to each other or equal, where w > 3: by the recursion upwards."""
     if discriminant < 0.0:
@@ -154,7 +160,7 @@ def _phi_of_a_swing(u, w, discriminant):
     return sine, phi2, (1.0 - sine - u * phi2) / w
 
 
-@part
+@helper
 def _swing(body, force, h):
     """Moves on the spring under a constant further force, without Coulomb friction.
 
@@ -171,7 +177,7 @@ def _swing(body, force, h):
     body.velocity = v + h * (phi1 * (push - damped * v) - h * phi2 * sprung * v)
 
 
-@part
+@helper
 def _swing_to_rest(body, force, direction):
     """When a mass on the spring, moving in `direction` or about to, next comes to rest: infinity where it never does.
 
@@ -194,7 +200,7 @@ def _swing_to_rest(body, force, direction):
     return math.log1p(u) / (2.0 * root) if u > 0.0 else speed / braking
 
 
-@part
+@helper
 def _move_on_spring(body, force, h):
     """Moves a body on its spring.
 
@@ -221,16 +227,46 @@ def _move_on_spring(body, force, h):
     _swing(body, force, h)
 
 
-@jit
-def move(body, force, h):
-    """Moves the body for `h` seconds under a constant `force` in N."""
+@helper
+def strike(body, impulse):
+    """Gives the body an impulse in N·s."""
+    body.velocity += impulse / body.mass
+
+
+_MOVE = types.void(types.uint64, types.float64, types.float64)
+_body_at, _call = record_at(BODY), function_at(_MOVE)
+
+
+@inlined
+def move(how, body, force, h):
+    """Moves the body for `h` seconds under a constant `force` in N. `how`: an address that `move_of` gave."""
+    _call(how, (address_in_memory(body), force, h))
+
+
+@native(_MOVE.return_type, *_MOVE.args)
+def move_gliding(body, force, h):
+    """Without a spring and dry friction."""
+    _glide(_body_at(body), force, h)
+
+
+@native(_MOVE.return_type, *_MOVE.args)
+def move_free(body, force, h):
+    """Without a spring."""
+    _move_free(_body_at(body), force, h)
+
+
+@native(_MOVE.return_type, *_MOVE.args)
+def move_on_spring(body, force, h):
+    """With or without either."""
+    body = _body_at(body)
     if body.stiffness == 0.0:
         _move_free(body, force, h)
     else:
         _move_on_spring(body, force, h)
 
 
-@jit
-def strike(body, impulse):
-    """Gives the body an impulse in N·s."""
-    body.velocity += impulse / body.mass
+def move_of(bodies: NDArray[np.void]) -> int:
+    """The address of what moves these bodies, BODY."""
+    if bodies["stiffness"].any():
+        return move_on_spring.address()
+    return move_free.address() if bodies["coulomb"].any() else move_gliding.address()

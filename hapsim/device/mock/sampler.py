@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from hapsim.compiled import jit, part
+from hapsim.compiling import helper
 from hapsim.device.mock.motion import move, strike
 
 CONVERTER = np.dtype(
@@ -31,23 +31,23 @@ CONVERTER = np.dtype(
 )
 
 
-@jit
-def advance_body(body, converter, commands, channel, n, h):
-    """Moves one channel's body through sample n, which lasts `h` seconds. `commands`: N, shape (depth, channels)."""
-    depth = commands.shape[0]
+@helper
+def advance_body(how, body, converter, commands, depth, channel, n, h):
+    """Moves one channel's body through sample n, which lasts `h` seconds. `how`: see `move`; `commands`: N, the last
+    `depth` rows of them, a column for each channel."""
     newer = commands[(n - converter.whole_delay) % depth, channel]
     first = converter.part_delay * h
     if converter.impulse:
-        move(body, 0.0, first)
+        move(how, body, 0.0, first)
         strike(body, newer * converter.period)
-        move(body, 0.0, h - first)
+        move(how, body, 0.0, h - first)
         return
     if first > 0.0:
-        move(body, commands[(n - converter.whole_delay - 1) % depth, channel], first)
-    move(body, newer, h - first)
+        move(how, body, commands[(n - converter.whole_delay - 1) % depth, channel], first)
+    move(how, body, newer, h - first)
 
 
-@jit
+@helper
 def sample(body, converter, h):
     """The position that the device measures, in m, at the end of a sample that lasted `h` seconds."""
     position = body.area / h if converter.average else body.position
@@ -55,7 +55,7 @@ def sample(body, converter, h):
     return position + _noise(converter)
 
 
-@jit
+@helper
 def first_sample(body, converter):
     """The measured position at the start. Averaged sampling looks back along a free motion.
 
@@ -68,7 +68,7 @@ def first_sample(body, converter):
     return position + _noise(converter)
 
 
-@jit
+@helper
 def sample_velocity(body, converter, h):
     """The velocity that the device measures, in m/s, at the end of a sample that lasted `h` seconds.
 
@@ -79,14 +79,14 @@ def sample_velocity(body, converter, h):
     return velocity + _noise(converter) / converter.period
 
 
-@jit
+@helper
 def first_velocity(body, converter):
     """The measured velocity at the start, after the position: along a free motion the mean is the instant's value."""
     converter.before = body.position
     return body.velocity + _noise(converter) / converter.period
 
 
-@jit
+@helper
 def to_counts(value, quantum):
     """(counts, whether they fit 32 bits); a value that does not fit stops at the end of the scale."""
     counts = np.rint(value / quantum)
@@ -95,25 +95,20 @@ def to_counts(value, quantum):
     return np.int64(counts), True
 
 
-@part
+@helper
 def _noise(converter):
-    return converter.noise * _normal(converter) if converter.noise > 0.0 else 0.0
-
-
-@part
-def _uniform(converter):
-    """xorshift64*, in (0, 1]: the mock's own, so that the same seed gives the same noise everywhere."""
-    x = converter.state
-    x ^= x >> np.uint64(12)
-    x ^= x << np.uint64(25)
-    x ^= x >> np.uint64(27)
-    converter.state = x
-    scrambled = x * np.uint64(2685821657736338717)
-    return (np.float64(scrambled >> np.uint64(11)) + 1.0) / 9007199254740992.0
-
-
-@part
-def _normal(converter):
-    """A standard normal value (Box and Muller)."""
-    radius = math.sqrt(-2.0 * math.log(_uniform(converter)))
-    return radius * math.cos(2.0 * math.pi * _uniform(converter))
+    """A normal value (Box and Muller) from two that are uniform in (0, 1] (xorshift64*): the mock's own, so that the
+    same seed gives the same noise everywhere."""
+    if not converter.noise > 0.0:
+        return 0.0
+    uniform = (0.0, 0.0)
+    for _ in range(2):
+        x = converter.state
+        x ^= x >> np.uint64(12)
+        x ^= x << np.uint64(25)
+        x ^= x >> np.uint64(27)
+        converter.state = x
+        scrambled = x * np.uint64(2685821657736338717)
+        uniform = (uniform[1], (np.float64(scrambled >> np.uint64(11)) + 1.0) / 9007199254740992.0)
+    radius = math.sqrt(-2.0 * math.log(uniform[0]))
+    return converter.noise * radius * math.cos(2.0 * math.pi * uniform[1])

@@ -13,20 +13,18 @@ import tty
 from collections.abc import Iterator
 from typing import Any
 
-import numpy as np
-
-from hapsim.compiled import compile_for
-from hapsim.device.mock.firmware import Mock
-from hapsim.device.mock.serve import SERVICE, input_buffer, serve
+from hapsim.compiling.entries import compile_for
+from hapsim.device.mock.firmware import prepare
+from hapsim.device.mock.serve import new_service, serve
 from hapsim.errors import DeviceError
-from hapsim.loop.descriptor import descriptor_port
+from hapsim.loop.descriptor import descriptor_transport
 from hapsim.realtime.scheduling import fifo
 from hapsim.realtime.slack import no_timer_slack
 
 
 @contextlib.contextmanager
-def serving(mock: Mock, as_hardware: bool = False) -> Iterator[str]:
-    """Serves `mock` from a thread of its own while open; the path of its port. DeviceError where none is to be had.
+def serving(mock: Any, as_hardware: bool = False) -> Iterator[str]:
+    """Serves `mock`, a MOCK, from a thread of its own while open; its port's path. DeviceError where there is none.
 
     `as_hardware`: before every program of this machine, where the system grants that: a device's timer waits for none.
     """
@@ -38,17 +36,18 @@ def serving(mock: Mock, as_hardware: bool = False) -> Iterator[str]:
         for end in (near, far):
             tty.setraw(end)
             os.set_blocking(end, False)
-        service = np.zeros(1, SERVICE)[0]
-        arguments = (descriptor_port(near), mock, service, input_buffer(), np.zeros(4, np.int64))
         # Compiled before anybody can knock: a host does not wait for as long as the first compilation takes.
-        compile_for(serve, *arguments)
-        thread = threading.Thread(target=_serve, args=arguments, name="mock device")
+        prepare(mock)
+        transport = descriptor_transport(near)
+        service = new_service(transport)
+        compile_for(serve, mock, service)
+        thread = threading.Thread(target=_serve, args=(mock, service), name="mock device")
         thread.start()
         try:
             with fifo(thread.native_id or 0) if as_hardware else contextlib.nullcontext():
                 yield os.ttyname(far)
         finally:
-            service["stop"] = 1
+            service.stop = 1
             thread.join()
     finally:
         os.close(near)

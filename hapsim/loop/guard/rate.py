@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hapsim.compiled import inlined
+from hapsim.compiling import inlined
 
 WINDOW_NS = 250_000_000  # by the declared rate
 WINDOW_SAMPLES = 64  # at least
@@ -47,7 +47,7 @@ def is_off_rate(watch, sample, now, period_ns):
         watch.long = watch.long + 1 if lasted > MOST_OFF * nominal else 0
         watch.short = watch.short + 1 if lasted * MOST_OFF < nominal else 0
         if watch.long + watch.short > 0:
-            watch.rate_hz = samples * 1e9 / max(lasted, 1)
+            watch.rate_hz = samples * 1e9 / (lasted if lasted > 0 else 1)
     watch.opened_ns = now
     watch.opened_sample = sample
     return watch.long >= WINDOWS or watch.short >= WINDOWS

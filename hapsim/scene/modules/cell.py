@@ -12,6 +12,7 @@ class Cell(Module):
     """A material point on a spring and a damper of its own, which hold it to a fixed point."""
 
     live: ClassVar[tuple[str, ...]] = ("stiffness", "damping", "rest")
+    initial: ClassVar[tuple[str, ...]] = ("position", "velocity")
 
     type: Literal["cell"] = Field(default="cell", description="A material point that is held where it rests")
     mass: Annotated[float, Quantity("Mass", "kg", above=0)]

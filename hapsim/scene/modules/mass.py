@@ -1,6 +1,6 @@
 """The mass: a simulated material point."""
 
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
@@ -10,6 +10,8 @@ from .module import Module
 
 class Mass(Module):
     """A simulated material point."""
+
+    initial: ClassVar[tuple[str, ...]] = ("position", "velocity")
 
     type: Literal["mass"] = Field(default="mass", description="A material point")
     mass: Annotated[float, Quantity("Mass", "kg", above=0)]

@@ -22,6 +22,8 @@ class Module(Part):
     shared: ClassVar[tuple[str, ...]] = ()
     #: The fields that may change while the scene runs.
     live: ClassVar[tuple[str, ...]] = ()
+    #: The fields that say how it begins, and nothing of how it goes on.
+    initial: ClassVar[tuple[str, ...]] = ()
 
     type: str
 

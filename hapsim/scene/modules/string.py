@@ -35,6 +35,7 @@ class String(Structure):
 
     shared: ClassVar[tuple[str, ...]] = ("masses",)
     live: ClassVar[tuple[str, ...]] = ("stiffness", "damping", "friction")
+    initial: ClassVar[tuple[str, ...]] = ("pluck",)
 
     type: Literal["string"] = Field(default="string", description="Equal masses in a row, each linked to the next")
     masses: Annotated[int, Count("How many masses", 2, MOST_MASSES)]

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hapsim.cordis.desk import desk_of, desks_of, ticks, ticks_at
+from hapsim.cordis.offline import start, ticks
 from hapsim.cordis.program import compile_scene, numbers_of
-from hapsim.cordis.tick import start
 from hapsim.scene import Device, DevicePoint, Ground, Mass, Scene, ViscoElastic
 from hapsim.speed_accuracy.cost import Running
 from hapsim.speed_accuracy.ringing_string import scene_of
@@ -22,6 +21,7 @@ from speed.reference.build import build_c
 
 RATE = 50_000.0  # Hz: at which every one of them is stable
 PLAIN, STRONG = "cc -O3 -march=native", "cc, -DMASSES and 512-bit vectors"
+CALLED = "cc -O3 -march=native, its scene behind a pointer"
 SIDE = 32  # of the net
 
 Advance = Callable[[int], None]
@@ -55,10 +55,11 @@ def contests() -> Iterator[Contest]:
 
 def _string_alone(string: StringOfMasses) -> Contest:
     scene = _without_hand(scene_of(string, "cordis", "double", RATE))
-    program, desk, first = compile_scene(scene), desk_of(scene), numbers_of(scene)["string.0"]
+    program, first = compile_scene(scene), numbers_of(scene)["string.0"]
     program.rows[:, first : first + string.masses] = string.plucked()
-    start(program, desk["measured"])
-    advance: dict[str, Advance] = {OURS: lambda samples: ticks(program, desk, samples)}
+    rest, force = np.zeros((2, 1, scene.channels))
+    start(program, rest[0])
+    advance: dict[str, Advance] = {OURS: lambda samples: ticks(program, rest, rest, force, samples)}
     for name, plain in ((PLAIN, True), (STRONG, False)):
         run = CStencil(plain=plain).running(string, RATE)
         run.start_in(string.plucked())
@@ -129,9 +130,9 @@ def _one_spring() -> Contest:
     )
     advance: dict[str, Advance] = {OURS: Running(scene).advance}
     forces: dict[str, Forces] = {OURS: lambda motion: _forces_of(scene, motion)}
-    for name, plain in ((PLAIN, True), (STRONG, False)):
-        advance[name] = CSpring(2000.0, 5.0, RATE, plain=plain).advancing()
-        forces[name] = CSpring(2000.0, 5.0, RATE, plain=plain).run
+    for name, how, plain in ((PLAIN, "run", True), (STRONG, "run", False), (CALLED, "run_called", True)):
+        advance[name] = CSpring(2000.0, 5.0, RATE, how, plain).advancing()
+        forces[name] = CSpring(2000.0, 5.0, RATE, how, plain).run
     return Contest("one spring", advance, forces)
 
 
@@ -141,9 +142,10 @@ def _without_hand(scene: Scene) -> Scene:
 
 
 def _forces_of(scene: Scene, motion: NDArray[np.float64]) -> NDArray[np.float64]:
-    program, desks = compile_scene(scene), desks_of(scene, motion.size)
-    desks["measured"][:, 0] = motion
+    program = compile_scene(scene)
+    measured, velocity, force = np.zeros((3, motion.size, scene.channels))
+    measured[:, 0] = motion
     start(program, np.zeros(scene.channels))
-    ticks_at(program, desks, motion.size)
-    forces: NDArray[np.float64] = desks["force"][:, 0]
+    ticks(program, measured, velocity, force, motion.size)
+    forces: NDArray[np.float64] = force[:, 0]
     return forces

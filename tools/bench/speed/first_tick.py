@@ -20,7 +20,9 @@ _LIMIT_S = 600.0
 
 def first_tick() -> dict[str, float]:
     """Seconds: of the scene, of its program, of the compiled tick and its first call."""
-    from hapsim.cordis.desk import desks_of, ticks_at
+    import numpy as np
+
+    from hapsim.cordis.offline import ticks
     from hapsim.cordis.program import compile_scene
     from hapsim.speed_accuracy.ringing_string import scene_of
     from hapsim.speed_accuracy.strings import StringOfMasses, hand_link
@@ -29,9 +31,9 @@ def first_tick() -> dict[str, float]:
     times = [time.perf_counter()]
     scene = scene_of(string, "cordis", "double", 50_000.0, *hand_link(string))
     times.append(time.perf_counter())
-    program, desks = compile_scene(scene), desks_of(scene, 1)
+    program = compile_scene(scene)
     times.append(time.perf_counter())
-    ticks_at(program, desks, 1)
+    ticks(program, *np.zeros((3, 1, scene.channels)), 1)
     times.append(time.perf_counter())
     parts = [after - before for before, after in itertools.pairwise(times)]
     return dict(zip(("scene", "program", "tick"), parts, strict=True)) | {"all": sum(parts)}

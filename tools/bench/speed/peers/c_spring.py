@@ -26,15 +26,16 @@ class _State(Structure):
 
 
 class CSpring:
-    """K in N/m and B in N·s/m between a hand and the ground, at `rate` Hz. `free`: the compiler may work on many ticks
-    at once. `plain`: compiled with -O3 -march=native and nothing else."""
+    """K in N/m and B in N·s/m between a hand and the ground, at `rate` Hz. `how`: "run"; "run_called", its scene behind
+    a pointer; "run_free", so that the compiler may work on many ticks at once. `plain`: compiled with -O3 -march=native
+    and nothing else."""
 
-    def __init__(self, stiffness: float, damping: float, rate: float, free: bool = False, plain: bool = False) -> None:
+    def __init__(self, stiffness: float, damping: float, rate: float, how: str = "run", plain: bool = False) -> None:
         built = build_c("spring.c", plain=plain)
         library = built.load()
         self.preparation_s = built.seconds
         self._rate = rate
-        self._run = library.spring_run_free if free else library.spring_run
+        self._run = library[f"spring_{how}"]
         self._run.argtypes = [POINTER(_State), c_int64, c_int64, POINTER(c_double), POINTER(c_double)]
         self._state = _State(stiffness=stiffness, damping_per_sample=damping * rate)
 

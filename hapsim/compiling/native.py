@@ -1,0 +1,267 @@
+"""Functions, records and arrays behind addresses: what lets one compiled loop move every scene over every transport.
+
+A loop that knew the type of the scene it moves would have to be compiled for each. It knows addresses instead: of
+functions, each compiled for the numbers that it works on, and of these numbers. `Behind` puts a tuple of arrays behind
+an address; `NativeFunction` compiles a function for it, and the function begins with `value_of`, which makes the tuple
+of the address again. Function and numbers are paired where both are at hand, in `NativeFunction.call_on`: an address
+says nothing of what it points to, and a wrong pair would end the process.
+
+A call through an address costs 1.7 ns.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import struct
+from collections.abc import Callable
+from typing import Any
+
+import numba
+import numpy as np
+from numba.core import cgutils
+from numba.extending import intrinsic
+from numba.np.arrayobj import populate_array
+
+from firmware_protocol.code_cache import numba_cache_in
+from firmware_protocol.compiled import OPTIONS
+from hapsim.compiling import compiler
+from hapsim.compiling.entries import kept_mark
+from hapsim.compiling.progress import compiling
+
+ir = cgutils.ir
+types: Any = numba.types  # whose own annotations leave out some of them
+
+_WORD = ir.IntType(64)
+_CFUNC_OPTIONS = {key: OPTIONS[key] for key in ("error_model", "no_rewrites", "_nrt")}
+
+
+class Behind:
+    """A value behind an address: numbers, contiguous arrays, records, and named tuples of these.
+
+    `address` is good for as long as this object is there, which keeps all that it refers to.
+    """
+
+    def __init__(self, value: Any) -> None:
+        self.value = value
+        self.type = numba.typeof(value)
+        self._words = np.array(_words_of(value), np.int64)
+        self.address = int(self._words.ctypes.data)
+
+
+def address_of(record: Any) -> int:
+    """Where a record or an array is. Good for as long as it is there."""
+    return int(record.__array_interface__["data"][0])
+
+
+def _words_of(value: Any) -> list[int]:
+    """The value as 64-bit words, in the order in which `_read` takes them."""
+    if isinstance(value, tuple):
+        return [word for field in value for word in _words_of(field)]
+    if isinstance(value, np.ndarray):
+        if not value.flags.c_contiguous or not value.flags.aligned:
+            raise TypeError("an array behind an address has to be contiguous and aligned")
+        return [value.ctypes.data, *value.shape]
+    if isinstance(value, np.void):
+        return [address_of(value)]
+    if isinstance(value, float | np.float64):
+        return list(struct.unpack("<q", struct.pack("<d", value)))
+    if isinstance(value, int | np.int64 | np.uint64) and not isinstance(value, bool):
+        return [int(np.array(int(value) & (2**64 - 1), np.uint64).view(np.int64))]
+    raise TypeError(f"found {type(value).__name__}, which does not go behind an address")
+
+
+@intrinsic
+def value_of(_typing: Any, pointer: Any) -> Any:
+    """What stands behind an address, for the function that was compiled for its type."""
+    if not isinstance(pointer, types.CPointer):
+        return None  # numba then says that it fits no call
+
+    def generate(context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
+        words = builder.bitcast(arguments[0], _WORD.as_pointer())
+        return _read(context, builder, words, pointer.dtype, 0)[0]
+
+    return pointer.dtype(pointer), generate
+
+
+def _read(context: Any, builder: Any, words: Any, kind: Any, at: int) -> tuple[Any, int]:
+    """(the value of this type whose first word is number `at`, the number of the word behind it)"""
+
+    def word(i: int) -> Any:
+        return builder.load(builder.gep(words, [ir.Constant(_WORD, i)]))
+
+    if isinstance(kind, types.BaseTuple):
+        fields = []
+        for each in kind.types:
+            field, at = _read(context, builder, words, each, at)
+            fields.append(field)
+        return context.make_tuple(builder, kind, fields), at
+    if isinstance(kind, types.Array):
+        shape = [word(at + 1 + axis) for axis in range(kind.ndim)]
+        return _array(context, builder, kind, word(at), shape), at + 1 + kind.ndim
+    if isinstance(kind, types.Record):
+        return builder.inttoptr(word(at), context.get_value_type(kind)), at + 1
+    if isinstance(kind, types.Float):
+        return builder.bitcast(word(at), ir.DoubleType()), at + 1
+    return word(at), at + 1
+
+
+def _array(context: Any, builder: Any, kind: Any, address: Any, shape: list[Any]) -> Any:
+    """A contiguous array that somebody else keeps."""
+    number = context.get_data_type(kind.dtype)
+    strides = [context.get_constant(types.intp, context.get_abi_sizeof(number))]
+    for length in reversed(shape[1:]):
+        strides.insert(0, builder.mul(strides[0], length))
+    array = context.make_array(kind)(context, builder)
+    data = builder.inttoptr(address, number.as_pointer())
+    populate_array(array, data, shape, strides, strides[-1], None)
+    return array._getvalue()
+
+
+@intrinsic
+def address_in_memory(_typing: Any, record: Any) -> Any:
+    """Where a record is, in compiled code."""
+
+    def generate(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
+        return builder.ptrtoint(arguments[0], _WORD)
+
+    return types.uint64(record), generate
+
+
+def record_at(dtype: np.dtype[np.void]) -> Callable[[int], Any]:
+    """A function of compiled code that makes a record of its address."""
+    kind = numba.from_dtype(dtype)
+
+    @intrinsic
+    def record(_typing: Any, _address: Any) -> Any:
+        def generate(context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
+            return builder.inttoptr(arguments[0], context.get_value_type(kind))
+
+        return kind(types.uint64), generate
+
+    chosen: Callable[[int], Any] = record
+    return chosen
+
+
+def array_at(dtype: Any) -> Callable[[int, int], Any]:
+    """A function of compiled code that makes an array of so many numbers of its address and their count."""
+    kind = types.Array(numba.from_dtype(np.dtype(dtype)), 1, "C")
+
+    @intrinsic
+    def array(_typing: Any, _address: Any, _count: Any) -> Any:
+        def generate(context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
+            return _array(context, builder, kind, arguments[0], [arguments[1]])
+
+        return kind(types.uint64, types.intp), generate
+
+    chosen: Callable[[int, int], Any] = array
+    return chosen
+
+
+def function_at(signature: Any) -> Callable[[int, tuple[Any, ...]], Any]:
+    """A function of compiled code that calls another by its address, with the arguments in a tuple."""
+
+    @intrinsic
+    def call(_typing: Any, _function: Any, _arguments: Any) -> Any:
+        def generate(context: Any, builder: Any, _signature: Any, values: Any) -> Any:
+            kinds = [context.get_value_type(kind) for kind in signature.args]
+            returns_nothing = signature.return_type == types.void
+            returned = ir.VoidType() if returns_nothing else context.get_value_type(signature.return_type)
+            pointer = builder.inttoptr(values[0], ir.FunctionType(returned, kinds).as_pointer())
+            result = builder.call(pointer, cgutils.unpack_tuple(builder, values[1], len(kinds)))
+            return context.get_dummy_value() if returns_nothing else result
+
+        return signature.return_type(types.uint64, types.Tuple(signature.args)), generate
+
+    chosen: Callable[[int, tuple[Any, ...]], Any] = call
+    return chosen
+
+
+class NativeFunction:
+    """A function that compiled code calls by its address.
+
+    Its arguments are values behind addresses, which it begins by reading: `links = value_of(links)`. For each choice of
+    their types it is compiled when it is first asked for, and kept.
+    """
+
+    def __init__(self, function: Callable[..., Any], returns: Any = types.void, **options: Any) -> None:
+        self.function = function
+        self._returns, self._options = returns, options
+        self._compiled: dict[Any, Any] = {}
+
+    def call_on(self, *values: Behind) -> tuple[int, ...]:
+        """Its address, compiled for these values, and theirs: what compiled code needs for the call. The only place
+        where a function and its numbers become addresses."""
+        return self._address(*(types.CPointer(value.type) for value in values)), *(value.address for value in values)
+
+    def _address(self, *kinds: Any) -> int:
+        signature = self._returns(*kinds)
+        if signature not in self._compiled:
+            self._compiled[signature] = self._compile(signature)
+        return int(self._compiled[signature].address)
+
+    def _compile(self, signature: Any) -> Any:
+        classes = _classes_in(signature)
+        directory = compiler.directory_of(self.function, *classes)
+        mark = kept_mark(self.function, signature, *classes)
+        is_kept = mark is not None and mark.exists()
+        with numba_cache_in(directory), contextlib.nullcontext() if is_kept else compiling(self.name):
+            compiled = numba.cfunc(signature, cache=directory is not None, **_CFUNC_OPTIONS, **self._options)(
+                self.function
+            )
+        if mark is not None:
+            mark.touch()
+        return compiled
+
+    @property
+    def name(self) -> str:
+        """As it is called while it is compiled."""
+        return f"{self.function.__module__.rpartition('.')[2]}.{self.function.__name__}"
+
+
+class PlainNative(NativeFunction):
+    """A native function whose arguments are numbers, addresses among them. Python may call it too."""
+
+    def __init__(self, function: Callable[..., Any], signature: Any) -> None:
+        super().__init__(function, signature.return_type)
+        self._arguments = signature.args
+        self._callable: Any = None
+
+    def address(self) -> int:
+        """Where it is."""
+        return self._address(*self._arguments)
+
+    def is_kept(self) -> bool:
+        """Whether its machine code is there from an earlier run."""
+        mark = kept_mark(self.function, self._returns(*self._arguments))
+        return mark is not None and mark.exists()
+
+    def __call__(self, *arguments: int) -> Any:
+        if self._callable is None:
+            self._callable = ctypes.CFUNCTYPE(_CTYPES[self._returns], *(_CTYPES[kind] for kind in self._arguments))(
+                self.address()
+            )
+        return self._callable(*arguments)
+
+
+def native(returns: Any, *arguments: Any) -> Callable[[Callable[..., Any]], PlainNative]:
+    """Makes a native function of one whose arguments have these numba types: int64, float64, or uint64 for an
+    address."""
+    return lambda function: PlainNative(function, returns(*arguments))
+
+
+_CTYPES: dict[Any, Any] = {
+    types.void: None,
+    types.int64: ctypes.c_int64,
+    types.uint64: ctypes.c_uint64,
+    types.float64: ctypes.c_double,
+}
+
+
+def _classes_in(kind: Any) -> set[type]:
+    """The classes of the named tuples in a type: the order of their fields decides what is compiled."""
+    if isinstance(kind, types.CPointer):
+        return _classes_in(kind.dtype)
+    inner = kind.args if hasattr(kind, "args") else getattr(kind, "types", ())
+    own = {kind.instance_class} if isinstance(kind, types.BaseNamedTuple) else set()
+    return own.union(*(_classes_in(each) for each in inner)) if inner else own

@@ -1,0 +1,85 @@
+"""What the modules of one type do in a tick: actions, each compiled by itself and called by its address.
+
+A tick knows no module. It goes through lists of calls, and whatever stands there is done: a type of module that a scene
+lacks costs it nothing, one that it has is compiled once, whatever stands beside it in any scene.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba.core import types
+from numpy.typing import NDArray
+
+from firmware_protocol.code_size import compact
+from firmware_protocol.unsigned import ONE
+from hapsim.compiling import inlined
+from hapsim.compiling.native import Behind, NativeFunction, array_at, function_at
+from hapsim.cordis.tick_state import Column
+
+
+def action(function: Callable[[Any, Any], None]) -> NativeFunction:
+    """An action (numbers, state): `numbers` is the part's own named tuple, `state` a TickState, both behind addresses,
+    so that it begins with `numbers, state = value_of(numbers), value_of(state)`."""
+    return NativeFunction(function)
+
+
+def fma_action(function: Callable[[Any, Any], None]) -> NativeFunction:
+    """The same; a product and the sum that it goes into may be rounded once instead of twice."""
+    return NativeFunction(function, fastmath={"contract"})
+
+
+class Memory(NamedTuple):
+    """What modules remember from sample to sample, beside the positions of their points."""
+
+    modules: tuple[str, ...]
+    """Their names."""
+    columns: tuple[Column, ...]
+    """Of the part's numbers: one value per module each."""
+
+
+class Part(NamedTuple):
+    """The modules of one type, as a tick sees them: their numbers, and what it does with them."""
+
+    numbers: Any
+    """A named tuple."""
+    initialize: NativeFunction | None = None
+    """Before the first tick."""
+    retarget: NativeFunction | None = None
+    """When live parameters have moved, and once more with the next sample."""
+    add_forces: NativeFunction | None = None
+    """When all points are where they are at this sample."""
+    integrate: NativeFunction | None = None
+    """When all forces are added up: where its points are at the next sample."""
+    place: NativeFunction | None = None
+    """Before another program takes over: puts all its points where they are, where a tick does not."""
+    resume: NativeFunction | None = None
+    """After `initialize`, in a program that took over from another: what it makes of where its points are."""
+    memory: Memory | None = None
+    kept: Any = None
+    """What has to stay in memory as long as the part does, because its numbers hold addresses of it."""
+
+
+CALLS = np.dtype([("pairs", np.uint64), ("count", np.int64)], align=True)
+"""A list of calls: the address of pairs of addresses (an action, its numbers), and how many there are."""
+
+
+def calls_of(actions: Sequence[tuple[NativeFunction, Behind]], state: Behind) -> NDArray[np.uint64]:
+    """The pairs of these actions and their numbers, shape (calls, 2), compiled for states like `state`."""
+    pairs = [act.call_on(numbers, state)[:2] for act, numbers in actions]
+    return np.array(pairs, np.uint64).reshape(-1, 2)
+
+
+_words_at = array_at(np.uint64)
+_call = function_at(types.void(types.uint64, types.uint64))
+
+
+@inlined
+def call_all(calls, state):
+    """Makes all calls of a list, in order. `state`: the address of a TickState."""
+    compact()
+    pairs = _words_at(calls.pairs, 2 * calls.count)
+    for i in range(np.uint64(calls.count)):
+        _call(pairs[i + i], (pairs[i + i + ONE], state))

@@ -1,0 +1,52 @@
+"""What links have in common: two ends each, which they pull towards each other.
+
+    F[n] = -K d[n] - (B / T) g[n]      d: first end minus second end; g: by how much d grows in a sample period
+
+is the visco-elastic link (Florens et al., §6, Figure 5b). A link's *tension* is -F: it pulls the ends together where it
+is positive, so that it acts on the first end as -tension, and on the second as +tension. That is said and done here, in
+`pull_ends`, for every link there is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hapsim.compiling import inlined
+from hapsim.cordis.build_context import BuildContext
+
+
+class Ends(NamedTuple):
+    """The points that L links join, by number, shape (L,)."""
+
+    first: NDArray[np.uint32]
+    second: NDArray[np.uint32]
+
+
+def ends_of(links: Mapping[str, Any], context: BuildContext) -> Ends:
+    """The ends of these modules of a scene."""
+    numbers = [[context.number[end] for end in link.between] for link in links.values()]
+    first, second = np.array(numbers, np.uint32).reshape(-1, 2).T
+    return Ends(np.ascontiguousarray(first), np.ascontiguousarray(second))
+
+
+@inlined
+def count(ends):
+    """How many links there are."""
+    return np.uint64(ends.first.size)
+
+
+@inlined
+def stretch(ends, i, position):
+    """Link i's first end minus its second, where the points are at `position`, in m."""
+    return position[ends.first[i]] - position[ends.second[i]]
+
+
+@inlined
+def pull_ends(ends, i, tension, force):
+    """Pulls link i's ends towards each other by `tension` N."""
+    force[ends.first[i]] -= tension
+    force[ends.second[i]] += tension

@@ -1,0 +1,184 @@
+"""The membrane: equal masses in rows and columns, moved in one pass over contiguous memory.
+
+The recurrence is that of `string.py`, with four neighbours: s[i] = x[left] + x[right] + x[above] + x[below],
+
+    x[n+1] = (2 - 4 (a + b) - e) x[n] + (a + b) s[n] - (1 - 4 b - e) x[n-1] - b s[n-1]
+
+A membrane stands in memory row after row, each between two borders, and between two rows of borders above and below.
+The border of a fixed edge stays where it is; that of a free edge follows its neighbour, so that no link to it
+is ever stretched. Every row begins where lanes may begin, so that what is above and below is fetched whole.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hapsim.compiling import fma, inlined
+from hapsim.compiling.native import value_of
+from hapsim.cordis.build_context import BuildContext, PartType, all_of
+from hapsim.cordis.dispatch import Part, action
+from hapsim.cordis.modules.loaded_points import LoadedPoints, loaded_points_of, push_loaded_points
+from hapsim.cordis.modules.mass import mobility_of
+from hapsim.cordis.modules.string import coefficient_terms, live_structures, place_terms
+from hapsim.cordis.simd.lanes import fetch, padded, put, put_one, shift_lanes, width_of
+from hapsim.cordis.simd.stencil import StencilKernel, stencil_kernel, sweep
+from hapsim.cordis.tick_state import Column
+from hapsim.scene import Membrane
+
+
+class Membranes(NamedTuple):
+    """S membranes: their first mass, how far it is in memory from one row to the next, how many rows and columns of
+    masses each has, which edges are free (S, 4); T²/m in m/N; K, B/T and friction/T in N/m; shape (S,)."""
+
+    first: NDArray[np.uint64]
+    pitch: NDArray[np.uint64]
+    rows: NDArray[np.uint64]
+    columns: NDArray[np.uint64]
+    free: NDArray[np.bool_]
+    mobility: Column
+    stiffness: Column
+    damping_per_sample: Column
+    friction_per_sample: Column
+    loaded: LoadedPoints
+
+
+class MembraneStep(NamedTuple):
+    """`a`, `b`, `e` as above; `pitch`: from one row to the next in memory."""
+
+    a: float
+    b: float
+    e: float
+    pitch: np.uint64
+
+
+def _build(membranes: Mapping[str, Membrane], columns: Sequence[Column], context: BuildContext) -> Part:
+    stiffness, damping_per_sample, friction_per_sample = columns
+    ones = membranes.values()
+    numbers = Membranes(
+        np.array([context.number[f"{name}.0.0"] for name in membranes], np.uint64),
+        np.array([_pitch(one) for one in ones], np.uint64),
+        np.array([one.rows for one in ones], np.uint64),
+        np.array([one.columns for one in ones], np.uint64),
+        np.array([[edge == "free" for edge in one.edges] for one in ones]),
+        mobility_of([one.mass for one in ones], context),
+        stiffness,
+        damping_per_sample,
+        friction_per_sample,
+        loaded_points_of(membranes, context),
+    )
+    return Part(numbers, initialize=initialize, integrate=integrate)
+
+
+def _pitch(membrane: Membrane) -> int:
+    """A border, a row of masses, a border."""
+    return padded(membrane.columns + 2)
+
+
+def _layout(membrane: Membrane) -> tuple[Sequence[int], int]:
+    """Rows with a border at each end, between two rows of borders."""
+    rows, columns, pitch = range(1, membrane.rows + 1), range(1, membrane.columns + 1), _pitch(membrane)
+    return [row * pitch + column for row in rows for column in columns], (membrane.rows + 2) * pitch
+
+
+MEMBRANE = PartType(
+    all_of(Membrane),
+    _build,
+    live_structures,
+    _layout,
+    name="membranes",
+    compiled_as="a stencil over contiguous memory, row by row, many masses at once",
+)
+
+
+@action
+def initialize(membranes, state):
+    """The borders go where the masses were."""
+    membranes, state = value_of(membranes), value_of(state)
+    for s in range(np.uint64(membranes.first.size)):
+        _free_edges(membranes, s, state.previous)
+
+
+@action
+def integrate(membranes, state):
+    """Moves every membrane by one sample."""
+    membranes, state = value_of(membranes), value_of(state)
+    for s in range(np.uint64(membranes.first.size)):
+        _free_edges(membranes, s, state.position)
+        step = MembraneStep(
+            membranes.mobility[s] * membranes.stiffness[s],
+            membranes.mobility[s] * membranes.damping_per_sample[s],
+            membranes.mobility[s] * membranes.friction_per_sample[s],
+            membranes.pitch[s],
+        )
+        for row in range(membranes.rows[s]):
+            first = membranes.first[s] + row * membranes.pitch[s]
+            sweep(step, state.position, state.previous, state.following, first, membranes.columns[s])
+    push_loaded_points(membranes.loaded, state)
+
+
+@inlined
+def _free_edges(membranes, s, position):
+    """The border of a free edge goes where its neighbour is."""
+    first, pitch, columns, free = membranes.first[s], membranes.pitch[s], membranes.columns[s], membranes.free
+    last_row = first + (membranes.rows[s] - np.uint64(1)) * pitch
+    if free[s, 0]:
+        _copy_row(position, first, first - pitch, columns)
+    if free[s, 1]:
+        _copy_row(position, last_row, last_row + pitch, columns)
+    for row in range(membranes.rows[s]):
+        left = first + row * pitch
+        right = left + columns - np.uint64(1)
+        if free[s, 2]:
+            put_one(position, left - np.uint64(1), position[left])
+        if free[s, 3]:
+            put_one(position, right + np.uint64(1), position[right])
+
+
+@inlined
+def _copy_row(position, masses, borders, columns):
+    """Puts a row of borders where a row of masses is, in lanes. What stands beside them goes along: nobody asks it."""
+    begin, end = np.uint64(1), columns + np.uint64(1)
+    for i in range(np.uint64(0), end, width_of(position)):
+        put(position, borders - begin + i, fetch(position, masses - begin + i))
+
+
+@fma
+def _update_by_coefficients(step, rows, here, terms):
+    x, before = fetch(rows[0], here), fetch(rows[1], here)
+    a, b, e, pitch = step
+    real = rows[0].dtype.type
+    now, old = real(2) - real(4) * (a + b) - e, real(1) - real(4) * b - e
+    sides = shift_lanes(terms, 0, -1) + shift_lanes(terms, 0, 1)
+    return (now * x - old * before) + (
+        sides + ((a + b) * _upright(rows[0], here, pitch) - b * _upright(rows[1], here, pitch))
+    )
+
+
+@fma
+def _update_by_differences(step, rows, here, terms):
+    x, before = fetch(rows[0], here), fetch(rows[1], here)
+    a, b, e, pitch = step
+    four = rows[0].dtype.type(4)
+    way = x - before
+    pull = ((shift_lanes(terms, 0, -1) + shift_lanes(terms, 0, 1)) + _upright(rows[0], here, pitch)) - four * x
+    pull_before = (
+        (shift_lanes(terms, 1, -1) + shift_lanes(terms, 1, 1)) + _upright(rows[1], here, pitch)
+    ) - four * before
+    return x + (((way - e * way) + (a + b) * pull) - b * pull_before)
+
+
+@inlined
+def _upright(row, here, pitch):
+    """The sum of what is above and below."""
+    return fetch(row, here - pitch) + fetch(row, here + pitch)
+
+
+stencil_kernel(
+    MembraneStep,
+    StencilKernel(coefficient_terms, _update_by_coefficients),
+    StencilKernel(place_terms, _update_by_differences),
+)

@@ -1,0 +1,137 @@
+"""A program without a device: its ticks one by one, or in a compiled loop, for whoever asks what they cost or do.
+
+Between two ticks of a loop with a device, other code runs: what stands in memory is written by then, and read anew. The
+loops here keep to that (`_other_code`), lest the compiler work on several ticks at once.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic
+from numpy.typing import NDArray
+
+from firmware_protocol.records import new_record
+from hapsim.compiling import entry
+from hapsim.compiling.native import array_at
+from hapsim.cordis.dispatch import CALLS, Part, call_all
+from hapsim.cordis.program import Program
+from hapsim.cordis.tick import follow_parameters as _follow
+from hapsim.cordis.tick import start as _start_inlined
+from hapsim.cordis.tick import take_over as _take_over_inlined
+from hapsim.cordis.tick import tick as _tick_inlined
+
+Reals = NDArray[np.float64]
+
+_PAIR_BYTES = 16
+
+
+_doubles_at, _singles_at = array_at(np.float64), array_at(np.float32)
+
+
+@intrinsic
+def _other_code(_typing: Any) -> Any:
+    """To the compiler, code that may read and write all memory."""
+
+    def generate(context: Any, builder: Any, _signature: Any, _arguments: Any) -> Any:
+        nothing = cgutils.ir.FunctionType(cgutils.ir.VoidType(), [])
+        builder.asm(nothing, "", "~{memory}", [], side_effect=True)
+        return context.get_dummy_value()
+
+    return types.void(), generate
+
+
+def start(program: Program, measured: Reals) -> None:
+    """Puts the device points at `measured` (m, one per channel), at rest: before the first tick."""
+    _start(program.record, measured)
+
+
+def tick(program: Program, measured: Reals, velocity: Reals, force: Reals) -> None:
+    """One sample; all arrays with one value per channel: m, m/s, and what it writes, N."""
+    _tick(program.record, measured, velocity, force)
+
+
+def follow_parameters(program: Program) -> None:
+    """Before a tick: live parameters that were posted move by a sample."""
+    _follow_parameters(program.record)
+
+
+def ticks(program: Program, measured: Reals, velocity: Reals, force: Reals, samples: int) -> None:
+    """So many samples, each with the next of the hands' positions and velocities, shape (rows, channels), over and
+    over; forces in N, beside them."""
+    _ticks(program.record, measured, velocity, force, samples)
+
+
+def ticks_watched(program: Program, rows: list[NDArray[Any]], weights: Reals, watched: Reals) -> None:
+    """As many samples as `watched` has room for, all hands at 0; behind each, the sum of `weights` times the numbers in
+    the row whose turn it is: three rows, contiguous, of the program's own type of number."""
+    addresses = np.array([row.ctypes.data for row in rows], np.uint64)
+    if any(row.dtype != program.rows.dtype or row.size < weights.size for row in rows):
+        raise ValueError("rows of another type of number, or too short")
+    still = np.zeros(1 + int(program.record.channel.max()))
+    _ticks_watched(program.record, still, np.zeros_like(still), addresses, weights, watched)
+
+
+def act_alone(program: Program, action: str, part: Part, samples: int) -> None:
+    """Calls one action of one of the program's parts so many times, at the program's own state."""
+    having = [one for one in program.parts if getattr(one, action) is not None]
+    (number,) = (i for i, one in enumerate(having) if one is part)
+    alone = new_record(CALLS)
+    alone.pairs, alone.count = program.record[action].pairs + np.uint64(_PAIR_BYTES * number), 1
+    _call_many(program.record, alone, samples)
+
+
+def take_over(older: Program, program: Program, measured: Reals) -> None:
+    """Instead of `start`, for a program that `take_over_from` prepared to follow `older`."""
+    _take_over(older.record, program.record, measured)
+
+
+@entry
+def _take_over(older, program, measured):
+    _take_over_inlined(older, program, measured)
+
+
+@entry
+def _start(program, measured):
+    _start_inlined(program, measured)
+
+
+@entry
+def _tick(program, measured, velocity, force):
+    _tick_inlined(program, measured, velocity, force)
+
+
+@entry
+def _follow_parameters(program):
+    _follow(program)
+
+
+@entry
+def _ticks(program, measured, velocity, force, samples):
+    for begin in range(0, samples, measured.shape[0]):
+        for n in range(np.uint64(min(measured.shape[0], samples - begin))):
+            _tick_inlined(program, measured[n], velocity[n], force[n])
+            _other_code()
+
+
+@entry
+def _ticks_watched(program, measured, force, rows, weights, watched):
+    for n in range(watched.size):
+        _tick_inlined(program, measured, measured, force)
+        row, total = rows[np.uint64(program.turn)], 0.0
+        for i in range(weights.size):
+            if program.single:
+                total += weights[i] * _singles_at(row, weights.size)[i]
+            else:
+                total += weights[i] * _doubles_at(row, weights.size)[i]
+        watched[n] = total
+
+
+@entry
+def _call_many(program, calls, samples):
+    for _ in range(samples):
+        call_all(calls, program.states[np.uint64(program.turn)])
+        _other_code()

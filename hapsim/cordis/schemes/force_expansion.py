@@ -1,0 +1,187 @@
+"""Structures as forces and nothing else, for schemes that move all points alike.
+
+The forces in a string are added up in one pass over contiguous memory. In any other structure they are added up link by
+link, as its `elements()` say; what a live value of it does is found by taking it apart with that value at one and the
+others at zero.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hapsim.compiling import fma
+from hapsim.compiling.native import value_of
+from hapsim.cordis.build_context import BuildContext, PartType
+from hapsim.cordis.dispatch import Part, action
+from hapsim.cordis.modules.link import Ends, pull_ends, stretch
+from hapsim.cordis.modules.mass import MASS, mobility_of
+from hapsim.cordis.modules.string import STRING, Rows, free_ends, rows_of
+from hapsim.cordis.schemes.scheme import Taken
+from hapsim.cordis.tick_state import Column
+from hapsim.scene import Scene
+
+_ONE = np.uint64(1)
+
+
+class StringForces(NamedTuple):
+    """S strings: K, B/T and friction/T in N/m; shape (S,)."""
+
+    rows: Rows
+    stiffness: Column
+    damping_per_sample: Column
+    friction_per_sample: Column
+
+
+class WeightedLinks(NamedTuple):
+    """L links inside structures. Link i's stiffness and damping are `value[owner[i]]` times its weights."""
+
+    ends: Ends
+    owner: NDArray[np.uint32]
+    of_stretch: Column
+    of_growth: Column
+    value: Column
+
+
+class WeightedLinksToRest(NamedTuple):
+    """The same, of links whose second end stays at `rest`, in m."""
+
+    point: NDArray[np.uint32]
+    rest: Column
+    owner: NDArray[np.uint32]
+    of_stretch: Column
+    of_growth: Column
+    value: Column
+
+
+def first_moved(scene: Scene) -> int:
+    """The number of the first point that the scene moves; all after it are masses, or borders of structures."""
+    return len(scene.device_points) + len(scene.grounds)
+
+
+def moves_points(kind: PartType) -> bool:
+    """Whether this kind of module has points that the scene moves."""
+    return kind is MASS or kind.layout is not None
+
+
+def mobility_of_all(scene: Scene, context: BuildContext) -> Column:
+    """T²/m in m/N of all points from `first_moved` on; 0 for borders."""
+    start = first_moved(scene)
+    mobility = np.zeros(context.state.force.size - start, context.real)
+    for name, mass in masses_of(scene):
+        mobility[context.number[name] - start] = mobility_of(mass, context)
+    return mobility
+
+
+def masses_of(scene: Scene) -> Iterator[tuple[str, float]]:
+    """Every point that the scene moves, with its mass in kg."""
+    for name, mass in (scene.masses | scene.cells).items():
+        yield name, mass.mass
+    for name, structure in scene.structures.items():
+        for place, kilograms in zip(structure.places(), structure.elements().masses, strict=True):
+            yield f"{name}.{place}", kilograms
+
+
+def expanded_forces(taken: Taken, context: BuildContext) -> tuple[Part, ...]:
+    """The parts that add up the forces in what this type's modules move, and move nothing."""
+    kind, modules, columns = taken
+    if kind is MASS:
+        return ()
+    if kind is STRING:
+        return (Part(StringForces(rows_of(modules, context), *columns), add_forces=add_string_forces),)
+    return weighted_links_of(taken, context)
+
+
+def weighted_links_of(taken: Taken, context: BuildContext) -> tuple[Part, ...]:
+    """The links inside structures of any kind."""
+    lists: dict[tuple[int, bool], list[Any]] = {}
+    for owner, (name, structure) in enumerate(taken.modules.items()):
+        places = [context.number[f"{name}.{place}"] for place in structure.places()]
+        for column, unit, weight in _units(taken.kind, structure, context.rate):
+            for first, second, k, z in unit.elements().links:
+                if k or z:
+                    weights = (owner, k / weight, z * context.rate / weight)
+                    second_end = structure.position if second < 0 else places[second]
+                    lists.setdefault((column, second < 0), []).append((places[first], second_end, *weights))
+    ones = np.ones(len(taken.modules), context.real)
+    values = [*taken.columns, ones]
+    return tuple(_part(entries, at_rest, values[column], context) for (column, at_rest), entries in lists.items())
+
+
+def _units(kind: PartType, structure: Any, rate: float) -> Iterator[tuple[int, Any, float]]:
+    """The structure with one of its live values at 1 and all else at 0: which column that is, and what stands there.
+
+    Last what cannot change, with all live values at 0: a column after the last one, of ones.
+    """
+    fixed = {"bending": 0.0} if "bending" in type(structure).model_fields else {}
+    for live in structure.live:
+        unit = structure.model_copy(update=fixed | {key: float(key == live) for key in structure.live})
+        weights = [column[0] for column in kind.live([unit], rate)]
+        (column,) = np.flatnonzero(weights)
+        yield int(column), unit, weights[column]
+    if fixed:
+        yield len(kind.live([structure], rate)), structure.model_copy(update=dict.fromkeys(structure.live, 0.0)), 1.0
+
+
+def _part(entries: list[Any], at_rest: bool, value: Column, context: BuildContext) -> Part:
+    first, second, owner, of_stretch, of_growth = zip(*entries, strict=True)
+    point = np.array(first, np.uint32)
+    weights = (np.array(owner, np.uint32), np.array(of_stretch, context.real), np.array(of_growth, context.real))
+    if at_rest:
+        numbers = WeightedLinksToRest(point, np.array(second, context.real), *weights, value)
+        return Part(numbers, add_forces=add_forces_to_rest)
+    ends = Ends(point, np.array(second, np.uint32))
+    return Part(WeightedLinks(ends, *weights, value), add_forces=add_forces)
+
+
+@action
+def add_string_forces(strings, state):
+    """Adds the forces of all links and frictions of every string."""
+    strings, state = value_of(strings), value_of(state)
+    rows = strings.rows
+    for s in range(np.uint64(rows.border.size)):
+        free_ends(rows, s, state.position)
+        free_ends(rows, s, state.previous)
+        first, size = rows.border[s], rows.masses[s] + np.uint64(2)
+        _add_string_forces(
+            state.position[first : first + size],
+            state.previous[first : first + size],
+            state.force[first : first + size],
+            strings.stiffness[s],
+            strings.damping_per_sample[s],
+            strings.friction_per_sample[s],
+        )
+
+
+@fma
+def _add_string_forces(x, before, force, stiffness, damping, friction):
+    for i in range(np.uint64(x.size - 2)):
+        here, right = i + _ONE, i + np.uint64(2)
+        bend = (x[i] - x[here]) + (x[right] - x[here])
+        bend_before = (before[i] - before[here]) + (before[right] - before[here])
+        force[here] += stiffness * bend + damping * (bend - bend_before) - friction * (x[here] - before[here])
+
+
+@action
+def add_forces(links, state):
+    """Adds the force of every link."""
+    links, state = value_of(links), value_of(state)
+    for i in range(np.uint64(links.owner.size)):
+        d = stretch(links.ends, i, state.position)
+        growth = d - stretch(links.ends, i, state.previous)
+        value = links.value[links.owner[i]]
+        pull_ends(links.ends, i, value * (links.of_stretch[i] * d + links.of_growth[i] * growth), state.force)
+
+
+@action
+def add_forces_to_rest(links, state):
+    """Adds the force of every link."""
+    links, state = value_of(links), value_of(state)
+    for i in range(np.uint64(links.owner.size)):
+        p = links.point[i]
+        d, growth = state.position[p] - links.rest[i], state.position[p] - state.previous[p]
+        value = links.value[links.owner[i]]
+        state.force[p] -= value * (links.of_stretch[i] * d + links.of_growth[i] * growth)

@@ -1,0 +1,200 @@
+"""The linear subsystem of a scene that is worked into matrices: M x'' + B x' + K x = f.
+
+Inside are the points that the scene moves, and what joins them to each other, to grounds and to themselves at rest:
+what structures and cells consist of, springs, dampers, and visco-elastic links with a backward damper. Everything else
+pulls from outside, and so does the place of a ground, which may change while the scene runs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hapsim.compiling import inlined
+from hapsim.cordis.build_context import BuildContext
+from hapsim.cordis.dispatch import Part
+from hapsim.cordis.modules.damper import DAMPER
+from hapsim.cordis.modules.damper_backward import BACKWARD
+from hapsim.cordis.modules.spring import SPRING
+from hapsim.cordis.schemes.force_expansion import masses_of
+from hapsim.cordis.schemes.scheme import Taken
+from hapsim.cordis.tick_state import Column
+from hapsim.errors import UsageError
+from hapsim.scene import Link, Scene, ViscoElastic
+
+STAYS = -1
+
+
+class InnerLinks(NamedTuple):
+    """L springs and dampers: ends (L, 2), places among the inner points or STAYS; N/m; N·s/m."""
+
+    ends: NDArray[np.intp]
+    stiffness: NDArray[np.float64]
+    damping: NDArray[np.float64]
+
+
+class Ties(NamedTuple):
+    """L inner links to grounds: point and ground by number, K and B/T in N/m. What moves the ground pulls the point."""
+
+    point: NDArray[np.uint32]
+    ground: NDArray[np.uint32]
+    stiffness: Column
+    damping_per_sample: Column
+
+
+class LinearSubsystem(NamedTuple):
+    """n points."""
+
+    point: NDArray[np.uint32]
+    """(n,) by number, rising"""
+    mass: NDArray[np.float64]
+    """(n,) kg"""
+    links: InnerLinks
+    force: NDArray[np.float64]
+    """(n,) N, of what stays where structures are at rest."""
+    ties: Ties
+    loaded: NDArray[np.uint32]
+    """(P,) places of the points that something from outside pulls."""
+    position: NDArray[np.float64]
+    """(n,) m at the first sample"""
+    velocity: NDArray[np.float64]
+    """(n,) m/s at the first sample"""
+
+    def stiffness_matrix(self) -> Any:
+        """K, N/m, a sparse (n, n)."""
+        return self._joined(self.links.stiffness)
+
+    def damping_matrix(self) -> Any:
+        """B, N·s/m, a sparse (n, n)."""
+        return self._joined(self.links.damping)
+
+    def stretches(self) -> Any:
+        """Sparse (L, n): what takes positions to the links' stretches."""
+        from scipy.sparse import coo_array
+
+        link, end = np.nonzero(self.links.ends != STAYS)
+        place = self.links.ends[link, end]
+        return coo_array((1.0 - 2.0 * end, (link, place)), (len(self.links.ends), self.point.size)).tocsr()
+
+    def _joined(self, values: NDArray[np.float64]) -> Any:
+        from scipy.sparse import diags_array
+
+        spread = self.stretches()
+        return (spread.T @ diags_array(values) @ spread).tocsr()
+
+
+def inner_links(scene: Scene) -> dict[str, ViscoElastic]:
+    """The scene's links that are inside, each as the visco-elastic link that it is."""
+    hands = scene.device_points
+    springs, dampers = SPRING.select(scene), DAMPER.select(scene)
+    links: dict[str, Any] = {**BACKWARD.select(scene)}
+    links |= {name: _as_viscoelastic(one, one.stiffness, 0.0) for name, one in springs.items()}
+    links |= {name: _as_viscoelastic(one, 0.0, one.damping) for name, one in dampers.items()}
+    return {name: link for name, link in links.items() if not any(end in hands for end in link.between)}
+
+
+def _as_viscoelastic(link: Link, stiffness: float, damping: float) -> ViscoElastic:
+    return ViscoElastic(between=link.between, stiffness=stiffness, damping=damping)
+
+
+def inside(scene: Scene) -> frozenset[str]:
+    """The modules that the inner system is made of, by name."""
+    return frozenset([*scene.masses, *scene.cells, *scene.structures, *inner_links(scene)])
+
+
+def external_parts(context: BuildContext, taken: Sequence[Taken]) -> tuple[Part, ...]:
+    """The parts of what is not inside."""
+    return tuple(one.build(context) for one in taken)
+
+
+def linear_subsystem(scene: Scene, context: BuildContext) -> LinearSubsystem | None:
+    """The subsystem of `scene`, which begins where the program's points are; None where the scene moves nothing."""
+    mass = {context.number[name]: kilograms for name, kilograms in masses_of(scene)}
+    if not mass:
+        return None
+    point = np.array(sorted(mass), np.uint32)
+    place = {int(number): i for i, number in enumerate(point)}
+    joins = [
+        *_structure_links(scene, context, place),
+        *_cell_links(scene, context, place),
+        *_scene_links(scene, context, place),
+    ]
+    ends = np.array([(first, second) for first, second, *_ in joins], np.intp).reshape(-1, 2)
+    stiffness, damping = (np.array([join[column] for join in joins], np.float64) for column in (2, 3))
+    position = context.state.position[point].astype(np.float64)
+    velocity = context.rate * (position - context.state.previous[point])
+    force = np.zeros(point.size)
+    for first, second, k, _, rest in joins:
+        if second == STAYS:
+            force[first] += k * rest
+    for name, one in (scene.masses | scene.cells).items():
+        velocity[place[context.number[name]]] = one.velocity  # to the last digit, whatever the rows' precision
+    ties = _ties(scene, context)
+    outer = {end for name, link in scene.links.items() if name not in inside(scene) for end in link.between}
+    loaded = {context.number[end] for end in outer} | {int(p) for p in ties.point}
+    return LinearSubsystem(
+        point=point,
+        mass=np.array([mass[int(number)] for number in point]),
+        links=InnerLinks(ends, stiffness, damping),
+        force=force,
+        ties=ties,
+        loaded=np.array(sorted(place[number] for number in loaded if number in place), np.uint32),
+        position=position,
+        velocity=velocity,
+    )
+
+
+def require_finite(*arrays: Any) -> None:
+    """UsageError where a number of the inner system is beyond what is worked out."""
+    if not all(np.isfinite(array).all() for array in arrays):
+        raise UsageError("a stiffness, a damping or one over a mass is too large for the scene's scheme: try cordis")
+
+
+_Join = tuple[int, int, float, float, float]  # first place, second, N/m, N·s/m, m where the second stays
+
+
+def _structure_links(scene: Scene, context: BuildContext, place: Mapping[int, int]) -> Iterator[_Join]:
+    structures: Mapping[str, Any] = scene.structures
+    for name, structure in structures.items():
+        places = [place[context.number[f"{name}.{each}"]] for each in structure.places()]
+        for first, second, k, z in structure.elements().links:
+            yield places[first], STAYS if second < 0 else places[second], k, z, structure.position
+
+
+def _cell_links(scene: Scene, context: BuildContext, place: Mapping[int, int]) -> Iterator[_Join]:
+    for name, cell in scene.cells.items():
+        yield place[context.number[name]], STAYS, cell.stiffness, cell.damping, cell.rest
+
+
+def _scene_links(scene: Scene, context: BuildContext, place: Mapping[int, int]) -> Iterator[_Join]:
+    """Those of the scene's own links; the place of a ground is a force from outside, so here it is 0."""
+    for link in inner_links(scene).values():
+        first, second = (place.get(context.number[end], STAYS) for end in link.between)
+        if first == STAYS:
+            first, second = second, first
+        yield first, second, link.stiffness, link.damping, 0.0
+
+
+def _ties(scene: Scene, context: BuildContext) -> Ties:
+    tied = [
+        (context.number[end], context.number[ground], link.stiffness, link.damping * context.rate)
+        for link in inner_links(scene).values()
+        for end, ground in (link.between, link.between[::-1])
+        if ground in scene.grounds
+    ]
+    point, ground, stiffness, damping = np.array(tied, np.float64).reshape(-1, 4).T
+    return Ties(
+        point.astype(np.uint32), ground.astype(np.uint32), stiffness.astype(context.real), damping.astype(context.real)
+    )
+
+
+@inlined
+def add_tie_forces(ties, state):
+    """Adds what the grounds' places and velocities do to the points that are tied to them."""
+    for i in range(np.uint64(ties.point.size)):
+        x = state.position[ties.ground[i]]
+        way = x - state.previous[ties.ground[i]]
+        state.force[ties.point[i]] += ties.stiffness[i] * x + ties.damping_per_sample[i] * way

@@ -1,0 +1,76 @@
+"""Where the device of a scene is: behind a serial port, on a pseudo-terminal, or in memory."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator
+from typing import Literal
+
+from hapsim.device.connection import Connection
+from hapsim.device.serial_port import open_portable_port, open_serial_port
+from hapsim.errors import UsageError
+from hapsim.scene import Scene
+
+LineKind = Literal["auto", "mock", "loopback", "terminal"]
+"""auto: the scene's port, or the mock where it names none. mock: the mock whatever the scene says, in memory where the
+time is virtual and on a pseudo-terminal where it is real. loopback, terminal: the mock, there."""
+
+
+Place = Literal["port", "terminal", "loopback"]
+"""Behind a port; or the mock: on a pseudo-terminal, or in memory."""
+
+
+def place_of_device(scene: Scene, kind: LineKind = "auto", *, portable: bool = False) -> Place:
+    """Where the scene's device is. UsageError where it cannot be there."""
+    if kind == "auto" and scene.device.port is not None:
+        return "port"
+    virtual = scene.device.clock == "lockstep"
+    if kind == "loopback" and not virtual:
+        raise UsageError(
+            f"the loopback has no time of its own: it takes clock: lockstep, the scene says {scene.device.clock}"
+        )
+    if kind == "loopback" and portable:
+        raise UsageError("the portable loop reads and writes a port: found the loopback, expected a terminal or a port")
+    return "loopback" if kind == "loopback" or (kind != "terminal" and virtual and not portable) else "terminal"
+
+
+@contextlib.contextmanager
+def open_connection(
+    scene: Scene, kind: LineKind = "auto", *, portable: bool = False, realtime: bool = False
+) -> Iterator[Connection]:
+    """The connection to the scene's device, open inside the with-block. `portable`: for the loop in Python; `realtime`:
+    where the mock has a time of its own, it keeps it as hardware does, as far as the system lets it."""
+    open_port = open_portable_port if portable else open_serial_port
+    place = place_of_device(scene, kind, portable=portable)
+    if place == "port":
+        with contextlib.closing(open_port(scene.device.port or "", scene.device.baud)) as connection:
+            yield connection
+    elif place == "loopback":
+        yield _loopback(scene)
+    else:
+        as_hardware = realtime and scene.device.clock != "lockstep"
+        with _mock_terminal(scene, open_port, as_hardware) as connection:
+            yield connection
+
+
+def _loopback(scene: Scene) -> Connection:
+    from hapsim.device.mock.assemble import assemble_mock
+    from hapsim.device.mock.loopback import loopback_transport
+
+    transport = loopback_transport(assemble_mock(scene))
+    return Connection(transport=transport, name="mock in memory", close=lambda: None)
+
+
+@contextlib.contextmanager
+def _mock_terminal(
+    scene: Scene, open_port: Callable[[str, int], Connection], as_hardware: bool
+) -> Iterator[Connection]:
+    from hapsim.device.mock.assemble import assemble_mock
+    from hapsim.device.mock.terminal import serving
+
+    with (
+        serving(assemble_mock(scene), as_hardware) as path,
+        contextlib.closing(open_port(path, scene.device.baud)) as connection,
+    ):
+        connection.has_timer = False
+        yield connection

@@ -1,0 +1,35 @@
+"""What one exchange reads and writes, channel by channel."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from firmware_protocol import schema
+from firmware_protocol.frames import ROOM
+from hapsim.loop.system import SCRATCH
+
+_EACH = (schema.MAX_CHANNELS,)
+
+IO_BUFFER = np.dtype(
+    [
+        ("address", np.uint64),  # of all this
+        ("channels", np.int64),  # of the device; of what follows, so many are in use
+        ("velocities", np.int64),  # 1: they are on the wire
+        ("measured", np.float64, _EACH),  # m, the newest position
+        ("before", np.float64, _EACH),  # m, the one before
+        ("bridge", np.float64, _EACH),  # m, between the two where positions were lost
+        ("velocity", np.float64, _EACH),  # m/s, sensed with the newest position; 0 where not asked for
+        ("velocity_before", np.float64, _EACH),  # m/s, with the one before
+        ("velocity_bridge", np.float64, _EACH),  # m/s, between the two where positions were lost
+        ("asked", np.float64, _EACH),  # N, the scene's force
+        ("position_counts", np.int64, _EACH),
+        ("force_counts", np.int64, _EACH),  # what excitation and guards make of it
+        ("position_scale", np.float64, _EACH),  # m per count
+        ("velocity_scale", np.float64, _EACH),  # (m/s) per count
+        ("force_scale", np.float64, _EACH),  # N per count
+        ("force_limit", np.float64, _EACH),  # N
+        SCRATCH,
+        ("outbox", np.uint8, (ROOM,)),  # the frame that is being written
+    ],
+    align=True,
+)

@@ -1,0 +1,113 @@
+"""Which scene the loop moves: one; or, for a while after its structure was changed, two.
+
+Another thread posts the program of the new scene. Between two samples the loop takes it: what both scenes have goes on
+from where it is (the program's own list `take_over` says what that is), both are moved by the same hands from then on,
+and the force in the hand goes from the one scene's to the other's along
+
+    F = F_old + w(s) (F_new - F_old),     w = 3 s² - 2 s³,     s = 1/N, 2/N, ... 1
+
+over N samples: no sample adds more than 1.5/N of the difference. Then the old scene is left, and its thread may forget
+it.
+
+Who never changes a scene never compiles that: it is called by an address, which is 0 until a scene is posted.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import types
+
+from firmware_protocol import schema
+from firmware_protocol.code_size import compact
+from hapsim.compiling import entry, inlined
+from hapsim.compiling.memory_fence import fence
+from hapsim.compiling.native import array_at, function_at, native, record_at
+from hapsim.cordis.tick import follow_parameters, program_at, take_over, tick
+from hapsim.loop.io_buffer import IO_BUFFER
+
+STAGE = np.dtype(
+    [
+        ("address", np.uint64),  # of all this
+        ("program", np.uint64),  # and of the one that is moved
+        ("next", np.uint64),  # of the one that follows it; 0: none
+        ("posted", np.uint64),  # of one that shall follow; 0: none
+        ("posted_samples", np.int64),  # N, for it
+        ("samples", np.int64),  # N
+        ("left", np.int64),  # samples until the old scene is left
+        ("incoming", np.float64, (schema.MAX_CHANNELS,)),  # N, the following scene's force
+        ("cross_fade", np.uint64),  # address of what moves two; 0: one scene, and none is posted
+    ],
+    align=True,
+)
+
+_CROSS_FADE = types.void(types.uint64, types.uint64, types.uint64, types.uint64)
+_call = function_at(_CROSS_FADE)
+_stage_at, _io_at, _doubles_at = record_at(STAGE), record_at(IO_BUFFER), array_at(np.float64)
+
+
+@inlined
+def move_scene(stage, io, samples):
+    """Moves the scene by `samples`; the force in each hand is then in `io.asked`. The hands go along a straight line
+    from the last position to this one, and their velocities along one of their own."""
+    compact()
+    for i in range(1, samples + 1):
+        position, velocity = io.measured, io.velocity
+        if i < samples:
+            for c in range(np.uint64(io.channels)):
+                rise, gain = io.measured[c] - io.before[c], io.velocity[c] - io.velocity_before[c]
+                io.bridge[c] = io.before[c] + rise * i / samples
+                io.velocity_bridge[c] = io.velocity_before[c] + gain * i / samples
+            position, velocity = io.bridge, io.velocity_bridge
+        if stage.cross_fade == 0:
+            program = program_at(stage.program)
+            follow_parameters(program)
+            tick(program, position, velocity, io.asked)
+        else:
+            at = (np.uint64(position.ctypes.data), np.uint64(velocity.ctypes.data))
+            _call(stage.cross_fade, (stage.address, io.address, at[0], at[1]))
+
+
+@native(_CROSS_FADE.return_type, *_CROSS_FADE.args)
+def cross_fade(stage, io, position, velocity):
+    """Moves both scenes by a sample, once the posted one is taken."""
+    stage, io = _stage_at(stage), _io_at(io)
+    position, velocity = _doubles_at(position, io.channels), _doubles_at(velocity, io.channels)
+    if stage.posted != 0 and stage.next == 0:
+        stage.samples = stage.left = stage.posted_samples
+        stage.next = stage.posted
+        fence()
+        stage.posted = np.uint64(0)
+        stage.incoming[:] = 0.0
+        take_over(program_at(stage.program), program_at(stage.next), position)
+    for c in range(io.channels):
+        io.asked[c] = 0.0  # for a channel that the old scene does not have
+    _move(stage.program, position, velocity, io.asked)
+    _move(stage.next, position, velocity, stage.incoming)
+    stage.left -= 1
+    s = 1.0 - stage.left / stage.samples
+    weight = s * s * (3.0 - 2.0 * s)
+    for c in range(io.channels):
+        # At the end it is the new scene's alone, even where the old one's was no number.
+        io.asked[c] = io.asked[c] + weight * (stage.incoming[c] - io.asked[c]) if stage.left > 0 else stage.incoming[c]
+    if stage.left == 0:
+        stage.program = stage.next
+        stage.next = np.uint64(0)
+        fence()
+        stage.cross_fade = np.uint64(0)
+
+
+@entry
+def post(stage, program, samples, cross_fade):
+    """Has the program at this address follow the one that is moved now, over so many samples (>= 1). Nothing may be
+    posted that is not yet left. `cross_fade`: the address of the function of that name."""
+    stage.posted_samples = samples
+    stage.posted = np.uint64(program)
+    fence()
+    stage.cross_fade = np.uint64(cross_fade)
+
+
+@inlined
+def _move(program, position, velocity, force):
+    program = program_at(program)
+    follow_parameters(program)
+    tick(program, position, velocity, force)

@@ -1,0 +1,77 @@
+"""A transport: the code that moves bytes between the loop and a device, behind addresses.
+
+The loop knows no transport. It calls two functions by their addresses and hands each the address of what the transport
+works on, its context. A transport is a file with both: `descriptor.py` (anything with a file descriptor) and, in the
+device room, the mock's loopback.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+import numpy as np
+from numba import types
+from numpy.typing import NDArray
+
+from firmware_protocol.records import new_record
+from hapsim.compiling import inlined
+from hapsim.compiling.native import PlainNative, address_of, function_at, native
+
+TRANSPORT = np.dtype([("receive", np.uint64), ("send", np.uint64), ("context", np.uint64)], align=True)
+
+_RECEIVE = types.int64(types.uint64, types.uint64, types.int64, types.int64)
+_SEND = types.int64(types.uint64, types.uint64, types.int64)
+
+_call_receive, _call_send = function_at(_RECEIVE), function_at(_SEND)
+
+receiver = native(_RECEIVE.return_type, *_RECEIVE.args)
+"""Makes a transport's function of one (context, buffer, room, timeout_ns): the bytes that have arrived, into `buffer`,
+which has `room` for so many: their count, or TIMED_OUT, HUNG_UP, FAILED of codes.py. Context and buffer are addresses.
+"""
+
+sender = native(_SEND.return_type, *_SEND.args)
+"""And of one (context, buffer, stop): sends the first `stop` bytes at `buffer`: 0, or HUNG_UP or FAILED."""
+
+
+@inlined
+def receive(transport, buffer, timeout_ns):
+    """Bytes that have arrived, into a buffer."""
+    arguments = (transport.context, np.uint64(buffer.ctypes.data), np.int64(buffer.size), np.int64(timeout_ns))
+    return _call_receive(transport.receive, arguments)
+
+
+@inlined
+def send(transport, buffer, stop):
+    """Sends buffer[:stop]."""
+    return _call_send(transport.send, (transport.context, np.uint64(buffer.ctypes.data), np.int64(stop)))
+
+
+class PythonTransport(Protocol):
+    """What moves bytes, as Python calls it."""
+
+    def receive(self, buffer: NDArray[np.uint8], timeout_ns: int) -> int:
+        """Bytes that have arrived, into a buffer: their count, or a code of codes.py."""
+
+    def send(self, frame: bytes) -> int:
+        """0, or a code of codes.py."""
+
+
+class Transport:
+    """An open transport, callable from Python too: for the conversation before and after the loop."""
+
+    def __init__(self, receive_from: PlainNative, send_to: PlainNative, context: Any) -> None:
+        """`context`: a record."""
+        self._receive, self._send, self._context = receive_from, send_to, context
+        self.record = new_record(TRANSPORT)
+        self.record.receive = receive_from.address()
+        self.record.send = send_to.address()
+        self.record.context = address_of(context)
+
+    def receive(self, buffer: NDArray[np.uint8], timeout_ns: int) -> int:
+        """The count of bytes that have arrived, or a code of codes.py."""
+        return int(self._receive(int(self.record.context), buffer.ctypes.data, buffer.size, timeout_ns))
+
+    def send(self, frame: bytes) -> int:
+        """0, or HUNG_UP or FAILED."""
+        data = np.frombuffer(frame, np.uint8)
+        return int(self._send(int(self.record.context), data.ctypes.data, data.size))

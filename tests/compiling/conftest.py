@@ -1,0 +1,48 @@
+"""What of ours is compiled, looked up once."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+PACKAGES = (REPOSITORY / "hapsim", REPOSITORY / "firmware_protocol")
+TOOLS = REPOSITORY / "tools" / "bench"
+
+
+@dataclass(frozen=True)
+class Compiled:
+    """A function that numba compiles, or that tells numba how."""
+
+    kind: str
+    """entry, native, piece, overload; intrinsic, lowering: those that write instructions themselves."""
+    name: str
+    file: Path
+    line: int
+    reached: frozenset[Path]
+    """Of an entry and a native function: the files that its machine code is made of."""
+
+    def __str__(self) -> str:
+        return f"{self.file.relative_to(REPOSITORY)}:{self.line} {self.name}"
+
+
+@pytest.fixture(scope="session")
+def every_compiled() -> list[Compiled]:
+    """All of them, in both packages and in the benches."""
+    program = Path(__file__).with_name("what_is_compiled.py")
+    command = [sys.executable, str(program), *map(str, (*PACKAGES, TOOLS))]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    document: dict[str, Any] = json.loads(done.stdout)
+    # Only what is somebody else's may be missing: then every file of ours was looked at but those that need it.
+    ours = {folder.name for folder in PACKAGES} | {path.stem for path in TOOLS.iterdir()}
+    assert [name for _, name in document["missing"] if name.partition(".")[0] in ours] == []
+    return [
+        Compiled(one["kind"], one["name"], Path(one["file"]), one["line"], frozenset(map(Path, one.get("reached", ()))))
+        for one in document["functions"]
+    ]

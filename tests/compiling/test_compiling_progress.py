@@ -1,0 +1,242 @@
+"""A sign of life for every function that is compiled, and only then; interrupts and the garbage collector wait."""
+
+from __future__ import annotations
+
+import gc
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import FunctionType
+from typing import Any
+
+import numpy as np
+import pytest
+
+from firmware_protocol import code_cache
+from hapsim.compiling import entry, helper
+from hapsim.compiling.entries import compile_for, is_kept
+from hapsim.compiling.native import Behind, NativeFunction, value_of
+from hapsim.compiling.progress import Counted, compiling, on_compilation
+
+
+@pytest.fixture
+def nothing_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """An empty cache of this test's own."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    code_cache.directory_for.cache_clear()
+    yield
+    code_cache.directory_for.cache_clear()
+
+
+pytestmark = pytest.mark.usefixtures("nothing_kept")
+
+
+@helper
+def add_one(x):
+    return x + 1
+
+
+def add_two(x):
+    return add_one(x) + add_one(x) - x
+
+
+def add_to(numbers, by):
+    numbers, by = value_of(numbers), value_of(by)
+    for i in range(numbers.size):
+        numbers[i] += add_one(by) - 1
+
+
+def anew(function: Any) -> Any:
+    """The same function once more, as another process would find it."""
+    again = FunctionType(function.__code__, function.__globals__, function.__name__)
+    again.__module__, again.__qualname__ = function.__module__, function.__qualname__
+    return again
+
+
+def compile_entry(function: Any = add_two) -> Any:
+    compiled = entry(anew(function))
+    compile_for(compiled, 1)
+    return compiled
+
+
+def compile_native() -> tuple[int, ...]:
+    return NativeFunction(anew(add_to)).call_on(Behind(np.zeros(3)), Behind(2.0))
+
+
+NATIVE_NAME = f"{__name__.rpartition('.')[2]}.add_to"
+EITHER = pytest.mark.parametrize("compile_it", [compile_entry, compile_native])
+
+
+@pytest.mark.parametrize(("compile_it", "name"), [(compile_entry, "add_two"), (compile_native, NATIVE_NAME)])
+def test_each_function_is_told_once_and_nothing_where_the_code_was_kept(
+    compile_it: Callable[[], Any], name: str
+) -> None:
+    told: list[str] = []
+    with on_compilation(told.append):
+        compile_it()
+    assert told[0] == name
+    assert told.count(name) == 1
+    assert set(told) <= {name, "add_one"}
+    assert told.count("add_one") <= 1
+    again: list[str] = []
+    with on_compilation(again.append):
+        compile_it()
+    assert again == []
+
+
+def test_what_was_compiled_in_this_process_is_not_told_again() -> None:
+    told: list[str] = []
+    function = NativeFunction(anew(add_to))
+    with on_compilation(told.append):
+        addresses = {function.call_on(Behind(np.zeros(size)), Behind(2.0))[0] for size in (1, 2, 3)}
+    assert len(addresses) == 1
+    assert told.count(NATIVE_NAME) == 1
+
+
+def test_after_it_is_closed_nothing_is_told() -> None:
+    told: list[str] = []
+    with on_compilation(told.append):
+        pass
+    compile_entry()
+    assert told == []
+
+
+def test_whoever_listens_is_told() -> None:
+    inner: list[str] = []
+    outer: list[str] = []
+    with on_compilation(outer.append):
+        with on_compilation(inner.append):
+            compile_native()
+        with compiling("another"):
+            pass
+    assert outer == [*inner, "another"]
+    assert inner[0] == NATIVE_NAME
+
+
+def test_what_is_kept_is_known_before_it_is_loaded() -> None:
+    assert not is_kept(entry(anew(add_two)), 1)
+    compile_entry()
+    assert is_kept(entry(anew(add_two)), 1)
+    assert not is_kept(entry(anew(add_two)), 1.0)
+
+
+@EITHER
+def test_an_interrupt_waits_until_the_compilation_is_over(compile_it: Callable[[], Any]) -> None:
+    told: list[str] = []
+
+    def interrupt(name: str) -> None:
+        if not told:
+            signal.raise_signal(signal.SIGINT)
+        told.append(name)  # the interrupt did not break in here
+
+    before = signal.getsignal(signal.SIGINT)
+    with pytest.raises(KeyboardInterrupt), on_compilation(interrupt):
+        compile_it()
+    assert len(told) == 1
+    assert signal.getsignal(signal.SIGINT) is before
+    compile_it()  # the compiler is in one piece
+
+
+def test_an_interrupt_in_the_last_function_leaves_it_compiled() -> None:
+    def interrupt(_name: str) -> None:
+        signal.raise_signal(signal.SIGINT)
+
+    function = entry(anew(add_one))
+    with pytest.raises(KeyboardInterrupt), on_compilation(interrupt):
+        compile_for(function, 1)
+    told: list[str] = []
+    with on_compilation(told.append):
+        assert function(1) == 2
+    assert told == []
+
+
+@EITHER
+@pytest.mark.parametrize("is_on", [True, False])
+def test_the_garbage_collector_rests_meanwhile_and_is_then_as_it_was(
+    compile_it: Callable[[], Any], is_on: bool
+) -> None:
+    at_work: list[bool] = []
+    was_on = gc.isenabled()
+    (gc.enable if is_on else gc.disable)()
+    try:
+        with on_compilation(lambda _name: at_work.append(gc.isenabled())):
+            compile_it()
+        assert gc.isenabled() == is_on
+    finally:
+        (gc.enable if was_on else gc.disable)()
+    assert at_work
+    assert not any(at_work)
+
+
+def test_what_fails_to_compile_leaves_interrupts_and_collector_as_they_were() -> None:
+    def makes_an_array(x):
+        return np.zeros(x)[0]
+
+    before, was_on = signal.getsignal(signal.SIGINT), gc.isenabled()
+    with on_compilation(lambda _name: None):
+        for make in (lambda: entry(makes_an_array)(3), lambda: NativeFunction(makes_an_array).call_on(Behind(3))):
+            with pytest.raises(Exception, match=r"NRT required|Failed in nopython mode"):
+                make()
+            assert signal.getsignal(signal.SIGINT) is before
+            assert gc.isenabled() == was_on
+
+
+def test_who_listens_may_fail_and_the_collector_is_on_again() -> None:
+    def fail(_name: str) -> None:
+        raise ValueError("not interested")
+
+    was_on = gc.isenabled()
+    with pytest.raises(ValueError, match="not interested"), on_compilation(fail):
+        compile_native()
+    assert gc.isenabled() == was_on
+    compile_native()
+
+
+def test_another_thread_compiles_without_a_hand_on_interrupts() -> None:
+    """Only the main thread may set what a signal does."""
+    told: list[str] = []
+    with on_compilation(told.append):
+        thread = threading.Thread(target=compile_native)
+        thread.start()
+        thread.join()
+    assert told[0] == NATIVE_NAME
+
+
+# --- how far it is ---
+
+
+def test_shares_rise_and_stay_below_one() -> None:
+    heard: list[tuple[str, float | None]] = []
+    counted = Counted(lambda name, share: heard.append((name, share)))
+    counted.expect(3)
+    counted.expect(2)
+    for i in range(8):
+        counted.add(f"f{i}")
+    assert [name for name, _ in heard] == [f"f{i}" for i in range(8)]
+    shares = [share for _, share in heard if share is not None]
+    assert shares[:4] == [0.2, 0.4, 0.6, 0.8]
+    assert sorted(shares) == shares
+    assert len(shares) == 8
+    assert shares[-1] < 1.0
+
+
+def test_where_nobody_has_said_how_many_to_expect_there_is_no_share() -> None:
+    heard: list[float | None] = []
+    counted = Counted(lambda _name, share: heard.append(share))
+    counted.add("first")
+    counted.expect(4)
+    counted.add("second")
+    assert heard == [None, 0.5]
+
+
+def test_several_threads_may_count() -> None:
+    heard: list[float | None] = []
+    counted = Counted(lambda _name, share: heard.append(share))
+    counted.expect(1000)
+    threads = [threading.Thread(target=lambda: [counted.add("one") for _ in range(100)]) for _ in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert heard == [i / 1000 for i in range(1, 801)]
