@@ -64,9 +64,7 @@ def run(
     ] = None,
     record: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the trace: .npz or .csv.")] = None,
     realtime: Realtime = False,
-    watch: Annotated[
-        bool, typer.Option("--watch", help="Follow the scene's file: stiffness, damping and positions edited are felt.")
-    ] = False,
+    watch: Annotated[bool, typer.Option("--watch", help="Follow the scene's file: what is saved is felt.")] = False,
     portable: Annotated[bool, typer.Option("--portable", help="The loop in plain Python: less steady.")] = False,
     json: Json = False,
 ) -> None:
@@ -286,6 +284,33 @@ def mock(
     loaded = _scene(scene)
     with live_line(_stderr()) as tell:
         serve_until_stopped(loaded, link, _announce_json if json else _announce, tell, realtime)
+
+
+@app.command("compile")
+def compile_(
+    scenes: Annotated[
+        list[str] | None, typer.Argument(metavar="[SCENE]…", help="What these need; left out: what any scene could.")
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Compile now what would be compiled at a first start; it is kept, and nothing is armed or moved."""
+    from hapsim.console.live import live_line
+    from hapsim.running.preparing import prepare
+
+    loaded = [_scene(path) for path in scenes or ()]
+    with live_line(_stderr()) as tell:
+        prepared = prepare(loaded, tell)
+    if json:
+        from hapsim.console.as_json import document
+
+        kept = None if prepared.directory is None else str(prepared.directory)
+        print(document({"functions": prepared.functions, "seconds": prepared.seconds, "directory": kept}))
+    elif prepared.directory is None:
+        print("Compiled, but there is no place to keep it: set XDG_CACHE_HOME to a directory that can be written to.")
+    elif prepared.functions:
+        print(f"Compiled {prepared.functions} functions in {prepared.seconds:.1f} s; kept in {prepared.directory}")
+    else:
+        print(f"Nothing to compile: everything is kept in {prepared.directory}")
 
 
 @app.command()
