@@ -23,6 +23,9 @@ if TYPE_CHECKING:
     from hapsim.scene import Scene
 
 
+_INTERRUPTED = 130
+
+
 def _seconds(value: float | None) -> float | None:
     if value is not None and not 0 < value < float("inf"):
         raise UsageError(f"--duration: found {value:g}, expected a finite number of seconds above 0")
@@ -363,9 +366,10 @@ def main() -> None:
     except HapsimError as error:
         _complain(error)
         sys.exit(error.exit_status)
-    except KeyboardInterrupt:
-        print("hapsim: stopped before anything was running", file=sys.stderr)
-        sys.exit(130)
+    except SystemExit as ending:
+        if ending.code == _INTERRUPTED:  # typer has taken the interrupt, and says nothing
+            print("hapsim: stopped before anything was running", file=sys.stderr)
+        raise
     except BrokenPipeError:
         # Whoever read our output has seen enough; nothing is left to be told to them.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

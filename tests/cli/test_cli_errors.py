@@ -119,3 +119,16 @@ def test_a_defect_of_ours_is_status_1_and_can_be_traced(
 
     with pytest.raises(ZeroDivisionError):
         cli.main()
+
+
+@pytest.mark.parametrize("command", [["run"], ["compile"], ["measure"]])
+def test_an_interrupt_before_anything_runs_is_status_130_with_a_sentence(
+    hapsim: Hapsim, monkeypatch: pytest.MonkeyPatch, command: list[str]
+) -> None:
+    def interrupt(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("hapsim.cli._scene", interrupt)
+    answer = hapsim(*command, "configs/first_touch.yaml")
+    assert answer.status == 130
+    assert answer.sentence.endswith("hapsim: stopped before anything was running\n")
