@@ -54,9 +54,9 @@ def run(
             realtime=realtime,
             portable=portable,
             on_progress=tell,
+            on_arming=running.append,
         ) as session,
     ):
-        running.append(session)
         if on_start is not None:
             on_start(session)
         while not session.wait(_LOOK_S):

@@ -166,13 +166,15 @@ def start(
     realtime: bool = False,
     portable: bool = False,
     on_progress: Callable[[Progress], None] | None = None,
+    on_arming: Callable[[Session], None] | None = None,
 ) -> Iterator[Session]:
     """Starts `scene`, for `duration` seconds (None: until stopped); it runs while the with-block lasts.
 
     `line`: where the device is ("auto": the scene's port, else the mock that fits the clock). `keep`: False for a trace
     without rows, for runs without an end. `realtime`: asks the system for what makes a loop steady, see
     hapsim.realtime; `Session.grants` tells what it got. `portable`: the loop in plain Python over pyserial.
-    `on_progress` hears of the compilation.
+    `on_progress` hears of the compilation, `on_arming` gets the session just before the device is armed: a `stop` from
+    then on ends the run in good order.
 
     Raises SceneError and UsageError for what cannot be run; DeviceError where port or device fail, GuardError where a
     guard stopped the force, both when the with-block is left; they carry what was recorded as their attribute `trace`.
@@ -197,6 +199,8 @@ def start(
         session = Session(scene, loop, _ready_body(opened, loop), Recorder(loop.ring, keep))
         try:
             session._begin()
+            if on_arming is not None:
+                on_arming(session)
             with _real_time(session) if realtime else contextlib.nullcontext():
                 arm(
                     opened,
