@@ -11,7 +11,7 @@ from firmware_protocol import schema
 from hapsim.errors import UsageError
 from hapsim.linear import AS_PREDICTED, LinearLink, LinearScene, linear_scene
 from hapsim.scene import Scene
-from hapsim.theory import Configuration, Mode, Network, frequency_and_ratio
+from hapsim.theory import Configuration, Margins, Mode, Network, frequency_and_ratio, margins_of, solve
 from hapsim.theory.interface import damper_named
 
 _BITS_PER_BYTE = 10  # start, eight, stop
@@ -148,24 +148,25 @@ def predict(scene: Scene, *, with_margins: bool = True) -> Prediction:
         raise UsageError(f"rate: found {scene.rate:g} Hz, which is beyond what is worked out (1e-9 to 1e9 Hz)")
     linear = linear_scene(scene)
     network, points = _network(scene, linear)
-    poles = network.poles()
+    solution = solve(network)
     coupled = {name: why for name in scene.device_points if (why := _why_coupled(scene, linear, name))}
     felt = tuple(_felt(scene, linear, name) for name in scene.device_points if name not in coupled)
     whole = not coupled and not linear.masses
+    margins = margins_of(network, solution.poles) if with_margins else Margins([])
     return Prediction(
         rate=scene.rate,
         felt=felt,
         coupled=coupled,
         # A loop of lone hands is judged by the formula, which resolves poles that rounding would place on the circle.
-        stable=all(one.stable for one in felt) and (whole or network.is_stable()),
-        spectral_radius=network.spectral_radius(),
-        poles=tuple(complex(pole) for pole in poles if abs(pole) > 1e-9),
-        poles_in_all=network.solution.all,
-        how=network.how(),
-        modes=tuple(network.modes()),
+        stable=all(one.stable for one in felt) and (whole or solution.is_stable),
+        spectral_radius=solution.spectral_radius,
+        poles=tuple(complex(pole) for pole in solution.poles if abs(pole) > 1e-9),
+        poles_in_all=solution.all,
+        how=solution.how,
+        modes=tuple(solution.modes),
         points=points,
-        margins=_margins(linear, network, felt) if with_margins else (),
-        how_margins=network.how_margins() if with_margins else "",
+        margins=_link_margins(linear, margins, felt),
+        how_margins=margins.how,
         link_budget=_link_budget(scene),
         assumptions=tuple(linear.assumptions),
     )
@@ -180,7 +181,7 @@ def surely_grows_by(scene: Scene) -> float:
     linear = linear_scene(scene)
     if not _is_judged(scene, len(linear.masses)):
         return 1.0
-    radius = _network(scene, linear)[0].spectral_radius()
+    radius = solve(_network(scene, linear)[0]).spectral_radius
     if radius > _SURELY and not (_is_lone(scene, linear) and _lone_hands_are_stable(scene, linear)):
         return radius
     return 1.0
@@ -314,15 +315,15 @@ def _felt(scene: Scene, linear: LinearScene, name: str) -> Felt:
     )
 
 
-def _margins(linear: LinearScene, network: Network, felt: tuple[Felt, ...]) -> tuple[LinkMargin, ...]:
+def _link_margins(linear: LinearScene, margins: Margins, felt: tuple[Felt, ...]) -> tuple[LinkMargin, ...]:
     """Where a hand's only link is all that holds it, its margin by the closed formula."""
     lone = {one.name: one.stiffness_factor for one in felt if len(_links_of(linear, one.name)) == 1}
-    margins = []
-    for (name, link), margin in zip(linear.links.items(), network.margins(), strict=False):
+    named = []
+    for (name, link), margin in zip(linear.links.items(), margins.links, strict=False):
         hand = next((end for end in link.between if end in lone), None)
         factor = margin.stiffness_factor if hand is None else lone[hand]
-        margins.append(LinkMargin(name, factor, margin.damping_factor))
-    return tuple(margins)
+        named.append(LinkMargin(name, factor, margin.damping_factor))
+    return tuple(named)
 
 
 def _passive(configuration: Configuration, stiffness: float, damping: float) -> bool | None:

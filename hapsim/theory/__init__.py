@@ -5,6 +5,16 @@ project: what it predicts and what a run measures are independent roads to the s
 """
 
 from hapsim.theory.hand import Configuration, frequency_and_ratio
-from hapsim.theory.network import Margin, Mode, Network
+from hapsim.theory.network import Margin, Margins, Mode, Network, Solution, margins_of, solve
 
-__all__ = ["Configuration", "Margin", "Mode", "Network", "frequency_and_ratio"]
+__all__ = [
+    "Configuration",
+    "Margin",
+    "Margins",
+    "Mode",
+    "Network",
+    "Solution",
+    "frequency_and_ratio",
+    "margins_of",
+    "solve",
+]

@@ -12,6 +12,7 @@ import pytest
 from hapsim.theory import Configuration, Network
 from hapsim.theory.interface import damper_named
 from hapsim.theory.network import margin as margin_module
+from hapsim.theory.network import margins_of, solve, transition
 from hapsim.theory.network.modes import snapped
 
 RATE = 1000.0
@@ -47,7 +48,7 @@ def agree(found: float, expected: float, rtol: float) -> bool:
 def test_one_hand_on_one_spring_has_the_margins_of_the_formula(hold: str, sampling: str, delay: float) -> None:
     c = Configuration(mass=0.3, rate=RATE, friction=2.0, delay=delay, hold=hold, sampling=sampling)
     for K, B in ((200.0, 1.0), (3000.0, 10.0), (1e5, 5.0)):
-        (margin,) = Network(RATE, [0.3], [2.0], delay, hold, sampling, [], [[0, -1]], [K], [B]).margins()
+        (margin,) = margins_of(Network(RATE, [0.3], [2.0], delay, hold, sampling, [], [[0, -1]], [K], [B])).links
         by_stiffness = bisected(lambda f: bool(c.is_stable(K * f, B)))  # noqa: B023
         by_damping = bisected(lambda f: bool(c.is_stable(K, B * f)))  # noqa: B023
         assert agree(margin.stiffness_factor, by_stiffness, 1e-6), (K, B, margin, by_stiffness)
@@ -75,14 +76,14 @@ def random_scene(seed: int) -> Network:
 
 
 def require_what_poles_say(scene: Network, unknown_allowed: bool = False) -> None:
-    for link, margin in enumerate(scene.margins()):
+    for link, margin in enumerate(margins_of(scene).links):
         for name, found in (("stiffness", margin.stiffness_factor), ("damping", margin.damping_factor)):
 
             def stable(factor: float, link: int = link, name: str = name) -> bool:
                 value = getattr(scene, name).copy()
                 value[link] *= factor
                 changed = replace(scene, **{name: value})
-                poles = np.linalg.eigvals(changed.transition()).astype(complex)
+                poles = np.linalg.eigvals(transition(changed)).astype(complex)
                 return bool(np.abs(snapped(changed, poles)).max() <= LIMIT)
 
             if unknown_allowed and math.isnan(found):
@@ -101,7 +102,7 @@ def test_the_walk_along_the_circle_finds_them_unaided(seed: int, monkeypatch: py
     """Small scenes are checked against their poles, which would hide a fault that large ones show."""
     monkeypatch.setattr(margin_module, "_check", lambda *_: None)
     scene = random_scene(seed)
-    require_what_poles_say(scene, unknown_allowed=scene.spectral_radius() > LIMIT)
+    require_what_poles_say(scene, unknown_allowed=solve(scene).spectral_radius > LIMIT)
 
 
 def chain(masses: int, B: float, held: int) -> Network:
@@ -115,14 +116,18 @@ def chain(masses: int, B: float, held: int) -> Network:
 def test_a_strings_many_narrow_resonances_are_not_stepped_over(B: float, masses: int) -> None:
     """Just below every margin of the hand's link and of some others the poles are inside, just above they are not."""
     scene = chain(masses, B, masses // 3)
-    margins = scene.margins()
+    margins = margins_of(scene).links
     for link in (0, masses // 3 - 1, masses, masses + 1):
         for name, factor in zip(("stiffness", "damping"), margins[link], strict=True):
             for beside, stable in ((0.1 * factor + 0.9, True), (factor - 1e-3, True), (factor * 1.01, False)):
                 if math.isfinite(factor):
                     value = getattr(scene, name).copy()
                     value[link] *= beside
-                    assert (replace(scene, **{name: value}).spectral_radius() <= LIMIT) == stable, (link, name, factor)
+                    assert (solve(replace(scene, **{name: value})).spectral_radius <= LIMIT) == stable, (
+                        link,
+                        name,
+                        factor,
+                    )
 
 
 def test_what_cannot_become_unstable_has_no_margin() -> None:
@@ -134,9 +139,9 @@ def test_what_cannot_become_unstable_has_no_margin() -> None:
         damping=np.append(scene.damping, [9.0, 9.0]),
         damper=(),
     )
-    assert idle.margins()[-2:] == [(math.inf, math.inf)] * 2
-    np.testing.assert_allclose(idle.margins()[:-2], scene.margins(), rtol=1e-9)
-    assert Network(RATE, [], [], 0.0, "zoh", "ideal", [], [], [], []).margins() == []
+    assert margins_of(idle).links[-2:] == [(math.inf, math.inf)] * 2
+    np.testing.assert_allclose(margins_of(idle).links[:-2], margins_of(scene).links, rtol=1e-9)
+    assert margins_of(Network(RATE, [], [], 0.0, "zoh", "ideal", [], [], [], [])).links == []
 
 
 def test_where_something_else_is_unstable_no_factor_of_a_link_helps() -> None:
@@ -144,7 +149,7 @@ def test_where_something_else_is_unstable_no_factor_of_a_link_helps() -> None:
     scene = Network(
         RATE, [], [], 0.0, "zoh", "ideal", [0.01, 0.01], [[0, -1], [1, -1]], [5.0 * unit, 0.1 * unit], [1.0, 1.0]
     )
-    wild, tame = scene.margins()
+    wild, tame = margins_of(scene).links
     # z² - (2 - kappa - beta) z + 1 - beta is zero at -1 where kappa = 4 - 2 beta
     assert wild.stiffness_factor == pytest.approx((4.0 - 2.0 * 0.1) / 5.0, rel=1e-9)
     assert wild.damping_factor == 0.0
@@ -155,12 +160,12 @@ def test_what_drifts_is_at_the_limit_and_its_margin_is_that_of_the_rest() -> Non
     """Two equal masses on one link: their distance moves like one of half the mass on a spring to the ground."""
     free = Network(RATE, [], [], 0.0, "zoh", "ideal", [0.02, 0.02], [[0, 1]], [300.0], [2.0])
     tied = Network(RATE, [], [], 0.0, "zoh", "ideal", [0.01], [[0, -1]], [300.0], [2.0])
-    assert free.spectral_radius() == 1.0
-    np.testing.assert_allclose(free.margins(), tied.margins(), rtol=1e-9)
-    np.testing.assert_allclose(tied.margins(), [((4.0 - 2.0 * 0.2) / 0.03, (4.0 - 0.03) / 0.4)], rtol=1e-9)
+    assert solve(free).spectral_radius == 1.0
+    np.testing.assert_allclose(margins_of(free).links, margins_of(tied).links, rtol=1e-9)
+    np.testing.assert_allclose(margins_of(tied).links, [((4.0 - 2.0 * 0.2) / 0.03, (4.0 - 0.03) / 0.4)], rtol=1e-9)
 
 
 def test_what_overflows_has_margins_that_are_not_known() -> None:
     absurd = Network(RATE, [0.2], [0.0], 1.0, "zoh", "ideal", [], [[0, -1], [0, -1]], [1e308, 1e308], [0.0, 0.0])
-    assert np.isnan(absurd.margins()).all()
-    assert absurd.how_margins() != ""
+    assert np.isnan(margins_of(absurd).links).all()
+    assert margins_of(absurd).how != ""

@@ -11,7 +11,7 @@ import pytest
 
 from hapsim.theory import Network
 from hapsim.theory.interface import damper_named
-from hapsim.theory.network import margin, network
+from hapsim.theory.network import margin, margins_of, solve, state, transition
 from hapsim.theory.network.margin_modal import ModalResponse, NotModalError
 from hapsim.theory.network.margin_response import Response
 
@@ -90,27 +90,28 @@ def test_a_structure_that_is_damped_unevenly_has_no_modes_of_its_own() -> None:
 @pytest.mark.parametrize("links", [ONE_HAND, SEVERAL], ids=["one", "several"])
 def test_margins_are_where_the_poles_leave_the_circle(links: Sequence[Link], monkeypatch: pytest.MonkeyPatch) -> None:
     dense = skin(11, links)
-    monkeypatch.setattr(network, "LARGE", 100)
+    monkeypatch.setattr(state, "LARGE", 100)
     monkeypatch.setattr(margin, "QUICK", 0)
     scene = skin(11, links)
     assert isinstance(margin._response(scene), ModalResponse)
-    for link, factors in enumerate(scene.margins()):
+    for link, factors in enumerate(margins_of(scene).links):
         for name, factor in zip(("stiffness", "damping"), factors, strict=True):
             if not np.isfinite(factor):
                 continue
             for beside, outside in ((0.999, False), (1.001, True)):
                 value = getattr(dense, name).copy()
                 value[link] *= factor * beside
-                poles = np.linalg.eigvals(replace(dense, **{name: value}).transition().toarray())
+                poles = np.linalg.eigvals(transition(replace(dense, **{name: value})).toarray())
                 assert (np.abs(poles).max() > 1.0 + 1e-9) == outside, (link, name, factor)
 
 
 def test_thirty_rows_of_thirty_are_followed_as_finely_as_they_resonate() -> None:
     scene = skin(30, ONE_HAND)
-    scene.poles()
+    poles = solve(scene).poles
     before = time.process_time()
-    found = scene.margins()[0]
+    margins = margins_of(scene, poles)
+    found = margins.links[0]
     assert time.process_time() - before < 10.0  # with an elimination for each angle, about 10 s on two processors
-    assert "coarser" not in scene.how_margins()
+    assert "coarser" not in margins.how
     assert found.stiffness_factor > 1.0
     assert found.damping_factor > 1.0

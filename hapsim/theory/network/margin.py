@@ -12,7 +12,7 @@ import math
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,10 +22,10 @@ from hapsim.theory.network.margin_angles import AFFORDABLE, angles_about, angles
 from hapsim.theory.network.margin_modal import ModalResponse, NotModalError
 from hapsim.theory.network.margin_response import Response, TooLargeError
 from hapsim.theory.network.modes import snapped
+from hapsim.theory.network.network import Network
+from hapsim.theory.network.solve import solve
+from hapsim.theory.network.state import is_large, state_size, transition
 from hapsim.theory.network.threads import one_thread
-
-if TYPE_CHECKING:
-    from hapsim.theory.network.network import Network
 
 AnyResponse = Response | ModalResponse
 
@@ -75,24 +75,38 @@ class Crossings(NamedTuple):
         return Crossings(*(column[which] for column in self))
 
 
-def margins_of(network: Network) -> tuple[list[Margin], str]:
-    """Each link's margins, in their order, and in words which those are; of a large scene some, the others NaN."""
+class Margins(NamedTuple):
+    """Each link's, in their order; of a large scene some, the others NaN.
+
+    Attributes:
+        links: (L,). how: in words, which were worked out and how surely; "" for every one, between all poles.
+    """
+
+    links: list[Margin]
+    how: str = ""
+
+
+def margins_of(network: Network, poles: Complexes | None = None) -> Margins:
+    """By how much each link may be stiffer, or damp more, before the scene becomes unstable.
+
+    ``poles``: those of the scene, where they are known already.
+    """
     unknown = [Margin(math.nan, math.nan)] * len(network.ends)
-    poles = network.solution.poles
+    poles = solve(network).poles if poles is None else poles
     if not np.isfinite(poles).all():
-        return unknown, "none was worked out: the scene's numbers are out of range"
+        return Margins(unknown, "none was worked out: the scene's numbers are out of range")
     growing = int((np.abs(poles) > LIMIT).sum())
     try:
-        with np.errstate(all="ignore"), one_thread(network.is_large):
+        with np.errstate(all="ignore"), one_thread(is_large(network)):
             response = _response(network)
-            factors, how = _worked_out(network, response, growing)
+            factors, how = _worked_out(network, response, poles, growing)
     except TooLargeError:
-        return unknown, "none was worked out: the scene's links are too many, and too entwined"
+        return Margins(unknown, "none was worked out: the scene's links are too many, and too entwined")
     idle = Margin(0.0, 0.0) if growing else Margin(math.inf, math.inf)
     margins = [idle] * len(network.ends)
     for link, (stiffness, damping) in zip(response.links[: len(factors)].tolist(), factors.tolist(), strict=True):
         margins[link] = Margin(stiffness, damping)
-    return margins, how
+    return Margins(margins, how)
 
 
 def _response(network: Network) -> AnyResponse:
@@ -111,15 +125,15 @@ def _response(network: Network) -> AnyResponse:
     return eliminated
 
 
-def _worked_out(network: Network, response: AnyResponse, growing: int) -> tuple[Floats, str]:
+def _worked_out(network: Network, response: AnyResponse, poles: Complexes, growing: int) -> tuple[Floats, str]:
     """(links, 2): the factors of stiffness and damping; and which, in words."""
     judged = len(network.ends) if network.judged is None else network.judged
     every = np.arange(np.searchsorted(response.links, judged))
     if not every.size:
         return np.zeros((0, 2)), ""
     touching = _touching(network, response)[: every.size]
-    large, how = network.is_large, ""
-    angles = angles_about(network.solution.poles, response.work * (LESS if large else 1))
+    large, how = is_large(network), ""
+    angles = angles_about(poles, response.work * (LESS if large else 1))
     crossings = _crossings(response, angles, every)
     if touching.any():
         hands = np.flatnonzero(touching)
@@ -294,7 +308,7 @@ def _own(response: AnyResponse, crossings: Crossings, angles: Floats) -> Complex
 
 def _check(network: Network, response: AnyResponse, factors: Floats, unstable: bool) -> None:
     """Looks at the poles beside each factor, the nearest to 1 first; where they say otherwise, searches by them."""
-    size = network.triplets[1]
+    size = state_size(network)
     affordable = int(EIGENVALUES / (size + 40) ** 3)
     written = np.stack([network.stiffness[response.links], network.damping[response.links]], axis=1)
     with np.errstate(all="ignore"):
@@ -318,7 +332,7 @@ class _Varied:
         value = getattr(self._network, self._name).copy()
         value[self._link] *= factor
         changed = replace(self._network, **{self._name: value})
-        matrix = changed.transition()
+        matrix = transition(changed)
         if not np.isfinite(matrix).all():
             return math.inf
         poles = np.linalg.eigvals(matrix).astype(complex)

@@ -12,7 +12,7 @@ Only the few points that the other links hold are wanted; with L those links' ow
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,11 +21,9 @@ from hapsim.theory.arrays import Complexes, Floats
 from hapsim.theory.interface import DAMPERS, SAMPLINGS
 from hapsim.theory.interface.shape import Damper
 from hapsim.theory.network.margin_response import AT_ONCE, PAIRS, Answer, at_places, channel_answer, damper_answer
+from hapsim.theory.network.network import Network
 from hapsim.theory.network.parts import part_of_each
 from hapsim.theory.network.state import acting_links, channel_steps
-
-if TYPE_CHECKING:
-    from hapsim.theory.network.network import Network
 
 Indices = NDArray[np.intp]
 

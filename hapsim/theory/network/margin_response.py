@@ -9,7 +9,7 @@ e' D^-1 e is in the part of the inverse that the elimination gives at once (``sp
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,11 +18,9 @@ from hapsim.theory.arrays import Complexes, Floats
 from hapsim.theory.interface import SAMPLINGS
 from hapsim.theory.interface.shape import Damper
 from hapsim.theory.network.device_step import DeviceStep
+from hapsim.theory.network.network import Network
 from hapsim.theory.network.sparse_elimination import Pattern, eliminate, invert
 from hapsim.theory.network.state import acting_links, channel_steps
-
-if TYPE_CHECKING:
-    from hapsim.theory.network.network import Network
 
 OUTSIDE = 1e-12  # the circle's radius is 1 and this: poles that rest on 1, and what never loses energy, lie inside
 AT_ONCE = 10_000_000  # complex numbers in memory

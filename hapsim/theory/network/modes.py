@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import cmath
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hapsim.theory.arrays import Complexes, Floats
+from hapsim.theory.arrays import Complexes, Floats, sort_by_modulus
+from hapsim.theory.network.network import Network
 from hapsim.theory.network.rigid import poles_at_rest
-
-if TYPE_CHECKING:
-    from hapsim.theory.network.network import Network
+from hapsim.theory.network.state import transition
 
 NO_MOTION = 1e-12  # a pole of smaller modulus is a memory that empties, not a motion
+AT_THE_LIMIT = 1e-12  # a modulus this close to 1 is 1, to rounding
 SAME_AS_REST = 1e-4  # a double pole at 1 comes out of the eigenvalues this far off, at the worst
 
 
@@ -50,6 +50,36 @@ class Solution(NamedTuple):
     all: int
     how: str = ""
     growth: float = 0.0
+
+    @property
+    def spectral_radius(self) -> float:
+        """The largest modulus of a pole, of those worked out; 0 for a scene without points."""
+        return float(np.abs(self.poles).max(initial=self.growth))
+
+    @property
+    def is_stable(self) -> bool:
+        """Whether every motion dies out, as far as the poles were worked out; at the limit it does not."""
+        return self.spectral_radius < 1.0 - AT_THE_LIMIT
+
+
+@np.errstate(all="ignore")  # what is out of range becomes NaN
+def all_modes(network: Network) -> Solution:
+    """Every pole, memories included, and every motion, from the eigenvalues of the whole transition.
+
+    Without modes, and poles NaN, where the transition is not finite.
+    """
+    matrix = transition(network)
+    size = matrix.shape[0]
+    if not np.isfinite(matrix).all():
+        return not_finite(size)
+    poles, vectors = np.linalg.eig(matrix)
+    poles = snapped(network, poles.astype(complex))
+    return Solution(sort_by_modulus(poles), modes_of(network, poles, vectors), size)
+
+
+def not_finite(size: int) -> Solution:
+    """Of a scene whose numbers are out of range."""
+    return Solution(np.full(size, complex(np.nan, np.nan)), [], size)
 
 
 def snapped(network: Network, poles: Complexes) -> Complexes:

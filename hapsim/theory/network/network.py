@@ -4,26 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hapsim.theory import checks
-from hapsim.theory.arrays import Complexes, Floats, sort_by_modulus
+from hapsim.theory.arrays import Floats
 from hapsim.theory.interface import DAMPERS, HOLDS, SAMPLINGS
 from hapsim.theory.interface.shape import Damper
-from hapsim.theory.network.margin import Margin, margins_of
-from hapsim.theory.network.modes import Mode, Solution, modes_of, snapped
-from hapsim.theory.network.state import Triplets, transition
-
-__all__ = ["LARGE", "Margin", "Mode", "Network", "Solution"]
-
-_quietly = np.errstate(all="ignore")  # what is out of range becomes NaN
-
-LARGE = 1000  # numbers in the state; above, eigenvalues of the whole matrix take longer than a user waits
-AT_THE_LIMIT = 1e-12  # a modulus this close to 1 is 1, to rounding
 
 BACKWARD = DAMPERS["backward"](0.0)
 
@@ -99,82 +88,3 @@ class Network:
             raise ValueError(f"damper has {len(checked['damper'])} elements, but there are {len(ends)} links.")
         for name, value in checked.items():
             object.__setattr__(self, name, value)
-
-    @cached_property
-    @_quietly
-    def triplets(self) -> tuple[Triplets, int]:
-        """The transition's entries, and the size of the state (``state.py`` says what is in it)."""
-        return transition(self)
-
-    @property
-    def is_large(self) -> bool:
-        """Whether some of the poles are worked out in place of all."""
-        return self.triplets[1] > LARGE
-
-    @_quietly
-    def transition(self) -> Any:
-        """The square matrix that takes the state at one sample to the state at the next.
-
-        An array; of a large scene a sparse one, of scipy. ``state.py`` says what the state is.
-        """
-        entries, size = self.triplets
-        if self.is_large:
-            from hapsim.theory.network.sparse_modes import sparse_matrix
-
-            return sparse_matrix(entries, size)
-        matrix = np.zeros((size, size))
-        np.add.at(matrix, (entries.row, entries.column), entries.value)
-        return matrix
-
-    @cached_property
-    @_quietly
-    def solution(self) -> Solution:
-        """The poles and modes: all of them, or of a large scene some, and how they were found."""
-        size = self.triplets[1]
-        if not np.isfinite(self.triplets[0].value).all():
-            return Solution(np.full(size, complex(np.nan, np.nan)), [], size)
-        if self.is_large:
-            from hapsim.theory.network.sparse_modes import some_modes
-
-            return some_modes(self)
-        poles, vectors = np.linalg.eig(self.transition())
-        poles = snapped(self, poles.astype(complex))
-        return Solution(sort_by_modulus(poles), modes_of(self, poles, vectors), size)
-
-    def poles(self) -> Complexes:
-        """Eigenvalues (n,) of the transition, by decreasing modulus; some are zero, memories.
-
-        All of them, or of a large scene those that were worked out.
-        """
-        return self.solution.poles.copy()
-
-    def spectral_radius(self) -> float:
-        """The largest modulus of a pole, of those worked out; 0 for a scene without points."""
-        return float(np.abs(self.solution.poles).max(initial=self.solution.growth))
-
-    def modes(self) -> list[Mode]:
-        """The scene's motions, the slowest to decay first; without the poles at zero, which are memories.
-
-        Empty where the transition is not finite. Of a large scene those that were worked out.
-        """
-        return list(self.solution.modes)
-
-    def is_stable(self) -> bool:
-        """Whether every motion dies out, as far as the poles were worked out; at the limit it does not."""
-        return self.spectral_radius() < 1.0 - AT_THE_LIMIT
-
-    def how(self) -> str:
-        """In words, what was worked out of a large scene's poles; "" where all were."""
-        return self.solution.how
-
-    @cached_property
-    def _margins(self) -> tuple[list[Margin], str]:
-        return margins_of(self)
-
-    def margins(self) -> list[Margin]:
-        """By how much each link may be stiffer, or damp more, before the scene becomes unstable (L,)."""
-        return list(self._margins[0])
-
-    def how_margins(self) -> str:
-        """In words, which margins were worked out and how surely; "" for every one, between all poles."""
-        return self._margins[1]

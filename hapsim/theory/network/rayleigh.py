@@ -8,8 +8,6 @@ and the difference badly: they move such a pole off the circle, by the root of r
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,10 +15,8 @@ from hapsim.theory.arrays import Bools, Complexes, Floats
 from hapsim.theory.interface import SAMPLINGS
 from hapsim.theory.interface.shape import Damper
 from hapsim.theory.network.margin_response import channel_answer, damper_answer
+from hapsim.theory.network.network import Network
 from hapsim.theory.network.state import acting_links, channel_steps, damping_links
-
-if TYPE_CHECKING:
-    from hapsim.theory.network.network import Network
 
 STEPS = 5
 BESIDE = 1e-4  # of z - 1: how far from z the slope is taken

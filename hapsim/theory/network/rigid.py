@@ -14,17 +14,14 @@ from __future__ import annotations
 
 from collections import defaultdict
 from functools import cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hapsim.theory.arrays import Bools, Floats
 from hapsim.theory.network.exact_null_space import PRIME, Row, TooMuchWorkError, null_space, rank, residue
+from hapsim.theory.network.network import Network
 from hapsim.theory.network.parts import part_of_each
-
-if TYPE_CHECKING:
-    from hapsim.theory.network.network import Network
 
 Indices = NDArray[np.intp]
 

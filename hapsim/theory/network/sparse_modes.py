@@ -9,20 +9,18 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hapsim.theory.arrays import Complexes, sort_by_modulus
-from hapsim.theory.network.modes import NO_MOTION, SAME_AS_REST, Solution, modes_of
+from hapsim.theory.network.modes import NO_MOTION, SAME_AS_REST, Solution, all_modes, modes_of, not_finite
+from hapsim.theory.network.network import Network
 from hapsim.theory.network.rayleigh import at_rest, refined
 from hapsim.theory.network.rigid import poles_at_rest
-from hapsim.theory.network.state import Triplets
+from hapsim.theory.network.state import is_large, transition
 from hapsim.theory.network.threads import one_thread
-
-if TYPE_CHECKING:
-    from hapsim.theory.network.network import Network
 
 BESIDE = 1e-6  # a shift stands this far beside 1, where a free motion's pole would make it singular
 ASIDE = 1e-7  # and this far beside a pole that was found
@@ -48,21 +46,17 @@ class Search(NamedTuple):
     start: slice | None = None
 
 
-def sparse_matrix(entries: Triplets, size: int) -> Any:
-    """The matrix (size, size), by compressed columns."""
-    import scipy.sparse
-
-    return scipy.sparse.csc_matrix((entries.value, (entries.row, entries.column)), (size, size))
-
-
 def some_modes(network: Network) -> Solution:
     """The poles that the searches find, each with its motion; ``how`` says which those are."""
     with one_thread():
         return _some_modes(network)
 
 
+@np.errstate(all="ignore")  # what is out of range becomes NaN
 def _some_modes(network: Network) -> Solution:
-    matrix = network.transition()
+    matrix = transition(network)
+    if not np.isfinite(matrix.data).all():
+        return not_finite(matrix.shape[0])
     points = network.channel_mass.size + network.point_mass.size
     poles, vectors, places = [np.zeros(0, complex)], [np.zeros((points, 0), complex)], []
     for search in _searches(network):
@@ -228,7 +222,7 @@ def _once_each(network: Network, poles: Complexes, motions: NDArray) -> tuple[Co
 def _hand_alone(network: Network, channel: int) -> complex:
     """The slowest pole, on or above the real axis, of a channel whose neighbours are held still."""
     touching = np.flatnonzero((network.ends == channel).any(axis=1))
-    alone = type(network)(
+    alone = Network(
         network.rate,
         network.channel_mass[[channel]],
         network.channel_friction[[channel]],
@@ -242,9 +236,9 @@ def _hand_alone(network: Network, channel: int) -> complex:
         network.channel_stiffness[[channel]],
         tuple(network.damper[link] for link in touching.tolist()),
     )
-    if alone.is_large:
+    if is_large(alone):
         return 1.0 + 2.0 * BESIDE
-    pole = alone.poles()[0]
+    pole = all_modes(alone).poles[0]
     return complex(pole.real, abs(pole.imag)) * (1.0 + BESIDE)
 
 

@@ -9,7 +9,7 @@ there.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,9 +18,7 @@ from hapsim.theory.arrays import Floats
 from hapsim.theory.interface import SAMPLINGS
 from hapsim.theory.interface.shape import Damper
 from hapsim.theory.network.device_step import DeviceStep, device_step
-
-if TYPE_CHECKING:
-    from hapsim.theory.network.network import Network
+from hapsim.theory.network.network import Network
 
 Indices = NDArray[np.intp]
 
@@ -114,8 +112,39 @@ def layout_of(network: Network, steps: list[DeviceStep]) -> Layout:
     )
 
 
-def transition(network: Network) -> tuple[Triplets, int]:
-    """The square matrix that takes the state at one sample to the state at the next, and its size."""
+LARGE = 1000  # numbers in the state; above, eigenvalues of the whole matrix take longer than a user waits
+
+_quietly = np.errstate(all="ignore")  # what is out of range becomes NaN
+
+
+def state_size(network: Network) -> int:
+    """How many numbers the state has."""
+    return layout_of(network, channel_steps(network)).size
+
+
+def is_large(network: Network) -> bool:
+    """Whether some of the poles are worked out in place of all."""
+    return state_size(network) > LARGE
+
+
+@_quietly
+def transition(network: Network) -> Any:
+    """The square matrix that takes the state at one sample to the state at the next.
+
+    An array; of a large scene a sparse one, of scipy, by compressed columns.
+    """
+    entries, size = _transition(network)
+    if size > LARGE:
+        import scipy.sparse
+
+        return scipy.sparse.csc_matrix((entries.value, (entries.row, entries.column)), (size, size))
+    matrix = np.zeros((size, size))
+    np.add.at(matrix, (entries.row, entries.column), entries.value)
+    return matrix
+
+
+def _transition(network: Network) -> tuple[Triplets, int]:
+    """Its entries, and its size."""
     steps = channel_steps(network)
     layout = layout_of(network, steps)
     channels, points = network.channel_mass.size, layout.now.stop
