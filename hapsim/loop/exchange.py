@@ -13,8 +13,7 @@ from firmware_protocol.frames import FRAMING, write_frame
 from hapsim.compiling import inlined
 from hapsim.cordis.tick import program_at, start
 from hapsim.loop.codes import BAD_FORCE, FAULT, HEARD, OFF_RATE, TIMED_OUT
-from hapsim.loop.guard.force import cut, is_finite
-from hapsim.loop.guard.rate import WATCH, is_off_rate
+from hapsim.loop.guards import WATCH, cut, is_finite, is_off_rate
 from hapsim.loop.histogram import HISTOGRAM, note
 from hapsim.loop.io_buffer import IO_BUFFER
 from hapsim.loop.ring import BRIDGED, LATE_FORCE, LIMITED, OFF_GRID, RING, UNSENT, mark_last, publish, push

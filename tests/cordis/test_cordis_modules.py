@@ -23,7 +23,7 @@ from hapsim.cordis.modules.friction import Frictions
 from hapsim.cordis.modules.plectrum import Plectra
 from hapsim.cordis.offline import follow_parameters, start, tick
 from hapsim.cordis.program import Program, compile_scene, parameter_values
-from hapsim.linear import linear_scene
+from hapsim.prediction.linear import linear_scene
 from hapsim.scene import Scene, parse_scene
 
 Array = NDArray[np.float64]

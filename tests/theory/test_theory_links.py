@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hapsim.linear import linear_scene
 from hapsim.prediction import predict
+from hapsim.prediction.linear import linear_scene
 from hapsim.scene import parse_scene
 from hapsim.theory.links.friction import describing_function
 from hapsim.theory.links.nonlinear import nonlinear, sector, slope_at

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hapsim.theory.arrays import Complexes, Floats
-from hapsim.theory.interface import HOLDS, SAMPLINGS
-from hapsim.theory.interface.shape import Damper, Term
+from hapsim.theory.interface import HOLDS, SAMPLINGS, Damper, Term
 
 
 def late_and_held(theta: Floats, delay: float, hold: str, sampling: str) -> Complexes:

@@ -20,7 +20,7 @@ import numpy as np
 from hapsim.theory.arrays import Floats
 from hapsim.theory.hand.pair import OnPair, total
 from hapsim.theory.hand.plant import Plant
-from hapsim.theory.interface.shape import Damper
+from hapsim.theory.interface import Damper
 
 
 class LoopEquation(NamedTuple):

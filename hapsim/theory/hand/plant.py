@@ -21,8 +21,7 @@ import numpy as np
 from hapsim.theory.arrays import Floats
 from hapsim.theory.hand.pair import quadratic_of_oscillator
 from hapsim.theory.hand.response import AREA, POSITION, VELOCITY, response_to_a_blow
-from hapsim.theory.interface import HOLDS, SAMPLINGS, whole_and_fraction
-from hapsim.theory.interface.shape import Term, product
+from hapsim.theory.interface import HOLDS, SAMPLINGS, Term, product, whole_and_fraction
 
 NOTHING = 1e-13  # of the largest coefficient: the rounding of what is zero
 

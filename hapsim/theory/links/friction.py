@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 
-from hapsim.theory.links.shape import Linear
+from hapsim.theory.links.linear import Linear
 
 
 def friction(stiffness: float, damping: float) -> Linear:

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
-from hapsim.theory.links.shape import Linear
+from hapsim.theory.links.linear import Linear
 
 Points = Sequence[tuple[float, float]]
 """Of a curve, by ascending abscissa: m or m/s, and N."""

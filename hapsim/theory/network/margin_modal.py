@@ -18,8 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapsim.theory.arrays import Complexes, Floats
-from hapsim.theory.interface import DAMPERS, SAMPLINGS
-from hapsim.theory.interface.shape import Damper
+from hapsim.theory.interface import DAMPERS, SAMPLINGS, Damper
 from hapsim.theory.network.margin_response import AT_ONCE, PAIRS, Answer, at_places, channel_answer, damper_answer
 from hapsim.theory.network.network import Network
 from hapsim.theory.network.parts import part_of_each

@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapsim.theory.arrays import Complexes, Floats
-from hapsim.theory.interface import SAMPLINGS
-from hapsim.theory.interface.shape import Damper
+from hapsim.theory.interface import SAMPLINGS, Damper
 from hapsim.theory.network.device_step import DeviceStep
 from hapsim.theory.network.network import Network
 from hapsim.theory.network.sparse_elimination import Pattern, eliminate, invert

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from hapsim.theory import checks
 from hapsim.theory.arrays import Floats
-from hapsim.theory.interface import DAMPERS, HOLDS, SAMPLINGS
-from hapsim.theory.interface.shape import Damper
+from hapsim.theory.interface import DAMPERS, HOLDS, SAMPLINGS, Damper
 
 BACKWARD = DAMPERS["backward"](0.0)
 

@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapsim.theory.arrays import Bools, Complexes, Floats
-from hapsim.theory.interface import SAMPLINGS
-from hapsim.theory.interface.shape import Damper
+from hapsim.theory.interface import SAMPLINGS, Damper
 from hapsim.theory.network.margin_response import channel_answer, damper_answer
 from hapsim.theory.network.network import Network
 from hapsim.theory.network.state import acting_links, channel_steps, damping_links

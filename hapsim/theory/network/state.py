@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapsim.theory.arrays import Floats
-from hapsim.theory.interface import SAMPLINGS
-from hapsim.theory.interface.shape import Damper
+from hapsim.theory.interface import SAMPLINGS, Damper
 from hapsim.theory.network.device_step import DeviceStep, device_step
 from hapsim.theory.network.network import Network
 

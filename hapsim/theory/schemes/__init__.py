@@ -10,7 +10,7 @@ from hapsim.theory.schemes.centred import CORDIS, SEMI_IMPLICIT
 from hapsim.theory.schemes.exact import EXACT
 from hapsim.theory.schemes.midpoint import MIDPOINT
 from hapsim.theory.schemes.rk4 import RK4
-from hapsim.theory.schemes.shape import Scheme, spectral_radius
+from hapsim.theory.schemes.scheme import Scheme, spectral_radius
 
 SCHEMES: dict[str, Scheme] = {
     "cordis": CORDIS,

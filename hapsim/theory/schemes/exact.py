@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from hapsim.theory.arrays import Floats
-from hapsim.theory.schemes.shape import Scheme, always_stable, rates
+from hapsim.theory.schemes.scheme import Scheme, always_stable, rates
 
 
 def _step(mass: Floats, stiffness: Floats, damping: Floats, period: float) -> Floats:

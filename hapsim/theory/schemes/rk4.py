@@ -15,7 +15,7 @@ import math
 import numpy as np
 
 from hapsim.theory.arrays import Floats
-from hapsim.theory.schemes.shape import Scheme, rates
+from hapsim.theory.schemes.scheme import Scheme, rates
 
 REAL_LIMIT = 2.785293563405282  # -z where R(z) = 1
 

@@ -1,4 +1,10 @@
-"""A device that does not sample at the rate that it declares is answered for a second or two: then the loop stops.
+"""The guards between scene and device: what ends a run, or is cut, before it reaches a hand.
+
+**The force.** One that is not a number never leaves: the loop stops instead. One above its limit is cut to it, and the
+tick counted: the hand then feels less than the scene asks.
+
+**The rate.** A device that does not sample at the rate that it declares is answered for a second or two: then the loop
+stops.
 
 A damper's force is made with the rate, and every delay lasts as many periods: at half the rate a damper damps twice as
 much, and a spring takes twice the damping back. No prediction holds.
@@ -11,9 +17,25 @@ runs in this process, there is nothing to tell.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from hapsim.compiling import inlined
+
+
+@inlined
+def is_finite(force):
+    """Whether a force is a number."""
+    return math.isfinite(force)
+
+
+@inlined
+def cut(force, limit):
+    """A force (N), or where it is larger its limit, to the same side. What is no number comes out as none, or as the
+    limit."""
+    return -limit if force < -limit else limit if force > limit else force
+
 
 WINDOW_NS = 250_000_000  # by the declared rate
 WINDOW_SAMPLES = 64  # at least

@@ -9,7 +9,7 @@ import numpy as np
 
 from firmware_protocol import schema
 from hapsim.errors import UsageError
-from hapsim.linear import AS_PREDICTED, LinearLink, LinearScene, linear_scene
+from hapsim.prediction.linear import AS_PREDICTED, LinearLink, LinearScene, linear_scene
 from hapsim.scene import Scene
 from hapsim.theory import Configuration, Margins, Mode, Network, frequency_and_ratio, margins_of, solve
 from hapsim.theory.interface import damper_named

@@ -9,14 +9,9 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from hapsim.scene import Buffer, Damper, Friction, Nonlinear, Plectrum, Scene, Spring, ViscoElastic
-from hapsim.theory.links.buffer import buffer
-from hapsim.theory.links.cell import cell
-from hapsim.theory.links.damper import damper
 from hapsim.theory.links.friction import friction
+from hapsim.theory.links.linear import Linear, buffer, cell, damper, plectrum, spring
 from hapsim.theory.links.nonlinear import nonlinear
-from hapsim.theory.links.plectrum import plectrum
-from hapsim.theory.links.shape import Linear
-from hapsim.theory.links.spring import spring
 
 
 class LinearLink(NamedTuple):

@@ -1,0 +1,90 @@
+"""The dampers: how readings become the velocity that a link's damping acts on. A new one is a function and a line here,
+and its recurrence in the kernel (`hapsim/cordis/modules`)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+
+class Damper(NamedTuple):
+    """How readings become the velocity that a link's damping acts on, in metres per sample period.
+
+    As a transfer function, v/y = w ``numerator``(w)/(``denominator``(w) z^``delays``), in powers of w = z - 1, the
+    lowest first; both have the same value at w = 0, so that a slow motion's velocity is true. As a recurrence,
+    v[n] is the sum of ``of_positions`` over y[n], y[n-1], ... and of ``of_velocities`` over v[n-1], v[n-2], ...
+    Where it ``senses``, the velocity of the device's end is read from the device instead, and both stand for the
+    other end alone.
+    """
+
+    numerator: tuple[float, ...]
+    denominator: tuple[float, ...]
+    delays: int
+    of_positions: tuple[float, ...]
+    of_velocities: tuple[float, ...]
+    senses: bool = False
+
+
+def backward(_cutoff: float) -> Damper:
+    """The difference of the two newest positions (first-order Euler; Florens et al., §6): v[n] = (y[n] - y[n-1])/T; v/y
+    = w/(w + 1)."""
+    return Damper(numerator=(1.0,), denominator=(1.0,), delays=1, of_positions=(1.0, -1.0), of_velocities=())
+
+
+def centred(_cutoff: float) -> Damper:
+    """The difference across two sample periods, the velocity at the sample before: v[n] = (y[n] - y[n-2])/(2 T); v/y =
+    w (1 + w/2)/(1 + w)²."""
+    return Damper(numerator=(1.0, 0.5), denominator=(1.0,), delays=2, of_positions=(0.5, 0.0, -0.5), of_velocities=())
+
+
+def filtered(cutoff: float) -> Damper:
+    """A low-pass of first order behind the backward difference: v[n] = (1 - a) v[n-1] + a (y[n] - y[n-1])/T, a = 1 -
+    exp(-cutoff); v/y = w a/(w + a).
+
+    The low-pass keeps the poles of its continuous model, 1/(1 + s/(2 pi cutoff)): a step goes through it by the same
+    exponential, sample by sample. ``cutoff``: 2 pi times the cutoff frequency times the sample period.
+    """
+    a = -math.expm1(-cutoff)
+    return Damper(
+        numerator=(a,), denominator=(a, 1.0), delays=0, of_positions=(a, -a), of_velocities=(math.exp(-cutoff),)
+    )
+
+
+def sensed(_cutoff: float) -> Damper:
+    """v[n] is what the device itself measures, late and held like the position: a second output of the plant, not a
+    filter of the first. With averaged sampling it is the mean velocity over the sample period that has just ended.
+
+    At an end that is not the device's there is nothing to sense: a simulated point's velocity is the backward
+    difference of its positions, which the filter below says.
+    """
+    return Damper(
+        numerator=(1.0,), denominator=(1.0,), delays=1, of_positions=(1.0, -1.0), of_velocities=(), senses=True
+    )
+
+
+#: Each made from 2 pi times the cutoff frequency times the sample period, which only a filter looks at.
+DAMPERS: dict[str, Callable[[float], Damper]] = {
+    "backward": backward,
+    "centred": centred,
+    "filtered": filtered,
+    "sensed": sensed,
+}
+WITH_CUTOFF = ("filtered",)
+
+
+def damper_named(name: str, cutoff: float | None, rate: float) -> Damper:
+    """The damper of this name. ``cutoff`` and ``rate``: Hz; a filter needs its cutoff, and nothing else has one.
+
+    Raises:
+        ValueError: the name is unknown, or the cutoff is missing, superfluous or not above zero.
+    """
+    if name not in DAMPERS:
+        raise ValueError(f"damper is {name!r}, but it has to be one of: {', '.join(DAMPERS)}.")
+    if name not in WITH_CUTOFF:
+        if cutoff is not None:
+            raise ValueError(f"cutoff is {cutoff!r}, but the {name} damper has none: leave it out.")
+        return DAMPERS[name](math.inf)
+    if cutoff is None or not 0.0 < cutoff < math.inf:
+        raise ValueError(f"cutoff is {cutoff!r}, but the {name} damper needs one, in Hz, greater than zero.")
+    return DAMPERS[name](2.0 * math.pi * cutoff / rate)
