@@ -1,6 +1,6 @@
 """Scene -> what the linear theory works on: points with masses, springs and dampers between them, and what was assumed.
 
-Each type of link is taken for what its file under `theory/links` makes of it. A structure is taken apart.
+Each type of link is taken for what `theory/links` makes of it. A structure is taken apart.
 """
 
 from __future__ import annotations
