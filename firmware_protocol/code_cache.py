@@ -18,6 +18,7 @@ import re
 import shutil
 import stat
 import tempfile
+import threading
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
@@ -54,13 +55,17 @@ def directory_for(sources: frozenset[Path], rooms: tuple[Path, ...]) -> Path | N
 @contextlib.contextmanager
 def numba_cache_in(directory: Path | None) -> Iterator[None]:
     """numba chooses the place when it decorates; a program that uses hapsim keeps its own setting."""
-    before = numba.config.CACHE_DIR
-    if directory is not None:
-        numba.config.CACHE_DIR = str(directory)
-    try:
-        yield
-    finally:
-        numba.config.CACHE_DIR = before
+    with _choosing:
+        before = numba.config.CACHE_DIR
+        if directory is not None:
+            numba.config.CACHE_DIR = str(directory)
+        try:
+            yield
+        finally:
+            numba.config.CACHE_DIR = before
+
+
+_choosing = threading.RLock()  # the place is the whole process's
 
 
 def sources_of(sources: Iterable[Path], rooms: Sequence[Path]) -> tuple[Path, ...]:
@@ -113,9 +118,9 @@ def _digest_of(source: Path) -> bytes:
 def _is_ours(directory: Path) -> bool:
     """Whether nobody else can put code there, which would then run as ours: numba's index files are pickles."""
     status = directory.lstat()
-    mine = (
-        stat.S_ISDIR(status.st_mode) and status.st_uid == _user() and not status.st_mode & (stat.S_IWOTH | stat.S_IWGRP)
-    )
+    # A system without users says of every directory that all may write to it; who may is then another matter.
+    open_to = status.st_mode & (stat.S_IWOTH | stat.S_IWGRP) if hasattr(os, "getuid") else 0
+    mine = stat.S_ISDIR(status.st_mode) and status.st_uid == _user() and not open_to
     return mine and os.access(directory, os.W_OK)
 
 

@@ -59,8 +59,8 @@ def blocks() -> dict[str, str]:
     return {
         "constants": _constants(),
         "schema": f"```text\n{schema.SCHEMA}```",
-        "link budget": _link_budget(velocity=False),
-        "link budget with velocities": _link_budget(velocity=True),
+        "link budget": _wire_time(velocity=False),
+        "link budget with velocities": _wire_time(velocity=True),
         "examples": "\n\n".join(_annotated(example) for example in _EXAMPLES),
     }
 
@@ -90,7 +90,7 @@ def _constants() -> str:
     return "\n".join(lines + [f"| {name} | `0x{value:0{digits}x}` |" for name, value, digits in rows])
 
 
-def _link_budget(velocity: bool) -> str:
+def _wire_time(velocity: bool) -> str:
     lines = [
         "| channels | to host | to device | exchange | " + " | ".join(f"{baud} baud" for baud in BAUDS) + " |",
         "|---:|---:|---:|---:|" + "---:|" * len(BAUDS),

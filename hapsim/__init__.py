@@ -1,4 +1,4 @@
-"""hapsim: a real-time haptic simulator that tells what stiffness and damping the hand really meets.
+"""hapsim: a real-time haptic simulator that tells what stiffness and damping the hand really feels.
 
     scene = hapsim.load_scene("configs/first_touch.yaml")
     hapsim.predict(scene).felt[0].k        # before it runs
@@ -29,6 +29,7 @@ _HOME = {
     "measure": "hapsim.measuring.measure",
 }
 __all__ = ["load_scene", "measure", "predict", "run", "start"]
+__version__ = "0.1.0"
 
 
 def __dir__() -> list[str]:

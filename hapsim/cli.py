@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from hapsim.errors import RunError
     from hapsim.loop.trace import Report
     from hapsim.prediction import Prediction
-    from hapsim.realtime import Grant
+    from hapsim.realtime import PrivilegeResult
     from hapsim.scene import Scene
 
 
@@ -34,18 +34,41 @@ def _seconds(value: float | None) -> float | None:
 
 app = typer.Typer(
     name="hapsim",
-    help="A real-time haptic simulator that tells what stiffness and damping the hand really meets.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 app.add_typer(chart)
 
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        from hapsim.console.version import version_lines
+
+        print("\n".join(version_lines()))
+        raise typer.Exit()
+
+
+@app.callback()
+def _about_hapsim(
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version",
+            is_eager=True,
+            callback=_print_version,
+            help="Print what a bug report needs.",
+        ),
+    ] = False,
+) -> None:
+    """A real-time haptic simulator that tells what stiffness and damping the hand really feels."""
+
+
 SceneFile = Annotated[str, typer.Argument(metavar="SCENE", help="A scene in YAML, such as configs/first_touch.yaml.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on standard output, nothing else there.")]
 Port = Annotated[str | None, typer.Option(metavar="P", help="The device's serial port, in place of the scene's.")]
 MockFlag = Annotated[bool, typer.Option("--mock", help="Use the embedded mock even where the scene names a port.")]
-Line = Annotated[
+TransportOption = Annotated[
     str | None, typer.Option(metavar="KIND", help="Where the mock is: 'loopback' (in memory) or 'terminal'.")
 ]
 
@@ -61,7 +84,7 @@ def run(
     scene: SceneFile,
     port: Port = None,
     mock: MockFlag = False,
-    line: Line = None,
+    transport: TransportOption = None,
     duration: Annotated[
         float | None, typer.Option(metavar="S", callback=_seconds, help="Seconds; left out: until stopped.")
     ] = None,
@@ -72,8 +95,8 @@ def run(
     json: Json = False,
 ) -> None:
     """Run SCENE against its device, or against the embedded mock where it names none."""
-    from hapsim.console.attendant import Attendant
     from hapsim.console.live import live_line
+    from hapsim.console.run_reporter import RunReporter
     from hapsim.console.tables import show_report
     from hapsim.errors import RunError
     from hapsim.running import run as run_scene
@@ -83,20 +106,19 @@ def run(
     _require_writable(record=record)
     _predict_and_warn(loaded)
     error_console = _stderr()
-    attendant = Attendant(error_console, scene if watch else None, _predict_and_warn)
+    reporter = RunReporter(error_console, scene if watch else None, _predict_and_warn)
     failure: RunError | None = None
     try:
         with live_line(error_console) as tell:
             trace = run_scene(
                 loaded,
                 duration=duration,
-                line=_line_kind(mock, line, port),
+                transport=_transport_kind(mock, transport, port),
                 keep=record is not None,
                 realtime=realtime,
                 portable=portable,
                 on_progress=tell,
-                on_start=attendant.started,
-                while_running=attendant.look,
+                on_start=reporter.started,
                 stop_on_signals=True,
             )
     except RunError as error:
@@ -107,7 +129,7 @@ def run(
         if record is not None:
             trace.save(record)
         if json:
-            _print_run(trace.report, attendant.grants, failure)
+            _print_run(trace.report, reporter.grants, failure)
         else:
             show_report(_stdout(), trace.report)
             _say(record=record)
@@ -125,7 +147,7 @@ def check(
         typer.Option("--explain", help="Compile the scene too: what is kept of it, what that costs."),
     ] = False,
 ) -> None:
-    """Predict, without running: stable or not, what the hand will meet, every mode, the link's budget."""
+    """Predict, without running: stable or not, what the hand will feel, every mode, the time that the wire takes."""
     from hapsim.prediction import predict
 
     loaded = _scene(scene)
@@ -159,7 +181,7 @@ def measure(
     scene: SceneFile,
     port: Port = None,
     mock: MockFlag = False,
-    line: Line = None,
+    transport: TransportOption = None,
     channel: Annotated[int | None, typer.Option(help="The channel whose hand is rung; left out: the first.")] = None,
     duration: Annotated[
         float | None, typer.Option(metavar="S", callback=_seconds, help="Seconds; left out: about two.")
@@ -169,7 +191,7 @@ def measure(
     record: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the trace: .npz or .csv.")] = None,
     json: Json = False,
 ) -> None:
-    """Ring the hand, identify the spring and damper that it met, and set them beside the prediction.
+    """Ring the hand, identify the spring and damper that it felt, and set them beside the prediction.
 
     It pushes the hand: now and then, to one side and the other, with up to a quarter of the scene's force_limit.
     """
@@ -196,7 +218,7 @@ def measure(
             loaded,
             channel=channel,
             duration=duration,
-            line=_line_kind(mock, line, port),
+            transport=_transport_kind(mock, transport, port),
             on_progress=tell,
             stop_on_signals=True,
         )
@@ -209,6 +231,9 @@ def measure(
 
         print(document({"scene": scene} | measurement_document(prediction, measurement, channel)))
     else:
+        from hapsim.console.tables import show_assumptions
+
+        show_assumptions(_stdout(), prediction)
         _show_measured(loaded, channel, felt, why, measurement)
         _say(picture, data, record)
 
@@ -248,7 +273,7 @@ def doctor(
             seconds=seconds,
             rates=tuple(numbers("--rates", rates)) or RATES_HZ,
             realtime=realtime,
-            line=_line_kind(mock, None, port),
+            transport=_transport_kind(mock, None, port),
             on_progress=tell,
         )
     if picture is not None or data is not None:
@@ -369,6 +394,8 @@ def main() -> None:
     except SystemExit as ending:
         if ending.code == _INTERRUPTED:  # typer has taken the interrupt, and says nothing
             print("hapsim: stopped before anything was running", file=sys.stderr)
+        if "hapsim.realtime.giving_way" in sys.modules and isinstance(ending.code, int | None):
+            sys.modules["hapsim.realtime.giving_way"].leave_unfinished(ending.code or 0)
         raise
     except BrokenPipeError:
         # Whoever read our output has seen enough; nothing is left to be told to them.
@@ -399,7 +426,7 @@ def _warn(scene: Scene, prediction: Prediction) -> None:
     from hapsim.prediction import warnings_about
 
     for warning in warnings_about(scene, prediction):
-        print(f"Beware: {warning}", file=sys.stderr)
+        print(f"Warning: {warning}", file=sys.stderr)
 
 
 def _scene(path: str, port: str | None = None) -> Scene:
@@ -411,12 +438,12 @@ def _scene(path: str, port: str | None = None) -> Scene:
     return scene.model_copy(update={"device": scene.device.model_copy(update={"port": port})})
 
 
-def _line_kind(mock: bool, line: str | None, port: str | None) -> Any:
-    if port is not None and (mock or line is not None):
-        raise UsageError("--port names a device, --mock and --line the mock: found both, expected one of them")
-    if line is not None and line not in ("loopback", "terminal"):
-        raise UsageError(f"--line: found '{line}', expected loopback or terminal")
-    return line or ("mock" if mock else "auto")
+def _transport_kind(mock: bool, transport: str | None, port: str | None) -> Any:
+    if port is not None and (mock or transport is not None):
+        raise UsageError("--port names a device, --mock and --transport the mock: found both, expected one of them")
+    if transport is not None and transport not in ("loopback", "terminal"):
+        raise UsageError(f"--transport: found '{transport}', expected loopback or terminal")
+    return transport or ("mock" if mock else "auto")
 
 
 def _require_writable(picture: Path | None = None, data: Path | None = None, record: Path | None = None) -> None:
@@ -439,7 +466,7 @@ def _say(picture: Path | None = None, data: Path | None = None, record: Path | N
             print(f"{what}: {path}")
 
 
-def _print_run(report: Report, grants: list[Grant], failure: RunError | None) -> None:
+def _print_run(report: Report, grants: list[PrivilegeResult], failure: RunError | None) -> None:
     from hapsim.console.as_json import document, report_document
 
     problem = {} if failure is None else {"error": str(failure), "exit_status": failure.exit_status}

@@ -18,5 +18,5 @@ class Progress:
     rate_hz: float = 0.0
     force: tuple[float, ...] = ()
     age_samples: int = 0
-    late_ticks: int = 0
+    deadline_misses: int = 0
     limited_ticks: int = 0

@@ -1,17 +1,30 @@
-"""The scenes that ship with hapsim: beside the sources in a clone, under the prefix's share/ when installed."""
+"""The scenes that ship with hapsim: beside the sources in a clone, in the scheme's share/ when installed."""
 
 from __future__ import annotations
 
-import sys
+import sysconfig
+from collections.abc import Iterator
 from pathlib import Path
 
 from hapsim.errors import HapsimError
 
+_PACKAGES = Path(__file__).parent.parent
+_INSTALLED = Path("share") / "hapsim" / "configs"
+
 
 def shipped_scene(name: str) -> str:
     """The text of a shipped scene. HapsimError where the installation lacks it."""
-    places = (Path(__file__).parent.parent / "configs", Path(sys.prefix) / "share" / "hapsim" / "configs")
+    places = list(dict.fromkeys(_places()))
     for place in places:
         if (place / name).is_file():
             return (place / name).read_text(encoding="utf-8")
-    raise HapsimError(f"{name}: not among the files of this installation of hapsim; looked in {places[0]}, {places[1]}")
+    looked = ", ".join(map(str, places))
+    raise HapsimError(f"{name}: not among the files of this installation of hapsim; looked in {looked}")
+
+
+def _places() -> Iterator[Path]:
+    """Where they may be: a clone, then what pip makes of a wheel's data for everybody, for one user, in a folder."""
+    yield _PACKAGES / "configs"
+    yield Path(sysconfig.get_path("data")) / _INSTALLED
+    yield Path(sysconfig.get_path("data", sysconfig.get_preferred_scheme("user"))) / _INSTALLED
+    yield _PACKAGES / _INSTALLED

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 app = typer.Typer(
     name="chart",
-    help="Draw what the hand meets: pictures as a paper prints them, and their numbers.",
+    help="Draw what the hand feels: pictures as a paper prints them, and their numbers.",
     no_args_is_help=True,
 )
 
@@ -35,10 +35,10 @@ Sampling = Annotated[str | None, typer.Option(metavar="KIND", help="'ideal' or '
 Damper = Annotated[str | None, typer.Option(metavar="KIND", help="'backward', 'centred', 'filtered' or 'sensed'.")]
 Cutoff = Annotated[float | None, typer.Option(metavar="HZ", help="Cutoff of the filtered damper, Hz.")]
 WrittenK = Annotated[
-    float | None, typer.Option("--written-stiffness", metavar="K", help="The stiffness K that is simulated, N/m.")
+    float | None, typer.Option("--simulated-stiffness", metavar="K", help="The stiffness K that is simulated, N/m.")
 ]
 WrittenB = Annotated[
-    float | None, typer.Option("--written-damping", metavar="B", help="The damping B that is simulated, N·s/m.")
+    float | None, typer.Option("--simulated-damping", metavar="B", help="The damping B that is simulated, N·s/m.")
 ]
 Picture = Annotated[
     Path | None,
@@ -88,7 +88,7 @@ def plane(
     data: Data = None,
     json: Json = False,
 ) -> None:
-    """Draw the K,B plane: curves of equal k and b that the hand meets (the paper's Figures 7, 8 and 9).
+    """Draw the K,B plane: curves of equal k and b that the hand feels (the paper's Figures 7, 8 and 9).
 
     The options of the loop are in place of what SCENE says.
     """
@@ -131,7 +131,7 @@ def transparency(
     data: Data = None,
     json: Json = False,
 ) -> None:
-    """Draw the impedance that is written beside the one that is met, from frequency to frequency (Figure 2).
+    """Draw the rendered impedance beside the desired one, from frequency to frequency (Figure 2).
 
     The options of the loop are in place of what SCENE says.
     """
@@ -144,13 +144,13 @@ def transparency(
     given = _loop_options(context, mass=mass, rate=rate)
     hand, _ = _hands(scene, channel, given, written_stiffness, written_damping)
     if not hand.is_written:
-        raise UsageError("--written-stiffness is missing: without a SCENE, it says what is to be met")
+        raise UsageError("--simulated-stiffness is missing: without a SCENE, it says what is simulated")
     worked_out = transparency_of(hand)
     if data is not None:
         save_columns(worked_out.columns(), data)
     if picture is not None:
-        written = f"K = {hand.stiffness:.6g} N/m, B = {hand.damping:.6g} N·s/m"
-        draw_transparency(worked_out, f"{written}; {described(hand.configuration)}", picture)
+        simulated = f"K = {hand.stiffness:.6g} N/m, B = {hand.damping:.6g} N·s/m"
+        draw_transparency(worked_out, f"{simulated}; {described(hand.configuration)}", picture)
     bands = worked_out.gives_energy()
     if json:
         _print_json({"scene": scene, "hand": hand.summary(), "gives_energy_hz": bands}, picture, data)
@@ -292,14 +292,14 @@ def _loop_options(context: typer.Context, **more: Any) -> dict[str, Any]:
 def _hands(
     scene: str | None, channel: int | None, given: dict[str, Any], stiffness: float | None, damping: float | None
 ) -> tuple[Hand, list[Hand]]:
-    """The hand that is asked for, as it is written for, and the other hands of the scene."""
+    """The hand that is asked for, with what is simulated for it, and the other hands of the scene."""
     from hapsim.chart.hand import hand_of_options, hands_of_scene
     from hapsim.scene import load_scene
 
     if scene is None:
         if channel is not None:
             raise UsageError("--channel: without a SCENE there is one hand only")
-        return hand_of_options(given).written(stiffness, damping), []
+        return hand_of_options(given).with_simulated(stiffness, damping), []
     hands = hands_of_scene(load_scene(scene), given)
     chosen = next((hand for hand in hands if channel in (None, hand.channel)), None)
     if chosen is None:
@@ -307,7 +307,7 @@ def _hands(
         raise UsageError(
             f"--channel {channel}: no hand there whose links all end on grounds; such hands are on: {known}"
         )
-    return chosen.written(stiffness, damping), [hand for hand in hands if hand is not chosen]
+    return chosen.with_simulated(stiffness, damping), [hand for hand in hands if hand is not chosen]
 
 
 def _in_one_plane(chosen: Hand, others: list[Hand], masses: list[float]) -> list[Hand]:
@@ -363,7 +363,7 @@ def _draw_plane(
 
 
 def _tell_of(drawn: list[Hand], others: list[Hand]) -> None:
-    """What is written and met of what is drawn, and where the others are."""
+    """What is simulated and felt of what is drawn, and where the others are."""
     for hand in drawn:
         if hand.is_written:
             _console().print(_told(hand))
@@ -372,15 +372,15 @@ def _tell_of(drawn: list[Hand], others: list[Hand]) -> None:
 
 
 def _told(hand: Hand) -> str:
-    """What is written and met, and how far each may go, in a sentence."""
+    """What is simulated and felt, and how far each may go, in a sentence."""
     known = hand.summary()
     who = f"{hand.name} of {known['mass']:g} kg"
     who = who if known["stable"] else f"UNSTABLE: {who}"
-    met = (
-        f"{who}: K = {known['stiffness']:g} N/m, B = {known['damping']:g} N·s/m is met as "
+    felt = (
+        f"{who}: K = {known['stiffness']:g} N/m, B = {known['damping']:g} N·s/m is felt as "
         f"k = {known['k']:.6g} N/m, b = {known['b']:.6g} N·s/m"
         if known["dominant"]
-        else f"{who}: no spring and damper is equivalent to what is met"
+        else f"{who}: no spring and damper is equivalent"
     )
     ends = []
     for name, unit, other in (("stiffness", "N/m", "B"), ("damping", "N·s/m", "K")):
@@ -388,7 +388,7 @@ def _told(hand: Hand) -> str:
         if high > 0.0:  # nobody writes a negative one
             which = "K" if other == "B" else "B"
             ends.append(f"for {which} from {_not_below_zero(low, high):.4g} to {high:.4g} {unit} at this {other}")
-    return f"{met}; stable {' and '.join(ends)}." if ends else f"{met}; not stable with this K or B."
+    return f"{felt}; stable {' and '.join(ends)}." if ends else f"{felt}; not stable with this K or B."
 
 
 def _band(low: float, high: float, first: float, last: float) -> str:

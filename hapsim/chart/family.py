@@ -148,7 +148,7 @@ def _words(data: Family) -> str:
         if at is None:
             continue
         if not lines:
-            lines.append(f"{at.name}: $K$ = {short(at.K)}, ${data.scale.simulated}$ = {short(at.B)} meets")
-        met = f"$k$ = {short(at.k)}, $b$ = {short(at.b)}" if math.isfinite(at.k) else "no spring and damper"
-        lines.append(f"{member.mass:g} kg: {met}")
+            lines.append(f"{at.name}: $K$ = {short(at.K)}, ${data.scale.simulated}$ = {short(at.B)} feels")
+        felt = f"$k$ = {short(at.k)}, $b$ = {short(at.b)}" if math.isfinite(at.k) else "no spring and damper"
+        lines.append(f"{member.mass:g} kg: {felt}")
     return "\n".join(lines)

@@ -16,16 +16,16 @@ from hapsim.theory import Configuration, frequency_and_ratio
 
 @dataclass(frozen=True)
 class Hand:
-    """A temporary hybrid system (Florens et al., §4), and what is written for it."""
+    """A temporary hybrid system (Florens et al., §4), and what is simulated for it."""
 
     name: str
     channel: int | None
     """None where it stands in no scene."""
     configuration: Configuration
     stiffness: float
-    """K, N/m, written; NaN where none is."""
+    """K, N/m, simulated; NaN where none is."""
     damping: float
-    """B, N·s/m, written; NaN where none is."""
+    """B, N·s/m, simulated; NaN where none is."""
 
     @property
     def is_written(self) -> bool:
@@ -36,30 +36,30 @@ class Hand:
         """The same with another mass, kg."""
         return replace(self, configuration=replace(self.configuration, mass=mass))
 
-    def written(self, stiffness: float | None, damping: float | None) -> Hand:
-        """The same with another K, N/m, or B, N·s/m, written for it; a spring alone has no damping."""
+    def with_simulated(self, stiffness: float | None, damping: float | None) -> Hand:
+        """The same with another K, N/m, or B, N·s/m, simulated for it; a spring alone has no damping."""
         if stiffness is None and damping is None:
             return self
         for name, value in (("stiffness", stiffness), ("damping", damping)):
             if value is not None and not math.isfinite(value):
-                raise UsageError(f"--written-{name}: found {value:g}, expected a finite number")
+                raise UsageError(f"--simulated-{name}: found {value:g}, expected a finite number")
         K, B = (self.stiffness, self.damping) if self.is_written else (0.0, 0.0)
         return replace(self, stiffness=K if stiffness is None else stiffness, damping=B if damping is None else damping)
 
-    def met(self) -> tuple[float, float]:
+    def felt(self) -> tuple[float, float]:
         """(k, b) in N/m and N·s/m; NaN where no spring and damper is equivalent."""
         k, b = self.configuration.equivalent(self.stiffness, self.damping)
         return float(k) + 0.0, float(b) + 0.0  # no -0
 
     def eigenfrequency(self) -> float:
-        """sqrt(k/m)/2 pi, Hz, of what is met; NaN where there is none."""
-        k, b = self.met()
+        """sqrt(k/m)/2 pi, Hz, of what is felt; NaN where there is none."""
+        k, b = self.felt()
         return float(frequency_and_ratio(self.configuration.mass, k, b)[0]) if k > 0 else math.nan
 
     def summary(self) -> dict[str, Any]:
         """What a script would want to know of it, SI units."""
         c = self.configuration
-        k, b = self.met()
+        k, b = self.felt()
         limits = {
             "stable_stiffness": c.stable_stiffness(self.damping),
             "stable_damping": c.stable_damping(self.stiffness),

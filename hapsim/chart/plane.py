@@ -36,7 +36,7 @@ _GREY_UNSTABLE, _GREY_NO_EQUIVALENT = "0.80", "0.92"
 
 @dataclass(frozen=True)
 class Point:
-    """An operating point: what is written for a hand, and what it meets; as drawn."""
+    """An operating point: what is simulated for a hand, and what it feels; as drawn."""
 
     name: str
     K: float
@@ -60,7 +60,7 @@ class Plane:
     unstable: tuple[Curve, ...]
     """Outlines."""
     without_equivalent: tuple[Curve, ...]
-    """Outlines: no spring and damper is what is met, stable or not; empty where none of it is stable."""
+    """Outlines: no spring and damper is felt, stable or not; empty where none of it is stable."""
     fold: Curve
     linear: Curve
     passive: Curve | None
@@ -120,8 +120,8 @@ def _is_lost(sheet: Sheet) -> bool:
 
 
 def operating_point(hand: Hand, view: View, scale: Scale) -> Point:
-    """What a hand that is written for meets, as drawn."""
-    k, b = hand.met()
+    """What a hand with a simulated K and B feels, as drawn."""
+    k, b = hand.felt()
     K, B = scale.of_stiffness(hand.stiffness), scale.of_simulated(hand.damping)
     return Point(hand.name, K, B, scale.of_stiffness(k), scale.of_damping(b), view.shows(hand.stiffness, hand.damping))
 
@@ -194,8 +194,8 @@ def _draw_curves(axes: Axes, data: Plane) -> None:
         label = "" if i else "where they would be if nothing were lost"
         axes.plot(curve.K, curve.B, color="0.78", linewidth=0.6, label=label, zorder=1)
     looks: dict[str, tuple[str, dict[str, Any]]] = {
-        "iso_k": (f"equal stiffness met, {scale.k_name}", {"color": "0.15", "linewidth": 1.0}),
-        "iso_b": (f"equal damping met, {scale.b_name}", {"color": "0.15", "linewidth": 1.0, "dashes": (5, 2)}),
+        "iso_k": (f"equal felt stiffness, {scale.k_name}", {"color": "0.15", "linewidth": 1.0}),
+        "iso_b": (f"equal felt damping, {scale.b_name}", {"color": "0.15", "linewidth": 1.0, "dashes": (5, 2)}),
     }
     for curve in data.iso:
         label, style = looks[curve.kind]
@@ -223,7 +223,7 @@ def _draw_curves(axes: Axes, data: Plane) -> None:
 
 
 def _write(axes: Axes, data: Plane) -> None:
-    """The numbers on the curves, and what is met beside each operating point."""
+    """The numbers on the curves, and what is felt beside each operating point."""
     lines = [*data.iso, *3 * [data.limit], data.fold, data.linear]
     labels = Labels(axes, [(curve.K, curve.B) for curve in lines])
     for point in data.points:
@@ -234,7 +234,7 @@ def _write(axes: Axes, data: Plane) -> None:
 
 
 def _words(point: Point, scale: Scale) -> str:
-    written = f"{point.name}: $K$ = {short(point.K)}, ${scale.simulated}$ = {short(point.B)}"
+    simulated = f"{point.name}: $K$ = {short(point.K)}, ${scale.simulated}$ = {short(point.B)}"
     if math.isfinite(point.k):
-        return f"{written}\nmeets $k$ = {short(point.k)}, $b$ = {short(point.b)}"
-    return f"{written}\nno spring and damper is equivalent"
+        return f"{simulated}\nfeels $k$ = {short(point.k)}, $b$ = {short(point.b)}"
+    return f"{simulated}\nno spring and damper is equivalent"

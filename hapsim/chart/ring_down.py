@@ -96,8 +96,8 @@ def draw_ring_down(data: RingDown, felt: Felt, measured: tuple[float, float], pa
     axes.axhline(0.0, color="black", linewidth=0.5)
     axes.set_xlabel("time (s)")
     axes.set_ylabel("position of the hand (mm)")
-    written = f"{felt.name}: K = {felt.stiffness:.5g} N/m, B = {felt.damping:.4g} N·s/m"
-    axes.set_title(f"{written}; {described(felt.configuration)}", fontsize=9)
+    simulated = f"{felt.name}: K = {felt.stiffness:.5g} N/m, B = {felt.damping:.4g} N·s/m"
+    axes.set_title(f"{simulated}; {described(felt.configuration)}", fontsize=9)
     figure.legend(
         loc="outside lower left", ncols=2, frameon=False, fontsize=9
     )  # a ring that grows leaves no room inside

@@ -36,7 +36,7 @@ class Scale:
         return (B + self.offset) / self.damping
 
     def of_damping(self, b: Number) -> Number:
-        """As drawn, of a damping met, N·s/m."""
+        """As drawn, of a felt damping, N·s/m."""
         return b / self.damping
 
     @property
@@ -58,12 +58,12 @@ class Scale:
 
     @property
     def k_name(self) -> str:
-        """The stiffness met, with its unit."""
+        """The felt stiffness, with its unit."""
         return "$k\\,T^2/m$" if self.normalised else "$k$ (N/m)"
 
     @property
     def b_name(self) -> str:
-        """The damping met, with its unit."""
+        """The felt damping, with its unit."""
         return "$b\\,T/m$" if self.normalised else "$b$ (N·s/m)"
 
     @property

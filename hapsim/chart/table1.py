@@ -108,7 +108,7 @@ def table1(hand: Hand, *, as_scene: bool, on_progress: Callable[[Progress], None
         hand: gives the mass, the rate and the spring: its K, or where none is written its device's own spring k;
             where both are there, the device's is left out.
         as_scene: with the hold, the delay, the sampling and the damping that the hand has; the real spring then comes
-            with the real damper that the hand meets. Otherwise as the paper supposes: a force impulse at once, ideal
+            with the real damper that the hand feels. Otherwise as the paper supposes: a force impulse at once, ideal
             sampling, no damping.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Transparency: the impedance that is written beside the one that the hand meets (Florens et al., Figure 2)."""
+"""Transparency: the desired impedance beside the one that the device renders (Florens et al., Figure 2)."""
 
 from __future__ import annotations
 
@@ -22,41 +22,41 @@ _POINTS = 1200
 
 @dataclass(frozen=True)
 class Transparency:
-    """Force over velocity of what is written and of what is met; the hand's own mass is in neither."""
+    """Force over velocity, desired and rendered; the hand's own mass is in neither."""
 
     hand: Hand
     frequency: Floats
     """Hz, (n,), up to just below the Nyquist frequency."""
-    written: Complexes
+    desired: Complexes
     """N·s/m: the real spring K and damper B, with the device's own."""
-    met: Complexes
+    rendered: Complexes
     """N·s/m."""
     eigenfrequency: float
-    """Hz, of the hand on what it meets; NaN where no spring and damper is equivalent."""
+    """Hz, of the hand on what it feels; NaN where no spring and damper is equivalent."""
 
     @property
     def written_phase(self) -> Floats:
         """Degrees."""
-        return _phase(self.written)
+        return _phase(self.desired)
 
     @property
     def met_phase(self) -> Floats:
         """Degrees, followed from the lowest frequency on: what is late goes on turning."""
-        return _phase(self.met)
+        return _phase(self.rendered)
 
     def columns(self) -> dict[str, Any]:
         """What is drawn, by the names that a data file uses."""
         return {
             "frequency_Hz": self.frequency,
-            "written_Ns_per_m": np.abs(self.written),
-            "met_Ns_per_m": np.abs(self.met),
-            "written_phase_deg": self.written_phase,
-            "met_phase_deg": self.met_phase,
+            "desired_Ns_per_m": np.abs(self.desired),
+            "rendered_Ns_per_m": np.abs(self.rendered),
+            "desired_phase_deg": self.written_phase,
+            "rendered_phase_deg": self.met_phase,
         }
 
     def gives_energy(self) -> list[tuple[float, float]]:
         """Bands (from, to) in Hz in which the wall gives the hand energy instead of taking it: Re Z < 0."""
-        power, f = self.met.real, self.frequency
+        power, f = self.rendered.real, self.frequency
         gives = np.concatenate([[False], power < 0.0, [False]])
         edges = np.flatnonzero(np.diff(gives.astype(int)))
         # Between two frequencies the power is as good as straight.
@@ -66,18 +66,18 @@ class Transparency:
 
 
 def transparency(hand: Hand) -> Transparency:
-    """The impedances of one hand, for the K and B that are written for it."""
+    """The impedances of one hand, for the K and B that are simulated for it."""
     configuration = hand.configuration
     nyquist = 0.5 * configuration.rate
     eigenfrequency = hand.eigenfrequency()
     lowest = eigenfrequency / _BELOW_EIGENFREQUENCY if eigenfrequency > 0.0 else nyquist / _BELOW_NYQUIST
     frequency = np.geomspace(lowest, nyquist, _POINTS, endpoint=False)
     jw = 2j * np.pi * frequency
-    written = np.asarray(
+    desired = np.asarray(
         (hand.stiffness + configuration.stiffness) / jw + hand.damping + configuration.friction, complex
     )
-    met = configuration.impedance(hand.stiffness, hand.damping, frequency)
-    return Transparency(hand, frequency, written, met, eigenfrequency)
+    rendered = configuration.impedance(hand.stiffness, hand.damping, frequency)
+    return Transparency(hand, frequency, desired, rendered, eigenfrequency)
 
 
 def draw_transparency(data: Transparency, title: str, path: Path) -> None:
@@ -85,8 +85,8 @@ def draw_transparency(data: Transparency, title: str, path: Path) -> None:
     with figure_to(path, 6.5, 5.6) as figure:
         upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[1.15, 1.0])
         upper.set_title(title)
-        _draw_both(upper, data.frequency, np.abs(data.written), np.abs(data.met), "written", "met")
-        if data.written.any() or data.met.any():  # of a hand that feels nothing there is nothing to draw
+        _draw_both(upper, data.frequency, np.abs(data.desired), np.abs(data.rendered), "desired", "rendered")
+        if data.desired.any() or data.rendered.any():  # of a hand that feels nothing there is nothing to draw
             upper.set_yscale("log")
         upper.set_ylabel("|force / velocity|  (N·s/m)")
         _draw_both(lower, data.frequency, data.written_phase, data.met_phase, "", "")
@@ -107,9 +107,9 @@ def draw_transparency(data: Transparency, title: str, path: Path) -> None:
         figure.legend(loc="outside lower center", ncols=2, frameon=False, handlelength=2.6, columnspacing=1.5)
 
 
-def _draw_both(axes: Axes, frequency: Floats, written: Floats, met: Floats, *labels: str) -> None:
-    axes.plot(frequency, written, color="0.5", linewidth=1.6, dashes=(5, 2), label=labels[0])
-    axes.plot(frequency, met, color="black", linewidth=1.4, label=labels[1])
+def _draw_both(axes: Axes, frequency: Floats, desired: Floats, rendered: Floats, *labels: str) -> None:
+    axes.plot(frequency, desired, color="0.5", linewidth=1.6, dashes=(5, 2), label=labels[0])
+    axes.plot(frequency, rendered, color="black", linewidth=1.4, label=labels[1])
 
 
 def _mark_passive_band(axes: Axes, data: Transparency) -> None:

@@ -60,6 +60,8 @@ class Unit(NamedTuple):
     parts: Callable[[], Sequence[_Entry | _Modules | PlainNative]]
     beside: bool = False
     """Whether the second process compiles it: half of what most runs need."""
+    calls_system: bool = False
+    """Whether it can be only where the system has what the loop calls."""
 
     def compile(self) -> None:
         """Or loads."""
@@ -121,21 +123,21 @@ def _changes() -> list[_Entry | PlainNative]:
     ]
 
 
-def _portable() -> list[_Entry | PlainNative]:
+def _portable() -> list[_Entry]:
     from hapsim.loop import portable
     from hapsim.loop.exchange import LOOP
 
-    return [portable.receive_nothing, *(_Entry(*entry) for entry in portable.entries_for(new_record(LOOP)))]
+    return [_Entry(*entry) for entry in portable.entries_for(new_record(LOOP))]
 
 
 UNITS: dict[str, Unit] = {
-    "loop": Unit(47, _loop),
-    "port": Unit(5, _port),
-    "mock": Unit(45, _mock, beside=True),
+    "loop": Unit(48, _loop, calls_system=True),
+    "port": Unit(5, _port, calls_system=True),
+    "mock": Unit(45, _mock, beside=True, calls_system=True),
     "loopback": Unit(39, _loopback, beside=True),
     "motion": Unit(12, _motion, beside=True),
     "changes": Unit(8, _changes),
-    "portable": Unit(45, _portable, beside=True),
+    "portable": Unit(40, _portable, beside=True),
     "modules": Unit(130, lambda: [_Modules("double")]),
     "modules in single precision": Unit(124, lambda: [_Modules("single")], beside=True),
 }
@@ -183,10 +185,12 @@ def _beside(names: Sequence[str], heard: Callable[[str], None]) -> Iterator[Call
 
 def _start_compiling(names: Sequence[str]) -> subprocess.Popen[str] | None:
     """The process; None where Python cannot be started a second time, as when it stands inside another program."""
-    command = [sys.executable or "", "-m", "hapsim.compiling.ahead", *names]
+    # What stands beside a user's scenes is no module of ours: -P keeps it out, and the paths are this process's own.
+    command = [sys.executable or "", "-P", "-m", "hapsim.compiling.ahead", *names]
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
     streams: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
     try:
-        return subprocess.Popen(command, text=True, **streams)
+        return subprocess.Popen(command, text=True, env=environment, **streams)
     except OSError:
         return None
 

@@ -15,6 +15,7 @@ import contextlib
 import ctypes
 import struct
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numba
@@ -25,8 +26,7 @@ from numba.np.arrayobj import populate_array
 
 from firmware_protocol.code_cache import numba_cache_in
 from firmware_protocol.compiled import OPTIONS
-from hapsim.compiling import compiler
-from hapsim.compiling.entries import kept_mark
+from hapsim.compiling.kept import Kept
 from hapsim.compiling.progress import compiling
 
 ir = cgutils.ir
@@ -201,17 +201,21 @@ class NativeFunction:
         return int(self._compiled[signature].address)
 
     def _compile(self, signature: Any) -> Any:
-        classes = _classes_in(signature)
-        directory = compiler.directory_of(self.function, *classes)
-        mark = kept_mark(self.function, signature, *classes)
-        is_kept = mark is not None and mark.exists()
-        with numba_cache_in(directory), contextlib.nullcontext() if is_kept else compiling(self.name):
-            compiled = numba.cfunc(signature, cache=directory is not None, **_CFUNC_OPTIONS, **self._options)(
-                self.function
-            )
-        if mark is not None:
-            mark.touch()
-        return compiled
+        kept = Kept(self.function, signature, *_classes_in(signature))
+
+        def compile_or_load() -> Any:
+            with contextlib.nullcontext() if kept.is_whole() else compiling(self.name):
+                try:
+                    return self._compiled_in(kept.directory, signature)
+                except OSError:
+                    return self._compiled_in(None, signature)
+
+        return kept.compile(compile_or_load)
+
+    def _compiled_in(self, directory: Path | None, signature: Any) -> Any:
+        """Or loaded from there; kept nowhere for None."""
+        with numba_cache_in(directory):
+            return numba.cfunc(signature, cache=directory is not None, **_CFUNC_OPTIONS, **self._options)(self.function)
 
     @property
     def name(self) -> str:
@@ -233,8 +237,7 @@ class PlainNative(NativeFunction):
 
     def is_kept(self) -> bool:
         """Whether its machine code is there from an earlier run."""
-        mark = kept_mark(self.function, self._returns(*self._arguments))
-        return mark is not None and mark.exists()
+        return Kept(self.function, self._returns(*self._arguments)).is_whole()
 
     def __call__(self, *arguments: int) -> Any:
         if self._callable is None:

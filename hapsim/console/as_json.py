@@ -13,7 +13,7 @@ from hapsim.prediction import Felt, Prediction
 if TYPE_CHECKING:
     from hapsim.loop.trace import Report
     from hapsim.measuring.identify import Measurement
-    from hapsim.realtime import Grant
+    from hapsim.realtime import PrivilegeResult
 
 
 def document(value: dict[str, Any]) -> str:
@@ -29,7 +29,7 @@ def prediction_document(prediction: Prediction, channel: int | None = None) -> d
         "nominal_rate_hz": prediction.rate,
         "stable": prediction.stable,
         "spectral_radius": prediction.spectral_radius,
-        "worked_out": prediction.how or "every pole (memories, at zero, are not listed)",
+        "poles_method": prediction.poles_method or "every pole (memories, at zero, are not listed)",
         "poles_in_all": prediction.poles_in_all,
         "dominant": felt is not None and felt.dominant,
         "poles": prediction.poles,
@@ -50,8 +50,8 @@ def prediction_document(prediction: Prediction, channel: int | None = None) -> d
             margin.name: {"stiffness_factor": margin.stiffness_factor, "damping_factor": margin.damping_factor}
             for margin in prediction.margins
         },
-        "margins_worked_out": prediction.how_margins or ("every link" if prediction.margins else "none"),
-        "link_budget": asdict(prediction.link_budget) | {"fits": prediction.link_budget.fits},
+        "margins_method": prediction.margins_method or ("every link" if prediction.margins else "none"),
+        "wire_time": asdict(prediction.wire_time) | {"fits": prediction.wire_time.fits},
     }
 
 
@@ -63,7 +63,7 @@ def measurement_document(prediction: Prediction, measurement: Measurement, chann
     return prediction_document(prediction, channel) | {"measured": measured} | report
 
 
-def report_document(report: Report, grants: Sequence[Grant] = ()) -> dict[str, Any]:
+def report_document(report: Report, grants: Sequence[PrivilegeResult] = ()) -> dict[str, Any]:
     """What `hapsim run` prints; `grants`: what a real-time set-up asked for."""
     return asdict(report) | ({"realtime": [asdict(grant) for grant in grants]} if grants else {})
 

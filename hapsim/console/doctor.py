@@ -85,8 +85,8 @@ def _machine(machine: Machine) -> str:
 def _show_grants(out: Console, examination: Examination) -> None:
     for grant in examination.grants or ():
         # Why something was denied is said with what would help.
-        answer = f"[green]got[/green], {escape(grant.detail)}" if grant.got else "[yellow]denied[/yellow]"
-        out.print(f"{escape(grant.measure)}: {answer}")
+        answer = f"[green]got[/green], {escape(grant.detail)}" if grant.granted else "[yellow]denied[/yellow]"
+        out.print(f"{escape(grant.privilege)}: {answer}")
 
 
 def _wakeups(out: Console, wakeups: dict[float, Histogram]) -> Table:
@@ -185,7 +185,7 @@ def examination_document(examination: Examination) -> dict[str, Any]:
 
 
 def _grant(grant: Any) -> dict[str, Any]:
-    return {"measure": grant.measure, "got": grant.got, "detail": grant.detail}
+    return {"privilege": grant.privilege, "granted": grant.granted, "detail": grant.detail}
 
 
 def _exchanges_document(run: Exchanges, verdict: Verdict) -> dict[str, Any]:
@@ -197,7 +197,7 @@ def _exchanges_document(run: Exchanges, verdict: Verdict) -> dict[str, Any]:
         "answer": verdict.answer,
         "share_in_time": verdict.share_in_time,
         "ticks": None if report is None else report.ticks,
-        "late_ticks": None if report is None else report.late_ticks,
+        "deadline_misses": None if report is None else report.deadline_misses,
         "lost_frames": None if report is None else report.lost_frames,
         "kept_rate_hz": None if report is None else report.rate_hz,
         "lateness": None if run.lateness is None else _durations(run.lateness),

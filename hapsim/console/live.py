@@ -74,5 +74,5 @@ class _Line:
         limited = f" · {progress.limited_ticks} at the limit" if progress.limited_ticks else ""
         self._show(
             f"running {progress.elapsed_s:.1f} s · {progress.rate_hz:.1f} Hz · force {force} N · "
-            f"age {progress.age_samples} · late {progress.late_ticks}{limited}"
+            f"age {progress.age_samples} · misses {progress.deadline_misses}{limited}"
         )

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from hapsim.prediction import Felt, LinkBudget, Prediction
+from hapsim.prediction import Felt, Prediction, WireTime
 from hapsim.theory import Mode
 
 if TYPE_CHECKING:
@@ -25,26 +25,31 @@ _MARGINAL = 1e-9  # of the spectral radius: a free motion, which rounding places
 def show_prediction(out: Console, name: str, prediction: Prediction) -> None:
     """What `hapsim check` tells."""
     out.print(f"[bold]{escape(name)}[/bold] at {prediction.rate:g} Hz: {_stability(prediction)}")
-    for assumption in prediction.assumptions:
-        out.print(f"[yellow]Assumed:[/yellow] {escape(assumption)}.")
+    show_assumptions(out, prediction)
     for felt in prediction.felt:
         _show_felt(out, felt)
     for coupled, why in prediction.coupled.items():
         out.print(
-            f"\n[bold]{coupled}[/bold] {why}: no single spring and damper is what it meets. The modes below are those "
+            f"\n[bold]{coupled}[/bold] {why}: it feels no single spring and damper. The modes below are those "
             "of the whole."
         )
     if prediction.modes:
         out.print()
         out.print(_modes(prediction))
-    if prediction.how:
-        out.print(f"A large scene: {prediction.how}.")
+    if prediction.poles_method:
+        out.print(f"A large scene: {prediction.poles_method}.")
     if prediction.margins:
         out.print()
         out.print(_margins(prediction))
-        if prediction.how_margins:
-            out.print(f"{prediction.how_margins[0].upper()}{prediction.how_margins[1:]}.")
-    out.print(_budget(prediction.link_budget))
+        if prediction.margins_method:
+            out.print(f"{prediction.margins_method[0].upper()}{prediction.margins_method[1:]}.")
+    out.print(_budget(prediction.wire_time))
+
+
+def show_assumptions(out: Console, prediction: Prediction) -> None:
+    """What was taken for what it is not, so that a theory could be had."""
+    for assumption in prediction.assumptions:
+        out.print(f"[yellow]Assumed:[/yellow] {escape(assumption)}.")
 
 
 def _stability(prediction: Prediction) -> str:
@@ -57,8 +62,8 @@ def _stability(prediction: Prediction) -> str:
 
 
 def _show_felt(out: Console, felt: Felt) -> None:
-    table = Table(title=f"What the hand meets at {felt.name}", title_justify="left")
-    for heading in ("", "written", "met"):
+    table = Table(title=f"What the hand feels at {felt.name}", title_justify="left")
+    for heading in ("", "simulated", "felt"):
         table.add_column(heading, justify="right" if heading else "left")
     real = felt.configuration.friction
     own = f" (+ {felt.configuration.stiffness:.6g} real)" if felt.configuration.stiffness else ""
@@ -76,14 +81,14 @@ def _show_felt(out: Console, felt: Felt) -> None:
 
 def _margin(felt: Felt) -> str:
     if felt.stiffness == 0.0:
-        return "There is no stiffness whose margin could be told."
+        return "There is no stiffness to have a margin."
     if felt.stiffness_factor == 0.0:
         return f"At this damping no stiffness is stable{_enough_damping(felt)}."
     if not math.isfinite(felt.stiffness_factor):
         return "No stiffness makes it unstable at this damping."
     if felt.stable:
-        return f"The stiffness may grow {felt.stiffness_factor:.3g} times before the loop becomes unstable."
-    stiffness = f"where the stiffness is {felt.stiffness_factor:.3g} of what is written, or less"
+        return f"Gain margin: the loop becomes unstable at {felt.stiffness_factor:.3g} times this stiffness."
+    stiffness = f"where the stiffness is {felt.stiffness_factor:.3g} of the simulated one, or less"
     return f"It becomes stable {stiffness}{_enough_damping(felt)}."
 
 
@@ -104,9 +109,9 @@ def _passivity(felt: Felt) -> str:
 
 def _margins(prediction: Prediction) -> Table:
     """The links that are closest to the limit first, as many as fit the eye."""
-    title = "How much each link may grow before the scene becomes unstable"
+    title = "Gain margins: the scene becomes unstable where a link is multiplied by"
     if not prediction.stable:
-        title = "By what a link would have to shrink for the scene to be stable (0: no such factor; see above for more)"
+        title = "For the scene to be stable, multiply one link by (0: no factor does it)"
     table = Table(title=title, title_justify="left")
     for heading in ("link", "stiffness times", "damping times"):
         table.add_column(heading, justify="left" if heading == "link" else "right")
@@ -117,7 +122,7 @@ def _margins(prediction: Prediction) -> Table:
     left_out = len(prediction.margins) - min(len(known), 12)
     if left_out:
         table.caption = (
-            f"and {left_out} links that were not worked out, or may grow more; --json has all that are known"
+            f"and {left_out} links that were not worked out, or have larger margins; --json has all that are known"
         )
     return table
 
@@ -139,7 +144,7 @@ def _modes(prediction: Prediction) -> Table:
         pole = f"{mode.pole.real:.6f} ± {abs(mode.pole.imag):.6f}j" if mode.pole.imag else f"{mode.pole.real:.6f}"
         table.add_row(pole, _modulus(abs(mode.pole)), *_oscillation(mode), names)
     if len(prediction.modes) > 12:
-        table.caption = f"and {len(prediction.modes) - 12} that decay faster; --json has them all"
+        table.caption = f"and {len(prediction.modes) - 12} more; --json has them all"
     return table
 
 
@@ -164,11 +169,11 @@ def _oscillation(mode: Mode) -> tuple[str, str]:
     return (_number(mode.frequency_hz), _number(mode.damping_ratio)) if mode.pole.imag else ("–", "–")
 
 
-def _budget(budget: LinkBudget) -> str:
+def _budget(budget: WireTime) -> str:
     share = budget.seconds / budget.period
     verdict = "fits" if budget.fits else "[red]does not fit[/red]: a higher baud rate, or a lower rate"
     return (
-        f"\nLink: {budget.bytes_to_host} + {budget.bytes_to_device} bytes an exchange take "
+        f"\nWire: {budget.bytes_to_host} + {budget.bytes_to_device} bytes an exchange take "
         f"{budget.seconds * 1e3:.3g} ms of the {budget.period * 1e3:.3g} ms period ({share:.0%}) at this baud rate: "
         f"{verdict}. A USB device's port has no baud rate of its own and is faster."
     )
@@ -179,7 +184,7 @@ def show_measurement(out: Console, where: str, felt: Felt | None, why: str, meas
 
     `where`: the hand in question; `why`: there is no prediction for it, in words.
     """
-    table = Table(title=f"What the hand meets at {escape(where)}", title_justify="left")
+    table = Table(title=f"What the hand feels at {escape(where)}", title_justify="left")
     for heading in ("", "predicted", "measured", "uncertainty", "off by"):
         table.add_column(heading, justify="right" if heading else "left")
     rows = [
@@ -212,7 +217,7 @@ def show_measurement(out: Console, where: str, felt: Felt | None, why: str, meas
         share = limited / measurement.trace.report.ticks
         out.print(
             f"[yellow]{share:.0%} of the ticks were at the force limit[/yellow]: k and b hold for motions that stay "
-            "below it; beyond, the hand meets less."
+            "below it; beyond, the hand feels less."
         )
     if not measurement.dominant:
         out.print(f"The motion is not that of a spring and damper: {measurement.reason}.")
@@ -234,8 +239,8 @@ def show_report(out: Console, report: Report) -> None:
     asked = report.nominal_rate_hz
     slow = "" if report.rate_hz > 0.95 * asked else f" [yellow]({report.rate_hz / asked:.0%} of {asked:g})[/yellow]"
     table.add_row("rate  Hz", f"{report.rate_hz:.2f}{slow}")
-    share = report.late_ticks / report.ticks if report.ticks else 0.0
-    table.add_row("late ticks", f"{report.late_ticks} ({share:.2%})")
+    share = report.deadline_misses / report.ticks if report.ticks else 0.0
+    table.add_row("deadline misses", f"{report.deadline_misses} ({share:.2%})")
     if report.age_samples.max is not None:
         table.add_row("oldest force  samples", f"{report.age_samples.max:.0f}")
     if not report.virtual_time:
@@ -246,7 +251,7 @@ def show_report(out: Console, report: Report) -> None:
     for label, count in (
         ("positions lost", report.lost_frames),
         ("frames refused", report.crc_errors),
-        ("positions overtaken", report.stale_positions),
+        ("stale positions", report.stale_positions),
         ("ticks at the force limit", report.limited_ticks),
         ("rows not recorded", report.dropped_rows),
     ):

@@ -184,7 +184,7 @@ def _numbers(scene: Scene) -> tuple[dict[str, int], int, dict[str, slice]]:
     structures: dict[str, slice] = {}
     for layout, name, structure in _structures(scene):
         places, size = layout(structure)
-        number |= {f"{name}.{place}": points + i for place, i in zip(structure.places(), places, strict=True)}
+        number |= {f"{name}.{place}": points + i for place, i in zip(structure.point_names(), places, strict=True)}
         structures[name] = slice(points, points + size)
         points += size
     return number, points, structures
@@ -196,7 +196,7 @@ def _rows(scene: Scene, number: Mapping[str, int], size: int, structures: Mappin
     modules: Mapping[str, Any] = scene.structures
     for name, structure in modules.items():
         rows[:, structures[name]] = structure.position
-        rows[:, [number[f"{name}.{place}"] for place in structure.places()]] = structure.begins()
+        rows[:, [number[f"{name}.{place}"] for place in structure.point_names()]] = structure.initial_positions()
     for name, ground in scene.grounds.items():
         rows[:, number[name]] = ground.position
     starts = {name: (mass.position, mass.velocity) for name, mass in scene.masses.items()}

@@ -84,8 +84,12 @@ def _common_points(older: Scene, scene: Scene) -> frozenset[str]:
     same = hands[0] & hands[1]
     for name in older.modules.keys() & scene.modules.keys():
         before, after = older.modules[name], scene.modules[name]
-        if isinstance(before, Structure) and type(before) is type(after) and before.places() == after.places():
-            same |= {f"{name}.{place}" for place in before.places()}
+        if (
+            isinstance(before, Structure)
+            and type(before) is type(after)
+            and before.point_names() == after.point_names()
+        ):
+            same |= {f"{name}.{place}" for place in before.point_names()}
         elif any(isinstance(before, kind) and isinstance(after, kind) for kind in (Ground, Mass | Cell)):
             same.add(name)
     return frozenset(same)

@@ -9,9 +9,10 @@ from typing import Literal
 from hapsim.device.connection import Connection
 from hapsim.device.serial_port import open_portable_port, open_serial_port
 from hapsim.errors import UsageError
+from hapsim.loop.only_linux import require_linux
 from hapsim.scene import Scene
 
-LineKind = Literal["auto", "mock", "loopback", "terminal"]
+TransportKind = Literal["auto", "mock", "loopback", "terminal"]
 """auto: the scene's port, or the mock where it names none. mock: the mock whatever the scene says, in memory where the
 time is virtual and on a pseudo-terminal where it is real. loopback, terminal: the mock, there."""
 
@@ -20,7 +21,7 @@ Place = Literal["port", "terminal", "loopback"]
 """Behind a port; or the mock: on a pseudo-terminal, or in memory."""
 
 
-def place_of_device(scene: Scene, kind: LineKind = "auto", *, portable: bool = False) -> Place:
+def place_of_device(scene: Scene, kind: TransportKind = "auto", *, portable: bool = False) -> Place:
     """Where the scene's device is. UsageError where it cannot be there."""
     if kind == "auto" and scene.device.port is not None:
         return "port"
@@ -34,9 +35,19 @@ def place_of_device(scene: Scene, kind: LineKind = "auto", *, portable: bool = F
     return "loopback" if kind == "loopback" or (kind != "terminal" and virtual and not portable) else "terminal"
 
 
+def require_possible_here(place: Place, *, portable: bool = False) -> None:
+    """UsageError where a loop with its device there takes Linux, and this is another system."""
+    if place == "terminal":
+        from hapsim.device.mock.terminal import require_pseudo_terminal
+
+        require_pseudo_terminal()
+    elif place == "port" and not portable:
+        require_linux("the compiled loop on a port", "`hapsim run --portable` runs the same loop in Python")
+
+
 @contextlib.contextmanager
 def open_connection(
-    scene: Scene, kind: LineKind = "auto", *, portable: bool = False, realtime: bool = False
+    scene: Scene, kind: TransportKind = "auto", *, portable: bool = False, realtime: bool = False
 ) -> Iterator[Connection]:
     """The connection to the scene's device, open inside the with-block. `portable`: for the loop in Python; `realtime`:
     where the mock has a time of its own, it keeps it as hardware does, as far as the system lets it."""

@@ -7,8 +7,6 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import fcntl
-import termios
 from typing import Any
 
 from hapsim.device.connection import Connection
@@ -69,6 +67,9 @@ def serial_ports() -> list[dict[str, str]]:
 
 def _make_raw(descriptor: int) -> None:
     """VMIN = 1: then "nothing there" is EAGAIN and only a hang-up reads as empty."""
+    import fcntl
+    import termios
+
     attributes = termios.tcgetattr(descriptor)
     attributes[6][termios.VMIN] = 1
     attributes[6][termios.VTIME] = 0
@@ -86,15 +87,18 @@ def _low_latency(port: object) -> str:
     return ""
 
 
+_BUSY = ("exclusively lock", "busy", "PermissionError(13, 'Access is denied.'")  # the last is how Windows says it
+
+
 def _why_not(path: str, baud: int, error: Exception) -> str:
     code = getattr(error, "errno", None)
     text = str(error)
-    if code == errno.ENOENT or "No such file" in text:
+    if code == errno.ENOENT or "No such file" in text or "FileNotFoundError" in text:
         found = ", ".join(port["port"] for port in serial_ports())
         return f"{path}: no such port. Ports found: {found or 'none'} (`hapsim ports` tells more)"
     if code in (errno.EACCES, errno.EPERM) or "Permission denied" in text:
         return f"{path}: not permitted. On most systems: add yourself to the group dialout and log in again"
-    if code in (errno.EAGAIN, errno.EBUSY) or "exclusively lock" in text or "busy" in text:
+    if code in (errno.EAGAIN, errno.EBUSY) or any(word in text for word in _BUSY):
         return f"{path}: another program is using the port. Close it (ModemManager is a frequent one) and try again"
     if code in (errno.ENOTTY, errno.EISDIR) or "not configure port" in text or "Inappropriate ioctl" in text:
         return f"{path}: not a serial port, or one that cannot be set to {baud} baud ({text})"

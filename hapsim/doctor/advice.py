@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING
 from hapsim.doctor import words
 from hapsim.doctor.load import Load
 from hapsim.doctor.machine import Machine
-from hapsim.doctor.tree import Tree
+from hapsim.doctor.system_files import Tree
 
 if TYPE_CHECKING:
-    from hapsim.realtime import Grant
+    from hapsim.realtime import PrivilegeResult
 
 _LATE_S = 0.5e-3  # a wake-up that much late is half a period at 1 kHz; a real-time kernel stays far below
 _BUSY_SHARE = 0.2  # of the cores, kept busy by others
@@ -46,7 +46,7 @@ class Case:
     machine: Machine
     port: str | None = None
     """The device's, where there is one."""
-    grants: Sequence[Grant] | None = None
+    grants: Sequence[PrivilegeResult] | None = None
     """What was asked for of real time; None where nothing was."""
     worst_wakeup_s: float | None = None
     keeps_up: bool = True
@@ -127,14 +127,14 @@ def _modem_manager(case: Case) -> Advice | None:
 
 
 def _denied(case: Case) -> Advice | None:
-    denied = [grant for grant in case.grants or () if not grant.got]
+    denied = [grant for grant in case.grants or () if not grant.granted]
     if not denied:
         return None
     return Advice(
-        found=f"Not granted: {', '.join(grant.measure for grant in denied)}.",
+        found=f"Not granted: {', '.join(grant.privilege for grant in denied)}.",
         why="Without it the loop waits its turn behind other programs, for memory that was moved away, or for a "
         "processor that sleeps.",
-        do="; ".join(f"{grant.measure}: {grant.detail}" for grant in denied) + ".",
+        do="; ".join(f"{grant.privilege}: {grant.detail}" for grant in denied) + ".",
     )
 
 
@@ -211,7 +211,7 @@ def _swap(case: Case) -> Advice | None:
         used_mb = (int(sizes["SwapTotal"][0]) - int(sizes["SwapFree"][0])) / 1024
     except (KeyError, IndexError, ValueError):
         return None
-    locked = any(grant.got and "mem" in grant.measure.lower() for grant in case.grants or ())
+    locked = any(grant.granted and "mem" in grant.privilege.lower() for grant in case.grants or ())
     if used_mb < 1.0 or locked:
         return None
     return Advice(

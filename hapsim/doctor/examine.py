@@ -7,22 +7,23 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from hapsim.device.open_connection import LineKind
+from hapsim.device.open_connection import TransportKind
 from hapsim.doctor import words
 from hapsim.doctor.advice import Advice, Case, advice_on
 from hapsim.doctor.exchanges import MOCK, Exchanges, Run, Trial, exchanges, trials
 from hapsim.doctor.load import Load, cpu_times, load_between
 from hapsim.doctor.machine import Machine, machine_of
 from hapsim.doctor.step import Step, Tell
-from hapsim.doctor.tree import Tree
+from hapsim.doctor.system_files import Tree
 from hapsim.doctor.verdict import Verdict, best_rate, verdict_on
 from hapsim.doctor.wakeups import require_measurable, wake_up_lateness
 from hapsim.errors import UsageError
 from hapsim.loop.histogram import Histogram
+from hapsim.loop.only_linux import require_linux
 from hapsim.scene import Scene, parse_scene
 
 if TYPE_CHECKING:
-    from hapsim.realtime import Grant
+    from hapsim.realtime import PrivilegeResult
 
 RATES_HZ = (1000.0, 2000.0, 4000.0, 10000.0)
 _SHIPPED = "first_touch.yaml"
@@ -39,7 +40,7 @@ class Examination:
     seconds: float
     """How long each measurement took."""
     machine: Machine
-    grants: tuple[Grant, ...] | None
+    grants: tuple[PrivilegeResult, ...] | None
     """What was asked for of real time; None where nothing was."""
     wakeups: dict[float, Histogram]
     """By rate (Hz): how late (s) a thread was woken up."""
@@ -67,7 +68,7 @@ def examine(
     seconds: float = 2.0,
     rates: tuple[float, ...] = RATES_HZ,
     realtime: bool = False,
-    line: LineKind = "auto",
+    transport: TransportKind = "auto",
     on_progress: Callable[[Step], None] | None = None,
     tree: Tree | None = None,
     run: Run | None = None,
@@ -83,12 +84,13 @@ def examine(
     A run that fails is part of the answer. Raises UsageError, before anything is measured, for rates and times that
     cannot be; and where a scene and its device do not go together.
     """
-    if line == "loopback":
-        raise UsageError("--line: found loopback, which has no time of its own; expected terminal, or nothing")
+    if transport == "loopback":
+        raise UsageError("--transport: found loopback, which has no time of its own; expected terminal, or nothing")
+    require_linux("hapsim doctor, which examines the compiled loop,", "`hapsim run --portable` tells its own lateness")
     examined, tree = scene or _shipped(), tree or Tree()
     _require_measurable(examined, rates, seconds)
     rates = tuple(sorted({*rates, examined.rate}))
-    to_run = trials(examined, rates, line)
+    to_run = trials(examined, rates, transport)
     steps = _Steps(len(rates) + len(to_run), seconds, on_progress)
     before = cpu_times(tree)
     wakeups, grants = _wakeups(rates, seconds, steps, realtime)
@@ -131,9 +133,9 @@ def _require_measurable(scene: Scene, rates: tuple[float, ...], seconds: float) 
 
 def _wakeups(
     rates: tuple[float, ...], seconds: float, steps: _Steps, realtime: bool
-) -> tuple[dict[float, Histogram], tuple[Grant, ...] | None]:
+) -> tuple[dict[float, Histogram], tuple[PrivilegeResult, ...] | None]:
     """(by rate, how late a thread was woken up; what was granted of real time, None where it was not asked for)."""
-    granted: list[list[Grant]] = []
+    granted: list[list[PrivilegeResult]] = []
     wakeups = {
         rate: wake_up_lateness(
             rate,

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from hapsim.device.open_connection import LineKind
+from hapsim.device.open_connection import TransportKind
 from hapsim.doctor.step import Tell
 from hapsim.errors import RunError, UsageError
 from hapsim.loop.histogram import Histogram
@@ -28,12 +28,12 @@ class Trial:
     """A run that is to be made."""
 
     scene: Scene
-    line: LineKind
+    transport: TransportKind
 
     @property
     def where(self) -> str:
         """The port of the device, or "mock"."""
-        return self.scene.device.port if self.line == "auto" and self.scene.device.port else MOCK
+        return self.scene.device.port if self.transport == "auto" and self.scene.device.port else MOCK
 
 
 @dataclass(frozen=True)
@@ -81,16 +81,16 @@ def share_in_time(report: Report, *, device_asks: bool) -> float | None:
     asked = report.ticks + report.lost_frames
     if not device_asks:
         asked = max(asked, 1 + round(report.duration_s * report.nominal_rate_hz))
-    return max(report.ticks - report.late_ticks, 0) / asked
+    return max(report.ticks - report.deadline_misses, 0) / asked
 
 
-def trials(scene: Scene, rates: tuple[float, ...], line: LineKind) -> list[Trial]:
+def trials(scene: Scene, rates: tuple[float, ...], transport: TransportKind) -> list[Trial]:
     """The runs by which a scene is examined.
 
     With a device: one, as the scene says. With the mock: every rate, under either clock. UsageError where the scene
     would run on its device in virtual time.
     """
-    if line == "auto" and scene.device.port is not None:
+    if transport == "auto" and scene.device.port is not None:
         if scene.device.clock == "lockstep":
             raise UsageError(
                 "clock: found lockstep, in which nothing can be late; expected device or host, or the mock (--mock)"
@@ -114,7 +114,7 @@ def exchanges(trial: Trial, seconds: float, tell: Tell, run: Run, *, realtime: b
         trace = run(
             trial.scene,
             duration=seconds,
-            line=trial.line,
+            transport=trial.transport,
             keep=False,
             on_progress=lambda progress: _pass_on(progress, tell),
             realtime=realtime,

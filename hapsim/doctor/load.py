@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from hapsim.doctor.tree import Tree
+from hapsim.doctor.system_files import Tree
 
 _TICKS_PER_SECOND = 100.0  # USER_HZ: the unit of /proc's times, fixed on every architecture that hapsim runs on
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from hapsim.doctor.tree import Tree
+from hapsim.doctor.system_files import Tree
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from hapsim.loop.grid import GRID, sleep_on_grid
 from hapsim.loop.histogram import Histogram, histogram_of
 
 if TYPE_CHECKING:
-    from hapsim.realtime import Grant
+    from hapsim.realtime import PrivilegeResult
 
 _LOOK_S = 0.05
 _SLOWEST_HZ, _FASTEST_HZ = 1.0, 1e5
@@ -43,7 +43,7 @@ def wake_up_lateness(
     on_progress: Tell | None = None,
     *,
     realtime: bool = False,
-    on_grants: Callable[[list[Grant]], None] | None = None,
+    on_grants: Callable[[list[PrivilegeResult]], None] | None = None,
 ) -> Histogram:
     """How late (s) a thread is woken up that sleeps to a grid of `rate_hz`, for so many `seconds`.
 
@@ -69,7 +69,7 @@ def _sleep_in_thread(
     count: int,
     tell: Tell,
     realtime: bool,
-    on_grants: Callable[[list[Grant]], None],
+    on_grants: Callable[[list[PrivilegeResult]], None],
 ) -> None:
     """Sleeps in a thread of its own, beside which this one hears Ctrl-C and tells how far it is."""
     failures: list[BaseException] = []
@@ -109,7 +109,7 @@ def _lay(grid: Any, count: int) -> None:
 
 
 @contextlib.contextmanager
-def _punctual(realtime: bool) -> Iterator[list[Grant]]:
+def _punctual(realtime: bool) -> Iterator[list[PrivilegeResult]]:
     """While open, this thread is woken up as punctually as it may: at the least without the kernel's slack of 50 µs."""
     from hapsim.realtime.slack import no_timer_slack
 

@@ -47,7 +47,7 @@ STATE = np.dtype(
     [
         ("sample", np.int64),  # number of the newest position, counted from arming
         ("ticks", np.int64),
-        ("late_ticks", np.int64),
+        ("deadline_misses", np.int64),
         ("lost_frames", np.int64),
         ("stale_positions", np.int64),
         ("limited_ticks", np.int64),
@@ -138,7 +138,7 @@ def take_frame(loop, decoder, now):
         state.sample = decoder.number - 1
         state.first_ns = state.due_ns = now
     late = decoder.type == schema.POSITION_HELD
-    state.late_ticks += late
+    state.deadline_misses += late
     state.age = state.age + 1 if late else 1
     note(loop.histograms.age, state.age)
     state.lost_frames += gap - 1

@@ -44,7 +44,7 @@ def plan_by_host(loop):
     wait.begun_ns, wait.for_ns, wait.answers = woken, 0, 1
     wait.due_ns += control.period_ns
     if woken >= wait.due_ns:
-        state.late_ticks += 1
+        state.deadline_misses += 1
         wait.due_ns = woken + control.period_ns
     return GOES_ON
 

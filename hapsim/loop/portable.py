@@ -1,8 +1,8 @@
-"""The loop in plain Python over pyserial: for systems without the system calls of `system.py`, and what the compiled
-loop is measured against.
+"""The loop in plain Python: for systems without the system calls of `system.py`, and what the compiled loop is measured
+against. Over pyserial it drives a device; where there is no other loop, over the loopback too.
 
-It waits, reads, writes and sleeps in Python; an exchange itself is the same compiled code. So its forces are the same,
-and its guards; but whatever holds Python up holds it up.
+It waits, reads, writes and sleeps in Python; an exchange itself is the same compiled code, which asks the system for
+nothing. So its forces are the same, and its guards; but whatever holds Python up holds it up.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from hapsim.compiling.entries import compile_for
 from hapsim.loop.codes import FAILED, HEARD, HUNG_UP, TIMED_OUT
 from hapsim.loop.endings import GOES_ON, GONE, RING_FULL, ending_of
 from hapsim.loop.exchange import HOST_CLOCK, compose_frame, flush_unsent, on_force_sent
-from hapsim.loop.inbox import fetch_in_python
+from hapsim.loop.inbox import fetch_in_python, inbox_at
 from hapsim.loop.paced_by_device import plan_by_device
 from hapsim.loop.paced_by_host import is_patient, plan_by_host
-from hapsim.loop.transport import PythonTransport, receiver
-from hapsim.loop.waiting import SLICE_NS, take_newest_position
+from hapsim.loop.transport import PythonTransport
+from hapsim.loop.waiting import SLICE_NS, take_those_at_hand
 
 
 class PortableTransport:
@@ -52,16 +52,10 @@ class PortableTransport:
         return 0
 
 
-@receiver
-def receive_nothing(context, buffer, room, timeout_ns):  # noqa: ARG001
-    """In place of a transport of compiled code: what arrives, Python puts into the inbox."""
-    return TIMED_OUT
-
-
 @entry
 def _take_and_compose(loop, now):
     """(what the bytes at hand come to, where the force's frame in the outbox ends), in one call from Python."""
-    code = take_newest_position(loop, now, 0)
+    code = take_those_at_hand(loop, inbox_at(loop.inbox), now)
     return code, compose_frame(loop, False) if code == HEARD else 0
 
 
@@ -101,7 +95,6 @@ class PortableLoop:
         self._control, self._wait = loop.control, loop.wait
         self._stop = 0
         """Where the newest force's frame ends."""
-        inbox.transport.receive = receive_nothing.address()
         for function, arguments in entries_for(loop):
             compile_for(function, *arguments)
 

@@ -32,6 +32,9 @@ _read = types.ExternalFunction("read", types.intp(types.int32, types.uintp, type
 _write = types.ExternalFunction("write", types.intp(types.int32, types.uintp, types.uintp))
 _errno_location = types.ExternalFunction("__errno_location", types.CPointer(types.int32)())
 
+CALLS = tuple(call.symbol for call in (_clock_gettime, _clock_nanosleep, _ppoll, _read, _write, _errno_location))
+"""Their names in the C library."""
+
 
 def now_ns(scratch):  # noqa: ARG001
     """Monotonic time in ns. `scratch`: the caller's own, SCRATCH. In plain Python it is Python's own clock."""

@@ -32,7 +32,7 @@ class Report:
     """Positions per second of that duration."""
     nominal_rate_hz: float
     """What the scene asks for."""
-    late_ticks: int
+    deadline_misses: int
     """Samples whose force came too late and for which the one before went on acting."""
     lost_frames: int
     """Positions that never arrived whole."""

@@ -29,6 +29,20 @@ def wait_for_go(loop):
 
 
 @inlined
+def take_those_at_hand(loop, inbox, arrived):
+    """Takes every position among the bytes that have arrived: HEARD, TIMED_OUT, FAULT, BAD_FORCE, OFF_RATE. It asks
+    the system for nothing."""
+    heard = TIMED_OUT
+    while inbox.start < inbox.stop:
+        inbox.start, found = next_frame(inbox.decoder, inbox.bytes, inbox.start, inbox.stop)
+        code = take_frame(loop, inbox.decoder, arrived) if found else TIMED_OUT
+        if code < TIMED_OUT:
+            return code
+        heard |= code
+    return heard
+
+
+@inlined
 def take_newest_position(loop, begun, timeout_ns):
     """Waits for a position from `begun` (ns) on, takes all that are there and leaves the force that answers the newest.
     Every one of them moves the scene, in order, so that its velocities stay true; only the newest is answered.
@@ -37,17 +51,12 @@ def take_newest_position(loop, begun, timeout_ns):
     not make the wait any longer; being told to stop makes it shorter.
     """
     compact()
-    inbox, heard, last_look = inbox_at(loop.inbox), TIMED_OUT, False
+    inbox, last_look = inbox_at(loop.inbox), False
     arrived, give_up = begun, begun + timeout_ns
     while True:
-        while inbox.start < inbox.stop:  # at first what the frame before has left
-            inbox.start, found = next_frame(inbox.decoder, inbox.bytes, inbox.start, inbox.stop)
-            code = take_frame(loop, inbox.decoder, arrived) if found else TIMED_OUT
-            if code < TIMED_OUT:
-                return code
-            heard |= code
-        if heard != TIMED_OUT or last_look:
-            return heard
+        code = take_those_at_hand(loop, inbox, arrived)  # at first what the frame before has left
+        if code != TIMED_OUT or last_look:
+            return code
         last_look = arrived >= give_up or loop.control.stop != 0
         left = give_up - arrived
         inbox.start = inbox.stop = 0

@@ -1,1 +1,1 @@
-"""Measurement: ring the closed loop, record it, identify what the hand met. It never sees a prediction."""
+"""Measurement: ring the closed loop, record it, identify what the hand felt. It never sees a prediction."""

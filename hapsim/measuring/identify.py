@@ -1,4 +1,4 @@
-"""Identification: what spring and damper the hand met, read from what was recorded and from nothing else.
+"""Identification: what spring and damper the hand felt, read from what was recorded and from nothing else.
 
 It never sees a prediction, nor the scene's stiffness and damping: only the positions and forces on the wire, the
 sample period, and the mass to which the answer refers.
@@ -39,7 +39,7 @@ _UNDECIDED = 20.0  # criterion: four standard deviations of p, squared, and some
 
 @dataclass(frozen=True)
 class Measurement:
-    """What the hand met, each value with the standard uncertainty that the identification states."""
+    """What the hand felt, each value with the standard uncertainty that the identification states."""
 
     k: float
     """N/m."""

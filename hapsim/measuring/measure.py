@@ -1,11 +1,11 @@
-"""Closing the temporary hybrid system, ringing it, and identifying the spring and damper that it met."""
+"""Closing the temporary hybrid system, ringing it, and identifying the spring and damper that it felt."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
 
-from hapsim.device.open_connection import LineKind
+from hapsim.device.open_connection import TransportKind
 from hapsim.errors import DeviceError, UsageError
 from hapsim.measuring.identify import Measurement, identify
 from hapsim.progress import Progress
@@ -25,11 +25,11 @@ def measure(
     *,
     channel: int = 0,
     duration: float | None = None,
-    line: LineKind = "auto",
+    transport: TransportKind = "auto",
     on_progress: Callable[[Progress], None] | None = None,
     stop_on_signals: bool = False,
 ) -> Measurement:
-    """Rings the hand on `channel` and identifies what it meets.
+    """Rings the hand on `channel` and identifies what it feels.
 
     For half of the time it rings down once, from the mock's initial state or from a push where the device is at rest;
     then pushes follow, so that a motion which dies out in a few samples is seen many times. `duration`: seconds.
@@ -48,7 +48,7 @@ def measure(
         trace = run(
             scene,
             duration=duration,
-            line=line,
+            transport=transport,
             excitation=_pushes(scene, channel, duration),
             on_progress=on_progress,
             stop_on_signals=stop_on_signals,

@@ -2,24 +2,26 @@
 
 from hapsim.prediction.predict import (
     Felt,
-    LinkBudget,
     LinkMargin,
     Prediction,
+    Shaking,
+    WireTime,
     configuration_of,
     is_surely_unstable,
     predict,
-    surely_grows_by,
+    surely_shaken_by,
     warnings_about,
 )
 
 __all__ = [
     "Felt",
-    "LinkBudget",
     "LinkMargin",
     "Prediction",
+    "Shaking",
+    "WireTime",
     "configuration_of",
     "is_surely_unstable",
     "predict",
-    "surely_grows_by",
+    "surely_shaken_by",
     "warnings_about",
 ]

@@ -22,6 +22,8 @@ class LinearLink(NamedTuple):
     damping: float
     damper: str = "backward"
     cutoff: float | None = None
+    outside: bool = False
+    """Whether the scene's scheme takes its force at the sample for the whole sample period, whatever it joins."""
 
 
 class LinearScene(NamedTuple):
@@ -39,8 +41,12 @@ class LinearScene(NamedTuple):
     """Sentences: what was taken for what the theory does not have."""
 
 
-AS_PREDICTED = ("cordis", "semi_implicit")
-"""The schemes that the theory's network has; the two are one in exact arithmetic."""
+_OUTSIDE: dict[str, tuple[type[Any], ...]] = {
+    "midpoint": (Buffer, Nonlinear, Friction, Plectrum),
+    "exact": (Buffer, Nonlinear, Friction, Plectrum),
+    "rk4": (Friction, Plectrum),
+}
+"""The links that are outside of each scheme: those that no matrix can hold, or that remember."""
 
 _STAYS = "."  # what is inside a structure and stays where it is: no module is called so
 
@@ -62,8 +68,9 @@ def linear_scene(scene: Scene) -> LinearScene:
     assumptions = []
     for name, link in scene.links.items():
         linear = _LINEAR[type(link)](link)
-        scheme = (link.damper, link.cutoff) if isinstance(link, ViscoElastic) else ("backward", None)
-        links[name] = LinearLink(link.between, linear.stiffness, linear.damping, *scheme)
+        velocity = (link.damper, link.cutoff) if isinstance(link, ViscoElastic) else ("backward", None)
+        outside = isinstance(link, _OUTSIDE.get(scene.scheme, ()))
+        links[name] = LinearLink(link.between, linear.stiffness, linear.damping, *velocity, outside)
         if linear.assumption:
             assumptions.append(f"{name} {linear.assumption}")
     inner: list[LinearLink] = []
@@ -72,14 +79,9 @@ def linear_scene(scene: Scene) -> LinearScene:
         held = cell(one.stiffness, one.damping)
         inner.append(LinearLink((name, _STAYS), held.stiffness, held.damping))
     for name, structure in scene.structures.items():
-        places = [f"{name}.{place}" for place in structure.places()]
+        places = [f"{name}.{place}" for place in structure.point_names()]
         elements = structure.elements()
         masses |= dict(zip(places, elements.masses, strict=True))
         named = [*places, _STAYS]  # -1 is the last
         inner += [LinearLink((named[a], named[b]), k, z) for a, b, k, z in elements.links]
-    if masses and scene.scheme not in AS_PREDICTED:
-        assumptions.append(
-            "the masses are taken to move by CORDIS's scheme; up to where they are stable under "
-            f"{scene.scheme}, and how fast they swing, is not worked out"
-        )
     return LinearScene(masses, frozenset([*scene.grounds, _STAYS]), links, inner, assumptions)

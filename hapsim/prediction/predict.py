@@ -1,17 +1,28 @@
-"""Prediction: what a scene's hand will meet, from the mathematics alone. Nothing is run, nothing is compiled."""
+"""Prediction: what a scene's hand will feel, from the mathematics alone. Nothing is run, nothing is compiled."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from firmware_protocol import schema
 from hapsim.errors import UsageError
-from hapsim.prediction.linear import AS_PREDICTED, LinearLink, LinearScene, linear_scene
+from hapsim.prediction.linear import LinearLink, LinearScene, linear_scene
 from hapsim.scene import Scene
-from hapsim.theory import Configuration, Margins, Mode, Network, frequency_and_ratio, margins_of, solve
+from hapsim.theory import (
+    Configuration,
+    Margins,
+    Mode,
+    Network,
+    NotWorkedOutError,
+    Solution,
+    frequency_and_ratio,
+    margins_of,
+    solve,
+)
 from hapsim.theory.interface import damper_named
 
 _BITS_PER_BYTE = 10  # start, eight, stop
@@ -20,19 +31,19 @@ _SURELY = 1.0 + 1e-9  # what grows by more in a sample is not at the limit
 
 @dataclass(frozen=True)
 class Felt:
-    """What the hand meets on one device point whose links all end on grounds: a temporary hybrid system of its own."""
+    """What the hand feels on one device point whose links all end on grounds: a temporary hybrid system of its own."""
 
     name: str
     channel: int
     configuration: Configuration
     stiffness: float
-    """K, N/m, written."""
+    """K, N/m, simulated."""
     damping: float
-    """B, N·s/m, written."""
+    """B, N·s/m, simulated."""
     k: float
-    """N/m, met; NaN where no spring and damper is equivalent."""
+    """k, N/m; NaN where no spring and damper is equivalent."""
     b: float
-    """N·s/m, met, real friction included."""
+    """b, N·s/m, real friction included."""
     frequency_hz: float
     damping_ratio: float
     dominant: bool
@@ -65,7 +76,7 @@ class LinkMargin:
 
 
 @dataclass(frozen=True)
-class LinkBudget:
+class WireTime:
     """What one exchange takes on the wire."""
 
     bytes_to_host: int
@@ -95,22 +106,24 @@ class Prediction:
     """Of the whole closed loop, by decreasing modulus, those at zero left out; of a large scene some."""
     poles_in_all: int
     """How many the closed loop has, those at zero included."""
-    how: str
+    poles_method: str
     """In words, which poles of a large scene were worked out; "" where all were."""
     modes: tuple[Mode, ...]
     points: tuple[str, ...]
     """Names to which a mode's participation refers."""
     margins: tuple[LinkMargin, ...]
     """One for each link, in the scene's order; none where they were not asked for."""
-    how_margins: str
+    margins_method: str
     """In words, which links of a large scene were worked out, and how surely; "" where all were."""
-    link_budget: LinkBudget
+    wire_time: WireTime
     assumptions: tuple[str, ...] = ()
     """Sentences: what was taken for what the theory does not have."""
+    by_its_scheme: bool = True
+    """Whether poles, modes and margins are those of the scheme by which the scene runs, or else of CORDIS's."""
 
     @property
     def first(self) -> Felt | None:
-        """What the hand meets at the scene's first device point that is a system of its own."""
+        """What the hand feels at the scene's first device point that is a system of its own."""
         return self.felt[0] if self.felt else None
 
     @property
@@ -140,7 +153,7 @@ class Prediction:
 
 
 def predict(scene: Scene, *, with_margins: bool = True) -> Prediction:
-    """What the hand will meet in `scene`, whether the whole of it is stable, and whether the wire is fast enough.
+    """What the hand will feel in `scene`, whether the whole of it is stable, and whether the wire is fast enough.
 
     `with_margins`: also by how much each link may grow, which for a large scene takes longer than the rest.
     """
@@ -148,7 +161,7 @@ def predict(scene: Scene, *, with_margins: bool = True) -> Prediction:
         raise UsageError(f"rate: found {scene.rate:g} Hz, which is beyond what is worked out (1e-9 to 1e9 Hz)")
     linear = linear_scene(scene)
     network, points = _network(scene, linear)
-    solution = solve(network)
+    network, solution, instead = _solved(network)
     coupled = {name: why for name in scene.device_points if (why := _why_coupled(scene, linear, name))}
     felt = tuple(_felt(scene, linear, name) for name in scene.device_points if name not in coupled)
     whole = not coupled and not linear.masses
@@ -162,40 +175,71 @@ def predict(scene: Scene, *, with_margins: bool = True) -> Prediction:
         spectral_radius=solution.spectral_radius,
         poles=tuple(complex(pole) for pole in solution.poles if abs(pole) > 1e-9),
         poles_in_all=solution.all,
-        how=solution.how,
+        poles_method=solution.method,
         modes=tuple(solution.modes),
         points=points,
         margins=_link_margins(linear, margins, felt),
-        how_margins=margins.how,
-        link_budget=_link_budget(scene),
-        assumptions=tuple(linear.assumptions),
+        margins_method=margins.method,
+        wire_time=_wire_time(scene),
+        assumptions=(*linear.assumptions, *([instead] if instead else [])),
+        by_its_scheme=not instead,
     )
 
 
-def surely_grows_by(scene: Scene) -> float:
-    """How much the slowest motion of `scene` grows in a sample, above 1, where it will surely shake the hand; else 1.
+def _solved(network: Network) -> tuple[Network, Solution, str]:
+    """The network, its poles and modes; where they are not worked out for its scheme, with CORDIS's, and a sentence."""
+    try:
+        return network, solve(network), ""
+    except NotWorkedOutError as reason:
+        instead = replace(network, scheme="cordis")
+        sentence = (
+            "the masses are taken to move by CORDIS's scheme; up to where they are stable under "
+            f"{network.scheme}, and how fast they swing, is not worked out: {reason}"
+        )
+        return instead, solve(instead), sentence
 
-    It is not sure where it was worked out for another scheme than the one by which it runs, or at the limit. This is
-    what a running loop has to know of a scene before it takes it, at a tenth of what `predict` costs.
+
+class Shaking(NamedTuple):
+    """A motion that surely grows."""
+
+    growth: float
+    """By how much it is multiplied in a sample, above 1."""
+    module: str
+    """That moves most in it; "" where no motion was found that does."""
+
+    @property
+    def sentence(self) -> str:
+        """Without a full stop."""
+        by = f"{self.growth:.3g}-fold" if self.growth >= 2.0 else f"by {100.0 * (self.growth - 1.0):.2g} %"
+        whose = f"the motion of {self.module}" if self.module else "a motion"
+        return f"{whose} grows {by} a sample; it takes less stiffness there, more mass, or a higher rate"
+
+
+def surely_shaken_by(scene: Scene) -> Shaking | None:
+    """What will surely shake the hand in `scene`; None where nothing does.
+
+    It is not sure at the limit, or where it was not worked out for the scheme by which the scene runs. This is what a
+    running loop has to know of a scene before it takes it, at a tenth of what `predict` costs.
     """
     linear = linear_scene(scene)
-    if not _is_judged(scene, len(linear.masses)):
-        return 1.0
-    radius = solve(_network(scene, linear)[0]).spectral_radius
-    if radius > _SURELY and not (_is_lone(scene, linear) and _lone_hands_are_stable(scene, linear)):
-        return radius
-    return 1.0
+    network, points = _network(scene, linear)
+    try:
+        solution = solve(network)
+    except NotWorkedOutError:
+        return None
+    if not solution.spectral_radius > _SURELY:
+        return None
+    if _is_lone(scene, linear) and _lone_hands_are_stable(scene, linear):
+        return None
+    fastest = max(solution.modes, key=lambda mode: abs(mode.pole), default=None)
+    if fastest is None or abs(fastest.pole) < solution.spectral_radius * (1.0 - 1e-9):
+        return Shaking(solution.spectral_radius, "")
+    return Shaking(solution.spectral_radius, points[int(np.argmax(fastest.participation))].partition(".")[0])
 
 
-def is_surely_unstable(scene: Scene, prediction: Prediction) -> bool:
-    """The same of what was predicted."""
-    masses = len(prediction.points) - len(scene.device_points)
-    return _is_judged(scene, masses) and not prediction.stable and prediction.spectral_radius > _SURELY
-
-
-def _is_judged(scene: Scene, masses: int) -> bool:
-    """Whether what is predicted of its stability holds for the scheme by which it runs."""
-    return scene.scheme in AS_PREDICTED or not masses
+def is_surely_unstable(prediction: Prediction) -> bool:
+    """Whether `surely_shaken_by` finds something, by what was predicted."""
+    return prediction.by_its_scheme and not prediction.stable and prediction.spectral_radius > _SURELY
 
 
 def _is_lone(scene: Scene, linear: LinearScene) -> bool:
@@ -214,16 +258,16 @@ def _lone_hands_are_stable(scene: Scene, linear: LinearScene) -> bool:
 def warnings_about(scene: Scene, prediction: Prediction) -> list[str]:
     """What a hand should know before `scene` runs, of which this was predicted: sentences, none where all is well."""
     warnings = []
-    if scene.scheme not in AS_PREDICTED and len(prediction.points) > len(scene.device_points):
+    if not prediction.by_its_scheme:
         warnings.append(
             f"how stable the scene is was worked out for scheme: cordis, not for {scene.scheme}, by which it runs."
         )
-    elif is_surely_unstable(scene, prediction):
+    elif is_surely_unstable(prediction):
         warnings.append(
             "the scene is predicted unstable: the hand will be shaken, with up to the force limit of "
             f"{scene.device.force_limit:g} N. `hapsim check` tells by how much the stiffness has to go down."
         )
-    budget = prediction.link_budget
+    budget = prediction.wire_time
     if scene.device.port is not None and not budget.fits:
         warnings.append(
             f"an exchange takes {budget.seconds * 1e3:.3g} ms at {scene.device.baud} baud, the sample period is "
@@ -368,14 +412,16 @@ def _network(scene: Scene, linear: LinearScene) -> tuple[Network, tuple[str, ...
         damping=np.array([link.damping for link in links]),
         channel_stiffness=np.array(device.stiffnesses(scene.channels))[channels],
         damper=tuple(damper_named(link.damper, link.cutoff, scene.rate) for link in links),
-        judged=len(linear.links),
+        margin_links=len(linear.links),
+        scheme=scene.scheme,
+        outside=tuple(link.outside for link in links),
     )
     return network, tuple(points)
 
 
-def _link_budget(scene: Scene) -> LinkBudget:
+def _wire_time(scene: Scene) -> WireTime:
     velocity = bool(scene.sensed_links)
     to_host = schema.frame_bytes(scene.channels, to_device=False, velocity=velocity)
     to_device = schema.frame_bytes(scene.channels, to_device=True, velocity=velocity)
     seconds = (to_host + to_device) * _BITS_PER_BYTE / scene.device.baud
-    return LinkBudget(to_host, to_device, seconds, 1.0 / scene.rate)
+    return WireTime(to_host, to_device, seconds, 1.0 / scene.rate)

@@ -12,14 +12,14 @@ import threading
 from collections.abc import Iterator
 
 from hapsim.realtime.collector import frozen
-from hapsim.realtime.grant import Grant, Measure
 from hapsim.realtime.memory import locked
 from hapsim.realtime.power import awake
+from hapsim.realtime.privilege import Measure, PrivilegeResult
 from hapsim.realtime.processor import pinned
 from hapsim.realtime.scheduling import fifo
 from hapsim.realtime.slack import no_timer_slack
 
-__all__ = ["Grant", "no_timer_slack", "realtime"]
+__all__ = ["PrivilegeResult", "no_timer_slack", "realtime"]
 
 # What is collected need not be locked, and the thread is put before all others only when the rest is in place.
 _HELD = threading.Lock()  # by one at a time: two that undo in another order than they began would leave neither
@@ -28,16 +28,20 @@ _MEASURES: tuple[Measure, ...] = (frozen, locked, awake, pinned, fifo)
 
 
 @contextlib.contextmanager
-def realtime(thread_id: int) -> Iterator[list[Grant]]:
+def realtime(thread_id: int) -> Iterator[list[PrivilegeResult]]:
     """While open, every measure that the system grants is in force: for this process, and for its thread with the
-    native id `thread_id` (`threading.get_native_id()` of the loop's thread). Yields a Grant for each measure.
+    native id `thread_id` (`threading.get_native_id()` of the loop's thread). Yields a PrivilegeResult for each measure.
 
     Enter it when everything is allocated and compiled: it takes some tenths of a second, in which memory is read in. On
     leaving, the measures are undone in reverse order, whatever the body raised; what cannot be undone (the thread may
     have ended) is passed over. Raises nothing for what is denied. Of two loops in one process the second is denied it.
     """
     if not _HELD.acquire(blocking=False):
-        yield [Grant("real time", False, "another loop of this process has it, and gives it back for all when it ends")]
+        yield [
+            PrivilegeResult(
+                "real time", False, "another loop of this process has it, and gives it back for all when it ends"
+            )
+        ]
         return
     try:
         with contextlib.ExitStack() as held:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import gc
 from collections.abc import Callable
 
-from hapsim.realtime.grant import measure
+from hapsim.realtime.privilege import measure
 
 
 def _advise(error: OSError) -> str:

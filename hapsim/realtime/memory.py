@@ -13,8 +13,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 from hapsim.realtime import c_library
-from hapsim.realtime.grant import measure
 from hapsim.realtime.login_limits import is_root, login_limit
+from hapsim.realtime.privilege import measure
 
 _MCL_CURRENT = 1
 _STATUS = Path("/proc/self/status")

@@ -7,8 +7,8 @@ import os
 import struct
 from collections.abc import Callable
 
-from hapsim.realtime.grant import measure
 from hapsim.realtime.login_limits import is_root
+from hapsim.realtime.privilege import measure
 
 _DEVICE = "/dev/cpu_dma_latency"
 

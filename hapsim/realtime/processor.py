@@ -11,7 +11,7 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
-from hapsim.realtime.grant import measure
+from hapsim.realtime.privilege import measure
 
 _ISOLATED = Path("/sys/devices/system/cpu/isolated")
 _THREADS = Path("/proc/self/task")

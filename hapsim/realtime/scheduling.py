@@ -5,8 +5,8 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 
-from hapsim.realtime.grant import measure
 from hapsim.realtime.login_limits import is_root, login_limit
+from hapsim.realtime.privilege import measure
 
 PRIORITY = 80
 """Above 50, where the kernel's interrupt threads stand: a loop that blocks holds none of them up, and is not held up by

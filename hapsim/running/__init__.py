@@ -1,7 +1,7 @@
 """Running a scene: open the line, describe, arm, loop, disarm; and every way out of it leaves the force at zero."""
 
-from hapsim.running.complete import run
 from hapsim.running.excitation import Excitation
+from hapsim.running.run import run
 from hapsim.running.session import Session, start
 
 __all__ = ["Excitation", "Session", "run", "start"]

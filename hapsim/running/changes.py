@@ -12,17 +12,19 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from hapsim.cordis.program import compile_scene, fixed_modules, parameter_values
 from hapsim.cordis.succession import take_over_from
 from hapsim.errors import UsageError
-from hapsim.prediction import surely_grows_by
-from hapsim.realtime.giving_way import giving_way
+from hapsim.prediction import surely_shaken_by
+from hapsim.realtime.giving_way import Beside
 from hapsim.running.assemble import Loop
 from hapsim.scene import Scene
-from hapsim.scene.finding import did_you_mean
-from hapsim.scene.modules import Module, Surroundings
+from hapsim.scene.issue import did_you_mean
+from hapsim.scene.modules import Module, ModuleContext
 from hapsim.scene.part import Part
 from hapsim.scene.table import Table
 
@@ -37,12 +39,15 @@ _HOW_IT_BEGAN = ("mock", "initial")
 class LiveScene:
     """The scene of a running loop. Any thread may change it, one after the other."""
 
-    def __init__(self, scene: Scene, loop: Loop, is_over: Callable[[], bool] = lambda: False) -> None:
-        """`is_over`: whether the loop has ended, so that nobody has to be waited for any more."""
+    def __init__(
+        self, scene: Scene, loop: Loop, is_over: Callable[[], bool] = lambda: False, gives_way: bool = False
+    ) -> None:
+        """`is_over`: whether the loop has ended, so that nobody has to be waited for any more. `gives_way`: whether
+        what is prepared beside the loop gives way to it."""
         self.scene = scene
         """With every change that was posted."""
-        self._loop, self._is_over = loop, is_over
-        self._writing = threading.Lock()
+        self._loop, self._is_over, self._gives_way = loop, is_over, gives_way
+        self._replacing, self._writing = threading.Lock(), threading.Lock()
 
     def set(self, changes: Mapping[str, Mapping[str, float]], over: float) -> None:
         """Changes some live parameters; UsageError, and nothing is changed, where a name, a key or a value is wrong."""
@@ -51,35 +56,42 @@ class LiveScene:
 
     def adopt(self, scene: Scene, over: float) -> None:
         """Changes to `scene`, whatever its modules are; UsageError, and nothing is changed, where that cannot be."""
-        with self._writing:
+        samples = _samples(scene, over)
+        if self._gives_way:
+            Beside(lambda: self._adopt(scene, over, samples)).result()
+        else:
+            self._adopt(scene, over, samples)
+
+    def _adopt(self, scene: Scene, over: float, samples: int) -> None:
+        with self._replacing:
+            self._require_possible(scene)
             if differs_in_live_parameters_alone(self.scene, scene):
-                self._lead_to(scene, over)
-            else:
-                self._replace(scene, over)
+                with self._writing:
+                    self._lead_to(scene, over)
+            elif scene != self.scene:
+                self._replace(scene, samples)
 
     def _lead_to(self, scene: Scene, over: float) -> None:
+        """Nothing is posted where nothing differs."""
         samples = _samples(scene, over)
+        if _same_values(parameter_values(scene), parameter_values(self.scene)):
+            self.scene = scene
+            return
         self._loop.program.parameters.post(parameter_values(scene), samples)
         self.scene = scene
 
-    def _replace(self, scene: Scene, over: float) -> None:
-        if scene.device.clock == "lockstep":
-            self._replace_now(scene, over)
-        else:
-            giving_way(lambda: self._replace_now(scene, over))
-
-    def _replace_now(self, scene: Scene, over: float) -> None:
-        samples = _samples(scene, over)
-        self._require_possible(scene)
+    def _replace(self, scene: Scene, samples: int) -> None:
+        """Live parameters may be set meanwhile; nobody but the last lines holds them up."""
         program = compile_scene(scene)
         while self._loop.is_replacing:
             if self._is_over():
                 raise UsageError(OVER)
             time.sleep(_GLANCE_S)
-        take_over_from(self._loop.program, self.scene, program, scene)
-        program.parameters.post(parameter_values(scene), samples)
-        self._loop.follow_with(program, samples)
-        self.scene = scene
+        with self._writing:
+            take_over_from(self._loop.program, self.scene, program, scene)
+            program.parameters.post(parameter_values(scene), samples)
+            self._loop.follow_with(program, samples)
+            self.scene = scene
 
     def _require_possible(self, scene: Scene) -> None:
         stays = what_stays(self.scene, scene)
@@ -93,12 +105,12 @@ class LiveScene:
                 f"{scene.sensed_links[0]}: damper: sensed needs the device's velocities, which it was not asked for "
                 "when it was armed: stop the scene and start it anew, or write damper: backward"
             )
-        growth = surely_grows_by(scene)
-        if growth > 1.0:
-            raise UsageError(
-                f"the scene is predicted unstable (its slowest motion grows by {growth:.6g} in a sample): "
-                "`hapsim check` tells what would be stable"
-            )
+        shaken = surely_shaken_by(scene)
+        if shaken is None:
+            return
+        before = surely_shaken_by(self.scene)
+        if before is None or shaken.growth > before.growth:  # what is unstable may be made less so
+            raise UsageError(f"the scene is predicted unstable: {shaken.sentence}")
 
 
 def what_stays(now: Scene, wanted: Scene) -> str:
@@ -143,6 +155,10 @@ def _same_but_for_live(before: Module, after: Module) -> bool:
     return all(getattr(before, key) == getattr(after, key) for key in keys)
 
 
+def _same_values(one: NDArray[Any], other: NDArray[Any]) -> bool:
+    return one.shape == other.shape and bool(np.array_equal(one, other))
+
+
 def _samples(scene: Scene, over: float) -> int:
     """In how many samples a change is led to the hand, 1 or more."""
     sound = isinstance(over, int | float) and math.isfinite(over) and over >= 0
@@ -167,10 +183,10 @@ def _changed(scene: Scene, changes: Mapping[str, Mapping[str, float]]) -> Scene:
                 "under scheme: cordis, semi_implicit or rk4 it can"
             )
         modules[name] = _module_with(name, modules[name], values)
-    around = Surroundings(modules, {name: type(module) for name, module in modules.items()})
+    around = ModuleContext(modules, {name: type(module) for name, module in modules.items()})
     for name in changes:
-        for finding in modules[name].findings(name, around):
-            raise UsageError(f"{name}.{finding.path[-1]}: {finding.sentence}")
+        for issue in modules[name].issues(name, around):
+            raise UsageError(f"{name}.{issue.path[-1]}: {issue.sentence}")
     return scene.model_copy(update={"modules": Table(modules)})
 
 

@@ -12,22 +12,23 @@ from hapsim.compiling.entries import compile_for
 from hapsim.compiling.progress import Counted, on_compilation
 from hapsim.device.connection import Connection
 from hapsim.device.conversation import arm, describe, disarm
-from hapsim.device.open_connection import LineKind, open_connection, place_of_device
+from hapsim.device.open_connection import TransportKind, open_connection, place_of_device, require_possible_here
 from hapsim.errors import HapsimError, UsageError
 from hapsim.loop import endings
-from hapsim.loop.portable import PortableLoop, PortableTransport
+from hapsim.loop.only_linux import missing_calls, require_linux
+from hapsim.loop.portable import PortableLoop
 from hapsim.loop.recorder import Recorder
 from hapsim.loop.run import run_loop
 from hapsim.loop.trace import Statistics, Trace
 from hapsim.progress import Progress
-from hapsim.realtime import Grant, realtime
+from hapsim.realtime import PrivilegeResult, realtime
 from hapsim.realtime.slack import no_timer_slack
 from hapsim.running.assemble import Loop, assemble_loop, watchdog_samples
 from hapsim.running.changes import OVER, LiveScene
+from hapsim.running.compatibility import PACING, require_compatible
 from hapsim.running.excitation import Excitation
-from hapsim.running.fit import PACING, require_fit
-from hapsim.running.outcome import failure_of, progress_of, statistics_of, trace_of
 from hapsim.running.preparing import MOCK_UNITS
+from hapsim.running.report import failure_of, progress_of, statistics_of, trace_of
 from hapsim.scene import Scene
 
 _MOST_TICKS = 2.0**62
@@ -39,15 +40,19 @@ _STACK_BYTES = 1 << 20  # of the loop's thread: little is needed, and all of it 
 class Session:
     """A running scene. Made by `start`; every method may be called from any thread."""
 
-    def __init__(self, scene: Scene, loop: Loop, body: Callable[[Any], int], recorder: Recorder) -> None:
+    def __init__(
+        self, scene: Scene, loop: Loop, body: Callable[[Any], int], recorder: Recorder, gives_way: bool
+    ) -> None:
         self._loop, self._body, self._recorder = loop, body, recorder
         self._over = threading.Event()
-        self._live = LiveScene(scene, loop, self._over.is_set)
+        self.gives_way = gives_way
+        """Whether work beside the loop gives way to it (hapsim.realtime.giving_way)."""
+        self._live = LiveScene(scene, loop, self._over.is_set, gives_way)
         self._ending: int | None = None
         self._thread = threading.Thread(target=self._work, name="haptic loop")
         self._reader = threading.Thread(target=self._read, name="telemetry")
         self._trace: Trace | None = None
-        self.grants: list[Grant] = []
+        self.grants: list[PrivilegeResult] = []
         """What the real-time set-up asked of the system, and got."""
 
     @property
@@ -160,7 +165,7 @@ def start(
     scene: Scene,
     *,
     duration: float | None = None,
-    line: LineKind = "auto",
+    transport: TransportKind = "auto",
     excitation: Excitation | None = None,
     keep: bool = True,
     realtime: bool = False,
@@ -172,9 +177,9 @@ def start(
 
     `line`: where the device is ("auto": the scene's port, else the mock that fits the clock). `keep`: False for a trace
     without rows, for runs without an end. `realtime`: asks the system for what makes a loop steady, see
-    hapsim.realtime; `Session.grants` tells what it got. `portable`: the loop in plain Python over pyserial.
-    `on_progress` hears of the compilation, `on_arming` gets the session just before the device is armed: a `stop` from
-    then on ends the run in good order.
+    hapsim.realtime; `Session.grants` tells what it got. `portable`: the loop in plain Python over pyserial; off Linux
+    that loop runs with the mock in memory too. `on_progress` hears of the compilation, `on_arming` gets the session
+    just before the device is armed: a `stop` from then on ends the run in good order.
 
     Raises SceneError and UsageError for what cannot be run; DeviceError where port or device fail, GuardError where a
     guard stopped the force, both when the with-block is left; they carry what was recorded as their attribute `trace`.
@@ -183,20 +188,30 @@ def start(
         raise UsageError(f"rate: found {scene.rate:g} Hz, which no clock keeps (1e-3 to 1e9 Hz)")
     if duration is not None and not 0 < duration * scene.rate < _MOST_TICKS:
         raise UsageError(f"duration: found {duration}, expected a finite number of seconds above 0")
+    if realtime:
+        require_linux("--realtime", "leave it out")
     tell = on_progress or (lambda _: None)
-    place = place_of_device(scene, line, portable=portable)
+    place = place_of_device(scene, transport, portable=portable)
+    require_possible_here(place, portable=portable)
+    in_python = portable or bool(missing_calls())
     counted = Counted(lambda name, share: tell(Progress("compiling", name, share=share)))
     with on_compilation(counted.add), contextlib.ExitStack() as stack:
         if place != "port":
-            compile_ahead(MOCK_UNITS[place] if portable else ("loop", *MOCK_UNITS[place]), counted)
-        opened = stack.enter_context(open_connection(scene, line, portable=portable, realtime=realtime))
-        if not portable:
+            compile_ahead(MOCK_UNITS[place] if in_python else ("loop", *MOCK_UNITS[place]), counted)
+        opened = stack.enter_context(open_connection(scene, transport, portable=portable, realtime=realtime))
+        if not in_python:
             compile_ahead(("loop", "port"), counted)
         description = describe(opened)
-        require_fit(scene, opened.name, description)
+        require_compatible(scene, opened.name, description)
         loop = assemble_loop(scene, opened, description, excitation, duration)
         # Everything is compiled now: the device is armed only when the loop can answer at once.
-        session = Session(scene, loop, _ready_body(opened, loop), Recorder(loop.ring, keep))
+        session = Session(
+            scene,
+            loop,
+            _ready_body(opened, loop, in_python),
+            Recorder(loop.ring, keep),
+            gives_way=scene.device.clock != "lockstep" and not in_python,
+        )
         try:
             session._begin()
             if on_arming is not None:
@@ -224,9 +239,9 @@ def start(
         raise failure
 
 
-def _ready_body(connection: Connection, loop: Loop) -> Callable[[Any], int]:
+def _ready_body(connection: Connection, loop: Loop, in_python: bool) -> Callable[[Any], int]:
     """The loop, compiled: nothing is left to be done when the device is armed."""
-    if isinstance(connection.transport, PortableTransport):
+    if in_python:
         return PortableLoop(loop.record, loop.inbox, connection.transport).run
     compile_for(run_loop, loop.record)
     return run_loop

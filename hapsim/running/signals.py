@@ -6,6 +6,9 @@ import contextlib
 import signal
 from collections.abc import Callable, Iterator
 
+STOPS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+"""The signals that mean it: SIGINT, SIGTERM and, where a system has it, SIGHUP."""
+
 
 @contextlib.contextmanager
 def stopping_on_signals(stop: Callable[[], None]) -> Iterator[None]:
@@ -14,8 +17,7 @@ def stopping_on_signals(stop: Callable[[], None]) -> Iterator[None]:
     def heard(_signal: int, _frame: object) -> None:
         stop()
 
-    meant = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-    before = {number: signal.signal(number, heard) for number in meant}
+    before = {number: signal.signal(number, heard) for number in STOPS}
     try:
         yield
     finally:

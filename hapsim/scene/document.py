@@ -9,7 +9,9 @@ from contextlib import contextmanager
 
 import yaml
 
-from .dialect import (
+from .issue import LocatedIssue, Path, Place, quote
+from .syntax import place_of
+from .yaml_rules import (
     MAPPING,
     MERGE,
     MOST_NESTING,
@@ -21,8 +23,6 @@ from .dialect import (
     scalar_value,
     short_tag,
 )
-from .finding import Fault, Path, Place, quote
-from .syntax import place_of
 
 Entries = dict[str, tuple[yaml.Node, yaml.Node]]
 
@@ -40,7 +40,7 @@ class Document:
         self._values: dict[int, object] = {}
         self._entries: dict[int, Entries] = {}
         self._open: list[int] = []
-        self.faults: list[Fault] = []
+        self.faults: list[LocatedIssue] = []
         self.data = self._value(root)
 
     def place(self, path: Path, at_key: bool = False) -> Place:
@@ -145,4 +145,4 @@ class Document:
         self._open.pop()
 
     def _fault(self, node: yaml.Node, sentence: str) -> None:
-        self.faults.append(Fault(place_of(node), sentence))
+        self.faults.append(LocatedIssue(place_of(node), sentence))

@@ -9,13 +9,13 @@ from pydantic import ValidationError
 
 from hapsim.errors import SceneError
 
-from .across import findings_across
+from .cross_checks import cross_check_issues
 from .document import Document
-from .finding import Fault, Finding, Path, Place, did_you_mean, quote
+from .error_messages import findings_of
+from .issue import Issue, LocatedIssue, Path, Place, did_you_mean, quote
+from .partial_validation import sound_fields, sound_modules
 from .quantity import Name
-from .salvage import sound_fields, sound_modules
 from .scene import VERSION, Scene
-from .sentences import findings_of
 from .syntax import YamlSyntaxError, compose, place_in
 
 
@@ -36,7 +36,7 @@ def load_scene(path: str | os.PathLike[str]) -> Scene:
         readable = content[: error.start].decode("utf-8")
         place = place_in(readable, len(readable))
         sentence = f"found the byte 0x{content[error.start]:02x}, expected text in UTF-8"
-        raise _scene_error(name, [Fault(place, sentence)]) from None
+        raise _scene_error(name, [LocatedIssue(place, sentence)]) from None
     scene = parse_scene(text, name)
     scene._path = name
     return scene
@@ -58,41 +58,41 @@ def parse_scene(text: str, name: str = "<scene>") -> Scene:
         raise _scene_error(name, [error.fault]) from None
     document = Document(root) if root is not None else None
     if document is None or (document.data is None and not document.faults):
-        nothing = Fault(Place(1, 1), "found nothing, expected a scene; `hapsim new` writes a first one")
+        nothing = LocatedIssue(Place(1, 1), "found nothing, expected a scene; `hapsim new` writes a first one")
         raise _scene_error(name, [nothing])
-    scene, findings = _validate(document)
+    scene, issues = _validate(document)
     known = {fault.place for fault in document.faults}
-    faults = [_fault(finding, document) for finding in findings if not _follows(finding, document, known)]
+    faults = [_fault(issue, document) for issue in issues if not _follows(issue, document, known)]
     faults += document.faults
     if scene is None or faults:
         raise _scene_error(name, faults)
     return scene
 
 
-def _validate(document: Document) -> tuple[Scene | None, list[Finding]]:
+def _validate(document: Document) -> tuple[Scene | None, list[Issue]]:
     """The scene of a document and nothing, or no scene and what is wrong with it."""
     try:
         return Scene.model_validate(document.data), []
     except ValidationError as error:
         data = document.data if isinstance(document.data, dict) else {}
-        findings = findings_of(error, document)
+        issues = findings_of(error, document)
         other_version = data.get("version")
         if type(other_version) is int and other_version != VERSION:
             # Another format: what else seems wrong may be right in it.
-            return None, [finding for finding in findings if finding.path == ("version",)]
+            return None, [issue for issue in issues if issue.path == ("version",)]
         around = sound_modules(data.get("modules"))
-        return None, findings + findings_across(around, sound_fields(data, findings))
+        return None, issues + cross_check_issues(around, sound_fields(data, issues))
 
 
-def _follows(finding: Finding, document: Document, known: set[Place]) -> bool:
+def _follows(issue: Issue, document: Document, known: set[Place]) -> bool:
     """A value that could not even be read is reported for that alone."""
-    return not finding.at_key and document.place(finding.path) in known
+    return not issue.at_key and document.place(issue.path) in known
 
 
-def _fault(finding: Finding, document: Document) -> Fault:
-    name = _label(finding.path)
-    sentence = f"{name}: {finding.sentence}" if name else finding.sentence
-    return Fault(document.place(finding.path, finding.at_key), sentence)
+def _fault(issue: Issue, document: Document) -> LocatedIssue:
+    name = _label(issue.path)
+    sentence = f"{name}: {issue.sentence}" if name else issue.sentence
+    return LocatedIssue(document.place(issue.path, issue.at_key), sentence)
 
 
 def _label(path: Path) -> str:
@@ -104,7 +104,7 @@ def _label(path: Path) -> str:
     return name + "".join(f"[{step}]" for step in path if isinstance(step, int))
 
 
-def _scene_error(name: str, faults: Iterable[Fault]) -> SceneError:
+def _scene_error(name: str, faults: Iterable[LocatedIssue]) -> SceneError:
     """One line for each fault; one that an anchor brings to several places is told once."""
     lines = [
         f"{name}:{fault.place.line}:{fault.place.column}: {fault.sentence}"

@@ -6,11 +6,11 @@ from typing import Annotated, Any, Literal, TypeVar
 from pydantic import AfterValidator, Field, PlainSerializer, PrivateAttr, model_validator
 from pydantic_core import PydanticCustomError
 
-from .across import findings_across
+from .cross_checks import cross_check_issues
 from .device import Device
-from .finding import Path
+from .issue import Path
 from .mock import Mock, MockDevice, resolve
-from .modules import Cell, DevicePoint, Ground, Link, Mass, Module, Structure, Surroundings, TypedModule, ViscoElastic
+from .modules import Cell, DevicePoint, Ground, Link, Mass, Module, ModuleContext, Structure, TypedModule, ViscoElastic
 from .part import Part
 from .quantity import Expectation, Name, Quantity, unexpected
 from .table import Table
@@ -54,7 +54,7 @@ ModulesByName = Annotated[
 
 
 class Scene(Part):
-    """A scene for hapsim, version 1: the device that the hand holds, and what it meets. SI units.
+    """A scene for hapsim, version 1: the device that the hand holds, and what it feels. SI units.
 
     Made by `hapsim.scene.load_scene` from a file. Made in Python from parts, it goes through the same checks.
 
@@ -91,10 +91,10 @@ class Scene(Part):
 
     @model_validator(mode="after")
     def _parts_fit(self) -> "Scene":
-        around = Surroundings(self.modules, {name: type(module) for name, module in self.modules.items()})
-        findings = findings_across(around, self._per_channel())
-        if findings:
-            lines = [f"{'.'.join(map(str, found.path))}: {found.sentence}" for found in findings]
+        around = ModuleContext(self.modules, {name: type(module) for name, module in self.modules.items()})
+        issues = cross_check_issues(around, self._per_channel())
+        if issues:
+            lines = [f"{'.'.join(map(str, found.path))}: {found.sentence}" for found in issues]
             raise PydanticCustomError(ACROSS, "{faults}", {"faults": "\n".join(lines)})
         return self
 

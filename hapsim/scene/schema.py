@@ -13,6 +13,6 @@ def scene_schema() -> dict[str, Any]:
     """
     described = Scene.model_json_schema() | {
         "title": f"hapsim scene, version {VERSION}",
-        "description": "A scene for hapsim: the device that the hand holds, and what it meets. SI units.",
+        "description": "A scene for hapsim: the device that the hand holds, and what it feels. SI units.",
     }
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **described}

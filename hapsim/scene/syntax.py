@@ -2,8 +2,8 @@
 
 import yaml
 
-from .dialect import TOO_DEEP, SceneLoader
-from .finding import Fault, Place
+from .issue import LocatedIssue, Place
+from .yaml_rules import TOO_DEEP, SceneLoader
 
 _BROKEN_ESCAPE = "not YAML: found an escape such as \\U… that names no character"
 # What PyYAML says, and what we say in its place.
@@ -27,7 +27,7 @@ _ADVICE = {
 class YamlSyntaxError(Exception):
     """The text is not YAML; ``fault`` says where and why."""
 
-    def __init__(self, fault: Fault) -> None:
+    def __init__(self, fault: LocatedIssue) -> None:
         super().__init__(fault.sentence)
         self.fault = fault
 
@@ -44,14 +44,16 @@ def compose(text: str) -> yaml.Node | None:
         return loader.get_single_node()
     except yaml.reader.ReaderError as error:
         found = f"found the character U+{ord(text[error.position]):04X}"
-        raise YamlSyntaxError(Fault(place_in(text, error.position), f"{found}, expected printable text")) from None
+        raise YamlSyntaxError(
+            LocatedIssue(place_in(text, error.position), f"{found}, expected printable text")
+        ) from None
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         place = _place_of_mark(mark) if mark else Place(1, 1)
-        raise YamlSyntaxError(Fault(place, _sentence(error))) from None
+        raise YamlSyntaxError(LocatedIssue(place, _sentence(error))) from None
     except (ValueError, OverflowError):  # PyYAML on \U followed by digits beyond Unicode
         place = _place_of_mark(loader.get_mark()) if loader else Place(1, 1)
-        raise YamlSyntaxError(Fault(place, _BROKEN_ESCAPE)) from None
+        raise YamlSyntaxError(LocatedIssue(place, _BROKEN_ESCAPE)) from None
 
 
 def place_of(node: yaml.Node) -> Place:

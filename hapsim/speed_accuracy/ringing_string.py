@@ -12,8 +12,8 @@ from functools import partial
 
 from hapsim.scene import Device, DevicePoint, Scene, String, ViscoElastic
 from hapsim.speed_accuracy.compared import Found
-from hapsim.speed_accuracy.let_go import record
 from hapsim.speed_accuracy.methods import schemes
+from hapsim.speed_accuracy.release import record
 from hapsim.speed_accuracy.ringing import STEADY, STEADY_IN_SINGLE, frequencies_of
 from hapsim.speed_accuracy.strings import StringOfMasses, hand_link, held_mass
 

@@ -5,7 +5,7 @@ project: what it predicts and what a run measures are independent roads to the s
 """
 
 from hapsim.theory.hand import Configuration, frequency_and_ratio
-from hapsim.theory.network import Margin, Margins, Mode, Network, Solution, margins_of, solve
+from hapsim.theory.network import Margin, Margins, Mode, Network, NotWorkedOutError, Solution, margins_of, solve
 
 __all__ = [
     "Configuration",
@@ -13,6 +13,7 @@ __all__ = [
     "Margins",
     "Mode",
     "Network",
+    "NotWorkedOutError",
     "Solution",
     "frequency_and_ratio",
     "margins_of",

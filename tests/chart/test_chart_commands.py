@@ -100,14 +100,14 @@ def test_a_family_tells_what_each_mass_meets(chart: Chart, scene_file: SceneFile
 
 
 def test_the_options_are_in_place_of_what_the_scene_says(chart: Chart, scene_file: SceneFile) -> None:
-    words = ["--delay", "0", "--hold", "impulse", "--written-damping", "7", "--json"]
+    words = ["--delay", "0", "--hold", "impulse", "--simulated-damping", "7", "--json"]
     (hand,) = chart("plane", scene_file("spring"), *words).document["hands"]
     configuration = Configuration(mass=0.2, rate=1000.0, friction=1.0, delay=0.0, hold="impulse")
     assert (hand["k"], hand["b"]) == pytest.approx(configuration.equivalent(2000.0, 7.0))
 
 
 def test_without_a_scene_a_hand_is_described_by_options(chart: Chart) -> None:
-    words = ["--mass", "0.2", "--rate", "1000", "--written-stiffness", "300", "--json"]
+    words = ["--mass", "0.2", "--rate", "1000", "--simulated-stiffness", "300", "--json"]
     hand = chart("transparency", *words).document["hand"]
     assert (hand["stiffness"], hand["damping"]) == (300.0, 0.0)
     answer = chart("plane", "--mass", "0.2", "--rate", "1000", "--json")
@@ -148,10 +148,10 @@ def test_table1_as_json(chart: Chart, scene_file: SceneFile) -> None:
         (["plane", "spring", "--data", "d.txt"], "expected .csv"),
         (["plane", "spring", "--channel", "7"], "--channel 7: no hand there"),
         (["plane", "--mass", "1", "--rate", "1", "--channel", "0"], "without a SCENE there is one hand only"),
-        (["plane", "spring", "--written-stiffness", "nan"], "--written-stiffness: found nan"),
+        (["plane", "spring", "--simulated-stiffness", "nan"], "--simulated-stiffness: found nan"),
         (["plane", "coupled"], "but hand moves a mass of the scene too"),
         (["transparency", "coupled"], "but hand moves a mass of the scene too"),
-        (["transparency", "--mass", "1", "--rate", "1"], "--written-stiffness is missing"),
+        (["transparency", "--mass", "1", "--rate", "1"], "--simulated-stiffness is missing"),
         (["table1", "coupled"], "but hand moves a mass of the scene too"),
         (["table1", "damper"], "found no spring"),
         (["table1", "stiff"], "coupling IV of Table 1"),

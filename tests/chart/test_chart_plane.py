@@ -191,7 +191,7 @@ def test_a_family_has_a_limit_and_the_same_values_for_each_mass() -> None:
         there = np.isfinite(K)
         np.testing.assert_allclose(hand.configuration.spectral_radius(K[there], B[there]), 1.0, atol=1e-6)
         assert member.point is not None
-        assert (member.point.k, member.point.b) == hand.met()
+        assert (member.point.k, member.point.b) == hand.felt()
     masses = set(data.columns()["mass_kg"])
     assert masses == {0.1, 0.2, 0.4}
 

@@ -1,4 +1,4 @@
-"""The impedance written beside the impedance met."""
+"""The desired impedance beside the rendered one."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ def test_what_is_drawn_is_the_impedance_of_the_configuration() -> None:
     f = columns["frequency_Hz"]
     assert f[-1] < 500.0
     jw = 2j * np.pi * f
-    written = 6.0 + 2100.0 / jw
-    met = DEVICE.impedance(2000.0, 5.0, f)
-    for name, impedance in (("written", written), ("met", met)):
+    desired = 6.0 + 2100.0 / jw
+    rendered = DEVICE.impedance(2000.0, 5.0, f)
+    for name, impedance in (("desired", desired), ("rendered", rendered)):
         np.testing.assert_allclose(columns[f"{name}_Ns_per_m"], np.abs(impedance), rtol=1e-12)
         turned = np.exp(1j * np.radians(columns[f"{name}_phase_deg"]))
         np.testing.assert_allclose(turned, impedance / np.abs(impedance), atol=1e-9)
@@ -32,7 +32,7 @@ def test_what_is_drawn_is_the_impedance_of_the_configuration() -> None:
 def test_far_below_the_eigenfrequency_the_spring_is_met_as_it_is_written() -> None:
     data = transparency(Hand("hand", 0, DEVICE, 2000.0, 5.0))
     assert data.frequency[0] == pytest.approx(data.eigenfrequency / 20.0)
-    assert abs(data.met[0]) == pytest.approx(abs(data.written[0]), rel=1e-3)
+    assert abs(data.rendered[0]) == pytest.approx(abs(data.desired[0]), rel=1e-3)
 
 
 def test_the_wall_gives_energy_where_the_real_part_is_negative() -> None:

@@ -60,7 +60,7 @@ def test_a_hand_that_nothing_pulls_back_is_not_called_unstable(
 ) -> None:
     told = hapsim("check", scene_file(name)).out
     assert "at the limit between stable and unstable: something drifts" in told
-    assert "There is no stiffness whose margin could be told." in told
+    assert "There is no stiffness to have a margin." in told
 
 
 @pytest.mark.parametrize("masses", [10, 700])
@@ -133,7 +133,7 @@ def test_a_large_scene_is_judged_by_some_of_its_poles_and_says_by_which(
     assert document["stable"] is True
     assert document["spectral_radius"] < 1.0
     assert document["poles_in_all"] > 1200
-    assert "poles were worked out" in document["worked_out"]
+    assert "poles were worked out" in document["poles_method"]
     assert document["margins"]["l0"]["stiffness_factor"] > 1.0
 
 
@@ -146,9 +146,9 @@ def test_a_large_scene_that_diverges_is_called_unstable(hapsim: Callable[..., An
 def test_each_link_is_told_how_much_it_may_grow(hapsim: Callable[..., Any], tmp_path: Path) -> None:
     path = chain(tmp_path, 3, 0.1, 0.5)
     document = hapsim("check", path, "--json").document
-    assert document["worked_out"].startswith("every pole")
+    assert document["poles_method"].startswith("every pole")
     assert set(document["margins"]) == {"l0", "l1", "l2", "l3"}
-    assert "How much each link may grow" in hapsim("check", path).out
+    assert "Gain margins" in hapsim("check", path).out
     factor = document["margins"]["l1"]["stiffness_factor"]
     text = path.read_text()
     for grown, stable in ((0.999 * factor, True), (1.001 * factor, False)):
@@ -156,7 +156,7 @@ def test_each_link_is_told_how_much_it_may_grow(hapsim: Callable[..., Any], tmp_
         scene["modules"]["l1"]["stiffness"] *= grown
         path.write_text(yaml.safe_dump(scene))
         assert hapsim("check", path, "--json").document["stable"] is stable
-    assert "By what a link would have to shrink" in hapsim("check", path).out
+    assert "For the scene to be stable" in hapsim("check", path).out
 
 
 def test_a_hand_whose_dampers_are_of_several_kinds_has_no_single_k_and_b(
@@ -195,4 +195,4 @@ def test_a_file_name_is_shown_as_it_is_written(
 def test_a_wire_that_is_too_slow_is_told(hapsim: Callable[..., Any], scene_file: Callable[..., Path]) -> None:
     told = hapsim("check", scene_file("spring", baud=115200))
     assert "does not fit: a higher baud rate, or a lower rate" in told.out
-    assert hapsim("check", scene_file("spring", baud=115200), "--json").document["link_budget"]["fits"] is False
+    assert hapsim("check", scene_file("spring", baud=115200), "--json").document["wire_time"]["fits"] is False

@@ -83,7 +83,7 @@ def test_a_wrong_call_of_the_doctor_is_told(hapsim: Callable[..., Any], words: t
 def test_a_run_in_real_time_tells_what_it_got(hapsim: Callable[..., Any], scene_file: Callable[..., Path]) -> None:
     answer = hapsim("run", scene_file("spring"), "--duration", 0.1, "--realtime", "--json")
     assert answer.status == 0
-    assert {grant["measure"] for grant in answer.document["realtime"]} == MEASURES
+    assert {grant["privilege"] for grant in answer.document["realtime"]} == MEASURES
     for measure in MEASURES:
         assert measure in answer.err
 
@@ -97,5 +97,5 @@ def test_a_run_tells_its_histograms(hapsim: Callable[..., Any], scene_file: Call
 
 
 def test_the_portable_loop_is_run_on_request(hapsim: Callable[..., Any], scene_file: Callable[..., Path]) -> None:
-    words = ("run", scene_file("spring"), "--line", "terminal", "--duration", 0.1, "--portable", "--json")
+    words = ("run", scene_file("spring"), "--transport", "terminal", "--duration", 0.1, "--portable", "--json")
     assert hapsim(*words).document["ticks"] == 100

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import platform
 import signal
 import subprocess
 import sys
@@ -13,8 +14,13 @@ from pathlib import Path
 from typing import Any
 
 import jsonschema
+import numba
+import numpy
 import pytest
 import yaml
+
+from firmware_protocol.schema import SCHEMA_HASH, VERSION
+from hapsim import __version__
 
 HAPSIM = [sys.executable, "-m", "hapsim"]
 
@@ -37,7 +43,7 @@ def test_a_mock_in_another_process_is_measured_as_predicted(
     hapsim: Callable[..., Any], scene_file: Callable[..., Path]
 ) -> None:
     scene = scene_file("spring")
-    hapsim("run", scene, "--line", "terminal", "--duration", 0.05)  # whatever is not compiled yet is compiled here
+    hapsim("run", scene, "--transport", "terminal", "--duration", 0.05)  # whatever is not compiled yet is compiled here
     with mock_of(scene) as (process, port):
         for _ in range(2):  # and once more on the same mock
             answer = hapsim("measure", scene, "--port", port, "--json")
@@ -45,7 +51,7 @@ def test_a_mock_in_another_process_is_measured_as_predicted(
             document = answer.document
             assert document["measured"]["k"] == pytest.approx(document["predicted"]["k"], rel=1e-5)
             assert document["measured"]["b"] == pytest.approx(document["predicted"]["b"], rel=1e-5)
-            assert (document["lost_frames"], document["crc_errors"], document["late_ticks"]) == (0, 0, 0)
+            assert (document["lost_frames"], document["crc_errors"], document["deadline_misses"]) == (0, 0, 0)
         process.send_signal(signal.SIGTERM)
         assert process.wait() == 0
 
@@ -130,6 +136,25 @@ def test_help_names_every_command_and_loads_nothing_heavy() -> None:
     assert done.returncode == 0, done.stderr
     for command in ("run", "check", "measure", "mock", "ports", "new", "schema"):
         assert f" {command} " in done.stdout
+
+
+def test_the_version_tells_what_a_bug_report_needs() -> None:
+    """One item a line, and numba is not loaded to be asked."""
+    code = (
+        "import sys\nsys.argv = ['hapsim', '--version']\nfrom hapsim.cli import main\n"
+        "try:\n    main()\nexcept SystemExit as end:\n    assert not end.code\n"
+        "assert not {'numba', 'numpy'} & sys.modules.keys()"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.splitlines() == [
+        f"hapsim {__version__}",
+        f"wire protocol {VERSION}, schema 0x{SCHEMA_HASH:08x}",
+        f"Python {platform.python_version()} ({platform.python_implementation()})",
+        f"numba {numba.__version__}",
+        f"numpy {numpy.__version__}",
+        f"platform {platform.platform()}",
+    ]
 
 
 def test_an_output_that_knows_ascii_only_is_written_all_the_same(scene_file: Callable[..., Path]) -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from hapsim.loop.trace import load_trace
 
-RAN = {"rate_hz", "ticks", "late_ticks", "lost_frames", "crc_errors"}
+RAN = {"rate_hz", "ticks", "deadline_misses", "lost_frames", "crc_errors"}
 FELT = {"k", "b", "frequency_hz", "damping_ratio"}
 
 
@@ -62,7 +62,7 @@ def test_every_scene_can_be_measured_without_a_traceback(
 ) -> None:
     told = hapsim("measure", scene_file(name))
     assert told.status == 0
-    assert "What the hand meets" in told.out
+    assert "What the hand feels" in told.out
     assert "nan" not in told.out
     document = hapsim("measure", scene_file(name), "--json").document
     assert (document["predicted"] is None) == (name in ("mass", "hand_in_hand"))
@@ -95,7 +95,7 @@ def test_a_measurement_leaves_picture_numbers_and_record(
 def test_the_mock_can_be_put_where_one_wants_it(
     hapsim: Callable[..., Any], scene_file: Callable[..., Path], line: str
 ) -> None:
-    document = hapsim("run", scene_file("spring"), "--line", line, "--duration", 0.1, "--json").document
+    document = hapsim("run", scene_file("spring"), "--transport", line, "--duration", 0.1, "--json").document
     assert document["ticks"] == 100
 
 

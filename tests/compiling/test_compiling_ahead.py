@@ -102,9 +102,22 @@ def test_what_the_second_process_tells_is_counted_with_the_rest(
     compile_ahead(NAMES, Counted(lambda name, share: told.append((name, share))))
     expected = sum(UNITS[name].functions for name in NAMES)  # type: ignore[index]
     assert told == [("_take_bytes", 1 / expected), ("serve", 2 / expected)]
-    assert (tmp_path / "words").read_text(encoding="utf-8") == "-m hapsim.compiling.ahead mock\n"
+    assert (tmp_path / "words").read_text(encoding="utf-8") == "-P -m hapsim.compiling.ahead mock\n"
     assert len(started) == 1
     require_over(started)
+
+
+def test_the_second_process_takes_no_module_from_where_the_user_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Beside scenes may stand whatever is called as a module of ours, or of Python's."""
+    for name in ("numba", "queue", "hapsim"):
+        (tmp_path / f"{name}.py").write_text("raise SystemExit(7)\n", encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    process = ahead._start_compiling(["changes"])
+    assert process is not None
+    with process:
+        assert process.wait(300) == 0
 
 
 @pytest.mark.usefixtures("missing")
@@ -114,7 +127,7 @@ def test_where_the_second_process_fails_everything_works_all_the_same(
 ) -> None:
     python_is(script)
     told: list[Progress] = []
-    trace = run(scene, duration=0.05, line="terminal", on_progress=told.append)
+    trace = run(scene, duration=0.05, transport="terminal", on_progress=told.append)
     assert trace.sample.tolist() == list(range(50))
     assert len(started) >= 1
     require_over(started)
@@ -128,7 +141,7 @@ def test_where_there_is_no_second_python_everything_works_all_the_same(
     monkeypatch.setattr(os, "cpu_count", lambda: 2)
     for path in ("", "/nowhere/python", "/dev/null"):
         monkeypatch.setattr(sys, "executable", path)
-        assert run(scene, duration=0.05, line="terminal").report.ticks == 50
+        assert run(scene, duration=0.05, transport="terminal").report.ticks == 50
 
 
 def test_no_process_is_started_where_none_would_help(

@@ -55,15 +55,15 @@ def test_afterwards_no_shipped_scene_compiles_anything(precision: str) -> None:
 
 @pytest.mark.usefixtures("everything")
 @pytest.mark.parametrize("clock", ["lockstep", "host", "device"])
-@pytest.mark.parametrize("line", ["auto", "terminal"])
+@pytest.mark.parametrize("transport", ["auto", "terminal"])
 @pytest.mark.parametrize("portable", [False, True])
-def test_afterwards_no_run_compiles_anything(clock: str, line: Any, portable: bool) -> None:
+def test_afterwards_no_run_compiles_anything(clock: str, transport: Any, portable: bool) -> None:
     text = shipped.shipped_scene("first_touch.yaml")
     scene = parse_scene(text, SCENE)
     scene = scene.model_copy(update={"device": scene.device.model_copy(update={"clock": clock})})
     names: list[str] = []
     with on_compilation(names.append):
-        run(scene, duration=0.02, line=line, portable=portable)
+        run(scene, duration=0.02, transport=transport, portable=portable)
     assert names == []
 
 

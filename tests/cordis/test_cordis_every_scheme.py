@@ -182,7 +182,7 @@ class Dense:
             at[f"{name}.stays"] = one.rest
         structures: Mapping[str, Any] = scene.structures
         for name, one in structures.items():
-            elements, points = one.elements(), [f"{name}.{place}" for place in one.places()]
+            elements, points = one.elements(), [f"{name}.{place}" for place in one.point_names()]
             mass |= dict(zip(points, elements.masses, strict=True))
             at |= dict.fromkeys([*points, f"{name}.stays"], one.position)
             points.append(f"{name}.stays")

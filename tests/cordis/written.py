@@ -62,7 +62,7 @@ def written_out(scene: Scene) -> Written:
     links = [(*link.between, link.stiffness, link.damping) for link in scene.links.values()]
     for name, structure in scene.structures.items():
         elements = structure.elements()
-        names = [f"{name}.{place}" for place in structure.places()]
+        names = [f"{name}.{place}" for place in structure.point_names()]
         mass |= dict(zip(names, elements.masses, strict=True)) | {f"{name}.": 0.0}
         rest |= dict.fromkeys([*names, f"{name}."], structure.position)
         names.append(f"{name}.")

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from firmware_protocol.records import new_record
-from hapsim.doctor.tree import Tree
+from hapsim.doctor.system_files import Tree
 from hapsim.loop.histogram import HISTOGRAM, Histogram, histogram_of
 
 
@@ -36,7 +36,7 @@ class Report:
     """What a doctor reads of a report."""
 
     ticks: int = 1000
-    late_ticks: int = 0
+    deadline_misses: int = 0
     lost_frames: int = 0
     duration_s: float = 0.999
     nominal_rate_hz: float = 1000.0
@@ -67,7 +67,7 @@ def fake_run() -> Callable[..., Any]:
             if self.error is not None:
                 raise self.error
             late = {1000.0: 0, 2000.0: 1}.get(scene.rate, 300)
-            report = Report(late_ticks=late, duration_s=999 / scene.rate, nominal_rate_hz=scene.rate)
+            report = Report(deadline_misses=late, duration_s=999 / scene.rate, nominal_rate_hz=scene.rate)
             times = counted({20e-6: 990, 80e-6: 9, 3e-3: 1})
             return SimpleNamespace(report=report, statistics=SimpleNamespace(lateness=times, exchange=times))
 

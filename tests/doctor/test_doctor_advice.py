@@ -12,8 +12,8 @@ import pytest
 from hapsim.doctor.advice import EVERY_ADVICE, Advice, Case, advice_on
 from hapsim.doctor.load import Load
 from hapsim.doctor.machine import Machine
-from hapsim.doctor.tree import Tree
-from hapsim.realtime import Grant
+from hapsim.doctor.system_files import Tree
+from hapsim.realtime import PrivilegeResult
 
 SOUND = Machine("P", 4, 4, "6.12", True, ("performance",), "tsc", "", False, "")
 FTDI = "/sys/bus/usb-serial/devices/ttyUSB0/latency_timer"
@@ -108,7 +108,7 @@ def test_modem_manager_that_does_not_run_does_not_matter(case: Callable[..., Cas
 
 
 def test_what_was_denied_is_told_with_what_it_takes(case: Callable[..., Case]) -> None:
-    grants = [Grant("SCHED_FIFO", False, "it takes a limit"), Grant("memory locked", True, "90 MB")]
+    grants = [PrivilegeResult("SCHED_FIFO", False, "it takes a limit"), PrivilegeResult("memory locked", True, "90 MB")]
     advice = only(case(grants=grants))
     assert advice.found == "Not granted: SCHED_FIFO."
     assert advice.do == "SCHED_FIFO: it takes a limit."
@@ -152,7 +152,7 @@ def test_a_container_that_is_held_back(case: Callable[..., Case], group: str, fi
 def test_memory_in_swap_matters_unless_it_is_locked(case: Callable[..., Case]) -> None:
     swapping = case({"/proc/meminfo": SWAP.format(3_897_600)})
     assert "100 MB" in only(swapping).found
-    assert advice_on(replace(swapping, grants=[Grant("memory locked", True, "")])) == []
+    assert advice_on(replace(swapping, grants=[PrivilegeResult("memory locked", True, "")])) == []
     assert advice_on(case({"/proc/meminfo": SWAP.format(4_000_000)})) == []
 
 

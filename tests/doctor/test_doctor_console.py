@@ -27,7 +27,7 @@ from hapsim.doctor.machine import Machine
 from hapsim.doctor.step import Step
 from hapsim.doctor.verdict import verdict_on
 from hapsim.loop.histogram import Histogram
-from hapsim.realtime import Grant
+from hapsim.realtime import PrivilegeResult
 
 Counted = Callable[[dict[float, int]], Histogram]
 MACHINE = Machine("Some [bold] Processor", 2, 4, "6.12", False, ("powersave",), "tsc", "QEMU", True, "3")
@@ -40,14 +40,14 @@ def examination(histogram: Counted, report: Callable[..., Any]) -> Examination:
     ran = (
         Exchanges(1000.0, "device", MOCK, report(), late, late),
         Exchanges(4000.0, "device", MOCK, None, None, None, "the mock is gone"),
-        Exchanges(1000.0, "host", MOCK, report(late_ticks=30), late, histogram({})),
+        Exchanges(1000.0, "host", MOCK, report(deadline_misses=30), late, histogram({})),
     )
     return Examination(
         scene="a scene.yaml",
         rate_hz=1000.0,
         seconds=2.0,
         machine=MACHINE,
-        grants=(Grant("SCHED_FIFO", True, "priority 80"), Grant("memory locked", False, "a limit")),
+        grants=(PrivilegeResult("SCHED_FIFO", True, "priority 80"), PrivilegeResult("memory locked", False, "a limit")),
         wakeups={1000.0: late, 4000.0: histogram({})},
         exchanges=ran,
         verdicts=tuple(map(verdict_on, ran)),
@@ -122,7 +122,7 @@ def test_the_document_is_plain_and_has_no_nan(examination: Examination) -> None:
     assert made["exchanges"][1]["failure"] == "the mock is gone"
     assert made["exchanges"][0]["failure"] is None
     assert made["best_rates_hz"] == {"device": 1000.0, "host": None}
-    assert made["grants"][1] == {"measure": "memory locked", "got": False, "detail": "a limit"}
+    assert made["grants"][1] == {"privilege": "memory locked", "granted": False, "detail": "a limit"}
 
 
 def test_the_documents_histograms_are_whole(examination: Examination) -> None:

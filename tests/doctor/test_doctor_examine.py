@@ -11,14 +11,14 @@ import pytest
 from hapsim.doctor import examine as examination_module
 from hapsim.doctor.examine import Examination, examine
 from hapsim.doctor.step import Step
-from hapsim.doctor.tree import Tree
+from hapsim.doctor.system_files import Tree
 from hapsim.errors import DeviceError, UsageError
 from hapsim.loop.histogram import Histogram
 from hapsim.progress import Progress
-from hapsim.realtime import Grant
+from hapsim.realtime import PrivilegeResult
 from hapsim.scene import Scene, load_scene, parse_scene
 
-GRANT = Grant("SCHED_FIFO", True, "priority 80")
+GRANT = PrivilegeResult("SCHED_FIFO", True, "priority 80")
 TEXT = """
 version: 1
 rate: {rate}
@@ -69,7 +69,7 @@ def test_without_a_device_every_rate_is_run_on_the_mock_under_either_clock(exami
     examination, run = examined(scene(), rates=(1000.0, 2000.0))
     rates = [1000.0, 2000.0, 3000.0]
     assert [(s.device.clock, s.rate) for s in run.scenes] == [(c, r) for c in ("device", "host") for r in rates]
-    assert {options["line"] for options in run.options} == {"terminal"}
+    assert {options["transport"] for options in run.options} == {"terminal"}
     assert {options["keep"] for options in run.options} == {False}
     assert list(examination.wakeups) == rates
     assert [verdict.answer for verdict in examination.verdicts] == ["yes", "yes", "no"] * 2
@@ -91,15 +91,15 @@ def test_a_device_runs_once_at_its_own_rate_and_without_a_force(examined: Callab
     assert list(ran.modules) == ["hand", "wall", "ball"]
     assert ran.links == {}
     assert ran.device.force_limit < 1e-9
-    assert run.options[0]["line"] == "auto"
+    assert run.options[0]["transport"] == "auto"
     assert list(examination.wakeups) == [1000.0, 3000.0]
     assert examination.best_rates == {}
 
 
 def test_the_mock_may_be_asked_for_in_the_place_of_a_device(examined: Callable[..., Any]) -> None:
-    _, run = examined(scene(port="/dev/ttyACM0"), rates=(1000.0,), line="mock")
+    _, run = examined(scene(port="/dev/ttyACM0"), rates=(1000.0,), transport="mock")
     assert len(run.scenes) == 4
-    assert {options["line"] for options in run.options} == {"terminal"}
+    assert {options["transport"] for options in run.options} == {"terminal"}
     assert all("touch" in s.modules for s in run.scenes)
 
 
@@ -119,7 +119,7 @@ def test_virtual_time_is_refused(examined: Callable[..., Any]) -> None:
     with pytest.raises(UsageError, match="lockstep"):
         examined(scene(clock="lockstep", port="/dev/ttyACM0"))
     with pytest.raises(UsageError, match="loopback"):
-        examined(scene(), line="loopback")
+        examined(scene(), transport="loopback")
     examination, _ = examined(scene(clock="lockstep"), rates=())
     assert [verdict.clock for verdict in examination.verdicts] == ["device", "host"]
 
@@ -171,7 +171,7 @@ def test_advice_is_on_what_was_found(examined: Callable[..., Any]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("port", "line", "told"),
+    ("port", "transport", "told"),
     [
         ("", "auto", "'my scene.yaml'"),
         ("/dev/ttyACM0", "auto", "'my scene.yaml' --port /dev/ttyACM0"),
@@ -179,11 +179,11 @@ def test_advice_is_on_what_was_found(examined: Callable[..., Any]) -> None:
     ],
 )
 def test_the_command_it_advises_examines_the_same(
-    examined: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, port: str, line: str, told: str
+    examined: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, port: str, transport: str, told: str
 ) -> None:
     monkeypatch.chdir(tmp_path)
     Path("my scene.yaml").write_text(text(port=port), encoding="utf-8")
-    examination, _ = examined(load_scene("my scene.yaml"), rates=(), line=line)
+    examination, _ = examined(load_scene("my scene.yaml"), rates=(), transport=transport)
     assert f"hapsim doctor {told} --realtime" in commands(examination)
 
 

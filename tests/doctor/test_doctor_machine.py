@@ -8,7 +8,7 @@ import pytest
 
 from hapsim.doctor.load import CpuTimes, cpu_times, load_between
 from hapsim.doctor.machine import Machine, machine_of
-from hapsim.doctor.tree import Tree
+from hapsim.doctor.system_files import Tree
 
 NOTHING = Machine("", None, None, "", False, (), "", "", None, "")
 A_MACHINE = {

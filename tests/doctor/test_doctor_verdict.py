@@ -50,7 +50,7 @@ def test_sentences_never_round_a_gap_away(share: float | None, sentence: str) ->
 
 
 def test_late_and_lost_are_not_in_time(report: Callable[..., Any]) -> None:
-    run = report(ticks=990, late_ticks=5, lost_frames=10, duration_s=0.989)
+    run = report(ticks=990, deadline_misses=5, lost_frames=10, duration_s=0.989)
     assert share_in_time(run, device_asks=True) == 985 / 1000
 
 
@@ -61,7 +61,7 @@ def test_a_host_that_is_too_slow_to_ask_is_not_in_time(report: Callable[..., Any
 
 
 def test_more_lates_than_ticks_are_no_share_below_zero(report: Callable[..., Any]) -> None:
-    assert share_in_time(report(ticks=2, late_ticks=5), device_asks=True) == 0.0
+    assert share_in_time(report(ticks=2, deadline_misses=5), device_asks=True) == 0.0
 
 
 def test_nothing_ran_is_nothing_known(report: Callable[..., Any]) -> None:

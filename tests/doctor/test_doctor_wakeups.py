@@ -84,7 +84,7 @@ def test_what_was_granted_is_told_before_the_first_wake_up() -> None:
     granted: list[Any] = []
     wake_up_lateness(1000.0, 0.01, realtime=True, on_grants=granted.append)
     assert len(granted) == 1
-    assert {"SCHED_FIFO", "memory locked"} <= {grant.measure for grant in granted[0]}
+    assert {"SCHED_FIFO", "memory locked"} <= {grant.privilege for grant in granted[0]}
 
 
 @pytest.mark.parametrize(

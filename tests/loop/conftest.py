@@ -24,7 +24,7 @@ from hapsim.device.connection import Connection
 from hapsim.device.mock.assemble import assemble_mock
 from hapsim.device.mock.terminal import serving
 from hapsim.loop.descriptor import descriptor_transport
-from hapsim.loop.portable import _take_and_compose, receive_nothing
+from hapsim.loop.portable import _take_and_compose
 from hapsim.running.assemble import Loop, assemble_loop
 from hapsim.scene import Scene, parse_scene
 
@@ -252,7 +252,6 @@ def arrive() -> Callable[[Loop, bytes, int], int]:
     loop makes of them, a code of hapsim.loop.codes."""
 
     def take(loop: Loop, data: bytes, now: int) -> int:
-        loop.inbox.transport.receive = receive_nothing.address()
         loop.inbox.bytes[: len(data)] = np.frombuffer(data, np.uint8)
         loop.inbox.start, loop.inbox.stop = 0, len(data)
         code, _ = _take_and_compose(loop.record, now)

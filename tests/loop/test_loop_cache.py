@@ -178,6 +178,19 @@ def test_a_cache_of_somebody_else_is_passed_over(package: Path, cache: Path, mon
     assert directory_for(package) is None  # nor is the temporary one ours
 
 
+def test_a_system_without_users_keeps_code_where_it_says_that_all_may_write(
+    package: Path, cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cache.mkdir(parents=True)
+    cache.chmod(0o777)
+    owner = os.getuid()
+    monkeypatch.delattr(os, "getuid")
+    monkeypatch.setattr(code_cache, "_user", lambda: owner)  # there every file is of owner 0
+    directory = directory_for(package)
+    assert directory is not None
+    assert directory.parent == cache
+
+
 def test_where_the_cache_cannot_be_made_the_temporary_directory_serves(
     package: Path, cache: Path, tmp_path: Path
 ) -> None:
@@ -318,8 +331,8 @@ from hapsim.scene import parse_scene
 
 told = []
 with on_compilation(told.append):
-    for line in ("loopback", "terminal"):
-        run(parse_scene(sys.argv[1]), duration=0.02, line=line)
+    for transport in ("loopback", "terminal"):
+        run(parse_scene(sys.argv[1]), duration=0.02, transport=transport)
 print(told)
 """
 
@@ -335,8 +348,8 @@ def compiled_for(scene: Scene, **options: Any) -> list[str]:
 @pytest.fixture
 def ran() -> None:
     """A run has left what it compiled, in memory and with a terminal."""
-    for line in ("loopback", "terminal"):
-        compiled_for(parse_scene(TEXT), line=line)
+    for transport in ("loopback", "terminal"):
+        compiled_for(parse_scene(TEXT), transport=transport)
 
 
 @pytest.mark.usefixtures("ran")
@@ -346,6 +359,6 @@ def test_a_second_process_that_starts_the_same_scene_compiles_nothing() -> None:
 
 
 @pytest.mark.usefixtures("ran")
-@pytest.mark.parametrize("line", ["loopback", "terminal"])
-def test_a_scene_with_other_numbers_of_the_same_modules_compiles_nothing(line: str) -> None:
-    assert compiled_for(parse_scene(MORE), line=line) == []
+@pytest.mark.parametrize("transport", ["loopback", "terminal"])
+def test_a_scene_with_other_numbers_of_the_same_modules_compiles_nothing(transport: str) -> None:
+    assert compiled_for(parse_scene(MORE), transport=transport) == []

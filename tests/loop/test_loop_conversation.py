@@ -166,7 +166,7 @@ def test_answers_to_other_questions_are_passed_over(scripted: Scripted, frame: C
     stray = frame_to_host(SETUP, schema.DESCRIPTION, schema.REG_HELD, [12345])
     with scripted([frame(n, 0) for n in range(3)]) as (scene, device):
         device.before_each = stray
-        assert run(scene, duration=0.003, line="auto").report.ending == "done"
+        assert run(scene, duration=0.003, transport="auto").report.ending == "done"
 
 
 def test_a_device_that_hangs_up_while_it_is_asked_is_gone(scripted: Scripted) -> None:

@@ -36,7 +36,7 @@ Scripted = Callable[..., Any]
 CLOCKS = ["lockstep", "device", "host"]
 
 
-def require_let_go(mock: Any, state: int = schema.IDLE) -> None:
+def require_released(mock: Any, state: int = schema.IDLE) -> None:
     assert mock.board.state == state
     assert not mock.commands.any()
 
@@ -47,7 +47,7 @@ def test_at_the_end_of_the_duration_the_device_is_disarmed(
 ) -> None:
     with served(scene_of(2, device={"clock": clock})) as (scene, mock):
         trace = run(scene, duration=0.1)
-        require_let_go(mock)
+        require_released(mock)
     assert trace.report.ending == "done"
     assert trace.report.ticks >= 100
 
@@ -116,7 +116,7 @@ def test_an_exception_of_whoever_watches_the_progress_disarms_and_comes_through(
     with served(scene_of(device={"clock": clock})) as (scene, mock):
         with pytest.raises(OfTheirOwnError):
             run(scene, duration=None, keep=False, on_progress=watch)
-        require_let_go(mock)
+        require_released(mock)
 
 
 @pytest.mark.parametrize("clock", CLOCKS)
@@ -134,7 +134,7 @@ def test_a_signal_that_means_stop_ends_the_run_in_good_order(
     before = signal.getsignal(number)
     with served(scene_of(device={"clock": clock})) as (scene, mock):
         trace = run(scene, duration=None, keep=False, on_progress=watch, stop_on_signals=True)
-        require_let_go(mock)
+        require_released(mock)
     assert trace.report.ending == "stopped"
     assert signal.getsignal(number) is before
 
@@ -152,7 +152,7 @@ def test_the_command_ends_with_status_0_on_a_signal_and_keeps_the_record(
                 time.sleep(0.01)
             process.send_signal(number)
             out, err = process.communicate()
-        require_let_go(mock)
+        require_released(mock)
     assert process.returncode == 0, err
     report = json.loads(out)
     assert report["ending"] == "stopped"
@@ -173,7 +173,7 @@ def test_a_signal_while_the_device_is_being_armed_ends_the_run_in_good_order(
     monkeypatch.setattr(session, "arm", arm_and_interrupt)
     with served(scene_of(device={"clock": clock})) as (scene, mock):
         trace = run(scene, duration=5.0, stop_on_signals=True)
-        require_let_go(mock)
+        require_released(mock)
     assert trace.report.ending == "stopped"
     assert trace.report.ticks < 1000
 
@@ -189,7 +189,7 @@ def test_a_device_that_stops_by_itself_ends_the_run_and_says_why(
     with served(scene) as (scene, mock):
         with pytest.raises(DeviceError, match="a position left the range of its counts; its force is zero") as caught:
             run(scene, duration=5.0)
-        require_let_go(mock)
+        require_released(mock)
     assert caught.value.exit_status == 3
     assert caught.value.trace is not None
     assert caught.value.trace.report.ending == "device stopped"
@@ -269,5 +269,5 @@ def test_a_host_that_died_in_virtual_time_does_not_lock_the_next_one_out(
             path.unlink()
         assert mock.board.state == schema.ARMED
         trace = run(scene, duration=0.05)
-        require_let_go(mock)
+        require_released(mock)
     assert trace.sample.tolist() == list(range(50))

@@ -119,7 +119,7 @@ def test_numbers_wrap_at_twelve_bits_with_losses_across_the_wrap(scripted: Scrip
 def test_what_the_device_held_is_counted_as_late_and_ages_the_force(scripted: Scripted, frame: FrameOf) -> None:
     kinds = [schema.POSITION] * 2 + [schema.POSITION_HELD] * 3 + [schema.POSITION]
     trace, _ = play(scripted, [frame(n, 0, kind=kind) for n, kind in enumerate(kinds)], 6)
-    assert trace.report.late_ticks == 3
+    assert trace.report.deadline_misses == 3
     assert trace.report.age_samples.max == 4
     assert trace.flags.tolist() == [0, 0, LATE_FORCE, LATE_FORCE, LATE_FORCE, 0]
 

@@ -21,8 +21,8 @@ FrameOf = Callable[..., bytes]
 def test_the_portable_loop_sends_the_forces_of_the_compiled_one(scene_of: SceneOf, channels: int) -> None:
     push = Excitation(channel=0, force=1.0, ticks=3, every=40, start=10, first=True)
     scene = scene_of(channels, damper="centred", mock={"noise": 1e-6})
-    compiled = run(scene, duration=0.3, line="terminal", excitation=push)
-    portable = run(scene, duration=0.3, line="terminal", excitation=push, portable=True)
+    compiled = run(scene, duration=0.3, transport="terminal", excitation=push)
+    portable = run(scene, duration=0.3, transport="terminal", excitation=push, portable=True)
     for name in ("sample", "flags", "position_counts", "force_counts", "asked_force"):
         np.testing.assert_array_equal(getattr(portable, name), getattr(compiled, name))
     assert portable.report.ending == "done"
@@ -39,7 +39,7 @@ def test_the_portable_loop_runs_in_real_time_by_either_clock(scene_of: SceneOf, 
 
 
 def test_its_parameters_are_live_too(scene_of: SceneOf) -> None:
-    with hapsim.start(scene_of(mock={"noise": 1e-4}), line="terminal", portable=True) as session:
+    with hapsim.start(scene_of(mock={"noise": 1e-4}), transport="terminal", portable=True) as session:
         session.set({"touch0": {"stiffness": 100.0, "damping": 0.0}}, over=0.005)
         taken = session._loop.program.record.parameters
         while not session.wait(0.01):
@@ -67,4 +67,4 @@ def test_a_silent_device_is_told_and_let_go(scripted: Any, frame: FrameOf) -> No
 
 def test_memory_is_no_port_for_it(scene_of: SceneOf) -> None:
     with pytest.raises(UsageError, match="portable loop"):
-        run(scene_of(), duration=0.1, line="loopback", portable=True)
+        run(scene_of(), duration=0.1, transport="loopback", portable=True)

@@ -99,6 +99,24 @@ def test_what_the_system_refuses_is_told_with_what_to_do(
     assert told in refusal("/dev/ttyACM0")
 
 
+@pytest.mark.parametrize(
+    ("reason", "told"),
+    [
+        ("FileNotFoundError(2, 'The system cannot find the file specified.', None, 2)", "no such port. Ports found: "),
+        ("PermissionError(13, 'Access is denied.', None, 5)", "another program is using the port"),
+        ("OSError(22, 'A device attached to the system is not functioning.', None, 31)", "cannot be opened: "),
+    ],
+)
+def test_what_windows_refuses_is_told_with_what_to_do(monkeypatch: pytest.MonkeyPatch, reason: str, told: str) -> None:
+    """There pyserial's error has no number, only the words of the system's own."""
+
+    def refuse(path: str, *_args: object, **_options: object) -> None:
+        raise serial.SerialException(f"could not open port {path!r}: {reason}")
+
+    monkeypatch.setattr(serial, "Serial", refuse)
+    assert told in refusal("COM3")
+
+
 def test_an_empty_name_is_no_port() -> None:
     assert refusal("")
 

@@ -50,8 +50,8 @@ def test_loopback_and_pseudo_terminal_give_the_same_trace_bit_for_bit(
     scene_of: Callable[..., Scene], channels: int, device: dict[str, Any]
 ) -> None:
     scene = scene_of(channels, device=device, mock={"noise": 1e-7, "seed": 3})
-    in_memory = run(scene, duration=0.3, line="loopback")
-    on_terminal = run(scene, duration=0.3, line="terminal")
+    in_memory = run(scene, duration=0.3, transport="loopback")
+    on_terminal = run(scene, duration=0.3, transport="terminal")
     assert in_memory.sample.tolist() == list(range(300))
     assert np.any(in_memory.force_counts[-1] != 0)
     require_same(in_memory, on_terminal)
@@ -78,9 +78,9 @@ def test_a_second_run_on_the_same_served_mock_gives_the_same_trace(
 
 
 def test_sample_numbers_go_on_beyond_the_twelve_bits_of_the_wire(scene_of: Callable[..., Scene]) -> None:
-    trace = run(scene_of(), duration=10.0, line="terminal")
+    trace = run(scene_of(), duration=10.0, transport="terminal")
     assert trace.sample.tolist() == list(range(10_000))
-    assert (trace.report.lost_frames, trace.report.late_ticks, trace.report.stale_positions) == (0, 0, 0)
+    assert (trace.report.lost_frames, trace.report.deadline_misses, trace.report.stale_positions) == (0, 0, 0)
 
 
 def test_in_virtual_time_no_row_is_lost_however_long_the_run(scene_of: Callable[..., Scene]) -> None:

@@ -177,7 +177,7 @@ def test_the_mock_s_velocity_reaches_the_loop(scene_of: SceneOf, sampling: str) 
 @pytest.mark.parametrize("channels", [1, 2, 16])
 def test_a_run_with_velocities_is_the_same_in_memory_and_on_a_pseudo_terminal(scene_of: SceneOf, channels: int) -> None:
     scene = scene_of(channels, damper="sensed", mock={"noise": 1e-7, "seed": 3})
-    in_memory, on_terminal = (run(scene, duration=0.2, line=line) for line in ("loopback", "terminal"))
+    in_memory, on_terminal = (run(scene, duration=0.2, transport=transport) for transport in ("loopback", "terminal"))
     for name in ("sample", "flags", "position_counts", "force_counts", "asked_force"):
         np.testing.assert_array_equal(getattr(in_memory, name), getattr(on_terminal, name), err_msg=name)
     assert in_memory.sample.tolist() == list(range(200))

@@ -146,7 +146,7 @@ def test_any_scene_of_one_spring_is_met_as_predicted_over_a_pseudo_terminal(seed
 def assert_met_as_predicted(scene: hapsim.scene.Scene) -> None:
     """Pole within 1e-6, k and b within 1e-5, and all within four of the uncertainties stated."""
     felt = hapsim.predict(scene).felt[0]
-    measured = hapsim.measure(scene, line="terminal")
+    measured = hapsim.measure(scene, transport="terminal")
     error = min(abs(measured.pole - pole) for pole in felt.poles)
     assert error < 1e-6
     assert measured.k == pytest.approx(felt.k, rel=1e-5)

@@ -39,7 +39,7 @@ def test_nothing_is_collected_while_it_lasts_and_afterwards_all_is_as_it_was(ena
     with frozen(1) as grant:
         assert not gc.isenabled()
         assert gc.get_freeze_count() > 0
-    assert grant.got
+    assert grant.granted
     assert gc.isenabled() is enabled
     assert (gc.get_freeze_count() > 0) is was_frozen
     assert gc.get_freeze_count() < before + len(made_since), "nothing was added to what somebody else set aside"

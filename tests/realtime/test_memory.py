@@ -35,7 +35,7 @@ def test_what_there_is_is_locked_not_what_comes_later(calls: list[tuple[object, 
     with locked(1) as grant:
         assert calls == [("mlockall", 1)], "MCL_CURRENT alone"
     assert calls[1:] == [("munlockall",)]
-    assert (grant.got, grant.detail) == (True, "128 MB")
+    assert (grant.granted, grant.detail) == (True, "128 MB")
 
 
 def test_what_is_locked_is_unlocked_even_where_nothing_tells_how_much(
@@ -45,7 +45,7 @@ def test_what_is_locked_is_unlocked_even_where_nothing_tells_how_much(
     with locked(1) as grant:
         pass
     assert calls[1:] == [("munlockall",)]
-    assert (grant.got, grant.detail) == (True, "all memory")
+    assert (grant.granted, grant.detail) == (True, "all memory")
 
 
 @pytest.mark.usefixtures("calls")

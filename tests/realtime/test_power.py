@@ -32,7 +32,7 @@ def test_zero_is_written_and_the_file_held_open_while_it_lasts(device: Path) -> 
     with awake(1) as grant:
         assert device.read_bytes() == bytes(4)
         assert str(device) in open_files()
-    assert grant.got
+    assert grant.granted
     assert str(device) not in open_files()
 
 
@@ -41,7 +41,7 @@ def test_a_file_that_takes_nothing_is_closed_again(device: Path, refuse: Callabl
     refuse("os.write", errno.EIO)
     with awake(1) as grant:
         assert str(device) not in open_files()
-    assert not grant.got
+    assert not grant.granted
     assert grant.detail == f"{device} failed ({os.strerror(errno.EIO)})"
 
 
@@ -49,7 +49,7 @@ def test_a_system_without_the_device_says_so(device: Path) -> None:
     device.unlink()
     with awake(1) as grant:
         assert f"there is no {device}" in grant.detail
-    assert not grant.got
+    assert not grant.granted
 
 
 @pytest.mark.parametrize("number", [errno.EACCES, errno.EPERM])
@@ -57,6 +57,6 @@ def test_who_may_not_write_it_reads_what_it_takes(number: int, root: bool, refus
     refuse("os.open", number)
     with awake(1) as grant:
         pass
-    assert not grant.got
+    assert not grant.granted
     assert os.strerror(number) in grant.detail
     assert ("udev" in grant.detail, "container" in grant.detail) == (not root, root)

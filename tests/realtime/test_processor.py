@@ -58,8 +58,8 @@ def test_the_thread_has_one_processor_while_it_lasts_and_all_it_had_afterwards(t
     before, mine = os.sched_getaffinity(thread_id), os.sched_getaffinity(0)
     with pinned(thread_id) as grant:
         inside, mine_inside = os.sched_getaffinity(thread_id), os.sched_getaffinity(0)
-    assert grant.got is (len(inside) == 1)
-    if grant.got and len(mine) > 1:
+    assert grant.granted is (len(inside) == 1)
+    if grant.granted and len(mine) > 1:
         assert mine_inside == mine - inside
     assert (os.sched_getaffinity(thread_id), os.sched_getaffinity(0)) == (before, mine)
 
@@ -67,7 +67,7 @@ def test_the_thread_has_one_processor_while_it_lasts_and_all_it_had_afterwards(t
 def test_without_an_isolated_one_it_is_the_last_allowed_and_the_others_leave_it(machine: Machine) -> None:
     with pinned(LOOP) as grant:
         assert machine.affinity == {LOOP: {3}, MAIN: {0, 1, 2}, OTHER: {0, 1, 2}}
-    assert (grant.got, grant.detail) == (True, "CPU 3; 2 other threads moved off it")
+    assert (grant.granted, grant.detail) == (True, "CPU 3; 2 other threads moved off it")
     assert machine.affinity == everybody(0, 1, 2, 3)
 
 
@@ -76,7 +76,7 @@ def test_an_isolated_one_is_preferred_though_it_is_not_among_the_allowed(machine
     machine.affinity = everybody(0, 3)
     with pinned(LOOP) as grant:
         assert machine.affinity == {LOOP: {2}, MAIN: {0, 3}, OTHER: {0, 3}}
-    assert (grant.got, grant.detail) == (True, "CPU 2, isolated from the scheduler")
+    assert (grant.granted, grant.detail) == (True, "CPU 2, isolated from the scheduler")
     assert machine.affinity == everybody(0, 3)
 
 
@@ -110,7 +110,7 @@ def test_where_one_is_allowed_there_is_nothing_to_choose_and_nobody_moves(machin
     machine.affinity = everybody(1)
     with pinned(LOOP) as grant:
         assert machine.affinity == everybody(1)
-    assert (grant.got, grant.detail) == (True, "CPU 1, the only one allowed: there was nothing to choose")
+    assert (grant.granted, grant.detail) == (True, "CPU 1, the only one allowed: there was nothing to choose")
 
 
 def test_a_thread_with_a_place_of_its_own_keeps_it(machine: Machine) -> None:
@@ -139,7 +139,7 @@ def test_where_nothing_lists_the_threads_the_loop_has_its_processor_all_the_same
     monkeypatch.setattr(processor, "_THREADS", machine.threads / "nowhere")
     with pinned(LOOP) as grant:
         assert machine.affinity == {LOOP: {3}, MAIN: {0, 1, 2, 3}, OTHER: {0, 1, 2, 3}}
-    assert grant.got
+    assert grant.granted
 
 
 @pytest.mark.usefixtures("machine")
@@ -147,6 +147,6 @@ def test_who_is_refused_reads_what_to_do(refuse: Callable[[str, int], None]) -> 
     refuse("os.sched_setaffinity", errno.EPERM)
     with pinned(LOOP) as grant:
         pass
-    assert not grant.got
+    assert not grant.granted
     assert os.strerror(errno.EPERM) in grant.detail
     assert "taskset" in grant.detail

@@ -14,11 +14,11 @@ from collections.abc import Callable, Iterator
 import pytest
 
 import hapsim.realtime as room
-from hapsim.realtime import Grant, no_timer_slack, realtime
+from hapsim.realtime import PrivilegeResult, no_timer_slack, realtime
 from hapsim.realtime.collector import frozen
-from hapsim.realtime.grant import Measure, measure
 from hapsim.realtime.memory import locked
 from hapsim.realtime.power import awake
+from hapsim.realtime.privilege import Measure, measure
 from hapsim.realtime.processor import pinned
 from hapsim.realtime.scheduling import fifo
 
@@ -41,7 +41,7 @@ def test_whatever_the_error_is_a_measure_is_denied_with_a_sentence(
         refuse(function, number)
         with ask(thread_id) as grant:
             pass
-        assert (grant.measure, grant.got) == (name, False)
+        assert (grant.privilege, grant.granted) == (name, False)
         assert len(grant.detail) > 20
         assert not grant.detail.endswith(".")
 
@@ -63,7 +63,7 @@ def test_elsewhere_each_measure_says_that_only_linux_has_it(thread_id: int, monk
     monkeypatch.delattr(os, "sched_getaffinity")
     monkeypatch.setattr("sys.platform", "darwin")
     with realtime(thread_id) as grants:
-        denied = {grant.measure: grant.detail for grant in [*grants, no_timer_slack()] if not grant.got}
+        denied = {grant.privilege: grant.detail for grant in [*grants, no_timer_slack()] if not grant.granted}
         assert gc.isenabled() is False
     assert denied == dict.fromkeys([*CALLS, "timer slack"], "only Linux has it")
 
@@ -115,11 +115,12 @@ except ValueError as caught:
 after = state()
 
 assert after == before, (before, after)
-assert {grant.measure for grant in grants} == set(before)
+assert {grant.privilege for grant in grants} == set(before)
 for grant in grants:
     print(grant)
-    alone = grant.measure == "one processor" and len(before["one processor"][0]) == 1
-    assert (inside[grant.measure] != before[grant.measure]) == (grant.got and not alone), (grant, before, inside)
+    alone = grant.privilege == "one processor" and len(before["one processor"][0]) == 1
+    changed = inside[grant.privilege] != before[grant.privilege]
+    assert changed == (grant.granted and not alone), (grant, before, inside)
 assert not {"numba", "numpy", "rich"} & set(sys.modules)
 print("well")
 """
@@ -169,7 +170,7 @@ def test_an_undoing_that_fails_keeps_neither_the_others_from_theirs_nor_the_body
 
 def test_what_was_got_is_given_back_when_asking_for_the_next_meets_a_defect(monkeypatch: pytest.MonkeyPatch) -> None:
     @contextlib.contextmanager
-    def broken(_thread_id: int) -> Iterator[Grant]:
+    def broken(_thread_id: int) -> Iterator[PrivilegeResult]:
         raise RuntimeError("a defect")
         yield
 
@@ -192,7 +193,7 @@ def test_a_thread_that_has_ended_is_said_to_have_and_the_rest_goes_on(
 ) -> None:
     monkeypatch.setattr(room, "_MEASURES", (frozen, pinned, fifo))
     with realtime(ended_thread_id) as grants:
-        assert [grant.got for grant in grants] == [True, False, False]
+        assert [grant.granted for grant in grants] == [True, False, False]
         assert all("ended" in grant.detail for grant in grants[1:])
 
 
@@ -211,7 +212,7 @@ def test_of_two_loops_the_second_is_denied_and_leaves_the_first_what_it_has() ->
     was_enabled = gc.isenabled()
     with realtime(threading.get_native_id()):
         with realtime(threading.get_native_id()) as second:
-            assert [grant.got for grant in second] == [False]
+            assert [grant.granted for grant in second] == [False]
             assert "another loop" in second[0].detail
         assert not gc.isenabled()
     assert gc.isenabled() == was_enabled

@@ -34,7 +34,7 @@ def test_the_thread_is_scheduled_first_while_it_lasts_and_as_before_afterwards(t
     with fifo(thread_id) as grant:
         inside = os.sched_getscheduler(thread_id), os.sched_getparam(thread_id).sched_priority
         assert os.sched_getscheduler(0) == before[0], "this thread is not the loop's"
-    assert (inside == (os.SCHED_FIFO, PRIORITY)) is (grant.got and grant.detail == f"priority {PRIORITY}")
+    assert (inside == (os.SCHED_FIFO, PRIORITY)) is (grant.granted and grant.detail == f"priority {PRIORITY}")
     assert (os.sched_getscheduler(thread_id), os.sched_getparam(thread_id).sched_priority) == before
 
 
@@ -42,7 +42,7 @@ def test_where_all_is_granted_it_is_the_priority_that_was_chosen(monkeypatch: py
     system = Scheduler(monkeypatch, most=99)
     with fifo(1) as grant:
         assert system.now == (os.SCHED_FIFO, PRIORITY)
-    assert (grant.got, grant.detail) == (True, f"priority {PRIORITY}")
+    assert (grant.granted, grant.detail) == (True, f"priority {PRIORITY}")
     assert system.now == (os.SCHED_OTHER, 0)
 
 
@@ -51,7 +51,7 @@ def test_a_lower_priority_than_was_asked_for_is_taken_and_told(most: int, monkey
     system = Scheduler(monkeypatch, most)
     with fifo(1) as grant:
         assert system.now == (os.SCHED_FIFO, most)
-    assert grant.got
+    assert grant.granted
     assert grant.detail.startswith(f"priority {most}, ")
     assert f"rtprio {PRIORITY}" in grant.detail
     assert system.now == (os.SCHED_OTHER, 0)
@@ -69,7 +69,7 @@ def test_a_flag_that_may_not_be_dropped_is_kept(monkeypatch: pytest.MonkeyPatch)
     system = Scheduler(monkeypatch, most=99, now=before)
     with fifo(1) as grant:
         assert system.now == (os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, PRIORITY)
-    assert grant.got
+    assert grant.granted
     assert system.now == before
 
 
@@ -77,7 +77,7 @@ def test_who_is_refused_reads_what_it_takes(root: bool, monkeypatch: pytest.Monk
     system = Scheduler(monkeypatch, most=0)
     with fifo(1) as grant:
         assert system.now == (os.SCHED_OTHER, 0)
-    assert not grant.got
+    assert not grant.granted
     assert os.strerror(errno.EPERM) in grant.detail
     assert ("limits.d" in grant.detail, "--cap-add" in grant.detail) == (not root, root)
 

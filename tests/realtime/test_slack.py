@@ -10,7 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from hapsim.realtime import Grant, c_library, no_timer_slack
+from hapsim.realtime import PrivilegeResult, c_library, no_timer_slack
 
 PR_SET_TIMERSLACK = 29
 PR_GET_TIMERSLACK = 30
@@ -24,15 +24,15 @@ def slack_ns() -> int:
 def test_the_thread_that_asks_has_no_slack_and_the_others_keep_theirs() -> None:
     before = slack_ns()
 
-    def ask() -> tuple[Grant, int, int]:
+    def ask() -> tuple[PrivilegeResult, int, int]:
         return no_timer_slack(), slack_ns(), threading.get_native_id()
 
     with ThreadPoolExecutor(1) as pool:
         grant, inside, thread_id = pool.submit(ask).result()
     assert thread_id != threading.get_native_id()
-    assert grant.got is (inside <= 1)
-    if grant.got:
-        assert grant == Grant("timer slack", True, f"{inside} ns")
+    assert grant.granted is (inside <= 1)
+    if grant.granted:
+        assert grant == PrivilegeResult("timer slack", True, f"{inside} ns")
     assert slack_ns() == before
 
 
@@ -47,13 +47,13 @@ def test_where_all_is_granted_the_least_there_is_was_asked_for(monkeypatch: pyte
         return 0
 
     monkeypatch.setattr(c_library, "call", prctl)
-    assert no_timer_slack() == Grant("timer slack", True, "1 ns")
+    assert no_timer_slack() == PrivilegeResult("timer slack", True, "1 ns")
 
 
 def test_a_kernel_that_keeps_its_slack_is_not_believed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(c_library, "call", lambda _name, option, *_: 50_000 if option == PR_GET_TIMERSLACK else 0)
     grant = no_timer_slack()
-    assert not grant.got
+    assert not grant.granted
     assert "50000 ns" in grant.detail
 
 
@@ -61,5 +61,5 @@ def test_whatever_the_error_is_it_is_denied_with_a_sentence(refuse: Callable[[st
     for number in errno.errorcode:
         refuse("hapsim.realtime.c_library.call", number)
         grant = no_timer_slack()
-        assert not grant.got
+        assert not grant.granted
         assert os.strerror(number) in grant.detail or number in (errno.ESRCH, errno.ENOSYS)

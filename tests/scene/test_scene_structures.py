@@ -127,7 +127,7 @@ def test_a_string_that_is_plucked_says_where_its_masses_begin(good: str) -> None
     string = scene.modules["s"]
     assert isinstance(string, String)
     assert string.pluck == Pluck(at=1, by=0.5)
-    assert string.begins() == pytest.approx([1.25, 1.5, 1.375, 1.25, 1.125])
+    assert string.initial_positions() == pytest.approx([1.25, 1.5, 1.375, 1.25, 1.125])
     assert type(scene).model_validate(scene.model_dump()) == scene
     assert parse_scene(text_with(good, f"{STRING}, pluck: ")).modules["s"] == parse_scene(text_with(good)).modules["s"]
 
@@ -139,8 +139,8 @@ def ends_of(structure: Structure) -> Counter[tuple[int, int]]:
 def test_a_membrane_is_its_masses_and_a_link_between_any_two_neighbours(good: str) -> None:
     skin = parse_scene(text_with(good)).modules["skin"]
     assert isinstance(skin, Membrane)
-    assert skin.places()[7] == "1.1"
-    assert skin.begins() == [0.0] * 30
+    assert skin.point_names()[7] == "1.1"
+    assert skin.initial_positions() == [0.0] * 30
     links = ends_of(skin)
     inner = {pair: count for pair, count in links.items() if pair[1] != -1}
     assert len(inner) == 5 * 5 + 4 * 6

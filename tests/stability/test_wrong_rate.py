@@ -1,4 +1,4 @@
-"""A device that samples at another rate than it declares: what the hand then meets, and the guard that ends it.
+"""A device that samples at another rate than it declares: what the hand then feels, and the guard that ends it.
 
 The loop makes a damper's force with the rate that was declared, B/T; at half the rate the positions are twice as far
 apart, and the damping is 2 B. Every delay lasts twice as long. Both are the theory with the true rate and 2 B.

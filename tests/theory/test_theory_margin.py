@@ -13,7 +13,7 @@ from hapsim.theory import Configuration, Network
 from hapsim.theory.interface import damper_named
 from hapsim.theory.network import margin as margin_module
 from hapsim.theory.network import margins_of, solve, transition
-from hapsim.theory.network.modes import snapped
+from hapsim.theory.network.modes import snap_to_rest
 
 RATE = 1000.0
 LIMIT = 1.0 + 1e-9
@@ -84,7 +84,7 @@ def require_what_poles_say(scene: Network, unknown_allowed: bool = False) -> Non
                 value[link] *= factor
                 changed = replace(scene, **{name: value})
                 poles = np.linalg.eigvals(transition(changed)).astype(complex)
-                return bool(np.abs(snapped(changed, poles)).max() <= LIMIT)
+                return bool(np.abs(snap_to_rest(changed, poles)).max() <= LIMIT)
 
             if unknown_allowed and math.isnan(found):
                 continue
@@ -168,4 +168,4 @@ def test_what_drifts_is_at_the_limit_and_its_margin_is_that_of_the_rest() -> Non
 def test_what_overflows_has_margins_that_are_not_known() -> None:
     absurd = Network(RATE, [0.2], [0.0], 1.0, "zoh", "ideal", [], [[0, -1], [0, -1]], [1e308, 1e308], [0.0, 0.0])
     assert np.isnan(margins_of(absurd).links).all()
-    assert margins_of(absurd).how != ""
+    assert margins_of(absurd).method != ""

@@ -53,7 +53,7 @@ def skin(rows: int, links: Sequence[Link], friction: float = 0.0, **changed: obj
             *(damper_named(link[4], 80.0 if link[4] == "filtered" else None, RATE) for link in links),
             *[damper_named("backward", None, RATE)] * (inner + number.size),
         ],
-        "judged": len(links),
+        "margin_links": len(links),
     }
     return Network(**(arguments | changed))  # type: ignore[arg-type]
 
@@ -84,7 +84,7 @@ def test_a_structure_that_is_damped_unevenly_has_no_modes_of_its_own() -> None:
     with pytest.raises(NotModalError):
         ModalResponse(replace(scene, damping=damping))
     with pytest.raises(NotModalError):
-        ModalResponse(replace(scene, judged=None))
+        ModalResponse(replace(scene, margin_links=None))
 
 
 @pytest.mark.parametrize("links", [ONE_HAND, SEVERAL], ids=["one", "several"])
@@ -112,6 +112,6 @@ def test_thirty_rows_of_thirty_are_followed_as_finely_as_they_resonate() -> None
     margins = margins_of(scene, poles)
     found = margins.links[0]
     assert time.process_time() - before < 10.0  # with an elimination for each angle, about 10 s on two processors
-    assert "coarser" not in margins.how
+    assert "coarser" not in margins.method
     assert found.stiffness_factor > 1.0
     assert found.damping_factor > 1.0

@@ -70,7 +70,7 @@ def test_a_large_string_has_some_of_them_and_says_which() -> None:
     solution = solve(large)
     assert is_large(large)
     assert nearest(solution.poles, string_poles(1500, 0.3)).max() < 1e-10
-    assert f"{solution.poles.size} of 3000 poles" in solution.how
+    assert f"{solution.poles.size} of 3000 poles" in solution.method
     frequencies = sorted(mode.frequency_hz for mode in solution.modes)
     expected = np.sort(np.abs(np.log(string_poles(1500, 0.3)))) * RATE / (2.0 * math.pi)
     np.testing.assert_allclose(frequencies[:8], expected[::2][:8], rtol=1e-7)
@@ -88,7 +88,7 @@ def test_sparse_and_dense_agree_on_300_masses(damper: str, monkeypatch: pytest.M
     dense = string(300, 0.2, **scene)
     solution_dense = solve(dense)
     every, margins, matrix = solution_dense.poles, margins_of(dense).links, transition(dense)
-    assert solution_dense.how == ""
+    assert solution_dense.method == ""
     monkeypatch.setattr(state, "LARGE", 100)
     sparse = string(300, 0.2, **scene)
     found_margins = margins_of(sparse)
@@ -116,7 +116,7 @@ def test_what_grows_is_found_wherever_it_is(places: tuple[int, ...]) -> None:
     dense = transition(wild).toarray()
     assert not solution.is_stable
     assert solution.spectral_radius == pytest.approx(np.abs(np.linalg.eigvals(dense)).max(), rel=1e-9)
-    assert "grow" in solution.how
+    assert "grow" in solution.method
 
 
 def test_a_free_string_is_at_the_limit_and_no_more() -> None:
@@ -137,7 +137,7 @@ def test_ten_thousand_masses_answer_in_seconds_and_in_little_memory() -> None:
     solution = solve(large)
     assert solution.is_stable
     assert solution.modes[0].participation.shape == (10_001,)
-    assert "of 20004 poles" in solution.how
+    assert "of 20004 poles" in solution.method
     found = solve(string(10_000, 0.1)).poles
     assert nearest(found, string_poles(10_000, 0.1)).max() < 1e-10
     grown = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) * 1024
@@ -196,4 +196,4 @@ class TestAVerdictOnALargeScene:
         assert is_large(slow)
         assert self.by_every_pole(slow) < 1.0
         assert solution.is_stable
-        assert "grows by more than" in solution.how
+        assert "grows by more than" in solution.method

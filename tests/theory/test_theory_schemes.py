@@ -1,11 +1,11 @@
-"""What is known of the schemes, where the kernel has no part in it; and that a prediction says which it is for."""
+"""What is known of the schemes, where the kernel has no part in it; and that a prediction is for the scene's own."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from hapsim.prediction import predict, warnings_about
+from hapsim.prediction import predict, surely_shaken_by, warnings_about
 from hapsim.scene import Scene, parse_scene
 from hapsim.theory.schemes import SCHEMES, spectral_radius
 
@@ -62,7 +62,8 @@ def scene(scheme: str, modules: str) -> Scene:
     )
 
 
-MASS = "  m: {type: mass, mass: 0.1}\n  l: {type: viscoelastic, between: [m, wall], stiffness: 1e6, damping: 1}\n"
+SPRING = "  l: {type: viscoelastic, between: [m, wall], stiffness: 1e6, damping: 1}\n"
+MASS = "  m: {type: mass, mass: 0.1}\n" + SPRING
 CELL = "  m: {type: cell, mass: 0.1, stiffness: 1e6, damping: 1}\n"
 STRING = "  m: {type: string, masses: 2, mass: 0.1, stiffness: 1e6, damping: 1}\n"
 TOUCH = "  touch: {type: viscoelastic, between: [hand, wall], stiffness: 100, damping: 1}\n"
@@ -70,15 +71,55 @@ TOUCH = "  touch: {type: viscoelastic, between: [hand, wall], stiffness: 100, da
 
 @pytest.mark.parametrize("moved", [MASS, CELL, STRING], ids=["mass", "cell", "string"])
 @pytest.mark.parametrize("scheme", SCHEMES)
-def test_a_prediction_says_where_it_is_for_another_scheme(scheme: str, moved: str) -> None:
+def test_a_prediction_is_for_the_scheme_by_which_the_scene_runs(scheme: str, moved: str) -> None:
+    """1e6 N/m are beyond what explicit schemes stand, and no others."""
     stiff = scene(scheme, moved + TOUCH)
-    warnings, assumptions = warnings_about(stiff, predict(stiff)), predict(stiff).assumptions
-    if scheme in ("cordis", "semi_implicit"):
-        assert assumptions == ()
-        assert warnings[0].startswith("the scene is predicted unstable")
+    predicted = predict(stiff)
+    warnings = warnings_about(stiff, predicted)
+    assert predicted.assumptions == ()
+    assert predicted.by_its_scheme
+    if scheme in ("midpoint", "exact"):
+        assert predicted.stable
+        assert warnings == []
     else:
-        assert f"under {scheme}" in assumptions[0]
-        assert f"not for {scheme}" in warnings[0]
-    alone = scene(scheme, TOUCH)
-    assert predict(alone).assumptions == ()
-    assert warnings_about(alone, predict(alone)) == []
+        assert not predicted.stable
+        assert warnings[0].startswith("the scene is predicted unstable")
+    hands = predict(scene(scheme, TOUCH)).poles
+    of_the_object = max(abs(pole) for pole in predicted.poles if all(abs(pole - hand) > 1e-9 for hand in hands))
+    assert of_the_object == pytest.approx(radius_of(scheme, moved), abs=1e-12)
+
+
+def radius_of(scheme: str, moved: str) -> float:
+    """Of the object alone, by the scheme's matrix."""
+    if moved == STRING:
+        rows = np.array([[2.0, -1.0], [-1.0, 2.0]])
+        return spectral_radius(SCHEMES[scheme].step(np.full(2, 0.1), 1e6 * rows, rows, T))
+    return spectral_radius(SCHEMES[scheme].step(np.array([0.1]), np.array([[1e6]]), np.array([[1.0]]), T))
+
+
+@pytest.mark.parametrize("scheme", ["cordis", "semi_implicit", "rk4"])
+def test_a_spring_s_margin_is_its_scheme_s_limit(scheme: str) -> None:
+    soft = scene(scheme, MASS.replace("1e6", "1e4") + TOUCH)
+    factors = {margin.name: margin.stiffness_factor for margin in predict(soft).margins}
+    assert factors["l"] == pytest.approx(SCHEMES[scheme].stiffness_limit(0.1, 1.0, T) / 1e4, rel=1e-8)
+
+
+@pytest.mark.parametrize("scheme", ["midpoint", "exact"])
+def test_a_spring_inside_has_no_limit(scheme: str) -> None:
+    soft = scene(scheme, MASS.replace("1e6", "1e4") + TOUCH)
+    factors = {margin.name: margin for margin in predict(soft).margins}
+    assert (factors["l"].stiffness_factor, factors["l"].damping_factor) == (np.inf, np.inf)
+    assert 1.0 < factors["touch"].stiffness_factor < np.inf
+
+
+def test_what_is_not_worked_out_is_said() -> None:
+    """Damping on one of so many masses joins their modes."""
+    long = "  s: {type: string, masses: 600, mass: 0.001, stiffness: 100}\n"
+    brake = "  b: {type: damper, between: [s.3, wall], damping: 0.1}\n"
+    joined = scene("exact", long + brake + TOUCH)
+    predicted = predict(joined, with_margins=False)
+    assert not predicted.by_its_scheme
+    assert "under exact" in predicted.assumptions[0]
+    assert "damping joins the modes of its 600 masses" in predicted.assumptions[0]
+    assert "not for exact" in warnings_about(joined, predicted)[0]
+    assert surely_shaken_by(joined) is None

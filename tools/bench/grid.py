@@ -1,6 +1,6 @@
 """A grid of a million points through `simulated` and `equivalent`, beside a loop over numpy.roots for ten thousand.
 
-    tools/bench/grid [--rounds 5] [--markdown]
+    tools/bench/grid [--rounds 5]
 
 The grid covers the stable part of each configuration's plane and its surroundings. The three take turns, so that a
 machine that slows down slows all; ratios are below 1 where the grid is done first.

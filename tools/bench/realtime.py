@@ -1,6 +1,6 @@
 """Ten seconds of first_touch at 1 kHz in real time over a pseudo-terminal, for each clock: rate, late ticks, k and b.
 
-    tools/bench/realtime [--seconds 10] [--rounds 3] [--markdown]
+    tools/bench/realtime [--seconds 10] [--rounds 3]
 
 The clocks take turns, so that a machine that slows down slows both.
 """
@@ -38,11 +38,11 @@ def run_once(clock: str, seconds: float, felt: Felt) -> Round:
     """One measurement with this clock."""
     scene = hapsim.load_scene(SCENE)
     scene = scene.model_copy(update={"device": scene.device.model_copy(update={"clock": clock})})
-    measurement = measure(scene, duration=seconds, line="terminal")
+    measurement = measure(scene, duration=seconds, transport="terminal")
     report = measurement.trace.report
     return Round(
         report.rate_hz,
-        report.late_ticks / report.ticks,
+        report.deadline_misses / report.ticks,
         int(report.age_samples.max or 0),
         1e3 * (report.lateness_s.max or 0.0),
         measurement.k / felt.k - 1.0,

@@ -29,7 +29,7 @@ class LoadedPoints(NamedTuple):
 def loaded_points_of(structures: Mapping[str, Any], context: BuildContext) -> LoadedPoints:
     """Those masses of these structures that a link holds."""
     numbers = [
-        (context.number[f"{name}.{place}"], one.mass) for name, one in structures.items() for place in one.places()
+        (context.number[f"{name}.{place}"], one.mass) for name, one in structures.items() for place in one.point_names()
     ]
     loaded = [(number, mass) for number, mass in numbers if number in context.loaded]
     point = np.array([number for number, _ in loaded], np.uint32)

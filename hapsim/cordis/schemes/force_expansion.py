@@ -81,7 +81,7 @@ def masses_of(scene: Scene) -> Iterator[tuple[str, float]]:
     for name, mass in (scene.masses | scene.cells).items():
         yield name, mass.mass
     for name, structure in scene.structures.items():
-        for place, kilograms in zip(structure.places(), structure.elements().masses, strict=True):
+        for place, kilograms in zip(structure.point_names(), structure.elements().masses, strict=True):
             yield f"{name}.{place}", kilograms
 
 
@@ -99,7 +99,7 @@ def weighted_links_of(taken: Taken, context: BuildContext) -> tuple[Part, ...]:
     """The links inside structures of any kind."""
     lists: dict[tuple[int, bool], list[Any]] = {}
     for owner, (name, structure) in enumerate(taken.modules.items()):
-        places = [context.number[f"{name}.{place}"] for place in structure.places()]
+        places = [context.number[f"{name}.{place}"] for place in structure.point_names()]
         for column, unit, weight in _units(taken.kind, structure, context.rate):
             for first, second, k, z in unit.elements().links:
                 if k or z:

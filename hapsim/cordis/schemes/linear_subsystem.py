@@ -159,7 +159,7 @@ _Join = tuple[int, int, float, float, float]  # first place, second, N/m, N·s/m
 def _structure_links(scene: Scene, context: BuildContext, place: Mapping[int, int]) -> Iterator[_Join]:
     structures: Mapping[str, Any] = scene.structures
     for name, structure in structures.items():
-        places = [place[context.number[f"{name}.{each}"]] for each in structure.places()]
+        places = [place[context.number[f"{name}.{each}"]] for each in structure.point_names()]
         for first, second, k, z in structure.elements().links:
             yield places[first], STAYS if second < 0 else places[second], k, z, structure.position
 

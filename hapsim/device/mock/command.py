@@ -10,7 +10,7 @@ from pathlib import Path
 
 from hapsim.compiling.progress import Counted, on_compilation
 from hapsim.device.mock.assemble import assemble_mock
-from hapsim.device.mock.terminal import serving
+from hapsim.device.mock.terminal import require_pseudo_terminal, serving
 from hapsim.errors import UsageError
 from hapsim.progress import Progress
 from hapsim.scene import Scene
@@ -28,6 +28,7 @@ def serve_until_stopped(
     `link`: a further name for the port, made as a symbolic link and taken away at the end. UsageError where that name
     is taken. `as_hardware`: before every other program, where the system grants that.
     """
+    require_pseudo_terminal()  # before anything is changed
     stopped = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, lambda _number, _frame: stopped.set())

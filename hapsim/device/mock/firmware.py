@@ -132,7 +132,7 @@ def _take_bytes(mock, data, stop, now):
             if mock.board.state != schema.ARMED:
                 _arm(mock, now)
         else:
-            _let_go(mock)
+            _release(mock)
 
 
 @native(types.void, types.uint64, types.int64)
@@ -317,7 +317,7 @@ def _arm(mock, now):
 
 
 @helper
-def _let_go(mock):
+def _release(mock):
     """As the host says."""
     _disarm(mock, schema.IDLE)
     _say_status(mock, mock.spoken.setup)

@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import os
 import threading
-import tty
 from collections.abc import Iterator
 from typing import Any
 
@@ -18,16 +17,28 @@ from hapsim.device.mock.firmware import prepare
 from hapsim.device.mock.serve import new_service, serve
 from hapsim.errors import DeviceError
 from hapsim.loop.descriptor import descriptor_transport
+from hapsim.loop.only_linux import require_linux
 from hapsim.realtime.scheduling import fifo
 from hapsim.realtime.slack import no_timer_slack
 
 
+def require_pseudo_terminal() -> None:
+    """UsageError where the system is not Linux."""
+    require_linux(
+        "the mock on a pseudo-terminal", "with clock: lockstep it runs in memory; a device runs with --portable"
+    )
+
+
 @contextlib.contextmanager
 def serving(mock: Any, as_hardware: bool = False) -> Iterator[str]:
-    """Serves `mock`, a MOCK, from a thread of its own while open; its port's path. DeviceError where there is none.
+    """Serves `mock`, a MOCK, from a thread of its own while open; its port's path. DeviceError where there is none,
+    UsageError where the system is not Linux.
 
     `as_hardware`: before every program of this machine, where the system grants that: a device's timer waits for none.
     """
+    require_pseudo_terminal()
+    import tty
+
     try:
         near, far = os.openpty()
     except OSError as error:

@@ -13,7 +13,7 @@ from .ground import Ground
 from .link import Link
 from .mass import Mass
 from .membrane import Membrane
-from .module import Module, Surroundings
+from .module import Module, ModuleContext
 from .nonlinear import Nonlinear
 from .plectrum import Plectrum
 from .spring import Spring
@@ -57,13 +57,13 @@ __all__ = [
     "Mass",
     "Membrane",
     "Module",
+    "ModuleContext",
     "Nonlinear",
     "Plectrum",
     "Pluck",
     "Spring",
     "String",
     "Structure",
-    "Surroundings",
     "TypedModule",
     "ViscoElastic",
 ]

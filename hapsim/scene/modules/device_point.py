@@ -5,9 +5,9 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
-from ..finding import Finding, quote
+from ..issue import Issue, quote
 from ..quantity import MOST_CHANNELS, Count
-from .module import Module, Surroundings
+from .module import Module, ModuleContext
 
 
 class DevicePoint(Module):
@@ -18,12 +18,12 @@ class DevicePoint(Module):
     type: Literal["device"] = Field(default="device", description="A point that the hand holds")
     channel: Annotated[int, Count("Channel of the device, counted from 0", 0, MOST_CHANNELS - 1)]
 
-    def findings(self, name: str, around: Surroundings) -> Iterator[Finding]:
+    def issues(self, name: str, around: ModuleContext) -> Iterator[Issue]:
         for other, module in around.sound.items():
             if other == name:
                 return
             if isinstance(module, DevicePoint) and module.channel == self.channel:
-                yield Finding(
+                yield Issue(
                     ("modules", name, "channel"),
                     f"found {self.channel}, which {quote(other)} has already; expected a channel of its own",
                 )

@@ -5,10 +5,10 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
-from ..finding import Finding
+from ..issue import Issue
 from ..quantity import Quantity
 from .link import Link
-from .module import Surroundings
+from .module import ModuleContext
 
 
 class Friction(Link):
@@ -30,10 +30,10 @@ class Friction(Link):
         """Force at which it breaks away, N."""
         return self.force if self.static is None else self.static
 
-    def findings(self, name: str, around: Surroundings) -> Iterator[Finding]:
-        yield from super().findings(name, around)
+    def issues(self, name: str, around: ModuleContext) -> Iterator[Issue]:
+        yield from super().issues(name, around)
         if self.break_away < self.force:
-            yield Finding(
+            yield Issue(
                 ("modules", name, "static"),
                 f"found {self.static:g}, less than the force while it slides; expected a number >= {self.force:g} (N)",
             )

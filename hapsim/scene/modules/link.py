@@ -4,9 +4,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar
 
-from ..finding import Finding, did_you_mean, quote
+from ..issue import Issue, did_you_mean, quote
 from ..quantity import Expectation, unexpected
-from .module import Module, Surroundings
+from .module import Module, ModuleContext
 from .structure import Structure
 
 
@@ -44,10 +44,10 @@ class Link(Module):
 
     between: Annotated[tuple[str, str], Ends()]
 
-    def findings(self, name: str, around: Surroundings) -> Iterator[Finding]:
+    def issues(self, name: str, around: ModuleContext) -> Iterator[Issue]:
         path = ("modules", name, "between")
         wrong_ends = [
-            Finding((*path, index), sentence)
+            Issue((*path, index), sentence)
             for index, end in enumerate(self.between)
             if (sentence := _wrong_end(name, end, around))
         ]
@@ -56,21 +56,21 @@ class Link(Module):
             return
         first, second = self.between
         if first == second:
-            yield Finding(path, f"found {quote(first)} at both ends, expected two different points")
+            yield Issue(path, f"found {quote(first)} at both ends, expected two different points")
         elif all(_stays(end, around) for end in self.between):
-            yield Finding(
+            yield Issue(
                 path,
                 f"found {quote(first)} and {quote(second)}, of which neither can move; expected one end that can",
             )
 
 
-def _stays(end: str, around: Surroundings) -> bool:
+def _stays(end: str, around: ModuleContext) -> bool:
     """Whether no force moves what is at this end."""
     kind = around.kinds.get(end)
     return kind is not None and not kind.can_move
 
 
-def _wrong_end(name: str, end: str, around: Surroundings) -> str | None:
+def _wrong_end(name: str, end: str, around: ModuleContext) -> str | None:
     if end == name:
         return f"found {quote(end)}, the link itself; expected a point to hold"
     holder = around.holder(end)
@@ -86,7 +86,7 @@ def _wrong_end(name: str, end: str, around: Surroundings) -> str | None:
     return None
 
 
-def _wrong_place(end: str, holder: str, kind: type[Module], around: Surroundings) -> str | None:
+def _wrong_place(end: str, holder: str, kind: type[Module], around: ModuleContext) -> str | None:
     """What is wrong with an end that names a structure, or a place in a module."""
     if not issubclass(kind, Structure):
         what = kind.model_fields["type"].default
@@ -97,6 +97,6 @@ def _wrong_place(end: str, holder: str, kind: type[Module], around: Surroundings
     place = end[len(holder) + 1 :]
     if structure.has_place(place):
         return None
-    example = f"{holder}.{structure.places()[0]}"
+    example = f"{holder}.{structure.point_names()[0]}"
     expected = f"expected one of its masses, {structure.place_words()}, such as {example}"
     return f"found {quote(end)}, but {quote(holder)} is a {structure.type}; {expected}"

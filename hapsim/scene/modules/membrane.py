@@ -38,7 +38,7 @@ class Membrane(Structure):
     )
     position: Annotated[float, Quantity("Where it is at rest, and begins", "m")] = 0.0
 
-    def places(self) -> list[str]:
+    def point_names(self) -> list[str]:
         return [f"{row}.{column}" for row in range(self.rows) for column in range(self.columns)]
 
     def place_words(self) -> str:
@@ -48,7 +48,7 @@ class Membrane(Structure):
         row, dot, column = place.partition(".")
         return dot == "." and is_number(row, self.rows) and is_number(column, self.columns)
 
-    def begins(self) -> list[float]:
+    def initial_positions(self) -> list[float]:
         return [self.position] * (self.rows * self.columns)
 
     def elements(self) -> Elements:

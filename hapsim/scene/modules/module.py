@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 from pydantic import GetJsonSchemaHandler
 from pydantic_core import core_schema
 
-from ..finding import Finding
+from ..issue import Issue
 from ..part import Part
 
 
@@ -27,7 +27,7 @@ class Module(Part):
 
     type: str
 
-    def findings(self, _name: str, _around: "Surroundings") -> Iterator[Finding]:
+    def issues(self, _name: str, _around: "ModuleContext") -> Iterator[Issue]:
         """Faults that this module, called ``name``, has together with the others."""
         yield from ()
 
@@ -43,7 +43,7 @@ class Module(Part):
 
 
 @dataclass(frozen=True)
-class Surroundings:
+class ModuleContext:
     """The modules of a scene, of which some may be faulty.
 
     Attributes:

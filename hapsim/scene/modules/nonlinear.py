@@ -6,9 +6,9 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import Field
 
 from ..curve import Curve, CurvePoints
-from ..finding import Finding
+from ..issue import Issue
 from .link import Link
-from .module import Surroundings
+from .module import ModuleContext
 
 OVER_DISTANCE = CurvePoints(
     "Tension with which it pulls its ends together, over the first end minus the second", "m", "N", "none"
@@ -32,8 +32,8 @@ class Nonlinear(Link):
     force_over_distance: Annotated[Curve | None, OVER_DISTANCE] = None
     force_over_velocity: Annotated[Curve | None, OVER_VELOCITY] = None
 
-    def findings(self, name: str, around: Surroundings) -> Iterator[Finding]:
-        yield from super().findings(name, around)
+    def issues(self, name: str, around: ModuleContext) -> Iterator[Issue]:
+        yield from super().issues(name, around)
         if self.force_over_distance is None and self.force_over_velocity is None:
             sentence = "found neither force_over_distance nor force_over_velocity, expected at least one of them"
-            yield Finding(("modules", name), sentence, at_key=True)
+            yield Issue(("modules", name), sentence, at_key=True)

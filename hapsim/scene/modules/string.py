@@ -5,10 +5,10 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
-from ..finding import Finding
+from ..issue import Issue
 from ..part import Part
 from ..quantity import Count, Quantity, Words
-from .module import Surroundings
+from .module import ModuleContext
 from .structure import Elements, Structure, is_number
 
 MOST_MASSES = 100_000
@@ -56,7 +56,7 @@ class String(Structure):
         "would be; left out: not at all",
     )
 
-    def places(self) -> list[str]:
+    def point_names(self) -> list[str]:
         return [str(i) for i in range(self.masses)]
 
     def place_words(self) -> str:
@@ -65,16 +65,16 @@ class String(Structure):
     def has_place(self, place: str) -> bool:
         return is_number(place, self.masses)
 
-    def begins(self) -> list[float]:
+    def initial_positions(self) -> list[float]:
         if self.pluck is None:
             return [self.position] * self.masses
         at, by, masses = self.pluck.at, self.pluck.by, self.masses
         shares = (min((i + 1) / (at + 1), (masses - i) / (masses - at)) for i in range(masses))
         return [self.position + by * share for share in shares]
 
-    def findings(self, name: str, _around: Surroundings) -> Iterator[Finding]:
+    def issues(self, name: str, _around: ModuleContext) -> Iterator[Issue]:
         if self.pluck is not None and self.pluck.at >= self.masses:
-            yield Finding(
+            yield Issue(
                 ("modules", name, "pluck", "at"),
                 f"found {self.pluck.at}, but {name} has {self.masses} masses; expected {self.place_words()}",
             )

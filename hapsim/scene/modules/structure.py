@@ -28,7 +28,7 @@ class Structure(Module):
     can_move: ClassVar[bool] = False
 
     @abstractmethod
-    def places(self) -> list[str]:
+    def point_names(self) -> list[str]:
         """What each of its points is called after the dot, in their order."""
 
     @abstractmethod
@@ -36,7 +36,7 @@ class Structure(Module):
         """Which places there are, in words that follow 'expected'."""
 
     @abstractmethod
-    def begins(self) -> list[float]:
+    def initial_positions(self) -> list[float]:
         """Where each of its points is when the run begins, at rest there, in m."""
 
     @abstractmethod
@@ -45,7 +45,7 @@ class Structure(Module):
 
     def has_place(self, place: str) -> bool:
         """Whether one of its points is called so."""
-        return place in self.places()
+        return place in self.point_names()
 
 
 def is_number(text: str, below: int) -> bool:

@@ -6,11 +6,11 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
-from ..finding import Finding, quote
+from ..issue import Issue, quote
 from ..quantity import Quantity
 from .device_point import DevicePoint
 from .link import Link
-from .module import Surroundings
+from .module import ModuleContext
 
 DamperScheme = Literal["backward", "centred", "filtered", "sensed"]
 
@@ -33,18 +33,18 @@ class ViscoElastic(Link):
     )
     cutoff: Annotated[float | None, replace(CUTOFF, left_out="no filter")] = None
 
-    def findings(self, name: str, around: Surroundings) -> Iterator[Finding]:
-        yield from super().findings(name, around)
+    def issues(self, name: str, around: ModuleContext) -> Iterator[Issue]:
+        yield from super().issues(name, around)
         path = ("modules", name)
         if self.damper == "filtered" and self.cutoff is None:
-            yield Finding((*path, "damper"), "found filtered without a cutoff, expected cutoff: a number > 0 (Hz) too")
+            yield Issue((*path, "damper"), "found filtered without a cutoff, expected cutoff: a number > 0 (Hz) too")
         elif self.damper != "filtered" and self.cutoff is not None:
             sentence = f"found a cutoff, which the {self.damper} damper does not have; expected damper: filtered"
-            yield Finding((*path, "cutoff"), sentence)
+            yield Issue((*path, "cutoff"), sentence)
         ends = [around.kinds.get(end) for end in self.between]
         if self.damper == "sensed" and None not in ends and DevicePoint not in ends:
             names = " and ".join(map(quote, self.between))
-            yield Finding(
+            yield Issue(
                 (*path, "damper"),
                 f"found sensed between {names}, which no device senses; expected a point of type device at one end",
             )

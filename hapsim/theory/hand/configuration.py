@@ -11,9 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 from hapsim.theory import checks
 from hapsim.theory.arrays import Bools, Complexes, Floats
 from hapsim.theory.hand.blocks import quietly_in_blocks
-from hapsim.theory.hand.element import element_of_oscillator, is_attainable, leads
 from hapsim.theory.hand.fold import double_pole
 from hapsim.theory.hand.impedance import damper_gain, late_and_held
+from hapsim.theory.hand.inverse_map import element_of_oscillator, is_attainable, leads
 from hapsim.theory.hand.limits import Undamped, stable_interval, undamped_curve
 from hapsim.theory.hand.loop_equation import LoopEquation, characteristic, loop_equation
 from hapsim.theory.hand.pair import Pair, oscillator_of_quadratic
@@ -31,7 +31,7 @@ class Configuration:
     """The loop around a temporary hybrid system (Florens et al., §4 and §6).
 
     A real mass, with the real friction of the device, is coupled to a simulated visco-elastic element (K, B)
-    by a position that is sampled and a force that is late and held. What the hand meets is the real
+    by a position that is sampled and a force that is late and held. What the hand feels is the real
     oscillator of the same mass with stiffness k and damping b: of the total, the device's own spring and
     friction included.
 
@@ -98,14 +98,14 @@ class Configuration:
 
     @quietly_in_blocks
     def simulated(self, k: ArrayLike, b: ArrayLike, *, dominant: bool = True) -> tuple[Floats, Floats]:
-        """The simulated (K, B) that the hand meets as the real (k, b): the paper's Figure 4, in closed form.
+        """The simulated (K, B) that the hand feels as the real (k, b): the paper's Figure 4, in closed form.
 
         Args:
-            k: total stiffness that the hand is to meet, the device's own spring included, N/m.
-            b: total damping that it is to meet, real friction included, N·s/m. Over-, critically and
+            k: total stiffness that the hand is to feel, the device's own spring included, N/m.
+            b: total damping that it is to feel, real friction included, N·s/m. Over-, critically and
                 under-damped alike; negative for a motion that grows.
             dominant: also ask that the two poles of (k, b) be the slowest of the loop. Where a further pole
-                decays no faster the hand does not meet (k, b), and no other (K, B) makes it so. False leaves
+                decays no faster the hand does not feel (k, b), and no other (K, B) makes it so. False leaves
                 these in.
 
         Returns:
@@ -120,7 +120,7 @@ class Configuration:
 
     @quietly_in_blocks
     def equivalent(self, K: ArrayLike, B: ArrayLike) -> tuple[Floats, Floats]:
-        """The real (k, b) that the hand meets where (K, B) is simulated (Florens et al., §5).
+        """The real (k, b) that the hand feels where (K, B) is simulated (Florens et al., §5).
 
         Read from the slowest-decaying pair of poles, a complex pair or two positive real ones: s = ln(z)/T,
         k = m s1 s2, b = -m (s1 + s2).
@@ -274,7 +274,7 @@ class Configuration:
 
     @_quietly
     def impedance(self, K: ArrayLike, B: ArrayLike, frequency: ArrayLike) -> Complexes:
-        """Force over velocity, N·s/m, that the hand meets at a frequency in Hz (the paper's Figure 2).
+        """Force over velocity, N·s/m, that the hand feels at a frequency in Hz (the paper's Figure 2).
 
         The real mass is left out, the device's friction and spring are in. Of a force that is held only the part
         at the frequency itself counts. NaN from the Nyquist frequency on, and at 0.

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from hapsim.theory.arrays import Floats
-from hapsim.theory.hand.element import element_of_oscillator
+from hapsim.theory.hand.inverse_map import element_of_oscillator
 from hapsim.theory.hand.loop_equation import LoopEquation, characteristic
 from hapsim.theory.hand.poles import roots, without_pair
 

@@ -1,4 +1,4 @@
-"""What the hand meets at one frequency: the force through the sampled loop, over the velocity (paper, Figure 2)."""
+"""What the hand feels at one frequency: the force through the sampled loop, over the velocity (paper, Figure 2)."""
 
 from __future__ import annotations
 

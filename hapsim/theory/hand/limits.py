@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hapsim.theory.arrays import Bools, Floats
-from hapsim.theory.hand.element import element_of_oscillator, undamped, undamped_parts
+from hapsim.theory.hand.inverse_map import element_of_oscillator, undamped, undamped_parts
 from hapsim.theory.hand.loop_equation import LoopEquation, characteristic
 
 SLOWEST = 1e-9  # radians per sample: what swings more slowly is not looked for

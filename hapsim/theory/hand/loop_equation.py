@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hapsim.theory.arrays import Floats
-from hapsim.theory.hand.pair import OnPair, total
+from hapsim.theory.hand.pair import LinearOnPair, total
 from hapsim.theory.hand.plant import Plant
 from hapsim.theory.interface import Damper
 
@@ -86,7 +86,7 @@ def characteristic_in_w(equation: LoopEquation, kappa: Floats, beta: Floats) -> 
     return coefficients
 
 
-def element_on_pair(equation: LoopEquation, w: OnPair) -> tuple[OnPair, OnPair]:
+def element_on_pair(equation: LoopEquation, w: LinearOnPair) -> tuple[LinearOnPair, LinearOnPair]:
     """(H, r) on a pair of poles: there the equation is kappa + beta w H + (w² + p w + q) r = 0."""
     plant, damper = equation.plant, equation.damper
     z = w.plus(1.0)
@@ -100,7 +100,7 @@ def element_on_pair(equation: LoopEquation, w: OnPair) -> tuple[OnPair, OnPair]:
     return velocity, z.power(plant.lead).over(numerator)
 
 
-def equation_on_pair(equation: LoopEquation, kappa: Floats, beta: Floats, w: OnPair) -> OnPair:
+def equation_on_pair(equation: LoopEquation, kappa: Floats, beta: Floats, w: LinearOnPair) -> LinearOnPair:
     """The characteristic polynomial on a pair w.
 
     Ordered by powers of w, so that what friction and simulated damping leave of each other is one sum,
@@ -164,5 +164,5 @@ def _shifted(in_z: Floats) -> Floats:
     return in_w[: in_z.size]
 
 
-def _in_w(polynomial: tuple[float, ...], w: OnPair) -> OnPair:
+def _in_w(polynomial: tuple[float, ...], w: LinearOnPair) -> LinearOnPair:
     return w.polynomial(np.array(polynomial[::-1]))

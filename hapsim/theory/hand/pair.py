@@ -27,9 +27,9 @@ class Pair(NamedTuple):
     q: Floats
 
     @property
-    def w(self) -> OnPair:
+    def w(self) -> LinearOnPair:
         """The identity."""
-        return OnPair(0.0, 1.0, self)
+        return LinearOnPair(0.0, 1.0, self)
 
     @property
     def swings(self) -> Bools:
@@ -57,55 +57,55 @@ class Pair(NamedTuple):
         return 1.0 + np.stack([np.where(swings, middle, near) + turn, np.where(swings, middle, far) - turn], axis=-1)
 
 
-class OnPair(NamedTuple):
+class LinearOnPair(NamedTuple):
     """A function on a pair: the line that it is modulo the pair's quadratic. Scalars stand for arrays of one value."""
 
     constant: Any
     slope: Any
     pair: Pair
 
-    def plus(self, constant: Any) -> OnPair:
+    def plus(self, constant: Any) -> LinearOnPair:
         """The function plus a constant."""
-        return OnPair(self.constant + constant, self.slope, self.pair)
+        return LinearOnPair(self.constant + constant, self.slope, self.pair)
 
-    def scaled(self, factor: Any) -> OnPair:
+    def scaled(self, factor: Any) -> LinearOnPair:
         """The function times a constant."""
-        return OnPair(self.constant * factor, self.slope * factor, self.pair)
+        return LinearOnPair(self.constant * factor, self.slope * factor, self.pair)
 
-    def times(self, other: OnPair) -> OnPair:
+    def times(self, other: LinearOnPair) -> LinearOnPair:
         """The product of two functions."""
         (a, b, (p, q)), (c, d, _) = self, other
         square = b * d
-        return OnPair(a * c - square * q, a * d + b * c - square * p, self.pair)
+        return LinearOnPair(a * c - square * q, a * d + b * c - square * p, self.pair)
 
-    def over(self, other: OnPair) -> OnPair:
+    def over(self, other: LinearOnPair) -> LinearOnPair:
         """The quotient of two functions."""
         (c, d, (p, q)) = other
         turned = c - d * p
         product = c * turned + d * d * q  # of the two values
-        return self.times(OnPair(turned / product, -d / product, self.pair))
+        return self.times(LinearOnPair(turned / product, -d / product, self.pair))
 
-    def power(self, exponent: int) -> OnPair:
+    def power(self, exponent: int) -> LinearOnPair:
         """The function raised to an integer >= 0."""
         if exponent == 0:
-            return OnPair(1.0, 0.0, self.pair)
+            return LinearOnPair(1.0, 0.0, self.pair)
         if exponent == 1:
             return self
         half = self.power(exponent // 2)
         return half.times(half).times(self) if exponent % 2 else half.times(half)
 
-    def polynomial(self, coefficients: Floats) -> OnPair:
+    def polynomial(self, coefficients: Floats) -> LinearOnPair:
         """The polynomial of the function with scalar coefficients, highest power first."""
-        result = OnPair(float(coefficients[0]), 0.0, self.pair)
+        result = LinearOnPair(float(coefficients[0]), 0.0, self.pair)
         for coefficient in coefficients[1:]:
             result = result.times(self).plus(float(coefficient))
         return result
 
 
-def total(functions: list[OnPair]) -> OnPair:
+def total(functions: list[LinearOnPair]) -> LinearOnPair:
     """The sum of functions on one pair."""
     constants, slopes, pairs = zip(*functions, strict=True)
-    return OnPair(sum(constants), sum(slopes), pairs[0])
+    return LinearOnPair(sum(constants), sum(slopes), pairs[0])
 
 
 class RealRoots(NamedTuple):

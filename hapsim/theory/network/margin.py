@@ -9,29 +9,27 @@ What it finds is then checked against the poles themselves, as far as time allow
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hapsim.theory.arrays import Bools, Complexes, Floats
+from hapsim.theory.network.links import is_centred
 from hapsim.theory.network.margin_angles import AFFORDABLE, angles_about, angles_for_links
 from hapsim.theory.network.margin_modal import ModalResponse, NotModalError
+from hapsim.theory.network.margin_poles import LIMIT, Varied, by_poles
 from hapsim.theory.network.margin_response import Response, TooLargeError
-from hapsim.theory.network.modes import snapped
 from hapsim.theory.network.network import Network
 from hapsim.theory.network.solve import solve
-from hapsim.theory.network.state import is_large, state_size, transition
+from hapsim.theory.network.state import is_large, state_size
 from hapsim.theory.network.threads import one_thread
 
 AnyResponse = Response | ModalResponse
 
 QUICK = 2000  # multiplications for each place on the circle: an elimination of fewer takes no time
 ONCE = 200_000  # the cube of so many masses' number for each of them: as long does it take to find their modes, once
-LIMIT = 1.0 + 1e-9  # a pole within it is not unstable: it may rest on 1, or never lose its energy
 NEVER = 1e9  # a factor above it is none
 FEW, MANY = 3, 300  # crossings that are worked out of one link, and of a hand's
 LESS = 3  # so much less is done for the other links of a large scene
@@ -41,7 +39,6 @@ REFINED = 1e-11  # relative change of a factor that is settled
 WELL = 1e-7  # the same where each place on the circle is a lot of work
 FAR = 1.5  # a crossing so many times as far from 1 as a settled one is let go
 PASSES = 8  # that a refinement takes, about
-BESIDE = 1e-3  # the poles are looked at this far below and above a factor
 EIGENVALUES = 1e8  # what the eigenvalues that check may cost: their number times the cube of the state's size
 SCANNED = 60  # numbers in the state of the largest scene that is searched by its poles, where the walk was wrong
 
@@ -79,11 +76,11 @@ class Margins(NamedTuple):
     """Each link's, in their order; of a large scene some, the others NaN.
 
     Attributes:
-        links: (L,). how: in words, which were worked out and how surely; "" for every one, between all poles.
+        links: (L,). method: in words, which were worked out and how surely; "" for every one, between all poles.
     """
 
     links: list[Margin]
-    how: str = ""
+    method: str = ""
 
 
 def margins_of(network: Network, poles: Complexes | None = None) -> Margins:
@@ -96,6 +93,9 @@ def margins_of(network: Network, poles: Complexes | None = None) -> Margins:
     if not np.isfinite(poles).all():
         return Margins(unknown, "none was worked out: the scene's numbers are out of range")
     growing = int((np.abs(poles) > LIMIT).sum())
+    if not is_centred(network):
+        by_each, how = by_poles(network, growing > 0)
+        return Margins([Margin(stiffness, damping) for stiffness, damping in by_each.tolist()], how)
     try:
         with np.errstate(all="ignore"), one_thread(is_large(network)):
             response = _response(network)
@@ -127,8 +127,8 @@ def _response(network: Network) -> AnyResponse:
 
 def _worked_out(network: Network, response: AnyResponse, poles: Complexes, growing: int) -> tuple[Floats, str]:
     """(links, 2): the factors of stiffness and damping; and which, in words."""
-    judged = len(network.ends) if network.judged is None else network.judged
-    every = np.arange(np.searchsorted(response.links, judged))
+    margin_links = len(network.ends) if network.margin_links is None else network.margin_links
+    every = np.arange(np.searchsorted(response.links, margin_links))
     if not every.size:
         return np.zeros((0, 2)), ""
     touching = _touching(network, response)[: every.size]
@@ -317,58 +317,6 @@ def _check(network: Network, response: AnyResponse, factors: Floats, unstable: b
         n, of = divmod(int(place), 2)
         if written[n, of] == 0.0:
             continue
-        poles = _Varied(network, int(response.links[n]), of)
+        poles = Varied(network, int(response.links[n]), of)
         if not poles.agree(float(factors[n, of]), unstable) and size <= SCANNED:
             factors[n, of] = poles.searched(unstable)
-
-
-class _Varied:
-    """The loop's poles with one link's stiffness (0) or damping (1) multiplied."""
-
-    def __init__(self, network: Network, link: int, of: int) -> None:
-        self._network, self._link, self._name = network, link, ("stiffness", "damping")[of]
-
-    def radius(self, factor: float) -> float:
-        value = getattr(self._network, self._name).copy()
-        value[self._link] *= factor
-        changed = replace(self._network, **{self._name: value})
-        matrix = transition(changed)
-        if not np.isfinite(matrix).all():
-            return math.inf
-        poles = np.linalg.eigvals(matrix).astype(complex)
-        return float(np.abs(snapped(changed, poles)).max(initial=0.0))
-
-    def agree(self, factor: float, unstable: bool) -> bool:
-        """Whether the loop is stable just below the factor, and not well inside the circle just above it."""
-        if math.isnan(factor):
-            return False
-        if factor == 0.0:
-            return self.radius(0.5) > 1.0 or self.radius(1e-6) > 1.0
-        if factor == math.inf:
-            return max(self.radius(1.5), self.radius(30.0)) <= LIMIT
-        below, above = factor * (1.0 - BESIDE), factor * (1.0 + BESIDE)
-        if not unstable:
-            below = max(below, 0.5 * (1.0 + factor))  # the loop as it stands is known to be stable
-        return self.radius(below) <= LIMIT and self.radius(above) >= 2.0 - LIMIT
-
-    def searched(self, unstable: bool) -> float:
-        """Bisection between a stable and an unstable factor."""
-        last = None
-        for factor in _outward(unstable):
-            stable = self.radius(factor) <= LIMIT
-            if last is not None and stable == unstable:
-                return self._between(*((factor, last) if unstable else (last, factor)))
-            last = factor
-        return 0.0 if unstable else math.inf
-
-    def _between(self, low: float, high: float) -> float:
-        while high / low > 1.0 + 1e-9:
-            middle = math.sqrt(low * high)
-            low, high = (middle, high) if self.radius(middle) <= LIMIT else (low, middle)
-        return low
-
-
-def _outward(unstable: bool) -> Iterator[float]:
-    """Factors from 1 on, upward or downward, in growing steps."""
-    for step in np.concatenate([np.arange(0.0, 1.0, 0.04), np.arange(1.0, 10.0, 0.3)]):
-        yield float(10.0 ** (-step if unstable else step))

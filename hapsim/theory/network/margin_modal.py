@@ -19,10 +19,11 @@ from numpy.typing import NDArray
 
 from hapsim.theory.arrays import Complexes, Floats
 from hapsim.theory.interface import DAMPERS, SAMPLINGS, Damper
+from hapsim.theory.network.links import acting_links
 from hapsim.theory.network.margin_response import AT_ONCE, PAIRS, Answer, at_places, channel_answer, damper_answer
 from hapsim.theory.network.network import Network
 from hapsim.theory.network.parts import part_of_each
-from hapsim.theory.network.state import acting_links, channel_steps
+from hapsim.theory.network.state import channel_steps
 
 Indices = NDArray[np.intp]
 
@@ -63,10 +64,10 @@ class ModalResponse:
 
     def __init__(self, network: Network) -> None:
         """Raises NotModalError."""
-        judged = len(network.ends) if network.judged is None else network.judged
+        margin_links = len(network.ends) if network.margin_links is None else network.margin_links
         acting = acting_links(network)
         self._network, self._steps = network, channel_steps(network)
-        self.links, inner = acting[acting < judged], acting[acting >= judged]
+        self.links, inner = acting[acting < margin_links], acting[acting >= margin_links]
         ends = network.ends[self.links]
         self._held = np.unique(ends[ends >= 0])
         if self._held.size > MOST_HELD:

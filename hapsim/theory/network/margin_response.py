@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 from hapsim.theory.arrays import Complexes, Floats
 from hapsim.theory.interface import SAMPLINGS, Damper
 from hapsim.theory.network.device_step import DeviceStep
+from hapsim.theory.network.links import acting_links
 from hapsim.theory.network.network import Network
 from hapsim.theory.network.sparse_elimination import Pattern, eliminate, invert
-from hapsim.theory.network.state import acting_links, channel_steps
+from hapsim.theory.network.state import channel_steps
 
 OUTSIDE = 1e-12  # the circle's radius is 1 and this: poles that rest on 1, and what never loses energy, lie inside
 AT_ONCE = 10_000_000  # complex numbers in memory

@@ -41,14 +41,14 @@ class Solution(NamedTuple):
     Attributes:
         poles: (n,) by decreasing modulus. modes: the slowest to decay first.
         all: how many poles the scene has, memories included; n where every one was worked out.
-        how: in words, which were worked out and what that says of the others; "" for every one.
+        method: in words, which were worked out and what that says of the others; "" for every one.
         growth: by how much a motion was seen to grow in a sample period of which no pole was found; else 0.
     """
 
     poles: Complexes
     modes: list[Mode]
     all: int
-    how: str = ""
+    method: str = ""
     growth: float = 0.0
 
     @property
@@ -73,7 +73,7 @@ def all_modes(network: Network) -> Solution:
     if not np.isfinite(matrix).all():
         return not_finite(size)
     poles, vectors = np.linalg.eig(matrix)
-    poles = snapped(network, poles.astype(complex))
+    poles = snap_to_rest(network, poles.astype(complex))
     return Solution(sort_by_modulus(poles), modes_of(network, poles, vectors), size)
 
 
@@ -82,7 +82,7 @@ def not_finite(size: int) -> Solution:
     return Solution(np.full(size, complex(np.nan, np.nan)), [], size)
 
 
-def snapped(network: Network, poles: Complexes) -> Complexes:
+def snap_to_rest(network: Network, poles: Complexes) -> Complexes:
     """The poles with those that are known to be 1 there exactly: the free motions, a double pole each.
 
     Rounding moves a double pole by the root of its own size, which would make a verdict of it.

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from hapsim.theory import checks
 from hapsim.theory.arrays import Floats
 from hapsim.theory.interface import DAMPERS, HOLDS, SAMPLINGS, Damper
+from hapsim.theory.schemes import SCHEMES
 
 BACKWARD = DAMPERS["backward"](0.0)
 
@@ -21,11 +22,11 @@ class Network:
     """Device channels, masses and links that run together at one rate.
 
     Points are numbered: 0 to C - 1 the device channels, C to C + M - 1 the simulated masses, -1 a ground. A
-    simulated mass moves by the centred scheme, m/T² (x[n+1] - 2 x[n] + x[n-1]) = F[n]. A link's force on its
-    first end is -K (xa - xb)[n] - (B/T) (va - vb)[n], the opposite on its second; its damper makes v, in metres
-    per sample period, of x (``shape.Damper``). A channel's x[n] is its measured sample; the sum of its links'
-    forces acts on its real mass from (n + delay) T on, by the hold. The mass itself moves in continuous time,
-    exactly: m x'' + b0 x' + k0 x = F (Florens et al., §6 and Figure 5).
+    simulated mass moves by the scheme; by CORDIS's it is m/T² (x[n+1] - 2 x[n] + x[n-1]) = F[n], and what the others
+    do stands in ``moved.py``. A link's force on its first end is -K (xa - xb)[n] - (B/T) (va - vb)[n], the opposite on
+    its second; its damper makes v, in metres per sample period, of x (``shape.Damper``). A channel's x[n] is its
+    measured sample; the sum of its links' forces acts on its real mass from (n + delay) T on, by the hold. The mass
+    itself moves in continuous time, exactly: m x'' + b0 x' + k0 x = F (Florens et al., §6 and Figure 5).
 
     A damper that senses has at an end that is a channel the velocity that the device reads: with ideal sampling
     the real one at the instant of the sample, before any change of the force at that instant; with averaged
@@ -45,6 +46,9 @@ class Network:
         channel_stiffness: (C,) real springs k0 from the channels' masses to x = 0, N/m, >= 0; left out: none.
         damper: (L,) each link's, as ``interface.damper_named`` makes it; left out: all backward.
         judged: of how many links, the first, margins are worked out; left out: of all.
+        scheme: what moves the masses, one of ``theory.schemes``.
+        outside: (L,) which links have under a scheme that works links into its matrix no part in that, whatever they
+            join (``moved.py``); left out: none.
 
     Raises:
         ValueError: an argument is out of its range or its shape does not fit; the sentence says which.
@@ -62,7 +66,9 @@ class Network:
     damping: Floats
     channel_stiffness: Floats = ()  # type: ignore[assignment]
     damper: Sequence[Damper] = ()
-    judged: int | None = None
+    margin_links: int | None = None
+    scheme: str = "cordis"
+    outside: Sequence[bool] = ()
 
     def __post_init__(self) -> None:
         mass = checks.vector("channel_mass", self.channel_mass, above=0.0)
@@ -82,8 +88,11 @@ class Network:
             "damping": checks.vector("damping", self.damping, len(ends)),
             "channel_stiffness": checks.vector("channel_stiffness", own, mass.size, least=0.0),
             "damper": tuple(self.damper) or (BACKWARD,) * len(ends),
+            "scheme": checks.one_of("scheme", self.scheme, SCHEMES),
+            "outside": tuple(self.outside),
         }
-        if len(checked["damper"]) != len(ends):
-            raise ValueError(f"damper has {len(checked['damper'])} elements, but there are {len(ends)} links.")
+        for name in ("damper", "outside"):
+            if checked[name] and len(checked[name]) != len(ends):
+                raise ValueError(f"{name} has {len(checked[name])} elements, but there are {len(ends)} links.")
         for name, value in checked.items():
             object.__setattr__(self, name, value)

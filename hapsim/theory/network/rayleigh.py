@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 
 from hapsim.theory.arrays import Bools, Complexes, Floats
 from hapsim.theory.interface import SAMPLINGS, Damper
+from hapsim.theory.network.links import acting_links, is_centred
 from hapsim.theory.network.margin_response import channel_answer, damper_answer
 from hapsim.theory.network.network import Network
-from hapsim.theory.network.state import acting_links, channel_steps, damping_links
+from hapsim.theory.network.state import channel_steps, damping_links
 
 STEPS = 5
 BESIDE = 1e-4  # of z - 1: how far from z the slope is taken
@@ -25,7 +26,7 @@ ROUNDING = float(np.finfo(float).eps)
 
 def refined(network: Network, poles: Complexes, motions: NDArray) -> Complexes:
     """The poles (n,) moved to where x' D(z) x is zero; ``motions`` (points, n), of which the poles are about known."""
-    if any(damper.senses for damper in damping_links(network)):
+    if not is_centred(network) or any(damper.senses for damper in damping_links(network)):
         return poles
     form = _Form(network, motions)
     w = poles - 1.0

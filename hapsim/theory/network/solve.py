@@ -9,5 +9,9 @@ from hapsim.theory.network.state import is_large
 
 
 def solve(network: Network) -> Solution:
-    """The poles and modes: all of them, or of a large scene those that matter, and how they were found."""
+    """The poles and modes: all of them, or of a large scene those that matter, and how they were found.
+
+    Raises:
+        NotWorkedOutError: the scene is large, and its scheme's matrix is neither sparse nor has modes that are.
+    """
     return some_modes(network) if is_large(network) else all_modes(network)

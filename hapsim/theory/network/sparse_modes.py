@@ -1,14 +1,12 @@
 """Some of the poles of a large scene, by shift-inverted Arnoldi iterations on its sparse transition.
 
-The only file of the network's that computes by scipy, and that only for a scene that is large. No dense matrix of the
-state's size is ever formed.
+No dense matrix of the state's size is ever formed (``operators.py``).
 """
 
 from __future__ import annotations
 
 import math
-import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,10 +15,12 @@ from numpy.typing import NDArray
 from hapsim.theory.arrays import Complexes, sort_by_modulus
 from hapsim.theory.network.modes import NO_MOTION, SAME_AS_REST, Solution, all_modes, modes_of, not_finite
 from hapsim.theory.network.network import Network
+from hapsim.theory.network.operators import Explicit, Operator, operator_of
 from hapsim.theory.network.rayleigh import at_rest, refined
 from hapsim.theory.network.rigid import poles_at_rest
-from hapsim.theory.network.state import is_large, transition
+from hapsim.theory.network.state import is_large
 from hapsim.theory.network.threads import one_thread
+from hapsim.theory.schemes import SCHEMES
 
 BESIDE = 1e-6  # a shift stands this far beside 1, where a free motion's pole would make it singular
 ASIDE = 1e-7  # and this far beside a pole that was found
@@ -54,30 +54,28 @@ def some_modes(network: Network) -> Solution:
 
 @np.errstate(all="ignore")  # what is out of range becomes NaN
 def _some_modes(network: Network) -> Solution:
-    matrix = transition(network)
-    if not np.isfinite(matrix.data).all():
-        return not_finite(matrix.shape[0])
+    matrix = operator_of(network)
+    if not matrix.is_finite():
+        return not_finite(matrix.size)
     points = network.channel_mass.size + network.point_mass.size
     poles, vectors, places = [np.zeros(0, complex)], [np.zeros((points, 0), complex)], []
     for search in _searches(network):
         found, motions = _nearest(matrix, search)
         if found.size:
             poles.append(found)
-            vectors.append(motions[:points])
+            vectors.append(matrix.positions(motions))
             places.append(search.where)
     grown, motions, growth = _growing(matrix)
     poles.append(grown)
-    vectors.append(motions[:points])
+    vectors.append(matrix.positions(motions))
     motion = np.concatenate(vectors, axis=1)
     every, motion = _once_each(network, refined(network, np.concatenate(poles), motion), motion)
     both = sort_by_modulus(np.concatenate([every, every[every.imag > 0.0].conj()]))
-    others = (
-        f"no other that grows by more than {_least_seen(matrix.shape[0]):.1g} of itself in a sample period was seen"
-    )
+    others = f"no other that grows by more than {_least_seen(matrix):.1g} of itself in a sample period was seen"
     if grown.size or growth:
         others = "and those that grow" if grown.size else "a random motion grew, whose pole was not found"
-    how = f"{both.size} of {matrix.shape[0]} poles were worked out: those nearest to {_listed(places)}; {others}"
-    return Solution(both, modes_of(network, every, motion), matrix.shape[0], how, growth)
+    how = f"{both.size} of {matrix.size} poles were worked out: those nearest to {_listed(places)}; {others}"
+    return Solution(both, modes_of(network, every, motion), matrix.size, how, growth)
 
 
 def _searches(network: Network) -> Iterator[Search]:
@@ -91,15 +89,15 @@ def _searches(network: Network) -> Iterator[Search]:
         yield Search(hand, 12, "the hand's own" if len(hands) == 1 else "the hands' own", slice(0, len(hands)))
 
 
-def _nearest(matrix: Any, search: Search) -> tuple[Complexes, NDArray]:
+def _nearest(matrix: Operator, search: Search) -> tuple[Complexes, NDArray]:
     """The poles nearest to the shift that converged, of pairs the upper, and their motions (N, n)."""
     from scipy.sparse import linalg
 
-    size = matrix.shape[0]
+    size = matrix.size
     shift = search.shift if search.shift.imag else search.shift.real
     if search.start is not None:
         shift = _beside_a_pole(matrix, search.shift, search.start)
-    solve = _inverse(matrix, shift)
+    solve = matrix.inverse(shift)
     if solve is None:
         return np.zeros(0, complex), np.zeros((size, 0))
     values, motions = _largest(linalg.LinearOperator((size, size), solve, dtype=type(shift)), search.many, 40)
@@ -108,30 +106,17 @@ def _nearest(matrix: Any, search: Search) -> tuple[Complexes, NDArray]:
     return _trusted(matrix, poles, motions)
 
 
-def _inverse(matrix: Any, shift: complex) -> Callable[[NDArray], NDArray] | None:
-    """x -> (matrix - shift)^-1 x; None where the shift is a pole, exactly."""
-    from scipy.sparse import eye, linalg
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        try:
-            solve: Callable[[NDArray], NDArray] = linalg.splu(matrix - shift * eye(matrix.shape[0], format="csc")).solve
-        except RuntimeError:
-            return None
-    return solve
-
-
-def _beside_a_pole(matrix: Any, near: complex, start: slice) -> complex:
+def _beside_a_pole(matrix: Operator, near: complex, start: slice) -> complex:
     """A shift beside a pole near this one, by inverse iterations and then Rayleigh's.
 
     Where poles stand in a row, and the shift beside the row, all of them are as far from it; from a place in the
     row they differ, and the search ends soon.
     """
-    motion = np.zeros(matrix.shape[0], complex)
+    motion = np.zeros(matrix.size, complex)
     motion[start] = 1.0
     shift, pole = near, near
     for step in range(APPROACHES):
-        solve = _inverse(matrix, shift)
+        solve = matrix.inverse(shift)
         if solve is None:
             break
         for _ in range(3 if step == 0 else 1):
@@ -142,40 +127,48 @@ def _beside_a_pole(matrix: Any, near: complex, start: slice) -> complex:
     return (pole if abs(pole - near) < ROW else near) + ASIDE
 
 
-def _growing(matrix: Any) -> tuple[Complexes, NDArray, float]:
+def _growing(matrix: Operator) -> tuple[Complexes, NDArray, float]:
     """The poles of the greatest modulus, where a random motion grows by more than a free one would.
 
     And by how much it grows in a sample period, where no pole was found that does.
     """
-    motion = np.random.default_rng(1).standard_normal(matrix.shape[0])
-    rows = matrix.tocsr()
-    breaths = _steps(matrix.shape[0]) // BREATH
+    motion = np.random.default_rng(1).standard_normal(matrix.size)
+    breaths = _steps(matrix) // BREATH
     logarithm = np.zeros(breaths + 1)
     for n in range(breaths):
         for _ in range(BREATH):
-            motion = rows @ motion
+            motion = matrix @ motion
         size = float(np.linalg.norm(motion))
         if not 0.0 < size < np.inf:
-            return np.zeros(0, complex), np.zeros((matrix.shape[0], 0)), size
+            return np.zeros(0, complex), np.zeros((matrix.size, 0)), size
         motion /= size
         logarithm[n + 1] = logarithm[n] + math.log(size)
     # By their peaks: a slow motion's size swings.
     quarter = breaths // 4
     last = float(logarithm[-quarter:].max() - logarithm[-2 * quarter : -quarter].max())
     if last < math.log(GREW):
-        return np.zeros(0, complex), np.zeros((matrix.shape[0], 0)), 0.0
-    poles, motions = _trusted(matrix, *_largest(matrix, 8, 200, motion))
+        return np.zeros(0, complex), np.zeros((matrix.size, 0)), 0.0
+    poles, motions = _trusted(matrix, *_largest(_as_taken(matrix), 8, 200, motion))
     found = bool((np.abs(poles) > 1.0).any())
     return poles, motions, 0.0 if found else math.exp(last / (quarter * BREATH))
 
 
-def _steps(size: int) -> int:
-    return int(min(MOST_STEPS, STATE_STEPS / size))
+def _as_taken(matrix: Operator) -> Any:
+    """As scipy takes it."""
+    from scipy.sparse import linalg
+
+    if isinstance(matrix, Explicit):
+        return matrix.matrix
+    return linalg.LinearOperator((matrix.size, matrix.size), matrix.__matmul__, dtype=float)
 
 
-def _least_seen(size: int) -> float:
+def _steps(matrix: Operator) -> int:
+    return int(min(MOST_STEPS, STATE_STEPS / matrix.work))
+
+
+def _least_seen(matrix: Operator) -> float:
     """The growth in a sample period that a random motion shows: it has to outgrow all the others before its end."""
-    return max(4.0 * math.log(GREW), math.log(size) / 1.5) / _steps(size)
+    return max(4.0 * math.log(GREW), math.log(matrix.size) / 1.5) / _steps(matrix)
 
 
 def _largest(operator: Any, count: int, iterations: int, start: Any = None) -> tuple[Complexes, NDArray]:
@@ -193,7 +186,7 @@ def _largest(operator: Any, count: int, iterations: int, start: Any = None) -> t
         return np.zeros(0, complex), np.zeros((size, 0), complex)
 
 
-def _trusted(matrix: Any, poles: Complexes, motions: NDArray) -> tuple[Complexes, NDArray]:
+def _trusted(matrix: Operator, poles: Complexes, motions: NDArray) -> tuple[Complexes, NDArray]:
     """Those whose motion is indeed multiplied by the pole, of pairs the upper."""
     lower = poles.imag < 0.0
     poles, motions = np.where(lower, poles.conj(), poles), np.where(lower, motions.conj(), motions)
@@ -280,11 +273,20 @@ def _highest(network: Network) -> Search | None:
     beside = bound < EDGE * kappa
     if beside:
         kappa, beta = bound * (1.0 + BESIDE), beta * bound / kappa
-    # z² - (2 - kappa - beta) z + 1 - beta = 0: the centred mass on its spring and its backward damper
-    pole = np.roots([1.0, kappa + beta - 2.0, 1.0 - beta])
-    pole = pole[np.argmin(pole.real)]
+    poles = _of_one_mass(network, kappa, beta)
+    pole = poles[np.argmin(poles.real)]
     shift = complex(pole.real, abs(pole.imag)) * (1.0 + BESIDE)
     return Search(shift, 16, "about the highest of the masses' own", None if beside else slice(None))
+
+
+def _of_one_mass(network: Network, kappa: float, beta: float) -> Complexes:
+    """The two poles of a mass on its own, of K T²/m and B T/m."""
+    advance = SCHEMES[network.scheme].advance
+    if advance is None:
+        # z² - (2 - kappa - beta) z + 1 - beta = 0: the centred mass on its spring and its backward damper
+        return np.roots([1.0, kappa + beta - 2.0, 1.0 - beta]).astype(np.complex128)
+    step = advance(np.array([[0.0, 1.0], [-kappa, -beta]]), np.eye(2))
+    return np.linalg.eigvals(step).astype(np.complex128)
 
 
 def _doubled(weight: NDArray, first: NDArray, second: NDArray, count: int) -> NDArray:

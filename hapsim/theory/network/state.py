@@ -12,28 +12,14 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hapsim.theory.arrays import Floats
 from hapsim.theory.interface import SAMPLINGS, Damper
 from hapsim.theory.network.device_step import DeviceStep, device_step
+from hapsim.theory.network.links import acting_links, is_centred, outside_links
+from hapsim.theory.network.moved import Moved, advanced, moved_masses
 from hapsim.theory.network.network import Network
-
-Indices = NDArray[np.intp]
-
-
-class Triplets(NamedTuple):
-    """A matrix (rows, columns) as its entries; entries of one place add up."""
-
-    row: Indices
-    column: Indices
-    value: Floats
-
-    def gathered(self, columns: int) -> Triplets:
-        """The same, one entry a place."""
-        place, entry = np.unique(self.row * columns + self.column, return_inverse=True)
-        value: Floats = np.bincount(entry, self.value, place.size).astype(float)
-        return Triplets(place // columns, place % columns, value)
+from hapsim.theory.network.triplets import Indices, Parts, Triplets, dense, sparse
 
 
 class Layout(NamedTuple):
@@ -66,11 +52,6 @@ def channel_steps(network: Network) -> list[DeviceStep]:
     return [
         device_step(float(b), network.delay, network.hold, float(k)) for b, k in zip(friction, stiffness, strict=True)
     ]
-
-
-def acting_links(network: Network) -> Indices:
-    """The links that join two different points, or a point and a ground."""
-    return np.flatnonzero(network.ends[:, 0] != network.ends[:, 1])
 
 
 def damping_links(network: Network) -> dict[Damper, Indices]:
@@ -130,32 +111,37 @@ def is_large(network: Network) -> bool:
 def transition(network: Network) -> Any:
     """The square matrix that takes the state at one sample to the state at the next.
 
-    An array; of a large scene a sparse one, of scipy, by compressed columns.
+    An array; of a large scene by CORDIS's scheme a sparse one, of scipy, by compressed columns.
     """
-    entries, size = _transition(network)
-    if size > LARGE:
-        import scipy.sparse
-
-        return scipy.sparse.csc_matrix((entries.value, (entries.row, entries.column)), (size, size))
-    matrix = np.zeros((size, size))
-    np.add.at(matrix, (entries.row, entries.column), entries.value)
+    entries, moved, size = transition_parts(network)
+    if size > LARGE and moved is None:
+        return sparse(entries, (size, size))
+    matrix = dense(entries, (size, size))
+    if moved is not None:
+        matrix[moved.now], matrix[moved.before] = advanced(network, moved, size)
     return matrix
 
 
-def _transition(network: Network) -> tuple[Triplets, int]:
-    """Its entries, and its size."""
+@_quietly
+def transition_parts(network: Network) -> tuple[Triplets, Moved | None, int]:
+    """Its entries, what another scheme than CORDIS's makes of the masses, whose rows are then empty, and its size."""
     steps = channel_steps(network)
     layout = layout_of(network, steps)
     channels, points = network.channel_mass.size, layout.now.stop
-    parts = _Parts()
-    force = _forces(network, layout, parts)
+    parts = Parts()
+    pull = _pulls(network, layout, parts)
+    force = _on_points(network, layout, pull)
+    centred = is_centred(network)
+    moved = None if centred else moved_masses(network, layout, _held(network, layout, pull))
 
-    point = np.arange(channels, points)
-    parts.add(point, point, 2.0)
-    parts.add(point, points + point, -1.0)
     free = force.row >= channels
-    parts.add(force.row[free], force.column[free], force.value[free])
-    parts.add(points + np.arange(points), np.arange(points), 1.0)
+    if centred:
+        point = np.arange(channels, points)
+        parts.add(point, point, 2.0)
+        parts.add(point, points + point, -1.0)
+        parts.add(force.row[free], force.column[free], force.value[free])
+    own = np.arange(points if centred else channels)
+    parts.add(points + own, own, 1.0)
 
     remembered = (layout.held.stop - layout.held.start) // max(channels, 1)
     held = layout.held.start + np.arange(remembered * channels).reshape(remembered, channels)
@@ -165,29 +151,10 @@ def _transition(network: Network) -> tuple[Triplets, int]:
         parts.add(held[1:], held[:-1], 1.0)
     for channel, step in enumerate(steps):
         _move_channel(layout, channel, step, force, held[:, channel], parts)
-    return parts.joined(), layout.size
+    return parts.joined(), moved, layout.size
 
 
-class _Parts:
-    """Triplets as they come."""
-
-    def __init__(self) -> None:
-        self._parts: list[tuple[Indices, Indices, Floats]] = []
-
-    def add(self, row: Indices | int, column: Indices | int, value: Floats | float) -> None:
-        rows, columns, values = np.broadcast_arrays(row, column, value)
-        self._parts.append((rows.ravel(), columns.ravel(), values.ravel().astype(float)))
-
-    def joined(self) -> Triplets:
-        if not self._parts:
-            return Triplets(np.zeros(0, np.intp), np.zeros(0, np.intp), np.zeros(0))
-        row, column, value = (np.concatenate(part) for part in zip(*self._parts, strict=True))
-        return Triplets(row, column, value)
-
-
-def _move_channel(
-    layout: Layout, channel: int, step: DeviceStep, force: Triplets, held: Indices, parts: _Parts
-) -> None:
+def _move_channel(layout: Layout, channel: int, step: DeviceStep, force: Triplets, held: Indices, parts: Parts) -> None:
     """The rows of one channel: its true position, its velocity, and what is read of them."""
     position, velocity = layout.position.start + channel, layout.velocity.start + channel
     rows = [(position, step.motion[0], step.forces[0]), (velocity, step.motion[1], step.forces[1])]
@@ -204,17 +171,29 @@ def _move_channel(
         parts.add(row, held, forces[1:])
 
 
-def _forces(network: Network, layout: Layout, parts: _Parts) -> Triplets:
-    """The forces T²/m F on the points (C + M, N) from the state; into ``parts`` goes what the dampers remember."""
-    pull = _Parts()  # on the links' first ends, N per metre of state
+def _pulls(network: Network, layout: Layout, parts: Parts) -> Triplets:
+    """The forces on the links' (L) first ends, N per metre of state; into ``parts`` goes what the dampers remember."""
+    pull = Parts()
     acting = acting_links(network)
     _add_difference(pull, acting, network.ends[acting], 0, -network.stiffness[acting])
     for memory in layout.memories:
         velocity = _velocities(network, layout, memory, parts)
         links = memory.links[velocity.row]
         pull.add(links, velocity.column, -network.damping[links] * network.rate * velocity.value)
-    link, column, value = pull.joined()
-    force = _Parts()
+    return pull.joined()
+
+
+def _held(network: Network, layout: Layout, pull: Triplets) -> Triplets:
+    """The forces T²/m F on the points of the links that pull from outside of the scheme."""
+    outside = np.zeros(len(network.ends), dtype=bool)
+    outside[outside_links(network)] = True
+    return _on_points(network, layout, pull.some(outside[pull.row]))
+
+
+def _on_points(network: Network, layout: Layout, pull: Triplets) -> Triplets:
+    """The forces T²/m F on the points (C + M) from the state, of the links' pulls."""
+    link, column, value = pull
+    force = Parts()
     for end, sign in ((0, 1.0), (1, -1.0)):
         point = network.ends[link, end]
         met = point >= 0
@@ -224,11 +203,11 @@ def _forces(network: Network, layout: Layout, parts: _Parts) -> Triplets:
     return summed._replace(value=summed.value / (mass[summed.row] * network.rate**2))
 
 
-def _velocities(network: Network, layout: Layout, memory: Memory, parts: _Parts) -> Triplets:
+def _velocities(network: Network, layout: Layout, memory: Memory, parts: Parts) -> Triplets:
     """(links of the memory, N): the velocities v[n], m per sample period; into ``parts`` goes what is remembered."""
     damper, ends = memory.damper, network.ends[memory.links]
     number = np.arange(len(ends))
-    out = _Parts()
+    out = Parts()
     filtered = ends
     if damper.senses:
         senses = (ends >= 0) & (ends < network.channel_mass.size)
@@ -254,7 +233,7 @@ def _velocities(network: Network, layout: Layout, memory: Memory, parts: _Parts)
     return velocity
 
 
-def _add_difference(parts: _Parts, row: Indices, ends: Indices, start: int, value: Floats) -> None:
+def _add_difference(parts: Parts, row: Indices, ends: Indices, start: int, value: Floats) -> None:
     """``value`` times first end minus second end, of the positions whose part of the state begins at ``start``."""
     for end, sign in ((0, 1.0), (1, -1.0)):
         met = ends[:, end] >= 0

@@ -9,13 +9,12 @@ from __future__ import annotations
 import numpy as np
 
 from hapsim.theory.arrays import Floats
-from hapsim.theory.schemes.scheme import Scheme, always_stable, rates
+from hapsim.theory.schemes.scheme import Scheme, always_stable, step_by
 
 
-def _step(mass: Floats, stiffness: Floats, damping: Floats, period: float) -> Floats:
-    half = 0.5 * period * rates(mass, stiffness, damping)
-    one = np.eye(len(half))
-    return np.asarray(np.linalg.solve(one - half, one + half), float)
+def _advance(rates: Floats, start: Floats) -> Floats:
+    half = 0.5 * rates
+    return np.asarray(np.linalg.solve(np.eye(len(half)) - half, start + half @ start), float)
 
 
-MIDPOINT = Scheme(_step, always_stable, order=2, error=-1.0 / 12.0)
+MIDPOINT = Scheme(step_by(_advance), always_stable, order=2, error=-1.0 / 12.0, advance=_advance)

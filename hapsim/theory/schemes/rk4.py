@@ -11,19 +11,19 @@ some stiffness on.
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
 from hapsim.theory.arrays import Floats
-from hapsim.theory.schemes.scheme import Scheme, rates
+from hapsim.theory.schemes.scheme import Scheme, step_by
 
 REAL_LIMIT = 2.785293563405282  # -z where R(z) = 1
 
 
-def _step(mass: Floats, stiffness: Floats, damping: Floats, period: float) -> Floats:
-    z = period * rates(mass, stiffness, damping)
-    one = np.eye(len(z))
-    return one + z @ (one + z @ (one + z @ (one + z / 4.0) / 3.0) / 2.0)
+def _advance(z: Any, start: Any) -> Any:
+    """Arrays, or sparse matrices of scipy, both."""
+    return start + z @ (start + z @ (start + z @ (start + z @ start / 4.0) / 3.0) / 2.0)
 
 
 def _stiffness_limit(mass: float, damping: float, period: float) -> float:
@@ -54,4 +54,4 @@ def _square_of_growth(b: float) -> Floats:
     return square
 
 
-RK4 = Scheme(_step, _stiffness_limit, order=4, error=-1.0 / 120.0)
+RK4 = Scheme(step_by(_advance), _stiffness_limit, order=4, error=-1.0 / 120.0, advance=_advance)

@@ -66,7 +66,7 @@ def _result(trace: Trace) -> dict[str, Any]:
         "ticks": report.ticks,
         "seconds": taken,
         "exchanges_per_second": (trace.time_ns.size - 1) / taken if taken else 0.0,
-        "late": report.late_ticks,
+        "late": report.deadline_misses,
         "lost": report.lost_frames,
         "stale": report.stale_positions,
         "exchange_ns": _in_ns(report.exchange_s),

@@ -17,7 +17,7 @@ PACING = {
 """How a scene's clock is called on the wire."""
 
 
-def require_fit(scene: Scene, name: str, description: Description) -> None:
+def require_compatible(scene: Scene, name: str, description: Description) -> None:
     """UsageError or DeviceError where scene and device do not go together. `name`: what a user calls the port."""
     if description.channels < scene.channels:
         raise UsageError(f"{name}: the device has {description.channels} channel(s), the scene uses {scene.channels}")

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from typing import Any
 
 from hapsim.errors import SceneError, UsageError
-from hapsim.realtime.giving_way import giving_way
 from hapsim.running.session import Session
 from hapsim.scene import Scene, load_scene
 from hapsim.scene.modules import Module
@@ -29,7 +28,7 @@ class News:
     """Why nothing was changed."""
 
 
-class FollowedFile:
+class WatchedFile:
     """The file that a running scene was loaded from."""
 
     def __init__(self, path: str) -> None:
@@ -50,9 +49,6 @@ class FollowedFile:
         if stamp == self._stamp:
             return None
         self._stamp = stamp
-        return giving_way(lambda: self._follow(session))
-
-    def _follow(self, session: Session) -> News | None:
         before = session.scene
         try:
             wanted = load_scene(self._path)
@@ -63,6 +59,8 @@ class FollowedFile:
             return self._refuse(str(error))
         except UsageError as error:
             return self._refuse(f"{self._path}: {error}")
+        except Exception as error:
+            return self._refuse(f"{self._path}: a defect of hapsim itself: {type(error).__name__}: {error}")
         changed = _differences(before, wanted)
         if not changed and not self._refused:
             return None

@@ -7,7 +7,7 @@ from pydantic import BaseModel, ValidationError
 
 from .device import Device
 from .document import Document
-from .finding import Finding, Path, did_you_mean, nearest, quote
+from .issue import Issue, Path, did_you_mean, nearest, quote
 from .mock import Initial, Mock
 from .modules import MODULE_TYPES
 from .quantity import UNEXPECTED, Expectation
@@ -21,15 +21,15 @@ _PARTS: dict[Path, type[BaseModel]] = {
 }
 
 
-def findings_of(error: ValidationError, document: Document) -> list[Finding]:
-    """The faults within single parts; those between parts are left to `findings_across`.
+def findings_of(error: ValidationError, document: Document) -> list[Issue]:
+    """The faults within single parts; those between parts are left to `cross_check_issues`.
 
     A missing key is not mentioned where an unknown key beside it looks like that key misspelt.
     """
     details = [_Detail(raw) for raw in error.errors(include_url=False) if raw["type"] != ACROSS]
     misspelt = {detail.meant() for detail in details if detail.kind == "extra_forbidden"}
     return [
-        detail.finding(document)
+        detail.issue(document)
         for detail in details
         if not (detail.kind == "missing" and (*detail.place, detail.key) in misspelt)
     ]
@@ -51,7 +51,7 @@ class _Detail:
         self.place, self.key = location[:-1], str(location[-1]) if location else ""
         self.path = location[:2] + location[3:] if location[:1] == ("modules",) else location
 
-    def finding(self, document: Document) -> Finding:
+    def issue(self, document: Document) -> Issue:
         """The error in our words."""
         match self.kind:
             case "union_tag_not_found":
@@ -63,22 +63,22 @@ class _Detail:
             case "missing" | "extra_forbidden":
                 return self._about_key()
         if self.kind == UNEXPECTED and self.key == "[key]":  # pydantic's mark for a key of `modules`
-            return Finding(self.path, f"not a name, expected {self.context['expected']}", True)
+            return Issue(self.path, f"not a name, expected {self.context['expected']}", True)
         return self._about_value(document)
 
-    def _about_key(self) -> Finding:
+    def _about_key(self) -> Issue:
         if self.kind == "missing":
-            return Finding(self.path[:-1], f"{quote(self.key)} is missing, expected {self._wanted()}", True)
+            return Issue(self.path[:-1], f"{quote(self.key)} is missing, expected {self._wanted()}", True)
         keys = self._known_keys()
         hint = did_you_mean(self.key, keys)
-        return Finding(self.path, f"unknown key, expected {_one_of(keys)}{hint}", True)
+        return Issue(self.path, f"unknown key, expected {_one_of(keys)}{hint}", True)
 
     def meant(self) -> Path:
         """Where the key would stand that an unknown key seems to mean."""
         near = nearest(self.key, self._known_keys())
         return (*self.place, near) if near else ()
 
-    def _about_value(self, document: Document) -> Finding:
+    def _about_value(self, document: Document) -> Issue:
         path = self.path
         if self.kind == UNEXPECTED:
             path += tuple(self.context["at"])
@@ -86,7 +86,7 @@ class _Detail:
         else:
             expected = "a text" if self.kind == "string_type" else _mapping_words(path)
         hint = document.number_hint(path) if "number" in expected else ""
-        return Finding(path, f"found {document.found(path)}, expected {expected}{hint}")
+        return Issue(path, f"found {document.found(path)}, expected {expected}{hint}")
 
     def _part(self) -> type[BaseModel]:
         """The class of the part that holds the value."""
@@ -118,16 +118,16 @@ def _part_in(annotation: Any) -> type[BaseModel]:
     return next(option for option in options if isinstance(option, type) and issubclass(option, BaseModel))
 
 
-def _no_type(path: Path, document: Document) -> Finding:
+def _no_type(path: Path, document: Document) -> Issue:
     near = nearest("type", document.keys(path))
     hint = f"; is {quote(near)} meant to be 'type'?" if near else ""
-    return Finding(path, f"'type' is missing, expected {_one_of(MODULE_TYPES)}{hint}", True)
+    return Issue(path, f"'type' is missing, expected {_one_of(MODULE_TYPES)}{hint}", True)
 
 
-def _wrong_word(path: Path, words: Iterable[str], document: Document) -> Finding:
+def _wrong_word(path: Path, words: Iterable[str], document: Document) -> Issue:
     value = document.value(path)
     hint = did_you_mean(value, words) if isinstance(value, str) else ""
-    return Finding(path, f"found {document.found(path)}, expected {_one_of(words)}{hint}")
+    return Issue(path, f"found {document.found(path)}, expected {_one_of(words)}{hint}")
 
 
 def _mapping_words(path: Path) -> str:

@@ -45,7 +45,7 @@ def progress_of(loop: Loop) -> Progress:
         rate_hz=(ticks - 1) / elapsed if elapsed > 0 else 0.0,
         force=tuple((io.force_counts * io.force_scale)[: loop.wire.channels].tolist()),
         age_samples=int(state.age),
-        late_ticks=int(state.late_ticks),
+        deadline_misses=int(state.deadline_misses),
         limited_ticks=int(state.limited_ticks),
     )
 
@@ -62,7 +62,7 @@ def _report(scene: Scene, loop: Loop, ending: int) -> Report:
         duration_s=elapsed,
         rate_hz=samples / elapsed if elapsed > 0 else 0.0,
         nominal_rate_hz=scene.rate,
-        late_ticks=int(state.late_ticks),
+        deadline_misses=int(state.deadline_misses),
         lost_frames=int(state.lost_frames),
         crc_errors=int(decoder.crc_errors + decoder.length_errors + decoder.form_errors),
         stale_positions=int(state.stale_positions),

@@ -10,7 +10,7 @@ from typing import Any
 
 import yaml
 
-from .finding import quote
+from .issue import quote
 
 MOST_NESTING = 32
 TOO_DEEP = f"found more than {MOST_NESTING} levels, one within the other; expected at most five"

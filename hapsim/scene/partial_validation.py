@@ -5,19 +5,19 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from .across import PER_CHANNEL_PARTS
-from .finding import Finding, Path
-from .modules import MODULE_TYPES, Module, Surroundings
+from .cross_checks import PER_CHANNEL_PARTS
+from .issue import Issue, Path
+from .modules import MODULE_TYPES, Module, ModuleContext
 
 
-def sound_modules(modules: object) -> Surroundings:
+def sound_modules(modules: object) -> ModuleContext:
     """What can be known of the modules while some of them are faulty."""
     if not isinstance(modules, dict):
-        return Surroundings({}, {"": None})
+        return ModuleContext({}, {"": None})
     types = {name: module.get("type") if isinstance(module, dict) else None for name, module in modules.items()}
     kinds = {name: MODULE_TYPES.get(kind) if isinstance(kind, str) else None for name, kind in types.items()}
     modules_or_none = {name: _sound_module(kind, modules[name]) for name, kind in kinds.items()}
-    return Surroundings({name: module for name, module in modules_or_none.items() if module}, kinds)
+    return ModuleContext({name: module for name, module in modules_or_none.items() if module}, kinds)
 
 
 def _sound_module(kind: type[Module] | None, data: Any) -> Module | None:
@@ -33,9 +33,9 @@ def _sound_module(kind: type[Module] | None, data: Any) -> Module | None:
         return kind.model_construct(**{field: data[field] for field in kind.shared if field in data})
 
 
-def sound_fields(data: dict[str, Any], findings: Iterable[Finding]) -> dict[Path, dict[str, object]]:
+def sound_fields(data: dict[str, Any], issues: Iterable[Issue]) -> dict[Path, dict[str, object]]:
     """The fields of the device and the mock that nothing was found in."""
-    faulty = {finding.path[:length] for finding in findings for length in range(len(finding.path) + 1)}
+    faulty = {issue.path[:length] for issue in issues for length in range(len(issue.path) + 1)}
     sound: dict[Path, dict[str, object]] = {}
     for path in PER_CHANNEL_PARTS:
         part: Any = data

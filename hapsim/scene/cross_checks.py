@@ -5,8 +5,8 @@ They take whatever parts are sound, so that a file with a fault in one place sti
 
 from collections.abc import Iterator, Mapping
 
-from .finding import Finding, Path
-from .modules import DevicePoint, Surroundings
+from .issue import Issue, Path
+from .modules import DevicePoint, ModuleContext
 
 #: The parts that may have lists with one value per channel.
 PER_CHANNEL_PARTS: tuple[Path, ...] = (("device",), ("mock",), ("mock", "initial"))
@@ -15,18 +15,18 @@ PER_CHANNEL_PARTS: tuple[Path, ...] = (("device",), ("mock",), ("mock", "initial
 Fields = Mapping[Path, Mapping[str, object]]
 
 
-def findings_across(around: Surroundings, per_channel: Fields) -> list[Finding]:
+def cross_check_issues(around: ModuleContext, per_channel: Fields) -> list[Issue]:
     """The faults between the parts.
 
     Args:
         around: the modules.
         per_channel: the sound fields of the parts that may have lists with one value per channel.
     """
-    findings = [finding for name, module in around.sound.items() for finding in module.findings(name, around)]
+    issues = [issue for name, module in around.sound.items() for issue in module.issues(name, around)]
     kinds = around.kinds.values()
     if None not in kinds and DevicePoint not in kinds:
-        findings.append(
-            Finding(
+        issues.append(
+            Issue(
                 ("modules",),
                 "found no module of type device, expected at least one: it is what the hand holds",
                 at_key=True,
@@ -34,11 +34,11 @@ def findings_across(around: Surroundings, per_channel: Fields) -> list[Finding]:
         )
     channels = _channels(around)
     if channels is not None:
-        findings += _lists_of_another_length(per_channel, channels)
-    return findings
+        issues += _lists_of_another_length(per_channel, channels)
+    return issues
 
 
-def _channels(around: Surroundings) -> int | None:
+def _channels(around: ModuleContext) -> int | None:
     """Number of channels, or None where a faulty module leaves it open."""
     kinds = around.kinds
     if any(kinds[name] in (None, DevicePoint) for name in kinds if name not in around.sound):
@@ -47,10 +47,10 @@ def _channels(around: Surroundings) -> int | None:
     return 1 + max(used) if used else None
 
 
-def _lists_of_another_length(per_channel: Fields, channels: int) -> Iterator[Finding]:
+def _lists_of_another_length(per_channel: Fields, channels: int) -> Iterator[Issue]:
     for path, fields in per_channel.items():
         for name, value in fields.items():
             if isinstance(value, list | tuple) and len(value) != channels:
                 found = f"found {len(value)} {'number' if len(value) == 1 else 'numbers'}"
                 expected = f"expected {channels}: one for each channel, up to the highest that a module holds"
-                yield Finding((*path, name), f"{found}, {expected}; or write a single number for all")
+                yield Issue((*path, name), f"{found}, {expected}; or write a single number for all")

@@ -1,4 +1,4 @@
-"""The simulated element that the hand meets as a given oscillator: the paper's Figure 4, in closed form.
+"""The simulated element that the hand feels as a given oscillator: the paper's Figure 4, in closed form.
 
 In normalised units, periods as time: sigma and kappa of s² + sigma s + kappa are asked for, K T²/m and B T/m answer.
 """
@@ -9,7 +9,7 @@ import numpy as np
 
 from hapsim.theory.arrays import Bools, Floats
 from hapsim.theory.hand.loop_equation import LoopEquation, characteristic, element_on_pair
-from hapsim.theory.hand.pair import OnPair, Pair, change_of_quadratic, pair_of_oscillator
+from hapsim.theory.hand.pair import LinearOnPair, Pair, change_of_quadratic, pair_of_oscillator
 from hapsim.theory.hand.poles import all_within, without_pair
 
 
@@ -38,7 +38,7 @@ def element_of_oscillator(
 
 def _parts(
     equation: LoopEquation, oscillator: tuple[Floats, Floats], more: tuple[Floats, Floats]
-) -> tuple[OnPair, OnPair, tuple[Floats, Floats]]:
+) -> tuple[LinearOnPair, LinearOnPair, tuple[Floats, Floats]]:
     """(H, r, change) on the oscillator's poles, where the equation is K + B w H + (change[0] w + change[1]) r = 0.
 
     The free mass's factor is that line there: the oscillator's own vanishes.
@@ -49,7 +49,7 @@ def _parts(
     return *element_on_pair(equation, pair.w), change
 
 
-def undamped_parts(equation: LoopEquation, theta: Floats) -> tuple[OnPair, OnPair]:
+def undamped_parts(equation: LoopEquation, theta: Floats) -> tuple[LinearOnPair, LinearOnPair]:
     """(h, g) with K T²/m + B T/m h + g = 0 where a pole swings undamped at theta radians per sample.
 
     As lines over that pole and its conjugate: where both slopes vanish, K and B are tied by this one equation only.

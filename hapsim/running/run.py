@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable
 
-from hapsim.device.open_connection import LineKind
+from hapsim.device.open_connection import TransportKind
 from hapsim.loop.trace import Trace
 from hapsim.progress import Progress
 from hapsim.running.excitation import Excitation
@@ -20,20 +20,19 @@ def run(
     scene: Scene,
     *,
     duration: float | None = None,
-    line: LineKind = "auto",
+    transport: TransportKind = "auto",
     excitation: Excitation | None = None,
     keep: bool = True,
     realtime: bool = False,
     portable: bool = False,
     on_progress: Callable[[Progress], None] | None = None,
     on_start: Callable[[Session], None] | None = None,
-    while_running: Callable[[Session], None] | None = None,
     stop_on_signals: bool = False,
 ) -> Trace:
     """Runs `scene` for `duration` seconds (None: until stopped) and returns what happened.
 
-    `on_progress`, `while_running`: called now and then while it runs, `on_start` once it does; `stop_on_signals`:
-    SIGINT, SIGTERM and SIGHUP end the run in good order (main thread only). The rest, and the errors, as `start`.
+    `on_progress`: called now and then while it runs, `on_start` once it does; `stop_on_signals`: SIGINT, SIGTERM and
+    SIGHUP end the run in good order (main thread only). The rest, and the errors, as `start`.
     """
     tell = on_progress or (lambda _: None)
     running: list[Session] = []
@@ -48,7 +47,7 @@ def run(
         start(
             scene,
             duration=duration,
-            line=line,
+            transport=transport,
             excitation=excitation,
             keep=keep,
             realtime=realtime,
@@ -61,7 +60,5 @@ def run(
             on_start(session)
         while not session.wait(_LOOK_S):
             tell(session.progress())
-            if while_running is not None:
-                while_running(session)
         tell(session.progress())
     return session.trace

@@ -13,17 +13,17 @@ ONLY_LINUX = "only Linux has it"
 
 
 @dataclass(frozen=True)
-class Grant:
+class PrivilegeResult:
     """One measure as the system answered it."""
 
-    measure: str
+    privilege: str
     """What people call it: ``SCHED_FIFO``."""
-    got: bool
+    granted: bool
     detail: str
     """Got: what exactly (``priority 80``). Denied: why, and what to do about it, without a full stop."""
 
 
-Measure = Callable[[int], AbstractContextManager[Grant]]
+Measure = Callable[[int], AbstractContextManager[PrivilegeResult]]
 """Asks for something for the process and its thread with this native id, and gives it back on leaving."""
 
 Ask = Callable[[int], tuple[str, Callable[[], object]]]
@@ -39,9 +39,9 @@ def measure(name: str, advise: Callable[[OSError], str], *, everywhere: bool = F
 
     def make(ask: Ask) -> Measure:
         @contextlib.contextmanager
-        def held(thread_id: int) -> Iterator[Grant]:
+        def held(thread_id: int) -> Iterator[PrivilegeResult]:
             if sys.platform != "linux" and not everywhere:
-                answer, undo = Grant(name, False, ONLY_LINUX), _nothing
+                answer, undo = PrivilegeResult(name, False, ONLY_LINUX), _nothing
             else:
                 answer, undo = _asked(name, ask, advise, thread_id)
             try:
@@ -56,21 +56,23 @@ def measure(name: str, advise: Callable[[OSError], str], *, everywhere: bool = F
     return make
 
 
-def denied(name: str, error: OSError, advise: Callable[[OSError], str]) -> Grant:
+def denied(name: str, error: OSError, advise: Callable[[OSError], str]) -> PrivilegeResult:
     """The refusal of `name` in words: `advise` has to know only the errors that are the measure's own."""
     if error.errno == errno.ESRCH:
-        return Grant(name, False, "the loop's thread is not there: it has ended already")
+        return PrivilegeResult(name, False, "the loop's thread is not there: it has ended already")
     if error.errno == errno.ENOSYS:
-        return Grant(name, False, "this kernel or C library does not have the call; another one may")
-    return Grant(name, False, advise(error))
+        return PrivilegeResult(name, False, "this kernel or C library does not have the call; another one may")
+    return PrivilegeResult(name, False, advise(error))
 
 
-def _asked(name: str, ask: Ask, advise: Callable[[OSError], str], thread_id: int) -> tuple[Grant, Callable[[], object]]:
+def _asked(
+    name: str, ask: Ask, advise: Callable[[OSError], str], thread_id: int
+) -> tuple[PrivilegeResult, Callable[[], object]]:
     try:
         detail, undo = ask(thread_id)
     except OSError as error:
         return denied(name, error, advise), _nothing
-    return Grant(name, True, detail), undo
+    return PrivilegeResult(name, True, detail), undo
 
 
 def _nothing() -> None:

@@ -1,4 +1,4 @@
-"""What a fault is: by where it is in the scene (`Finding`), and by where that is in the file (`Fault`)."""
+"""What a fault is: by where it is in the scene (`Issue`), and by where that is in the file (`LocatedIssue`)."""
 
 import difflib
 from collections.abc import Iterable
@@ -12,7 +12,7 @@ MOST_COMPARED = 500
 
 
 @dataclass(frozen=True)
-class Finding:
+class Issue:
     """One fault of a scene.
 
     Attributes:
@@ -35,7 +35,7 @@ class Place:
 
 
 @dataclass(frozen=True, order=True)
-class Fault:
+class LocatedIssue:
     """One fault of a file, and where it is."""
 
     place: Place

@@ -11,7 +11,7 @@ import pytest
 
 import hapsim
 from hapsim.running import Session
-from hapsim.running.following import FollowedFile
+from hapsim.running.watch import WatchedFile
 from hapsim.scene import load_scene
 
 TEXT = """\
@@ -47,13 +47,13 @@ def edit(path: Path, old: str, new: str) -> None:
 
 
 def test_a_file_that_nobody_touches_is_no_news(path: Path, session: Session) -> None:
-    file = FollowedFile(str(path))
+    file = WatchedFile(str(path))
     assert file.look(session) is None
     assert file.look(session) is None
 
 
 def test_what_is_edited_is_adopted_and_told_once(path: Path, session: Session) -> None:
-    file = FollowedFile(str(path))
+    file = WatchedFile(str(path))
     edit(path, "stiffness: 1000, damping: 2", "stiffness: 500, damping: 3")
     edit(path, "position: 0.0", "position: 0.01")
     news = file.look(session)
@@ -74,7 +74,7 @@ def test_what_is_edited_is_adopted_and_told_once(path: Path, session: Session) -
 def test_what_cannot_be_changes_nothing_and_is_told_once(
     path: Path, session: Session, old: str, new: str, sentence: str
 ) -> None:
-    file, before = FollowedFile(str(path)), session.scene
+    file, before = WatchedFile(str(path)), session.scene
     edit(path, old, new)
     news = file.look(session)
     assert news is not None
@@ -89,7 +89,7 @@ def test_what_cannot_be_changes_nothing_and_is_told_once(
 
 
 def test_a_file_that_is_gone_for_a_moment_is_waited_for(path: Path, session: Session) -> None:
-    file = FollowedFile(str(path))
+    file = WatchedFile(str(path))
     text = path.read_text(encoding="utf-8")
     path.unlink()
     assert file.look(session) is None
@@ -100,7 +100,7 @@ def test_a_file_that_is_gone_for_a_moment_is_waited_for(path: Path, session: Ses
 
 
 def test_a_file_that_stays_away_is_told_once(path: Path, session: Session) -> None:
-    file = FollowedFile(str(path))
+    file = WatchedFile(str(path))
     path.unlink()
     told = [news for _ in range(30) if (news := file.look(session)) is not None]
     assert len(told) == 1
@@ -108,7 +108,7 @@ def test_a_file_that_stays_away_is_told_once(path: Path, session: Session) -> No
 
 
 def test_a_pipe_in_its_place_holds_nobody_up(path: Path, session: Session) -> None:
-    file = FollowedFile(str(path))
+    file = WatchedFile(str(path))
     path.unlink()
     os.mkfifo(path)
     assert file.look(session) is None
@@ -116,7 +116,7 @@ def test_a_pipe_in_its_place_holds_nobody_up(path: Path, session: Session) -> No
 
 def test_the_port_of_the_command_counts_more_than_the_files(path: Path, served: Callable[..., Any]) -> None:
     with served(load_scene(path)) as (scene, _), hapsim.start(scene) as session:
-        file = FollowedFile(str(path))
+        file = WatchedFile(str(path))
         edit(path, "stiffness: 1000", "stiffness: 400")
         news = file.look(session)
         assert news is not None

@@ -1,0 +1,62 @@
+"""What `hapsim run` tells beside its live line: what the real-time set-up got, and what an edit of the file came to."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
+
+from rich.console import Console
+from rich.markup import escape
+
+if TYPE_CHECKING:
+    from hapsim.realtime import PrivilegeResult
+    from hapsim.running import Session
+    from hapsim.running.watch import WatchedFile
+    from hapsim.scene import Scene
+
+_LOOK_S = 0.05  # how often the file is looked at
+
+
+def show_grants(error: Console, grants: Sequence[PrivilegeResult]) -> None:
+    """A line for each measure, got or denied and why."""
+    for grant in grants:
+        sign = "[green]got[/green]   " if grant.granted else "[yellow]denied[/yellow]"
+        error.print(f"{sign} {grant.privilege}: {escape(grant.detail)}", soft_wrap=True, highlight=False)
+
+
+class RunReporter:
+    """Reports that a run has started, and what it makes of edits while it runs. `watched`: the file to follow, if any;
+    `about(scene)` says what there is to be said of a changed scene."""
+
+    def __init__(self, error: Console, watched: str | None, about: Callable[[Scene], None]) -> None:
+        from hapsim.running.watch import WatchedFile
+
+        self._error = error
+        self._file = WatchedFile(watched) if watched is not None else None
+        self._about = about
+        self.grants: list[PrivilegeResult] = []
+
+    def started(self, session: Session) -> None:
+        """The device is armed. From now on the file is followed, in a thread of its own: nobody waits for it."""
+        from hapsim.realtime.giving_way import Beside
+
+        self.grants = session.grants
+        show_grants(self._error, session.grants)
+        if self._file is not None:
+            file = self._file
+            Beside(lambda: self._follow(file, session), session.gives_way)
+
+    def _follow(self, file: WatchedFile, session: Session) -> None:
+        while not session.wait(_LOOK_S):
+            news = file.look(session)
+            if news is None:
+                continue
+            if news.refused:
+                self._say(f"{news.refused}\nNothing was changed.")
+            for change in news.changed:
+                self._say(f"changed: {change}")
+            if news.changed:
+                self._about(session.scene)
+
+    def _say(self, text: str) -> None:
+        self._error.print(text, soft_wrap=True, highlight=False, markup=False)

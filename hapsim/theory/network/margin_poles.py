@@ -1,0 +1,95 @@
+"""By how much one link may grow, by the poles themselves: those of the loop with that link multiplied."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from hapsim.theory.arrays import Floats
+from hapsim.theory.network.links import acting_links, touches_channel
+from hapsim.theory.network.modes import snap_to_rest
+from hapsim.theory.network.network import Network
+from hapsim.theory.network.state import state_size, transition
+
+BESIDE = 1e-3  # the poles are looked at this far below and above a factor
+LIMIT = 1.0 + 1e-9  # a pole within it is not unstable: it may rest on 1, or never lose its energy
+SEARCHES = 6e8  # what looking for margins may cost: transitions tried times the cube of the state's size
+TRIES = 70  # that one search may take
+ONE_AT_LEAST = 200  # numbers in the state of the largest scene of which one link is looked for, whatever it costs
+
+
+def by_poles(network: Network, unstable: bool) -> tuple[Floats, str]:
+    """(L, 2): the factors of stiffness and damping of each link, those that touch a hand first, as long as time allows,
+    the others NaN; and which and how surely, in words."""
+    links = acting_links(network)
+    links = links[links < (len(network.ends) if network.margin_links is None else network.margin_links)]
+    factors = np.full((len(network.ends), 2), 0.0 if unstable else math.inf)
+    affordable = int(SEARCHES / TRIES / 2 / (state_size(network) + 40) ** 3)
+    affordable = max(affordable, int(state_size(network) <= ONE_AT_LEAST))
+    order = links[np.argsort(~touches_channel(network, links), kind="stable")]
+    factors[order[affordable:]] = math.nan
+    written = np.stack([network.stiffness, network.damping], axis=1)
+    for link in order[:affordable].tolist():
+        for of in np.flatnonzero(written[link]).tolist():
+            factors[link, of] = Varied(network, link, of).searched(unstable)
+    how = "by the poles, in steps of a tenth, beyond tenfold of double: what comes and goes within one is not seen"
+    if order.size and not affordable:
+        return factors, f"none was worked out: of so many masses that is not done under scheme: {network.scheme}"
+    if order.size > affordable:
+        how = f"{affordable} of {order.size} links, those that touch a hand first; {how}"
+    return factors, how if links.size else ""
+
+
+class Varied:
+    """The loop's poles with one link's stiffness (0) or damping (1) multiplied."""
+
+    def __init__(self, network: Network, link: int, of: int) -> None:
+        self._network, self._link, self._name = network, link, ("stiffness", "damping")[of]
+
+    def radius(self, factor: float) -> float:
+        value = getattr(self._network, self._name).copy()
+        value[self._link] *= factor
+        changed = replace(self._network, **{self._name: value})
+        matrix = transition(changed)
+        if not np.isfinite(matrix).all():
+            return math.inf
+        poles = np.linalg.eigvals(matrix).astype(complex)
+        return float(np.abs(snap_to_rest(changed, poles)).max(initial=0.0))
+
+    def agree(self, factor: float, unstable: bool) -> bool:
+        """Whether the loop is stable just below the factor, and not well inside the circle just above it."""
+        if math.isnan(factor):
+            return False
+        if factor == 0.0:
+            return self.radius(0.5) > 1.0 or self.radius(1e-6) > 1.0
+        if factor == math.inf:
+            return max(self.radius(1.5), self.radius(30.0)) <= LIMIT
+        below, above = factor * (1.0 - BESIDE), factor * (1.0 + BESIDE)
+        if not unstable:
+            below = max(below, 0.5 * (1.0 + factor))  # the loop as it stands is known to be stable
+        return self.radius(below) <= LIMIT and self.radius(above) >= 2.0 - LIMIT
+
+    def searched(self, unstable: bool) -> float:
+        """Bisection between a stable and an unstable factor."""
+        last = None
+        for factor in _outward(unstable):
+            stable = self.radius(factor) <= LIMIT
+            if last is not None and stable == unstable:
+                return self._between(*((factor, last) if unstable else (last, factor)))
+            last = factor
+        return 0.0 if unstable else math.inf
+
+    def _between(self, low: float, high: float) -> float:
+        while high / low > 1.0 + 1e-9:
+            middle = math.sqrt(low * high)
+            low, high = (middle, high) if self.radius(middle) <= LIMIT else (low, middle)
+        return low
+
+
+def _outward(unstable: bool) -> Iterator[float]:
+    """Factors from 1 on, upward or downward, in growing steps."""
+    for step in np.concatenate([np.arange(0.0, 1.0, 0.04), np.arange(1.0, 10.0, 0.3)]):
+        yield float(10.0 ** (-step if unstable else step))

@@ -1,0 +1,164 @@
+"""The transition of a large scene, as what an iteration asks of it: what it makes of a state, and its shifted inverse.
+
+Under CORDIS's scheme and rk4 it is one sparse matrix. Under midpoint it is sparse on either side, left z' = right z.
+Under exact it is full, and its modes are what is sparse (``exact_modes.py``).
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hapsim.theory.network.moved import Moved
+from hapsim.theory.network.network import Network
+from hapsim.theory.network.state import transition_parts
+from hapsim.theory.network.triplets import sparse
+from hapsim.theory.schemes import SCHEMES
+
+Solve = Callable[[NDArray], NDArray]
+
+
+class Operator(Protocol):
+    """A transition of ``size`` numbers. ``work``: what one step costs, in numbers of a state that CORDIS's moves."""
+
+    size: int
+    work: int
+
+    def __matmul__(self, state: NDArray) -> NDArray:
+        """States (size,) or (size, n) at the next sample."""
+
+    def inverse(self, shift: complex) -> Solve | None:
+        """x -> (transition - shift)^-1 x; None where the shift is a pole, exactly."""
+
+    def positions(self, motions: NDArray) -> NDArray:
+        """The points' part (C + M, n) of states (size, n)."""
+
+    def is_finite(self) -> bool:
+        """Whether all of its numbers are."""
+
+
+class Explicit:
+    """One sparse matrix."""
+
+    def __init__(self, matrix: Any, points: int, work: int) -> None:
+        self.matrix, self.work, self.size = matrix, work, matrix.shape[0]
+        self._rows, self._points = matrix.tocsr(), points
+
+    def __matmul__(self, state: NDArray) -> NDArray:
+        return np.asarray(self._rows @ state)
+
+    def inverse(self, shift: complex) -> Solve | None:
+        from scipy.sparse import eye
+
+        return factorised(self.matrix - shift * eye(self.size, format="csc"))
+
+    def positions(self, motions: NDArray) -> NDArray:
+        return motions[: self._points]
+
+    def is_finite(self) -> bool:
+        return bool(np.isfinite(self.matrix.data).all())
+
+
+class Implicit:
+    """Two sparse matrices, left z' = right z."""
+
+    def __init__(self, left: Any, right: Any, points: int) -> None:
+        self._left, self._right, self._points = left, right, points
+        self.size = left.shape[0]
+        self._finite = bool(np.isfinite(left.data).all() and np.isfinite(right.data).all())
+        # Without looking for pivots: eliminating the positions leaves minus 2 + B T/m + K T²/(2 m), which is definite.
+        how = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
+        self._step = factorised(left, **how) if self._finite else None
+        self.work = 3 * self.size
+
+    def __matmul__(self, state: NDArray) -> NDArray:
+        assert self._step is not None
+        forward = self._right @ state
+        return self._step(forward) if np.isrealobj(state) else self._step(forward.real) + 1j * self._step(forward.imag)
+
+    def inverse(self, shift: complex) -> Solve | None:
+        solve = factorised(self._right - shift * self._left)
+        return None if solve is None else lambda state: solve(self._left @ state)
+
+    def positions(self, motions: NDArray) -> NDArray:
+        return motions[: self._points]
+
+    def is_finite(self) -> bool:
+        return self._step is not None
+
+
+def factorised(matrix: Any, **how: Any) -> Solve | None:
+    """x -> matrix^-1 x; None where there is no inverse. ``how``: as for scipy's ``splu``."""
+    from scipy.sparse import linalg
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            solve: Solve = linalg.splu(matrix.tocsc(), **how).solve
+        except RuntimeError:
+            return None
+    return solve
+
+
+@np.errstate(all="ignore")  # what is out of range becomes NaN
+def operator_of(network: Network) -> Operator:
+    """The transition of a large scene.
+
+    Raises:
+        NotWorkedOutError: under exact, of a scene whose modes damping joins, or that has too many masses.
+    """
+    entries, moved, size = transition_parts(network)
+    points = network.channel_mass.size + network.point_mass.size
+    if network.scheme == "exact" and moved is not None:
+        from hapsim.theory.network.exact_modes import modal_operator
+
+        return modal_operator(network, entries, moved, size)
+    matrix = sparse(entries, (size, size))
+    if moved is None:
+        return Explicit(matrix, points, size)
+    if network.scheme == "rk4":
+        matrix = matrix + _placed(moved, size) @ _advanced(moved, size)
+        return Explicit(matrix.tocsc(), points, max(size, matrix.nnz // 4))
+    return _implicit(matrix, moved, size, points)
+
+
+def _advanced(moved: Moved, size: int) -> Any:
+    """Sparse (2 M, size): the masses' next positions and steps, by a scheme that is a polynomial of the rates."""
+    advance = SCHEMES["rk4"].advance
+    assert advance is not None
+    rates = sparse(moved.rates, (moved.size, moved.size))
+    return advance(rates, sparse(moved.start, (moved.size, size))).tocsr()[: 2 * moved.masses]
+
+
+def _placed(moved: Moved, size: int) -> Any:
+    """Sparse (size, 2 M): where positions and steps go in the state, x and x - w."""
+    from scipy.sparse import csc_matrix
+
+    own = np.arange(moved.masses)
+    rows = np.concatenate([moved.now, moved.before, moved.before])
+    columns = np.concatenate([own, own, moved.masses + own])
+    values = np.concatenate([np.ones(2 * own.size), -np.ones(own.size)])
+    return csc_matrix((values, (rows, columns)), (size, 2 * own.size))
+
+
+def _implicit(matrix: Any, moved: Moved, size: int, points: int) -> Implicit:
+    """By the midpoint scheme: (1 - Z/2) z' = (1 + Z/2) z in the masses' rows, with what pulls from outside held."""
+    from scipy.sparse import csc_matrix
+
+    own = 2 * moved.masses
+    rates = sparse(moved.rates, (moved.size, moved.size)).tocsr()[:own]
+    start = sparse(moved.start, (moved.size, size)).tocsr()
+    rows = np.concatenate([moved.now, moved.before])
+    place = csc_matrix((np.ones(own), (rows, np.arange(own))), (size, own))
+    others = np.ones(size)
+    others[rows] = 0.0
+    kept = csc_matrix((others, (np.arange(size), np.arange(size))), (size, size))
+    inner = start[:own]
+    half = 0.5 * rates[:, :own] @ inner
+    left = kept + place @ (inner - half)
+    right = matrix + place @ (inner + half + rates[:, own:] @ start[own:])
+    return Implicit(left.tocsc(), right.tocsc(), points)

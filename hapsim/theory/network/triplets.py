@@ -1,0 +1,61 @@
+"""A matrix as its entries: triplets (row, column, value)."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hapsim.theory.arrays import Bools, Floats
+
+Indices = NDArray[np.intp]
+
+
+class Triplets(NamedTuple):
+    """A matrix (rows, columns) as its entries; entries of one place add up."""
+
+    row: Indices
+    column: Indices
+    value: Floats
+
+    def gathered(self, columns: int) -> Triplets:
+        """The same, one entry a place."""
+        place, entry = np.unique(self.row * columns + self.column, return_inverse=True)
+        value: Floats = np.bincount(entry, self.value, place.size).astype(float)
+        return Triplets(place // columns, place % columns, value)
+
+    def some(self, which: Bools) -> Triplets:
+        """Those entries alone."""
+        return Triplets(self.row[which], self.column[which], self.value[which])
+
+
+class Parts:
+    """Triplets as they come."""
+
+    def __init__(self) -> None:
+        self._parts: list[tuple[Indices, Indices, Floats]] = []
+
+    def add(self, row: Indices | int, column: Indices | int, value: Floats | float) -> None:
+        rows, columns, values = np.broadcast_arrays(row, column, value)
+        self._parts.append((rows.ravel(), columns.ravel(), values.ravel().astype(float)))
+
+    def joined(self) -> Triplets:
+        if not self._parts:
+            return Triplets(np.zeros(0, np.intp), np.zeros(0, np.intp), np.zeros(0))
+        row, column, value = (np.concatenate(part) for part in zip(*self._parts, strict=True))
+        return Triplets(row, column, value)
+
+
+def dense(entries: Triplets, shape: tuple[int, int]) -> Floats:
+    """The matrix as an array."""
+    matrix = np.zeros(shape)
+    np.add.at(matrix, (entries.row, entries.column), entries.value)
+    return matrix
+
+
+def sparse(entries: Triplets, shape: tuple[int, int]) -> Any:
+    """The matrix as one of scipy's, by compressed columns."""
+    import scipy.sparse
+
+    return scipy.sparse.csc_matrix((entries.value, (entries.row, entries.column)), shape)

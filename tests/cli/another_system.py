@@ -1,0 +1,146 @@
+"""`hapsim …` as on a system that is not Linux: `python another_system.py run scene.yaml --portable --port COM3`.
+
+What such a system lacks is taken away before anything is imported: modules of Python, functions of `os`, `time` and
+`signal`, the system calls of the loop. They are gone for LLVM too, so that whatever is compiled all the same, or was
+kept, ends the process at its first look for them. In place of pyserial, which does without only where the system says
+that it is another one, stands a port behind which the mock of the scene answers, in memory.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+import sys
+import sysconfig
+import time
+import types
+from typing import Any
+
+import llvmlite.binding
+
+MODULES = ("crypt", "fcntl", "grp", "nis", "pty", "pwd", "resource", "spwd", "syslog", "termios", "tty")
+CALLS = ("clock_gettime", "clock_nanosleep", "poll", "ppoll", "read", "write", "__errno_location")
+FUNCTIONS: dict[Any, tuple[str, ...]] = {
+    os: (
+        *("fork", "forkpty", "geteuid", "mkfifo", "openpty", "set_blocking", "ttyname"),
+        *(name for name in dir(os) if name.startswith(("sched_", "SCHED_", "posix_"))),
+    ),
+    time: tuple(name for name in dir(time) if name.startswith(("clock_", "CLOCK_"))),
+    signal: ("SIGHUP",),
+}
+
+
+class Library(ctypes.CDLL):
+    """A library of C; the system's own lacks what the loop calls."""
+
+    def __getattr__(self, name: str) -> Any:
+        if self._name is None and name in CALLS:
+            raise AttributeError(name)
+        return super().__getattr__(name)
+
+
+class Serial:
+    """A port as pyserial has it: the mock of the scene that is run, with a timer where it is asked for one."""
+
+    scene = ""
+    port_of = "COM3"
+
+    def __init__(self, port: str, _baudrate: int, *, timeout: float, **_options: Any) -> None:
+        from hapsim.device.mock.assemble import assemble_mock
+        from hapsim.device.mock.firmware import prepare
+        from hapsim.scene import load_scene
+
+        if port != self.port_of:
+            raise SerialException(f"could not open port {port!r}")
+        self.timeout = timeout
+        self._mock = assemble_mock(load_scene(self.scene))
+        self._came = bytearray()
+        self._period_ns = round(self._mock.converters[0].period * 1e9)
+        self._due_ns = 0
+        prepare(self._mock)
+
+    @property
+    def in_waiting(self) -> int:
+        return len(self._came)
+
+    def write(self, data: bytes) -> int:
+        import numpy as np
+
+        from hapsim.device.mock.firmware import take_bytes
+
+        was_armed = self._is_ticking
+        take_bytes(self._mock, np.frombuffer(data, np.uint8).copy(), len(data), time.monotonic_ns())
+        if self._is_ticking and not was_armed:
+            self._due_ns = time.monotonic_ns() + self._period_ns
+        self._fetch()
+        return len(data)
+
+    def read(self, size: int) -> bytes:
+        from hapsim.device.mock.firmware import take_sample
+
+        give_up = time.monotonic_ns() + round(self.timeout * 1e9)
+        while not self._came and time.monotonic_ns() < give_up:
+            time.sleep(1e-4)
+            if self._is_ticking and time.monotonic_ns() >= self._due_ns:
+                take_sample(self._mock, time.monotonic_ns())
+                self._due_ns += self._period_ns
+                self._fetch()
+        data = bytes(self._came[:size])
+        del self._came[:size]
+        return data
+
+    def close(self) -> None:
+        if self._mock.board.state:
+            print("The port was closed while the device was armed.", file=sys.stderr)
+
+    @property
+    def _is_ticking(self) -> bool:
+        from firmware_protocol import schema
+
+        board = self._mock.board
+        return bool(board.state == schema.ARMED and board.pacing == schema.PACED_BY_DEVICE)
+
+    def _fetch(self) -> None:
+        self._came += self._mock.outbox[: int(self._mock.board.out)].tobytes()
+        self._mock.board.out = 0
+
+
+class SerialException(OSError):  # noqa: N818
+    """pyserial's own."""
+
+
+def pyserial() -> dict[str, types.ModuleType]:
+    """Its modules, by their names."""
+    serial, tools, ports = (types.ModuleType(name) for name in ("serial", "serial.tools", "serial.tools.list_ports"))
+    found = types.SimpleNamespace(device=Serial.port_of, description="a port", hwid=None)
+    vars(serial).update(Serial=Serial, SerialException=SerialException, tools=tools)
+    vars(ports).update(comports=lambda: [found])
+    vars(tools).update(list_ports=ports)
+    return {module.__name__: module for module in (serial, tools, ports)}
+
+
+def become_another_system() -> None:
+    sysconfig.get_config_vars()  # Python's own, found by the name of the system that it was built for
+    sys.platform = "freebsd14"
+    sys.modules.update(dict.fromkeys(MODULES))
+    for owner, names in FUNCTIONS.items():
+        for name in names:
+            delattr(owner, name)
+    ctypes.CDLL = Library  # type: ignore[misc]
+    for name in CALLS:
+        llvmlite.binding.add_symbol(name, 0)
+    sys.modules.update(pyserial())
+
+
+def main(words: list[str]) -> None:
+    Serial.scene = next((word for word in words if word.endswith(".yaml")), "")
+    become_another_system()
+    sys.argv = ["hapsim", *words]
+    from hapsim.cli import main
+
+    main()
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

@@ -1,0 +1,191 @@
+"""What the theory makes of a scene by each scheme, against the tick itself: the whole transition, number by number."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from hapsim.cordis.offline import start, tick
+from hapsim.cordis.program import compile_scene, positions_of
+from hapsim.cordis.registry import PART_TYPES
+from hapsim.cordis.schemes import SCHEMES
+from hapsim.prediction.linear import linear_scene
+from hapsim.prediction.predict import _network
+from hapsim.scene import Scene, parse_scene
+from hapsim.theory import Network, solve
+from hapsim.theory.network.links import inner_links
+from hapsim.theory.network.state import Layout, channel_steps, layout_of, transition
+
+RATE = 1000.0
+T = 1.0 / RATE
+MASSES = 4
+DELAY = 0.37
+HAND = (0.2, 1.0, 400.0)  # kg, N·s/m, N/m
+
+
+def link(between: tuple[str, str], stiffness: float, damping: float, **more: Any) -> dict[str, Any]:
+    return {"type": "viscoelastic", "between": between, "stiffness": stiffness, "damping": damping, **more}
+
+
+def scene_of(scheme: str, seed: int, state: np.ndarray | None = None) -> Scene:
+    """A hand and four masses with links of every kind that is linear; `state`: x and x before of hand and masses."""
+    random = np.random.default_rng(seed)
+    x, before = np.zeros((2, 1 + MASSES)) if state is None else state[: 2 * (1 + MASSES)].reshape(2, -1)
+    modules: dict[str, Any] = {"hand": {"type": "device", "channel": 0}, "wall": {"type": "ground"}}
+    for i in range(MASSES):
+        velocity = float(RATE * (x[1 + i] - before[1 + i]))
+        mass = float(random.uniform(0.02, 0.2))
+        modules[f"m{i}"] = {"type": "mass", "mass": mass, "position": float(x[1 + i]), "velocity": velocity}
+    joins = [("m0", "wall"), ("m0", "m1"), ("m2", "m1"), ("m3", "m0"), ("hand", "m1"), ("m2", "hand"), ("hand", "m3")]
+    how = [{}, {"damper": "centred"}, {"damper": "filtered", "cutoff": 90.0}, {"damper": "sensed"}]
+    for i in range(18):
+        between = joins[i % len(joins)]
+        k, b = float(random.uniform(50.0, 900.0)), float(random.uniform(0.1, 1.5))
+        if i < 12:
+            kind = int(random.integers(4 if "hand" in between else 3))
+            modules[f"l{i}"] = link(between, k, b, **how[kind])
+        elif i < 14:
+            modules[f"l{i}"] = {"type": "buffer", "between": between, "stiffness": k, "damping": b, "distance": 1.0}
+        elif i < 16:
+            curves = {"force_over_distance": [[-9.0, -9.0 * k], [9.0, 9.0 * k]]}
+            curves |= {"force_over_velocity": [[-9e3, -9e3 * b], [9e3, 9e3 * b]]}
+            modules[f"l{i}"] = {"type": "nonlinear", "between": between, **curves}
+        else:
+            one = {"type": "spring", "stiffness": k} if i == 16 else {"type": "damper", "damping": b}
+            modules[f"l{i}"] = {"between": between, **one}
+    modules["held"] = {"type": "cell", "mass": 0.05, "stiffness": 800.0, "damping": 0.3}
+    modules["skin"] = link(("held", "m2"), 100.0, 0.1)
+    device = {"mass": HAND[0], "friction": HAND[1], "stiffness": HAND[2], "delay": DELAY}
+    document = {"version": 1, "rate": RATE, "scheme": scheme, "device": device, "modules": modules}
+    return parse_scene(json.dumps(document))
+
+
+def network_of(scene: Scene) -> tuple[Network, Layout]:
+    network, _ = _network(scene, linear_scene(scene))
+    return network, layout_of(network, channel_steps(network))
+
+
+def lifted(network: Network, layout: Layout, reduced: np.ndarray) -> np.ndarray:
+    """The theory's state of x, x before and the hand's velocity times T, with dampers that remember what the kernel's
+    do as they begin: that the hand has rested, and everything else moved as it does."""
+    points = layout.now.stop
+    state = np.zeros(layout.size)
+    now, before = reduced[:points], reduced[points : 2 * points]
+    state[layout.now], state[layout.before], state[layout.velocity] = now, before, reduced[-1]
+
+    begun = np.append(before[:1], now[1:])
+
+    def stretch(x: np.ndarray, ends: np.ndarray) -> np.ndarray:
+        padded = np.append(x, 0.0)
+        return padded[ends[:, 0]] - padded[ends[:, 1]]
+
+    for memory in layout.memories:
+        ends = network.ends[memory.links]
+        for slots in memory.stretches:
+            state[slots] = stretch(2.0 * before - begun, ends)
+        for slots in memory.velocities:
+            state[slots] = stretch(begun - before, ends)
+    return state
+
+
+def ticked(scheme: str, seed: int, reduced: np.ndarray) -> np.ndarray:
+    """Force on the hand, positions and positions before at the next sample, by one tick from a state."""
+    points = (reduced.size - 1) // 2
+    x, before = reduced[:points], reduced[points : 2 * points]
+    # The cell is the last of the points, and begins where it is at rest.
+    scene = scene_of(scheme, seed, np.concatenate([x[: 1 + MASSES], before[: 1 + MASSES]]))
+    held = scene.modules["held"]
+    moved = held.model_copy(update={"position": float(x[-1]), "velocity": float(RATE * (x[-1] - before[-1]))})
+    scene = scene.model_copy(update={"modules": {**scene.modules, "held": moved}})
+    program = compile_scene(scene)
+    start(program, before[:1])
+    force = np.zeros(1)
+    tick(program, x[:1], np.array([RATE * reduced[-1]]), force)
+    now, previous = positions_of(program)
+    return np.concatenate([force, now[2:], previous[2:]])
+
+
+def hand_step(delay: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(2, 2), (2,), (2,): x and T v of the hand at the next sample, of x and T v, the force before and the force."""
+    mass, friction, stiffness = HAND
+    rate = T * np.array([[0.0, 1.0, 0.0], [-stiffness / mass, -friction / mass, 1.0 / mass], [0.0, 0.0, 0.0]])
+    scale = np.diag([1.0, T])
+    first, second = expm(rate * delay), expm(rate * (1.0 - delay))
+    whole = scale @ (second[:2, :2] @ first[:2, :2]) @ np.linalg.inv(scale)
+    return whole, scale @ second[:2, :2] @ first[:2, 2], scale @ second[:2, 2]
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("scheme", SCHEMES)
+def test_a_tick_is_the_transition_that_is_predicted(scheme: str, seed: int) -> None:
+    """Every linear link, between a hand, masses and what stays: of each number of the state, one after the other."""
+    network, layout = network_of(scene_of(scheme, seed))
+    points = layout.now.stop
+    matrix = transition(network)
+    at_rest = ticked(scheme, seed, np.zeros(2 * points + 1))
+    motion, _, now = hand_step(DELAY)
+    for unit in np.eye(2 * points + 1):
+        reduced = 1e-3 * unit
+        expected = matrix @ lifted(network, layout, reduced)
+        found = ticked(scheme, seed, reduced) - at_rest
+        force, found = found[0], found[1:]
+        size = np.abs(found).max(initial=1e-3)
+        slots = np.concatenate([np.arange(1, points), points + np.arange(1, points)])
+        np.testing.assert_allclose(found, expected[slots], rtol=0.0, atol=1e-11 * size)
+        hand = motion @ [reduced[0], reduced[-1]] + now * force
+        np.testing.assert_allclose([expected[0], expected[layout.velocity.start]], hand, rtol=0.0, atol=1e-11 * size)
+
+
+@pytest.mark.parametrize("scheme", ["rk4", "midpoint", "exact"])
+def test_the_same_links_are_inside_as_in_the_kernel(scheme: str) -> None:
+    scene = scene_of(scheme, 1)
+    rubs = {"type": "friction", "between": ("m0", "wall"), "force": 1.0, "stiffness": 10.0}
+    plucks = {"type": "plectrum", "between": ("m0", "m1"), "stiffness": 10.0, "release": 0.1}
+    document = json.loads(scene.model_dump_json(exclude_none=True, exclude_defaults=True))
+    types = {name: {"type": one.type} for name, one in scene.modules.items()}
+    modules = {name: types[name] | one for name, one in document["modules"].items()} | {"rubs": rubs, "plucks": plucks}
+    scene = parse_scene(json.dumps({"version": 1, **document, "modules": modules}))
+    linear, (network, _) = linear_scene(scene), network_of(scene)
+    names = list(linear.links)
+    found = {names[link] for link in inner_links(network) if link < len(names)}
+    if scheme == "rk4":
+        memoryless = {name for kind in PART_TYPES if kind.memoryless for name in kind.select(scene)}
+        assert found == memoryless - set(scene.cells)
+    else:
+        assert found == SCHEMES[scheme].inside(scene) & set(names)
+    assert found < set(names)
+
+
+@pytest.mark.parametrize("scheme", SCHEMES)
+def test_the_poles_are_those_of_the_run(scheme: str) -> None:
+    """A hand on a chain of masses, let go: what it does from sample to sample obeys the polynomial of the poles."""
+    document = {"version": 1, "rate": RATE, "scheme": scheme, "device": {"mass": HAND[0], "friction": HAND[1]}}
+    document["device"] |= {"stiffness": HAND[2], "delay": DELAY}
+    modules: dict[str, Any] = {"hand": {"type": "device", "channel": 0}, "wall": {"type": "ground"}}
+    modules |= {f"m{i}": {"type": "mass", "mass": 0.05, "position": 1e-3 * i} for i in range(2)}
+    modules["a"], modules["b"] = link(("wall", "m0"), 9e3, 20.0), link(("m0", "m1"), 9e3, 30.0)
+    modules["touch"] = link(("hand", "m1"), 2e3, 3.0)
+    scene = parse_scene(json.dumps(document | {"modules": modules}))
+    network, _ = network_of(scene)
+    whole, of_before, of_now = hand_step(DELAY)
+    program = compile_scene(scene)
+    start(program, np.zeros(1))
+    hand, before, heard = np.zeros(2), 0.0, []
+    for _ in range(60):
+        heard.append(hand[0])
+        force = np.zeros(1)
+        tick(program, hand[:1], np.zeros(1), force)
+        hand, before = whole @ hand + of_before * before + of_now * force[0], float(force[0])
+    poles = solve(network).poles
+    polynomial = np.poly(poles[np.abs(poles) > 1e-9]).real
+    trace = np.array(heard)
+    left = np.convolve(trace, polynomial, "valid")
+    first = np.count_nonzero(np.abs(poles) <= 1e-9)
+    scale = np.abs(trace).max() * np.abs(polynomial).sum()
+    assert np.abs(trace[-20:]).max() > 1e-7
+    assert np.abs(left[first:]).max() < 1e-13 * scale
+    assert np.abs(np.convolve(trace, np.poly(1.0001 * poles).real, "valid")[first:]).max() > 1e-9 * scale

@@ -1,0 +1,112 @@
+"""Large scenes under every scheme: what is sparse there is the whole transition of a small scene, in other words."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from hapsim.theory import Network, NotWorkedOutError, margins_of, solve
+from hapsim.theory.interface import damper_named
+from hapsim.theory.network import is_large, transition
+from hapsim.theory.network.operators import operator_of
+from hapsim.theory.schemes import SCHEMES
+
+RATE = 1000.0
+
+
+def string(scheme: str, masses: int, sampling: str = "ideal", damping: float = 0.02, friction: float = 0.01) -> Network:
+    """A string between two grounds, a hand on it by links of every damper, a buffer on it, and a mass that is free."""
+    row = [-1, *range(1, 1 + masses), -1]
+    pairs = [*pairwise(row), *((i, -1) for i in range(1, 1 + masses))]
+    stiffness = [100.0] * (masses + 1) + [0.0] * masses
+    dampings = [damping] * (masses + 1) + [friction] * masses
+    kinds: list[tuple[str, float | None]] = [("backward", None)] * len(pairs)
+    others = [("backward", None), ("centred", None), ("filtered", 90.0), ("sensed", None), ("backward", None)]
+    ends = [(0, 3), (0, 5), (7, 0), (0, 9), (4, -1)]
+    return Network(
+        RATE,
+        [0.2],
+        [1.0],
+        1.37,
+        "zoh",
+        sampling,
+        np.full(masses + 1, 0.001),
+        np.array(pairs + ends),
+        [*stiffness, 60.0, 20.0, 10.0, 15.0, 40.0],
+        [*dampings, 0.01, 0.02, 0.01, 0.02, 0.01],
+        damper=tuple(damper_named(name, cutoff, RATE) for name, cutoff in kinds + others),
+        scheme=scheme,
+        outside=(False,) * (len(pairs) + 4) + (True,),
+    )
+
+
+def apart(found: np.ndarray, expected: np.ndarray) -> float:
+    """How far the poles that move something are from the nearest of the others."""
+    found, expected = (poles[np.abs(poles) > 1e-3] for poles in (found, expected))
+    assert found.size == expected.size
+    return max(
+        float(np.abs(one[:, None] - other).min(axis=1).max()) for one, other in ((found, expected), (expected, found))
+    )
+
+
+@pytest.mark.parametrize("sampling", ["ideal", "average"])
+@pytest.mark.parametrize("scheme", SCHEMES)
+def test_an_operator_is_the_transition(scheme: str, sampling: str) -> None:
+    network = string(scheme, 12, sampling)
+    operator, expected = operator_of(network), transition(network)
+    found = operator @ np.eye(operator.size)
+    if scheme != "exact":  # whose state is another
+        np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-14 * np.abs(expected).max())
+    # The free mass has a double pole, which rounding moves by its root.
+    poles = [matrix[np.abs(matrix - 1.0) > 1e-6] for matrix in map(np.linalg.eigvals, (found, expected))]
+    assert apart(*poles) < 1e-11
+    shift = 0.9 + 0.3j
+    inverse = operator.inverse(shift)
+    assert inverse is not None
+    motion = np.random.default_rng(3).standard_normal(operator.size) + 0j
+    back = operator @ inverse(motion) - shift * inverse(motion)
+    assert np.abs(back - motion).max() < 1e-9
+
+
+@pytest.mark.parametrize("scheme", SCHEMES)
+def test_a_large_scene_has_the_poles_of_its_whole_transition(scheme: str) -> None:
+    network = string(scheme, 520)
+    assert is_large(network)
+    solution = solve(network)
+    whole = transition(network)
+    every, motions = np.linalg.eig(whole if isinstance(whole, np.ndarray) else whole.toarray())
+    moving = solution.poles[np.abs(solution.poles - 1.0) > 1e-6]
+    assert moving.size > 40
+    assert np.abs(moving[:, None] - every).min(axis=1).max() < 1e-8
+    resting = [mode for mode in solution.modes if mode.pole == 1.0]
+    assert [mode.participation.argmax() for mode in resting] == [521, 521]  # the free mass
+    hands = next(mode for mode in solution.modes if mode.participation[0] > 0.5)
+    motion = motions[:522, np.argmin(np.abs(every - hands.pole))]
+    energy = np.concatenate([network.channel_mass, network.point_mass]) * np.abs(motion) ** 2
+    np.testing.assert_allclose(hands.participation, energy / energy.sum(), rtol=0.0, atol=1e-6)
+
+
+def test_modes_that_damping_joins_are_not_worked_out() -> None:
+    network = string("exact", 520)
+    damping = network.damping.copy()
+    damping[7] *= 2.0
+    with pytest.raises(NotWorkedOutError, match="damping joins the modes"):
+        solve(Network(**{**vars(network), "damping": damping}))
+
+
+@pytest.mark.parametrize("scheme", ["rk4", "midpoint", "exact"])
+def test_margins_that_take_too_long_are_said_to_be_missing(scheme: str) -> None:
+    every = margins_of(string(scheme, 520), np.zeros(1))
+    assert "none was worked out" in every.method
+    assert all(np.isnan(margin.stiffness_factor) for margin in every.links)
+
+
+@pytest.mark.parametrize("scheme", ["rk4", "midpoint", "exact"])
+def test_what_a_network_is_told_is_checked(scheme: str) -> None:
+    known = vars(string(scheme, 3 + 9))
+    with pytest.raises(ValueError, match="scheme"):
+        Network(**{**known, "scheme": "euler"})
+    with pytest.raises(ValueError, match="outside has 1 elements"):
+        Network(**{**known, "outside": (True,)})
