@@ -2,6 +2,7 @@
 
 from hapsim.running.excitation import Excitation
 from hapsim.running.run import run
-from hapsim.running.session import Session, start
+from hapsim.running.session import Session
+from hapsim.running.starting import start
 
 __all__ = ["Excitation", "Session", "run", "start"]

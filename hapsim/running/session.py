@@ -1,37 +1,23 @@
-"""A scene while it runs: started, watched, changed, stopped."""
+"""A scene while it runs: watched, changed, stopped."""
 
 from __future__ import annotations
 
-import contextlib
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
-from hapsim.compiling.ahead import compile_ahead
-from hapsim.compiling.entries import compile_for
-from hapsim.compiling.progress import Counted, on_compilation
-from hapsim.device.connection import Connection
-from hapsim.device.conversation import arm, describe, disarm
-from hapsim.device.open_connection import TransportKind, open_connection, place_of_device, require_possible_here
 from hapsim.errors import HapsimError, UsageError
 from hapsim.loop import endings
-from hapsim.loop.only_linux import missing_calls, require_linux
-from hapsim.loop.portable import PortableLoop
 from hapsim.loop.recorder import Recorder
-from hapsim.loop.run import run_loop
 from hapsim.loop.trace import Statistics, Trace
 from hapsim.progress import Progress
-from hapsim.realtime import PrivilegeResult, realtime
+from hapsim.realtime import PrivilegeResult
 from hapsim.realtime.slack import no_timer_slack
-from hapsim.running.assemble import Loop, assemble_loop, watchdog_samples
+from hapsim.running.assemble import Loop
 from hapsim.running.changes import OVER, LiveScene
-from hapsim.running.compatibility import PACING, require_compatible
-from hapsim.running.excitation import Excitation
-from hapsim.running.preparing import MOCK_UNITS
-from hapsim.running.report import failure_of, progress_of, statistics_of, trace_of
+from hapsim.running.report import progress_of, statistics_of
 from hapsim.scene import Scene
 
-_MOST_TICKS = 2.0**62
 _COLLECT_S = 0.05  # how often the recorder empties the ring, which holds 65536 rows
 _SIZING = threading.Lock()
 _STACK_BYTES = 1 << 20  # of the loop's thread: little is needed, and all of it is locked in memory
@@ -158,97 +144,3 @@ class Session:
     @property
     def _thread_id(self) -> int:
         return self._thread.native_id or 0
-
-
-@contextlib.contextmanager
-def start(
-    scene: Scene,
-    *,
-    duration: float | None = None,
-    transport: TransportKind = "auto",
-    excitation: Excitation | None = None,
-    keep: bool = True,
-    realtime: bool = False,
-    portable: bool = False,
-    on_progress: Callable[[Progress], None] | None = None,
-    on_arming: Callable[[Session], None] | None = None,
-) -> Iterator[Session]:
-    """Starts `scene`, for `duration` seconds (None: until stopped); it runs while the with-block lasts.
-
-    `line`: where the device is ("auto": the scene's port, else the mock that fits the clock). `keep`: False for a trace
-    without rows, for runs without an end. `realtime`: asks the system for what makes a loop steady, see
-    hapsim.realtime; `Session.grants` tells what it got. `portable`: the loop in plain Python over pyserial; off Linux
-    that loop runs with the mock in memory too. `on_progress` hears of the compilation, `on_arming` gets the session
-    just before the device is armed: a `stop` from then on ends the run in good order.
-
-    Raises SceneError and UsageError for what cannot be run; DeviceError where port or device fail, GuardError where a
-    guard stopped the force, both when the with-block is left; they carry what was recorded as their attribute `trace`.
-    """
-    if not 1e-3 <= scene.rate <= 1e9:
-        raise UsageError(f"rate: found {scene.rate:g} Hz, which no clock keeps (1e-3 to 1e9 Hz)")
-    if duration is not None and not 0 < duration * scene.rate < _MOST_TICKS:
-        raise UsageError(f"duration: found {duration}, expected a finite number of seconds above 0")
-    if realtime:
-        require_linux("--realtime", "leave it out")
-    tell = on_progress or (lambda _: None)
-    place = place_of_device(scene, transport, portable=portable)
-    require_possible_here(place, portable=portable)
-    in_python = portable or bool(missing_calls())
-    counted = Counted(lambda name, share: tell(Progress("compiling", name, share=share)))
-    with on_compilation(counted.add), contextlib.ExitStack() as stack:
-        if place != "port":
-            compile_ahead(MOCK_UNITS[place] if in_python else ("loop", *MOCK_UNITS[place]), counted)
-        opened = stack.enter_context(open_connection(scene, transport, portable=portable, realtime=realtime))
-        if not in_python:
-            compile_ahead(("loop", "port"), counted)
-        description = describe(opened)
-        require_compatible(scene, opened.name, description)
-        loop = assemble_loop(scene, opened, description, excitation, duration)
-        # Everything is compiled now: the device is armed only when the loop can answer at once.
-        session = Session(
-            scene,
-            loop,
-            _ready_body(opened, loop, in_python),
-            Recorder(loop.ring, keep),
-            gives_way=scene.device.clock != "lockstep" and not in_python,
-        )
-        try:
-            session._begin()
-            if on_arming is not None:
-                on_arming(session)
-            with _real_time(session) if realtime else contextlib.nullcontext():
-                arm(
-                    opened,
-                    description,
-                    PACING[scene.device.clock],
-                    watchdog_samples(scene.rate, description),
-                    bool(scene.sensed_links),
-                )
-                session._go()
-                yield session
-        finally:
-            try:
-                ending = session._end()
-                session._trace = trace_of(scene, loop, session._recorder, ending)
-            finally:
-                session._join()  # whatever interrupted the first: nobody else may be on the port
-                # The loop has disarmed already; this is for every way out that did not get so far.
-                disarm(opened, loop.wire)
-    failure = failure_of(opened.name, loop, session.trace, ending)
-    if failure is not None:
-        raise failure
-
-
-def _ready_body(connection: Connection, loop: Loop, in_python: bool) -> Callable[[Any], int]:
-    """The loop, compiled: nothing is left to be done when the device is armed."""
-    if in_python:
-        return PortableLoop(loop.record, loop.inbox, connection.transport).run
-    compile_for(run_loop, loop.record)
-    return run_loop
-
-
-@contextlib.contextmanager
-def _real_time(session: Session) -> Iterator[None]:
-    with realtime(session._thread_id) as grants:
-        session.grants = grants
-        yield

@@ -27,7 +27,7 @@ from hapsim.loop.endings import DONE, GOES_ON, RING_FULL, STOPPED, told_to_end
 from hapsim.loop.ring import UNSENT
 from hapsim.loop.trace import load_trace
 from hapsim.progress import Progress
-from hapsim.running import run, session
+from hapsim.running import run, starting
 from hapsim.running.assemble import Loop
 from hapsim.scene import Scene
 
@@ -164,13 +164,13 @@ def test_a_signal_while_the_device_is_being_armed_ends_the_run_in_good_order(
     scene_of: Callable[..., Scene], served: Served, monkeypatch: pytest.MonkeyPatch, clock: str
 ) -> None:
     """Neither too early to be a run's end, nor too late to be heard."""
-    armed = session.arm
+    armed = starting.arm
 
     def arm_and_interrupt(*arguments: Any) -> None:
         armed(*arguments)
         os.kill(os.getpid(), signal.SIGINT)
 
-    monkeypatch.setattr(session, "arm", arm_and_interrupt)
+    monkeypatch.setattr(starting, "arm", arm_and_interrupt)
     with served(scene_of(device={"clock": clock})) as (scene, mock):
         trace = run(scene, duration=5.0, stop_on_signals=True)
         require_released(mock)

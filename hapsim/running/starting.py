@@ -1,0 +1,144 @@
+"""From a scene to a running session, and out of it again: every way out leaves the force at zero."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator
+from typing import Any, TypedDict
+
+from firmware_protocol.description import Description
+from hapsim.compiling.ahead import compile_ahead
+from hapsim.compiling.entries import compile_for
+from hapsim.compiling.progress import Counted, on_compilation
+from hapsim.device.connection import Connection
+from hapsim.device.conversation import arm, describe, disarm
+from hapsim.device.open_connection import TransportKind, open_connection, place_of_device, require_possible_here
+from hapsim.errors import UsageError
+from hapsim.loop.only_linux import missing_calls, require_linux
+from hapsim.loop.portable import PortableLoop
+from hapsim.loop.recorder import Recorder
+from hapsim.loop.run import run_loop
+from hapsim.progress import Progress
+from hapsim.realtime import realtime as with_realtime
+from hapsim.running.assemble import Loop, assemble_loop, watchdog_samples
+from hapsim.running.compatibility import PACING, require_compatible
+from hapsim.running.excitation import Excitation
+from hapsim.running.preparing import MOCK_UNITS
+from hapsim.running.report import failure_of, trace_of
+from hapsim.running.session import Session
+from hapsim.scene import Scene
+
+_MOST_TICKS = 2.0**62
+
+
+class StartOptions(TypedDict, total=False):
+    """What `start` takes beside the scene, for those who pass it on."""
+
+    duration: float | None
+    transport: TransportKind
+    excitation: Excitation | None
+    keep: bool
+    realtime: bool
+    portable: bool
+    on_progress: Callable[[Progress], None] | None
+
+
+@contextlib.contextmanager
+def start(
+    scene: Scene,
+    *,
+    duration: float | None = None,
+    transport: TransportKind = "auto",
+    excitation: Excitation | None = None,
+    keep: bool = True,
+    realtime: bool = False,
+    portable: bool = False,
+    on_progress: Callable[[Progress], None] | None = None,
+    on_arming: Callable[[Session], None] | None = None,
+) -> Iterator[Session]:
+    """Starts `scene`, for `duration` seconds (None: until stopped); it runs while the with-block lasts.
+
+    `transport`: where the device is ("auto": the scene's port, else the mock that fits the clock). `keep`: False for a
+    trace without rows, for runs without an end. `realtime`: asks the system for what makes a loop steady, see
+    hapsim.realtime; `Session.grants` tells what it got. `portable`: the loop in plain Python over pyserial; off Linux
+    that loop runs with the mock in memory too. `on_progress` hears of the compilation, `on_arming` gets the session
+    just before the device is armed: a `stop` from then on ends the run in good order.
+
+    Raises SceneError and UsageError for what cannot be run; DeviceError where port or device fail, GuardError where a
+    guard stopped the force, both when the with-block is left; they carry what was recorded as their attribute `trace`.
+    """
+    _require_sound(scene, duration, realtime)
+    tell = on_progress or (lambda _: None)
+    counted = Counted(lambda name, share: tell(Progress("compiling", name, share=share)))
+    in_python = portable or bool(missing_calls())
+    with on_compilation(counted.add), _open(scene, transport, portable, realtime, counted) as opened:
+        description = describe(opened)
+        require_compatible(scene, opened.name, description)
+        loop = assemble_loop(scene, opened, description, excitation, duration)
+        # Everything is compiled now: the device is armed only when the loop can answer at once.
+        gives_way = scene.device.clock != "lockstep" and not in_python
+        session = Session(scene, loop, _ready_body(opened, loop, in_python), Recorder(loop.ring, keep), gives_way)
+        try:
+            session._begin()
+            if on_arming is not None:
+                on_arming(session)
+            with _real_time(session) if realtime else contextlib.nullcontext():
+                _arm(scene, opened, description)
+                session._go()
+                yield session
+        finally:
+            try:
+                ending = session._end()
+                session._trace = trace_of(scene, loop, session._recorder, ending)
+            finally:
+                session._join()  # whatever interrupted the first: nobody else may be on the port
+                # The loop has disarmed already; this is for every way out that did not get so far.
+                disarm(opened, loop.wire)
+    failure = failure_of(opened.name, loop, session.trace, ending)
+    if failure is not None:
+        raise failure
+
+
+def _require_sound(scene: Scene, duration: float | None, realtime: bool) -> None:
+    if not 1e-3 <= scene.rate <= 1e9:
+        raise UsageError(f"rate: found {scene.rate:g} Hz, which no clock keeps (1e-3 to 1e9 Hz)")
+    if duration is not None and not 0 < duration * scene.rate < _MOST_TICKS:
+        raise UsageError(f"duration: found {duration}, expected a finite number of seconds above 0")
+    if realtime:
+        require_linux("--realtime", "leave it out")
+
+
+@contextlib.contextmanager
+def _open(
+    scene: Scene, transport: TransportKind, portable: bool, realtime: bool, counted: Counted
+) -> Iterator[Connection]:
+    """The connection; what loop and mock need is compiled, the mock's part before it has to answer."""
+    place = place_of_device(scene, transport, portable=portable)
+    require_possible_here(place, portable=portable)
+    loop = () if portable or missing_calls() else ("loop",)
+    if place != "port":
+        compile_ahead((*loop, *MOCK_UNITS[place]), counted)
+    with open_connection(scene, transport, portable=portable, realtime=realtime) as opened:
+        if loop:
+            compile_ahead((*loop, "port"), counted)
+        yield opened
+
+
+def _arm(scene: Scene, opened: Connection, description: Description) -> None:
+    watchdog = watchdog_samples(scene.rate, description)
+    arm(opened, description, PACING[scene.device.clock], watchdog, bool(scene.sensed_links))
+
+
+def _ready_body(connection: Connection, loop: Loop, in_python: bool) -> Callable[[Any], int]:
+    """The loop, compiled: nothing is left to be done when the device is armed."""
+    if in_python:
+        return PortableLoop(loop.record, loop.inbox, connection.transport).run
+    compile_for(run_loop, loop.record)
+    return run_loop
+
+
+@contextlib.contextmanager
+def _real_time(session: Session) -> Iterator[None]:
+    with with_realtime(session._thread_id) as grants:
+        session.grants = grants
+        yield
