@@ -41,7 +41,7 @@ _EXAMPLES = (
     _Example("armed_1", "force", 300, 20, (1000000,), "answers sample 300, lives 20 samples", "counts"),
     _Example("armed_1", "position_held", 301, 0, (-1234560,), "sample 301; 300 went without its answer", "counts"),
     _Example("armed_1", "status", 400, 0, (_LATCHED,), "the host was quiet: latched", "state 2, fault 1"),
-    _Example("armed_1", "disarm", 0, 0, (0,), "let go", "unused"),
+    _Example("armed_1", "disarm", 0, 0, (0,), "release", "unused"),
     _Example("setup", "status", 402, 0, (schema.HOST_QUIET << 8,), "idle", "state 0, fault 1, the last one"),
     _Example("armed_4", "position", 4095, 0, (0, -1, 2**31 - 1, -(2**31)), "four channels, 32-bit check", "counts"),
     _Example("armed_4", "force", 4095, 0, (0, 256, -256, 1), "answers sample 4095, for one sample", "counts"),

@@ -398,7 +398,7 @@ def main() -> None:
             sys.modules["hapsim.realtime.giving_way"].leave_unfinished(ending.code or 0)
         raise
     except BrokenPipeError:
-        # Whoever read our output has seen enough; nothing is left to be told to them.
+        # Whoever read our output has seen enough; nothing is left to say to them.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(0)
     except Exception as error:

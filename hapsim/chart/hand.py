@@ -81,7 +81,7 @@ class Hand:
 
 
 def described(configuration: Configuration, *, mass: bool = True, normalised: bool = False) -> str:
-    """One line for a title: what is simulated with, in SI units or the paper's. `mass`: whether it is told."""
+    """One line for a title: what is simulated with, in SI units or the paper's. `mass`: whether it is named."""
     c = configuration
     parts = []
     if not normalised:

@@ -68,7 +68,7 @@ def draw_steadiness(curves: list[Survival], title: str, path: Path) -> None:
         _draw(left, [curve for curve in curves if curve.what == "lateness"], shades)
         _draw(right, [curve for curve in curves if curve.what == "exchange"], shades)
         left.set_ylim(0.6 * min(curve.share[-1] for curve in curves), 1.5)
-        left.set_xlabel("woken up later than")
+        left.set_xlabel("wake-up latency above")
         right.set_xlabel("exchange takes longer than")
         left.set_ylabel("share of ticks")
         handles = [_sample(shade, "-", words.rate(rate)) for rate, shade in shades.items()]
@@ -81,7 +81,7 @@ def draw_steadiness(curves: list[Survival], title: str, path: Path) -> None:
 
 
 def _survival(what: Literal["lateness", "exchange"], rate: float, clock: str, histogram: Histogram) -> Survival:
-    """Read at the end of every bin that holds something, so that no time is told too short; what took no time at all
+    """Read at the end of every bin that holds something, so that no time is given too short; what took no time at all
     has no place on a logarithmic axis and is left out."""
     filled = np.flatnonzero(histogram.counts[1:]) + 1
     if filled.size == 0:

@@ -18,7 +18,7 @@ _FAR_SMALLER = 6.0  # an operating point that is this much below the whole regio
 _AROUND_POINT = 3.0  # then so much more than the point is looked at
 _FAR_LARGER = 4.0  # of a family, a stable region that is this much larger than the smallest is not drawn whole
 _MOST_DELAY = 40.0
-_FAR_OUT = 3.0  # an operating point that is this much beyond the whole region is told instead of drawn
+_FAR_OUT = 3.0  # an operating point that is this much beyond the whole region is named instead of drawn
 
 
 @dataclass(frozen=True)

@@ -76,24 +76,24 @@ def compiling(name: str) -> Iterator[None]:
 _watchers: list[_Watcher] = []
 
 
-class _Watcher:
+class _Watcher(threading.local):
     """Tells of each function. While the first of them, and all that it calls, is compiled, interrupts wait, and so does
-    Python's garbage collector: it would take a tenth of the time, and finds next to nothing."""
+    Python's garbage collector: it would take a tenth of the time, and finds next to nothing. What is under way it knows
+    of each thread by itself."""
 
     def __init__(self, tell: Callable[[str], None]) -> None:
         self._tell = tell
-        self._interrupts = _KeptInterrupts()
         self._collected = False
         self._depth = 0
 
     def begin(self, name: str) -> None:
         self._depth += 1  # first: `end` is called even where this raises
         if self._depth == 1:
-            self._interrupts.keep()
+            _interrupts.keep()
             self._collected = gc.isenabled()
             gc.disable()
         else:
-            self._interrupts.raise_kept()
+            _interrupts.raise_kept()
         self._tell(name)
 
     def end(self) -> None:
@@ -101,33 +101,46 @@ class _Watcher:
         if self._depth == 0:
             if self._collected:
                 gc.enable()
-            self._interrupts.let_through()
+            _interrupts.let_through()
 
 
 class _KeptInterrupts:
-    """Keeps interrupts for later; only the main thread ever gets any."""
+    """Keeps interrupts for later; only the main thread ever gets any. Several may ask for it, and end in any order."""
 
     def __init__(self) -> None:
         self._before: Any = None
+        self._asked = 0
         self._came = False
 
     def keep(self) -> None:
         """From now on an interrupt is remembered instead of raised."""
-        if threading.current_thread() is threading.main_thread():
+        if not _in_main_thread():
+            return
+        if self._asked == 0:
             self._before = signal.signal(signal.SIGINT, self._remember)
+        self._asked += 1
 
     def let_through(self) -> None:
-        """Back to how it was; raises the one that came."""
-        if self._before is not None:
+        """Back to how it was, once all have said so; raises the one that came."""
+        if not _in_main_thread() or self._asked == 0:
+            return
+        self._asked -= 1
+        if self._asked == 0:
             signal.signal(signal.SIGINT, self._before)
-            self._before = None
-        self.raise_kept()
+            self.raise_kept()
 
     def raise_kept(self) -> None:
         """Raises the one that came, once."""
-        if self._came:
+        if self._came and _in_main_thread():
             self._came = False
             raise KeyboardInterrupt
 
     def _remember(self, _signal: int, _frame: object) -> None:
         self._came = True
+
+
+def _in_main_thread() -> bool:
+    return threading.current_thread() is threading.main_thread()
+
+
+_interrupts = _KeptInterrupts()

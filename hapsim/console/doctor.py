@@ -90,7 +90,7 @@ def _show_grants(out: Console, examination: Examination) -> None:
 
 
 def _wakeups(out: Console, wakeups: dict[float, Histogram]) -> Table:
-    table = Table(title="How late a sleeping thread is woken up", title_justify="left")
+    table = Table(title="Wake-up latency of a sleeping thread", title_justify="left")
     for heading in ("rate", "p50", "p99", "99.9 %", "latest", "wake-ups", "a period late"):
         table.add_column(heading, justify="right")
     for rate, histogram in wakeups.items():

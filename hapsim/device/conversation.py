@@ -62,13 +62,13 @@ def _answers_arming(word: int) -> bool:
 
 
 def disarm(connection: Connection, wire: Format) -> bool:
-    """Tells the device to let go: zero force, at once. Whether it said that it did; a dead port is no error here."""
+    """Tells the device to release: zero force, at once. Whether it said that it did; a dead port is no error here."""
     connection.use_format(SETUP)
     frames = [
         frame_to_device(wire, schema.DISARM, 0, 0, np.zeros(wire.channels, np.int64)),
         frame_to_device(SETUP, schema.DISARM, 0, 0, np.zeros(1, np.int64)),
     ]
-    # A device that already let go (a fault, its watchdog) listens to the set-up format; one that did not, to its own.
+    # A device that already released (a fault, its watchdog) listens to the set-up format; one that did not, to its own.
     for _ in range(3):
         for frame in frames:
             try:
@@ -106,11 +106,11 @@ def _require_same_language(connection: Connection, registers: Any) -> None:
 
 
 def _first_answer(connection: Connection) -> int:
-    """The version. Where the device stays quiet it may still be armed, by a host that died: it is told to let go."""
+    """The version. Where the device stays quiet it may still be armed, by a host that died: it is disarmed."""
     every = range(1, schema.MAX_CHANNELS + 1)
     formats = [armed_format(channels, velocity) for channels in every for velocity in (False, True)]
-    let_go = [frame_to_device(wire, schema.DISARM, 0, 0, np.zeros(wire.channels, np.int64)) for wire in formats]
-    return _ask(connection, schema.REG_VERSION, _TRIES, b"".join(let_go))
+    release = [frame_to_device(wire, schema.DISARM, 0, 0, np.zeros(wire.channels, np.int64)) for wire in formats]
+    return _ask(connection, schema.REG_VERSION, _TRIES, b"".join(release))
 
 
 def _ask(connection: Connection, register: int, tries: int = 4, when_quiet: bytes = b"") -> int:

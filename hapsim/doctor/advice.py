@@ -39,7 +39,7 @@ class Advice:
 
 
 @dataclass(frozen=True)
-class Case:
+class Situation:
     """What is known of the machine when it is advised upon."""
 
     tree: Tree
@@ -67,12 +67,12 @@ class Case:
         return "" if self.port is None else self.tree.resolve(self.port).name
 
 
-def advice_on(case: Case) -> list[Advice]:
+def advice_on(case: Situation) -> list[Advice]:
     """All that would help, what helps most first."""
     return [advice for advise in EVERY_ADVICE if (advice := advise(case)) is not None]
 
 
-def _busy(case: Case) -> Advice | None:
+def _busy(case: Situation) -> Advice | None:
     cores, load = case.machine.cores_online, case.load
     if load is None or cores is None:
         return None
@@ -88,7 +88,7 @@ def _busy(case: Case) -> Advice | None:
     )
 
 
-def _port_not_permitted(case: Case) -> Advice | None:
+def _port_not_permitted(case: Situation) -> Advice | None:
     if case.port is None:
         return None
     path = case.tree.root / case.tree.resolve(case.port).relative_to("/")
@@ -102,7 +102,7 @@ def _port_not_permitted(case: Case) -> Advice | None:
     )
 
 
-def _ftdi_gathers(case: Case) -> Advice | None:
+def _ftdi_gathers(case: Situation) -> Advice | None:
     latency = case.tree.text(f"sys/bus/usb-serial/devices/{case.device}/latency_timer") if case.device else ""
     if not latency.isdigit() or int(latency) <= 1:
         return None
@@ -114,7 +114,7 @@ def _ftdi_gathers(case: Case) -> Advice | None:
     )
 
 
-def _modem_manager(case: Case) -> Advice | None:
+def _modem_manager(case: Situation) -> Advice | None:
     if not case.device.startswith("ttyACM") or "ModemManager" not in case.tree.texts("proc/[0-9]*/comm"):
         return None
     return Advice(
@@ -126,7 +126,7 @@ def _modem_manager(case: Case) -> Advice | None:
     )
 
 
-def _denied(case: Case) -> Advice | None:
+def _denied(case: Situation) -> Advice | None:
     denied = [grant for grant in case.grants or () if not grant.granted]
     if not denied:
         return None
@@ -138,7 +138,7 @@ def _denied(case: Case) -> Advice | None:
     )
 
 
-def _not_asked(case: Case) -> Advice | None:
+def _not_asked(case: Situation) -> Advice | None:
     if case.grants is not None or (case.keeps_up and not case.wakes_late):
         return None
     return Advice(
@@ -149,7 +149,7 @@ def _not_asked(case: Case) -> Advice | None:
     )
 
 
-def _governor(case: Case) -> Advice | None:
+def _governor(case: Situation) -> Advice | None:
     slow = [governor for governor in case.machine.governors if governor != "performance"]
     if not slow:
         return None
@@ -161,7 +161,7 @@ def _governor(case: Case) -> Advice | None:
     )
 
 
-def _clock_source(case: Case) -> Advice | None:
+def _clock_source(case: Situation) -> Advice | None:
     source = case.machine.clock_source
     if not source or source in _QUICK_CLOCKS:
         return None
@@ -177,7 +177,7 @@ def _clock_source(case: Case) -> Advice | None:
     )
 
 
-def _single_core(case: Case) -> Advice | None:
+def _single_core(case: Situation) -> Advice | None:
     if case.machine.cores_allowed != 1:
         return None
     elsewhere = (case.machine.cores_online or 1) > 1
@@ -191,7 +191,7 @@ def _single_core(case: Case) -> Advice | None:
     )
 
 
-def _quota(case: Case) -> Advice | None:
+def _quota(case: Situation) -> Advice | None:
     group = next((line[3:] for line in case.tree.text("proc/self/cgroup").splitlines() if line[:3] == "0::"), "/")
     quota = case.tree.text(f"sys/fs/cgroup/{group.strip('/')}/cpu.max").split()
     if len(quota) != 2 or not (quota[0].isdigit() and quota[1].isdigit()):
@@ -205,7 +205,7 @@ def _quota(case: Case) -> Advice | None:
     )
 
 
-def _swap(case: Case) -> Advice | None:
+def _swap(case: Situation) -> Advice | None:
     sizes = {name: value.split() for name, _, value in map(_colon, case.tree.text("proc/meminfo").splitlines())}
     try:
         used_mb = (int(sizes["SwapTotal"][0]) - int(sizes["SwapFree"][0])) / 1024
@@ -221,7 +221,7 @@ def _swap(case: Case) -> Advice | None:
     )
 
 
-def _kernel(case: Case) -> Advice | None:
+def _kernel(case: Situation) -> Advice | None:
     if case.machine.preempt_rt or not case.wakes_late:
         return None
     return Advice(
@@ -232,7 +232,7 @@ def _kernel(case: Case) -> Advice | None:
     )
 
 
-def _host(case: Case) -> Advice | None:
+def _host(case: Situation) -> Advice | None:
     stolen = 0.0 if case.load is None else case.load.stolen_share
     if not case.machine.virtual or (stolen < _STOLEN_SHARE and not case.wakes_late):
         return None
@@ -252,7 +252,7 @@ def _cores(count: int) -> str:
     return "1 core" if count == 1 else f"{count} cores"
 
 
-EVERY_ADVICE: tuple[Callable[[Case], Advice | None], ...] = (
+EVERY_ADVICE: tuple[Callable[[Situation], Advice | None], ...] = (
     _busy,
     _port_not_permitted,
     _ftdi_gathers,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from hapsim.device.open_connection import TransportKind
 from hapsim.doctor import words
-from hapsim.doctor.advice import Advice, Case, advice_on
+from hapsim.doctor.advice import Advice, Situation, advice_on
 from hapsim.doctor.exchanges import MOCK, Exchanges, Run, Trial, exchanges, trials
 from hapsim.doctor.load import Load, cpu_times, load_between
 from hapsim.doctor.machine import Machine, machine_of
@@ -43,7 +43,7 @@ class Examination:
     grants: tuple[PrivilegeResult, ...] | None
     """What was asked for of real time; None where nothing was."""
     wakeups: dict[float, Histogram]
-    """By rate (Hz): how late (s) a thread was woken up."""
+    """By rate (Hz): the wake-up latencies (s) of a thread."""
     exchanges: tuple[Exchanges, ...]
     verdicts: tuple[Verdict, ...]
     """One for each of `exchanges`."""
@@ -101,7 +101,7 @@ def examine(
     machine = machine_of(tree)
     load = load_between(before, cpu_times(tree), machine.cores_online, tree)
     verdicts = tuple(map(verdict_on, ran))
-    case = Case(
+    case = Situation(
         tree=tree,
         machine=machine,
         port=examined.device.port if to_run[0].where != MOCK else None,
@@ -134,7 +134,7 @@ def _require_measurable(scene: Scene, rates: tuple[float, ...], seconds: float) 
 def _wakeups(
     rates: tuple[float, ...], seconds: float, steps: _Steps, realtime: bool
 ) -> tuple[dict[float, Histogram], tuple[PrivilegeResult, ...] | None]:
-    """(by rate, how late a thread was woken up; what was granted of real time, None where it was not asked for)."""
+    """(by rate, the wake-up latencies of a thread; what was granted of real time, None where it was not asked for)."""
     granted: list[list[PrivilegeResult]] = []
     wakeups = {
         rate: wake_up_lateness(
@@ -157,7 +157,7 @@ class _Steps:
         self._tell = tell or (lambda _: None)
 
     def next(self, what: str) -> Tell:
-        """Begins a measurement; returns what is to be told how far it is."""
+        """Begins a measurement; returns what to report progress to."""
         self._number += 1
         number = self._number
         return lambda elapsed, compiling: self._tell(Step(number, self._of, what, elapsed, self._seconds, compiling))

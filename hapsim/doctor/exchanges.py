@@ -71,10 +71,10 @@ class Exchanges:
 def share_in_time(report: Report, *, device_asks: bool) -> float | None:
     """Which share (0 to 1) of a run's forces came in time; None of a run without a tick.
 
-    A force that was late and one that answers a position which was lost are not in time. Where the host is the clock,
-    neither are those that it was too slow to send at all: a loop that runs at 900 Hz instead of 1000 misses a tenth.
-    Where the device asks (`device_asks`), a slow rate is the device's, and what it asks for is known from the numbers
-    of its samples.
+    A force that was late and one that answers a position which was lost are deadline misses. Where the host is the
+    clock, neither are those that it was too slow to send at all: a loop that runs at 900 Hz instead of 1000 misses a
+    tenth. Where the device asks (`device_asks`), a slow rate is the device's, and what it asks for is known from the
+    numbers of its samples.
     """
     if report.ticks == 0:
         return None

@@ -48,7 +48,7 @@ def cpu_times(tree: Tree) -> CpuTimes | None:
 
 
 def load_between(before: CpuTimes | None, after: CpuTimes | None, cores: int | None, tree: Tree) -> Load | None:
-    """The load between two looks; None where nothing is told of it, or no time went by."""
+    """The load between two looks; None where nothing is known of it, or no time went by."""
     if before is None or after is None or not after.all_s > before.all_s:
         return None
     span = after.all_s - before.all_s

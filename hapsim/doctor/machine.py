@@ -24,7 +24,7 @@ class Machine:
     clock_source: str
     """What the kernel reads the time from."""
     virtual: str
-    """The hypervisor where it is a virtual machine, by its name where that is told."""
+    """The hypervisor where it is a virtual machine, by its name where that is known."""
     smt: bool | None
     """Whether two threads share a core."""
     isolated: str

@@ -18,7 +18,7 @@ KEPT_BY_MOCK = 0.95  # of the rate: a mock that keeps less asks too little of th
 IN_TIME = {
     "device": "In time: the device had the force when it needed it, as it says itself.",
     "host": "In time: the loop woke up less than a period late, and its force answers the newest position, as the "
-    "device says; a force that was never sent is not in time.",
+    "device says; a force that was never sent is a deadline miss.",
 }
 """What it means, by clock."""
 
@@ -29,7 +29,7 @@ EXCHANGE = {
 """What is measured, by clock."""
 
 ON_THE_MOCK = (
-    "The rate is the mock's to keep, which runs on the same cores and is woken up late like any program; a device's "
+    "The rate is the mock's to keep, which runs on the same cores and wakes up late like any program; a device's "
     "own timer is not. Where it keeps less than 95 % of the rate, there is no verdict."
 )
 """With clock: device."""
@@ -61,7 +61,7 @@ def answer_for(share_in_time: float | None) -> Answer:
     `yes` from 99.9 %: at 1 kHz at most one force a second is late. `with gaps` from 95 %: it runs, but every late force
     is a moment of twice the delay, delay eats damping, and a stiff scene that is stable on paper may hum. Below, `no`.
     libfranka's communication_test, for a robot at 1 kHz, warns below 95 % and calls a machine not sufficient below
-    90 %. A robot's controller bridges a gap by extrapolating what it was told; a force that is held goes on pushing: so
+    90 %. A robot's controller bridges a gap by extrapolating its commands; a force that is held goes on pushing: so
     its warning is our refusal.
     """
     if share_in_time is None:

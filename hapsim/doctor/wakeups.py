@@ -45,10 +45,10 @@ def wake_up_lateness(
     realtime: bool = False,
     on_grants: Callable[[list[PrivilegeResult]], None] | None = None,
 ) -> Histogram:
-    """How late (s) a thread is woken up that sleeps to a grid of `rate_hz`, for so many `seconds`.
+    """The wake-up latencies (s) of a thread that sleeps to a grid of `rate_hz`, for so many `seconds`.
 
     It counts `rate_hz * seconds` wake-ups, fewer where some came a whole period late. `realtime`: the thread first asks
-    for real-time scheduling; what it was granted is told to `on_grants`. Interrupted by an exception, as by Ctrl-C, it
+    for real-time scheduling; `on_grants` gets what it was granted. Interrupted by an exception, as by Ctrl-C, it
     ends at the next wake-up.
 
     Raises:
@@ -96,7 +96,7 @@ def _sleep_in_thread(
         raise (
             failures[0]
             if isinstance(failures[0], HapsimError)
-            else HapsimError(f"the thread that was to be woken up failed: {failures[0]}")
+            else HapsimError(f"the sleeping thread failed: {failures[0]}")
         ) from failures[0]
 
 
@@ -110,7 +110,7 @@ def _lay(grid: Any, count: int) -> None:
 
 @contextlib.contextmanager
 def _punctual(realtime: bool) -> Iterator[list[PrivilegeResult]]:
-    """While open, this thread is woken up as punctually as it may: at the least without the kernel's slack of 50 µs."""
+    """While open, this thread wakes up as punctually as it may: at the least without the kernel's slack of 50 µs."""
     from hapsim.realtime.slack import no_timer_slack
 
     no_timer_slack()

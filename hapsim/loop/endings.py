@@ -36,7 +36,7 @@ def told_to_end(loop):
 
 @inlined
 def ending_of(code, stop):
-    """Why the loop ends, after a wait for a position that ended in `code`; `stop`: it was told to."""
+    """Why the loop ends, after a wait for a position that ended in `code`; `stop`: somebody stopped it."""
     if stop != 0 and code == TIMED_OUT:
         return STOPPED
     if code == FAULT:

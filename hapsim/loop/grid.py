@@ -25,7 +25,7 @@ GRID = np.dtype(
 
 @entry
 def sleep_on_grid(grid):
-    """Sleeps to every point of a grid (a GRID record) and counts how late, in ns, it was woken up.
+    """Sleeps to every point of a grid (a GRID record) and counts the wake-up latencies, in ns.
 
     A wake-up that is a whole period late starts the grid anew, as the loop does (hapsim/loop/paced_by_host.py).
     """

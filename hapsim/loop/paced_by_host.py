@@ -39,7 +39,7 @@ def plan_by_host(loop):
         sleep_until(wait.due_ns if wait.due_ns < slice_ends else slice_ends, loop.io.scratch)
         woken = now_ns(loop.io.scratch)
     if control.stop:
-        return STOPPED  # woken up for that, not for an exchange
+        return STOPPED  # it woke up for that, not for an exchange
     note(loop.histograms.lateness, woken - wait.due_ns)
     wait.begun_ns, wait.for_ns, wait.answers = woken, 0, 1
     wait.due_ns += control.period_ns

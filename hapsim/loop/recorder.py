@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hapsim.loop.ring import Ring, Rows
+from hapsim.loop.ring import Ring, RingRows
 from hapsim.loop.trace import Report, Statistics, Trace
 
 
@@ -32,7 +32,7 @@ class Recorder:
         report: Report,
     ) -> Trace:
         """Everything collected, as one trace."""
-        rows = Rows(*(np.concatenate(column) for column in zip(*self._parts, strict=True)))
+        rows = RingRows(*(np.concatenate(column) for column in zip(*self._parts, strict=True)))
         return Trace(
             rate=rate,
             sample=rows.sample,

@@ -47,7 +47,7 @@ _SAMPLE, _TIME, _FLAGS, _VALUES = 0, 1, 2, 3  # words of a row; then C each of p
 _words_at = array_at(np.int64)
 
 
-class Rows(NamedTuple):
+class RingRows(NamedTuple):
     """Rows copied out of a ring: R of them."""
 
     sample: NDArray[np.int64]
@@ -73,13 +73,13 @@ class Ring:
         self.record.channels = channels
         self.record.waits = waits
 
-    def drain(self) -> Rows:
+    def drain(self) -> RingRows:
         """Copies out and frees every published row."""
         tail, head = int(self.record.tail), int(self.record.head)
         taken = self._rows[np.arange(tail, head) & (len(self._rows) - 1)]
         self.record.tail = head
         position, force, asked = np.split(taken[:, _VALUES:], 3, axis=1)
-        return Rows(
+        return RingRows(
             sample=taken[:, _SAMPLE].copy(),
             time_ns=taken[:, _TIME].copy(),
             flags=taken[:, _FLAGS].astype(np.uint8),

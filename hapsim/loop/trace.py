@@ -39,7 +39,7 @@ class Report:
     crc_errors: int
     """Frames of the device that the check refused (too short or malformed ones included)."""
     stale_positions: int
-    """Positions that were overtaken by a newer one before they could be answered."""
+    """Positions that a newer one replaced before they could be answered."""
     limited_ticks: int
     """Ticks whose force was cut to its limit."""
     dropped_rows: int

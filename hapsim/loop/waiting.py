@@ -15,7 +15,7 @@ from hapsim.loop.system import now_ns, sleep_until
 from hapsim.loop.transport import receive, send
 
 SLICE_NS = 100_000_000
-"""No wait is longer without a look at whether the loop was told to stop."""
+"""No wait is longer without a look at whether the loop is to stop."""
 
 _GLANCE_NS = 50_000
 

@@ -17,7 +17,7 @@ from threadpoolctl import threadpool_limits
 from hapsim.errors import UsageError
 from hapsim.loop.ring import BRIDGED, LATE_FORCE, OFF_GRID, UNSENT
 from hapsim.loop.trace import Trace
-from hapsim.measuring.pair import Pair, dominant_pair
+from hapsim.measuring.pair import FittedPair, dominant_pair
 from hapsim.measuring.regression import Fit, Segment, fit
 
 _ROUNDING = 1.0 / math.sqrt(12.0)  # standard deviation of rounding to whole counts
@@ -95,7 +95,7 @@ def _identify(trace: Trace, mass: float, channel: int) -> Measurement:
     return _measurement(pair, poles, reason, best, mass, trace, channel)
 
 
-def _least_claim(pair: Pair, rivals: list[Pair]) -> Pair:
+def _least_claim(pair: FittedPair, rivals: list[FittedPair]) -> FittedPair:
     """The pair of the best fit, with the largest uncertainties that the fits beside it state: the record does not tell
     them apart. A rival that is far less certain took the noise for a pole and is none."""
     level = _FAR_OFF * pair.poles_uncertainty[0]
@@ -112,7 +112,7 @@ def _least_claim(pair: Pair, rivals: list[Pair]) -> Pair:
 
 
 def _measurement(
-    pair: Pair | None,
+    pair: FittedPair | None,
     poles: NDArray[np.complex128],
     reason: str,
     best: Fit,

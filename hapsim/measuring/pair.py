@@ -15,7 +15,7 @@ from hapsim.measuring.regression import Fit
 
 
 @dataclass(frozen=True)
-class Pair:
+class FittedPair:
     """Two poles in the z-plane, their standard uncertainties (of the distance in the plane), and what follows."""
 
     poles: tuple[complex, complex]
@@ -30,7 +30,7 @@ class Pair:
 
 def dominant_pair(
     fit: Fit, alternatives: list[Fit], motion: NDArray[np.float64]
-) -> tuple[Pair | None, NDArray[np.complex128], str]:
+) -> tuple[FittedPair | None, NDArray[np.complex128], str]:
     """(the slowest-decaying pair or None, all poles by decreasing modulus, why there is no pair).
 
     `alternatives`: fits that might as well have been chosen; how far they lie from `fit` adds to the uncertainty.
@@ -118,7 +118,7 @@ def _spread_of_sum_and_product(
     return np.asarray(sensitivity @ fit.spread)
 
 
-def _pair(total: float, product: float, spread: NDArray[np.float64]) -> Pair:
+def _pair(total: float, product: float, spread: NDArray[np.float64]) -> FittedPair:
     bend = total**2 / 4.0 - product  # squared half distance of the poles: its sign tells real from complex
     bend_slope = np.array([total / 2.0, -1.0])
     half = np.sqrt(complex(bend))
@@ -126,7 +126,7 @@ def _pair(total: float, product: float, spread: NDArray[np.float64]) -> Pair:
     uncertainty = tuple(_pole_uncertainty(sign, bend, bend_slope, spread) for sign in (1.0, -1.0))
     decay, stiffness, slopes = _decay_and_stiffness(total, product)
     reach = np.linalg.norm(slopes @ spread, axis=1)
-    return Pair(poles, (uncertainty[0], uncertainty[1]), decay, stiffness, float(reach[0]), float(reach[1]))
+    return FittedPair(poles, (uncertainty[0], uncertainty[1]), decay, stiffness, float(reach[0]), float(reach[1]))
 
 
 def _pole_uncertainty(sign: float, bend: float, bend_slope: NDArray[np.float64], spread: NDArray[np.float64]) -> float:

@@ -1,4 +1,4 @@
-"""Sleeps that end when they were asked to: ordinary threads are otherwise woken up to 50 µs late, to save power."""
+"""Sleeps that end when they were asked to: ordinary threads otherwise wake up to 50 µs late, to save power."""
 
 from __future__ import annotations
 

@@ -68,7 +68,7 @@ class WatchedFile:
         return News(changed=changed or ("nothing: the file says what runs",))
 
     def _gone(self) -> News | None:
-        """An editor may take a file away and put another in its place: only one that stays away is told."""
+        """An editor may take a file away and put another in its place: only one that stays away is reported."""
         self._missed += 1
         if self._missed != _PATIENCE:
             return None

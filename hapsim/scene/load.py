@@ -105,7 +105,7 @@ def _label(path: Path) -> str:
 
 
 def _scene_error(name: str, faults: Iterable[LocatedIssue]) -> SceneError:
-    """One line for each fault; one that an anchor brings to several places is told once."""
+    """One line for each fault; one that an anchor brings to several places is reported once."""
     lines = [
         f"{name}:{fault.place.line}:{fault.place.column}: {fault.sentence}"
         for fault in sorted(dict.fromkeys(faults), key=lambda fault: fault.place)

@@ -41,7 +41,7 @@ class Case:
 
 
 class Comparison:
-    """Cases that have run, and are timed round by round. What is unstable is told as such, and has no cost.
+    """Cases that have run, and are timed round by round. What is unstable is reported as such, and has no cost.
 
     `tell` hears what is at hand.
     """

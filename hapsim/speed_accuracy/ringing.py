@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from hapsim.speed_accuracy.strings import StringOfMasses
 
-# (shape, samples) -> the motion along that shape, sample by sample, once the string was let go in it at rest.
+# (shape, samples) -> the motion along that shape, sample by sample, once the string was released in it at rest.
 Record = Callable[[NDArray[np.float64], int], NDArray[np.float64]]
 
 STEADY = 1.0 + 1e-9  # the largest modulus of a pole that counts as stable: the fit's own error stays below
@@ -31,7 +31,7 @@ def frequencies_of(
 ) -> list[float]:
     """The eigenfrequency in Hz of each mode as it is simulated at `rate` Hz; NaN for all where that is unstable.
 
-    `explicit`: the scheme may be unstable, which its highest mode is told by: that one is the first to be. `steady`:
+    `explicit`: the scheme may be unstable, which its highest mode tells: that one is the first to be. `steady`:
     the largest modulus of a pole that counts as stable.
     """
     if explicit and not _stable(record, string, steady):

@@ -32,7 +32,7 @@ def advised(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_the_doctor_tells_every_rate_a_verdict_and_advice(hapsim: Callable[..., Any]) -> None:
     told = hapsim("doctor", *QUICK)
     assert told.status == 0
-    assert "How late a sleeping thread is woken up" in told.out
+    assert "Wake-up latency of a sleeping thread" in told.out
     assert "200 Hz" in told.out
     for words in ("What would help", ADVICE.found, f"{ADVICE.why} {ADVICE.do}", *ADVICE.commands):
         assert words in told.out

@@ -114,6 +114,36 @@ def test_whoever_listens_is_told() -> None:
     assert inner[0] == NATIVE_NAME
 
 
+def test_however_many_listen_interrupts_and_collector_are_then_as_they_were() -> None:
+    before = signal.getsignal(signal.SIGINT)
+    with on_compilation(lambda _: None), on_compilation(lambda _: None), on_compilation(lambda _: None):
+        compile_native()
+        compile_entry()
+        assert signal.getsignal(signal.SIGINT) is before
+    assert gc.isenabled()
+
+
+def test_what_two_threads_compile_at_once_leaves_interrupts_as_they_were() -> None:
+    """One begins first, and ends last."""
+    before = signal.getsignal(signal.SIGINT)
+    begun, ended = threading.Event(), threading.Event()
+
+    def compile_beside() -> None:
+        with compiling("beside"):
+            begun.set()
+            ended.wait(60.0)
+
+    with on_compilation(lambda _: None):
+        with compiling("here"):
+            thread = threading.Thread(target=compile_beside)
+            thread.start()
+            assert begun.wait(60.0)
+        assert signal.getsignal(signal.SIGINT) is before
+        ended.set()
+        thread.join()
+    assert signal.getsignal(signal.SIGINT) is before
+
+
 def test_what_is_kept_is_known_before_it_is_loaded() -> None:
     assert not is_kept(entry(anew(add_two)), 1)
     compile_entry()

@@ -27,7 +27,7 @@ from hapsim.device.conversation import arm, describe, disarm
 from hapsim.device.open_connection import open_connection
 from hapsim.errors import UsageError
 from hapsim.loop import endings
-from hapsim.loop.ring import Rows
+from hapsim.loop.ring import RingRows
 from hapsim.loop.run import run_loop
 from hapsim.prediction import is_surely_unstable, predict, surely_shaken_by
 from hapsim.running import assemble
@@ -66,7 +66,7 @@ class Runner:
     def __init__(self, scene: Scene, loop: Loop) -> None:
         self.loop, self.live = loop, LiveScene(scene, loop)
         self.changes = [Change(0, scene)]
-        self._parts: list[Rows] = []
+        self._parts: list[RingRows] = []
         self.rows = 0
 
     def go(self) -> None:

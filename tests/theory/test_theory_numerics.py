@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from hapsim.theory.hand.factors import quadratic_factors, roots_of_factors
-from hapsim.theory.hand.pair import Pair, oscillator_of_quadratic
+from hapsim.theory.hand.pair import PolePair, oscillator_of_quadratic
 from hapsim.theory.hand.poles import all_within
 from hapsim.theory.hand.response import response_to_a_blow
 
@@ -83,7 +83,7 @@ class TestFunctionsOnAPair:
             return mp.re((f[0] - f[1]) / (one - other))
 
     def test_slopes_of_powers_and_quotients_keep_their_digits_where_the_poles_meet(self) -> None:
-        w = Pair(self.P, self.Q).w
+        w = PolePair(self.P, self.Q).w
         for power, over in ((0, 5.0), (1, 5.0), (3, 2.0), (7, 4.0)):
             f = w.plus(3.0).power(power).over(w.plus(over))
             for index in range(len(self.P)):
@@ -91,7 +91,7 @@ class TestFunctionsOnAPair:
                 assert np.broadcast_to(f.slope, self.P.shape)[index] == pytest.approx(exact, rel=1e-12)
 
     def test_a_polynomial_is_the_sum_of_its_powers(self) -> None:
-        w = Pair(self.P, self.Q).w
+        w = PolePair(self.P, self.Q).w
         direct = w.polynomial(np.array([2.0, -1.0, 0.5, 3.0]))
         square, cube = w.power(2), w.power(3)
         np.testing.assert_allclose(direct.constant, 2 * cube.constant - square.constant + 3, atol=1e-15)

@@ -1,9 +1,10 @@
 """The buffer: a contact from one side (CORDIS: BUT).
 
     p[n] = distance - d[n]                                  how deep the first end is below the second
-    F[n] = max(0, K p[n] + (B/T) (p[n] - p[n-1]))  where p[n] > 0, else 0
+    push[n] = max(0, K p[n] + (B/T) (p[n] - p[n-1]))  where p[n] > 0, else 0
 
-F pushes the ends apart: the tension is -F. It never pulls: a damper would hold back what leaves.
+The push drives the ends apart: as a tension it is F = -push, which the code works out from d - distance = -p. It never
+pulls: a damper would hold back what leaves.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """What links have in common: two ends each, which they pull towards each other.
 
-    F[n] = -K d[n] - (B / T) g[n]      d: first end minus second end; g: by how much d grows in a sample period
+    F[n] = K d[n] + (B / T) g[n]      d: first end minus second end; g: by how much d grows in a sample period
 
-is the visco-elastic link (Florens et al., §6, Figure 5b). A link's *tension* is -F: it pulls the ends together where it
-is positive, so that it acts on the first end as -tension, and on the second as +tension. That is said and done here, in
+is the visco-elastic link (Florens et al., §6, Figure 5b). Of every link F is the *tension*: where it is positive it
+pulls the ends together, so that it acts on the first end as -F, and on the second as +F. That is done here, in
 `pull_ends`, for every link there is.
 """
 

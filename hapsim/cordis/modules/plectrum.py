@@ -24,7 +24,7 @@ from hapsim.scene import Plectrum
 
 
 class Plectra(NamedTuple):
-    """L plectra; `release`: m, shape (L,). `side`: 1 or -1, on which side it let go, or 0 where it grips."""
+    """L plectra; `release`: m, shape (L,). `side`: 1 or -1, on which side it released, or 0 where it grips."""
 
     links: Links
     release: Column
@@ -47,7 +47,7 @@ def add_forces(group, state):
 
 
 def _live(plectra: Sequence[Plectrum], rate: float) -> list[list[float]]:
-    """K, B/T, and the distance at which they let go."""
+    """K, B/T, and the distance at which they release."""
     return [
         [one.stiffness for one in plectra],
         [one.damping * rate for one in plectra],

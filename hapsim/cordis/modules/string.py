@@ -30,7 +30,7 @@ from hapsim.cordis.tick_state import Column
 from hapsim.scene import Scene, String
 
 
-class Rows(NamedTuple):
+class StringRows(NamedTuple):
     """S strings: where their left border is, how many masses each has, and which ends are free (S, 2)."""
 
     border: NDArray[np.uint64]
@@ -41,7 +41,7 @@ class Rows(NamedTuple):
 class Strings(NamedTuple):
     """S strings: T²/m in m/N; K, B/T and friction/T in N/m; shape (S,)."""
 
-    rows: Rows
+    rows: StringRows
     mobility: Column
     stiffness: Column
     damping_per_sample: Column
@@ -70,9 +70,9 @@ def live_structures(structures: Sequence[Any], rate: float) -> list[list[float]]
     ]
 
 
-def rows_of(strings: Mapping[str, String], context: BuildContext) -> Rows:
+def rows_of(strings: Mapping[str, String], context: BuildContext) -> StringRows:
     """Where these strings stand."""
-    return Rows(
+    return StringRows(
         np.array([context.number[f"{name}.0"] - 1 for name in strings], np.uint64),
         np.array([one.masses for one in strings.values()], np.uint64),
         np.array([[end == "free" for end in one.ends] for one in strings.values()]),

@@ -19,7 +19,7 @@ from hapsim.cordis.build_context import BuildContext, PartType
 from hapsim.cordis.dispatch import Part, action
 from hapsim.cordis.modules.link import Ends, pull_ends, stretch
 from hapsim.cordis.modules.mass import MASS, mobility_of
-from hapsim.cordis.modules.string import STRING, Rows, free_ends, rows_of
+from hapsim.cordis.modules.string import STRING, StringRows, free_ends, rows_of
 from hapsim.cordis.schemes.scheme import Taken
 from hapsim.cordis.tick_state import Column
 from hapsim.scene import Scene
@@ -30,7 +30,7 @@ _ONE = np.uint64(1)
 class StringForces(NamedTuple):
     """S strings: K, B/T and friction/T in N/m; shape (S,)."""
 
-    rows: Rows
+    rows: StringRows
     stiffness: Column
     damping_per_sample: Column
     friction_per_sample: Column

@@ -13,6 +13,7 @@ from firmware_protocol.description import Description, to_registers
 from firmware_protocol.frames import SETUP, armed_format, framing_of
 from firmware_protocol.records import new_record
 from hapsim.device.mock.firmware import MOCK
+from hapsim.device.mock.sampler import HOLDS, SAMPLINGS
 from hapsim.scene import Scene
 
 _FORCE_COUNTS = 2.0**31  # the limit in N lies at the end of the counts' range: the finest step that 32 bits give
@@ -70,8 +71,8 @@ def _set_converters(mock: Any, scene: Scene, description: Description) -> None:
     converters["period"] = 1.0 / scene.rate
     converters["whole_delay"] = whole
     converters["part_delay"] = device.delay - whole
-    converters["impulse"] = device.hold == "impulse"
-    converters["average"] = device.sampling == "average"
+    converters["impulse"] = HOLDS[device.hold]
+    converters["average"] = SAMPLINGS[device.sampling]
     converters["quantum"] = device.quantum
     converters["velocity_quantum"] = description.velocity_scale
     converters["noise"] = device.noise

@@ -147,7 +147,7 @@ def _look_at_watchdog(mock, now):
 
 @helper
 def _end_sample(mock, now):
-    """The sample that lasts ends: the bodies move through it, and the host is told where they are."""
+    """The sample that lasts ends: the bodies move through it, and the host hears where they are."""
     board = mock.board
     h = mock.converters[0].period
     if board.pacing == schema.PACED_BY_HOST:
@@ -335,7 +335,7 @@ def _disarm(mock, state):
 
 @helper
 def _fail(mock, fault):
-    """Latches: the force is zero until the host arms again. The host is told in the format that it listens to."""
+    """Latches: the force is zero until the host arms again. The host hears of it in the format that it listens to."""
     mock.board.fault = fault
     mock.board.state = schema.LATCHED
     _say_status(mock, _armed(mock, mock.spoken))

@@ -14,13 +14,19 @@ import numpy as np
 from hapsim.compiling import helper
 from hapsim.device.mock.motion import move, strike
 
+HOLDS = {"zoh": 0, "impulse": 1}
+"""A scene's names for what becomes of a force: it acts until the next one, or is given at once as an impulse."""
+
+SAMPLINGS = {"ideal": 0, "average": 1}
+"""A scene's names for what is measured: the position at the instant, or its mean over the sample before."""
+
 CONVERTER = np.dtype(
     [
         ("period", np.float64),  # s, nominal
         ("whole_delay", np.int64),  # D
         ("part_delay", np.float64),  # phi, in [0, 1)
-        ("impulse", np.int64),  # 1: impulse hold, 0: zero-order hold
-        ("average", np.int64),  # 1: mean over the sample before, 0: the instant's value
+        ("impulse", np.int64),  # of HOLDS
+        ("average", np.int64),  # of SAMPLINGS
         ("quantum", np.float64),  # m per count
         ("velocity_quantum", np.float64),  # (m/s) per count; 0: the device senses no velocity
         ("noise", np.float64),  # m rms, and as many periods of it as there are in a second, in m/s rms, of the velocity

@@ -24,7 +24,7 @@ BENDING = Quantity(
 
 
 class Pluck(Part):
-    """A string that is pulled aside before the run begins, and let go at rest. SI units."""
+    """A string that is pulled aside before the run begins, and released at rest. SI units."""
 
     at: Annotated[int, Count("Number of the mass that is pulled aside", 0, MOST_MASSES - 1)]
     by: Annotated[float, Quantity("How far it is pulled aside", "m")]

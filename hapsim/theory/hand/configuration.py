@@ -16,7 +16,7 @@ from hapsim.theory.hand.impedance import damper_gain, late_and_held
 from hapsim.theory.hand.inverse_map import element_of_oscillator, is_attainable, leads
 from hapsim.theory.hand.limits import Undamped, stable_interval, undamped_curve
 from hapsim.theory.hand.loop_equation import LoopEquation, characteristic, loop_equation
-from hapsim.theory.hand.pair import Pair, oscillator_of_quadratic
+from hapsim.theory.hand.pair import PolePair, oscillator_of_quadratic
 from hapsim.theory.hand.passivity import Wall, needed_friction
 from hapsim.theory.hand.plant import sampled_plant
 from hapsim.theory.hand.poles import MOST_BY_FACTORS, Leading, all_poles, all_within, leading
@@ -337,7 +337,7 @@ class Configuration:
         stiffness, damping = np.broadcast_arrays(np.asarray(stiffness, dtype=float), np.asarray(damping, dtype=float))
         return stiffness / self.stiffness_unit, damping / self.damping_unit
 
-    def _element(self, k: ArrayLike, b: ArrayLike) -> tuple[Floats, Floats, Pair, Bools]:
+    def _element(self, k: ArrayLike, b: ArrayLike) -> tuple[Floats, Floats, PolePair, Bools]:
         """(K T²/m, B T/m, the poles of (k, b), whether there is an answer), further poles left out of account."""
         kappa, sigma = self._normalised(k, b)
         more_kappa, more_sigma = self._normalised(np.subtract(k, self.stiffness), np.subtract(b, self.friction))

@@ -9,13 +9,13 @@ import numpy as np
 
 from hapsim.theory.arrays import Bools, Floats
 from hapsim.theory.hand.loop_equation import LoopEquation, characteristic, element_on_pair
-from hapsim.theory.hand.pair import LinearOnPair, Pair, change_of_quadratic, pair_of_oscillator
+from hapsim.theory.hand.pair import LinearOnPair, PolePair, change_of_quadratic, pair_of_oscillator
 from hapsim.theory.hand.poles import all_within, without_pair
 
 
 def element_of_oscillator(
     equation: LoopEquation, oscillator: tuple[Floats, Floats], more: tuple[Floats, Floats]
-) -> tuple[Floats, Floats, Pair]:
+) -> tuple[Floats, Floats, PolePair]:
     """(K T²/m, B T/m, the pair of poles). Neither finite where the element cannot tell the two poles apart.
 
     ``oscillator``: (sigma, kappa). ``more``: the same without the device's own friction and spring; apart, because
@@ -73,7 +73,7 @@ def is_attainable(sigma: Floats | float, kappa: Floats | float) -> Bools:
     return np.asarray(kappa - 0.25 * sigma**2 < np.pi**2)
 
 
-def leads(equation: LoopEquation, stiffness: Floats, damping: Floats, pair: Pair) -> Bools:
+def leads(equation: LoopEquation, stiffness: Floats, damping: Floats, pair: PolePair) -> Bools:
     """Whether every further pole of the loop decays faster than both of the pair."""
     others = without_pair(characteristic(equation, stiffness, damping), pair)
     return all_within(others, pair.smaller_modulus)

@@ -20,14 +20,14 @@ import numpy as np
 from hapsim.theory.arrays import Floats
 from hapsim.theory.hand.pair import LinearOnPair, total
 from hapsim.theory.hand.plant import Plant
-from hapsim.theory.interface import Damper
+from hapsim.theory.interface import DamperModel
 
 
 class LoopEquation(NamedTuple):
     """A plant behind a damper's readings. ``lift`` is the power of z by which fractions were cleared."""
 
     plant: Plant
-    damper: Damper
+    damper: DamperModel
     lift: int
 
     @property
@@ -36,7 +36,7 @@ class LoopEquation(NamedTuple):
         return self.plant.lead + self.damper.delays + self.lift + len(self.damper.denominator) + 1
 
 
-def loop_equation(plant: Plant, damper: Damper) -> LoopEquation:
+def loop_equation(plant: Plant, damper: DamperModel) -> LoopEquation:
     """The equation of this plant and damper."""
     return LoopEquation(plant, damper, max(0, -plant.lead - damper.delays))
 

@@ -20,7 +20,7 @@ from hapsim.theory.arrays import Bools, Complexes, Floats
 CANCELS = 0.1  # a difference smaller than this part of its terms is worked out from small quantities
 
 
-class Pair(NamedTuple):
+class PolePair(NamedTuple):
     """The two poles as the roots of w² + p w + q; arrays of one shape."""
 
     p: Floats
@@ -62,7 +62,7 @@ class LinearOnPair(NamedTuple):
 
     constant: Any
     slope: Any
-    pair: Pair
+    pair: PolePair
 
     def plus(self, constant: Any) -> LinearOnPair:
         """The function plus a constant."""
@@ -127,7 +127,7 @@ def roots_of_quadratic(p: Floats, q: Floats) -> RealRoots:
     return RealRoots(bend < 0.0, spread, np.divide(q, far, out=np.zeros_like(far), where=far != 0.0), far)
 
 
-def pair_of_oscillator(sigma: Floats, kappa: Floats) -> Pair:
+def pair_of_oscillator(sigma: Floats, kappa: Floats) -> PolePair:
     """The poles w = e^s - 1 of s² + sigma s + kappa = 0, periods as time."""
     is_complex, spread, near, far = roots_of_quadratic(sigma, kappa)
     # e^(a + jy) - 1 = (e^a - 1) + e^a (cos y - 1) + j e^a sin y
@@ -136,7 +136,7 @@ def pair_of_oscillator(sigma: Floats, kappa: Floats) -> Pair:
     sine = np.sin(angle)
     twice = 2.0 * (1.0 + one) * sine
     real, imaginary = one - twice * sine, twice * np.cos(angle)
-    return Pair(
+    return PolePair(
         -np.where(is_complex, 2.0 * real, one + other),
         np.where(is_complex, real * real + imaginary * imaginary, one * other),
     )
@@ -149,7 +149,7 @@ def quadratic_of_oscillator(sigma: float, kappa: float) -> tuple[float, float]:
 
 
 def change_of_quadratic(
-    pair: Pair, oscillator: tuple[Floats, Floats], more: tuple[Floats, Floats], damping: float, stiffness: float
+    pair: PolePair, oscillator: tuple[Floats, Floats], more: tuple[Floats, Floats], damping: float, stiffness: float
 ) -> tuple[Floats, Floats]:
     """(p, q) of the mass by itself, with its ``damping`` and ``stiffness``, less those of the ``pair``.
 

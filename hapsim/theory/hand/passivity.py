@@ -26,7 +26,7 @@ import numpy as np
 
 from hapsim.theory.arrays import Complexes, Floats
 from hapsim.theory.hand.impedance import velocity_read
-from hapsim.theory.interface import Damper, whole_and_fraction
+from hapsim.theory.interface import DamperModel, whole_and_fraction
 
 POINTS_PER_SWING = 64  # of theta, for the fastest term to go from one extreme to the other
 REFINED_SPACING = (1.0, 0.02, 0.02)  # of that grid: the last parabola is good to rounding
@@ -40,7 +40,7 @@ class Wall(NamedTuple):
     elastic: Floats
     viscous: Floats
     delay: float
-    damper: Damper
+    damper: DamperModel
 
     def part(self, rows: slice) -> Wall:
         """Some of them."""

@@ -16,7 +16,7 @@ import numpy as np
 from hapsim.theory.arrays import Bools, Complexes, Floats, sort_by_modulus
 from hapsim.theory.hand.factors import Roots, divided, in_z, quadratic_factors, roots_of_factors, slow_factor
 from hapsim.theory.hand.loop_equation import LoopEquation, characteristic, characteristic_in_w, equation_on_pair
-from hapsim.theory.hand.pair import Pair
+from hapsim.theory.hand.pair import PolePair
 
 POLISH_STEPS = 8
 POLISH_DONE = 1e-11  # relative size of a step
@@ -47,12 +47,12 @@ def leading(equation: LoopEquation, kappa: Floats, beta: Floats) -> Leading:
         if equation.degree > 2
         else (coefficients[1], coefficients[0], np.isfinite(sum(coefficients)))
     )
-    pair, further = Pair(p, q), divided(coefficients, p, q)[2:]
+    pair, further = PolePair(p, q), divided(coefficients, p, q)[2:]
     is_pair = pair.swings | ((1.0 - p + q > 0.0) & (p < 2.0))  # conjugates, or two positive poles
     leads = found & is_pair & all_within(in_z(further), pair.smaller_modulus)
     missed = np.flatnonzero(~leads)
     if missed.size:
-        split = _surely_split(Pair(p[missed], q[missed]), [coefficient[missed] for coefficient in further])
+        split = _surely_split(PolePair(p[missed], q[missed]), [coefficient[missed] for coefficient in further])
         missed = missed[~(found[missed] & split)]
     if missed.size:
         lead, _ = _solve(equation, kappa[missed], beta[missed], (p[missed], q[missed], found[missed]))
@@ -60,7 +60,7 @@ def leading(equation: LoopEquation, kappa: Floats, beta: Floats) -> Leading:
     return Leading(p, q, leads)
 
 
-def _surely_split(pair: Pair, further: list[Floats]) -> Bools:
+def _surely_split(pair: PolePair, further: list[Floats]) -> Bools:
     """Whether a real pole leads alone: the pair does not, and no other two could. Not all cases, but the common ones.
 
     ``further``: the polynomial of the other poles, in w.
@@ -69,7 +69,7 @@ def _surely_split(pair: Pair, further: list[Floats]) -> Bools:
         return np.asarray(pair.swings)
     if len(further) != 3:
         return np.zeros(pair.p.shape, dtype=bool)
-    others = Pair(further[1], further[0])
+    others = PolePair(further[1], further[0])
     return np.asarray(~pair.swings & others.swings & (others.larger_modulus < pair.larger_modulus))
 
 
@@ -80,7 +80,7 @@ def all_poles(equation: LoopEquation, kappa: Floats, beta: Floats) -> tuple[Lead
         poles = sort_by_modulus((1.0 + roots_of_all.real + 1j * roots_of_all.imaginary).T)
     else:
         poles = roots_of_all
-    poles[:, :2] = np.where(lead.dominant[:, None], Pair(lead.p, lead.q).poles, poles[:, :2])
+    poles[:, :2] = np.where(lead.dominant[:, None], PolePair(lead.p, lead.q).poles, poles[:, :2])
     return lead, sort_by_modulus(poles)
 
 
@@ -146,7 +146,7 @@ def leading_pair(equation: LoopEquation, kappa: Floats, beta: Floats, poles: Com
     is_pair = conjugates | positive
     p, q = _polished(equation, kappa, beta, (p, q), others)
 
-    dominant = is_pair & (np.abs(others).max(axis=-1, initial=0.0) < Pair(p, q).smaller_modulus)
+    dominant = is_pair & (np.abs(others).max(axis=-1, initial=0.0) < PolePair(p, q).smaller_modulus)
     return Leading(p, q, dominant)
 
 
@@ -160,7 +160,7 @@ def _polished(
     """
     p, q = start
     for _ in range(POLISH_STEPS):
-        w = Pair(p, q).w
+        w = PolePair(p, q).w
         change = equation_on_pair(equation, kappa, beta, w)
         for pole in np.moveaxis(others, -1, 0):
             change = change.over(w.plus(1.0 - pole))
@@ -192,6 +192,6 @@ def all_within(coefficients: list[Floats], radius: Floats) -> Bools:
     return inside
 
 
-def without_pair(coefficients: list[Floats], pair: Pair) -> list[Floats]:
+def without_pair(coefficients: list[Floats], pair: PolePair) -> list[Floats]:
     """Monic polynomials in z, highest power first, divided by the pair's factor."""
     return divided(coefficients[::-1], pair.p - 2.0, 1.0 - pair.p + pair.q)[:1:-1]

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from hapsim.theory.arrays import Floats
-from hapsim.theory.hand.pair import Pair
+from hapsim.theory.hand.pair import PolePair
 
 SLOW = 1e-3  # roots so close to w = 0 are those of the three lowest terms, to as good a guess as any
 
@@ -35,7 +35,7 @@ def _of_quartic(d: Floats, c: Floats, b: Floats, a: Floats) -> tuple[Floats, Flo
     y = _largest_root(-b, a * c - 4.0 * d, 4.0 * b * d - a * a * d - c * c)
     apart = np.sqrt(np.maximum(0.25 * a * a - b + y, 0.0))
     between = np.copysign(np.sqrt(np.maximum(0.25 * y * y - d, 0.0)), 0.5 * a * y - c)
-    one, other = Pair(0.5 * a + apart, 0.5 * y + between), Pair(0.5 * a - apart, 0.5 * y - between)
+    one, other = PolePair(0.5 * a + apart, 0.5 * y + between), PolePair(0.5 * a - apart, 0.5 * y - between)
     slower = one.larger_modulus > other.larger_modulus
     return np.where(slower, one.p, other.p), np.where(slower, one.q, other.q)
 

@@ -1,7 +1,7 @@
 """The holds, samplings and dampers there are, by the names that a scene file uses; and how a delay is split."""
 
-from hapsim.theory.interface.dampers import DAMPERS, WITH_CUTOFF, Damper, damper_named
-from hapsim.theory.interface.holds import HOLDS, Hold, Segment
+from hapsim.theory.interface.dampers import DAMPERS, WITH_CUTOFF, DamperModel, damper_named
+from hapsim.theory.interface.holds import HOLDS, Hold, HoldSegment
 from hapsim.theory.interface.samplings import SAMPLINGS, Sampling
 from hapsim.theory.interface.terms import Term, product, whole_and_fraction
 
@@ -10,10 +10,10 @@ __all__ = [
     "HOLDS",
     "SAMPLINGS",
     "WITH_CUTOFF",
-    "Damper",
+    "DamperModel",
     "Hold",
+    "HoldSegment",
     "Sampling",
-    "Segment",
     "Term",
     "damper_named",
     "product",

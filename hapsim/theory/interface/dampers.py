@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 
-class Damper(NamedTuple):
+class DamperModel(NamedTuple):
     """How readings become the velocity that a link's damping acts on, in metres per sample period.
 
     As a transfer function, v/y = w ``numerator``(w)/(``denominator``(w) z^``delays``), in powers of w = z - 1, the
@@ -26,19 +26,21 @@ class Damper(NamedTuple):
     senses: bool = False
 
 
-def backward(_cutoff: float) -> Damper:
+def backward(_cutoff: float) -> DamperModel:
     """The difference of the two newest positions (first-order Euler; Florens et al., §6): v[n] = (y[n] - y[n-1])/T; v/y
     = w/(w + 1)."""
-    return Damper(numerator=(1.0,), denominator=(1.0,), delays=1, of_positions=(1.0, -1.0), of_velocities=())
+    return DamperModel(numerator=(1.0,), denominator=(1.0,), delays=1, of_positions=(1.0, -1.0), of_velocities=())
 
 
-def centred(_cutoff: float) -> Damper:
+def centred(_cutoff: float) -> DamperModel:
     """The difference across two sample periods, the velocity at the sample before: v[n] = (y[n] - y[n-2])/(2 T); v/y =
     w (1 + w/2)/(1 + w)²."""
-    return Damper(numerator=(1.0, 0.5), denominator=(1.0,), delays=2, of_positions=(0.5, 0.0, -0.5), of_velocities=())
+    return DamperModel(
+        numerator=(1.0, 0.5), denominator=(1.0,), delays=2, of_positions=(0.5, 0.0, -0.5), of_velocities=()
+    )
 
 
-def filtered(cutoff: float) -> Damper:
+def filtered(cutoff: float) -> DamperModel:
     """A low-pass of first order behind the backward difference: v[n] = (1 - a) v[n-1] + a (y[n] - y[n-1])/T, a = 1 -
     exp(-cutoff); v/y = w a/(w + a).
 
@@ -46,25 +48,25 @@ def filtered(cutoff: float) -> Damper:
     exponential, sample by sample. ``cutoff``: 2 pi times the cutoff frequency times the sample period.
     """
     a = -math.expm1(-cutoff)
-    return Damper(
+    return DamperModel(
         numerator=(a,), denominator=(a, 1.0), delays=0, of_positions=(a, -a), of_velocities=(math.exp(-cutoff),)
     )
 
 
-def sensed(_cutoff: float) -> Damper:
+def sensed(_cutoff: float) -> DamperModel:
     """v[n] is what the device itself measures, late and held like the position: a second output of the plant, not a
     filter of the first. With averaged sampling it is the mean velocity over the sample period that has just ended.
 
     At an end that is not the device's there is nothing to sense: a simulated point's velocity is the backward
     difference of its positions, which the filter below says.
     """
-    return Damper(
+    return DamperModel(
         numerator=(1.0,), denominator=(1.0,), delays=1, of_positions=(1.0, -1.0), of_velocities=(), senses=True
     )
 
 
 #: Each made from 2 pi times the cutoff frequency times the sample period, which only a filter looks at.
-DAMPERS: dict[str, Callable[[float], Damper]] = {
+DAMPERS: dict[str, Callable[[float], DamperModel]] = {
     "backward": backward,
     "centred": centred,
     "filtered": filtered,
@@ -73,7 +75,7 @@ DAMPERS: dict[str, Callable[[float], Damper]] = {
 WITH_CUTOFF = ("filtered",)
 
 
-def damper_named(name: str, cutoff: float | None, rate: float) -> Damper:
+def damper_named(name: str, cutoff: float | None, rate: float) -> DamperModel:
     """The damper of this name. ``cutoff`` and ``rate``: Hz; a filter needs its cutoff, and nothing else has one.
 
     Raises:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 from hapsim.theory.interface.terms import Term
 
 
-class Segment(NamedTuple):
+class HoldSegment(NamedTuple):
     """A part of one sample period, during which nothing changes but at its beginning.
 
     ``duration`` is in sample periods. ``kick`` and ``constant`` are the age, in whole samples beyond the
@@ -32,15 +32,15 @@ class Hold(NamedTuple):
 
     terms: tuple[Term, ...]
     lag: float
-    segments: Callable[[float], list[Segment]]
+    segments: Callable[[float], list[HoldSegment]]
 
 
-def _held(fraction: float) -> list[Segment]:
-    return [Segment(fraction, constant=1), Segment(1.0 - fraction, constant=0)]
+def _held(fraction: float) -> list[HoldSegment]:
+    return [HoldSegment(fraction, constant=1), HoldSegment(1.0 - fraction, constant=0)]
 
 
-def _struck(fraction: float) -> list[Segment]:
-    return [Segment(fraction), Segment(1.0 - fraction, kick=0)]
+def _struck(fraction: float) -> list[HoldSegment]:
+    return [HoldSegment(fraction), HoldSegment(1.0 - fraction, kick=0)]
 
 
 ZERO_ORDER_HOLD = Hold(terms=(Term(1.0, 0, 1), Term(-1.0, 1, 1)), lag=0.5, segments=_held)

@@ -52,4 +52,4 @@ def plectrum(stiffness: float, damping: float) -> Linear:
     where its ends have passed each other by no more than they move in a sample, v T, which adds K (v T)²/2 at the most:
     the only energy that the change itself brings in.
     """
-    return Linear(stiffness, damping, "is taken as gripping all the time; let go, nothing is felt of it")
+    return Linear(stiffness, damping, "is taken as gripping all the time; released, nothing is felt of it")

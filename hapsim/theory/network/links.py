@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 
 from hapsim.theory.arrays import Bools
-from hapsim.theory.interface import Damper
+from hapsim.theory.interface import DamperModel
 from hapsim.theory.network.network import BACKWARD, Network
 from hapsim.theory.network.triplets import Indices
 from hapsim.theory.schemes import SCHEMES
@@ -56,5 +56,5 @@ def _is_inside(network: Network, link: int) -> bool:
     return damper == BACKWARD and not touches_channel(network, np.array([link]))[0]
 
 
-def _remembers_nothing(damper: Damper) -> bool:
+def _remembers_nothing(damper: DamperModel) -> bool:
     return len(damper.of_positions) <= 2 and not damper.of_velocities

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapsim.theory.arrays import Complexes, Floats
-from hapsim.theory.interface import DAMPERS, SAMPLINGS, Damper
+from hapsim.theory.interface import DAMPERS, SAMPLINGS, DamperModel
 from hapsim.theory.network.links import acting_links
 from hapsim.theory.network.margin_response import AT_ONCE, PAIRS, Answer, at_places, channel_answer, damper_answer
 from hapsim.theory.network.network import Network
@@ -49,7 +49,7 @@ class Part(NamedTuple):
     shapes: Floats
     stiffness: Floats
     damping: Floats
-    damper: Damper
+    damper: DamperModel
 
 
 class ModalResponse:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapsim.theory.arrays import Complexes, Floats
-from hapsim.theory.interface import SAMPLINGS, Damper
+from hapsim.theory.interface import SAMPLINGS, DamperModel
 from hapsim.theory.network.device_step import DeviceStep
 from hapsim.theory.network.links import acting_links
 from hapsim.theory.network.network import Network
@@ -146,7 +146,7 @@ def at_places(angle: Floats) -> tuple[Complexes, Complexes]:
     return z, w
 
 
-def damper_answer(damper: Damper, z: Complexes, w: Complexes) -> Complexes:
+def damper_answer(damper: DamperModel, z: Complexes, w: Complexes) -> Complexes:
     """v/y of the damper's recurrence; its weights of positions add up to zero, which leaves a factor 1 - 1/z = w/z."""
     from_positions = np.polyval(np.cumsum(damper.of_positions)[-2::-1], 1.0 / z)
     return w / z * from_positions / (1.0 - np.polyval([*damper.of_velocities[::-1], 0.0], 1.0 / z))

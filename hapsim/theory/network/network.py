@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from hapsim.theory import checks
 from hapsim.theory.arrays import Floats
-from hapsim.theory.interface import DAMPERS, HOLDS, SAMPLINGS, Damper
+from hapsim.theory.interface import DAMPERS, HOLDS, SAMPLINGS, DamperModel
 from hapsim.theory.schemes import SCHEMES
 
 BACKWARD = DAMPERS["backward"](0.0)
@@ -24,7 +24,7 @@ class Network:
     Points are numbered: 0 to C - 1 the device channels, C to C + M - 1 the simulated masses, -1 a ground. A
     simulated mass moves by the scheme; by CORDIS's it is m/T² (x[n+1] - 2 x[n] + x[n-1]) = F[n], and what the others
     do stands in ``moved.py``. A link's force on its first end is -K (xa - xb)[n] - (B/T) (va - vb)[n], the opposite on
-    its second; its damper makes v, in metres per sample period, of x (``shape.Damper``). A channel's x[n] is its
+    its second; its damper makes v, in metres per sample period, of x (``DamperModel``). A channel's x[n] is its
     measured sample; the sum of its links' forces acts on its real mass from (n + delay) T on, by the hold. The mass
     itself moves in continuous time, exactly: m x'' + b0 x' + k0 x = F (Florens et al., §6 and Figure 5).
 
@@ -45,7 +45,7 @@ class Network:
         damping: (L,) B in N·s/m.
         channel_stiffness: (C,) real springs k0 from the channels' masses to x = 0, N/m, >= 0; left out: none.
         damper: (L,) each link's, as ``interface.damper_named`` makes it; left out: all backward.
-        judged: of how many links, the first, margins are worked out; left out: of all.
+        margin_links: of how many links, the first, margins are worked out; left out: of all.
         scheme: what moves the masses, one of ``theory.schemes``.
         outside: (L,) which links have under a scheme that works links into its matrix no part in that, whatever they
             join (``moved.py``); left out: none.
@@ -65,7 +65,7 @@ class Network:
     stiffness: Floats
     damping: Floats
     channel_stiffness: Floats = ()  # type: ignore[assignment]
-    damper: Sequence[Damper] = ()
+    damper: Sequence[DamperModel] = ()
     margin_links: int | None = None
     scheme: str = "cordis"
     outside: Sequence[bool] = ()

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapsim.theory.arrays import Bools, Complexes, Floats
-from hapsim.theory.interface import SAMPLINGS, Damper
+from hapsim.theory.interface import SAMPLINGS, DamperModel
 from hapsim.theory.network.links import acting_links, is_centred
 from hapsim.theory.network.margin_response import channel_answer, damper_answer
 from hapsim.theory.network.network import Network
@@ -66,7 +66,7 @@ class _Form:
         self._masses = network.point_mass @ square[channels:] * network.rate**2
         self._springs = network.stiffness[acting_links(network)] @ stretch
         place = {link: i for i, link in enumerate(acting_links(network).tolist())}
-        self._dampers: list[tuple[Damper, Complexes]] = [
+        self._dampers: list[tuple[DamperModel, Complexes]] = [
             (damper, network.damping[links] * network.rate @ stretch[[place[link] for link in links.tolist()]])
             for damper, links in damping_links(network).items()
         ]

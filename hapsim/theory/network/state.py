@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hapsim.theory.arrays import Floats
-from hapsim.theory.interface import SAMPLINGS, Damper
+from hapsim.theory.interface import SAMPLINGS, DamperModel
 from hapsim.theory.network.device_step import DeviceStep, device_step
 from hapsim.theory.network.links import acting_links, is_centred, outside_links
 from hapsim.theory.network.moved import Moved, advanced, moved_masses
@@ -38,7 +38,7 @@ class Layout(NamedTuple):
 class Memory(NamedTuple):
     """The links (n,) of one damper that damp, and where they remember: (lags, n) slots each."""
 
-    damper: Damper
+    damper: DamperModel
     links: Indices
     stretches: Indices
     velocities: Indices
@@ -54,10 +54,10 @@ def channel_steps(network: Network) -> list[DeviceStep]:
     ]
 
 
-def damping_links(network: Network) -> dict[Damper, Indices]:
+def damping_links(network: Network) -> dict[DamperModel, Indices]:
     """The links that act and damp, by their damper."""
     acting = acting_links(network)
-    groups: dict[Damper, list[int]] = {}
+    groups: dict[DamperModel, list[int]] = {}
     for link in acting[network.damping[acting] != 0.0]:
         groups.setdefault(network.damper[link], []).append(int(link))
     return {damper: np.array(links, dtype=np.intp) for damper, links in groups.items()}

@@ -10,9 +10,9 @@ from hapsim.theory.schemes.centred import CORDIS, SEMI_IMPLICIT
 from hapsim.theory.schemes.exact import EXACT
 from hapsim.theory.schemes.midpoint import MIDPOINT
 from hapsim.theory.schemes.rk4 import RK4
-from hapsim.theory.schemes.scheme import Scheme, spectral_radius
+from hapsim.theory.schemes.scheme import SchemeModel, spectral_radius
 
-SCHEMES: dict[str, Scheme] = {
+SCHEMES: dict[str, SchemeModel] = {
     "cordis": CORDIS,
     "semi_implicit": SEMI_IMPLICIT,
     "midpoint": MIDPOINT,
@@ -20,4 +20,4 @@ SCHEMES: dict[str, Scheme] = {
     "exact": EXACT,
 }
 
-__all__ = ["SCHEMES", "Scheme", "spectral_radius"]
+__all__ = ["SCHEMES", "SchemeModel", "spectral_radius"]

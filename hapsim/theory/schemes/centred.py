@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from hapsim.theory.arrays import Floats
-from hapsim.theory.schemes.scheme import Scheme
+from hapsim.theory.schemes.scheme import SchemeModel
 
 
 def _step(mass: Floats, stiffness: Floats, damping: Floats, period: float) -> Floats:
@@ -28,5 +28,5 @@ def _stiffness_limit(mass: float, damping: float, period: float) -> float:
     return max(0.0, 4.0 - 2.0 * damping * period / mass) * mass / period**2
 
 
-CORDIS = Scheme(_step, _stiffness_limit, order=2, error=1.0 / 24.0)
+CORDIS = SchemeModel(_step, _stiffness_limit, order=2, error=1.0 / 24.0)
 SEMI_IMPLICIT = CORDIS

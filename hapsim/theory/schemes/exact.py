@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from hapsim.theory.arrays import Floats
-from hapsim.theory.schemes.scheme import Scheme, always_stable, step_by
+from hapsim.theory.schemes.scheme import SchemeModel, always_stable, step_by
 
 
 def _advance(rates: Floats, start: Floats) -> Floats:
@@ -13,4 +13,4 @@ def _advance(rates: Floats, start: Floats) -> Floats:
     return after
 
 
-EXACT = Scheme(step_by(_advance), always_stable, order=0, error=0.0, advance=_advance)
+EXACT = SchemeModel(step_by(_advance), always_stable, order=0, error=0.0, advance=_advance)

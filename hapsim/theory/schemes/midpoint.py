@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from hapsim.theory.arrays import Floats
-from hapsim.theory.schemes.scheme import Scheme, always_stable, step_by
+from hapsim.theory.schemes.scheme import SchemeModel, always_stable, step_by
 
 
 def _advance(rates: Floats, start: Floats) -> Floats:
@@ -17,4 +17,4 @@ def _advance(rates: Floats, start: Floats) -> Floats:
     return np.asarray(np.linalg.solve(np.eye(len(half)) - half, start + half @ start), float)
 
 
-MIDPOINT = Scheme(step_by(_advance), always_stable, order=2, error=-1.0 / 12.0, advance=_advance)
+MIDPOINT = SchemeModel(step_by(_advance), always_stable, order=2, error=-1.0 / 12.0, advance=_advance)

@@ -10,7 +10,7 @@ import numpy as np
 from hapsim.theory.arrays import Floats
 
 
-class Scheme(NamedTuple):
+class SchemeModel(NamedTuple):
     """A scheme.
 
     Attributes:

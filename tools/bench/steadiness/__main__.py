@@ -6,7 +6,7 @@
 compute    what an exchange costs, decode to encode, without a line: C loop, compiled loop
 exchanges  how many a second over a pseudo-terminal, the mock in a process of its own, in lockstep: C loop, compiled
            loop, portable loop; idle, beside a busy Python thread, beside one that collects garbage
-wakeups    how late a program is woken up that sleeps on a grid of 1 to 10 kHz: C loop, compiled loop, cyclictest;
+wakeups    the wake-up latency of a program that sleeps on a grid of 1 to 10 kHz: C loop, compiled loop, cyclictest;
            ordinary scheduling, SCHED_FIFO
 late       forces that came too late for a device that keeps its own 1 kHz: C loop, compiled loop, portable loop
 
@@ -81,7 +81,7 @@ def _measure(arguments: argparse.Namespace) -> tuple[dict[str, Any], Records]:
 
 
 def _measure_rounds(bench: Bench, parts: list[str], effort: Effort, fifo: bool, records: Records) -> None:
-    """Ctrl-C ends it; what was measured until then is told."""
+    """Ctrl-C ends it; what was measured until then is reported."""
     begin = time.monotonic()
     for number in range(effort.rounds):
         try:

@@ -33,7 +33,7 @@ class Bench:
 
     def __post_init__(self) -> None:
         self.device_cpus, self.loop_cpus = share_out_processors()
-        self.cpu = max(self.loop_cpus)  # that of whoever is woken up; the first one has the interrupts
+        self.cpu = max(self.loop_cpus)  # that of the sleeper; the first one has the interrupts
         self.scenes = {clock: scene_with_clock(clock, self.directory) for clock in ("lockstep", "device")}
         # numba keeps the type of every port that a loop was compiled for; hapsim could not load the in-memory port's.
         self._cache = {"XDG_CACHE_HOME": str(self.directory / "cache")}

@@ -31,7 +31,7 @@ def run_on_port(
                 on_progress=lambda _progress: None,
                 **options,
             )
-        except RunError as error:  # the device let go, or went silent: that is a result
+        except RunError as error:  # the device released, or went silent: that is a result
             if error.trace is None:
                 raise
             trace = error.trace

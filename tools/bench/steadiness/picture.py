@@ -84,7 +84,7 @@ def _lateness(axes: Axes, records: Records) -> None:
     axes.yaxis.set_major_formatter(_plain)
     axes.yaxis.set_minor_formatter(_plain_where_rare)
     axes.set_xticks(range(len(rates)), [f"{rate / 1000:g} kHz" for rate in rates])
-    axes.set_ylabel("woken up late, µs: p50 to p99")
+    axes.set_ylabel("wake-up latency, µs: p50 to p99")
     axes.set_xlabel("filled: ordinary scheduling; hollow: SCHED_FIFO")
     axes.grid(axis="y", color="0.9", linewidth=0.6)
     axes.set_axisbelow(True)

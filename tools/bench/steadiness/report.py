@@ -110,7 +110,7 @@ _TITLES = {
     COMPUTE: "What an exchange costs without a line, statistics included; above 1 the C loop is quicker",
     EXCHANGES: "Exchanges per second over a pseudo-terminal, the device in a process of its own; above 1 the compiled "
     "loop is quicker",
-    WAKEUPS: "How late a program is woken up that sleeps on a grid; below 1 the compiled loop is the earlier",
+    WAKEUPS: "Wake-up latency of a program that sleeps on a grid; below 1 the compiled loop is the earlier",
     LATE: "Forces that came too late for the device, at its own 1 kHz",
 }
 _TABLES = {COMPUTE: _compute, EXCHANGES: _exchanges, WAKEUPS: _wakeups, LATE: _late}

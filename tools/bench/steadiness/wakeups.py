@@ -1,4 +1,4 @@
-"""How late a program that sleeps on a grid is woken up: the compiled loop's own sleep, the C loop's, cyclictest's."""
+"""The wake-up latency of a program that sleeps on a grid: the compiled loop's own sleep, the C loop's, cyclictest's."""
 
 from __future__ import annotations
 

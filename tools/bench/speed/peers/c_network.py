@@ -123,7 +123,7 @@ class RunningNetwork:
         self._state = self._described()
 
     def start_in(self, displacement: NDArray[np.float64]) -> None:
-        """Puts the masses at `displacement` in m, shape (N,), at rest, and lets go of them."""
+        """Puts the masses at `displacement` in m, shape (N,), at rest, and releases them."""
         for row in (self._position, self._previous):
             row[: self._first_mass] = 0.0
             row[self._first_mass :] = displacement

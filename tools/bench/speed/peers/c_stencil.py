@@ -89,7 +89,7 @@ class RunningStencil:
         self._state = self._at_rest(string)
 
     def start_in(self, displacement: NDArray[np.float64]) -> None:
-        """Puts the masses at `displacement` in m, shape (N,), at rest, and lets go of them."""
+        """Puts the masses at `displacement` in m, shape (N,), at rest, and releases them."""
         self._state.now, self._state.before, self._state.next = (pointer(row) for row in self._rows)
         for row in self._rows[:2]:
             row[1:-1] = displacement

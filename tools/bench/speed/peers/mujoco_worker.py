@@ -64,7 +64,7 @@ class RunningMuJoCo:
         mujoco.mj_step(self._model, self._data, nstep=samples)
 
     def record(self, shape: NDArray[np.float64], samples: int) -> NDArray[np.float64]:
-        """The motion along `shape`, let go in it at rest."""
+        """The motion along `shape`, released in it at rest."""
         self.start_in(shape)
         motion = np.empty(samples)
         for n in range(samples):

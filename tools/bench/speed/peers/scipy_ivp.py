@@ -66,7 +66,7 @@ class SciPy:
         return see(solution.y[0::2].T)
 
     def _options(self, masses: int) -> dict[str, Any]:
-        """Where the Jacobian is banded, a solver that may need it is told."""
+        """Where the Jacobian is banded, a solver that may need it gets it."""
         return {"lband": min(3, 2 * masses - 1), "uband": min(2, 2 * masses - 1)} if self._method == "LSODA" else {}
 
 
