@@ -247,7 +247,7 @@ def show_report(out: Console, report: Report) -> None:
         table.add_row("lateness  µs", _spread_in_us(report.lateness_s))
         table.add_row("exchange  µs", _spread_in_us(report.exchange_s))
     if report.parameter_changes:
-        table.add_row("changes of parameters", str(report.parameter_changes))
+        table.add_row("changes taken", str(report.parameter_changes))
     for label, count in (
         ("positions lost", report.lost_frames),
         ("frames refused", report.crc_errors),
