@@ -69,6 +69,8 @@ def _seen_in(motion: NDArray[np.float64], poles: NDArray[np.complex128]) -> NDAr
 
     A fit of a higher order than the motion's has poles that belong to its noise; they may lie anywhere.
     """
+    if motion.size <= poles.size:
+        return np.ones(poles.size, bool)  # too short to tell
     n = np.arange(min(motion.size, _LOOKED_AT))[:, None]
     # A growing mode is written backwards from its end, so that no power overflows.
     modes = np.where(np.abs(poles) > 1.0, poles, 1.0) ** (n - n[-1]) * np.where(np.abs(poles) > 1.0, 1.0, poles) ** n

@@ -41,12 +41,17 @@ class LinearScene(NamedTuple):
     """Sentences: what was taken for what the theory does not have."""
 
 
-_OUTSIDE: dict[str, tuple[type[Any], ...]] = {
-    "midpoint": (Buffer, Nonlinear, Friction, Plectrum),
-    "exact": (Buffer, Nonlinear, Friction, Plectrum),
-    "rk4": (Friction, Plectrum),
-}
-"""The links that are outside of each scheme: those that no matrix can hold, or that remember."""
+_IN_A_MATRIX = (ViscoElastic, Spring, Damper)
+_REMEMBER = (Friction, Plectrum)
+
+
+def _is_outside(link: Any, scheme: str) -> bool:
+    """Whether a link is outside of a scheme that asks links between two samples: one that no matrix can hold, or that
+    remembers. A new type of link is outside of a matrix, until it is said to be inside."""
+    if scheme in ("midpoint", "exact"):
+        return not isinstance(link, _IN_A_MATRIX)
+    return scheme == "rk4" and isinstance(link, _REMEMBER)
+
 
 _STAYS = "."  # what is inside a structure and stays where it is: no module is called so
 
@@ -69,7 +74,7 @@ def linear_scene(scene: Scene) -> LinearScene:
     for name, link in scene.links.items():
         linear = _LINEAR[type(link)](link)
         velocity = (link.damper, link.cutoff) if isinstance(link, ViscoElastic) else ("backward", None)
-        outside = isinstance(link, _OUTSIDE.get(scene.scheme, ()))
+        outside = _is_outside(link, scene.scheme)
         links[name] = LinearLink(link.between, linear.stiffness, linear.damping, *velocity, outside)
         if linear.assumption:
             assumptions.append(f"{name} {linear.assumption}")

@@ -87,7 +87,7 @@ def _stamp(path: str) -> tuple[int, ...] | None:
         status = os.stat(path)
     except OSError:
         return None
-    if not stat.S_ISREG(status.st_mode):
+    if not stat.S_ISREG(status.st_mode) or status.st_size == 0:  # which it is while some editors write it
         return None
     return status.st_mtime_ns, status.st_ctime_ns, status.st_ino, status.st_size
 

@@ -1,7 +1,7 @@
 """The scene file: YAML -> `Scene`, errors with file:line:column, and a JSON schema for editors.
 
 `load_scene` goes through four steps: `syntax` composes YAML nodes, `document` reads values from them and
-remembers their places, pydantic checks each part, `across` checks the parts against each other; `sentences`
+remembers their places, pydantic checks each part, `cross_checks` checks the parts against each other; `error_messages`
 words what pydantic finds. Nothing is imported before it is asked for, so that naming this room costs nothing.
 """
 

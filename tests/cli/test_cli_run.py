@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from hapsim.loop.trace import load_trace
+from hapsim.shipped import shipped_scene
 
 RAN = {"rate_hz", "ticks", "deadline_misses", "lost_frames", "crc_errors"}
 FELT = {"k", "b", "frequency_hz", "damping_ratio"}
@@ -118,3 +119,15 @@ def test_a_guard_that_stops_the_force_is_status_4_with_a_document_and_a_record(
     assert answer.document["ending"] == "force not finite"
     assert answer.document["exit_status"] == 4
     assert load_trace(record).report.ending == "force not finite"
+
+
+@pytest.mark.parametrize("limit", ["1.0e-3", "1.0e+12"])
+def test_a_hand_that_hardly_moves_is_measured_or_refused_in_words(
+    hapsim: Callable[..., Any], tmp_path: Path, limit: str
+) -> None:
+    text = shipped_scene("first_touch.yaml").replace("force_limit: 10 ", f"force_limit: {limit} ")
+    path = tmp_path / "scene.yaml"
+    path.write_text(text.replace("clock: device ", "clock: lockstep "), encoding="utf-8")
+    answer = hapsim("measure", path)
+    assert answer.status in (0, 2), answer.err
+    assert "defect" not in answer.err

@@ -18,7 +18,7 @@ class Module(Part):
     is_point: ClassVar[bool] = True
     #: The module can move; a link between two that cannot would do nothing.
     can_move: ClassVar[bool] = True
-    #: The fields that `findings` looks at, its own and others'.
+    #: The fields that `issues` looks at, its own and others'.
     shared: ClassVar[tuple[str, ...]] = ()
     #: The fields that may change while the scene runs.
     live: ClassVar[tuple[str, ...]] = ()
