@@ -78,7 +78,7 @@ class Family:
 
 
 def family(hands: Sequence[Hand], view: View, scale: Scale) -> Family:
-    """Hands that differ in their mass only. UsageError where they are more than can be told apart in grey."""
+    """Hands that differ in their mass only. UsageError where they are more than can be distinguished in grey."""
     if len(hands) > MOST_MASSES:
         raise UsageError(f"--mass: found {len(hands)} masses, expected at most {MOST_MASSES} in one picture")
     sheets = [Sheet(hand.configuration, view, scale) for hand in hands]

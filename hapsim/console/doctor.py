@@ -85,7 +85,7 @@ def _machine(machine: Machine) -> str:
 def _show_grants(out: Console, examination: Examination) -> None:
     for grant in examination.grants or ():
         # Why something was denied is said with what would help.
-        answer = f"[green]got[/green], {escape(grant.detail)}" if grant.granted else "[yellow]denied[/yellow]"
+        answer = f"[green]granted[/green], {escape(grant.detail)}" if grant.granted else "[yellow]denied[/yellow]"
         out.print(f"{escape(grant.privilege)}: {answer}")
 
 

@@ -1,4 +1,4 @@
-"""What `hapsim run` tells beside its live line: what the real-time set-up got, and what an edit of the file came to."""
+"""What `hapsim run` shows beside its live line: what real time was granted, and what became of an edit of the file."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ _LOOK_S = 0.05  # how often the file is looked at
 
 
 def show_grants(error: Console, grants: Sequence[PrivilegeResult]) -> None:
-    """A line for each measure, got or denied and why."""
+    """A line for each privilege, granted or denied and why."""
     for grant in grants:
-        sign = "[green]got[/green]   " if grant.granted else "[yellow]denied[/yellow]"
+        sign = "[green]granted[/green]" if grant.granted else "[yellow]denied[/yellow] "
         error.print(f"{sign} {grant.privilege}: {escape(grant.detail)}", soft_wrap=True, highlight=False)
 
 

@@ -75,8 +75,8 @@ def examine(
 ) -> Examination:
     """How steady this machine is for a haptic loop.
 
-    First a thread sleeps to a grid of each of `rates` (Hz), and of the scene's own, and it is counted how late it is
-    woken up. Then `scene` (None: the shipped first_touch) runs: on its device where it names a port and `transport` is
+    First a thread sleeps to a grid of each of `rates` (Hz), and of the scene's own, and its wake-up latencies are
+    counted. Then `scene` (None: the shipped first_touch) runs: on its device where it names a port and `transport` is
     "auto", at its own rate and with no force whatever; otherwise on the mock, at every rate and under either clock.
     Each of these takes `seconds`. `realtime`: with what this user may have of real time. `tree`, `run`: in place of
     this system's files and of hapsim.run, for tests.

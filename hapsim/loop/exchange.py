@@ -19,7 +19,6 @@ from hapsim.loop.io_buffer import IO_BUFFER
 from hapsim.loop.ring import BRIDGED, LATE_FORCE, LIMITED, OFF_GRID, RING, UNSENT, mark_last, publish, push
 from hapsim.loop.stage import STAGE, move_scene
 
-_MOST_COUNTS = 2**31 - 1
 _MODULUS_MASK = schema.SAMPLE_MODULUS - 1  # it is a power of two
 
 DEVICE_CLOCK, HOST_CLOCK, NO_CLOCK = range(3)  # who keeps the time; nobody in virtual time

@@ -1,4 +1,4 @@
-"""What `hapsim run --realtime` asks of the system: one measure a file, each tried, and told as got or denied.
+"""What `hapsim run --realtime` asks of the system: one measure a file, each reported as granted or denied.
 
 Nothing is guessed from the kernel's name or from limits: the system call is made and its error read. A measure that is
 denied costs a sentence, never the run. To add one: write it as a file beside these and name it in `_MEASURES`.

@@ -74,10 +74,9 @@ class LiveScene:
     def _lead_to(self, scene: Scene, over: float) -> None:
         """Nothing is posted where nothing differs."""
         samples = _samples(scene, over)
-        if _same_values(parameter_values(scene), parameter_values(self.scene)):
-            self.scene = scene
-            return
-        self._loop.program.parameters.post(parameter_values(scene), samples)
+        values = parameter_values(scene)
+        if not _same_values(values, parameter_values(self.scene)):
+            self._loop.program.parameters.post(values, samples)
         self.scene = scene
 
     def _replace(self, scene: Scene, samples: int) -> None:

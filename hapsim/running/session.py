@@ -39,7 +39,7 @@ class Session:
         self._reader = threading.Thread(target=self._read, name="telemetry")
         self._trace: Trace | None = None
         self.grants: list[PrivilegeResult] = []
-        """What the real-time set-up asked of the system, and got."""
+        """What the real-time set-up asked of the system, and what of it was granted."""
 
     @property
     def scene(self) -> Scene:

@@ -60,9 +60,9 @@ def start(
 
     `transport`: where the device is ("auto": the scene's port, else the mock that fits the clock). `keep`: False for a
     trace without rows, for runs without an end. `realtime`: asks the system for what makes a loop steady, see
-    hapsim.realtime; `Session.grants` tells what it got. `portable`: the loop in plain Python over pyserial; off Linux
-    that loop runs with the mock in memory too. `on_progress` hears of the compilation, `on_arming` gets the session
-    just before the device is armed: a `stop` from then on ends the run in good order.
+    hapsim.realtime; `Session.grants` says what was granted. `portable`: the loop in plain Python over pyserial; off
+    Linux that loop runs with the mock in memory too. `on_progress` hears of the compilation, `on_arming` gets the
+    session just before the device is armed: a `stop` from then on ends the run in good order.
 
     Raises SceneError and UsageError for what cannot be run; DeviceError where port or device fail, GuardError where a
     guard stopped the force, both when the with-block is left; they carry what was recorded as their attribute `trace`.

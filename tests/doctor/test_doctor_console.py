@@ -74,7 +74,7 @@ def test_an_examination_is_told_in_full(examination: Examination) -> None:
     text = shown(examination, 200)
     for words_of_it in (
         "Some [bold] Processor; 2 of 4 cores (two threads a core)",
-        "SCHED_FIFO: got, priority 80",
+        "SCHED_FIFO: granted, priority 80",
         "memory locked: denied",
         "With clock: device this machine keeps up to 1 kHz.",
         "With clock: host this machine keeps none of these rates without gaps.",

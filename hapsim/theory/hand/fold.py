@@ -1,7 +1,7 @@
 """Where the map (K, B) -> (k, b) folds: two poles meet.
 
 Its Jacobian vanishes where a pole of the pair meets a further one, for then the characteristic polynomial and its
-derivative vanish together. Strongly damped hands meet it: the faster of their two real poles is overtaken by the next
+derivative vanish together. Strongly damped hands meet it: the faster of their two real poles is passed by the next
 one of the loop, and beyond it no spring and damper is equivalent. A double real pole exp(-decay T) belongs to a
 critically damped oscillator, so the curve is the paper's Figure 4 for that oscillator, as far as a slower pole leads.
 """

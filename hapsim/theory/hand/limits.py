@@ -111,7 +111,7 @@ def _with_alternating_pole(equation: LoopEquation, sought: int, given: Floats) -
 
 def _tied(equation: LoopEquation, theta: Floats) -> list[tuple[float, float]]:
     """Where the damper's reading is in phase with the position, and so is what moves the mass (a centred damper at half
-    the Nyquist frequency): K and B cannot be told apart there, and the curve has a hole."""
+    the Nyquist frequency): K and B cannot be distinguished there, and the curve has a hole."""
     slope = np.asarray(undamped_parts(equation, theta)[0].slope) + 0.0 * theta
     at = np.flatnonzero(np.sign(slope[1:]) != np.sign(slope[:-1]))
     low, high, sign = theta[at], theta[at + 1], np.sign(slope[at])
