@@ -39,8 +39,8 @@ def compile_(
     json: Json = False,
 ) -> None:
     """Compile now what would be compiled at a first start; it is kept, and nothing is armed or moved."""
+    from hapsim.ahead.prepare import prepare
     from hapsim.console.live import live_line
-    from hapsim.running.preparing import prepare
 
     loaded = [load(path) for path in scenes or ()]
     with live_line(stderr()) as tell:
