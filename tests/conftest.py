@@ -39,10 +39,13 @@ class Answer:
 
     @property
     def sentence(self) -> str:
-        """Standard error after a failure: no traceback, no defect of ours, nothing on standard output."""
+        """Standard error after a failure: no traceback, no defect of ours; standard output has the same or nothing."""
         assert "Traceback" not in self.err
         assert "defect" not in self.err
-        assert self.out == ""
+        if self.out:
+            assert self.document.keys() == {"error", "exit_status"}
+            assert self.document["error"] in self.err
+            assert self.document["exit_status"] == self.status
         return self.err
 
 
