@@ -9,7 +9,6 @@ from typing import Any
 
 import hapsim
 from hapsim.errors import RunError
-from hapsim.loop.trace import Trace
 from steadiness.loads import Load, loaded
 
 
@@ -57,7 +56,7 @@ class _Stopper:
             self._load.stop = True
 
 
-def _result(trace: Trace) -> dict[str, Any]:
+def _result(trace: hapsim.Trace) -> dict[str, Any]:
     report = trace.report
     # The report tells of virtual time; here the clock on the wall counts.
     taken = 1e-9 * float(trace.time_ns[-1] - trace.time_ns[0]) if trace.time_ns.size > 1 else 0.0
