@@ -37,7 +37,7 @@ def require_measurable(rate_hz: float, seconds: float, named: str = "--rates") -
         )
 
 
-def wake_up_lateness(
+def wake_up_latency(
     rate_hz: float,
     seconds: float,
     on_progress: Tell | None = None,

@@ -69,7 +69,7 @@ class Measurement:
 
 
 def identify(trace: Trace, mass: float, channel: int = 0) -> Measurement:
-    """The spring and damper that `mass` kg on `channel` met during the trace. UsageError where nothing moves."""
+    """The spring and damper that `mass` kg on `channel` felt during the trace. UsageError where nothing moves."""
     with threadpool_limits(1, user_api="blas"):  # on matrices this narrow further threads cost ten times what they save
         return _identify(trace, mass, channel)
 

@@ -27,7 +27,7 @@ Measure = Callable[[int], AbstractContextManager[PrivilegeResult]]
 """Asks for something for the process and its thread with this native id, and gives it back on leaving."""
 
 Ask = Callable[[int], tuple[str, Callable[[], object]]]
-"""The asking alone: returns what exactly was got and what undoes it, or raises OSError."""
+"""The asking alone: returns what exactly was granted and what undoes it, or raises OSError."""
 
 
 def measure(name: str, advise: Callable[[OSError], str], *, everywhere: bool = False) -> Callable[[Ask], Measure]:

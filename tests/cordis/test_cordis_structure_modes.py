@@ -91,7 +91,7 @@ def identified(q: np.ndarray) -> complex:
 
 
 def poles_of(swinging: list[Swinging], precision: str = "double", samples: int = 4000) -> list[complex]:
-    """Each let go in its mode's shape, 1 mm, all in one scene; the pole that is identified from each one's motion."""
+    """Each released in its mode's shape, 1 mm, all in one scene; the pole that is identified from each one's motion."""
     scene = scene_of({f"x{i}": one.module for i, one in enumerate(swinging)}, precision=precision)
     numbers = numbers_of(scene)
     program = compile_scene(scene)

@@ -45,7 +45,7 @@ SCHEMES = ("cordis", "semi_implicit", "midpoint", "rk4", "exact")
 @pytest.mark.parametrize("name", ONE_OF_EACH)
 @pytest.mark.parametrize("at", [1, 37, 66, 113])
 def test_a_change_elsewhere_is_not_felt_on_any_link(name: str, at: int) -> None:
-    """To the last bit: what links remember goes on too. At 66 the hand stands still; by 113 all have slid or let go."""
+    """To the last bit: what links remember goes on too. At 66 the hand stands still; by 113 all slid or released."""
     link = {"type": name, "between": ["hand", "wall"]} | ONE_OF_EACH[name]
     before = scene_of(ON_ONE_LINK | {"link": link}, mock=None)
     after = scene_of(LONE | ON_ONE_LINK | {"link": link}, mock=None)
@@ -110,7 +110,7 @@ def test_points_go_on_in_another_precision(precision: str, wanted: str) -> None:
 
 
 def test_live_parameters_go_on_from_where_they_are() -> None:
-    """A ground on its way, and a stiffness: neither jumps where another structure takes over."""
+    """A ground on its ramp, and a stiffness: neither jumps where another structure takes over."""
     link = {"type": "spring", "between": ["hand", "wall"], "stiffness": 100.0}
     before = scene_of(ON_ONE_LINK | {"link": link}, mock=None)
     moved = ON_ONE_LINK | {"wall": {"type": "ground", "position": 0.011}}

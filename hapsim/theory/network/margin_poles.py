@@ -1,4 +1,4 @@
-"""By how much one link may grow, by the poles themselves: those of the loop with that link multiplied."""
+"""A link's gain margin by the poles themselves: those of the loop with that link multiplied."""
 
 from __future__ import annotations
 
