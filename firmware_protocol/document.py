@@ -1,4 +1,4 @@
-"""The parts of PROTOCOL.md that follow from the code: constants, link budget, example bytes.
+"""The parts of PROTOCOL.md that follow from the code: constants, time on the wire, example bytes.
 
 They stand in the document between two comment lines and are written by `make_vectors`, so that they cannot differ from
 what the codec does.
@@ -59,8 +59,8 @@ def blocks() -> dict[str, str]:
     return {
         "constants": _constants(),
         "schema": f"```text\n{schema.SCHEMA}```",
-        "link budget": _wire_time(velocity=False),
-        "link budget with velocities": _wire_time(velocity=True),
+        "time on the wire": _wire_time(velocity=False),
+        "time on the wire with velocities": _wire_time(velocity=True),
         "examples": "\n\n".join(_annotated(example) for example in _EXAMPLES),
     }
 

@@ -40,6 +40,7 @@ class _Modules(NamedTuple):
     precision: str
 
     def address(self) -> None:
+        """Compiles them, or loads them, by asking each for its address."""
         from hapsim.ahead.every_module import scenes_with_every_module
         from hapsim.cordis.program import compile_scene
         from hapsim.cordis.succession import take_over_from

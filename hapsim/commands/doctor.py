@@ -36,7 +36,9 @@ def doctor(
         list[str] | None, typer.Option(metavar="HZ,…", help="Left out: 1000,2000,4000,10000 and the scene's.")
     ] = None,
     realtime: Realtime = False,
-    picture: Annotated[Path | None, typer.Option(metavar="FILE", help="Draw the latenesses: .svg, .png, .pdf.")] = None,
+    picture: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Draw the wake-up latencies: .svg, .png, .pdf.")
+    ] = None,
     data: Data = None,
     json: Json = False,
 ) -> None:

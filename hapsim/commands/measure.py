@@ -24,6 +24,7 @@ from hapsim.commands.arguments import (
     transport_kind,
     warn,
 )
+from hapsim.console.sentences import say
 from hapsim.errors import UsageError
 
 if TYPE_CHECKING:
@@ -98,7 +99,7 @@ def _show_measured(scene: Scene, channel: int, felt: Any, why: str, measurement:
     show_measurement(stdout(), f"{hands[channel]}, channel {channel}", felt, why, measurement)
     others = ", ".join(f"--channel {c} for {name}" for c, name in hands.items() if c != channel)
     if others:
-        print(f"Other hands of this scene: {others}.")
+        say(f"Other hands of this scene: {others}.")
     show_report(stdout(), measurement.trace.report)
 
 

@@ -36,7 +36,7 @@ def examination_line(error: Console) -> Iterator[Callable[[Step], None]]:
         return
     told: set[object] = set()
 
-    def tell(step: Step) -> None:
+    def _tell(step: Step) -> None:
         if step.number not in told:
             told.add(step.number)
             error.print(f"{step.number} of {step.of}: {step.what}, {step.seconds:g} s", soft_wrap=True)
@@ -44,7 +44,7 @@ def examination_line(error: Console) -> Iterator[Callable[[Step], None]]:
             told.add((step.number, "compiling"))
             error.print("  compiling (only the first time, up to a minute)", soft_wrap=True)
 
-    yield tell
+    yield _tell
 
 
 def _now(step: Step) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING
 
 from rich.console import Console
@@ -24,7 +24,12 @@ _MARGINAL = 1e-9  # of the spectral radius: a free motion, which rounding places
 
 def show_prediction(out: Console, name: str, prediction: Prediction) -> None:
     """What `hapsim check` tells."""
-    out.print(f"[bold]{escape(name)}[/bold] at {prediction.rate:g} Hz: {_stability(prediction)}")
+    title, verdict = f"[bold]{escape(name)}[/bold]", f"at {prediction.rate:g} Hz: {_stability(prediction)}"
+    if len(name) < out.width:
+        out.print(title, verdict)
+    else:
+        out.print(title, soft_wrap=True)  # a path stays whole: it is to be copied
+        out.print(verdict)
     show_assumptions(out, prediction)
     for felt in prediction.felt:
         _show_felt(out, felt)
@@ -43,7 +48,7 @@ def show_prediction(out: Console, name: str, prediction: Prediction) -> None:
         out.print(_margins(prediction))
         if prediction.margins_method:
             out.print(f"{prediction.margins_method[0].upper()}{prediction.margins_method[1:]}.")
-    out.print(_budget(prediction.wire_time))
+    out.print(_time_on_the_wire(prediction.wire_time))
 
 
 def show_assumptions(out: Console, prediction: Prediction) -> None:
@@ -169,12 +174,12 @@ def _oscillation(mode: Mode) -> tuple[str, str]:
     return (_number(mode.frequency_hz), _number(mode.damping_ratio)) if mode.pole.imag else ("–", "–")
 
 
-def _budget(budget: WireTime) -> str:
-    share = budget.seconds / budget.period
-    verdict = "fits" if budget.fits else "[red]does not fit[/red]: a higher baud rate, or a lower rate"
+def _time_on_the_wire(wire: WireTime) -> str:
+    share = wire.seconds / wire.period
+    verdict = "fits" if wire.fits else "[red]does not fit[/red]: a higher baud rate, or a lower rate"
     return (
-        f"\nWire: {budget.bytes_to_host} + {budget.bytes_to_device} bytes an exchange take "
-        f"{budget.seconds * 1e3:.3g} ms of the {budget.period * 1e3:.3g} ms period ({share:.0%}) at this baud rate: "
+        f"\nWire: {wire.bytes_to_host} + {wire.bytes_to_device} bytes an exchange take "
+        f"{wire.seconds * 1e3:.3g} ms of the {wire.period * 1e3:.3g} ms period ({share:.0%}) at this baud rate: "
         f"{verdict}. A USB device's port has no baud rate of its own and is faster."
     )
 
@@ -270,3 +275,14 @@ def _spread_in_us(spread: Spread) -> str:
 
 def _number(value: float, digits: int = 6) -> str:
     return f"{value + 0.0:.{digits}g}" if math.isfinite(value) else "–"  # + 0.0: no minus before a zero
+
+
+def show_ports(out: Console, ports: Iterable[Mapping[str, str]]) -> None:
+    """What `hapsim ports` lists: where each port is, what it says of itself, and by what the system knows it."""
+    table = Table(title="Serial ports", title_justify="left")
+    table.add_column("port", overflow="fold", no_wrap=True)
+    table.add_column("description", overflow="fold")
+    table.add_column("hardware", overflow="fold")
+    for port in ports:
+        table.add_row(*(escape(port[key]) for key in ("port", "description", "hardware")))
+    out.print(table)

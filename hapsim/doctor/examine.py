@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -16,7 +16,7 @@ from hapsim.doctor.machine import Machine, machine_of
 from hapsim.doctor.step import Step, Tell
 from hapsim.doctor.system_files import Tree
 from hapsim.doctor.verdict import Verdict, best_rate, verdict_on
-from hapsim.doctor.wakeups import require_measurable, wake_up_lateness
+from hapsim.doctor.wakeups import require_measurable, wake_up_latency
 from hapsim.errors import UsageError
 from hapsim.loop.histogram import Histogram
 from hapsim.loop.only_linux import require_linux
@@ -94,10 +94,7 @@ def examine(
     steps = _Steps(len(rates) + len(to_run), seconds, on_progress)
     before = cpu_times(tree)
     wakeups, grants = _wakeups(rates, seconds, steps, realtime)
-    ran = tuple(
-        exchanges(trial, seconds, steps.next(_named(trial)), run or _hapsim_run(), realtime=realtime)
-        for trial in to_run
-    )
+    ran = _exchanges(to_run, seconds, steps, run or _hapsim_run(), realtime)
     machine = machine_of(tree)
     load = load_between(before, cpu_times(tree), machine.cores_online, tree)
     verdicts = tuple(map(verdict_on, ran))
@@ -137,7 +134,7 @@ def _wakeups(
     """(by rate, the wake-up latencies of a thread; what was granted of real time, None where it was not asked for)."""
     granted: list[list[PrivilegeResult]] = []
     wakeups = {
-        rate: wake_up_lateness(
+        rate: wake_up_latency(
             rate,
             seconds,
             steps.next(f"wake-ups at {words.rate(rate)}"),
@@ -147,6 +144,13 @@ def _wakeups(
         for rate in rates
     }
     return wakeups, tuple(granted[-1]) if realtime else None
+
+
+def _exchanges(
+    to_run: Sequence[Trial], seconds: float, steps: _Steps, run: Run, realtime: bool
+) -> tuple[Exchanges, ...]:
+    """What came of each, in their order."""
+    return tuple(exchanges(one, seconds, steps.next(_named(one)), run, realtime=realtime) for one in to_run)
 
 
 class _Steps:

@@ -58,7 +58,7 @@ def _compiled_now_ns(scratch):  # noqa: ARG001
 
 @overload(sleep_until)
 def _compiled_sleep_until(deadline_ns, scratch):  # noqa: ARG001
-    def sleep(deadline_ns, scratch):
+    def _sleep(deadline_ns, scratch):
         while now_ns(scratch) < deadline_ns:
             scratch[0] = deadline_ns // 1_000_000_000
             scratch[1] = deadline_ns % 1_000_000_000
@@ -66,7 +66,7 @@ def _compiled_sleep_until(deadline_ns, scratch):  # noqa: ARG001
             if _clock_nanosleep(_CLOCK_MONOTONIC, _TIMER_ABSTIME, scratch.ctypes.data, 0) not in (0, _EINTR):
                 return
 
-    return sleep
+    return _sleep
 
 
 @inlined

@@ -69,7 +69,7 @@ class Measurement:
 
 
 def identify(trace: Trace, mass: float, channel: int = 0) -> Measurement:
-    """The spring and damper that `mass` kg on `channel` met during the trace. UsageError where nothing moves."""
+    """The spring and damper that `mass` kg on `channel` felt during the trace. UsageError where nothing moves."""
     with threadpool_limits(1, user_api="blas"):  # on matrices this narrow further threads cost ten times what they save
         return _identify(trace, mass, channel)
 
@@ -80,7 +80,7 @@ def _identify(trace: Trace, mass: float, channel: int) -> Measurement:
     segments = _segments(trace, channel, LATE_FORCE | BRIDGED | OFF_GRID)
     fits = _fits(segments)
     if not fits:
-        # A host whose clock is seldom on time leaves too little between two late ticks: then better rough than nothing.
+        # A host that is seldom on time leaves too little between two deadline misses: then better rough than nothing.
         segments = _segments(trace, channel, LATE_FORCE | BRIDGED)
         fits = _fits(segments)
     free = _longest_free_motion(segments)

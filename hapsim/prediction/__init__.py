@@ -1,4 +1,7 @@
-"""What the hand will feel in a scene, before it runs: the scene as the linear theory takes it, and what follows."""
+"""What the hand will feel in a scene, before it runs: the scene as the linear theory takes it, and what follows.
+
+Public is what `__all__` names.
+"""
 
 from hapsim.prediction.predict import (
     Felt,

@@ -155,7 +155,7 @@ class Prediction:
 def predict(scene: Scene, *, with_margins: bool = True) -> Prediction:
     """What the hand will feel in `scene`, whether the whole of it is stable, and whether the wire is fast enough.
 
-    `with_margins`: also by how much each link may grow, which for a large scene takes longer than the rest.
+    `with_margins`: also each link's gain margin, which for a large scene takes longer than the rest.
     """
     if not 1e-9 <= scene.rate <= 1e9:
         raise UsageError(f"rate: found {scene.rate:g} Hz, which is beyond what is worked out (1e-9 to 1e9 Hz)")
@@ -267,11 +267,11 @@ def warnings_about(scene: Scene, prediction: Prediction) -> list[str]:
             "the scene is predicted unstable: the hand will be shaken, with up to the force limit of "
             f"{scene.device.force_limit:g} N. `hapsim check` tells by how much the stiffness has to go down."
         )
-    budget = prediction.wire_time
-    if scene.device.port is not None and not budget.fits:
+    wire = prediction.wire_time
+    if scene.device.port is not None and not wire.fits:
         warnings.append(
-            f"an exchange takes {budget.seconds * 1e3:.3g} ms at {scene.device.baud} baud, the sample period is "
-            f"{budget.period * 1e3:.3g} ms. A USB device does not mind; a UART cannot keep up."
+            f"an exchange takes {wire.seconds * 1e3:.3g} ms at {scene.device.baud} baud, the sample period is "
+            f"{wire.period * 1e3:.3g} ms. A USB device does not mind; a UART cannot keep up."
         )
     return warnings
 

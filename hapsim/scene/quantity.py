@@ -81,6 +81,7 @@ class Quantity(Expectation):
         return self._one() + several
 
     def check(self, value: object) -> PerChannel | None:
+        """A float, or a tuple of one for each channel; None for a welcome ``null``. An error through `unexpected`."""
         if value is None and self.left_out:
             return None
         if self.per_channel and isinstance(value, Sequence) and not isinstance(value, str | bytes):
@@ -88,6 +89,7 @@ class Quantity(Expectation):
         return self._number(value, ())
 
     def json_schema(self) -> dict[str, Any]:
+        """A number within the bounds, or a list of one for each channel, or ``null``."""
         bounds = {"exclusiveMinimum": self.above, "minimum": self.least, "maximum": self.most}
         number = {"type": "number"} | {key: bound for key, bound in bounds.items() if bound is not None}
         kinds: list[dict[str, Any]] = [number]
@@ -136,6 +138,7 @@ class Count(Expectation):
         return f"a whole number from {self.least} to {self.most}{unit}"
 
     def check(self, value: object) -> int:
+        """A whole number within the bounds, or an error through `unexpected`."""
         if isinstance(value, bool) or not isinstance(value, Integral):
             unexpected(self.expected())
         number = int(value)
@@ -144,6 +147,7 @@ class Count(Expectation):
         return number
 
     def json_schema(self) -> dict[str, Any]:
+        """A whole number within the bounds."""
         description = f"{self.description}, in {self.unit}" if self.unit else self.description
         return {
             "type": "integer",
@@ -171,6 +175,7 @@ class Words(Expectation):
         return f"a list of {self.count} words, each {' or '.join(self.words)}"
 
     def check(self, value: object) -> tuple[str, ...]:
+        """The words, or an error through `unexpected`, for the first that is none of them."""
         if not isinstance(value, list | tuple) or len(value) != self.count:
             unexpected(self.expected())
         for index, word in enumerate(value):
@@ -179,6 +184,7 @@ class Words(Expectation):
         return tuple(value)
 
     def json_schema(self) -> dict[str, Any]:
+        """A list of so many words."""
         return {
             "description": self.description,
             "type": "array",
@@ -204,6 +210,7 @@ class Name(Expectation):
         return value
 
     def json_schema(self) -> dict[str, Any]:
+        """A text of this pattern."""
         return {
             "type": "string",
             "pattern": f"^{self.PATTERN.pattern}$",

@@ -1,4 +1,4 @@
-"""`hapsim check`: what is told of every kind of scene, and the keys that scripts rely on."""
+"""`hapsim check`: what it reports of every kind of scene, and the keys that scripts rely on."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import yaml
 FELT = {"k", "b", "frequency_hz", "damping_ratio"}
 
 
-def test_every_scene_is_told_in_words_and_in_json(
+def test_every_scene_is_reported_in_words_and_in_json(
     hapsim: Callable[..., Any], scene_file: Callable[..., Path], every_scene: str
 ) -> None:
     told = hapsim("check", scene_file(every_scene))
@@ -44,7 +44,7 @@ def test_a_spring_is_predicted_with_its_k_and_b(hapsim: Callable[..., Any], scen
     assert b == pytest.approx(-2 * 0.2 * s.real, rel=1e-6)
 
 
-def test_an_unstable_scene_is_told_so_and_is_no_failure(
+def test_an_unstable_scene_is_reported_as_such_and_is_no_failure(
     hapsim: Callable[..., Any], scene_file: Callable[..., Path]
 ) -> None:
     told = hapsim("check", scene_file("unstable"))
@@ -143,7 +143,7 @@ def test_a_large_scene_that_diverges_is_called_unstable(hapsim: Callable[..., An
     assert document["spectral_radius"] > 1.0
 
 
-def test_each_link_is_told_how_much_it_may_grow(hapsim: Callable[..., Any], tmp_path: Path) -> None:
+def test_each_link_is_reported_with_its_gain_margin(hapsim: Callable[..., Any], tmp_path: Path) -> None:
     path = chain(tmp_path, 3, 0.1, 0.5)
     document = hapsim("check", path, "--json").document
     assert document["poles_method"].startswith("every pole")
@@ -174,7 +174,7 @@ def test_a_hand_whose_dampers_are_of_several_kinds_has_no_single_k_and_b(
     assert "has dampers of several kinds (one: centred, " in document["coupled_device_points"]["hand"]
 
 
-def test_a_stiffness_beyond_reason_is_told_without_a_warning(
+def test_a_stiffness_beyond_reason_is_reported_without_a_warning(
     hapsim: Callable[..., Any], scene_file: Callable[..., Path]
 ) -> None:
     answer = hapsim("check", scene_file("no_number"), "--json")
@@ -192,7 +192,7 @@ def test_a_file_name_is_shown_as_it_is_written(
     assert "a[red]b[link].yaml" in told.out.replace("\n", "")
 
 
-def test_a_wire_that_is_too_slow_is_told(hapsim: Callable[..., Any], scene_file: Callable[..., Path]) -> None:
+def test_a_wire_that_is_too_slow_is_reported(hapsim: Callable[..., Any], scene_file: Callable[..., Path]) -> None:
     told = hapsim("check", scene_file("spring", baud=115200))
     assert "does not fit: a higher baud rate, or a lower rate" in told.out
     assert hapsim("check", scene_file("spring", baud=115200), "--json").document["wire_time"]["fits"] is False

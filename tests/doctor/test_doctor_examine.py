@@ -49,13 +49,13 @@ def examined(
 ) -> Callable[..., tuple[Examination, Any]]:
     """An examination whose wake-ups and runs are made up, and what ran."""
 
-    def wake_up_lateness(rate: float, seconds: float, tell: Any, **options: Any) -> Histogram:
+    def wake_up_latency(rate: float, seconds: float, tell: Any, **options: Any) -> Histogram:
         tell(0.0, "sleep_on_grid")
         tell(seconds, "")
         options["on_grants"]([GRANT] if options["realtime"] else [])
         return histogram({1e-6 * rate: 10})
 
-    monkeypatch.setattr(examination_module, "wake_up_lateness", wake_up_lateness)
+    monkeypatch.setattr(examination_module, "wake_up_latency", wake_up_latency)
 
     def call(given: Scene | None, error: Exception | None = None, **options: Any) -> tuple[Examination, Any]:
         run = fake_run()
@@ -154,7 +154,7 @@ def test_real_time_is_asked_for_everywhere_and_what_was_granted_is_kept(examined
     assert examined(scene(), rates=())[0].grants is None
 
 
-def test_every_measurement_is_told_once_it_begins(examined: Callable[..., Any]) -> None:
+def test_every_measurement_is_reported_once_it_begins(examined: Callable[..., Any]) -> None:
     told: list[Step] = []
 
     _, run = examined(scene(), rates=(), on_progress=told.append, seconds=2.0)

@@ -227,7 +227,7 @@ def test_a_port_that_hangs_up_ends_the_run(
 
 
 @pytest.mark.parametrize("fault", [*sorted(schema.FAULTS), 77])
-def test_a_fault_that_the_device_reports_is_told_in_words(
+def test_a_fault_that_the_device_reports_is_reported_in_words(
     scripted: Scripted, frame: Callable[..., bytes], fault: int
 ) -> None:
     status = frame_to_host(armed_format(1), schema.STATUS, 3, [schema.LATCHED | fault << 8])

@@ -57,7 +57,7 @@ def test_a_device_that_hangs_up_is_gone(scripted: Any, frame: FrameOf) -> None:
         assert caught.value.trace.sample.tolist() == [0, 1]
 
 
-def test_a_silent_device_is_told_and_let_go(scripted: Any, frame: FrameOf) -> None:
+def test_a_silent_device_is_reported_and_released(scripted: Any, frame: FrameOf) -> None:
     with scripted([frame(0, 0)]) as (scene, device):
         paced = scene.model_copy(update={"device": scene.device.model_copy(update={"clock": "device"})})
         with pytest.raises(DeviceError, match="silent"):

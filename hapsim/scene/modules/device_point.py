@@ -19,6 +19,7 @@ class DevicePoint(Module):
     channel: Annotated[int, Count("Channel of the device, counted from 0", 0, MOST_CHANNELS - 1)]
 
     def issues(self, name: str, around: ModuleContext) -> Iterator[Issue]:
+        """Its channel, where a module before it has it."""
         for other, module in around.sound.items():
             if other == name:
                 return

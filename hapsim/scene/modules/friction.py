@@ -31,6 +31,7 @@ class Friction(Link):
         return self.force if self.static is None else self.static
 
     def issues(self, name: str, around: ModuleContext) -> Iterator[Issue]:
+        """Its ends; and a static force below the one while it slides."""
         yield from super().issues(name, around)
         if self.break_away < self.force:
             yield Issue(

@@ -66,6 +66,7 @@ class String(Structure):
         return is_number(place, self.masses)
 
     def initial_positions(self) -> list[float]:
+        """In m: where it rests, or in the triangle in which the pluck holds it."""
         if self.pluck is None:
             return [self.position] * self.masses
         at, by, masses = self.pluck.at, self.pluck.by, self.masses
@@ -73,6 +74,7 @@ class String(Structure):
         return [self.position + by * share for share in shares]
 
     def issues(self, name: str, _around: ModuleContext) -> Iterator[Issue]:
+        """A pluck at a mass that it does not have."""
         if self.pluck is not None and self.pluck.at >= self.masses:
             yield Issue(
                 ("modules", name, "pluck", "at"),

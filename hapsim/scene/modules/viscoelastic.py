@@ -34,6 +34,7 @@ class ViscoElastic(Link):
     cutoff: Annotated[float | None, replace(CUTOFF, left_out="no filter")] = None
 
     def issues(self, name: str, around: ModuleContext) -> Iterator[Issue]:
+        """Its ends; a cutoff and the damper that takes it, one without the other; a sensed damper without a hand."""
         yield from super().issues(name, around)
         path = ("modules", name)
         if self.damper == "filtered" and self.cutoff is None:
