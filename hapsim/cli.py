@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import io
 import os
 import sys
@@ -12,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hapsim.chart.commands import app as chart
+from hapsim.console.guarded_output import guarded_output, is_full
 from hapsim.errors import HapsimError, UsageError
 
 if TYPE_CHECKING:
@@ -381,6 +381,7 @@ def schema() -> None:
     print(json_text.dumps(scene_schema(), indent=2))
 
 
+@guarded_output()
 def main() -> None:
     """The command line: every failure is a sentence and an exit status."""
     for stream in (sys.stdout, sys.stderr):
@@ -397,15 +398,8 @@ def main() -> None:
         if "hapsim.realtime.giving_way" in sys.modules and isinstance(ending.code, int | None):
             sys.modules["hapsim.realtime.giving_way"].leave_unfinished(ending.code or 0)
         raise
-    except BrokenPipeError:
-        # Whoever read our output has seen enough; nothing is left to say to them.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        sys.exit(0)
     except Exception as error:
-        if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
-            print(f"hapsim: the output cannot be written: {error.strerror}", file=sys.stderr)
-            sys.exit(2)
-        if os.environ.get("HAPSIM_TRACEBACK"):
+        if isinstance(error, BrokenPipeError) or is_full(error) or os.environ.get("HAPSIM_TRACEBACK"):
             raise
         print(
             f"hapsim: a defect of hapsim itself: {type(error).__name__}: {error}\n"
