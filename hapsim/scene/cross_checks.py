@@ -22,7 +22,7 @@ def cross_check_issues(around: ModuleContext, per_channel: Fields) -> list[Issue
         around: the modules.
         per_channel: the sound fields of the parts that may have lists with one value per channel.
     """
-    issues = [issue for name, module in around.sound.items() for issue in module.issues(name, around)]
+    issues = [issue for name, module in around.modules.items() for issue in module.issues(name, around)]
     kinds = around.kinds.values()
     if None not in kinds and DevicePoint not in kinds:
         issues.append(
@@ -41,9 +41,9 @@ def cross_check_issues(around: ModuleContext, per_channel: Fields) -> list[Issue
 def _channels(around: ModuleContext) -> int | None:
     """Number of channels, or None where a faulty module leaves it open."""
     kinds = around.kinds
-    if any(kinds[name] in (None, DevicePoint) for name in kinds if name not in around.sound):
+    if any(kinds[name] in (None, DevicePoint) and not around.knows(name, "channel") for name in kinds):
         return None
-    used = [module.channel for module in around.sound.values() if isinstance(module, DevicePoint)]
+    used = [module.channel for module in around.modules.values() if isinstance(module, DevicePoint)]
     return 1 + max(used) if used else None
 
 
