@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import io
 import os
 import sys
@@ -18,6 +17,7 @@ from hapsim.commands.doctor import doctor
 from hapsim.commands.measure import measure
 from hapsim.commands.prepare import compile_, new, schema
 from hapsim.commands.run import run
+from hapsim.console.guarded_output import guarded_output, is_full
 from hapsim.errors import HapsimError
 
 _WRONG_COMMAND_LINE = 2
@@ -57,6 +57,7 @@ def _about_hapsim(
     """A real-time haptic simulator that tells what stiffness and damping the hand really feels."""
 
 
+@guarded_output()
 def main() -> None:
     """The command line: every failure is a sentence and an exit status, and with --json a document of both."""
     for stream in (sys.stdout, sys.stderr):
@@ -68,15 +69,8 @@ def main() -> None:
         _fail(str(error), error.exit_status)
     except SystemExit as ending:
         _end_as_typer_does(ending)
-    except BrokenPipeError:
-        # Whoever read our output has seen enough; nothing is left to say to them.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        sys.exit(0)
     except Exception as error:
-        if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
-            complain(f"hapsim: the output cannot be written: {error.strerror}")
-            sys.exit(2)
-        if os.environ.get("HAPSIM_TRACEBACK"):
+        if isinstance(error, BrokenPipeError) or is_full(error) or os.environ.get("HAPSIM_TRACEBACK"):
             raise
         _fail(
             f"hapsim: a defect of hapsim itself: {type(error).__name__}: {error}\n"

@@ -70,9 +70,11 @@ def _pushes(scene: Scene, channel: int, duration: float) -> Excitation:
     range_m = mock.quantum * _COUNTS if device.port is None else math.inf
     kick = min(_KICK, 0.05 * range_m * scene.rate / free)
     impulse = device.masses(scene.channels)[channel] * kick
-    force = min(_SHARE_OF_LIMIT * device.force_limit, impulse * scene.rate)
+    limit = device.force_limit if device.port is not None else mock.force_limit
+    force = min(_SHARE_OF_LIMIT * limit, impulse * scene.rate)
     at_rest = device.port is not None or (
         mock.initial_velocity[channel] == 0.0 and mock.initial_position[channel] == 0.0
     )
-    length = min(max(1, round(impulse * scene.rate / force)), every // 2)
+    longest = every // 2
+    length = longest if impulse * scene.rate > longest * force else max(1, round(impulse * scene.rate / force))
     return Excitation(channel, force, length, every, start=free, first=at_rest)

@@ -258,14 +258,19 @@ def _lone_hands_are_stable(scene: Scene, linear: LinearScene) -> bool:
 def warnings_about(scene: Scene, prediction: Prediction) -> list[str]:
     """What a hand should know before `scene` runs, of which this was predicted: sentences, none where all is well."""
     warnings = []
+    limit = scene.device.force_limit
+    if scene.device.port is None and scene.mock_device.force_limit < limit:
+        most = scene.mock_device.force_limit
+        warnings.append(f"force_limit: found {limit:g} N, of which the mock gives {most:g} N at most.")
+        limit = most
     if not prediction.by_its_scheme:
         warnings.append(
             f"how stable the scene is was worked out for scheme: cordis, not for {scene.scheme}, by which it runs."
         )
     elif is_surely_unstable(prediction):
         warnings.append(
-            "the scene is predicted unstable: the hand will be shaken, with up to the force limit of "
-            f"{scene.device.force_limit:g} N. `hapsim check` tells by how much the stiffness has to go down."
+            f"the scene is predicted unstable: the hand will be shaken, with up to the force limit of {limit:g} N. "
+            "`hapsim check` tells by how much the stiffness has to go down."
         )
     wire = prediction.wire_time
     if scene.device.port is not None and not wire.fits:

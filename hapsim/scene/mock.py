@@ -11,6 +11,10 @@ from .quantity import Count, PerChannel, Quantity, per_channel
 
 AS_DEVICE = "as `device` says"
 
+MOST_FORCE = 1e6
+"""N, that the mock gives at most, whatever the scene allows: its 32 bits divide what it can give, and a force that a
+hand would feel has to be many of these steps."""
+
 
 class Initial(Part):
     """Where the mock's moving parts are when the run starts. SI units."""
@@ -47,6 +51,7 @@ class MockDevice:
         hold, sampling: as in `Device`.
         initial_position: m, per channel.
         initial_velocity: m/s, per channel.
+        force_limit: what it never exceeds, N.
         coulomb: dry friction, N.
         quantum: step of the position on the wire, m per count.
         noise: noise of the position sensor, m rms.
@@ -61,6 +66,7 @@ class MockDevice:
     sampling: Sampling
     initial_position: tuple[float, ...]
     initial_velocity: tuple[float, ...]
+    force_limit: float
     coulomb: float
     quantum: float
     noise: float
@@ -84,6 +90,7 @@ def resolve(device: Device, mock: Mock | None, channels: int) -> MockDevice:
         sampling=mock.sampling or device.sampling,
         initial_position=per_channel(mock.initial.position, channels),
         initial_velocity=per_channel(mock.initial.velocity, channels),
+        force_limit=min(device.force_limit, MOST_FORCE),
         coulomb=mock.coulomb,
         quantum=mock.quantum,
         noise=mock.noise,

@@ -46,6 +46,13 @@ def test_the_description_says_what_the_scene_says(new_host: New) -> None:
     assert struct.pack("<4I", *registers[schema.REG_NAME :][:4]).rstrip(b"\0") == b"hapsim mock"
 
 
+def test_the_mock_s_steps_of_force_stay_fine_however_large_a_limit_a_scene_has(new_host: New) -> None:
+    host = new_host(2, device={"force_limit": 1e12})
+    said = from_registers(np.array([host.register(number) for number in range(schema.REGISTERS)]))
+    assert said.force_limit == (1e6, 1e6)
+    assert said.force_scale[0] * 2**31 == 1e6
+
+
 @pytest.mark.parametrize("number", [schema.REGISTERS, schema.REGISTERS + 1, 1000, 4095])
 def test_a_register_that_does_not_exist_reads_0(new_host: New, number: int) -> None:
     assert new_host(16).register(number) == 0

@@ -22,14 +22,14 @@ _FORCE_COUNTS = 2.0**31  # the limit in N lies at the end of the counts' range: 
 def describe_mock(scene: Scene) -> Description:
     """What the scene's mock says of itself."""
     channels = scene.channels
-    limit = scene.device.force_limit
+    limit = scene.mock_device.force_limit
     return Description(
         name="hapsim mock",
         rate_hz=scene.rate,
         pacings=1 << schema.PACED_BY_DEVICE | 1 << schema.PACED_BY_HOST | 1 << schema.LOCKSTEP,
         max_watchdog_samples=schema.MAX_WATCHDOG_SAMPLES,
         position_scale=(scene.mock_device.quantum,) * channels,
-        force_scale=(limit / _FORCE_COUNTS,) * channels,
+        force_scale=(max(limit / _FORCE_COUNTS, math.ulp(0.0)),) * channels,
         force_limit=(limit,) * channels,
         velocity_scale=(scene.mock_device.quantum * scene.rate,) * channels,
     )
