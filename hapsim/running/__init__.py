@@ -1,4 +1,4 @@
-"""Running a scene: open the line, describe, arm, loop, disarm; and every way out of it leaves the force at zero."""
+"""Running a scene: open the line, describe, arm, loop, disarm; and every way out of it tells the device to release."""
 
 from hapsim.running.excitation import Excitation
 from hapsim.running.run import run
