@@ -29,7 +29,10 @@ class PortableTransport:
     """A port as pyserial has it, read and written from Python."""
 
     def __init__(self, serial: Any) -> None:
+        from serial import SerialTimeoutException
+
         self._serial = serial
+        self._full: type[OSError] = SerialTimeoutException
 
     def receive(self, buffer: NDArray[np.uint8], timeout_ns: int) -> int:
         """Waits for bytes, and takes all that are there: their count, or a code of codes.py."""
@@ -45,11 +48,9 @@ class PortableTransport:
 
     def send(self, frame: bytes) -> int:
         """0, or HUNG_UP; FAILED where the port takes nothing within the time that it was opened with."""
-        from serial import SerialTimeoutException
-
         try:
             self._serial.write(frame)
-        except SerialTimeoutException:
+        except self._full:
             return FAILED
         except OSError:
             return HUNG_UP
