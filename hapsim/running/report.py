@@ -167,6 +167,11 @@ def _useless(loop: Loop, report: Report) -> str:
 def _reason(loop: Loop, report: Report) -> str:
     """Why the device stopped, as it says. That the host was quiet is the host's doing only where it had a position."""
     state, fault = loop.state, int(loop.state.fault)
+    if int(state.device_state) not in (schema.IDLE, schema.LATCHED):
+        return (
+            f"it sent a STATUS with state {int(state.device_state)} and fault {fault}, where an armed device says only "
+            "that it is idle or latched (PROTOCOL.md, section 7)"
+        )
     if fault != schema.HOST_QUIET:
         return fault_text(fault)
     watchdog = f"its watchdog of {loop.watchdog_samples} samples"

@@ -154,6 +154,14 @@ def test_a_watchdog_is_the_hosts_fault_only_where_it_had_a_position(
     assert not_told not in sentence
 
 
+def test_a_status_that_says_neither_idle_nor_latched_is_told_as_it_came(scripted: Scripted, frame: FrameOf) -> None:
+    with (
+        scripted([frame(0, 0), status(schema.ARMED, schema.NO_FAULT)]) as (scene, _),
+        pytest.raises(DeviceError, match="stopped after 1 ticks: it sent a STATUS with state 1 and fault 0"),
+    ):
+        run(scene, duration=0.01)
+
+
 def test_positions_that_are_numbered_as_old_are_no_silence(
     scripted: Scripted, frame: FrameOf, scene_of: SceneOf
 ) -> None:

@@ -75,6 +75,16 @@ def test_the_true_rate_lies_within_the_uncertainty(a_trace: Trace, share: float)
         assert seen.differs_from(1000.0) == (share != 1.0)
 
 
+@pytest.mark.parametrize("share", [0.5, 0.9, 1.0])
+def test_the_earliest_arrivals_tell_it_and_the_others_do_not_blur_it(a_trace: Trace, share: float) -> None:
+    """Half a millisecond late on average: the uncertainty stays that of the host's clock."""
+    rng = np.random.default_rng(13)
+    for _ in range(10):
+        seen = seen_rate(arriving(a_trace, np.arange(2048) / (1000.0 * share) + 12.0 * late(2048, rng)))
+        assert seen is not None
+        assert abs(seen.rate_hz - 1000.0 * share) < seen.uncertainty_hz < 0.15 * share
+
+
 def test_a_host_that_is_held_up_and_lost_positions_do_not_bend_it(a_trace: Trace) -> None:
     rng = np.random.default_rng(12)
     for _ in range(20):
@@ -125,8 +135,9 @@ def test_of_a_port_a_rate_is_seen() -> None:
     with serving(mistaken_mock(scene, 0.9)) as port:
         trace = run(parse_scene(json.dumps(document | {"device": document["device"] | {"port": port}})), duration=1.0)
     seen = seen_rate(trace)
-    assert seen is not None
-    assert 0.0 < seen.uncertainty_hz < seen.rate_hz
+    assert trace.report.timed_by_device
+    assert (seen is not None) == (trace.sample.size >= 80)  # fewer where the machine is held up for long
+    assert seen is None or seen.uncertainty_hz > 0.0
 
 
 @pytest.mark.parametrize("share", [0.9, 1.0])
