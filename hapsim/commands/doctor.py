@@ -13,6 +13,7 @@ from hapsim.commands.arguments import (
     MockFlag,
     Port,
     Realtime,
+    complain,
     load,
     require_files_writable,
     say_written,
@@ -44,7 +45,7 @@ def doctor(
 ) -> None:
     """Tell how steady this machine is for a haptic loop, which rates it keeps, and what would help.
 
-    A device that is tried feels no force: the scene runs without its links, every force cut to zero.
+    A device that is tried is sent no force but zero: the scene runs without its links, every force cut.
     """
     from hapsim.console.doctor import examination_document, examination_line, show_examination
     from hapsim.console.options import numbers
@@ -79,4 +80,5 @@ def doctor(
         show_examination(stdout(), found)
         say_written(picture, data)
     if found.device_failed is not None:
+        complain(found.device_failed.failure)
         raise typer.Exit(found.device_failed.exit_status)

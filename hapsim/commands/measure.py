@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
@@ -15,6 +15,7 @@ from hapsim.commands.arguments import (
     Record,
     SceneFile,
     TransportOption,
+    complain,
     load,
     require_files_writable,
     say_written,
@@ -25,9 +26,11 @@ from hapsim.commands.arguments import (
     warn,
 )
 from hapsim.console.sentences import say
-from hapsim.errors import UsageError
+from hapsim.errors import RunError, UsageError
 
 if TYPE_CHECKING:
+    from hapsim.loop.trace import Trace
+    from hapsim.prediction import Prediction
     from hapsim.scene import Scene
 
 
@@ -67,15 +70,20 @@ def measure(
             "leave out --picture and --data"
         )
     warn(loaded, prediction)
-    with live_line(stderr()) as tell:
-        measurement = measure_scene(
-            loaded,
-            channel=channel,
-            duration=duration,
-            transport=transport_kind(mock, transport, port),
-            on_progress=tell,
-            stop_on_signals=True,
-        )
+    try:
+        with live_line(stderr()) as tell:
+            measurement = measure_scene(
+                loaded,
+                channel=channel,
+                duration=duration,
+                transport=transport_kind(mock, transport, port),
+                on_progress=tell,
+                stop_on_signals=True,
+            )
+    except RunError as error:
+        if error.trace is None:
+            raise
+        _tell_failed(scene, prediction, channel, error, error.trace, record, json)
     if record is not None:
         measurement.trace.save(record)
     if picture is not None or data is not None:
@@ -90,6 +98,28 @@ def measure(
         show_assumptions(stdout(), prediction)
         _show_measured(loaded, channel, felt, why, measurement)
         say_written(picture, data, record)
+    if measurement.failure is not None:
+        complain(measurement.failure)
+        raise typer.Exit(measurement.failure.exit_status)
+
+
+def _tell_failed(
+    scene: str, prediction: Prediction, channel: int, error: RunError, trace: Trace, record: Path | None, json: bool
+) -> NoReturn:
+    """Of a run that failed before anything could be identified: how it went, what was predicted, and why."""
+    if record is not None:
+        trace.save(record)
+    if json:
+        from hapsim.console.as_json import document, measured_document
+
+        print(document({"scene": scene} | measured_document(prediction, trace.report, channel, error)))
+    else:
+        from hapsim.console.tables import show_report
+
+        show_report(stdout(), trace.report)
+        say_written(record=record)
+    complain(error)
+    raise typer.Exit(error.exit_status)
 
 
 def _show_measured(scene: Scene, channel: int, felt: Any, why: str, measurement: Any) -> None:

@@ -8,9 +8,10 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from hapsim.prediction import Felt, Prediction
+from hapsim.prediction import Felt, Prediction, felt_at_rate
 
 if TYPE_CHECKING:
+    from hapsim.errors import RunError
     from hapsim.loop.trace import Report
     from hapsim.measuring.identify import Measurement
     from hapsim.realtime import PrivilegeResult
@@ -56,11 +57,41 @@ def prediction_document(prediction: Prediction, channel: int | None = None) -> d
 
 
 def measurement_document(prediction: Prediction, measurement: Measurement, channel: int) -> dict[str, Any]:
-    """What `hapsim measure` prints: prediction and measurement side by side, and how the run went."""
-    measured = {name: value for name, value in vars(measurement).items() if name != "trace"}
-    report = report_document(measurement.trace.report)
-    # The report's rate is the one that was kept; the scene's is `nominal_rate_hz`.
-    return prediction_document(prediction, channel) | {"measured": measured} | report
+    """What `hapsim measure` prints: prediction and measurement side by side, and how the run went. `rate_hz` is the
+    rate that scene and device declare; a device that was seen to sample at another has both sides for that, too."""
+    seen = measurement.seen_rate
+    at_seen_rate = None
+    if seen is not None and seen.differs_from(prediction.rate):
+        felt = felt_on(prediction, channel)
+        at_seen_rate = {
+            "predicted": None if felt is None else _felt(felt_at_rate(felt, seen.rate_hz)),
+            "measured": _measured(measurement.at_rate(seen.rate_hz)),
+        }
+    return measured_document(prediction, measurement.trace.report, channel, measurement.failure) | {
+        "measured": _measured(measurement),
+        "rate_seen_hz": None if seen is None else seen.rate_hz,
+        "rate_seen_uncertainty_hz": None if seen is None else seen.uncertainty_hz,
+        "at_rate_seen": at_seen_rate,
+    }
+
+
+def measured_document(
+    prediction: Prediction, report: Report, channel: int, failure: RunError | None = None
+) -> dict[str, Any]:
+    """The same without a measurement: of a run that failed before anything could be identified."""
+    run = report_document(report)
+    rates = {"rate_hz": prediction.rate, "kept_rate_hz": run.pop("rate_hz")}
+    return prediction_document(prediction, channel) | {"measured": None} | run | rates | failure_document(failure)
+
+
+def failure_document(failure: RunError | None) -> dict[str, Any]:
+    """The keys that say how something failed; none where nothing did."""
+    return {} if failure is None else {"error": str(failure), "exit_status": failure.exit_status}
+
+
+def _measured(measurement: Measurement) -> dict[str, Any]:
+    left_out = ("trace", "failure", "seen_rate")
+    return {name: value for name, value in vars(measurement).items() if name not in left_out}
 
 
 def report_document(report: Report, grants: Sequence[PrivilegeResult] = ()) -> dict[str, Any]:

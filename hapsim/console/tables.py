@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from hapsim.prediction import Felt, Prediction, WireTime
+from hapsim.prediction import Felt, Prediction, WireTime, felt_at_rate
 from hapsim.theory import Mode
 
 if TYPE_CHECKING:
@@ -189,28 +189,9 @@ def show_measurement(out: Console, where: str, felt: Felt | None, why: str, meas
 
     `where`: the hand in question; `why`: there is no prediction for it, in words.
     """
-    table = Table(title=f"What the hand feels at {escape(where)}", title_justify="left")
-    for heading in ("", "predicted", "measured", "uncertainty", "off by"):
-        table.add_column(heading, justify="right" if heading else "left")
-    rows = [
-        ("k  N/m", "k", measurement.k_uncertainty),
-        ("b  N·s/m", "b", measurement.b_uncertainty),
-        ("eigenfrequency  Hz", "frequency_hz", None),
-        ("damping ratio", "damping_ratio", None),
-    ]
-    for label, key, uncertainty in rows:
-        predicted = math.nan if felt is None else getattr(felt, key)
-        measured = getattr(measurement, key)
-        difference = (measured / predicted - 1.0) if predicted else math.nan
-        table.add_row(
-            label,
-            _number(predicted, 9),
-            _number(measured, 9),
-            "" if uncertainty is None else _number(uncertainty, 1),
-            f"{difference:+.1e}" if math.isfinite(difference) else "",
-        )
     out.print()
-    out.print(table)
+    out.print(_side_by_side(f"What the hand feels at {escape(where)}", felt, measurement))
+    _show_at_seen_rate(out, felt, measurement)
     if felt is None:
         out.print(
             f"This hand {why}: no single spring and damper is predicted "
@@ -230,6 +211,44 @@ def show_measurement(out: Console, where: str, felt: Felt | None, why: str, meas
         f"Read from {measurement.samples} samples; the fit leaves {measurement.residual_m:.2g} m, in "
         f"{measurement.order} poles."
     )
+
+
+def _show_at_seen_rate(out: Console, felt: Felt | None, measurement: Measurement) -> None:
+    """Both sides once more, where the device was seen to sample at another rate than it declares."""
+    seen, declared = measurement.seen_rate, measurement.trace.rate
+    if seen is None or not seen.differs_from(declared):
+        return
+    out.print(
+        f"[yellow]The device sampled at {seen.rate_hz:.7g} ± {seen.uncertainty_hz:.2g} Hz[/yellow], as its positions "
+        f"arrived; it declares {declared:g} Hz, for which the table above holds. With the rate that was seen:"
+    )
+    at_seen = None if felt is None else felt_at_rate(felt, seen.rate_hz)
+    title = f"What the hand feels at {seen.rate_hz:.7g} Hz"
+    out.print(_side_by_side(title, at_seen, measurement.at_rate(seen.rate_hz)))
+
+
+def _side_by_side(title: str, felt: Felt | None, measurement: Measurement) -> Table:
+    table = Table(title=title, title_justify="left")
+    for heading in ("", "predicted", "measured", "uncertainty", "off by"):
+        table.add_column(heading, justify="right" if heading else "left")
+    rows = [
+        ("k  N/m", "k", measurement.k_uncertainty),
+        ("b  N·s/m", "b", measurement.b_uncertainty),
+        ("eigenfrequency  Hz", "frequency_hz", None),
+        ("damping ratio", "damping_ratio", None),
+    ]
+    for label, key, uncertainty in rows:
+        predicted = math.nan if felt is None else getattr(felt, key)
+        measured = getattr(measurement, key)
+        difference = (measured / predicted - 1.0) if predicted else math.nan
+        table.add_row(
+            label,
+            _number(predicted, 9),
+            _number(measured, 9),
+            "" if uncertainty is None else _number(uncertainty, 1),
+            f"{difference:+.1e}" if math.isfinite(difference) else "",
+        )
+    return table
 
 
 def show_report(out: Console, report: Report) -> None:
@@ -255,13 +274,17 @@ def show_report(out: Console, report: Report) -> None:
         table.add_row("changes taken", str(report.parameter_changes))
     for label, count in (
         ("positions lost", report.lost_frames),
-        ("frames refused", report.crc_errors),
+        ("frames of the device refused", report.crc_errors),
+        ("bytes that were no frame", report.garbage_bytes),
+        ("frames refused by the device", report.rejected_by_device),
         ("stale positions", report.stale_positions),
         ("ticks at the force limit", report.limited_ticks),
         ("rows not recorded", report.dropped_rows),
     ):
         if count:
             table.add_row(label, f"[yellow]{count}[/yellow]")
+    if report.released is False:
+        table.add_row("force released", "[yellow]not confirmed[/yellow]")
     out.print()
     out.print(table)
 

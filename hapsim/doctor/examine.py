@@ -7,7 +7,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from hapsim.device.open_connection import TransportKind
+from hapsim.device.conversation import describe
+from hapsim.device.open_connection import TransportKind, open_connection
 from hapsim.doctor import words
 from hapsim.doctor.advice import Advice, Situation, advice_on
 from hapsim.doctor.exchanges import MOCK, Exchanges, Run, Trial, exchanges, trials
@@ -20,6 +21,7 @@ from hapsim.doctor.wakeups import require_measurable, wake_up_latency
 from hapsim.errors import UsageError
 from hapsim.loop.histogram import Histogram
 from hapsim.loop.only_linux import require_linux
+from hapsim.running.compatibility import require_compatible
 from hapsim.scene import Scene, parse_scene
 
 if TYPE_CHECKING:
@@ -72,17 +74,18 @@ def examine(
     on_progress: Callable[[Step], None] | None = None,
     tree: Tree | None = None,
     run: Run | None = None,
+    ask: Callable[[Trial], None] | None = None,
 ) -> Examination:
     """How steady this machine is for a haptic loop.
 
     First a thread sleeps to a grid of each of `rates` (Hz), and of the scene's own, and its wake-up latencies are
     counted. Then `scene` (None: the shipped first_touch) runs: on its device where it names a port and `transport` is
-    "auto", at its own rate and with no force whatever; otherwise on the mock, at every rate and under either clock.
-    Each of these takes `seconds`. `realtime`: with what this user may have of real time. `tree`, `run`: in place of
-    this system's files and of hapsim.run, for tests.
+    "auto", at its own rate, and sent no force but zero; otherwise on the mock, at every rate and under either clock.
+    Each of these takes `seconds`. `realtime`: with what this user may have of real time. `tree`, `run`, `ask`: in
+    place of this system's files, of hapsim.run and of asking the device, for tests.
 
-    A run that fails is part of the answer. Raises UsageError, before anything is measured, for rates and times that
-    cannot be; and where a scene and its device do not go together.
+    A run that fails is part of the answer. Raises, before anything is measured, UsageError for rates and times that
+    cannot be, and where a scene and its device do not go together; DeviceError where no device answers.
     """
     if transport == "loopback":
         raise UsageError("--transport: found loopback, which has no time of its own; expected terminal, or nothing")
@@ -91,6 +94,8 @@ def examine(
     _require_measurable(examined, rates, seconds)
     rates = tuple(sorted({*rates, examined.rate}))
     to_run = trials(examined, rates, transport)
+    if to_run[0].where != MOCK:
+        (ask or _ask)(to_run[0])
     steps = _Steps(len(rates) + len(to_run), seconds, on_progress)
     before = cpu_times(tree)
     wakeups, grants = _wakeups(rates, seconds, steps, realtime)
@@ -120,6 +125,12 @@ def examine(
         load=load,
         advice=tuple(advice_on(case)),
     )
+
+
+def _ask(trial: Trial) -> None:
+    """Asks the device what it is: it is not armed."""
+    with open_connection(trial.scene, trial.transport) as connection:
+        require_compatible(trial.scene, connection.name, describe(connection))
 
 
 def _require_measurable(scene: Scene, rates: tuple[float, ...], seconds: float) -> None:

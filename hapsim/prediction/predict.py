@@ -337,8 +337,21 @@ def _hand(scene: Scene, linear: LinearScene, name: str) -> tuple[Configuration, 
 
 
 def _felt(scene: Scene, linear: LinearScene, name: str) -> Felt:
-    channel = scene.device_points[name].channel
-    configuration, stiffness, damping = _hand(scene, linear, name)
+    return _felt_of(name, scene.device_points[name].channel, *_hand(scene, linear, name))
+
+
+def felt_at_rate(felt: Felt, rate_hz: float) -> Felt:
+    """What the same hand feels where the device samples at `rate_hz` while the loop takes it to sample at the rate of
+    `felt`: the loop makes a velocity of a step with the period that it believes in, so a damper is stronger by as much
+    as the true period is longer, and a filter's cutoff lower. A velocity that the device senses is what it is."""
+    slower = felt.configuration.rate / rate_hz
+    cutoff = felt.configuration.cutoff
+    configuration = replace(felt.configuration, rate=rate_hz, cutoff=None if cutoff is None else cutoff / slower)
+    damping = felt.damping if felt.configuration.damper == "sensed" else felt.damping * slower
+    return _felt_of(felt.name, felt.channel, configuration, felt.stiffness, damping)
+
+
+def _felt_of(name: str, channel: int, configuration: Configuration, stiffness: float, damping: float) -> Felt:
     k, b = (float(value) for value in configuration.equivalent(stiffness, damping))
     dominant = math.isfinite(k) and math.isfinite(b)
     frequency, ratio = frequency_and_ratio(configuration.mass, k, b) if k > 0 else (math.nan, math.nan)

@@ -1,4 +1,4 @@
-"""Running a scene: open the port, describe, arm, loop, disarm; and every way out of it leaves the force at zero.
+"""Running a scene: open the port, describe, arm, loop, disarm; every way out tells the device to release.
 
 Public is what `__all__` names: a run, and what it tells.
 """

@@ -82,6 +82,15 @@ def test_a_wrong_call_of_the_doctor_is_an_error(
     assert answer.err.count("\n") == 1  # nothing was measured before
 
 
+def test_a_device_that_cannot_be_asked_is_status_3_before_anything_is_measured(
+    hapsim: Callable[..., Any], scene_file: Callable[..., Path]
+) -> None:
+    answer = hapsim("doctor", scene_file("spring", clock="device"), "--port", "/dev/null", *QUICK, "--json")
+    assert answer.status == 3
+    assert answer.sentence.startswith("/dev/null: ")
+    assert "wake-ups" not in answer.err
+
+
 def test_a_run_in_real_time_tells_what_it_got(hapsim: Callable[..., Any], scene_file: Callable[..., Path]) -> None:
     answer = hapsim("run", scene_file("spring"), "--duration", 0.1, "--realtime", "--json")
     assert answer.status == 0

@@ -92,7 +92,7 @@ def test_a_device_is_said_to_feel_no_force(examination: Examination) -> None:
     on_port = replace(examination.exchanges[0], where="/dev/ttyACM0")
     of_device = replace(examination, exchanges=(on_port,), verdicts=(verdict_on(on_port),), advice=())
     text = shown(of_device, 200)
-    assert "on /dev/ttyACM0, without force; clock: device" in text
+    assert "on /dev/ttyACM0, sent zero force; clock: device" in text
     assert "this machine keeps" not in text
     assert "the mock" not in text
     assert "Nothing was found that could be set better." in text

@@ -39,6 +39,7 @@ def test_an_excitation_passes_the_limit_too(scene_of: Callable[..., Scene]) -> N
     assert trace.report.limited_ticks >= 5
 
 
+@pytest.mark.usefixtures("leaps_allowed")
 @pytest.mark.parametrize(
     ("device_limit", "scale", "most"),
     [
@@ -131,6 +132,7 @@ def alike(channels: int) -> dict[str, tuple[float, ...]]:
     return {name: (value,) * channels for name, value in each.items()}
 
 
+@pytest.mark.usefixtures("leaps_allowed")
 @pytest.mark.parametrize("clock", CLOCKS)
 @pytest.mark.parametrize("channel", [0, 1, 2])
 def test_up_to_the_limit_a_force_leaves_as_it_is_and_beyond_it_the_limit_to_the_same_side(

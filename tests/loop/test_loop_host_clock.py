@@ -89,7 +89,7 @@ def play(request: pytest.FixtureRequest, assembled: Callable[..., Loop], scene_o
         record.bytes[: len(whole)] = np.frombuffer(whole, np.uint8)
         transport = Transport(follow_script, note_frame, record)
         loop.inbox.transport = transport.record
-        loop.control.ticks = ticks
+        loop.control.samples = ticks
         loop.control.silence_ns = 60 * 10**9
         portable = request.param == "portable"
         ending = PortableLoop(loop.record, loop.inbox, transport).run() if portable else run_loop(loop.record)
