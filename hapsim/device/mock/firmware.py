@@ -7,6 +7,7 @@ that the mock in memory and the one on a pseudo-terminal are the same compiled c
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,7 @@ from firmware_protocol.decoder import DECODER, next_frame, use_framing
 from firmware_protocol.frames import FRAMING, write_frame
 from hapsim.compiling import helper, inlined
 from hapsim.compiling.native import address_in_memory, address_of, array_at, function_at, native, record_at
-from hapsim.device.mock.motion import BODY, move_of
+from hapsim.device.mock.motion import BODY, move, move_of
 from hapsim.device.mock.sampler import (
     CONVERTER,
     advance_body,
@@ -34,7 +35,6 @@ INPUT_BYTES = 4096  # at most this many go into `take_bytes` at once: the answer
 LONGEST_DELAY = 1000  # samples
 _LONGEST_ANSWER = schema.frame_bytes(schema.MAX_CHANNELS, to_device=False, velocity=True)
 _LOCKSTEP_PATIENCE_NS = 10_000_000_000  # twice what hapsim waits for a position: a host quiet for longer is gone
-
 BOARD = np.dtype(
     [
         ("state", np.int64),  # IDLE, ARMED, LATCHED
@@ -48,6 +48,7 @@ BOARD = np.dtype(
         ("heard", np.int64),  # the sample in which a force was last accepted
         ("heard_ns", np.int64),
         ("sampled_ns", np.int64),
+        ("lives", np.float64),  # s, paced by the host: for how long of the sample that lasts a force may act
         ("out", np.int64),  # bytes in the outbox
         ("scale_out_of_range", np.int64),
     ]
@@ -150,17 +151,35 @@ def _end_sample(mock, now):
     """The sample that lasts ends: the bodies move through it, and the host hears where they are."""
     board = mock.board
     h = mock.converters[0].period
+    acts = h
     if board.pacing == schema.PACED_BY_HOST:
         h = (now - board.sampled_ns if now > board.sampled_ns else 1) * 1e-9
+        acts = min(h, board.lives)
     board.sampled_ns = now
     fresh = _decide_command(mock)
+    if fresh and acts < h:
+        fresh = False
+        mock.registers[schema.REG_HELD] += 1
     for c in range(mock.channels):
         body, converter = mock.bodies[c], mock.converters[c]
-        advance_body(mock.called.move, body, converter, mock.commands, mock.depth, c, board.n, h)
+        advance_body(mock.called.move, body, converter, mock.commands, mock.depth, c, board.n, acts)
+        if acts < h:
+            move(mock.called.move, body, 0.0, h - acts)
         position = sample(body, converter, h)
         _show(mock, c, position, sample_velocity(body, converter, h) if board.velocity else 0.0)
+    if acts < h:
+        _forget_forces_before(mock)
     board.n += 1
     _say_position(mock, schema.POSITION if fresh else schema.POSITION_HELD)
+
+
+@helper
+def _forget_forces_before(mock):
+    """A time to live is over: what was commanded before the sample that ends, and is still on its way, went with it."""
+    for row in range(mock.depth):
+        for c in range(mock.channels):
+            if row != mock.board.n % mock.depth:
+                mock.commands[row, c] = 0.0
 
 
 @helper
@@ -197,6 +216,7 @@ def _take_force(mock, now):
         mock.commands[board.n % mock.depth, c] = force
     if board.pacing != schema.PACED_BY_DEVICE:
         call_event(mock.called.take_sample, (mock.address, now))
+        board.lives = (mock.decoder.argument + 1) * mock.converters[0].period
 
 
 @helper
@@ -302,6 +322,7 @@ def _arm(mock, now):
     board.watchdog = watchdog
     board.answered = board.heard = board.expires = -1
     board.heard_ns = board.sampled_ns = now
+    board.lives = math.inf
     board.scale_out_of_range = 0
     for register in range(schema.REG_ACCEPTED, schema.REG_LIMITED + 1):
         mock.registers[register] = 0
