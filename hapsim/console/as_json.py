@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from hapsim.prediction import Felt, Prediction
+from hapsim.prediction import Felt, Prediction, host_silence
 
 if TYPE_CHECKING:
     from hapsim.loop.trace import Report
@@ -21,8 +21,11 @@ def document(value: dict[str, Any]) -> str:
     return json.dumps(_plain(value), indent=2, allow_nan=False)
 
 
-def prediction_document(prediction: Prediction, channel: int | None = None) -> dict[str, Any]:
-    """What `hapsim check` prints; `predicted` and `dominant` are of `channel` (None: the first)."""
+def prediction_document(
+    prediction: Prediction, channel: int | None = None, on_wire: Prediction | None = None
+) -> dict[str, Any]:
+    """What `hapsim check` prints; `predicted` and `dominant` are of `channel` (None: the first). `on_wire`: as
+    `predict_on_wire` gave it."""
     felt = felt_on(prediction, channel)
     return {
         "rate_hz": prediction.rate,
@@ -51,16 +54,34 @@ def prediction_document(prediction: Prediction, channel: int | None = None) -> d
             for margin in prediction.margins
         },
         "margins_method": prediction.margins_method or ("every link" if prediction.margins else "none"),
-        "wire_time": asdict(prediction.wire_time) | {"fits": prediction.wire_time.fits},
+        "wire_time": _wire_document(prediction, channel, on_wire),
+        "host_silence": asdict(host_silence(prediction.rate)),
     }
 
 
-def measurement_document(prediction: Prediction, measurement: Measurement, channel: int) -> dict[str, Any]:
+def _wire_document(prediction: Prediction, channel: int | None, on_wire: Prediction | None) -> dict[str, Any]:
+    """`predicted` and what goes with it: at the delay that results, null where the wire costs one sample."""
+    budget = prediction.wire_time
+    felt = None if on_wire is None else felt_on(on_wire, channel)
+    return asdict(budget) | {
+        "of": prediction.wire_of,
+        "exchange_s": budget.exchange_s,
+        "fits": budget.fits,
+        "delay_samples": budget.delay_samples,
+        "highest_rate_hz": budget.highest_rate_hz,
+        "predicted": None if felt is None else _felt(felt) | {"delay": felt.configuration.delay},
+        "stable": None if on_wire is None else on_wire.stable,
+    }
+
+
+def measurement_document(
+    prediction: Prediction, measurement: Measurement, channel: int, on_wire: Prediction | None = None
+) -> dict[str, Any]:
     """What `hapsim measure` prints: prediction and measurement side by side, and how the run went."""
     measured = {name: value for name, value in vars(measurement).items() if name != "trace"}
     report = report_document(measurement.trace.report)
     # The report's rate is the one that was kept; the scene's is `nominal_rate_hz`.
-    return prediction_document(prediction, channel) | {"measured": measured} | report
+    return prediction_document(prediction, channel, on_wire) | {"measured": measured} | report
 
 
 def report_document(report: Report, grants: Sequence[PrivilegeResult] = ()) -> dict[str, Any]:

@@ -10,7 +10,8 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from hapsim.prediction import Felt, Prediction, WireTime
+from hapsim.console.wire import show_silence, show_wire
+from hapsim.prediction import Felt, Prediction
 from hapsim.theory import Mode
 
 if TYPE_CHECKING:
@@ -22,8 +23,8 @@ if TYPE_CHECKING:
 _MARGINAL = 1e-9  # of the spectral radius: a free motion, which rounding places on either side of 1
 
 
-def show_prediction(out: Console, name: str, prediction: Prediction) -> None:
-    """What `hapsim check` tells."""
+def show_prediction(out: Console, name: str, prediction: Prediction, on_wire: Prediction | None) -> None:
+    """What `hapsim check` tells. `on_wire`: as `predict_on_wire` gave it."""
     out.print(f"[bold]{escape(name)}[/bold] at {prediction.rate:g} Hz: {_stability(prediction)}")
     show_assumptions(out, prediction)
     for felt in prediction.felt:
@@ -43,7 +44,8 @@ def show_prediction(out: Console, name: str, prediction: Prediction) -> None:
         out.print(_margins(prediction))
         if prediction.margins_method:
             out.print(f"{prediction.margins_method[0].upper()}{prediction.margins_method[1:]}.")
-    out.print(_budget(prediction.wire_time))
+    show_wire(out, prediction, on_wire)
+    show_silence(out, prediction.rate)
 
 
 def show_assumptions(out: Console, prediction: Prediction) -> None:
@@ -167,16 +169,6 @@ def _modulus(value: float) -> str:
 def _oscillation(mode: Mode) -> tuple[str, str]:
     """Frequency and damping ratio; a real pole has none worth naming."""
     return (_number(mode.frequency_hz), _number(mode.damping_ratio)) if mode.pole.imag else ("–", "–")
-
-
-def _budget(budget: WireTime) -> str:
-    share = budget.seconds / budget.period
-    verdict = "fits" if budget.fits else "[red]does not fit[/red]: a higher baud rate, or a lower rate"
-    return (
-        f"\nWire: {budget.bytes_to_host} + {budget.bytes_to_device} bytes an exchange take "
-        f"{budget.seconds * 1e3:.3g} ms of the {budget.period * 1e3:.3g} ms period ({share:.0%}) at this baud rate: "
-        f"{verdict}. A USB device's port has no baud rate of its own and is faster."
-    )
 
 
 def show_measurement(out: Console, where: str, felt: Felt | None, why: str, measurement: Measurement) -> None:

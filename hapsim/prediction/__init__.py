@@ -1,27 +1,32 @@
 """What the hand will feel in a scene, before it runs: the scene as the linear theory takes it, and what follows."""
 
+from firmware_protocol.wire_time import WireTime
 from hapsim.prediction.predict import (
     Felt,
     LinkMargin,
     Prediction,
     Shaking,
-    WireTime,
     configuration_of,
     is_surely_unstable,
     predict,
+    predict_on_wire,
     surely_shaken_by,
     warnings_about,
 )
+from hapsim.prediction.silence import HostSilence, host_silence
 
 __all__ = [
     "Felt",
+    "HostSilence",
     "LinkMargin",
     "Prediction",
     "Shaking",
     "WireTime",
     "configuration_of",
+    "host_silence",
     "is_surely_unstable",
     "predict",
+    "predict_on_wire",
     "surely_shaken_by",
     "warnings_about",
 ]

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from firmware_protocol import schema
 from firmware_protocol.description import Description
 from firmware_protocol.frames import armed_format, framing_of
 from firmware_protocol.records import new_record
@@ -17,6 +16,7 @@ from hapsim.loop.exchange import DEVICE_CLOCK, HOST_CLOCK, LOOP, NO_CLOCK
 from hapsim.loop.ring import Ring
 from hapsim.loop.stage import cross_fade, post
 from hapsim.loop.transport import Transport
+from hapsim.prediction.silence import time_to_live_samples
 from hapsim.running.excitation import Excitation
 from hapsim.scene import Scene
 
@@ -104,18 +104,13 @@ def assemble_loop(
     return loop
 
 
-def watchdog_samples(rate: float, description: Description) -> int:
-    """A tenth of a second of silence of the host, as far as the device lets us."""
-    return min(max(round(0.1 * rate), 10), description.max_watchdog_samples)
-
-
 def _set_control(control: Any, scene: Scene, excitation: Excitation | None, duration: float | None) -> None:
     control.ticks = -1 if duration is None else max(1, round(duration * scene.rate))
     control.go = 1
     control.period_ns = round(1e9 / scene.rate)
     control.clock = _CLOCK[scene.device.clock]
     control.silence_ns = round(1e9 * max(0.25, 20.0 / scene.rate))
-    control.time_to_live = min(max(round(0.02 * scene.rate), 2), schema.MAX_TIME_TO_LIVE_SAMPLES)
+    control.time_to_live = time_to_live_samples(scene.rate)
     if scene.device.clock == "lockstep":
         control.silence_ns = 5_000_000_000  # the mock may live in a process that is only now being compiled
     if excitation is not None:

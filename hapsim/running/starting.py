@@ -18,9 +18,10 @@ from hapsim.loop.only_linux import missing_calls, require_linux
 from hapsim.loop.portable import PortableLoop
 from hapsim.loop.recorder import Recorder
 from hapsim.loop.run import run_loop
+from hapsim.prediction.silence import watchdog_samples
 from hapsim.progress import Progress
 from hapsim.realtime import realtime as with_realtime
-from hapsim.running.assemble import Loop, assemble_loop, watchdog_samples
+from hapsim.running.assemble import Loop, assemble_loop
 from hapsim.running.compatibility import PACING, require_compatible
 from hapsim.running.excitation import Excitation
 from hapsim.running.preparing import MOCK_UNITS
@@ -125,7 +126,7 @@ def _open(
 
 
 def _arm(scene: Scene, opened: Connection, description: Description) -> None:
-    watchdog = watchdog_samples(scene.rate, description)
+    watchdog = watchdog_samples(scene.rate, description.max_watchdog_samples)
     arm(opened, description, PACING[scene.device.clock], watchdog, bool(scene.sensed_links))
 
 
