@@ -33,6 +33,7 @@ from hapsim.device.mock.sampler import (
 OUTBOX_BYTES = 65536
 INPUT_BYTES = 4096  # at most this many go into `take_bytes` at once: the answers to them fit the outbox
 LONGEST_DELAY = 1000  # samples
+MOST_LATE = schema.MAX_TIME_TO_LIVE_SAMPLES  # samples: later than that no force ever acts
 _LONGEST_ANSWER = schema.frame_bytes(schema.MAX_CHANNELS, to_device=False, velocity=True)
 _LOCKSTEP_PATIENCE_NS = 10_000_000_000  # twice what hapsim waits for a position: a host quiet for longer is gone
 BOARD = np.dtype(
@@ -54,10 +55,14 @@ BOARD = np.dtype(
     ]
 )
 
-CALLED = np.dtype(
-    [(name, np.uint64) for name in ("take_bytes", "take_sample", "look_at_watchdog", "read", "say", "move")], align=True
+_CALLED = ("take_bytes", "take_sample", "look_at_watchdog", "take_force", "act_on_force", "read", "say", "move")
+CALLED = np.dtype([(name, np.uint64) for name in _CALLED], align=True)
+"""Addresses: of the three events; of what a force goes to first, and when it is there; of the codec's two halves; and
+of what moves the bodies."""
+
+FORCE_UNDER_WAY = np.dtype(
+    [("number", np.int64), ("argument", np.int64), ("counts", np.int64, (schema.MAX_CHANNELS,))], align=True
 )
-"""Addresses: of the three events, of the codec's two halves, and of what moves the bodies."""
 
 _EACH = (schema.MAX_CHANNELS,)
 
@@ -81,6 +86,10 @@ MOCK = np.dtype(
         ("spoken", FORMATS),  # and of the mock's
         ("decoder", DECODER),
         ("outbox", np.uint8, (OUTBOX_BYTES,)),
+        ("late_samples", np.int64),  # in virtual time: so many samples pass while a force is on the wire
+        ("under_way", FORCE_UNDER_WAY, (MOST_LATE + 1,)),  # by the sample in which it was sent
+        ("byte_ns", np.float64),  # in real time: what a byte takes on the wire,
+        ("turnaround_ns", np.float64),  # and what the device takes before its first
         ("address", np.uint64),  # of all this
         ("called", CALLED),
     ],
@@ -125,7 +134,7 @@ def _take_bytes(mock, data, stop, now):
         kind = mock.decoder.type
         if kind == schema.FORCE:
             if mock.board.state == schema.ARMED:
-                _take_force(mock, now)
+                call_event(mock.called.take_force, (mock.address, now))
         elif kind == schema.DESCRIBE:
             if mock.board.state != schema.ARMED:
                 _describe(mock)
@@ -195,9 +204,10 @@ def _fail_where_host_is_quiet(mock, now):
         _fail(mock, schema.HOST_QUIET)
 
 
-@helper
+@native(types.void, types.uint64, types.int64)
 def _take_force(mock, now):
     """A force arrives: it is commanded for the sample that lasts, unless it is older than it may be."""
+    mock = mock_at(mock)
     board = mock.board
     age = (board.n - mock.decoder.number) % schema.SAMPLE_MODULUS
     if age > mock.decoder.argument:
@@ -384,12 +394,18 @@ def prepare(mock: Any) -> None:
     for name, function in FUNCTIONS.items():
         mock.called[name] = function.address()
     mock.called.move = move_of(mock.initial[: mock.channels])
+    mock.called.take_force = mock.called.act_on_force
+    if mock.late_samples:
+        from hapsim.device.mock.late_force import take_late_force
+
+        mock.called.take_force = take_late_force.address()
 
 
 FUNCTIONS = {
     "take_bytes": _take_bytes,
     "take_sample": _take_sample,
     "look_at_watchdog": _look_at_watchdog,
+    "act_on_force": _take_force,
     "read": _read,
     "say": _put_frame,
 }
