@@ -7,11 +7,10 @@ beforehand, and what is kept does not grow with the capture.
 
 from __future__ import annotations
 
+import struct
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
-
-import numpy as np
 
 from firmware_protocol import schema
 from firmware_protocol.decoder import Frame, frames_in, new_decoder
@@ -104,8 +103,10 @@ class Capture:
         """An f64 in two registers; None where the capture has not both."""
         if register not in self.registers or register + 1 not in self.registers:
             return None
-        words = np.array([self.registers[register], self.registers[register + 1]], "<u4")
-        return float(words.view("<f8")[0])
+        value: float = struct.unpack("<d", struct.pack("<II", self.registers[register], self.registers[register + 1]))[
+            0
+        ]
+        return value
 
     def _remember(self, data: bytes) -> None:
         self._length += len(data)
