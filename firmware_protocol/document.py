@@ -13,9 +13,9 @@ from typing import NamedTuple
 from firmware_protocol import schema
 from firmware_protocol.frames import Format
 from firmware_protocol.vectors import FORMATS, TO_DEVICE, TYPES, frame
+from firmware_protocol.wire_time import BITS_PER_BYTE
 
 BAUDS = (115_200, 921_600, 2_000_000)
-_BITS_PER_BYTE = 10  # on a UART: start, eight bits, stop
 
 
 class _Example(NamedTuple):
@@ -97,7 +97,7 @@ def _wire_time(velocity: bool) -> str:
     ]
     for channels in range(1, schema.MAX_CHANNELS + 1):
         host, device = (schema.frame_bytes(channels, to_device, velocity) for to_device in (False, True))
-        times = [1e3 * _BITS_PER_BYTE * (host + device) / baud for baud in BAUDS]
+        times = [1e3 * BITS_PER_BYTE * (host + device) / baud for baud in BAUDS]
         cells = [f"{channels}", f"{host} B", f"{device} B", f"{host + device} B", *(f"{t:.3f} ms" for t in times)]
         lines.append("| " + " | ".join(cells) + " |")
     return "\n".join(lines)

@@ -110,6 +110,13 @@ def _motion() -> list[PlainNative]:
     return [move_free, move_on_spring]
 
 
+def _wire() -> list[PlainNative]:
+    from hapsim.device.mock import uart
+    from hapsim.device.mock.late_force import take_late_force
+
+    return [take_late_force, uart.receive, uart.send]
+
+
 def _changes() -> list[_Entry | PlainNative]:
     import numpy as np
 
@@ -137,6 +144,7 @@ UNITS: dict[str, Unit] = {
     "mock": Unit(45, _mock, beside=True, calls_system=True),
     "loopback": Unit(39, _loopback, beside=True),
     "motion": Unit(12, _motion, beside=True),
+    "wire": Unit(14, _wire, beside=True, calls_system=True),
     "changes": Unit(8, _changes),
     "portable": Unit(40, _portable, beside=True),
     "modules": Unit(130, lambda: [_Modules("double")]),

@@ -55,13 +55,14 @@ def measure(
     from hapsim.console.as_json import felt_on
     from hapsim.console.live import live_line
     from hapsim.measuring.measure import measure as measure_scene
-    from hapsim.prediction import predict
+    from hapsim.prediction import predict, predict_on_wire
 
     loaded = load(scene, port)
     require_files_writable(picture, data, record)
     if channel is None:
         channel = next(iter(loaded.device_points.values())).channel
     prediction = predict(loaded, with_margins=False)
+    on_wire = None if prediction.wire_of == "none" else predict_on_wire(loaded)
     felt = felt_on(prediction, channel)
     why = next((prediction.coupled.get(n, "") for n, p in loaded.device_points.items() if p.channel == channel), "")
     if felt is None and (picture is not None or data is not None):
@@ -91,12 +92,15 @@ def measure(
     if json:
         from hapsim.console.as_json import document, measurement_document
 
-        print(document({"scene": scene} | measurement_document(prediction, measurement, channel)))
+        print(document({"scene": scene} | measurement_document(prediction, measurement, channel, on_wire)))
     else:
         from hapsim.console.tables import show_assumptions
+        from hapsim.console.wire import show_wire
 
         show_assumptions(stdout(), prediction)
         _show_measured(loaded, channel, felt, why, measurement)
+        if on_wire is not None:
+            show_wire(stdout(), prediction, on_wire)
         say_written(picture, data, record)
     if measurement.failure is not None:
         complain(measurement.failure)

@@ -10,7 +10,8 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from hapsim.prediction import Felt, Prediction, WireTime, felt_at_rate
+from hapsim.console.wire import show_silence, show_wire
+from hapsim.prediction import Felt, Prediction, felt_at_rate
 from hapsim.theory import Mode
 
 if TYPE_CHECKING:
@@ -22,8 +23,8 @@ if TYPE_CHECKING:
 _MARGINAL = 1e-9  # of the spectral radius: a free motion, which rounding places on either side of 1
 
 
-def show_prediction(out: Console, name: str, prediction: Prediction) -> None:
-    """What `hapsim check` tells."""
+def show_prediction(out: Console, name: str, prediction: Prediction, on_wire: Prediction | None) -> None:
+    """What `hapsim check` tells. `on_wire`: as `predict_on_wire` gave it."""
     title, verdict = f"[bold]{escape(name)}[/bold]", f"at {prediction.rate:g} Hz: {_stability(prediction)}"
     if len(name) < out.width:
         out.print(title, verdict)
@@ -48,7 +49,8 @@ def show_prediction(out: Console, name: str, prediction: Prediction) -> None:
         out.print(_margins(prediction))
         if prediction.margins_method:
             out.print(f"{prediction.margins_method[0].upper()}{prediction.margins_method[1:]}.")
-    out.print(_time_on_the_wire(prediction.wire_time))
+    show_wire(out, prediction, on_wire)
+    show_silence(out, prediction.rate)
 
 
 def show_assumptions(out: Console, prediction: Prediction) -> None:
@@ -172,16 +174,6 @@ def _modulus(value: float) -> str:
 def _oscillation(mode: Mode) -> tuple[str, str]:
     """Frequency and damping ratio; a real pole has none worth naming."""
     return (_number(mode.frequency_hz), _number(mode.damping_ratio)) if mode.pole.imag else ("–", "–")
-
-
-def _time_on_the_wire(wire: WireTime) -> str:
-    share = wire.seconds / wire.period
-    verdict = "fits" if wire.fits else "[red]does not fit[/red]: a higher baud rate, or a lower rate"
-    return (
-        f"\nWire: {wire.bytes_to_host} + {wire.bytes_to_device} bytes an exchange take "
-        f"{wire.seconds * 1e3:.3g} ms of the {wire.period * 1e3:.3g} ms period ({share:.0%}) at this baud rate: "
-        f"{verdict}. A USB device's port has no baud rate of its own and is faster."
-    )
 
 
 def show_measurement(out: Console, where: str, felt: Felt | None, why: str, measurement: Measurement) -> None:

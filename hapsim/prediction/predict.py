@@ -8,9 +8,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from firmware_protocol import schema
+from firmware_protocol.wire_time import WireTime
 from hapsim.errors import UsageError
 from hapsim.prediction.linear import LinearLink, LinearScene, linear_scene
+from hapsim.prediction.wire import WireOf, wire_of, wire_time_of, with_wire_delay
 from hapsim.scene import Scene
 from hapsim.theory import (
     Configuration,
@@ -25,7 +26,6 @@ from hapsim.theory import (
 )
 from hapsim.theory.interface import damper_named
 
-_BITS_PER_BYTE = 10  # start, eight, stop
 _SURELY = 1.0 + 1e-9  # what grows by more in a sample is not at the limit
 
 
@@ -76,21 +76,6 @@ class LinkMargin:
 
 
 @dataclass(frozen=True)
-class WireTime:
-    """What one exchange takes on the wire."""
-
-    bytes_to_host: int
-    bytes_to_device: int
-    seconds: float
-    period: float
-
-    @property
-    def fits(self) -> bool:
-        """Whether both frames pass within a sample period."""
-        return self.seconds <= self.period
-
-
-@dataclass(frozen=True)
 class Prediction:
     """A scene, predicted."""
 
@@ -116,6 +101,8 @@ class Prediction:
     margins_method: str
     """In words, which links of a large scene were worked out, and how surely; "" where all were."""
     wire_time: WireTime
+    wire_of: WireOf
+    """Whose wire that is."""
     assumptions: tuple[str, ...] = ()
     """Sentences: what was taken for what the theory does not have."""
     by_its_scheme: bool = True
@@ -180,10 +167,18 @@ def predict(scene: Scene, *, with_margins: bool = True) -> Prediction:
         points=points,
         margins=_link_margins(linear, margins, felt),
         margins_method=margins.method,
-        wire_time=_wire_time(scene),
+        wire_time=wire_time_of(scene),
+        wire_of=wire_of(scene),
         assumptions=(*linear.assumptions, *([instead] if instead else [])),
         by_its_scheme=not instead,
     )
+
+
+def predict_on_wire(scene: Scene) -> Prediction | None:
+    """What the hand will feel at the delay that results from the wire, `WireTime.delay_samples` in place of one; None
+    where the wire costs one sample, or is saturated."""
+    delayed = with_wire_delay(scene)
+    return None if delayed is None else predict(delayed, with_margins=False)
 
 
 def _solved(network: Network) -> tuple[Network, Solution, str]:
@@ -272,11 +267,15 @@ def warnings_about(scene: Scene, prediction: Prediction) -> list[str]:
             f"the scene is predicted unstable: the hand will be shaken, with up to the force limit of {limit:g} N. "
             "`hapsim check` tells by how much the stiffness has to go down."
         )
-    wire = prediction.wire_time
-    if scene.device.port is not None and not wire.fits:
+    budget = prediction.wire_time
+    if prediction.wire_of == "port" and not budget.fits:
+        delay = (
+            "the frames queue up" if budget.is_saturated else f"{budget.delay_samples} samples of delay in place of one"
+        )
         warnings.append(
-            f"an exchange takes {wire.seconds * 1e3:.3g} ms at {scene.device.baud} baud, the sample period is "
-            f"{wire.period * 1e3:.3g} ms. A USB device does not mind; a UART cannot keep up."
+            f"an exchange takes {budget.exchange_s * 1e3:.4g} ms at {scene.device.baud} baud with the host's work, the "
+            f"sample period is {budget.period * 1e3:.4g} ms: on a UART {delay} (`hapsim check` tells what the hand "
+            "feels then). A USB device's own port does not mind."
         )
     return warnings
 
@@ -435,11 +434,3 @@ def _network(scene: Scene, linear: LinearScene) -> tuple[Network, tuple[str, ...
         outside=tuple(link.outside for link in links),
     )
     return network, tuple(points)
-
-
-def _wire_time(scene: Scene) -> WireTime:
-    velocity = bool(scene.sensed_links)
-    to_host = schema.frame_bytes(scene.channels, to_device=False, velocity=velocity)
-    to_device = schema.frame_bytes(scene.channels, to_device=True, velocity=velocity)
-    seconds = (to_host + to_device) * _BITS_PER_BYTE / scene.device.baud
-    return WireTime(to_host, to_device, seconds, 1.0 / scene.rate)

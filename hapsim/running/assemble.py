@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from firmware_protocol import schema
 from firmware_protocol.description import Description
 from firmware_protocol.frames import armed_format, framing_of
 from firmware_protocol.records import new_record
@@ -18,6 +17,7 @@ from hapsim.loop.guards import watch_for_leaps
 from hapsim.loop.ring import Ring
 from hapsim.loop.stage import cross_fade, post
 from hapsim.loop.transport import Transport
+from hapsim.prediction.silence import time_to_live_samples, watchdog_samples
 from hapsim.running.excitation import Excitation
 from hapsim.scene import Scene
 
@@ -106,14 +106,9 @@ def assemble_loop(
     _set_io(loop.record.io, scene, description)
     _set_leap(loop.record.leap, scene, description)
     _set_control(loop.record.control, scene, excitation, duration)
-    loop.watchdog_samples = watchdog_samples(scene.rate, description)
+    loop.watchdog_samples = watchdog_samples(scene.rate, description.max_watchdog_samples)
     loop.record.watch.judges = scene.device.clock == "device" and connection.has_timer
     return loop
-
-
-def watchdog_samples(rate: float, description: Description) -> int:
-    """A tenth of a second of silence of the host, as far as the device lets us."""
-    return min(max(round(0.1 * rate), 10), description.max_watchdog_samples)
 
 
 def _set_control(control: Any, scene: Scene, excitation: Excitation | None, duration: float | None) -> None:
@@ -125,7 +120,7 @@ def _set_control(control: Any, scene: Scene, excitation: Excitation | None, dura
     control.period_ns = round(1e9 / scene.rate)
     control.clock = _CLOCK[scene.device.clock]
     control.silence_ns = round(1e9 * max(0.25, 20.0 / scene.rate))
-    control.time_to_live = min(max(round(0.02 * scene.rate), 2), schema.MAX_TIME_TO_LIVE_SAMPLES)
+    control.time_to_live = time_to_live_samples(scene.rate)
     if scene.device.clock == "lockstep":
         control.silence_ns = 5_000_000_000  # the mock may live in a process that is only now being compiled
     if excitation is not None:

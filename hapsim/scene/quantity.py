@@ -126,19 +126,23 @@ class Count(Expectation):
         description: what is counted, for the schema.
         least, most: the bounds, both inclusive.
         unit: the unit as people read it, or nothing for a bare number.
+        left_out: what it means to leave the number out; where this is given, ``null`` is welcome too.
     """
 
     description: str
     least: int
     most: int
     unit: str = ""
+    left_out: str = ""
 
     def expected(self) -> str:
         unit = f" ({self.unit})" if self.unit else ""
         return f"a whole number from {self.least} to {self.most}{unit}"
 
-    def check(self, value: object) -> int:
+    def check(self, value: object) -> int | None:
         """A whole number within the bounds, or an error through `unexpected`."""
+        if value is None and self.left_out:
+            return None
         if isinstance(value, bool) or not isinstance(value, Integral):
             unexpected(self.expected())
         number = int(value)
@@ -149,12 +153,10 @@ class Count(Expectation):
     def json_schema(self) -> dict[str, Any]:
         """A whole number within the bounds."""
         description = f"{self.description}, in {self.unit}" if self.unit else self.description
-        return {
-            "type": "integer",
-            "minimum": self.least,
-            "maximum": self.most,
-            "description": description,
-        }
+        number = {"type": "integer", "minimum": self.least, "maximum": self.most}
+        if not self.left_out:
+            return number | {"description": description}
+        return {"description": f"{description}; left out: {self.left_out}", "anyOf": [number, {"type": "null"}]}
 
 
 @dataclass(frozen=True)

@@ -97,6 +97,9 @@ def test_what_does_not_describe_a_device_is_reported(only_fault: OnlyFault, devi
     [
         ("{coulomb: -1}", "3:17: coulomb: found -1, expected a number >= 0 (N)"),
         ("{quantum: 0}", "3:17: quantum: found 0, expected a number > 0 (m per count)"),
+        ("{baud: 9600.5}", "3:14: baud: found 9600.5, expected a whole number from 1 to 100000000 (bit/s)"),
+        ("{baud: 0}", "3:14: baud: found 0, expected a whole number from 1 to 100000000 (bit/s)"),
+        ("{turnaround: -1}", "3:20: turnaround: found -1, expected a number from 0 to 1 (s)"),
         ("{noise: true}", "3:15: noise: found true (a boolean), expected a number >= 0 (m rms)"),
         ("{seed: 1.5}", "3:14: seed: found 1.5, expected a whole number from 0 to 4294967295"),
         ("{seed: -1}", "3:14: seed: found -1, expected a whole number from 0 to 4294967295"),
