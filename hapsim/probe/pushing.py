@@ -221,7 +221,7 @@ def _judge_delay(probing: Probing, found: Estimate) -> None:
         probing.findings.failed("delay", f"{told}: it begins within the sample that the force came in", look_at)
     elif late:
         look_at = (
-            "the tick puts the force out before it measures, and no buffer stands between; a driver or a filter that is "
+            "the tick puts the force out before it measures, with no buffer between; a driver or a filter that is "
             "late belongs into the scene's `delay`"
         )
         probing.findings.failed("delay", f"{told}: it begins a sample late", look_at)

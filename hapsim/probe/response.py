@@ -81,7 +81,7 @@ def estimate(rows: Sequence[Row]) -> Estimate | None:
     if not np.abs(forces).max(axis=0).all():
         return None
     count = forces.shape[1]
-    values = np.asarray(np.linalg.lstsq(columns, bend, rcond=None)[0][:count], np.float64)
+    values = _solution(columns, bend)[:count]
     parts = np.array_split(np.arange(len(rows)), _PARTS)
     left_out = np.array([_without(columns, bend, part)[:count] for part in parts])
     factor = np.sqrt((_PARTS - 1) / _PARTS)
@@ -92,6 +92,9 @@ def estimate(rows: Sequence[Row]) -> Estimate | None:
 
 
 def _without(columns: NDArray[np.float64], bend: NDArray[np.float64], part: NDArray[np.int64]) -> NDArray[np.float64]:
-    kept = np.delete(np.arange(bend.size), part)
-    solution: NDArray[np.float64] = np.linalg.lstsq(columns[kept], bend[kept], rcond=None)[0]
+    return _solution(np.delete(columns, part, axis=0), np.delete(bend, part))
+
+
+def _solution(columns: NDArray[np.float64], bend: NDArray[np.float64]) -> NDArray[np.float64]:
+    solution: NDArray[np.float64] = np.linalg.lstsq(columns, bend, rcond=None)[0]
     return solution

@@ -18,7 +18,7 @@ from firmware_protocol.decoder import DECODER, next_frame, use_framing
 from firmware_protocol.frames import FRAMING, write_frame
 from hapsim.compiling import helper, inlined
 from hapsim.compiling.native import address_in_memory, address_of, array_at, function_at, native, record_at
-from hapsim.device.mock.motion import BODY, move_of
+from hapsim.device.mock.motion import BODY, move, move_of
 from hapsim.device.mock.sampler import (
     CONVERTER,
     advance_body,
@@ -47,6 +47,7 @@ BOARD = np.dtype(
         ("expires", np.int64),  # the last sample in which that force may act
         ("heard", np.int64),  # the sample in which a force was last accepted
         ("heard_ns", np.int64),
+        ("lives", np.int64),  # for how many nominal periods the force that acts may, where the host paces
         ("sampled_ns", np.int64),
         ("out", np.int64),  # bytes in the outbox
         ("scale_out_of_range", np.int64),
@@ -150,13 +151,20 @@ def _end_sample(mock, now):
     """The sample that lasts ends: the bodies move through it, and the host hears where they are."""
     board = mock.board
     h = mock.converters[0].period
+    alive = h
     if board.pacing == schema.PACED_BY_HOST:
         h = (now - board.sampled_ns if now > board.sampled_ns else 1) * 1e-9
+        # No tick comes while a host that paces is silent: the force that acts ends by the device's own clock.
+        lasts = board.lives * mock.converters[0].period
+        alive = lasts if lasts < h and not mock.converters[0].impulse else h
     board.sampled_ns = now
+    board.lives = board.expires - board.answered + 1
     fresh = _decide_command(mock)
     for c in range(mock.channels):
         body, converter = mock.bodies[c], mock.converters[c]
-        advance_body(mock.called.move, body, converter, mock.commands, mock.depth, c, board.n, h)
+        advance_body(mock.called.move, body, converter, mock.commands, mock.depth, c, board.n, alive)
+        if alive < h:
+            move(mock.called.move, body, 0.0, h - alive)
         position = sample(body, converter, h)
         _show(mock, c, position, sample_velocity(body, converter, h) if board.velocity else 0.0)
     board.n += 1

@@ -15,8 +15,8 @@ from typing import Any
 from hapsim.compiling.entries import compile_for
 from hapsim.device.mock.firmware import prepare
 from hapsim.device.mock.serve import new_service, serve
+from hapsim.device.mock.transmitter import transmitter_transport
 from hapsim.errors import DeviceError
-from hapsim.loop.descriptor import descriptor_transport
 from hapsim.loop.only_linux import require_linux
 from hapsim.realtime.scheduling import fifo
 from hapsim.realtime.slack import no_timer_slack
@@ -49,7 +49,7 @@ def serving(mock: Any, as_hardware: bool = False) -> Iterator[str]:
             os.set_blocking(end, False)
         # Compiled before anybody can knock: a host does not wait for as long as the first compilation takes.
         prepare(mock)
-        transport = descriptor_transport(near)
+        transport = transmitter_transport(near)
         service = new_service(transport)
         compile_for(serve, mock, service)
         thread = threading.Thread(target=_serve, args=(mock, service), name="mock device")
