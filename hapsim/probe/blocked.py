@@ -11,12 +11,14 @@ import time
 
 from firmware_protocol import schema
 from hapsim.probe.probing import Probing
-from hapsim.probe.session import LONG_LIFE, Session
+from hapsim.probe.session import LONG_LIFE, Sample, Session
 
 STEP = "blocked"
-_FILL_BYTES = 28_000  # a pseudo-terminal takes 20 480; a USB port stops at its driver's buffers, some 4 kB
-_LONGEST_S = 6.0
-_WENT_ON = 0.8  # of the samples that went by, by the host's clock
+_FILL_BYTES = 40_000  # a pseudo-terminal takes 20 480; a USB port stops at its driver's buffers, some 4 kB
+_LONGEST_S = 8.0
+_BEFORE = 100  # samples, by which the rate is known that the device keeps now: a simulated one may be held up
+_WENT_ON = 0.7  # of the samples that went by, by the host's clock and that rate
+_UNREAD = 1.5  # of the watchdog
 _NEVER_WAIT = "a frame that finds no room is dropped, whole; nothing in the tick waits for the transmitter"
 
 
@@ -34,20 +36,22 @@ def probe_blocked(probing: Probing) -> bool:
     session = probing.arm_by_device(STEP, probing.longest_watchdog, velocity=velocity)
     if session is None:
         return True
-    if not session.run(20, session.zero) or not _tick_goes_on(probing, session, samples):
+    if not session.run(_BEFORE, session.zero) or not _tick_goes_on(probing, session, samples):
         probing.wire.release()
         probing.findings.leave(STEP, "the device had stopped before, or did not come back")
         return True
     if session.disarm() is None:
         probing.wire.release()
-    _watchdog_while_blocked(probing, samples, velocity)
+    kept = _rate_before(session, session.samples[_BEFORE], device.rate_hz)
+    _watchdog_while_blocked(probing, samples, kept, velocity=velocity)
     return True
 
 
 def _tick_goes_on(probing: Probing, session: Session, samples: int) -> bool:
     """Writes zero forces without reading, guessing the numbers; then reads again."""
-    wire, rate, first = probing.wire, probing.device.rate_hz, session.newest
+    wire, first = probing.wire, session.newest
     assert first is not None
+    rate = _rate_before(session, first, probing.device.rate_hz)
     damaged, end = len(wire.damaged), time.monotonic() + probing.periods(samples)
     while (now := time.monotonic()) < end:
         guessed = first.n + round((now - first.at_s) * rate)
@@ -78,14 +82,17 @@ def _tick_goes_on(probing: Probing, session: Session, samples: int) -> bool:
     return went_on
 
 
+def _rate_before(session: Session, newest: Sample, nominal: float) -> float:
+    """Hz; not more than the nominal one."""
+    oldest = session.samples[0]
+    lasted = newest.at_s - oldest.at_s
+    return min(nominal, (newest.n - oldest.n) / lasted) if lasted > 0 else nominal
+
+
 def _catch_up(session: Session) -> None:
-    """Takes what waits, answering only once there is nothing more."""
-    quiet = 0
-    while quiet < 2 and session.ended is None:
-        before = len(session.samples)
-        session.take(session.wire.hear(session.patience_s / 10 if quiet == 0 and before == 0 else 0.0))
-        if len(session.samples) == before:
-            quiet += 1
+    """Takes what waits, and answers the newest position once there is nothing more."""
+    while new := session.wire.hear(0.0):
+        session.take(new)
     if session.newest is not None and session.ended is None:
         session.zero(session.newest)
 
@@ -104,7 +111,7 @@ def _judge_whole(probing: Probing, damaged: int, lost: int) -> None:
         probing.findings.not_seen("whole_frames", "nothing was dropped")
 
 
-def _watchdog_while_blocked(probing: Probing, samples: int, velocity: bool) -> None:
+def _watchdog_while_blocked(probing: Probing, samples: int, kept_hz: float, *, velocity: bool) -> None:
     findings, wire = probing.findings, probing.wire
     watchdog = min(round(0.9 * samples), probing.longest_watchdog)
     each = schema.frame_bytes(probing.device.channels, to_device=False, velocity=velocity)
@@ -112,7 +119,7 @@ def _watchdog_while_blocked(probing: Probing, samples: int, velocity: bool) -> N
     if session is None:
         findings.not_seen("watchdog_blocked", "the device did not arm again")
         return
-    time.sleep(probing.periods(1.25 * watchdog))
+    time.sleep(_UNREAD * watchdog / kept_hz)
     while new := wire.hear(0.0):
         session.take(new)
     newest = session.newest.n if session.newest else 0
@@ -120,7 +127,7 @@ def _watchdog_while_blocked(probing: Probing, samples: int, velocity: bool) -> N
     fault = wire.register(schema.REG_FAULT) if session.ended is None else session.ended.fault
     held = wire.register(schema.REG_HELD)
     wire.release()
-    found = f"watchdog {watchdog}, {1.25 * watchdog:.0f} periods unread"
+    found = f"watchdog {watchdog}, {_UNREAD * watchdog:.0f} periods unread"
     look_at = f"the watchdog is counted in the tick. {_NEVER_WAIT[0].upper()}{_NEVER_WAIT[1:]}"
     if fault != schema.HOST_QUIET:
         findings.failed("watchdog_blocked", f"{found}: not latched when the host read again", look_at)

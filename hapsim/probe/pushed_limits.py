@@ -190,9 +190,8 @@ def _lasted(probing: Probing, pusher: Pusher, life: int) -> list[float]:
     session, soon = pusher.session, probing.periods(life)
     wait = _HOST_WAIT * soon
     force = min(pusher.leave.force, 0.3 * pusher.leave.travel / (abs(probing.response) * wait**2))
-    while session.newest is not None and session.newest.n * wait < 3.0:  # as it may move by itself at first
-        if not _step(pusher, 0.0, wait, life - 1):
-            return []
+    if not _comes_to_rest(pusher, wait):
+        return []
     pusher.begin_here()
     lasted = []
     for i in range(_HOST_PUSHES):
@@ -205,6 +204,17 @@ def _lasted(probing: Probing, pusher: Pusher, life: int) -> list[float]:
         before, after = _speed(pusher, x[0], x[1]), _speed(pusher, x[2], x[3])
         lasted.append((after - before) / (signed * probing.response))
     return lasted
+
+
+def _comes_to_rest(pusher: Pusher, wait: float) -> bool:
+    """As a simulated device may begin with a flick; within 3 s."""
+    for _ in range(round(3.0 / wait) + 1):
+        if not _step(pusher, 0.0, wait, 0):
+            return False
+        before, now = pusher.session.samples[-2:]
+        if abs(pusher.position(now) - pusher.position(before)) < 0.02 * pusher.leave.travel and now.n > 1:
+            return True
+    return False
 
 
 def _step(pusher: Pusher, force: float, wait_s: float, time_to_live: int) -> bool:
@@ -228,7 +238,7 @@ def _speed(pusher: Pusher, one: Sample, other: Sample) -> float:
 
 def _judge_host_life(probing: Probing, lasted: list[float], life_s: float) -> None:
     if not lasted:
-        probing.findings.not_seen("host_time_to_live", "no position for a FORCE")
+        probing.findings.not_seen("host_time_to_live", "the device did not come to rest, or no position for a FORCE")
         return
     middle = float(np.median(lasted))
     told = (

@@ -116,6 +116,7 @@ class Device:
         self.output = self.command = [0.0] * self.channels
         self.moved_at = self.due = time.monotonic()
         self.heard_at, self.life = 0.0, math.inf
+        self.largest = 0.0  # N, of what was asked for
         self.own = self.registers()
 
     # What it says of itself.
@@ -146,9 +147,8 @@ class Device:
         """Never waits; what the terminal took in part goes first."""
         if "waits_for_room" in self.faults:
             frame = self.unsent + frame
-            while frame and not stopped():
+            while (frame := frame[self.some(frame) :]) and not stopped():
                 select.select([], [self.port], [], 0.1)
-                frame = frame[self.some(frame) :]
                 self.due = max(self.due, time.monotonic())  # an interrupt that was not served is lost
             return
         if self.unsent:
@@ -238,6 +238,7 @@ class Device:
         self.command = []
         for count in words:
             force = count * self.force_scale
+            self.largest = max(self.largest, abs(force))
             if abs(force) > self.limit and "never_cuts" not in self.faults:
                 self.counters["limited"] += 1
                 force = math.copysign(self.limit, force)
@@ -335,7 +336,9 @@ def main():
         tty.setraw(end)
     os.set_blocking(near, False)
     print(os.ttyname(far), flush=True)
-    Device(near, json.loads(sys.argv[1])).serve()
+    device = Device(near, json.loads(sys.argv[1]))
+    device.serve()
+    print(json.dumps({"largest": device.largest, "state": device.state, "output": device.output}))
 
 
 if __name__ == "__main__":
