@@ -7,8 +7,6 @@ nothing was seen.
 
 from __future__ import annotations
 
-import time
-
 from firmware_protocol import schema
 from hapsim.probe.probing import Probing
 from hapsim.probe.session import LONG_LIFE, Sample, Session
@@ -52,11 +50,11 @@ def _tick_goes_on(probing: Probing, session: Session, samples: int) -> bool:
     wire, first = probing.wire, session.newest
     assert first is not None
     rate = _rate_before(session, first, probing.device.rate_hz)
-    damaged, end = len(wire.damaged), time.monotonic() + probing.periods(samples)
-    while (now := time.monotonic()) < end:
+    damaged, end = len(wire.damaged), wire.clock.now() + probing.periods(samples)
+    while (now := wire.clock.now()) < end:
         guessed = first.n + round((now - first.at_s) * rate)
         session.force(max(guessed - LONG_LIFE // 3, 0))
-        time.sleep(min(probing.periods(50), 0.1))
+        wire.clock.sleep(min(probing.periods(50), 0.1))
     before = len(session.samples)
     _catch_up(session)
     if session.newest is None or len(session.samples) == before:
@@ -119,7 +117,7 @@ def _watchdog_while_blocked(probing: Probing, samples: int, kept_hz: float, *, v
     if session is None:
         findings.not_seen("watchdog_blocked", "the device did not arm again")
         return
-    time.sleep(_UNREAD * watchdog / kept_hz)
+    wire.clock.sleep(_UNREAD * watchdog / kept_hz)
     while new := wire.hear(0.0):
         session.take(new)
     newest = session.newest.n if session.newest else 0

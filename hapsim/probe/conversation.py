@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-
 from firmware_protocol import schema
 from firmware_protocol.frames import SETUP, frame_to_device
 from hapsim.device.conversation import disarm_in_every_format
@@ -41,7 +39,7 @@ def probe_conversation(probing: Probing) -> bool:
 
 def _answers(probing: Probing) -> bool:
     wire, findings = probing.wire, probing.findings
-    begun, echoed = time.monotonic(), False
+    begun, echoed = wire.clock.now(), False
     for attempt in range(_TRIES):
         if attempt == 2:
             wire.send(disarm_in_every_format())  # it may still be armed, by a host that died

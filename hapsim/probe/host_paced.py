@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 
 from firmware_protocol import schema
@@ -49,8 +47,9 @@ def _next(session: Session, n: int) -> float | None:
     """Answers sample n and waits for the next position: how long it took, None where it did not come."""
     before = len(session.samples)
     session.force(n)
-    begun = time.monotonic()
-    while len(session.samples) == before and session.ended is None and time.monotonic() - begun < session.patience_s:
+    clock = session.wire.clock
+    begun = clock.now()
+    while len(session.samples) == before and session.ended is None and clock.now() - begun < session.patience_s:
         session.take(session.wire.hear(0.05))
     return session.samples[-1].at_s - begun if len(session.samples) == before + 1 else None
 
@@ -84,12 +83,12 @@ def _judge_watchdog(probing: Probing) -> None:
     findings = probing.findings
     watchdog = probing.samples_in(_WATCHDOG_S, 2, probing.longest_watchdog)
     nominal = probing.periods(watchdog)
-    begun = time.monotonic()  # before the device is armed: it cannot be in time and seem early
+    begun = probing.wire.clock.now()  # before the device is armed: it cannot be in time and seem early
     session = probing.arm(schema.PACED_BY_HOST, watchdog)
     if session is None:
         findings.failed("host_watchdog", "the device did not arm again", "ARM after DISARM")
         return
-    while session.ended is None and time.monotonic() - begun < 5 * nominal + 1.0:
+    while session.ended is None and probing.wire.clock.now() - begun < 5 * nominal + 1.0:
         session.take(probing.wire.hear(0.05))
     ended = session.ended
     look_at = "paced by the host no tick comes: the main loop looks at the time since the last accepted FORCE"

@@ -91,21 +91,33 @@ def probe(
     with contextlib.closing(_open(port, baud)) as connection:
         wire = Wire(connection)
         on_wire(wire)
-        probing = Probing(wire, leave=leave)
-        ended, interrupted, released = "", False, False
-        try:
-            _run(probing, steps, on_step, say)
-        except StoppedError:
-            interrupted, ended = True, "stopped by a signal"
-        except DeviceError as error:
-            ended = str(error)
-        finally:
-            with contextlib.suppress(DeviceError):
-                released = wire.received > 0 and wire.release() is not None
+        return judge(wire, leave=leave, steps=steps, on_step=on_step, say=say)
+
+
+def judge(
+    wire: Wire,
+    *,
+    leave: Leave | None = None,
+    steps: tuple[str, ...] = STEPS,
+    on_step: Callable[[str, int, int], None] = lambda _step, _number, _of: None,
+    say: Callable[[str], None] = lambda _sentence: None,
+) -> Judgement:
+    """The same over a wire that is open already."""
+    probing = Probing(wire, leave=leave)
+    ended, interrupted, released = "", False, False
+    try:
+        _run(probing, steps, on_step, say)
+    except StoppedError:
+        interrupted, ended = True, "stopped by a signal"
+    except DeviceError as error:
+        ended = str(error)
+    finally:
+        with contextlib.suppress(DeviceError):
+            released = wire.received > 0 and wire.release() is not None
     if ended:
         for step in steps:
             probing.findings.leave(step, f"not reached: {ended}")
-    return Judgement(port, probing.description, probing.findings.all_of(steps), released, ended, interrupted)
+    return Judgement(wire.name, probing.description, probing.findings.all_of(steps), released, ended, interrupted)
 
 
 def _open(port: str, baud: int) -> Connection:

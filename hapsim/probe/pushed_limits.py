@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 
 import numpy as np
 
@@ -223,8 +222,8 @@ def _step(pusher: Pusher, force: float, wait_s: float, time_to_live: int) -> boo
     session: Session = pusher.session
     before = len(session.samples)
     pusher.push(session.samples[-1], force, time_to_live)
-    end = time.monotonic() + session.patience_s
-    while len(session.samples) == before and session.ended is None and time.monotonic() < end:
+    end = session.wire.clock.now() + session.patience_s
+    while len(session.samples) == before and session.ended is None and session.wire.clock.now() < end:
         session.take(session.wire.hear(0.05))
     came = len(session.samples) == before + 1
     if came:

@@ -10,8 +10,8 @@ from firmware_protocol import schema
 from firmware_protocol.description import Description, from_registers, registers_of_a_description
 from hapsim.probe.probing import Probing
 
-_MOST_HZ = 200_000.0
-"""Above this a rate is no haptic device's: the two words of the double are more likely swapped."""
+_LEAST_HZ, _MOST_HZ = 1e-3, 1e9
+"""Beyond these a rate is no haptic device's: the two words of the double are more likely swapped."""
 
 
 def probe_registers(probing: Probing) -> bool:
@@ -33,7 +33,7 @@ def probe_registers(probing: Probing) -> bool:
     findings.judge("max_watchdog", 1 <= declared <= schema.MAX_WATCHDOG_SAMPLES, limits, "register 6")
     rate = description.rate_hz
     swapped = "registers 4 and 5: the double's low word first"
-    findings.judge("rate", math.isfinite(rate) and 0 < rate <= _MOST_HZ, f"{rate:g} Hz", swapped)
+    findings.judge("rate", _LEAST_HZ <= rate <= _MOST_HZ, f"{rate:g} Hz", swapped)
     _scales(probing, description)
     needed = ("pacings", "max_watchdog", "rate", "position_scale", "force_scale", "force_limit", "velocity_scale")
     return not any(findings.has_failed(name) for name in needed)

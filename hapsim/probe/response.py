@@ -96,5 +96,4 @@ def _without(columns: NDArray[np.float64], bend: NDArray[np.float64], part: NDAr
 
 
 def _solution(columns: NDArray[np.float64], bend: NDArray[np.float64]) -> NDArray[np.float64]:
-    solution: NDArray[np.float64] = np.linalg.lstsq(columns, bend, rcond=None)[0]
-    return solution
+    return np.asarray(np.linalg.lstsq(columns, bend, rcond=None)[0], np.float64)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
@@ -69,21 +68,21 @@ class Session:
         self.answered[n] = counts
         self.sent += 1
         self.wire.send(self.wire.frame(schema.FORCE, n, time_to_live, counts, armed=True))
-        self.sent_at_s[n] = time.monotonic()
+        self.sent_at_s[n] = self.wire.clock.now()
 
     def run(self, samples: int, answer: Callable[[Sample], None] | None) -> bool:
         """Until so many more samples have passed; `answer` is called with each newest position. Whether they came: no
         STATUS before, no silence of half a second and 20 samples."""
         last = self.newest.n + samples if self.newest else samples
-        quiet_since = time.monotonic()
+        quiet_since = self.wire.clock.now()
         while self.ended is None and (self.newest is None or self.newest.n < last):
             before = len(self.samples)
             self.take(self.wire.hear(0.05))
             if len(self.samples) > before:
-                quiet_since = time.monotonic()
+                quiet_since = self.wire.clock.now()
                 if answer is not None and self.ended is None:
                     answer(self.samples[-1])
-            elif time.monotonic() - quiet_since > self.patience_s:
+            elif self.wire.clock.now() - quiet_since > self.patience_s:
                 return False
         return self.ended is None
 

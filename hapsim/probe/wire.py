@@ -69,6 +69,17 @@ def told(heard: Heard | None) -> str:
     return f"{what}, in the {heard.wire} format"
 
 
+class Clock:
+    """The system's; another one plays devices in virtual time."""
+
+    def now(self) -> float:
+        """s."""
+        return time.monotonic()
+
+    def sleep(self, seconds: float) -> None:
+        time.sleep(seconds)
+
+
 class StoppedError(Exception):
     """Somebody asked for the end."""
 
@@ -76,8 +87,9 @@ class StoppedError(Exception):
 class Wire:
     """A device behind an open connection; nothing is done but what is asked for."""
 
-    def __init__(self, connection: Connection) -> None:
+    def __init__(self, connection: Connection, clock: Clock | None = None) -> None:
         self.name = connection.name
+        self.clock = clock or Clock()
         self.stop = False
         self.received = 0
         """Bytes."""
@@ -135,8 +147,8 @@ class Wire:
 
     def hear_for(self, seconds: float) -> list[Heard]:
         """Every frame that comes within so long."""
-        heard, end = [], time.monotonic() + seconds
-        while (left := end - time.monotonic()) > 0:
+        heard, end = [], self.clock.now() + seconds
+        while (left := end - self.clock.now()) > 0:
             heard += self.hear(left)
         return heard
 
@@ -144,8 +156,8 @@ class Wire:
         """The first frame that `fits`, None where none comes within so long; and every frame until then, and those that
         came with it."""
         heard: list[Heard] = []
-        end = time.monotonic() + seconds
-        while (left := end - time.monotonic()) > 0:
+        end = self.clock.now() + seconds
+        while (left := end - self.clock.now()) > 0:
             new = self.hear(left)
             heard += new
             for one in new:
@@ -184,7 +196,7 @@ class Wire:
         return None
 
     def _read(self, data: bytes) -> list[Heard]:
-        now = time.monotonic()
+        now = self.clock.now()
         self.received += len(data)
         *pieces, self._rest = (self._rest + data).split(b"\0")
         self._rest = self._rest[-_FORGOTTEN:]

@@ -99,8 +99,10 @@ class Mass:
 
 
 class Device:
-    def __init__(self, port, options):
-        self.port, self.options = port, options
+    """`put(data)` hands bytes to the transmitter, which tells for how many it had room; `now()`: a clock, s."""
+
+    def __init__(self, put, now, options):
+        self.put_out_bytes, self.now, self.options = put, now, options
         self.faults = set(options.get("faults", ()))
         self.channels = options.get("channels", 1)
         self.rate = options.get("rate", 500.0)
@@ -109,12 +111,12 @@ class Device:
         self.senses = options.get("senses", True)
         self.scale, self.force_scale, self.limit = 1e-8, 1e-7, options.get("limit", 10.0)
         self.bodies = [Mass(0.2, 1.0) for _ in range(self.channels)]
-        self.wire, self.rest, self.unsent, self.torn = SETUP, b"", b"", False
+        self.wire, self.rest, self.unsent, self.waiting, self.torn = SETUP, b"", b"", b"", False
         self.state, self.fault, self.pacing, self.watchdog = IDLE, 0, 0, 0
         self.n = self.answered = self.heard = self.expires = 0
         self.counters = dict.fromkeys(("accepted", "rejected", "held", "expired", "limited"), 0)
         self.output = self.command = [0.0] * self.channels
-        self.moved_at = self.due = time.monotonic()
+        self.moved_at = self.due = now()
         self.heard_at, self.life = 0.0, math.inf
         self.largest = 0.0  # N, of what was asked for
         self.own = self.registers()
@@ -144,28 +146,36 @@ class Device:
     # Bytes.
 
     def write(self, frame):
-        """Never waits; what the terminal took in part goes first."""
+        """Never waits; what found room in part goes first."""
         if "waits_for_room" in self.faults:
-            frame = self.unsent + frame
-            while (frame := frame[self.some(frame) :]) and not stopped():
-                select.select([], [self.port], [], 0.1)
-                self.due = max(self.due, time.monotonic())  # an interrupt that was not served is lost
+            self.unsent += frame
+            self.flush()
             return
-        if self.unsent:
-            self.unsent = self.unsent[self.some(self.unsent) :]
-            self.torn = self.torn or bool(self.unsent)
+        self.flush()
+        self.torn = self.torn or bool(self.unsent)
         if not self.unsent:
-            start = 5 if self.torn and "tears_frames" in self.faults else 0
+            frame = frame[5 if self.torn and "tears_frames" in self.faults else 0 :]
             self.torn = False
-            self.unsent = frame[start:][self.some(frame[start:]) :]
+            self.unsent = frame[self.put_out_bytes(frame) :]
 
-    def some(self, data):
-        try:
-            return os.write(self.port, data)
-        except BlockingIOError:
-            return 0
+    def flush(self):
+        """Whether nothing is left to be sent."""
+        if self.unsent:
+            self.unsent = self.unsent[self.put_out_bytes(self.unsent) :]
+        return not self.unsent
+
+    def waits(self):
+        """Whether everything stands still until there is room; an interrupt that is not served meanwhile is lost."""
+        if "waits_for_room" in self.faults and not self.flush():
+            self.due = self.now() + self.period
+            return True
+        return False
 
     def take(self, data):
+        self.waiting += data
+        if self.waits():
+            return
+        data, self.waiting = self.waiting, b""
         pieces = (self.rest + data).split(b"\0")
         self.rest = pieces.pop()[-1000:]
         for piece in pieces:
@@ -220,8 +230,8 @@ class Device:
             self.counters = dict.fromkeys(self.counters, 0)
         self.status()
         self.wire = Format(self.channels, velocity)
-        self.heard_at, self.life = time.monotonic(), math.inf
-        self.due = time.monotonic() + self.period
+        self.heard_at, self.life = self.now(), math.inf
+        self.due = self.now() + self.period
         self.say_position(POSITION)
         return None
 
@@ -245,15 +255,15 @@ class Device:
             self.command.append(force)
         self.answered, self.heard = self.n - age, self.n
         self.expires = self.answered + time_to_live
-        self.heard_at, self.life = time.monotonic(), (time_to_live + 1) / self.rate
+        self.heard_at, self.life = self.now(), (time_to_live + 1) / self.rate
         if "on_arrival" in self.faults:
             self.put_out(self.command)
         if self.pacing != 0:
-            self.tick(time.monotonic())
+            self.tick(self.now())
 
     def put_out(self, forces):
         """In between, the bodies have moved."""
-        self.move(time.monotonic())
+        self.move(self.now())
         self.output = list(forces)
 
     def move(self, now):
@@ -285,18 +295,22 @@ class Device:
         self.write(self.wire.to_host(kind, self.n, counts))
 
     def stop(self, state):
-        self.move(time.monotonic())
+        self.move(self.now())
         self.state, self.command, self.output = state, [0.0] * self.channels, [0.0] * self.channels
         if state == IDLE:
             self.wire, self.rest = SETUP, b""
 
     def look(self):
         """What the device's own clock brings."""
-        now = time.monotonic()
+        if self.waits():
+            return
+        now = self.now()
         if self.state == ARMED and self.pacing == 0:
             while now >= self.due and self.state == ARMED:
                 self.tick(self.due)
                 self.due += self.period
+                if self.waits():
+                    return
                 self.latch_where(self.n - self.heard > self.watchdog)
         elif self.state == ARMED:
             quiet = now - self.heard_at
@@ -304,6 +318,8 @@ class Device:
                 self.put_out([0.0] * self.channels)
                 self.life = math.inf
             self.latch_where(quiet * self.rate > self.watchdog)
+        elif "chatters" in self.faults:
+            self.write(b"hello\r\n")
 
     def latch_where(self, silent):
         if silent and "no_watchdog" not in self.faults:
@@ -314,19 +330,14 @@ class Device:
             self.status()
             self.wire, self.rest = SETUP, b""
 
-    def serve(self):
-        while not stopped():
-            wait = self.due - time.monotonic() if self.state == ARMED and self.pacing == 0 else 0.002
-            if select.select([self.port], [], [], max(min(wait, 0.02), 0.0))[0]:
-                with contextlib.suppress(OSError):
-                    self.take(os.read(self.port, 4096))
-            self.look()
-            if "chatters" in self.faults and self.state != ARMED:
-                self.write(b"hello\r\n")
+    def wait(self):
+        """s until the clock brings something, at most 2 ms."""
+        ticking = self.state == ARMED and self.pacing == 0
+        return min(max(self.due - self.now(), 0.0), 0.002) if ticking else 0.002
 
 
 def stopped():
-    """Whoever started it has gone."""
+    """Whether whoever started it has gone."""
     return bool(select.select([sys.stdin], [], [], 0)[0])
 
 
@@ -336,8 +347,19 @@ def main():
         tty.setraw(end)
     os.set_blocking(near, False)
     print(os.ttyname(far), flush=True)
-    device = Device(near, json.loads(sys.argv[1]))
-    device.serve()
+
+    def put(data):
+        try:
+            return os.write(near, data)
+        except BlockingIOError:
+            return 0
+
+    device = Device(put, time.monotonic, json.loads(sys.argv[1]))
+    while not stopped():
+        if select.select([near], [], [], device.wait())[0]:
+            with contextlib.suppress(OSError):
+                device.take(os.read(near, 4096))
+        device.look()
     print(json.dumps({"largest": device.largest, "state": device.state, "output": device.output}))
 
 
