@@ -18,10 +18,10 @@ SECTIONS = {
     "4": "Frames",
     "5": "Registers",
     "6": "Samples, age, and what the device does at a tick",
-    "7": "Arming and letting go",
+    "7": "Arming and releasing",
     "8": "What each side does when the other is ...",
     "10": "Counters",
-    "11": "Link budget",
+    "11": "Time on the wire",
 }
 """The titles of PROTOCOL.md that a check stands for."""
 
@@ -188,6 +188,13 @@ class Findings:
 
     def has_failed(self, name: str) -> bool:
         return name in self._made and self._made[name].result == "FAIL"
+
+    def failed_next(self, step: str, found: str, look_at: str) -> None:
+        """The first check of a step of which nothing was found failed."""
+        for one in CHECKS:
+            if one.step == step and one.name not in self._made:
+                self.failed(one.name, found, look_at)
+                return
 
     def leave(self, step: str, why: str) -> None:
         """Whatever was not seen of a step is not seen, for this reason."""

@@ -132,7 +132,13 @@ def _run(
         if step == "push" and run is probe_pushing and probing.leave is not None:
             _require_channel(probing, probing.leave)
             say(what_will_be_done(probing, probing.leave))
-        if not run(probing):
+        try:
+            goes_on = run(probing)
+        except DeviceError as error:
+            look_at = "its hardware watchdog, which ends a tick that died or waits for room; a crash; the cable"
+            probing.findings.failed_next(step, f"the device went away here: {error}", look_at)
+            raise
+        if not goes_on:
             return
 
 

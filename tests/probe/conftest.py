@@ -17,7 +17,7 @@ import pytest
 from numpy.typing import NDArray
 
 from hapsim.device.connection import Connection
-from hapsim.loop.codes import TIMED_OUT
+from hapsim.loop.codes import HUNG_UP, TIMED_OUT
 from hapsim.probe.wire import Clock, Wire
 
 SCRIPT = Path(__file__).with_name("device.py")
@@ -47,6 +47,7 @@ class VirtualLine(Clock):
     def __init__(self, options: dict[str, Any]) -> None:
         self._time = 100.0
         self._to_host = b""
+        self._gone = False
         self._random = random.Random(1)
         self.device = Device(self._put, self.now, options)
 
@@ -67,13 +68,21 @@ class VirtualLine(Clock):
             self.device.look()
 
     def receive(self, buffer: NDArray[np.uint8], timeout_ns: int) -> int:
+        if self._is_gone():
+            return HUNG_UP
         self._pass_until(self._time + timeout_ns * 1e-9, heard=True)
         self._pass_until(self._time + _WORK_S, heard=False)
         data, self._to_host = self._to_host[: buffer.size], self._to_host[buffer.size :]
         buffer[: len(data)] = np.frombuffer(data, np.uint8)
         return len(data) or TIMED_OUT
 
+    def _is_gone(self) -> bool:
+        self._gone = self._gone or ("resets_where_it_waits" in self.device.faults and len(self._to_host) == _ROOM)
+        return self._gone
+
     def send(self, frame: bytes) -> int:
+        if self._is_gone():
+            return HUNG_UP
         late = self._random.random() * _LATE_S if self._random.random() < 0.1 else 0.0
         self._pass_until(self._time + _WORK_S + late, heard=False)
         self.device.take(frame)

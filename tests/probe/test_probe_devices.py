@@ -198,3 +198,20 @@ def test_a_device_on_a_port_is_judged_like_one_in_virtual_time(
         (check.name, check.result) for check in virtual.checks
     ]
     assert {check.name for check in real.failed} == {"wrong_schema", "stays_idle"}
+
+
+def test_a_device_that_goes_away_fails_the_check_that_it_went_away_in(new_bench: NewBench) -> None:
+    """As one whose hardware watchdog ends a tick that waits for room."""
+    bench = new_bench("resets_where_it_waits", channels=4)
+    judgement = judge(bench.wire, steps=steps_of(("blocked",), None))
+    assert (judgement.exit_status, judgement.released) == (3, False)
+    assert [check.name for check in judgement.failed] == ["tick_goes_on"]
+    assert "the device went away here" in judgement.failed[0].found
+    assert judgement.ended in judgement.failed[0].found
+
+
+def test_a_slow_device_is_not_taken_for_one_that_waits(new_bench: NewBench) -> None:
+    """A simulated one on a busy machine: it loses every other sample, whether the host reads or not."""
+    bench = new_bench(channels=1, registers={4: 0, 5: 0x408F4000})  # says 1000 Hz, keeps 500
+    checks = judged(bench, "blocked")
+    assert failed(checks) == set(), told(checks)
