@@ -17,6 +17,7 @@ from hapsim.commands.doctor import doctor
 from hapsim.commands.frames import frames
 from hapsim.commands.measure import measure
 from hapsim.commands.prepare import compile_, new, schema
+from hapsim.commands.probe import probe
 from hapsim.commands.run import run
 from hapsim.console.guarded_output import guarded_output, is_full
 from hapsim.errors import HapsimError
@@ -30,7 +31,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for _command in (run, check, measure, doctor, mock, compile_, ports, frames, new, schema):
+for _command in (run, check, measure, doctor, probe, frames, mock, compile_, ports, new, schema):
     app.command(_command.__name__.rstrip("_"))(_command)
 app.add_typer(chart)
 

@@ -91,9 +91,10 @@ def _mock() -> list[_Entry | PlainNative]:
     from hapsim.device.mock.firmware import FUNCTIONS, MOCK
     from hapsim.device.mock.motion import move_gliding
     from hapsim.device.mock.serve import SERVICE, serve
+    from hapsim.device.mock.transmitter import receive, send
 
     serving = _Entry(serve, (new_record(MOCK), new_record(SERVICE)))
-    return [*FUNCTIONS.values(), move_gliding, serving]
+    return [*FUNCTIONS.values(), move_gliding, receive, send, serving]
 
 
 def _loopback() -> list[PlainNative]:

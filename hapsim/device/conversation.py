@@ -130,6 +130,14 @@ def frames_rejected_by(connection: Connection) -> int | None:
         return None
 
 
+def disarm_in_every_format() -> bytes:
+    """What releases a device that somebody else armed, however many channels it has, with velocities or without."""
+    every = range(1, schema.MAX_CHANNELS + 1)
+    formats = [armed_format(channels, velocity) for channels in every for velocity in (False, True)]
+    frames = [frame_to_device(wire, schema.DISARM, 0, 0, np.zeros(wire.channels, np.int64)) for wire in formats]
+    return b"".join(frames)
+
+
 def fault_text(fault: int) -> str:
     """A device's fault in words."""
     return schema.FAULTS.get(fault, f"fault {fault}, which version {schema.VERSION} of the protocol does not name")
@@ -157,10 +165,7 @@ def _require_same_language(connection: Connection, registers: Any) -> None:
 
 def _first_answer(connection: Connection) -> int:
     """The version. Where the device stays quiet it may still be armed, by a host that died: it is disarmed."""
-    every = range(1, schema.MAX_CHANNELS + 1)
-    formats = [armed_format(channels, velocity) for channels in every for velocity in (False, True)]
-    release = [frame_to_device(wire, schema.DISARM, 0, 0, np.zeros(wire.channels, np.int64)) for wire in formats]
-    return _ask(connection, schema.REG_VERSION, _TRIES, b"".join(release))
+    return _ask(connection, schema.REG_VERSION, _TRIES, disarm_in_every_format())
 
 
 def _ask(connection: Connection, register: int, tries: int = _TRIES_TO_ASK, when_quiet: bytes = b"") -> int:

@@ -105,6 +105,17 @@ def read_some(descriptor, buffer, timeout_ns, scratch):
 
 
 @inlined
+def write_some(descriptor, buffer, start, stop):
+    """Writes as much of buffer[start:stop] as there is room for, without waiting: the count, or HUNG_UP."""
+    if start == stop:
+        return 0
+    count = _write(descriptor, buffer.ctypes.data + start, stop - start)
+    if count >= 0:
+        return count
+    return 0 if _errno_location()[0] in (_EINTR, _EAGAIN) else HUNG_UP
+
+
+@inlined
 def write_all(descriptor, buffer, stop, timeout_ns, scratch):
     """Writes buffer[:stop]; 0 when all went out, else HUNG_UP or FAILED."""
     at = 0

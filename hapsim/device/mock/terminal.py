@@ -15,8 +15,8 @@ from typing import Any
 from hapsim.compiling.entries import compile_for
 from hapsim.device.mock.firmware import prepare
 from hapsim.device.mock.serve import new_service, serve
+from hapsim.device.mock.transmitter import transmitter_transport
 from hapsim.errors import DeviceError
-from hapsim.loop.descriptor import descriptor_transport
 from hapsim.loop.only_linux import require_linux
 from hapsim.loop.transport import Transport
 from hapsim.realtime.scheduling import fifo
@@ -69,7 +69,7 @@ def serving(mock: Any, as_hardware: bool = False) -> Iterator[str]:
 def _transport(near: int, mock: Any) -> Transport:
     """With the times of a UART where the mock has them."""
     if not mock.byte_ns and not mock.turnaround_ns:
-        return descriptor_transport(near)
+        return transmitter_transport(near)
     from hapsim.device.mock.uart import uart_transport
 
     return uart_transport(near, mock)

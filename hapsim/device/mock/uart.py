@@ -19,11 +19,10 @@ from hapsim.compiling import helper, inlined
 from hapsim.compiling.native import address_of, array_at, record_at
 from hapsim.device.mock.firmware import INPUT_BYTES, mock_at
 from hapsim.loop.codes import FAILED, TIMED_OUT
-from hapsim.loop.system import SCRATCH, now_ns, read_some, write_all
+from hapsim.loop.system import SCRATCH, now_ns, read_some, write_some
 from hapsim.loop.transport import Transport, receiver, sender
 
 _ROOM = 2 * INPUT_BYTES  # bytes on their way in one direction
-_SEND_TIMEOUT_NS = 100_000_000  # as over any descriptor
 
 _WAY = np.dtype(
     [
@@ -116,12 +115,12 @@ def receive(context, buffer, room, timeout_ns):
     now = now_ns(uart.scratch)
     deadline = now + timeout_ns
     while True:
-        count = arrived(uart.outgoing, now)
-        if count > 0:
-            code = write_all(uart.number, uart.outgoing.bytes, count, _SEND_TIMEOUT_NS, uart.scratch)
-            take_off_wire(uart.outgoing, count)
-            if code != 0:
-                return code
+        due = arrived(uart.outgoing, now)
+        written = write_some(uart.number, uart.outgoing.bytes, 0, due)
+        if written < 0:
+            return written
+        if written > 0:
+            take_off_wire(uart.outgoing, written)
         count = min(arrived(uart.incoming, min(now, deadline)), room)
         if count > 0:
             for i in range(count):
@@ -130,7 +129,9 @@ def receive(context, buffer, room, timeout_ns):
             return count
         if now >= deadline:
             return TIMED_OUT
-        wake = next_due_ns(uart.incoming, next_due_ns(uart.outgoing, np.float64(deadline)))
+        # Where the host does not read, what is left waits for the next call: a device's tick waits for nobody.
+        wake = np.float64(deadline) if written < due else next_due_ns(uart.outgoing, np.float64(deadline))
+        wake = next_due_ns(uart.incoming, wake)
         count = read_some(uart.number, uart.read, np.int64(wake) + 1 - now, uart.scratch)
         now = now_ns(uart.scratch)
         if count < 0:
@@ -140,12 +141,15 @@ def receive(context, buffer, room, timeout_ns):
 
 @sender
 def send(context, buffer, stop):
+    """FAILED where it found no room, and was dropped whole."""
     uart = _uart_at(context)
+    if stop > _ROOM - uart.outgoing.waiting:
+        return FAILED
     earliest, byte_ns = np.float64(now_ns(uart.scratch)), _byte_ns(uart)
     if not _is_virtual(uart):
         earliest += mock_at(uart.mock).turnaround_ns
-    fitting = put_on_wire(uart.outgoing, _bytes_at(buffer, stop), stop, earliest, byte_ns, True)
-    return 0 if fitting == stop else FAILED
+    put_on_wire(uart.outgoing, _bytes_at(buffer, stop), stop, earliest, byte_ns, True)
+    return 0
 
 
 def uart_transport(number: int, mock: Any) -> Transport:
