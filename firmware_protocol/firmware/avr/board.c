@@ -181,9 +181,9 @@ int main(void) {
         if (!hapsim_device_look()) {
             rest();
         }
-#ifdef HAPSIM_BROKEN_TICK
-        if (ticks > 2000ul * HAPSIM_BOARD_PERIOD_TICKS) {
-            hapsim_port_hold_tick(); /* on purpose: the hardware watchdog has to see it */
+#ifdef HAPSIM_BROKEN_TICK /* half a second after arming the tick dies: the hardware watchdog has to see it */
+        if (hapsim_device_register(HAPSIM_REG_ACCEPTED) > 500) {
+            TCCR1B = 0;
         }
 #endif
     }

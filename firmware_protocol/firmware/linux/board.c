@@ -1,7 +1,10 @@
 /* The firmware as a Linux process, on a pseudo-terminal that it makes: `linux [LOG]` prints the port's path and serves it
  * until it is stopped. One thread: the tick comes between two reads, and needs no lock.
  *
- * LOG: each change of the force put out, a line of two hexadecimal words: microseconds since the start, and counts.
+ * Its clock is made of its ticks: where others held this process up, no tick comes and the clock stands still, so that
+ * what has to be over after so many periods is.
+ *
+ * LOG: each change of the force put out, a line of two hexadecimal words: microseconds of that clock, and counts.
  */
 #define _GNU_SOURCE
 #include "hapsim_board.h"
@@ -25,12 +28,12 @@
 #define WATCHDOG_US 500000 /* a process may be held up for long where others share the machine */
 
 static int port, log_file = -1;
-static int64_t started;
+static int64_t clock_at_tick, ticked, due; /* what the clock said at the last tick; when that was, and when the next is */
 static simulated_mass mass;
 static int32_t force;
 static uint8_t unsent[HAPSIM_MAX_FRAME];
 static size_t unsent_from, unsent_to;
-static bool begun;
+static volatile sig_atomic_t stopped;
 
 static int64_t now_ns(void) {
     struct timespec now;
@@ -38,8 +41,13 @@ static int64_t now_ns(void) {
     return now.tv_sec * SECOND + now.tv_nsec;
 }
 
+static int64_t clock_ns(void) {
+    const int64_t since = now_ns() - ticked, period = HAPSIM_BOARD_PERIOD_TICKS;
+    return clock_at_tick + (since < 0 ? 0 : since < period ? since : period);
+}
+
 uint32_t hapsim_port_now(void) {
-    return (uint32_t)now_ns();
+    return (uint32_t)clock_ns();
 }
 
 uint8_t hapsim_port_measure(int32_t *counts, bool velocity) {
@@ -53,7 +61,7 @@ uint8_t hapsim_port_measure(int32_t *counts, bool velocity) {
 
 static void note_force(int32_t counts) {
     char line[32];
-    const uint32_t us = (uint32_t)((now_ns() - started) / 1000);
+    const uint32_t us = (uint32_t)(clock_ns() / 1000);
     const int length = snprintf(line, sizeof line, "%08lx %08lx\n", (unsigned long)us, (unsigned long)(uint32_t)counts);
     if (log_file >= 0 && write(log_file, line, (size_t)length) != length) {
         log_file = -1;
@@ -106,8 +114,10 @@ void hapsim_port_feed_watchdog(void) {
 }
 
 void hapsim_port_begin(void) {
+    clock_at_tick = clock_ns();
+    ticked = now_ns();
+    due = ticked + BROKEN_PERIOD((int64_t)HAPSIM_BOARD_PERIOD_TICKS);
     simulated_mass_flick(&mass);
-    begun = true;
 }
 
 void hapsim_port_hold_tick(void) {}
@@ -127,25 +137,21 @@ static void read_bytes(int64_t until) {
     }
 }
 
-static void tick_when_due(int64_t *due) {
+static void tick_when_due(void) {
     const int64_t period = BROKEN_PERIOD((int64_t)HAPSIM_BOARD_PERIOD_TICKS);
-    const int64_t now = now_ns();
-    if (begun) {
-        begun = false;
-        *due = now + period;
-    }
-    if (now < *due || BROKEN_TICK(now - started)) {
+    if (now_ns() < due || BROKEN_TICK()) {
         return;
     }
+    clock_at_tick += HAPSIM_BOARD_PERIOD_TICKS;
+    ticked = due;
+    due += period;
     simulated_mass_move(&mass, force);
     hapsim_device_tick();
-    *due += period;
-    if (now_ns() >= *due) {
-        *due = now_ns() + period; /* a device's timer is never late, but this machine was: no burst of ticks */
+    if (now_ns() >= due) { /* a device's timer is never late, but this machine was: no burst of ticks */
+        ticked = now_ns();
+        due = ticked + period;
     }
 }
-
-static volatile sig_atomic_t stopped;
 
 static void stop(int number) {
     (void)number;
@@ -166,15 +172,15 @@ int main(int count, char **words) {
     signal(SIGTERM, stop);
     signal(SIGINT, stop);
     prctl(PR_SET_TIMERSLACK, 1);
-    started = now_ns();
+    due = ticked = now_ns();
     hapsim_device_init();
     printf("%s\n", path);
     fflush(stdout);
-    for (int64_t due = started; !stopped;) {
+    while (!stopped) {
         /* Paced by the host, the main loop comes round more often than the tick. */
         const int64_t soon = now_ns() + HAPSIM_BOARD_PERIOD_TICKS / 10;
         read_bytes(hapsim_device_look() && soon < due ? soon : due);
-        tick_when_due(&due);
+        tick_when_due();
     }
     note_force(0);
     return 0;
