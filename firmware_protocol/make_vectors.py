@@ -1,4 +1,4 @@
-"""Writes vectors.json, sessions.json and the generated parts of PROTOCOL.md: `python -m firmware_protocol.make_vectors`.
+"""Writes vectors.json, sessions.json and parts of PROTOCOL.md: `python -m firmware_protocol.make_vectors`.
 
 Run it after a change of the protocol; a test fails until it was. The C header's constants are changed by hand.
 """

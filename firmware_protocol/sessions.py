@@ -1,7 +1,7 @@
 """Sessions of a device, written by hand from PROTOCOL.md: what happens to it, and what it must say and do.
 
 `make_vectors` writes them to sessions.json; PROTOCOL.md ("Test vectors") explains the entries. Nothing here is worked
-out by a device: what is expected stands beside what is done. Each session quotes the sentence that it holds a device to.
+out by a device: what is expected stands beside what is done. Each session quotes the sentence that it is about.
 """
 
 from __future__ import annotations

@@ -58,13 +58,17 @@ def late_but_alive() -> Story:
 
 
 def too_old() -> Story:
-    s = Story("6", "if (age > time_to_live) { expired++; return; }      /* not acted on, and it does not feed the watchdog")
+    s = Story(
+        "6", "if (age > time_to_live) { expired++; return; }      /* not acted on, and it does not feed the watchdog"
+    )
     s.arms(watchdog=2).tick(out=s.held(1)).host(s.answer(0, 6)).tick(out=s.held(2) + s.latches(2, 1), state="latched")
     return s.registers(accepted=0, expired=1, held=2)
 
 
 def from_the_future() -> Story:
-    s = Story("6", "0 is a force in time; 1 one that answers the position before; a force from the future reads as 4095.")
+    s = Story(
+        "6", "0 is a force in time; 1 one that answers the position before; a force from the future reads as 4095."
+    )
     s.arms().host(s.answer(1, 6, lives=255), s.answer(2048, 6, lives=255)).tick(out=s.held(1))
     return s.registers(accepted=0, expired=2)
 

@@ -152,7 +152,9 @@ def arming_begins_anew() -> Story:
 
 
 def every_channel() -> Story:
-    s = Story("6", "measures the positions, which are sample *n + 1*, and the velocities where they were asked for;", "four")
+    s = Story(
+        "6", "measures the positions, which are sample *n + 1*, and the velocities where they were asked for;", "four"
+    )
     s.measures(1, -2, 2**31 - 1, -(2**31) + 1).arms().host(s.answer(0, 4, -5, 6, -7))
     s.measures(5, 6, 7, 8).tick(out=s.position(1), force=[4, -5, 6, -7])
     return s

@@ -6,7 +6,8 @@ import fcntl
 import os
 import shutil
 import subprocess
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -201,3 +202,62 @@ class MockPlayer:
 @pytest.fixture(scope="session")
 def mock_player() -> type[MockPlayer]:
     return MockPlayer
+
+
+class Board:
+    """A board that runs: its port, and what it says of the force that it puts out."""
+
+    def __init__(self, name: str, built: Path, log: Path) -> None:
+        self.log = log
+        self.process = subprocess.Popen(
+            [FIRMWARE / "board", name, log],
+            env=os.environ | {"HAPSIM_FIRMWARE": str(built)},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            text=True,
+        )
+        assert self.process.stdout is not None
+        self.port = self.process.stdout.readline().strip()
+        assert self.port.startswith("/dev/"), f"{name}: no port"
+
+    def forces(self) -> list[tuple[int, int]]:
+        """Each change of the force put out: microseconds of the board's clock, counts."""
+        lines = self.log.read_text("ascii").splitlines(keepends=True) if self.log.exists() else []
+        words = [line.split() for line in lines if line.endswith("\n")]
+        return [(int(us, 16), int.from_bytes(bytes.fromhex(counts), signed=True)) for us, counts in words]
+
+    def wait_for(self, what: Callable[[list[tuple[int, int]]], bool]) -> list[tuple[int, int]]:
+        """The changes so far, as soon as `what` is true of them. The minute is for a machine that hangs."""
+        give_up = time.monotonic() + 60.0
+        while not what(forces := self.forces()):
+            assert time.monotonic() < give_up, f"not seen within a minute; the last forces: {forces[-3:]}"
+            time.sleep(0.02)
+        return forces
+
+    def stop(self) -> None:
+        self.process.terminate()
+        self.process.communicate()
+
+
+@pytest.fixture
+def start_board(built: Path, tmp_path: Path) -> Iterator[Callable[..., Board]]:
+    """Starts a board by its name, from `built` or from elsewhere; skips where this machine lacks what it takes."""
+    boards: list[Board] = []
+
+    def start(name: str, where: Path = built) -> Board:
+        needed, packages = RUNNERS[name]
+        if not (where / needed).exists():
+            pytest.skip(f"{name} was not built on this machine (Debian: {packages})")
+        boards.append(Board(name, where, tmp_path / f"{name}.log"))
+        return boards[-1]
+
+    yield start
+    for board in boards:
+        board.stop()
+
+
+@pytest.fixture(scope="session")
+def built_to_die(once: Any) -> Path:
+    """The boards, with a tick that dies half a second after arming."""
+    compiler()
+    return once("dying", [str(FIRMWARE / "build")], {"DEFINES": "-DHAPSIM_BROKEN_TICK"})

@@ -85,7 +85,8 @@ def _not_in_the_mock_yet(entry: dict[str, Any]) -> Any:
 
 
 @pytest.mark.parametrize(
-    "entry", [pytest.param(entry, id=name, marks=_not_in_the_mock_yet(entry)) for entry, name in zip(TOLD, NAMES)]
+    "entry",
+    [pytest.param(entry, id=name, marks=_not_in_the_mock_yet(entry)) for entry, name in zip(TOLD, NAMES, strict=True)],
 )
 def test_the_mock_does_as_the_session_says(entry: dict[str, Any], mock_player: Callable[..., Any]) -> None:
     if any(step.get("finds") == schema.HARDWARE for step in entry["steps"]):
