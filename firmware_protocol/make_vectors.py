@@ -1,4 +1,4 @@
-"""Writes vectors.json, sessions.json and parts of PROTOCOL.md: `python -m firmware_protocol.make_vectors`.
+"""Writes vectors.json, sessions.json and parts of the documents: `python -m firmware_protocol.make_vectors`.
 
 Run it after a change of the protocol; a test fails until it was. The C header's constants are changed by hand.
 """
@@ -9,7 +9,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from firmware_protocol.document import with_blocks
+from firmware_protocol.document import porting_blocks, with_blocks
 from firmware_protocol.sessions import sessions
 from firmware_protocol.vectors import vectors
 
@@ -17,6 +17,7 @@ _HERE = Path(__file__).parent
 VECTORS = _HERE / "vectors.json"
 SESSIONS = _HERE / "sessions.json"
 DOCUMENT = _HERE / "PROTOCOL.md"
+PORTING = _HERE / "PORTING.md"
 
 
 def vectors_text() -> str:
@@ -34,6 +35,11 @@ def document_text() -> str:
     return with_blocks(DOCUMENT.read_text("utf-8"))
 
 
+def porting_text() -> str:
+    """PORTING.md as it has to be."""
+    return with_blocks(PORTING.read_text("utf-8"), porting_blocks())
+
+
 def _by_lines(document: dict[str, Any]) -> str:
     members = [f"{json.dumps(name)}: {_member(value)}" for name, value in document.items()]
     return "{\n" + ",\n".join(members) + "\n}\n"
@@ -49,7 +55,8 @@ def main() -> None:
     VECTORS.write_text(vectors_text(), "utf-8")
     SESSIONS.write_text(sessions_text(), "utf-8")
     DOCUMENT.write_text(document_text(), "utf-8")
-    print(f"wrote {VECTORS}, {SESSIONS} and {DOCUMENT}")
+    PORTING.write_text(porting_text(), "utf-8")
+    print(f"wrote {VECTORS}, {SESSIONS}, {DOCUMENT} and {PORTING}")
 
 
 if __name__ == "__main__":

@@ -29,6 +29,7 @@ static ring received, to_send;
 static simulated_mass mass;
 static int32_t force;
 static uint32_t ticks; /* clock at the last tick */
+static volatile bool tick_held, tick_due;
 
 ISR(USART_RX_vect) {
     const uint8_t byte = UDR0;
@@ -51,21 +52,33 @@ ISR(USART_UDRE_vect) {
 }
 
 void hapsim_port_hold_tick(void) {
-    TIMSK1 = 0;
+    tick_held = true;
 }
 
+/* A tick that came meanwhile is made up for here. */
 void hapsim_port_let_tick(void) {
-    TIMSK1 = _BV(OCIE1A);
+    for (;;) {
+        cli();
+        tick_held = tick_due;
+        tick_due = false;
+        sei();
+        if (!tick_held) {
+            return;
+        }
+        simulated_mass_move(&mass, force);
+        hapsim_device_tick();
+    }
 }
 
+/* Interrupts stay off only as long as the clock is counted on: bytes come during a tick, and so may the next tick, which
+ * finds this one at work. */
 ISR(TIMER1_COMPA_vect) {
-    hapsim_port_hold_tick();
     ticks += HAPSIM_BOARD_PERIOD_TICKS;
-    sei(); /* bytes come meanwhile */
-    simulated_mass_move(&mass, force);
-    hapsim_device_tick();
-    cli();
-    hapsim_port_let_tick();
+    tick_due = true;
+    if (!tick_held) {
+        tick_held = true;
+        hapsim_port_let_tick();
+    }
 }
 
 /* A match that nobody has served yet is in the counter, but not in `ticks`. */

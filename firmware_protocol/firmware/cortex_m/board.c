@@ -19,6 +19,7 @@
 void on_systick(void);
 void on_uart0_received(void);
 void on_uart0_sent(void);
+void on_timer1(void);
 
 /* One context writes `end`, the other one `start`. */
 typedef struct {
@@ -52,6 +53,11 @@ static void send_next(void) {
 void on_uart0_sent(void) {
     UART0->interrupts = UART_SENT;
     send_next();
+}
+
+/* Wakes the main loop, and that is all. */
+void on_timer1(void) {
+    TIMER1->interrupts = 1;
 }
 
 void on_systick(void) {
@@ -147,7 +153,9 @@ static void start_hardware(void) {
     INTERRUPT_PRIORITY[0] = BYTES_PRIORITY;
     INTERRUPT_PRIORITY[1] = BYTES_PRIORITY;
     SYSTICK_PRIORITY = TICK_PRIORITY;
-    INTERRUPT_ENABLE = 3;
+    TIMER1->reload = HAPSIM_BOARD_PERIOD_TICKS / 2;
+    INTERRUPT_PRIORITY[9] = TICK_PRIORITY;
+    INTERRUPT_ENABLE = 1u << 0 | 1u << 1 | 1u << 9;
     SYSTICK->reload = HAPSIM_BOARD_PERIOD_TICKS - 1;
     SYSTICK->value = 0;
     SYSTICK->control = 7; /* counts cycles, interrupts */
@@ -183,9 +191,8 @@ int main(void) {
     for (;;) {
         while (take_byte()) {
         }
-        if (!hapsim_device_look()) {
-            rest();
-        }
+        TIMER1->control = hapsim_device_look() ? 9 : 0; /* counts, interrupts */
+        rest();
 #ifdef HAPSIM_BROKEN_TICK /* half a second after arming the tick dies: the hardware watchdog has to see it */
         if (hapsim_device_register(HAPSIM_REG_ACCEPTED) > 500) {
             SYSTICK->control = 0;

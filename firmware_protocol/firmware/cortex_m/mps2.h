@@ -1,5 +1,5 @@
-/* The registers of ARM's MPS2 board with the AN385 image (Cortex-M3, 25 MHz), as far as they are used: a UART, a timer
- * and a watchdog of the CMSDK, and the processor's own timer. QEMU emulates it: qemu-system-arm -M mps2-an385. */
+/* The registers of ARM's MPS2 board with the AN385 image (Cortex-M3, 25 MHz), as far as they are used: a UART, two
+ * timers and a watchdog of the CMSDK, and the processor's own timer. QEMU emulates it: qemu-system-arm -M mps2-an385. */
 #ifndef MPS2_H
 #define MPS2_H
 
@@ -19,6 +19,7 @@ typedef struct {
     reg control, value, reload, interrupts;
 } timer_registers;
 #define TIMER0 ((timer_registers *)0x40000000u)
+#define TIMER1 ((timer_registers *)0x40001000u)
 
 typedef struct {
     reg load, value, control, clear;

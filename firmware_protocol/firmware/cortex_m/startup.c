@@ -5,6 +5,7 @@ int main(void);
 void on_systick(void);
 void on_uart0_received(void);
 void on_uart0_sent(void);
+void on_timer1(void);
 void reset(void);
 
 extern uint32_t data_begin, data_end, data_in_flash, bss_begin, bss_end, stack_top;
@@ -34,5 +35,6 @@ typedef struct {
 
 __attribute__((section(".vectors"), used)) const vector_table vectors = {
     &stack_top,
-    {reset, stay, stay, stay, stay, stay, 0, 0, 0, 0, stay, stay, 0, stay, on_systick, on_uart0_received, on_uart0_sent},
+    {reset, stay, stay, stay, stay, stay, 0, 0, 0, 0, stay, stay, 0, stay, on_systick, on_uart0_received, on_uart0_sent,
+     stay, stay, stay, stay, stay, stay, stay, on_timer1},
 };
