@@ -71,8 +71,8 @@ def porting_blocks() -> dict[str, str]:
 
 
 def with_blocks(document: str, parts: dict[str, str] | None = None) -> str:
-    """The document with every generated part brought up to date, `blocks()` or others. ValueError where one has no place
-    in it."""
+    """The document with every generated part brought up to date, `blocks()` or others. ValueError where one has no
+    place in it."""
     for name, block in (blocks() if parts is None else parts).items():
         begin, end = f"<!-- made by make_vectors: {name} -->", f"<!-- end: {name} -->"
         around = re.split(f"{re.escape(begin)}.*?{re.escape(end)}", document, flags=re.DOTALL)
