@@ -61,11 +61,17 @@ def swinging(tmp_path: Path) -> Callable[[str], Path]:
 
 @contextlib.contextmanager
 def hosting(scene: Path, board: Any) -> Iterator[subprocess.Popen[str]]:
-    """A hapsim that plays with the board, which has put out some forces already."""
+    """A hapsim that plays with the board, which has put out some forces already. On a machine that is busy with other
+    tests the host may be held up for so long that the board latches: then it begins anew."""
     command = hapsim_command("run", scene, "--port", board.port, "--duration", 600)
-    host = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+    for _ in range(10):
+        before = len(board.forces())
+        host = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+        board.wait_for(lambda forces: len(forces) > before + 100 or host.poll() is not None)  # noqa: B023
+        if host.poll() is None:
+            break
+        host.communicate()
     try:
-        board.wait_for(lambda forces: len(forces) > 100)
         yield host
     finally:
         host.kill()
@@ -156,10 +162,18 @@ def test_a_tick_that_dies_ends_in_zero_force(
 ) -> None:
     """Neither time to live nor watchdog is looked at any more; the hardware watchdog is."""
     board = start_board(name, built_to_die)
-    with hosting(swinging("device"), board):
-        forces = board.wait_for(lambda forces: len(forces) > 400 and forces[-1][1] == 0)
-    assert forces[-2][1] != 0
-    if name != "linux":  # whose clock is its tick
-        assert forces[-1][0] - forces[-2][0] < 100 * PERIOD_US
+    for _ in range(10):
+        with hosting(swinging("device"), board) as host:
+            host.wait(300)
+        if name == "linux":
+            assert board.process.wait(60) == 1
+            break
         with connected(board) as connection:
-            assert describe(connection).channels == 1
+            describe(connection)
+            if read_register(connection, schema.REG_ACCEPTED) == 0:  # reset, and not only disarmed or latched
+                break
+    forces = board.forces()
+    assert forces[-1][1] == 0
+    assert forces[-2][1] != 0
+    if name == "avr":  # whose clock neither stops with its tick nor begins anew with its reset
+        assert forces[-1][0] - forces[-2][0] < 100 * PERIOD_US

@@ -1,8 +1,9 @@
 /* The firmware on a Cortex-M3: SysTick makes the tick, UART 0 is the port, the interrupt of its receiver comes before the
  * tick. In place of an encoder and a motor there is simulated_mass.c.
  *
- * The emulator is told each change of the force put out, a line of two hexadecimal words: microseconds, and counts. That
- * is semihosting: a real chip without a debugger stops at it, so a real board leaves note_force out.
+ * The emulator is told each change of the force put out, a line of two hexadecimal words: microseconds, and counts. They
+ * are those of the ticks: the emulator's clock goes on where its machine holds it up, and ticks are lost. That is done
+ * by semihosting: a real chip without a debugger stops at it, so a real board leaves note_force out.
  */
 #include "hapsim_board.h"
 #include "hapsim_device.h"
@@ -13,7 +14,7 @@
 #define RING 256u /* a power of two, above the longest frame */
 #define TICK_PRIORITY 0x80u
 #define BYTES_PRIORITY 0x40u
-#define CYCLES_PER_US 25u
+#define TICK_US 1000u
 #define WATCHDOG_PERIODS 30u /* to its first warning; as long again to the reset */
 
 void on_systick(void);
@@ -30,6 +31,7 @@ typedef struct {
 static ring received, to_send;
 static simulated_mass mass;
 static int32_t force;
+static uint32_t ticks;
 
 void on_uart0_received(void) {
     UART0->interrupts = UART_RECEIVED;
@@ -61,6 +63,7 @@ void on_timer1(void) {
 }
 
 void on_systick(void) {
+    ticks++;
     simulated_mass_move(&mass, force);
     hapsim_device_tick();
 }
@@ -101,10 +104,10 @@ static void in_hexadecimal(char *text, uint32_t word) {
     }
 }
 
-/* The whole line in one call. The clock wraps after 171 s: whoever reads it looks at differences. */
+/* The whole line in one call. */
 static void note_force(void) {
     static char line[] = "00000000 00000000\n";
-    in_hexadecimal(line, hapsim_port_now() / CYCLES_PER_US);
+    in_hexadecimal(line, ticks * TICK_US);
     in_hexadecimal(line + 9, (uint32_t)force);
     register uint32_t write_text __asm("r0") = 4;
     register const char *text __asm("r1") = line;
