@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from firmware_protocol import schema
-from firmware_protocol.sessions import HOST, PERIOD, Story
+from firmware_protocol.story import HOST, PERIOD, Story
 from firmware_protocol.vectors import frame
 
 QUIET = schema.HOST_QUIET

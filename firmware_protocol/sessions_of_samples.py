@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from firmware_protocol.sessions import HOST, LIMIT, PERIOD, Story
+from firmware_protocol.story import HOST, LIMIT, PERIOD, Story
 
 
 def force_acts_at_the_next_tick() -> Story:

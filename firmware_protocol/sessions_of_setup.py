@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from firmware_protocol import schema
-from firmware_protocol.sessions import DEVICE, HOST, LOCKSTEP, Story
+from firmware_protocol.story import DEVICE, HOST, LOCKSTEP, Story
 from firmware_protocol.vectors import frame
 
 VELOCITY = schema.WITH_VELOCITY

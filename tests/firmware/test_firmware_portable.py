@@ -117,7 +117,7 @@ def test_a_state_machine_that_is_broken_on_purpose_fails_a_session(name: str, ha
 
 
 def _outcomes(harness: Any, core: Path) -> list[str]:
-    from firmware_protocol.sessions import DEVICES, Story
+    from firmware_protocol.story import DEVICES, Story
 
     s = Story("7", "an armed device latches").arms(watchdog=2)
     s.host(s.answer(0, 5, lives=9))

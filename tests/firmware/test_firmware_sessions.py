@@ -10,7 +10,8 @@ import pytest
 
 from firmware_protocol import schema
 from firmware_protocol.make_vectors import DOCUMENT, SESSIONS, sessions_text
-from firmware_protocol.sessions import DEVICES, STATES, sessions
+from firmware_protocol.sessions import sessions
+from firmware_protocol.story import DEVICES, STATES
 
 TOLD = sessions()["sessions"]
 NAMES = [f"{at}-{entry['section']}-{entry['device']}" for at, entry in enumerate(TOLD)]
