@@ -174,6 +174,6 @@ def test_a_tick_that_dies_ends_in_zero_force(
                 break
     forces = board.forces()
     assert forces[-1][1] == 0
-    assert forces[-2][1] != 0
     if name == "avr":  # whose clock neither stops with its tick nor begins anew with its reset
+        assert forces[-2][1] != 0
         assert forces[-1][0] - forces[-2][0] < 100 * PERIOD_US
