@@ -187,6 +187,6 @@ def _shipped() -> Scene:
 
 
 def _hapsim_run() -> Run:
-    import hapsim
+    from hapsim.running import run
 
-    return hapsim.run
+    return run

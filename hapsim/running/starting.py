@@ -7,7 +7,8 @@ from collections.abc import Callable, Iterator
 from typing import Any, TypedDict
 
 from firmware_protocol.description import Description
-from hapsim.compiling.ahead import compile_ahead
+from hapsim.ahead.compile import compile_ahead
+from hapsim.ahead.prepare import MOCK_UNITS
 from hapsim.compiling.entries import compile_for
 from hapsim.compiling.progress import Counted, on_compilation
 from hapsim.device.connection import Connection
@@ -23,7 +24,6 @@ from hapsim.realtime import realtime as with_realtime
 from hapsim.running.assemble import Loop, assemble_loop, watchdog_samples
 from hapsim.running.compatibility import PACING, require_compatible
 from hapsim.running.excitation import Excitation
-from hapsim.running.preparing import MOCK_UNITS
 from hapsim.running.report import failure_of, trace_of
 from hapsim.running.session import Session
 from hapsim.scene import Scene

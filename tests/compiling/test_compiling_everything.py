@@ -12,12 +12,13 @@ from typing import Any
 import pytest
 
 from hapsim import shipped
-from hapsim.compiling.every_module import SCHEMES, scenes_with_every_module
+from hapsim.ahead import prepare as preparing
+from hapsim.ahead.every_module import SCHEMES, scenes_with_every_module
+from hapsim.ahead.prepare import Prepared, prepare
 from hapsim.compiling.progress import on_compilation
 from hapsim.cordis.program import compile_scene
 from hapsim.cordis.registry import PART_TYPES
-from hapsim.running import preparing, run
-from hapsim.running.preparing import Prepared, prepare
+from hapsim.running import run
 from hapsim.scene import Scene, parse_scene
 
 SCENE = "configs/first_touch.yaml"

@@ -501,9 +501,11 @@ def slow_swing(scheme: str, precision: str, ticks: int) -> np.ndarray:
     return by_the_tick(scene, np.zeros((ticks, 1)), ["m"])[1][:, 0]
 
 
-def test_a_stored_step_keeps_the_digits_of_a_slow_motion_in_single_precision() -> None:
+def test_a_stored_step_keeps_the_digits_of_a_slow_motion_in_single_precision(figures: Any) -> None:
     errors = {}
     for scheme in ("cordis", "semi_implicit"):
         swing = slow_swing(scheme, "single", 20_000)
         errors[scheme] = float(np.max(np.abs(swing - slow_swing(scheme, "double", 20_000)))) / 0.01
     assert errors["semi_implicit"] < 0.1 * errors["cordis"]
+    closer = errors["cordis"] / errors["semi_implicit"]
+    figures.note(f"single precision, a 2000th of the rate: semi_implicit is {closer:.0f} times closer than cordis")

@@ -258,11 +258,14 @@ UNDAMPED, STIFF, DAMPED = Numbers(a=0.45), Numbers(a=0.2, g=0.1), Numbers(a=0.3,
     [swinging_strings(UNDAMPED), swinging_strings(STIFF), swinging_membranes(Numbers(a=0.4))],
     ids=["string", "stiff string", "membrane"],
 )
-def test_an_undamped_mode_swings_as_the_closed_form_of_the_discrete_structure_says(swinging: list[Swinging]) -> None:
+def test_an_undamped_mode_swings_as_the_closed_form_of_the_discrete_structure_says(
+    swinging: list[Swinging], figures: Any
+) -> None:
     for one, z in zip(swinging, poles_of(swinging), strict=True):
         theta = 2.0 * np.arcsin(np.sqrt(one.numbers.a * one.spread + one.numbers.g * one.spread**2) / 2.0)
         assert np.angle(z) == pytest.approx(theta, rel=1e-9)
         assert abs(z) == pytest.approx(1.0, abs=1e-9)
+        figures.most("a mode's frequency off by, relative, double precision", abs(np.angle(z) / theta - 1.0))
 
 
 @pytest.mark.parametrize(
@@ -286,11 +289,13 @@ def test_a_damped_mode_dies_away_as_the_closed_form_says(swinging: list[Swinging
     [swinging_strings(Numbers(a=0.03)), swinging_strings(Numbers(a=0.03, g=0.01)), swinging_membranes(Numbers(a=0.03))],
     ids=["string", "stiff string", "membrane"],
 )
-def test_single_precision_keeps_the_frequency_of_a_slow_mode(swinging: list[Swinging]) -> None:
+def test_single_precision_keeps_the_frequency_of_a_slow_mode(swinging: list[Swinging], figures: Any) -> None:
     """Where the recurrence is worked out from differences: coefficients of 32 bits would be wrong by 1e-3."""
     swinging = [one for one in swinging if len(one.shape) <= 204]
     for one, z in zip(swinging, poles_of(swinging, "single"), strict=True):
-        assert np.angle(z) == pytest.approx(np.angle(expected_pole(one)), rel=1e-5)
+        expected = np.angle(expected_pole(one))
+        assert np.angle(z) == pytest.approx(expected, rel=1e-5)
+        figures.most("a mode's frequency off by, relative, single precision", abs(np.angle(z) / expected - 1.0))
 
 
 def undamped(rng: np.random.Generator, ends: tuple[str, str], edges: Sequence[tuple[str, ...]]) -> Scene:

@@ -19,7 +19,7 @@ from firmware_protocol import schema
 from firmware_protocol.decoder import Frame, frames_in, new_decoder, use_format
 from firmware_protocol.description import Description, to_registers
 from firmware_protocol.frames import SETUP, armed_format, frame_to_host
-from hapsim.compiling.ahead import UNITS
+from hapsim.ahead.compile import UNITS
 from hapsim.device.connection import Connection
 from hapsim.device.mock.assemble import assemble_mock
 from hapsim.device.mock.terminal import serving

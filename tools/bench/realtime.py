@@ -1,4 +1,4 @@
-"""Ten seconds of first_touch at 1 kHz in real time over a pseudo-terminal, for each clock: rate, late ticks, k and b.
+"""Ten seconds of first_touch at 1 kHz in real time over a pseudo-terminal: rate, deadline misses, k and b by clock.
 
     tools/bench/realtime [--seconds 10] [--rounds 3]
 
@@ -70,7 +70,7 @@ def main() -> None:
             results.append(run_once(clock, arguments.seconds, felt))
     print(f"{os.cpu_count()} cores, {platform.system()} {platform.release()}, Python {platform.python_version()};")
     print(f"1 kHz, {arguments.seconds:g} s, {arguments.rounds} rounds: median [least, most]\n")
-    print("| clock | rate Hz | late ticks | oldest force, samples | latest, ms | k off by | b off by |")
+    print("| clock | rate Hz | deadline misses | oldest force, samples | latest, ms | k off by | b off by |")
     print("|---|---|---|---|---|---|---|")
     for clock, results in rounds.items():
         cells = [

@@ -1,7 +1,7 @@
 """What can be compiled before a run needs it, in two processes side by side.
 
 A run needs the loop and, where the device is a mock in this process, that; neither knows the other. Beside them there
-is what scenes are made of. `python -m hapsim.compiling.ahead mock` is the second process: it prints the name of each
+is what scenes are made of. `python -m hapsim.ahead.compile mock` is the second process: it prints the name of each
 function as it begins, and leaves what it compiled where the first finds it.
 """
 
@@ -40,7 +40,7 @@ class _Modules(NamedTuple):
     precision: str
 
     def address(self) -> None:
-        from hapsim.compiling.every_module import scenes_with_every_module
+        from hapsim.ahead.every_module import scenes_with_every_module
         from hapsim.cordis.program import compile_scene
         from hapsim.cordis.succession import take_over_from
 
@@ -186,7 +186,7 @@ def _beside(names: Sequence[str], heard: Callable[[str], None]) -> Iterator[Call
 def _start_compiling(names: Sequence[str]) -> subprocess.Popen[str] | None:
     """The process; None where Python cannot be started a second time, as when it stands inside another program."""
     # What stands beside a user's scenes is no module of ours: -P keeps it out, and the paths are this process's own.
-    command = [sys.executable or "", "-P", "-m", "hapsim.compiling.ahead", *names]
+    command = [sys.executable or "", "-P", "-m", "hapsim.ahead.compile", *names]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
     streams: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
     try:

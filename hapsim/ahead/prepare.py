@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from hapsim.compiling.ahead import UNITS, compile_ahead
+from hapsim.ahead.compile import UNITS, compile_ahead
 from hapsim.compiling.entries import directory_of_kept_code
 from hapsim.compiling.progress import Counted, on_compilation
 from hapsim.cordis.program import compile_scene
@@ -18,7 +18,7 @@ from hapsim.progress import Progress
 from hapsim.scene import Scene
 
 MOCK_UNITS: dict[Place, tuple[str, ...]] = {"port": (), "terminal": ("port", "mock"), "loopback": ("loopback",)}
-"""What a device takes beside the loop, by where it is; its names are those of hapsim.compiling.ahead."""
+"""What a device takes beside the loop, by where it is; its names are those of hapsim.ahead.compile."""
 
 
 @dataclass(frozen=True)
