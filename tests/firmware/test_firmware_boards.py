@@ -96,8 +96,9 @@ def test_a_first_touch_feels_as_predicted(name: str, start_board: Start) -> None
     assert ran.returncode == 0, ran.stderr
     document = json.loads(ran.stdout)
     predicted, measured = document["predicted"], document["measured"]
-    assert measured["k"] == pytest.approx(predicted["k"], rel=1e-6)
-    assert measured["b"] == pytest.approx(predicted["b"], rel=1e-5)
+    # Of few samples, where most forces came late, it is as exact as it says itself.
+    assert measured["k"] == pytest.approx(predicted["k"], rel=1e-6, abs=5 * measured["k_uncertainty"])
+    assert measured["b"] == pytest.approx(predicted["b"], rel=1e-5, abs=5 * measured["b_uncertainty"])
 
 
 @pytest.mark.parametrize("name", BOARDS)
@@ -123,8 +124,10 @@ def test_a_host_that_is_gone_leaves_no_force(
         if number == signal.SIGKILL:
             host.wait()
         last = board.wait_for(lambda forces: forces[-1][1] == 0)[-2:]
-        # The force of the last answer, and its end: by the board's clock no later than its time to live allows.
-        assert last[1][0] - last[0][0] <= (TIME_TO_LIVE + 1.75) * PERIOD_US
+        # The force of the last answer, and its end: by the board's clock no later than its time to live allows. One of
+        # the boards tells the time in whole samples.
+        allowed = TIME_TO_LIVE + (2 if clock == "host" else 1.5)
+        assert last[1][0] - last[0][0] <= allowed * PERIOD_US
         seen = len(board.forces())
         if number == signal.SIGSTOP:
             time.sleep(2.0)  # the watchdog lasts a tenth of a second; the port is the stopped host's meanwhile

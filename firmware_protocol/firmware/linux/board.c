@@ -143,13 +143,12 @@ static void tick_when_due(void) {
         return;
     }
     clock_at_tick += HAPSIM_BOARD_PERIOD_TICKS;
-    ticked = due;
+    ticked = now_ns();
     due += period;
     simulated_mass_move(&mass, force);
     hapsim_device_tick();
     if (now_ns() >= due) { /* a device's timer is never late, but this machine was: no burst of ticks */
-        ticked = now_ns();
-        due = ticked + period;
+        due = now_ns() + period;
     }
 }
 
