@@ -1,5 +1,5 @@
-/* A million streams of frames, damaged at random, through the decoder: `mutations COUNT SEED`. Built with sanitizers, so
- * that a byte read or written out of place ends it. What was accepted undamaged has to be what was sent. */
+/* Streams of frames, damaged at random, through the decoder: `mutations COUNT SEED`. Built with sanitizers, so that a
+ * byte read or written out of place ends it. What was accepted undamaged has to be what was sent. */
 #include "hapsim_protocol.h"
 
 #include <stdio.h>
@@ -20,8 +20,9 @@ static hapsim_format random_format(void) {
     return chance(4) ? hapsim_armed_format(channels, chance(2)) : hapsim_setup_format();
 }
 
-/* A frame of the host, as the host would write it: the header can only write those of the device. */
-static size_t write_to_device(const hapsim_format *format, uint8_t *out, uint8_t type, uint16_t number) {
+/* A frame of the host, as the host would write it: the header can only write those of the device. `spoilt`: a byte of
+ * what is encoded is wrong, a code perhaps, and the check is right over it. */
+static size_t write_to_device(const hapsim_format *format, uint8_t *out, uint8_t type, uint16_t number, bool spoilt) {
     size_t at = 1;
     out[at++] = (uint8_t)(type << 4 | number >> 8);
     out[at++] = (uint8_t)number;
@@ -29,6 +30,9 @@ static size_t write_to_device(const hapsim_format *format, uint8_t *out, uint8_t
         out[at++] = chance(3) ? (uint8_t)chance(256) : 0;
     }
     hapsim_stuff(out, at);
+    if (spoilt) {
+        out[chance((uint32_t)at)] = (uint8_t)(1 + chance(255));
+    }
     const uint32_t check = hapsim_check(format, out, at);
     for (uint8_t i = 0; i < hapsim_check_bytes(format); i++) {
         out[at++] = hapsim_check_byte(check, i);
@@ -54,7 +58,7 @@ static bool reads_back(hapsim_decoder *decoder, const hapsim_format *format) {
     uint8_t bytes[HAPSIM_RECENT];
     const uint8_t type = (uint8_t)(1 + chance(4));
     const uint16_t number = (uint16_t)chance(4096);
-    const size_t count = write_to_device(format, bytes, type, number);
+    const size_t count = write_to_device(format, bytes, type, number, false);
     bool accepted = false;
     for (size_t i = 0; i < count; i++) {
         accepted = hapsim_take_byte(decoder, bytes[i]);
@@ -74,7 +78,8 @@ int main(int count, char **words) {
         hapsim_use_format(&decoder, format);
         for (uint32_t frames = 1 + chance(2); frames > 0; frames--) {
             const hapsim_format spoken = chance(8) ? format : random_format();
-            length += write_to_device(&spoken, bytes + length, (uint8_t)chance(16), (uint16_t)chance(4096));
+            const uint16_t number = (uint16_t)chance(4096);
+            length += write_to_device(&spoken, bytes + length, (uint8_t)chance(16), number, chance(4) == 0);
         }
         length = damage(bytes, length);
         for (size_t at = 0; at < length; at++) {
