@@ -64,13 +64,13 @@ def _tick_goes_on(probing: Probing, session: Session, samples: int) -> bool:
     began = session.newest
     went_on = session.run(_BEFORE, session.zero)
     after = (session.newest.n - began.n) / max(session.newest.at_s - began.at_s, 1e-9)
-    steady = all(abs(kept / probing.device.rate_hz - 1.0) < _STEADY for kept in (rate, after))
+    probing.steady = all(abs(kept / probing.device.rate_hz - 1.0) < _STEADY for kept in (rate, after))
     elapsed = (session.newest.at_s - first.at_s) * rate
     passed = session.newest.n - first.n
     numbers = [sample.n for sample in session.samples]
     lost = passed + 1 - sum(n >= first.n for n in numbers)
     found = f"{passed} samples in {elapsed:.0f} periods of the host's clock, {lost} dropped"
-    if passed < _WENT_ON * elapsed and not steady:
+    if passed < _WENT_ON * elapsed and not probing.steady:
         why = f"{found}: but it kept {rate:.0f} Hz before and {after:.0f} Hz after, too unsteady to tell"
         probing.findings.not_seen("tick_goes_on", why)
     elif passed < _WENT_ON * elapsed:
@@ -134,10 +134,8 @@ def _watchdog_while_blocked(probing: Probing, samples: int, kept_hz: float, *, v
     wire.release()
     found = f"watchdog {watchdog}, {_UNREAD * watchdog:.0f} periods unread"
     look_at = f"the watchdog is counted in the tick. {_NEVER_WAIT[0].upper()}{_NEVER_WAIT[1:]}"
-    if fault != schema.HOST_QUIET and abs(kept_hz / probing.device.rate_hz - 1.0) > _STEADY:
-        findings.not_seen(
-            "watchdog_blocked", f"{found}: but it kept only {kept_hz:.0f} Hz before, too unsteady to tell"
-        )
+    if fault != schema.HOST_QUIET and not probing.steady:
+        findings.not_seen("watchdog_blocked", f"{found}: not latched yet, but the rate is too unsteady to tell")
     elif fault != schema.HOST_QUIET:
         findings.failed("watchdog_blocked", f"{found}: not latched when the host read again", look_at)
     elif newest >= watchdog:

@@ -32,6 +32,8 @@ class Probing:
     findings: Findings = field(default_factory=Findings)
     description: Description | None = None
     leave: Leave | None = None
+    steady: bool = True
+    """Whether the device kept its rate while the host did not read, as far as that can be told."""
     response: float | None = None
     """m/s² per N, as the pushes found it."""
 

@@ -57,6 +57,7 @@ class Pusher:
         if self._home is not None and abs(self.position(sample) - self._home) > self.leave.travel:
             self.session.zero(sample)
             raise TravelledError
+        force = min(max(force, -self.leave.force), self.leave.force)  # whoever asks
         counts = [0] * (self.leave.channel + 1)
         counts[self.leave.channel] = math.trunc(force / self.force_scale)
         self.forces[sample.n] = counts[self.leave.channel] * self.force_scale

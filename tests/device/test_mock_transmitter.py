@@ -37,12 +37,12 @@ def read_all(far: int) -> bytes:
 
 
 def test_what_finds_no_room_is_dropped_as_whole_frames(pipe: tuple[int, int]) -> None:
-    """Several frames at a time, so that the room ends in the middle of one."""
+    """14 kB at a time, of which a pipe takes what fits: the room ends in the middle of a frame."""
     far, near = pipe
     transport = transmitter_transport(near)
     data, dropped = b"", 0
-    for first in range(0, len(FRAMES), 100):
-        dropped += transport.send(b"".join(FRAMES[first : first + 100])) == FAILED
+    for first in range(0, len(FRAMES), 1000):
+        dropped += transport.send(b"".join(FRAMES[first : first + 1000])) == FAILED
         if first % 9000 == 0:
             data += os.read(far, 5000)  # not at a frame's end
     for _ in range(2):  # what was begun is ended once there is room, though nothing new is sent

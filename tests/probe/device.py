@@ -109,7 +109,7 @@ class Device:
         self.pacings = options.get("pacings", 3)
         self.max_watchdog = options.get("max_watchdog", 2047)
         self.senses = options.get("senses", True)
-        self.scale, self.force_scale, self.limit = 1e-8, 1e-7, options.get("limit", 10.0)
+        self.scale, self.force_scale, self.limit = options.get("scale", 1e-8), 1e-7, options.get("limit", 10.0)
         self.bodies = [Mass(0.2, 1.0) for _ in range(self.channels)]
         self.wire, self.rest, self.unsent, self.waiting, self.torn = SETUP, b"", b"", b"", False
         self.state, self.fault, self.pacing, self.watchdog = IDLE, 0, 0, 0
@@ -237,7 +237,8 @@ class Device:
 
     @property
     def period(self):
-        return 1.0 / self.rate / (1.02 if "fast" in self.faults else 1.0)
+        slower = 4.0 if "slows_down" in self.faults and self.n > 150 else 1.0
+        return slower / self.rate / (1.02 if "fast" in self.faults else 1.0)
 
     def take_force(self, number, time_to_live, words):
         age = (self.n - number) & 4095

@@ -58,6 +58,13 @@ def test_a_whole_device_passes_the_pushes_that_stay_within_the_leave(new_bench: 
     assert 0.4 < bench.device.largest <= 0.5
 
 
+def test_a_coarse_encoder_takes_the_whole_leave_and_longer_pushes(new_bench: NewBench) -> None:
+    bench = new_bench(scale=2e-5)
+    checks = judged(bench, "push", leave=GENTLE)
+    assert checks["sign"].result == "pass", told(checks)
+    assert bench.device.largest == pytest.approx(0.5, abs=1e-6)
+
+
 def test_a_leave_below_the_limit_does_not_ask_for_more(new_bench: NewBench) -> None:
     bench = new_bench()
     checks = judged(bench, "push", leave=GENTLE)
@@ -215,3 +222,9 @@ def test_a_slow_device_is_not_taken_for_one_that_waits(new_bench: NewBench) -> N
     bench = new_bench(channels=1, registers={4: 0, 5: 0x408F4000})  # says 1000 Hz, keeps 500
     checks = judged(bench, "blocked")
     assert failed(checks) == set(), told(checks)
+
+
+def test_a_device_that_slows_down_meanwhile_is_too_unsteady_to_tell(new_bench: NewBench) -> None:
+    checks = judged(new_bench("slows_down", channels=4), "blocked")
+    assert failed(checks) == set(), told(checks)
+    assert "too unsteady to tell" in checks["tick_goes_on"].found
