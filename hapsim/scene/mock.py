@@ -37,6 +37,13 @@ class Mock(Part):
     quantum: Annotated[float, Quantity("Step of the position on the wire", "m per count", above=0)] = 1.0e-9
     noise: Annotated[float, Quantity("Noise of the position sensor", "m rms", least=0)] = 0.0
     seed: Annotated[int, Count("Seed of the noise: the same seed, the same run", 0, 2**32 - 1)] = 0
+    baud: Annotated[
+        int | None, Count("Speed of the mock's UART", 1, 100_000_000, "bit/s", left_out="bytes take no time")
+    ] = None
+    turnaround: Annotated[
+        float,
+        Quantity("What the mock takes before a position's first byte and after a force's last", "s", least=0, most=1),
+    ] = 0.0
 
 
 @dataclass(frozen=True)
@@ -56,6 +63,8 @@ class MockDevice:
         quantum: step of the position on the wire, m per count.
         noise: noise of the position sensor, m rms.
         seed: seed of that noise.
+        baud: speed of its UART, bit/s; None where bytes take no time.
+        turnaround: what it takes before a position's first byte and after a force's last, together, s.
     """
 
     mass: tuple[float, ...]
@@ -71,6 +80,8 @@ class MockDevice:
     quantum: float
     noise: float
     seed: int
+    baud: int | None = None
+    turnaround: float = 0.0
 
     @property
     def channels(self) -> int:
@@ -95,4 +106,6 @@ def resolve(device: Device, mock: Mock | None, channels: int) -> MockDevice:
         quantum=mock.quantum,
         noise=mock.noise,
         seed=mock.seed,
+        baud=mock.baud,
+        turnaround=mock.turnaround,
     )

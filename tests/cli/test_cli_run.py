@@ -25,7 +25,7 @@ def test_a_run_prints_one_document_with_the_keys_of_the_contract(
     assert (document["ticks"], document["rate_hz"], document["ending"]) == (500, 1000, "done")
 
 
-def test_a_run_is_told_as_a_table(hapsim: Callable[..., Any], scene_file: Callable[..., Path]) -> None:
+def test_a_run_is_reported_as_a_table(hapsim: Callable[..., Any], scene_file: Callable[..., Path]) -> None:
     answer = hapsim("run", scene_file("spring"), "--duration", 0.5)
     assert answer.status == 0
     assert "virtual time" in answer.out

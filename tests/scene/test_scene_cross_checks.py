@@ -1,4 +1,4 @@
-"""Parts of a scene that do not fit together are told where they stand."""
+"""Parts of a scene that do not fit together are errors, each where it stands."""
 
 from collections.abc import Callable
 
@@ -37,25 +37,25 @@ def test_a_link_has_to_join_two_points(only_fault: OnlyFault, between: str, told
     assert only_fault("[hand, wall]", between) == told
 
 
-def test_a_link_to_a_link_is_told(only_fault: OnlyFault) -> None:
+def test_a_link_to_a_link_is_reported(only_fault: OnlyFault) -> None:
     assert only_fault("modules:\n", "modules:\n  l: {type: viscoelastic, between: [hand, touch], stiffness: 1}\n") == (
         "5:43: between[1]: found 'touch', which is a link; expected a point: a link joins points, not links"
     )
 
 
-def test_a_link_between_two_grounds_is_told(faults: Faults, good: str) -> None:
+def test_a_link_between_two_grounds_is_reported(faults: Faults, good: str) -> None:
     assert faults(good.replace("[hand, wall]", "[wall, floor]") + "  floor: {type: ground}\n") == [
         "7:40: between: found 'wall' and 'floor', of which neither can move; expected one end that can"
     ]
 
 
-def test_two_modules_on_one_channel_are_told_at_the_second(faults: Faults, good: str) -> None:
+def test_two_modules_on_one_channel_are_reported_at_the_second(faults: Faults, good: str) -> None:
     assert faults(good + "  left: {type: device, channel: 0}\n") == [
         "8:33: channel: found 0, which 'hand' has already; expected a channel of its own"
     ]
 
 
-def test_a_scene_without_a_hand_is_told(faults: Faults, good: str) -> None:
+def test_a_scene_without_a_hand_is_reported(faults: Faults, good: str) -> None:
     without = "4:1: modules: found no module of type device, expected at least one: it is what the hand holds"
     assert faults(good.replace("type: device, channel: 0", "type: mass, mass: 1")) == [without]
     assert faults(good[: good.index("modules")] + "modules: {}") == [without]
@@ -118,7 +118,7 @@ def test_a_link_to_a_faulty_module_is_no_fault_of_the_link(only_fault: OnlyFault
     )
 
 
-def test_in_a_very_large_scene_dangling_names_are_told_quickly(faults: Faults, good: str) -> None:
+def test_in_a_very_large_scene_dangling_names_are_reported_quickly(faults: Faults, good: str) -> None:
     links = [f"  l{i}: {{type: viscoelastic, between: [hand, x{i}], stiffness: 1}}\n" for i in range(600)]
     told = faults(good + "".join(links))
     assert len(told) == 600

@@ -55,7 +55,7 @@ def test_a_link_may_hold_any_mass_of_a_structure(good: str, end: str) -> None:
         ("skin.a.b", OF_SKIN),
     ],
 )
-def test_a_place_that_a_structure_does_not_have_is_told(faults: Faults, good: str, end: str, told: str) -> None:
+def test_a_place_that_a_structure_does_not_have_is_reported(faults: Faults, good: str, end: str, told: str) -> None:
     assert faults(text_with(good, end=end)) == [f"10:46: between[1]: found '{end}', {told}"]
 
 
@@ -90,7 +90,7 @@ def test_a_place_of_thousands_of_digits_is_a_fault_like_any_other(faults: Faults
         ("columns: 6", "columns: 6, edgs: [free]", f"edgs: unknown key, {KEYS_OF_A_MEMBRANE}"),
     ],
 )
-def test_what_is_no_membrane_is_told(faults: Faults, good: str, old: str, new: str, told: str) -> None:
+def test_what_is_no_membrane_is_reported(faults: Faults, good: str, old: str, new: str, told: str) -> None:
     (fault,) = faults(text_with(good, skin=SKIN.replace(old, new)))
     assert fault.split(": ", 1)[1] == told
     assert fault.startswith("9:")
@@ -109,7 +109,7 @@ def test_what_is_no_membrane_is_told(faults: Faults, good: str, old: str, new: s
         ("ends: [fixed, loose]", "8:76: ends[1]: found 'loose' (text), expected fixed or clamped or free"),
     ],
 )
-def test_what_is_no_string_is_told(faults: Faults, good: str, more: str, told: str) -> None:
+def test_what_is_no_string_is_reported(faults: Faults, good: str, more: str, told: str) -> None:
     (fault,) = faults(text_with(good, string=f"{STRING}, {more}"))
     assert fault == told
 

@@ -104,7 +104,7 @@ def test_margins_that_take_too_long_are_said_to_be_missing(scheme: str) -> None:
 
 
 @pytest.mark.parametrize("scheme", ["rk4", "midpoint", "exact"])
-def test_what_a_network_is_told_is_checked(scheme: str) -> None:
+def test_what_a_network_is_given_is_checked(scheme: str) -> None:
     known = vars(string(scheme, 3 + 9))
     with pytest.raises(ValueError, match="scheme"):
         Network(**{**known, "scheme": "euler"})

@@ -18,6 +18,7 @@ class Ends(Expectation):
         return "the names of two modules, such as [hand, wall]"
 
     def check(self, value: object) -> tuple[str, str]:
+        """Two names; whether modules are called so is for `Link.issues`. An error through `unexpected`."""
         if not isinstance(value, list | tuple) or len(value) != 2:
             unexpected(self.expected())
         for index, name in enumerate(value):
@@ -26,6 +27,7 @@ class Ends(Expectation):
         return value[0], value[1]
 
     def json_schema(self) -> dict[str, Any]:
+        """A list of two names."""
         return {
             "description": "The two modules that it joins, by name",
             "type": "array",

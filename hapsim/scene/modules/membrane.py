@@ -49,6 +49,7 @@ class Membrane(Structure):
         return [self.position] * (self.rows * self.columns)
 
     def elements(self) -> Elements:
+        """Each mass on its neighbours and on what holds an edge, and its friction on what stays, row by row."""
         count = self.rows * self.columns
         links = [(*pair, self.stiffness, self.damping) for pair in self._neighbours()]
         if self.friction:

@@ -63,6 +63,7 @@ class String(Structure):
         return numbers.words()[0]
 
     def initial_positions(self) -> list[float]:
+        """In m: where it rests, or in the triangle in which the pluck holds it."""
         if self.pluck is None:
             return [self.position] * self.masses
         at, by, masses = self.pluck.at, self.pluck.by, self.masses

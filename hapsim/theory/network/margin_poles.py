@@ -1,4 +1,4 @@
-"""By how much one link may grow, by the poles themselves: those of the loop with that link multiplied."""
+"""A link's gain margin by the poles themselves: those of the loop with that link multiplied."""
 
 from __future__ import annotations
 
@@ -50,6 +50,7 @@ class Varied:
         self._network, self._link, self._name = network, link, ("stiffness", "damping")[of]
 
     def radius(self, factor: float) -> float:
+        """The spectral radius with that factor; infinity where the loop's matrix is not finite."""
         value = getattr(self._network, self._name).copy()
         value[self._link] *= factor
         changed = replace(self._network, **{self._name: value})
