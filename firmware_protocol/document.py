@@ -1,4 +1,4 @@
-"""The parts of PROTOCOL.md and PORTING.md that follow from the code: constants, link budget, example bytes, hex words.
+"""What of PROTOCOL.md and PORTING.md follows from the code: constants, time on the wire, example bytes, hex words.
 
 They stand in a document between two comment lines and are written by `make_vectors`, so that they cannot differ from
 what the codec does.
@@ -13,9 +13,9 @@ from typing import NamedTuple
 from firmware_protocol import schema
 from firmware_protocol.frames import Format
 from firmware_protocol.vectors import FORMATS, TO_DEVICE, TYPES, frame
+from firmware_protocol.wire_time import BITS_PER_BYTE, HOST_WORK_S
 
 BAUDS = (115_200, 921_600, 2_000_000)
-_BITS_PER_BYTE = 10  # on a UART: start, eight bits, stop
 
 
 class _Example(NamedTuple):
@@ -59,8 +59,8 @@ def blocks() -> dict[str, str]:
     return {
         "constants": _constants(),
         "schema": f"```text\n{schema.SCHEMA}```",
-        "link budget": _wire_time(velocity=False),
-        "link budget with velocities": _wire_time(velocity=True),
+        "time on the wire": _wire_time(velocity=False),
+        "time on the wire with velocities": _wire_time(velocity=True),
         "examples": "\n\n".join(_annotated(example) for example in _EXAMPLES),
     }
 
@@ -103,7 +103,7 @@ def _wire_time(velocity: bool) -> str:
     ]
     for channels in range(1, schema.MAX_CHANNELS + 1):
         host, device = (schema.frame_bytes(channels, to_device, velocity) for to_device in (False, True))
-        times = [1e3 * _BITS_PER_BYTE * (host + device) / baud for baud in BAUDS]
+        times = [1e3 * BITS_PER_BYTE * (host + device) / baud for baud in BAUDS]
         cells = [f"{channels}", f"{host} B", f"{device} B", f"{host + device} B", *(f"{t:.3f} ms" for t in times)]
         lines.append("| " + " | ".join(cells) + " |")
     return "\n".join(lines)
@@ -148,7 +148,6 @@ def _hex(data: bytes) -> str:
 
 
 _PORTING_BAUDS = (115_200, 250_000, 500_000, 921_600, 1_000_000, 2_000_000)
-_HOST_S = 50e-6  # what a host takes for an exchange, on a quiet machine
 _DOUBLES = (
     (1e-9, "1 nm, 1 nN"),
     (1e-8, "10 nm, 10 nN"),
@@ -177,7 +176,7 @@ def _baud_and_rate() -> str:
         cells = []
         for n in channels:
             exchange = sum(schema.frame_bytes(n, to_device, velocity=False) for to_device in (False, True))
-            seconds = exchange * _BITS_PER_BYTE / baud + _HOST_S
+            seconds = exchange * BITS_PER_BYTE / baud + HOST_WORK_S
             cells.append(f"{_rate(1.0 / seconds)} / {_rate(2.0 / seconds)}")
         lines.append(f"| {baud} | {' | '.join(cells)} |")
     return "\n".join(lines)

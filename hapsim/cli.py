@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import io
 import os
 import sys
@@ -15,9 +14,12 @@ from hapsim.commands.arguments import complain
 from hapsim.commands.check import check
 from hapsim.commands.device import mock, ports
 from hapsim.commands.doctor import doctor
+from hapsim.commands.frames import frames
 from hapsim.commands.measure import measure
 from hapsim.commands.prepare import compile_, new, schema
+from hapsim.commands.probe import probe
 from hapsim.commands.run import run
+from hapsim.console.guarded_output import guarded_output, is_full
 from hapsim.errors import HapsimError
 
 _WRONG_COMMAND_LINE = 2
@@ -29,7 +31,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for _command in (run, check, measure, doctor, mock, compile_, ports, new, schema):
+for _command in (run, check, measure, doctor, probe, frames, mock, compile_, ports, new, schema):
     app.command(_command.__name__.rstrip("_"))(_command)
 app.add_typer(chart)
 
@@ -57,6 +59,7 @@ def _about_hapsim(
     """A real-time haptic simulator that tells what stiffness and damping the hand really feels."""
 
 
+@guarded_output()
 def main() -> None:
     """The command line: every failure is a sentence and an exit status, and with --json a document of both."""
     for stream in (sys.stdout, sys.stderr):
@@ -68,15 +71,8 @@ def main() -> None:
         _fail(str(error), error.exit_status)
     except SystemExit as ending:
         _end_as_typer_does(ending)
-    except BrokenPipeError:
-        # Whoever read our output has seen enough; nothing is left to say to them.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        sys.exit(0)
     except Exception as error:
-        if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
-            complain(f"hapsim: the output cannot be written: {error.strerror}")
-            sys.exit(2)
-        if os.environ.get("HAPSIM_TRACEBACK"):
+        if isinstance(error, BrokenPipeError) or is_full(error) or os.environ.get("HAPSIM_TRACEBACK"):
             raise
         _fail(
             f"hapsim: a defect of hapsim itself: {type(error).__name__}: {error}\n"

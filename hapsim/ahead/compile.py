@@ -40,6 +40,7 @@ class _Modules(NamedTuple):
     precision: str
 
     def address(self) -> None:
+        """Compiles them, or loads them, by asking each for its address."""
         from hapsim.ahead.every_module import scenes_with_every_module
         from hapsim.cordis.program import compile_scene
         from hapsim.cordis.succession import take_over_from
@@ -90,9 +91,10 @@ def _mock() -> list[_Entry | PlainNative]:
     from hapsim.device.mock.firmware import FUNCTIONS, MOCK
     from hapsim.device.mock.motion import move_gliding
     from hapsim.device.mock.serve import SERVICE, serve
+    from hapsim.device.mock.transmitter import receive, send
 
     serving = _Entry(serve, (new_record(MOCK), new_record(SERVICE)))
-    return [*FUNCTIONS.values(), move_gliding, serving]
+    return [*FUNCTIONS.values(), move_gliding, receive, send, serving]
 
 
 def _loopback() -> list[PlainNative]:
@@ -107,6 +109,13 @@ def _motion() -> list[PlainNative]:
     from hapsim.device.mock.motion import move_free, move_on_spring
 
     return [move_free, move_on_spring]
+
+
+def _wire() -> list[PlainNative]:
+    from hapsim.device.mock import uart
+    from hapsim.device.mock.late_force import take_late_force
+
+    return [take_late_force, uart.receive, uart.send]
 
 
 def _changes() -> list[_Entry | PlainNative]:
@@ -136,6 +145,7 @@ UNITS: dict[str, Unit] = {
     "mock": Unit(45, _mock, beside=True, calls_system=True),
     "loopback": Unit(39, _loopback, beside=True),
     "motion": Unit(12, _motion, beside=True),
+    "wire": Unit(14, _wire, beside=True, calls_system=True),
     "changes": Unit(8, _changes),
     "portable": Unit(40, _portable, beside=True),
     "modules": Unit(130, lambda: [_Modules("double")]),

@@ -14,6 +14,7 @@ from hapsim.cordis.program import compile_scene
 from hapsim.device.mock.assemble import assemble_mock
 from hapsim.device.open_connection import Place, place_of_device
 from hapsim.loop.only_linux import missing_calls
+from hapsim.prediction.wire import wire_of
 from hapsim.progress import Progress
 from hapsim.scene import Scene
 
@@ -36,6 +37,8 @@ def prepare(scenes: Sequence[Scene] = (), on_progress: Callable[[Progress], None
     scene could need. Afterwards nothing is compiled at their start."""
     places = {place_of_device(scene) for scene in scenes}
     names = {"loop", "port", "changes"}.union(*(MOCK_UNITS[place] for place in places)) if scenes else set(UNITS)
+    if any(wire_of(scene) == "mock" for scene in scenes):
+        names.add("wire")
     if missing_calls():
         names = {name for name in names if not UNITS[name].calls_system} | {"portable"}
     begun = time.monotonic()

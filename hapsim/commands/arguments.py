@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from hapsim.console.sentences import say
 from hapsim.errors import UsageError
 
 if TYPE_CHECKING:
@@ -36,6 +37,7 @@ def seconds_above_zero(value: float | None) -> float | None:
 
 
 def load(path: str, port: str | None = None) -> Scene:
+    """The scene of a file, on `port` where one is given. SceneError where it is none."""
     from hapsim.scene import load_scene
 
     scene = load_scene(path)
@@ -45,6 +47,7 @@ def load(path: str, port: str | None = None) -> Scene:
 
 
 def transport_kind(mock: bool, transport: str | None, port: str | None) -> Any:
+    """Where the device is, a TransportKind, by three options. UsageError where they contradict each other."""
     if port is not None and (mock or transport is not None):
         raise UsageError("--port names a device, --mock and --transport the mock: found both, expected one of them")
     if transport is not None and transport not in ("loopback", "terminal"):
@@ -69,7 +72,7 @@ def say_written(picture: Path | None = None, data: Path | None = None, record: P
     """Which files were written."""
     for what, path in (("Picture", picture), ("Its numbers", data), ("Trace", record)):
         if path is not None:
-            print(f"{what}: {path}")
+            say(f"{what}: {path}")
 
 
 def predict_and_warn(scene: Scene) -> None:
@@ -83,12 +86,12 @@ def warn(scene: Scene, prediction: Prediction) -> None:
     from hapsim.prediction import warnings_about
 
     for warning in warnings_about(scene, prediction):
-        print(f"Warning: {warning}", file=sys.stderr)
+        complain(f"Warning: {warning}")
 
 
 def complain(problem: object) -> None:
-    """What went wrong, on standard error; plain, not through rich: a path in it is to be copied, not wrapped."""
-    print(problem, file=sys.stderr)
+    """What went wrong, on standard error."""
+    say(problem, sys.stderr)
 
 
 def stdout() -> Any:

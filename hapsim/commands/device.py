@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from hapsim.commands.arguments import Json, SceneFile, load, stderr
+from hapsim.commands.arguments import Json, SceneFile, complain, load, stderr, stdout
 
 
 def mock(
@@ -37,10 +37,12 @@ def ports(json: Json = False) -> None:
 
         print(document({"ports": found}))
         return
-    for port in found:
-        print(f"{port['port']}\t{port['description']}\t{port['hardware']}")
     if not found:
-        stderr().print("No serial port was found. `hapsim mock SCENE` serves a device without hardware.")
+        complain("No serial port was found. `hapsim mock SCENE` serves a device without hardware.")
+        return
+    from hapsim.console.tables import show_ports
+
+    show_ports(stdout(), found)
 
 
 def _announce(path: str) -> None:

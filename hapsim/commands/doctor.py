@@ -13,6 +13,7 @@ from hapsim.commands.arguments import (
     MockFlag,
     Port,
     Realtime,
+    complain,
     load,
     require_files_writable,
     say_written,
@@ -36,13 +37,15 @@ def doctor(
         list[str] | None, typer.Option(metavar="HZ,…", help="Left out: 1000,2000,4000,10000 and the scene's.")
     ] = None,
     realtime: Realtime = False,
-    picture: Annotated[Path | None, typer.Option(metavar="FILE", help="Draw the latenesses: .svg, .png, .pdf.")] = None,
+    picture: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Draw the wake-up latencies: .svg, .png, .pdf.")
+    ] = None,
     data: Data = None,
     json: Json = False,
 ) -> None:
     """Tell how steady this machine is for a haptic loop, which rates it keeps, and what would help.
 
-    A device that is tried feels no force: the scene runs without its links, every force cut to zero.
+    A device that is tried is sent no force but zero: the scene runs without its links, every force cut.
     """
     from hapsim.console.doctor import examination_document, examination_line, show_examination
     from hapsim.console.options import numbers
@@ -77,4 +80,5 @@ def doctor(
         show_examination(stdout(), found)
         say_written(picture, data)
     if found.device_failed is not None:
+        complain(found.device_failed.failure)
         raise typer.Exit(found.device_failed.exit_status)

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from hapsim.commands.arguments import Json, load, stderr
+from hapsim.console.sentences import say
 from hapsim.errors import UsageError
 
 
@@ -20,7 +21,7 @@ def new(path: Annotated[Path, typer.Argument(help="Where to write it.")] = Path(
     if not path.resolve().parent.is_dir():
         raise UsageError(f"{path}: there is no directory {path.resolve().parent}")
     path.write_text(shipped_scene("first_touch.yaml"), encoding="utf-8")
-    print(f"Wrote {path}. Next: hapsim check {path}, then hapsim measure {path}")
+    say(f"Wrote {path}. Next: hapsim check {path}, then hapsim measure {path}")
 
 
 def schema() -> None:
@@ -51,8 +52,8 @@ def compile_(
         kept = None if prepared.directory is None else str(prepared.directory)
         print(document({"functions": prepared.functions, "seconds": prepared.seconds, "directory": kept}))
     elif prepared.directory is None:
-        print("Compiled, but there is no place to keep it: set XDG_CACHE_HOME to a directory that can be written to.")
+        say("Compiled, but there is no place to keep it: set XDG_CACHE_HOME to a directory that can be written to.")
     elif prepared.functions:
-        print(f"Compiled {prepared.functions} functions in {prepared.seconds:.1f} s; kept in {prepared.directory}")
+        say(f"Compiled {prepared.functions} functions in {prepared.seconds:.1f} s; kept in {prepared.directory}")
     else:
-        print(f"Nothing to compile: everything is kept in {prepared.directory}")
+        say(f"Nothing to compile: everything is kept in {prepared.directory}")

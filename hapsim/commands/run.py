@@ -90,7 +90,6 @@ def run(
 
 
 def _print_run(report: Report, grants: list[PrivilegeResult], failure: RunError | None) -> None:
-    from hapsim.console.as_json import document, report_document
+    from hapsim.console.as_json import document, failure_document, report_document
 
-    problem = {} if failure is None else {"error": str(failure), "exit_status": failure.exit_status}
-    print(document(report_document(report, grants) | problem))
+    print(document(report_document(report, grants) | failure_document(failure)))

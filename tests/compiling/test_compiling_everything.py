@@ -96,7 +96,7 @@ def test_what_came_of_it_is_said_in_json(hapsim: Callable[..., Any], monkeypatch
     assert "set XDG_CACHE_HOME to a directory that can be written to" in hapsim("compile").out
 
 
-def test_a_wrong_scene_is_told_before_anything_is_compiled(
+def test_a_wrong_scene_is_reported_before_anything_is_compiled(
     hapsim: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(preparing, "prepare", lambda *_: pytest.fail("compiled"))

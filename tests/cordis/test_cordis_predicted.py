@@ -162,7 +162,7 @@ def test_the_same_links_are_inside_as_in_the_kernel(scheme: str) -> None:
 
 @pytest.mark.parametrize("scheme", SCHEMES)
 def test_the_poles_are_those_of_the_run(scheme: str) -> None:
-    """A hand on a chain of masses, let go: what it does from sample to sample obeys the polynomial of the poles."""
+    """A hand on a chain of masses, released: what it does from sample to sample obeys the polynomial of the poles."""
     document = {"version": 1, "rate": RATE, "scheme": scheme, "device": {"mass": HAND[0], "friction": HAND[1]}}
     document["device"] |= {"stiffness": HAND[2], "delay": DELAY}
     modules: dict[str, Any] = {"hand": {"type": "device", "channel": 0}, "wall": {"type": "ground"}}

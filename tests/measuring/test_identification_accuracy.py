@@ -108,14 +108,14 @@ def test_at_a_picometre_every_pole_lies_within_four_of_the_uncertainties_stated(
 
 
 @pytest.mark.parametrize("path", [CONFIGS / f"{name}.yaml" for name in RINGING], ids=lambda path: path.stem)
-def test_every_shipped_scene_is_met_as_predicted_over_a_pseudo_terminal(path: Path) -> None:
+def test_every_shipped_scene_is_felt_as_predicted_over_a_pseudo_terminal(path: Path) -> None:
     scene = hapsim.load_scene(path)
     scene = scene.model_copy(update={"device": scene.device.model_copy(update={"clock": "lockstep"})})
     assert_met_as_predicted(scene)
 
 
 @pytest.mark.parametrize("seed", range(16))
-def test_any_scene_of_one_spring_is_met_as_predicted_over_a_pseudo_terminal(seed: int) -> None:
+def test_any_scene_of_one_spring_is_felt_as_predicted_over_a_pseudo_terminal(seed: int) -> None:
     rng = np.random.default_rng(seed)
     rate, mass = 10 ** rng.uniform(2.7, 4.0), 10 ** rng.uniform(-3, 0)
     configuration = Configuration(

@@ -56,7 +56,7 @@ def points() -> list[tuple[Configuration, float, float]]:
 
 
 def _limit(configuration: Configuration, rng: np.random.Generator) -> tuple[float, float]:
-    """(B, K): the curve b = 0 where it limits, met by a swing of 10 to 200 Hz."""
+    """(B, K): the curve b = 0 where it limits, for a swing of 10 to 200 Hz."""
     while True:
         B = configuration.damping_unit * 10.0 ** rng.uniform(-1.7, -0.1)
         least, most = configuration.stable_stiffness(B)

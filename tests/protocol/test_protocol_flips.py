@@ -105,7 +105,7 @@ def _burst_every(decoder, stream, first, last, fields):
 
 
 def _line(name: str, kind: str, number: int, word: int) -> tuple[Any, NDArray[np.uint8], NDArray[np.int64]]:
-    """A decoder, three frames on the line, and what should be read of them; the middle one carries the arguments."""
+    """A decoder, three frames on the wire, and what should be read of them; the middle one carries the arguments."""
     counts = [[w, ~w][: words_in(name, kind)] for w in (77, word, -78)]
     fields = [(TYPES[kind], n, *c) for n, c in zip((number ^ 1, number, number ^ 2), counts, strict=True)]
     data = b"".join(frame(name, kind, n, 20, c) for (_, n, *_), c in zip(fields, counts, strict=True))

@@ -1,4 +1,4 @@
-"""A contact from one side, met at speed: what a bounce gives back, beside an event-by-event calculation of its own.
+"""A contact from one side, hit at speed: what a bounce gives back, beside an event-by-event calculation of its own.
 
 In touch a spring behind a lag is a negative damper, and half a swing of it is a bounce. Without friction the speed
 after it is exp(-pi b/(2 m w)) times the speed before, with the (k, b) of the loop in touch, to the second order of wT.

@@ -41,7 +41,7 @@ def threshold(stiffness: float, delay: float, friction: float, coulomb: float) -
 
 
 def last_swing(stiffness: float, delay: float, friction: float, coulomb: float, start: float) -> float:
-    """m: how far a hand, let go at `start`, swings in the end."""
+    """m: how far a hand, released at `start`, swings in the end."""
     scene = hand_scene(
         {"touch": spring(stiffness)},
         device={"mass": MASS, "friction": friction, "delay": delay, "force_limit": 1000.0},

@@ -121,7 +121,7 @@ def test_so_it_does_with_every_damper_and_with_a_spring_in_the_device(
         damper=damper,
         cutoff=DAMPERS[damper],
     )
-    # The element's own stiffness goes over the decades; what is met has the device's spring too.
+    # The element's own stiffness goes over the decades; what is felt has the device's spring too.
     k = stiffness + (np.array([1e-12, 1e-7, 1e-3, 0.3]) * UNIT)[:, None]
     b = 2.0 * np.array([0.1, 1.0 - 1e-9, 1.5]) * np.sqrt(k * MASS)
     K_error, B_error = worst_errors(c, k, b)

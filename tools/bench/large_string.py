@@ -14,7 +14,6 @@ import time
 from pathlib import Path
 
 import hapsim
-from hapsim.prediction import predict
 
 
 def scene_of(masses: int) -> str:
@@ -49,9 +48,9 @@ def main() -> None:
         start = time.perf_counter()
         scene = hapsim.load_scene(path)
     loaded = time.perf_counter()
-    predict(scene, with_margins=False)
+    hapsim.predict(scene, with_margins=False)
     poles = time.perf_counter()
-    prediction = predict(scene)
+    prediction = hapsim.predict(scene)
     end = time.perf_counter()
     print(f"{arguments.masses} masses: {prediction.poles_in_all} poles, {len(prediction.poles)} worked out")
     print(f"{'stable' if prediction.stable else 'unstable'}, spectral radius {prediction.spectral_radius:.12g}")

@@ -13,7 +13,6 @@ import statistics
 import time
 
 import hapsim
-from hapsim.scene import parse_scene
 
 _WALL = """\
 version: 1
@@ -42,7 +41,7 @@ _OVER_S = 0.05
 
 def run_once(changes: int, changing: bool) -> tuple[int, int, list[float]]:
     """(deadline misses, ticks, seconds that each change took from its call)"""
-    wall, string, cell = (parse_scene(_WALL + more, "live") for more in ("", _WITH_STRING, _WITH_CELL))
+    wall, string, cell = (hapsim.parse_scene(_WALL + more, "live") for more in ("", _WITH_STRING, _WITH_CELL))
     took = []
     with hapsim.start(wall, transport="terminal") as session:
         for number in range(changes):

@@ -8,8 +8,7 @@ from typing import Any
 
 import yaml
 
-from hapsim.prediction import predict
-from hapsim.scene import parse_scene
+import hapsim
 
 _SCHEMES = ("cordis", "semi_implicit", "midpoint", "rk4", "exact")
 _DAMPERS: tuple[dict[str, Any], ...] = (
@@ -43,7 +42,7 @@ def random_scenes(number: int, seed: int) -> Iterator[str]:
     found = 0
     while found < number:
         text = yaml.safe_dump(_random_document(chance), sort_keys=False)
-        if predict(parse_scene(text, "by chance"), with_margins=False).stable:
+        if hapsim.predict(hapsim.parse_scene(text, "by chance"), with_margins=False).stable:
             found += 1
             yield text
 

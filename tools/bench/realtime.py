@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import hapsim
-from hapsim.measuring.measure import measure
 from hapsim.prediction import Felt
 
 SCENE = Path(__file__).resolve().parents[2] / "configs" / "first_touch.yaml"
@@ -27,7 +26,7 @@ class Round:
     """One run."""
 
     rate_hz: float
-    late_share: float
+    missed_share: float
     max_age_samples: int
     max_lateness_ms: float
     k_error: float
@@ -38,7 +37,7 @@ def run_once(clock: str, seconds: float, felt: Felt) -> Round:
     """One measurement with this clock."""
     scene = hapsim.load_scene(SCENE)
     scene = scene.model_copy(update={"device": scene.device.model_copy(update={"clock": clock})})
-    measurement = measure(scene, duration=seconds, transport="terminal")
+    measurement = hapsim.measure(scene, duration=seconds, transport="terminal")
     report = measurement.trace.report
     return Round(
         report.rate_hz,
@@ -76,7 +75,7 @@ def main() -> None:
         cells = [
             clock,
             spread([r.rate_hz for r in results], ".2f"),
-            spread([100 * r.late_share for r in results], ".2f") + " %",
+            spread([100 * r.missed_share for r in results], ".2f") + " %",
             spread([r.max_age_samples for r in results], ".0f"),
             spread([r.max_lateness_ms for r in results], ".2f"),
             spread([r.k_error for r in results], "+.1e"),

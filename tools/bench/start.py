@@ -33,10 +33,10 @@ from typing import Any
 import numpy as np
 from random_scenes import random_scenes
 
+import hapsim
 from firmware_protocol import schema
 from hapsim.device.mock.assemble import assemble_mock
 from hapsim.device.mock.firmware import prepare, take_bytes
-from hapsim.scene import load_scene
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 SCENE = CONFIGS / "first_touch.yaml"
@@ -81,7 +81,7 @@ class Listener:
             tty.setraw(end)
         self.path = os.ttyname(self._far)
         self.armed_at: float | None = None
-        self._mock = assemble_mock(load_scene(SCENE))
+        self._mock = assemble_mock(hapsim.load_scene(SCENE))
         prepare(self._mock)
         threading.Thread(target=self._serve, daemon=True).start()
 

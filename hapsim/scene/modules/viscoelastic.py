@@ -10,7 +10,7 @@ from ..issue import Issue, quote
 from ..quantity import Quantity
 from .device_point import DevicePoint
 from .link import Link
-from .module import ModuleContext
+from .module import Check, ModuleContext
 
 DamperScheme = Literal["backward", "centred", "filtered", "sensed"]
 
@@ -20,7 +20,6 @@ CUTOFF = Quantity("Cutoff of the filtered damper", "Hz", above=0)
 class ViscoElastic(Link):
     """A spring and a damper in parallel between two points, at rest where the two coincide."""
 
-    shared: ClassVar[tuple[str, ...]] = (*Link.shared, "damper", "cutoff")
     live: ClassVar[tuple[str, ...]] = ("stiffness", "damping")
 
     type: Literal["viscoelastic"] = Field(default="viscoelastic", description="A spring and a damper in parallel")
@@ -33,18 +32,23 @@ class ViscoElastic(Link):
     )
     cutoff: Annotated[float | None, replace(CUTOFF, left_out="no filter")] = None
 
-    def issues(self, name: str, around: ModuleContext) -> Iterator[Issue]:
-        yield from super().issues(name, around)
+    def checks(self) -> list[Check]:
+        own = [Check(("damper", "cutoff"), self._cutoff_fits), Check(("between", "damper"), self._is_sensed)]
+        return super().checks() + own
+
+    def _cutoff_fits(self, name: str, _around: ModuleContext) -> Iterator[Issue]:
         path = ("modules", name)
         if self.damper == "filtered" and self.cutoff is None:
             yield Issue((*path, "damper"), "found filtered without a cutoff, expected cutoff: a number > 0 (Hz) too")
         elif self.damper != "filtered" and self.cutoff is not None:
             sentence = f"found a cutoff, which the {self.damper} damper does not have; expected damper: filtered"
             yield Issue((*path, "cutoff"), sentence)
+
+    def _is_sensed(self, name: str, around: ModuleContext) -> Iterator[Issue]:
         ends = [around.kinds.get(end) for end in self.between]
         if self.damper == "sensed" and None not in ends and DevicePoint not in ends:
             names = " and ".join(map(quote, self.between))
             yield Issue(
-                (*path, "damper"),
+                ("modules", name, "damper"),
                 f"found sensed between {names}, which no device senses; expected a point of type device at one end",
             )

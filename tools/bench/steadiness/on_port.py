@@ -8,7 +8,6 @@ from typing import Any
 
 import hapsim
 from hapsim.errors import RunError
-from hapsim.loop.trace import Trace
 from steadiness.loads import loaded
 
 
@@ -36,7 +35,7 @@ def run_on_port(
     return _result(trace) | at_work.summary()
 
 
-def _result(trace: Trace) -> dict[str, Any]:
+def _result(trace: hapsim.Trace) -> dict[str, Any]:
     report = trace.report
     # The report tells of virtual time; here the clock on the wall counts.
     taken = 1e-9 * float(trace.time_ns[-1] - trace.time_ns[0]) if trace.time_ns.size > 1 else 0.0
