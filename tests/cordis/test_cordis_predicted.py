@@ -17,8 +17,9 @@ from hapsim.prediction.linear import linear_scene
 from hapsim.prediction.predict import _network
 from hapsim.scene import Scene, parse_scene
 from hapsim.theory import Network, solve
+from hapsim.theory.network.layout import Layout, layout_of
 from hapsim.theory.network.links import inner_links
-from hapsim.theory.network.state import Layout, channel_steps, layout_of, transition
+from hapsim.theory.network.state import channel_steps, transition
 
 RATE = 1000.0
 T = 1.0 / RATE

@@ -94,6 +94,10 @@ def _set_wire(mock: Any, scene: Scene) -> None:
     if scene.device.clock == "lockstep":
         _require_passable(wire, late, time_to_live_samples(scene.rate))
     mock.late_samples = min(late or 0, MOST_LATE)
+    if mock.late_samples:
+        from hapsim.device.mock.late_force import take_late_force
+
+        mock.called.take_force = take_late_force.address()
     mock.byte_ns = BITS_PER_BYTE * 1e9 / device.baud if device.baud else 0.0
     mock.turnaround_ns = device.turnaround * 1e9
 

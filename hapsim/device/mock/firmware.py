@@ -394,11 +394,8 @@ def prepare(mock: Any) -> None:
     for name, function in FUNCTIONS.items():
         mock.called[name] = function.address()
     mock.called.move = move_of(mock.initial[: mock.channels])
-    mock.called.take_force = mock.called.act_on_force
-    if mock.late_samples:
-        from hapsim.device.mock.late_force import take_late_force
-
-        mock.called.take_force = take_late_force.address()
+    if not mock.called.take_force:
+        mock.called.take_force = mock.called.act_on_force
 
 
 FUNCTIONS = {

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapsim.theory.arrays import Floats
+from hapsim.theory.network.linear_algebra import Solve, factorised
 from hapsim.theory.network.links import inner_links
 from hapsim.theory.network.moved import Moved
 from hapsim.theory.network.network import Network
-from hapsim.theory.network.operators import Solve, factorised
 from hapsim.theory.network.parts import part_of_each
 from hapsim.theory.network.reasons import NotWorkedOutError
 from hapsim.theory.network.triplets import Indices, Parts, Triplets, dense, sparse

@@ -6,20 +6,17 @@ Under exact it is full, and its modes are what is sparse (``exact_modes.py``).
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Callable
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hapsim.theory.network.linear_algebra import Solve, factorised
 from hapsim.theory.network.moved import Moved
 from hapsim.theory.network.network import Network
 from hapsim.theory.network.state import transition_parts
 from hapsim.theory.network.triplets import sparse
 from hapsim.theory.schemes import SCHEMES
-
-Solve = Callable[[NDArray], NDArray]
 
 
 class Operator(Protocol):
@@ -89,19 +86,6 @@ class Implicit:
 
     def is_finite(self) -> bool:
         return self._step is not None
-
-
-def factorised(matrix: Any, **how: Any) -> Solve | None:
-    """x -> matrix^-1 x; None where there is no inverse. ``how``: as for scipy's ``splu``."""
-    from scipy.sparse import linalg
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        try:
-            solve: Solve = linalg.splu(matrix.tocsc(), **how).solve
-        except RuntimeError:
-            return None
-    return solve
 
 
 @np.errstate(all="ignore")  # what is out of range becomes NaN
