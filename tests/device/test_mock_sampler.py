@@ -24,7 +24,7 @@ from firmware_protocol.records import new_record
 from hapsim.compiling import entry
 from hapsim.device.mock import sampler
 from hapsim.device.mock.motion import BODY, move_of
-from hapsim.device.mock.sampler import CONVERTER
+from hapsim.device.mock.sampler import CONVERTER, HOLDS, MockHold, Piece
 
 T = 1e-3
 DELAYS = [0.0, 0.37, 1.0, 1.5, 2.0]
@@ -76,28 +76,70 @@ class Coasting:
         self.v = final + (self.v - final) * mp.exp(-rate * t)
 
 
+def _act(mass: Coasting, force: Any) -> None:
+    mass.force = mp.mpf(force)
+
+
+def _blow(mass: Coasting, force: Any) -> None:
+    mass.v += force * mp.mpf(T) / mass.m
+
+
+Event = Callable[[Coasting, Sequence[float], int], None]
+
+#: What a command n does, and how many samples after its delay.
+EVENTS: dict[str, list[tuple[float, Event]]] = {
+    "zoh": [(0.0, lambda mass, c, n: _act(mass, c[n]))],
+    "impulse": [(0.0, lambda mass, c, n: _blow(mass, c[n]))],
+    "mean of two": [(0.0, lambda mass, c, n: _act(mass, (mp.mpf(c[n]) + (c[n - 1] if n else 0)) / 2))],
+    "half as long": [(0.0, lambda mass, c, n: _act(mass, 2 * c[n])), (0.5, lambda mass, _c, _n: _act(mass, 0))],
+    "two blows": [
+        (0.0, lambda mass, c, n: _blow(mass, c[n] / 4)),
+        (0.5, lambda mass, c, n: _blow(mass, mp.mpf(3) * c[n] / 4)),
+    ],
+}
+
+#: Holds that hapsim does not ship, of what an entry can say.
+OTHERS = {
+    "mean of two": MockHold(lambda phi: [Piece(phi, (0.0, 0.5, 0.5)), Piece(1.0 - phi, (0.5, 0.5))], goes_on=True),
+    "half as long": MockHold(
+        lambda phi: (
+            [Piece(phi), Piece(0.5, (2.0,)), Piece(0.5 - phi)]
+            if phi < 0.5
+            else [Piece(phi - 0.5, (0.0, 2.0)), Piece(0.5), Piece(1.0 - phi, (2.0,))]
+        ),
+        goes_on=False,
+    ),
+    "two blows": MockHold(
+        lambda phi: (
+            [Piece(phi), Piece(0.5, blow=(0.25,)), Piece(0.5 - phi, blow=(0.75,))]
+            if phi < 0.5
+            else [Piece(phi - 0.5), Piece(0.5, blow=(0.0, 0.75)), Piece(1.0 - phi, blow=(0.25,))]
+        ),
+        goes_on=False,
+    ),
+}
+
+
 def event_by_event(
     hold: str, sampling: str, delay: float, m: float, b: float, x: float, v: float, commands: Sequence[float]
 ) -> tuple[list[float], list[float]]:
     """What is measured at the end of samples 0, 1, …, positions (m) and velocities (m/s): command n changes the force
     `delay` samples after n began."""
     with mp.workdps(30):
-        T_, samples = mp.mpf(T), len(commands)
+        T_, samples, acts = mp.mpf(T), len(commands), EVENTS[hold]
         events = [(mp.mpf(n + 1), 0, n) for n in range(samples)]
-        events += [(n + mp.mpf(delay), 1, n) for n in range(samples)]
+        events += [(n + mp.mpf(delay) + late, 1 + i, n) for n in range(samples) for i, (late, _) in enumerate(acts)]
         mass = Coasting(m, b, mp.mpf(x), mp.mpf(v), mp.mpf(0), mp.mpf(0))
         clock, positions, velocities, before = mp.mpf(0), [], [], mass.x
-        for at, is_force, n in sorted(events):
+        for at, kind, n in sorted(events):
             mass.coast((at - clock) * T_)
             clock = at
-            if not is_force:
+            if kind == 0:
                 positions.append(float(mass.x if sampling == "ideal" else mass.travel / T_))
                 velocities.append(float(mass.v if sampling == "ideal" else (mass.x - before) / T_))
                 mass.travel, before = mp.mpf(0), mass.x
-            elif hold == "zoh":
-                mass.force = mp.mpf(commands[n])
             else:
-                mass.v += commands[n] * T_ / m
+                acts[kind - 1][1](mass, commands, n)
         return positions, velocities
 
 
@@ -117,11 +159,9 @@ def body_of(m: float, b: float = 0.0, x: float = 0.0, v: float = 0.0) -> Any:
 
 
 def measured_by_the_mock(hold: str, sampling: str, delay: float, body: Any, commands: Sequence[float]) -> list[float]:
-    whole = math.floor(delay)
-    converter = converter_of(
-        whole_delay=whole, part_delay=delay - whole, impulse=hold == "impulse", average=sampling == "average"
-    )
-    ring, how = np.zeros((whole + 2, 1)), np.uint64(move_of(np.array([body])))
+    converter = converter_of(average=sampling == "average")
+    rows, how = sampler.set_hold(converter, hold, delay), np.uint64(move_of(np.array([body])))
+    ring = np.zeros((rows, 1))
     measured = []
     for n, command in enumerate(commands):
         ring[n % len(ring), 0] = command
@@ -138,6 +178,16 @@ def test_the_measured_positions_are_those_of_an_event_by_event_simulation(
     commands = np.random.default_rng(7).uniform(-30.0, 30.0, 60)
     measured = measured_by_the_mock(hold, sampling, delay, body_of(m, b, x, v), commands)
     expected, _ = event_by_event(hold, sampling, delay, m, b, x, v, commands)
+    np.testing.assert_allclose(measured, expected, atol=3e-16)
+
+
+@pytest.mark.parametrize("delay", DELAYS)
+@pytest.mark.parametrize("hold", OTHERS)
+def test_a_hold_is_the_pieces_that_its_entry_says(hold: str, delay: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(HOLDS, hold, OTHERS[hold])
+    commands = np.random.default_rng(7).uniform(-30.0, 30.0, 60)
+    measured = measured_by_the_mock(hold, "average", delay, body_of(0.05, 60.0, 0.02, -0.4), commands)
+    expected, _ = event_by_event(hold, "average", delay, 0.05, 60.0, 0.02, -0.4, commands)
     np.testing.assert_allclose(measured, expected, atol=3e-16)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,7 @@ from firmware_protocol.description import Description, to_registers
 from firmware_protocol.frames import SETUP, armed_format, framing_of
 from firmware_protocol.records import new_record
 from hapsim.device.mock.firmware import MOCK
-from hapsim.device.mock.sampler import HOLDS, SAMPLINGS
+from hapsim.device.mock.sampler import SAMPLINGS, set_hold
 from hapsim.scene import Scene
 
 _FORCE_COUNTS = 2.0**31  # the limit in N lies at the end of the counts' range: the finest step that 32 bits give
@@ -66,12 +65,9 @@ def _set_bodies(mock: Any, scene: Scene) -> None:
 
 def _set_converters(mock: Any, scene: Scene, description: Description) -> None:
     device, converters = scene.mock_device, mock.converters[: scene.channels]
-    whole = math.floor(device.delay)
-    mock.depth = whole + 2
     converters["period"] = 1.0 / scene.rate
-    converters["whole_delay"] = whole
-    converters["part_delay"] = device.delay - whole
-    converters["impulse"] = HOLDS[device.hold]
+    for converter in converters:
+        mock.depth = set_hold(converter, device.hold, device.delay)
     converters["average"] = SAMPLINGS[device.sampling]
     converters["quantum"] = device.quantum
     converters["velocity_quantum"] = description.velocity_scale
