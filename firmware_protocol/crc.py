@@ -1,5 +1,5 @@
 """The two checks of the protocol, compiled: CRC-16/DNP and CRC-32C, table-driven, reflected (a UART sends the least
-significant bit first, so bursts on the line are bursts in the check).
+significant bit first, so bursts on the wire are bursts in the check).
 
 Why these two: Koopman's tables give polynomial 0x3D65 distance 6 up to 135 bits of data and CRC-32C distance 6 up to
 655 bytes; every frame stays within.

@@ -1,6 +1,6 @@
-"""The parts of PROTOCOL.md that follow from the code: constants, link budget, example bytes.
+"""What of PROTOCOL.md and PORTING.md follows from the code: constants, time on the wire, example bytes, hex words.
 
-They stand in the document between two comment lines and are written by `make_vectors`, so that they cannot differ from
+They stand in a document between two comment lines and are written by `make_vectors`, so that they cannot differ from
 what the codec does.
 """
 
@@ -13,9 +13,9 @@ from typing import NamedTuple
 from firmware_protocol import schema
 from firmware_protocol.frames import Format
 from firmware_protocol.vectors import FORMATS, TO_DEVICE, TYPES, frame
+from firmware_protocol.wire_time import BITS_PER_BYTE, HOST_WORK_S
 
 BAUDS = (115_200, 921_600, 2_000_000)
-_BITS_PER_BYTE = 10  # on a UART: start, eight bits, stop
 
 
 class _Example(NamedTuple):
@@ -59,20 +59,26 @@ def blocks() -> dict[str, str]:
     return {
         "constants": _constants(),
         "schema": f"```text\n{schema.SCHEMA}```",
-        "link budget": _wire_time(velocity=False),
-        "link budget with velocities": _wire_time(velocity=True),
+        "time on the wire": _wire_time(velocity=False),
+        "time on the wire with velocities": _wire_time(velocity=True),
         "examples": "\n\n".join(_annotated(example) for example in _EXAMPLES),
     }
 
 
-def with_blocks(document: str) -> str:
-    """The document with every generated part brought up to date. ValueError where one has no place in it."""
-    for name, block in blocks().items():
+def porting_blocks() -> dict[str, str]:
+    """The same for PORTING.md."""
+    return {"baud and rate": _baud_and_rate(), "words of doubles": _words_of_doubles()}
+
+
+def with_blocks(document: str, parts: dict[str, str] | None = None) -> str:
+    """The document with every generated part brought up to date, `blocks()` or others. ValueError where one has no
+    place in it."""
+    for name, block in (blocks() if parts is None else parts).items():
         begin, end = f"<!-- made by make_vectors: {name} -->", f"<!-- end: {name} -->"
-        parts = re.split(f"{re.escape(begin)}.*?{re.escape(end)}", document, flags=re.DOTALL)
-        if len(parts) != 2:
-            raise ValueError(f"the document has {len(parts) - 1} places for the part {name!r}, expected one")
-        document = f"{begin}\n\n{block}\n\n{end}".join(parts)
+        around = re.split(f"{re.escape(begin)}.*?{re.escape(end)}", document, flags=re.DOTALL)
+        if len(around) != 2:
+            raise ValueError(f"the document has {len(around) - 1} places for the part {name!r}, expected one")
+        document = f"{begin}\n\n{block}\n\n{end}".join(around)
     return document
 
 
@@ -97,7 +103,7 @@ def _wire_time(velocity: bool) -> str:
     ]
     for channels in range(1, schema.MAX_CHANNELS + 1):
         host, device = (schema.frame_bytes(channels, to_device, velocity) for to_device in (False, True))
-        times = [1e3 * _BITS_PER_BYTE * (host + device) / baud for baud in BAUDS]
+        times = [1e3 * BITS_PER_BYTE * (host + device) / baud for baud in BAUDS]
         cells = [f"{channels}", f"{host} B", f"{device} B", f"{host + device} B", *(f"{t:.3f} ms" for t in times)]
         lines.append("| " + " | ".join(cells) + " |")
     return "\n".join(lines)
@@ -139,3 +145,50 @@ def _check_text(wire: Format, sent: bytes) -> str:
 
 def _hex(data: bytes) -> str:
     return data.hex(" ")
+
+
+_PORTING_BAUDS = (115_200, 250_000, 500_000, 921_600, 1_000_000, 2_000_000)
+_DOUBLES = (
+    (1e-9, "1 nm, 1 nN"),
+    (1e-8, "10 nm, 10 nN"),
+    (1e-7, "0.1 µm"),
+    (1e-6, "1 µm"),
+    (1e-5, "10 µm"),
+    (1e-4, "0.1 mm"),
+    (1e-3, "1 mm, 1 mN"),
+    (6.283185307179586 / 4096, "2π/4096: an encoder of 1024 lines, in rad"),
+    (1.0, "1 N"),
+    (2.0, "2 N"),
+    (5.0, "5 N"),
+    (10.0, "10 N"),
+    (500.0, "500 Hz"),
+    (1000.0, "1 kHz"),
+    (2000.0, "2 kHz"),
+)
+
+
+def _baud_and_rate() -> str:
+    """The highest rate whose force comes within one sample period, and within two, of 1, 2, 3 and 6 channels."""
+    channels = (1, 2, 3, 6)
+    heads = [f"{n} channel{'s' if n > 1 else ''}" for n in channels]
+    lines = [f"| baud | {' | '.join(heads)} |", "|---:|" + "---:|" * len(channels)]
+    for baud in _PORTING_BAUDS:
+        cells = []
+        for n in channels:
+            exchange = sum(schema.frame_bytes(n, to_device, velocity=False) for to_device in (False, True))
+            seconds = exchange * BITS_PER_BYTE / baud + HOST_WORK_S
+            cells.append(f"{_rate(1.0 / seconds)} / {_rate(2.0 / seconds)}")
+        lines.append(f"| {baud} | {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def _rate(hertz: float) -> str:
+    return f"{hertz / 1000:.2g} kHz" if hertz < 10_000 else f"{hertz / 1000:.0f} kHz"
+
+
+def _words_of_doubles() -> str:
+    lines = ["| value | `HAPSIM_F64(high, low)` | |", "|---:|---|---|"]
+    for value, meaning in _DOUBLES:
+        low, high = struct.unpack("<2I", struct.pack("<d", value))
+        lines.append(f"| {value:.10g} | `HAPSIM_F64(0x{high:08x}, 0x{low:08x})` | {meaning} |")
+    return "\n".join(lines)

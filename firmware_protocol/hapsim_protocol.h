@@ -274,11 +274,18 @@ static inline uint16_t hapsim_age(uint32_t sample, uint16_t number) {
     return (uint16_t)((sample - number) % HAPSIM_SAMPLE_MODULUS);
 }
 
-/* Half of an f64 register pair: the low word stands first. For compilers whose double has 64 bits. */
+/* Half of an f64 register pair: the low word stands first. */
+#if defined(__SIZEOF_DOUBLE__) && __SIZEOF_DOUBLE__ != 8
+extern uint32_t hapsim_double_is_too_short(void) __attribute__((
+    error("double has 4 bytes with this compiler: write the two 32-bit words of the IEEE 754 double instead; "
+          "PORTING.md has a table of the usual ones")));
+#define hapsim_f64_word(value, high) ((void)(value), (void)(high), hapsim_double_is_too_short())
+#else
 static inline uint32_t hapsim_f64_word(double value, bool high) {
-    uint64_t bits = 0;
-    memcpy(&bits, &value, sizeof value < sizeof bits ? sizeof value : sizeof bits);
+    uint64_t bits;
+    memcpy(&bits, &value, sizeof bits);
     return (uint32_t)(high ? bits >> 32 : bits & 0xFFFFFFFFu);
 }
+#endif
 
 #endif

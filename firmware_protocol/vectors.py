@@ -181,7 +181,7 @@ def _stream_vectors() -> list[Entry]:
 
 
 def _streams_of(frames: list[bytes]) -> list[tuple[str, list[bytes]]]:
-    """One story of the line after another, each told with three whole frames."""
+    """One mishap on the wire after another, each among three whole frames."""
     first, second, third = frames
     return [
         ("three frames in one read", [first + second + third]),
@@ -196,7 +196,7 @@ def _streams_of(frames: list[bytes]) -> list[tuple[str, list[bytes]]]:
         ("a byte was lost", [first + second[:3] + second[4:] + third]),
         ("a byte came twice", [first + second[:3] + second[2:] + third]),
         ("a byte became a delimiter", [first + second[:3] + b"\0" + second[4:] + third]),
-        ("the line broke in the middle of a frame", [first + second[:5], b"\0" + third]),
+        ("the wire broke in the middle of a frame", [first + second[:5], b"\0" + third]),
     ]
 
 

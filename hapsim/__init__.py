@@ -5,6 +5,9 @@
     hapsim.measure(scene).k                # while it runs
     trace = hapsim.run(scene, duration=2.0)
 
+Public are the names in `__all__` here and in `hapsim.theory`, `hapsim.scene`, `hapsim.prediction`, `hapsim.running` and
+`hapsim.errors` (USING.md, "From Python"); every other room and name is private and may change with any version.
+
 The rooms are named so that none of them hides one of these functions. Nothing heavy is imported before one of them
 is called.
 """
@@ -15,20 +18,50 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from hapsim.loop.trace import Trace as Trace
+    from hapsim.loop.trace import load_trace as load_trace
+    from hapsim.measuring.identify import Measurement as Measurement
+    from hapsim.measuring.identify import identify as identify
     from hapsim.measuring.measure import measure as measure
+    from hapsim.prediction import Prediction as Prediction
     from hapsim.prediction import predict as predict
+    from hapsim.running import Session as Session
     from hapsim.running import run as run
     from hapsim.running import start as start
+    from hapsim.scene import Scene as Scene
     from hapsim.scene import load_scene as load_scene
+    from hapsim.scene import parse_scene as parse_scene
 
 _HOME = {
+    "Measurement": "hapsim.measuring.identify",
+    "Prediction": "hapsim.prediction",
+    "Scene": "hapsim.scene",
+    "Session": "hapsim.running",
+    "Trace": "hapsim.loop.trace",
+    "identify": "hapsim.measuring.identify",
     "load_scene": "hapsim.scene",
+    "load_trace": "hapsim.loop.trace",
+    "measure": "hapsim.measuring.measure",
+    "parse_scene": "hapsim.scene",
     "predict": "hapsim.prediction",
     "run": "hapsim.running",
     "start": "hapsim.running",
-    "measure": "hapsim.measuring.measure",
 }
-__all__ = ["load_scene", "measure", "predict", "run", "start"]
+__all__ = [
+    "Measurement",
+    "Prediction",
+    "Scene",
+    "Session",
+    "Trace",
+    "identify",
+    "load_scene",
+    "load_trace",
+    "measure",
+    "parse_scene",
+    "predict",
+    "run",
+    "start",
+]
 __version__ = "0.1.0"
 
 

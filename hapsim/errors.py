@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from hapsim.loop.trace import Trace
 
+__all__ = ["DeviceError", "GuardError", "HapsimError", "RunError", "SceneError", "UsageError"]
+
 
 class HapsimError(Exception):
     """Anything that hapsim tells its user instead of failing with a traceback."""

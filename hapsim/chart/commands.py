@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args
 import typer
 
 from hapsim.console.options import names, numbers
+from hapsim.console.sentences import say
 from hapsim.errors import UsageError
 from hapsim.scene import choices
 from hapsim.scene.issue import one_of
@@ -38,10 +39,10 @@ Damper = Annotated[str | None, typer.Option(metavar="KIND", help=one_of(get_args
 Cutoff = Annotated[
     float | None, typer.Option(metavar="HZ", help=f"Cutoff of the {one_of(choices.WITH_CUTOFF)} damper, Hz.")
 ]
-WrittenK = Annotated[
+SimulatedK = Annotated[
     float | None, typer.Option("--simulated-stiffness", metavar="K", help="The stiffness K that is simulated, N/m.")
 ]
-WrittenB = Annotated[
+SimulatedB = Annotated[
     float | None, typer.Option("--simulated-damping", metavar="B", help="The damping B that is simulated, N·s/m.")
 ]
 Picture = Annotated[
@@ -74,8 +75,8 @@ def plane(
     sampling: Sampling = None,  # noqa: ARG001
     damper: Damper = None,  # noqa: ARG001
     cutoff: Cutoff = None,  # noqa: ARG001
-    written_stiffness: WrittenK = None,
-    written_damping: WrittenB = None,
+    simulated_stiffness: SimulatedK = None,
+    simulated_damping: SimulatedB = None,
     normalised: Annotated[
         bool, typer.Option("--normalised", help="The paper's units, K T²/m and B T/m; --mass and --rate default to 1.")
     ] = False,
@@ -103,7 +104,7 @@ def plane(
     if normalised:
         masses, rate = _normalised(masses, rate, described_by_options=scene is None)
     given = _loop_options(context, mass=masses[0] if masses else None, rate=rate)
-    chosen, others = _hands(scene, channel, given, written_stiffness, written_damping)
+    chosen, others = _hands(scene, channel, given, simulated_stiffness, simulated_damping)
     drawn = _in_one_plane(chosen, others, masses)
     scale = scale_of(chosen.configuration, normalised=normalised, total=total_damping)
     view = _view(drawn, scale, total_damping, to_stiffness, to_damping)
@@ -129,8 +130,8 @@ def transparency(
     sampling: Sampling = None,  # noqa: ARG001
     damper: Damper = None,  # noqa: ARG001
     cutoff: Cutoff = None,  # noqa: ARG001
-    written_stiffness: WrittenK = None,
-    written_damping: WrittenB = None,
+    simulated_stiffness: SimulatedK = None,
+    simulated_damping: SimulatedB = None,
     picture: Picture = None,
     data: Data = None,
     json: Json = False,
@@ -146,8 +147,8 @@ def transparency(
 
     picture = _writable(picture, data, json, "transparency.svg")
     given = _loop_options(context, mass=mass, rate=rate)
-    hand, _ = _hands(scene, channel, given, written_stiffness, written_damping)
-    if not hand.is_written:
+    hand, _ = _hands(scene, channel, given, simulated_stiffness, simulated_damping)
+    if not hand.is_simulated:
         raise UsageError("--simulated-stiffness is missing: without a SCENE, it says what is simulated")
     worked_out = transparency_of(hand)
     if data is not None:
@@ -243,8 +244,8 @@ def speed_accuracy(
         raise UsageError(f"--rounds: found {rounds}, expected a whole number of at least 1")
     picture = _writable(picture, data, json, "speed-accuracy.svg")
     rows = [] if peers is None else peers_in(peers, [one.name for one in chosen])
-    with live_words(_console(stderr=True)) as say:
-        rows = compare(chosen, at, rounds, say, by) + rows
+    with live_words(_console(stderr=True)) as tell:
+        rows = compare(chosen, at, rounds, tell, by) + rows
     _save_rows(columns(rows, [row for front in fronts(rows).values() for row in front]), data)
     if picture is not None:
         draw_speed_accuracy(chosen, rows, picture)
@@ -253,7 +254,7 @@ def speed_accuracy(
         _print_json({"objects": told, "rows": [row.as_document() for row in rows]}, picture, data)
         return
     for sentence in told.values():
-        print(sentence)
+        say(sentence)
     _say(picture, data)
 
 
@@ -369,10 +370,10 @@ def _draw_plane(
 def _tell_of(drawn: list[Hand], others: list[Hand]) -> None:
     """What is simulated and felt of what is drawn, and where the others are."""
     for hand in drawn:
-        if hand.is_written:
+        if hand.is_simulated:
             _console().print(_told(hand))
     for other in others:
-        print(f"{other.name} has a plane of its own: --channel {other.channel}")
+        say(f"{other.name} has a plane of its own: --channel {other.channel}")
 
 
 def _told(hand: Hand) -> str:
@@ -442,7 +443,7 @@ def _print_json(summary: dict[str, Any], picture: Path | None, data: Path | None
 def _say(picture: Path | None, data: Path | None) -> None:
     for what, path in (("Picture", picture), ("Its numbers", data)):
         if path is not None:
-            print(f"{what}: {path}")
+            say(f"{what}: {path}")
 
 
 def _console(stderr: bool = False) -> Any:

@@ -36,7 +36,7 @@ class Curve:
     K: Floats
     B: Floats
     k: Floats
-    """What is met there, as drawn; NaN where nothing is said of it."""
+    """What the hand feels there, as drawn; NaN where nothing is said of it."""
     b: Floats
 
     @property
@@ -65,10 +65,10 @@ class Sheet:
         return self.outline(kind, value, *(column[kept] for column in columns))
 
     def oscillators(self, kind: str, value: float, k: Floats, b: Floats) -> Curve:
-        """The line of the K and B with which these k and b, SI units, are met; a gap where they are not."""
+        """The line of the K and B that are felt as these k and b, SI units; a gap where none are."""
         K, B = self.configuration.simulated(k, b, dominant=False)
         seen = self.view.holds(K, B)
-        # Whether they are met asks for every pole: it is asked of what is drawn only.
+        # Whether they are felt asks for every pole: it is asked of what is drawn only.
         kept = self._thinned(np.where(seen, K, np.nan), B)
         K, B = self.configuration.simulated(k[kept], b[kept])
         K = np.where(seen[kept], K, np.nan)
@@ -95,22 +95,22 @@ class Sheet:
         return thinned(K / self.view.K_to, B / (self.view.B_to - self.view.B_from), _FINE)
 
 
-def values_met(sheet: Sheet, most_k: int, most_b: int) -> tuple[Floats, Floats]:
-    """Round stiffnesses k and dampings b, as drawn, that are met in the picture, at most so many."""
+def values_felt(sheet: Sheet, most_k: int, most_b: int) -> tuple[Floats, Floats]:
+    """Round stiffnesses k and dampings b, as drawn, that are felt in the picture, at most so many."""
     configuration = sheet.configuration
     K, B = sheet.mesh(coarse=2)
     k, b = configuration.equivalent(K, B)
     seen = np.isfinite(k) & np.isfinite(b) & configuration.is_stable(K, B)
     if not seen.any():
         return np.empty(0), np.empty(0)
-    # The largest few are met in a corner only, and would make the step too coarse for all the rest.
+    # The largest few are felt in a corner only, and would make the step too coarse for all the rest.
     k_last = sheet.scale.of_stiffness(float(np.quantile(k[seen], 0.98)))
     b_last = sheet.scale.of_damping(float(np.quantile(b[seen], 0.98)))
     return round_values(k_last, most_k), round_values(b_last, most_b)
 
 
 def iso_k(sheet: Sheet, value: float) -> Curve:
-    """Where the stiffness met is `value`, as drawn, whatever the damping met."""
+    """Where the felt stiffness is `value`, as drawn, whatever the felt damping."""
     unit = sheet.configuration.damping_unit
     u = np.linspace(0.0, 1.0, 3000)
     k, b = value * sheet.scale.stiffness, _also_up_to(sheet.view.B_to, unit * _MOST_DECAY * u**3)
@@ -118,7 +118,7 @@ def iso_k(sheet: Sheet, value: float) -> Curve:
 
 
 def iso_b(sheet: Sheet, value: float) -> Curve:
-    """Where the damping met is `value`, as drawn, whatever the stiffness met."""
+    """Where the felt damping is `value`, as drawn, whatever the felt stiffness."""
     b = value * sheet.scale.damping
     k = _also_up_to(sheet.view.K_to, _stiffnesses(sheet.configuration, b))
     return sheet.oscillators("iso_b", value, k, np.full(k.shape, b))
@@ -131,7 +131,7 @@ def stability_limit(sheet: Sheet) -> Curve:
 
 
 def ideal_k(sheet: Sheet, value: float) -> Curve:
-    """Where k would be met if nothing were lost: K = k, less the device's own spring."""
+    """Where k would be felt if nothing were lost: K = k, less the device's own spring."""
     view = sheet.view
     K_ideal = value * sheet.scale.stiffness - sheet.configuration.stiffness
     K = np.full(2, K_ideal if view.shows(K_ideal, view.B_from) else np.nan)
@@ -139,7 +139,7 @@ def ideal_k(sheet: Sheet, value: float) -> Curve:
 
 
 def ideal_b(sheet: Sheet, value: float) -> Curve:
-    """Where b would be met if nothing were lost: B = b, less the device's own friction."""
+    """Where b would be felt if nothing were lost: B = b, less the device's own friction."""
     view = sheet.view
     B = value * sheet.scale.damping - sheet.configuration.friction
     B = B if view.B_from <= B <= view.B_to else np.nan
@@ -188,7 +188,7 @@ def _stiffnesses(configuration: Configuration, b: float) -> Floats:
 
 
 def _also_up_to(end: float, values: Floats) -> Floats:
-    """With more of them where the picture is: it may show a small part of all that can be met."""
+    """With more of them where the picture is: it may show a small part of all that can be felt."""
     shown = np.linspace(0.0, 2.0 * end, 600)
     return np.unique(np.concatenate([values, shown[shown < values[-1]]]))
 

@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hapsim.chart import curves
+from hapsim.chart import plane_looks as looks
 from hapsim.chart.curves import Curve, Sheet
 from hapsim.chart.figure import figure_to
 from hapsim.chart.hand import Hand
 from hapsim.chart.labels import Labels
-from hapsim.chart.plane import DOT, Point, fill, operating_point, set_axes
+from hapsim.chart.plane import Point, fill, operating_point, set_axes
 from hapsim.chart.round_numbers import short
 from hapsim.chart.scale import Scale
 from hapsim.chart.view import View
@@ -26,14 +27,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _FEW = 4  # curves of equal k, and of equal b, at most
-_LOOKS: tuple[dict[str, Any], ...] = (
-    {"color": "black"},
-    {"color": "0.35", "dashes": (6, 2)},
-    {"color": "0.5", "dashes": (1.5, 1.5)},
-    {"color": "0.2", "dashes": (6, 2, 1.5, 2)},
-    {"color": "0.6", "dashes": (10, 3)},
-)
-MOST_MASSES = len(_LOOKS)
+MOST_MASSES = len(looks.OF_MASS)
 
 
 @dataclass(frozen=True)
@@ -83,13 +77,13 @@ def family(hands: Sequence[Hand], view: View, scale: Scale) -> Family:
         raise UsageError(f"--mass: found {len(hands)} masses, expected at most {MOST_MASSES} in one picture")
     sheets = [Sheet(hand.configuration, view, scale) for hand in hands]
     # One set of values for all, so that a curve can be followed from mass to mass.
-    k_values, b_values = curves.values_met(sheets[len(sheets) // 2], _FEW, _FEW)
+    k_values, b_values = curves.values_felt(sheets[len(sheets) // 2], _FEW, _FEW)
     members = [
         Member(
             sheet,
             curves.stability_limit(sheet),
             tuple([curves.iso_k(sheet, k) for k in k_values] + [curves.iso_b(sheet, b) for b in b_values]),
-            operating_point(hand, view, scale) if hand.is_written else None,
+            operating_point(hand, view, scale) if hand.is_simulated else None,
         )
         for sheet, hand in zip(sheets, hands, strict=True)
     ]
@@ -106,7 +100,7 @@ def draw_family(data: Family, title: str, path: Path) -> None:
         axes = figure.add_subplot()
         axes.set_title(title)
         set_axes(axes, data.members[0].sheet)
-        fill(axes, data.unstable, "unstable with one of them at least", facecolor="0.92", linewidth=0, zorder=0.5)
+        fill(axes, data.unstable, "unstable with one of them at least", looks.UNSTABLE_WITH_SOME_MASS)
         _draw_curves(axes, data)
         figure.legend(loc="outside lower center", ncols=2, frameon=False, handlelength=3.2, columnspacing=1.5)
         figure.draw_without_rendering()
@@ -115,15 +109,15 @@ def draw_family(data: Family, title: str, path: Path) -> None:
 
 
 def _draw_curves(axes: Axes, data: Family) -> None:
-    for member, look in zip(data.members, _LOOKS, strict=False):
+    for member, look in zip(data.members, looks.OF_MASS, strict=False):
         label = f"$m$ = {member.mass:g} kg: stability limit, $b = 0$"
-        axes.plot(member.limit.K, member.limit.B, linewidth=2.4, label=label, zorder=3, **look)
+        axes.plot(member.limit.K, member.limit.B, label=label, **looks.LIMIT_OF_MASS, **look)
         for curve in member.iso:
-            axes.plot(curve.K, curve.B, linewidth=1.0 if curve.kind == "iso_k" else 0.7, zorder=2, **look)
-    axes.plot([], [], color="black", linewidth=1.0, label="thin: equal $k$ (N/m) and equal $b$ (N·s/m)")
+            axes.plot(curve.K, curve.B, **looks.ISO_OF_MASS[curve.kind], **look)
+    axes.plot([], [], label="thin: equal $k$ (N/m) and equal $b$ (N·s/m)", **looks.ISO_IN_LEGEND)
     point = data.members[0].point
     if point is not None and point.is_seen:
-        axes.plot([point.K], [point.B], "o", label="operating point", **DOT)
+        axes.plot([point.K], [point.B], label="operating point", **looks.OPERATING_POINT)
 
 
 def _write(axes: Axes, data: Family) -> None:

@@ -28,7 +28,7 @@ class Hand:
     """B, N·s/m, simulated; NaN where none is."""
 
     @property
-    def is_written(self) -> bool:
+    def is_simulated(self) -> bool:
         """Whether there is an operating point."""
         return math.isfinite(self.stiffness) and math.isfinite(self.damping)
 
@@ -43,7 +43,7 @@ class Hand:
         for name, value in (("stiffness", stiffness), ("damping", damping)):
             if value is not None and not math.isfinite(value):
                 raise UsageError(f"--simulated-{name}: found {value:g}, expected a finite number")
-        K, B = (self.stiffness, self.damping) if self.is_written else (0.0, 0.0)
+        K, B = (self.stiffness, self.damping) if self.is_simulated else (0.0, 0.0)
         return replace(self, stiffness=K if stiffness is None else stiffness, damping=B if damping is None else damping)
 
     def felt(self) -> tuple[float, float]:
@@ -75,7 +75,7 @@ class Hand:
             "b": b,
             "frequency_hz": self.eigenfrequency(),
             "dominant": math.isfinite(k) and math.isfinite(b),
-            "stable": bool(c.is_stable(self.stiffness, self.damping)) if self.is_written else None,
+            "stable": bool(c.is_stable(self.stiffness, self.damping)) if self.is_simulated else None,
             **{name: [float(end) for end in ends] for name, ends in limits.items()},
         }
 

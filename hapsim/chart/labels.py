@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hapsim.chart import plane_looks as looks
 from hapsim.theory.arrays import Floats
 
 if TYPE_CHECKING:
@@ -39,7 +40,7 @@ class Labels:
         if piece.shape[0] < 4:
             return False
         text = self._axes.text(0, 0, words, ha="center", va="center", rotation_mode="anchor", zorder=5, **style)
-        text.set_bbox({"facecolor": "white", "edgecolor": "none", "pad": 0.6})
+        text.set_bbox(looks.NUMBER_BOX)
         width = text.get_window_extent(self._renderer).width
         length = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(piece, axis=0).T))])
         best: tuple[float, Any, float, Box] | None = None
@@ -80,7 +81,7 @@ class Labels:
                     multialignment="left",
                     **style,
                 )
-                text.set_bbox({"facecolor": "white", "edgecolor": "0.4", "linewidth": 0.5, "pad": 2.5})
+                text.set_bbox(looks.WORDS_BOX)
                 text.update_positions(self._renderer)
                 extent = Text.get_window_extent(text, self._renderer)  # without the line to the point
                 box = (extent.x0 - 6, extent.y0 - 6, extent.x1 + 6, extent.y1 + 6)

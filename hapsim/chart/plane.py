@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hapsim.chart import curves
+from hapsim.chart import plane_looks as looks
 from hapsim.chart.curves import Curve, Sheet
 from hapsim.chart.figure import figure_to
 from hapsim.chart.hand import Hand
@@ -23,15 +24,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _MOST_K, _MOST_B = 12, 9  # curves of each family
-#: How an operating point looks.
-DOT: dict[str, Any] = {
-    "markersize": 7,
-    "markerfacecolor": "black",
-    "markeredgecolor": "white",
-    "zorder": 6,
-    "clip_on": False,
-}
-_GREY_UNSTABLE, _GREY_NO_EQUIVALENT = "0.80", "0.92"
 
 
 @dataclass(frozen=True)
@@ -88,7 +80,7 @@ def plane(hands: Sequence[Hand], view: View, scale: Scale) -> Plane:
     """The plane of the first hand, with the operating points of those that share its configuration."""
     configuration = hands[0].configuration
     sheet = Sheet(configuration, view, scale)
-    k_values, b_values = curves.values_met(sheet, _MOST_K, _MOST_B)
+    k_values, b_values = curves.values_felt(sheet, _MOST_K, _MOST_B)
     try:
         passive = curves.passive(sheet)
     except ValueError:
@@ -109,7 +101,7 @@ def plane(hands: Sequence[Hand], view: View, scale: Scale) -> Plane:
         points=tuple(
             operating_point(hand, view, scale)
             for hand in hands
-            if hand.is_written and hand.configuration == configuration
+            if hand.is_simulated and hand.configuration == configuration
         ),
     )
 
@@ -152,20 +144,19 @@ def set_axes(axes: Axes, sheet: Sheet) -> None:
         axes.plot(
             [0.99, 1.0],
             2 * [scale.of_simulated(0.0)],
-            color="black",
-            linewidth=0.8,
             transform=axes.get_yaxis_transform(),
+            **looks.ZERO_MARK,
         )
 
 
-def fill(axes: Axes, outlines: Sequence[Curve], label: str, **style: Any) -> None:
+def fill(axes: Axes, outlines: Sequence[Curve], label: str, look: looks.Look) -> None:
     """Fills a region, holes left out; nothing where it is empty."""
     from matplotlib.patches import PathPatch
     from matplotlib.path import Path as Outline
 
     rings = [_closed(Outline, ring) for ring in outlines if ring.is_seen]
     if rings:
-        axes.add_patch(PathPatch(Outline.make_compound_path(*rings), label=label, **style))
+        axes.add_patch(PathPatch(Outline.make_compound_path(*rings), label=label, **look))
 
 
 def _closed(make: Any, ring: Curve) -> Any:
@@ -174,45 +165,32 @@ def _closed(make: Any, ring: Curve) -> Any:
 
 
 def _draw_regions(axes: Axes, data: Plane) -> None:
-    fill(axes, data.unstable, "unstable", facecolor=_GREY_UNSTABLE, linewidth=0, zorder=0.5)
-    fill(
-        axes,
-        data.without_equivalent,
-        "no spring and damper is equivalent",
-        facecolor=_GREY_NO_EQUIVALENT,
-        linewidth=0,
-        zorder=0.4,
-    )
+    fill(axes, data.unstable, "unstable", looks.UNSTABLE)
+    fill(axes, data.without_equivalent, "no spring and damper is equivalent", looks.NO_EQUIVALENT)
     if data.passive is not None and data.passive.is_seen:
-        style = {"facecolor": "none", "edgecolor": "0.5", "linewidth": 0.8, "hatch": "////", "zorder": 1.6}
-        fill(axes, [data.passive], "passive: no hand whatever makes it unstable", **style)
+        fill(axes, [data.passive], "passive: no hand whatever makes it unstable", looks.PASSIVE)
 
 
 def _draw_curves(axes: Axes, data: Plane) -> None:
     scale = data.scale
     for i, curve in enumerate(data.ideal):
         label = "" if i else "where they would be if nothing were lost"
-        axes.plot(curve.K, curve.B, color="0.78", linewidth=0.6, label=label, zorder=1)
-    looks: dict[str, tuple[str, dict[str, Any]]] = {
-        "iso_k": (f"equal felt stiffness, {scale.k_name}", {"color": "0.15", "linewidth": 1.0}),
-        "iso_b": (f"equal felt damping, {scale.b_name}", {"color": "0.15", "linewidth": 1.0, "dashes": (5, 2)}),
-    }
+        axes.plot(curve.K, curve.B, label=label, **looks.IDEAL)
+    names = {"iso_k": f"equal felt stiffness, {scale.k_name}", "iso_b": f"equal felt damping, {scale.b_name}"}
     for curve in data.iso:
-        label, style = looks[curve.kind]
-        named = axes.get_legend_handles_labels()[1]
-        axes.plot(curve.K, curve.B, label="" if label in named else label, zorder=2, **style)
+        label, named = names[curve.kind], axes.get_legend_handles_labels()[1]
+        axes.plot(curve.K, curve.B, label="" if label in named else label, **looks.ISO[curve.kind])
     if data.limit.is_seen:
-        label = "stability limit, $b = 0$"
-        axes.plot(data.limit.K, data.limit.B, color="black", linewidth=2.4, label=label, zorder=3)
+        axes.plot(data.limit.K, data.limit.B, label="stability limit, $b = 0$", **looks.LIMIT)
     if data.fold.is_seen:
-        axes.plot(data.fold.K, data.fold.B, color="black", linewidth=1.4, dashes=(6, 2, 1, 2), label="fold", zorder=2.5)
+        axes.plot(data.fold.K, data.fold.B, label="fold", **looks.FOLD)
     if data.linear.is_seen:
         label = "rule for the origin, $K = (B + b_0)/$lag"
-        axes.plot(data.linear.K, data.linear.B, color="0.35", linewidth=0.9, dashes=(2, 2), label=label, zorder=2.4)
+        axes.plot(data.linear.K, data.linear.B, label=label, **looks.LINEAR)
     seen = [point for point in data.points if point.is_seen]
     if seen:
         K, B = [point.K for point in seen], [point.B for point in seen]
-        axes.plot(K, B, "o", label="operating point", **DOT)
+        axes.plot(K, B, label="operating point", **looks.OPERATING_POINT)
     for point in data.points:
         if not point.is_seen:
             axes.plot([], [], " ", label=f"outside: {_words(point, scale)}")

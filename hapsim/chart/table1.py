@@ -105,7 +105,7 @@ def table1(hand: Hand, *, as_scene: bool, on_progress: Callable[[Progress], None
     """The five couplings of one hand, each predicted and each run on the mock.
 
     Args:
-        hand: gives the mass, the rate and the spring: its K, or where none is written its device's own spring k;
+        hand: gives the mass, the rate and the spring: its K, or where none is simulated its device's own spring k;
             where both are there, the device's is left out.
         as_scene: with the hold, the delay, the sampling and the damping that the hand has; the real spring then comes
             with the real damper that the hand feels. Otherwise as the paper supposes: a force impulse at once, ideal
@@ -119,7 +119,7 @@ def table1(hand: Hand, *, as_scene: bool, on_progress: Callable[[Progress], None
     b0 = configuration.friction
     if 2.0 * b - b0 < 0.0:
         raise UsageError(
-            f"{hand.name} meets b = {b:.4g} N·s/m, less than half of its real friction of {b0:.4g}: no real "
+            f"{hand.name} feels b = {b:.4g} N·s/m, less than half of its real friction of {b0:.4g}: no real "
             "damper does that; leave out --as-scene, or give more damping"
         )
     built = {

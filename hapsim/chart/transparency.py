@@ -35,12 +35,12 @@ class Transparency:
     """Hz, of the hand on what it feels; NaN where no spring and damper is equivalent."""
 
     @property
-    def written_phase(self) -> Floats:
+    def desired_phase(self) -> Floats:
         """Degrees."""
         return _phase(self.desired)
 
     @property
-    def met_phase(self) -> Floats:
+    def rendered_phase(self) -> Floats:
         """Degrees, followed from the lowest frequency on: what is late goes on turning."""
         return _phase(self.rendered)
 
@@ -50,8 +50,8 @@ class Transparency:
             "frequency_Hz": self.frequency,
             "desired_Ns_per_m": np.abs(self.desired),
             "rendered_Ns_per_m": np.abs(self.rendered),
-            "desired_phase_deg": self.written_phase,
-            "rendered_phase_deg": self.met_phase,
+            "desired_phase_deg": self.desired_phase,
+            "rendered_phase_deg": self.rendered_phase,
         }
 
     def gives_energy(self) -> list[tuple[float, float]]:
@@ -89,7 +89,7 @@ def draw_transparency(data: Transparency, title: str, path: Path) -> None:
         if data.desired.any() or data.rendered.any():  # of a hand that feels nothing there is nothing to draw
             upper.set_yscale("log")
         upper.set_ylabel("|force / velocity|  (N·s/m)")
-        _draw_both(lower, data.frequency, data.written_phase, data.met_phase, "", "")
+        _draw_both(lower, data.frequency, data.desired_phase, data.rendered_phase, "", "")
         _mark_passive_band(lower, data)
         lower.set_ylabel("phase  (degrees)")
         lower.set_xlabel("frequency  (Hz)")
@@ -114,8 +114,8 @@ def _draw_both(axes: Axes, frequency: Floats, desired: Floats, rendered: Floats,
 
 def _mark_passive_band(axes: Axes, data: Transparency) -> None:
     """-90 to 90 degrees: outside of it the wall gives the hand energy."""
-    lowest = min(-90.0, float(np.min(data.met_phase)), float(np.min(data.written_phase)))
-    highest = max(0.0, float(np.max(data.met_phase)), float(np.max(data.written_phase)))
+    lowest = min(-90.0, float(np.min(data.rendered_phase)), float(np.min(data.desired_phase)))
+    highest = max(0.0, float(np.max(data.rendered_phase)), float(np.max(data.desired_phase)))
     low = 45.0 * math.floor(lowest / 45.0 - 0.2)
     high = 45.0 * math.ceil(highest / 45.0 + 0.2)
     every = 45.0 if high - low <= 270.0 else 90.0 if high - low <= 900.0 else 360.0

@@ -14,7 +14,7 @@ from hapsim.errors import UsageError
 from hapsim.theory import Configuration
 from hapsim.theory.arrays import Bools, Floats
 
-_FAR_SMALLER = 6.0  # an operating point that is this much below the whole region would not be told from its corner
+_FAR_SMALLER = 6.0  # an operating point that is this much below the whole region would look like its corner
 _AROUND_POINT = 3.0  # then so much more than the point is looked at
 _FAR_LARGER = 4.0  # of a family, a stable region that is this much larger than the smallest is not drawn whole
 _MOST_DELAY = 40.0
@@ -85,10 +85,10 @@ def view_of(hands: Sequence[Hand], *, from_total: bool, K_to: float | None = Non
     regions = [stable_region(hand.configuration) for hand in hands]
     K_whole = _seen_of([region.K_to for region in regions], configuration.stiffness_unit)
     B_whole = _seen_of([region.B_to - least for region in regions], configuration.damping_unit)
-    written = [hand for hand in hands if hand.is_written]
-    K = max((hand.stiffness for hand in written), default=0.0)
-    B = max((hand.damping for hand in written), default=least)
-    steady = max((float(hand.configuration.stable_damping(K)[0]) for hand in written), default=math.nan)
+    simulated = [hand for hand in hands if hand.is_simulated]
+    K = max((hand.stiffness for hand in simulated), default=0.0)
+    B = max((hand.damping for hand in simulated), default=least)
+    steady = max((float(hand.configuration.stable_damping(K)[0]) for hand in simulated), default=math.nan)
     K_found, B_found = _ends(K_whole, B_whole, K, max(B, steady if math.isfinite(steady) else B) - least, B - least)
     view = View(K_to or K_found, least, least + B_found if B_to is None else B_to)
     if view.B_to <= view.B_from:
@@ -100,7 +100,7 @@ def _ends(K_whole: float, B_whole: float, K: float, B_steady: float, B: float) -
     """`B_steady`: the damping of the point, or what it would need to be stable."""
     if min(K, B_steady) > 0.0 and max(K / K_whole, B_steady / B_whole) < 1.0 / _FAR_SMALLER:
         return round_up(_AROUND_POINT * K), round_up(_AROUND_POINT * B_steady)
-    # A point that is written far out does not make the rest too small to be seen.
+    # A point that is simulated far out does not make the rest too small to be seen.
     K_end, B_end = (max(1.08, 1.1 * x if x < _FAR_OUT else 0.0) for x in (K / K_whole, B / B_whole))
     return round_up(K_end * K_whole), round_up(B_end * B_whole)
 

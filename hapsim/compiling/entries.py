@@ -15,7 +15,7 @@ def compile_for(function: Any, *arguments: Any) -> None:
     """Compiles an `entry` for arguments of these types, or loads it, without calling it."""
     signature = tuple(numba.typeof(argument) for argument in arguments)
 
-    def compile_or_load() -> None:
+    def _compile_or_load() -> None:
         try:
             function.compile(signature)
         except OSError:
@@ -23,7 +23,7 @@ def compile_for(function: Any, *arguments: Any) -> None:
                 raise
 
     if signature not in function.overloads:
-        Kept(function.py_func, signature).compile(compile_or_load)
+        Kept(function.py_func, signature).compile(_compile_or_load)
 
 
 def is_kept(function: Any, *arguments: Any) -> bool:

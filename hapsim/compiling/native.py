@@ -77,11 +77,11 @@ def value_of(_typing: Any, pointer: Any) -> Any:
     if not isinstance(pointer, types.CPointer):
         return None  # numba then says that it fits no call
 
-    def generate(context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
+    def _generate(context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
         words = builder.bitcast(arguments[0], _WORD.as_pointer())
         return _read(context, builder, words, pointer.dtype, 0)[0]
 
-    return pointer.dtype(pointer), generate
+    return pointer.dtype(pointer), _generate
 
 
 def _read(context: Any, builder: Any, words: Any, kind: Any, at: int) -> tuple[Any, int]:
@@ -122,10 +122,10 @@ def _array(context: Any, builder: Any, kind: Any, address: Any, shape: list[Any]
 def address_in_memory(_typing: Any, record: Any) -> Any:
     """Where a record is, in compiled code."""
 
-    def generate(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
+    def _generate(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
         return builder.ptrtoint(arguments[0], _WORD)
 
-    return types.uint64(record), generate
+    return types.uint64(record), _generate
 
 
 def record_at(dtype: np.dtype[np.void]) -> Callable[[int], Any]:
@@ -134,10 +134,10 @@ def record_at(dtype: np.dtype[np.void]) -> Callable[[int], Any]:
 
     @intrinsic
     def record(_typing: Any, _address: Any) -> Any:
-        def generate(context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
+        def _generate(context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
             return builder.inttoptr(arguments[0], context.get_value_type(kind))
 
-        return kind(types.uint64), generate
+        return kind(types.uint64), _generate
 
     chosen: Callable[[int], Any] = record
     return chosen
@@ -148,13 +148,13 @@ def array_at(dtype: Any) -> Callable[[int, int], Any]:
     kind = types.Array(numba.from_dtype(np.dtype(dtype)), 1, "C")
 
     @intrinsic
-    def array(_typing: Any, _address: Any, _count: Any) -> Any:
-        def generate(context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
+    def _array_of(_typing: Any, _address: Any, _count: Any) -> Any:
+        def _generate(context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
             return _array(context, builder, kind, arguments[0], [arguments[1]])
 
-        return kind(types.uint64, types.intp), generate
+        return kind(types.uint64, types.intp), _generate
 
-    chosen: Callable[[int, int], Any] = array
+    chosen: Callable[[int, int], Any] = _array_of
     return chosen
 
 
@@ -162,8 +162,8 @@ def function_at(signature: Any) -> Callable[[int, tuple[Any, ...]], Any]:
     """A function of compiled code that calls another by its address, with the arguments in a tuple."""
 
     @intrinsic
-    def call(_typing: Any, _function: Any, _arguments: Any) -> Any:
-        def generate(context: Any, builder: Any, _signature: Any, values: Any) -> Any:
+    def _call(_typing: Any, _function: Any, _arguments: Any) -> Any:
+        def _generate(context: Any, builder: Any, _signature: Any, values: Any) -> Any:
             kinds = [context.get_value_type(kind) for kind in signature.args]
             returns_nothing = signature.return_type == types.void
             returned = ir.VoidType() if returns_nothing else context.get_value_type(signature.return_type)
@@ -171,9 +171,9 @@ def function_at(signature: Any) -> Callable[[int, tuple[Any, ...]], Any]:
             result = builder.call(pointer, cgutils.unpack_tuple(builder, values[1], len(kinds)))
             return context.get_dummy_value() if returns_nothing else result
 
-        return signature.return_type(types.uint64, types.Tuple(signature.args)), generate
+        return signature.return_type(types.uint64, types.Tuple(signature.args)), _generate
 
-    chosen: Callable[[int, tuple[Any, ...]], Any] = call
+    chosen: Callable[[int, tuple[Any, ...]], Any] = _call
     return chosen
 
 
@@ -203,14 +203,14 @@ class NativeFunction:
     def _compile(self, signature: Any) -> Any:
         kept = Kept(self.function, signature, *_classes_in(signature))
 
-        def compile_or_load() -> Any:
+        def _compile_or_load() -> Any:
             with contextlib.nullcontext() if kept.is_whole() else compiling(self.name):
                 try:
                     return self._compiled_in(kept.directory, signature)
                 except OSError:
                     return self._compiled_in(None, signature)
 
-        return kept.compile(compile_or_load)
+        return kept.compile(_compile_or_load)
 
     def _compiled_in(self, directory: Path | None, signature: Any) -> Any:
         """Or loaded from there; kept nowhere for None."""

@@ -87,6 +87,7 @@ class _Watcher(threading.local):
         self._depth = 0
 
     def begin(self, name: str) -> None:
+        """`name` is compiled from now on. KeyboardInterrupt where one was kept and another function is under way."""
         self._depth += 1  # first: `end` is called even where this raises
         if self._depth == 1:
             _interrupts.keep()
@@ -97,6 +98,7 @@ class _Watcher(threading.local):
         self._tell(name)
 
     def end(self) -> None:
+        """What was begun last is compiled. KeyboardInterrupt where one was kept and nothing is under way any more."""
         self._depth -= 1
         if self._depth == 0:
             if self._collected:

@@ -8,9 +8,10 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from hapsim.prediction import Felt, Prediction
+from hapsim.prediction import Felt, Prediction, felt_at_rate, host_silence
 
 if TYPE_CHECKING:
+    from hapsim.errors import RunError
     from hapsim.loop.trace import Report
     from hapsim.measuring.identify import Measurement
     from hapsim.realtime import PrivilegeResult
@@ -21,8 +22,11 @@ def document(value: dict[str, Any]) -> str:
     return json.dumps(_plain(value), indent=2, allow_nan=False)
 
 
-def prediction_document(prediction: Prediction, channel: int | None = None) -> dict[str, Any]:
-    """What `hapsim check` prints; `predicted` and `dominant` are of `channel` (None: the first)."""
+def prediction_document(
+    prediction: Prediction, channel: int | None = None, on_wire: Prediction | None = None
+) -> dict[str, Any]:
+    """What `hapsim check` prints; `predicted` and `dominant` are of `channel` (None: the first). `on_wire`: as
+    `predict_on_wire` gave it."""
     felt = felt_on(prediction, channel)
     return {
         "rate_hz": prediction.rate,
@@ -51,16 +55,69 @@ def prediction_document(prediction: Prediction, channel: int | None = None) -> d
             for margin in prediction.margins
         },
         "margins_method": prediction.margins_method or ("every link" if prediction.margins else "none"),
-        "wire_time": asdict(prediction.wire_time) | {"fits": prediction.wire_time.fits},
+        "wire_time": _wire_document(prediction, channel, on_wire),
+        "host_silence": asdict(host_silence(prediction.rate)),
     }
 
 
-def measurement_document(prediction: Prediction, measurement: Measurement, channel: int) -> dict[str, Any]:
-    """What `hapsim measure` prints: prediction and measurement side by side, and how the run went."""
-    measured = {name: value for name, value in vars(measurement).items() if name != "trace"}
-    report = report_document(measurement.trace.report)
-    # The report's rate is the one that was kept; the scene's is `nominal_rate_hz`.
-    return prediction_document(prediction, channel) | {"measured": measured} | report
+def _wire_document(prediction: Prediction, channel: int | None, on_wire: Prediction | None) -> dict[str, Any]:
+    """`predicted` and what goes with it: at the delay that results, null where the wire costs one sample."""
+    budget = prediction.wire_time
+    felt = None if on_wire is None else felt_on(on_wire, channel)
+    return asdict(budget) | {
+        "of": prediction.wire_of,
+        "exchange_s": budget.exchange_s,
+        "fits": budget.fits,
+        "delay_samples": budget.delay_samples,
+        "highest_rate_hz": budget.highest_rate_hz,
+        "predicted": None if felt is None else _felt(felt) | {"delay": felt.configuration.delay},
+        "stable": None if on_wire is None else on_wire.stable,
+    }
+
+
+def measurement_document(
+    prediction: Prediction, measurement: Measurement, channel: int, on_wire: Prediction | None = None
+) -> dict[str, Any]:
+    """What `hapsim measure` prints: prediction and measurement side by side, and how the run went. `rate_hz` is the
+    rate that scene and device declare; a device that was seen to sample at another has both sides for that, too."""
+    seen = measurement.seen_rate
+    at_seen_rate = None
+    if seen is not None and seen.differs_from(prediction.rate):
+        felt = felt_on(prediction, channel)
+        at_seen_rate = {
+            "predicted": None if felt is None else _felt(felt_at_rate(felt, seen.rate_hz)),
+            "measured": _measured(measurement.at_rate(seen.rate_hz)),
+        }
+    return measured_document(prediction, measurement.trace.report, channel, measurement.failure, on_wire) | {
+        "measured": _measured(measurement),
+        "rate_seen_hz": None if seen is None else seen.rate_hz,
+        "rate_seen_uncertainty_hz": None if seen is None else seen.uncertainty_hz,
+        "at_rate_seen": at_seen_rate,
+    }
+
+
+def measured_document(
+    prediction: Prediction,
+    report: Report,
+    channel: int,
+    failure: RunError | None = None,
+    on_wire: Prediction | None = None,
+) -> dict[str, Any]:
+    """The same without a measurement: of a run that failed before anything could be identified."""
+    run = report_document(report)
+    rates = {"rate_hz": prediction.rate, "kept_rate_hz": run.pop("rate_hz")}
+    predicted = prediction_document(prediction, channel, on_wire)
+    return predicted | {"measured": None} | run | rates | failure_document(failure)
+
+
+def failure_document(failure: RunError | None) -> dict[str, Any]:
+    """The keys that say how something failed; none where nothing did."""
+    return {} if failure is None else {"error": str(failure), "exit_status": failure.exit_status}
+
+
+def _measured(measurement: Measurement) -> dict[str, Any]:
+    left_out = ("trace", "failure", "seen_rate")
+    return {name: value for name, value in vars(measurement).items() if name not in left_out}
 
 
 def report_document(report: Report, grants: Sequence[PrivilegeResult] = ()) -> dict[str, Any]:

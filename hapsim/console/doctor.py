@@ -36,7 +36,7 @@ def examination_line(error: Console) -> Iterator[Callable[[Step], None]]:
         return
     told: set[object] = set()
 
-    def tell(step: Step) -> None:
+    def _tell(step: Step) -> None:
         if step.number not in told:
             told.add(step.number)
             error.print(f"{step.number} of {step.of}: {step.what}, {step.seconds:g} s", soft_wrap=True)
@@ -44,7 +44,7 @@ def examination_line(error: Console) -> Iterator[Callable[[Step], None]]:
             told.add((step.number, "compiling"))
             error.print("  compiling (only the first time, up to a minute)", soft_wrap=True)
 
-    yield tell
+    yield _tell
 
 
 def _now(step: Step) -> str:
@@ -107,7 +107,7 @@ def _show_exchanges(out: Console, examination: Examination) -> None:
     for clock in dict.fromkeys(run.clock for run, _ in made):
         of_clock = [(run, verdict) for run, verdict in made if run.clock == clock]
         verdicts = [verdict for _, verdict in of_clock]
-        where = "the mock" if of_clock[0][0].where == MOCK else f"{escape(of_clock[0][0].where)}, without force"
+        where = "the mock" if of_clock[0][0].where == MOCK else f"{escape(of_clock[0][0].where)}, sent zero force"
         # Above the table, not its title: that would be folded to the table's width.
         out.print(f"\n[italic]Exchanges of {escape(examination.scene)} on {where}; clock: {clock}[/italic]")
         out.print(_exchanges(out, of_clock))
@@ -164,6 +164,7 @@ def _print_indented(out: Console, indent: str, text: str, style: str = "") -> No
 
 def examination_document(examination: Examination) -> dict[str, Any]:
     """What `hapsim doctor --json` prints: plain values, durations in s with names that end in _s."""
+    failed = examination.device_failed
     return {
         "scene": examination.scene,
         "rate_hz": examination.rate_hz,
@@ -181,7 +182,7 @@ def examination_document(examination: Examination) -> dict[str, Any]:
         "in_time_means": IN_TIME,
         "best_rates_hz": examination.best_rates,
         "advice": [asdict(one) for one in examination.advice],
-    }
+    } | ({} if failed is None else {"error": failed.failure, "exit_status": failed.exit_status})
 
 
 def _grant(grant: Any) -> dict[str, Any]:

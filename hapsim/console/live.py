@@ -61,6 +61,7 @@ class _Line:
         self._since = time.monotonic()
 
     def tell(self, progress: Progress) -> None:
+        """Shows how it is doing now."""
         if progress.phase == "compiling":
             self._compiled += 1
             far = "" if progress.share is None else f"{100.0 * progress.share:.0f} %, "

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 from rich.markup import escape
 
+from hapsim.console.sentences import fitted
+
 if TYPE_CHECKING:
     from hapsim.realtime import PrivilegeResult
     from hapsim.running import Session
@@ -21,7 +23,9 @@ def show_grants(error: Console, grants: Sequence[PrivilegeResult]) -> None:
     """A line for each privilege, granted or denied and why."""
     for grant in grants:
         sign = "[green]granted[/green]" if grant.granted else "[yellow]denied[/yellow] "
-        error.print(f"{sign} {grant.privilege}: {escape(grant.detail)}", soft_wrap=True, highlight=False)
+        error.print(
+            f"{sign} {grant.privilege}: {escape(grant.detail)}", soft_wrap=not error.is_terminal, highlight=False
+        )
 
 
 class RunReporter:
@@ -59,4 +63,5 @@ class RunReporter:
                 self._about(session.scene)
 
     def _say(self, text: str) -> None:
-        self._error.print(text, soft_wrap=True, highlight=False, markup=False)
+        columns = self._error.width if self._error.is_terminal else None
+        self._error.print(fitted(text, columns), soft_wrap=True, highlight=False, markup=False)

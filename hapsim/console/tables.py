@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from hapsim.prediction import Felt, Prediction, WireTime
+from hapsim.console.wire import show_silence, show_wire
+from hapsim.prediction import Felt, Prediction, felt_at_rate
 from hapsim.theory import Mode
 
 if TYPE_CHECKING:
@@ -22,9 +23,14 @@ if TYPE_CHECKING:
 _MARGINAL = 1e-9  # of the spectral radius: a free motion, which rounding places on either side of 1
 
 
-def show_prediction(out: Console, name: str, prediction: Prediction) -> None:
-    """What `hapsim check` tells."""
-    out.print(f"[bold]{escape(name)}[/bold] at {prediction.rate:g} Hz: {_stability(prediction)}")
+def show_prediction(out: Console, name: str, prediction: Prediction, on_wire: Prediction | None) -> None:
+    """What `hapsim check` tells. `on_wire`: as `predict_on_wire` gave it."""
+    title, verdict = f"[bold]{escape(name)}[/bold]", f"at {prediction.rate:g} Hz: {_stability(prediction)}"
+    if len(name) < out.width:
+        out.print(title, verdict)
+    else:
+        out.print(title, soft_wrap=True)  # a path stays whole: it is to be copied
+        out.print(verdict)
     show_assumptions(out, prediction)
     for felt in prediction.felt:
         _show_felt(out, felt)
@@ -43,7 +49,8 @@ def show_prediction(out: Console, name: str, prediction: Prediction) -> None:
         out.print(_margins(prediction))
         if prediction.margins_method:
             out.print(f"{prediction.margins_method[0].upper()}{prediction.margins_method[1:]}.")
-    out.print(_budget(prediction.wire_time))
+    show_wire(out, prediction, on_wire)
+    show_silence(out, prediction.rate)
 
 
 def show_assumptions(out: Console, prediction: Prediction) -> None:
@@ -169,43 +176,14 @@ def _oscillation(mode: Mode) -> tuple[str, str]:
     return (_number(mode.frequency_hz), _number(mode.damping_ratio)) if mode.pole.imag else ("–", "–")
 
 
-def _budget(budget: WireTime) -> str:
-    share = budget.seconds / budget.period
-    verdict = "fits" if budget.fits else "[red]does not fit[/red]: a higher baud rate, or a lower rate"
-    return (
-        f"\nWire: {budget.bytes_to_host} + {budget.bytes_to_device} bytes an exchange take "
-        f"{budget.seconds * 1e3:.3g} ms of the {budget.period * 1e3:.3g} ms period ({share:.0%}) at this baud rate: "
-        f"{verdict}. A USB device's port has no baud rate of its own and is faster."
-    )
-
-
 def show_measurement(out: Console, where: str, felt: Felt | None, why: str, measurement: Measurement) -> None:
     """Prediction beside measurement, as `hapsim measure` tells them.
 
     `where`: the hand in question; `why`: there is no prediction for it, in words.
     """
-    table = Table(title=f"What the hand feels at {escape(where)}", title_justify="left")
-    for heading in ("", "predicted", "measured", "uncertainty", "off by"):
-        table.add_column(heading, justify="right" if heading else "left")
-    rows = [
-        ("k  N/m", "k", measurement.k_uncertainty),
-        ("b  N·s/m", "b", measurement.b_uncertainty),
-        ("eigenfrequency  Hz", "frequency_hz", None),
-        ("damping ratio", "damping_ratio", None),
-    ]
-    for label, key, uncertainty in rows:
-        predicted = math.nan if felt is None else getattr(felt, key)
-        measured = getattr(measurement, key)
-        difference = (measured / predicted - 1.0) if predicted else math.nan
-        table.add_row(
-            label,
-            _number(predicted, 9),
-            _number(measured, 9),
-            "" if uncertainty is None else _number(uncertainty, 1),
-            f"{difference:+.1e}" if math.isfinite(difference) else "",
-        )
     out.print()
-    out.print(table)
+    out.print(_side_by_side(f"What the hand feels at {escape(where)}", felt, measurement))
+    _show_at_seen_rate(out, felt, measurement)
     if felt is None:
         out.print(
             f"This hand {why}: no single spring and damper is predicted "
@@ -225,6 +203,44 @@ def show_measurement(out: Console, where: str, felt: Felt | None, why: str, meas
         f"Read from {measurement.samples} samples; the fit leaves {measurement.residual_m:.2g} m, in "
         f"{measurement.order} poles."
     )
+
+
+def _show_at_seen_rate(out: Console, felt: Felt | None, measurement: Measurement) -> None:
+    """Both sides once more, where the device was seen to sample at another rate than it declares."""
+    seen, declared = measurement.seen_rate, measurement.trace.rate
+    if seen is None or not seen.differs_from(declared):
+        return
+    out.print(
+        f"[yellow]The device sampled at {seen.rate_hz:.7g} ± {seen.uncertainty_hz:.2g} Hz[/yellow], as its positions "
+        f"arrived; it declares {declared:g} Hz, for which the table above holds. With the rate that was seen:"
+    )
+    at_seen = None if felt is None else felt_at_rate(felt, seen.rate_hz)
+    title = f"What the hand feels at {seen.rate_hz:.7g} Hz"
+    out.print(_side_by_side(title, at_seen, measurement.at_rate(seen.rate_hz)))
+
+
+def _side_by_side(title: str, felt: Felt | None, measurement: Measurement) -> Table:
+    table = Table(title=title, title_justify="left")
+    for heading in ("", "predicted", "measured", "uncertainty", "off by"):
+        table.add_column(heading, justify="right" if heading else "left")
+    rows = [
+        ("k  N/m", "k", measurement.k_uncertainty),
+        ("b  N·s/m", "b", measurement.b_uncertainty),
+        ("eigenfrequency  Hz", "frequency_hz", None),
+        ("damping ratio", "damping_ratio", None),
+    ]
+    for label, key, uncertainty in rows:
+        predicted = math.nan if felt is None else getattr(felt, key)
+        measured = getattr(measurement, key)
+        difference = (measured / predicted - 1.0) if predicted else math.nan
+        table.add_row(
+            label,
+            _number(predicted, 9),
+            _number(measured, 9),
+            "" if uncertainty is None else _number(uncertainty, 1),
+            f"{difference:+.1e}" if math.isfinite(difference) else "",
+        )
+    return table
 
 
 def show_report(out: Console, report: Report) -> None:
@@ -250,13 +266,17 @@ def show_report(out: Console, report: Report) -> None:
         table.add_row("changes taken", str(report.parameter_changes))
     for label, count in (
         ("positions lost", report.lost_frames),
-        ("frames refused", report.crc_errors),
+        ("frames of the device refused", report.crc_errors),
+        ("bytes that were no frame", report.garbage_bytes),
+        ("frames refused by the device", report.rejected_by_device),
         ("stale positions", report.stale_positions),
         ("ticks at the force limit", report.limited_ticks),
         ("rows not recorded", report.dropped_rows),
     ):
         if count:
             table.add_row(label, f"[yellow]{count}[/yellow]")
+    if report.released is False:
+        table.add_row("force released", "[yellow]not confirmed[/yellow]")
     out.print()
     out.print(table)
 
@@ -270,3 +290,14 @@ def _spread_in_us(spread: Spread) -> str:
 
 def _number(value: float, digits: int = 6) -> str:
     return f"{value + 0.0:.{digits}g}" if math.isfinite(value) else "–"  # + 0.0: no minus before a zero
+
+
+def show_ports(out: Console, ports: Iterable[Mapping[str, str]]) -> None:
+    """What `hapsim ports` lists: where each port is, what it says of itself, and by what the system knows it."""
+    table = Table(title="Serial ports", title_justify="left")
+    table.add_column("port", overflow="fold", no_wrap=True)
+    table.add_column("description", overflow="fold")
+    table.add_column("hardware", overflow="fold")
+    for port in ports:
+        table.add_row(*(escape(port[key]) for key in ("port", "description", "hardware")))
+    out.print(table)

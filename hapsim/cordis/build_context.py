@@ -29,9 +29,8 @@ class BuildContext(NamedTuple):
     """All points at the first sample. Its rows of positions take turns from then on; `force` and `velocity` stay."""
 
     def column(self, values: Sequence[float]) -> Column:
-        """Values in the scene's precision; the guard sees what comes of an infinity."""
-        with np.errstate(over="ignore"):
-            return np.array(values, np.float64).astype(self.real)
+        """Values in the scene's precision."""
+        return np.array(values, np.float64).astype(self.real)
 
 
 def _nothing_live(_modules: Sequence[Any], _rate: float) -> list[list[float]]:

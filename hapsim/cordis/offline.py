@@ -36,12 +36,12 @@ _doubles_at, _singles_at = array_at(np.float64), array_at(np.float32)
 def _other_code(_typing: Any) -> Any:
     """To the compiler, code that may read and write all memory."""
 
-    def generate(context: Any, builder: Any, _signature: Any, _arguments: Any) -> Any:
+    def _generate(context: Any, builder: Any, _signature: Any, _arguments: Any) -> Any:
         nothing = cgutils.ir.FunctionType(cgutils.ir.VoidType(), [])
         builder.asm(nothing, "", "~{memory}", [], side_effect=True)
         return context.get_dummy_value()
 
-    return types.void(), generate
+    return types.void(), _generate
 
 
 def start(program: Program, measured: Reals) -> None:

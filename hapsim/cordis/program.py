@@ -10,7 +10,7 @@ scene runs (stiffness, damping, rest positions) stands together in one array, of
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -26,7 +26,9 @@ from hapsim.cordis.schemes.scheme import Taken
 from hapsim.cordis.simd.lanes import aligned, padded
 from hapsim.cordis.tick import PROGRAM
 from hapsim.cordis.tick_state import Column, TickState
+from hapsim.errors import UsageError
 from hapsim.scene import Scene
+from hapsim.scene.cross_checks import MOST_SINGLE
 
 _REAL = {"double": np.float64, "single": np.float32}
 
@@ -83,28 +85,54 @@ def compile_scene(scene: Scene, values: Column | None = None) -> Program:
     """The program of `scene`, at its initial state.
 
     `values`: what `parameter_values` gives, kept and read at every tick, so that who holds it may change it.
+
+    Raises:
+        UsageError: the scene's scheme, or its precision, cannot work out these numbers.
     """
     if values is None:
         values = parameter_values(scene)
     number, size, structures = _numbers(scene)
-    rows = _rows(scene, number, size, structures)
-    velocity = np.zeros(len(scene.device_points))
-    context = BuildContext(
-        number=number,
-        rate=scene.rate,
-        real=real_of(scene),
-        loaded=frozenset(number[end] for link in scene.links.values() for end in link.between),
-        state=_state_at(rows, 0, np.zeros(size, real_of(scene)), velocity),
-    )
-    parts = SCHEMES[scene.scheme].parts(scene, context, list(_taken(scene, values)))
+    with np.errstate(all="ignore"):  # what comes of an infinity is refused here, or seen by the guard
+        rows = _rows(scene, number, size, structures)
+        velocity = np.zeros(len(scene.device_points))
+        context = BuildContext(
+            number=number,
+            rate=scene.rate,
+            real=real_of(scene),
+            loaded=frozenset(number[end] for link in scene.links.values() for end in link.between),
+            state=_state_at(rows, 0, np.zeros(size, real_of(scene)), velocity),
+        )
+        parts = SCHEMES[scene.scheme].parts(scene, context, list(_taken(scene, values)))
+    _require_finite(scene, [rows, *(part.numbers for part in parts)])
     return Program(scene, rows, context.state, values, parts)
 
 
+def _require_finite(scene: Scene, numbers: Iterable[Any]) -> None:
+    """UsageError where some of what a scene of single precision is worked out with is beyond such numbers.
+
+    Those of double precision end where nobody goes: there the guard sees what comes of an infinity.
+    """
+    for one in numbers if scene.precision == "single" else ():
+        if isinstance(one, tuple):
+            _require_finite(scene, one)
+        elif np.asarray(one).dtype == np.float32 and not np.isfinite(one).all():
+            raise UsageError(
+                "precision: found single, but what this scene is worked out with (masses, stiffnesses and dampings "
+                f"with the rate) is beyond its numbers, which end at {MOST_SINGLE:.2g}; write precision: double"
+            )
+
+
 def parameter_values(scene: Scene) -> Column:
-    """What can be changed while the scene runs, shape (P,): the live columns of every type of module, in turn."""
+    """What can be changed while the scene runs, shape (P,): the live columns of every type of module, in turn.
+
+    Raises:
+        UsageError: the scene's precision does not hold one.
+    """
     columns = [column for kind, modules in _by_type(scene) for column in _columns(kind, modules, scene.rate)]
     with np.errstate(over="ignore"):
-        return np.array([value for column in columns for value in column], np.float64).astype(real_of(scene))
+        values = np.array([value for column in columns for value in column], np.float64).astype(real_of(scene))
+    _require_finite(scene, [values])
+    return values
 
 
 def places_of_values(scene: Scene) -> dict[tuple[Any, str, int], int]:
@@ -203,8 +231,7 @@ def _rows(scene: Scene, number: Mapping[str, int], size: int, structures: Mappin
         position, velocity = point.start()
         rows[0, number[name]] = position
         rows[2, number[name]] = position - velocity / scene.rate
-    with np.errstate(over="ignore"):  # the guard sees what comes of an infinity
-        return aligned(rows, real_of(scene))
+    return aligned(rows, real_of(scene))
 
 
 def _state_at(rows: Column, turn: int, force: Column, velocity: Any) -> TickState:

@@ -17,6 +17,8 @@ from hapsim.loop.codes import FAILED, HUNG_UP
 
 _ANSWER_S = 0.25  # how long one answer is waited for
 _TRIES = 12  # together three seconds: a board that the opening of its port resets needs them
+_TRIES_TO_ASK = 4  # of one that has answered before
+_FAREWELL_S, _FAREWELLS = 0.1, 4  # how long, and how often, a device is waited for that is to release
 
 
 def describe(connection: Connection) -> Description:
@@ -41,43 +43,99 @@ def arm(
 ) -> Format:
     """Arms the device, which then sends positions, with their velocities where asked, in the format returned.
 
-    DeviceError where it refuses.
+    DeviceError where it refuses, and where it answers everything but this. From then on, what is refused on the wire is
+    counted anew.
     """
     wire = armed_format(description.channels, velocity)
     argument = pacing | (schema.WITH_VELOCITY if velocity else 0)
     schema_word = np.array([schema.SCHEMA_HASH], np.uint32).astype(np.int32).astype(np.int64)
     frame = frame_to_device(SETUP, schema.ARM, watchdog_samples, argument, schema_word)
-    answer = _exchange(connection, frame, schema.STATUS, 0, fits=_answers_arming)
+    passed_over: list[int] = []
+    answer = _exchange(connection, frame, schema.STATUS, 0, fits=_answers_arming, passed_over=passed_over)
+    if answer is None:
+        raise DeviceError(f"{connection.name}: {_never_armed(passed_over)}{_refused(connection)}")
     state, fault = answer & 0xFF, answer >> 8 & 0xFF
     if state != schema.ARMED:
         raise DeviceError(f"{connection.name}: the device does not arm: {fault_text(fault)}")
     connection.use_format(wire)
+    for counter in ("crc_errors", "length_errors", "form_errors", "garbage_bytes"):
+        connection.decoder[counter] = 0
     return wire
 
 
 def _answers_arming(word: int) -> bool:
-    """A status that says neither armed nor why not is a late answer to something else."""
-    refusals = (schema.WRONG_SCHEMA, schema.WRONG_PACING, schema.WRONG_SENSING, schema.WRONG_WATCHDOG, schema.HARDWARE)
-    return word & 0xFF == schema.ARMED or word >> 8 & 0xFF in refusals
+    """A status that says neither armed nor why not is a late answer to something else: a fault of before among them."""
+    of_before = (schema.NO_FAULT, schema.HOST_QUIET, schema.POSITION_OUT_OF_RANGE)
+    return word & 0xFF == schema.ARMED or word >> 8 & 0xFF not in of_before
+
+
+def _never_armed(words: list[int]) -> str:
+    waited = f"within {_TRIES_TO_ASK * _ANSWER_S:.2g} s"
+    if not words:
+        return (
+            f"the device described itself, but did not answer ARM {waited}: its firmware has to answer it with a "
+            "STATUS (PROTOCOL.md, section 7)"
+        )
+    state, fault = words[-1] & 0xFF, words[-1] >> 8 & 0xFF
+    return (
+        f"the device described itself, but did not arm {waited}: to ARM it answered state {state} and fault {fault}, "
+        "which is neither armed (state 1) nor a reason why not (PROTOCOL.md, sections 4 and 7)"
+    )
+
+
+def _refused(connection: Connection) -> str:
+    """What came and was no frame, in words that follow a sentence; "" where nothing did."""
+    decoder = connection.decoder
+    frames = int(decoder.crc_errors + decoder.length_errors + decoder.form_errors)
+    spoilt = f"{frames} frames were refused, and {int(decoder.garbage_bytes)} bytes belonged to none"
+    return f" ({spoilt}: another baud rate, or a disturbed cable?)" if frames or decoder.garbage_bytes else ""
 
 
 def disarm(connection: Connection, wire: Format) -> bool:
-    """Tells the device to release: zero force, at once. Whether it said that it did; a dead port is no error here."""
+    """Tells the device to release: zero force, at once. Whether it said that it did, with a STATUS idle or latched; a
+    dead port is no error here. At first it listens: the loop has told the device so already."""
     connection.use_format(SETUP)
+    try:
+        if _answer(connection, schema.STATUS, None, _FAREWELL_S, _says_released) is not None:
+            return True
+    except DeviceError:
+        return False
     frames = [
         frame_to_device(wire, schema.DISARM, 0, 0, np.zeros(wire.channels, np.int64)),
         frame_to_device(SETUP, schema.DISARM, 0, 0, np.zeros(1, np.int64)),
     ]
     # A device that already released (a fault, its watchdog) listens to the set-up format; one that did not, to its own.
-    for _ in range(3):
+    for _ in range(_FAREWELLS):
         for frame in frames:
             try:
                 _send(connection, frame)
-                if _answer(connection, schema.STATUS, None, 0.1) is not None:
+                if _answer(connection, schema.STATUS, None, _FAREWELL_S, _says_released) is not None:
                     return True
             except DeviceError:
                 return False
     return False
+
+
+def _says_released(word: int) -> bool:
+    return word & 0xFF in (schema.IDLE, schema.LATCHED)
+
+
+def frames_rejected_by(connection: Connection) -> int | None:
+    """How many of the host's frames an unarmed device says that it refused since it was armed; None where it does not
+    answer."""
+    frame = frame_to_device(SETUP, schema.DESCRIBE, schema.REG_REJECTED, 0, np.zeros(1, np.int64))
+    try:
+        return _exchange(connection, frame, schema.DESCRIPTION, schema.REG_REJECTED, tries=2)
+    except DeviceError:
+        return None
+
+
+def disarm_in_every_format() -> bytes:
+    """What releases a device that somebody else armed, however many channels it has, with velocities or without."""
+    every = range(1, schema.MAX_CHANNELS + 1)
+    formats = [armed_format(channels, velocity) for channels in every for velocity in (False, True)]
+    frames = [frame_to_device(wire, schema.DISARM, 0, 0, np.zeros(wire.channels, np.int64)) for wire in formats]
+    return b"".join(frames)
 
 
 def fault_text(fault: int) -> str:
@@ -107,15 +165,24 @@ def _require_same_language(connection: Connection, registers: Any) -> None:
 
 def _first_answer(connection: Connection) -> int:
     """The version. Where the device stays quiet it may still be armed, by a host that died: it is disarmed."""
-    every = range(1, schema.MAX_CHANNELS + 1)
-    formats = [armed_format(channels, velocity) for channels in every for velocity in (False, True)]
-    release = [frame_to_device(wire, schema.DISARM, 0, 0, np.zeros(wire.channels, np.int64)) for wire in formats]
-    return _ask(connection, schema.REG_VERSION, _TRIES, b"".join(release))
+    return _ask(connection, schema.REG_VERSION, _TRIES, disarm_in_every_format())
 
 
-def _ask(connection: Connection, register: int, tries: int = 4, when_quiet: bytes = b"") -> int:
+def _ask(connection: Connection, register: int, tries: int = _TRIES_TO_ASK, when_quiet: bytes = b"") -> int:
     frame = frame_to_device(SETUP, schema.DESCRIBE, register, 0, np.zeros(1, np.int64))
-    return _exchange(connection, frame, schema.DESCRIPTION, register, tries, when_quiet)
+    word = _exchange(connection, frame, schema.DESCRIPTION, register, tries, when_quiet)
+    if word is not None:
+        return word
+    waited = f"within {tries * _ANSWER_S:.2g} s{_refused(connection)}"
+    if register == schema.REG_VERSION:
+        raise DeviceError(
+            f"{connection.name}: no answer {waited}. Is this the device's port, is the device "
+            "powered, does its firmware speak hapsim's protocol, and is no other program using it?"
+        )
+    raise DeviceError(
+        f"{connection.name}: the device told its version (register {schema.REG_VERSION}), but not what register "
+        f"{register} holds {waited}: its firmware has to answer every DESCRIBE (PROTOCOL.md, section 5)"
+    )
 
 
 def _exchange(
@@ -123,22 +190,21 @@ def _exchange(
     frame: bytes,
     kind: int,
     number: int,
-    tries: int = 4,
+    tries: int = _TRIES_TO_ASK,
     when_quiet: bytes = b"",
     fits: Callable[[int], bool] = lambda _word: True,
-) -> int:
-    """Sends a frame until something that `fits` answers, `when_quiet` before the third time; the answer's word."""
+    passed_over: list[int] | None = None,
+) -> int | None:
+    """Sends a frame until something that `fits` answers, `when_quiet` before the third time; the answer's word, or
+    None. `passed_over` gets the words that did not fit."""
     for attempt in range(tries):
         if attempt == 2 and when_quiet:
             _send(connection, when_quiet)
         _send(connection, frame)
-        answer = _answer(connection, kind, number, _ANSWER_S, fits)
+        answer = _answer(connection, kind, number, _ANSWER_S, fits, passed_over)
         if answer is not None:
             return answer
-    raise DeviceError(
-        f"{connection.name}: no answer within {tries * _ANSWER_S:.2g} s. Is this the device's port, is the device "
-        "powered, does its firmware speak hapsim's protocol, and is no other program using it?"
-    )
+    return None
 
 
 def _send(connection: Connection, frame: bytes) -> None:
@@ -154,15 +220,20 @@ def _answer(
     number: int | None,
     timeout_s: float,
     fits: Callable[[int], bool] = lambda _word: True,
+    passed_over: list[int] | None = None,
 ) -> int | None:
     """The first word of the next frame of this kind and number (None: any) that `fits`; None where none comes."""
     deadline = time.monotonic() + timeout_s
     while (left := deadline - time.monotonic()) > 0:
         found, code = connection.next_frame(left)
-        if code in (HUNG_UP, FAILED):
+        if code == HUNG_UP:
             raise DeviceError(f"{connection.name}: the device is gone (the port hung up)")
+        if code == FAILED:
+            raise DeviceError(f"{connection.name}: the port cannot be read any more: the system refuses it")
         if found and connection.decoder.type == kind and number in (None, connection.decoder.number):
             word = int(connection.decoder.counts[0]) & 0xFFFFFFFF
             if fits(word):
                 return word
+            if passed_over is not None:
+                passed_over.append(word)
     return None

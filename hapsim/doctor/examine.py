@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from hapsim.device.open_connection import TransportKind
+from hapsim.device.conversation import describe
+from hapsim.device.open_connection import TransportKind, open_connection
 from hapsim.doctor import words
 from hapsim.doctor.advice import Advice, Situation, advice_on
 from hapsim.doctor.exchanges import MOCK, Exchanges, Run, Trial, exchanges, trials
@@ -16,10 +17,11 @@ from hapsim.doctor.machine import Machine, machine_of
 from hapsim.doctor.step import Step, Tell
 from hapsim.doctor.system_files import Tree
 from hapsim.doctor.verdict import Verdict, best_rate, verdict_on
-from hapsim.doctor.wakeups import require_measurable, wake_up_lateness
+from hapsim.doctor.wakeups import require_measurable, wake_up_latency
 from hapsim.errors import UsageError
 from hapsim.loop.histogram import Histogram
 from hapsim.loop.only_linux import require_linux
+from hapsim.running.compatibility import require_compatible
 from hapsim.scene import Scene, parse_scene
 
 if TYPE_CHECKING:
@@ -72,17 +74,18 @@ def examine(
     on_progress: Callable[[Step], None] | None = None,
     tree: Tree | None = None,
     run: Run | None = None,
+    ask: Callable[[Trial], None] | None = None,
 ) -> Examination:
     """How steady this machine is for a haptic loop.
 
     First a thread sleeps to a grid of each of `rates` (Hz), and of the scene's own, and its wake-up latencies are
     counted. Then `scene` (None: the shipped first_touch) runs: on its device where it names a port and `transport` is
-    "auto", at its own rate and with no force whatever; otherwise on the mock, at every rate and under either clock.
-    Each of these takes `seconds`. `realtime`: with what this user may have of real time. `tree`, `run`: in place of
-    this system's files and of hapsim.run, for tests.
+    "auto", at its own rate, and sent no force but zero; otherwise on the mock, at every rate and under either clock.
+    Each of these takes `seconds`. `realtime`: with what this user may have of real time. `tree`, `run`, `ask`: in
+    place of this system's files, of hapsim.run and of asking the device, for tests.
 
-    A run that fails is part of the answer. Raises UsageError, before anything is measured, for rates and times that
-    cannot be; and where a scene and its device do not go together.
+    A run that fails is part of the answer. Raises, before anything is measured, UsageError for rates and times that
+    cannot be, and where a scene and its device do not go together; DeviceError where no device answers.
     """
     if transport == "loopback":
         raise UsageError("--transport: found loopback, which has no time of its own; expected terminal, or nothing")
@@ -91,13 +94,12 @@ def examine(
     _require_measurable(examined, rates, seconds)
     rates = tuple(sorted({*rates, examined.rate}))
     to_run = trials(examined, rates, transport)
+    if to_run[0].where != MOCK:
+        (ask or _ask)(to_run[0])
     steps = _Steps(len(rates) + len(to_run), seconds, on_progress)
     before = cpu_times(tree)
     wakeups, grants = _wakeups(rates, seconds, steps, realtime)
-    ran = tuple(
-        exchanges(trial, seconds, steps.next(_named(trial)), run or _hapsim_run(), realtime=realtime)
-        for trial in to_run
-    )
+    ran = _exchanges(to_run, seconds, steps, run or _hapsim_run(), realtime)
     machine = machine_of(tree)
     load = load_between(before, cpu_times(tree), machine.cores_online, tree)
     verdicts = tuple(map(verdict_on, ran))
@@ -125,6 +127,12 @@ def examine(
     )
 
 
+def _ask(trial: Trial) -> None:
+    """Asks the device what it is: it is not armed."""
+    with open_connection(trial.scene, trial.transport) as connection:
+        require_compatible(trial.scene, connection.name, describe(connection))
+
+
 def _require_measurable(scene: Scene, rates: tuple[float, ...], seconds: float) -> None:
     for rate in rates:
         require_measurable(rate, seconds)
@@ -137,7 +145,7 @@ def _wakeups(
     """(by rate, the wake-up latencies of a thread; what was granted of real time, None where it was not asked for)."""
     granted: list[list[PrivilegeResult]] = []
     wakeups = {
-        rate: wake_up_lateness(
+        rate: wake_up_latency(
             rate,
             seconds,
             steps.next(f"wake-ups at {words.rate(rate)}"),
@@ -147,6 +155,13 @@ def _wakeups(
         for rate in rates
     }
     return wakeups, tuple(granted[-1]) if realtime else None
+
+
+def _exchanges(
+    to_run: Sequence[Trial], seconds: float, steps: _Steps, run: Run, realtime: bool
+) -> tuple[Exchanges, ...]:
+    """What came of each, in their order."""
+    return tuple(exchanges(one, seconds, steps.next(_named(one)), run, realtime=realtime) for one in to_run)
 
 
 class _Steps:
@@ -187,6 +202,6 @@ def _shipped() -> Scene:
 
 
 def _hapsim_run() -> Run:
-    import hapsim
+    from hapsim.running import run
 
-    return hapsim.run
+    return run

@@ -37,7 +37,7 @@ def require_measurable(rate_hz: float, seconds: float, named: str = "--rates") -
         )
 
 
-def wake_up_lateness(
+def wake_up_latency(
     rate_hz: float,
     seconds: float,
     on_progress: Tell | None = None,
@@ -74,7 +74,7 @@ def _sleep_in_thread(
     """Sleeps in a thread of its own, beside which this one hears Ctrl-C and tells how far it is."""
     failures: list[BaseException] = []
 
-    def work() -> None:
+    def _work() -> None:
         try:
             with _punctual(realtime) as grants:
                 on_grants(grants)
@@ -83,7 +83,7 @@ def _sleep_in_thread(
         except BaseException as failure:
             failures.append(failure)
 
-    thread = threading.Thread(target=work, name="wake-ups")
+    thread = threading.Thread(target=_work, name="wake-ups")
     thread.start()
     try:
         while thread.is_alive():

@@ -19,3 +19,5 @@ BAD_FORCE = -4
 """The scene's force is not a number."""
 OFF_RATE = -5
 """The device does not sample at the rate that it declares."""
+LEAPT = -6
+"""A position is where no hand can have moved the device."""

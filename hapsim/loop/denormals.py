@@ -23,7 +23,7 @@ _HAS_REGISTER = platform.machine() in ("x86_64", "AMD64")
 def flush_denormals(_typing: Any) -> Any:
     """Sets the mode for the calling thread; gives what to `restore`. Does nothing where the processor is no x86."""
 
-    def generate(context: Any, builder: Any, _signature: Any, _arguments: Any) -> Any:
+    def _generate(context: Any, builder: Any, _signature: Any, _arguments: Any) -> Any:
         if not _HAS_REGISTER:
             return context.get_constant(types.uint32, 0)
         register = cgutils.alloca_once(builder, ir.IntType(32))
@@ -33,20 +33,20 @@ def flush_denormals(_typing: Any) -> Any:
         _call(builder, "ldmxcsr", register)
         return before
 
-    return types.uint32(), generate
+    return types.uint32(), _generate
 
 
 @intrinsic
 def restore(_typing: Any, mode: Any) -> Any:  # noqa: ARG001
     """Puts the mode of the calling thread back to what `flush_denormals` gave."""
 
-    def generate(context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
+    def _generate(context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
         if _HAS_REGISTER:
             register = cgutils.alloca_once_value(builder, arguments[0])
             _call(builder, "ldmxcsr", register)
         return context.get_dummy_value()
 
-    return types.void(types.uint32), generate
+    return types.void(types.uint32), _generate
 
 
 def _call(builder: Any, instruction: str, register: Any) -> None:

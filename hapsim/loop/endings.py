@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from hapsim.compiling import inlined
-from hapsim.loop.codes import BAD_FORCE, FAULT, OFF_RATE, TIMED_OUT
+from hapsim.loop.codes import BAD_FORCE, FAILED, FAULT, LEAPT, OFF_RATE, TIMED_OUT
 
-DONE, STOPPED, RING_FULL, SILENT, GONE, NOT_FINITE, DEVICE_STOPPED, WRONG_RATE = range(8)
+DONE, STOPPED, RING_FULL, SILENT, GONE, NOT_FINITE, DEVICE_STOPPED, WRONG_RATE, POSITION_LEAPT, PORT_FAILED = range(10)
 
 GOES_ON = -1
 """Nothing ends it yet."""
@@ -18,6 +18,8 @@ IN_WORDS = {
     NOT_FINITE: "force not finite",
     DEVICE_STOPPED: "device stopped",
     WRONG_RATE: "wrong rate",
+    POSITION_LEAPT: "position leapt",
+    PORT_FAILED: "port failed",
 }
 """As a report tells it. RING_FULL is no end: the loop goes on once the reader has made room."""
 
@@ -27,7 +29,9 @@ def told_to_end(loop):
     """Why the loop ends before its next exchange: GOES_ON, or STOPPED, DONE, RING_FULL."""
     if loop.control.stop:
         return STOPPED
-    if 0 <= loop.control.ticks <= loop.state.ticks:
+    state, control = loop.state, loop.control
+    # Samples that passed, answered or lost; or where they come too slowly, the time on the host's clock.
+    if 0 <= control.samples <= state.ticks + state.lost_frames or state.newest_ns - state.first_ns > control.lasts_ns:
         return DONE
     # With a margin, for positions that arrive several at once.
     ring = loop.ring
@@ -45,4 +49,8 @@ def ending_of(code, stop):
         return NOT_FINITE
     if code == OFF_RATE:
         return WRONG_RATE
+    if code == LEAPT:
+        return POSITION_LEAPT
+    if code == FAILED:
+        return PORT_FAILED
     return SILENT if code == TIMED_OUT else GONE

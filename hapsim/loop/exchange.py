@@ -12,8 +12,8 @@ from firmware_protocol.code_size import compact
 from firmware_protocol.frames import FRAMING, write_frame
 from hapsim.compiling import inlined
 from hapsim.cordis.tick import program_at, start
-from hapsim.loop.codes import BAD_FORCE, FAULT, HEARD, OFF_RATE, TIMED_OUT
-from hapsim.loop.guards import WATCH, cut, is_finite, is_off_rate
+from hapsim.loop.codes import BAD_FORCE, FAULT, HEARD, LEAPT, OFF_RATE, TIMED_OUT
+from hapsim.loop.guards import LEAP, WATCH, cut, is_finite, is_leap, is_off_rate
 from hapsim.loop.histogram import HISTOGRAM, note
 from hapsim.loop.io_buffer import IO_BUFFER
 from hapsim.loop.ring import BRIDGED, LATE_FORCE, LIMITED, OFF_GRID, RING, UNSENT, mark_last, publish, push
@@ -27,7 +27,8 @@ CONTROL = np.dtype(
     [
         ("go", np.int64),  # set by another thread once the device is armed
         ("stop", np.int64),  # set by another thread
-        ("ticks", np.int64),  # how many to run, negative: until told to stop
+        ("samples", np.int64),  # how many to run, lost ones counted; negative: until told to stop
+        ("lasts_ns", np.int64),  # and for how long at most
         ("period_ns", np.int64),
         ("clock", np.int64),  # DEVICE_CLOCK, HOST_CLOCK, NO_CLOCK
         ("silence_ns", np.int64),  # a device quiet for longer is gone
@@ -49,9 +50,12 @@ STATE = np.dtype(
         ("deadline_misses", np.int64),
         ("lost_frames", np.int64),
         ("stale_positions", np.int64),
+        ("old_positions", np.int64),  # of these, those that came again or after a newer one
         ("limited_ticks", np.int64),
         ("age", np.int64),  # samples from the position that the acting force answers to the force's change
-        ("fault", np.int64),  # what the device said when it stopped
+        ("fault", np.int64),  # what the device said when it stopped,
+        ("device_state", np.int64),  # which state it said it is in,
+        ("stopped_ns", np.int64),  # and when
         ("first_ns", np.int64),  # when the first and the newest position arrived
         ("newest_ns", np.int64),
         ("unanswered", np.int64),  # 1: the newest position's force has not left yet
@@ -96,6 +100,7 @@ LOOP = np.dtype(
         ("state", STATE),
         ("wait", WAIT),
         ("watch", WATCH),
+        ("leap", LEAP),
         ("histograms", HISTOGRAMS),
     ],
     align=True,
@@ -106,7 +111,7 @@ LOOP = np.dtype(
 @inlined
 def take_frame(loop, decoder, now):
     """Takes the decoder's frame, which arrived at `now` (ns). A position moves the scene up to its sample, and the
-    force that answers it is worked out: HEARD; or BAD_FORCE, OFF_RATE. FAULT: the device has stopped.
+    force that answers it is worked out: HEARD; or BAD_FORCE, LEAPT, OFF_RATE. FAULT: the device has stopped.
 
     A position that comes twice, or after a newer one, is counted and passed over, as is a frame of another type:
     TIMED_OUT. The scene never goes back in time.
@@ -115,12 +120,15 @@ def take_frame(loop, decoder, now):
     state, io, control = loop.state, loop.io, loop.control
     if decoder.type == schema.STATUS:
         state.fault = (decoder.counts[0] >> 8) & 0xFF
+        state.device_state = decoder.counts[0] & 0xFF
+        state.stopped_ns = now
         return FAULT
     gap = (decoder.number - state.sample) & _MODULUS_MASK if state.ticks > 0 else 1
     if decoder.type not in (schema.POSITION, schema.POSITION_HELD):
         return TIMED_OUT
     if gap == 0 or gap >= schema.SAMPLE_MODULUS // 2:
         state.stale_positions += 1
+        state.old_positions += 1
         return TIMED_OUT
     if state.unanswered:
         state.stale_positions += 1
@@ -136,6 +144,7 @@ def take_frame(loop, decoder, now):
         start(program_at(loop.stage.program), io.measured)
         state.sample = decoder.number - 1
         state.first_ns = state.due_ns = now
+    leapt = is_leap(loop.leap, io, state, gap, now, control.period_ns)
     late = decoder.type == schema.POSITION_HELD
     state.deadline_misses += late
     state.age = state.age + 1 if late else 1
@@ -152,6 +161,8 @@ def take_frame(loop, decoder, now):
     state.unanswered = 1
     if not sound:
         return BAD_FORCE
+    if leapt:
+        return LEAPT
     return OFF_RATE if is_off_rate(loop.watch, state.sample, now, control.period_ns) else HEARD
 
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from hapsim.compiling import entry
 from hapsim.loop.histogram import HISTOGRAM, note
+from hapsim.loop.pacing import next_point
 from hapsim.loop.system import SCRATCH, now_ns, sleep_until
 
 GRID = np.dtype(
@@ -25,16 +26,11 @@ GRID = np.dtype(
 
 @entry
 def sleep_on_grid(grid):
-    """Sleeps to every point of a grid (a GRID record) and counts the wake-up latencies, in ns.
-
-    A wake-up that is a whole period late starts the grid anew, as the loop does (hapsim/loop/paced_by_host.py).
-    """
+    """Sleeps to every point of a grid (a GRID record) and counts the wake-up latencies, in ns."""
     while grid.due_ns <= grid.end_ns and not grid.stop:
         sleep_until(grid.due_ns, grid.scratch)
         now = now_ns(grid.scratch)
         note(grid.lateness, now - grid.due_ns)
         grid.wakeups += 1
-        grid.due_ns += grid.period_ns
-        if now >= grid.due_ns:
-            grid.restarts += 1
-            grid.due_ns = now + grid.period_ns
+        grid.due_ns, missed = next_point(grid.due_ns, now, grid.period_ns)
+        grid.restarts += missed

@@ -1,14 +1,11 @@
-"""When the host is the clock: at each tick the loop sends the force and with it asks for the next position.
-
-The clock is absolute, so that lateness does not add up. A tick that comes a whole period late starts the grid anew:
-catching up would hand the device a burst.
-"""
+"""When the host is the clock: at each tick the loop sends the force and with it asks for the next position."""
 
 from __future__ import annotations
 
 from hapsim.compiling import inlined
 from hapsim.loop.endings import GOES_ON, STOPPED, told_to_end
 from hapsim.loop.histogram import note
+from hapsim.loop.pacing import next_point
 from hapsim.loop.system import now_ns, sleep_until
 from hapsim.loop.waiting import SLICE_NS
 
@@ -42,10 +39,8 @@ def plan_by_host(loop):
         return STOPPED  # it woke up for that, not for an exchange
     note(loop.histograms.lateness, woken - wait.due_ns)
     wait.begun_ns, wait.for_ns, wait.answers = woken, 0, 1
-    wait.due_ns += control.period_ns
-    if woken >= wait.due_ns:
-        state.deadline_misses += 1
-        wait.due_ns = woken + control.period_ns
+    wait.due_ns, missed = next_point(wait.due_ns, woken, control.period_ns)
+    state.deadline_misses += missed
     return GOES_ON
 
 

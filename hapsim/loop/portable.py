@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from hapsim.compiling import entry
 from hapsim.compiling.entries import compile_for
 from hapsim.loop.codes import FAILED, HEARD, HUNG_UP, TIMED_OUT
-from hapsim.loop.endings import GOES_ON, GONE, RING_FULL, ending_of
+from hapsim.loop.endings import GOES_ON, RING_FULL, ending_of
 from hapsim.loop.exchange import HOST_CLOCK, compose_frame, flush_unsent, on_force_sent
 from hapsim.loop.inbox import fetch_in_python, inbox_at
 from hapsim.loop.paced_by_device import plan_by_device
@@ -29,7 +29,10 @@ class PortableTransport:
     """A port as pyserial has it, read and written from Python."""
 
     def __init__(self, serial: Any) -> None:
+        from serial import SerialTimeoutException
+
         self._serial = serial
+        self._full: type[OSError] = SerialTimeoutException
 
     def receive(self, buffer: NDArray[np.uint8], timeout_ns: int) -> int:
         """Waits for bytes, and takes all that are there: their count, or a code of codes.py."""
@@ -44,11 +47,13 @@ class PortableTransport:
         return len(data) if data else TIMED_OUT
 
     def send(self, frame: bytes) -> int:
-        """0, or FAILED."""
+        """0, or HUNG_UP; FAILED where the port takes nothing within the time that it was opened with."""
         try:
             self._serial.write(frame)
-        except OSError:
+        except self._full:
             return FAILED
+        except OSError:
+            return HUNG_UP
         return 0
 
 
@@ -115,7 +120,8 @@ class PortableLoop:
             elif wait["answers"]:
                 if by_host and loop.state.unanswered:
                     loop.state.tick_ns = wait["begun_ns"]
-                ending = GOES_ON if self._send(self._stop) == 0 else GONE
+                code = self._send(self._stop)
+                ending = GOES_ON if code == 0 else int(ending_of(code, 0))
                 _on_force_sent(loop, time.monotonic_ns())
         if ending != RING_FULL:
             self._send(_compose_last(loop))

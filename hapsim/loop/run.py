@@ -5,7 +5,7 @@ from __future__ import annotations
 from hapsim.compiling import entry
 from hapsim.loop.codes import HEARD, TIMED_OUT
 from hapsim.loop.denormals import flush_denormals, restore
-from hapsim.loop.endings import GOES_ON, GONE, RING_FULL, ending_of
+from hapsim.loop.endings import GOES_ON, RING_FULL, ending_of
 from hapsim.loop.exchange import HOST_CLOCK
 from hapsim.loop.paced_by_device import plan_by_device
 from hapsim.loop.paced_by_host import is_patient, plan_by_host
@@ -37,7 +37,8 @@ def run_loop(loop):
         released = ending != GOES_ON
         if by_host and loop.state.unanswered:
             loop.state.tick_ns = wait.begun_ns  # else the same position is asked for again, and awaited since then
-        if send_frame(loop, released) != 0 and not released:
-            ending = GONE
+        code = send_frame(loop, released)
+        if code != 0 and not released:
+            ending = ending_of(code, 0)
     restore(mode)
     return ending

@@ -58,7 +58,7 @@ def _compiled_now_ns(scratch):  # noqa: ARG001
 
 @overload(sleep_until)
 def _compiled_sleep_until(deadline_ns, scratch):  # noqa: ARG001
-    def sleep(deadline_ns, scratch):
+    def _sleep(deadline_ns, scratch):
         while now_ns(scratch) < deadline_ns:
             scratch[0] = deadline_ns // 1_000_000_000
             scratch[1] = deadline_ns % 1_000_000_000
@@ -66,7 +66,7 @@ def _compiled_sleep_until(deadline_ns, scratch):  # noqa: ARG001
             if _clock_nanosleep(_CLOCK_MONOTONIC, _TIMER_ABSTIME, scratch.ctypes.data, 0) not in (0, _EINTR):
                 return
 
-    return sleep
+    return _sleep
 
 
 @inlined
@@ -102,6 +102,17 @@ def read_some(descriptor, buffer, timeout_ns, scratch):
     if error in (_EINTR, _EAGAIN):
         return TIMED_OUT
     return HUNG_UP if seen & (_POLLHUP | _POLLERR) else FAILED
+
+
+@inlined
+def write_some(descriptor, buffer, start, stop):
+    """Writes as much of buffer[start:stop] as there is room for, without waiting: the count, or HUNG_UP."""
+    if start == stop:
+        return 0
+    count = _write(descriptor, buffer.ctypes.data + start, stop - start)
+    if count >= 0:
+        return count
+    return 0 if _errno_location()[0] in (_EINTR, _EAGAIN) else HUNG_UP
 
 
 @inlined

@@ -55,6 +55,15 @@ class Report:
     age_samples: Spread
     """From the position that the acting force answers to the force's change."""
     virtual_time: bool
+    garbage_bytes: int = 0
+    """Bytes from the device, since it was armed, that belonged to no frame."""
+    rejected_by_device: int | None = None
+    """Frames of the host that the device says it refused since it was armed (register 9); of a device that stopped by
+    itself the last one, which disarms, is among them. None where it did not say."""
+    released: bool | None = None
+    """Whether the device said, after the last force, that it released it; None in a record that does not tell."""
+    timed_by_device: bool = False
+    """Whether a timer of the device's own paced the positions: then their arrival tells its rate."""
 
 
 @dataclass(frozen=True)

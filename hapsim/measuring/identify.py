@@ -14,11 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from hapsim.errors import UsageError
-from hapsim.loop.ring import BRIDGED, LATE_FORCE, OFF_GRID, UNSENT
+from hapsim.errors import RunError, UsageError
+from hapsim.loop.ring import BRIDGED, LATE_FORCE, LIMITED, OFF_GRID, UNSENT
 from hapsim.loop.trace import Trace
 from hapsim.measuring.pair import FittedPair, dominant_pair
 from hapsim.measuring.regression import Fit, Segment, fit
+from hapsim.measuring.seen_rate import SeenRate, seen_rate
 
 _ROUNDING = 1.0 / math.sqrt(12.0)  # standard deviation of rounding to whole counts
 _MOST_ROWS = 6000
@@ -34,6 +35,8 @@ _DRIFTS = tuple(
 _LAWFUL = 1e-9  # of the largest force: what misses a law by less obeys it
 _CERTAIN = 0.02  # counts: a rest that is known so well is as good as exact
 _FAR_OFF = 5.0  # a fit that is this much less certain than the best one is no rival of it
+_MOST_SPOILT = 0.1  # of the samples: with more, what is missing is not motion
+_ALWAYS = 0.99  # of all samples: what is late so often is late by the wire's nature
 _UNDECIDED = 20.0  # criterion: four standard deviations of p, squared, and something for the coarseness of its steps
 
 
@@ -66,10 +69,28 @@ class Measurement:
     """Standard deviation of what the fit leaves, in m: the rounding of the position where all is well."""
     trace: Trace = field(repr=False, compare=False)
     """What it was read from."""
+    failure: RunError | None = field(default=None, repr=False, compare=False)
+    """Why the run ended before it was meant to; what was recorded until then was enough for the values above."""
+    seen_rate: SeenRate | None = field(default=None, compare=False)
+    """At which rate the device sampled, as its positions arrived; None where that does not tell."""
+
+    def at_rate(self, rate_hz: float) -> Measurement:
+        """The same motion, if the device sampled at `rate_hz` and not at the trace's: its seconds are longer or
+        shorter, its periods are the same. What is unsure of the rate that was seen is unsure of k and b."""
+        share = rate_hz / self.trace.rate
+        unsure = self.seen_rate.uncertainty_hz / rate_hz if self.seen_rate else 0.0
+        return replace(
+            self,
+            k=self.k * share**2,
+            b=self.b * share,
+            frequency_hz=self.frequency_hz * share,
+            k_uncertainty=math.hypot(self.k_uncertainty * share**2, 2.0 * self.k * share**2 * unsure),
+            b_uncertainty=math.hypot(self.b_uncertainty * share, self.b * share * unsure),
+        )
 
 
 def identify(trace: Trace, mass: float, channel: int = 0) -> Measurement:
-    """The spring and damper that `mass` kg on `channel` met during the trace. UsageError where nothing moves."""
+    """The spring and damper that `mass` kg on `channel` felt during the trace. UsageError where nothing moves."""
     with threadpool_limits(1, user_api="blas"):  # on matrices this narrow further threads cost ten times what they save
         return _identify(trace, mass, channel)
 
@@ -80,14 +101,12 @@ def _identify(trace: Trace, mass: float, channel: int) -> Measurement:
     segments = _segments(trace, channel, LATE_FORCE | BRIDGED | OFF_GRID)
     fits = _fits(segments)
     if not fits:
-        # A host whose clock is seldom on time leaves too little between two late ticks: then better rough than nothing.
+        # A host that is seldom on time leaves too little between two deadline misses: then better rough than nothing.
         segments = _segments(trace, channel, LATE_FORCE | BRIDGED)
         fits = _fits(segments)
     free = _longest_free_motion(segments)
     if not fits:
-        raise UsageError(
-            "too little motion was recorded to identify a spring and damper: record longer, or excite more strongly"
-        )
+        raise UsageError(_why_nothing_fits(trace, channel))
     found = [(best, dominant_pair(best, others, free)) for best, others in fits]
     best, (pair, poles, reason) = next((entry for entry in found if entry[1][0] is not None), found[0])
     if pair is not None:
@@ -146,7 +165,24 @@ def _measurement(
         samples=best.rows,
         residual_m=best.residual * float(trace.position_scale[channel]),
         trace=trace,
+        seen_rate=seen_rate(trace),
     )
+
+
+def _why_nothing_fits(trace: Trace, channel: int) -> str:
+    """What a record lacks, in a sentence."""
+    moved = float(np.ptp(trace.position_counts[:, channel].astype(float))) if trace.sample.size else 0.0
+    rows = trace.sample.size
+    late, lost = (int(np.count_nonzero(trace.flags & flag)) for flag in (LATE_FORCE, BRIDGED))
+    limited = int(np.count_nonzero(trace.flags & LIMITED))
+    if moved > _FAINT_COUNTS and late + lost > _MOST_SPOILT * rows:
+        return (
+            f"the hand moved by {moved * float(trace.position_scale[channel]):.3g} m, but of {rows} samples {late} had "
+            f"their force too late and {lost} followed lost ones ({limited} were at the force limit): at no delay that "
+            "stays the same a spring and damper is identified. `hapsim doctor` tells which rates are kept; a slower "
+            "rate, or a faster port, leaves more time"
+        )
+    return "too little motion was recorded to identify a spring and damper: record longer, or excite more strongly"
 
 
 def _segments(trace: Trace, channel: int, spoilt: int) -> list[Segment]:
@@ -194,12 +230,19 @@ def _first_rows(segments: list[Segment]) -> list[Segment]:
 
 def _unbroken(trace: Trace, spoilt: int) -> Iterator[tuple[int, int]]:
     """Index ranges without a gap: no sample missing or spoilt, each force sent."""
-    flags = trace.flags
+    flags = trace.flags ^ _usual_flags(trace)
     broken = (np.diff(trace.sample, prepend=trace.sample[:1] - 1) != 1) | (flags & spoilt != 0)
     broken[1:] |= flags[:-1] & UNSENT != 0
     starts = np.flatnonzero(broken | (np.arange(broken.size) == 0))
     for first, last in zip(starts, np.append(starts[1:], broken.size), strict=True):
         yield int(first), int(last)
+
+
+def _usual_flags(trace: Trace) -> int:
+    """LATE_FORCE where every force was late, as over a slow wire: that is a delay like any other, and a record like any
+    other. What is out of the common is then a force in time."""
+    late = trace.flags & LATE_FORCE != 0
+    return LATE_FORCE if late.size and float(np.mean(late)) > _ALWAYS else 0
 
 
 def _loud(y: NDArray[np.float64], first: int, last: int) -> Iterator[tuple[int, int]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 from hapsim.device.open_connection import TransportKind
 from hapsim.errors import DeviceError, UsageError
@@ -18,6 +19,7 @@ _KICK = 0.1  # m/s, what one push gives to the mass where nothing holds it
 _PUSHES = 40  # in the second half of a measurement; the first is one ring-down
 _SHARE_OF_LIMIT = 0.25
 _COUNTS = 2.0**31
+_LEAST_ROWS = 32
 
 
 def measure(
@@ -34,8 +36,9 @@ def measure(
     For half of the time it rings down once, from the mock's initial state or from a push where the device is at rest;
     then pushes follow, so that a motion which dies out in a few samples is seen many times. `duration`: seconds.
 
-    Raises what `hapsim.running.run` raises, and UsageError where too little moves to identify anything. A device that
-    stops because the motion grows out of its range has shown enough: its trace is used.
+    Raises what `hapsim.running.run` raises, and UsageError where too little moves to identify anything. Where the
+    device fails, or stops by itself, and was recorded for long enough to identify something, the measurement is
+    returned with the error as its `failure`.
     """
     if channel not in {point.channel for point in scene.device_points.values()}:
         known = ", ".join(str(point.channel) for point in scene.device_points.values())
@@ -44,6 +47,7 @@ def measure(
         raise UsageError(f"duration: found {duration}, expected a finite number of seconds above 0")
     if duration is None:
         duration = min(max(_SECONDS, _LEAST_TICKS / scene.rate), _MOST_TICKS / scene.rate)
+    failure: DeviceError | None = None
     try:
         trace = run(
             scene,
@@ -54,10 +58,15 @@ def measure(
             stop_on_signals=stop_on_signals,
         )
     except DeviceError as error:
-        if error.trace is None or error.trace.sample.size < 32:
+        if error.trace is None or error.trace.sample.size < _LEAST_ROWS:
             raise
-        trace = error.trace
-    return identify(trace, scene.device.masses(scene.channels)[channel], channel)
+        failure, trace = error, error.trace
+    try:
+        return replace(identify(trace, scene.device.masses(scene.channels)[channel], channel), failure=failure)
+    except UsageError as nothing:
+        if failure is None:
+            raise
+        raise failure from nothing
 
 
 def _pushes(scene: Scene, channel: int, duration: float) -> Excitation:
@@ -70,9 +79,11 @@ def _pushes(scene: Scene, channel: int, duration: float) -> Excitation:
     range_m = mock.quantum * _COUNTS if device.port is None else math.inf
     kick = min(_KICK, 0.05 * range_m * scene.rate / free)
     impulse = device.masses(scene.channels)[channel] * kick
-    force = min(_SHARE_OF_LIMIT * device.force_limit, impulse * scene.rate)
+    limit = device.force_limit if device.port is not None else mock.force_limit
+    force = min(_SHARE_OF_LIMIT * limit, impulse * scene.rate)
     at_rest = device.port is not None or (
         mock.initial_velocity[channel] == 0.0 and mock.initial_position[channel] == 0.0
     )
-    length = min(max(1, round(impulse * scene.rate / force)), every // 2)
+    longest = every // 2
+    length = longest if impulse * scene.rate > longest * force else max(1, round(impulse * scene.rate / force))
     return Excitation(channel, force, length, every, start=free, first=at_rest)

@@ -1,27 +1,37 @@
-"""What the hand will feel in a scene, before it runs: the scene as the linear theory takes it, and what follows."""
+"""What the hand will feel in a scene, before it runs: the scene as the linear theory takes it, and what follows.
 
+Public is what `__all__` names.
+"""
+
+from firmware_protocol.wire_time import WireTime
 from hapsim.prediction.predict import (
     Felt,
     LinkMargin,
     Prediction,
     Shaking,
-    WireTime,
     configuration_of,
+    felt_at_rate,
     is_surely_unstable,
     predict,
+    predict_on_wire,
     surely_shaken_by,
     warnings_about,
 )
+from hapsim.prediction.silence import HostSilence, host_silence
 
 __all__ = [
     "Felt",
+    "HostSilence",
     "LinkMargin",
     "Prediction",
     "Shaking",
     "WireTime",
     "configuration_of",
+    "felt_at_rate",
+    "host_silence",
     "is_surely_unstable",
     "predict",
+    "predict_on_wire",
     "surely_shaken_by",
     "warnings_about",
 ]

@@ -8,9 +8,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from firmware_protocol import schema
+from firmware_protocol.wire_time import WireTime
 from hapsim.errors import UsageError
 from hapsim.prediction.linear import LinearLink, LinearScene, linear_scene
+from hapsim.prediction.wire import WireOf, wire_of, wire_time_of, with_wire_delay
 from hapsim.scene import Scene
 from hapsim.theory import (
     Configuration,
@@ -25,7 +26,6 @@ from hapsim.theory import (
 )
 from hapsim.theory.interface import damper_named
 
-_BITS_PER_BYTE = 10  # start, eight, stop
 _SURELY = 1.0 + 1e-9  # what grows by more in a sample is not at the limit
 
 
@@ -76,21 +76,6 @@ class LinkMargin:
 
 
 @dataclass(frozen=True)
-class WireTime:
-    """What one exchange takes on the wire."""
-
-    bytes_to_host: int
-    bytes_to_device: int
-    seconds: float
-    period: float
-
-    @property
-    def fits(self) -> bool:
-        """Whether both frames pass within a sample period."""
-        return self.seconds <= self.period
-
-
-@dataclass(frozen=True)
 class Prediction:
     """A scene, predicted."""
 
@@ -116,6 +101,8 @@ class Prediction:
     margins_method: str
     """In words, which links of a large scene were worked out, and how surely; "" where all were."""
     wire_time: WireTime
+    wire_of: WireOf
+    """Whose wire that is."""
     assumptions: tuple[str, ...] = ()
     """Sentences: what was taken for what the theory does not have."""
     by_its_scheme: bool = True
@@ -155,7 +142,7 @@ class Prediction:
 def predict(scene: Scene, *, with_margins: bool = True) -> Prediction:
     """What the hand will feel in `scene`, whether the whole of it is stable, and whether the wire is fast enough.
 
-    `with_margins`: also by how much each link may grow, which for a large scene takes longer than the rest.
+    `with_margins`: also each link's gain margin, which for a large scene takes longer than the rest.
     """
     if not 1e-9 <= scene.rate <= 1e9:
         raise UsageError(f"rate: found {scene.rate:g} Hz, which is beyond what is worked out (1e-9 to 1e9 Hz)")
@@ -180,10 +167,18 @@ def predict(scene: Scene, *, with_margins: bool = True) -> Prediction:
         points=points,
         margins=_link_margins(linear, margins, felt),
         margins_method=margins.method,
-        wire_time=_wire_time(scene),
+        wire_time=wire_time_of(scene),
+        wire_of=wire_of(scene),
         assumptions=(*linear.assumptions, *([instead] if instead else [])),
         by_its_scheme=not instead,
     )
+
+
+def predict_on_wire(scene: Scene) -> Prediction | None:
+    """What the hand will feel at the delay that results from the wire, `WireTime.delay_samples` in place of one; None
+    where the wire costs one sample, or is saturated."""
+    delayed = with_wire_delay(scene)
+    return None if delayed is None else predict(delayed, with_margins=False)
 
 
 def _solved(network: Network) -> tuple[Network, Solution, str]:
@@ -258,20 +253,29 @@ def _lone_hands_are_stable(scene: Scene, linear: LinearScene) -> bool:
 def warnings_about(scene: Scene, prediction: Prediction) -> list[str]:
     """What a hand should know before `scene` runs, of which this was predicted: sentences, none where all is well."""
     warnings = []
+    limit = scene.device.force_limit
+    if scene.device.port is None and scene.mock_device.force_limit < limit:
+        most = scene.mock_device.force_limit
+        warnings.append(f"force_limit: found {limit:g} N, of which the mock gives {most:g} N at most.")
+        limit = most
     if not prediction.by_its_scheme:
         warnings.append(
             f"how stable the scene is was worked out for scheme: cordis, not for {scene.scheme}, by which it runs."
         )
     elif is_surely_unstable(prediction):
         warnings.append(
-            "the scene is predicted unstable: the hand will be shaken, with up to the force limit of "
-            f"{scene.device.force_limit:g} N. `hapsim check` tells by how much the stiffness has to go down."
+            f"the scene is predicted unstable: the hand will be shaken, with up to the force limit of {limit:g} N. "
+            "`hapsim check` tells by how much the stiffness has to go down."
         )
     budget = prediction.wire_time
-    if scene.device.port is not None and not budget.fits:
+    if prediction.wire_of == "port" and not budget.fits:
+        delay = (
+            "the frames queue up" if budget.is_saturated else f"{budget.delay_samples} samples of delay in place of one"
+        )
         warnings.append(
-            f"an exchange takes {budget.seconds * 1e3:.3g} ms at {scene.device.baud} baud, the sample period is "
-            f"{budget.period * 1e3:.3g} ms. A USB device does not mind; a UART cannot keep up."
+            f"an exchange takes {budget.exchange_s * 1e3:.4g} ms at {scene.device.baud} baud with the host's work, the "
+            f"sample period is {budget.period * 1e3:.4g} ms: on a UART {delay} (`hapsim check` tells what the hand "
+            "feels then). A USB device's own port does not mind."
         )
     return warnings
 
@@ -332,8 +336,21 @@ def _hand(scene: Scene, linear: LinearScene, name: str) -> tuple[Configuration, 
 
 
 def _felt(scene: Scene, linear: LinearScene, name: str) -> Felt:
-    channel = scene.device_points[name].channel
-    configuration, stiffness, damping = _hand(scene, linear, name)
+    return _felt_of(name, scene.device_points[name].channel, *_hand(scene, linear, name))
+
+
+def felt_at_rate(felt: Felt, rate_hz: float) -> Felt:
+    """What the same hand feels where the device samples at `rate_hz` while the loop takes it to sample at the rate of
+    `felt`: the loop makes a velocity of a step with the period that it believes in, so a damper is stronger by as much
+    as the true period is longer, and a filter's cutoff lower. A velocity that the device senses is what it is."""
+    slower = felt.configuration.rate / rate_hz
+    cutoff = felt.configuration.cutoff
+    configuration = replace(felt.configuration, rate=rate_hz, cutoff=None if cutoff is None else cutoff / slower)
+    damping = felt.damping if felt.configuration.damper == "sensed" else felt.damping * slower
+    return _felt_of(felt.name, felt.channel, configuration, felt.stiffness, damping)
+
+
+def _felt_of(name: str, channel: int, configuration: Configuration, stiffness: float, damping: float) -> Felt:
     k, b = (float(value) for value in configuration.equivalent(stiffness, damping))
     dominant = math.isfinite(k) and math.isfinite(b)
     frequency, ratio = frequency_and_ratio(configuration.mass, k, b) if k > 0 else (math.nan, math.nan)
@@ -417,11 +434,3 @@ def _network(scene: Scene, linear: LinearScene) -> tuple[Network, tuple[str, ...
         outside=tuple(link.outside for link in links),
     )
     return network, tuple(points)
-
-
-def _wire_time(scene: Scene) -> WireTime:
-    velocity = bool(scene.sensed_links)
-    to_host = schema.frame_bytes(scene.channels, to_device=False, velocity=velocity)
-    to_device = schema.frame_bytes(scene.channels, to_device=True, velocity=velocity)
-    seconds = (to_host + to_device) * _BITS_PER_BYTE / scene.device.baud
-    return WireTime(to_host, to_device, seconds, 1.0 / scene.rate)

@@ -61,7 +61,8 @@ def leave_unfinished(status: int) -> None:
         thread.join(_GRACE_S)
     if any(thread.is_alive() for thread in left):
         for stream in (sys.stdout, sys.stderr):
-            stream.flush()
+            with contextlib.suppress(OSError):  # nobody reads it any more
+                stream.flush()
         os._exit(status)
 
 

@@ -27,7 +27,7 @@ Measure = Callable[[int], AbstractContextManager[PrivilegeResult]]
 """Asks for something for the process and its thread with this native id, and gives it back on leaving."""
 
 Ask = Callable[[int], tuple[str, Callable[[], object]]]
-"""The asking alone: returns what exactly was got and what undoes it, or raises OSError."""
+"""The asking alone: returns what exactly was granted and what undoes it, or raises OSError."""
 
 
 def measure(name: str, advise: Callable[[OSError], str], *, everywhere: bool = False) -> Callable[[Ask], Measure]:
@@ -37,9 +37,9 @@ def measure(name: str, advise: Callable[[OSError], str], *, everywhere: bool = F
     The measure raises for no error of the system, neither in asking nor in undoing.
     """
 
-    def make(ask: Ask) -> Measure:
+    def _make(ask: Ask) -> Measure:
         @contextlib.contextmanager
-        def held(thread_id: int) -> Iterator[PrivilegeResult]:
+        def _held(thread_id: int) -> Iterator[PrivilegeResult]:
             if sys.platform != "linux" and not everywhere:
                 answer, undo = PrivilegeResult(name, False, ONLY_LINUX), _nothing
             else:
@@ -51,9 +51,9 @@ def measure(name: str, advise: Callable[[OSError], str], *, everywhere: bool = F
                 with contextlib.suppress(Exception):
                     undo()
 
-        return held
+        return _held
 
-    return make
+    return _make
 
 
 def denied(name: str, error: OSError, advise: Callable[[OSError], str]) -> PrivilegeResult:

@@ -1,8 +1,13 @@
-"""Running a scene: open the line, describe, arm, loop, disarm; and every way out of it leaves the force at zero."""
+"""Running a scene: open the port, describe, arm, loop, disarm; every way out tells the device to release.
 
+Public is what `__all__` names: a run, and what it tells.
+"""
+
+from hapsim.loop.trace import Report, Statistics, Trace
+from hapsim.progress import Progress
 from hapsim.running.excitation import Excitation
 from hapsim.running.run import run
 from hapsim.running.session import Session
 from hapsim.running.starting import start
 
-__all__ = ["Excitation", "Session", "run", "start"]
+__all__ = ["Excitation", "Progress", "Report", "Session", "Statistics", "Trace", "run", "start"]

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from firmware_protocol import schema
 from firmware_protocol.description import Description
 from firmware_protocol.frames import armed_format, framing_of
 from firmware_protocol.records import new_record
@@ -14,14 +13,18 @@ from hapsim.compiling.native import address_of
 from hapsim.cordis.program import Program, compile_scene
 from hapsim.device.connection import Connection
 from hapsim.loop.exchange import DEVICE_CLOCK, HOST_CLOCK, LOOP, NO_CLOCK
+from hapsim.loop.guards import watch_for_leaps
 from hapsim.loop.ring import Ring
 from hapsim.loop.stage import cross_fade, post
 from hapsim.loop.transport import Transport
+from hapsim.prediction.silence import time_to_live_samples, watchdog_samples
 from hapsim.running.excitation import Excitation
 from hapsim.scene import Scene
 
 _RING_ROWS = 1 << 16
 _CLOCK = {"device": DEVICE_CLOCK, "host": HOST_CLOCK, "lockstep": NO_CLOCK}
+_FOREVER_NS = 1 << 62
+_GRACE_NS = 50_000_000  # by which a run may be late at its end before the clock ends it
 
 
 class Loop:
@@ -38,6 +41,8 @@ class Loop:
         self.record.stage.address = address_of(self.record.stage)
         self.record.io.address = address_of(self.record.io)
         self.record.framing = framing_of(self.wire, to_device=True)
+        self.watchdog_samples = 0
+        """After how many samples without a force the device releases."""
         self._programs: list[Program] = []
         self._changes_before = 0
 
@@ -99,23 +104,23 @@ def assemble_loop(
         loop.inbox.transport = connection.transport.record
     loop.begin_with(compile_scene(scene))
     _set_io(loop.record.io, scene, description)
+    _set_leap(loop.record.leap, scene, description)
     _set_control(loop.record.control, scene, excitation, duration)
+    loop.watchdog_samples = watchdog_samples(scene.rate, description.max_watchdog_samples)
     loop.record.watch.judges = scene.device.clock == "device" and connection.has_timer
     return loop
 
 
-def watchdog_samples(rate: float, description: Description) -> int:
-    """A tenth of a second of silence of the host, as far as the device lets us."""
-    return min(max(round(0.1 * rate), 10), description.max_watchdog_samples)
-
-
 def _set_control(control: Any, scene: Scene, excitation: Excitation | None, duration: float | None) -> None:
-    control.ticks = -1 if duration is None else max(1, round(duration * scene.rate))
+    control.samples = -1 if duration is None else max(1, round(duration * scene.rate))
+    control.lasts_ns = _FOREVER_NS
+    if duration is not None and scene.device.clock != "lockstep":
+        control.lasts_ns = min(round(duration * 1e9) + _GRACE_NS, _FOREVER_NS)
     control.go = 1
     control.period_ns = round(1e9 / scene.rate)
     control.clock = _CLOCK[scene.device.clock]
     control.silence_ns = round(1e9 * max(0.25, 20.0 / scene.rate))
-    control.time_to_live = min(max(round(0.02 * scene.rate), 2), schema.MAX_TIME_TO_LIVE_SAMPLES)
+    control.time_to_live = time_to_live_samples(scene.rate)
     if scene.device.clock == "lockstep":
         control.silence_ns = 5_000_000_000  # the mock may live in a process that is only now being compiled
     if excitation is not None:
@@ -140,3 +145,19 @@ def _set_io(io: Any, scene: Scene, description: Description) -> None:
     with np.errstate(over="ignore"):
         counts = np.minimum(np.floor(limit / scale * (1.0 + 1e-12)), 2.0**31 - 1.0)
     io.force_limit[:channels] = counts * scale
+
+
+def _set_leap(leap: Any, scene: Scene, description: Description) -> None:
+    """By the scene's device and, where the mock differs from it, by whichever lets a position go farther."""
+    device, mock, channels = scene.device, scene.mock_device, scene.channels
+    watch_for_leaps(
+        leap,
+        rate_hz=scene.rate,
+        by_host=device.clock == "host",
+        mass=np.minimum(device.masses(channels), mock.mass),
+        friction=np.maximum(device.frictions(channels), mock.friction),
+        stiffness=np.maximum(device.stiffnesses(channels), mock.stiffness),
+        force=np.full(channels, device.force_limit + mock.coulomb),
+        noise_m=mock.noise,
+        count_m=np.array(description.position_scale[:channels]),
+    )

@@ -33,6 +33,12 @@ def require_compatible(scene: Scene, name: str, description: Description) -> Non
             f"{name}: the device samples at {description.rate_hz:g} Hz, the scene says {scene.rate:g} Hz: "
             f"write rate: {description.rate_hz:g} into the scene, or set the device"
         )
+    if description.max_watchdog_samples < 1:
+        raise DeviceError(
+            f"{name}: the device allows no watchdog (its register {schema.REG_MAX_WATCHDOG} reads 0), so that nothing "
+            f"would end a force of a host that died: found 0, expected 1 to {schema.MAX_WATCHDOG_SAMPLES} samples. Not "
+            "armed; set the register in its firmware"
+        )
     if not description.paces(PACING[scene.device.clock]):
         raise UsageError(
             f"{name}: the device cannot be run with clock: {scene.device.clock}; try another clock in the scene"

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+from firmware_protocol import schema
 from hapsim.device.conversation import fault_text
 from hapsim.errors import DeviceError, GuardError, RunError
 from hapsim.loop import endings
@@ -54,7 +57,11 @@ def _report(scene: Scene, loop: Loop, ending: int) -> Report:
     state, decoder, virtual = loop.state, loop.inbox.decoder, scene.device.clock == "lockstep"
     ticks = int(state.ticks)
     samples = max(ticks - 1, 0)
-    elapsed = samples / scene.rate if virtual else (int(state.newest_ns) - int(state.first_ns)) * 1e-9
+    elapsed = (
+        (samples + int(state.lost_frames)) / scene.rate
+        if virtual
+        else (int(state.newest_ns) - int(state.first_ns)) * 1e-9
+    )
     statistics = statistics_of(loop)
     return Report(
         ending=endings.IN_WORDS[ending],
@@ -73,34 +80,123 @@ def _report(scene: Scene, loop: Loop, ending: int) -> Report:
         exchange_s=statistics.exchange.spread(),
         age_samples=statistics.age.spread(),
         virtual_time=virtual,
+        garbage_bytes=int(decoder.garbage_bytes) + _endless_bytes(loop),
+        timed_by_device=bool(loop.record.watch.judges),
     )
 
 
-def failure_of(name: str, loop: Loop, trace: Trace, ending: int) -> RunError | None:
-    """The error of a loop that did not end as asked; it carries the trace. `name`: what a user calls the port."""
-    error: RunError
+def _endless_bytes(loop: Loop) -> int:
+    """Bytes that came without an end: more than a frame has, and no delimiter yet."""
+    pending, wire = int(loop.inbox.decoder.seen), loop.wire
+    return pending if pending > schema.frame_bytes(wire.channels, to_device=False, velocity=wire.velocity) else 0
+
+
+def with_farewell(trace: Trace, released: bool, rejected: int | None) -> Trace:
+    """The trace, with whether the device said that it `released` the force, and how many frames it `rejected`."""
+    return replace(trace, report=replace(trace.report, released=released, rejected_by_device=rejected))
+
+
+def failure_of(name: str, scene: Scene, loop: Loop, trace: Trace, ending: int) -> RunError | None:
+    """The error of a loop that did not end as asked, or whose device did not say that it released the force; it carries
+    the trace. `name`: what a user calls the port."""
+    kind, sentence = _what_ended(name, loop, trace, ending)
+    if not sentence and trace.report.released:
+        return None
+    told = sentence or f"{name}: the run ended as asked after {trace.report.ticks} ticks"
+    error = kind(f"{told}; {_where_the_force_is(scene, loop, bool(trace.report.released))}")
+    error.trace = trace
+    return error
+
+
+def _what_ended(name: str, loop: Loop, trace: Trace, ending: int) -> tuple[type[RunError], str]:
+    """(which error, why, without a full stop); "" where it ended as asked."""
     ticks = trace.report.ticks
     if ending == endings.SILENT:
-        silence = loop.control.silence_ns * 1e-9
-        error = DeviceError(f"{name}: the device was silent for {silence:.2g} s after {ticks} ticks; the force is zero")
-    elif ending == endings.GONE:
-        error = DeviceError(f"{name}: the device went away after {ticks} ticks (unplugged, or its port was closed)")
-    elif ending == endings.DEVICE_STOPPED:
-        reason = fault_text(int(loop.state.fault))
-        error = DeviceError(f"{name}: the device stopped after {ticks} ticks: {reason}; its force is zero")
-    elif ending == endings.NOT_FINITE:
-        error = GuardError(
-            f"the scene's force was not a finite number at tick {ticks}; the force was set to zero. The scene "
+        return DeviceError, f"{name}: {_silence(loop, trace.report)}"
+    if ending == endings.GONE:
+        return DeviceError, f"{name}: the device went away after {ticks} ticks (unplugged, or its port was closed)"
+    if ending == endings.PORT_FAILED:
+        return DeviceError, (
+            f"{name}: the port failed after {ticks} ticks: it took no bytes for 0.1 s, or the system refused to read it"
+        )
+    if ending == endings.DEVICE_STOPPED:
+        return DeviceError, f"{name}: the device stopped after {ticks} ticks: {_reason(loop, trace.report)}"
+    if ending == endings.NOT_FINITE:
+        return GuardError, (
+            f"{name}: the scene's force was not a finite number at tick {ticks}, and was not sent. The scene "
             "has grown without bounds, or a stiffness or a damping is beyond what floating point holds at this rate: "
             "`hapsim check` tells what is stable"
         )
-    elif ending == endings.WRONG_RATE:
-        error = GuardError(
+    if ending == endings.WRONG_RATE:
+        return GuardError, (
             f"{name}: the device samples at {loop.record.watch.rate_hz:.4g} Hz, where it declares {trace.rate:g} Hz; "
-            f"after {ticks} ticks the force was set to zero. At another rate than the scene's no stiffness and no "
+            f"stopped after {ticks} ticks. At another rate than the scene's no stiffness and no "
             "damping is what it says: set the device's timer right"
         )
-    else:
-        return None
-    error.trace = trace
-    return error
+    if ending == endings.POSITION_LEAPT:
+        leap = loop.record.leap
+        return GuardError, (
+            f"{name}: the position of channel {int(leap.channel)} leapt at tick {ticks}: {leap.leapt_m:.3g} m away "
+            f"from where its motion led, where no hand gets farther than {leap.bound_m:.3g} m (hapsim/STABILITY.md); "
+            "its force was not sent. A loose cable, a sensor or counter that jumps, or a position scale, a mass or a "
+            "force_limit that is not the device's"
+        )
+    return DeviceError, ""
+
+
+def _silence(loop: Loop, report: Report) -> str:
+    silence = f"for {loop.control.silence_ns * 1e-9:.2g} s after {report.ticks} ticks"
+    useless = _useless(loop, report)
+    return (
+        f"no position of the device that could be used came {silence} (in this run {useless})"
+        if useless
+        else f"the device was silent {silence}"
+    )
+
+
+def _useless(loop: Loop, report: Report) -> str:
+    """What came and was of no use; "" where there was nothing."""
+    counts = {
+        "frames were refused": report.crc_errors,
+        "bytes belonged to no frame": report.garbage_bytes,
+        "positions were numbered as earlier ones": int(loop.state.old_positions),
+    }
+    return ", ".join(f"{count} {what}" for what, count in counts.items() if count)
+
+
+def _reason(loop: Loop, report: Report) -> str:
+    """Why the device stopped, as it says. That the host was quiet is the host's doing only where it had a position."""
+    state, fault = loop.state, int(loop.state.fault)
+    if int(state.device_state) not in (schema.IDLE, schema.LATCHED):
+        return (
+            f"it sent a STATUS with state {int(state.device_state)} and fault {fault}, where an armed device says only "
+            "that it is idle or latched (PROTOCOL.md, section 7)"
+        )
+    if fault != schema.HOST_QUIET:
+        return fault_text(fault)
+    watchdog = f"its watchdog of {loop.watchdog_samples} samples"
+    since = int(state.stopped_ns) - int(state.newest_ns)
+    if report.ticks and since < 0.5 * loop.watchdog_samples * int(loop.control.period_ns):
+        return f"{fault_text(fault)} ({watchdog}; {_useless(loop, report) or 'its own frames arrived whole'})"
+    useless = _useless(loop, report)
+    when = f"for {since * 1e-9:.2g} s before" if report.ticks else "at all"
+    return f"it got no force within {watchdog}, as the host got no position that it could use {when}" + (
+        f": {useless}" if useless else ""
+    )
+
+
+def _where_the_force_is(scene: Scene, loop: Loop, released: bool) -> str:
+    """What is known of the force once the loop has ended, and what to do."""
+    if released:
+        return "the force is zero: the device confirmed that it released it"
+    rate, watchdog = scene.rate, loop.watchdog_samples
+    by_itself = f"when its watchdog ends, {1e3 * watchdog / rate:.3g} ms after the last force"
+    if scene.device.clock == "device":
+        lives = 1e3 * (int(loop.control.time_to_live) + 2) / rate
+        by_itself = f"when its force's time to live is over, {lives:.3g} ms after the last one, or {by_itself}"
+    if scene.device.clock == "lockstep":
+        by_itself = "10 s after the last force"
+    return (
+        "hapsim tried to disarm it, but the device did not confirm that it released its force: one that keeps "
+        f"PROTOCOL.md, section 7, does so by itself {by_itself}. If it still pushes, power it off"
+    )

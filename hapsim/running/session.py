@@ -51,9 +51,9 @@ class Session:
         "wall": {"position": 0.01}}`, in the scene's names and units.
 
         They are led there within `over` seconds (0: at once), no value by more than 1.5/N of its way in one of the N
-        samples. A set that comes while another is on its way takes all values over, and brings them there in its own
-        time. UsageError where a name, a key or a value is wrong, or what is asked for cannot change while the scene
-        runs; nothing has changed then.
+        samples. A set that comes during another's ramp retargets it: all values arrive when its own do. UsageError
+        where a name, a key or a value is wrong, or what is asked for cannot change while the scene runs; nothing has
+        changed then.
         """
         self._require_running()
         self._live.set(changes, over)

@@ -1,4 +1,5 @@
-"""From a scene to a running session, and out of it again: every way out leaves the force at zero."""
+"""From a scene to a running session, and out of it again: every way out tells the device to release its force, and
+whether the device confirmed it is part of the report."""
 
 from __future__ import annotations
 
@@ -7,11 +8,12 @@ from collections.abc import Callable, Iterator
 from typing import Any, TypedDict
 
 from firmware_protocol.description import Description
-from hapsim.compiling.ahead import compile_ahead
+from hapsim.ahead.compile import compile_ahead
+from hapsim.ahead.prepare import MOCK_UNITS
 from hapsim.compiling.entries import compile_for
 from hapsim.compiling.progress import Counted, on_compilation
 from hapsim.device.connection import Connection
-from hapsim.device.conversation import arm, describe, disarm
+from hapsim.device.conversation import arm, describe, disarm, frames_rejected_by
 from hapsim.device.open_connection import TransportKind, open_connection, place_of_device, require_possible_here
 from hapsim.errors import UsageError
 from hapsim.loop.only_linux import missing_calls, require_linux
@@ -20,11 +22,10 @@ from hapsim.loop.recorder import Recorder
 from hapsim.loop.run import run_loop
 from hapsim.progress import Progress
 from hapsim.realtime import realtime as with_realtime
-from hapsim.running.assemble import Loop, assemble_loop, watchdog_samples
+from hapsim.running.assemble import Loop, assemble_loop
 from hapsim.running.compatibility import PACING, require_compatible
 from hapsim.running.excitation import Excitation
-from hapsim.running.preparing import MOCK_UNITS
-from hapsim.running.report import failure_of, trace_of
+from hapsim.running.report import failure_of, trace_of, with_farewell
 from hapsim.running.session import Session
 from hapsim.scene import Scene
 
@@ -83,7 +84,7 @@ def start(
             if on_arming is not None:
                 on_arming(session)
             with _real_time(session) if realtime else contextlib.nullcontext():
-                _arm(scene, opened, description)
+                _arm(scene, opened, description, loop)
                 session._go()
                 yield session
         finally:
@@ -92,9 +93,10 @@ def start(
                 session._trace = trace_of(scene, loop, session._recorder, ending)
             finally:
                 session._join()  # whatever interrupted the first: nobody else may be on the port
-                # The loop has disarmed already; this is for every way out that did not get so far.
-                disarm(opened, loop.wire)
-    failure = failure_of(opened.name, loop, session.trace, ending)
+                # The loop has disarmed already; this is for every way out that did not get so far, and to know.
+                released = disarm(opened, loop.wire)
+        session._trace = with_farewell(session.trace, released, frames_rejected_by(opened) if released else None)
+    failure = failure_of(opened.name, scene, loop, session.trace, ending)
     if failure is not None:
         raise failure
 
@@ -124,9 +126,8 @@ def _open(
         yield opened
 
 
-def _arm(scene: Scene, opened: Connection, description: Description) -> None:
-    watchdog = watchdog_samples(scene.rate, description)
-    arm(opened, description, PACING[scene.device.clock], watchdog, bool(scene.sensed_links))
+def _arm(scene: Scene, opened: Connection, description: Description, loop: Loop) -> None:
+    arm(opened, description, PACING[scene.device.clock], loop.watchdog_samples, bool(scene.sensed_links))
 
 
 def _ready_body(connection: Connection, loop: Loop, in_python: bool) -> Callable[[Any], int]:

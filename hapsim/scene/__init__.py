@@ -2,7 +2,8 @@
 
 `load_scene` goes through four steps: `syntax` composes YAML nodes, `document` reads values from them and
 remembers their places, pydantic checks each part, `cross_checks` checks the parts against each other; `error_messages`
-words what pydantic finds. Nothing is imported before it is asked for, so that naming this room costs nothing.
+words what pydantic finds. Nothing is imported before it is asked for, so that naming this room costs nothing. Public is
+what `__all__` names.
 """
 
 from importlib import import_module

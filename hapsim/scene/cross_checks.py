@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping
 
 from .issue import Issue, Path
 from .modules import DevicePoint, ModuleContext
+from .part import Part
 
 #: The parts that may have lists with one value per channel.
 PER_CHANNEL_PARTS: tuple[Path, ...] = (("device",), ("mock",), ("mock", "initial"))
@@ -14,15 +15,19 @@ PER_CHANNEL_PARTS: tuple[Path, ...] = (("device",), ("mock",), ("mock", "initial
 #: Fields by the path of the part that they belong to.
 Fields = Mapping[Path, Mapping[str, object]]
 
+#: The largest number of 32 bits.
+MOST_SINGLE = (2.0 - 2.0**-23) * 2.0**127
 
-def cross_check_issues(around: ModuleContext, per_channel: Fields) -> list[Issue]:
+
+def cross_check_issues(around: ModuleContext, per_channel: Fields, precision: object) -> list[Issue]:
     """The faults between the parts.
 
     Args:
         around: the modules.
         per_channel: the sound fields of the parts that may have lists with one value per channel.
+        precision: in which the modules are worked out.
     """
-    issues = [issue for name, module in around.sound.items() for issue in module.issues(name, around)]
+    issues = [issue for name, module in around.modules.items() for issue in module.issues(name, around)]
     kinds = around.kinds.values()
     if None not in kinds and DevicePoint not in kinds:
         issues.append(
@@ -32,6 +37,8 @@ def cross_check_issues(around: ModuleContext, per_channel: Fields) -> list[Issue
                 at_key=True,
             )
         )
+    if precision == "single":
+        issues += _beyond_single(around)
     channels = _channels(around)
     if channels is not None:
         issues += _lists_of_another_length(per_channel, channels)
@@ -41,9 +48,9 @@ def cross_check_issues(around: ModuleContext, per_channel: Fields) -> list[Issue
 def _channels(around: ModuleContext) -> int | None:
     """Number of channels, or None where a faulty module leaves it open."""
     kinds = around.kinds
-    if any(kinds[name] in (None, DevicePoint) for name in kinds if name not in around.sound):
+    if any(kinds[name] in (None, DevicePoint) and not around.knows(name, "channel") for name in kinds):
         return None
-    used = [module.channel for module in around.sound.values() if isinstance(module, DevicePoint)]
+    used = [module.channel for module in around.modules.values() if isinstance(module, DevicePoint)]
     return 1 + max(used) if used else None
 
 
@@ -54,3 +61,30 @@ def _lists_of_another_length(per_channel: Fields, channels: int) -> Iterator[Iss
                 found = f"found {len(value)} {'number' if len(value) == 1 else 'numbers'}"
                 expected = f"expected {channels}: one for each channel, up to the highest that a module holds"
                 yield Issue((*path, name), f"{found}, {expected}; or write a single number for all")
+
+
+def _beyond_single(around: ModuleContext) -> Iterator[Issue]:
+    for name, module in around.modules.items():
+        for field in type(module).model_fields:
+            if around.knows(name, field):
+                for path, value in _numbers(getattr(module, field)):
+                    if abs(value) > MOST_SINGLE:
+                        yield Issue(
+                            ("modules", name, field, *path),
+                            f"found {value:g}, beyond the numbers of precision: single, which end at "
+                            f"{MOST_SINGLE:.2g}; expected a smaller one, or precision: double",
+                        )
+
+
+def _numbers(value: object) -> Iterator[tuple[Path, float]]:
+    """The numbers in a field's value, each with what leads to it."""
+    if isinstance(value, int | float):
+        yield (), value
+    elif isinstance(value, Part):
+        for field in type(value).model_fields:
+            for path, number in _numbers(getattr(value, field)):
+                yield (field, *path), number
+    elif isinstance(value, tuple):
+        for index, entry in enumerate(value):
+            for path, number in _numbers(entry):
+                yield (index, *path), number

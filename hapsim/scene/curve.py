@@ -32,6 +32,7 @@ class CurvePoints(Expectation):
         return f"a list of {LEAST_POINTS} to {MOST_POINTS} points [{self.along}, {self.up}]"
 
     def check(self, value: object) -> Curve | None:
+        """The points as numbers; None for ``null``. An error that names the point through `unexpected`."""
         if value is None:
             return None
         if not _is_list(value) or not LEAST_POINTS <= len(value) <= MOST_POINTS:
@@ -45,6 +46,7 @@ class CurvePoints(Expectation):
         return tuple(points)
 
     def json_schema(self) -> dict[str, Any]:
+        """A list of points, or ``null``."""
         number = {"type": "number"}
         point = {"type": "array", "items": number, "minItems": 2, "maxItems": 2}
         points = {"type": "array", "items": point, "minItems": LEAST_POINTS, "maxItems": MOST_POINTS}

@@ -81,7 +81,7 @@ def _validate(document: Document) -> tuple[Scene | None, list[Issue]]:
             # Another format: what else seems wrong may be right in it.
             return None, [issue for issue in issues if issue.path == ("version",)]
         around = sound_modules(data.get("modules"))
-        return None, issues + cross_check_issues(around, sound_fields(data, issues))
+        return None, issues + cross_check_issues(around, sound_fields(data, issues), data.get("precision"))
 
 
 def _follows(issue: Issue, document: Document, known: set[Place]) -> bool:

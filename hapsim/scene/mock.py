@@ -12,6 +12,10 @@ from .quantity import Count, PerChannel, Quantity, per_channel
 
 AS_DEVICE = "as `device` says"
 
+MOST_FORCE = 1e6
+"""N, that the mock gives at most, whatever the scene allows: its 32 bits divide what it can give, and a force that a
+hand would feel has to be many of these steps."""
+
 
 class Initial(Part):
     """Where the mock's moving parts are when the run starts. SI units."""
@@ -34,6 +38,13 @@ class Mock(Part):
     quantum: Annotated[float, Quantity("Step of the position on the wire", "m per count", above=0)] = 1.0e-9
     noise: Annotated[float, Quantity("Noise of the position sensor", "m rms", least=0)] = 0.0
     seed: Annotated[int, Count("Seed of the noise: the same seed, the same run", 0, 2**32 - 1)] = 0
+    baud: Annotated[
+        int | None, Count("Speed of the mock's UART", 1, 100_000_000, "bit/s", left_out="bytes take no time")
+    ] = None
+    turnaround: Annotated[
+        float,
+        Quantity("What the mock takes before a position's first byte and after a force's last", "s", least=0, most=1),
+    ] = 0.0
 
 
 @dataclass(frozen=True)
@@ -48,10 +59,13 @@ class MockDevice:
         hold, sampling: as in `Device`.
         initial_position: m, per channel.
         initial_velocity: m/s, per channel.
+        force_limit: what it never exceeds, N.
         coulomb: dry friction, N.
         quantum: step of the position on the wire, m per count.
         noise: noise of the position sensor, m rms.
         seed: seed of that noise.
+        baud: speed of its UART, bit/s; None where bytes take no time.
+        turnaround: what it takes before a position's first byte and after a force's last, together, s.
     """
 
     mass: tuple[float, ...]
@@ -62,10 +76,13 @@ class MockDevice:
     sampling: Sampling
     initial_position: tuple[float, ...]
     initial_velocity: tuple[float, ...]
+    force_limit: float
     coulomb: float
     quantum: float
     noise: float
     seed: int
+    baud: int | None = None
+    turnaround: float = 0.0
 
     @property
     def channels(self) -> int:
@@ -85,8 +102,11 @@ def resolve(device: Device, mock: Mock | None, channels: int) -> MockDevice:
         sampling=mock.sampling or device.sampling,
         initial_position=per_channel(mock.initial.position, channels),
         initial_velocity=per_channel(mock.initial.velocity, channels),
+        force_limit=min(device.force_limit, MOST_FORCE),
         coulomb=mock.coulomb,
         quantum=mock.quantum,
         noise=mock.noise,
         seed=mock.seed,
+        baud=mock.baud,
+        turnaround=mock.turnaround,
     )

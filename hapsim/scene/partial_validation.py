@@ -1,9 +1,10 @@
 """What is sound in a scene that has faults, so that the checks across its parts reach as far as they can."""
 
 from collections.abc import Iterable
+from functools import cache
 from typing import Any
 
-from pydantic import ValidationError
+from pydantic import TypeAdapter, ValidationError
 
 from .cross_checks import PER_CHANNEL_PARTS
 from .issue import Issue, Path
@@ -16,21 +17,25 @@ def sound_modules(modules: object) -> ModuleContext:
         return ModuleContext({}, {"": None})
     types = {name: module.get("type") if isinstance(module, dict) else None for name, module in modules.items()}
     kinds = {name: MODULE_TYPES.get(kind) if isinstance(kind, str) else None for name, kind in types.items()}
-    modules_or_none = {name: _sound_module(kind, modules[name]) for name, kind in kinds.items()}
-    return ModuleContext({name: module for name, module in modules_or_none.items() if module}, kinds)
+    both = {name: _sound_part(kind, modules[name]) for name, kind in kinds.items() if kind is not None}
+    faulty = {name: wrong for name, (_, wrong) in both.items() if wrong}
+    return ModuleContext({name: module for name, (module, _) in both.items()}, kinds, faulty)
 
 
-def _sound_module(kind: type[Module] | None, data: Any) -> Module | None:
-    """The module, even a faulty one if the faults are not in what the others ask of it."""
-    if kind is None:
-        return None
+def _sound_part(kind: type[Module], data: Any) -> tuple[Module, frozenset[str]]:
+    """The module with its sound fields, and which of its fields are not."""
     try:
-        return kind.model_validate(data)
+        return kind.model_validate(data), frozenset()
     except ValidationError as error:
-        faulty = {detail["loc"][0] for detail in error.errors(include_url=False)}
-        if faulty.intersection(kind.shared):
-            return None
-        return kind.model_construct(**{field: data[field] for field in kind.shared if field in data})
+        faulty = frozenset(str(detail["loc"][0]) for detail in error.errors(include_url=False))
+        sound = [field for field in kind.model_fields if field in data and field not in faulty]
+        values = {field: _adapter(kind, field).validate_python(data[field]) for field in sound}
+        return kind.model_construct(None, **values), faulty
+
+
+@cache
+def _adapter(kind: type[Module], field: str) -> TypeAdapter[Any]:
+    return TypeAdapter(kind.model_fields[field].rebuild_annotation())
 
 
 def sound_fields(data: dict[str, Any], issues: Iterable[Issue]) -> dict[Path, dict[str, object]]:

@@ -81,6 +81,7 @@ class Quantity(Expectation):
         return self._one() + several
 
     def check(self, value: object) -> PerChannel | None:
+        """A float, or a tuple of one for each channel; None for a welcome ``null``. An error through `unexpected`."""
         if value is None and self.left_out:
             return None
         if self.per_channel and isinstance(value, Sequence) and not isinstance(value, str | bytes):
@@ -88,6 +89,7 @@ class Quantity(Expectation):
         return self._number(value, ())
 
     def json_schema(self) -> dict[str, Any]:
+        """A number within the bounds, or a list of one for each channel, or ``null``."""
         bounds = {"exclusiveMinimum": self.above, "minimum": self.least, "maximum": self.most}
         number = {"type": "number"} | {key: bound for key, bound in bounds.items() if bound is not None}
         kinds: list[dict[str, Any]] = [number]
@@ -124,18 +126,23 @@ class Count(Expectation):
         description: what is counted, for the schema.
         least, most: the bounds, both inclusive.
         unit: the unit as people read it, or nothing for a bare number.
+        left_out: what it means to leave the number out; where this is given, ``null`` is welcome too.
     """
 
     description: str
     least: int
     most: int
     unit: str = ""
+    left_out: str = ""
 
     def expected(self) -> str:
         unit = f" ({self.unit})" if self.unit else ""
         return f"a whole number from {self.least} to {self.most}{unit}"
 
-    def check(self, value: object) -> int:
+    def check(self, value: object) -> int | None:
+        """A whole number within the bounds, or an error through `unexpected`."""
+        if value is None and self.left_out:
+            return None
         if isinstance(value, bool) or not isinstance(value, Integral):
             unexpected(self.expected())
         number = int(value)
@@ -144,13 +151,12 @@ class Count(Expectation):
         return number
 
     def json_schema(self) -> dict[str, Any]:
+        """A whole number within the bounds."""
         description = f"{self.description}, in {self.unit}" if self.unit else self.description
-        return {
-            "type": "integer",
-            "minimum": self.least,
-            "maximum": self.most,
-            "description": description,
-        }
+        number = {"type": "integer", "minimum": self.least, "maximum": self.most}
+        if not self.left_out:
+            return number | {"description": description}
+        return {"description": f"{description}; left out: {self.left_out}", "anyOf": [number, {"type": "null"}]}
 
 
 @dataclass(frozen=True)
@@ -171,6 +177,7 @@ class Words(Expectation):
         return f"a list of {self.count} words, each {' or '.join(self.words)}"
 
     def check(self, value: object) -> tuple[str, ...]:
+        """The words, or an error through `unexpected`, for the first that is none of them."""
         if not isinstance(value, list | tuple) or len(value) != self.count:
             unexpected(self.expected())
         for index, word in enumerate(value):
@@ -179,6 +186,7 @@ class Words(Expectation):
         return tuple(value)
 
     def json_schema(self) -> dict[str, Any]:
+        """A list of so many words."""
         return {
             "description": self.description,
             "type": "array",
@@ -204,6 +212,7 @@ class Name(Expectation):
         return value
 
     def json_schema(self) -> dict[str, Any]:
+        """A text of this pattern."""
         return {
             "type": "string",
             "pattern": f"^{self.PATTERN.pattern}$",

@@ -96,7 +96,7 @@ class Scene(Part):
     @model_validator(mode="after")
     def _parts_fit(self) -> "Scene":
         around = ModuleContext(self.modules, {name: type(module) for name, module in self.modules.items()})
-        issues = cross_check_issues(around, self._per_channel())
+        issues = cross_check_issues(around, self._per_channel(), self.precision)
         if issues:
             lines = [f"{'.'.join(map(str, found.path))}: {found.sentence}" for found in issues]
             raise PydanticCustomError(ACROSS, "{faults}", {"faults": "\n".join(lines)})

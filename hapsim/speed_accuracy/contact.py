@@ -53,6 +53,7 @@ class Contact:
         return _scene(method, precision, rate, Mass(mass=_SO_HEAVY, position=-1e-3))
 
     def found(self, method: str, precision: str, rate: float) -> Found:
+        """Throws the mass at the surface PHASES times, each a part of a sample later: rms of k and b, relative."""
         pairs = []
         for i in range(PHASES):
             stay, restitution = _thrown(method, precision, rate, (i + 0.5) / PHASES)

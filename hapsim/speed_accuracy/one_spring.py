@@ -34,6 +34,7 @@ class OneSpring:
         return (ONE_SAMPLE, ONE_MILLISECOND)
 
     def scene(self, method: str, precision: str, rate: float) -> Scene:
+        """A flicked hand on a wall, with this delay; rate in Hz."""
         return Scene(
             version=1,
             precision=precision,  # type: ignore[arg-type]
@@ -54,6 +55,7 @@ class OneSpring:
         )
 
     def found(self, method: str, precision: str, rate: float) -> Found:
+        """Measures what the hand feels, in virtual time: k and b, relative; why not, where it cannot."""
         scene = self.scene(method, precision, rate)
         predicted = predict(scene, with_margins=False)
         felt = predicted.felt[0]

@@ -35,6 +35,7 @@ class RingingString:
         return scene_of(self.string, method, precision, rate, *hand_link(self.string))
 
     def found(self, method: str, precision: str, rate: float) -> Found:
+        """Rings it in some of its modes: the frequency that is furthest off, relative."""
         steady = STEADY if precision == "double" else STEADY_IN_SINGLE
         ring = partial(record, scene_of(self.string, method, precision, rate), self.string)
         rung = frequencies_of(ring, self.string, rate, MODES, steady=steady)

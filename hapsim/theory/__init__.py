@@ -2,6 +2,8 @@
 
 It stands on NumPy (and, for scenes of hundreds of masses, on SciPy's sparse matrices), and on nothing else of the
 project: what it predicts and what a run measures are independent roads to the same number.
+
+Public is what `__all__` names; the rooms below are private.
 """
 
 from hapsim.theory.hand import Configuration, frequency_and_ratio

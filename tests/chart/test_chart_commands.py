@@ -80,7 +80,7 @@ def test_the_numbers_of_a_plane_are_those_of_the_theory_to_the_last_digit(chart:
     assert np.array_equal(B[here][drawn], expected[1][drawn])
 
 
-def test_the_summary_of_a_plane_tells_what_is_met_and_how_far_it_may_go(chart: Chart, scene_file: SceneFile) -> None:
+def test_the_summary_of_a_plane_tells_what_is_felt_and_what_is_stable(chart: Chart, scene_file: SceneFile) -> None:
     answer = chart("plane", scene_file("spring"), "--json", "--picture", "p.png")
     (hand,) = answer.document["hands"]
     device = Configuration(mass=0.2, rate=1000.0, friction=1.0)
@@ -91,7 +91,7 @@ def test_the_summary_of_a_plane_tells_what_is_met_and_how_far_it_may_go(chart: C
     assert Path("p.png").exists()
 
 
-def test_a_family_tells_what_each_mass_meets(chart: Chart, scene_file: SceneFile) -> None:
+def test_a_family_tells_what_each_mass_feels(chart: Chart, scene_file: SceneFile) -> None:
     answer = chart("plane", scene_file("spring"), "--mass", "0.4", "--mass", "0.1,0.2", "--json")
     assert [hand["mass"] for hand in answer.document["hands"]] == [0.1, 0.2, 0.4]
     for hand in answer.document["hands"]:

@@ -56,17 +56,17 @@ def simulated(data: Plane, curve: Curve) -> tuple[Any, Any]:
     return curve.K[there], curve.B[there] - data.scale.offset
 
 
-def test_what_is_met_on_a_curve_is_what_it_is_drawn_for(case: tuple[Configuration, Plane]) -> None:
+def test_what_is_felt_on_a_curve_is_what_it_is_drawn_for(case: tuple[Configuration, Plane]) -> None:
     configuration, data = case
     seen = [curve for curve in data.iso if curve.is_seen]
     assert {curve.kind for curve in seen} == {"iso_k", "iso_b"}
     for curve in seen:
         k, b = configuration.equivalent(*simulated(data, curve))
-        met = k if curve.kind == "iso_k" else b
-        # Where the faster pole is nearly zero, rounding decides what is met of a given (K, B).
+        felt = k if curve.kind == "iso_k" else b
+        # Where the faster pole is nearly zero, rounding decides what is felt of a given (K, B).
         decided = curve.b[finite(curve)] < 8.0
         assert np.count_nonzero(decided) > 10 or curve.value > 8.0
-        np.testing.assert_allclose(met[decided], curve.value, rtol=1e-5, atol=1e-9)
+        np.testing.assert_allclose(felt[decided], curve.value, rtol=1e-5, atol=1e-9)
 
 
 def test_on_the_stability_limit_a_pole_lies_on_the_unit_circle(case: tuple[Configuration, Plane]) -> None:
@@ -95,7 +95,7 @@ def test_a_curve_that_is_broken_has_a_gap() -> None:
     configuration = Configuration(mass=1.0, rate=1.0, hold="impulse", delay=1.0)
     data = drawn(configuration)
     curve = next(curve for curve in data.iso if curve.kind == "iso_b" and curve.value == 0.5)
-    # Below the fold and above it the same b is met; in between no spring and damper is.
+    # Below the fold and above it the same b is felt; in between no spring and damper is.
     broken = np.flatnonzero(~finite(curve))
     k = np.linspace(1e-3, 1.0, 400)
     assert np.isnan(configuration.simulated(k, 0.5)[0]).any()
@@ -148,7 +148,7 @@ def test_passivity_is_left_out_where_it_is_not_derived_and_empty_without_frictio
     assert not nowhere.is_seen
 
 
-def test_the_operating_point_is_seen_with_what_it_meets() -> None:
+def test_the_operating_point_is_seen_with_what_it_feels() -> None:
     data = drawn(DEVICE, 2000.0, 5.0)
     (point,) = data.points
     assert point.is_seen
@@ -263,10 +263,10 @@ def test_thinned_lines_keep_their_ends_and_their_gaps() -> None:
     assert (curve.K[gap - 1], curve.K[gap + 1]) == (K[3999], K[5000])
 
 
-def test_few_values_are_met_where_little_is_stable(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_few_values_are_felt_where_little_is_stable(monkeypatch: pytest.MonkeyPatch) -> None:
     view = view_of([Hand("hand", None, DEVICE, math.nan, math.nan)], from_total=False)
     sheet = Sheet(DEVICE, view, scale_of(DEVICE, normalised=False, total=False))
     nothing: Callable[..., Any] = lambda _, K, B: np.zeros(np.shape(K), bool)  # noqa: ARG005, E731
     monkeypatch.setattr(Configuration, "is_stable", nothing)
-    k, b = curves.values_met(sheet, 5, 5)
+    k, b = curves.values_felt(sheet, 5, 5)
     assert k.size == b.size == 0

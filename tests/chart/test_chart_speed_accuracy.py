@@ -66,7 +66,7 @@ def test_for_scripts_there_is_one_document(chart: Chart) -> None:
         (["--data", "n.json"], "found the ending '.json'"),
     ],
 )
-def test_what_cannot_be_done_is_told_before_anything_runs(chart: Chart, words: list[str], told: str) -> None:
+def test_what_cannot_be_done_is_reported_before_anything_runs(chart: Chart, words: list[str], told: str) -> None:
     answer = chart("speed-accuracy", *words)
     assert answer.status == 2
     assert told in answer.sentence

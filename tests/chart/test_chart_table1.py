@@ -51,7 +51,7 @@ def test_a_real_spring_alone_is_enough_to_tune_the_simulated_one() -> None:
     require_agreement(data, by_closed_forms(MASS, RATE, STIFFNESS), 1e-6)
 
 
-def test_as_the_scene_is_the_simulated_spring_stands_for_the_real_one_that_it_is_met_as() -> None:
+def test_as_the_scene_is_the_simulated_spring_stands_for_the_real_one_that_it_is_felt_as() -> None:
     device = Configuration(mass=0.2, rate=1000.0, friction=1.0)
     data = table1(Hand("hand", 0, device, 2000.0, 5.0), as_scene=True)
     assert (data.k, data.couplings["I"].configuration.friction) == pytest.approx(device.equivalent(2000.0, 5.0))
@@ -71,7 +71,7 @@ def test_as_the_scene_is_the_simulated_spring_stands_for_the_real_one_that_it_is
         (2000.0, 0.0, True, "no real damper does that"),
     ],
 )
-def test_what_cannot_be_coupled_is_told(stiffness: float, damping: float, as_scene: bool, told: str) -> None:
+def test_what_cannot_be_coupled_is_reported(stiffness: float, damping: float, as_scene: bool, told: str) -> None:
     hand = Hand("hand", 0, Configuration(mass=0.2, rate=1000.0, friction=1.0), stiffness, damping)
     with pytest.raises(UsageError, match=told):
         table1(hand, as_scene=as_scene)

@@ -29,7 +29,7 @@ def test_what_is_drawn_is_the_impedance_of_the_configuration() -> None:
         assert np.max(np.abs(np.diff(columns[f"{name}_phase_deg"]))) < 90.0
 
 
-def test_far_below_the_eigenfrequency_the_spring_is_met_as_it_is_written() -> None:
+def test_far_below_the_eigenfrequency_the_desired_spring_is_rendered() -> None:
     data = transparency(Hand("hand", 0, DEVICE, 2000.0, 5.0))
     assert data.frequency[0] == pytest.approx(data.eigenfrequency / 20.0)
     assert abs(data.rendered[0]) == pytest.approx(abs(data.desired[0]), rel=1e-3)

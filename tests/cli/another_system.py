@@ -110,11 +110,16 @@ class SerialException(OSError):  # noqa: N818
     """pyserial's own."""
 
 
+class SerialTimeoutException(SerialException):
+    """Of a write."""
+
+
 def pyserial() -> dict[str, types.ModuleType]:
     """Its modules, by their names."""
     serial, tools, ports = (types.ModuleType(name) for name in ("serial", "serial.tools", "serial.tools.list_ports"))
     found = types.SimpleNamespace(device=Serial.port_of, description="a port", hwid=None)
     vars(serial).update(Serial=Serial, SerialException=SerialException, tools=tools)
+    vars(serial).update(SerialTimeoutException=SerialTimeoutException)
     vars(ports).update(comports=lambda: [found])
     vars(tools).update(list_ports=ports)
     return {module.__name__: module for module in (serial, tools, ports)}

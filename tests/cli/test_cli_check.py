@@ -1,4 +1,4 @@
-"""`hapsim check`: what is told of every kind of scene, and the keys that scripts rely on."""
+"""`hapsim check`: what it reports of every kind of scene, and the keys that scripts rely on."""
 
 from __future__ import annotations
 
@@ -10,10 +10,13 @@ import numpy as np
 import pytest
 import yaml
 
+from hapsim.running import start
+from hapsim.scene import load_scene
+
 FELT = {"k", "b", "frequency_hz", "damping_ratio"}
 
 
-def test_every_scene_is_told_in_words_and_in_json(
+def test_every_scene_is_reported_in_words_and_in_json(
     hapsim: Callable[..., Any], scene_file: Callable[..., Path], every_scene: str
 ) -> None:
     told = hapsim("check", scene_file(every_scene))
@@ -44,7 +47,7 @@ def test_a_spring_is_predicted_with_its_k_and_b(hapsim: Callable[..., Any], scen
     assert b == pytest.approx(-2 * 0.2 * s.real, rel=1e-6)
 
 
-def test_an_unstable_scene_is_told_so_and_is_no_failure(
+def test_an_unstable_scene_is_reported_as_such_and_is_no_failure(
     hapsim: Callable[..., Any], scene_file: Callable[..., Path]
 ) -> None:
     told = hapsim("check", scene_file("unstable"))
@@ -143,7 +146,7 @@ def test_a_large_scene_that_diverges_is_called_unstable(hapsim: Callable[..., An
     assert document["spectral_radius"] > 1.0
 
 
-def test_each_link_is_told_how_much_it_may_grow(hapsim: Callable[..., Any], tmp_path: Path) -> None:
+def test_each_link_is_reported_with_its_gain_margin(hapsim: Callable[..., Any], tmp_path: Path) -> None:
     path = chain(tmp_path, 3, 0.1, 0.5)
     document = hapsim("check", path, "--json").document
     assert document["poles_method"].startswith("every pole")
@@ -174,7 +177,7 @@ def test_a_hand_whose_dampers_are_of_several_kinds_has_no_single_k_and_b(
     assert "has dampers of several kinds (one: centred, " in document["coupled_device_points"]["hand"]
 
 
-def test_a_stiffness_beyond_reason_is_told_without_a_warning(
+def test_a_stiffness_beyond_reason_is_reported_without_a_warning(
     hapsim: Callable[..., Any], scene_file: Callable[..., Path]
 ) -> None:
     answer = hapsim("check", scene_file("no_number"), "--json")
@@ -192,7 +195,54 @@ def test_a_file_name_is_shown_as_it_is_written(
     assert "a[red]b[link].yaml" in told.out.replace("\n", "")
 
 
-def test_a_wire_that_is_too_slow_is_told(hapsim: Callable[..., Any], scene_file: Callable[..., Path]) -> None:
+def test_a_wire_that_is_too_slow_is_reported(hapsim: Callable[..., Any], scene_file: Callable[..., Path]) -> None:
     told = hapsim("check", scene_file("spring", baud=115200))
     assert "does not fit: a higher baud rate, or a lower rate" in told.out
     assert hapsim("check", scene_file("spring", baud=115200), "--json").document["wire_time"]["fits"] is False
+
+
+def test_a_wire_that_costs_a_sample_is_predicted_at_the_delay_that_results(
+    hapsim: Callable[..., Any], scene_file: Callable[..., Path]
+) -> None:
+    """23 bytes at 115200 baud take 1.997 ms: with the host's work they miss a tick at 500 Hz, and not at 480 Hz."""
+    path = scene_file("spring", baud=115200, port="/dev/ttyNONE")
+    scene = yaml.safe_load(path.read_text())
+
+    def wire(rate: float, delay: float) -> dict[str, Any]:
+        path.write_text(yaml.safe_dump(scene | {"rate": rate, "device": scene["device"] | {"delay": delay}}))
+        document: dict[str, Any] = hapsim("check", path, "--json").document
+        return document | {"text": hapsim("check", path).out.replace("\n", " ")}
+
+    late, declared, fits = wire(500.0, 1.0), wire(500.0, 2.0), wire(480.0, 1.0)
+    assert (late["wire_time"]["fits"], late["wire_time"]["delay_samples"]) == (False, 2)
+    assert late["wire_time"]["predicted"] == declared["predicted"] | {"delay": 2.0}
+    assert late["predicted"]["b"] > 1.5 * late["wire_time"]["predicted"]["b"]  # and what is declared is told as before
+    assert 488.0 < late["wire_time"]["highest_rate_hz"] < 489.0
+    assert "2 samples of delay. One sample below 488 Hz or above 117949 baud" in late["text"]
+    assert f"b = {declared['predicted']['b']:.6g} N·s/m" in late["text"]
+    assert (fits["wire_time"]["delay_samples"], fits["wire_time"]["predicted"]) == (1, None)
+    assert "fits. One sample of delay, up to 488 Hz" in fits["text"]
+    assert "This is counted for a UART" in fits["text"]
+    queueing = wire(1100.0, 1.0)  # 12 bytes take 1.04 ms
+    assert (queueing["wire_time"]["delay_samples"], queueing["wire_time"]["predicted"]) == (None, None)
+    assert "frames queue up" in queueing["text"]
+
+
+def test_what_bounds_the_force_of_a_dead_host_is_what_a_run_asks_the_device_for(
+    hapsim: Callable[..., Any], scene_file: Callable[..., Path]
+) -> None:
+    path = scene_file("spring")
+    scene = load_scene(str(path))
+    silence = hapsim("check", path, "--json").document["host_silence"]
+    asked = []
+
+    def note(session: Any) -> None:
+        asked.append(int(session._loop.control.time_to_live))
+
+    with start(scene, duration=0.01, on_arming=note):
+        pass
+    assert [silence["time_to_live_samples"]] == asked == [20]
+    assert (silence["zero_force_after_s"], silence["latched_after_s"]) == (0.021, 0.101)
+    told = hapsim("check", path).out.replace("\n", " ")
+    assert "at most 21 ms (time to live of 20 samples" in told
+    assert "after 101 ms (watchdog of 100 samples" in told

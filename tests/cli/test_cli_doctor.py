@@ -38,7 +38,7 @@ def test_the_doctor_tells_every_rate_a_verdict_and_advice(hapsim: Callable[..., 
         assert words in told.out
 
 
-def test_a_machine_that_could_not_be_set_better_is_told_so(
+def test_a_machine_that_could_not_be_set_better_is_reported_as_such(
     hapsim: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(examine, "advice_on", lambda _: [])
@@ -73,11 +73,22 @@ def test_its_picture_and_numbers_are_written(hapsim: Callable[..., Any], tmp_pat
         (("--picture", "p.txt"), "found the ending '.txt'"),
     ],
 )
-def test_a_wrong_call_of_the_doctor_is_told(hapsim: Callable[..., Any], words: tuple[str, ...], sentence: str) -> None:
+def test_a_wrong_call_of_the_doctor_is_an_error(
+    hapsim: Callable[..., Any], words: tuple[str, ...], sentence: str
+) -> None:
     answer = hapsim("doctor", *words)
     assert answer.status == 2
     assert sentence in answer.sentence
     assert answer.err.count("\n") == 1  # nothing was measured before
+
+
+def test_a_device_that_cannot_be_asked_is_status_3_before_anything_is_measured(
+    hapsim: Callable[..., Any], scene_file: Callable[..., Path]
+) -> None:
+    answer = hapsim("doctor", scene_file("spring", clock="device"), "--port", "/dev/null", *QUICK, "--json")
+    assert answer.status == 3
+    assert answer.sentence.startswith("/dev/null: ")
+    assert "wake-ups" not in answer.err
 
 
 def test_a_run_in_real_time_tells_what_it_got(hapsim: Callable[..., Any], scene_file: Callable[..., Path]) -> None:

@@ -128,7 +128,27 @@ def test_an_interrupt_before_anything_runs_is_status_130_with_a_sentence(
     def interrupt(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("hapsim.cli._scene", interrupt)
+    monkeypatch.setattr("hapsim.scene.load_scene", interrupt)
     answer = hapsim(*command, "configs/first_touch.yaml")
     assert answer.status == 130
     assert answer.sentence.endswith("hapsim: stopped before anything was running\n")
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["check", "nowhere.yaml"],
+        ["run", "nowhere.yaml"],
+        ["run", "configs/first_touch.yaml", "--port", "/dev/nowhere", "--duration", "1"],
+        ["measure", "configs/first_touch.yaml", "--duration", "0"],
+        ["doctor", "--rates", "nought"],
+        ["compile", "nowhere.yaml"],
+        ["chart", "plane", "nowhere.yaml"],
+        ["check", "configs/first_touch.yaml", "--loud"],
+    ],
+)
+def test_with_json_a_command_that_fails_prints_its_sentence_and_its_status(hapsim: Hapsim, command: list[str]) -> None:
+    answer = hapsim(*command, "--json")
+    assert answer.status in (2, 3)
+    assert answer.document["exit_status"] == answer.status
+    assert answer.document["error"] in answer.err or "--loud" in answer.err

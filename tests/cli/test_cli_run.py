@@ -25,7 +25,7 @@ def test_a_run_prints_one_document_with_the_keys_of_the_contract(
     assert (document["ticks"], document["rate_hz"], document["ending"]) == (500, 1000, "done")
 
 
-def test_a_run_is_told_as_a_table(hapsim: Callable[..., Any], scene_file: Callable[..., Path]) -> None:
+def test_a_run_is_reported_as_a_table(hapsim: Callable[..., Any], scene_file: Callable[..., Path]) -> None:
     answer = hapsim("run", scene_file("spring"), "--duration", 0.5)
     assert answer.status == 0
     assert "virtual time" in answer.out
@@ -121,7 +121,7 @@ def test_a_guard_that_stops_the_force_is_status_4_with_a_document_and_a_record(
     assert load_trace(record).report.ending == "force not finite"
 
 
-@pytest.mark.parametrize("limit", ["1.0e-3", "1.0e+12"])
+@pytest.mark.parametrize("limit", ["1.0e-3", "1.0e-310", "5.0e-324"])
 def test_a_hand_that_hardly_moves_is_measured_or_refused_in_words(
     hapsim: Callable[..., Any], tmp_path: Path, limit: str
 ) -> None:
@@ -131,3 +131,16 @@ def test_a_hand_that_hardly_moves_is_measured_or_refused_in_words(
     answer = hapsim("measure", path)
     assert answer.status in (0, 2), answer.err
     assert "defect" not in answer.err
+
+
+def test_a_force_limit_beyond_what_the_mock_gives_is_told_and_costs_no_resolution(
+    hapsim: Callable[..., Any], tmp_path: Path
+) -> None:
+    text = shipped_scene("first_touch.yaml").replace("force_limit: 10 ", "force_limit: 1.0e+12 ")
+    path = tmp_path / "scene.yaml"
+    path.write_text(text.replace("clock: device ", "clock: lockstep "), encoding="utf-8")
+    answer = hapsim("measure", path, "--json")
+    assert "Warning: force_limit: found 1e+12 N, of which the mock gives 1e+06 N at most." in answer.err
+    predicted, measured = answer.document["predicted"], answer.document["measured"]
+    assert measured["k"] == pytest.approx(predicted["k"], rel=1e-6)
+    assert measured["b"] == pytest.approx(predicted["b"], rel=1e-5)

@@ -101,7 +101,7 @@ def allocates_nothing(numbers):
 
 
 def anew(function: Any) -> Any:
-    """The same function once more: what numba was told of the other it does not know of this one."""
+    """The same function once more: what numba knows of the other it does not know of this one."""
     return FunctionType(function.__code__, function.__globals__, function.__name__)
 
 

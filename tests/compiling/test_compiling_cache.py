@@ -91,7 +91,7 @@ def test_an_edit_outside_the_rooms_keeps_all_machine_code(copy: Path) -> None:
         ("hapsim/cordis/modules/spring.py", {SPRING}),
         ("hapsim/cordis/modules/viscoelastic.py", {PLECTRUM}),
         ("hapsim/cordis/modules/link.py", {SPRING, PLECTRUM}),
-        ("hapsim/cordis/modules/string.py", {STRING, MEMBRANE}),  # a membrane's neighbours are told as a string's
+        ("hapsim/cordis/modules/string.py", {STRING, MEMBRANE}),  # a membrane numbers its neighbours as a string does
         ("hapsim/cordis/simd/stencil.py", {STRING, MEMBRANE}),
         ("hapsim/cordis/modules/mass.py", {MASS, STRING, MEMBRANE}),
         ("hapsim/cordis/registry.py", set()),

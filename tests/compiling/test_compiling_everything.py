@@ -12,12 +12,13 @@ from typing import Any, get_args
 import pytest
 
 from hapsim import shipped
-from hapsim.compiling.every_module import scenes_with_every_module
+from hapsim.ahead import prepare as preparing
+from hapsim.ahead.every_module import scenes_with_every_module
+from hapsim.ahead.prepare import Prepared, prepare
 from hapsim.compiling.progress import on_compilation
 from hapsim.cordis.program import compile_scene
 from hapsim.cordis.registry import PART_TYPES
-from hapsim.running import preparing, run
-from hapsim.running.preparing import Prepared, prepare
+from hapsim.running import run
 from hapsim.scene import SchemeName, parse_scene
 
 SCENE = "configs/first_touch.yaml"
@@ -91,7 +92,7 @@ def test_what_came_of_it_is_said_in_json(hapsim: Callable[..., Any], monkeypatch
     assert "set XDG_CACHE_HOME to a directory that can be written to" in hapsim("compile").out
 
 
-def test_a_wrong_scene_is_told_before_anything_is_compiled(
+def test_a_wrong_scene_is_reported_before_anything_is_compiled(
     hapsim: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(preparing, "prepare", lambda *_: pytest.fail("compiled"))

@@ -69,7 +69,7 @@ EITHER = pytest.mark.parametrize("compile_it", [compile_entry, compile_native])
 
 
 @pytest.mark.parametrize(("compile_it", "name"), [(compile_entry, "add_two"), (compile_native, NATIVE_NAME)])
-def test_each_function_is_told_once_and_nothing_where_the_code_was_kept(
+def test_each_function_is_reported_once_and_nothing_where_the_code_was_kept(
     compile_it: Callable[[], Any], name: str
 ) -> None:
     told: list[str] = []
@@ -85,7 +85,7 @@ def test_each_function_is_told_once_and_nothing_where_the_code_was_kept(
     assert again == []
 
 
-def test_what_was_compiled_in_this_process_is_not_told_again() -> None:
+def test_what_was_compiled_in_this_process_is_not_reported_again() -> None:
     told: list[str] = []
     function = NativeFunction(anew(add_to))
     with on_compilation(told.append):
@@ -94,7 +94,7 @@ def test_what_was_compiled_in_this_process_is_not_told_again() -> None:
     assert told.count(NATIVE_NAME) == 1
 
 
-def test_after_it_is_closed_nothing_is_told() -> None:
+def test_after_it_is_closed_nothing_is_reported() -> None:
     told: list[str] = []
     with on_compilation(told.append):
         pass
@@ -102,7 +102,7 @@ def test_after_it_is_closed_nothing_is_told() -> None:
     assert told == []
 
 
-def test_whoever_listens_is_told() -> None:
+def test_whoever_listens_hears_of_it() -> None:
     inner: list[str] = []
     outer: list[str] = []
     with on_compilation(outer.append):

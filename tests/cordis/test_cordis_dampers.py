@@ -40,7 +40,7 @@ def cutoff_of(damper: str) -> float | None:
 
 @pytest.mark.parametrize("z", [np.exp(0.3j), 1.002 * np.exp(1.1j), 0.999 * np.exp(2.9j), 1.001], ids=str)
 @pytest.mark.parametrize("name", DAMPERS)
-def test_a_swing_meets_the_force_of_the_transfer_function(name: str, z: complex) -> None:
+def test_a_swing_feels_the_force_of_the_transfer_function(name: str, z: complex) -> None:
     damper = damper_named(name, cutoff_of(name), RATE)
     n = np.arange(400)
     y = z**n

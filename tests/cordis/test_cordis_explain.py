@@ -23,7 +23,7 @@ def scene_of(scheme: str) -> Scene:
     return Scene.model_validate({**keys, "modules": MODULES})
 
 
-def test_each_kind_that_a_scene_has_is_told_with_what_it_costs_and_the_others_by_name() -> None:
+def test_each_kind_that_a_scene_has_is_reported_with_what_it_costs_and_the_others_by_name() -> None:
     heard: list[str] = []
     told = explain(scene_of("cordis"), heard.append)
     assert {part.name: part.modules for part in told.parts} == {"grounds": 1, "strings": 1, "buffers": 1, "springs": 1}
@@ -37,13 +37,13 @@ def test_each_kind_that_a_scene_has_is_told_with_what_it_costs_and_the_others_by
     assert [part["name"] for part in json.loads(json.dumps(told.as_document()))["parts"]] == heard[1:]
 
 
-def test_of_another_scheme_its_own_parts_are_told() -> None:
+def test_of_another_scheme_its_own_parts_are_reported() -> None:
     told = explain(scene_of("semi_implicit"))
     assert any("semi_implicit" in part.compiled_as for part in told.parts)
     assert told.points == 11
 
 
-def test_a_hand_on_a_single_link_is_told_as_any_other_scene() -> None:
+def test_a_hand_on_a_single_link_is_reported_as_any_other_scene() -> None:
     scene = Scene.model_validate(
         {
             "version": 1,

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from hapsim.compiling.every_module import scenes_with_every_module
+from hapsim.ahead.every_module import scenes_with_every_module
 from hapsim.cordis.offline import start, tick
 from hapsim.cordis.program import compile_scene, positions_of
 from hapsim.cordis.registry import PART_TYPES
@@ -184,7 +184,7 @@ def test_theory_and_kernel_say_the_same_of_every_link() -> None:
 
 @pytest.mark.parametrize("scheme", SCHEMES)
 def test_the_poles_are_those_of_the_run(scheme: str) -> None:
-    """A hand on a chain of masses, let go: what it does from sample to sample obeys the polynomial of the poles."""
+    """A hand on a chain of masses, released: what it does from sample to sample obeys the polynomial of the poles."""
     document = {"version": 1, "rate": RATE, "scheme": scheme, "device": {"mass": HAND[0], "friction": HAND[1]}}
     document["device"] |= {"stiffness": HAND[2], "delay": DELAY}
     modules: dict[str, Any] = {"hand": {"type": "device", "channel": 0}, "wall": {"type": "ground"}}

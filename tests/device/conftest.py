@@ -42,7 +42,7 @@ def in_counts(word: int) -> int:
 
 
 class Host:
-    """The far end of a line to a mock. `wire`: the armed format it speaks. `armed`: the device last said so.
+    """The host's end of a wire to a mock. `wire`: the armed format it speaks. `armed`: the device last said so.
     `misread`: chunks that are no frame, or one in several formats."""
 
     def __init__(self, mock: Any) -> None:
@@ -132,7 +132,7 @@ class Host:
             return None
         return Heard(frames[0].type, frames[0].number, frames[0].counts)
 
-    # What no line tells.
+    # What no frame tells.
 
     @property
     def state(self) -> int:
@@ -176,7 +176,7 @@ def new_scene() -> Callable[..., Scene]:
 
 @pytest.fixture(scope="session")
 def new_host() -> Callable[..., Host]:
-    """Makes a host on a line to a new mock of (channels, rate, device, mock)."""
+    """Makes a host on a wire to a new mock of (channels, rate, device, mock)."""
 
     def new(*args: Any, **fields: Any) -> Host:
         return Host(assemble_mock(scene_of(*args, **fields)))

@@ -46,6 +46,13 @@ def test_the_description_says_what_the_scene_says(new_host: New) -> None:
     assert struct.pack("<4I", *registers[schema.REG_NAME :][:4]).rstrip(b"\0") == b"hapsim mock"
 
 
+def test_the_mock_s_steps_of_force_stay_fine_however_large_a_limit_a_scene_has(new_host: New) -> None:
+    host = new_host(2, device={"force_limit": 1e12})
+    said = from_registers(np.array([host.register(number) for number in range(schema.REGISTERS)]))
+    assert said.force_limit == (1e6, 1e6)
+    assert said.force_scale[0] * 2**31 == 1e6
+
+
 @pytest.mark.parametrize("number", [schema.REGISTERS, schema.REGISTERS + 1, 1000, 4095])
 def test_a_register_that_does_not_exist_reads_0(new_host: New, number: int) -> None:
     assert new_host(16).register(number) == 0
@@ -318,3 +325,18 @@ def test_the_end_of_the_force_scale_is_the_limit(new_host: New, limit: float) ->
     assert host.commanded[1, 0] == pytest.approx(limit, rel=1e-9)
     assert host.commanded[1, 0] <= limit
     assert host.mock.registers[schema.REG_LIMITED] == 0
+
+
+@pytest.mark.parametrize("time_to_live", [0, 4])
+@pytest.mark.parametrize("silence_ms", [3, 200])
+def test_paced_by_the_host_a_force_ends_by_the_devices_own_clock(
+    new_host: New, time_to_live: int, silence_ms: int
+) -> None:
+    """No tick comes while the host is silent: the force acts for t + 1 nominal periods, and then it is zero."""
+    host = new_host(device={"mass": 0.5, "friction": 0.0, "force_limit": 10.0})
+    host.arm(schema.PACED_BY_HOST, watchdog=2000, now=0)
+    host.force(0, [2**30], time_to_live=time_to_live, now=1_000_000)  # 5 N
+    host.force(1, [0], time_to_live=time_to_live, now=1_000_000 + silence_ms * 1_000_000)
+    acted = min(silence_ms, time_to_live + 1) * 1e-3
+    assert host.bodies["velocity"][0] == pytest.approx(5.0 / 0.5 * acted, rel=1e-9)
+    assert host.state == schema.ARMED

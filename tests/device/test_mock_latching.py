@@ -61,6 +61,43 @@ def test_paced_by_the_host_the_watchdog_is_a_time(new_host: New, rate: float) ->
     assert not host.commanded.any()
 
 
+@pytest.mark.parametrize("time_to_live", [0, 20, 255])
+@pytest.mark.parametrize("rate", [1000.0, 333.0])
+@pytest.mark.parametrize("silence", [0.5, 0.999, 1.001, 3.0])
+def test_paced_by_the_host_a_force_acts_for_its_time_to_live_and_one_period_by_the_device_s_own_clock(
+    new_host: New, time_to_live: int, rate: float, silence: float
+) -> None:
+    """Whoever speaks again after `silence`, in times to live, finds the mass where a force that ended left it."""
+    host = new_host(rate=rate, device={"mass": 2.0, "force_limit": 1.0})
+    host.arm(HOST, watchdog=2047, now=10**12)
+    lives = (time_to_live + 1) / rate
+    host.force(0, [2**30], time_to_live, now=10**12)  # half a newton
+    (position,) = host.force(1, [0], 255, now=10**12 + int(silence * lives * 1e9))
+    acted, coasted = min(silence, 1.0) * lives, max(silence - 1.0, 0.0) * lives
+    moved = 0.25 * acted * (acted / 2 + coasted)
+    assert position.counts[0] * 1e-9 == pytest.approx(moved, rel=1e-6, abs=0.6e-9)
+    # The host hears that for a part of that sample there was no force; and the next force acts as ever.
+    assert position.type == (schema.POSITION_HELD if silence > 1.0 else schema.POSITION)
+    assert host.state == schema.ARMED
+    assert host.force(2, [FULL], now=10**12 + int(silence * lives * 1e9) + T_NS)[0].type == schema.POSITION
+    assert host.commanded.any()
+    host.disarm()
+    assert host.register(schema.REG_HELD) == (silence > 1.0)
+
+
+def test_a_force_on_its_way_to_the_actuator_goes_with_the_time_to_live_of_the_newest(new_host: New) -> None:
+    host = new_host(device={"mass": 1.0, "delay": 3.0})
+    host.arm(HOST, watchdog=2047, now=0)
+    for n in range(3):
+        host.force(n, [FULL], 5, now=(n + 1) * T_NS)
+    host.force(3, [0], 5, now=20 * T_NS)
+    assert not host.commanded.any()
+    for n in (4, 5):
+        host.force(n, [0], 5, now=(n + 17) * T_NS)
+    # The first of them acted from 3 ms on, for 6 ms; the others were to act from 20 ms on.
+    assert host.bodies["velocity"][0] == pytest.approx(0.06, rel=1e-8)
+
+
 def test_in_lockstep_only_a_host_that_is_gone_latches_whatever_the_watchdog(new_host: New) -> None:
     host = new_host()
     host.arm(LOCKSTEP, watchdog=1, now=10**12)

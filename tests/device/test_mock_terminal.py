@@ -199,7 +199,7 @@ def test_a_flood_that_nobody_reads_the_answers_to_is_survived(
     host = new_host()
     with serving(assemble_mock(new_scene())) as path:
         client = open_client(path)
-        # 60 kB: the answers fill the line, and what is beyond is lost.
+        # 60 kB: the answers fill the pseudo-terminal, and what is beyond is lost.
         client.write(host.frame(schema.DESCRIBE, schema.REG_SCHEMA, 0, [0]) * 5000)
         client.port.timeout = 0.5
         version = host.frame(schema.DESCRIBE, schema.REG_VERSION, 0, [0])
@@ -223,7 +223,7 @@ def ends(action: Callable[[], object]) -> bool:
 
 
 @pytest.mark.parametrize("pacing", [None, DEVICE, HOST, LOCKSTEP])
-def test_the_mock_stops_when_told_to_whatever_it_is_doing(
+def test_the_mock_stops_when_asked_to_whatever_it_is_doing(
     new_scene: New, open_client: Callable[..., Client], pacing: int | None
 ) -> None:
     def serve_and_leave() -> None:
@@ -277,7 +277,7 @@ def served(mock: Any) -> Iterator[tuple[socket.socket, Any, threading.Thread]]:
         far.close()
 
 
-def test_a_line_that_hangs_up_is_waited_at_until_the_mock_is_told_to_stop(new_scene: New) -> None:
+def test_a_terminal_that_hangs_up_is_waited_at_until_the_mock_is_asked_to_stop(new_scene: New) -> None:
     with served(assemble_mock(new_scene())) as (far, service, thread):
         far.sendall(frame_to_device(SETUP, schema.DESCRIBE, 0, 0, np.zeros(1, np.int64)))
         assert far.recv(100).endswith(b"\0")

@@ -107,7 +107,7 @@ def test_modem_manager_that_does_not_run_does_not_matter(case: Callable[..., Sit
     assert advice_on(case({"/proc/18/comm": "bash\n"}, port="/dev/ttyACM0")) == []
 
 
-def test_what_was_denied_is_told_with_what_it_takes(case: Callable[..., Situation]) -> None:
+def test_what_was_denied_is_reported_with_what_it_takes(case: Callable[..., Situation]) -> None:
     grants = [PrivilegeResult("SCHED_FIFO", False, "it takes a limit"), PrivilegeResult("memory locked", True, "90 MB")]
     advice = only(case(grants=grants))
     assert advice.found == "Not granted: SCHED_FIFO."
@@ -162,7 +162,7 @@ def test_another_kernel_is_advised_only_where_wake_ups_are_late(case: Callable[.
     assert advice_on(case(machine={"preempt_rt": True}, worst_wakeup_s=2e-3)) == []
 
 
-def test_a_virtual_machine_is_told_where_it_shows(case: Callable[..., Situation]) -> None:
+def test_a_virtual_machine_is_reported_where_it_shows(case: Callable[..., Situation]) -> None:
     guest = case(machine={"virtual": "QEMU"})
     assert advice_on(guest) == []
     assert "QEMU" in only(replace(guest, worst_wakeup_s=2e-3)).found

@@ -70,7 +70,7 @@ def test_no_line_is_wider_than_the_terminal_but_a_command(examination: Examinati
     assert [line.strip() for line in lines if len(line) > width] == ([COMMAND] if len(COMMAND) + 6 > width else [])
 
 
-def test_an_examination_is_told_in_full(examination: Examination) -> None:
+def test_an_examination_is_reported_in_full(examination: Examination) -> None:
     text = shown(examination, 200)
     for words_of_it in (
         "Some [bold] Processor; 2 of 4 cores (two threads a core)",
@@ -92,7 +92,7 @@ def test_a_device_is_said_to_feel_no_force(examination: Examination) -> None:
     on_port = replace(examination.exchanges[0], where="/dev/ttyACM0")
     of_device = replace(examination, exchanges=(on_port,), verdicts=(verdict_on(on_port),), advice=())
     text = shown(of_device, 200)
-    assert "on /dev/ttyACM0, without force; clock: device" in text
+    assert "on /dev/ttyACM0, sent zero force; clock: device" in text
     assert "this machine keeps" not in text
     assert "the mock" not in text
     assert "Nothing was found that could be set better." in text
@@ -224,7 +224,7 @@ def test_curves_fall_from_all_to_the_last_one(examination: Examination) -> None:
         assert curve.time[-1] == pytest.approx(3e-3)
 
 
-def test_no_time_is_told_too_short(histogram: Counted, examination: Examination) -> None:
+def test_no_time_is_reported_too_short(histogram: Counted, examination: Examination) -> None:
     values = [1e-6 * (1.1**i) for i in range(50)]
     made = histogram(dict.fromkeys(values, 1))
     (curve, *_) = steadiness(replace(examination, wakeups={1000.0: made}))

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from hapsim.console.doctor import examination_document
 from hapsim.doctor import examine as examination_module
 from hapsim.doctor.examine import Examination, examine
 from hapsim.doctor.step import Step
@@ -49,17 +50,18 @@ def examined(
 ) -> Callable[..., tuple[Examination, Any]]:
     """An examination whose wake-ups and runs are made up, and what ran."""
 
-    def wake_up_lateness(rate: float, seconds: float, tell: Any, **options: Any) -> Histogram:
+    def wake_up_latency(rate: float, seconds: float, tell: Any, **options: Any) -> Histogram:
         tell(0.0, "sleep_on_grid")
         tell(seconds, "")
         options["on_grants"]([GRANT] if options["realtime"] else [])
         return histogram({1e-6 * rate: 10})
 
-    monkeypatch.setattr(examination_module, "wake_up_lateness", wake_up_lateness)
+    monkeypatch.setattr(examination_module, "wake_up_latency", wake_up_latency)
 
     def call(given: Scene | None, error: Exception | None = None, **options: Any) -> tuple[Examination, Any]:
         run = fake_run()
         run.error = error
+        options.setdefault("ask", lambda _trial: None)
         return examine(given, tree=tree(), run=run, **options), run
 
     return call
@@ -108,6 +110,20 @@ def test_a_device_that_fails_is_part_of_the_answer(examined: Callable[..., Any])
     assert examination.device_failed is not None
     assert examination.device_failed.exit_status == 3
     assert examination.verdicts[0].sentence == "3 kHz: no verdict (no such port)"
+    document = examination_document(examination)
+    assert (document["error"], document["exit_status"]) == ("no such port", 3)
+    assert document["wakeups"]
+
+
+def test_the_device_is_asked_before_anything_is_measured(
+    examined: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def no_answer(trial: Any) -> None:
+        raise DeviceError(f"{trial.where}: no answer")
+
+    monkeypatch.setattr(examination_module, "wake_up_lateness", lambda *_, **__: pytest.fail("measured before"))
+    with pytest.raises(DeviceError, match="/dev/ttyACM0: no answer"):
+        examined(scene(port="/dev/ttyACM0"), ask=no_answer)
 
 
 def test_a_scene_that_does_not_fit_its_device_is_refused(examined: Callable[..., Any]) -> None:
@@ -154,7 +170,7 @@ def test_real_time_is_asked_for_everywhere_and_what_was_granted_is_kept(examined
     assert examined(scene(), rates=())[0].grants is None
 
 
-def test_every_measurement_is_told_once_it_begins(examined: Callable[..., Any]) -> None:
+def test_every_measurement_is_reported_once_it_begins(examined: Callable[..., Any]) -> None:
     told: list[Step] = []
 
     _, run = examined(scene(), rates=(), on_progress=told.append, seconds=2.0)

@@ -52,11 +52,11 @@ def test_a_machine_that_tells_nothing_is_no_failure(tree: Callable[..., Tree]) -
 @pytest.mark.parametrize(
     "file", [("/sys/kernel/realtime", "1\n"), ("/proc/sys/kernel/version", "#1 SMP PREEMPT_RT Debian\n")]
 )
-def test_a_real_time_kernel_is_told_by_either_file(tree: Callable[..., Tree], file: tuple[str, str]) -> None:
+def test_a_real_time_kernel_is_recognised_by_either_file(tree: Callable[..., Tree], file: tuple[str, str]) -> None:
     assert machine_of(tree(dict([file]))).preempt_rt
 
 
-def test_a_virtual_machine_is_told_by_its_maker_where_there_is_one(tree: Callable[..., Tree]) -> None:
+def test_a_virtual_machine_is_recognised_by_its_maker_where_there_is_one(tree: Callable[..., Tree]) -> None:
     guest = {"/proc/cpuinfo": "model name\t: P\nflags\t: fpu hypervisor tsc\n"}
     assert machine_of(tree(guest)).virtual == "of unknown make"
     maker = {"/sys/class/dmi/id/sys_vendor": "QEMU\n", "/sys/class/dmi/id/product_name": "Standard PC\n"}
@@ -67,7 +67,7 @@ def test_the_maker_of_real_hardware_is_no_hypervisor(tree: Callable[..., Tree]) 
     assert machine_of(tree(A_MACHINE | {"/sys/class/dmi/id/sys_vendor": "Dell\n"})).virtual == ""
 
 
-def test_a_board_is_told_by_its_device_tree(tree: Callable[..., Tree]) -> None:
+def test_a_board_is_recognised_by_its_device_tree(tree: Callable[..., Tree]) -> None:
     board = {"/proc/cpuinfo": "processor\t: 0\nBogoMIPS\t: 108\n", "/proc/device-tree/model": "Raspberry Pi 5\0"}
     assert machine_of(tree(board)).cpu == "Raspberry Pi 5"
 
@@ -91,7 +91,7 @@ def test_load_is_what_others_did_between_two_looks(tree: Callable[..., Tree]) ->
     assert load.average == 1.5
 
 
-def test_no_load_is_told_where_nothing_was_seen(tree: Callable[..., Tree]) -> None:
+def test_no_load_is_reported_where_nothing_was_seen(tree: Callable[..., Tree]) -> None:
     look = CpuTimes(1.0, 1.0, 0.0, 10.0)
     assert load_between(look, look, 2, tree()) is None
     assert load_between(None, look, 2, tree()) is None

@@ -49,12 +49,12 @@ def test_sentences_never_round_a_gap_away(share: float | None, sentence: str) ->
     assert Verdict(4000.0, "host", MOCK, answer_for(share), share).sentence == sentence
 
 
-def test_late_and_lost_are_not_in_time(report: Callable[..., Any]) -> None:
+def test_late_and_lost_are_deadline_misses(report: Callable[..., Any]) -> None:
     run = report(ticks=990, deadline_misses=5, lost_frames=10, duration_s=0.989)
     assert share_in_time(run, device_asks=True) == 985 / 1000
 
 
-def test_a_host_that_is_too_slow_to_ask_is_not_in_time(report: Callable[..., Any]) -> None:
+def test_a_host_that_is_too_slow_to_ask_misses_deadlines(report: Callable[..., Any]) -> None:
     slow = report(ticks=900, duration_s=0.999)
     assert share_in_time(slow, device_asks=False) == 0.9
     assert share_in_time(slow, device_asks=True) == 1.0

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from firmware_protocol.records import new_record
-from hapsim.doctor.wakeups import wake_up_lateness
+from hapsim.doctor.wakeups import wake_up_latency
 from hapsim.errors import UsageError
 from hapsim.loop.grid import GRID, sleep_on_grid
 from hapsim.loop.histogram import histogram_of
@@ -33,7 +33,7 @@ def test_deadline_long_past_is_counted_and_starts_the_grid_anew() -> None:
     assert histogram_of(made.lateness, 1e-9).maximum >= 1.0
 
 
-def test_every_point_of_a_grid_is_woken_up_for_or_was_missed() -> None:
+def test_every_point_of_a_grid_has_a_wake_up_or_was_missed() -> None:
     now = time.clock_gettime_ns(time.CLOCK_MONOTONIC)
     period = SECOND // 2000
     made = grid(due_ns=now + period, end_ns=now + 40 * period, period_ns=period)
@@ -49,7 +49,7 @@ def test_nothing_is_slept_for_where_the_grid_is_over() -> None:
     assert made.wakeups == 0
 
 
-def test_stops_at_the_wake_up_after_it_is_told_to() -> None:
+def test_stops_at_the_wake_up_after_it_is_asked_to() -> None:
     now = time.clock_gettime_ns(time.CLOCK_MONOTONIC)
     made = grid(due_ns=now, end_ns=now + 3600 * SECOND, period_ns=SECOND // 1000)
     thread = threading.Thread(target=sleep_on_grid, args=(made,), daemon=True)
@@ -64,7 +64,7 @@ def test_stops_at_the_wake_up_after_it_is_told_to() -> None:
 
 def test_as_many_wake_ups_as_rate_and_time_make_or_fewer() -> None:
     told: list[tuple[float, str]] = []
-    lateness = wake_up_lateness(500.0, 0.1, lambda elapsed, compiling: told.append((elapsed, compiling)))
+    lateness = wake_up_latency(500.0, 0.1, lambda elapsed, compiling: told.append((elapsed, compiling)))
     assert 1 <= lateness.total <= 50
     assert lateness.unit == 1e-9
     assert told
@@ -76,13 +76,13 @@ def test_an_interruption_ends_the_thread() -> None:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        wake_up_lateness(1000.0, 3600.0, interrupt)
+        wake_up_latency(1000.0, 3600.0, interrupt)
     assert not [thread for thread in threading.enumerate() if thread.name == "wake-ups"]
 
 
-def test_what_was_granted_is_told_before_the_first_wake_up() -> None:
+def test_what_was_granted_is_reported_before_the_first_wake_up() -> None:
     granted: list[Any] = []
-    wake_up_lateness(1000.0, 0.01, realtime=True, on_grants=granted.append)
+    wake_up_latency(1000.0, 0.01, realtime=True, on_grants=granted.append)
     assert len(granted) == 1
     assert {"SCHED_FIFO", "memory locked"} <= {grant.privilege for grant in granted[0]}
 
@@ -100,4 +100,4 @@ def test_what_was_granted_is_told_before_the_first_wake_up() -> None:
 )
 def test_rates_and_times_that_cannot_be_measured_are_refused(rate: float, seconds: float, found: str) -> None:
     with pytest.raises(UsageError, match=found):
-        wake_up_lateness(rate, seconds)
+        wake_up_latency(rate, seconds)

@@ -19,12 +19,13 @@ from firmware_protocol import schema
 from firmware_protocol.decoder import Frame, frames_in, new_decoder, use_format
 from firmware_protocol.description import Description, to_registers
 from firmware_protocol.frames import SETUP, armed_format, frame_to_host
-from hapsim.compiling.ahead import UNITS
+from hapsim.ahead.compile import UNITS
 from hapsim.device.connection import Connection
 from hapsim.device.mock.assemble import assemble_mock
 from hapsim.device.mock.terminal import serving
 from hapsim.loop.descriptor import descriptor_transport
 from hapsim.loop.portable import _take_and_compose
+from hapsim.running import assemble
 from hapsim.running.assemble import Loop, assemble_loop
 from hapsim.scene import Scene, parse_scene
 
@@ -105,6 +106,10 @@ class ScriptedDevice:
 
     def __init__(self, near: int, script: Sequence[bytes | None], **differences: Any) -> None:
         refuses = differences.pop("refuses", schema.NO_FAULT)
+        self.answers_arm_with: int | None = differences.pop("answers_arm_with", None)  # a status, and stays unarmed
+        self.ignores_arm: bool = differences.pop("ignores_arm", False)
+        self.says_on_disarm: int = differences.pop("says_on_disarm", schema.IDLE)
+        self.hangs: bool = differences.pop("hangs", False)  # once armed it hears nothing but forces
         self.before: bytes = differences.pop("before", b"")
         self.registers_set: dict[int, int] = differences.pop("registers", {})
         self.description = replace(
@@ -164,15 +169,20 @@ class ScriptedDevice:
         elif frame.type == schema.FORCE and self.armed:
             self.forces.append(frame)
             return self._next()
-        elif frame.type == schema.DISARM:
+        elif frame.type == schema.DISARM and not (self.hangs and self.armed):
             self.farewells += [frame] if self.armed else []
             self.armed, self.disarmed = False, self.disarmed + 1
             use_format(self._decoder, SETUP)
-            self._status(schema.IDLE, schema.NO_FAULT)
+            self._status(self.says_on_disarm, schema.NO_FAULT)
         return True
 
     def _arm(self, frame: Frame) -> bool:
         self.arms.append(frame)
+        if self.ignores_arm:
+            return True
+        if self.answers_arm_with is not None:
+            self._status(self.answers_arm_with & 0xFF, self.answers_arm_with >> 8)
+            return True
         if self._refuses != schema.NO_FAULT:
             self._status(schema.IDLE, self._refuses)
             return True
@@ -224,6 +234,12 @@ def scripted(
 
 
 @pytest.fixture
+def leaps_allowed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """For scripts whose positions are where no hand gets: the guard of the position judges no channel."""
+    monkeypatch.setattr(assemble, "_set_leap", lambda *_: None)
+
+
+@pytest.fixture
 def frame() -> Callable[..., bytes]:
     """`position` above."""
     return position
@@ -234,7 +250,7 @@ def assembled() -> Callable[..., Loop]:
     """A loop over a port's descriptor, armed; for loops that nobody listens to any descriptor does."""
     open_ones = []
 
-    def assemble(scene: Scene, descriptor: int = 0, **differences: Any) -> Loop:
+    def assembled_loop(scene: Scene, descriptor: int = 0, **differences: Any) -> Loop:
         c = scene.channels
         description = Description("test", 1000.0, 0b111, 200, (1e-6,) * c, (1e-3,) * c, (10.0,) * c)
         connection = Connection(transport=descriptor_transport(descriptor), name="test", close=lambda: None)
@@ -243,7 +259,7 @@ def assembled() -> Callable[..., Loop]:
         use_format(loop.inbox.decoder, loop.wire)
         return loop
 
-    return assemble
+    return assembled_loop
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""Before the loop: what a device may answer, and what the user is told to do about it."""
+"""Before the loop: what a device may answer, and what the message asks the user to do about it."""
 
 from __future__ import annotations
 

@@ -44,7 +44,7 @@ def test_a_force_names_the_position_that_it_answers(scripted: Scripted, frame: F
 def test_a_lost_position_is_bridged_along_a_straight_line_and_counted(scripted: Scripted, frame: FrameOf) -> None:
     path = [0, 100, 200, 500, 600]  # samples 0, 1, 2, 5, 6
     numbers = [0, 1, 2, 5, 6]
-    trace, _ = play(scripted, [frame(n, x) for n, x in zip(numbers, path, strict=True)], 5)
+    trace, _ = play(scripted, [frame(n, x) for n, x in zip(numbers, path, strict=True)], 7)
     assert trace.sample.tolist() == numbers
     assert trace.report.lost_frames == 2
     assert trace.flags.tolist() == [0, 0, 0, BRIDGED, 0]
@@ -63,7 +63,7 @@ def test_a_corrupted_position_is_counted_and_taken_for_lost(scripted: Scripted, 
     torn = bytearray(frame(1, 100))
     torn[4] ^= 0x10
     script = [frame(0, 0), bytes(torn) + frame(2, 200), frame(3, 300)]
-    trace, _ = play(scripted, script, 3)
+    trace, _ = play(scripted, script, 4)
     assert trace.report.crc_errors == 1
     assert trace.report.lost_frames == 1
     assert trace.sample.tolist() == [0, 2, 3]
@@ -101,7 +101,7 @@ def test_a_position_that_comes_twice_moves_the_scene_once(scripted: Scripted, fr
 
 def test_a_position_older_than_the_last_is_passed_over_and_counted(scripted: Scripted, frame: FrameOf) -> None:
     script = [frame(0, 0), frame(2, 200) + frame(1, 100), frame(3, 300), frame(4, 400)]
-    trace, _ = play(scripted, script, 4)
+    trace, _ = play(scripted, script, 5)
     assert trace.sample.tolist() == [0, 2, 3, 4]
     assert trace.report.lost_frames == 1
     assert trace.report.stale_positions == 1
@@ -110,7 +110,7 @@ def test_a_position_older_than_the_last_is_passed_over_and_counted(scripted: Scr
 
 def test_numbers_wrap_at_twelve_bits_with_losses_across_the_wrap(scripted: Scripted, frame: FrameOf) -> None:
     numbers = [*range(4000, 4094), 4097, *range(4098, 4120)]
-    trace, device = play(scripted, [frame(n, n) for n in numbers], len(numbers))
+    trace, device = play(scripted, [frame(n, n) for n in numbers], len(numbers) + 3)
     assert trace.sample.tolist() == numbers
     assert trace.report.lost_frames == 3
     assert [heard.number for heard in device.forces] == [n % 4096 for n in numbers]
@@ -159,7 +159,7 @@ def test_a_device_that_babbles_instead_of_positions_is_silent_to_the_loop(
         talker = threading.Thread(target=talk)
         talker.start()
         try:
-            with pytest.raises(DeviceError, match="silent") as caught:
+            with pytest.raises(DeviceError, match=r"silent for|that could be used came for") as caught:
                 run(there, duration=10.0)
         finally:
             over.set()

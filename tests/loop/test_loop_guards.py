@@ -39,6 +39,7 @@ def test_an_excitation_passes_the_limit_too(scene_of: Callable[..., Scene]) -> N
     assert trace.report.limited_ticks >= 5
 
 
+@pytest.mark.usefixtures("leaps_allowed")
 @pytest.mark.parametrize(
     ("device_limit", "scale", "most"),
     [
@@ -131,6 +132,7 @@ def alike(channels: int) -> dict[str, tuple[float, ...]]:
     return {name: (value,) * channels for name, value in each.items()}
 
 
+@pytest.mark.usefixtures("leaps_allowed")
 @pytest.mark.parametrize("clock", CLOCKS)
 @pytest.mark.parametrize("channel", [0, 1, 2])
 def test_up_to_the_limit_a_force_leaves_as_it_is_and_beyond_it_the_limit_to_the_same_side(
@@ -153,7 +155,7 @@ def test_up_to_the_limit_a_force_leaves_as_it_is_and_beyond_it_the_limit_to_the_
     np.testing.assert_array_equal(trace.force_counts[:, channel], leaves)
     np.testing.assert_array_equal((trace.flags & LIMITED) != 0, beyond)
     assert trace.report.limited_ticks == beyond.sum() == 8
-    # By the host's clock a tick that comes late lets a force be overtaken: what does leave is the guarded one.
+    # By the host's clock a tick that comes late replaces a force before it leaves: what does leave is the guarded one.
     assert {heard.number for heard in device.forces} <= set(range(len(wanted)))
     assert len(device.forces) == len(wanted) or clock == "host"
     for heard in device.forces:
@@ -171,7 +173,7 @@ NO_NUMBER: dict[str, tuple[dict[str, float], int, int]] = {
 @pytest.mark.parametrize("clock", CLOCKS)
 @pytest.mark.parametrize("channel", [0, 1, 15])
 @pytest.mark.parametrize("kind", NO_NUMBER)
-def test_one_channel_without_a_number_lets_go_of_all_of_them(
+def test_one_channel_without_a_number_releases_all_of_them(
     scene_of: Callable[..., Scene],
     scripted: Callable[..., Any],
     frame: Callable[..., bytes],

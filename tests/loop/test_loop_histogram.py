@@ -1,4 +1,4 @@
-"""The histogram that the loop fills: nothing is lost, nothing is told too small."""
+"""The histogram that the loop fills: nothing is lost, nothing is reported too small."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def test_nothing_has_no_quantiles() -> None:
     assert (spread.count, spread.p50, spread.p99, spread.p999, spread.max) == (0, None, None, None, None)
 
 
-def test_nanoseconds_are_told_in_seconds() -> None:
+def test_nanoseconds_are_reported_in_seconds() -> None:
     histogram = counted(*[1000] * 99, 5_000_000, unit=1e-9)
     assert histogram.quantile(0.5) == pytest.approx(1e-6, rel=1 / 16)
     assert histogram.maximum == pytest.approx(5e-3)
@@ -69,7 +69,7 @@ def test_nanoseconds_are_told_in_seconds() -> None:
 
 
 @pytest.mark.parametrize("value", range(32))
-def test_nanoseconds_below_32_are_told_to_the_digit(value: int) -> None:
+def test_nanoseconds_below_32_are_reported_to_the_digit(value: int) -> None:
     assert counted(value, 100, unit=1e-9).quantile(0.5) == value * 1e-9
 
 

@@ -89,7 +89,7 @@ def play(request: pytest.FixtureRequest, assembled: Callable[..., Loop], scene_o
         record.bytes[: len(whole)] = np.frombuffer(whole, np.uint8)
         transport = Transport(follow_script, note_frame, record)
         loop.inbox.transport = transport.record
-        loop.control.ticks = ticks
+        loop.control.samples = ticks
         loop.control.silence_ns = 60 * 10**9
         portable = request.param == "portable"
         ending = PortableLoop(loop.record, loop.inbox, transport).run() if portable else run_loop(loop.record)
@@ -102,7 +102,7 @@ def play(request: pytest.FixtureRequest, assembled: Callable[..., Loop], scene_o
 
 
 def test_a_position_that_came_after_its_tick_is_answered_and_leaves_no_lag(play: Play, frame: FrameOf) -> None:
-    # The tick that asked for position 1 is over before it comes, so at the next tick it waits in the line.
+    # The tick that asked for position 1 is over before it comes, so at the next tick it waits in the port.
     loop, forces = play([(0, False, frame(0, 0)), (1, True, frame(1, 5)), (2, False, frame(2, 5))], 3)
     assert [force.number for force in forces] == [0, 1]
     assert loop.ring.drain().sample.tolist() == [0, 1, 2]
@@ -122,7 +122,7 @@ def test_a_position_that_came_after_its_tick_is_measured_from_when_it_was_asked_
     assert took.maximum > 8 * PERIOD_S  # nine periods lie between; the first tick may be late by up to one
 
 
-def test_a_position_that_a_newer_one_overtakes_between_two_ticks_was_never_answered(play: Play, frame: FrameOf) -> None:
+def test_a_position_that_a_newer_one_replaces_between_two_ticks_was_never_answered(play: Play, frame: FrameOf) -> None:
     loop, forces = play([(0, False, frame(0, 0)), (0, False, frame(1, 1) + frame(2, 2))], 3)
     assert [force.number for force in forces] == [2]
     assert (loop.ring.drain().flags & UNSENT).tolist() == [UNSENT, UNSENT, 0]

@@ -55,7 +55,7 @@ def test_positions_that_come_on_time_are_not_late_and_each_is_counted(timed: Cal
     assert (on.latest_ns, on.counted) == (0, 5)
 
 
-def test_a_late_position_is_told_and_moves_the_grid_by_a_sixteenth_of_that(timed: Callable[[str], Timed]) -> None:
+def test_a_late_position_is_reported_and_moves_the_grid_by_a_sixteenth_of_that(timed: Callable[[str], Timed]) -> None:
     on = timed("device")
     on.hear(0, 0)
     on.hear(1, 1.32)

@@ -142,7 +142,7 @@ def two_hands(scene_of: SceneOf, share: float) -> Scene:
     return scene.model_copy(update={"modules": modules})
 
 
-def share_met(trace: hapsim.loop.trace.Trace, channel: int, least: float) -> NDArray[np.float64]:
+def share_felt(trace: hapsim.loop.trace.Trace, channel: int, least: float) -> NDArray[np.float64]:
     """The share of `two_hands` that explains each tick's force; NaN where the hand hardly feels it."""
     d = trace.position[1:, channel]
     g = np.diff(trace.position[:, channel]) / T
@@ -173,7 +173,7 @@ def test_a_million_changes_and_no_tick_sees_half_of_one_or_jumps_further_than_it
         session.stop()
     trace = session.trace
     assert trace.report.parameter_changes > 1000
-    first, second = share_met(trace, 0, 0.01), share_met(trace, 1, 0.01)
+    first, second = share_felt(trace, 0, 0.01), share_felt(trace, 1, 0.01)
     both = np.isfinite(first) & np.isfinite(second)
     assert both.sum() > 1000
     np.testing.assert_allclose(first[both], second[both], atol=1e-9)

@@ -42,7 +42,7 @@ def refusal(path: str) -> str:
     return text
 
 
-def test_a_port_that_does_not_exist_is_told_with_the_ports_that_do() -> None:
+def test_a_port_that_does_not_exist_is_reported_with_the_ports_that_do() -> None:
     assert "no such port. Ports found: " in refusal("/dev/ttyNOPE7")
 
 
@@ -68,7 +68,7 @@ def test_a_pipe_is_no_serial_port(tmp_path: Path) -> None:
     assert "not a serial port" in refusal(str(pipe))
 
 
-def test_a_port_that_is_in_use_is_told_so(terminal: tuple[int, str]) -> None:
+def test_a_port_that_is_in_use_is_reported_as_such(terminal: tuple[int, str]) -> None:
     connection = open_serial_port(terminal[1], BAUD)
     try:
         assert "another program is using the port" in refusal(terminal[1])
@@ -87,7 +87,7 @@ def test_a_port_that_is_in_use_is_told_so(terminal: tuple[int, str]) -> None:
         (errno.ENXIO, "cannot be opened: "),
     ],
 )
-def test_what_the_system_refuses_is_told_with_what_to_do(
+def test_what_the_system_refuses_is_reported_with_what_to_do(
     monkeypatch: pytest.MonkeyPatch, number: int, told: str
 ) -> None:
     """Root is refused nothing, so the system's answer is put in its mouth, in the words of pyserial."""
@@ -107,7 +107,7 @@ def test_what_the_system_refuses_is_told_with_what_to_do(
         ("OSError(22, 'A device attached to the system is not functioning.', None, 31)", "cannot be opened: "),
     ],
 )
-def test_what_windows_refuses_is_told_with_what_to_do(monkeypatch: pytest.MonkeyPatch, reason: str, told: str) -> None:
+def test_what_windows_refuses_comes_with_what_to_do(monkeypatch: pytest.MonkeyPatch, reason: str, told: str) -> None:
     """There pyserial's error has no number, only the words of the system's own."""
 
     def refuse(path: str, *_args: object, **_options: object) -> None:

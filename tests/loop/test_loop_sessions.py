@@ -54,7 +54,7 @@ def test_a_session_that_has_a_duration_ends_by_itself(scene_of: SceneOf) -> None
     assert (session.trace.report.ending, session.trace.report.ticks) == ("done", 500)
 
 
-def test_an_exception_in_the_block_lets_go_of_the_device(scene_of: SceneOf, served: Any) -> None:
+def test_an_exception_in_the_block_releases_the_device(scene_of: SceneOf, served: Any) -> None:
     with served(scene_of()) as (scene, mock):
         with pytest.raises(ZeroDivisionError), hapsim.start(scene):
             raise ZeroDivisionError
@@ -62,7 +62,7 @@ def test_an_exception_in_the_block_lets_go_of_the_device(scene_of: SceneOf, serv
         assert not mock.commands.any()
 
 
-def test_a_device_that_goes_away_is_told_when_the_block_is_left(scripted: Any, frame: Callable[..., bytes]) -> None:
+def test_a_device_that_goes_away_is_reported_when_the_block_is_left(scripted: Any, frame: Callable[..., bytes]) -> None:
     with scripted([frame(0, 0), None]) as (scene, _):
         with pytest.raises(DeviceError, match="went away after 1 tick"), hapsim.start(scene) as session:
             assert session.wait(30.0)
@@ -105,7 +105,7 @@ def test_parameters_are_set_by_the_names_of_the_scene(scene_of: SceneOf) -> None
         (5.0, 0.0, "expected the names of modules, each with what changes"),
     ],
 )
-def test_a_wrong_change_is_told_and_changes_nothing(
+def test_a_wrong_change_is_reported_and_changes_nothing(
     scene_of: SceneOf, changes: Any, over: float, sentence: str
 ) -> None:
     scene = scene_of()
@@ -129,7 +129,7 @@ def test_when_it_is_over_nothing_can_be_changed_any_more(scene_of: SceneOf) -> N
 def test_it_stops_within_a_wait_for_a_device_that_stays_silent(
     scripted: Any, frame: Callable[..., bytes], clock: str, portable: bool
 ) -> None:
-    """At 0.05 Hz a device is silent only after 400 s: a run that waits for that is told as a hang."""
+    """At 0.05 Hz a device is silent only after 400 s: a run that waits for that counts as a hang."""
     with scripted([frame(0, 0)], rate_hz=0.05) as (scene, _):
         slow = scene.model_copy(update={"rate": 0.05, "device": scene.device.model_copy(update={"clock": clock})})
         with hapsim.start(slow, portable=portable) as session:

@@ -67,20 +67,20 @@ def test_a_place_where_no_trace_can_be_written_is_refused(trace: Trace, tmp_path
     assert os.listdir(tmp_path) == ["taken.npz"]
 
 
-def test_a_disk_that_is_full_is_told(trace: Trace, tmp_path: Path) -> None:
+def test_a_disk_that_is_full_is_reported(trace: Trace, tmp_path: Path) -> None:
     (tmp_path / "t.csv").symlink_to("/dev/full")
     with pytest.raises(UsageError, match="cannot be written: No space left on device"):
         trace.save(tmp_path / "t.csv")
 
 
 @pytest.mark.parametrize("text", [b"", b"no zip", b"PK\x03\x04 torn", b"\x93NUMPY\x01\x00"])
-def test_a_file_that_is_no_trace_is_told(tmp_path: Path, text: bytes) -> None:
+def test_a_file_that_is_no_trace_is_reported(tmp_path: Path, text: bytes) -> None:
     (tmp_path / "t.npz").write_bytes(text)
     with pytest.raises(UsageError, match="not a trace that hapsim wrote"):
         load_trace(tmp_path / "t.npz")
 
 
-def test_a_trace_that_was_cut_off_or_belongs_to_somebody_else_is_told(trace: Trace, tmp_path: Path) -> None:
+def test_a_trace_that_was_cut_off_or_belongs_to_somebody_else_is_reported(trace: Trace, tmp_path: Path) -> None:
     trace.save(tmp_path / "t.npz")
     whole = (tmp_path / "t.npz").read_bytes()
     for length in (10, len(whole) // 2, len(whole) - 1):

@@ -125,7 +125,7 @@ def test_both_real_clocks_run_to_the_end(scene_of: Callable[..., Scene], clock: 
     """In real time, on a machine that may be busy: only what holds however late it is."""
     trace = run(scene_of(device={"clock": clock}), duration=0.2)
     assert trace.report.ending == "done"
-    assert trace.report.ticks >= 200
+    assert trace.report.ticks + trace.report.lost_frames >= 200 or trace.report.duration_s > 0.2
     assert trace.report.ticks == trace.sample.size + trace.report.dropped_rows
     assert not trace.report.virtual_time
     assert np.all(np.diff(trace.sample) >= 1)
@@ -203,7 +203,7 @@ def test_a_port_whose_other_side_is_gone_has_hung_up(terminal: tuple[int, int], 
     os.close(near)
     assert transport.receive(buffer, 10**9) == HUNG_UP
     assert transport.receive(buffer, 0) == HUNG_UP
-    assert transport.send(b"x") == (HUNG_UP if over is descriptor_transport else FAILED)
+    assert transport.send(b"x") == HUNG_UP
 
 
 @both

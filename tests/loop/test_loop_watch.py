@@ -52,7 +52,7 @@ def test_a_file_that_nobody_touches_is_no_news(path: Path, session: Session) -> 
     assert file.look(session) is None
 
 
-def test_what_is_edited_is_adopted_and_told_once(path: Path, session: Session) -> None:
+def test_what_is_edited_is_adopted_and_reported_once(path: Path, session: Session) -> None:
     file = WatchedFile(str(path))
     edit(path, "stiffness: 1000, damping: 2", "stiffness: 500, damping: 3")
     edit(path, "position: 0.0", "position: 0.01")
@@ -71,7 +71,7 @@ def test_what_is_edited_is_adopted_and_told_once(path: Path, session: Session) -
         ("version: 1", "version: [", "scene.yaml:"),
     ],
 )
-def test_what_cannot_be_changes_nothing_and_is_told_once(
+def test_what_cannot_be_changes_nothing_and_is_reported_once(
     path: Path, session: Session, old: str, new: str, sentence: str
 ) -> None:
     file, before = WatchedFile(str(path)), session.scene
@@ -99,7 +99,7 @@ def test_a_file_that_is_gone_for_a_moment_is_waited_for(path: Path, session: Ses
     assert news.changed == ("touch.stiffness 1000 → 700",)
 
 
-def test_a_file_that_stays_away_is_told_once(path: Path, session: Session) -> None:
+def test_a_file_that_stays_away_is_reported_once(path: Path, session: Session) -> None:
     file = WatchedFile(str(path))
     path.unlink()
     told = [news for _ in range(30) if (news := file.look(session)) is not None]

@@ -6,6 +6,7 @@ import itertools
 import os
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -65,7 +66,7 @@ def measured_in_memory(configuration: Configuration, k: float, stiffness: float,
     return identify(run(scene, duration=4.0), MASS)
 
 
-def test_at_a_picometre_every_pole_lies_within_four_of_the_uncertainties_stated() -> None:
+def test_at_a_picometre_every_pole_lies_within_four_of_the_uncertainties_stated(figures: Any) -> None:
     rng = np.random.default_rng(20)
     errors, ratios = [], []
     for hold, sampling, delay, normalised_friction in COMBINATIONS:
@@ -94,8 +95,8 @@ def test_at_a_picometre_every_pole_lies_within_four_of_the_uncertainties_stated(
             if max(ratios[-1]) >= 4.0:
                 print("beyond four uncertainties:", configuration, k, b, ratios[-1])
     worst = np.max(ratios, axis=0)
-    print(
-        f"\n{len(errors)} points: pole error median {np.median(errors):.1e}, 99 % {np.quantile(errors, 0.99):.1e}, "
+    figures.note(
+        f"{len(errors)} points: pole error median {np.median(errors):.1e}, 99 % {np.quantile(errors, 0.99):.1e}, "
         f"worst {np.max(errors):.1e}; in stated uncertainties, worst of pole {worst[0]:.2f}, k {worst[1]:.2f}, "
         f"b {worst[2]:.2f}, root mean square {np.sqrt(np.mean(np.square(ratios))):.2f}"
     )
@@ -107,14 +108,14 @@ def test_at_a_picometre_every_pole_lies_within_four_of_the_uncertainties_stated(
 
 
 @pytest.mark.parametrize("path", [CONFIGS / f"{name}.yaml" for name in RINGING], ids=lambda path: path.stem)
-def test_every_shipped_scene_is_met_as_predicted_over_a_pseudo_terminal(path: Path) -> None:
+def test_every_shipped_scene_is_felt_as_predicted_over_a_pseudo_terminal(path: Path) -> None:
     scene = hapsim.load_scene(path)
     scene = scene.model_copy(update={"device": scene.device.model_copy(update={"clock": "lockstep"})})
     assert_met_as_predicted(scene)
 
 
 @pytest.mark.parametrize("seed", range(16))
-def test_any_scene_of_one_spring_is_met_as_predicted_over_a_pseudo_terminal(seed: int) -> None:
+def test_any_scene_of_one_spring_is_felt_as_predicted_over_a_pseudo_terminal(seed: int) -> None:
     rng = np.random.default_rng(seed)
     rate, mass = 10 ** rng.uniform(2.7, 4.0), 10 ** rng.uniform(-3, 0)
     configuration = Configuration(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -35,7 +36,7 @@ def element_and_target(c: Configuration, rng: np.random.Generator) -> tuple[floa
 
 @pytest.mark.parametrize("spring", [0.0, 0.001, 0.02])
 @pytest.mark.parametrize("damper", DAMPERS)
-def test_what_is_measured_is_what_is_predicted(damper: str, spring: float) -> None:
+def test_what_is_measured_is_what_is_predicted(damper: str, spring: float, figures: Any) -> None:
     rng = np.random.default_rng([int(1e4 * spring), *map(ord, damper)])
     for hold, sampling, delay in INTERFACES:
         c = Configuration(
@@ -72,3 +73,6 @@ def test_what_is_measured_is_what_is_predicted(damper: str, spring: float) -> No
         assert abs(measured.pole - pole) < min(4.0 * measured.pole_uncertainty, 1e-7), (c, K, B)
         assert measured.k == pytest.approx(k, rel=1e-6)
         assert measured.b == pytest.approx(b, rel=1e-6)
+        figures.most("pole off by, with every damper", abs(measured.pole - pole))
+        figures.most("k off by, relative, with every damper", abs(measured.k / k - 1.0))
+        figures.most("b off by, relative, with every damper", abs(measured.b / b - 1.0))

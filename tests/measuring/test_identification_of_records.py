@@ -181,7 +181,7 @@ def test_a_hand_that_starts_at_rest_is_pushed() -> None:
     assert measured.b == pytest.approx(felt.b, rel=1e-5)
 
 
-def test_a_hand_that_does_not_move_is_said_to_have_told_nothing() -> None:
+def test_a_hand_that_does_not_move_is_said_to_have_shown_nothing() -> None:
     with pytest.raises(UsageError, match="too little motion"):
         identify(run(one_spring(2000.0, 5.0, velocity=0.0), duration=0.5), 0.2)
 

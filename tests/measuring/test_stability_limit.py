@@ -7,6 +7,7 @@ import os
 import sys
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -55,7 +56,7 @@ def points() -> list[tuple[Configuration, float, float]]:
 
 
 def _limit(configuration: Configuration, rng: np.random.Generator) -> tuple[float, float]:
-    """(B, K): the curve b = 0 where it limits, met by a swing of 10 to 200 Hz."""
+    """(B, K): the curve b = 0 where it limits, for a swing of 10 to 200 Hz."""
     while True:
         B = configuration.damping_unit * 10.0 ** rng.uniform(-1.7, -0.1)
         least, most = configuration.stable_stiffness(B)
@@ -100,10 +101,11 @@ def _told(position: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("batch", range(BATCHES))
-def test_just_below_the_limit_a_ring_down_decays_and_just_above_it_grows(batch: int) -> None:
+def test_just_below_the_limit_a_ring_down_decays_and_just_above_it_grows(batch: int, figures: Any) -> None:
     for configuration, B, K in points()[batch::BATCHES]:
         below, above = growth(configuration, 0.999 * K, B), growth(configuration, 1.001 * K, B)
         assert below < 0.0 < above, (configuration, B, K, below, above)
+        figures.count("points at which 0.999 of the limit dies away and 1.001 grows", 1)
 
 
 def test_it_is_looked_at_in_two_hundred_points() -> None:

@@ -74,7 +74,7 @@ def test_two_start_values_never_give_the_same_check(
 
 
 def test_no_two_formats_of_one_frame_length_have_a_start_value_in_common() -> None:
-    # Frames of one length are told apart by their start value alone.
+    # Their start value alone distinguishes frames of one length.
     every = [SETUP, *(armed_format(n, velocity) for n in range(1, 17) for velocity in (False, True))]
     for to_device in (False, True):
         told_apart = {(frame_bytes(wire, to_device), wire.long_check, wire.seed) for wire in every}

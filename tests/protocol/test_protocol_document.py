@@ -72,8 +72,8 @@ def test_the_table_of_registers_is_the_schema_s() -> None:
     assert table == expected
 
 
-def test_the_link_budget_agrees_with_the_vectors(formats: dict[str, Any]) -> None:
-    tables = section("11. Link budget").split("With velocities:")
+def test_the_time_on_the_wire_agrees_with_the_vectors(formats: dict[str, Any]) -> None:
+    tables = section("11. Time on the wire").split("With velocities:")
     for velocity, text in enumerate(tables):
         table = {int(row[0]): row[1:4] for row in rows(text)[1:]}
         assert sorted(table) == list(range(1, 17))

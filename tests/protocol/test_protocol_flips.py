@@ -105,7 +105,7 @@ def _burst_every(decoder, stream, first, last, fields):
 
 
 def _line(name: str, kind: str, number: int, word: int) -> tuple[Any, NDArray[np.uint8], NDArray[np.int64]]:
-    """A decoder, three frames on the line, and what should be read of them; the middle one carries the arguments."""
+    """A decoder, three frames on the wire, and what should be read of them; the middle one carries the arguments."""
     counts = [[w, ~w][: words_in(name, kind)] for w in (77, word, -78)]
     fields = [(TYPES[kind], n, *c) for n, c in zip((number ^ 1, number, number ^ 2), counts, strict=True)]
     data = b"".join(frame(name, kind, n, 20, c) for (_, n, *_), c in zip(fields, counts, strict=True))
@@ -115,7 +115,7 @@ def _line(name: str, kind: str, number: int, word: int) -> tuple[Any, NDArray[np
 
 @pytest.mark.parametrize(("name", "kind"), EVERY_TYPE)
 def test_a_frame_with_any_one_two_or_three_bits_flipped_is_refused_and_its_neighbours_are_not(
-    name: str, kind: str
+    name: str, kind: str, figures: Any
 ) -> None:
     for number, word in FIELDS:
         decoder, stream, fields = _line(name, kind, number, word)
@@ -123,14 +123,18 @@ def test_a_frame_with_any_one_two_or_three_bits_flipped_is_refused_and_its_neigh
         for flips in (1, 2, 3):
             tried, misread = _flip_every(decoder, stream, length, 2 * length, flips, fields[[0, 2]], True)
             assert (tried, misread) == (comb(8 * length, flips), 0)
+            figures.count("patterns of one, two or three flipped bits, none taken for a sound frame", tried)
 
 
 @pytest.mark.parametrize(("name", "kind"), ONE_EACH)
-def test_a_frame_with_any_four_bits_flipped_is_refused_and_its_neighbours_are_not(name: str, kind: str) -> None:
+def test_a_frame_with_any_four_bits_flipped_is_refused_and_its_neighbours_are_not(
+    name: str, kind: str, figures: Any
+) -> None:
     decoder, stream, fields = _line(name, kind, 0x123, 0x01020408)
     length = stream.size // 3
     tried, misread = _flip_every(decoder, stream, length, 2 * length, 4, fields[[0, 2]], True)
     assert (tried, misread) == (comb(8 * length, 4), 0)
+    figures.count("patterns of four flipped bits, none taken for a sound frame", tried)
 
 
 @pytest.mark.parametrize(("name", "kind"), ONE_EACH)

@@ -71,7 +71,7 @@ def test_every_sample_number_survives_its_twelve_bits() -> None:
     assert [frame.number for frame in frames_in(decoder, sent)] == list(range(4096))
 
 
-def test_the_writer_writes_where_it_is_told_and_cuts_what_does_not_fit(codec: Any) -> None:
+def test_the_writer_writes_where_it_is_asked_to_and_cuts_what_does_not_fit(codec: Any) -> None:
     wire = armed_format(2)
     counts = np.array([2**31, -(2**31) - 1])
     buffer = np.full(64, 0xEE, np.uint8)

@@ -11,9 +11,12 @@ from math import comb
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from firmware_protocol import schema
+from firmware_protocol.decoder import frames_in, new_decoder
+from firmware_protocol.frames import SETUP, Format, armed_format, frame_bytes, framing_of
 from firmware_protocol.make_vectors import VECTORS
 from firmware_protocol.vectors import COUNTERS, TO_DEVICE, TYPES, frame
 
@@ -90,6 +93,85 @@ def test_streams_to_the_device_give_the_file_s_frames_and_counters(
         expected.append(" ".join(str(entry["counters"][name]) for name in COUNTERS))
     assert len(entries) > 30
     assert harness(lines) == expected
+
+
+EVERY_FORMAT = [SETUP, *(armed_format(n, velocity) for n in range(1, 17) for velocity in (False, True))]
+IDS = ["setup", *(f"{wire.channels}{'v' if wire.velocity else ''}" for wire in EVERY_FORMAT[1:])]
+
+
+def some_frames(codec: Any, wire: Format, to_device: bool, count: int) -> tuple[list[bytes], list[tuple[int, ...]]]:
+    """Random frames of one direction, and their fields: type, number, argument, words. Half of the words are zeros."""
+    chance = np.random.default_rng([wire.seed, to_device])
+    words = schema.words(wire.channels, to_device, wire.velocity)
+    types = chance.integers(1, 5, count) if to_device else chance.integers(9, 13, count)
+    numbers, arguments = chance.integers(0, 4096, count), chance.integers(0, 256, count)
+    payloads = chance.integers(-(2**31), 2**31, (count, words)) * chance.integers(0, 2, (count, words))
+    framing, buffer = framing_of(wire, to_device), np.zeros(256, np.uint8)
+    frames, fields = [], []
+    for kind, number, argument, payload in zip(types, numbers, arguments, payloads, strict=True):
+        end = codec.write_frame(framing, buffer, 0, kind, number, argument, payload)
+        frames.append(buffer[:end].tobytes())
+        fields.append((int(kind), int(number), int(argument), *payload.tolist()))
+    return frames, fields
+
+
+def damaged(stream: bytes, wire: Format) -> bytes:
+    """One byte in a hundred is changed, lost, or comes twice; delimiters too."""
+    chance = np.random.default_rng([wire.seed, 7])
+    data = np.frombuffer(stream, np.uint8)
+    hit = chance.random(data.size) < 0.01
+    how = chance.integers(0, 4, data.size)
+    data = np.where(hit & (how == 0), data ^ (1 << chance.integers(0, 8, data.size)), data).astype(np.uint8)
+    data = np.where(hit & (how == 1), 0, data).astype(np.uint8)
+    return np.repeat(data, np.where(hit & (how == 2), 0, np.where(hit & (how == 3), 2, 1))).tobytes()
+
+
+@pytest.mark.parametrize("wire", EVERY_FORMAT, ids=IDS)
+def test_of_3100_random_frames_and_of_the_same_damaged_it_reads_what_python_reads(
+    wire: Format, compiled_codec: Any, harness: Harness
+) -> None:
+    frames, fields = some_frames(compiled_codec, wire, True, 3100)
+    spoken = "format 0 0" if wire == SETUP else f"format {wire.channels} {wire.velocity:d}"
+    for stream in (b"".join(frames), damaged(b"".join(frames), wire)):
+        decoder = new_decoder(wire, to_device=True)
+        read = [
+            f"frame {f.type} {f.number} {f.argument} {' '.join(map(str, f.counts))}" for f in frames_in(decoder, stream)
+        ]
+        lines = [f"read {stream[at : at + 1000].hex()}" for at in range(0, len(stream), 1000)]
+        answers = harness(["new", spoken, *lines, "counters"])
+        assert answers[:-1] == read
+        assert answers[-1] == " ".join(str(int(decoder[name])) for name in COUNTERS)
+        if stream == b"".join(frames):
+            assert read == [f"frame {' '.join(map(str, one))}" for one in fields]
+        else:
+            assert min(int(decoder[name]) for name in ("accepted", "crc_errors", "length_errors", "garbage_bytes")) > 10
+
+
+@pytest.mark.parametrize("wire", EVERY_FORMAT, ids=IDS)
+def test_random_frames_to_the_host_are_written_as_python_writes_them(
+    wire: Format, compiled_codec: Any, harness: Harness
+) -> None:
+    frames, fields = some_frames(compiled_codec, wire, False, 1000)
+    spoken = "format 0 0" if wire == SETUP else f"format {wire.channels} {wire.velocity:d}"
+    lines = [f"write {kind} {number} {' '.join(map(str, counts))}" for kind, number, _, *counts in fields]
+    assert harness(["new", spoken, *lines]) == [data.hex() for data in frames]
+    assert {len(data) for data in frames} == {frame_bytes(wire, to_device=False)}
+
+
+def test_a_million_damaged_streams_neither_break_it_nor_keep_it_from_the_next_frame(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> None:
+    compiler = shutil.which("cc")
+    if compiler is None:
+        pytest.skip("no C compiler (cc) on this machine")
+    program = tmp_path_factory.mktemp("mutations") / "mutations"
+    source = Path(__file__).with_name("header_mutations.c")
+    sanitizers = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all")
+    command = [compiler, *STRICT, *sanitizers, f"-I{HEADER.parent}", str(source), "-o", str(program)]
+    built = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert built.returncode == 0, built.stderr
+    ran = subprocess.run([program, "1000000", "7"], capture_output=True, text=True, check=False)
+    assert (ran.stdout, ran.stderr, ran.returncode) == ("1000000 0\n", "", 0)
 
 
 def test_no_one_two_or_three_flips_get_a_frame_past_it(formats: Vectors, harness: Harness) -> None:

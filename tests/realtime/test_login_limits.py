@@ -1,4 +1,4 @@
-"""What a user is told to write into the limits that are set at login."""
+"""What the advice asks a user to write into the limits that are set at login."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def test_the_line_names_the_user_who_reads_it(monkeypatch: pytest.MonkeyPatch) -
     assert "'ada - rtprio 80' in /etc/security/limits.d/" in login_limit("rtprio", "80")
 
 
-def test_a_user_without_a_name_is_told_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_user_without_a_name_is_advised_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     def unknown(_number: int) -> pwd.struct_passwd:
         raise KeyError("getpwuid(): uid not found")
 

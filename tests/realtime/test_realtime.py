@@ -168,7 +168,7 @@ def test_an_undoing_that_fails_keeps_neither_the_others_from_theirs_nor_the_body
     assert told == ["one asked", "two asked", "three asked", "three undone", "two undone", "one undone"]
 
 
-def test_what_was_got_is_given_back_when_asking_for_the_next_meets_a_defect(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_was_granted_is_given_back_when_asking_for_the_next_fails(monkeypatch: pytest.MonkeyPatch) -> None:
     @contextlib.contextmanager
     def broken(_thread_id: int) -> Iterator[PrivilegeResult]:
         raise RuntimeError("a defect")

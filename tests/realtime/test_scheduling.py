@@ -47,7 +47,7 @@ def test_where_all_is_granted_it_is_the_priority_that_was_chosen(monkeypatch: py
 
 
 @pytest.mark.parametrize("most", [1, 2, 10, PRIORITY - 1])
-def test_a_lower_priority_than_was_asked_for_is_taken_and_told(most: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_lower_priority_than_was_asked_for_is_taken_and_reported(most: int, monkeypatch: pytest.MonkeyPatch) -> None:
     system = Scheduler(monkeypatch, most)
     with fifo(1) as grant:
         assert system.now == (os.SCHED_FIFO, most)

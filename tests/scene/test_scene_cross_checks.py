@@ -1,9 +1,10 @@
-"""Parts of a scene that do not fit together are told where they stand."""
+"""Parts of a scene that do not fit together are errors, each where it stands."""
 
 from collections.abc import Callable
 
 import pytest
 
+from hapsim.scene import parse_scene
 from hapsim.scene.modules import MODULE_TYPES
 
 OnlyFault = Callable[[str, str], str]
@@ -36,25 +37,25 @@ def test_a_link_has_to_join_two_points(only_fault: OnlyFault, between: str, told
     assert only_fault("[hand, wall]", between) == told
 
 
-def test_a_link_to_a_link_is_told(only_fault: OnlyFault) -> None:
+def test_a_link_to_a_link_is_reported(only_fault: OnlyFault) -> None:
     assert only_fault("modules:\n", "modules:\n  l: {type: viscoelastic, between: [hand, touch], stiffness: 1}\n") == (
         "5:43: between[1]: found 'touch', which is a link; expected a point: a link joins points, not links"
     )
 
 
-def test_a_link_between_two_grounds_is_told(faults: Faults, good: str) -> None:
+def test_a_link_between_two_grounds_is_reported(faults: Faults, good: str) -> None:
     assert faults(good.replace("[hand, wall]", "[wall, floor]") + "  floor: {type: ground}\n") == [
         "7:40: between: found 'wall' and 'floor', of which neither can move; expected one end that can"
     ]
 
 
-def test_two_modules_on_one_channel_are_told_at_the_second(faults: Faults, good: str) -> None:
+def test_two_modules_on_one_channel_are_reported_at_the_second(faults: Faults, good: str) -> None:
     assert faults(good + "  left: {type: device, channel: 0}\n") == [
         "8:33: channel: found 0, which 'hand' has already; expected a channel of its own"
     ]
 
 
-def test_a_scene_without_a_hand_is_told(faults: Faults, good: str) -> None:
+def test_a_scene_without_a_hand_is_reported(faults: Faults, good: str) -> None:
     without = "4:1: modules: found no module of type device, expected at least one: it is what the hand holds"
     assert faults(good.replace("type: device, channel: 0", "type: mass, mass: 1")) == [without]
     assert faults(good[: good.index("modules")] + "modules: {}") == [without]
@@ -117,8 +118,46 @@ def test_a_link_to_a_faulty_module_is_no_fault_of_the_link(only_fault: OnlyFault
     )
 
 
-def test_in_a_very_large_scene_dangling_names_are_told_quickly(faults: Faults, good: str) -> None:
+def test_in_a_very_large_scene_dangling_names_are_reported_quickly(faults: Faults, good: str) -> None:
     links = [f"  l{i}: {{type: viscoelastic, between: [hand, x{i}], stiffness: 1}}\n" for i in range(600)]
     told = faults(good + "".join(links))
     assert len(told) == 600
     assert told[-1] == "607:46: between[1]: found 'x599', expected the name of a module of this scene"
+
+
+@pytest.mark.parametrize(
+    ("module", "told"),
+    [
+        ("{type: mass, mass: 0.1, position: -3.5e+38}", "position: found -3.5e+38"),
+        ("{type: cell, mass: 0.1, stiffness: 1.0e+39}", "stiffness: found 1e+39"),
+        (
+            "{type: string, masses: 5, mass: 0.1, stiffness: 1, pluck: {at: 1, by: 1.0e+300}}",
+            "by: found 1e+300",
+        ),
+        (
+            "{type: nonlinear, between: [hand, wall], force_over_distance: [[0, 0], [1, 4.0e+38]]}",
+            "force_over_distance[1][1]: found 4e+38",
+        ),
+    ],
+)
+def test_a_number_beyond_single_precision_is_told_where_it_stands(
+    faults: Faults, good: str, module: str, told: str
+) -> None:
+    text = f"{good}  one: {module}\n"
+    parse_scene(text)
+    (fault,) = faults(f"{text}precision: single\n")
+    place, sentence = fault.split(": ", 1)
+    assert place.startswith("8:")
+    assert sentence == (
+        f"{told}, beyond the numbers of precision: single, which end at 3.4e+38; expected a smaller one, or "
+        "precision: double"
+    )
+
+
+def test_the_largest_number_of_single_precision_is_taken(good: str) -> None:
+    parse_scene(good.replace("stiffness: 2000", "stiffness: 3.4028234663852886e+38") + "precision: single\n")
+
+
+def test_a_fault_elsewhere_does_not_hide_a_number_beyond_single_precision(faults: Faults, good: str) -> None:
+    text = good.replace("stiffness: 2000", "stiffness: 1.0e+39, damping: -1") + "precision: single\n"
+    assert [fault.split(": ")[1] for fault in faults(text)] == ["stiffness", "damping"]

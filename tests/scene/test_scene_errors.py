@@ -1,4 +1,4 @@
-"""A faulty value or key is told with its line and column, what was found and what was expected."""
+"""The error of a faulty value or key names line and column, what was found and what was expected."""
 
 from collections.abc import Callable
 from typing import get_args
@@ -54,7 +54,7 @@ NO_TAG = "expected a plain value without a tag"
         ("!hz 1000", f"2:7: found '1000' with the tag '!hz', {NO_TAG}"),
     ],
 )
-def test_what_is_no_rate_is_told_as_the_file_spells_it(only_fault: OnlyFault, value: str, told: str) -> None:
+def test_what_is_no_rate_is_reported_as_the_file_spells_it(only_fault: OnlyFault, value: str, told: str) -> None:
     # The empty value stands where the colon ends, one column before the others.
     assert only_fault("rate: 1000", f"rate: {value}") == (told if value else told.replace("2:7", "2:6"))
 
@@ -91,7 +91,7 @@ def test_what_is_no_rate_is_told_as_the_file_spells_it(only_fault: OnlyFault, va
         ("!!python/object:os.system {mass: 1}", f"3:9: found the tag '!!python/object:os.system', {NO_TAG}"),
     ],
 )
-def test_what_does_not_describe_a_device_is_told(only_fault: OnlyFault, device: str, told: str) -> None:
+def test_what_does_not_describe_a_device_is_reported(only_fault: OnlyFault, device: str, told: str) -> None:
     assert only_fault("{mass: 0.2}", device) == told
 
 
@@ -100,6 +100,9 @@ def test_what_does_not_describe_a_device_is_told(only_fault: OnlyFault, device: 
     [
         ("{coulomb: -1}", "3:17: coulomb: found -1, expected a number >= 0 (N)"),
         ("{quantum: 0}", "3:17: quantum: found 0, expected a number > 0 (m per count)"),
+        ("{baud: 9600.5}", "3:14: baud: found 9600.5, expected a whole number from 1 to 100000000 (bit/s)"),
+        ("{baud: 0}", "3:14: baud: found 0, expected a whole number from 1 to 100000000 (bit/s)"),
+        ("{turnaround: -1}", "3:20: turnaround: found -1, expected a number from 0 to 1 (s)"),
         ("{noise: true}", "3:15: noise: found true (a boolean), expected a number >= 0 (m rms)"),
         ("{seed: 1.5}", "3:14: seed: found 1.5, expected a whole number from 0 to 4294967295"),
         ("{seed: -1}", "3:14: seed: found -1, expected a whole number from 0 to 4294967295"),
@@ -115,7 +118,7 @@ def test_what_does_not_describe_a_device_is_told(only_fault: OnlyFault, device: 
         ("[]", "3:7: mock: found an empty list, expected a mapping"),
     ],
 )
-def test_what_does_not_describe_a_mock_is_told(only_fault: OnlyFault, mock: str, told: str) -> None:
+def test_what_does_not_describe_a_mock_is_reported(only_fault: OnlyFault, mock: str, told: str) -> None:
     assert only_fault("rate: 1000\n", f"rate: 1000\nmock: {mock}\n") == told
 
 
@@ -180,7 +183,7 @@ def test_what_does_not_describe_a_mock_is_told(only_fault: OnlyFault, mock: str,
         ("wall:", "7:", "6:3: found 7 as a key, expected a name"),
     ],
 )
-def test_what_is_no_module_is_told(faults: Faults, good: str, old: str, new: str, told: str) -> None:
+def test_what_is_no_module_is_reported(faults: Faults, good: str, old: str, new: str, told: str) -> None:
     # What concerns the name `wall` leaves the link to it dangling: a fault of its own, further down.
     text = good.replace(old, new)
     assert faults(text)[0] == told
@@ -212,12 +215,12 @@ def test_what_is_no_module_is_told(faults: Faults, good: str, old: str, new: str
         ),
     ],
 )
-def test_a_wrong_key_is_told(only_fault: OnlyFault, old: str, new: str, told: str) -> None:
+def test_a_wrong_key_is_reported(only_fault: OnlyFault, old: str, new: str, told: str) -> None:
     assert only_fault(old, new) == told
 
 
 @pytest.mark.parametrize("version", ["2", "0", "-1", "1.0", "'1'", "true", "one"])
-def test_another_version_is_told_with_the_one_that_this_hapsim_reads(only_fault: OnlyFault, version: str) -> None:
+def test_another_version_is_reported_with_the_one_that_this_hapsim_reads(only_fault: OnlyFault, version: str) -> None:
     fault = only_fault("version: 1", f"version: {version}")
     assert fault.startswith("1:10: version: found ")
     assert ", expected 1: this hapsim reads version 1 of the scene format" in fault
@@ -251,7 +254,7 @@ def test_modules_have_to_be_a_mapping(faults: Faults, good: str) -> None:
     assert faults(text.replace("modules:\n", "")) == [f"1:1: 'modules' is missing, {expected}"]
 
 
-def test_what_is_missing_is_told_in_the_order_in_which_it_is_written(faults: Faults) -> None:
+def test_what_is_missing_is_reported_in_the_order_in_which_it_is_written(faults: Faults) -> None:
     assert [fault.split(" is ")[0] for fault in faults("# a scene\n\nmock: {}\n")] == [
         "3:1: 'version'",
         "3:1: 'rate'",
@@ -271,7 +274,7 @@ def test_a_name_of_pydantic_in_the_file_is_a_name_like_any_other(faults: Faults,
     ]
 
 
-def test_all_faults_are_told_at_once_in_the_order_of_the_file(faults: Faults) -> None:
+def test_all_errors_are_reported_at_once_in_the_order_of_the_file(faults: Faults) -> None:
     text = """\
 modules:
   touch: {type: viscoelastic, between: [hand, wal], stifness: 2000, damping: -2}
@@ -308,6 +311,6 @@ def test_no_word_of_pydantic_reaches_the_user(faults: Faults, good: str) -> None
     assert not [word for word in ("input", "valid", "pydantic", "http", "_type", "dict") if word in told]
 
 
-def test_what_is_no_scheme_is_told(only_fault: OnlyFault) -> None:
+def test_what_is_no_scheme_is_reported(only_fault: OnlyFault) -> None:
     told = f"found 'midpont' (text), expected {one_of(get_args(SchemeName))}; did you mean 'midpoint'?"
     assert only_fault("rate: 1000", "scheme: midpont\nrate: 1000") == f"2:9: scheme: {told}"

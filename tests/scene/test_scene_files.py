@@ -1,4 +1,4 @@
-"""Scenes are loaded from files, and a file that cannot be read is told by the name that the user gave."""
+"""Scenes are loaded from files, and the error of one that cannot be read has the name that the user gave."""
 
 import os
 from pathlib import Path
@@ -23,7 +23,7 @@ def test_a_scene_knows_the_path_that_the_user_gave(tmp_path: Path, monkeypatch: 
     assert parse_scene(good, "s.yaml").path is None
 
 
-def test_a_fault_in_a_file_is_told_with_the_path_that_the_user_gave(
+def test_a_fault_in_a_file_is_reported_with_the_path_that_the_user_gave(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, good: str
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -43,7 +43,7 @@ def test_a_file_from_another_system_keeps_its_places(tmp_path: Path, change, goo
     assert refusal(path).startswith(f"{path}:7:65: stiffness: found -3, ")
 
 
-def test_a_missing_file_is_told_with_the_nearest_name_beside_it(tmp_path: Path) -> None:
+def test_a_missing_file_is_reported_with_the_nearest_name_beside_it(tmp_path: Path) -> None:
     assert refusal(tmp_path / "s.yaml") == f"{tmp_path}/s.yaml: no such file, expected a scene in YAML"
     (tmp_path / "first_touch.yaml").write_text("")
     assert refusal(tmp_path / "first_tuch.yaml") == (
@@ -56,7 +56,7 @@ def test_a_directory_is_no_scene(tmp_path: Path) -> None:
     assert refusal(tmp_path) == f"{tmp_path}: found a directory, expected a file with a scene in YAML"
 
 
-def test_a_file_that_may_not_be_read_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, good: str) -> None:
+def test_a_file_that_may_not_be_read_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, good: str) -> None:
     path = tmp_path / "s.yaml"
     path.write_text(good)
     if os.geteuid() == 0:  # the superuser may read everything
@@ -77,7 +77,7 @@ def test_a_file_that_may_not_be_read_is_told(tmp_path: Path, monkeypatch: pytest
         ("/dev/null/s.yaml", "this file cannot be read: Not a directory"),
     ],
 )
-def test_what_names_no_file_is_told(name: str, told: str) -> None:
+def test_what_names_no_file_is_reported(name: str, told: str) -> None:
     assert refusal(name) == f"{name}: {told}"
 
 
@@ -89,7 +89,7 @@ def test_what_names_no_file_is_told(name: str, told: str) -> None:
         ("# für\nrate: ü".encode() + b"\xfc", ":2:8: found the byte 0xfc, expected text in UTF-8"),
     ],
 )
-def test_a_file_that_is_not_utf_8_is_told_where_it_breaks(tmp_path: Path, content: bytes, told: str) -> None:
+def test_a_file_that_is_not_utf_8_is_reported_where_it_breaks(tmp_path: Path, content: bytes, told: str) -> None:
     path = tmp_path / "s.yaml"
     path.write_bytes(content)
     assert refusal(path) == f"{path}{told}"

@@ -48,7 +48,7 @@ def test_what_is_left_out_of_a_module_has_the_defaults_of_the_format(good: str) 
     assert {kind: scene_with(good, kind).modules["it"] for kind in MODULES} == expected
 
 
-def test_a_cell_begins_where_it_rests_unless_it_is_told_where(good: str) -> None:
+def test_a_cell_begins_where_it_rests_unless_the_scene_says_where(good: str) -> None:
     resting = "{type: cell, mass: 0.01, stiffness: 100, rest: 0.02%s}"
     scenes = [parse_scene(with_module(good, resting % more)) for more in ("", ", position: 0.0")]
     assert [scene.material_points["it"].start() for scene in scenes] == [(0.02, 0.0), (0.0, 0.0)]
@@ -128,7 +128,7 @@ def test_a_scene_with_such_a_module_reads_back_the_same_and_can_be_hashed(good: 
         ("plectrum", "0.002", "0", "release: found 0, expected a number > 0 (m)"),
     ],
 )
-def test_what_is_wrong_with_a_module_is_told(
+def test_what_is_wrong_with_a_module_is_reported(
     faults: Faults, good: str, kind: str, old: str, new: str, told: str
 ) -> None:
     text = MODULES[kind]

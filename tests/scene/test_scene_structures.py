@@ -55,7 +55,7 @@ def test_a_link_may_hold_any_mass_of_a_structure(good: str, end: str) -> None:
         ("skin.a.b", OF_SKIN),
     ],
 )
-def test_a_place_that_a_structure_does_not_have_is_told(faults: Faults, good: str, end: str, told: str) -> None:
+def test_a_place_that_a_structure_does_not_have_is_reported(faults: Faults, good: str, end: str, told: str) -> None:
     assert faults(text_with(good, end=end)) == [f"10:46: between[1]: found '{end}', {told}"]
 
 
@@ -90,7 +90,7 @@ def test_a_place_of_thousands_of_digits_is_a_fault_like_any_other(faults: Faults
         ("columns: 6", "columns: 6, edgs: [free]", f"edgs: unknown key, {KEYS_OF_A_MEMBRANE}"),
     ],
 )
-def test_what_is_no_membrane_is_told(faults: Faults, good: str, old: str, new: str, told: str) -> None:
+def test_what_is_no_membrane_is_reported(faults: Faults, good: str, old: str, new: str, told: str) -> None:
     (fault,) = faults(text_with(good, skin=SKIN.replace(old, new)))
     assert fault.split(": ", 1)[1] == told
     assert fault.startswith("9:")
@@ -109,7 +109,7 @@ def test_what_is_no_membrane_is_told(faults: Faults, good: str, old: str, new: s
         ("ends: [fixed, loose]", "8:76: ends[1]: found 'loose' (text), expected fixed or clamped or free"),
     ],
 )
-def test_what_is_no_string_is_told(faults: Faults, good: str, more: str, told: str) -> None:
+def test_what_is_no_string_is_reported(faults: Faults, good: str, more: str, told: str) -> None:
     (fault,) = faults(text_with(good, string=f"{STRING}, {more}"))
     assert fault == told
 
@@ -119,6 +119,54 @@ def test_a_fault_elsewhere_in_a_structure_does_not_hide_a_place_that_it_does_not
 ) -> None:
     text = text_with(good, f"{STRING}, pluck: 1, damping: -1", end="s.7")
     assert [fault.split(": ")[1] for fault in faults(text)] == ["pluck", "damping", "between[1]"]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "end", "told"),
+    [
+        ("masses: 5", "masses: many", "s.7", ""),
+        ("masses: 5", "masses: many", "s.x", "0 to 99999 at the most"),
+        ("masses: 5", "masses: many", "s", "0 to 99999 at the most"),
+        ("masses: 5, ", "", "s.0", ""),
+        ("masses: 5, ", "", "s.100000", "0 to 99999 at the most"),
+        ("rows: 5", "rows: 0", "skin.9.5", ""),
+        ("rows: 5", "rows: 0", "skin.1", "column (0 to 5)"),
+        ("rows: 5", "rows: 0", "skin.9.6", "row (0 to 299 at the most), a dot and its column (0 to 5)"),
+        ("columns: 6", "columns: 999", "skin.4.9", ""),
+        ("columns: 6", "columns: 999", "skin.5.9", "row (0 to 4)"),
+        ("rows: 5, columns: 6", "rows: a, columns: b", "skin.299.299", ""),
+        ("rows: 5, columns: 6", "rows: a, columns: b", "skin.300.0", "row (0 to 299 at the most)"),
+    ],
+)
+def test_of_a_structure_whose_size_is_faulty_a_place_is_judged_as_far_as_it_can_be(
+    faults: Faults, good: str, old: str, new: str, end: str, told: str
+) -> None:
+    dangling = "  slack: {type: spring, between: [hand, wal], stiffness: 1}\n"
+    of_the_structure = faults(text_with(good).replace(old, new))
+    assert of_the_structure
+    found = faults(text_with(good, end=end).replace(old, new) + dangling)
+    *others, of_slack = found
+    assert others[: len(of_the_structure)] == of_the_structure
+    assert "found 'wal', expected the name of a module" in of_slack
+    of_the_end = others[len(of_the_structure) :]
+    assert len(of_the_end) == bool(told)
+    assert all(f"found '{end}'" in fault and told in fault for fault in of_the_end)
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [("stiffness: 1}", "stiffness: -1}"), ("stiffness: 1}", "stiffness: 1, damper: none}"), ("stiffness: 1}", "}")],
+)
+def test_a_fault_elsewhere_in_a_link_does_not_hide_that_its_ends_are_none(
+    faults: Faults, good: str, old: str, new: str
+) -> None:
+    (_, end) = sorted(faults(text_with(good, end="s.5").replace(old, new)), key=lambda fault: "between" in fault)
+    assert end.endswith(f"found 's.5', {OF_STRING}")
+
+
+def test_a_fault_elsewhere_in_a_string_does_not_hide_where_it_is_plucked(faults: Faults, good: str) -> None:
+    told = faults(text_with(good, f"{STRING.replace('mass: ', 'mass: -')}, pluck: {{at: 5, by: 0.1}}"))
+    assert [fault.split(": ")[1] for fault in told] == ["mass", "at"]
 
 
 def test_a_string_that_is_plucked_says_where_its_masses_begin(good: str) -> None:

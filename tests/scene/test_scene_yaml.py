@@ -66,7 +66,7 @@ def test_a_merge_key_brings_keys_that_the_mapping_does_not_have_itself(good: str
     }
 
 
-def test_a_fault_behind_an_anchor_is_told_once_and_where_it_stands(faults: Faults, good: str) -> None:
+def test_a_fault_behind_an_anchor_is_reported_once_and_where_it_stands(faults: Faults, good: str) -> None:
     text = good.replace("touch: {", "touch: &spring {").replace("2000", "-1")
     text += "  m: {type: mass, mass: 1}\n  more: {<<: *spring, between: [m, hand]}\n"
     assert faults(text) == ["7:73: stiffness: found -1, expected a number >= 0 (N/m)"]
@@ -84,7 +84,7 @@ def test_a_fault_behind_an_anchor_is_told_once_and_where_it_stands(faults: Fault
         ),
     ],
 )
-def test_a_reference_that_leads_nowhere_is_told(faults: Faults, good: str, extra: str, told: str) -> None:
+def test_a_reference_that_leads_nowhere_is_reported(faults: Faults, good: str, extra: str, told: str) -> None:
     assert faults(good + extra + "\n") == [told]
 
 
@@ -120,7 +120,7 @@ def test_a_reference_that_leads_nowhere_is_told(faults: Faults, good: str, extra
         ('rate: "\\UFFFFFFFF"\n', "1:10: not YAML: found an escape such as \\U… that names no character"),
     ],
 )
-def test_what_is_not_yaml_is_told_where_it_breaks(faults: Faults, text: str, told: str) -> None:
+def test_what_is_not_yaml_is_reported_where_it_breaks(faults: Faults, text: str, told: str) -> None:
     assert faults(text) == [told]
 
 
@@ -133,7 +133,7 @@ def test_what_is_not_yaml_is_told_where_it_breaks(faults: Faults, text: str, tol
         ("\n".join(" " * depth + "a:" for depth in range(3000)), "33:33"),
     ],
 )
-def test_very_deep_nesting_is_told_and_not_followed(faults: Faults, text: str, place: str) -> None:
+def test_very_deep_nesting_is_reported_and_not_followed(faults: Faults, text: str, place: str) -> None:
     assert faults(text) == [f"{place}: found more than 32 levels, one within the other; expected at most five"]
 
 

@@ -60,7 +60,7 @@ def test_rows_come_back_from_a_file_and_only_the_peers_are_taken(tmp_path: Path)
 
 
 @pytest.mark.parametrize("text", ["{}", "no JSON", '{"rows": [{"cost": 1}]}', "[]"])
-def test_a_file_without_rows_is_told(tmp_path: Path, text: str) -> None:
+def test_a_file_without_rows_is_reported(tmp_path: Path, text: str) -> None:
     path = tmp_path / "rows.json"
     path.write_text(text, encoding="utf-8")
     with pytest.raises(UsageError, match="expected a JSON document with 'rows'"):

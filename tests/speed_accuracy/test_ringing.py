@@ -57,7 +57,7 @@ def test_the_exact_scheme_has_no_error_and_in_single_precision_a_small_one() -> 
     assert 1e-12 < abs(OBJECT.found("exact", "single", 2000.0).errors["frequency"]) < 1e-4
 
 
-def test_an_unstable_string_is_told_as_such() -> None:
+def test_an_unstable_string_is_reported_as_such() -> None:
     limit = math.pi * STRING.frequency(STRING.masses)
     assert OBJECT.found("cordis", "double", 0.99 * limit).why_not == "unstable"
     assert not OBJECT.found("cordis", "double", 1.2 * limit).why_not

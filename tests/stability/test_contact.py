@@ -1,4 +1,4 @@
-"""A contact from one side, met at speed: what a bounce gives back, beside an event-by-event calculation of its own.
+"""A contact from one side, hit at speed: what a bounce gives back, beside an event-by-event calculation of its own.
 
 In touch a spring behind a lag is a negative damper, and half a swing of it is a bounce. Without friction the speed
 after it is exp(-pi b/(2 m w)) times the speed before, with the (k, b) of the loop in touch, to the second order of wT.
@@ -13,6 +13,7 @@ import itertools
 import math
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -88,7 +89,9 @@ def test_a_bounce_is_the_calculated_one(K: float, delay: float, B: float, fricti
 
 
 @pytest.mark.parametrize(("K", "delay"), CASES)
-def test_without_friction_every_bounce_is_faster_as_half_a_swing_in_touch_grows(K: float, delay: float) -> None:
+def test_without_friction_every_bounce_is_faster_as_half_a_swing_in_touch_grows(
+    K: float, delay: float, figures: Any
+) -> None:
     k, b = Configuration(mass=MASS, rate=RATE, delay=delay).equivalent(K, 0.0)
     predicted = math.exp(-0.5 * math.pi * b / math.sqrt(MASS * k))
     found = given_back(K, 0.0, delay, 0.0)
@@ -96,6 +99,7 @@ def test_without_friction_every_bounce_is_faster_as_half_a_swing_in_touch_grows(
     off = 0.2 * K * PERIOD**2 / MASS + 1e-4
     assert found.mean() == pytest.approx(predicted, rel=off)
     assert np.ptp(found) <= 0.4 * K * PERIOD**2 / MASS  # what the phase of the contact makes of it
+    figures.note(f"without friction, K = {K:g}, delay {delay:g}: a bounce is {found.mean() - 1.0:.1%} faster")
 
 
 @pytest.mark.parametrize(("K", "delay"), CASES)
@@ -113,14 +117,16 @@ def test_passivity_asks_for_hardly_more_than_one_bounce_of_a_slow_swing_does() -
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.37, 1.0])
-def test_a_contact_that_is_stable_while_touched_may_throw_the_hand_back_faster(delay: float) -> None:
+def test_a_contact_that_is_stable_while_touched_may_throw_the_hand_back_faster(delay: float, figures: Any) -> None:
     B = 40.0
     configuration = Configuration(mass=MASS, rate=RATE, delay=delay)
     _, most = configuration.stable_stiffness(B)
     K = 0.9 * float(most)
     assert configuration.spectral_radius(K, B) < 0.99
     assert not configuration.is_passive(K, B)
-    assert given_back(K, B, delay, 0.0).max() > 1.05
+    most_given_back = given_back(K, B, delay, 0.0).max()
+    assert most_given_back > 1.05
+    figures.note(f"stable while touched, delay {delay:g}: a bounce gives back {most_given_back:.2f} times the speed")
     assert given_back(0.5 * float(most), B, delay, 0.0).max() < 0.9
 
 

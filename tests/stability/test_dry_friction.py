@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -40,7 +41,7 @@ def threshold(stiffness: float, delay: float, friction: float, coulomb: float) -
 
 
 def last_swing(stiffness: float, delay: float, friction: float, coulomb: float, start: float) -> float:
-    """m: how far a hand, let go at `start`, swings in the end."""
+    """m: how far a hand, released at `start`, swings in the end."""
     scene = hand_scene(
         {"touch": spring(stiffness)},
         device={"mass": MASS, "friction": friction, "delay": delay, "force_limit": 1000.0},
@@ -51,16 +52,24 @@ def last_swing(stiffness: float, delay: float, friction: float, coulomb: float, 
 
 @pytest.mark.parametrize(("stiffness", "delay", "friction", "coulomb"), CASES)
 def test_the_threshold_is_that_of_the_describing_function(
-    stiffness: float, delay: float, friction: float, coulomb: float
+    stiffness: float, delay: float, friction: float, coulomb: float, figures: Any
 ) -> None:
     """Within an eighth of the radians per sample: what the describing function leaves out is of that order."""
     amplitude, theta = threshold(stiffness, delay, friction, coulomb)
-    below, above = (
-        last_swing(stiffness, delay, friction, coulomb, factor * amplitude)
-        for factor in (1.0 - 0.15 * theta, 1.0 + 0.05 * theta)
-    )
+    dies, grows = 1.0 - 0.15 * theta, 1.0 + 0.05 * theta
+    below, above = (last_swing(stiffness, delay, friction, coulomb, factor * amplitude) for factor in (dies, grows))
     assert below <= 1.001 * coulomb / stiffness  # where the spring cannot overcome it any more
     assert above > 1.5 * amplitude
+    for _ in range(3):
+        between = 0.5 * (dies + grows)
+        if last_swing(stiffness, delay, friction, coulomb, between * amplitude) < between * amplitude:
+            dies = between
+        else:
+            grows = between
+    figures.note(
+        f"dry friction, wT = {theta:.2f}, delay {delay:g}, {coulomb:g} N: the threshold is "
+        f"{1.0 - grows:.2%} to {1.0 - dies:.2%} below the describing function's"
+    )
 
 
 def test_the_threshold_grows_with_the_friction_and_nothing_stays_stable_for_all() -> None:

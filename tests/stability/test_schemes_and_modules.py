@@ -199,15 +199,15 @@ def scene(scheme: str, one: Object, link: dict[str, Any], rest: np.ndarray) -> S
 
 
 @entry
-def run(program, desk, hand, state, samples, rest):
+def run(program, io_buffer, hand, state, samples, rest):
     """The tick against a hand: state is x, v and the force before. How far from `rest` the hand comes at the most.
-    `desk`: (3, 1), position, velocity and force of the one channel."""
+    `io_buffer`: (3, 1), position, velocity and force of the one channel."""
     furthest = 0.0
     for _ in range(samples):
-        desk[0, 0] = state[0]
+        io_buffer[0, 0] = state[0]
         furthest = max(furthest, abs(state[0] - rest))
-        tick(program, desk[0], desk[1], desk[2])
-        x, v, f = state[0], state[1], desk[2, 0]
+        tick(program, io_buffer[0], io_buffer[1], io_buffer[2])
+        x, v, f = state[0], state[1], io_buffer[2, 0]
         state[0] = hand[0, 0] * x + hand[0, 1] * v + hand[0, 2] * state[2] + hand[0, 3] * f
         state[1] = hand[1, 0] * x + hand[1, 1] * v + hand[1, 2] * state[2] + hand[1, 3] * f
         state[2] = f
@@ -224,14 +224,14 @@ def grows(scheme: str, one: Object, link: str, stiffness: float, delay: float) -
     arm[0], arm[1 + one.place] = 1.0, -1.0
     rest = np.linalg.solve(whole + stiffness * np.outer(arm, arm), stiffness * press * arm)
     program = compile_scene(scene(scheme, one, LINKS[link](stiffness), rest[1:]))
-    desk = np.zeros((3, 1))
+    io_buffer = np.zeros((3, 1))
     force = -stiffness * (rest[0] - rest[1 + one.place] - press)
     state = np.array([rest[0], 1e-6, force])
     start(program, state[:1])
     matrix = np.column_stack([real.motion, real.before, real.now])
     furthest: list[float] = []
     for _ in range(BLOCKS):
-        furthest.append(run(program.record, desk, matrix, state, SAMPLES // BLOCKS, rest[0]))
+        furthest.append(run(program.record, io_buffer, matrix, state, SAMPLES // BLOCKS, rest[0]))
         if not furthest[-1] < 100.0 * furthest[0]:
             return True  # before it leaves what is linear
     third = BLOCKS // 3

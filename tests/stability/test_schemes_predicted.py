@@ -76,15 +76,15 @@ def hand(hold: str, delay: float) -> np.ndarray:
 
 
 @entry
-def run(program, desk, hand, state, samples):
+def run(program, io_buffer, hand, state, samples):
     """The tick against a hand: state is x, v and the force before. How far from 0 the hand comes at the most.
-    `desk`: (3, 1), position, velocity and force of the one channel."""
+    `io_buffer`: (3, 1), position, velocity and force of the one channel."""
     furthest = 0.0
     for _ in range(samples):
-        desk[0, 0] = state[0]
+        io_buffer[0, 0] = state[0]
         furthest = max(furthest, abs(state[0]))
-        tick(program, desk[0], desk[1], desk[2])
-        x, v, f = state[0], state[1], desk[2, 0]
+        tick(program, io_buffer[0], io_buffer[1], io_buffer[2])
+        x, v, f = state[0], state[1], io_buffer[2, 0]
         state[0] = hand[0, 0] * x + hand[0, 1] * v + hand[0, 2] * state[2] + hand[0, 3] * f
         state[1] = hand[1, 0] * x + hand[1, 1] * v + hand[1, 2] * state[2] + hand[1, 3] * f
         state[2] = f
@@ -94,11 +94,11 @@ def run(program, desk, hand, state, samples):
 def grows(scene: Scene, hold: str, delay: float) -> bool:
     """Whether a swing of some nm becomes a hundred times as large, or larger at the end than in the middle."""
     program = compile_scene(scene)
-    desk, state = np.zeros((3, 1)), np.array([0.0, 1e-6, 0.0])
+    io_buffer, state = np.zeros((3, 1)), np.array([0.0, 1e-6, 0.0])
     start(program, state[:1])
     furthest: list[float] = []
     for _ in range(BLOCKS):
-        furthest.append(run(program.record, desk, hand(hold, delay), state, SAMPLES // BLOCKS))
+        furthest.append(run(program.record, io_buffer, hand(hold, delay), state, SAMPLES // BLOCKS))
         if not furthest[-1] < min(1.0, 100.0 * furthest[0]):
             return True  # before friction slides
     third = BLOCKS // 3

@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import json
 import math
+import os
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,6 +21,8 @@ from hapsim.scene import parse_scene
 from hapsim.theory import Configuration
 
 RATE, MASS, AMPLITUDE = 1000.0, 1e-3, 1e-3
+# Two hundred million samples; HAPSIM_POINTS=1 takes it along.
+SOFTEST = [("double", 0.0, 1e-14, 1e-4)] if "HAPSIM_POINTS" in os.environ else []
 
 
 def upward_crossings(program: Program, point: int, centre: float, wanted: int, most: int) -> np.ndarray:
@@ -63,7 +67,9 @@ def frequency_off(kappa: float, precision: str, at: float) -> float:
         ("double", 0.0, 1e-6, 1e-9),
         ("double", 0.0, 1e-9, 1e-9),
         ("double", 0.0, 1e-12, 1e-5),
+        *SOFTEST,
         ("double", 1.0, 1e-9, 1e-6),
+        ("double", 1.0, 1e-10, 1e-4),
         ("double", 1.0, 1e-11, 1e-3),
         ("double", 1.0, 1e-12, 3e-2),
         ("single", 0.0, 1e-4, 1e-4),
@@ -71,10 +77,15 @@ def frequency_off(kappa: float, precision: str, at: float) -> float:
         ("single", 0.0, 1e-7, 1e-1),
         ("single", 1.0, 1e-2, 1e-3),
         ("single", 1.0, 1e-3, 3e-2),
+        ("single", 1.0, 1e-4, 2e-1),
     ],
 )
-def test_a_soft_spring_still_rings_at_its_frequency(precision: str, at: float, kappa: float, most: float) -> None:
-    assert abs(frequency_off(kappa, precision, at)) < most
+def test_a_soft_spring_still_rings_at_its_frequency(
+    precision: str, at: float, kappa: float, most: float, figures: Any
+) -> None:
+    off = abs(frequency_off(kappa, precision, at))
+    assert off < most
+    figures.note(f"K T²/m = {kappa:g}, {precision}, {at:g} m from 0: the frequency is off by {off:.0e}")
 
 
 @pytest.mark.parametrize(("precision", "digit"), [("double", 2.0**-52), ("single", 2.0**-23)])

@@ -62,21 +62,22 @@ def at_half_the_rate(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("at_half_the_rate")
 @pytest.mark.parametrize(("K", "B"), [(500.0, 2.0), (2000.0, 5.0), (3000.0, 8.0)])
-def test_what_is_met_is_the_theory_with_the_true_rate_and_twice_the_damping(K: float, B: float) -> None:
+def test_what_is_felt_is_the_theory_with_the_true_rate_and_twice_the_damping(K: float, B: float, figures: Any) -> None:
     trace = run(scene_of(K, B), duration=0.4)
     assert trace.report.rate_hz == trace.report.nominal_rate_hz  # virtual time cannot know
     found = identify(trace, MASS)
     true = Configuration(mass=MASS, rate=0.5 * RATE, friction=FRICTION, delay=1.0)
-    # What is identified is told per declared period: a frequency twice too high, k four times and b twice.
+    # What is identified counts in declared periods: a frequency twice too high, k four times and b twice.
     k, b = true.equivalent(K, 2.0 * B)
     assert found.k == pytest.approx(4.0 * k, rel=1e-5)
     assert found.b == pytest.approx(2.0 * b, rel=1e-5)
     believed, _ = Configuration(mass=MASS, rate=RATE, friction=FRICTION, delay=1.0).equivalent(K, B)
     assert abs(k / believed - 1.0) > 0.03
+    figures.note(f"at half the rate, K = {K:g}, B = {B:g}: k = {found.k / 4.0:.0f}, b = {found.b / 2.0:.2f}")
 
 
 @pytest.mark.usefixtures("at_half_the_rate")
-def test_the_limit_of_stiffness_is_that_of_the_true_rate() -> None:
+def test_the_limit_of_stiffness_is_that_of_the_true_rate(figures: Any) -> None:
     B = 5.0
     believed = Configuration(mass=MASS, rate=RATE, friction=FRICTION, delay=1.0)
     _, limit = Configuration(mass=MASS, rate=0.5 * RATE, friction=FRICTION, delay=1.0).stable_stiffness(2.0 * B)
@@ -86,6 +87,9 @@ def test_the_limit_of_stiffness_is_that_of_the_true_rate() -> None:
         position = run(scene_of(float(K), B, force_limit=1000.0), duration=6.0).position[:, 0]
         ends.append(np.log(np.std(position[-2000:]) / np.std(position[:2000])))
     assert ends[0] < 0.0 < ends[1]
+    figures.note(
+        f"at half the rate, B = {B:g}: unstable from {limit:.0f} N/m on, believed {believed.stable_stiffness(B)[1]:.0f}"
+    )
 
 
 @entry
@@ -107,7 +111,7 @@ def watched(arrivals_ns: np.ndarray, period_ns: int, judges: bool = True) -> int
 
 @pytest.mark.parametrize("rate", [50.0, 1000.0, 20_000.0])
 @pytest.mark.parametrize("ratio", [0.5, 0.9 / MOST_OFF, 1.1 * MOST_OFF, 2.0])
-def test_a_rate_that_stays_off_is_told_after_some_windows(rate: float, ratio: float) -> None:
+def test_a_rate_that_stays_off_is_reported_after_some_windows(rate: float, ratio: float) -> None:
     period = round(1e9 / rate)
     window = max(WINDOW_SAMPLES, -(-WINDOW_NS // period))
     arrivals = np.arange(10 * window) * (period / ratio)

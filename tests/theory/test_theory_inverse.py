@@ -113,7 +113,7 @@ def test_simulated_has_no_answer_exactly_where_further_poles_are_as_slow(c: Conf
     assert (answered == expected)[clear].all()
 
 
-def test_what_the_hand_meets_without_friction_and_delay_is_almost_what_is_simulated() -> None:
+def test_what_the_hand_feels_without_friction_and_delay_is_almost_what_is_simulated() -> None:
     c = Configuration(mass=MASS, rate=RATE, delay=0.0, hold="impulse")
     k, b = c.equivalent(1e-6 * UNIT, 1e-4 * MASS * RATE)
     assert k == pytest.approx(1e-6 * UNIT, rel=1e-3)

@@ -129,7 +129,7 @@ class TestTheFold:
         np.testing.assert_allclose(moduli[:, 1], moduli[:, 2], rtol=1e-5)
         assert (moduli[:, 0] > moduli[:, 1]).all()
 
-    def test_what_is_met_there_is_simulated_by_it(self) -> None:
+    def test_what_is_felt_there_is_simulated_by_it(self) -> None:
         K, B, k, b = self.curve()
         again = self.c.simulated(k, b, dominant=False)
         np.testing.assert_allclose(again[0], K, rtol=1e-6)
@@ -161,12 +161,12 @@ class TestTheFold:
 
 
 class TestTheImpedance:
-    def test_slow_motions_meet_what_is_written_and_the_delay_takes_its_share_of_the_damping(self) -> None:
+    def test_slow_motions_feel_what_is_simulated_and_the_delay_takes_its_share_of_the_damping(self) -> None:
         c = configuration(friction=1.0, stiffness=300.0, delay=1.0)
         w = 2.0 * np.pi * 0.01
-        met = c.impedance(2000.0, 5.0, 0.01)
-        assert met.imag == pytest.approx(-(2000.0 + 300.0) / w, rel=1e-6)
-        assert met.real == pytest.approx(1.0 + 5.0 - 2000.0 * 1.5 * T, rel=1e-5)
+        rendered = c.impedance(2000.0, 5.0, 0.01)
+        assert rendered.imag == pytest.approx(-(2000.0 + 300.0) / w, rel=1e-6)
+        assert rendered.real == pytest.approx(1.0 + 5.0 - 2000.0 * 1.5 * T, rel=1e-5)
 
     @pytest.mark.parametrize("damper", ["backward", "centred", "filtered"])
     def test_it_is_the_transform_of_the_sampled_held_and_late_force(self, damper: str) -> None:
@@ -189,7 +189,7 @@ class TestTheImpedance:
         frequency = cycles / n * RATE
         assert c.impedance(700.0, 3.0, frequency) == pytest.approx(fundamental / (2j * np.pi * frequency), rel=1e-3)
 
-    def test_beyond_the_nyquist_frequency_it_is_not_told(self) -> None:
+    def test_beyond_the_nyquist_frequency_it_is_not_a_number(self) -> None:
         assert np.isnan(configuration().impedance(1.0, 1.0, [0.0, 500.0, 600.0])).all()
 
 
@@ -212,7 +212,7 @@ class TestReasons:
         assert "not finite" in said[2]
         assert "further pole" in said[3]
 
-    def test_a_creep_and_an_alternation_are_told_apart(self) -> None:
+    def test_a_creep_and_an_alternation_are_distinguished(self) -> None:
         ideal = configuration(delay=0.0, hold="impulse")
         assert "changes its sign" in ideal.why_no_equivalent(3.9 * STIFFNESS_UNIT, 1.5 * DAMPING_UNIT)
         late = configuration(delay=0.0)

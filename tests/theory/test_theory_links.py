@@ -37,10 +37,10 @@ def test_the_slope_at_a_corner_is_the_mean_of_those_beside_it(x: float, slope: f
     assert slope_at(CURVE, x) == pytest.approx(slope)
 
 
-def test_a_swing_about_a_corner_meets_the_mean_of_both_slopes() -> None:
+def test_a_swing_about_a_corner_feels_the_mean_of_both_slopes() -> None:
     swing = 0.004 * np.cos(2.0 * np.pi * np.arange(4000) / 4000)
-    met = 2.0 * np.mean(np.interp(swing, *zip(*CURVE, strict=True)) * swing) / 0.004**2
-    assert met == pytest.approx(slope_at(CURVE, 0.0), rel=1e-6)
+    felt = 2.0 * np.mean(np.interp(swing, *zip(*CURVE, strict=True)) * swing) / 0.004**2
+    assert felt == pytest.approx(slope_at(CURVE, 0.0), rel=1e-6)
 
 
 def test_what_was_taken_for_a_curve_is_said_with_how_steep_it_is_elsewhere() -> None:
@@ -52,7 +52,7 @@ def test_what_was_taken_for_a_curve_is_said_with_how_steep_it_is_elsewhere() -> 
 
 
 @pytest.mark.parametrize("amplitude", [0.0003, 0.0011, 0.002, 0.01])
-def test_friction_meets_the_first_harmonic_of_its_hysteresis(amplitude: float) -> None:
+def test_friction_is_felt_as_the_first_harmonic_of_its_hysteresis(amplitude: float) -> None:
     """The loop drawn out: a bristle of 1 N and 1000 N/m, dragged round once before it is looked at."""
     force, stiffness, count = 1.0, 1000.0, 20_000
     phase = 2.0 * np.pi * np.arange(2 * count) / count
@@ -62,9 +62,9 @@ def test_friction_meets_the_first_harmonic_of_its_hysteresis(amplitude: float) -
         bent = np.clip(bent + distance[n] - distance[n - 1], -force / stiffness, force / stiffness)
         tension[n] = stiffness * bent
     last = slice(count, None)
-    met = 2.0 * np.mean(tension[last] * np.exp(-1j * phase[last])) / amplitude
+    felt = 2.0 * np.mean(tension[last] * np.exp(-1j * phase[last])) / amplitude
     expected = describing_function(force, stiffness, amplitude)
-    assert met == pytest.approx(expected, rel=1e-3, abs=0.05)
+    assert felt == pytest.approx(expected, rel=1e-3, abs=0.05)
     assert expected.imag >= 0.0
 
 

@@ -136,9 +136,38 @@ def test_margins_that_take_too_long_are_said_to_be_missing(scheme: str) -> None:
 
 
 @pytest.mark.parametrize("scheme", ["rk4", "midpoint", "exact"])
-def test_what_a_network_is_told_is_checked(scheme: str) -> None:
+def test_what_a_network_is_given_is_checked(scheme: str) -> None:
     known = vars(string(scheme, 3 + 9))
     with pytest.raises(ValueError, match="scheme"):
         Network(**{**known, "scheme": "euler"})
     with pytest.raises(ValueError, match="outside has 1 elements"):
         Network(**{**known, "outside": (True,)})
+
+
+def stiff_chain(stiffness: float, masses: int, damping: float = 0.0) -> Network:
+    """A wall, masses on very stiff springs, and a hand on the last by a soft link, under midpoint."""
+    ends = [(1, -1), *((i + 1, i) for i in range(1, masses)), (0, masses)]
+    springs, dampers = [stiffness] * masses + [100.0], [damping] * masses + [1.0]
+    return Network(
+        RATE, [0.2], [1.0], 1.0, "zoh", "ideal", np.full(masses, 0.1), np.array(ends), springs, dampers,
+        scheme="midpoint",
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("masses", [1, 2, 3, 6, 12, 40])
+@pytest.mark.parametrize("stiffness", 10.0 ** np.arange(16, 31))
+def test_rounding_of_the_double_pole_of_very_stiff_springs_is_no_growth(masses: int, stiffness: float) -> None:
+    """All of it decays, by less than a digit: under midpoint its poles are -1 to rounding."""
+    for damping in (0.0, 1.0):
+        solution = solve(stiff_chain(stiffness, masses, damping))
+        assert abs(solution.spectral_radius - 1.0) < 1e-12
+
+
+@pytest.mark.parametrize(("stiffness", "damping"), [(1e12, -1e3), (1e14, -1e3), (1e16, -1e4)])
+def test_beside_a_double_pole_what_grows_is_still_seen(stiffness: float, damping: float) -> None:
+    """A damper that feeds: |z|² of z = (1 + s/2)/(1 - s/2) with s² + b s + k = 0."""
+    k, b = stiffness / (0.1 * RATE**2), damping / (0.1 * RATE)
+    growth = ((1.0 - b / 4.0) ** 2 + (k - b * b / 4.0) / 4.0) / ((1.0 + b / 4.0) ** 2 + (k - b * b / 4.0) / 4.0)
+    found = solve(stiff_chain(stiffness, 1, damping)).spectral_radius
+    assert found - 1.0 == pytest.approx(np.sqrt(growth) - 1.0, rel=0.01)
+    assert found > 1.0 + 1e-9

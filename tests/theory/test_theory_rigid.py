@@ -126,7 +126,7 @@ def test_a_bar_of_any_length_is_at_the_limit_and_no_more(masses: int, first: lis
 
 
 @pytest.mark.parametrize("beyond", [1.0 + 1e-6, 1.01, 2.0])
-def test_a_bar_beyond_its_limit_is_unstable_and_grows_as_told(beyond: float) -> None:
+def test_a_bar_beyond_its_limit_is_unstable_and_grows_as_predicted(beyond: float) -> None:
     """Its fastest motion is at -1 where the largest eigenvalue of its K T²/m is 4."""
     curve = np.diff(np.eye(10), n=2, axis=0)
     bending = 4.0 * M * RATE**2 / np.linalg.eigvalsh(curve.T @ curve).max()

@@ -14,7 +14,6 @@ import time
 from pathlib import Path
 
 import hapsim
-from hapsim.prediction import predict
 
 
 def scene_of(masses: int) -> str:
@@ -45,16 +44,20 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         path = arguments.write or Path(folder) / "string.yaml"
         path.write_text(scene_of(arguments.masses), encoding="utf-8")
+        megabytes = path.stat().st_size / 1e6
         start = time.perf_counter()
         scene = hapsim.load_scene(path)
     loaded = time.perf_counter()
-    predict(scene, with_margins=False)
+    hapsim.predict(scene, with_margins=False)
     poles = time.perf_counter()
-    prediction = predict(scene)
+    prediction = hapsim.predict(scene)
     end = time.perf_counter()
     print(f"{arguments.masses} masses: {prediction.poles_in_all} poles, {len(prediction.poles)} worked out")
     print(f"{'stable' if prediction.stable else 'unstable'}, spectral radius {prediction.spectral_radius:.12g}")
-    print(f"{loaded - start:.1f} s to read the scene, {poles - loaded:.1f} s for the poles, ", end="")
+    print(
+        f"{loaded - start:.1f} s to read the {megabytes:.1f} MB of the scene, {poles - loaded:.1f} s for the poles, ",
+        end="",
+    )
     print(f"{(end - poles) - (poles - loaded):.1f} s for the margins")
     print(f"{resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MB at the most")
 

@@ -8,8 +8,8 @@ from typing import Any, get_args
 
 import yaml
 
-from hapsim.prediction import predict
-from hapsim.scene import DamperScheme, SchemeName, parse_scene
+import hapsim
+from hapsim.scene import DamperScheme, SchemeName
 from hapsim.scene.choices import WITH_CUTOFF
 
 _DAMPERS: tuple[dict[str, Any], ...] = tuple(
@@ -40,7 +40,7 @@ def random_scenes(number: int, seed: int) -> Iterator[str]:
     found = 0
     while found < number:
         text = yaml.safe_dump(_random_document(chance), sort_keys=False)
-        if predict(parse_scene(text, "by chance"), with_margins=False).stable:
+        if hapsim.predict(hapsim.parse_scene(text, "by chance"), with_margins=False).stable:
             found += 1
             yield text
 

@@ -344,7 +344,7 @@ static void *keep_collecting(void *argument) {
     return NULL;
 }
 
-/* ---- The line: a descriptor, or frames in memory. ---- */
+/* ---- The transport: a descriptor, or frames in memory. ---- */
 
 enum { FRAMES = 4096 };
 enum { TIMED_OUT = 0, GONE = -1 };
@@ -354,10 +354,10 @@ typedef struct {
     unsigned received, sent;
     uint8_t (*frames)[FRAME + 1];
     uint8_t (*answers)[TO_DEVICE + CHECK + 1];
-} line;
+} transport;
 
 /* Bytes into in->bytes[in->stop], after waiting for them for `timeout` ns at most. */
-static inline int receive(line *l, inbox *in, int64_t timeout) {
+static inline int receive(transport *l, inbox *in, int64_t timeout) {
     make_room(in);
     if (l->descriptor < 0) {
         memcpy(in->bytes + in->stop, l->frames[l->received++ % FRAMES], FRAME + 1);
@@ -382,7 +382,7 @@ static inline int receive(line *l, inbox *in, int64_t timeout) {
     return count < 0 && (errno == EINTR || errno == EAGAIN) ? TIMED_OUT : GONE;
 }
 
-static inline int send_frame(line *l, const uint8_t *frame, int bytes) {
+static inline int send_frame(transport *l, const uint8_t *frame, int bytes) {
     if (l->descriptor < 0) {
         memcpy(l->answers[l->sent++ % FRAMES], frame, (size_t)bytes);
         return 0;
@@ -411,7 +411,7 @@ enum { NOTHING = 0, HEARD = 1, FAULT = -3, BAD_FORCE = -4 };
 static const char *const ENDINGS[] = {"done", "stopped", "", "silent", "gone", "force not finite", "device stopped"};
 
 typedef struct {
-    line line;
+    transport transport;
     inbox in;
     ring *ring;
     int clock;
@@ -534,7 +534,7 @@ static inline int take_newest_position(loop *l, int64_t now, int64_t timeout) {
     int code = digest(l, now);
     while (code == NOTHING) {
         const bool last_look = now >= give_up;
-        const int count = receive(&l->line, &l->in, give_up - now);
+        const int count = receive(&l->transport, &l->in, give_up - now);
         now = now_ns();
         if (count < 0) {
             return count;
@@ -552,7 +552,7 @@ static inline int64_t answer(loop *l) {
     uint8_t out[16];
     const unsigned number = (unsigned)l->sample & 4095u;
     const int bytes = write_frame(out, l->seed, HAPSIM_FORCE, number, l->time_to_live, l->force_counts);
-    if (send_frame(&l->line, out, bytes) != 0) {
+    if (send_frame(&l->transport, out, bytes) != 0) {
         return GONE;
     }
     const int64_t now = now_ns();
@@ -564,10 +564,10 @@ static inline int64_t answer(loop *l) {
 }
 
 /* Zero force, at once: the last frame, whatever ended the loop. */
-static int let_go(loop *l, int ending) {
+static int release_device(loop *l, int ending) {
     uint8_t out[16];
     l->force_counts = 0;
-    send_frame(&l->line, out, write_frame(out, l->seed, HAPSIM_DISARM, 0, 0, 0));
+    send_frame(&l->transport, out, write_frame(out, l->seed, HAPSIM_DISARM, 0, 0, 0));
     publish(l->ring);
     return ending;
 }
@@ -590,18 +590,18 @@ static int run_paced_by_device(loop *l) {
     for (;;) {
         const int ending = time_to_end(l);
         if (ending >= 0) {
-            return let_go(l, ending);
+            return release_device(l, ending);
         }
         if (wants_reading(l->ring)) {
             return RING_FULL;
         }
         const int code = take_newest_position(l, now, l->silence);
         if (code != HEARD) {
-            return let_go(l, ending_of(code));
+            return release_device(l, ending_of(code));
         }
         now = answer(l);
         if (now < 0) {
-            return let_go(l, AWAY);
+            return release_device(l, AWAY);
         }
     }
 }
@@ -626,7 +626,7 @@ static int run_paced_by_host(loop *l) {
         }
         const int ending = time_to_end(l);
         if (ending >= 0) {
-            return let_go(l, ending);
+            return release_device(l, ending);
         }
         sleep_until(due);
         const int64_t woken = now_ns();
@@ -641,7 +641,7 @@ static int run_paced_by_host(loop *l) {
             }
         }
     }
-    return let_go(l, ending_of(code));
+    return release_device(l, ending_of(code));
 }
 
 /* ---- The conversation before and after ---- */
@@ -650,7 +650,7 @@ static const int64_t ANSWER_NS = 250000000, LET_GO_NS = 100000000;
 
 static void say(loop *l, uint32_t seed, unsigned type, unsigned number, unsigned argument, uint32_t word) {
     uint8_t out[16];
-    if (send_frame(&l->line, out, write_frame(out, seed, type, number, argument, (int32_t)word)) != 0) {
+    if (send_frame(&l->transport, out, write_frame(out, seed, type, number, argument, (int32_t)word)) != 0) {
         fail("the port does not take what is written to it");
     }
 }
@@ -664,7 +664,7 @@ static bool hear(loop *l, unsigned type, int number, int64_t timeout) {
                 return true;
             }
         }
-        if (receive(&l->line, &l->in, left) < 0) {
+        if (receive(&l->transport, &l->in, left) < 0) {
             fail("the device is gone");
         }
     }
@@ -720,7 +720,7 @@ static void arm(loop *l, unsigned pacing, double rate) {
     fail("the device does not arm");
 }
 
-/* In its own format to a device that is still armed, in the set-up format to one that let go of itself. */
+/* In its own format to a device that is still armed, in the set-up format to one that released by itself. */
 static void disarm(loop *l) {
     use_seed(&l->in, HAPSIM_SETUP_SEED);
     for (int attempt = 0; attempt < 3; attempt++) {
@@ -807,7 +807,7 @@ static void compute(const options *o, int64_t exchanges) {
     static uint8_t frames[FRAMES][FRAME + 1], answers[FRAMES][TO_DEVICE + CHECK + 1];
     loop *l = new_loop(o);
     encode_frames(frames, o->amplitude);
-    l->line = (line){.descriptor = -1, .frames = frames, .answers = answers};
+    l->transport = (transport){.descriptor = -1, .frames = frames, .answers = answers};
     l->clock = DEVICE_CLOCK;
     l->period = 0; /* so that every position is a little late, and lateness is counted like any number */
     l->silence = SECOND;
@@ -886,7 +886,7 @@ static void port(const options *o, const char *path, int64_t ticks, const char *
     l->silence = l->clock == NO_CLOCK ? 5 * SECOND : llrint(1e9 * fmax(0.25, 20.0 / o->rate));
     l->ring->waits = l->clock == NO_CLOCK;
     l->ticks_to_run = ticks;
-    l->line.descriptor = open_raw(path);
+    l->transport.descriptor = open_raw(path);
     use_seed(&l->in, HAPSIM_SETUP_SEED);
     describe(l, o->rate);
     arm(l, which, o->rate);
@@ -895,7 +895,7 @@ static void port(const options *o, const char *path, int64_t ticks, const char *
     }
     const int ending = run_and_record(l, &kept);
     disarm(l);
-    close(l->line.descriptor);
+    close(l->transport.descriptor);
     print_run(l, &kept, ending);
 }
 

@@ -8,7 +8,7 @@
 F pulls the ends together. The anchor moves only while it slides, and then with the ends: it does not creep under a
 force that trembles, which models without a bound do (drift). At the start the anchor is where the ends are.
 
-Which way it slides is kept, so that a hand that stands still while it slides meets the same force from sample to
+Which way it slides is kept, so that a hand that stands still while it slides feels the same force from sample to
 sample, whatever is rounded; and one sample may turn it about.
 """
 

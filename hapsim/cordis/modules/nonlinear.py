@@ -99,8 +99,7 @@ def _curves(curves: Sequence[Sequence[tuple[float, float]] | None], unit: float,
     points = [np.array(curve, np.float64) for curve in curves]
     begin = np.cumsum([0, *(len(curve) for curve in points)]).astype(np.uint64)
     together = np.concatenate(points)
-    with np.errstate(over="ignore"):  # the guard sees what comes of an infinity
-        at, tension = (together[:, 0] * unit).astype(context.real), together[:, 1].astype(context.real)
+    at, tension = (together[:, 0] * unit).astype(context.real), together[:, 1].astype(context.real)
     return Curves(begin, at, tension)
 
 

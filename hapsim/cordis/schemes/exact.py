@@ -34,10 +34,8 @@ def _parts(scene: Scene, context: BuildContext, taken: Sequence[Taken]) -> tuple
             f"scheme: exact is for {MOST_MODES} masses at most, and this scene moves {inner.point.size}: take "
             "midpoint, which is stable whatever the stiffness too"
         )
-    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
-        root = 1.0 / np.sqrt(inner.mass)
-        scale = root / context.rate
-        require_finite(scale, inner.links.stiffness * scale.max() ** 2, inner.links.damping * scale.max() ** 2)
+    scale = 1.0 / np.sqrt(inner.mass) / context.rate
+    require_finite(scale, inner.links.stiffness * scale.max() ** 2, inner.links.damping * scale.max() ** 2)
     modes = modes_of(inner, context)
     return (*parts, dense_part(inner, context) if modes is None else modes_part(inner, modes, context))
 

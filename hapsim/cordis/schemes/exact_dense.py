@@ -14,7 +14,7 @@ from hapsim.compiling import reassociated
 from hapsim.compiling.native import value_of
 from hapsim.cordis.build_context import BuildContext
 from hapsim.cordis.dispatch import Part, action
-from hapsim.cordis.schemes.linear_subsystem import LinearSubsystem, Ties, add_tie_forces
+from hapsim.cordis.schemes.linear_subsystem import LinearSubsystem, Ties, add_tie_forces, require_finite
 from hapsim.cordis.tick_state import Column
 from hapsim.errors import UsageError
 
@@ -84,7 +84,7 @@ def dense_part(inner: LinearSubsystem, context: BuildContext) -> Part:
             f"scheme: exact is for {MOST_POINTS} masses at most where damping joins the scene's modes, and this one "
             f"moves {n}: make the damping proportional to stiffness or to mass, or take midpoint"
         )
-    inertia = 1.0 / (inner.mass * context.rate**2)
+    inertia = 1.0 / (inner.mass * context.rate * context.rate)
     # Steps are measured in units of the fastest motion, so that no part of the matrix dwarfs the others.
     stiffness = inertia[:, None] * inner.stiffness_matrix().toarray()
     scale = max(1.0, float(np.sqrt(np.abs(stiffness).sum(axis=1).max(initial=0.0))))
@@ -94,9 +94,11 @@ def dense_part(inner: LinearSubsystem, context: BuildContext) -> Part:
     a[n : 2 * n, n : 2 * n] = -inertia[:, None] * inner.damping_matrix().toarray() * context.rate
     a[n + inner.loaded, 2 * n + np.arange(h)] = inertia[inner.loaded] / scale
     a[n : 2 * n, -1] = inertia * inner.force / scale
+    require_finite(a)
     matrix = expm(a)[: 2 * n]
     matrix[n:] *= scale
     matrix[:, n : 2 * n] /= scale
+    require_finite(matrix)
     state = np.concatenate([inner.position, inner.velocity / context.rate, np.zeros(h), [1.0]])
     real = context.real
     numbers = ExactDense(

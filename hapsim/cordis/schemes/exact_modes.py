@@ -20,7 +20,7 @@ from hapsim.compiling import fma, reassociated
 from hapsim.compiling.native import value_of
 from hapsim.cordis.build_context import BuildContext
 from hapsim.cordis.dispatch import Part, action
-from hapsim.cordis.schemes.linear_subsystem import LinearSubsystem, Ties, add_tie_forces
+from hapsim.cordis.schemes.linear_subsystem import LinearSubsystem, Ties, add_tie_forces, require_finite
 from hapsim.cordis.tick_state import Column
 
 Reals = NDArray[np.float64]
@@ -144,6 +144,7 @@ def modes_of(inner: LinearSubsystem, context: BuildContext) -> Modes | None:
     root = 1.0 / (np.sqrt(inner.mass) * context.rate)
     stiffness = root[:, None] * inner.stiffness_matrix().toarray() * root
     damping = root[:, None] * inner.damping_matrix().toarray() * root * context.rate
+    require_finite(stiffness, damping)
     sizes = [float(np.abs(matrix).max(initial=0.0)) or 1.0 for matrix in (stiffness, damping)]
     for share in (0.0, 0.5, 0.3819660112501051):  # where K alone leaves open which, B says so together with it
         vectors = np.linalg.eigh(stiffness / sizes[0] + share * damping / sizes[1])[1]
@@ -163,7 +164,7 @@ def _refined(inner: LinearSubsystem, shape: Reals, context: BuildContext) -> Mod
     """Each mode's k and b as the sum over all links of what it stretches them: a slow mode's are then as accurate as a
     fast one's, which those that eigenvalues come with are not."""
     squares = (inner.stretches() @ shape) ** 2
-    stiffness = inner.links.stiffness @ squares / context.rate**2
+    stiffness = inner.links.stiffness @ squares / (context.rate * context.rate)
     damping = inner.links.damping @ squares / context.rate
     return Modes(shape, np.maximum(stiffness, 0.0), np.maximum(damping, 0.0))
 
@@ -180,13 +181,13 @@ def modes_part(inner: LinearSubsystem, modes: Modes, context: BuildContext) -> P
         hidden=inner.point[hidden],
         hidden_shape=np.ascontiguousarray(modes.shape[hidden]).astype(real),
         mass=np.concatenate([inner.mass[inner.loaded], inner.mass[hidden]]).astype(real),
-        constant=(modes.shape.T @ inner.force / context.rate**2).astype(real),
+        constant=(modes.shape.T @ inner.force / (context.rate * context.rate)).astype(real),
         gain=gain.astype(real),
         position=(momentum @ inner.position).astype(real),
         step=(momentum @ inner.velocity / context.rate).astype(real),
         push=np.zeros(gain.shape[1], real),
         after=np.zeros(gain.shape[1], real),
-        period_squared=np.array([1.0 / context.rate**2], real),
+        period_squared=np.array([1.0 / (context.rate * context.rate)], real),
         ties=inner.ties,
     )
     return Part(numbers, integrate=integrate, place=place, resume=resume)

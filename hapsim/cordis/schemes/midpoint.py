@@ -211,14 +211,14 @@ MIDPOINT = Scheme(_parts, inside)
 
 
 def _midpoint(inner: LinearSubsystem, context: BuildContext) -> Midpoint:
-    with np.errstate(over="ignore", invalid="ignore"):
-        stiffness, damping = inner.stiffness_matrix() / context.rate**2, inner.damping_matrix() / context.rate
+    square = context.rate * context.rate
+    stiffness, damping = inner.stiffness_matrix() / square, inner.damping_matrix() / context.rate
     require_finite(stiffness.data, damping.data, inner.mass)
     rows = _rows_of(inner, abs(stiffness) + abs(damping))
     mass = np.ones(rows.size)
     mass[rows.row] = inner.mass
     force = np.zeros(rows.size)
-    force[rows.row] = inner.force / context.rate**2
+    force[rows.row] = inner.force / square
     diagonals = [_diagonals(matrix, rows, context) for matrix in (stiffness, damping)]
     factor = _factor(mass, stiffness / 4.0 + damping / 2.0, rows, context)
     middle, step = np.zeros((2, rows.size), context.real)
@@ -226,7 +226,7 @@ def _midpoint(inner: LinearSubsystem, context: BuildContext) -> Midpoint:
         start=np.uint64(inner.point[0]),
         order=rows.order,
         force=force.astype(context.real),
-        period_squared=np.array([1.0 / context.rate**2], context.real),
+        period_squared=np.array([1.0 / square], context.real),
         stiffness=diagonals[0],
         damping=diagonals[1],
         factor=factor,

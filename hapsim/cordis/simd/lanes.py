@@ -66,10 +66,10 @@ def aligned(array: NDArray[Any], dtype: DTypeLike) -> NDArray[Any]:
 def width_of(_typing: Any, row: Any) -> Any:
     """How many lanes of a row's numbers there are in one go: a constant to the compiler."""
 
-    def generate(context: Any, _builder: Any, signature: Any, _arguments: Any) -> Any:
+    def _generate(context: Any, _builder: Any, signature: Any, _arguments: Any) -> Any:
         return context.get_constant(signature.return_type, Lanes(row.dtype).width)
 
-    return types.uint64(row), generate
+    return types.uint64(row), _generate
 
 
 @intrinsic
@@ -77,23 +77,23 @@ def fetch(_typing: Any, row: Any, first: Any) -> Any:  # noqa: ARG001
     """The lanes of a row from number `first` (uint64) on."""
     lanes = Lanes(row.dtype)
 
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    def _generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         place = _place(context, builder, signature.args[0], arguments, lanes)
         return builder.load(place, align=row.dtype.bitwidth // 8)
 
-    return lanes(row, types.uint64), generate
+    return lanes(row, types.uint64), _generate
 
 
 @intrinsic
 def put(_typing: Any, row: Any, first: Any, lanes: Any) -> Any:  # noqa: ARG001
     """Stores lanes in a row, from number `first` (uint64) on."""
 
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    def _generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         place = _place(context, builder, signature.args[0], arguments, lanes)
         builder.store(arguments[2], place, align=row.dtype.bitwidth // 8)
         return context.get_dummy_value()
 
-    return types.void(row, types.uint64, lanes), generate
+    return types.void(row, types.uint64, lanes), _generate
 
 
 @intrinsic(prefer_literal=True)
@@ -107,27 +107,27 @@ def shift_lanes(_typing: Any, terms: Any, which: Any, by: Any) -> Any:
     element, shift = which.literal_value, by.literal_value
     lanes = terms[1][element]
 
-    def generate(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
+    def _generate(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
         left, here, right = (builder.extract_value(arguments[0], (i, element)) for i in range(3))
         if shift < 0:
             return _from_two(builder, left, here, range(lanes.width + shift, 2 * lanes.width + shift))
         return _from_two(builder, here, right, range(shift, lanes.width + shift))
 
-    return lanes(terms, which, by), generate
+    return lanes(terms, which, by), _generate
 
 
 @intrinsic
 def chosen(_typing: Any, lanes: Any, others: Any, first: Any, end: Any) -> Any:  # noqa: ARG001
     """`lanes` from lane `first` to before lane `end` (int64, which may lie beyond either side), `others` elsewhere."""
 
-    def generate(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
+    def _generate(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
         inside, outside, begin, stop = arguments
         numbers = ir.VectorType(ir.IntType(64), lanes.width)
         above = builder.sub(ir.Constant(numbers, list(range(lanes.width))), _spread(builder, begin, numbers))
         is_inside = builder.icmp_unsigned("<", above, _spread(builder, builder.sub(stop, begin), numbers))
         return builder.select(is_inside, inside, outside)
 
-    return lanes(lanes, lanes, types.int64, types.int64), generate
+    return lanes(lanes, lanes, types.int64, types.int64), _generate
 
 
 @intrinsic
@@ -135,11 +135,11 @@ def all_equal(_typing: Any, row: Any, number: Any) -> Any:
     """Lanes like those of a row, each `number`."""
     lanes = Lanes(row.dtype)
 
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    def _generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         value = context.cast(builder, arguments[1], signature.args[1], lanes.dtype)
         return _spread(builder, value, context.get_value_type(lanes))
 
-    return lanes(row, number), generate
+    return lanes(row, number), _generate
 
 
 @inlined
@@ -187,7 +187,7 @@ def _arithmetic(operation: Any, instruction: str) -> None:
                 return signature(found[0], *arguments)
             return None
 
-    def lower(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    def _lower(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         lanes = signature.return_type
         sides = [
             value
@@ -198,7 +198,7 @@ def _arithmetic(operation: Any, instruction: str) -> None:
         return getattr(builder, instruction)(*sides)
 
     for kinds in ((Lanes, Lanes), (Lanes, types.Float), (types.Float, Lanes)):
-        lower_builtin(operation, *kinds)(lower)
+        lower_builtin(operation, *kinds)(_lower)
 
 
 for _operation, _instruction in ((operator.add, "fadd"), (operator.sub, "fsub"), (operator.mul, "fmul")):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -11,8 +12,11 @@ from firmware_protocol.decoder import begin_decoding
 from firmware_protocol.description import Description, to_registers
 from firmware_protocol.frames import SETUP, armed_format, framing_of
 from firmware_protocol.records import new_record
-from hapsim.device.mock.firmware import MOCK
+from firmware_protocol.wire_time import BITS_PER_BYTE, WireTime, wire_time
+from hapsim.device.mock.firmware import MOCK, MOST_LATE
 from hapsim.device.mock.sampler import SAMPLINGS, set_hold
+from hapsim.errors import UsageError
+from hapsim.prediction.silence import time_to_live_samples
 from hapsim.scene import Scene
 
 _FORCE_COUNTS = 2.0**31  # the limit in N lies at the end of the counts' range: the finest step that 32 bits give
@@ -21,26 +25,28 @@ _FORCE_COUNTS = 2.0**31  # the limit in N lies at the end of the counts' range: 
 def describe_mock(scene: Scene) -> Description:
     """What the scene's mock says of itself."""
     channels = scene.channels
-    limit = scene.device.force_limit
+    limit = scene.mock_device.force_limit
     return Description(
         name="hapsim mock",
         rate_hz=scene.rate,
         pacings=1 << schema.PACED_BY_DEVICE | 1 << schema.PACED_BY_HOST | 1 << schema.LOCKSTEP,
         max_watchdog_samples=schema.MAX_WATCHDOG_SAMPLES,
         position_scale=(scene.mock_device.quantum,) * channels,
-        force_scale=(limit / _FORCE_COUNTS,) * channels,
+        force_scale=(max(limit / _FORCE_COUNTS, math.ulp(0.0)),) * channels,
         force_limit=(limit,) * channels,
         velocity_scale=(scene.mock_device.quantum * scene.rate,) * channels,
     )
 
 
 def assemble_mock(scene: Scene) -> Any:
-    """The mock that the scene's `device` and `mock` describe: MOCK."""
+    """The mock that the scene's `device` and `mock` describe: MOCK. UsageError where no force gets through its wire in
+    virtual time."""
     description = describe_mock(scene)
     mock = new_record(MOCK)
     mock.channels = scene.channels
     _set_bodies(mock, scene)
     _set_converters(mock, scene, description)
+    _set_wire(mock, scene)
     mock.force_scale[: scene.channels] = description.force_scale
     mock.force_limit[: scene.channels] = description.force_limit
     mock.registers[:] = to_registers(description)
@@ -75,3 +81,31 @@ def _set_converters(mock: Any, scene: Scene, description: Description) -> None:
     # Spread apart, and never zero, from which the generator would not move.
     seeds = np.random.SeedSequence(device.seed).generate_state(scene.channels, np.uint64)
     converters["seed"] = seeds | np.uint64(1)
+
+
+def _set_wire(mock: Any, scene: Scene) -> None:
+    """In virtual time nobody but the wire takes time."""
+    device = scene.mock_device
+    wire = wire_time(scene.channels, bool(scene.sensed_links), scene.rate, device.baud, device.turnaround, 0.0)
+    late = None if wire.delay_samples is None else wire.delay_samples - 1
+    if scene.device.clock == "lockstep":
+        _require_passable(wire, late, time_to_live_samples(scene.rate))
+    mock.late_samples = min(late or 0, MOST_LATE)
+    mock.byte_ns = BITS_PER_BYTE * 1e9 / device.baud if device.baud else 0.0
+    mock.turnaround_ns = device.turnaround * 1e9
+
+
+def _require_passable(wire: WireTime, late: int | None, lives: int) -> None:
+    if late is None:
+        longest = max(wire.bytes_to_host, wire.bytes_to_device)
+        raise UsageError(
+            f"mock.baud: found {wire.baud}, at which a frame of {longest} bytes takes longer than the sample period of "
+            f"{wire.period * 1e3:.4g} ms, so that frames queue up without end; expected more than "
+            f"{math.ceil(longest * BITS_PER_BYTE / wire.period)} (bit/s), or a lower rate"
+        )
+    if late > lives:
+        raise UsageError(
+            f"mock.baud, mock.turnaround: an exchange takes {wire.exchange_s * 1e3:.4g} ms, so that every force is "
+            f"late by {late} samples and older than its time to live of {lives}: none would ever act. "
+            "Expected a faster wire, or a lower rate"
+        )

@@ -7,6 +7,7 @@ that the mock in memory and the one on a pseudo-terminal are the same compiled c
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,7 @@ from firmware_protocol.decoder import DECODER, next_frame, use_framing
 from firmware_protocol.frames import FRAMING, write_frame
 from hapsim.compiling import helper, inlined
 from hapsim.compiling.native import address_in_memory, address_of, array_at, function_at, native, record_at
-from hapsim.device.mock.motion import BODY, move_of
+from hapsim.device.mock.motion import BODY, move, move_of
 from hapsim.device.mock.sampler import (
     CONVERTER,
     MOST_AGES,
@@ -33,9 +34,9 @@ from hapsim.device.mock.sampler import (
 OUTBOX_BYTES = 65536
 INPUT_BYTES = 4096  # at most this many go into `take_bytes` at once: the answers to them fit the outbox
 LONGEST_DELAY = 1000  # samples
+MOST_LATE = schema.MAX_TIME_TO_LIVE_SAMPLES  # samples: later than that no force ever acts
 _LONGEST_ANSWER = schema.frame_bytes(schema.MAX_CHANNELS, to_device=False, velocity=True)
 _LOCKSTEP_PATIENCE_NS = 10_000_000_000  # twice what hapsim waits for a position: a host quiet for longer is gone
-
 BOARD = np.dtype(
     [
         ("state", np.int64),  # IDLE, ARMED, LATCHED
@@ -49,15 +50,20 @@ BOARD = np.dtype(
         ("heard", np.int64),  # the sample in which a force was last accepted
         ("heard_ns", np.int64),
         ("sampled_ns", np.int64),
+        ("lives", np.float64),  # s, paced by the host: for how long of the sample that lasts a force may act
         ("out", np.int64),  # bytes in the outbox
         ("scale_out_of_range", np.int64),
     ]
 )
 
-CALLED = np.dtype(
-    [(name, np.uint64) for name in ("take_bytes", "take_sample", "look_at_watchdog", "read", "say", "move")], align=True
+_CALLED = ("take_bytes", "take_sample", "look_at_watchdog", "take_force", "act_on_force", "read", "say", "move")
+CALLED = np.dtype([(name, np.uint64) for name in _CALLED], align=True)
+"""Addresses: of the three events; of what a force goes to first, and when it is there; of the codec's two halves; and
+of what moves the bodies."""
+
+FORCE_UNDER_WAY = np.dtype(
+    [("number", np.int64), ("argument", np.int64), ("counts", np.int64, (schema.MAX_CHANNELS,))], align=True
 )
-"""Addresses: of the three events, of the codec's two halves, and of what moves the bodies."""
 
 _EACH = (schema.MAX_CHANNELS,)
 
@@ -81,6 +87,10 @@ MOCK = np.dtype(
         ("spoken", FORMATS),  # and of the mock's
         ("decoder", DECODER),
         ("outbox", np.uint8, (OUTBOX_BYTES,)),
+        ("late_samples", np.int64),  # in virtual time: so many samples pass while a force is on the wire
+        ("under_way", FORCE_UNDER_WAY, (MOST_LATE + 1,)),  # by the sample in which it was sent
+        ("byte_ns", np.float64),  # in real time: what a byte takes on the wire,
+        ("turnaround_ns", np.float64),  # and what the device takes before its first
         ("address", np.uint64),  # of all this
         ("called", CALLED),
     ],
@@ -125,7 +135,7 @@ def _take_bytes(mock, data, stop, now):
         kind = mock.decoder.type
         if kind == schema.FORCE:
             if mock.board.state == schema.ARMED:
-                _take_force(mock, now)
+                call_event(mock.called.take_force, (mock.address, now))
         elif kind == schema.DESCRIBE:
             if mock.board.state != schema.ARMED:
                 _describe(mock)
@@ -151,17 +161,35 @@ def _end_sample(mock, now):
     """The sample that lasts ends: the bodies move through it, and the host hears where they are."""
     board = mock.board
     h = mock.converters[0].period
+    acts = h
     if board.pacing == schema.PACED_BY_HOST:
         h = (now - board.sampled_ns if now > board.sampled_ns else 1) * 1e-9
+        acts = min(h, board.lives)
     board.sampled_ns = now
     fresh = _decide_command(mock)
+    if fresh and acts < h:
+        fresh = False
+        mock.registers[schema.REG_HELD] += 1
     for c in range(mock.channels):
         body, converter = mock.bodies[c], mock.converters[c]
-        advance_body(mock.called.move, body, converter, mock.commands, mock.depth, c, board.n, h)
+        advance_body(mock.called.move, body, converter, mock.commands, mock.depth, c, board.n, acts)
+        if acts < h:
+            move(mock.called.move, body, 0.0, h - acts)
         position = sample(body, converter, h)
         _show(mock, c, position, sample_velocity(body, converter, h) if board.velocity else 0.0)
+    if acts < h:
+        _forget_forces_before(mock)
     board.n += 1
     _say_position(mock, schema.POSITION if fresh else schema.POSITION_HELD)
+
+
+@helper
+def _forget_forces_before(mock):
+    """A time to live is over: what was commanded before the sample that ends, and is still on its way, went with it."""
+    for row in range(mock.depth):
+        for c in range(mock.channels):
+            if row != mock.board.n % mock.depth:
+                mock.commands[row, c] = 0.0
 
 
 @helper
@@ -177,9 +205,10 @@ def _fail_where_host_is_quiet(mock, now):
         _fail(mock, schema.HOST_QUIET)
 
 
-@helper
+@native(types.void, types.uint64, types.int64)
 def _take_force(mock, now):
     """A force arrives: it is commanded for the sample that lasts, unless it is older than it may be."""
+    mock = mock_at(mock)
     board = mock.board
     age = (board.n - mock.decoder.number) % schema.SAMPLE_MODULUS
     if age > mock.decoder.argument:
@@ -198,6 +227,7 @@ def _take_force(mock, now):
         mock.commands[board.n % mock.depth, c] = force
     if board.pacing != schema.PACED_BY_DEVICE:
         call_event(mock.called.take_sample, (mock.address, now))
+        board.lives = (mock.decoder.argument + 1) * mock.converters[0].period
 
 
 @helper
@@ -303,6 +333,7 @@ def _arm(mock, now):
     board.watchdog = watchdog
     board.answered = board.heard = board.expires = -1
     board.heard_ns = board.sampled_ns = now
+    board.lives = math.inf
     board.scale_out_of_range = 0
     for register in range(schema.REG_ACCEPTED, schema.REG_LIMITED + 1):
         mock.registers[register] = 0
@@ -364,12 +395,18 @@ def prepare(mock: Any) -> None:
     for name, function in FUNCTIONS.items():
         mock.called[name] = function.address()
     mock.called.move = move_of(mock.initial[: mock.channels])
+    mock.called.take_force = mock.called.act_on_force
+    if mock.late_samples:
+        from hapsim.device.mock.late_force import take_late_force
+
+        mock.called.take_force = take_late_force.address()
 
 
 FUNCTIONS = {
     "take_bytes": _take_bytes,
     "take_sample": _take_sample,
     "look_at_watchdog": _look_at_watchdog,
+    "act_on_force": _take_force,
     "read": _read,
     "say": _put_frame,
 }

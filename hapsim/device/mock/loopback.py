@@ -20,6 +20,7 @@ _bytes_at = array_at(np.uint8)
 
 @receiver
 def receive(context, buffer, room, timeout_ns):  # noqa: ARG001  nothing comes by waiting
+    """What the mock said, up to `room` bytes: their number, or TIMED_OUT."""
     mock, buffer = mock_at(context), _bytes_at(buffer, room)
     waiting = mock.board.out
     count = waiting if waiting < room else room

@@ -10,6 +10,7 @@ from firmware_protocol import schema
 from firmware_protocol.records import new_record
 from hapsim.compiling import entry, inlined
 from hapsim.device.mock.firmware import INPUT_BYTES, call_event, call_take_bytes
+from hapsim.loop.pacing import next_point
 from hapsim.loop.system import SCRATCH, now_ns, sleep_until
 from hapsim.loop.transport import TRANSPORT, receive, send
 
@@ -55,18 +56,16 @@ def serve(mock, service):
             due = now + period
         if ticking and now >= due:
             call_event(mock.called.take_sample, (mock.address, now))
-            due += period
-            if now >= due:
-                # A device's timer is never late, but this machine was: go on from here instead of catching up.
-                service.late_samples += 1
-                due = now + period
+            # A device's timer is never late, but this machine may be.
+            due, late = next_point(due, now, period)
+            service.late_samples += late
         call_event(mock.called.look_at_watchdog, (mock.address, now))
         _send_outbox(mock, service)
 
 
 @inlined
 def _send_outbox(mock, service):
-    if mock.board.out > 0:
-        if send(service.transport, mock.outbox, mock.board.out) != 0:
-            service.lost_answers += 1
-        mock.board.out = 0
+    """Whatever happens it is empty then. With nothing in it, what the transport had begun is ended."""
+    if send(service.transport, mock.outbox, mock.board.out) != 0 and mock.board.out > 0:
+        service.lost_answers += 1
+    mock.board.out = 0

@@ -15,9 +15,10 @@ from typing import Any
 from hapsim.compiling.entries import compile_for
 from hapsim.device.mock.firmware import prepare
 from hapsim.device.mock.serve import new_service, serve
+from hapsim.device.mock.transmitter import transmitter_transport
 from hapsim.errors import DeviceError
-from hapsim.loop.descriptor import descriptor_transport
 from hapsim.loop.only_linux import require_linux
+from hapsim.loop.transport import Transport
 from hapsim.realtime.scheduling import fifo
 from hapsim.realtime.slack import no_timer_slack
 
@@ -49,7 +50,7 @@ def serving(mock: Any, as_hardware: bool = False) -> Iterator[str]:
             os.set_blocking(end, False)
         # Compiled before anybody can knock: a host does not wait for as long as the first compilation takes.
         prepare(mock)
-        transport = descriptor_transport(near)
+        transport = _transport(near, mock)
         service = new_service(transport)
         compile_for(serve, mock, service)
         thread = threading.Thread(target=_serve, args=(mock, service), name="mock device")
@@ -63,6 +64,15 @@ def serving(mock: Any, as_hardware: bool = False) -> Iterator[str]:
     finally:
         os.close(near)
         os.close(far)
+
+
+def _transport(near: int, mock: Any) -> Transport:
+    """With the times of a UART where the mock has them."""
+    if not mock.byte_ns and not mock.turnaround_ns:
+        return transmitter_transport(near)
+    from hapsim.device.mock.uart import uart_transport
+
+    return uart_transport(near, mock)
 
 
 def _serve(*arguments: Any) -> None:

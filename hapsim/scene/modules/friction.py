@@ -8,13 +8,12 @@ from pydantic import Field
 from ..issue import Issue
 from ..quantity import Quantity
 from .link import Link
-from .module import ModuleContext
+from .module import Check, ModuleContext
 
 
 class Friction(Link):
     """Dry friction between two points: a bristle that holds like a spring, and slides where it is pulled too hard."""
 
-    shared: ClassVar[tuple[str, ...]] = (*Link.shared, "force", "static")
     live: ClassVar[tuple[str, ...]] = ("force", "static", "stiffness", "damping")
 
     type: Literal["friction"] = Field(default="friction", description="Dry friction: sticks, and slides")
@@ -30,8 +29,10 @@ class Friction(Link):
         """Force at which it breaks away, N."""
         return self.force if self.static is None else self.static
 
-    def issues(self, name: str, around: ModuleContext) -> Iterator[Issue]:
-        yield from super().issues(name, around)
+    def checks(self) -> list[Check]:
+        return [*super().checks(), Check(("force", "static"), self._breaks_away_above)]
+
+    def _breaks_away_above(self, name: str, _around: ModuleContext) -> Iterator[Issue]:
         if self.break_away < self.force:
             yield Issue(
                 ("modules", name, "static"),

@@ -6,7 +6,7 @@ from typing import Annotated, Any, ClassVar
 
 from ..issue import Issue, did_you_mean, quote
 from ..quantity import Expectation, unexpected
-from .module import Module, ModuleContext
+from .module import Check, Module, ModuleContext
 from .structure import Structure
 
 
@@ -18,6 +18,7 @@ class Ends(Expectation):
         return "the names of two modules, such as [hand, wall]"
 
     def check(self, value: object) -> tuple[str, str]:
+        """Two names; whether modules are called so is for `Link.issues`. An error through `unexpected`."""
         if not isinstance(value, list | tuple) or len(value) != 2:
             unexpected(self.expected())
         for index, name in enumerate(value):
@@ -26,6 +27,7 @@ class Ends(Expectation):
         return value[0], value[1]
 
     def json_schema(self) -> dict[str, Any]:
+        """A list of two names."""
         return {
             "description": "The two modules that it joins, by name",
             "type": "array",
@@ -40,11 +42,12 @@ class Link(Module):
 
     is_point: ClassVar[bool] = False
     can_move: ClassVar[bool] = False
-    shared: ClassVar[tuple[str, ...]] = ("between",)
-
     between: Annotated[tuple[str, str], Ends()]
 
-    def issues(self, name: str, around: ModuleContext) -> Iterator[Issue]:
+    def checks(self) -> list[Check]:
+        return [Check(("between",), self._ends_fit)]
+
+    def _ends_fit(self, name: str, around: ModuleContext) -> Iterator[Issue]:
         path = ("modules", name, "between")
         wrong_ends = [
             Issue((*path, index), sentence)
@@ -91,12 +94,10 @@ def _wrong_place(end: str, holder: str, kind: type[Module], around: ModuleContex
     if not issubclass(kind, Structure):
         what = kind.model_fields["type"].default
         return f"found {quote(end)}, but {quote(holder)} is a single {what}; leave out the dot and what follows"
-    structure = around.sound.get(holder)
-    if not isinstance(structure, Structure):
+    structure = around.modules[holder]
+    assert isinstance(structure, Structure)
+    numbers = structure.numbers({field for field in kind.counts if around.knows(holder, field)})
+    if holder != end and numbers.are(end[len(holder) + 1 :]):
         return None
-    place = end[len(holder) + 1 :]
-    if structure.has_place(place):
-        return None
-    example = f"{holder}.{structure.point_names()[0]}"
-    expected = f"expected one of its masses, {structure.place_words()}, such as {example}"
+    expected = f"expected one of its masses, {structure.place_words(numbers)}, such as {holder}.{numbers.first}"
     return f"found {quote(end)}, but {quote(holder)} is a {structure.type}; {expected}"

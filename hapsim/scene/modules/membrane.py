@@ -6,7 +6,7 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import Field
 
 from ..quantity import Count, Quantity, Words
-from .structure import Elements, Structure, is_number
+from .structure import Elements, Numbers, Structure
 
 MOST_IN_A_ROW = 300
 
@@ -18,7 +18,7 @@ EDGES = Words("How each edge is held, the top, the bottom, the left and the righ
 class Membrane(Structure):
     """Equal masses in rows and columns, each linked to its neighbours; at rest where all are at `position`."""
 
-    shared: ClassVar[tuple[str, ...]] = ("rows", "columns")
+    counts: ClassVar[tuple[str, ...]] = ("rows", "columns")
     live: ClassVar[tuple[str, ...]] = ("stiffness", "damping", "friction")
 
     type: Literal["membrane"] = Field(
@@ -41,17 +41,15 @@ class Membrane(Structure):
     def point_names(self) -> list[str]:
         return [f"{row}.{column}" for row in range(self.rows) for column in range(self.columns)]
 
-    def place_words(self) -> str:
-        return f"its row (0 to {self.rows - 1}), a dot and its column (0 to {self.columns - 1})"
-
-    def has_place(self, place: str) -> bool:
-        row, dot, column = place.partition(".")
-        return dot == "." and is_number(row, self.rows) and is_number(column, self.columns)
+    def place_words(self, numbers: Numbers) -> str:
+        row, column = numbers.words()
+        return f"its row ({row}), a dot and its column ({column})"
 
     def initial_positions(self) -> list[float]:
         return [self.position] * (self.rows * self.columns)
 
     def elements(self) -> Elements:
+        """Each mass on its neighbours and on what holds an edge, and its friction on what stays, row by row."""
         count = self.rows * self.columns
         links = [(*pair, self.stiffness, self.damping) for pair in self._neighbours()]
         if self.friction:

@@ -1,14 +1,26 @@
 """What every module of a scene is, and what it may ask of the modules around it."""
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
-from typing import Any, ClassVar
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, NamedTuple
 
 from pydantic import GetJsonSchemaHandler
 from pydantic_core import core_schema
 
 from ..issue import Issue
 from ..part import Part
+
+
+class Check(NamedTuple):
+    """A check of a module with those around it.
+
+    Attributes:
+        fields: those of its own that it looks at; where one of them is faulty the check is left out.
+        issues: what it finds, of the module's name and what is around.
+    """
+
+    fields: tuple[str, ...]
+    issues: Callable[[str, "ModuleContext"], Iterator[Issue]]
 
 
 class Module(Part):
@@ -18,8 +30,6 @@ class Module(Part):
     is_point: ClassVar[bool] = True
     #: The module can move; a link between two that cannot would do nothing.
     can_move: ClassVar[bool] = True
-    #: The fields that `issues` looks at, its own and others'.
-    shared: ClassVar[tuple[str, ...]] = ()
     #: The fields that may change while the scene runs.
     live: ClassVar[tuple[str, ...]] = ()
     #: The fields that say how it begins, and nothing of how it goes on.
@@ -27,9 +37,15 @@ class Module(Part):
 
     type: str
 
-    def issues(self, _name: str, _around: "ModuleContext") -> Iterator[Issue]:
-        """Faults that this module, called ``name``, has together with the others."""
-        yield from ()
+    def checks(self) -> list[Check]:
+        """What is to be looked at together with the others."""
+        return []
+
+    def issues(self, name: str, around: "ModuleContext") -> Iterator[Issue]:
+        """Faults that this module, called ``name``, has together with the others, as far as they can be judged."""
+        for check in self.checks():
+            if around.knows(name, *check.fields):
+                yield from check.issues(name, around)
 
     @classmethod
     def __get_pydantic_json_schema__(
@@ -47,12 +63,18 @@ class ModuleContext:
     """The modules of a scene, of which some may be faulty.
 
     Attributes:
-        sound: the modules that stand by themselves, by name; or of which at least the shared fields do.
-        kinds: the class of every module by name, faulty ones too; None where not even the type is known.
+        modules: by name; of a faulty one its sound fields, and the others are not there.
+        kinds: the class of every module by name; None where not even the type is known, and then it is no module.
+        faulty: of each faulty module the fields that are not sound.
     """
 
-    sound: Mapping[str, Module]
+    modules: Mapping[str, Module]
     kinds: Mapping[str, type[Module] | None]
+    faulty: Mapping[str, frozenset[str]] = field(default_factory=dict)
+
+    def knows(self, name: str, *fields: str) -> bool:
+        """Whether these fields of a module are sound."""
+        return name in self.modules and self.faulty.get(name, frozenset()).isdisjoint(fields)
 
     def holder(self, end: str) -> str:
         """The module that the end of a link names: itself, or the structure of which it names a point."""

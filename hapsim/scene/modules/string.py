@@ -8,8 +8,8 @@ from pydantic import Field
 from ..issue import Issue
 from ..part import Part
 from ..quantity import Count, Quantity, Words
-from .module import ModuleContext
-from .structure import Elements, Structure, is_number
+from .module import Check, ModuleContext
+from .structure import Elements, Numbers, Structure
 
 MOST_MASSES = 100_000
 
@@ -33,7 +33,7 @@ class Pluck(Part):
 class String(Structure):
     """Equal masses in a row, each linked to the next; at rest where all are at `position`."""
 
-    shared: ClassVar[tuple[str, ...]] = ("masses",)
+    counts: ClassVar[tuple[str, ...]] = ("masses",)
     live: ClassVar[tuple[str, ...]] = ("stiffness", "damping", "friction")
     initial: ClassVar[tuple[str, ...]] = ("pluck",)
 
@@ -59,24 +59,25 @@ class String(Structure):
     def point_names(self) -> list[str]:
         return [str(i) for i in range(self.masses)]
 
-    def place_words(self) -> str:
-        return f"0 to {self.masses - 1}"
-
-    def has_place(self, place: str) -> bool:
-        return is_number(place, self.masses)
+    def place_words(self, numbers: Numbers) -> str:
+        return numbers.words()[0]
 
     def initial_positions(self) -> list[float]:
+        """In m: where it rests, or in the triangle in which the pluck holds it."""
         if self.pluck is None:
             return [self.position] * self.masses
         at, by, masses = self.pluck.at, self.pluck.by, self.masses
         shares = (min((i + 1) / (at + 1), (masses - i) / (masses - at)) for i in range(masses))
         return [self.position + by * share for share in shares]
 
-    def issues(self, name: str, _around: ModuleContext) -> Iterator[Issue]:
+    def checks(self) -> list[Check]:
+        return [Check(("masses", "pluck"), self._is_plucked_at_a_mass)]
+
+    def _is_plucked_at_a_mass(self, name: str, _around: ModuleContext) -> Iterator[Issue]:
         if self.pluck is not None and self.pluck.at >= self.masses:
             yield Issue(
                 ("modules", name, "pluck", "at"),
-                f"found {self.pluck.at}, but {name} has {self.masses} masses; expected {self.place_words()}",
+                f"found {self.pluck.at}, but {name} has {self.masses} masses; expected 0 to {self.masses - 1}",
             )
 
     def elements(self) -> Elements:

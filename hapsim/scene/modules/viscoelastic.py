@@ -11,7 +11,7 @@ from ..issue import Issue, one_of, quote
 from ..quantity import Quantity
 from .device_point import DevicePoint
 from .link import Link
-from .module import ModuleContext
+from .module import Check, ModuleContext
 
 CUTOFF = Quantity(f"Cutoff of the {one_of(WITH_CUTOFF)} damper", "Hz", above=0)
 
@@ -19,7 +19,6 @@ CUTOFF = Quantity(f"Cutoff of the {one_of(WITH_CUTOFF)} damper", "Hz", above=0)
 class ViscoElastic(Link):
     """A spring and a damper in parallel between two points, at rest where the two coincide."""
 
-    shared: ClassVar[tuple[str, ...]] = (*Link.shared, "damper", "cutoff")
     live: ClassVar[tuple[str, ...]] = ("stiffness", "damping")
 
     type: Literal["viscoelastic"] = Field(default="viscoelastic", description="A spring and a damper in parallel")
@@ -28,8 +27,11 @@ class ViscoElastic(Link):
     damper: DamperScheme = Field(default="backward", description=DAMPER)
     cutoff: Annotated[float | None, replace(CUTOFF, left_out="no filter")] = None
 
-    def issues(self, name: str, around: ModuleContext) -> Iterator[Issue]:
-        yield from super().issues(name, around)
+    def checks(self) -> list[Check]:
+        own = [Check(("damper", "cutoff"), self._cutoff_fits), Check(("between", "damper"), self._is_sensed)]
+        return super().checks() + own
+
+    def _cutoff_fits(self, name: str, _around: ModuleContext) -> Iterator[Issue]:
         path = ("modules", name)
         if self.damper in WITH_CUTOFF and self.cutoff is None:
             sentence = f"found {self.damper} without a cutoff, expected cutoff: a number > 0 (Hz) too"
@@ -38,11 +40,13 @@ class ViscoElastic(Link):
             having = one_of(WITH_CUTOFF)
             sentence = f"found a cutoff, which the {self.damper} damper does not have; expected damper: {having}"
             yield Issue((*path, "cutoff"), sentence)
+
+    def _is_sensed(self, name: str, around: ModuleContext) -> Iterator[Issue]:
         ends = [around.kinds.get(end) for end in self.between]
         if self.damper in WITH_SENSOR and None not in ends and DevicePoint not in ends:
             names = " and ".join(map(quote, self.between))
             yield Issue(
-                (*path, "damper"),
+                ("modules", name, "damper"),
                 f"found {self.damper} between {names}, which no device senses; "
                 "expected a point of type device at one end",
             )

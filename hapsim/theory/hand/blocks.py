@@ -22,7 +22,7 @@ def quietly_in_blocks(method: Callable[..., Any]) -> Callable[..., Any]:
     becomes NaN, and nothing warns.
     """
 
-    def quietly(self: Any, one: Floats, other: Floats, **named: Any) -> Any:
+    def _quietly(self: Any, one: Floats, other: Floats, **named: Any) -> Any:
         with np.errstate(all="ignore"):
             return method(self, one, other, **named)
 
@@ -30,21 +30,21 @@ def quietly_in_blocks(method: Callable[..., Any]) -> Callable[..., Any]:
     first_three = list(takes.parameters)[:3]
 
     @wraps(method)
-    def whole(self: Any, *values: ArrayLike, **named: Any) -> Any:
+    def _whole(self: Any, *values: ArrayLike, **named: Any) -> Any:
         given = takes.bind(self, *values, **named).arguments
         _, *values_given = (given.pop(name) for name in first_three)
         one, other = np.broadcast_arrays(*(np.asarray(value, dtype=float) for value in values_given))
         named = given
         shape, one, other = one.shape, one.ravel(), other.ravel()
         if one.size <= 2 * POINTS:
-            return _in_shape(quietly(self, one, other, **named), shape)
+            return _in_shape(_quietly(self, one, other, **named), shape)
         blocks = [slice(at, at + POINTS) for at in range(0, one.size, POINTS)]
-        parts = [quietly(self, one[block], other[block], **named) for block in blocks]
+        parts = [_quietly(self, one[block], other[block], **named) for block in blocks]
         if isinstance(parts[0], tuple):
             return _in_shape(tuple(np.concatenate(column) for column in zip(*parts, strict=True)), shape)
         return _in_shape(np.concatenate(parts), shape)
 
-    return whole
+    return _whole
 
 
 def _in_shape(result: Any, shape: tuple[int, ...]) -> Any:

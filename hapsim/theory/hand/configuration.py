@@ -255,7 +255,7 @@ class Configuration:
 
     @_quietly
     def fold(self, decay: ArrayLike) -> tuple[Floats, Floats, Floats, Floats]:
-        """(K, B, k, b) on the curve where the map folds: the faster pole of the pair met is a double one.
+        """(K, B, k, b) on the curve where the map folds: the faster pole of the dominant pair is a double one.
 
         There the Jacobian of (K, B) -> (k, b) vanishes; on the far side no spring and damper is equivalent.
 
@@ -282,8 +282,9 @@ class Configuration:
         f = np.asarray(frequency, dtype=float)
         jw, theta = 2j * np.pi * f, 2.0 * np.pi * f * self.period
         element = np.asarray(K) / jw + np.asarray(B) * damper_gain(self._equation.damper, theta)
-        met = element * late_and_held(theta, self.delay, self.hold, self.sampling) + self.friction + self.stiffness / jw
-        return np.where((theta > 0.0) & (theta < np.pi), met, np.nan)[()]
+        rendered = element * late_and_held(theta, self.delay, self.hold, self.sampling)
+        rendered = rendered + self.friction + self.stiffness / jw
+        return np.where((theta > 0.0) & (theta < np.pi), rendered, np.nan)[()]
 
     @quietly_in_blocks
     def why_no_equivalent(self, K: ArrayLike, B: ArrayLike) -> NDArray[np.str_]:

@@ -1,7 +1,7 @@
 """Where the map (K, B) -> (k, b) folds: two poles meet.
 
 Its Jacobian vanishes where a pole of the pair meets a further one, for then the characteristic polynomial and its
-derivative vanish together. Strongly damped hands meet it: the faster of their two real poles is passed by the next
+derivative vanish together. Strongly damped hands reach it: the faster of their two real poles is passed by the next
 one of the loop, and beyond it no spring and damper is equivalent. A double real pole exp(-decay T) belongs to a
 critically damped oscillator, so the curve is the paper's Figure 4 for that oscillator, as far as a slower pole leads.
 """
@@ -21,7 +21,7 @@ FASTEST = 10.0  # decay in a sample period, above which the double pole is lost 
 def double_pole(equation: LoopEquation, decay: Floats) -> tuple[Floats, Floats, Floats]:
     """(K T²/m, B T/m, decay of the slower pole) where the pole exp(-decay) is double and one further pole is slower.
 
-    NaN where none is, or more than one, or where it is not positive: then the pair met is not the one that folds.
+    NaN where none is, or more than one, or where it is not positive: then the dominant pair is not the one that folds.
     """
     plant = equation.plant
     oscillator = (2.0 * decay, decay**2)

@@ -1,7 +1,8 @@
 """Where the loop is stable: the curve b = 0 (Florens et al., §6.2), and the stable interval of one of K and B.
 
-On the curve an oscillator without damping is met, s = j theta, theta its frequency in radians per sample: K and B of it
-are closed forms. Besides, a real pole may leave the unit circle at z = 1 (a spring pulled inside out) or at z = -1.
+On the curve the hand feels an oscillator without damping, s = j theta, theta its frequency in radians per sample: K and
+B of it are closed forms. Besides, a real pole may leave the unit circle at z = 1 (a spring pulled inside out) or at
+z = -1.
 """
 
 from __future__ import annotations

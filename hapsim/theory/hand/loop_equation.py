@@ -41,7 +41,7 @@ def loop_equation(plant: Plant, damper: DamperModel) -> LoopEquation:
     return LoopEquation(plant, damper, max(0, -plant.lead - damper.delays))
 
 
-def stiffness_met(equation: LoopEquation, kappa: Floats, beta: Floats) -> Floats:
+def effective_stiffness(equation: LoopEquation, kappa: Floats, beta: Floats) -> Floats:
     """kappa + beta offset: stiffness, and what a sensor that reads at rest adds to it."""
     return kappa + equation.plant.offset * beta if equation.damper.senses else kappa
 
@@ -52,8 +52,8 @@ def characteristic(equation: LoopEquation, kappa: Floats, beta: Floats) -> list[
     position, velocity, rest = _in_z(equation)
     free = np.convolve([1.0, plant.p - 2.0, 1.0 - plant.p + plant.q], rest)
     coefficients = [np.full_like(kappa, constant) for constant in free]
-    met = stiffness_met(equation, kappa, beta)
-    for polynomial, factor in ((position, met), (np.convolve([1.0, -1.0], velocity), beta)):
+    effective = effective_stiffness(equation, kappa, beta)
+    for polynomial, factor in ((position, effective), (np.convolve([1.0, -1.0], velocity), beta)):
         for j, constant in enumerate(polynomial[::-1], start=1):
             if constant != 0.0:
                 coefficients[-j] += constant * factor
@@ -76,10 +76,10 @@ def characteristic_in_w(equation: LoopEquation, kappa: Floats, beta: Floats) -> 
     swung = plant.p * np.convolve(_shifted(lead), denominator)
     swung[0] = _excess(plant, swung[0], velocity[0])
     free[1 : 1 + swung.size] += swung
-    met = stiffness_met(equation, kappa, beta)
+    effective = effective_stiffness(equation, kappa, beta)
     coefficients = [np.full_like(kappa, constant) for constant in free]
     for j, factor in enumerate(position):
-        coefficients[j] += factor * met
+        coefficients[j] += factor * effective
     coefficients[1] += velocity[0] * (plant.damping + beta)
     for j, factor in enumerate(velocity[1:], start=2):
         coefficients[j] += factor * beta
@@ -113,7 +113,7 @@ def equation_on_pair(equation: LoopEquation, kappa: Floats, beta: Floats, w: Lin
     of_position = z.polynomial(plant.numerator).times(z.power(damper.delays + equation.lift))
     square = w.times(w)
     terms = [
-        of_position.times(_in_w(damper.denominator, w)).scaled(stiffness_met(equation, kappa, beta)),
+        of_position.times(_in_w(damper.denominator, w)).scaled(effective_stiffness(equation, kappa, beta)),
         w.scaled(velocity.sum() * (plant.damping + beta)),
         square.times(of_rest),
     ]

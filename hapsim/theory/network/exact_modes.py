@@ -42,6 +42,7 @@ class Modal:
         return np.asarray(self._alone @ state + self._columns @ (self._rows @ state))
 
     def inverse(self, shift: complex) -> Solve | None:
+        """Solves (F + U W - shift) x = state, by Woodbury's identity; None where F - shift is singular."""
         from scipy.sparse import eye
 
         alone = factorised(self._alone - shift * eye(self.size, format="csc"))

@@ -1,4 +1,4 @@
-"""By how much one link may grow stiffer, or damp more, before the whole loop is unstable.
+"""Gain margins: what multiplies one link's stiffness, or damping, where the whole loop becomes unstable.
 
 With one link's K made (1 + s) K there is a pole at z where s is a certain function of z, -1/(K e' D^-1 e), the change
 that takes a pole there (``margin_response.py``). A pole comes to the unit circle where that is real; and as s grows it

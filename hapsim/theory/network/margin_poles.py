@@ -1,4 +1,4 @@
-"""By how much one link may grow, by the poles themselves: those of the loop with that link multiplied."""
+"""A link's gain margin by the poles themselves: those of the loop with that link multiplied."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from hapsim.theory.arrays import Floats
 from hapsim.theory.network.links import acting_links, touches_channel
-from hapsim.theory.network.modes import snap_to_rest
+from hapsim.theory.network.modes import settled
 from hapsim.theory.network.network import Network
 from hapsim.theory.network.state import state_size, transition
 
@@ -50,6 +50,7 @@ class Varied:
         self._network, self._link, self._name = network, link, ("stiffness", "damping")[of]
 
     def radius(self, factor: float) -> float:
+        """The spectral radius with that factor; infinity where the loop's matrix is not finite."""
         value = getattr(self._network, self._name).copy()
         value[self._link] *= factor
         changed = replace(self._network, **{self._name: value})
@@ -57,7 +58,7 @@ class Varied:
         if not np.isfinite(matrix).all():
             return math.inf
         poles = np.linalg.eigvals(matrix).astype(complex)
-        return float(np.abs(snap_to_rest(changed, poles)).max(initial=0.0))
+        return float(np.abs(settled(changed, matrix, poles)).max(initial=0.0))
 
     def agree(self, factor: float, unstable: bool) -> bool:
         """Whether the loop is stable just below the factor, and not well inside the circle just above it."""

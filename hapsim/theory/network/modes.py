@@ -73,13 +73,47 @@ def all_modes(network: Network) -> Solution:
     if not np.isfinite(matrix).all():
         return not_finite(size)
     poles, vectors = np.linalg.eig(matrix)
-    poles = snap_to_rest(network, poles.astype(complex))
+    poles = settled(network, matrix, poles.astype(complex))
     return Solution(sort_by_modulus(poles), modes_of(network, poles, vectors), size)
 
 
 def not_finite(size: int) -> Solution:
     """Of a scene whose numbers are out of range."""
     return Solution(np.full(size, complex(np.nan, np.nan)), [], size)
+
+
+def settled(network: Network, matrix: Floats, poles: Complexes) -> Complexes:
+    """The eigenvalues of the transition without what rounding alone makes of them."""
+    return snap_to_rest(network, snap_to_circle(matrix, poles))
+
+
+@np.errstate(divide="ignore")
+def snap_to_circle(matrix: Floats, poles: Complexes) -> Complexes:
+    """The poles, those on the circle that rounding may have moved outside of it.
+
+    Rounding is as a change E of the matrix by its last digit (LAPACK Users' Guide, §4.8), which moves a pole by E over
+    the product of its left and right vectors, of length one. Those of a double pole are at right angles: it becomes
+    the two poles at p ± d, where that is half of d. Very stiff springs, which the midpoint scheme lets swing at half
+    the rate, have such a double pole at -1.
+    """
+    radius = np.abs(poles)
+    if not (radius > 1.0).any():
+        return poles
+    from scipy.linalg import eig, matrix_balance
+
+    balanced = matrix_balance(matrix, permute=False)[0]
+    size, digit = float(np.linalg.norm(balanced)), float(np.finfo(float).eps)
+    if radius.max() > 1.0 + math.sqrt(digit) * size:  # further than rounding moves a double pole
+        return poles
+    found, left, right = eig(balanced, left=True)
+    reach = 2.0 * digit * size / np.abs((left.conj() * right).sum(axis=0))
+    # The same poles once more, rounded otherwise: each takes the reach of the nearest.
+    beyond = np.flatnonzero(radius > 1.0)
+    nearest = np.abs(poles[beyond, None] - found).argmin(axis=1)
+    moved = beyond[radius[beyond] - 1.0 <= reach[nearest]]
+    on_circle = poles.copy()
+    on_circle[moved] /= radius[moved]
+    return on_circle
 
 
 def snap_to_rest(network: Network, poles: Complexes) -> Complexes:

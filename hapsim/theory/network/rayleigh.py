@@ -72,6 +72,7 @@ class _Form:
         ]
 
     def at(self, w: Complexes) -> Complexes:
+        """x' D(z) x at z = 1 + w, of each motion, for w of their shape."""
         z = 1.0 + w
         total = self._masses * w * w / z + self._springs
         for damper, weight in self._dampers:

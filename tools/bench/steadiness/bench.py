@@ -60,11 +60,8 @@ class Bench:
         job = {"do": "compute", "exchanges": exchanges, "amplitude": amplitude}
         return json_of(python(job), _COMPILING_S, environment=self._cache)
 
-    def run(
-        self, peer: str, clock: str, port: str, load: str, ticks: int = 0, seconds: float = 0.0
-    ) -> dict[str, Any] | None:
-        """Against a device, beside a load: for hapsim's loops in their own process, for the C loop in another one. None
-        where there is no such loop."""
+    def run(self, peer: str, clock: str, port: str, load: str, ticks: int = 0, seconds: float = 0.0) -> dict[str, Any]:
+        """Against a device, beside a load: for hapsim's loops in their own process, for the C loop in another one."""
         if peer == C:
             limit = ["--seconds", str(seconds)] if seconds else []
             with self._load_beside(load) as summary:
@@ -73,7 +70,7 @@ class Bench:
             return told | summary
         job = {"do": "run", "scene": str(self.scenes[clock]), "port": port, "load": load, "portable": peer == PORTABLE}
         command = python(job | {"ticks": ticks, "seconds": seconds})
-        return json_of(command, seconds + _COMPILING_S, cpus=self.loop_cpus) or None
+        return json_of(command, seconds + _COMPILING_S, cpus=self.loop_cpus)
 
     def lateness(self, peer: str, rate_hz: int, seconds: float, fifo: bool) -> Quantiles:
         """Of wake-ups."""

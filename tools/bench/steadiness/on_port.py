@@ -2,62 +2,40 @@
 
 from __future__ import annotations
 
-import time
 import zlib
 from pathlib import Path
 from typing import Any
 
 import hapsim
 from hapsim.errors import RunError
-from hapsim.loop.trace import Trace
-from steadiness.loads import Load, loaded
+from steadiness.loads import loaded
 
 
 def run_on_port(
     scene: str, port: str, load: str, portable: bool, ticks: int = 0, seconds: float = 0.0
-) -> dict[str, Any] | None:
-    """`ticks` samples, or 0: as many as there are in so many `seconds`. None where there is no portable loop."""
+) -> dict[str, Any]:
+    """`ticks` samples, or 0: as many as there are in so many `seconds`."""
     loaded_scene = hapsim.load_scene(Path(scene))
     device = loaded_scene.device.model_copy(update={"port": port})
     loaded_scene = loaded_scene.model_copy(update={"device": device})
-    options: dict[str, Any] = {"portable": True} if portable else {}
+    duration = ticks / loaded_scene.rate if ticks else None
     with loaded(load) as at_work:
         try:
-            trace = hapsim.run(
-                loaded_scene,
-                duration=ticks / loaded_scene.rate if ticks else None,
-                on_start=lambda _session: at_work.go.set(),
-                while_running=None if ticks else _Stopper(seconds, at_work),
-                on_progress=lambda _progress: None,
-                **options,
-            )
+            with hapsim.start(loaded_scene, duration=duration, portable=portable) as session:
+                at_work.go.set()
+                session.wait(None if ticks else seconds)
+                session.stop()
+                # What is measured is the loop, not how hapsim says goodbye to the device beside a load.
+                at_work.stop = True
+            trace = session.trace
         except RunError as error:  # the device released, or went silent: that is a result
             if error.trace is None:
                 raise
             trace = error.trace
-        except TypeError:
-            if portable:
-                return None
-            raise
     return _result(trace) | at_work.summary()
 
 
-class _Stopper:
-    """Stops a run some seconds after it began, and its load: what is measured is the loop, not how hapsim says goodbye
-    to the device."""
-
-    def __init__(self, seconds: float, load: Load) -> None:
-        self._end = 0.0
-        self._seconds, self._load = seconds, load
-
-    def __call__(self, session: Any) -> None:
-        self._end = self._end or time.monotonic() + self._seconds
-        if time.monotonic() >= self._end:
-            session.stop()
-            self._load.stop = True
-
-
-def _result(trace: Trace) -> dict[str, Any]:
+def _result(trace: hapsim.Trace) -> dict[str, Any]:
     report = trace.report
     # The report tells of virtual time; here the clock on the wall counts.
     taken = 1e-9 * float(trace.time_ns[-1] - trace.time_ns[0]) if trace.time_ns.size > 1 else 0.0

@@ -72,8 +72,7 @@ def _on_device(clock: str) -> Callable[[Bench, Case, str, Effort], Numbers]:
     def measure(bench: Bench, case: Case, peer: str, effort: Effort) -> Numbers:
         seconds = effort.seconds if clock == "lockstep" else effort.late_seconds
         with mock_device(bench.scenes[clock], bench.device_cpus) as port:
-            document = bench.run(peer, clock, port, case.load, seconds=seconds)
-        return numbers_of(document) if document else {}
+            return numbers_of(bench.run(peer, clock, port, case.load, seconds=seconds))
 
     return measure
 

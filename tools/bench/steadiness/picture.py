@@ -1,4 +1,4 @@
-"""The picture: exchanges per second, lateness of wake-ups, late ticks, side by side."""
+"""The picture: exchanges per second, wake-up latency, deadline misses, side by side."""
 
 from __future__ import annotations
 

@@ -86,7 +86,7 @@ def _wakeups(records: Records) -> Iterator[list[str]]:
 def _late(records: Records) -> Iterator[list[str]]:
     peers = (C, COMPILED, PORTABLE)
     quantities = {
-        "late ticks, %": ("late_percent", ".2f"),
+        "deadline misses, %": ("late_percent", ".2f"),
         "oldest force, samples": ("oldest_force_samples", ".0f"),
         "exchange, p99, µs": ("exchange_p99_us", ".0f"),
     }

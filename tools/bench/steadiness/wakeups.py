@@ -56,9 +56,9 @@ def has_cyclictest() -> bool:
 
 def sleep_here(rate_hz: int, seconds: float, priority: int, cpu: int) -> dict[str, Any]:
     """The compiled loop's sleep, in this process."""
-    from hapsim.doctor.wakeups import wake_up_lateness
+    from hapsim.doctor.wakeups import wake_up_latency
 
-    wake_up_lateness(1000.0, 0.01)  # compiles
+    wake_up_latency(1000.0, 0.01)  # compiles
     everywhere = os.sched_getaffinity(0)
     # The thread that sleeps is made by this one, and is as this one is.
     os.sched_setaffinity(0, {cpu})
@@ -70,7 +70,7 @@ def sleep_here(rate_hz: int, seconds: float, priority: int, cpu: int) -> dict[st
         os.sched_setaffinity(0, everywhere)
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 
-    spread = wake_up_lateness(float(rate_hz), seconds, step_aside).spread()
+    spread = wake_up_latency(float(rate_hz), seconds, step_aside).spread()
     quantiles = {"p50": spread.p50, "p99": spread.p99, "max": spread.max}
     return {"lateness_ns": {name: 1e9 * (value or 0.0) for name, value in quantiles.items()}}
 

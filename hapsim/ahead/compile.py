@@ -1,7 +1,7 @@
 """What can be compiled before a run needs it, in two processes side by side.
 
 A run needs the loop and, where the device is a mock in this process, that; neither knows the other. Beside them there
-is what scenes are made of. `python -m hapsim.compiling.ahead mock` is the second process: it prints the name of each
+is what scenes are made of. `python -m hapsim.ahead.compile mock` is the second process: it prints the name of each
 function as it begins, and leaves what it compiled where the first finds it.
 """
 
@@ -40,7 +40,8 @@ class _Modules(NamedTuple):
     precision: str
 
     def address(self) -> None:
-        from hapsim.compiling.every_module import scenes_with_every_module
+        """Compiles them, or loads them, by asking each for its address."""
+        from hapsim.ahead.every_module import scenes_with_every_module
         from hapsim.cordis.program import compile_scene
         from hapsim.cordis.succession import take_over_from
 
@@ -90,9 +91,10 @@ def _mock() -> list[_Entry | PlainNative]:
     from hapsim.device.mock.firmware import FUNCTIONS, MOCK
     from hapsim.device.mock.motion import move_gliding
     from hapsim.device.mock.serve import SERVICE, serve
+    from hapsim.device.mock.transmitter import receive, send
 
     serving = _Entry(serve, (new_record(MOCK), new_record(SERVICE)))
-    return [*FUNCTIONS.values(), move_gliding, serving]
+    return [*FUNCTIONS.values(), move_gliding, receive, send, serving]
 
 
 def _loopback() -> list[PlainNative]:
@@ -107,6 +109,13 @@ def _motion() -> list[PlainNative]:
     from hapsim.device.mock.motion import move_free, move_on_spring
 
     return [move_free, move_on_spring]
+
+
+def _wire() -> list[PlainNative]:
+    from hapsim.device.mock import uart
+    from hapsim.device.mock.late_force import take_late_force
+
+    return [take_late_force, uart.receive, uart.send]
 
 
 def _changes() -> list[_Entry | PlainNative]:
@@ -136,6 +145,7 @@ UNITS: dict[str, Unit] = {
     "mock": Unit(45, _mock, beside=True, calls_system=True),
     "loopback": Unit(39, _loopback, beside=True),
     "motion": Unit(12, _motion, beside=True),
+    "wire": Unit(14, _wire, beside=True, calls_system=True),
     "changes": Unit(8, _changes),
     "portable": Unit(40, _portable, beside=True),
     "modules": Unit(130, lambda: [_Modules("double")]),
@@ -186,7 +196,7 @@ def _beside(names: Sequence[str], heard: Callable[[str], None]) -> Iterator[Call
 def _start_compiling(names: Sequence[str]) -> subprocess.Popen[str] | None:
     """The process; None where Python cannot be started a second time, as when it stands inside another program."""
     # What stands beside a user's scenes is no module of ours: -P keeps it out, and the paths are this process's own.
-    command = [sys.executable or "", "-P", "-m", "hapsim.compiling.ahead", *names]
+    command = [sys.executable or "", "-P", "-m", "hapsim.ahead.compile", *names]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
     streams: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
     try:

@@ -7,18 +7,19 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from hapsim.compiling.ahead import UNITS, compile_ahead
+from hapsim.ahead.compile import UNITS, compile_ahead
 from hapsim.compiling.entries import directory_of_kept_code
 from hapsim.compiling.progress import Counted, on_compilation
 from hapsim.cordis.program import compile_scene
 from hapsim.device.mock.assemble import assemble_mock
 from hapsim.device.open_connection import Place, place_of_device
 from hapsim.loop.only_linux import missing_calls
+from hapsim.prediction.wire import wire_of
 from hapsim.progress import Progress
 from hapsim.scene import Scene
 
 MOCK_UNITS: dict[Place, tuple[str, ...]] = {"port": (), "terminal": ("port", "mock"), "loopback": ("loopback",)}
-"""What a device takes beside the loop, by where it is; its names are those of hapsim.compiling.ahead."""
+"""What a device takes beside the loop, by where it is; its names are those of hapsim.ahead.compile."""
 
 
 @dataclass(frozen=True)
@@ -36,6 +37,8 @@ def prepare(scenes: Sequence[Scene] = (), on_progress: Callable[[Progress], None
     scene could need. Afterwards nothing is compiled at their start."""
     places = {place_of_device(scene) for scene in scenes}
     names = {"loop", "port", "changes"}.union(*(MOCK_UNITS[place] for place in places)) if scenes else set(UNITS)
+    if any(wire_of(scene) == "mock" for scene in scenes):
+        names.add("wire")
     if missing_calls():
         names = {name for name in names if not UNITS[name].calls_system} | {"portable"}
     begun = time.monotonic()

@@ -1,0 +1,70 @@
+#include "cycles.h"
+
+#include <sim_interrupts.h>
+
+#define GPIOR2 0x4b
+
+typedef struct {
+    const char *what;
+    uint8_t vector; /* 0: between two writes to GPIOR2 */
+    avr_cycle_count_t begun, most, sum;
+    unsigned long times;
+} stretch;
+
+static avr_t *chip;
+static stretch stretches[] = {
+    {"a byte received, its interrupt", 18, 0, 0, 0, 0},
+    {"a byte sent, its interrupt", 19, 0, 0, 0, 0},
+    {"a tick, with what interrupts it", 11, 0, 0, 0, 0},
+    {"a byte within a frame, main loop", 0, 0, 0, 0, 0},
+    {"a frame's last byte, main loop, with what interrupts it", 0, 0, 0, 0, 0},
+};
+enum { KINDS = sizeof stretches / sizeof *stretches, BYTE = 3, FRAME = 4, MANY = 1000 };
+
+static void add(stretch *one, avr_cycle_count_t cycles) {
+    one->times++;
+    one->sum += cycles;
+    one->most = cycles > one->most ? cycles : one->most;
+}
+
+static void on_interrupt(avr_irq_t *irq, uint32_t begins, void *which) {
+    stretch *one = which;
+    (void)irq;
+    if (begins) {
+        one->begun = chip->cycle;
+    } else if (one->begun) {
+        add(one, chip->cycle - one->begun);
+        one->begun = 0;
+    }
+}
+
+/* A frame's check takes so much longer than a byte that the two cannot be taken for each other. */
+static void on_gpior2(avr_t *avr, avr_io_addr_t address, uint8_t value, void *unused) {
+    static avr_cycle_count_t begun;
+    (void)unused;
+    avr->data[address] = value;
+    if (value) {
+        begun = avr->cycle;
+    } else {
+        const avr_cycle_count_t cycles = avr->cycle - begun;
+        add(&stretches[cycles > MANY ? FRAME : BYTE], cycles);
+    }
+}
+
+void watch_cycles(avr_t *avr) {
+    chip = avr;
+    for (int i = 0; i < BYTE; i++) {
+        avr_irq_t *irq = avr_get_interrupt_irq(avr, stretches[i].vector);
+        avr_irq_register_notify(irq + AVR_INT_IRQ_RUNNING, on_interrupt, &stretches[i]);
+    }
+    avr_register_io_write(avr, GPIOR2, on_gpior2, NULL);
+}
+
+void tell_cycles(FILE *to) {
+    fprintf(to, "%-56s %8s %8s %8s\n", "cycles", "times", "mean", "most");
+    for (int i = 0; i < KINDS; i++) {
+        const stretch *one = &stretches[i];
+        fprintf(to, "%-56s %8lu %8lu %8lu\n", one->what, one->times,
+                (unsigned long)(one->times ? one->sum / one->times : 0), (unsigned long)one->most);
+    }
+}

@@ -1,0 +1,11 @@
+/* How many cycles the firmware's interrupts and its main loop take, looked at from outside of the chip. */
+#ifndef CYCLES_H
+#define CYCLES_H
+
+#include <sim_avr.h>
+#include <stdio.h>
+
+void watch_cycles(avr_t *avr);
+void tell_cycles(FILE *to);
+
+#endif

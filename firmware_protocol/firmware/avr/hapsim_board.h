@@ -1,0 +1,9 @@
+#ifndef HAPSIM_BOARD_H
+#define HAPSIM_BOARD_H
+
+#include "../simulated/simulated_board.h"
+
+#define HAPSIM_BOARD_NAME "hapsim avr"
+#define HAPSIM_BOARD_PERIOD_TICKS 2000ul /* the clock counts half microseconds: timer 1 behind its prescaler of 8 */
+
+#endif

@@ -1,0 +1,203 @@
+/* Runs the AVR firmware on simavr: `run_avr FIRMWARE.hex [LOG]` joins UART 0 to a pseudo-terminal, prints its path, and
+ * keeps the emulated clock at real time until it is stopped.
+ *
+ * The emulated clock never runs ahead of it. Where this machine was held up for longer than a sample, that time is lost:
+ * a burst of samples would help nobody. LOG: each change of the force put out, a line of two hexadecimal words:
+ * microseconds of the emulated clock, and counts. At the end it tells how many cycles the firmware's parts took.
+ */
+#define _GNU_SOURCE
+#include "cycles.h"
+#include "terminal.h"
+
+#include <avr_uart.h>
+#include <fcntl.h>
+#include <poll.h>
+#include <signal.h>
+#include <sim_avr.h>
+#include <sim_hex.h>
+#include <sim_io.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/prctl.h>
+#include <time.h>
+#include <unistd.h>
+
+#define CHIP "atmega328p"
+#define CYCLES_PER_US 16u
+#define SLICE_US 100
+#define MOST_BEHIND_US 1000
+#define BYTES_PER_SLICE 20 /* of 2 Mbaud */
+#define GPIOR0 0x3e
+#define GPIOR1 0x4a
+
+static avr_t *avr;
+static avr_irq_t *to_uart;
+static int port, log_file = -1;
+static uint32_t shifted, force;
+static uint8_t unsent[4096];
+static size_t unsent_bytes;
+static void (*reset_chip)(avr_t *);
+static volatile sig_atomic_t stopped;
+
+static void stop(int number) {
+    (void)number;
+    stopped = 1;
+}
+
+static void note_force(uint32_t counts) {
+    char line[32];
+    const int length = snprintf(line, sizeof line, "%08lx %08lx\n",
+                                (unsigned long)(uint32_t)(avr->cycle / CYCLES_PER_US), (unsigned long)counts);
+    if (counts != force && log_file >= 0 && write(log_file, line, (size_t)length) != length) {
+        log_file = -1;
+    }
+    force = counts;
+}
+
+static void on_gpior0(avr_t *chip, avr_io_addr_t address, uint8_t value, void *unused) {
+    (void)unused;
+    chip->data[address] = value;
+    shifted = shifted >> 8 | (uint32_t)value << 24;
+}
+
+static void on_gpior1(avr_t *chip, avr_io_addr_t address, uint8_t value, void *unused) {
+    (void)unused;
+    chip->data[address] = value;
+    note_force(shifted);
+}
+
+/* The converter has a reset pin of its own, which the chip's reset pulls. */
+static void on_reset(avr_t *chip) {
+    shifted = 0;
+    note_force(0);
+    if (reset_chip) {
+        reset_chip(chip);
+    }
+}
+
+static void on_byte(avr_irq_t *irq, uint32_t byte, void *unused) {
+    (void)irq, (void)unused;
+    if (unsent_bytes < sizeof unsent) {
+        unsent[unsent_bytes++] = (uint8_t)byte;
+    }
+}
+
+/* What the terminal does not take is lost, as on a wire that nobody listens to. */
+static void send_bytes(void) {
+    if (unsent_bytes > 0 && write(port, unsent, unsent_bytes) < 0) {
+        unsent_bytes = 0;
+    }
+    unsent_bytes = 0;
+}
+
+static void receive_bytes(void) {
+    uint8_t bytes[BYTES_PER_SLICE];
+    const ssize_t count = read(port, bytes, sizeof bytes);
+    for (ssize_t i = 0; i < count; i++) {
+        avr_raise_irq(to_uart, bytes[i]);
+    }
+}
+
+/* A sleeping chip goes on to its next timer at once: time is kept below. */
+static void sleep_for(avr_t *chip, avr_cycle_count_t cycles) {
+    (void)chip, (void)cycles;
+}
+
+/* Only so that a sleeping chip does not go beyond the slice. */
+static avr_cycle_count_t end_of_slice(avr_t *chip, avr_cycle_count_t when, void *unused) {
+    (void)chip, (void)when, (void)unused;
+    return 0;
+}
+
+static int64_t now_us(void) {
+    struct timespec now;
+    clock_gettime(CLOCK_MONOTONIC, &now);
+    return now.tv_sec * 1000000ll + now.tv_nsec / 1000;
+}
+
+static void wait_until(int64_t us) {
+    const struct timespec until = {us / 1000000, us % 1000000 * 1000};
+    clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &until, NULL);
+}
+
+static int load(const char *file) {
+    uint32_t size = 0, start = 0;
+    uint8_t *code = read_ihex_file(file, &size, &start);
+    avr = avr_make_mcu_by_name(CHIP);
+    if (!code || !avr) {
+        return -1;
+    }
+    avr_init(avr);
+    avr->frequency = CYCLES_PER_US * 1000000u;
+    avr->log = LOG_ERROR;
+    avr->sleep = sleep_for;
+    reset_chip = avr->reset;
+    avr->reset = on_reset;
+    avr_loadcode(avr, code, size, start);
+    avr->codeend = size + start;
+    free(code);
+    return 0;
+}
+
+static void connect_pins(void) {
+    uint32_t flags = 0;
+    avr_ioctl(avr, AVR_IOCTL_UART_SET_FLAGS('0'), &flags); /* neither printed nor slept upon */
+    to_uart = avr_io_getirq(avr, AVR_IOCTL_UART_GETIRQ('0'), UART_IRQ_INPUT);
+    avr_irq_register_notify(avr_io_getirq(avr, AVR_IOCTL_UART_GETIRQ('0'), UART_IRQ_OUTPUT), on_byte, NULL);
+    avr_register_io_write(avr, GPIOR0, on_gpior0, NULL);
+    avr_register_io_write(avr, GPIOR1, on_gpior1, NULL);
+}
+
+static int run(void) {
+    avr_cycle_count_t target = avr->cycle;
+    int64_t due = now_us();
+    while (!stopped) {
+        target += SLICE_US * CYCLES_PER_US;
+        due += SLICE_US;
+        if (target > avr->cycle) {
+            avr_cycle_timer_register(avr, target - avr->cycle, end_of_slice, NULL);
+        }
+        while (avr->cycle < target) {
+            const int state = avr_run(avr);
+            if (state == cpu_Done || state == cpu_Crashed) {
+                fprintf(stderr, "the firmware crashed\n");
+                return 1;
+            }
+        }
+        send_bytes();
+        wait_until(due);
+        if (now_us() > due + MOST_BEHIND_US) {
+            due = now_us() - MOST_BEHIND_US;
+        }
+        receive_bytes();
+    }
+    return 0;
+}
+
+int main(int count, char **words) {
+    char path[64];
+    if (count < 2 || load(words[1]) != 0) {
+        fprintf(stderr, "usage: run_avr FIRMWARE.hex [LOG]\n");
+        return 2;
+    }
+    port = open_terminal(path, sizeof path);
+    if (port < 0) {
+        fprintf(stderr, "no pseudo-terminal is to be had\n");
+        return 3;
+    }
+    if (count > 2) {
+        log_file = open(words[2], O_WRONLY | O_CREAT | O_TRUNC, 0666);
+    }
+    signal(SIGTERM, stop);
+    signal(SIGINT, stop);
+    prctl(PR_SET_TIMERSLACK, 1);
+    connect_pins();
+    watch_cycles(avr);
+    printf("%s\n", path);
+    fflush(stdout);
+    const int status = run();
+    note_force(0);
+    tell_cycles(stderr);
+    return status;
+}

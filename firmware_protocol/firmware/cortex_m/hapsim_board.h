@@ -1,0 +1,9 @@
+#ifndef HAPSIM_BOARD_H
+#define HAPSIM_BOARD_H
+
+#include "../simulated/simulated_board.h"
+
+#define HAPSIM_BOARD_NAME "hapsim cortex-m"
+#define HAPSIM_BOARD_PERIOD_TICKS 25000ul /* the clock counts cycles of 25 MHz */
+
+#endif

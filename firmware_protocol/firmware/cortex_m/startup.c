@@ -1,0 +1,40 @@
+/* From reset to main: memory as C expects it, and the vectors. */
+#include <stdint.h>
+
+int main(void);
+void on_systick(void);
+void on_uart0_received(void);
+void on_uart0_sent(void);
+void on_timer1(void);
+void reset(void);
+
+extern uint32_t data_begin, data_end, data_in_flash, bss_begin, bss_end, stack_top;
+
+void reset(void) {
+    const uint32_t *from = &data_in_flash;
+    for (uint32_t *to = &data_begin; to < &data_end;) {
+        *to++ = *from++;
+    }
+    for (uint32_t *to = &bss_begin; to < &bss_end;) {
+        *to++ = 0;
+    }
+    main();
+}
+
+/* A fault, or the watchdog's first warning: it stays here until the watchdog resets the chip. */
+static void stay(void) {
+    for (;;) {
+    }
+}
+
+typedef void (*vector)(void);
+typedef struct {
+    uint32_t *stack;
+    vector handlers[31];
+} vector_table;
+
+__attribute__((section(".vectors"), used)) const vector_table vectors = {
+    &stack_top,
+    {reset, stay, stay, stay, stay, stay, 0, 0, 0, 0, stay, stay, 0, stay, on_systick, on_uart0_received, on_uart0_sent,
+     stay, stay, stay, stay, stay, stay, stay, on_timer1},
+};

@@ -1,0 +1,323 @@
+#include "hapsim_device.h"
+
+#include "hapsim_board.h"
+#include "hapsim_port.h"
+
+#define CHANNELS HAPSIM_BOARD_CHANNELS
+#define WORDS (2 * CHANNELS) /* of the longest payload: positions and velocities */
+
+#if HAPSIM_BOARD_CHANNELS < 1 || HAPSIM_BOARD_CHANNELS > 16
+#error "HAPSIM_BOARD_CHANNELS: the protocol carries 1 to 16 channels"
+#endif
+#if HAPSIM_BOARD_PACINGS & ~3
+#error "HAPSIM_BOARD_PACINGS: bit 0 (device) and bit 1 (host); lockstep is not for a device with a motor"
+#endif
+#if HAPSIM_BOARD_MAX_WATCHDOG < 1 || HAPSIM_BOARD_MAX_WATCHDOG > 2047
+#error "HAPSIM_BOARD_MAX_WATCHDOG: 1 to 2047 samples, so that an age is never ambiguous"
+#endif
+#if HAPSIM_BOARD_PERIOD_TICKS < 1 || HAPSIM_BOARD_PERIOD_TICKS > 1000000
+#error "HAPSIM_BOARD_PERIOD_TICKS: 2048 periods have to fit 31 bits of the clock; choose a slower one"
+#endif
+
+static const hapsim_f64 rate = HAPSIM_BOARD_RATE;
+static const hapsim_f64 position_scale[CHANNELS] = HAPSIM_BOARD_POSITION_SCALE;
+static const hapsim_f64 force_scale[CHANNELS] = HAPSIM_BOARD_FORCE_SCALE;
+static const hapsim_f64 force_limit[CHANNELS] = HAPSIM_BOARD_FORCE_LIMIT;
+static const hapsim_f64 velocity_scale[CHANNELS] = HAPSIM_BOARD_VELOCITY_SCALE;
+static const int32_t limit_counts[CHANNELS] = HAPSIM_BOARD_FORCE_LIMIT_COUNTS;
+static const char name[4 * HAPSIM_NAME_WORDS + 1] = HAPSIM_BOARD_NAME;
+
+/* Only the bytes touch the decoder. Everything else belongs to the tick too: the bytes hold it off meanwhile. */
+static hapsim_decoder decoder;
+
+static struct {
+    hapsim_format format; /* of what is said, and of what is listened to from the next byte on */
+    bool listen_anew;     /* the decoder does not know of it yet */
+    uint8_t state, fault, pacing;
+    uint32_t sample;   /* that lasts now; all sample numbers wrap at 32 bits and are compared by difference */
+    uint32_t answered; /* the sample that the newest accepted force answers, */
+    uint32_t expires;  /* the last one in which that force may act, */
+    uint32_t heard;    /* and the one in which it came */
+    uint32_t heard_at; /* the same by the clock, and for how long it may act by the clock, in periods */
+    uint16_t lives;
+    bool released; /* paced by the host: within this sample the time to live ran out */
+    uint16_t watchdog;
+    uint32_t accepted, held, expired, limited;
+    int32_t force[CHANNELS]; /* commanded for the sample that lasts */
+} device;
+
+static void put_zero(void) {
+    memset(device.force, 0, sizeof device.force);
+    hapsim_port_put_forces(device.force);
+}
+
+static void use_format(hapsim_format format) {
+    device.format = format;
+    device.listen_anew = true;
+}
+
+/* A frame that finds no room is lost, as on a wire: nothing here waits. */
+static void say(uint8_t type, uint32_t number, const int32_t *payload) {
+    uint8_t out[1 + 2 + 4 * WORDS + 5 + 1];
+    (void)hapsim_port_write(out, hapsim_write_to_host(&device.format, out, type, (uint16_t)(number & 0xFFFu), payload));
+}
+
+static void say_status(void) {
+    int32_t payload[WORDS] = {0};
+    payload[0] = (int32_t)(device.state | (uint16_t)device.fault << 8);
+    say(HAPSIM_STATUS, device.sample, payload);
+}
+
+/* The force first, talking about it afterwards; in the armed format, which the host still listens to. */
+static void latch(uint8_t fault) {
+    put_zero();
+    device.state = HAPSIM_LATCHED;
+    device.fault = fault;
+    say_status();
+    use_format(hapsim_setup_format());
+}
+
+static void release(void) {
+    put_zero();
+    device.state = HAPSIM_IDLE;
+    use_format(hapsim_setup_format());
+    say_status();
+}
+
+static void say_position(uint8_t type) {
+    int32_t payload[WORDS] = {0};
+    const uint8_t fault = hapsim_port_measure(payload, device.format.velocity);
+    if (fault != HAPSIM_NO_FAULT) {
+        latch(fault);
+    } else {
+        say(type, device.sample, payload);
+    }
+}
+
+/* The sample that lasts ends: its command acts from now on, and the host hears what was measured. */
+static void end_sample(void) {
+    const bool heard = device.heard == device.sample;
+    const bool fresh = heard && device.answered == device.sample && !device.released;
+    device.held += !fresh;
+    if (!heard && (HAPSIM_BOARD_IMPULSE || (int32_t)(device.sample - device.expires) > 0)) {
+        memset(device.force, 0, sizeof device.force);
+    }
+    hapsim_port_put_forces(device.force);
+    device.sample++;
+    say_position(fresh ? HAPSIM_POSITION : HAPSIM_POSITION_HELD);
+}
+
+/* No tick comes while the host that paces is silent, so both its force and its watchdog end by the device's own clock. */
+static void look_at_clock(void) {
+    const uint32_t quiet = hapsim_port_now() - device.heard_at;
+    if (device.state != HAPSIM_ARMED || device.pacing != HAPSIM_PACED_BY_HOST) {
+        return;
+    }
+    if (quiet >= (device.watchdog + 1ul) * HAPSIM_BOARD_PERIOD_TICKS) {
+        latch(HAPSIM_HOST_QUIET);
+    } else if (device.lives > 0 && quiet > (uint32_t)device.lives * HAPSIM_BOARD_PERIOD_TICKS) {
+        device.lives = 0;
+        device.released = true;
+        put_zero();
+    }
+}
+
+static int32_t within(int32_t force, int32_t limit) {
+    if (force > limit || force < -limit) {
+        device.limited++;
+        return force > 0 ? limit : -limit;
+    }
+    return force;
+}
+
+static void take_force(void) {
+    look_at_clock(); /* which the main loop may not have come round to */
+    if (device.state != HAPSIM_ARMED) {
+        return;
+    }
+    const uint16_t age = hapsim_age(device.sample, decoder.number);
+    if (age > decoder.argument) {
+        device.expired++;
+        return;
+    }
+    device.accepted++;
+    device.answered = device.sample - age;
+    device.expires = device.answered + decoder.argument;
+    device.heard = device.sample;
+    device.heard_at = hapsim_port_now();
+    device.lives = (uint16_t)(decoder.argument + 1u);
+    for (uint8_t c = 0; c < CHANNELS; c++) {
+        device.force[c] = within(decoder.payload[c], limit_counts[c]);
+    }
+    if (device.pacing == HAPSIM_PACED_BY_HOST) {
+        end_sample();
+        device.released = false;
+    }
+}
+
+static bool senses_velocity(void) {
+    return (velocity_scale[0].low | velocity_scale[0].high) != 0;
+}
+
+static uint8_t refusal(void) {
+    const uint8_t pacing = decoder.argument & (HAPSIM_WITH_VELOCITY - 1);
+    if ((uint32_t)decoder.payload[0] != HAPSIM_SCHEMA_HASH) {
+        return HAPSIM_WRONG_SCHEMA;
+    }
+    if (pacing > HAPSIM_PACED_BY_HOST || !(HAPSIM_BOARD_PACINGS >> pacing & 1)) {
+        return HAPSIM_WRONG_PACING;
+    }
+    if ((decoder.argument & HAPSIM_WITH_VELOCITY) && !senses_velocity()) {
+        return HAPSIM_WRONG_SENSING;
+    }
+    if (decoder.number < 1 || decoder.number > HAPSIM_BOARD_MAX_WATCHDOG) {
+        return HAPSIM_WRONG_WATCHDOG;
+    }
+    return HAPSIM_NO_FAULT;
+}
+
+static void begin_counting(void) {
+    device.sample = 0;
+    device.answered = device.expires = device.heard = device.sample - 1;
+    device.lives = 0;
+    device.released = false;
+    device.accepted = device.held = device.expired = device.limited = 0;
+    decoder.crc_errors = decoder.length_errors = decoder.form_errors = 0;
+}
+
+static void arm(void) {
+    device.fault = refusal();
+    device.sample = 0;
+    if (device.fault != HAPSIM_NO_FAULT) {
+        say_status();
+        return;
+    }
+    put_zero();
+    begin_counting();
+    device.pacing = decoder.argument & (HAPSIM_WITH_VELOCITY - 1);
+    device.watchdog = decoder.number;
+    device.state = HAPSIM_ARMED;
+    say_status();
+    use_format(hapsim_armed_format(CHANNELS, (decoder.argument & HAPSIM_WITH_VELOCITY) != 0));
+    hapsim_port_begin();
+    device.heard_at = hapsim_port_now();
+    say_position(HAPSIM_POSITION);
+}
+
+static void describe(void) {
+    const int32_t value = (int32_t)hapsim_device_register(decoder.number);
+    say(HAPSIM_DESCRIPTION, decoder.number, &value);
+}
+
+static void act(void) {
+    if (device.listen_anew) {
+        return; /* the tick latched while this frame was read: it is of a format that is over */
+    }
+    if (decoder.type == HAPSIM_DISARM) {
+        release();
+    } else if (device.state == HAPSIM_ARMED) {
+        if (decoder.type == HAPSIM_FORCE) {
+            take_force();
+        }
+    } else if (decoder.type == HAPSIM_ARM) {
+        arm();
+    } else if (decoder.type == HAPSIM_DESCRIBE) {
+        describe();
+    }
+}
+
+void hapsim_device_init(void) {
+    memset(&device, 0, sizeof device);
+    hapsim_decoder_init(&decoder);
+    device.format = hapsim_setup_format();
+    put_zero();
+}
+
+void hapsim_device_take_byte(uint8_t byte) {
+    if (device.listen_anew) {
+        hapsim_port_hold_tick();
+        device.listen_anew = false;
+        hapsim_use_format(&decoder, device.format);
+        hapsim_port_let_tick();
+    }
+    /* The check of a whole frame takes long on a small processor: the tick comes in between. */
+    if (hapsim_take_byte(&decoder, byte)) {
+        hapsim_port_hold_tick();
+        act();
+        hapsim_port_let_tick();
+    }
+}
+
+void hapsim_device_tick(void) {
+    hapsim_port_feed_watchdog();
+    if (device.state != HAPSIM_ARMED || device.pacing != HAPSIM_PACED_BY_DEVICE) {
+        look_at_clock();
+        return;
+    }
+    end_sample();
+    /* Last in the tick: position n goes out, and then the status that says that it was the last one. */
+    if (device.state == HAPSIM_ARMED && device.sample - device.heard > device.watchdog) {
+        latch(HAPSIM_HOST_QUIET);
+    }
+}
+
+bool hapsim_device_look(void) {
+    hapsim_port_hold_tick();
+    look_at_clock();
+    const bool again = device.state == HAPSIM_ARMED && device.pacing == HAPSIM_PACED_BY_HOST;
+    hapsim_port_let_tick();
+    return again;
+}
+
+uint8_t hapsim_device_state(void) {
+    return device.state;
+}
+
+static uint32_t half(const hapsim_f64 *value, uint16_t high) {
+    return high ? value->high : value->low;
+}
+
+static uint32_t channel_register(uint16_t number) {
+    const uint16_t c = (uint16_t)(number - HAPSIM_REG_CHANNEL) / HAPSIM_CHANNEL_WORDS;
+    const uint16_t field = (uint16_t)(number - HAPSIM_REG_CHANNEL) % HAPSIM_CHANNEL_WORDS;
+    if (c >= CHANNELS) {
+        return 0;
+    }
+    switch (field & ~1u) {
+    case HAPSIM_REG_POSITION_SCALE: return half(&position_scale[c], field & 1u);
+    case HAPSIM_REG_FORCE_SCALE: return half(&force_scale[c], field & 1u);
+    case HAPSIM_REG_FORCE_LIMIT: return half(&force_limit[c], field & 1u);
+    default: return half(&velocity_scale[c], field & 1u);
+    }
+}
+
+static uint32_t name_register(uint16_t number) {
+    const char *at = name + 4 * (number - HAPSIM_REG_NAME);
+    return (uint8_t)at[0] | (uint32_t)(uint8_t)at[1] << 8 | (uint32_t)(uint8_t)at[2] << 16 |
+           (uint32_t)(uint8_t)at[3] << 24;
+}
+
+uint32_t hapsim_device_register(uint16_t number) {
+    if (number >= HAPSIM_REG_CHANNEL) {
+        return channel_register(number);
+    }
+    if (number >= HAPSIM_REG_NAME && number < HAPSIM_REG_NAME + HAPSIM_NAME_WORDS) {
+        return name_register(number);
+    }
+    switch (number) {
+    case HAPSIM_REG_VERSION: return HAPSIM_VERSION;
+    case HAPSIM_REG_SCHEMA: return HAPSIM_SCHEMA_HASH;
+    case HAPSIM_REG_CHANNELS: return CHANNELS;
+    case HAPSIM_REG_PACINGS: return HAPSIM_BOARD_PACINGS;
+    case HAPSIM_REG_RATE: return rate.low;
+    case HAPSIM_REG_RATE + 1: return rate.high;
+    case HAPSIM_REG_MAX_WATCHDOG: return HAPSIM_BOARD_MAX_WATCHDOG;
+    case HAPSIM_REG_FAULT: return device.fault;
+    case HAPSIM_REG_ACCEPTED: return device.accepted;
+    case HAPSIM_REG_REJECTED: return decoder.crc_errors + decoder.length_errors + decoder.form_errors;
+    case HAPSIM_REG_HELD: return device.held;
+    case HAPSIM_REG_EXPIRED: return device.expired;
+    case HAPSIM_REG_LIMITED: return device.limited;
+    default: return 0;
+    }
+}

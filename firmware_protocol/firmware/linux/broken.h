@@ -1,0 +1,36 @@
+/* Devices that are broken on purpose, to see that what tests a device notices: -DHAPSIM_BROKEN_..., one of these. Those
+ * for which the state machine itself has to be wrong are made by linux/broken from a copy of it. */
+#ifndef BROKEN_H
+#define BROKEN_H
+
+#ifdef HAPSIM_BROKEN_SIGN
+#define BROKEN_FORCE(counts) (-(counts))
+#else
+#define BROKEN_FORCE(counts) (counts)
+#endif
+
+#ifdef HAPSIM_BROKEN_SCALE /* as where an encoder's edges are counted twice */
+#define BROKEN_POSITION(counts) ((int32_t)(2u * (uint32_t)(counts)))
+#else
+#define BROKEN_POSITION(counts) (counts)
+#endif
+
+#ifdef HAPSIM_BROKEN_RATE /* 2 % too fast */
+#define BROKEN_PERIOD(period) ((period) * 50 / 51)
+#else
+#define BROKEN_PERIOD(period) (period)
+#endif
+
+#ifdef HAPSIM_BROKEN_TRANSMITTER /* waits where it should drop */
+#define BROKEN_WAIT(port) (poll(&(struct pollfd){(port), POLLOUT, 0}, 1, 100), !stopped)
+#else
+#define BROKEN_WAIT(port) ((void)(port), false)
+#endif
+
+#ifdef HAPSIM_BROKEN_TICK /* half a second after arming the tick dies: the hardware watchdog has to see it */
+#define BROKEN_TICK() (hapsim_device_register(HAPSIM_REG_ACCEPTED) > 500)
+#else
+#define BROKEN_TICK() false
+#endif
+
+#endif

@@ -1,0 +1,56 @@
+/* Exact over one sample with a held force F: with p = b/m, the velocity decays by exp(-pT), the position lags by
+ * (1 - exp(-pT))/p. The constants are these numbers for m = 0.2 kg, b = 1 N s/m, T = 1 ms, in the units of
+ * simulated_mass.h, rounded to 32 bits; a test computes them anew.
+ *
+ *     velocity += PUSH_V F - DECAY velocity       DECAY  = 1 - exp(-pT)            PUSH_V = T (1 - exp(-pT))/b
+ *     position += velocity - LAG velocity         LAG    = 1 - (1 - exp(-pT))/(pT) PUSH_X = T LAG/b
+ *                 + PUSH_X F
+ */
+#include "simulated_mass.h"
+
+#define DECAY 2741918561u  /* 2^-39 */
+#define LAG 2744203492u    /* 2^-40 */
+#define PUSH_V 3509655758u /* 2^-22, from counts of force */
+#define PUSH_X 3512580470u /* 2^-23 */
+#define FLICK (100000ll << 24) /* 0.1 m/s */
+
+/* |value| * factor / 2^shift, 32 <= shift. By halves: two products of 32 bits are all that a small processor has. */
+static uint64_t share(uint64_t value, uint32_t factor, uint8_t shift) {
+    const uint64_t upper = (uint64_t)(uint32_t)(value >> 32) * factor;
+    const uint64_t lower = (uint64_t)(uint32_t)value * factor;
+    return (upper + (lower >> 32)) >> (shift - 32);
+}
+
+/* By magnitude, so that rounding goes towards zero on both sides and pushes nothing. */
+static int64_t part_of(int64_t value, uint32_t factor, uint8_t shift) {
+    return value < 0 ? -(int64_t)share((uint64_t)-value, factor, shift) : (int64_t)share((uint64_t)value, factor, shift);
+}
+
+static int64_t push(int32_t force, uint32_t factor, uint8_t shift) {
+    const uint32_t magnitude = force < 0 ? 0u - (uint32_t)force : (uint32_t)force;
+    const int64_t moved = (int64_t)((uint64_t)magnitude * factor >> shift);
+    return force < 0 ? -moved : moved;
+}
+
+void simulated_mass_flick(simulated_mass *mass) {
+    mass->position = 0;
+    mass->velocity = FLICK;
+}
+
+void simulated_mass_move(simulated_mass *mass, int32_t force) {
+    const int64_t velocity = mass->velocity;
+    mass->position += velocity - part_of(velocity, LAG, 40) + push(force, PUSH_X, 23);
+    mass->velocity += push(force, PUSH_V, 22) - part_of(velocity, DECAY, 39);
+}
+
+/* Shifts of negative numbers to the right keep the sign on every compiler that these boards have. */
+bool simulated_mass_position(const simulated_mass *mass, int32_t *counts) {
+    const int64_t rounded = (mass->position + (1l << 23)) >> 24;
+    *counts = (int32_t)rounded;
+    return rounded == *counts;
+}
+
+int32_t simulated_mass_velocity(const simulated_mass *mass) {
+    const int64_t rounded = (mass->velocity * 100 + (1l << 23)) >> 24;
+    return rounded > INT32_MAX ? INT32_MAX : rounded < INT32_MIN ? INT32_MIN : (int32_t)rounded;
+}

@@ -1,0 +1,26 @@
+/* A mass that the emulated boards move in place of an actuator and an encoder: 0.2 kg with 1 N s/m of viscous friction,
+ * which leaves its place at 0.1 m/s when the device is armed. The device of configs/first_touch.yaml, in integers. */
+#ifndef SIMULATED_MASS_H
+#define SIMULATED_MASS_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+/* On the wire: 1 nm, 10 nN, 10 nm/s per count. */
+typedef struct {
+    int64_t position; /* 2^-24 nm */
+    int64_t velocity; /* 2^-24 nm per sample of 1 ms */
+} simulated_mass;
+
+void simulated_mass_flick(simulated_mass *mass);
+
+/* One sample of 1 ms under a force in counts: exact for a force that is held, but for the rounding of integers. */
+void simulated_mass_move(simulated_mass *mass, int32_t force);
+
+/* In counts; false where it does not fit them. */
+bool simulated_mass_position(const simulated_mass *mass, int32_t *counts);
+
+/* In counts; one that does not fit stops at the end of them. */
+int32_t simulated_mass_velocity(const simulated_mass *mass);
+
+#endif

@@ -1,0 +1,51 @@
+"""`hapsim check`."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from hapsim.commands.arguments import Json, SceneFile, load, stderr, stdout
+
+if TYPE_CHECKING:
+    from hapsim.cordis.explain import Explanation
+    from hapsim.scene import Scene
+
+
+def check(
+    scene: SceneFile,
+    json: Json = False,
+    explain: Annotated[
+        bool,
+        typer.Option("--explain", help="Compile the scene too: what is kept of it, what that costs."),
+    ] = False,
+) -> None:
+    """Predict, without running: stable or not, what the hand will feel, every mode, what the wire costs."""
+    from hapsim.prediction import predict, predict_on_wire
+
+    loaded = load(scene)
+    with stderr().status("working out the modes and how much each link may grow"):
+        prediction = predict(loaded)
+        on_wire = predict_on_wire(loaded)
+    explanation = _explanation(loaded) if explain else None
+    if json:
+        from hapsim.console.as_json import document, prediction_document
+
+        compiled = {} if explanation is None else {"compiled": explanation.as_document()}
+        print(document({"scene": scene} | prediction_document(prediction, on_wire=on_wire) | compiled))
+        return
+    from hapsim.console.tables import show_prediction
+
+    show_prediction(stdout(), scene, prediction, on_wire)
+    if explanation is not None:
+        from hapsim.console.explained import show_explanation
+
+        show_explanation(stdout(), explanation)
+
+
+def _explanation(scene: Scene) -> Explanation:
+    from hapsim.cordis.explain import explain
+
+    with stderr().status("compiling") as status:
+        return explain(scene, lambda part: status.update(f"compiling and timing {part}"))

@@ -1,0 +1,163 @@
+"""`hapsim frames`: what is on the wire, read by people."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import stat
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from hapsim.commands.arguments import Json, complain, seconds_above_zero, stderr
+from hapsim.errors import DeviceError, UsageError
+
+if TYPE_CHECKING:
+    from hapsim.device.capture import Capture, Decoded, Refused
+
+_SENDERS = {"host": (True,), "device": (False,), "both": (True, False)}
+_PIECE = 1 << 16
+_LONG = 1 << 22  # bytes: of a longer file it says how far it is
+_LOOK_S = 0.2  # how often a silent port or pipe is left to see whether it is enough
+
+Piece = tuple[bytes, float | None]
+
+
+def frames(
+    source: Annotated[
+        str, typer.Argument(metavar="FILE|PORT", help="A capture, raw bytes; - for standard input; or a serial port.")
+    ],
+    sender: Annotated[
+        str, typer.Option("--from", metavar="WHO", help="Whose frames to look for: host, device or both.")
+    ] = "both",
+    hex_too: Annotated[bool, typer.Option("--hex", help="Show the bytes of every frame too.")] = False,
+    baud: Annotated[int, typer.Option(min=1, max=100_000_000, help="Of a port, bit/s.")] = 2_000_000,
+    duration: Annotated[
+        float | None,
+        typer.Option(metavar="S", callback=seconds_above_zero, help="Listen to a port for so long; else until Ctrl-C."),
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Decode a capture of the wire, or listen at a port without sending: every frame field by field, and what is
+    refused."""
+    if sender not in _SENDERS:
+        raise UsageError(f"--from: found '{sender}', expected host, device or both")
+    from hapsim.console.frames import JsonDocument, counters_of, entry_of, summary_of, text_of
+    from hapsim.device.capture import Capture
+    from hapsim.running.signals import stopping_on_signals
+
+    capture = Capture(_SENDERS[sender])
+    document = JsonDocument(sys.stdout.write, source) if json else None
+    stopped: list[bool] = []
+
+    def show(found: Decoded | Refused, time_s: float | None) -> None:
+        entry = entry_of(capture, found, time_s, hex_too)
+        if document is not None:
+            document.add(entry)
+        else:
+            print(text_of(entry))
+
+    with (
+        _pieces_of(source, baud, duration, lambda: bool(stopped)) as pieces,
+        stopping_on_signals(lambda: stopped.append(True)),
+    ):
+        failure = _decode(capture, pieces, show)
+        if document is None:
+            print(summary_of(capture))
+        else:
+            error = {} if failure is None else {"error": str(failure), "exit_status": failure.exit_status}
+            document.close({"counters": counters_of(capture), "stopped": bool(stopped)} | error)
+    if failure is not None:
+        complain(failure)  # its document is written
+        raise typer.Exit(failure.exit_status)
+
+
+def _decode(
+    capture: Capture, pieces: Iterator[Piece], show: Callable[[Decoded | Refused, float | None], None]
+) -> DeviceError | None:
+    """Shows what there is to the end, which may be that the port went away: that is returned."""
+    failure, time_s = None, None
+    try:
+        for data, time_s in pieces:
+            for found in capture.feed(data):
+                show(found, time_s)
+            if time_s is not None:
+                sys.stdout.flush()
+    except DeviceError as error:
+        failure = error
+    for found in capture.finish():
+        show(found, time_s)
+    return failure
+
+
+@contextlib.contextmanager
+def _pieces_of(
+    source: str, baud: int, duration: float | None, stopped: Callable[[], bool]
+) -> Iterator[Iterator[Piece]]:
+    """The bytes of a file, of standard input, or of a port, each with when it came, in s, where that is known.
+    UsageError and DeviceError with what to do where there are none."""
+    if source == "-":
+        yield _of_stream("standard input", sys.stdin.buffer, stopped)
+        return
+    try:
+        kind = Path(source).stat().st_mode
+    except OSError as error:
+        if sys.platform == "win32" and source.upper().startswith("COM"):
+            kind = stat.S_IFCHR
+        else:
+            raise UsageError(f"{source}: neither a file nor a port: {error.strerror}") from error
+    if stat.S_ISCHR(kind):
+        yield from _of_port(source, baud, duration, stopped)
+    elif stat.S_ISDIR(kind):
+        raise UsageError(f"{source}: found a directory, expected a capture (raw bytes) or a serial port")
+    else:
+        try:
+            with open(source, "rb") as stream:
+                yield _of_stream(source, stream, stopped)
+        except OSError as error:
+            raise UsageError(f"{source}: cannot be read: {error.strerror}") from error
+
+
+def _of_stream(name: str, stream: Any, stopped: Callable[[], bool]) -> Iterator[Piece]:
+    from hapsim.console.live import live_words
+
+    descriptor = stream.fileno()
+    status = os.fstat(descriptor)
+    regular = stat.S_ISREG(status.st_mode)
+    done = 0
+    with live_words(stderr()) if regular and status.st_size > _LONG else contextlib.nullcontext() as say:
+        while not stopped():
+            if not regular and not select.select([descriptor], [], [], _LOOK_S)[0]:
+                continue
+            data = os.read(descriptor, _PIECE)
+            if not data:
+                break
+            done += len(data)
+            if say is not None:
+                say(f"decoding {name}: {done / status.st_size:.0%}")
+            yield data, None
+    if not done and not stopped():
+        raise UsageError(f"{name}: found no bytes: the capture is empty")
+
+
+def _of_port(path: str, baud: int, duration: float | None, stopped: Callable[[], bool]) -> Iterator[Iterator[Piece]]:
+    import numpy as np
+
+    from hapsim.device.serial_port import open_portable_port
+
+    def listen() -> Iterator[Piece]:
+        buffer, begun = np.zeros(_PIECE, np.uint8), time.monotonic()
+        while not stopped() and (duration is None or time.monotonic() - begun < duration):
+            count = connection.transport.receive(buffer, round(_LOOK_S * 1e9))
+            if count < 0:
+                raise DeviceError(f"{path}: the port is gone")
+            if count:
+                yield buffer[:count].tobytes(), time.monotonic() - begun
+
+    with contextlib.closing(open_portable_port(path, baud)) as connection:
+        yield listen()

@@ -1,0 +1,148 @@
+"""`hapsim measure`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+
+import typer
+
+from hapsim.commands.arguments import (
+    Data,
+    Json,
+    MockFlag,
+    Port,
+    Record,
+    SceneFile,
+    TransportOption,
+    complain,
+    load,
+    require_files_writable,
+    say_written,
+    seconds_above_zero,
+    stderr,
+    stdout,
+    transport_kind,
+    warn,
+)
+from hapsim.console.sentences import say
+from hapsim.errors import RunError, UsageError
+
+if TYPE_CHECKING:
+    from hapsim.loop.trace import Trace
+    from hapsim.prediction import Prediction
+    from hapsim.scene import Scene
+
+
+def measure(
+    scene: SceneFile,
+    port: Port = None,
+    mock: MockFlag = False,
+    transport: TransportOption = None,
+    channel: Annotated[int | None, typer.Option(help="The channel whose hand is rung; left out: the first.")] = None,
+    duration: Annotated[
+        float | None, typer.Option(metavar="S", callback=seconds_above_zero, help="Seconds; left out: about two.")
+    ] = None,
+    picture: Annotated[Path | None, typer.Option(metavar="FILE", help="Draw the ring-down: .svg, .png, .pdf.")] = None,
+    data: Data = None,
+    record: Record = None,
+    json: Json = False,
+) -> None:
+    """Ring the hand, identify the spring and damper that it felt, and set them beside the prediction.
+
+    It pushes the hand: now and then, to one side and the other, with up to a quarter of the scene's force_limit.
+    """
+    from hapsim.console.as_json import felt_on
+    from hapsim.console.live import live_line
+    from hapsim.measuring.measure import measure as measure_scene
+    from hapsim.prediction import predict, predict_on_wire
+
+    loaded = load(scene, port)
+    require_files_writable(picture, data, record)
+    if channel is None:
+        channel = next(iter(loaded.device_points.values())).channel
+    prediction = predict(loaded, with_margins=False)
+    on_wire = None if prediction.wire_of == "none" else predict_on_wire(loaded)
+    felt = felt_on(prediction, channel)
+    why = next((prediction.coupled.get(n, "") for n, p in loaded.device_points.items() if p.channel == channel), "")
+    if felt is None and (picture is not None or data is not None):
+        raise UsageError(
+            f"a ring-down is drawn for a hand that is a spring and damper's alone; this one {why}: "
+            "leave out --picture and --data"
+        )
+    warn(loaded, prediction)
+    try:
+        with live_line(stderr()) as tell:
+            measurement = measure_scene(
+                loaded,
+                channel=channel,
+                duration=duration,
+                transport=transport_kind(mock, transport, port),
+                on_progress=tell,
+                stop_on_signals=True,
+            )
+    except RunError as error:
+        if error.trace is None:
+            raise
+        _tell_failed(scene, prediction, channel, error, error.trace, record, json)
+    if record is not None:
+        measurement.trace.save(record)
+    if picture is not None or data is not None:
+        _chart_ring_down(felt, measurement, picture, data)
+    if json:
+        from hapsim.console.as_json import document, measurement_document
+
+        print(document({"scene": scene} | measurement_document(prediction, measurement, channel, on_wire)))
+    else:
+        from hapsim.console.tables import show_assumptions
+        from hapsim.console.wire import show_wire
+
+        show_assumptions(stdout(), prediction)
+        _show_measured(loaded, channel, felt, why, measurement)
+        if on_wire is not None:
+            show_wire(stdout(), prediction, on_wire)
+        say_written(picture, data, record)
+    if measurement.failure is not None:
+        complain(measurement.failure)
+        raise typer.Exit(measurement.failure.exit_status)
+
+
+def _tell_failed(
+    scene: str, prediction: Prediction, channel: int, error: RunError, trace: Trace, record: Path | None, json: bool
+) -> NoReturn:
+    """Of a run that failed before anything could be identified: how it went, what was predicted, and why."""
+    if record is not None:
+        trace.save(record)
+    if json:
+        from hapsim.console.as_json import document, measured_document
+
+        print(document({"scene": scene} | measured_document(prediction, trace.report, channel, error)))
+    else:
+        from hapsim.console.tables import show_report
+
+        show_report(stdout(), trace.report)
+        say_written(record=record)
+    complain(error)
+    raise typer.Exit(error.exit_status)
+
+
+def _show_measured(scene: Scene, channel: int, felt: Any, why: str, measurement: Any) -> None:
+    from hapsim.console.tables import show_measurement, show_report
+
+    hands = {point.channel: name for name, point in scene.device_points.items()}
+    show_measurement(stdout(), f"{hands[channel]}, channel {channel}", felt, why, measurement)
+    others = ", ".join(f"--channel {c} for {name}" for c, name in hands.items() if c != channel)
+    if others:
+        say(f"Other hands of this scene: {others}.")
+    show_report(stdout(), measurement.trace.report)
+
+
+def _chart_ring_down(felt: Any, measurement: Any, picture: Path | None, data: Path | None) -> None:
+    from hapsim.chart.figure import save_columns
+    from hapsim.chart.ring_down import draw_ring_down, ring_down
+
+    drawn = ring_down(measurement.trace, felt)
+    if data is not None:
+        save_columns(drawn.columns(), data)
+    if picture is not None:
+        draw_ring_down(drawn, felt, (measurement.k, measurement.b), picture)

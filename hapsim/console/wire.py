@@ -1,0 +1,100 @@
+"""What the wire costs, and what bounds the force when the host dies, as `hapsim check` tells them."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from rich.console import Console
+
+from hapsim.prediction import HostSilence, WireTime, host_silence
+
+if TYPE_CHECKING:
+    from hapsim.prediction import Prediction
+
+
+def show_wire(out: Console, prediction: Prediction, on_wire: Prediction | None) -> None:
+    """What an exchange takes, and what that makes of the delay and of what the hand feels.
+
+    `on_wire`: predicted for the delay that results; None where the wire costs one sample, or is saturated.
+    """
+    budget = prediction.wire_time
+    verdict = "fits" if budget.fits else "[red]does not fit[/red]: a higher baud rate, or a lower rate"
+    out.print(f"\n{_time(prediction)}: {verdict}. {_delay(budget)}")
+    if on_wire is not None:
+        out.print(_felt(prediction, on_wire))
+    if prediction.wire_of == "port":
+        out.print(
+            "This is counted for a UART. A device with USB of its own (CDC) ignores the baud rate and answers within a "
+            "polling interval, 0.125 or 1 ms; the latency timer of a USB converter comes on top and is not counted."
+        )
+    elif prediction.wire_of == "none":
+        out.print("That would be a UART at device.baud; the mock has a wire only where mock.baud gives it one.")
+
+
+def show_silence(out: Console, rate: float) -> None:
+    """What becomes of the force when the host dies."""
+    silence: HostSilence = host_silence(rate)
+    out.print(
+        f"If the host dies, with clock: device and clock: host alike: the last force acts for at most "
+        f"{_ms(silence.zero_force_after_s)} (time to live of {silence.time_to_live_samples} samples, and one); after "
+        f"{_ms(silence.latched_after_s)} (watchdog of {silence.watchdog_samples} samples, if the device allows it) the "
+        "device latches."
+    )
+
+
+def _time(prediction: Prediction) -> str:
+    """Its parts, and the period that they have to fit in."""
+    budget = prediction.wire_time
+    parts = []
+    if budget.baud is not None:
+        count = f"{budget.bytes_to_host} + {budget.bytes_to_device} bytes at {budget.baud} baud"
+        parts.append(f"{count} take {_ms(budget.seconds)}")
+    if budget.turnaround_s > 0.0:
+        parts.append(f"the device's turnaround {_ms(budget.turnaround_s)}")
+    if budget.host_work_s > 0.0:
+        parts.append(f"the host's work {_ms(budget.host_work_s)}")
+    share = budget.exchange_s / budget.period
+    whole = f"{_ms(budget.exchange_s)} of the {_ms(budget.period)} period ({share:.0%})"
+    return f"Wire, an exchange: {', '.join(parts)}; {whole}"
+
+
+def _delay(budget: WireTime) -> str:
+    if budget.is_saturated:
+        longest = max(budget.bytes_to_host, budget.bytes_to_device)
+        return (
+            f"A frame of {longest} bytes alone takes longer than a period: frames queue up, and the delay has no end."
+        )
+    if budget.fits:
+        samples = "One sample of delay"
+        rate = f", up to {_below(budget.highest_rate_hz)} Hz" if math.isfinite(budget.highest_rate_hz) else ""
+        return f"{samples}{rate}."
+    speed = "" if budget.least_baud is None or budget.baud is None else f" or above {math.ceil(budget.least_baud)} baud"
+    return (
+        f"Every force misses its deadline: {budget.delay_samples} samples of delay. One sample below "
+        f"{_below(budget.highest_rate_hz)} Hz{speed}."
+    )
+
+
+def _felt(prediction: Prediction, on_wire: Prediction) -> str:
+    """What the hands feel at the delay that results, beside what they feel at the declared one."""
+    sentences = []
+    for declared, late in zip(prediction.felt, on_wire.felt, strict=True):
+        delay = f"{late.configuration.delay:g} samples in place of {declared.configuration.delay:g}"
+        if late.dominant:
+            felt = f"k = {late.k:.6g} N/m, b = {late.b:.6g} N·s/m"
+            instead = f" (instead of {declared.k:.6g}, {declared.b:.6g})" if declared.dominant else ""
+        else:
+            felt, instead = f"no spring and damper is equivalent: {late.reason}", ""
+        sentences.append(f"With a delay of {delay}, at {late.name}: {felt}{instead}.")
+    verdict = "stable" if on_wire.stable else "[red]unstable[/red]"
+    return " ".join([*sentences, f"The scene is then {verdict} (spectral radius {on_wire.spectral_radius:.9g})."])
+
+
+def _below(rate: float) -> str:
+    """Rounded down."""
+    return f"{math.floor(rate)}" if rate >= 10.0 else f"{rate:.3g}"
+
+
+def _ms(seconds: float) -> str:
+    return f"{seconds * 1e3:.4g} ms"

@@ -1,0 +1,160 @@
+"""A UART between the mock and its pseudo-terminal, in real time: a byte is there when its last bit would be.
+
+A frame of the mock is written to the terminal at the time of its last byte; the host's bytes count from their own
+times on, and none that is due after the deadline of a `receive` is handed on by it: that deadline is the mock's tick.
+What the system takes to wake up, some 0.1 ms, comes on top: a host's byte goes on the wire when it is read here.
+
+In virtual time (lockstep) bytes take no time here: the mock's own firmware counts it, in samples.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from firmware_protocol import schema
+from firmware_protocol.records import new_record
+from hapsim.compiling import helper, inlined
+from hapsim.compiling.native import address_of, array_at, record_at
+from hapsim.device.mock.firmware import INPUT_BYTES, mock_at
+from hapsim.loop.codes import FAILED, TIMED_OUT
+from hapsim.loop.system import SCRATCH, now_ns, read_some, write_some
+from hapsim.loop.transport import Transport, receiver, sender
+
+_ROOM = 2 * INPUT_BYTES  # bytes on their way in one direction
+
+_WAY = np.dtype(
+    [
+        ("free_ns", np.float64),  # when the last byte will be there
+        ("waiting", np.int64),
+        ("due_ns", np.float64, (_ROOM,)),
+        ("bytes", np.uint8, (_ROOM,)),
+    ],
+    align=True,
+)
+
+UART = np.dtype(
+    [
+        ("number", np.int64),  # of the descriptor
+        ("mock", np.uint64),  # address of a MOCK
+        ("outgoing", _WAY),
+        ("incoming", _WAY),
+        ("read", np.uint8, (INPUT_BYTES,)),
+        SCRATCH,
+    ],
+    align=True,
+)
+"""Both directions of the wire, and what is on it."""
+
+_uart_at, _bytes_at = record_at(UART), array_at(np.uint8)
+
+
+@inlined
+def _is_virtual(uart):
+    board = mock_at(uart.mock).board
+    return board.state == schema.ARMED and board.pacing == schema.LOCKSTEP
+
+
+@inlined
+def _byte_ns(uart):
+    return 0.0 if _is_virtual(uart) else mock_at(uart.mock).byte_ns
+
+
+@helper
+def put_on_wire(way, data, count, earliest_ns, byte_ns, whole_frames):
+    """Sends data[:count] over one way, from `earliest_ns` on; how many fit. `whole_frames`: each byte is due with the
+    last one of its frame."""
+    fitting = min(count, _ROOM - way.waiting)
+    at = way.free_ns if way.free_ns > earliest_ns else earliest_ns
+    for i in range(fitting):
+        at += byte_ns
+        way.bytes[way.waiting + i] = data[i]
+        way.due_ns[way.waiting + i] = at
+    way.free_ns = at
+    way.waiting += fitting
+    if whole_frames:
+        for i in range(way.waiting - 2, way.waiting - fitting - 1, -1):
+            if way.bytes[i] != 0:
+                way.due_ns[i] = way.due_ns[i + 1]
+    return fitting
+
+
+@helper
+def arrived(way, until_ns):
+    """How many bytes have arrived up to the last delimiter that has; all of them where the way is full."""
+    whole, at = 0, 0
+    while at < way.waiting and way.due_ns[at] <= until_ns:
+        at += 1
+        if way.bytes[at - 1] == 0:
+            whole = at
+    return at if whole == 0 and way.waiting == _ROOM else whole
+
+
+@helper
+def next_due_ns(way, otherwise_ns):
+    """When the next delimiter arrives; `otherwise_ns` where none is on its way, or not before."""
+    for i in range(way.waiting):
+        if way.bytes[i] == 0:
+            return min(way.due_ns[i], otherwise_ns)
+    return otherwise_ns
+
+
+@helper
+def take_off_wire(way, count):
+    """Forgets the first `count` bytes."""
+    for i in range(count, way.waiting):
+        way.bytes[i - count] = way.bytes[i]
+        way.due_ns[i - count] = way.due_ns[i]
+    way.waiting -= count
+
+
+@receiver
+def receive(context, buffer, room, timeout_ns):
+    uart, buffer = _uart_at(context), _bytes_at(buffer, room)
+    now = now_ns(uart.scratch)
+    deadline = now + timeout_ns
+    while True:
+        due = arrived(uart.outgoing, now)
+        written = write_some(uart.number, uart.outgoing.bytes, 0, due)
+        if written < 0:
+            return written
+        if written > 0:
+            take_off_wire(uart.outgoing, written)
+        count = min(arrived(uart.incoming, min(now, deadline)), room)
+        if count > 0:
+            for i in range(count):
+                buffer[i] = uart.incoming.bytes[i]
+            take_off_wire(uart.incoming, count)
+            return count
+        if now >= deadline:
+            return TIMED_OUT
+        # Where the host does not read, what is left waits for the next call: a device's tick waits for nobody.
+        wake = np.float64(deadline) if written < due else next_due_ns(uart.outgoing, np.float64(deadline))
+        wake = next_due_ns(uart.incoming, wake)
+        count = read_some(uart.number, uart.read, np.int64(wake) + 1 - now, uart.scratch)
+        now = now_ns(uart.scratch)
+        if count < 0:
+            return count
+        put_on_wire(uart.incoming, uart.read, count, np.float64(now), _byte_ns(uart), False)
+
+
+@sender
+def send(context, buffer, stop):
+    """FAILED where it found no room, and was dropped whole."""
+    uart = _uart_at(context)
+    if stop > _ROOM - uart.outgoing.waiting:
+        return FAILED
+    earliest, byte_ns = np.float64(now_ns(uart.scratch)), _byte_ns(uart)
+    if not _is_virtual(uart):
+        earliest += mock_at(uart.mock).turnaround_ns
+    put_on_wire(uart.outgoing, _bytes_at(buffer, stop), stop, earliest, byte_ns, True)
+    return 0
+
+
+def uart_transport(number: int, mock: Any) -> Transport:
+    """A transport over an open, raw, non-blocking descriptor with the times of `mock`, a MOCK: both the caller's."""
+    context = new_record(UART)
+    context.number = number
+    context.mock = address_of(mock)
+    return Transport(receive, send, context)

@@ -1,0 +1,56 @@
+"""At which rate a device sampled, as far as its positions' arrival on the host's clock tells.
+
+A position arrives when it was sampled, and then something later: never earlier. So the earliest arrivals tell the
+period, and the others nothing (Moon, Skelly and Towsley, *Estimation and removal of clock skew from network delay
+measurements*, 1999, for two clocks over a network). Of each of some forty stretches of a record the earliest arrival is
+taken, and through these a line by the median of all slopes between two of them (Theil and Sen), which a stretch in
+which the host was held up throughout does not bend.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import theilslopes
+
+from hapsim.loop.trace import Trace
+
+_STRETCHES, _LEAST_STRETCHES, _LEAST_ROWS = 40, 10, 8
+_CONFIDENCE = 0.999
+_CLOCK = 1e-4  # the host's own clock, and how it is led to the true time, is right to this share
+
+
+@dataclass(frozen=True)
+class SeenRate:
+    """The rate (Hz) of the samples that arrived, and the half width of the interval that holds it with 99.9 %, the
+    host's clock taken to be right to a ten-thousandth."""
+
+    rate_hz: float
+    uncertainty_hz: float
+
+    def differs_from(self, rate_hz: float) -> bool:
+        """Whether it is another rate, by more than its uncertainty."""
+        return abs(self.rate_hz - rate_hz) > self.uncertainty_hz
+
+
+def seen_rate(trace: Trace) -> SeenRate | None:
+    """The rate at which the device sampled; None where the device's own timer did not pace the positions (in virtual
+    time, by the host's clock, on a mock in this process), or too few came to tell."""
+    if not trace.report.timed_by_device:
+        return None
+    stretches = min(_STRETCHES, trace.sample.size // _LEAST_ROWS)
+    if stretches < _LEAST_STRETCHES:
+        return None
+    number = (trace.sample - trace.sample[0]).astype(float)
+    late = (trace.time_ns - trace.time_ns[0]) * 1e-9 - number / trace.rate
+    slope, low, high = 0.0, 0.0, 0.0
+    for _ in range(3):  # which arrival is a stretch's earliest depends on the rate itself
+        on_grid = late - slope * number
+        earliest = [int(part[np.argmin(on_grid[part])]) for part in np.array_split(np.arange(number.size), stretches)]
+        slope, _, low, high = theilslopes(late[earliest], number[earliest], _CONFIDENCE)
+    period = 1.0 / trace.rate + slope
+    if not period > 0.0:
+        return None
+    spread = max(high - slope, slope - low) / period**2
+    return SeenRate(float(1.0 / period), float(np.hypot(spread, _CLOCK / period)))

@@ -1,0 +1,169 @@
+"""`hapsim frames`: a capture as people and scripts read it, and a port that is listened to."""
+
+from __future__ import annotations
+
+import io
+import os
+import signal
+import sys
+import threading
+import time
+import tty
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from firmware_protocol import schema
+from firmware_protocol.description import Description, to_registers
+from firmware_protocol.frames import SETUP, armed_format, frame_to_device, frame_to_host
+
+Hapsim = Callable[..., Any]
+WIRE = armed_format(2, velocity=True)
+
+
+def in_counts(word: int) -> list[int]:
+    return np.array([word], np.uint32).astype(np.int32).tolist()
+
+
+def conversation() -> bytes:
+    """Describing, arming with velocities, an exchange, a damaged position, a fault."""
+    device = Description("a device", 1000.0, 7, 2047, (1e-6, 2e-6), (0.5, 0.25), (10.0, 10.0), (1e-3, 1e-3))
+    registers = to_registers(device).tolist()
+    asked = [2, *range(schema.REG_CHANNEL, schema.REG_CHANNEL + 16)]
+    said = b"".join(
+        frame_to_device(SETUP, schema.DESCRIBE, n, 0, [0])
+        + frame_to_host(SETUP, schema.DESCRIPTION, n, in_counts(registers[n]))
+        for n in asked
+    )
+    arm = frame_to_device(SETUP, schema.ARM, 100, schema.WITH_VELOCITY, in_counts(schema.SCHEMA_HASH))
+    position = frame_to_host(WIRE, schema.POSITION, 0, [100, -100, 7, 0])
+    damaged = bytes([position[0], position[1] ^ 4, *position[2:]])
+    latched = [schema.LATCHED | schema.HOST_QUIET << 8, 0, 0, 0]
+    return (
+        said
+        + arm
+        + frame_to_host(SETUP, schema.STATUS, 0, [schema.ARMED])
+        + position
+        + frame_to_device(WIRE, schema.FORCE, 0, 20, [4, -4])
+        + damaged
+        + frame_to_host(WIRE, schema.STATUS, 1, latched)
+    )
+
+
+@pytest.fixture
+def capture(tmp_path: Path) -> Path:
+    path = tmp_path / "capture.bin"
+    path.write_bytes(conversation())
+    return path
+
+
+def test_a_capture_is_told_field_by_field_in_si_once_the_device_has_described_itself(
+    hapsim: Hapsim, capture: Path
+) -> None:
+    told = hapsim("frames", capture)
+    assert (told.status, told.err) == (0, "")
+    for part in (
+        "register 2 (channels) = 2",
+        "paced by device, velocities too, watchdog 100 samples, schema 314a417f (ours)",
+        "sample 0: armed",
+        "sample 0: 100 counts (0.0001 m), -100 counts (-0.0002 m); 7 counts (0.007 m/s), 0 counts (0 m/s)",
+        "answers 0, lives 20 samples: 4 counts (2 N), -4 counts (-1 N)",
+        "refused: 24 bytes; the check is wrong",
+        "sample 1: latched, fault 1: the host was quiet",
+        "19 frames from the host, 20 from the device; refused 24 bytes: 1 check.",
+    ):
+        assert part in told.out
+    assert "armed, 2 channels, velocities" in told.out
+
+
+def test_as_json_it_is_one_document(hapsim: Hapsim, capture: Path) -> None:
+    document = hapsim("frames", capture, "--json", "--hex").document
+    assert document["source"] == str(capture)
+    assert document["counters"]["refused"] == {"check": 1, "short": 0, "form": 0, "garbage": 0, "unfinished": 0}
+    assert (document["counters"]["from_host"], document["counters"]["from_device"]) == (19, 20)
+    position, force, refused, status = document["entries"][-4:]
+    assert (position["from"], position["type"], position["number"]) == ("device", "POSITION", 0)
+    assert position["position_m"] == pytest.approx([1e-4, -2e-4])
+    assert position["velocity_m_s"] == pytest.approx([7e-3, 0.0])
+    assert (force["force_N"], force["time_to_live_samples"]) == ([2.0, -1.0], 20)
+    assert (refused["refused"], refused["bytes"]) == ("check", 24)
+    assert (status["state"], status["fault"]) == ("latched", schema.HOST_QUIET)
+    whole = conversation()
+    for entry in (position, force, status):
+        data = bytes.fromhex(entry["hex"])
+        assert whole[entry["offset"] :][: len(data)] == data
+    alone = hapsim("frames", capture, "--json", "--from", "device").document
+    assert (alone["counters"]["from_host"], alone["counters"]["from_device"]) == (0, 20)
+
+
+def test_what_cannot_be_decoded_is_a_sentence(hapsim: Hapsim, tmp_path: Path) -> None:
+    empty = tmp_path / "empty"
+    empty.touch()
+    for words, sentence in (
+        ((empty,), "found no bytes: the capture is empty"),
+        ((empty, "--json"), "found no bytes: the capture is empty"),
+        ((tmp_path,), "found a directory, expected a capture"),
+        ((tmp_path / "none",), "neither a file nor a port"),
+        ((empty, "--from", "me"), "--from: found 'me', expected host, device or both"),
+    ):
+        answer = hapsim("frames", *words)
+        assert answer.status == 2
+        assert sentence in answer.sentence
+
+
+def test_what_is_no_capture_is_refused_whole(hapsim: Hapsim, tmp_path: Path) -> None:
+    path = tmp_path / "text"
+    path.write_text("nothing of this is a frame\n")
+    told = hapsim("frames", path)
+    assert told.status == 0
+    assert "0 frames from the host, 0 from the device; refused 27 bytes: 1 unfinished." in told.out
+
+
+def test_standard_input_may_be_a_pipe(hapsim: Hapsim, monkeypatch: pytest.MonkeyPatch) -> None:
+    near, far = os.pipe()
+    os.write(far, conversation())
+    os.close(far)
+    with os.fdopen(near, "rb") as stream:
+        monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(stream))
+        assert "19 frames from the host" in hapsim("frames", "-").out
+
+
+@pytest.fixture
+def terminal() -> Iterator[tuple[int, str]]:
+    """A port: the descriptor of its far end, and its path."""
+    near, far = os.openpty()
+    for end in (near, far):
+        tty.setraw(end)
+    os.set_blocking(near, False)
+    yield near, os.ttyname(far)
+    for end in (near, far):
+        os.close(end)
+
+
+def test_a_port_is_listened_to_until_an_interrupt_and_nothing_is_sent(
+    hapsim: Hapsim, terminal: tuple[int, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from hapsim.console import frames
+
+    near, path = terminal
+    heard = threading.Event()
+    monkeypatch.setattr(frames, "text_of", lambda entry: heard.set() or str(entry["time_s"]))
+
+    def play() -> None:
+        while not heard.is_set():  # what comes before the port is open is thrown away
+            os.write(near, frame_to_host(SETUP, schema.STATUS, 0, [0]))
+            time.sleep(0.02)
+        signal.raise_signal(signal.SIGINT)
+
+    player = threading.Thread(target=play)
+    player.start()
+    told = hapsim("frames", path)
+    player.join()
+    assert told.status == 0
+    assert "0 frames from the host, " in told.out
+    assert float(told.out.split()[0]) >= 0.0  # when it came
+    with pytest.raises(BlockingIOError):
+        os.read(near, 1)

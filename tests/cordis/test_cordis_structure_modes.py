@@ -1,0 +1,223 @@
+"""Strings, stiff strings and membranes, against their modes in closed form and against the poles of the theory."""
+
+from __future__ import annotations
+
+import itertools
+import sys
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from hapsim.cordis.offline import start, tick
+from hapsim.cordis.program import compile_scene, numbers_of, positions_of
+from hapsim.prediction import predict
+from hapsim.scene import Scene
+
+sys.path.insert(0, str(Path(__file__).parent))
+from structure_scenes import FOUR_EDGES, Numbers, places_of
+from written import scene_of
+
+
+def of_a_string(ends: tuple[str, str], masses: int, k: int) -> tuple[np.ndarray, float]:
+    """The shape of a mode, k = 1, 2, ..., and what links of stiffness 1 are in it together."""
+    i = np.arange(masses)
+    if ends == ("free", "free"):
+        angle = (k - 1) * np.pi / masses
+        shape = np.cos(angle * (i + 0.5))
+    elif "free" in ends:
+        angle = (2 * k - 1) * np.pi / (2 * masses + 1)
+        shape = np.sin(angle * (i + 1))
+        shape = shape if ends[1] == "free" else shape[::-1]
+    else:
+        angle = k * np.pi / (masses + 1)
+        shape = np.sin(angle * (i + 1))
+    return shape, 4.0 * np.sin(angle / 2.0) ** 2
+
+
+class Swinging(NamedTuple):
+    """A structure in one mode."""
+
+    module: dict[str, Any]
+    numbers: Numbers
+    shape: np.ndarray
+    spread: float
+
+
+def swinging_strings(numbers: Numbers, few: bool = False) -> list[Swinging]:
+    swinging = []
+    ends = [("fixed", "fixed"), ("fixed", "free"), ("free", "fixed"), ("free", "free")]
+    for held, masses in itertools.product(ends, (2, 17, 100, 1000)):
+        # The string that resists bending has modes in closed form on two hinges.
+        if numbers.g and held != ("fixed", "fixed"):
+            continue
+        modes = {masses // 3 + 2, masses} if masses < 1000 else {2, 3, 500, 1000}
+        if held != ("free", "free"):
+            modes |= {1}
+        for k in sorted(modes)[: 2 if few else None]:
+            if k <= masses:
+                shape, spread = of_a_string(held, masses, k)
+                module = {"type": "string", "masses": masses, "ends": list(held), **numbers.values(0.02)}
+                swinging.append(Swinging(module, numbers, shape, spread))
+    return swinging
+
+
+def swinging_membranes(numbers: Numbers) -> list[Swinging]:
+    swinging = []
+    for edges in FOUR_EDGES:
+        for (rows, columns), (k, j) in itertools.product([(2, 5), (17, 12)], [(1, 1), (2, 5)]):
+            down, spread_down = of_a_string((edges[0], edges[1]), rows, k)
+            along, spread_along = of_a_string((edges[2], edges[3]), columns, j)
+            if spread_down + spread_along < 1e-12:
+                continue
+            module = {"type": "membrane", "rows": rows, "columns": columns, "edges": list(edges)}
+            shape = np.outer(down, along).ravel()
+            module |= numbers.values(0.02)
+            swinging.append(Swinging(module, numbers, shape, spread_down + spread_along))
+    return swinging
+
+
+def identified(q: np.ndarray) -> complex:
+    """The pole in the upper half plane of a recurrence q[n+1] - 2 q[n] + q[n-1] = -α q[n] - β (q[n] - q[n-1])."""
+    growth = np.diff(q)
+    alpha, beta = -np.linalg.lstsq(np.column_stack([q[1:-1], growth[:-1]]), np.diff(growth), rcond=None)[0]
+    half = (2.0 - alpha - beta) / 2.0
+    # 1 - half² would lose what makes a slow mode swing.
+    below = (1.0 - beta) - half**2
+    slow = alpha - (alpha + beta) ** 2 / 4.0
+    return complex(half, np.sqrt(slow if slow > 0 else below))
+
+
+def poles_of(swinging: list[Swinging], precision: str = "double", samples: int = 4000) -> list[complex]:
+    """Each released in its mode's shape, 1 mm, all in one scene; the pole that is identified from each one's motion."""
+    scene = scene_of({f"x{i}": one.module for i, one in enumerate(swinging)}, precision=precision)
+    numbers = numbers_of(scene)
+    program = compile_scene(scene)
+    shapes = []
+    position, previous = positions_of(program)
+    for i, one in enumerate(swinging):
+        ours = np.array([numbers[f"x{i}.{place}"] for place in places_of(one.module)])
+        position[ours] = previous[ours] = 1e-3 * one.shape
+        shapes.append((ours, one.shape / (1e-3 * one.shape @ one.shape)))
+    nothing = np.zeros(1)
+    start(program, nothing)
+    q = np.empty((samples, len(swinging)))
+    for n in range(samples):
+        tick(program, nothing, nothing, nothing)
+        x = positions_of(program)[0]
+        q[n] = [shape @ x[ours] for ours, shape in shapes]
+    return [identified(column) for column in q.T]
+
+
+def expected_pole(one: Swinging) -> complex:
+    return complex(max(one.numbers.pole_pair(one.spread), key=lambda z: z.imag))
+
+
+UNDAMPED, STIFF, DAMPED = Numbers(a=0.45), Numbers(a=0.2, g=0.1), Numbers(a=0.3, b=0.002, e=1e-4)
+
+
+@pytest.mark.parametrize(
+    "swinging",
+    [swinging_strings(UNDAMPED), swinging_strings(STIFF), swinging_membranes(Numbers(a=0.4))],
+    ids=["string", "stiff string", "membrane"],
+)
+def test_an_undamped_mode_swings_as_the_closed_form_of_the_discrete_structure_says(
+    swinging: list[Swinging], figures: Any
+) -> None:
+    for one, z in zip(swinging, poles_of(swinging), strict=True):
+        theta = 2.0 * np.arcsin(np.sqrt(one.numbers.a * one.spread + one.numbers.g * one.spread**2) / 2.0)
+        assert np.angle(z) == pytest.approx(theta, rel=1e-9)
+        assert abs(z) == pytest.approx(1.0, abs=1e-9)
+        figures.most("a mode's frequency off by, relative, double precision", abs(np.angle(z) / theta - 1.0))
+
+
+@pytest.mark.parametrize(
+    "swinging",
+    [
+        swinging_strings(DAMPED, few=True),
+        swinging_strings(STIFF._replace(b=0.001, e=1e-4), few=True),
+        swinging_membranes(DAMPED),
+    ],
+    ids=["string", "stiff string", "membrane"],
+)
+def test_a_damped_mode_dies_away_as_the_closed_form_says(swinging: list[Swinging]) -> None:
+    for one, z in zip(swinging, poles_of(swinging, samples=2000), strict=True):
+        expected = expected_pole(one)
+        assert np.angle(z) == pytest.approx(np.angle(expected), rel=1e-9)
+        assert np.log(abs(z)) == pytest.approx(np.log(abs(expected)), rel=1e-7)
+
+
+@pytest.mark.parametrize(
+    "swinging",
+    [swinging_strings(Numbers(a=0.03)), swinging_strings(Numbers(a=0.03, g=0.01)), swinging_membranes(Numbers(a=0.03))],
+    ids=["string", "stiff string", "membrane"],
+)
+def test_single_precision_keeps_the_frequency_of_a_slow_mode(swinging: list[Swinging], figures: Any) -> None:
+    """Where the recurrence is worked out from differences: coefficients of 32 bits would be wrong by 1e-3."""
+    swinging = [one for one in swinging if len(one.shape) <= 204]
+    for one, z in zip(swinging, poles_of(swinging, "single"), strict=True):
+        expected = np.angle(expected_pole(one))
+        assert np.angle(z) == pytest.approx(expected, rel=1e-5)
+        figures.most("a mode's frequency off by, relative, single precision", abs(np.angle(z) / expected - 1.0))
+
+
+def small_scene() -> Scene:
+    """A string, a stiff string and a membrane on one hand, one of them on another."""
+    numbers = Numbers(a=0.3, b=0.02, e=0.001)
+    link = {"type": "viscoelastic", "stiffness": 100.0, "damping": 0.5}
+    return scene_of(
+        {
+            "s": {"type": "string", "masses": 5, "ends": ["fixed", "free"], **numbers.values(0.02)},
+            "b": {"type": "string", "masses": 4, "ends": ["clamped", "free"], **numbers._replace(g=0.03).values(0.03)},
+            "m": {
+                "type": "membrane",
+                "rows": 3,
+                "columns": 2,
+                "edges": ["free", "fixed", "fixed", "free"],
+                **numbers._replace(a=0.17).values(0.04),
+            },
+            "l0": {"between": ["hand", "s.2"], **link},
+            "l1": {"between": ["hand", "m.2.1"], **link},
+            "l2": {"between": ["b.3", "s.4"], **link},
+        },
+        device={"mass": 0.2, "friction": 1.0, "delay": 1.0},
+    )
+
+
+def loop_of(scene: Scene) -> np.ndarray:
+    """The matrix by which a sample takes the scene and its hand on: positions, positions before, the hand's position,
+    its position before and its velocity, and the force that acts on it, which is that of the sample before."""
+    numbers = numbers_of(scene)
+    ours = np.array([number for name, number in numbers.items() if name != "hand"])
+    mass, friction = scene.device.masses(1)[0], scene.device.frictions(1)[0]
+    flow = expm(np.array([[0, 1, 0], [0, -friction / mass, 1 / mass], [0, 0, 0]]) / scene.rate)
+    count = len(ours)
+    columns = []
+    for unit in np.eye(2 * count + 4):
+        program = compile_scene(scene)
+        position, previous = positions_of(program)
+        position[ours], previous[ours] = unit[:count], unit[count : 2 * count]
+        hand, hand_before, velocity, acting = unit[2 * count :]
+        start(program, np.array([hand]))
+        previous[numbers["hand"]] = hand_before
+        force = np.zeros(1)
+        tick(program, np.array([hand]), np.zeros(1), force)
+        now, before = positions_of(program)
+        moved = flow @ [hand, velocity, acting]
+        columns.append([*now[ours], *before[ours], moved[0], hand, moved[1], force[0]])
+    return np.array(columns).T
+
+
+def test_the_theory_has_the_poles_of_the_tick() -> None:
+    scene = small_scene()
+    predicted = predict(scene, with_margins=False)
+    left = [complex(z) for z in np.linalg.eigvals(loop_of(scene)) if abs(z) > 1e-9]
+    assert len(predicted.poles) == len(left)
+    for pole in predicted.poles:
+        nearest = min(left, key=lambda z: abs(z - pole))
+        assert abs(nearest - pole) < 1e-9
+        left.remove(nearest)
+    assert predicted.stable
+    assert predicted.spectral_radius < 1.0

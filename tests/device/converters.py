@@ -1,0 +1,122 @@
+"""The mock's converters, compiled, and a simulation that goes from event to event: what the tests of both share.
+
+The reference knows no ring of commands and no split of a sample: it sorts the instants at which something happens
+(a sample is taken, a force changes) and lets the mass coast from one to the next, in thirty digits.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import mpmath as mp
+
+from firmware_protocol.records import new_record
+from hapsim.compiling import entry
+from hapsim.device.mock import sampler
+from hapsim.device.mock.sampler import CONVERTER
+
+T = 1e-3
+DELAYS = [0.0, 0.37, 1.0, 1.5, 2.0]
+CASES = list(itertools.product(("zoh", "impulse"), ("ideal", "average"), DELAYS, (0.0, 60.0)))
+
+
+@entry
+def advance_body(how, body, converter, commands, n, h):
+    sampler.advance_body(how, body, converter, commands, len(commands), 0, n, h)
+
+
+@entry
+def sample(body, converter, h):
+    return sampler.sample(body, converter, h)
+
+
+@entry
+def first_sample(body, converter):
+    return sampler.first_sample(body, converter)
+
+
+@entry
+def to_counts(value, quantum):
+    return sampler.to_counts(value, quantum)
+
+
+@dataclass
+class Coasting:
+    """One mass between two events."""
+
+    m: float
+    b: float
+    x: mp.mpf
+    v: mp.mpf
+    force: mp.mpf
+    travel: mp.mpf
+
+    def coast(self, t: mp.mpf) -> None:
+        if self.b == 0:
+            a = self.force / self.m
+            self.travel += self.x * t + self.v * t**2 / 2 + a * t**3 / 6
+            self.x += self.v * t + a * t**2 / 2
+            self.v += a * t
+            return
+        rate, final = mp.mpf(self.b) / self.m, self.force / self.b
+        gone = (1 - mp.exp(-rate * t)) / rate
+        self.travel += self.x * t + final * t**2 / 2 + (self.v - final) * (t - gone) / rate
+        self.x += final * t + (self.v - final) * gone
+        self.v = final + (self.v - final) * mp.exp(-rate * t)
+
+
+def _act(mass: Coasting, force: Any) -> None:
+    mass.force = mp.mpf(force)
+
+
+def _blow(mass: Coasting, force: Any) -> None:
+    mass.v += force * mp.mpf(T) / mass.m
+
+
+Event = Callable[[Coasting, Sequence[float], int], None]
+
+#: What a command n does, and how many samples after its delay.
+EVENTS: dict[str, list[tuple[float, Event]]] = {
+    "zoh": [(0.0, lambda mass, c, n: _act(mass, c[n]))],
+    "impulse": [(0.0, lambda mass, c, n: _blow(mass, c[n]))],
+    "mean of two": [(0.0, lambda mass, c, n: _act(mass, (mp.mpf(c[n]) + (c[n - 1] if n else 0)) / 2))],
+    "half as long": [(0.0, lambda mass, c, n: _act(mass, 2 * c[n])), (0.5, lambda mass, _c, _n: _act(mass, 0))],
+    "two blows": [
+        (0.0, lambda mass, c, n: _blow(mass, c[n] / 4)),
+        (0.5, lambda mass, c, n: _blow(mass, mp.mpf(3) * c[n] / 4)),
+    ],
+}
+
+
+def event_by_event(
+    hold: str, sampling: str, delay: float, m: float, b: float, x: float, v: float, commands: Sequence[float]
+) -> tuple[list[float], list[float]]:
+    """What is measured at the end of samples 0, 1, …, positions (m) and velocities (m/s): command n changes the force
+    `delay` samples after n began."""
+    with mp.workdps(30):
+        T_, samples, acts = mp.mpf(T), len(commands), EVENTS[hold]
+        events = [(mp.mpf(n + 1), 0, n) for n in range(samples)]
+        events += [(n + mp.mpf(delay) + late, 1 + i, n) for n in range(samples) for i, (late, _) in enumerate(acts)]
+        mass = Coasting(m, b, mp.mpf(x), mp.mpf(v), mp.mpf(0), mp.mpf(0))
+        clock, positions, velocities, before = mp.mpf(0), [], [], mass.x
+        for at, kind, n in sorted(events):
+            mass.coast((at - clock) * T_)
+            clock = at
+            if kind == 0:
+                positions.append(float(mass.x if sampling == "ideal" else mass.travel / T_))
+                velocities.append(float(mass.v if sampling == "ideal" else (mass.x - before) / T_))
+                mass.travel, before = mp.mpf(0), mass.x
+            else:
+                acts[kind - 1][1](mass, commands, n)
+        return positions, velocities
+
+
+def converter_of(**fields: float) -> Any:
+    converter = new_record(CONVERTER)
+    converter.period, converter.quantum = T, 1e-9
+    for name, value in fields.items():
+        converter[name] = value
+    return converter

@@ -1,0 +1,268 @@
+"""The reference firmware: its state machine as a program in virtual time, and its boards, built once."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import shutil
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import firmware_protocol
+from firmware_protocol import schema
+from firmware_protocol.description import to_registers
+from firmware_protocol.story import LIMIT, STATES
+from hapsim.device.mock.assemble import assemble_mock, describe_mock
+from hapsim.device.mock.firmware import OUTBOX_BYTES, look_at_watchdog, prepare, take_bytes, take_sample
+from hapsim.scene import Scene
+
+FIRMWARE = Path(firmware_protocol.__file__).parent / "firmware"
+HARNESS = Path(__file__).parent / "harness"
+STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-O2")
+
+# What is there where a board can be run on this machine, and the Debian packages that bring what it takes.
+RUNNERS = {
+    "linux": ("linux", "gcc libc6-dev"),
+    "avr": ("run_avr", "gcc libc6-dev gcc-avr avr-libc libsimavr-dev"),
+    "cortex_m": ("on_terminal", "gcc libc6-dev gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm"),
+}
+Run = Callable[[list[str]], list[str]]
+
+
+def compiler() -> str:
+    found = shutil.which("gcc")
+    if found is None:
+        pytest.skip("no C compiler on this machine (Debian: gcc libc6-dev)")
+    return found
+
+
+@pytest.fixture(scope="session")
+def once(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, list[str], dict[str, str]], Path]:
+    """Runs a build that writes into the directory that is its last word, once for all workers of this run."""
+    shared = tmp_path_factory.getbasetemp()
+    if os.environ.get("PYTEST_XDIST_WORKER"):
+        shared = shared.parent
+
+    def build(name: str, command: list[str], environment: dict[str, str]) -> Path:
+        to = shared / name
+        with open(shared / f"{name}.lock", "w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            if not (to / "done").exists():
+                to.mkdir(exist_ok=True)
+                words = [*command, str(to)]
+                built = subprocess.run(words, env=os.environ | environment, capture_output=True, text=True, check=False)
+                assert built.returncode == 0, built.stderr
+                (to / "done").write_text(built.stdout, "utf-8")
+        return to
+
+    return build
+
+
+@pytest.fixture(scope="session")
+def harness(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Run]:
+    """The state machine of a device of sessions.json, compiled: runs lines through it."""
+    programs: dict[str, Path] = {}
+
+    def program(device: dict[str, Any], core: Path = FIRMWARE / "hapsim_device.c") -> Run:
+        name = f"{device['name']}_{core.parent.name}"
+        if name not in programs:
+            programs[name] = tmp_path_factory.mktemp(name) / "harness"
+            _compile_harness(device, core, programs[name])
+
+        def run(lines: list[str]) -> list[str]:
+            text = "\n".join(lines) + "\n"
+            ran = subprocess.run([programs[name]], input=text, capture_output=True, text=True, check=True)
+            return ran.stdout.splitlines()
+
+        return run
+
+    return program
+
+
+def _compile_harness(device: dict[str, Any], core: Path, to: Path) -> None:
+    keys = ("channels", "pacings", "max_watchdog", "impulse", "velocity")
+    defined = [f"-DHARNESS_{key.upper()}={int(device[key])}" for key in keys]
+    sources = [str(HARNESS / "harness.c"), str(core)]
+    command = [compiler(), *STRICT, "-fsanitize=address,undefined", f"-I{FIRMWARE}", f"-I{HARNESS}", *defined]
+    built = subprocess.run([*command, *sources, "-o", str(to)], capture_output=True, text=True, check=False)
+    assert built.returncode == 0, built.stderr
+
+
+@pytest.fixture(scope="session")
+def built(once: Any) -> Path:
+    """Where the boards were built."""
+    compiler()
+    return once("firmware", [str(FIRMWARE / "build")], {})
+
+
+_PERIOD_NS = 1_000_000
+_OUTSIDE_M = 3.0  # no 32 bits of nanometres hold it
+
+
+class MockPlayer:
+    """The mock as the device of a session: what it measures is set before each event, and no force moves it."""
+
+    def __init__(self, device: dict[str, Any]) -> None:
+        self.channels = device["channels"]
+        modules = {f"hand{c}": {"type": "device", "channel": c} for c in range(self.channels)}
+        hold = "impulse" if device["impulse"] else "zoh"
+        real = {"mass": 1e30, "clock": "device", "hold": hold}
+        scene = Scene.model_validate({"version": 1, "rate": 1000, "device": real, "modules": modules})
+        self.mock = assemble_mock(scene)
+        velocity_scale = (1e-8 if device["velocity"] else 0.0,) * self.channels
+        description = replace(
+            describe_mock(scene),
+            pacings=device["pacings"],
+            max_watchdog_samples=device["max_watchdog"],
+            force_scale=(1e-8,) * self.channels,
+            velocity_scale=velocity_scale,
+        )
+        self.mock.registers[:] = to_registers(description)
+        self.mock.force_scale[: self.channels] = description.force_scale
+        self.mock.converters["velocity_quantum"][: self.channels] = velocity_scale
+        prepare(self.mock)
+        self.now, self.full = 10**12, False
+        self._set([0.0] * self.channels, [0.0] * self.channels)
+
+    def _set(self, positions: list[float], velocities: list[float]) -> None:
+        self.positions, self.velocities = positions, velocities
+
+    def _place(self, before_a_sample: bool) -> None:
+        """Where the bodies have to be so that the next event measures what was set."""
+        for c in range(self.channels):
+            start = self.positions[c] - before_a_sample * self.velocities[c] * _PERIOD_NS * 1e-9
+            for bodies, position in ((self.mock.bodies, start), (self.mock.initial, self.positions[c])):
+                bodies[c]["position"] = position
+                bodies[c]["velocity"] = self.velocities[c]
+
+    def play(self, step: dict[str, Any]) -> bytes:
+        """Takes one step; what the mock said."""
+        if "position" in step:
+            self._set([count * 1e-9 for count in step["position"]], [count * 1e-8 for count in step["velocity"]])
+        elif "finds" in step:
+            where = _OUTSIDE_M if step["finds"] == schema.POSITION_OUT_OF_RANGE else 0.0
+            self._set([where] * self.channels, [0.0] * self.channels)
+        elif "room" in step:
+            self.full = not step["room"]
+        elif "bytes" in step:
+            self._place(before_a_sample=False)
+            data = np.frombuffer(bytes.fromhex(step["bytes"]), np.uint8)
+            return self._said(lambda: take_bytes(self.mock, data, data.size, self.now))
+        elif "pass" in step:
+            self.now += step["pass"] * _PERIOD_NS // 1000
+            return self._said(lambda: look_at_watchdog(self.mock, self.now))
+        else:
+            return b"".join(self._tick() for _ in range(step["tick"]))
+        return b""
+
+    def _tick(self) -> bytes:
+        self.now += _PERIOD_NS
+        self._place(before_a_sample=True)
+        before = b""
+        if self.state == "armed" and self.mock.board.pacing == schema.PACED_BY_DEVICE:
+            before = self._said(lambda: take_sample(self.mock, self.now))
+        return before + self._said(lambda: look_at_watchdog(self.mock, self.now))
+
+    def _said(self, event: Callable[[], None]) -> bytes:
+        self.mock.board.out = OUTBOX_BYTES if self.full else 0
+        event()
+        said = b"" if self.full else bytes(self.mock.outbox[: int(self.mock.board.out)])
+        self.mock.board.out = 0
+        return said
+
+    @property
+    def state(self) -> str:
+        return STATES[int(self.mock.board.state)]
+
+    @property
+    def force(self) -> list[int]:
+        """What acts now, in counts: of a sample of delay the command of the sample before.
+
+        Paced by the host the mock works out what a time to live left of a force once the sample is over.
+        """
+        commands, depth, board = self.mock.commands, int(self.mock.depth), self.mock.board
+        if board.pacing == schema.PACED_BY_HOST and (self.now - int(board.sampled_ns)) * 1e-9 > board.lives:
+            return [0] * self.channels
+        if self.state != "armed":
+            assert not commands.any()
+        acting = commands[(int(self.mock.board.n) - 1) % depth, : self.channels]
+        return [round(float(force) * LIMIT / 10.0) for force in acting]
+
+    def register(self, number: int) -> int:
+        decoder = self.mock.decoder
+        if number == schema.REG_FAULT:
+            return int(self.mock.board.fault)
+        if number == schema.REG_REJECTED:
+            return int(decoder.crc_errors + decoder.length_errors + decoder.form_errors)
+        return int(self.mock.registers[number])
+
+
+@pytest.fixture(scope="session")
+def mock_player() -> type[MockPlayer]:
+    return MockPlayer
+
+
+class Board:
+    """A board that runs: its port, and what it says of the force that it puts out."""
+
+    def __init__(self, name: str, built: Path, log: Path) -> None:
+        self.log = log
+        self.process = subprocess.Popen(
+            [FIRMWARE / "board", name, log],
+            env=os.environ | {"HAPSIM_FIRMWARE": str(built)},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            text=True,
+        )
+        assert self.process.stdout is not None
+        self.port = self.process.stdout.readline().strip()
+        assert self.port.startswith("/dev/"), f"{name}: no port"
+
+    def forces(self) -> list[tuple[int, int]]:
+        """Each change of the force put out: microseconds of the board's clock, counts."""
+        lines = self.log.read_text("ascii").splitlines(keepends=True) if self.log.exists() else []
+        words = [line.split() for line in lines if line.endswith("\n")]
+        return [(int(us, 16), int.from_bytes(bytes.fromhex(counts), signed=True)) for us, counts in words]
+
+    def wait_for(self, what: Callable[[list[tuple[int, int]]], bool]) -> list[tuple[int, int]]:
+        """The changes so far, as soon as `what` is true of them. The minute is for a machine that hangs."""
+        give_up = time.monotonic() + 60.0
+        while not what(forces := self.forces()):
+            assert time.monotonic() < give_up, f"not seen within a minute; the last forces: {forces[-3:]}"
+            time.sleep(0.02)
+        return forces
+
+    def stop(self) -> None:
+        self.process.terminate()
+        self.process.communicate()
+
+
+@pytest.fixture
+def start_board(built: Path, tmp_path: Path) -> Iterator[Callable[..., Board]]:
+    """Starts a board by its name, from `built` or from elsewhere; skips where this machine lacks what it takes."""
+    boards: list[Board] = []
+
+    def start(name: str, where: Path = built) -> Board:
+        needed, packages = RUNNERS[name]
+        if not (where / needed).exists():
+            pytest.skip(f"{name} was not built on this machine (Debian: {packages})")
+        boards.append(Board(name, where, tmp_path / f"{name}.log"))
+        return boards[-1]
+
+    yield start
+    for board in boards:
+        board.stop()
+
+
+@pytest.fixture(scope="session")
+def built_to_die(once: Any) -> Path:
+    """The boards, with a tick that dies half a second after arming."""
+    compiler()
+    return once("dying", [str(FIRMWARE / "build")], {"DEFINES": "-DHAPSIM_BROKEN_TICK"})

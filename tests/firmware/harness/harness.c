@@ -1,0 +1,131 @@
+/* The state machine alone, in virtual time: obeys lines of standard input, and after each one tells what came of it as
+ * `STATE FED OUT FORCE...`, OUT in hexadecimal or -.
+ *
+ *   bytes HEX            bytes of the host
+ *   tick                 a sample period passes, and the sample timer ticks
+ *   pass THOUSANDTHS     so much of a period passes, and the main loop comes round
+ *   position COUNT...    what is measured from now on,
+ *   velocity COUNT...    and this
+ *   fault NUMBER         what measuring finds from now on: 0 nothing
+ *   room 0|1             whether the transmitter takes frames
+ *   register NUMBER      tells its value alone
+ */
+#include "hapsim_board.h"
+#include "hapsim_device.h"
+#include "hapsim_port.h"
+
+#include <stdio.h>
+#include <stdlib.h>
+
+static uint32_t now;
+static int32_t measured[2 * HAPSIM_BOARD_CHANNELS], put_out[HAPSIM_BOARD_CHANNELS];
+static uint8_t found = HAPSIM_NO_FAULT;
+static bool room = true;
+static unsigned fed, held_off;
+static uint8_t said[4096];
+static size_t said_bytes;
+
+uint32_t hapsim_port_now(void) {
+    return now;
+}
+
+uint8_t hapsim_port_measure(int32_t *counts, bool velocity) {
+    memcpy(counts, measured, (velocity ? 2 : 1) * HAPSIM_BOARD_CHANNELS * sizeof *counts);
+    return found;
+}
+
+void hapsim_port_put_forces(const int32_t *counts) {
+    memcpy(put_out, counts, sizeof put_out);
+}
+
+bool hapsim_port_write(const uint8_t *bytes, size_t count) {
+    if (!room || said_bytes + count > sizeof said) {
+        return false;
+    }
+    memcpy(said + said_bytes, bytes, count);
+    said_bytes += count;
+    return true;
+}
+
+void hapsim_port_feed_watchdog(void) {
+    fed++;
+}
+
+void hapsim_port_begin(void) {}
+
+void hapsim_port_hold_tick(void) {
+    if (held_off++) {
+        abort(); /* one context holds it, and once */
+    }
+}
+
+void hapsim_port_let_tick(void) {
+    if (--held_off) {
+        abort();
+    }
+}
+
+static void take_bytes(const char *hex) {
+    unsigned value;
+    for (; sscanf(hex, "%2x", &value) == 1; hex += 2) {
+        hapsim_device_take_byte((uint8_t)value);
+    }
+}
+
+static void read_counts(char *text, int32_t *counts) {
+    for (int c = 0; c < HAPSIM_BOARD_CHANNELS; c++) {
+        counts[c] = (int32_t)strtol(text, &text, 10);
+    }
+}
+
+static void tell(void) {
+    printf("%u %u ", hapsim_device_state(), fed);
+    for (size_t i = 0; i < said_bytes; i++) {
+        printf("%02x", said[i]);
+    }
+    printf("%s", said_bytes ? "" : "-");
+    for (int c = 0; c < HAPSIM_BOARD_CHANNELS; c++) {
+        printf(" %ld", (long)put_out[c]);
+    }
+    printf("\n");
+    said_bytes = 0;
+}
+
+static void obey(char *line) {
+    char *rest = line + strcspn(line, " \n");
+    if (strncmp(line, "bytes", 5) == 0) {
+        take_bytes(rest + 1);
+    } else if (strncmp(line, "tick", 4) == 0) {
+        now += HAPSIM_BOARD_PERIOD_TICKS;
+        hapsim_device_tick();
+    } else if (strncmp(line, "pass", 4) == 0) {
+        now += (uint32_t)strtoul(rest, NULL, 10);
+        hapsim_device_look();
+    } else if (strncmp(line, "position", 8) == 0) {
+        read_counts(rest, measured);
+    } else if (strncmp(line, "velocity", 8) == 0) {
+        read_counts(rest, measured + HAPSIM_BOARD_CHANNELS);
+    } else if (strncmp(line, "fault", 5) == 0) {
+        found = (uint8_t)strtoul(rest, NULL, 10);
+    } else if (strncmp(line, "room", 4) == 0) {
+        room = strtoul(rest, NULL, 10) != 0;
+    }
+}
+
+int main(void) {
+    static char line[65536];
+    for (int c = 0; c < HAPSIM_BOARD_CHANNELS; c++) {
+        put_out[c] = 12345; /* so that powering up has to put out zero */
+    }
+    now = UINT32_MAX - 5000; /* the clock wraps soon */
+    hapsim_device_init();
+    while (fgets(line, sizeof line, stdin)) {
+        if (strncmp(line, "register", 8) == 0) {
+            printf("%lu\n", (unsigned long)hapsim_device_register((uint16_t)strtoul(line + 8, NULL, 10)));
+        } else {
+            obey(line);
+            tell();
+        }
+    }
+    return 0;
+}

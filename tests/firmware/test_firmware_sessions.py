@@ -1,0 +1,92 @@
+"""Sessions of sessions.json: told by hand from PROTOCOL.md, played by the C firmware and by the mock alike."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from firmware_protocol import schema
+from firmware_protocol.make_vectors import DOCUMENT, SESSIONS, sessions_text
+from firmware_protocol.sessions import sessions
+from firmware_protocol.story import DEVICES, STATES
+
+TOLD = sessions()["sessions"]
+NAMES = [f"{at}-{entry['section']}-{entry['device']}" for at, entry in enumerate(TOLD)]
+
+
+def lines_of(step: dict[str, Any]) -> list[str]:
+    """A step as lines for the harness."""
+    if "bytes" in step:
+        return [f"bytes {step['bytes']}"]
+    if "tick" in step:
+        return ["tick"] * step["tick"]
+    if "pass" in step:
+        return [f"pass {step['pass']}"]
+    if "finds" in step:
+        return [f"fault {step['finds']}"]
+    if "room" in step:
+        return [f"room {step['room']}"]
+    return [f"position {_words(step['position'])}", f"velocity {_words(step['velocity'])}"]
+
+
+def _words(counts: list[int]) -> str:
+    return " ".join(str(count) for count in counts)
+
+
+def test_the_file_is_what_the_sessions_are_now() -> None:
+    assert SESSIONS.read_text("utf-8") == sessions_text(), "run python -m firmware_protocol.make_vectors"
+
+
+def test_every_session_quotes_its_section() -> None:
+    document = DOCUMENT.read_text("utf-8")
+    sections = dict(re.findall(r"^## (\d+)\. (.*?)(?=^## |\Z)", document, re.MULTILINE | re.DOTALL))
+    sections = {number: " ".join(text.replace("|", " ").split()) for number, text in sections.items()}
+    for entry in TOLD:
+        quote = " ".join(entry["says"].replace("|", " ").split())
+        assert quote in sections[entry["section"]], f"section {entry['section']} does not say: {entry['says']}"
+
+
+@pytest.mark.parametrize("entry", TOLD, ids=NAMES)
+def test_the_firmware_does_as_the_session_says(entry: dict[str, Any], harness: Callable[..., Any]) -> None:
+    device = {"name": entry["device"]} | DEVICES[entry["device"]]
+    lines, wanted = [], []
+    for step in entry["steps"]:
+        done = lines_of(step)
+        registers = step.get("registers", {})
+        lines += done + [f"register {number}" for number in registers]
+        wanted.append((len(done), step, registers))
+    answers = iter(harness(device)(lines))
+    for at, (count, step, registers) in enumerate(wanted):
+        said = ""
+        for _ in range(count):
+            state, _, out, *force = next(answers).split()
+            said += out.replace("-", "")
+        outcome = (STATES[int(state)], said, [int(word) for word in force])
+        assert outcome == (step["state"], step["out"], step["force"]), f"step {at}: {step}"
+        assert {number: int(next(answers)) for number in registers} == registers, f"step {at}: {step}"
+
+
+def test_the_hardware_watchdog_is_fed_by_the_tick_and_by_nothing_else(harness: Callable[..., Any]) -> None:
+    device = {"name": "plain"} | DEVICES["plain"]
+    for entry in TOLD:
+        if entry["device"] == "plain":
+            lines = [line for step in entry["steps"] for line in lines_of(step)]
+            fed = [int(answer.split()[1]) for answer in harness(device)(lines)]
+            ticks = [line == "tick" for line in lines]
+            assert fed == [sum(ticks[: at + 1]) for at in range(len(lines))], entry["says"]
+
+
+@pytest.mark.parametrize("entry", TOLD, ids=NAMES)
+def test_the_mock_does_as_the_session_says(entry: dict[str, Any], mock_player: Callable[..., Any]) -> None:
+    if any(step.get("finds") == schema.HARDWARE for step in entry["steps"]):
+        pytest.skip("the mock has no hardware that could fail")
+    player = mock_player(DEVICES[entry["device"]])
+    for at, step in enumerate(entry["steps"]):
+        said = player.play(step)
+        outcome = (player.state, said.hex(), player.force)
+        assert outcome == (step["state"], step["out"], step["force"]), f"step {at}: {step}"
+        registers = step.get("registers", {})
+        assert {number: player.register(int(number)) for number in registers} == registers, f"step {at}: {step}"

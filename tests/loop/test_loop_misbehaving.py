@@ -1,0 +1,277 @@
+"""A device that does not do as it should: what is said of it, and that nothing is claimed which it did not confirm."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from firmware_protocol import schema
+from firmware_protocol.frames import armed_format, frame_to_host
+from hapsim.device import conversation
+from hapsim.errors import DeviceError, GuardError
+from hapsim.loop import endings
+from hapsim.loop.codes import FAULT
+from hapsim.loop.recorder import Recorder
+from hapsim.running import run
+from hapsim.running.assemble import Loop
+from hapsim.running.report import failure_of, trace_of
+from hapsim.scene import Scene
+
+Scripted = Callable[..., Any]
+SceneOf = Callable[..., Scene]
+FrameOf = Callable[..., bytes]
+UNCONFIRMED = "the device did not confirm that it released its force"
+
+
+def status(state: int, fault: int) -> bytes:
+    return frame_to_host(armed_format(1), schema.STATUS, 0, [state | fault << 8])
+
+
+@pytest.fixture
+def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(conversation, "_ANSWER_S", 0.02)
+    monkeypatch.setattr(conversation, "_FAREWELL_S", 0.02)
+
+
+# What is known of the force.
+
+
+@pytest.mark.usefixtures("impatient")
+@pytest.mark.parametrize("portable", [False, True])
+@pytest.mark.parametrize(
+    ("clock", "by_itself"),
+    [
+        ("device", "time to live is over, 22 ms after the last one, or when its watchdog ends, 100 ms"),
+        ("host", "100 ms"),
+    ],
+)
+def test_of_a_device_that_hangs_no_zero_force_is_claimed(
+    scripted: Scripted, frame: FrameOf, scene_of: SceneOf, clock: str, by_itself: str, portable: bool
+) -> None:
+    script = [frame(n, 5000) for n in range(5)]
+    with (
+        scripted(script, scene=scene_of(device={"clock": clock}), hangs=True) as (scene, _),
+        pytest.raises(DeviceError, match="silent for") as caught,
+    ):
+        run(scene, duration=60.0, portable=portable)
+    told = str(caught.value)
+    assert UNCONFIRMED in told
+    assert by_itself in told
+    assert "power it off" in told
+    assert "the force is zero" not in told
+    assert caught.value.trace is not None
+    assert caught.value.trace.report.released is False
+
+
+@pytest.mark.usefixtures("impatient")
+def test_a_run_that_ends_as_asked_fails_where_the_device_does_not_release(scripted: Scripted, frame: FrameOf) -> None:
+    with (
+        scripted([frame(n, 0) for n in range(10)], hangs=True) as (scene, _),
+        pytest.raises(DeviceError, match=f"ended as asked after 5 ticks; .*{UNCONFIRMED}") as caught,
+    ):
+        run(scene, duration=0.005)
+    assert caught.value.trace is not None
+    assert caught.value.trace.report.ending == "done"
+
+
+def test_a_release_is_told_where_the_device_confirms_it(scripted: Scripted, frame: FrameOf) -> None:
+    with scripted([frame(n, 0) for n in range(10)]) as (scene, _):
+        assert run(scene, duration=0.005).report.released is True
+
+
+@pytest.mark.usefixtures("impatient")
+def test_a_device_that_says_it_is_still_armed_has_not_released(scripted: Scripted, frame: FrameOf) -> None:
+    with (
+        scripted([frame(n, 0) for n in range(10)], says_on_disarm=schema.ARMED) as (scene, _),
+        pytest.raises(DeviceError, match=UNCONFIRMED),
+    ):
+        run(scene, duration=0.005)
+
+
+# Why a device stopped, or never began.
+
+
+@pytest.mark.parametrize("fault", [77, 255])
+def test_a_refusal_that_no_version_names_is_a_refusal_with_its_number(scripted: Scripted, fault: int) -> None:
+    with scripted(refuses=fault) as (scene, _), pytest.raises(DeviceError, match=f"does not arm: fault {fault}, which"):
+        run(scene, duration=0.01)
+
+
+@pytest.mark.usefixtures("impatient")
+def test_a_device_that_answers_all_but_arm_is_told_so(scripted: Scripted) -> None:
+    with scripted(ignores_arm=True) as (scene, _), pytest.raises(DeviceError) as caught:
+        run(scene, duration=0.01)
+    assert "described itself, but did not answer ARM within 0.08 s" in str(caught.value)
+    assert "powered" not in str(caught.value)
+
+
+@pytest.mark.usefixtures("impatient")
+def test_a_device_that_answers_arm_with_neither_yes_nor_no_is_told_so(scripted: Scripted) -> None:
+    answer = schema.LATCHED | schema.HOST_QUIET << 8
+    with scripted(answers_arm_with=answer) as (scene, _), pytest.raises(DeviceError, match="state 2 and fault 1"):
+        run(scene, duration=0.01)
+
+
+def test_a_device_without_a_watchdog_is_never_armed(scripted: Scripted) -> None:
+    with scripted(max_watchdog_samples=0) as (scene, device):
+        with pytest.raises(DeviceError, match=r"allows no watchdog \(its register 6 reads 0\)"):
+            run(scene, duration=0.01)
+        assert device.arms == []
+
+
+@pytest.mark.parametrize(
+    ("quiet_ms", "refused", "told", "not_told"),
+    [
+        (90, 0, "the host got no position that it could use for 0.09 s before", "the host was quiet"),
+        (90, 7, "could use for 0.09 s before: 7 frames were refused", "the host was quiet"),
+        (1, 0, "the host was quiet for longer than the watchdog allows (its watchdog of 100 samples", "could use"),
+    ],
+)
+def test_a_watchdog_is_the_hosts_fault_only_where_it_had_a_position(
+    assembled: Callable[..., Loop],
+    arrive: Callable[..., int],
+    scene_of: SceneOf,
+    frame: FrameOf,
+    quiet_ms: int,
+    refused: int,
+    told: str,
+    not_told: str,
+) -> None:
+    scene = scene_of(device={"clock": "device"})
+    loop = assembled(scene)
+    for n in range(3):
+        arrive(loop, frame(n, 0), 10**9 + n * 10**6)
+    loop.inbox.decoder.crc_errors = refused
+    assert arrive(loop, status(schema.LATCHED, schema.HOST_QUIET), 10**9 + (2 + quiet_ms) * 10**6) == FAULT
+    trace = trace_of(scene, loop, Recorder(loop.ring, True), endings.DEVICE_STOPPED)
+    sentence = str(failure_of("test", scene, loop, trace, endings.DEVICE_STOPPED))
+    assert told in sentence
+    assert not_told not in sentence
+
+
+def test_a_status_that_says_neither_idle_nor_latched_is_told_as_it_came(scripted: Scripted, frame: FrameOf) -> None:
+    with (
+        scripted([frame(0, 0), status(schema.ARMED, schema.NO_FAULT)]) as (scene, _),
+        pytest.raises(DeviceError, match="stopped after 1 ticks: it sent a STATUS with state 1 and fault 0"),
+    ):
+        run(scene, duration=0.01)
+
+
+def test_positions_that_are_numbered_as_old_are_no_silence(
+    scripted: Scripted, frame: FrameOf, scene_of: SceneOf
+) -> None:
+    script = [frame(0, 0), frame(1, 0), frame(1, 0) * 3]
+    with (
+        scripted(script, scene=scene_of(device={"clock": "device"})) as (scene, _),
+        pytest.raises(DeviceError, match="no position of the device that could be used came") as caught,
+    ):
+        run(scene, duration=60.0)
+    assert "3 positions were numbered as earlier ones" in str(caught.value)
+
+
+# What a measurement makes of it.
+
+
+def ringing(frame: FrameOf, samples: int) -> list[bytes]:
+    """Positions of a decaying swing, whatever the force: 1 mm, 15 Hz, 200 counts at its end."""
+    n = np.arange(samples)
+    swing = 1000.0 * np.exp(-n / (0.6 * samples)) * np.cos(2.0 * np.pi * 15.0e-3 * n)
+    return [frame(i, int(counts)) for i, counts in enumerate(np.rint(swing))]
+
+
+@pytest.fixture
+def file_of(tmp_path: Path) -> Callable[[Scene], Path]:
+    def write(scene: Scene) -> Path:
+        path = tmp_path / "scene.yaml"
+        path.write_text(yaml.safe_dump(scene.model_dump(mode="json", exclude_none=True)), encoding="utf-8")
+        return path
+
+    return write
+
+
+@pytest.mark.parametrize("samples", [3, 400])
+@pytest.mark.parametrize(
+    ("last", "told"),
+    [
+        (None, "went away after"),
+        (b"", "silent for"),
+        (status(schema.LATCHED, schema.HARDWARE), "found a fault in its own hardware"),
+        (status(schema.LATCHED, 77), "fault 77"),
+    ],
+)
+def test_a_measurement_of_a_device_that_fails_is_status_3_with_its_reason(
+    hapsim: Callable[..., Any],
+    scripted: Scripted,
+    frame: FrameOf,
+    scene_of: SceneOf,
+    file_of: Callable[[Scene], Path],
+    last: bytes | None,
+    told: str,
+    samples: int,
+) -> None:
+    for words in ((), ("--json",)):
+        with scripted([*ringing(frame, samples), last], scene=scene_of(device={"clock": "device"})) as (scene, _):
+            answer = hapsim("measure", file_of(scene), *words)
+        assert answer.status == 3
+        assert told in answer.err
+    document = answer.document
+    assert (document["exit_status"], document["error"] in answer.err) == (3, True)
+    assert document["predicted"]["k"] is not None
+    assert document["ticks"] == samples
+    assert (document["measured"] is not None) == (samples == 400)
+    if samples == 400:
+        assert document["measured"]["frequency_hz"] == pytest.approx(15.0, rel=1e-2)
+
+
+# What a user sees of bad bytes, and how long a run lasts.
+
+
+def test_garbage_and_refused_frames_are_told_each_way(
+    hapsim: Callable[..., Any], scripted: Scripted, frame: FrameOf, file_of: Callable[[Scene], Path]
+) -> None:
+    spoilt = bytes([frame(9, 9)[0] ^ 1]) + frame(9, 9)[1:]
+    script = [frame(0, 0), b"x" * 20 + frame(1, 0), spoilt + frame(2, 0), *[frame(n, 0) for n in range(3, 9)]]
+    for words in ((), ("--json",)):
+        with scripted(script, registers={schema.REG_REJECTED: 5}) as (scene, _):
+            answer = hapsim("run", file_of(scene), "--duration", 0.006, *words)
+        assert answer.status == 0, answer.err
+        if not words:
+            for label, count in (("refused", 1), ("no frame", 20), ("refused by the device", 5)):
+                assert any(label in row and str(count) in row for row in answer.out.splitlines())
+    document = answer.document
+    assert (document["crc_errors"], document["garbage_bytes"], document["rejected_by_device"]) == (1, 20, 5)
+
+
+@pytest.mark.parametrize("step", [1, 2, 5])
+def test_lost_positions_make_no_run_longer(scripted: Scripted, frame: FrameOf, step: int) -> None:
+    with scripted([frame(n * step, 0) for n in range(60)]) as (scene, _):
+        trace = run(scene, duration=0.05)
+    assert trace.sample[-1] == 50 - 50 % step - (step == 1)
+    assert trace.report.duration_s == pytest.approx(trace.sample[-1] / 1000.0)
+
+
+# A position where no hand gets.
+
+
+@pytest.mark.parametrize("portable", [False, True])
+@pytest.mark.parametrize("clock", ["lockstep", "device", "host"])
+@pytest.mark.parametrize("from_sample", [0, 20])
+def test_a_position_that_leaps_ends_the_run_before_it_is_answered(
+    scripted: Scripted, frame: FrameOf, scene_of: SceneOf, clock: str, portable: bool, from_sample: int
+) -> None:
+    # By the host's clock a sample lasts as long as a busy machine takes, and a hand may get as far meanwhile.
+    far = 2_000_000_000 if clock == "host" else 500_000
+    script = [frame(n, 0 if n < from_sample else far * (-1) ** n) for n in range(200)]
+    with scripted(script, scene=scene_of(device={"clock": clock}), force_limit=(10.0,)) as (scene, device):
+        with pytest.raises(GuardError, match="the position of channel 0 leapt at tick") as caught:
+            run(scene, duration=60.0, portable=portable)
+        assert not device.armed
+        assert len({heard.number for heard in device.forces}) <= max(from_sample, 2)
+    assert caught.value.exit_status == 4
+    assert caught.value.trace is not None
+    assert caught.value.trace.report.ending == "position leapt"

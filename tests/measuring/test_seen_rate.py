@@ -1,0 +1,191 @@
+"""At which rate a device sampled: read from arrivals, and what that makes of a measurement and of its prediction."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hapsim.console.as_json import measurement_document
+from hapsim.device.connection import Connection
+from hapsim.device.mock.assemble import assemble_mock
+from hapsim.device.mock.loopback import loopback_transport
+from hapsim.device.mock.terminal import serving
+from hapsim.loop.trace import Trace
+from hapsim.measuring.identify import identify
+from hapsim.measuring.seen_rate import seen_rate
+from hapsim.prediction import felt_at_rate, predict
+from hapsim.running import run, starting
+from hapsim.scene import Scene, parse_scene
+
+SCENE = {
+    "version": 1,
+    "rate": 1000.0,
+    "device": {"mass": 0.2, "friction": 1.0, "clock": "lockstep"},
+    "mock": {"initial": {"velocity": 0.1}},
+    "modules": {
+        "hand": {"type": "device", "channel": 0},
+        "wall": {"type": "ground"},
+        "touch": {"type": "viscoelastic", "between": ["hand", "wall"], "stiffness": 2000.0, "damping": 5.0},
+    },
+}
+
+
+def scene_of(**device: Any) -> Scene:
+    return parse_scene(json.dumps(SCENE | {"device": SCENE["device"] | device}))  # type: ignore[operator]
+
+
+def mistaken_mock(scene: Scene, share: float) -> Any:
+    """A mock that declares the scene's rate and samples at `share` of it."""
+    mock = assemble_mock(scene)
+    mock.converters["period"] /= share
+    return mock
+
+
+@pytest.fixture(scope="module")
+def a_trace() -> Trace:
+    return run(scene_of(), duration=2.048)
+
+
+def arriving(trace: Trace, arrivals_s: np.ndarray, kept: Any = slice(None)) -> Trace:
+    """The trace, as if its positions had come from a device with a timer of its own, at these times."""
+    rows = {"sample": trace.sample[kept], "time_ns": np.rint(1e9 * arrivals_s[kept]).astype(np.int64) + 10**12}
+    return replace(trace, **rows, report=replace(trace.report, timed_by_device=True, virtual_time=False))
+
+
+def late(samples: int, rng: np.random.Generator) -> np.ndarray:
+    """Lateness (s) as a machine that is not real-time has it: never early, mostly small, rarely milliseconds."""
+    return rng.exponential(40e-6, samples) + (rng.uniform(size=samples) < 0.01) * rng.uniform(0.0, 5e-3, samples)
+
+
+@pytest.mark.parametrize("share", [0.5, 0.9, 0.98, 0.999, 1.0, 1.02, 1.5])
+def test_the_true_rate_lies_within_the_uncertainty(a_trace: Trace, share: float) -> None:
+    rng = np.random.default_rng(11)
+    for _ in range(20):
+        arrivals = np.arange(2048) / (1000.0 * share) + late(2048, rng)
+        seen = seen_rate(arriving(a_trace, arrivals))
+        assert seen is not None
+        assert abs(seen.rate_hz - 1000.0 * share) < seen.uncertainty_hz < 1.0
+        assert seen.differs_from(1000.0) == (share != 1.0)
+
+
+@pytest.mark.parametrize("share", [0.5, 0.9, 1.0])
+def test_the_earliest_arrivals_tell_it_and_the_others_do_not_blur_it(a_trace: Trace, share: float) -> None:
+    """Half a millisecond late on average: the uncertainty stays that of the host's clock."""
+    rng = np.random.default_rng(13)
+    for _ in range(10):
+        seen = seen_rate(arriving(a_trace, np.arange(2048) / (1000.0 * share) + 12.0 * late(2048, rng)))
+        assert seen is not None
+        assert abs(seen.rate_hz - 1000.0 * share) < seen.uncertainty_hz < 0.15 * share
+
+
+def test_a_host_that_is_held_up_and_lost_positions_do_not_bend_it(a_trace: Trace) -> None:
+    rng = np.random.default_rng(12)
+    for _ in range(20):
+        arrivals = np.arange(2048) / 980.0 + late(2048, rng)
+        for begin in rng.uniform(0.0, 2.0, 5):  # held up for up to a tenth of a second, it finds positions waiting
+            end = begin + rng.uniform(0.0, 0.1)
+            arrivals = np.where((arrivals >= begin) & (arrivals < end), end, arrivals)
+        kept = np.flatnonzero(rng.uniform(size=2048) > 0.3)
+        seen = seen_rate(arriving(a_trace, arrivals, kept))
+        assert seen is not None
+        assert abs(seen.rate_hz - 980.0) < seen.uncertainty_hz < 2.0
+
+
+def test_of_virtual_time_and_of_too_few_positions_there_is_none(a_trace: Trace) -> None:
+    assert seen_rate(a_trace) is None
+    assert seen_rate(arriving(a_trace, np.arange(2048) / 900.0, slice(0, 79))) is None
+
+
+@pytest.mark.parametrize("share", [0.5, 0.9, 0.98])
+@pytest.mark.parametrize("damper", [{}, {"damper": "filtered", "cutoff": 100.0}, {"damper": "sensed"}])
+def test_what_was_felt_at_the_seen_rate_is_what_is_predicted_for_it(
+    monkeypatch: pytest.MonkeyPatch, share: float, damper: dict[str, Any]
+) -> None:
+    """Two roads: the theory with another rate, and the motion of a mock whose timer is slow."""
+    document = json.loads(json.dumps(SCENE))
+    document["modules"]["touch"] |= damper
+    scene = parse_scene(json.dumps(document))
+
+    @contextlib.contextmanager
+    def slow(scene: Scene, *_: Any, **__: Any) -> Iterator[Connection]:
+        yield Connection(loopback_transport(mistaken_mock(scene, share)), "slow", close=lambda: None)
+
+    monkeypatch.setattr(starting, "open_connection", slow)
+    measured = identify(run(scene, duration=1.0), 0.2).at_rate(1000.0 * share)
+    (declared,) = predict(scene).felt
+    felt = felt_at_rate(declared, 1000.0 * share)
+    for key in ("k", "b", "frequency_hz", "damping_ratio"):
+        assert getattr(measured, key) == pytest.approx(getattr(felt, key), rel=2e-5)
+    assert abs(declared.k / felt.k - 1.0) > 2e-4
+
+
+def test_of_a_port_a_rate_is_seen() -> None:
+    """In real time: which rate is seen is this machine's affair too, and not asserted."""
+    document = json.loads(json.dumps(SCENE)) | {"rate": 200.0}
+    document["modules"]["touch"] |= {"stiffness": 200.0, "damping": 2.0}
+    document["device"]["clock"] = "device"
+    scene = parse_scene(json.dumps(document))
+    with serving(mistaken_mock(scene, 0.9)) as port:
+        trace = run(parse_scene(json.dumps(document | {"device": document["device"] | {"port": port}})), duration=1.0)
+    seen = seen_rate(trace)
+    assert trace.report.timed_by_device
+    assert (seen is not None) == (trace.sample.size >= 80)  # fewer where the machine is held up for long
+    assert seen is None or seen.uncertainty_hz > 0.0
+
+
+@pytest.mark.parametrize("share", [0.9, 1.0])
+def test_the_document_has_both_sides_for_the_rate_that_was_seen(a_trace: Trace, share: float) -> None:
+    measurement = identify(arriving(a_trace, np.arange(2048) / (1000.0 * share)), 0.2)
+    document = measurement_document(predict(scene_of()), measurement, 0)
+    assert (document["rate_hz"], document["nominal_rate_hz"]) == (1000.0, 1000.0)
+    assert document["rate_seen_hz"] == pytest.approx(1000.0 * share, abs=document["rate_seen_uncertainty_hz"])
+    if share == 1.0:
+        assert document["at_rate_seen"] is None
+        return
+    seen = document["at_rate_seen"]
+    assert seen["measured"]["k"] == pytest.approx(document["measured"]["k"] * share**2, rel=1e-6)
+    assert seen["measured"]["b"] == pytest.approx(document["measured"]["b"] * share, rel=1e-6)
+    assert seen["measured"]["k_uncertainty"] > document["measured"]["k_uncertainty"]
+    assert seen["predicted"]["damping"] == pytest.approx(document["predicted"]["damping"] / share, rel=1e-6)
+    assert document["predicted"]["k"] == pytest.approx(document["measured"]["k"], rel=1e-5)
+
+
+def test_in_virtual_time_no_rate_is_seen(hapsim: Callable[..., Any], tmp_path: Path) -> None:
+    path = tmp_path / "scene.yaml"
+    path.write_text(json.dumps(SCENE))
+    document = hapsim("measure", path, "--json").document
+    assert (document["rate_hz"], document["rate_seen_hz"], document["at_rate_seen"]) == (1000.0, None, None)
+
+
+def test_the_text_names_the_rate_that_was_seen(a_trace: Trace) -> None:
+    from rich.console import Console
+
+    from hapsim.console.tables import show_measurement
+
+    arrivals = np.arange(2048) / 900.0
+    measurement = identify(arriving(a_trace, arrivals), 0.2)
+    console = Console(record=True, width=200)
+    show_measurement(console, "hand", predict(scene_of()).felt[0], "", measurement)
+    told = console.export_text()
+    assert "The device sampled at 900 ± " in told
+    assert "it declares 1000 Hz" in told
+    assert "What the hand feels at 900 Hz" in told
+
+
+def test_a_hand_whose_every_force_is_late_is_not_told_that_it_did_not_move(a_trace: Trace) -> None:
+    from hapsim.errors import UsageError
+    from hapsim.loop.ring import LATE_FORCE
+
+    with pytest.raises(UsageError, match="of 2048 samples 2048 had their force too late") as caught:
+        identify(replace(a_trace, flags=np.full(2048, LATE_FORCE, np.uint8)), 0.2)
+    assert "the hand moved by 0.00" in str(caught.value)
+    assert "too little motion" not in str(caught.value)
+    with pytest.raises(UsageError, match="too little motion"):
+        identify(replace(a_trace, position_counts=0 * a_trace.position_counts), 0.2)

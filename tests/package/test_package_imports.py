@@ -1,0 +1,100 @@
+"""Which room stands on which: imports run one way, and nothing goes round in a circle."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from graphlib import CycleError, TopologicalSorter
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+
+#: From those that stand on nothing to those that stand on all: a room imports itself, and rooms of lines above its own.
+ORDER = (
+    ("hapsim", "hapsim.errors", "hapsim.progress", "firmware_protocol"),
+    ("hapsim.shipped", "hapsim.theory", "hapsim.scene", "hapsim.compiling", "hapsim.realtime"),
+    ("hapsim.prediction", "hapsim.cordis"),
+    ("hapsim.loop",),
+    ("hapsim.device",),
+    ("hapsim.ahead",),
+    ("hapsim.running",),
+    ("hapsim.measuring", "hapsim.doctor", "hapsim.probe"),
+    ("hapsim.speed_accuracy",),
+    ("hapsim.console",),
+    ("hapsim.chart",),
+    ("hapsim.commands",),
+    ("hapsim.cli",),
+    ("hapsim.__main__",),
+)
+
+
+def module_of(file: Path) -> str:
+    return ".".join(file.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
+
+
+FILES = {
+    module_of(file): file for room in ("hapsim", "firmware_protocol") for file in sorted((ROOT / room).rglob("*.py"))
+}
+
+
+def imports(node: ast.AST) -> Iterator[str]:
+    """The modules of ours that are imported here, in functions too; not what is imported for its type alone."""
+    if isinstance(node, ast.If) and isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING":
+        return
+    if isinstance(node, ast.Import):
+        yield from (name.name for name in node.names if name.name in FILES)
+    if isinstance(node, ast.ImportFrom) and node.module:
+        for name in node.names:
+            inner = f"{node.module}.{name.name}"
+            yield from (module for module in (inner if inner in FILES else node.module,) if module in FILES)
+    for child in ast.iter_child_nodes(node):
+        yield from imports(child)
+
+
+GRAPH = {module: set(imports(ast.parse(file.read_text("utf-8")))) - {module} for module, file in FILES.items()}
+
+
+def test_no_import_runs_in_a_circle() -> None:
+    assert sum(map(len, GRAPH.values())) > len(GRAPH) > 200
+    try:
+        TopologicalSorter(GRAPH).prepare()
+    except CycleError as error:
+        pytest.fail(" <- ".join(error.args[1]))
+
+
+LEVELS = {room: number for number, line in enumerate(ORDER) for room in line}
+
+
+def room_of(module: str) -> str:
+    """The longest name in ORDER that a module's begins with."""
+    return max((room for room in LEVELS if f"{module}.".startswith(f"{room}.")), key=len)
+
+
+@pytest.mark.parametrize("module", GRAPH)
+def test_a_room_imports_only_what_stands_below_it(module: str) -> None:
+    room = room_of(module)
+    others = {room_of(other) for other in GRAPH[module]} - {room}
+    assert {other for other in others if LEVELS[other] >= LEVELS[room]} == set()
+
+
+@pytest.mark.parametrize(
+    ("room", "never"),
+    [
+        ("hapsim.theory", "hapsim.cordis"),
+        ("hapsim.measuring", "hapsim.theory"),
+        ("hapsim.measuring", "hapsim.prediction"),
+    ],
+)
+def test_prediction_and_measurement_are_two_roads(room: str, never: str) -> None:
+    """Whatever the room imports, and what that imports in turn, or a comparison of the two would be worth nothing."""
+    reached, ahead = set(), [module for module in GRAPH if module.startswith(f"{room}.")]
+    if room == "hapsim.measuring":  # measure.py has a scene run; a run looks at its prediction before it takes a change
+        ahead = [module for module in ahead if not module.endswith(".measure")]
+    while ahead:
+        module = ahead.pop()
+        if module not in reached:
+            reached.add(module)
+            ahead.extend(GRAPH[module])
+    assert [module for module in reached if f"{module}.".startswith(f"{never}.")] == []

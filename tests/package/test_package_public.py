@@ -1,0 +1,112 @@
+"""What is public serves: our own benches and examples need nothing else, and hapsim/USING.md tells all of it."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+PACKAGES = ("hapsim", "firmware_protocol")
+PUBLIC_ROOMS = ("hapsim", "hapsim.theory", "hapsim.prediction", "hapsim.running", "hapsim.scene", "hapsim.errors")
+ABOUT_ITSELF = {"__version__", "__file__", "__all__"}
+
+ADDS_PEERS = "adds C, Faust, MuJoCo and SciPy to what `hapsim chart speed-accuracy` works out and draws"
+TIMES_THE_EXCHANGE = "times the compiled exchange itself, on a transport in memory of its own"
+PLAYS_THE_DEVICE = "plays the device itself, to see when a run arms it"
+INSIDE = {
+    ("tools/bench/speed/", "hapsim.speed_accuracy"): ADDS_PEERS,
+    ("tools/bench/speed/", "hapsim.chart"): ADDS_PEERS,
+    ("tools/bench/speed/", "hapsim.cordis"): "times the tick itself, without a loop and a device",
+    ("tools/bench/steadiness/", "hapsim.chart.figure"): "writes its pictures and tables as `hapsim chart` does",
+    ("tools/bench/steadiness/in_memory.py", "firmware_protocol"): TIMES_THE_EXCHANGE,
+    ("tools/bench/steadiness/in_memory.py", "hapsim.compiling"): TIMES_THE_EXCHANGE,
+    ("tools/bench/steadiness/in_memory.py", "hapsim.device"): TIMES_THE_EXCHANGE,
+    ("tools/bench/steadiness/in_memory.py", "hapsim.loop"): TIMES_THE_EXCHANGE,
+    ("tools/bench/steadiness/in_memory.py", "hapsim.running.assemble"): TIMES_THE_EXCHANGE,
+    ("tools/bench/steadiness/wakeups.py", "hapsim.doctor.wakeups"): "times the loop's sleep as it schedules itself",
+    ("tools/bench/start.py", "hapsim.device.mock"): PLAYS_THE_DEVICE,
+    ("tools/bench/start.py", "firmware_protocol"): PLAYS_THE_DEVICE,
+}
+"""(where, what of the inside it uses on purpose): why."""
+
+
+def programs() -> dict[str, str]:
+    """Python that shows how hapsim is used, by where it stands: the tools, and the examples of every page."""
+    found = {path: path.read_text(encoding="utf-8") for path in (REPOSITORY / "tools").rglob("*.py")}
+    folders = [REPOSITORY / name for name in (*PACKAGES, "configs", "tests", "tools")]
+    pages = [*REPOSITORY.glob("*.md"), *(page for folder in folders for page in folder.rglob("*.md"))]
+    for page in pages:
+        examples = re.findall(r"^```python\n(.*?)^```", page.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+        found |= {page.with_name(f"{page.name}, example {i + 1}"): text for i, text in enumerate(examples)}
+    return {path.relative_to(REPOSITORY).as_posix(): text for path, text in found.items()}
+
+
+def names_used(text: str) -> Iterator[tuple[str, str]]:
+    """(room, name) of all of our packages that a program imports or reaches through `hapsim.`; "" for a whole room."""
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Import):
+            yield from ((alias.name, "") for alias in node.names if alias.name.partition(".")[0] in PACKAGES)
+        elif isinstance(node, ast.ImportFrom) and (node.module or "").partition(".")[0] in PACKAGES:
+            yield from ((node.module or "", alias.name) for alias in node.names)
+        elif isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id in PACKAGES:
+            yield node.value.id, node.attr
+
+
+def is_public(room: str, name: str) -> bool:
+    if room not in PUBLIC_ROOMS:
+        return f"{room}.{name}" in PUBLIC_ROOMS
+    return not name or name in ABOUT_ITSELF or name in importlib.import_module(room).__all__
+
+
+def why_inside(where: str, room: str, name: str) -> tuple[str, str] | None:
+    """The entry of INSIDE that allows it."""
+    reached = f"{room}.{name}."
+    return next((key for key in INSIDE if where.startswith(key[0]) and reached.startswith(f"{key[1]}.")), None)
+
+
+def test_our_benches_and_examples_need_nothing_private() -> None:
+    private, allowed = [], set()
+    for where, text in programs().items():
+        for room, name in names_used(text):
+            if is_public(room, name):
+                continue
+            allowed.add(why_inside(where, room, name))
+            if why_inside(where, room, name) is None:
+                private.append(f"{where}: {name or 'import'} of {room}")
+    assert private == []
+    assert allowed == set(INSIDE)  # what needs the inside no longer is taken off the list
+
+
+def test_the_search_for_private_names_finds_them() -> None:
+    text = "import hapsim, hapsim.loop.ring\nfrom hapsim.theory.hand import blocks\nhapsim.cordis.tick\nhapsim.run"
+    found = [used for used in names_used(text) if not is_public(*used)]
+    assert found == [("hapsim.loop.ring", ""), ("hapsim.theory.hand", "blocks"), ("hapsim", "cordis")]
+    assert len(programs()) > 40
+    assert sum(".md, example" in where for where in programs()) >= 2
+
+
+def test_no_attribute_with_an_underscore_is_reached_for() -> None:
+    """But one's own."""
+    reached = [
+        f"{where}: {ast.unparse(node)}"
+        for where, text in programs().items()
+        for node in ast.walk(ast.parse(text))
+        if isinstance(node, ast.Attribute) and re.match(r"_[a-z]", node.attr)
+        if not (isinstance(node.value, ast.Name) and node.value.id in ("self", "cls"))
+    ]
+    assert reached == []
+
+
+@pytest.mark.parametrize("room", PUBLIC_ROOMS)
+def test_every_public_name_is_there_and_stands_in_the_manual(room: str) -> None:
+    _, _, manual = (REPOSITORY / "hapsim" / "USING.md").read_text(encoding="utf-8").partition("## From Python")
+    module = importlib.import_module(room)
+    assert f"`{room}.`" in manual or f"`{room}`" in manual
+    for name in module.__all__:
+        assert getattr(module, name) is not None
+        assert re.search(rf"`{name}[`(]", manual), f"{room}.{name} is not in hapsim/USING.md"

@@ -1,0 +1,122 @@
+"""Devices to be judged: one in plain Python (device.py), in virtual time, or as a process of its own on a port."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.util
+import json
+import random
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from hapsim.device.connection import Connection
+from hapsim.loop.codes import HUNG_UP, TIMED_OUT
+from hapsim.probe.wire import Clock, Wire
+
+SCRIPT = Path(__file__).with_name("device.py")
+_ROOM = 20_480  # bytes that wait for the host, as on a pseudo-terminal
+_WORK_S = 20e-6  # of the host, for each call
+_LATE_S = 0.004  # now and then, as a host in Python is
+
+
+def _device_module() -> Any:
+    spec = importlib.util.spec_from_file_location("device_of_the_probe", SCRIPT)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+Device = _device_module().Device
+
+
+class VirtualLine(Clock):
+    """A host's clock, transport and device in one: time passes where the host waits, and a little where it works.
+
+    One answer in ten is late by up to 4 ms, by a seed.
+    """
+
+    def __init__(self, options: dict[str, Any]) -> None:
+        self._time = 100.0
+        self._to_host = b""
+        self._gone = False
+        self._random = random.Random(1)
+        self.device = Device(self._put, self.now, options)
+
+    def _put(self, data: bytes) -> int:
+        count = min(len(data), _ROOM - len(self._to_host))
+        self._to_host += data[:count]
+        return count
+
+    def now(self) -> float:
+        return self._time
+
+    def sleep(self, seconds: float) -> None:
+        self._pass_until(self._time + seconds, heard=False)
+
+    def _pass_until(self, end: float, heard: bool) -> None:
+        while self._time < end and not (heard and self._to_host):
+            self._time = min(end, self._time + max(self.device.wait(), 1e-6))
+            self.device.look()
+
+    def receive(self, buffer: NDArray[np.uint8], timeout_ns: int) -> int:
+        if self._is_gone():
+            return HUNG_UP
+        self._pass_until(self._time + timeout_ns * 1e-9, heard=True)
+        self._pass_until(self._time + _WORK_S, heard=False)
+        data, self._to_host = self._to_host[: buffer.size], self._to_host[buffer.size :]
+        buffer[: len(data)] = np.frombuffer(data, np.uint8)
+        return len(data) or TIMED_OUT
+
+    def _is_gone(self) -> bool:
+        self._gone = self._gone or ("resets_where_it_waits" in self.device.faults and len(self._to_host) == _ROOM)
+        return self._gone
+
+    def send(self, frame: bytes) -> int:
+        if self._is_gone():
+            return HUNG_UP
+        late = self._random.random() * _LATE_S if self._random.random() < 0.1 else 0.0
+        self._pass_until(self._time + _WORK_S + late, heard=False)
+        self.device.take(frame)
+        self.device.look()
+        return 0
+
+
+class Bench:
+    """A wire to a device of these faults and options, in virtual time."""
+
+    def __init__(self, *faults: str, **options: Any) -> None:
+        line = VirtualLine(options | {"faults": list(faults)})
+        self.device = line.device
+        self.wire = Wire(Connection(line, "virtual device", close=lambda: None), line)
+
+
+@pytest.fixture(scope="session")
+def new_bench() -> Callable[..., Bench]:
+    return Bench
+
+
+@contextlib.contextmanager
+def serve(*faults: str, **options: Any) -> Iterator[str]:
+    words = json.dumps(options | {"faults": list(faults)})
+    command = [sys.executable, str(SCRIPT), words]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        try:
+            yield process.stdout.readline().strip()
+        finally:
+            process.communicate()  # the end of its input stops it
+
+
+@pytest.fixture
+def serving() -> Callable[..., contextlib.AbstractContextManager[str]]:
+    """The path of a port behind which a process plays the device."""
+    return serve

@@ -1,0 +1,368 @@
+"""A device written once more from PROTOCOL.md, in plain Python, on a pseudo-terminal: `device.py {json}` prints its
+port and serves it until it is stopped. What it does wrong is said in its options: {"faults": ["inverted_sign"], ...}.
+
+It shares nothing with hapsim, and imports nothing but the standard library: it is there at once.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import os
+import select
+import struct
+import sys
+import time
+import tty
+from itertools import pairwise
+
+SCHEMA = 0x314A417F
+MARK = 0x56454C01
+IDLE, ARMED, LATCHED = range(3)
+DESCRIBE, ARM, FORCE, DISARM = 1, 2, 3, 4
+DESCRIPTION, POSITION, HELD, STATUS = 9, 10, 11, 12
+
+
+def table_of(polynomial):
+    table = []
+    for value in range(256):
+        for _ in range(8):
+            value = value >> 1 ^ (polynomial if value & 1 else 0)  # noqa: PLW2901
+        table.append(value)
+    return table
+
+
+CRC16, CRC32C = table_of(0xA6BC), table_of(0x82F63B78)
+
+
+class Format:
+    def __init__(self, channels, velocity=False, seed=None):
+        self.channels = channels
+        self.host_words = channels * (2 if velocity else 1)
+        self.long = self.host_words > 3
+        word = SCHEMA ^ (MARK if velocity else 0)
+        self.seed = seed if seed is not None else word if self.long else (word ^ word >> 16) & 0xFFFF
+
+    def check(self, encoded):
+        table, crc = (CRC32C if self.long else CRC16), self.seed
+        for byte in encoded:
+            crc = crc >> 8 ^ table[(crc ^ byte) & 0xFF]
+        crc ^= 0xFFFFFFFF if self.long else 0xFFFF
+        return bytes(0x80 | crc >> 7 * i & 0x7F for i in range(5 if self.long else 3))
+
+    def to_host(self, kind, number, words):
+        body = struct.pack(">H", kind << 12 | number & 4095)
+        body += struct.pack(f"<{self.host_words}i", *([*words, *[0] * 32][: self.host_words]))
+        encoded = bytearray(b"\0" + body)
+        zeros = [0] + [i + 1 for i, byte in enumerate(body) if byte == 0] + [len(body) + 1]
+        for here, there in pairwise(zeros):
+            encoded[here] = there - here
+        return bytes(encoded) + self.check(encoded) + b"\0"
+
+    def from_host(self, candidate):
+        """(type, number, argument, words), or the name of what is wrong."""
+        count = 1 + 3 + 4 * self.channels
+        encoded = candidate[:count]
+        if self.check(encoded) != candidate[count:]:
+            return "crc"
+        body, at = bytearray(encoded), 0
+        while at < count:
+            step, body[at] = body[at], 0
+            if step == 0:
+                return "form"
+            at += step
+        kind, number = body[1] >> 4, (body[1] & 15) << 8 | body[2]
+        if at != count or not DESCRIBE <= kind <= DISARM:
+            return "form"
+        return kind, number, body[3], struct.unpack_from(f"<{self.channels}i", body, 4)
+
+    @property
+    def length(self):
+        return 1 + 3 + 4 * self.channels + (5 if self.long else 3)
+
+
+SETUP = Format(1, seed=0x4853)
+
+
+class Mass:
+    """A mass with viscous friction, moved exactly under a force that is held."""
+
+    def __init__(self, mass, friction):
+        self.mass, self.friction, self.x, self.v = mass, friction, 0.0, 0.0
+
+    def move(self, force, seconds):
+        rate, rest = self.friction / self.mass, force / self.friction
+        gone = -math.expm1(-rate * seconds)
+        self.x += rest * seconds + (self.v - rest) * gone / rate
+        self.v += (rest - self.v) * gone
+
+
+class Device:
+    """`put(data)` hands bytes to the transmitter, which tells for how many it had room; `now()`: a clock, s."""
+
+    def __init__(self, put, now, options):
+        self.put_out_bytes, self.now, self.options = put, now, options
+        self.faults = set(options.get("faults", ()))
+        self.channels = options.get("channels", 1)
+        self.rate = options.get("rate", 500.0)
+        self.pacings = options.get("pacings", 3)
+        self.max_watchdog = options.get("max_watchdog", 2047)
+        self.senses = options.get("senses", True)
+        self.scale, self.force_scale, self.limit = options.get("scale", 1e-8), 1e-7, options.get("limit", 10.0)
+        self.bodies = [Mass(0.2, 1.0) for _ in range(self.channels)]
+        self.wire, self.rest, self.unsent, self.waiting, self.torn = SETUP, b"", b"", b"", False
+        self.state, self.fault, self.pacing, self.watchdog = IDLE, 0, 0, 0
+        self.n = self.answered = self.heard = self.expires = 0
+        self.counters = dict.fromkeys(("accepted", "rejected", "held", "expired", "limited"), 0)
+        self.output = self.command = [0.0] * self.channels
+        self.moved_at = self.due = now()
+        self.heard_at, self.life = 0.0, math.inf
+        self.largest = 0.0  # N, of what was asked for
+        self.own = self.registers()
+
+    # What it says of itself.
+
+    def registers(self):
+        own = {0: 1, 1: SCHEMA, 2: self.channels, 3: self.pacings, 6: self.max_watchdog}
+        self.put(own, 4, self.rate)
+        name = self.options.get("name", "probed").encode("latin-1").ljust(16, b"\0")
+        own.update(zip(range(16, 20), struct.unpack("<4I", name), strict=True))
+        for c in range(self.channels):
+            velocity = self.scale * 100 if self.senses else 0.0
+            for i, value in enumerate((self.scale, self.force_scale, self.limit, velocity)):
+                self.put(own, 32 + 8 * c + 2 * i, value)
+        own.update({int(number): value for number, value in self.options.get("registers", {}).items()})
+        return own
+
+    def put(self, own, at, value):
+        own[at], own[at + 1] = struct.unpack("<II", struct.pack("<d", value))
+
+    def register(self, number):
+        counters = dict(enumerate(self.counters.values(), 8))
+        value = self.own.get(number, counters.get(number, self.fault if number == 7 else 0))
+        return value - (1 << 32) if value >= 1 << 31 else value
+
+    # Bytes.
+
+    def write(self, frame):
+        """Never waits; what found room in part goes first."""
+        if "waits_for_room" in self.faults:
+            self.unsent += frame
+            self.flush()
+            return
+        self.flush()
+        self.torn = self.torn or bool(self.unsent)
+        if not self.unsent:
+            frame = frame[5 if self.torn and "tears_frames" in self.faults else 0 :]
+            self.torn = False
+            self.unsent = frame[self.put_out_bytes(frame) :]
+
+    def flush(self):
+        """Whether nothing is left to be sent."""
+        if self.unsent:
+            self.unsent = self.unsent[self.put_out_bytes(self.unsent) :]
+        return not self.unsent
+
+    def waits(self):
+        """Whether everything stands still until there is room; an interrupt that is not served meanwhile is lost."""
+        if "waits_for_room" in self.faults and not self.flush():
+            self.due = self.now() + self.period
+            return True
+        return False
+
+    def take(self, data):
+        self.waiting += data
+        if self.waits():
+            return
+        data, self.waiting = self.waiting, b""
+        pieces = (self.rest + data).split(b"\0")
+        self.rest = pieces.pop()[-1000:]
+        for piece in pieces:
+            if not piece:
+                continue
+            if len(piece) < self.wire.length:
+                self.counters["rejected"] += 1
+                continue
+            frame = self.wire.from_host(piece[-self.wire.length :])
+            if frame == "crc" and "answers_damaged" in self.faults:
+                sound = piece[: -(5 if self.wire.long else 3)][-self.wire.length :]
+                frame = self.wire.from_host(sound + self.wire.check(sound))
+            if isinstance(frame, str):
+                self.counters["rejected"] += 1
+            else:
+                self.act(*frame)
+
+    def act(self, kind, number, argument, words):
+        if kind == DISARM:
+            self.stop(IDLE)
+            self.status()
+        elif self.state == ARMED:
+            if kind == FORCE:
+                self.take_force(number, argument, words)
+        elif kind == ARM:
+            self.arm(number, argument, words[0] & 0xFFFFFFFF)
+        elif kind == DESCRIBE:
+            self.write(self.wire.to_host(DESCRIPTION, number, [self.register(number)]))
+
+    # Samples.
+
+    def status(self):
+        self.write(self.wire.to_host(STATUS, self.n, [self.state | self.fault << 8]))
+
+    def refusal(self, watchdog, pacing, velocity, word):
+        if word != SCHEMA and "any_schema" not in self.faults:
+            return 3
+        if pacing > 2 or not self.pacings >> pacing & 1:
+            return 4
+        if velocity and not self.senses:
+            return 7
+        return 0 if 1 <= watchdog <= self.max_watchdog else 5
+
+    def arm(self, watchdog, argument, word):
+        velocity = bool(argument & 0x80)
+        self.n, self.fault = 0, self.refusal(watchdog, argument & 0x7F, velocity, word)
+        if self.fault:
+            return self.status()
+        self.state, self.pacing, self.watchdog, self.velocity = ARMED, argument & 0x7F, watchdog, velocity
+        self.answered = self.heard = self.expires = -1
+        if "keeps_counters" not in self.faults:
+            self.counters = dict.fromkeys(self.counters, 0)
+        self.status()
+        self.wire = Format(self.channels, velocity)
+        self.heard_at, self.life = self.now(), math.inf
+        self.due = self.now() + self.period
+        self.say_position(POSITION)
+        return None
+
+    @property
+    def period(self):
+        slower = 4.0 if "slows_down" in self.faults and self.n > 150 else 1.0
+        return slower / self.rate / (1.02 if "fast" in self.faults else 1.0)
+
+    def take_force(self, number, time_to_live, words):
+        age = (self.n - number) & 4095
+        if age > time_to_live and "never_expires" not in self.faults:
+            self.counters["expired"] += 1
+            return
+        self.counters["accepted"] += 1
+        self.command = []
+        for count in words:
+            force = count * self.force_scale
+            self.largest = max(self.largest, abs(force))
+            if abs(force) > self.limit and "never_cuts" not in self.faults:
+                self.counters["limited"] += 1
+                force = math.copysign(self.limit, force)
+            self.command.append(force)
+        self.answered, self.heard = self.n - age, self.n
+        self.expires = self.answered + time_to_live
+        self.heard_at, self.life = self.now(), (time_to_live + 1) / self.rate
+        if "on_arrival" in self.faults:
+            self.put_out(self.command)
+        if self.pacing != 0:
+            self.tick(self.now())
+
+    def put_out(self, forces):
+        """In between, the bodies have moved."""
+        self.move(self.now())
+        self.output = list(forces)
+
+    def move(self, now):
+        """At most for a sample, however much later this process came to it."""
+        seconds = now - self.moved_at
+        if self.pacing == 0 and self.state == ARMED:
+            seconds = min(seconds, max(self.due - self.moved_at, 0.0))
+        for body, force in zip(self.bodies, self.output, strict=True):
+            body.move(-force if "inverted_sign" in self.faults else force, max(seconds, 0.0))
+        self.moved_at = (
+            max(now, self.moved_at) if self.pacing or self.state != ARMED else self.moved_at + max(seconds, 0.0)
+        )
+
+    def tick(self, now):
+        fresh = self.heard == self.n and self.answered == self.n
+        self.counters["held"] += not fresh
+        if self.heard != self.n and self.n > self.expires and "never_ends" not in self.faults:
+            self.command = [0.0] * self.channels
+        self.move(now)
+        self.output = list(self.command)
+        self.n += 2 if "skips" in self.faults and self.n % 50 == 49 else 1
+        self.say_position(POSITION if fresh or "always_fresh" in self.faults else HELD)
+
+    def say_position(self, kind):
+        scale = self.scale * (0.5 if "wrong_scale" in self.faults else 1.0)
+        counts = [round(body.x / scale) for body in self.bodies]
+        if self.velocity:
+            counts += [round(body.v / (self.scale * 100)) for body in self.bodies]
+        self.write(self.wire.to_host(kind, self.n, counts))
+
+    def stop(self, state):
+        self.move(self.now())
+        self.state, self.command, self.output = state, [0.0] * self.channels, [0.0] * self.channels
+        if state == IDLE:
+            self.wire, self.rest = SETUP, b""
+
+    def look(self):
+        """What the device's own clock brings."""
+        if self.waits():
+            return
+        now = self.now()
+        if self.state == ARMED and self.pacing == 0:
+            while now >= self.due and self.state == ARMED:
+                self.tick(self.due)
+                self.due += self.period
+                if self.waits():
+                    return
+                self.latch_where(self.n - self.heard > self.watchdog)
+        elif self.state == ARMED:
+            quiet = now - self.heard_at
+            if quiet > self.life and "never_ends" not in self.faults:
+                self.put_out([0.0] * self.channels)
+                self.life = math.inf
+            self.latch_where(quiet * self.rate > self.watchdog)
+        elif "chatters" in self.faults:
+            self.write(b"hello\r\n")
+
+    def latch_where(self, silent):
+        if silent and "no_watchdog" not in self.faults:
+            self.stop(LATCHED)
+            self.fault = 1
+            if "latches_in_setup" in self.faults:
+                self.wire = SETUP
+            self.status()
+            self.wire, self.rest = SETUP, b""
+
+    def wait(self):
+        """s until the clock brings something, at most 2 ms."""
+        ticking = self.state == ARMED and self.pacing == 0
+        return min(max(self.due - self.now(), 0.0), 0.002) if ticking else 0.002
+
+
+def stopped():
+    """Whether whoever started it has gone."""
+    return bool(select.select([sys.stdin], [], [], 0)[0])
+
+
+def main():
+    near, far = os.openpty()
+    for end in (near, far):
+        tty.setraw(end)
+    os.set_blocking(near, False)
+    print(os.ttyname(far), flush=True)
+
+    def put(data):
+        try:
+            return os.write(near, data)
+        except BlockingIOError:
+            return 0
+
+    device = Device(put, time.monotonic, json.loads(sys.argv[1]))
+    while not stopped():
+        if select.select([near], [], [], device.wait())[0]:
+            with contextlib.suppress(OSError):
+                device.take(os.read(near, 4096))
+        device.look()
+    print(json.dumps({"largest": device.largest, "state": device.state, "output": device.output}))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,230 @@
+"""A whole device passes every check; one with a fault fails the check that names it, and says what was found.
+
+Host, device and what is between them are played in virtual time: nothing waits, and every run is the same.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from hapsim.probe import CHECKS, STEPS, Check, Leave, judge, probe, steps_of
+from hapsim.probe.checks import SECTIONS
+
+PROTOCOL = Path(__file__).resolve().parents[2] / "firmware_protocol" / "PROTOCOL.md"
+NewBench = Callable[..., Any]
+GENTLE = Leave(force=0.5, travel=0.005, mass=0.2)
+PUSHES = ("sign", "delay", "mass", "time_to_live", "limit_cut", "host_time_to_live")
+
+
+def judged(bench: Any, *only: str, leave: Leave | None = None) -> dict[str, Check]:
+    judgement = judge(bench.wire, leave=leave, steps=steps_of(only, None))
+    assert judgement.released
+    assert not judgement.ended
+    assert judgement.exit_status == (3 if judgement.failed else 0)
+    assert (bench.device.state, set(bench.device.output)) == (0, {0.0})
+    return {check.name: check for check in judgement.checks}
+
+
+def failed(checks: dict[str, Check]) -> set[str]:
+    return {name for name, check in checks.items() if check.result == "FAIL"}
+
+
+def told(checks: dict[str, Check]) -> str:
+    return "\n".join(f"{check.result} {name}: {check.found}" for name, check in checks.items())
+
+
+@pytest.mark.parametrize("options", [{}, {"channels": 4, "rate": 1000.0}, {"senses": False, "rate": 2000.0}])
+def test_a_whole_device_passes_and_is_never_pushed_without_leave(new_bench: NewBench, options: dict[str, Any]) -> None:
+    bench = new_bench(**options)
+    checks = judged(bench)
+    not_to_be_seen = {*PUSHES, "velocities" if "senses" in options else "wrong_sensing"}
+    assert {name for name, check in checks.items() if check.result == "not seen"} == not_to_be_seen, told(checks)
+    assert failed(checks) == set(), told(checks)
+    assert bench.device.largest == 0.0
+
+
+@pytest.mark.parametrize("rate", [500.0, 1000.0])
+def test_a_whole_device_passes_the_pushes_that_stay_within_the_leave(new_bench: NewBench, rate: float) -> None:
+    bench = new_bench(senses=False, limit=0.4, rate=rate)
+    checks = judged(bench, "push", leave=GENTLE)
+    assert failed(checks) == set(), told(checks)
+    assert {name: checks[name].result for name in PUSHES} == dict.fromkeys(PUSHES, "pass"), told(checks)
+    assert 0.4 < bench.device.largest <= 0.5
+
+
+def test_a_coarse_encoder_takes_the_whole_leave_and_longer_pushes(new_bench: NewBench) -> None:
+    bench = new_bench(scale=2e-5)
+    checks = judged(bench, "push", leave=GENTLE)
+    assert checks["sign"].result == "pass", told(checks)
+    assert bench.device.largest == pytest.approx(0.5, abs=1e-6)
+
+
+def test_a_leave_below_the_limit_does_not_ask_for_more(new_bench: NewBench) -> None:
+    bench = new_bench()
+    checks = judged(bench, "push", leave=GENTLE)
+    assert checks["limit_cut"].result == "not seen"
+    assert 0.0 < bench.device.largest <= 0.5
+
+
+FAULTS = {
+    "answers_damaged": ("registers", {"damaged_frames"}, "a bit flipped"),
+    "chatters": ("registers", {"silence"}, "bytes in"),
+    "any_schema": ("refusals", {"wrong_schema", "stays_idle"}, "armed"),
+    "skips": ("arming", {"numbers"}, "49, then 51"),
+    "fast": ("arming", {"rate_kept"}, "from register 4"),
+    "always_fresh": ("forces", {"withheld", "held"}, "POSITION"),
+    "never_expires": ("forces", {"expired", "accepted"}, "too old"),
+    "no_watchdog": ("watchdog", {"latches"}, "still armed at sample 44"),
+    "latches_in_setup": ("watchdog", {"latched_status"}, "in the set-up format"),
+    "keeps_counters": ("watchdog", {"rearming"}, "held"),
+    "waits_for_room": ("blocked", {"tick_goes_on", "watchdog_blocked"}, "stopped while the host did not read"),
+    "tears_frames": ("blocked", {"whole_frames"}, "no frame"),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_fault_is_found_and_named(new_bench: NewBench, fault: str) -> None:
+    step, names, words = FAULTS[fault]
+    checks = judged(new_bench(fault, channels=4), step)
+    assert failed(checks) == names, told(checks)
+    assert any(words in checks[name].found and checks[name].look_at for name in names), told(checks)
+
+
+def test_paced_by_the_host_a_missing_watchdog_is_found_too(new_bench: NewBench) -> None:
+    assert failed(judged(new_bench("no_watchdog", pacings=2), "host")) == {"host_watchdog"}
+
+
+PUSHED = {
+    "inverted_sign": ({"sign"}, "inverted"),
+    "on_arrival": ({"delay"}, "within the sample that the force came in"),
+    "wrong_scale": ({"mass"}, "as if positions were "),
+    "never_ends": ({"time_to_live", "host_time_to_live"}, "it goes on"),
+}
+
+
+@pytest.mark.parametrize("fault", PUSHED)
+def test_what_shows_in_the_motion_alone_is_found_and_named(new_bench: NewBench, fault: str) -> None:
+    names, words = PUSHED[fault]
+    bench = new_bench(fault)
+    checks = judged(bench, "push", leave=GENTLE)
+    assert names <= failed(checks) <= {*names, "mass"}, told(checks)
+    assert any(words in checks[name].found for name in names)
+    assert bench.device.largest <= GENTLE.force
+
+
+def test_a_force_that_is_not_cut_is_found(new_bench: NewBench) -> None:
+    checks = judged(new_bench("never_cuts", limit=0.4), "push", leave=GENTLE)
+    assert failed(checks) == {"limit_cut"}, told(checks)
+
+
+def test_pushing_stops_where_the_device_moves_too_far(new_bench: NewBench) -> None:
+    bench = new_bench()
+    checks = judged(bench, "push", leave=Leave(force=10.0, travel=1e-6))
+    assert "moved more than 0.001 mm" in checks["sign"].found, told(checks)
+    assert bench.device.largest < 0.2  # the gentlest pushes went too far: no others were tried
+
+
+def test_a_device_that_moves_by_itself_is_not_pushed(new_bench: NewBench) -> None:
+    bench = new_bench()
+    bench.device.bodies[0].v = 1.0  # somebody pulls at it, and goes on to do so
+    bench.device.bodies[0].friction = 1e-6
+    checks = judged(bench, "push", leave=GENTLE)
+    assert {checks[name].result for name in PUSHES} == {"not seen"}
+    assert "moves by itself" in checks["sign"].found
+    assert bench.device.largest == 0.0
+
+
+@pytest.mark.parametrize(
+    ("registers", "name", "words"),
+    [
+        ({0: 2}, "version", "2"),
+        ({1: 0x12345678}, "schema", "0x12345678"),
+        ({2: 17}, "channels", "17"),
+        ({3: 0}, "pacings", "none"),
+        ({3: 9}, "pacings", "0x9"),
+        ({4: 0, 5: 0}, "rate", "0 Hz"),
+        ({4: 0x408F4000, 5: 0}, "rate", "Hz"),  # 1000 Hz, its words swapped
+        ({6: 0}, "max_watchdog", "0 samples"),
+        ({6: 2048}, "max_watchdog", "2048 samples"),
+        ({16: 0x00FF4142}, "name", "BA"),
+        ({33: 0xBFF00000}, "position_scale", "-"),
+        ({35: 0x7FF00000, 34: 0}, "force_scale", "inf"),
+        ({37: 0x7FF80000}, "force_limit", "nan"),
+        ({45: 0, 44: 0}, "force_limit", "0"),
+        ({46: 0, 47: 0}, "velocity_scale", "0"),
+        ({13: 1}, "unknown_registers", "register 13"),
+    ],
+)
+def test_a_register_that_cannot_be_is_named(
+    new_bench: NewBench, registers: dict[int, int], name: str, words: str
+) -> None:
+    checks = judged(new_bench(channels=2, registers=registers), "registers")
+    assert failed(checks) == {name}, told(checks)
+    assert words in checks[name].found
+
+
+def test_what_was_not_reached_is_not_seen(new_bench: NewBench) -> None:
+    checks = judged(new_bench(registers={1: 0x12345678}))
+    assert {check.result for check in checks.values() if check.step not in STEPS[:2]} == {"not seen"}
+
+
+def test_a_stop_releases_the_device_and_says_how_far_it_came(new_bench: NewBench) -> None:
+    bench = new_bench()
+
+    def stop_in_time(step: str, _number: int, _of: int) -> None:
+        bench.wire.stop = step == "forces"
+
+    judgement = judge(bench.wire, on_step=stop_in_time)
+    assert (judgement.interrupted, judgement.exit_status, judgement.released) == (True, 130, True)
+    results = {check.name: check.result for check in judgement.checks}
+    assert (results["arm"], results["in_time"]) == ("pass", "not seen")
+    assert bench.device.state == 0
+
+
+def test_every_check_names_a_section_of_the_protocol_by_its_title() -> None:
+    titles = dict(re.findall(r"^###? (\d+(?:\.\d+)?)\.? (.+)$", PROTOCOL.read_text("utf-8"), re.MULTILINE))
+    assert {number: titles[number] for number in SECTIONS} == SECTIONS
+    assert {check.section for check in CHECKS} <= SECTIONS.keys()
+    assert len({check.name for check in CHECKS}) == len(CHECKS)
+
+
+def test_a_device_on_a_port_is_judged_like_one_in_virtual_time(
+    serving: Callable[..., contextlib.AbstractContextManager[str]], new_bench: NewBench
+) -> None:
+    fault, until = "any_schema", steps_of((), "refusals")
+    with serving(fault) as port:
+        real = probe(port, steps=until)
+    virtual = judge(new_bench(fault).wire, steps=until)
+    assert [(check.name, check.result) for check in real.checks] == [
+        (check.name, check.result) for check in virtual.checks
+    ]
+    assert {check.name for check in real.failed} == {"wrong_schema", "stays_idle"}
+
+
+def test_a_device_that_goes_away_fails_the_check_that_it_went_away_in(new_bench: NewBench) -> None:
+    """As one whose hardware watchdog ends a tick that waits for room."""
+    bench = new_bench("resets_where_it_waits", channels=4)
+    judgement = judge(bench.wire, steps=steps_of(("blocked",), None))
+    assert (judgement.exit_status, judgement.released) == (3, False)
+    assert [check.name for check in judgement.failed] == ["tick_goes_on"]
+    assert "the device went away here" in judgement.failed[0].found
+    assert judgement.ended in judgement.failed[0].found
+
+
+def test_a_slow_device_is_not_taken_for_one_that_waits(new_bench: NewBench) -> None:
+    """A simulated one on a busy machine: it loses every other sample, whether the host reads or not."""
+    bench = new_bench(channels=1, registers={4: 0, 5: 0x408F4000})  # says 1000 Hz, keeps 500
+    checks = judged(bench, "blocked")
+    assert failed(checks) == set(), told(checks)
+
+
+def test_a_device_that_slows_down_meanwhile_is_too_unsteady_to_tell(new_bench: NewBench) -> None:
+    checks = judged(new_bench("slows_down", channels=4), "blocked")
+    assert failed(checks) == set(), told(checks)
+    assert "too unsteady to tell" in checks["tick_goes_on"].found

@@ -1,0 +1,171 @@
+"""The guard of the position: never for what a hand, a blow, a sensor and lost positions can do; always for more."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from firmware_protocol.records import new_record
+from hapsim.compiling import entry
+from hapsim.loop.exchange import STATE
+from hapsim.loop.guards import HAND_M_PER_S, HAND_N, LEAP, SENSOR_M, is_leap, watch_for_leaps
+from hapsim.loop.io_buffer import IO_BUFFER
+
+
+@entry
+def first_leap(leap, io, state, samples, positions, period_ns):
+    """The guard as the loop has it: at which row it says that the position leapt; -1 if it never does."""
+    for row in range(samples.size):
+        gap = samples[row] - samples[row - 1] if row > 0 else 1
+        io.before[0] = io.measured[0]
+        io.measured[0] = positions[row]
+        if is_leap(leap, io, state, gap, samples[row] * period_ns, period_ns):
+            return row
+        state.newest_ns = samples[row] * period_ns
+        state.sent_ns = samples[row] * period_ns + 1000
+        state.ticks += 1
+    return -1
+
+
+def judged(
+    positions: Any,
+    *,
+    rate: float = 1000.0,
+    mass: float = 0.2,
+    friction: float = 0.0,
+    stiffness: float = 0.0,
+    force: float = 10.0,
+    noise: float = 0.0,
+    quantum: float = 1e-9,
+    by_host: bool = False,
+    samples: Any = None,
+) -> int | None:
+    """The row at which the guard finds a leap in `positions` (m); None where it finds none."""
+    leap, io, state = new_record(LEAP), new_record(IO_BUFFER), new_record(STATE)
+    each = {"mass": mass, "friction": friction, "stiffness": stiffness, "force": force, "count_m": quantum}
+    watch_for_leaps(
+        leap, rate_hz=rate, by_host=by_host, noise_m=noise, **{key: np.array([value]) for key, value in each.items()}
+    )
+    numbers = np.arange(len(positions)) if samples is None else np.asarray(samples)
+    at = np.asarray(positions, float)
+    row = int(first_leap(leap, io, state, numbers.astype(np.int64), at, np.int64(round(1e9 / rate))))
+    return None if row < 0 else row
+
+
+def moved_by(forces: np.ndarray, rate: float, mass: float, friction: float = 0.0, velocity: float = 0.0) -> np.ndarray:
+    """Positions of a mass under a force (N) that is constant in each period, exactly but for the friction's steps."""
+    parts, T = 8, 1.0 / rate
+    x, v, positions = 0.0, velocity, []
+    for force in forces:
+        positions.append(x)
+        for _ in range(parts):
+            h = T / parts
+            a = (force - friction * v) / mass
+            x, v = x + v * h + 0.5 * a * h * h, v + a * h
+    return np.array(positions)
+
+
+RATES = [100.0, 500.0, 1000.0, 4000.0, 50_000.0]
+
+
+@pytest.mark.parametrize("rate", RATES)
+@pytest.mark.parametrize("by_host", [False, True])
+def test_a_hand_that_pushes_with_all_it_has_against_all_the_device_has_is_none(rate: float, by_host: bool) -> None:
+    """And with a tenth of the declared mass, as where the hand lets go, at any speed to begin with."""
+    rng = np.random.default_rng(1)
+    for velocity in (0.0, 0.1, 30.0):
+        forces = rng.choice([-1.0, 0.0, 1.0], 400) * (10.0 + HAND_N)
+        for mass in (0.2, 0.0201):
+            assert judged(moved_by(forces, rate, mass, velocity=velocity), rate=rate, by_host=by_host) is None
+
+
+@pytest.mark.parametrize("rate", RATES)
+def test_a_blow_against_a_stop_is_none_wherever_in_a_period_it_falls(rate: float) -> None:
+    for speed in (0.1, 3.0, HAND_M_PER_S):
+        for phase in np.linspace(0.0, 1.0, 23):
+            time = (np.arange(60) - 30 - phase) / rate
+            for bounce in (0.0, 0.5, 1.0):
+                assert judged(np.where(time < 0.0, speed * time, -bounce * speed * time), rate=rate) is None
+
+
+@pytest.mark.parametrize("rate", RATES)
+@pytest.mark.parametrize("by_host", [False, True])
+def test_lost_positions_are_none(rate: float, by_host: bool) -> None:
+    rng = np.random.default_rng(2)
+    forces = np.repeat(rng.choice([-1.0, 1.0], 40), 20) * (10.0 + HAND_N)
+    positions = moved_by(forces, rate, 0.2, velocity=3.0)
+    for share in (0.1, 0.5, 0.9):
+        kept = np.flatnonzero(rng.uniform(size=positions.size) > share)
+        assert judged(positions[kept], rate=rate, samples=kept, by_host=by_host) is None
+
+
+@pytest.mark.parametrize("rate", RATES)
+@pytest.mark.parametrize("noise", [1e-5, 1e-3, 0.1])
+def test_noise_that_is_known_and_a_coarse_encoder_are_none(rate: float, noise: float) -> None:
+    rng = np.random.default_rng(3)
+    swing = 0.05 * np.sin(2.0 * np.pi * 3.0 * np.arange(100_000) / rate)
+    assert judged(swing + rng.normal(0.0, noise, swing.size), rate=rate, noise=noise) is None
+    assert judged(np.rint(swing / noise) * noise, rate=rate, quantum=noise) is None
+    assert judged(swing + rng.normal(0.0, 4e-4, swing.size), rate=rate) is None  # of which nobody told
+
+
+@pytest.mark.parametrize("rate", [1000.0, 10_000.0])
+def test_friction_and_a_spring_of_the_device_are_none(rate: float) -> None:
+    braked = moved_by(np.zeros(200), rate, 0.2, friction=50.0, velocity=1000.0)
+    assert judged(braked, rate=rate, friction=50.0) is None
+    sprung = 2.0 * np.sin(np.sqrt(1e5 / 0.2) * np.arange(2000) / rate)
+    assert judged(sprung, rate=rate, stiffness=1e5) is None
+    assert judged(sprung, rate=rate) is not None  # of which the scene says nothing
+
+
+@pytest.mark.parametrize("rate", [500.0, 1000.0, 4000.0])
+@pytest.mark.parametrize("by_host", [False, True])
+def test_from_rest_the_bound_is_the_one_that_is_stated(rate: float, by_host: bool) -> None:
+    stated = 10.0 * (10.0 + HAND_N) / 0.2 / rate**2 + SENSOR_M + 4e-9
+    for side in (-1.0, 1.0):
+        rest = np.full(50, 0.3)
+        for share, row in ((0.999, None), (1.001, 40)):
+            leapt = rest.copy()
+            leapt[40:] += side * share * stated
+            assert judged(leapt, rate=rate, by_host=by_host) == row
+
+
+@pytest.mark.parametrize("by_host", [False, True])
+def test_what_leaps_from_the_beginning_is_found_at_the_third_position(by_host: bool) -> None:
+    assert judged(0.1 * (-1.0) ** np.arange(9), by_host=by_host) == 2
+
+
+def test_a_host_that_was_held_up_takes_no_hand_for_a_leap() -> None:
+    """By the host's clock a sample lasts as long as the host takes."""
+    periods = np.array([*[1] * 20, 60, *[1] * 20, 7, *[1] * 20])
+    passed = np.cumsum(periods)
+    positions = 2.5 * passed / 1000.0
+    row = first_leap_at_times(positions, passed, by_host=True)
+    assert row is None
+    assert first_leap_at_times(positions, passed, by_host=False) == 20
+
+
+def first_leap_at_times(positions: np.ndarray, passed: np.ndarray, *, by_host: bool) -> int | None:
+    """Consecutive samples that arrive after so many periods."""
+    leap, io, state = new_record(LEAP), new_record(IO_BUFFER), new_record(STATE)
+    one = np.ones(1)
+    watch_for_leaps(
+        leap,
+        rate_hz=1000.0,
+        by_host=by_host,
+        noise_m=0.0,
+        mass=0.2 * one,
+        friction=0.0 * one,
+        stiffness=0.0 * one,
+        force=10.0 * one,
+        count_m=1e-9 * one,
+    )
+    for row, (position, arrived) in enumerate(zip(positions, passed, strict=True)):
+        io.before[0], io.measured[0] = io.measured[0], position
+        if is_leap(leap, io, state, 1, int(arrived) * 10**6, 10**6):
+            return row
+        state.newest_ns = state.sent_ns = int(arrived) * 10**6
+        state.ticks += 1
+    return None
