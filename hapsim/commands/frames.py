@@ -47,7 +47,8 @@ def frames(
     refused."""
     if sender not in _SENDERS:
         raise UsageError(f"--from: found '{sender}', expected host, device or both")
-    from hapsim.console.frames import JsonDocument, counters_of, entry_of, summary_of, text_of
+    from hapsim.console.frames import TEXT_INDENT, JsonDocument, counters_of, entry_of, summary_of, text_of
+    from hapsim.console.sentences import say
     from hapsim.device.capture import Capture
     from hapsim.running.signals import stopping_on_signals
 
@@ -60,7 +61,7 @@ def frames(
         if document is not None:
             document.add(entry)
         else:
-            print(text_of(entry))
+            say(text_of(entry), indent=TEXT_INDENT)
 
     with (
         _pieces_of(source, baud, duration, lambda: bool(stopped)) as pieces,
@@ -68,7 +69,7 @@ def frames(
     ):
         failure = _decode(capture, pieces, show)
         if document is None:
-            print(summary_of(capture))
+            say(summary_of(capture, sender))
         else:
             error = {} if failure is None else {"error": str(failure), "exit_status": failure.exit_status}
             document.close({"counters": counters_of(capture), "stopped": bool(stopped)} | error)
@@ -116,11 +117,19 @@ def _pieces_of(
     elif stat.S_ISDIR(kind):
         raise UsageError(f"{source}: found a directory, expected a capture (raw bytes) or a serial port")
     else:
-        try:
-            with open(source, "rb") as stream:
-                yield _of_stream(source, stream, stopped)
-        except OSError as error:
-            raise UsageError(f"{source}: cannot be read: {error.strerror}") from error
+        with _reading(source):
+            stream = open(source, "rb")  # noqa: SIM115 - closed below: nothing but opening is told as such
+        with stream:
+            yield _of_stream(source, stream, stopped)
+
+
+@contextlib.contextmanager
+def _reading(source: str) -> Iterator[None]:
+    """Only around what reads: where the output cannot be written, the capture is not to blame."""
+    try:
+        yield
+    except OSError as error:
+        raise UsageError(f"{source}: cannot be read: {error.strerror}") from error
 
 
 def _of_stream(name: str, stream: Any, stopped: Callable[[], bool]) -> Iterator[Piece]:
@@ -134,7 +143,8 @@ def _of_stream(name: str, stream: Any, stopped: Callable[[], bool]) -> Iterator[
         while not stopped():
             if not regular and not select.select([descriptor], [], [], _LOOK_S)[0]:
                 continue
-            data = os.read(descriptor, _PIECE)
+            with _reading(name):
+                data = os.read(descriptor, _PIECE)
             if not data:
                 break
             done += len(data)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import Annotated
 
@@ -21,7 +22,9 @@ def new(path: Annotated[Path, typer.Argument(help="Where to write it.")] = Path(
     if not path.resolve().parent.is_dir():
         raise UsageError(f"{path}: there is no directory {path.resolve().parent}")
     path.write_text(shipped_scene("first_touch.yaml"), encoding="utf-8")
-    say(f"Wrote {path}. Next: hapsim check {path}, then hapsim measure {path}")
+    say(f"Wrote {path}. Next:")
+    for command in ("check", "measure"):
+        print(f"  hapsim {command} {shlex.quote(str(path))}")  # whole, however long: it is to be copied
 
 
 def schema() -> None:

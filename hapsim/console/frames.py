@@ -42,6 +42,10 @@ _STATES = {schema.IDLE: "idle", schema.ARMED: "armed", schema.LATCHED: "latched"
 _MOVING = (schema.POSITION, schema.POSITION_HELD)
 
 
+TEXT_INDENT = " " * 10
+"""Of an entry that goes on in the next line: below what follows its offset."""
+
+
 def format_name(wire: Format) -> str:
     """As people call a format."""
     if wire == SETUP:
@@ -124,7 +128,7 @@ def text_of(entry: dict[str, Any]) -> str:
         cut = "" if 3 * entry["bytes"] - 1 == len(entry["hex"]) else "the last: "
         plural = "byte" if entry["bytes"] == 1 else "bytes"
         return f"{place}refused: {entry['bytes']} {plural}; {REASONS[entry['refused']]}: {cut}{entry['hex']}"
-    line = f"{place}{entry['from']:6}  {entry['format']:30}  {entry['type']:13}  {_words(entry)}".rstrip()
+    line = f"{place}{entry['from']:6}  {entry['format']:18}  {entry['type']:13}  {_words(entry)}".rstrip()
     return line + (f"  | {entry['hex']}" if "hex" in entry else "")
 
 
@@ -162,14 +166,18 @@ def _values(counts: list[int], scaled: list[float | None], unit: str) -> str:
     )
 
 
-def summary_of(capture: Capture) -> str:
-    """The counters, as a sentence."""
+def summary_of(capture: Capture, sender: str = "both") -> str:
+    """The counters, as a sentence. `sender`: whose frames were looked for, host, device or both."""
     counted = capture.counters
     refused = [f"{counted[f'refused: {name}']} {name}" for name in REASONS if counted[f"refused: {name}"]]
     frames = f"{counted['from the host']} frames from the host, {counted['from the device']} from the device"
     if not refused:
         return f"{counted['bytes']} bytes: {frames}; nothing refused."
-    return f"{counted['bytes']} bytes: {frames}; refused {counted['refused bytes']} bytes: {', '.join(refused)}."
+    told = f"{counted['bytes']} bytes: {frames}; refused {counted['refused bytes']} bytes: {', '.join(refused)}."
+    if counted["from the host"] or counted["from the device"]:
+        return told
+    whose = "" if sender == "both" else f" of the {sender}"
+    return f"{told} Nothing in it is a frame{whose}: is it raw bytes of the wire?"
 
 
 def counters_of(capture: Capture) -> dict[str, Any]:

@@ -43,7 +43,7 @@ def show_judgement(out: Console, judgement: Judgement) -> None:
 
 
 def _show_check(out: Console, check: Check) -> None:
-    name = f"{check.name} (§ {check.section} {check.title.removesuffix(' ...')})"
+    name = f"{check.name} (§ {check.section})"
     out.print(f"{check.result:<10}", style=_STYLE[check.result], end="")
     lines = textwrap.wrap(f"{name}: {check.found}", _width(out) - len(_INDENT), break_long_words=False)
     out.print(f"\n{_INDENT}".join(lines), markup=False, soft_wrap=True)

@@ -17,27 +17,27 @@ _INDENT = "    "  # of what goes on in the next line
 _NO_SPACE = "\0"  # stands for a space at which no line breaks
 
 
-def say(sentences: object, stream: TextIO | None = None) -> None:
-    """Writes them to `stream`, standard output where none is given."""
+def say(sentences: object, stream: TextIO | None = None, indent: str = _INDENT) -> None:
+    """Writes them to `stream`, standard output where none is given; `indent`: of what goes on in the next line."""
     stream = stream or sys.stdout
-    print(fitted(str(sentences), _columns(stream)), file=stream)
+    print(fitted(str(sentences), _columns(stream), indent), file=stream)
 
 
-def fitted(text: str, columns: int | None) -> str:
+def fitted(text: str, columns: int | None, indent: str = _INDENT) -> str:
     """`text` with every line that is longer than `columns` broken at spaces; None: as it is.
 
     A word that is longer by itself stays whole, and so does the place, file:line:column, that a line begins with.
     """
     if columns is None:
         return text
-    return "\n".join(_fitted(line, columns) if len(line) > columns else line for line in text.split("\n"))
+    return "\n".join(_fitted(line, columns, indent) if len(line) > columns else line for line in text.split("\n"))
 
 
-def _fitted(line: str, columns: int) -> str:
+def _fitted(line: str, columns: int, indent: str) -> str:
     if place := _PLACE.match(line):
         line = place.group().replace(" ", _NO_SPACE) + line[place.end() :]
     broken = textwrap.fill(
-        line, columns, subsequent_indent=_INDENT, break_long_words=False, break_on_hyphens=False, tabsize=4
+        line, columns, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False, tabsize=4
     )
     return broken.replace(_NO_SPACE, " ")
 

@@ -18,8 +18,13 @@ if TYPE_CHECKING:
     from hapsim.loop.histogram import Spread
     from hapsim.loop.trace import Report
     from hapsim.measuring.identify import Measurement
+    from hapsim.measuring.seen_rate import SeenRate
+    from hapsim.prediction.predict import LinkMargin
 
 
+_REFUSED_BY_DEVICE = "frames refused by the device"
+_FEW_ARE_NORMAL = " (a few at arming and disarming are normal)"
+_MANY = 10
 _MARGINAL = 1e-9  # of the spectral radius: a free motion, which rounding places on either side of 1
 
 
@@ -32,8 +37,9 @@ def show_prediction(out: Console, name: str, prediction: Prediction, on_wire: Pr
         out.print(title, soft_wrap=True)  # a path stays whole: it is to be copied
         out.print(verdict)
     show_assumptions(out, prediction)
+    in_table = {margin.stiffness_factor for margin in _tightest(prediction)}
     for felt in prediction.felt:
-        _show_felt(out, felt)
+        _show_felt(out, felt, felt.stiffness_factor in in_table)
     for coupled, why in prediction.coupled.items():
         out.print(
             f"\n[bold]{coupled}[/bold] {why}: it feels no single spring and damper. The modes below are those "
@@ -68,7 +74,8 @@ def _stability(prediction: Prediction) -> str:
     return f"{'[green]stable' if prediction.stable else '[red]unstable'}[/] {radius}"
 
 
-def _show_felt(out: Console, felt: Felt) -> None:
+def _show_felt(out: Console, felt: Felt, margin_in_table: bool) -> None:
+    """`margin_in_table`: whether its gain margin, that of its only link, stands in the table of the links' margins."""
     table = Table(title=f"What the hand feels at {felt.name}", title_justify="left")
     for heading in ("", "simulated", "felt"):
         table.add_column(heading, justify="right" if heading else "left")
@@ -82,11 +89,12 @@ def _show_felt(out: Console, felt: Felt) -> None:
     out.print(table)
     if felt.reason:
         out.print(f"No spring and damper is equivalent: {felt.reason}.")
-    out.print(_margin(felt))
+    if margin := _margin(felt, margin_in_table):
+        out.print(margin)
     out.print(_passivity(felt))
 
 
-def _margin(felt: Felt) -> str:
+def _margin(felt: Felt, in_table: bool) -> str:
     if felt.stiffness == 0.0:
         return "There is no stiffness to have a margin."
     if felt.stiffness_factor == 0.0:
@@ -94,7 +102,8 @@ def _margin(felt: Felt) -> str:
     if not math.isfinite(felt.stiffness_factor):
         return "No stiffness makes it unstable at this damping."
     if felt.stable:
-        return f"Gain margin: the loop becomes unstable at {felt.stiffness_factor:.3g} times this stiffness."
+        told = f"Gain margin: the loop becomes unstable at {felt.stiffness_factor:.3g} times this stiffness."
+        return "" if in_table else told
     stiffness = f"where the stiffness is {felt.stiffness_factor:.3g} of the simulated one, or less"
     return f"It becomes stable {stiffness}{_enough_damping(felt)}."
 
@@ -122,16 +131,22 @@ def _margins(prediction: Prediction) -> Table:
     table = Table(title=title, title_justify="left")
     for heading in ("link", "stiffness times", "damping times"):
         table.add_column(heading, justify="left" if heading == "link" else "right")
-    known = [margin for margin in prediction.margins if not math.isnan(margin.stiffness_factor)]
-    known.sort(key=lambda margin: min(margin.stiffness_factor, margin.damping_factor))
-    for margin in known[:12]:
+    tightest = _tightest(prediction)
+    for margin in tightest:
         table.add_row(margin.name, _factor(margin.stiffness_factor), _factor(margin.damping_factor))
-    left_out = len(prediction.margins) - min(len(known), 12)
+    left_out = len(prediction.margins) - len(tightest)
     if left_out:
         table.caption = (
             f"and {left_out} links that were not worked out, or have larger margins; --json has all that are known"
         )
     return table
+
+
+def _tightest(prediction: Prediction) -> list[LinkMargin]:
+    """Those of the links that are closest to the limit first; so many that the table stays short."""
+    known = [margin for margin in prediction.margins if not math.isnan(margin.stiffness_factor)]
+    known.sort(key=lambda margin: min(margin.stiffness_factor, margin.damping_factor))
+    return known[:12]
 
 
 def _factor(value: float) -> str:
@@ -198,11 +213,20 @@ def show_measurement(out: Console, where: str, felt: Felt | None, why: str, meas
             "below it; beyond, the hand feels less."
         )
     if not measurement.dominant:
-        out.print(f"The motion is not that of a spring and damper: {measurement.reason}.")
+        out.print(f"The motion is not that of a spring and damper: {_plainly(measurement.reason)}.")
     out.print(
         f"Read from {measurement.samples} samples; the fit leaves {measurement.residual_m:.2g} m, in "
         f"{measurement.order} poles."
     )
+
+
+def _plainly(reason: str) -> str:
+    """Why there is no pair of poles, for who does not think in poles; `Measurement.reason` keeps it precise."""
+    from hapsim.measuring.pair import NO_SECOND_REAL_POLE
+
+    if reason == NO_SECOND_REAL_POLE:
+        return "the hand creeps back without swinging, in a way that no single spring and damper does"
+    return reason
 
 
 def _show_at_seen_rate(out: Console, felt: Felt | None, measurement: Measurement) -> None:
@@ -210,13 +234,20 @@ def _show_at_seen_rate(out: Console, felt: Felt | None, measurement: Measurement
     seen, declared = measurement.seen_rate, measurement.trace.rate
     if seen is None or not seen.differs_from(declared):
         return
+    rate, uncertainty = _rounded(seen)
     out.print(
-        f"[yellow]The device sampled at {seen.rate_hz:.7g} ± {seen.uncertainty_hz:.2g} Hz[/yellow], as its positions "
+        f"[yellow]The device sampled at {rate} ± {uncertainty} Hz[/yellow], as its positions "
         f"arrived; it declares {declared:g} Hz, for which the table above holds. With the rate that was seen:"
     )
     at_seen = None if felt is None else felt_at_rate(felt, seen.rate_hz)
-    title = f"What the hand feels at {seen.rate_hz:.7g} Hz"
+    title = f"What the hand feels at {rate} Hz (or this machine held the device up)"
     out.print(_side_by_side(title, at_seen, measurement.at_rate(seen.rate_hz)))
+
+
+def _rounded(seen: SeenRate) -> tuple[str, str]:
+    """The rate and its uncertainty, Hz, to the second digit of the uncertainty."""
+    decimals = max(1 - math.floor(math.log10(seen.uncertainty_hz)), 0)
+    return f"{seen.rate_hz:.{decimals}f}", f"{seen.uncertainty_hz:.{decimals}f}"
 
 
 def _side_by_side(title: str, felt: Felt | None, measurement: Measurement) -> Table:
@@ -268,13 +299,14 @@ def show_report(out: Console, report: Report) -> None:
         ("positions lost", report.lost_frames),
         ("frames of the device refused", report.crc_errors),
         ("bytes that were no frame", report.garbage_bytes),
-        ("frames refused by the device", report.rejected_by_device),
+        (_REFUSED_BY_DEVICE, report.rejected_by_device),
         ("stale positions", report.stale_positions),
         ("ticks at the force limit", report.limited_ticks),
         ("rows not recorded", report.dropped_rows),
     ):
         if count:
-            table.add_row(label, f"[yellow]{count}[/yellow]")
+            note = _FEW_ARE_NORMAL if label == _REFUSED_BY_DEVICE and count < _MANY else ""
+            table.add_row(label, f"[yellow]{count}[/yellow]{note}")
     if report.released is False:
         table.add_row("force released", "[yellow]not confirmed[/yellow]")
     out.print()
@@ -292,6 +324,9 @@ def _number(value: float, digits: int = 6) -> str:
     return f"{value + 0.0:.{digits}g}" if math.isfinite(value) else "–"  # + 0.0: no minus before a zero
 
 
+_NOT_KNOWN = "n/a"  # as pyserial says it
+
+
 def show_ports(out: Console, ports: Iterable[Mapping[str, str]]) -> None:
     """What `hapsim ports` lists: where each port is, what it says of itself, and by what the system knows it."""
     table = Table(title="Serial ports", title_justify="left")
@@ -299,5 +334,7 @@ def show_ports(out: Console, ports: Iterable[Mapping[str, str]]) -> None:
     table.add_column("description", overflow="fold")
     table.add_column("hardware", overflow="fold")
     for port in ports:
-        table.add_row(*(escape(port[key]) for key in ("port", "description", "hardware")))
+        table.add_row(
+            *(escape(port[key] if port[key] != _NOT_KNOWN else "") for key in ("port", "description", "hardware"))
+        )
     out.print(table)

@@ -37,9 +37,9 @@ def show_silence(out: Console, rate: float) -> None:
     silence: HostSilence = host_silence(rate)
     out.print(
         f"If the host dies, with clock: device and clock: host alike: the last force acts for at most "
-        f"{_ms(silence.zero_force_after_s)} (time to live of {silence.time_to_live_samples} samples, and one); after "
-        f"{_ms(silence.latched_after_s)} (watchdog of {silence.watchdog_samples} samples, if the device allows it) the "
-        "device latches."
+        f"{_ms(silence.zero_force_after_s)} ({silence.time_to_live_samples} samples' time to live, and one more); "
+        f"after {_ms(silence.latched_after_s)} (watchdog of {silence.watchdog_samples} samples, if the device allows "
+        "it) the device latches: zero force until it is armed again."
     )
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+from pathlib import Path
 from typing import Any
 
 from hapsim.device.connection import Connection
@@ -101,5 +102,7 @@ def _why_not(path: str, baud: int, error: Exception) -> str:
     if code in (errno.EAGAIN, errno.EBUSY) or any(word in text for word in _BUSY):
         return f"{path}: another program is using the port. Close it (ModemManager is a frequent one) and try again"
     if code in (errno.ENOTTY, errno.EISDIR) or "not configure port" in text or "Inappropriate ioctl" in text:
-        return f"{path}: not a serial port, or one that cannot be set to {baud} baud ({text})"
+        if Path(path).is_file() or Path(path).is_dir():
+            return f"{path}: not a serial port, but a {'file' if Path(path).is_file() else 'directory'}"
+        return f"{path}: not a serial port, or one that cannot be set to {baud} baud"
     return f"{path}: cannot be opened: {text}"

@@ -86,6 +86,8 @@ def _seen_in(motion: NDArray[np.float64], poles: NDArray[np.complex128]) -> NDAr
     return np.asarray(worse > _CLEARLY * np.mean(left**2))
 
 
+NO_SECOND_REAL_POLE = "the slowest pole is real and no second real one follows"
+
 _LOOKED_AT = 4000
 _CLEARLY = 30.0
 
@@ -100,7 +102,7 @@ def _choose(poles: NDArray[np.complex128]) -> tuple[complex, complex, NDArray[np
     if first.real <= 0.0:
         return "the slowest pole is real and negative: the position alternates from sample to sample"
     if poles[1].imag != 0.0 or poles[1].real <= 0.0:
-        return "the slowest pole is real and no second real one follows"
+        return NO_SECOND_REAL_POLE
     return poles[0], poles[1], poles[2:]
 
 

@@ -86,7 +86,7 @@ class Prediction:
     coupled: dict[str, str]
     """Device points that are not, and why, in words that follow their name."""
     stable: bool
-    """As far as the poles were worked out: see `how`."""
+    """As far as the poles were worked out: see `poles_method`."""
     spectral_radius: float
     poles: tuple[complex, ...]
     """Of the whole closed loop, by decreasing modulus, those at zero left out; of a large scene some."""

@@ -25,7 +25,7 @@ def watchdog_samples(rate: float, most: int = schema.MAX_WATCHDOG_SAMPLES) -> in
 
 @dataclass(frozen=True)
 class HostSilence:
-    """What becomes of the force when the host dies, for a device that allows the watchdog that is asked for."""
+    """What becomes of the force when the host dies."""
 
     time_to_live_samples: int
     watchdog_samples: int
@@ -35,7 +35,8 @@ class HostSilence:
     """After the sample in which the last force came."""
 
 
-def host_silence(rate: float) -> HostSilence:
-    """What a run at `rate` Hz asks of the device. The times hold for clock: device and clock: host alike."""
-    lives, watchdog = time_to_live_samples(rate), watchdog_samples(rate)
+def host_silence(rate: float, most: int = schema.MAX_WATCHDOG_SAMPLES) -> HostSilence:
+    """What a run at `rate` Hz asks of a device that allows a watchdog of `most` samples. The times hold for
+    clock: device and clock: host alike."""
+    lives, watchdog = time_to_live_samples(rate), watchdog_samples(rate, most)
     return HostSilence(lives, watchdog, (lives + 1) / rate, (watchdog + 1) / rate)

@@ -126,16 +126,16 @@ def _judge_rate(probing: Probing, session: Session) -> None:
         return
     rate = rate_of(numbers, at_s, nominal)
     off = rate.hz / nominal - 1.0
-    found = f"{rate.hz:.6g} ± {rate.uncertainty:.1g} Hz, {100 * off:+.2f} % from register 4 ({nominal:g} Hz)"
+    found = f"{rate.hz:.6g} ± {rate.uncertainty:.1g} Hz, {100 * off:+z.2f} % from register 4 ({nominal:g} Hz)"
     if rate.uncertainty > 0.5 * _TOLERANCE * nominal:
         findings.not_seen("rate_kept", f"{found}: this host is too unsteady to tell 1 %")
     else:
         look_at = "the sample timer's divider, the clock that it counts, registers 4 and 5; by this host's clock"
-        findings.judge("rate_kept", abs(off) <= _TOLERANCE, found, look_at)
+        findings.judge("rate_kept", abs(off) <= _TOLERANCE, f"{found}; {_TOLERANCE:.0%} is allowed", look_at)
     intervals = 1e3 * np.diff(at_s) / np.diff(numbers)
     low, middle, high = np.quantile(intervals, (0.01, 0.5, 0.99))
     findings.passed(
-        "jitter", f"1 % of the intervals below {low:.3g} ms, half below {middle:.3g}, 99 % below {high:.3g}"
+        "jitter", f"1 % of the intervals below {low:.3g} ms, half below {middle:.3g} ms, 99 % below {high:.3g} ms"
     )
 
 

@@ -139,10 +139,10 @@ def _finds_back(probing: Probing) -> None:
     wire = probing.wire
     question = wire.frame(schema.DESCRIBE, schema.REG_VERSION)
     tried = {
-        "300 bytes of noise directly in front of it": [_NOISE + question],
-        "three zero bytes in front of it": [b"\0\0\0" + question],
-        "half a frame and a zero byte in front of it": [question[:6] + b"\0" + question],
-        "a byte at a time": [question[i : i + 1] for i in range(len(question))],
+        "300 bytes of noise directly in front of a frame": [_NOISE + question],
+        "three zero bytes in front of a frame": [b"\0\0\0" + question],
+        "half a frame and a zero byte in front of a whole one": [question[:6] + b"\0" + question],
+        "a frame a byte at a time": [question[i : i + 1] for i in range(len(question))],
     }
     for what, pieces in tried.items():
         for piece in pieces:
@@ -152,7 +152,7 @@ def _finds_back(probing: Probing) -> None:
             look_at = (
                 "the reading rule: the last L bytes before a zero byte are the candidate, and no time-out takes part"
             )
-            probing.findings.failed("finding_back", f"a whole frame, {what}: no answer", look_at)
+            probing.findings.failed("finding_back", f"{what}: the whole frame is not answered", look_at)
             return
     probing.findings.passed("finding_back", "; ".join(tried))
 

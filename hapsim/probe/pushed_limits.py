@@ -111,7 +111,9 @@ def _judge_life(probing: Probing, found: Estimate | None) -> None:
     first = found.values[0]
     second, after = found.values[1:] / first
     unsure = float(np.max(found.deviations) / abs(first))
-    told = f"time to live {_LIFE - 1}: {second:.2f} of the force in the last samples of its life, {after:.2f} after it"
+    told = (
+        f"time to live {_LIFE - 1}: {second:z.2f} of the force in the last samples of its life, {after:z.2f} after it"
+    )
     told += f" (± {unsure:.2f})"
     if unsure > _UNSURE:
         probing.findings.not_seen("time_to_live", f"{told}: a greater --push shows more")
@@ -122,7 +124,7 @@ def _judge_life(probing: Probing, found: Estimate | None) -> None:
         told += ": it ends too early (an actuator that gives impulses does that, and may)"
         probing.findings.failed("time_to_live", told, "the tick holds the force until n > expires")
     else:
-        probing.findings.passed("time_to_live", told)
+        probing.findings.passed("time_to_live", f"{told}; from {1 - _ON:g} up and up to {_ON:g} are allowed")
 
 
 def _push_too_much(probing: Probing, pusher: Pusher) -> None:
@@ -130,7 +132,7 @@ def _push_too_much(probing: Probing, pusher: Pusher) -> None:
     device, leave, findings = probing.device, pusher.leave, probing.findings
     limit = device.force_limit[leave.channel]
     if leave.force < limit:
-        findings.not_seen("limit_cut", f"it takes leave to push with the limit: --push {limit:g}")
+        findings.not_seen("limit_cut", f"this takes --push {limit:g}")
     elif _TOO_GREAT * limit > pusher.force_scale * (2**31 - 1):
         findings.not_seen("limit_cut", "32 bits of counts carry no force above the limit")
     elif pusher.session.newest is not None and pusher.session.ended is None:
@@ -241,7 +243,8 @@ def _judge_host_life(probing: Probing, lasted: list[float], life_s: float) -> No
         return
     middle = float(np.median(lasted))
     told = (
-        f"time to live {1e3 * life_s:.3g} ms, silence of {_HOST_WAIT:g} times that: it acted for {1e3 * middle:.3g} ms"
+        f"time to live {1e3 * life_s:.3g} ms, silence of {_HOST_WAIT:g} times that: it acted for {1e3 * middle:.3g} ms "
+        f"(up to {_HOST_ON:g} times its time to live is allowed, and shorter is safe)"
     )
     look_at = "paced by the host no tick ends a force: the main loop looks at the time since the last accepted FORCE"
     if middle < 0.3 * life_s:

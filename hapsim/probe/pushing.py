@@ -210,7 +210,7 @@ def _judge_sign(probing: Probing, found: Estimate, pushes: str) -> None:
 
 def _judge_delay(probing: Probing, found: Estimate) -> None:
     shares, deviations = found.values / found.total, found.deviations / abs(found.total)
-    told = "of the response, " + ", ".join(f"{share:.2f} at {lag}" for lag, share in enumerate(shares)) + " samples"
+    told = "of the response, " + ", ".join(f"{share:z.2f} at {lag}" for lag, share in enumerate(shares)) + " samples"
     early = shares[0] > max(0.05, 5 * deviations[0])
     late = shares[1] < 0.1 and shares[1] + 5 * deviations[1] < 0.3
     if max(deviations[:2]) > 0.1:
@@ -248,6 +248,7 @@ def _judge_mass(probing: Probing, found: Estimate) -> None:
     if unsure > _MASS_WITHIN:
         probing.findings.not_seen("mass", f"{told}, but ± {100 * unsure:.0f} %: a greater --push shows more")
         return
+    told += f" (within {_MASS_WITHIN:.0%}, and its uncertainty, is allowed)"
     kept = abs(math.log(factor)) < math.log1p(_MASS_WITHIN) + unsure
     if not kept:
         told += (

@@ -8,9 +8,11 @@ from firmware_protocol import schema
 from hapsim.device.conversation import fault_text
 from hapsim.errors import DeviceError, GuardError, RunError
 from hapsim.loop import endings
+from hapsim.loop.exchange import DEVICE_CLOCK, HOST_CLOCK
 from hapsim.loop.histogram import histogram_of
 from hapsim.loop.recorder import Recorder
 from hapsim.loop.trace import Report, Statistics, Trace
+from hapsim.prediction.silence import host_silence
 from hapsim.progress import Progress
 from hapsim.running.assemble import Loop
 from hapsim.scene import Scene
@@ -175,24 +177,46 @@ def _reason(loop: Loop, report: Report) -> str:
     if fault != schema.HOST_QUIET:
         return fault_text(fault)
     watchdog = f"its watchdog of {loop.watchdog_samples} samples"
-    since = int(state.stopped_ns) - int(state.newest_ns)
-    if report.ticks and since < 0.5 * loop.watchdog_samples * int(loop.control.period_ns):
-        return f"{fault_text(fault)} ({watchdog}; {_useless(loop, report) or 'its own frames arrived whole'})"
+    watchdog_s = 1e-9 * loop.watchdog_samples * int(loop.control.period_ns)
+    since_s = 1e-9 * (int(state.stopped_ns) - int(state.newest_ns))
+    has_heard = report.ticks > 0 and since_s < 0.5 * watchdog_s
+    gap_s = _gap_s(loop, report, has_heard)
+    if gap_s > watchdog_s:
+        return (
+            f"{fault_text(fault)}: this program, or its port, was held up for {gap_s:.2g} s, longer than the device "
+            f"waits for a force ({watchdog}). Where the machine is busy, `hapsim doctor` tells what would help, and "
+            "`--realtime` asks for it"
+        )
+    if has_heard:
+        return f"{fault_text(fault)} ({watchdog}; {_useless(loop, report) or 'though its positions arrived undamaged'})"
     useless = _useless(loop, report)
-    when = f"for {since * 1e-9:.2g} s before" if report.ticks else "at all"
+    when = f"for {since_s:.2g} s before" if report.ticks else "at all"
     return f"it got no force within {watchdog}, as the host got no position that it could use {when}" + (
         f": {useless}" if useless else ""
     )
+
+
+def _gap_s(loop: Loop, report: Report, has_heard: bool) -> float:
+    """For how long this loop sent no force although it had, or could have asked for, a position; 0: not known.
+
+    Where the device is the clock: from the last force to the STATUS, provided that positions `has_heard` until then.
+    Where the host is: by how much a tick was woken late.
+    """
+    if int(loop.control.clock) == DEVICE_CLOCK and has_heard:
+        return (int(loop.state.stopped_ns) - int(loop.state.sent_ns)) * 1e-9
+    if int(loop.control.clock) == HOST_CLOCK:
+        return report.lateness_s.max or 0.0
+    return 0.0
 
 
 def _where_the_force_is(scene: Scene, loop: Loop, released: bool) -> str:
     """What is known of the force once the loop has ended, and what to do."""
     if released:
         return "the force is zero: the device confirmed that it released it"
-    rate, watchdog = scene.rate, loop.watchdog_samples
-    by_itself = f"when its watchdog ends, {1e3 * watchdog / rate:.3g} ms after the last force"
+    silence = host_silence(scene.rate, loop.watchdog_samples)
+    by_itself = f"when its watchdog ends, {1e3 * silence.latched_after_s:.3g} ms after the last force"
     if scene.device.clock == "device":
-        lives = 1e3 * (int(loop.control.time_to_live) + 2) / rate
+        lives = 1e3 * (silence.zero_force_after_s + 1.0 / scene.rate)  # it begins to act at the next tick
         by_itself = f"when its force's time to live is over, {lives:.3g} ms after the last one, or {by_itself}"
     if scene.device.clock == "lockstep":
         by_itself = "10 s after the last force"

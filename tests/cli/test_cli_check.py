@@ -146,6 +146,18 @@ def test_a_large_scene_that_diverges_is_called_unstable(hapsim: Callable[..., An
     assert document["spectral_radius"] > 1.0
 
 
+def test_a_gain_margin_is_said_once(hapsim: Callable[..., Any], scene_file: Callable[..., Path]) -> None:
+    told = hapsim("check", scene_file("spring")).out
+    factor = hapsim("check", scene_file("spring"), "--json").document["margins"]["touch"]["stiffness_factor"]
+    assert f" {factor:.4g} " in told
+    assert "the loop becomes unstable at" not in told
+    path = scene_file("spring")  # of two links on one hand, the hand's margin is neither's
+    document = yaml.safe_load(path.read_text())
+    document["modules"]["more"] = document["modules"]["touch"]
+    path.write_text(yaml.safe_dump(document))
+    assert "Gain margin: the loop becomes unstable at" in hapsim("check", path).out
+
+
 def test_each_link_is_reported_with_its_gain_margin(hapsim: Callable[..., Any], tmp_path: Path) -> None:
     path = chain(tmp_path, 3, 0.1, 0.5)
     document = hapsim("check", path, "--json").document
@@ -244,5 +256,6 @@ def test_what_bounds_the_force_of_a_dead_host_is_what_a_run_asks_the_device_for(
     assert [silence["time_to_live_samples"]] == asked == [20]
     assert (silence["zero_force_after_s"], silence["latched_after_s"]) == (0.021, 0.101)
     told = hapsim("check", path).out.replace("\n", " ")
-    assert "at most 21 ms (time to live of 20 samples" in told
+    assert "at most 21 ms (20 samples' time to live, and one more)" in told
     assert "after 101 ms (watchdog of 100 samples" in told
+    assert "the device latches: zero force until it is armed again." in told

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import os
 import signal
+import subprocess
 import sys
 import threading
 import time
@@ -119,7 +120,34 @@ def test_what_is_no_capture_is_refused_whole(hapsim: Hapsim, tmp_path: Path) -> 
     path.write_text("nothing of this is a frame\n")
     told = hapsim("frames", path)
     assert told.status == 0
-    assert "0 frames from the host, 0 from the device; refused 27 bytes: 1 unfinished." in told.out
+    assert "0 frames from the host, 0 from the device; refused 27 bytes: 1 unfinished. Nothing in it is a" in told.out
+    assert told.out.endswith("a frame: is it raw bytes of the wire?\n")
+
+
+def test_a_capture_of_one_side_has_no_frame_of_the_others(hapsim: Hapsim, tmp_path: Path) -> None:
+    path = tmp_path / "host"
+    path.write_bytes(frame_to_device(SETUP, schema.DESCRIBE, 2, 0, [0]))
+    assert "raw bytes" not in hapsim("frames", path).out
+    told = hapsim("frames", path, "--from", "device").out
+    assert "Nothing in it is a frame of the device: is it raw bytes of the wire?" in told
+
+
+@pytest.mark.parametrize("full", [True, False])
+def test_an_output_that_cannot_be_written_is_not_the_captures_fault(tmp_path: Path, full: bool) -> None:
+    path = tmp_path / "long"
+    path.write_bytes(conversation() * 50)  # more than is kept back before it is written
+    if full:
+        output = os.open("/dev/full", os.O_WRONLY)
+    else:
+        near, output = os.pipe()
+        os.close(near)
+    try:
+        command = [sys.executable, "-m", "hapsim", "frames", str(path)]
+        done = subprocess.run(command, stdout=output, stderr=subprocess.PIPE, text=True, check=False)
+    finally:
+        os.close(output)
+    told = "hapsim: the output cannot be written: No space left on device\n"
+    assert (done.returncode, done.stderr) == ((2, told) if full else (0, ""))
 
 
 def test_standard_input_may_be_a_pipe(hapsim: Hapsim, monkeypatch: pytest.MonkeyPatch) -> None:

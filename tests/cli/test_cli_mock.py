@@ -7,6 +7,7 @@ import json
 import os
 import platform
 import re
+import shlex
 import signal
 import subprocess
 import sys
@@ -102,7 +103,8 @@ def test_a_new_scene_overwrites_nothing(hapsim: Callable[..., Any], tmp_path: Pa
     path = tmp_path / "mine[1].yaml"
     answer = hapsim("new", path)
     assert answer.status == 0
-    assert f"Wrote {path}. Next: hapsim check {path}" in answer.out
+    commands = [f"  hapsim {command} {shlex.quote(str(path))}" for command in ("check", "measure")]
+    assert answer.out.splitlines() == [f"Wrote {path}. Next:", *commands]
     path.write_text("mine", encoding="utf-8")
     answer = hapsim("new", path)
     assert answer.status == 2
@@ -130,6 +132,16 @@ def test_the_ports_are_listed_under_headings(hapsim: Callable[..., Any], monkeyp
     assert re.split(r" *│ *", row) == [board.device, board.description, board.hwid]
     (listed,) = hapsim("ports", "--json").document["ports"]
     assert listed == {"port": board.device, "description": board.description, "hardware": board.hwid}
+
+
+def test_what_a_port_does_not_say_of_itself_stays_blank(
+    hapsim: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bare = SimpleNamespace(device="/dev/ttyS0", description="n/a", hwid="n/a")
+    monkeypatch.setattr("serial.tools.list_ports.comports", lambda: [bare])
+    told = hapsim("ports").out
+    assert bare.device in told
+    assert "n/a" not in told
 
 
 def test_where_there_is_no_port_a_sentence_says_so(hapsim: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:

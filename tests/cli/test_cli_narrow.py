@@ -68,6 +68,17 @@ def test_a_prediction_breaks_at_words_and_names_its_scene_in_one_piece(scene_fil
     assert "(spectral radius" in " ".join(lines)
 
 
+def test_a_frame_breaks_at_words_and_its_bytes_stay_whole(tmp_path: Path) -> None:
+    path = tmp_path / "capture"
+    path.write_bytes(bytes(range(1, 256)))
+    lines = shown("frames", path, "--hex")
+    assert all(len(line) <= COLUMNS for line in lines)
+    assert lines[1].startswith(" " * 10)
+    said = " ".join(line.strip() for line in lines)
+    assert bytes(range(1, 256)).hex(" ") in said
+    assert "Nothing in it is a frame: is it raw bytes of the wire?" in said
+
+
 def test_what_a_pipe_takes_stays_in_one_line(hapsim: Callable[..., Any], scene_file: Callable[..., Path]) -> None:
     path = scene_file("mass")
     path.write_text(path.read_text(encoding="utf-8").replace("stiffness:", "stiffnes:"), encoding="utf-8")

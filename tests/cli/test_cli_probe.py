@@ -53,7 +53,8 @@ def test_it_is_shown_within_80_columns(hapsim: Callable[..., Any], port: str, mo
     answer = hapsim("probe", port, *TO_REFUSALS)
     assert answer.status == 0, answer.out
     assert max(map(len, answer.out.splitlines())) <= 80
-    assert "pass      damaged_frames (§ 2.3 The check): 7 frames" in answer.out
+    assert "pass      damaged_frames (§ 2.3): 7 frames" in answer.out
+    assert "300 bytes of noise directly in front of a frame;" in answer.out.replace("\n" + " " * 10, " ")
     assert "0 failed, 2 not seen." in answer.out
     assert "refusals: step 3 of 3" in answer.err
 

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
+from rich.console import Console
 
+from hapsim.console.tables import show_report
 from hapsim.loop.trace import load_trace
 from hapsim.shipped import shipped_scene
 
@@ -30,6 +33,19 @@ def test_a_run_is_reported_as_a_table(hapsim: Callable[..., Any], scene_file: Ca
     assert answer.status == 0
     assert "virtual time" in answer.out
     assert "500" in answer.out
+
+
+@pytest.mark.parametrize(("count", "is_normal"), [(0, False), (2, True), (40, False)])
+def test_a_few_frames_refused_by_the_device_are_told_to_be_normal(
+    hapsim: Callable[..., Any], scene_file: Callable[..., Path], tmp_path: Path, count: int, is_normal: bool
+) -> None:
+    record = tmp_path / "trace.npz"
+    hapsim("run", scene_file("spring"), "--duration", 0.05, "--record", record, "--json")
+    console = Console(record=True, width=80)
+    show_report(console, replace(load_trace(record).report, rejected_by_device=count))
+    told = console.export_text()
+    assert ("frames refused by the device" in told) == (count > 0)
+    assert ("(a few at arming and disarming are normal)" in told) == is_normal
 
 
 @pytest.mark.parametrize("ending", ["npz", "csv"])

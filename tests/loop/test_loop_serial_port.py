@@ -49,17 +49,17 @@ def test_a_port_that_does_not_exist_is_reported_with_the_ports_that_do() -> None
 def test_a_regular_file_is_no_serial_port(tmp_path: Path) -> None:
     file = tmp_path / "file"
     file.write_text("not a port", encoding="utf-8")
-    assert "not a serial port" in refusal(str(file))
+    assert refusal(str(file)) == f"{file}: not a serial port, but a file"
     assert file.read_text(encoding="utf-8") == "not a port"
 
 
 def test_a_directory_is_no_serial_port(tmp_path: Path) -> None:
-    assert "not a serial port" in refusal(str(tmp_path))
+    assert refusal(str(tmp_path)) == f"{tmp_path}: not a serial port, but a directory"
 
 
 @pytest.mark.parametrize("path", ["/dev/null", "/dev/zero", "/dev/full"])
 def test_a_device_that_is_no_terminal_is_no_serial_port(path: str) -> None:
-    assert "not a serial port" in refusal(path)
+    assert refusal(path) == f"{path}: not a serial port, or one that cannot be set to {BAUD} baud"
 
 
 def test_a_pipe_is_no_serial_port(tmp_path: Path) -> None:

@@ -19,6 +19,7 @@ from hapsim.device.mock.loopback import loopback_transport
 from hapsim.device.mock.terminal import serving
 from hapsim.loop.trace import Trace
 from hapsim.measuring.identify import identify
+from hapsim.measuring.pair import NO_SECOND_REAL_POLE
 from hapsim.measuring.seen_rate import seen_rate
 from hapsim.prediction import felt_at_rate, predict
 from hapsim.running import run, starting
@@ -174,9 +175,27 @@ def test_the_text_names_the_rate_that_was_seen(a_trace: Trace) -> None:
     console = Console(record=True, width=200)
     show_measurement(console, "hand", predict(scene_of()).felt[0], "", measurement)
     told = console.export_text()
-    assert "The device sampled at 900 ± " in told
+    assert "The device sampled at 900.000 ± 0.090 Hz" in told
     assert "it declares 1000 Hz" in told
-    assert "What the hand feels at 900 Hz" in told
+    assert "What the hand feels at 900.000 Hz (or this machine held the device up)" in told
+
+
+@pytest.mark.parametrize(
+    ("reason", "told"),
+    [
+        (NO_SECOND_REAL_POLE, "the hand creeps back without swinging, in a way that no single spring and damper does"),
+        ("the motion has fewer than two poles", "the motion has fewer than two poles"),
+    ],
+)
+def test_why_there_is_no_spring_and_damper_is_told_plainly(a_trace: Trace, reason: str, told: str) -> None:
+    from rich.console import Console
+
+    from hapsim.console.tables import show_measurement
+
+    measurement = replace(identify(a_trace, 0.2), dominant=False, reason=reason)
+    console = Console(record=True, width=200)
+    show_measurement(console, "hand", None, "moves a mass", measurement)
+    assert f"The motion is not that of a spring and damper: {told}." in console.export_text()
 
 
 def test_a_hand_whose_every_force_is_late_is_not_told_that_it_did_not_move(a_trace: Trace) -> None:
