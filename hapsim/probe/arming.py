@@ -131,7 +131,7 @@ def _judge_rate(probing: Probing, session: Session) -> None:
         findings.not_seen("rate_kept", f"{found}: this host is too unsteady to tell 1 %")
     else:
         look_at = "the sample timer's divider, the clock that it counts, registers 4 and 5; by this host's clock"
-        findings.judge("rate_kept", abs(off) <= _TOLERANCE, f"{found}; {_TOLERANCE:.0%} is allowed", look_at)
+        findings.judge("rate_kept", abs(off) <= _TOLERANCE, f"{found}; {100 * _TOLERANCE:g} % is allowed", look_at)
     intervals = 1e3 * np.diff(at_s) / np.diff(numbers)
     low, middle, high = np.quantile(intervals, (0.01, 0.5, 0.99))
     findings.passed(

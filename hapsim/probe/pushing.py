@@ -248,7 +248,7 @@ def _judge_mass(probing: Probing, found: Estimate) -> None:
     if unsure > _MASS_WITHIN:
         probing.findings.not_seen("mass", f"{told}, but ± {100 * unsure:.0f} %: a greater --push shows more")
         return
-    told += f" (within {_MASS_WITHIN:.0%}, and its uncertainty, is allowed)"
+    told += f" (within {100 * _MASS_WITHIN:g} %, and its uncertainty, is allowed)"
     kept = abs(math.log(factor)) < math.log1p(_MASS_WITHIN) + unsure
     if not kept:
         told += (

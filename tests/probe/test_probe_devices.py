@@ -58,6 +58,22 @@ def test_a_whole_device_passes_the_pushes_that_stay_within_the_leave(new_bench: 
     assert 0.4 < bench.device.largest <= 0.5
 
 
+def test_what_passes_beyond_the_nominal_is_told_with_what_is_allowed(new_bench: NewBench) -> None:
+    checks = judged(new_bench(senses=False, limit=0.4), leave=GENTLE)
+    for name, allowed in {
+        "rate_kept": "; 1 % is allowed",
+        "latches": " is allowed)",
+        "host_watchdog": " ms or more is allowed: this host may read it late)",
+        "mass": " (within 25 %, and its uncertainty, is allowed)",
+        "time_to_live": "; from 0.65 up and up to 0.35 are allowed",
+        "host_time_to_live": " (up to 1.5 times its time to live is allowed, and shorter is safe)",
+    }.items():
+        assert (checks[name].result, checks[name].found[-len(allowed) :]) == ("pass", allowed)
+    assert "-0.00" not in told(checks)
+    assert checks["round_trip"].found.count(" ms") == 4
+    assert checks["jitter"].found.count(" ms") == 3
+
+
 def test_a_coarse_encoder_takes_the_whole_leave_and_longer_pushes(new_bench: NewBench) -> None:
     bench = new_bench(scale=2e-5)
     checks = judged(bench, "push", leave=GENTLE)
