@@ -91,8 +91,8 @@ def lifted(network: Network, layout: Layout, reduced: np.ndarray) -> np.ndarray:
 
     for memory in layout.memories:
         ends = network.ends[memory.links]
-        for slots in memory.stretches:
-            state[slots] = stretch(2.0 * before - begun, ends)
+        for back, slots in enumerate(memory.stretches, start=1):
+            state[slots] = stretch(before - back * (begun - before), ends)
         for slots in memory.velocities:
             state[slots] = stretch(begun - before, ends)
     return state
