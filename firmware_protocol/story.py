@@ -1,4 +1,4 @@
-"""One session of a device as it is told by hand: what happens to it, and what it must say and do.
+"""One session of a device as written by hand: what happens to it, and what it must say and do.
 
 Nothing here is worked out by a device: what is expected stands beside what is done.
 """
@@ -25,7 +25,7 @@ Entry = dict[str, Any]
 
 
 class Story:
-    """One session as it is told: each call is a step, with what comes of it. Force and state are those of the step
+    """One session, written by hand: each call is a step, with what comes of it. Force and state are those of the step
     before where nothing else is said. `wire`: the format that the device is in."""
 
     def __init__(self, section: str, says: str, device: str = "plain") -> None:
@@ -110,7 +110,7 @@ class Story:
         return self
 
     def latches(self, number: int, fault: int) -> bytes:
-        """The last frame in the armed format; from here on the story is told in the set-up format."""
+        """The last frame in the armed format; from here on the session goes on in the set-up format."""
         said = self.status(number, "latched", fault, self.wire)
         self.wire = "setup"
         return said

@@ -9,8 +9,8 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from hapsim.chart.commands import app as chart
 from hapsim.commands.arguments import complain
+from hapsim.commands.chart import app as chart
 from hapsim.commands.check import check
 from hapsim.commands.device import mock, ports
 from hapsim.commands.doctor import doctor

@@ -65,11 +65,7 @@ def measure(
     on_wire = None if prediction.wire_of == "none" else predict_on_wire(loaded)
     felt = felt_on(prediction, channel)
     why = next((prediction.coupled.get(n, "") for n, p in loaded.device_points.items() if p.channel == channel), "")
-    if felt is None and (picture is not None or data is not None):
-        raise UsageError(
-            f"a ring-down is drawn for a hand that is a spring and damper's alone; this one {why}: "
-            "leave out --picture and --data"
-        )
+    _require_drawable(felt, why, picture, data)
     warn(loaded, prediction)
     try:
         with live_line(stderr()) as tell:
@@ -94,13 +90,7 @@ def measure(
 
         print(document({"scene": scene} | measurement_document(prediction, measurement, channel, on_wire)))
     else:
-        from hapsim.console.tables import show_assumptions
-        from hapsim.console.wire import show_wire
-
-        show_assumptions(stdout(), prediction)
-        _show_measured(loaded, channel, felt, why, measurement)
-        if on_wire is not None:
-            show_wire(stdout(), prediction, on_wire)
+        _show_measured(loaded, channel, felt, why, measurement, prediction, on_wire)
         say_written(picture, data, record)
     if measurement.failure is not None:
         complain(measurement.failure)
@@ -126,15 +116,35 @@ def _tell_failed(
     raise typer.Exit(error.exit_status)
 
 
-def _show_measured(scene: Scene, channel: int, felt: Any, why: str, measurement: Any) -> None:
-    from hapsim.console.tables import show_measurement, show_report
+def _require_drawable(felt: Any, why: str, *files: Path | None) -> None:
+    if felt is None and any(files):
+        raise UsageError(
+            f"a ring-down is drawn for a hand that is a spring and damper's alone; this one {why}: "
+            "leave out --picture and --data"
+        )
 
+
+def _show_measured(
+    scene: Scene,
+    channel: int,
+    felt: Any,
+    why: str,
+    measurement: Any,
+    prediction: Prediction,
+    on_wire: Prediction | None,
+) -> None:
+    from hapsim.console.tables import show_assumptions, show_measurement, show_report
+    from hapsim.console.wire import show_wire
+
+    show_assumptions(stdout(), prediction)
     hands = {point.channel: name for name, point in scene.device_points.items()}
     show_measurement(stdout(), f"{hands[channel]}, channel {channel}", felt, why, measurement)
     others = ", ".join(f"--channel {c} for {name}" for c, name in hands.items() if c != channel)
     if others:
         say(f"Other hands of this scene: {others}.")
     show_report(stdout(), measurement.trace.report)
+    if on_wire is not None:
+        show_wire(stdout(), prediction, on_wire)
 
 
 def _chart_ring_down(felt: Any, measurement: Any, picture: Path | None, data: Path | None) -> None:

@@ -33,7 +33,7 @@ class Probing:
     description: Description | None = None
     leave: Leave | None = None
     steady: bool = True
-    """Whether the device kept its rate while the host did not read, as far as that can be told."""
+    """Whether the device kept its rate while the host did not read, as far as that can be seen."""
     response: float | None = None
     """m/s² per N, as the pushes found it."""
 

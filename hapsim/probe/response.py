@@ -54,7 +54,7 @@ class Row:
 
 def rows_by_lag(positions: Mapping[int, float], forces: Mapping[int, float], fresh: Mapping[int, bool]) -> list[Row]:
     """Where every position around came. Positions m, forces N (each the answer to its sample), by sample. The forces
-    have time to live 0: one that was not in time, as POSITION_HELD says of the next sample, is not acted on."""
+    have time to live 0: one that missed its deadline, as POSITION_HELD says of the next sample, is not acted on."""
 
     def in_time(n: int) -> float:
         return forces.get(n, 0.0) if fresh.get(n + 1, False) else 0.0

@@ -228,7 +228,7 @@ def test_a_wire_that_costs_a_sample_is_predicted_at_the_delay_that_results(
     late, declared, fits = wire(500.0, 1.0), wire(500.0, 2.0), wire(480.0, 1.0)
     assert (late["wire_time"]["fits"], late["wire_time"]["delay_samples"]) == (False, 2)
     assert late["wire_time"]["predicted"] == declared["predicted"] | {"delay": 2.0}
-    assert late["predicted"]["b"] > 1.5 * late["wire_time"]["predicted"]["b"]  # and what is declared is told as before
+    assert late["predicted"]["b"] > 1.5 * late["wire_time"]["predicted"]["b"]  # the declared delay is reported too
     assert 488.0 < late["wire_time"]["highest_rate_hz"] < 489.0
     assert "2 samples of delay. One sample below 488 Hz or above 117949 baud" in late["text"]
     assert f"b = {declared['predicted']['b']:.6g} N·s/m" in late["text"]

@@ -18,8 +18,10 @@ from hapsim.ahead.prepare import Prepared, prepare
 from hapsim.compiling.progress import on_compilation
 from hapsim.cordis.program import compile_scene
 from hapsim.cordis.registry import PART_TYPES
+from hapsim.prediction.linear import linear_scene
 from hapsim.running import run
 from hapsim.scene import SchemeName, parse_scene
+from hapsim.scene.modules import MODULE_TYPES
 
 SCENE = "configs/first_touch.yaml"
 
@@ -36,6 +38,10 @@ def test_every_type_of_module_and_every_scheme_is_in_it(precision: str) -> None:
     assert {scene.precision for scene in scenes} == {precision}
     for scene in scenes:
         assert [part_type.name for part_type in PART_TYPES if not part_type.select(scene)] == []
+        assert {module.type for module in scene.modules.values()} == set(MODULE_TYPES)
+        selected = {name for part_type in PART_TYPES for name in part_type.select(scene)}
+        assert selected == scene.modules.keys() - scene.device_points.keys()
+        assert linear_scene(scene).links.keys() == scene.links.keys()
 
 
 @pytest.mark.usefixtures("everything")

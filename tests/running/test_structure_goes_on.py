@@ -11,6 +11,7 @@ import pytest
 
 from hapsim.cordis.offline import follow_parameters, start, take_over, tick
 from hapsim.cordis.program import Program, compile_scene, numbers_of, parameter_values, positions_of
+from hapsim.cordis.schemes import SCHEMES
 from hapsim.cordis.succession import take_over_from
 from hapsim.scene import Scene
 
@@ -39,7 +40,6 @@ HELD_BY: Modules = {
     f"to_{name}": {"type": "viscoelastic", "between": ["hand", end], "stiffness": 100.0, "damping": 0.05}
     for name, end in (("bob", "bob"), ("bell", "bell"), ("string", "string.3"), ("rod", "rod.5"), ("drum", "drum.0.2"))
 }
-SCHEMES = ("cordis", "semi_implicit", "midpoint", "rk4", "exact")
 
 
 @pytest.mark.parametrize("name", ONE_OF_EACH)

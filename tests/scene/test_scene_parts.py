@@ -264,5 +264,6 @@ def test_every_choice_is_told_of_in_the_schema_and_to_people(words: Any) -> None
 def test_every_type_of_module_has_its_heading() -> None:
     told = Path("hapsim/cordis/MODULES.md").read_text(encoding="utf-8")
     for name in MODULE_TYPES:
+        assert f"`{name}`" in Path("configs/README.md").read_text(encoding="utf-8")
         assert f"\n## {name}\n" in told
         assert f"(#{name})" in told

@@ -21,6 +21,7 @@ from hapsim.cordis.program import compile_scene
 from hapsim.cordis.tick import tick
 from hapsim.scene import Scene, parse_scene
 from hapsim.theory.schemes import SCHEMES
+from hapsim.theory.schemes.scheme import at_every_instant
 
 RATE = 1000.0
 T = 1.0 / RATE
@@ -133,8 +134,9 @@ def closed_loop(scheme: str, one: Object, stiffness: float, damping: float, dela
     matrix[3] = -felt
     pulled = np.zeros(n)
     pulled[one.place] = 1.0
-    if scheme == "rk4":
-        matrix[4:] = _runge_kutta(one, pulled, stiffness, damping)
+    advance = SCHEMES[scheme].advance
+    if advance is not None and advance.inside is at_every_instant:
+        matrix[4:] = _by_instants(STAGES[scheme], one, pulled, stiffness, damping)
         return matrix
     step = SCHEMES[scheme].step(one.mass, one.stiffness, one.damping, T)
     # A force that is held moves where the object would rest, and nothing else.
@@ -144,7 +146,18 @@ def closed_loop(scheme: str, one: Object, stiffness: float, damping: float, dela
     return matrix
 
 
-def _runge_kutta(one: Object, pulled: np.ndarray, stiffness: float, damping: float) -> np.ndarray:
+def _rk4(z: np.ndarray) -> np.ndarray:
+    one = np.eye(len(z))
+    return one + z @ (one + z @ (one + z @ (one + z / 4) / 3) / 2)
+
+
+#: What schemes that ask links at several instants make of T times the rates of change.
+STAGES = {"rk4": _rk4}
+
+
+def _by_instants(
+    stages: Callable[[np.ndarray], np.ndarray], one: Object, pulled: np.ndarray, stiffness: float, damping: float
+) -> np.ndarray:
     """Its rows: the link is asked at every instant, with a hand that goes on as it went."""
     n = one.mass.size
     link = np.outer(pulled, pulled) / one.mass[:, None]
@@ -156,10 +169,7 @@ def _runge_kutta(one: Object, pulled: np.ndarray, stiffness: float, damping: flo
     rate[n : 2 * n, 2 * n] = stiffness * pulled / one.mass
     rate[n : 2 * n, 2 * n + 1] = damping * pulled / one.mass
     rate[2 * n, 2 * n + 1] = 1.0
-    z = rate * T
-    step = np.eye(2 * n + 2) + z @ (
-        np.eye(2 * n + 2) + z @ (np.eye(2 * n + 2) + z @ (np.eye(2 * n + 2) + z / 4) / 3) / 2
-    )
+    step = stages(rate * T)
     rows = np.zeros((2 * n, 4 + 2 * n))
     rows[:, 4:] = step[: 2 * n, : 2 * n]
     rows[:, 0] = step[: 2 * n, 2 * n] + step[: 2 * n, 2 * n + 1] / T

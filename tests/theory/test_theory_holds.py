@@ -102,6 +102,10 @@ def test_its_lag_is_what_its_transfer_function_says(hold: str) -> None:
     through = late_and_held(np.array([theta]), 0.0, hold, "ideal")[0]
     assert abs(through) == pytest.approx(1.0, abs=1e-6)
     assert HOLDS[hold].lag == pytest.approx(-np.angle(through) / theta, abs=1e-6)
+
+
+@pytest.mark.parametrize("hold", LAGS)
+def test_its_lag_is_to_rounding(hold: str) -> None:
     assert HOLDS[hold].lag == pytest.approx(LAGS[hold], abs=1e-15)
 
 

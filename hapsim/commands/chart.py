@@ -1,4 +1,4 @@
-"""The commands `hapsim chart …`. They parse, call, and show; pictures are worked out and drawn beside this file."""
+"""The commands `hapsim chart …`. They parse, call, and show; pictures are worked out and drawn in `hapsim/chart`."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 import typer
 
+from hapsim.commands.arguments import Json, say_written, stderr, stdout
 from hapsim.console.options import names, numbers
 from hapsim.console.sentences import say
 from hapsim.errors import UsageError
@@ -55,7 +56,6 @@ Picture = Annotated[
 ]
 Data = Annotated[Path | None, typer.Option(metavar="FILE", help="Write the numbers that are drawn: .csv.")]
 _OBJECTS = "spring, contact, string-10, string-100, string-1000, stiff-string-100"
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on standard output, nothing else there.")]
 
 
 @app.command()
@@ -113,7 +113,7 @@ def plane(
         _print_json({"scene": scene, "hands": [hand.summary() for hand in drawn]}, picture, data)
         return
     _tell_of(drawn, [other for other in others if other not in drawn])
-    _say(picture, data)
+    say_written(picture, data)
 
 
 @app.command()
@@ -164,8 +164,8 @@ def transparency(
     frequency = worked_out.frequency
     words = ", ".join(_band(low, high, frequency[0], frequency[-1]) for low, high in bands)
     said = f"The wall gives the hand energy {words}." if bands else "At no frequency does the wall give energy."
-    _console().print(said)
-    _say(picture, data)
+    stdout().print(said)
+    say_written(picture, data)
 
 
 @app.command()
@@ -190,7 +190,7 @@ def table1(
 
     picture = _writable(picture, data, json, "table1.svg")
     hand, _ = _hands(scene, channel, {}, None, None)
-    with live_line(_console(stderr=True)) as tell:
+    with live_line(stderr()) as tell:
         worked_out = table1_of(hand, as_scene=as_scene, on_progress=tell)
     _save_rows(worked_out.columns(), data)
     if picture is not None:
@@ -201,8 +201,8 @@ def table1(
         rows = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
         _print_json({"scene": scene, "k": worked_out.k, "K": worked_out.K, "couplings": rows}, picture, data)
         return
-    _console().print(_table(worked_out))
-    _say(picture, data)
+    stdout().print(_table(worked_out))
+    say_written(picture, data)
 
 
 @app.command("speed-accuracy")
@@ -244,7 +244,7 @@ def speed_accuracy(
         raise UsageError(f"--rounds: found {rounds}, expected a whole number of at least 1")
     picture = _writable(picture, data, json, "speed-accuracy.svg")
     rows = [] if peers is None else peers_in(peers, [one.name for one in chosen])
-    with live_words(_console(stderr=True)) as tell:
+    with live_words(stderr()) as tell:
         rows = compare(chosen, at, rounds, tell, by) + rows
     _save_rows(columns(rows, [row for front in fronts(rows).values() for row in front]), data)
     if picture is not None:
@@ -255,7 +255,7 @@ def speed_accuracy(
         return
     for sentence in told.values():
         say(sentence)
-    _say(picture, data)
+    say_written(picture, data)
 
 
 def _rates(found: list[float]) -> list[float]:
@@ -371,7 +371,7 @@ def _tell_of(drawn: list[Hand], others: list[Hand]) -> None:
     """What is simulated and felt of what is drawn, and where the others are."""
     for hand in drawn:
         if hand.is_simulated:
-            _console().print(_told(hand))
+            stdout().print(_told(hand))
     for other in others:
         say(f"{other.name} has a plane of its own: --channel {other.channel}")
 
@@ -438,15 +438,3 @@ def _print_json(summary: dict[str, Any], picture: Path | None, data: Path | None
 
     files = {"picture": picture, "data": data}
     print(document(summary | {name: None if path is None else str(path) for name, path in files.items()}))
-
-
-def _say(picture: Path | None, data: Path | None) -> None:
-    for what, path in (("Picture", picture), ("Its numbers", data)):
-        if path is not None:
-            say(f"{what}: {path}")
-
-
-def _console(stderr: bool = False) -> Any:
-    from rich.console import Console
-
-    return Console(stderr=stderr, highlight=False)
