@@ -17,7 +17,7 @@
 #include <avr/sleep.h>
 #include <avr/wdt.h>
 
-#define RING 128u /* a power of two, above the longest frame */
+#define RING 256u /* what a byte counts before it begins anew by itself */
 
 /* One context writes `end`, the other one `start`: a byte each, so that neither needs a lock. */
 typedef struct {
@@ -34,7 +34,7 @@ static volatile bool tick_held, tick_due;
 ISR(USART_RX_vect) {
     const uint8_t byte = UDR0;
     const uint8_t end = received.end;
-    const uint8_t next = (uint8_t)((end + 1u) % RING);
+    const uint8_t next = (uint8_t)(end + 1u);
     if (next != received.start) { /* else it is lost, and the frame with it: its check tells */
         received.bytes[end] = byte;
         received.end = next;
@@ -48,7 +48,7 @@ ISR(USART_UDRE_vect) {
         return;
     }
     UDR0 = to_send.bytes[start];
-    to_send.start = (uint8_t)((start + 1u) % RING);
+    to_send.start = (uint8_t)(start + 1u);
 }
 
 void hapsim_port_hold_tick(void) {
@@ -122,13 +122,13 @@ void hapsim_port_put_forces(const int32_t *counts) {
 /* Called by the tick, or while the tick is held off: never by two at once. */
 bool hapsim_port_write(const uint8_t *bytes, size_t count) {
     uint8_t end = to_send.end;
-    const uint8_t room = (uint8_t)((to_send.start - end - 1u) % RING);
+    const uint8_t room = (uint8_t)(to_send.start - end - 1u);
     if (count > room) {
         return false;
     }
     for (uint8_t i = 0; i < count; i++) {
         to_send.bytes[end] = bytes[i];
-        end = (uint8_t)((end + 1u) % RING);
+        end = (uint8_t)(end + 1u);
     }
     to_send.end = end;
     UCSR0B = _BV(RXEN0) | _BV(TXEN0) | _BV(RXCIE0) | _BV(UDRIE0);
@@ -165,7 +165,7 @@ static bool take_byte(void) {
         return false;
     }
     const uint8_t byte = received.bytes[start];
-    received.start = (uint8_t)((start + 1u) % RING);
+    received.start = (uint8_t)(start + 1u);
     GPIOR2 = 1; /* for whoever watches how long it takes */
     hapsim_device_take_byte(byte);
     GPIOR2 = 0;

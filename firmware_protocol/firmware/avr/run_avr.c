@@ -13,6 +13,7 @@
 #include <fcntl.h>
 #include <poll.h>
 #include <signal.h>
+#include <stdbool.h>
 #include <sim_avr.h>
 #include <sim_hex.h>
 #include <sim_io.h>
@@ -83,12 +84,34 @@ static void on_byte(avr_irq_t *irq, uint32_t byte, void *unused) {
     }
 }
 
-/* What the terminal does not take is lost, as on a wire that nobody listens to. */
-static void send_bytes(void) {
-    if (unsent_bytes > 0 && write(port, unsent, unsent_bytes) < 0) {
-        unsent_bytes = 0;
+/* Writes the frame at `at`; how far it came. What the terminal has no room for is dropped whole, unless it was begun. */
+static size_t send_frame(size_t at, size_t length, bool *begun) {
+    const ssize_t sent = write(port, unsent + at, length);
+    if (sent == (ssize_t)length || (sent <= 0 && !*begun)) {
+        *begun = false;
+        return length;
     }
-    unsent_bytes = 0;
+    *begun = true;
+    return sent > 0 ? (size_t)sent : 0;
+}
+
+/* A host that does not listen loses frames here, not pieces of them: the wire tears nothing. */
+static void send_bytes(void) {
+    static bool begun;
+    size_t at = 0, kept = 0;
+    const uint8_t *end;
+    while ((end = memchr(unsent + at, 0, unsent_bytes - at)) != NULL) {
+        const size_t length = (size_t)(end - unsent) + 1 - at;
+        if (kept == 0) {
+            const size_t sent = send_frame(at, length, &begun);
+            kept = length - sent; /* the rest comes first the next time; whole frames behind it are dropped */
+            memmove(unsent, unsent + at + sent, kept);
+        }
+        at += length;
+    }
+    unsent_bytes -= at;
+    memmove(unsent + kept, unsent + at, unsent_bytes);
+    unsent_bytes += kept;
 }
 
 static void receive_bytes(void) {
