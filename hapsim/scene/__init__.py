@@ -10,7 +10,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from .choices import DamperScheme, Hold, Sampling, SchemeName
+    from .choices import WITH_CUTOFF, DamperScheme, Hold, Sampling, SchemeName
     from .device import Clock, Device
     from .load import load_scene, parse_scene
     from .mock import Initial, Mock, MockDevice
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from .schema import scene_schema
 
 _EXPORTS = {
-    "choices": ("DamperScheme", "Hold", "Sampling", "SchemeName"),
+    "choices": ("WITH_CUTOFF", "DamperScheme", "Hold", "Sampling", "SchemeName"),
     "device": ("Clock", "Device"),
     "load": ("load_scene", "parse_scene"),
     "mock": ("Initial", "Mock", "MockDevice"),
@@ -30,6 +30,7 @@ _HOMES = {name: home for home, names in _EXPORTS.items() for name in names}
 
 __all__ = [
     "VERSION",
+    "WITH_CUTOFF",
     "Clock",
     "DamperScheme",
     "Device",

@@ -121,7 +121,7 @@ def test_the_device_is_asked_before_anything_is_measured(
     def no_answer(trial: Any) -> None:
         raise DeviceError(f"{trial.where}: no answer")
 
-    monkeypatch.setattr(examination_module, "wake_up_lateness", lambda *_, **__: pytest.fail("measured before"))
+    monkeypatch.setattr(examination_module, "wake_up_latency", lambda *_, **__: pytest.fail("measured before"))
     with pytest.raises(DeviceError, match="/dev/ttyACM0: no answer"):
         examined(scene(port="/dev/ttyACM0"), ask=no_answer)
 

@@ -60,7 +60,13 @@ def names_used(text: str) -> Iterator[tuple[str, str]]:
 def is_public(room: str, name: str) -> bool:
     if room not in PUBLIC_ROOMS:
         return f"{room}.{name}" in PUBLIC_ROOMS
-    return not name or name in ABOUT_ITSELF or name in importlib.import_module(room).__all__
+    return not name or name in ABOUT_ITSELF or name in public_names(room)
+
+
+def public_names(room: str) -> set[str]:
+    """What the room names in `__all__`; of scenes also what the room of its modules does."""
+    names = set(importlib.import_module(room).__all__)
+    return names | public_names("hapsim.scene.modules") if room == "hapsim.scene" else names
 
 
 def why_inside(where: str, room: str, name: str) -> tuple[str, str] | None:

@@ -16,13 +16,13 @@ import hapsim
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 
 
-def is_linear(scene: hapsim.scene.Scene) -> bool:
+def is_linear(scene: hapsim.Scene) -> bool:
     """Whether a hand on its own spring and damper is what the scene is, with nothing assumed."""
     prediction = hapsim.predict(scene)
     return bool(prediction.felt) and not prediction.coupled and not prediction.assumptions
 
 
-def errors(scene: hapsim.scene.Scene) -> tuple[float, float, float, float]:
+def errors(scene: hapsim.Scene) -> tuple[float, float, float, float]:
     """(how far off the pole is, its stated uncertainty, k and b off by, relative)"""
     felt, measured = hapsim.predict(scene).felt[0], hapsim.measure(scene, transport="terminal")
     off = min(abs(measured.pole - pole) for pole in felt.poles)

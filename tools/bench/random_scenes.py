@@ -9,8 +9,7 @@ from typing import Any, get_args
 import yaml
 
 import hapsim
-from hapsim.scene import DamperScheme, SchemeName
-from hapsim.scene.choices import WITH_CUTOFF
+from hapsim.scene import WITH_CUTOFF, DamperScheme, SchemeName
 
 _DAMPERS: tuple[dict[str, Any], ...] = tuple(
     {"damper": name} | ({"cutoff": 200.0} if name in WITH_CUTOFF else {}) for name in get_args(DamperScheme)
