@@ -34,6 +34,11 @@ def sample(body, converter, h):
 
 
 @entry
+def sample_velocity(body, converter, h):
+    return sampler.sample_velocity(body, converter, h)
+
+
+@entry
 def first_sample(body, converter):
     return sampler.first_sample(body, converter)
 
@@ -91,26 +96,32 @@ EVENTS: dict[str, list[tuple[float, Event]]] = {
 }
 
 
+#: Over how many sample periods a sampling is the mean.
+WINDOWS = {"ideal": 0.0, "average": 1.0, "the last half": 0.5, "the last third": 1 / 3}
+
+
 def event_by_event(
     hold: str, sampling: str, delay: float, m: float, b: float, x: float, v: float, commands: Sequence[float]
 ) -> tuple[list[float], list[float]]:
     """What is measured at the end of samples 0, 1, …, positions (m) and velocities (m/s): command n changes the force
     `delay` samples after n began."""
     with mp.workdps(30):
-        T_, samples, acts = mp.mpf(T), len(commands), EVENTS[hold]
+        T_, samples, acts, window = mp.mpf(T), len(commands), EVENTS[hold], mp.mpf(WINDOWS[sampling])
         events = [(mp.mpf(n + 1), 0, n) for n in range(samples)]
-        events += [(n + mp.mpf(delay) + late, 1 + i, n) for n in range(samples) for i, (late, _) in enumerate(acts)]
+        events += [(n + 1 - window, 1, n) for n in range(samples)]
+        events += [(n + mp.mpf(delay) + late, 2 + i, n) for n in range(samples) for i, (late, _) in enumerate(acts)]
         mass = Coasting(m, b, mp.mpf(x), mp.mpf(v), mp.mpf(0), mp.mpf(0))
         clock, positions, velocities, before = mp.mpf(0), [], [], mass.x
         for at, kind, n in sorted(events):
             mass.coast((at - clock) * T_)
             clock = at
             if kind == 0:
-                positions.append(float(mass.x if sampling == "ideal" else mass.travel / T_))
-                velocities.append(float(mass.v if sampling == "ideal" else (mass.x - before) / T_))
+                positions.append(float(mass.travel / (window * T_) if window else mass.x))
+                velocities.append(float((mass.x - before) / (window * T_) if window else mass.v))
+            elif kind == 1:
                 mass.travel, before = mp.mpf(0), mass.x
             else:
-                acts[kind - 1][1](mass, commands, n)
+                acts[kind - 2][1](mass, commands, n)
         return positions, velocities
 
 

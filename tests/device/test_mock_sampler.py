@@ -17,11 +17,23 @@ from hypothesis import strategies as st
 from firmware_protocol import schema
 from hapsim.device.mock import sampler
 from hapsim.device.mock.motion import move_of
-from hapsim.device.mock.sampler import HOLDS, MockHold, Piece
+from hapsim.device.mock.sampler import HOLDS, SAMPLINGS, MockHold, Piece
 
 sys.path.insert(0, str(Path(__file__).parent))
 from bodies import body_of
-from converters import CASES, DELAYS, T, advance_body, converter_of, event_by_event, first_sample, sample, to_counts
+from converters import (
+    CASES,
+    DELAYS,
+    WINDOWS,
+    T,
+    advance_body,
+    converter_of,
+    event_by_event,
+    first_sample,
+    sample,
+    sample_velocity,
+    to_counts,
+)
 
 #: Holds that hapsim does not ship, of what an entry can say.
 OTHERS = {
@@ -46,15 +58,23 @@ OTHERS = {
 
 
 def measured_by_the_mock(hold: str, sampling: str, delay: float, body: Any, commands: Sequence[float]) -> list[float]:
-    converter = converter_of(average=sampling == "average")
-    rows, how = sampler.set_hold(converter, hold, delay), np.uint64(move_of(np.array([body])))
+    return read_by_the_mock(hold, sampling, delay, body, commands)[0]
+
+
+def read_by_the_mock(
+    hold: str, sampling: str, delay: float, body: Any, commands: Sequence[float]
+) -> tuple[list[float], list[float]]:
+    """Positions and velocities."""
+    converter = converter_of()
+    rows, how = sampler.set_timing(converter, hold, sampling, delay), np.uint64(move_of(np.array([body])))
     ring = np.zeros((rows, 1))
-    measured = []
+    positions, velocities = [], []
     for n, command in enumerate(commands):
         ring[n % len(ring), 0] = command
         advance_body(how, body, converter, ring, n, T)
-        measured.append(sample(body, converter, T))
-    return measured
+        velocities.append(sample_velocity(body, converter, T))
+        positions.append(sample(body, converter, T))
+    return positions, velocities
 
 
 @pytest.mark.parametrize(("hold", "sampling", "delay", "b"), CASES)
@@ -69,13 +89,20 @@ def test_the_measured_positions_are_those_of_an_event_by_event_simulation(
 
 
 @pytest.mark.parametrize("delay", DELAYS)
-@pytest.mark.parametrize("hold", OTHERS)
-def test_a_hold_is_the_pieces_that_its_entry_says(hold: str, delay: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(HOLDS, hold, OTHERS[hold])
+@pytest.mark.parametrize("sampling", WINDOWS)
+@pytest.mark.parametrize("hold", HOLDS | OTHERS)
+def test_holds_and_samplings_are_what_their_entries_say(
+    hold: str, sampling: str, delay: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(HOLDS, hold, (HOLDS | OTHERS)[hold])
+    monkeypatch.setitem(SAMPLINGS, sampling, WINDOWS[sampling])
     commands = np.random.default_rng(7).uniform(-30.0, 30.0, 60)
-    measured = measured_by_the_mock(hold, "average", delay, body_of(0.05, 60.0, position=0.02, velocity=-0.4), commands)
-    expected, _ = event_by_event(hold, "average", delay, 0.05, 60.0, 0.02, -0.4, commands)
-    np.testing.assert_allclose(measured, expected, atol=3e-16)
+    positions, velocities = read_by_the_mock(
+        hold, sampling, delay, body_of(0.05, 60.0, position=0.02, velocity=-0.4), commands
+    )
+    expected, speeds = event_by_event(hold, sampling, delay, 0.05, 60.0, 0.02, -0.4, commands)
+    np.testing.assert_allclose(positions, expected, atol=3e-16)
+    np.testing.assert_allclose(velocities, speeds, atol=1e-12)
 
 
 @settings(max_examples=60, deadline=None, derandomize=True)
@@ -171,8 +198,8 @@ def test_averaged_sampling_takes_the_mean_over_the_time_that_a_sample_really_las
 
 def test_the_first_averaged_sample_is_the_mean_over_the_period_before_the_start() -> None:
     body = body_of(1.0, position=0.3, velocity=2.0)
-    assert first_sample(body, converter_of(average=1)) == 0.3 - 2.0 * T / 2
-    assert first_sample(body, converter_of(average=0)) == 0.3
+    assert first_sample(body, converter_of(window=1.0)) == 0.3 - 2.0 * T / 2
+    assert first_sample(body, converter_of(window=0.0)) == 0.3
 
 
 @settings(max_examples=300, deadline=None, derandomize=True)

@@ -1,4 +1,4 @@
-"""Holds that hapsim does not ship: what an entry of `HOLDS` can say, its transfer function and its motion agree on."""
+"""Holds and samplings that hapsim does not ship: on what an entry can say, transfer function and motion agree."""
 
 from __future__ import annotations
 
@@ -9,7 +9,9 @@ import pytest
 
 from hapsim.theory import Configuration, Network, solve
 from hapsim.theory.hand.impedance import late_and_held
-from hapsim.theory.interface import HOLDS, Hold, HoldSegment, Term, damper_named
+from hapsim.theory.interface import HOLDS, SAMPLINGS, Hold, HoldSegment, Sampling, Term, damper_named
+from hapsim.theory.network.device_step import device_step
+from hapsim.theory.network.margin_response import channel_answer
 
 RATE = 1000.0
 MASS = 0.3
@@ -74,15 +76,24 @@ LAGS = {"zoh": 0.5, "impulse": 0.0, "straight": 0.0, "from one to the next": 1.0
 LAGS |= {"half as long": 0.25, "two blows": 0.375, "blow and level": 0.3, "sawtooth": 5 / 12}
 
 
+#: Samplings that hapsim does not ship either.
+WINDOWS = {
+    f"the last {window:g}": Sampling((Term(1.0 / window, 0.0, 1), Term(-1.0 / window, window, 1)), window)
+    for window in (0.5, 0.3)
+}
+
+
 @pytest.fixture(autouse=True)
 def _others_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, sampling in WINDOWS.items():
+        monkeypatch.setitem(SAMPLINGS, name, sampling)
     for name, hold in OTHERS.items():
         monkeypatch.setitem(HOLDS, name, hold)
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.3, 0.5, 1.0, 1.7])
-@pytest.mark.parametrize("sampling", ["ideal", "average"])
-@pytest.mark.parametrize("hold", OTHERS)
+@pytest.mark.parametrize("sampling", SAMPLINGS | WINDOWS)
+@pytest.mark.parametrize("hold", HOLDS | OTHERS)
 def test_its_poles_are_those_of_its_motion(hold: str, sampling: str, delay: float) -> None:
     for friction, spring, damper in itertools.product((0.0, 2.0), (0.0, 500.0), ("backward", "sensed")):
         c = Configuration(MASS, RATE, friction, delay, hold, sampling, spring, damper)
@@ -116,3 +127,17 @@ def test_its_mean_force_is_that_of_the_computed_ones(hold: str, fraction: float)
     given = (sum(kick) + d * sum(level) + 0.5 * d**2 * sum(slope) for d, kick, level, slope in segments)
     assert sum(given) == pytest.approx(1.0, abs=1e-15)
     assert sum(segment.duration for segment in segments) == pytest.approx(1.0, abs=1e-15)
+
+
+@pytest.mark.parametrize("sampling", SAMPLINGS | WINDOWS)
+@pytest.mark.parametrize("hold", HOLDS | OTHERS)
+def test_what_is_read_of_a_force_closes_the_loop_at_its_poles(hold: str, sampling: str) -> None:
+    """1 + (K x + B v) T²/m at each, of a spring and a damper that senses."""
+    for delay in (0.0, 0.3, 1.7):
+        c = Configuration(MASS, RATE, 2.0, delay, hold, sampling, 500.0, "sensed")
+        K, B, unit = 4e4, 30.0, MASS * RATE**2
+        poles = c.poles(K, B)
+        poles = poles[np.abs(poles) > 0.05]
+        step = device_step(2.0 / (MASS * RATE), delay, hold, 500.0 / unit, sampling)
+        x, v = channel_answer(step, poles, poles - 1.0)
+        assert np.abs(1.0 + K / unit * x + B * RATE / unit * v).max() < 1e-8

@@ -14,7 +14,7 @@ from firmware_protocol.frames import SETUP, armed_format, framing_of
 from firmware_protocol.records import new_record
 from firmware_protocol.wire_time import BITS_PER_BYTE, WireTime, wire_time
 from hapsim.device.mock.firmware import MOCK, MOST_LATE
-from hapsim.device.mock.sampler import SAMPLINGS, set_hold
+from hapsim.device.mock.sampler import set_timing
 from hapsim.errors import UsageError
 from hapsim.prediction.silence import time_to_live_samples
 from hapsim.scene import Scene
@@ -73,8 +73,7 @@ def _set_converters(mock: Any, scene: Scene, description: Description) -> None:
     device, converters = scene.mock_device, mock.converters[: scene.channels]
     converters["period"] = 1.0 / scene.rate
     for converter in converters:
-        mock.depth = set_hold(converter, device.hold, device.delay)
-    converters["average"] = SAMPLINGS[device.sampling]
+        mock.depth = set_timing(converter, device.hold, device.sampling, device.delay)
     converters["quantum"] = device.quantum
     converters["velocity_quantum"] = description.velocity_scale
     converters["noise"] = device.noise

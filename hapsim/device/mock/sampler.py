@@ -16,7 +16,7 @@ import numpy as np
 from hapsim.compiling import helper
 from hapsim.device.mock.motion import move, strike
 
-MOST_PIECES, MOST_AGES = 4, 4
+MOST_PIECES, MOST_AGES = 6, 4
 
 
 class Piece(NamedTuple):
@@ -43,11 +43,18 @@ HOLDS = {
 }
 """By a scene's names for what becomes of a force: it acts until the next one, or is given at once as an impulse."""
 
-SAMPLINGS = {"ideal": 0, "average": 1}
-"""A scene's names for what is measured: the position at the instant, or its mean over the sample before."""
+SAMPLINGS = {"ideal": 0.0, "average": 1.0}
+"""By a scene's names for what is measured, the window, in sample periods that end with the sample, over which it is the
+mean of the position; 0: the position at the instant."""
 
 PIECE = np.dtype(
-    [("lasts", np.float64), ("force", np.float64, (MOST_AGES,)), ("blow", np.float64, (MOST_AGES,))], align=True
+    [
+        ("lasts", np.float64),
+        ("force", np.float64, (MOST_AGES,)),
+        ("blow", np.float64, (MOST_AGES,)),
+        ("opens", np.int64),  # whether the window opens with it
+    ],
+    align=True,
 )
 
 CONVERTER = np.dtype(
@@ -58,29 +65,46 @@ CONVERTER = np.dtype(
         ("pieces_in_use", np.int64),
         ("ages", np.int64),  # how many commands they weigh
         ("goes_on", np.int64),
-        ("average", np.int64),  # of SAMPLINGS
+        ("window", np.float64),  # of SAMPLINGS
         ("quantum", np.float64),  # m per count
         ("velocity_quantum", np.float64),  # (m/s) per count; 0: the device senses no velocity
         ("noise", np.float64),  # m rms, and as many periods of it as there are in a second, in m/s rms, of the velocity
-        ("before", np.float64),  # m, where the body was at the sample before
+        ("before", np.float64),  # m, where the body was when the window opened
         ("seed", np.uint64),  # where the noise's generator starts when the device is armed
         ("state", np.uint64),  # where it stands
     ]
 )
 
 
-def set_hold(converter: Any, hold: str, delay: float) -> int:
-    """Sets how a CONVERTER holds a command that is `delay` sample periods late; how many samples of commands that
-    takes."""
-    whole = math.floor(delay)
-    pieces = [piece for piece in HOLDS[hold].pieces(delay - whole) if piece.lasts > 0.0]
-    converter.whole_delay, converter.goes_on = whole, HOLDS[hold].goes_on
+def set_timing(converter: Any, hold: str, sampling: str, delay: float) -> int:
+    """Sets how a CONVERTER holds a command that is `delay` sample periods late, and how it measures; how many samples
+    of commands that takes."""
+    whole, window = math.floor(delay), SAMPLINGS[sampling]
+    opens, pieces = _split(HOLDS[hold].pieces(delay - whole), 1.0 - window)
+    converter.whole_delay, converter.goes_on, converter.window = whole, HOLDS[hold].goes_on, window
     converter.pieces_in_use = len(pieces)
     converter.ages = max(len(weights) for piece in pieces for weights in (piece.force, piece.blow))
     for record, piece in zip(converter.pieces[: len(pieces)], pieces, strict=True):
         record.lasts = piece.lasts
         record.force[: len(piece.force)], record.blow[: len(piece.blow)] = piece.force, piece.blow
+    converter.pieces["opens"] = np.arange(MOST_PIECES) == opens
     return whole + max(2, int(converter.ages))
+
+
+def _split(pieces: list[Piece], at: float) -> tuple[int, list[Piece]]:
+    """Those of the pieces that last, one of which begins `at` sample periods into the sample, and which that is: after
+    the last where none does."""
+    before: list[Piece] = []
+    after: list[Piece] = []
+    begin = 0.0
+    for piece in pieces:
+        first = min(max(at - begin, 0.0), piece.lasts)
+        if first > 0.0:
+            before.append(piece._replace(lasts=first))
+        if piece.lasts > first:
+            after.append(Piece(piece.lasts - first, piece.force, piece.blow if first == 0.0 else ()))
+        begin += piece.lasts
+    return len(before), before + after
 
 
 @helper
@@ -95,6 +119,8 @@ def advance_body(how, body, converter, commands, depth, channel, n, h):
             command = commands[(newest - age) % depth, channel]
             force += piece.force[age] * command
             blow += piece.blow[age] * command
+        if piece.opens:
+            body.area, converter.before = 0.0, body.position
         if blow != 0.0:
             strike(body, blow * converter.period)
         lasts = piece.lasts * h if i + 1 < converter.pieces_in_use else h - gone
@@ -105,21 +131,21 @@ def advance_body(how, body, converter, commands, depth, channel, n, h):
 @helper
 def sample(body, converter, h):
     """The position that the device measures, in m, at the end of a sample that lasted `h` seconds."""
-    position = body.area / h if converter.average else body.position
+    position = body.area / (converter.window * h) if converter.window > 0.0 else body.position
     body.area = 0.0
     return position + _noise(converter)
 
 
 @helper
 def first_sample(body, converter):
-    """The measured position at the start. Averaged sampling looks back along a free motion.
+    """The measured position at the start. A mean looks back along a free motion.
 
     The noise begins anew: the same seed, the same run.
     """
     converter.state = converter.seed
     position = body.position
-    if converter.average:
-        position -= 0.5 * converter.period * body.velocity
+    if converter.window > 0.0:
+        position -= 0.5 * converter.window * converter.period * body.velocity
     return position + _noise(converter)
 
 
@@ -129,15 +155,15 @@ def sample_velocity(body, converter, h):
 
     At the instant it is that of the motion so far: a force that changes now, or an impulse, is not in it yet.
     """
-    velocity = (body.position - converter.before) / h if converter.average else body.velocity
-    converter.before = body.position
+    velocity = body.velocity
+    if converter.window > 0.0:
+        velocity = (body.position - converter.before) / (converter.window * h)
     return velocity + _noise(converter) / converter.period
 
 
 @helper
 def first_velocity(body, converter):
     """The measured velocity at the start, after the position: along a free motion the mean is the instant's value."""
-    converter.before = body.position
     return body.velocity + _noise(converter) / converter.period
 
 

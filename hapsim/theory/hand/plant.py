@@ -22,7 +22,7 @@ import numpy as np
 
 from hapsim.theory.arrays import Floats
 from hapsim.theory.hand.pair import quadratic_of_oscillator
-from hapsim.theory.hand.response import AREA, POSITION, VELOCITY, response_to_a_blow
+from hapsim.theory.hand.response import AREA, POSITION, TRIPLE_AREA, VELOCITY, response_to_a_blow
 from hapsim.theory.interface import HOLDS, SAMPLINGS, Term, product, whole_and_fraction
 
 NOTHING = 1e-13  # of the largest coefficient: the rounding of what is zero
@@ -91,7 +91,8 @@ def _reading_at_rest(damping: float, stiffness: float, ripple: tuple[Term, ...])
         return 0.0
     period = response_to_a_blow(damping, stiffness, 1.0)
     x = v = 0.0
-    for order, value in enumerate(_force_at_a_sample(ripple), start=1):
+    forces = _force_at_a_sample(ripple)[: TRIPLE_AREA - POSITION]  # what would come next is 0: a force does not grow
+    for order, value in enumerate(forces, start=1):
         x += value * period[POSITION + order]
         v += value * period[VELOCITY + order]
     for weight, since, integrations in ripple:

@@ -1,4 +1,4 @@
-"""The samplings: how a motion becomes a number. A new one is an entry here, and its reading in the mock."""
+"""The samplings: how a motion becomes a number. A new one is an entry here, and its window in the mock."""
 
 from __future__ import annotations
 
@@ -8,17 +8,26 @@ from hapsim.theory.interface.terms import Term
 
 
 class Sampling(NamedTuple):
-    """How a motion becomes a number: its terms, its mean delay, and whether it is the mean over the period."""
+    """How a motion becomes a number: its terms, and how long the window is over which it is the mean.
+
+    Attributes:
+        terms: of the transfer function from the position to what is read.
+        window: sample periods, 0 to 1, that end with the sample; 0 where the position is read at the sample.
+    """
 
     terms: tuple[Term, ...]
-    lag: float
-    reads_mean: bool
+    window: float
+
+    @property
+    def lag(self) -> float:
+        """Its mean delay in sample periods."""
+        return 0.5 * self.window
 
 
-IDEAL = Sampling(terms=(Term(1.0, 0.0, 0),), lag=0.0, reads_mean=False)
+IDEAL = Sampling(terms=(Term(1.0, 0.0, 0),), window=0.0)
 """The computer reads the position at the instant of the sample."""
 
-AVERAGE = Sampling(terms=(Term(1.0, 0.0, 1), Term(-1.0, 1.0, 1)), lag=0.5, reads_mean=True)
+AVERAGE = Sampling(terms=(Term(1.0, 0.0, 1), Term(-1.0, 1.0, 1)), window=1.0)
 """It reads the mean position over the sample period that has just ended: the paper's "1 sample integrator at input"
 (Florens et al., §6.2)."""
 

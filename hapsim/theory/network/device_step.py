@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hapsim.theory.arrays import Floats
-from hapsim.theory.interface import HOLDS, whole_and_fraction
+from hapsim.theory.interface import HOLDS, SAMPLINGS, HoldSegment, whole_and_fraction
 
 POSITION, VELOCITY, FORCE, TRAVEL, SLOPE = range(5)  # TRAVEL: the position's integral over the period
 TAYLOR_TERMS = 18  # for a norm of a half: beyond rounding
@@ -21,30 +21,59 @@ TAYLOR_TERMS = 18  # for a norm of a half: beyond rounding
 class DeviceStep(NamedTuple):
     """What one sample period makes of a channel.
 
-    ``motion`` (3, 2): new position, velocity and mean position from the position and velocity before.
-    ``forces`` (3, ages): the same from the computed forces, by their age in whole samples, the newest first.
+    ``motion`` (4, 2): new position and velocity, and what is read of them, from the position and velocity before.
+    ``forces`` (4, ages): the same from the computed forces, by their age in whole samples, the newest first.
+    ``window``: sample periods over which the reading is the mean.
     """
 
     motion: Floats
     forces: Floats
+    window: float
 
 
-def device_step(damping: float, delay: float, hold: str, stiffness: float = 0.0) -> DeviceStep:
+def device_step(damping: float, delay: float, hold: str, stiffness: float = 0.0, sampling: str = "ideal") -> DeviceStep:
     """The step of a mass with the normalised friction b0 T/m and own spring k0 T²/m, and a delay in sample periods."""
     whole, fraction = whole_and_fraction(delay)
-    segments = [segment for segment in HOLDS[hold].segments(fraction) if segment.duration > 0.0]
-    ages = max(len(weights) for segment in segments for weights in (segment.kick, segment.level, segment.slope))
+    window = SAMPLINGS[sampling].window
+    segments = _opened([segment for segment in HOLDS[hold].segments(fraction) if segment.duration > 0.0], 1.0 - window)
+    ages = max(len(weights) for _, (_, *made) in segments for weights in made)
     forces = np.zeros((5, whole + ages))
     motion = np.eye(5)[:, [POSITION, VELOCITY]]
-    for duration, kick, level, slope in segments:
+    begin = [motion[POSITION], forces[POSITION]]
+    for opens, (duration, kick, level, slope) in segments:
+        if opens:
+            begin = [motion[POSITION].copy(), forces[POSITION].copy()]
+            motion[TRAVEL] = forces[TRAVEL] = 0.0
         forces[VELOCITY, whole : whole + len(kick)] += kick
         forces[FORCE] = forces[SLOPE] = 0.0
         forces[FORCE, whole : whole + len(level)] = level
         forces[SLOPE, whole : whole + len(slope)] = slope
         flow = _flow(damping, stiffness, duration)
         motion, forces = flow @ motion, flow @ forces
-    rows = [POSITION, VELOCITY, TRAVEL]
-    return DeviceStep(motion[rows], forces[rows])
+    read = [
+        [made[TRAVEL] / window, (made[POSITION] - before) / window] if window > 0.0 else made[[POSITION, VELOCITY]]
+        for made, before in zip((motion, forces), begin, strict=True)
+    ]
+    rows = [POSITION, VELOCITY]
+    return DeviceStep(np.vstack([motion[rows], read[0]]), np.vstack([forces[rows], read[1]]), window)
+
+
+def _opened(segments: list[HoldSegment], at: float) -> list[tuple[bool, HoldSegment]]:
+    """The segments, one of which begins ``at`` sample periods into the period: where the window of the reading opens,
+    which is said beside it."""
+    begin, found = 0.0, []
+    for segment in segments:
+        first = at - begin
+        if 0.0 < first < segment.duration:
+            level = np.zeros(max(len(segment.level), len(segment.slope)))
+            level[: len(segment.level)] = segment.level
+            level[: len(segment.slope)] += first * np.array(segment.slope)
+            rest = HoldSegment(segment.duration - first, level=tuple(level.tolist()), slope=segment.slope)
+            found += [(False, segment._replace(duration=first)), (True, rest)]
+        else:
+            found.append((first <= 0.0 and not any(opens for opens, _ in found), segment))
+        begin += segment.duration
+    return found
 
 
 def _flow(damping: float, stiffness: float, duration: float) -> Floats:

@@ -47,7 +47,7 @@ def damping_links(network: Network) -> dict[DamperModel, Indices]:
 def layout_of(network: Network, steps: list[DeviceStep]) -> Layout:
     """Where everything is."""
     channels, points = network.channel_mass.size, network.channel_mass.size + network.point_mass.size
-    averaged = SAMPLINGS[network.sampling].reads_mean
+    averaged = SAMPLINGS[network.sampling].window > 0.0
     remembered = steps[0].forces.shape[1] - 1 if steps else 0
     groups = damping_links(network)
     velocity = slice(2 * points, 2 * points + channels)

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapsim.theory.arrays import Complexes, Floats
-from hapsim.theory.interface import DAMPERS, SAMPLINGS, DamperModel
+from hapsim.theory.interface import DAMPERS, DamperModel
 from hapsim.theory.network.links import acting_links
 from hapsim.theory.network.margin_response import AT_ONCE, PAIRS, Answer, at_places, channel_answer, damper_answer
 from hapsim.theory.network.network import Network
@@ -101,9 +101,8 @@ class ModalResponse:
 
     def _read(self, z: Complexes, w: Complexes) -> dict[int, tuple[Complexes, Complexes]]:
         """What each held channel reads of a force T²/m F z^n: position and velocity."""
-        mean = SAMPLINGS[self._network.sampling].reads_mean
         channels = self._held[self._held < self._network.channel_mass.size]
-        return {channel: channel_answer(self._steps[channel], mean, z, w) for channel in channels.tolist()}
+        return {channel: channel_answer(self._steps[channel], z, w) for channel in channels.tolist()}
 
     def _velocity(
         self, link: int, end: int, read: dict[int, tuple[Complexes, Complexes]], z: Complexes, w: Complexes

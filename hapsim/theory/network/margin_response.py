@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapsim.theory.arrays import Complexes, Floats
-from hapsim.theory.interface import SAMPLINGS, DamperModel
+from hapsim.theory.interface import DamperModel
 from hapsim.theory.network.device_step import DeviceStep
 from hapsim.theory.network.links import acting_links
 from hapsim.theory.network.network import Network
@@ -130,8 +130,7 @@ class Response:
 
     def _known(self, z: Complexes, w: Complexes) -> tuple[Complexes, Complexes]:
         """The velocities (kinds, n) that the ends have, and the readings (C, n), of forces T²/m F z^n."""
-        reads_mean = SAMPLINGS[self._network.sampling].reads_mean
-        read = [channel_answer(step, reads_mean, z, w) for step in self._steps]
+        read = [channel_answer(step, z, w) for step in self._steps]
         velocity = [damper_answer(damper, z, w) for damper in self._dampers] + [v / x for x, v in read]
         return np.array(velocity).reshape(-1, z.size), np.array([x for x, _ in read]).reshape(-1, z.size)
 
@@ -152,13 +151,17 @@ def damper_answer(damper: DamperModel, z: Complexes, w: Complexes) -> Complexes:
     return w / z * from_positions / (1.0 - np.polyval([*damper.of_velocities[::-1], 0.0], 1.0 / z))
 
 
-def channel_answer(step: DeviceStep, reads_mean: bool, z: Complexes, w: Complexes) -> tuple[Complexes, Complexes]:
+def channel_answer(step: DeviceStep, z: Complexes, w: Complexes) -> tuple[Complexes, Complexes]:
     """What the device reads after a force T²/m F z^n: its position, and its velocity times T."""
     force = [sum((f * z**-age for age, f in enumerate(row) if f), 0.0 * z) for row in step.forces]
     (aa, ab), (ba, bb) = step.motion[:2] - np.eye(2)
     determinant = (w - aa) * (w - bb) - ab * ba
     position = ((w - bb) * force[0] + ab * force[1]) / determinant
     velocity = (ba * force[0] + (w - aa) * force[1]) / determinant
-    if not reads_mean:
+    if step.window == 0.0:
         return position, velocity
-    return (step.motion[2, 0] * position + step.motion[2, 1] * velocity + force[2]) / z, position * w / z
+    read, moved = (
+        (of_position * position + of_velocity * velocity + pushed) / z
+        for (of_position, of_velocity), pushed in zip(step.motion[2:], force[2:], strict=True)
+    )
+    return read, position * w / z if step.window == 1.0 else moved  # of a whole period nothing cancels

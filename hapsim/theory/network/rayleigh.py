@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapsim.theory.arrays import Bools, Complexes, Floats
-from hapsim.theory.interface import SAMPLINGS, DamperModel
+from hapsim.theory.interface import DamperModel
 from hapsim.theory.network.layout import damping_links
 from hapsim.theory.network.links import acting_links, is_centred
 from hapsim.theory.network.margin_response import channel_answer, damper_answer
@@ -62,7 +62,6 @@ class _Form:
         stretch = _stretches(network, motions) ** 2
         channels = network.channel_mass.size
         self._steps = channel_steps(network)
-        self._reads_mean = SAMPLINGS[network.sampling].reads_mean
         self._channels = (network.channel_mass * network.rate**2)[:, None] * square[:channels]
         self._masses = network.point_mass @ square[channels:] * network.rate**2
         self._springs = network.stiffness[acting_links(network)] @ stretch
@@ -79,7 +78,7 @@ class _Form:
         for damper, weight in self._dampers:
             total = total + weight * damper_answer(damper, z, w)
         for step, weight in zip(self._steps, self._channels, strict=True):
-            total = total + weight / channel_answer(step, self._reads_mean, z, w)[0]
+            total = total + weight / channel_answer(step, z, w)[0]
         return np.asarray(total, complex)
 
 

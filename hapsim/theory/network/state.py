@@ -28,7 +28,8 @@ def channel_steps(network: Network) -> list[DeviceStep]:
     friction = network.channel_friction / (mass * rate)
     stiffness = network.channel_stiffness / (mass * rate) / rate
     return [
-        device_step(float(b), network.delay, network.hold, float(k)) for b, k in zip(friction, stiffness, strict=True)
+        device_step(float(b), network.delay, network.hold, float(k), network.sampling)
+        for b, k in zip(friction, stiffness, strict=True)
     ]
 
 
@@ -101,8 +102,7 @@ def _move_channel(layout: Layout, channel: int, step: DeviceStep, force: Triplet
     if layout.position.start != layout.now.start:
         rows.append((channel, step.motion[2], step.forces[2]))
     if layout.mean_velocity[channel] >= 0:
-        travelled = step.motion[0] - np.array([1.0, 0.0])
-        rows.append((int(layout.mean_velocity[channel]), travelled, step.forces[0]))
+        rows.append((int(layout.mean_velocity[channel]), step.motion[3], step.forces[3]))
     mine = force.row == channel
     for row, motion, forces in rows:
         parts.add(row, position, motion[0])
