@@ -112,14 +112,13 @@ def host_asks_again() -> Story:
 
 
 def host_clock_time_to_live() -> Story:
-    """Paced by the host, time to live is measured by the device's own clock."""
-    s = Story("6", "host clock: the force is zero when more than (t + 1) nominal sample periods have passed")
+    s = Story("6", "once more than *t + 1* nominal sample periods have passed since the last accepted FORCE.")
     s.arms(pacing=HOST, watchdog=100).host(s.answer(0, 5, lives=3), out=s.position(1), force=[5])
     s.passes(4 * PERIOD).passes(1, force=[0]).passes(50 * PERIOD)
-    s.host(s.answer(1, 6, lives=0), out=s.position(2), force=[6])
-    s.passes(PERIOD).passes(1, force=[0])
-    s.host(s.answer(2, 7, lives=255), out=s.position(3), force=[7]).passes(100 * PERIOD)
-    return s.passes(PERIOD, out=s.latches(3, 1), force=[0], state="latched")
+    s.host(s.answer(1, 6, lives=0), out=s.held(2), force=[6]).registers(held=1, accepted=2)
+    s.passes(PERIOD).passes(1, force=[0]).host(s.answer(2, 7, lives=255), out=s.held(3), force=[7])
+    s.passes(100 * PERIOD).passes(PERIOD, out=s.latches(3, 1), force=[0], state="latched")
+    return s.registers(held=2)
 
 
 def impulses_are_not_repeated() -> Story:

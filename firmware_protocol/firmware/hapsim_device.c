@@ -40,6 +40,7 @@ static struct {
     uint32_t heard;    /* and the one in which it came */
     uint32_t heard_at; /* the same by the clock, and for how long it may act by the clock, in periods */
     uint16_t lives;
+    bool released; /* paced by the host: within this sample the time to live ran out */
     uint16_t watchdog;
     uint32_t accepted, held, expired, limited;
     int32_t force[CHANNELS]; /* commanded for the sample that lasts */
@@ -96,7 +97,7 @@ static void say_position(uint8_t type) {
 /* The sample that lasts ends: its command acts from now on, and the host hears what was measured. */
 static void end_sample(void) {
     const bool heard = device.heard == device.sample;
-    const bool fresh = heard && device.answered == device.sample;
+    const bool fresh = heard && device.answered == device.sample && !device.released;
     device.held += !fresh;
     if (!heard && (HAPSIM_BOARD_IMPULSE || (int32_t)(device.sample - device.expires) > 0)) {
         memset(device.force, 0, sizeof device.force);
@@ -104,6 +105,21 @@ static void end_sample(void) {
     hapsim_port_put_forces(device.force);
     device.sample++;
     say_position(fresh ? HAPSIM_POSITION : HAPSIM_POSITION_HELD);
+}
+
+/* No tick comes while the host that paces is silent, so both its force and its watchdog end by the device's own clock. */
+static void look_at_clock(void) {
+    const uint32_t quiet = hapsim_port_now() - device.heard_at;
+    if (device.state != HAPSIM_ARMED || device.pacing != HAPSIM_PACED_BY_HOST) {
+        return;
+    }
+    if (quiet >= (device.watchdog + 1ul) * HAPSIM_BOARD_PERIOD_TICKS) {
+        latch(HAPSIM_HOST_QUIET);
+    } else if (device.lives > 0 && quiet > (uint32_t)device.lives * HAPSIM_BOARD_PERIOD_TICKS) {
+        device.lives = 0;
+        device.released = true;
+        put_zero();
+    }
 }
 
 static int32_t within(int32_t force, int32_t limit) {
@@ -115,6 +131,10 @@ static int32_t within(int32_t force, int32_t limit) {
 }
 
 static void take_force(void) {
+    look_at_clock(); /* which the main loop may not have come round to */
+    if (device.state != HAPSIM_ARMED) {
+        return;
+    }
     const uint16_t age = hapsim_age(device.sample, decoder.number);
     if (age > decoder.argument) {
         device.expired++;
@@ -131,20 +151,7 @@ static void take_force(void) {
     }
     if (device.pacing == HAPSIM_PACED_BY_HOST) {
         end_sample();
-    }
-}
-
-/* No tick comes while the host that paces is silent, so both its force and its watchdog end by the device's own clock. */
-static void look_at_clock(void) {
-    const uint32_t quiet = hapsim_port_now() - device.heard_at;
-    if (device.state != HAPSIM_ARMED || device.pacing != HAPSIM_PACED_BY_HOST) {
-        return;
-    }
-    if (quiet >= (device.watchdog + 1ul) * HAPSIM_BOARD_PERIOD_TICKS) {
-        latch(HAPSIM_HOST_QUIET);
-    } else if (device.lives > 0 && quiet > (uint32_t)device.lives * HAPSIM_BOARD_PERIOD_TICKS) {
-        device.lives = 0;
-        put_zero();
+        device.released = false;
     }
 }
 
@@ -173,6 +180,7 @@ static void begin_counting(void) {
     device.sample = 0;
     device.answered = device.expires = device.heard = device.sample - 1;
     device.lives = 0;
+    device.released = false;
     device.accepted = device.held = device.expired = device.limited = 0;
     decoder.crc_errors = decoder.length_errors = decoder.form_errors = 0;
 }

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import cycle
+from typing import get_args
 
-from hapsim.scene import Scene, parse_scene
-
-SCHEMES = ("cordis", "semi_implicit", "midpoint", "rk4", "exact")
+from hapsim.scene import DamperScheme, Scene, SchemeName, parse_scene
+from hapsim.scene.choices import WITH_CUTOFF
 
 _TEXT = """\
 version: 1
@@ -22,10 +23,6 @@ modules:
   gut: {{type: string, masses: 2, mass: 1, stiffness: 1}}
   bar: {{type: string, masses: 3, mass: 1, stiffness: 1, bending: 1}}
   skin: {{type: membrane, rows: 2, columns: 2, mass: 1, stiffness: 1}}
-  backward: {{type: viscoelastic, between: [hand, ball], stiffness: 1}}
-  centred: {{type: viscoelastic, between: [hand, gut.0], stiffness: 1, damper: centred}}
-  filtered: {{type: viscoelastic, between: [hand, bar.0], stiffness: 1, damper: filtered, cutoff: 10}}
-  sensed: {{type: viscoelastic, between: [hand, skin.0.0], stiffness: 1, damper: sensed}}
   spring: {{type: spring, between: [ball, wall], stiffness: 1}}
   damper: {{type: damper, between: [bell, hand], damping: 1}}
   buffer: {{type: buffer, between: [hand, wall], stiffness: 1}}
@@ -36,9 +33,19 @@ modules:
 """
 
 
+_HELD = ("ball", "gut.0", "bar.0", "skin.0.0")
+
+
 def scenes_with_every_module(precision: str) -> Iterator[Scene]:
-    """One for each scheme; and one more where damping joins the modes, which the exact scheme moves as one matrix."""
-    for scheme in SCHEMES:
-        for damping in (0, 1) if scheme == "exact" else (0,):
+    """Two for each scheme; in one of them damping joins the modes, which the exact scheme then moves as one matrix."""
+    for scheme in get_args(SchemeName):
+        for damping in (0, 1):
             text = _TEXT.format(precision=precision, scheme=scheme, damping=damping)
-            yield parse_scene(text, "every module")
+            yield parse_scene(text + "".join(_links_with_every_damper()), "every module")
+
+
+def _links_with_every_damper() -> Iterator[str]:
+    """Visco-elastic links, the first of which hold a point of each kind that can be held."""
+    for damper, held in zip(get_args(DamperScheme), cycle(_HELD), strict=False):
+        cutoff = ", cutoff: 10" if damper in WITH_CUTOFF else ""
+        yield f"  {damper}: {{type: viscoelastic, between: [hand, {held}], stiffness: 1, damper: {damper}{cutoff}}}\n"

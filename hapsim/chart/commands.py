@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 import typer
 
 from hapsim.console.options import names, numbers
 from hapsim.console.sentences import say
 from hapsim.errors import UsageError
+from hapsim.scene import choices
+from hapsim.scene.issue import one_of
 
 if TYPE_CHECKING:
     from hapsim.chart.hand import Hand
@@ -31,10 +33,12 @@ Rate = Annotated[float | None, typer.Option(metavar="HZ", help="Sample rate, Hz.
 Friction = Annotated[float | None, typer.Option(metavar="B0", help="Real friction of the device, N·s/m.")]
 Stiffness = Annotated[float | None, typer.Option(metavar="K0", help="Real spring of the device, N/m.")]
 Delay = Annotated[float | None, typer.Option(metavar="N", help="Delay, sample periods.")]
-Hold = Annotated[str | None, typer.Option(metavar="KIND", help="'zoh' or 'impulse'.")]
-Sampling = Annotated[str | None, typer.Option(metavar="KIND", help="'ideal' or 'average'.")]
-Damper = Annotated[str | None, typer.Option(metavar="KIND", help="'backward', 'centred', 'filtered' or 'sensed'.")]
-Cutoff = Annotated[float | None, typer.Option(metavar="HZ", help="Cutoff of the filtered damper, Hz.")]
+Hold = Annotated[str | None, typer.Option(metavar="KIND", help=one_of(get_args(choices.Hold)) + ".")]
+Sampling = Annotated[str | None, typer.Option(metavar="KIND", help=one_of(get_args(choices.Sampling)) + ".")]
+Damper = Annotated[str | None, typer.Option(metavar="KIND", help=one_of(get_args(choices.DamperScheme)) + ".")]
+Cutoff = Annotated[
+    float | None, typer.Option(metavar="HZ", help=f"Cutoff of the {one_of(choices.WITH_CUTOFF)} damper, Hz.")
+]
 SimulatedK = Annotated[
     float | None, typer.Option("--simulated-stiffness", metavar="K", help="The stiffness K that is simulated, N/m.")
 ]

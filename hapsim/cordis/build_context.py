@@ -56,8 +56,12 @@ class PartType(NamedTuple):
     """What people call its modules, in the plural."""
     compiled_as: str = ""
     """What they become, in words."""
+    moves_points: bool = False
+    """Its `integrate` moves points: a scheme that moves all points itself has no use for it."""
     memoryless: bool = False
     """Its links remember nothing, so that they can be asked for their forces between samples too."""
+    in_a_matrix: Callable[[Any], tuple[float, float]] | None = None
+    """Of links that are a spring and a backward damper and nothing else: their K in N/m and B in N·s/m."""
 
 
 def all_of(module: type[Module]) -> Callable[[Scene], Mapping[str, Any]]:

@@ -1,11 +1,11 @@
 """Scene -> Program: the numbers that the compiled tick works on, the actions that it calls, and nothing that the scene
 does not have.
 
-Points are numbered: device points first (the tick writes them), then grounds, then masses and behind them cells (which
-stand together, so that they advance in one pass), then the points of strings and membranes, each in one piece with the
-borders that its stencil needs, in whole lanes. What can be changed while the scene runs (stiffness, damping, rest
-positions) stands together in one array, of which the parts hold their columns: `parameter_values` says what stands
-where.
+Points are numbered: device points first (the tick writes them), then grounds, then material points (which stand
+together, so that they advance in one pass, those of one type beside each other), then the points of strings and
+membranes, each in one piece with the borders that its stencil needs, in whole lanes. What can be changed while the
+scene runs (stiffness, damping, rest positions) stands together in one array, of which the parts hold their columns:
+`parameter_values` says what stands where.
 """
 
 from __future__ import annotations
@@ -206,7 +206,7 @@ def _structures(scene: Scene) -> Iterator[tuple[Layout, str, Any]]:
 def _numbers(scene: Scene) -> tuple[dict[str, int], int, dict[str, slice]]:
     """The number of each point, how many there are with borders and fill, and which of them each structure takes up."""
     hands = sorted(scene.device_points, key=lambda name: scene.device_points[name].channel)
-    names = [*hands, *scene.grounds, *scene.masses, *scene.cells]
+    names = [*hands, *scene.grounds, *scene.material_points]
     number = {name: i for i, name in enumerate(names)}
     points = len(names) if not scene.structures else padded(len(names))
     structures: dict[str, slice] = {}
@@ -227,9 +227,8 @@ def _rows(scene: Scene, number: Mapping[str, int], size: int, structures: Mappin
         rows[:, [number[f"{name}.{place}"] for place in structure.point_names()]] = structure.initial_positions()
     for name, ground in scene.grounds.items():
         rows[:, number[name]] = ground.position
-    starts = {name: (mass.position, mass.velocity) for name, mass in scene.masses.items()}
-    starts |= {name: (cell.start, cell.velocity) for name, cell in scene.cells.items()}
-    for name, (position, velocity) in starts.items():
+    for name, point in scene.material_points.items():
+        position, velocity = point.start()
         rows[0, number[name]] = position
         rows[2, number[name]] = position - velocity / scene.rate
     return aligned(rows, real_of(scene))

@@ -2,7 +2,8 @@
 
 Whatever both scenes have under the same name and of the same type goes on: points with their positions and velocities,
 live parameters from where they are, and what links remember. What is new begins as its scene says, at the hands that
-are there. A structure goes on where it has as many masses as before; a mass may become a cell, and a cell a mass.
+are there. A structure goes on where it has as many masses as before; a material point may become one of another type,
+as a mass a cell.
 """
 
 from __future__ import annotations
@@ -17,8 +18,8 @@ from hapsim.compiling.native import value_of
 from hapsim.cordis.dispatch import NativeFunction, action
 from hapsim.cordis.program import Program, numbers_of, places_of_values
 from hapsim.cordis.tick_state import Column
-from hapsim.scene import Cell, Ground, Mass, Scene
-from hapsim.scene.modules import Structure
+from hapsim.scene import Ground, Scene
+from hapsim.scene.modules import MaterialPoint, Structure
 
 
 class CarriedPoints(NamedTuple):
@@ -90,7 +91,7 @@ def _common_points(older: Scene, scene: Scene) -> frozenset[str]:
             and before.point_names() == after.point_names()
         ):
             same |= {f"{name}.{place}" for place in before.point_names()}
-        elif any(isinstance(before, kind) and isinstance(after, kind) for kind in (Ground, Mass | Cell)):
+        elif any(isinstance(before, kind) and isinstance(after, kind) for kind in (Ground, MaterialPoint)):
             same.add(name)
     return frozenset(same)
 

@@ -13,6 +13,7 @@ from hapsim.errors import UsageError
 from hapsim.prediction.linear import LinearLink, LinearScene, linear_scene
 from hapsim.prediction.wire import WireOf, wire_of, wire_time_of, with_wire_delay
 from hapsim.scene import Scene
+from hapsim.scene.choices import WITH_SENSOR
 from hapsim.theory import (
     Configuration,
     Margins,
@@ -346,7 +347,7 @@ def felt_at_rate(felt: Felt, rate_hz: float) -> Felt:
     slower = felt.configuration.rate / rate_hz
     cutoff = felt.configuration.cutoff
     configuration = replace(felt.configuration, rate=rate_hz, cutoff=None if cutoff is None else cutoff / slower)
-    damping = felt.damping if felt.configuration.damper == "sensed" else felt.damping * slower
+    damping = felt.damping if felt.configuration.damper in WITH_SENSOR else felt.damping * slower
     return _felt_of(felt.name, felt.channel, configuration, felt.stiffness, damping)
 
 

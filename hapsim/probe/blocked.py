@@ -16,6 +16,7 @@ _FILL_BYTES = 40_000  # a pseudo-terminal takes 20 480; a USB port stops at its 
 _LONGEST_S = 8.0
 _BEFORE = 100  # samples, by which the rate is known that the device keeps now: a simulated one may be held up
 _WENT_ON = 0.7  # of the samples that went by, by the host's clock and that rate
+_GUESSES = 6  # of the number, each a life behind the one before: a device may be slower than it was
 _STEADY = 0.15  # of the rate: else the device, or this host, is held up by something else
 _UNREAD = 1.5  # of the watchdog
 _NEVER_WAIT = "a frame that finds no room is dropped, whole; nothing in the tick waits for the transmitter"
@@ -54,7 +55,8 @@ def _tick_goes_on(probing: Probing, session: Session, samples: int) -> bool:
     damaged, end = len(wire.damaged), wire.clock.now() + probing.periods(samples)
     while (now := wire.clock.now()) < end:
         guessed = first.n + round((now - first.at_s) * rate)
-        session.force(max(guessed - LONG_LIFE // 3, 0))
+        for behind in range(_GUESSES):  # one of which lies within a life of where the device is
+            session.force(max(guessed - LONG_LIFE // 3 - behind * LONG_LIFE, 0))
         wire.clock.sleep(min(probing.periods(50), 0.1))
     before = len(session.samples)
     _catch_up(session)
@@ -76,6 +78,9 @@ def _tick_goes_on(probing: Probing, session: Session, samples: int) -> bool:
     elif passed < _WENT_ON * elapsed:
         stopped = f"{found}: the samples stopped while the host did not read"
         probing.findings.failed("tick_goes_on", stopped, _NEVER_WAIT)
+    elif not went_on and not probing.steady:
+        why = f"{found}; then it stopped, but its rate was too unsteady to guess its numbers"
+        probing.findings.not_seen("tick_goes_on", why)
     elif not went_on:
         probing.findings.failed("tick_goes_on", f"{found}; then no more positions", _NEVER_WAIT)
     elif lost:

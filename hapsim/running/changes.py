@@ -17,13 +17,14 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from hapsim.cordis.program import compile_scene, fixed_modules, parameter_values
+from hapsim.cordis.schemes import without_matrices
 from hapsim.cordis.succession import take_over_from
 from hapsim.errors import UsageError
 from hapsim.prediction import surely_shaken_by
 from hapsim.realtime.giving_way import Beside
 from hapsim.running.assemble import Loop
 from hapsim.scene import Scene
-from hapsim.scene.issue import did_you_mean
+from hapsim.scene.issue import did_you_mean, one_of
 from hapsim.scene.modules import Module, ModuleContext
 from hapsim.scene.part import Part
 from hapsim.scene.table import Table
@@ -179,7 +180,7 @@ def _changed(scene: Scene, changes: Mapping[str, Mapping[str, float]]) -> Scene:
         if name in fixed and modules[name].live:
             raise UsageError(
                 f"{name}: nothing of it can change while the scene runs, because it {_in_a_matrix(scene)}; "
-                "under scheme: cordis, semi_implicit or rk4 it can"
+                f"under scheme: {one_of(without_matrices())} it can"
             )
         modules[name] = _module_with(name, modules[name], values)
     around = ModuleContext(modules, {name: type(module) for name, module in modules.items()})

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from typing import get_args
+
 import numpy as np
 
 from firmware_protocol import schema
 from firmware_protocol.description import Description
 from hapsim.errors import DeviceError, UsageError
-from hapsim.scene import Scene
+from hapsim.scene import DamperScheme, Scene
+from hapsim.scene.choices import WITH_SENSOR
+from hapsim.scene.issue import one_of
 
 PACING = {
     "device": schema.PACED_BY_DEVICE,
@@ -44,11 +48,11 @@ def require_compatible(scene: Scene, name: str, description: Description) -> Non
 
 
 def _require_velocity(scene: Scene, name: str, description: Description) -> None:
-    links = scene.sensed_links
+    links, others = scene.sensed_links, [name for name in get_args(DamperScheme) if name not in WITH_SENSOR]
     if not description.velocity_scale:
         raise UsageError(
             f"{name}: the device does not sense velocity, but {', '.join(links)} {'ask' if links[1:] else 'asks'} "
-            "for it with damper: sensed; write damper: backward, centred or filtered there, or use a firmware that "
+            f"for it with damper: {one_of(WITH_SENSOR)}; write damper: {one_of(others)} there, or use a firmware that "
             "reports velocity"
         )
     if not description.senses_velocity or not all(np.isfinite(description.velocity_scale)):

@@ -10,98 +10,50 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from .device import Clock, Device, Hold, Sampling
+    from .choices import DamperScheme, Hold, Sampling, SchemeName
+    from .device import Clock, Device
     from .load import load_scene, parse_scene
     from .mock import Initial, Mock, MockDevice
-    from .modules import (
-        Buffer,
-        Cell,
-        Damper,
-        DevicePoint,
-        Friction,
-        Ground,
-        Link,
-        Mass,
-        Membrane,
-        Module,
-        Nonlinear,
-        Plectrum,
-        Pluck,
-        Spring,
-        String,
-        Structure,
-        ViscoElastic,
-    )
-    from .scene import VERSION, Scene, SchemeName
+    from .modules import *  # noqa: F403
+    from .scene import VERSION, Scene
     from .schema import scene_schema
 
 _EXPORTS = {
-    "device": ("Clock", "Device", "Hold", "Sampling"),
+    "choices": ("DamperScheme", "Hold", "Sampling", "SchemeName"),
+    "device": ("Clock", "Device"),
     "load": ("load_scene", "parse_scene"),
     "mock": ("Initial", "Mock", "MockDevice"),
-    "modules": (
-        "Buffer",
-        "Cell",
-        "Damper",
-        "DevicePoint",
-        "Friction",
-        "Ground",
-        "Link",
-        "Mass",
-        "Membrane",
-        "Module",
-        "Nonlinear",
-        "Plectrum",
-        "Pluck",
-        "Spring",
-        "String",
-        "Structure",
-        "ViscoElastic",
-    ),
-    "scene": ("VERSION", "Scene", "SchemeName"),
+    "scene": ("VERSION", "Scene"),
     "schema": ("scene_schema",),
 }
 _HOMES = {name: home for home, names in _EXPORTS.items() for name in names}
 
 __all__ = [
     "VERSION",
-    "Buffer",
-    "Cell",
     "Clock",
-    "Damper",
+    "DamperScheme",
     "Device",
-    "DevicePoint",
-    "Friction",
-    "Ground",
     "Hold",
     "Initial",
-    "Link",
-    "Mass",
-    "Membrane",
     "Mock",
     "MockDevice",
-    "Module",
-    "Nonlinear",
-    "Plectrum",
-    "Pluck",
     "Sampling",
     "Scene",
     "SchemeName",
-    "Spring",
-    "String",
-    "Structure",
-    "ViscoElastic",
     "load_scene",
     "parse_scene",
     "scene_schema",
 ]
+"""Beside all of `modules`."""
 
 
 def __getattr__(name: str) -> object:
-    if name not in _HOMES:
+    home = _HOMES.get(name, "modules" if name[:1].isupper() else "")
+    found = getattr(import_module(f".{home}", __name__), name, None) if home else None
+    if found is None:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f".{_HOMES[name]}", __name__), name)
+    return found
 
 
 def __dir__() -> list[str]:
-    return sorted(__all__)
+    return sorted([*__all__, *import_module(".modules", __name__).__all__])

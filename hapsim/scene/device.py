@@ -4,12 +4,11 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from .choices import HOLD, SAMPLING, Hold, Sampling
 from .part import Part
 from .quantity import Count, PerChannel, Quantity, per_channel
 
 Clock = Literal["device", "host", "lockstep"]
-Hold = Literal["zoh", "impulse"]
-Sampling = Literal["ideal", "average"]
 
 MASS = Quantity("Moving part of the device and the hand that holds it", "kg", above=0, per_channel=True)
 FRICTION = Quantity("Viscous friction of the device", "N·s/m", least=0, per_channel=True)
@@ -17,8 +16,6 @@ STIFFNESS = Quantity("Spring in the device itself, at rest at position 0", "N/m"
 DELAY = Quantity(
     "From sampling the position to the force's change, any real number", "sample periods", least=0, most=1000
 )
-HOLD = "How the device keeps a force until the next one: level (zoh), or given all at once (impulse)"
-SAMPLING = "How the device reads its position: at the instant (ideal), or as the mean over the period (average)"
 
 
 class Device(Part):

@@ -7,7 +7,7 @@ from pydantic import BaseModel, ValidationError
 
 from .device import Device
 from .document import Document
-from .issue import Issue, Path, did_you_mean, nearest, quote
+from .issue import Issue, Path, did_you_mean, nearest, one_of, quote
 from .mock import Initial, Mock
 from .modules import MODULE_TYPES
 from .quantity import UNEXPECTED, Expectation
@@ -71,7 +71,7 @@ class _Detail:
             return Issue(self.path[:-1], f"{quote(self.key)} is missing, expected {self._wanted()}", True)
         keys = self._known_keys()
         hint = did_you_mean(self.key, keys)
-        return Issue(self.path, f"unknown key, expected {_one_of(keys)}{hint}", True)
+        return Issue(self.path, f"unknown key, expected {one_of(keys)}{hint}", True)
 
     def meant(self) -> Path:
         """Where the key would stand that an unknown key seems to mean."""
@@ -121,13 +121,13 @@ def _part_in(annotation: Any) -> type[BaseModel]:
 def _no_type(path: Path, document: Document) -> Issue:
     near = nearest("type", document.keys(path))
     hint = f"; is {quote(near)} meant to be 'type'?" if near else ""
-    return Issue(path, f"'type' is missing, expected {_one_of(MODULE_TYPES)}{hint}", True)
+    return Issue(path, f"'type' is missing, expected {one_of(MODULE_TYPES)}{hint}", True)
 
 
 def _wrong_word(path: Path, words: Iterable[str], document: Document) -> Issue:
     value = document.value(path)
     hint = did_you_mean(value, words) if isinstance(value, str) else ""
-    return Issue(path, f"found {document.found(path)}, expected {_one_of(words)}{hint}")
+    return Issue(path, f"found {document.found(path)}, expected {one_of(words)}{hint}")
 
 
 def _mapping_words(path: Path) -> str:
@@ -140,8 +140,3 @@ def _mapping_words(path: Path) -> str:
             return "a mapping such as {type: mass, mass: 0.01}"
         case _:
             return "a mapping"
-
-
-def _one_of(words: Iterable[str]) -> str:
-    *others, last = words
-    return f"{', '.join(others)} or {last}" if others else last

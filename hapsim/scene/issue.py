@@ -48,6 +48,12 @@ def quote(text: str) -> str:
     return repr(text if len(text) <= longest else text[: longest - 1] + "…")
 
 
+def one_of(words: Iterable[str]) -> str:
+    """The words as a choice: "this, that or another"."""
+    *others, last = words
+    return f"{', '.join(others)} or {last}" if others else last
+
+
 def nearest(word: str, known: Iterable[str]) -> str | None:
     """The known word that ``word`` most likely means, or nothing if none is near."""
     by_lower = {name.lower(): name for name in known}

@@ -5,7 +5,8 @@ from typing import Annotated
 
 from pydantic import Field
 
-from .device import DELAY, FRICTION, HOLD, MASS, SAMPLING, STIFFNESS, Device, Hold, Sampling
+from .choices import HOLD, SAMPLING, Hold, Sampling
+from .device import DELAY, FRICTION, MASS, STIFFNESS, Device
 from .part import Part
 from .quantity import Count, PerChannel, Quantity, per_channel
 

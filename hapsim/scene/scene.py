@@ -6,11 +6,24 @@ from typing import Annotated, Any, Literal, TypeVar
 from pydantic import AfterValidator, Field, PlainSerializer, PrivateAttr, model_validator
 from pydantic_core import PydanticCustomError
 
+from .choices import SCHEME, WITH_SENSOR, SchemeName
 from .cross_checks import cross_check_issues
 from .device import Device
 from .issue import Path
 from .mock import Mock, MockDevice, resolve
-from .modules import Cell, DevicePoint, Ground, Link, Mass, Module, ModuleContext, Structure, TypedModule, ViscoElastic
+from .modules import (
+    MODULE_TYPES,
+    DevicePoint,
+    Ground,
+    Link,
+    Mass,
+    MaterialPoint,
+    Module,
+    ModuleContext,
+    Structure,
+    TypedModule,
+    ViscoElastic,
+)
 from .part import Part
 from .quantity import Expectation, Name, Quantity, unexpected
 from .table import Table
@@ -37,10 +50,6 @@ class Version(Expectation):
     def json_schema(self) -> dict[str, Any]:
         return {"const": VERSION, "type": "integer", "description": "Version of the scene format"}
 
-
-#: What moves the scene's masses from sample to sample: those that are offered. Each has a line in
-#: `hapsim.cordis.schemes`.
-SchemeName = Literal["cordis", "semi_implicit", "midpoint", "rk4", "exact"]
 
 ModulesByName = Annotated[
     Mapping[Annotated[str, Name()], TypedModule],
@@ -79,12 +88,7 @@ class Scene(Part):
         default="double",
         description="How long the real values are that the scene is worked out in: 64 bits (double), or 32 (single)",
     )
-    scheme: SchemeName = Field(
-        default="cordis",
-        description="How masses move from sample to sample: by CORDIS's centred scheme (cordis), by the same with the "
-        "step stored itself (semi_implicit), by the trapezoidal rule (midpoint), by the Runge-Kutta rule of fourth "
-        "order (rk4), or by the exact solution between forces that are held (exact)",
-    )
+    scheme: SchemeName = Field(default="cordis", description=SCHEME)
     modules: ModulesByName
 
     _path: str | None = PrivateAttr(None)
@@ -128,13 +132,15 @@ class Scene(Part):
 
     @property
     def masses(self) -> dict[str, Mass]:
-        """The simulated material points, by name, in the order of the file."""
+        """The material points that nothing of their own pulls, by name, in the order of the file."""
         return self._of(Mass)
 
     @property
-    def cells(self) -> dict[str, Cell]:
-        """The material points that are held where they rest, by name, in the order of the file."""
-        return self._of(Cell)
+    def material_points(self) -> dict[str, MaterialPoint]:
+        """All points with a mass of their own, by name; those of one type together, in the order of the file."""
+        types = list(MODULE_TYPES.values())
+        points = {name: module for name, module in self.modules.items() if isinstance(module, MaterialPoint)}
+        return dict(sorted(points.items(), key=lambda item: types.index(type(item[1]))))
 
     @property
     def structures(self) -> dict[str, Structure]:
@@ -150,7 +156,7 @@ class Scene(Part):
     @property
     def sensed_links(self) -> tuple[str, ...]:
         """Names of the links whose damper is driven by the device's own velocity sensor."""
-        return tuple(name for name, link in self._of(ViscoElastic).items() if link.damper == "sensed")
+        return tuple(name for name, link in self._of(ViscoElastic).items() if link.damper in WITH_SENSOR)
 
     @property
     def mock_device(self) -> MockDevice:

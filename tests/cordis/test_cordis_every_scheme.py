@@ -174,12 +174,13 @@ class Dense:
     """The scene: M, K, B of its n points and of what they are tied to, which stays, and its links from outside."""
 
     def __init__(self, scene: Scene) -> None:
-        mass: dict[str, float] = {name: one.mass for name, one in (scene.masses | scene.cells).items()}
+        mass: dict[str, float] = {name: point.mass for name, point in scene.material_points.items()}
         at = {name: getattr(one, "rest", getattr(one, "position", 0.0)) for name, one in scene.modules.items()}
         joins: list[tuple[str, str, float, float]] = []
-        for name, one in scene.cells.items():
-            joins.append((name, f"{name}.stays", one.stiffness, one.damping))
-            at[f"{name}.stays"] = one.rest
+        for name, point in scene.material_points.items():
+            if held := point.held_by():
+                joins.append((name, f"{name}.stays", held.stiffness, held.damping))
+                at[f"{name}.stays"] = held.rest
         structures: Mapping[str, Any] = scene.structures
         for name, one in structures.items():
             elements, points = one.elements(), [f"{name}.{place}" for place in one.point_names()]

@@ -1,7 +1,7 @@
 """Every module's compiled code against a recurrence of its own, written in Python from what its file says.
 
-All modules stand in one scene, each with a hand of its own: what one does reaches no other. Each hand walks at random,
-creeps, stands still and leaps, so that every branch is taken; that it was, each test asserts.
+Each module has a hand of its own, as many in a scene as there are channels: what one does reaches no other. Each hand
+walks at random, creeps, stands still and leaps, so that every branch is taken; that it was, each test asserts.
 
 In single precision the scene is another: all its numbers, and the places where hands can be, are multiples of powers of
 two, so that what decides between branches is exact there too and both precisions take the same.
@@ -9,10 +9,11 @@ two, so that what decides between branches is exact there too and both precision
 
 from __future__ import annotations
 
+import itertools
 from collections import Counter
 from collections.abc import Callable, Iterator
 from functools import cache
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 
 import numpy as np
 import pytest
@@ -24,7 +25,8 @@ from hapsim.cordis.modules.plectrum import Plectra
 from hapsim.cordis.offline import follow_parameters, start, tick
 from hapsim.cordis.program import Program, compile_scene, parameter_values
 from hapsim.prediction.linear import linear_scene
-from hapsim.scene import Scene, parse_scene
+from hapsim.scene import DamperScheme, Scene, parse_scene
+from hapsim.scene.choices import WITH_CUTOFF, WITH_SENSOR
 
 Array = NDArray[np.float64]
 SAMPLES = 10_000
@@ -108,12 +110,21 @@ HANDS = (
 )
 CUTOFF = 61.0
 
+#: Those that stand in one scene. `device` and `other`, which hold one link, have to be in the same.
+Hands = tuple[str, ...]
+SCENES: tuple[Hands, ...] = tuple(HANDS[first : first + 8] for first in range(0, len(HANDS), 8))
+
+
+def scene_with(name: str) -> Hands:
+    """The hands of the scene in which this one is."""
+    return next(hands for hands in SCENES if name in hands)
+
 
 @cache
-def scene_of(precision: str) -> Scene:
-    """The scene, with a hand `h_…` for each module."""
+def scene_of(precision: str, hands: Hands) -> Scene:
+    """The scene, with a hand `h_…` for each of these modules."""
     n = NUMBERS[precision]
-    modules: dict[str, Any] = {f"h_{name}": {"type": "device", "channel": i} for i, name in enumerate(HANDS)}
+    modules: dict[str, Any] = {f"h_{name}": {"type": "device", "channel": i} for i, name in enumerate(hands)}
     modules |= {
         "wall": {"type": "ground", "position": n.wall},
         "m": {"type": "mass", "mass": n.mass, "position": n.wall, "velocity": 0.25},
@@ -122,7 +133,8 @@ def scene_of(precision: str) -> Scene:
     }
 
     def link(name: str, kind: str, between: list[str], **values: Any) -> None:
-        modules[name] = {"type": kind, "between": between, **values}
+        if name in hands:
+            modules[name] = {"type": kind, "between": between, **values}
 
     link("mass", "spring", ["h_mass", "m"], stiffness=n.soft)
     link("ground", "viscoelastic", ["h_ground", "moved"], stiffness=n.K, damping=n.B)
@@ -130,9 +142,9 @@ def scene_of(precision: str) -> Scene:
     link("device", "viscoelastic", ["h_device", "h_other"], stiffness=n.K, damping=n.B)
     link("spring", "spring", ["h_spring", "wall"], stiffness=n.K)
     link("damper", "damper", ["wall", "h_damper"], damping=n.B)
-    for damper in ("backward", "centred", "filtered", "sensed"):
-        cutoff = {"cutoff": CUTOFF} if damper == "filtered" else {}
-        ends = [f"h_{damper}", "moved" if damper == "sensed" else "wall"]
+    for damper in get_args(DamperScheme):
+        cutoff = {"cutoff": CUTOFF} if damper in WITH_CUTOFF else {}
+        ends = [f"h_{damper}", "moved" if damper in WITH_SENSOR else "wall"]
         link(damper, "viscoelastic", ends, stiffness=n.K, damping=n.B, damper=damper, **cutoff)
     link("buffer", "buffer", ["h_buffer", "wall"], stiffness=n.K, damping=n.B, distance=n.distance)
     curves = {"force_over_distance": n.over_distance, "force_over_velocity": n.over_velocity}
@@ -169,9 +181,9 @@ class Run(NamedTuple):
 
 
 @cache
-def place_of(precision: str, name: str, field: str) -> int:
+def place_of(precision: str, hands: Hands, name: str, field: str) -> int:
     """Where a live value stands among the parameters."""
-    scene = scene_of(precision)
+    scene = scene_of(precision, hands)
     other = scene.modules[name].model_copy(update={field: getattr(scene.modules[name], field) + 1.0})
     changed = scene.model_copy(update={"modules": dict(scene.modules) | {name: other}})
     (place,) = np.flatnonzero(parameter_values(changed) != parameter_values(scene))
@@ -179,12 +191,12 @@ def place_of(precision: str, name: str, field: str) -> int:
 
 
 class Bench:
-    """The compiled scene, from sample to sample as the loop takes it."""
+    """A compiled scene, from sample to sample as the loop takes it."""
 
-    def __init__(self, precision: str) -> None:
-        self.scene = scene_of(precision)
+    def __init__(self, precision: str, hands: Hands) -> None:
+        self.scene, self.hands = scene_of(precision, hands), hands
         self._wanted = parameter_values(self.scene)
-        self._places = [place_of(precision, "moved", "position"), place_of(precision, "c", "rest")]
+        self._places = [place_of(precision, hands, *value) for value in (("moved", "position"), ("c", "rest"))]
         self.program: Program = compile_scene(self.scene)
 
     def start(self, position: Array) -> None:
@@ -197,7 +209,7 @@ class Bench:
             self._wanted[self._places] = rests
             self.program.parameters.post(self._wanted, 1)
         follow_parameters(self.program)
-        force = np.zeros(len(HANDS))
+        force = np.zeros(len(self.hands))
         tick(self.program, position, velocity, force)
         return force
 
@@ -208,9 +220,13 @@ def run_of(precision: str) -> Run:
     velocity = np.round(rng.normal(size=position.shape) * 2**8) / 2**8
     wall = NUMBERS[precision].wall
     rests = np.array([rests_of(rng, wall), rests_of(rng, wall)]).T.copy()
-    bench = Bench(precision)
-    bench.start(position[0])
-    force = np.array([bench.step(*sample) for sample in zip(position, velocity, rests, strict=True)])
+    forces = []
+    for hands in SCENES:
+        bench, own = Bench(precision, hands), [HANDS.index(name) for name in hands]
+        bench.start(position[0, own])
+        samples = zip(position[:, own], velocity[:, own], rests, strict=True)
+        forces.append([bench.step(*sample) for sample in samples])
+    force = np.concatenate(forces, axis=1)
 
     def named(columns: Array) -> dict[str, Array]:
         return dict(zip(HANDS, columns.T, strict=True))
@@ -423,13 +439,13 @@ def test_a_module_is_the_recurrence_that_its_file_says(name: str, precision: str
 def test_what_is_not_a_number_comes_out_as_such_whatever_state_a_module_is_in(precision: str) -> None:
     rng = np.random.default_rng(21)
     position = np.array([walk(rng, precision) for _ in HANDS]).T.copy()
-    nothing = np.full(len(HANDS), np.nan)
     states: Counter[tuple[str, float]] = Counter()
-    for last in rng.integers(30, SAMPLES, 60):
-        bench = Bench(precision)
-        bench.start(position[last - 30])
+    for last, hands in itertools.product(rng.integers(30, SAMPLES, 60), SCENES):
+        bench, own = Bench(precision, hands), [HANDS.index(name) for name in hands]
+        nothing = np.full(len(hands), np.nan)
+        bench.start(position[last - 30, own])
         for n in range(last - 30, last):
-            bench.step(position[n], np.zeros(len(HANDS)))
+            bench.step(position[n, own], np.zeros(len(hands)))
         for part in bench.program.parts:
             if isinstance(part.numbers, Frictions):
                 states["friction", float(part.numbers.sliding[0])] += 1
@@ -455,13 +471,14 @@ SWING = 1e-7  # m
     ],
 )
 def test_a_small_swing_meets_the_link_that_the_theory_takes_it_for(name: str, at: float) -> None:
-    bench = Bench("double")
-    n, hand = NUMBERS["double"], HANDS.index(name)
+    hands = scene_with(name)
+    bench = Bench("double", hands)
+    n, hand = NUMBERS["double"], hands.index(name)
     swing = SWING * np.sin(0.3 * np.arange(400))
-    position = np.full((400, len(HANDS)), n.wall)
+    position = np.full((400, len(hands)), n.wall)
     position[:, hand] += at + swing
     bench.start(position[0])
-    force = np.array([bench.step(x, np.zeros(len(HANDS)))[hand] for x in position])
+    force = np.array([bench.step(x, np.zeros(len(hands)))[hand] for x in position])
     speed = n.rate * np.diff(swing, prepend=swing[0])
     met = np.linalg.lstsq(np.array([swing, speed, np.ones(400)]).T, -force, rcond=None)[0]
     link = linear_scene(bench.scene).links[name]

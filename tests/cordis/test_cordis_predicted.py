@@ -3,22 +3,27 @@
 from __future__ import annotations
 
 import json
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pytest
 from scipy.linalg import expm
 
+from hapsim.ahead.every_module import scenes_with_every_module
 from hapsim.cordis.offline import start, tick
 from hapsim.cordis.program import compile_scene, positions_of
 from hapsim.cordis.registry import PART_TYPES
 from hapsim.cordis.schemes import SCHEMES
-from hapsim.prediction.linear import linear_scene
+from hapsim.prediction.linear import linear_of, linear_scene
 from hapsim.prediction.predict import _network
-from hapsim.scene import Scene, parse_scene
+from hapsim.scene import DamperScheme, Link, Scene, ViscoElastic, parse_scene
+from hapsim.scene.choices import WITH_CUTOFF, WITH_SENSOR
 from hapsim.theory import Network, solve
-from hapsim.theory.network.links import inner_links
-from hapsim.theory.network.state import Layout, channel_steps, layout_of, transition
+from hapsim.theory.interface import damper_named
+from hapsim.theory.network.layout import Layout, layout_of
+from hapsim.theory.network.links import inner_links, remembers_nothing
+from hapsim.theory.network.network import BACKWARD
+from hapsim.theory.network.state import channel_steps, transition
 
 RATE = 1000.0
 T = 1.0 / RATE
@@ -41,12 +46,13 @@ def scene_of(scheme: str, seed: int, state: np.ndarray | None = None) -> Scene:
         mass = float(random.uniform(0.02, 0.2))
         modules[f"m{i}"] = {"type": "mass", "mass": mass, "position": float(x[1 + i]), "velocity": velocity}
     joins = [("m0", "wall"), ("m0", "m1"), ("m2", "m1"), ("m3", "m0"), ("hand", "m1"), ("m2", "hand"), ("hand", "m3")]
-    how = [{}, {"damper": "centred"}, {"damper": "filtered", "cutoff": 90.0}, {"damper": "sensed"}]
+    dampers = sorted(get_args(DamperScheme), key=lambda name: name in WITH_SENSOR)
+    how = [{"damper": name} | ({"cutoff": 90.0} if name in WITH_CUTOFF else {}) for name in dampers]
     for i in range(18):
         between = joins[i % len(joins)]
         k, b = float(random.uniform(50.0, 900.0)), float(random.uniform(0.1, 1.5))
         if i < 12:
-            kind = int(random.integers(4 if "hand" in between else 3))
+            kind = int(random.integers(len(how) - (0 if "hand" in between else len(WITH_SENSOR))))
             modules[f"l{i}"] = link(between, k, b, **how[kind])
         elif i < 14:
             modules[f"l{i}"] = {"type": "buffer", "between": between, "stiffness": k, "damping": b, "distance": 1.0}
@@ -154,10 +160,27 @@ def test_the_same_links_are_inside_as_in_the_kernel(scheme: str) -> None:
     found = {names[link] for link in inner_links(network) if link < len(names)}
     if scheme == "rk4":
         memoryless = {name for kind in PART_TYPES if kind.memoryless for name in kind.select(scene)}
-        assert found == memoryless - set(scene.cells)
+        assert found == memoryless - set(scene.material_points)
     else:
         assert found == SCHEMES[scheme].inside(scene) & set(names)
     assert found < set(names)
+
+
+def test_theory_and_kernel_say_the_same_of_every_link() -> None:
+    """Of which the one has the transfer function, the other the recurrence."""
+    scene = next(iter(scenes_with_every_module("double")))
+    told = set()
+    for kind in PART_TYPES:
+        for name, one in kind.select(scene).items():
+            if not isinstance(one, Link):
+                continue
+            linear = linear_of(one)
+            damper = damper_named(one.damper, one.cutoff, RATE) if isinstance(one, ViscoElastic) else BACKWARD
+            assert kind.memoryless == (linear.memoryless and remembers_nothing(damper)), name
+            assert (kind.in_a_matrix is not None) == (linear.in_a_matrix and damper == BACKWARD), name
+            assert kind.in_a_matrix is None or kind.in_a_matrix(one) == (linear.stiffness, linear.damping), name
+            told.add((kind.memoryless, kind.in_a_matrix is not None))
+    assert told == {(True, True), (True, False), (False, False)}
 
 
 @pytest.mark.parametrize("scheme", SCHEMES)

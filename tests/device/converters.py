@@ -7,7 +7,7 @@ The reference knows no ring of commands and no split of a sample: it sorts the i
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -68,28 +68,49 @@ class Coasting:
         self.v = final + (self.v - final) * mp.exp(-rate * t)
 
 
+def _act(mass: Coasting, force: Any) -> None:
+    mass.force = mp.mpf(force)
+
+
+def _blow(mass: Coasting, force: Any) -> None:
+    mass.v += force * mp.mpf(T) / mass.m
+
+
+Event = Callable[[Coasting, Sequence[float], int], None]
+
+#: What a command n does, and how many samples after its delay.
+EVENTS: dict[str, list[tuple[float, Event]]] = {
+    "zoh": [(0.0, lambda mass, c, n: _act(mass, c[n]))],
+    "impulse": [(0.0, lambda mass, c, n: _blow(mass, c[n]))],
+    "mean of two": [(0.0, lambda mass, c, n: _act(mass, (mp.mpf(c[n]) + (c[n - 1] if n else 0)) / 2))],
+    "half as long": [(0.0, lambda mass, c, n: _act(mass, 2 * c[n])), (0.5, lambda mass, _c, _n: _act(mass, 0))],
+    "two blows": [
+        (0.0, lambda mass, c, n: _blow(mass, c[n] / 4)),
+        (0.5, lambda mass, c, n: _blow(mass, mp.mpf(3) * c[n] / 4)),
+    ],
+}
+
+
 def event_by_event(
     hold: str, sampling: str, delay: float, m: float, b: float, x: float, v: float, commands: Sequence[float]
 ) -> tuple[list[float], list[float]]:
     """What is measured at the end of samples 0, 1, …, positions (m) and velocities (m/s): command n changes the force
     `delay` samples after n began."""
     with mp.workdps(30):
-        T_, samples = mp.mpf(T), len(commands)
+        T_, samples, acts = mp.mpf(T), len(commands), EVENTS[hold]
         events = [(mp.mpf(n + 1), 0, n) for n in range(samples)]
-        events += [(n + mp.mpf(delay), 1, n) for n in range(samples)]
+        events += [(n + mp.mpf(delay) + late, 1 + i, n) for n in range(samples) for i, (late, _) in enumerate(acts)]
         mass = Coasting(m, b, mp.mpf(x), mp.mpf(v), mp.mpf(0), mp.mpf(0))
         clock, positions, velocities, before = mp.mpf(0), [], [], mass.x
-        for at, is_force, n in sorted(events):
+        for at, kind, n in sorted(events):
             mass.coast((at - clock) * T_)
             clock = at
-            if not is_force:
+            if kind == 0:
                 positions.append(float(mass.x if sampling == "ideal" else mass.travel / T_))
                 velocities.append(float(mass.v if sampling == "ideal" else (mass.x - before) / T_))
                 mass.travel, before = mp.mpf(0), mass.x
-            elif hold == "zoh":
-                mass.force = mp.mpf(commands[n])
             else:
-                mass.v += commands[n] * T_ / m
+                acts[kind - 1][1](mass, commands, n)
         return positions, velocities
 
 

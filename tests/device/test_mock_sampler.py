@@ -15,19 +15,40 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from firmware_protocol import schema
+from hapsim.device.mock import sampler
 from hapsim.device.mock.motion import move_of
+from hapsim.device.mock.sampler import HOLDS, MockHold, Piece
 
 sys.path.insert(0, str(Path(__file__).parent))
 from bodies import body_of
-from converters import CASES, T, advance_body, converter_of, event_by_event, first_sample, sample, to_counts
+from converters import CASES, DELAYS, T, advance_body, converter_of, event_by_event, first_sample, sample, to_counts
+
+#: Holds that hapsim does not ship, of what an entry can say.
+OTHERS = {
+    "mean of two": MockHold(lambda phi: [Piece(phi, (0.0, 0.5, 0.5)), Piece(1.0 - phi, (0.5, 0.5))], goes_on=True),
+    "half as long": MockHold(
+        lambda phi: (
+            [Piece(phi), Piece(0.5, (2.0,)), Piece(0.5 - phi)]
+            if phi < 0.5
+            else [Piece(phi - 0.5, (0.0, 2.0)), Piece(0.5), Piece(1.0 - phi, (2.0,))]
+        ),
+        goes_on=False,
+    ),
+    "two blows": MockHold(
+        lambda phi: (
+            [Piece(phi), Piece(0.5, blow=(0.25,)), Piece(0.5 - phi, blow=(0.75,))]
+            if phi < 0.5
+            else [Piece(phi - 0.5), Piece(0.5, blow=(0.0, 0.75)), Piece(1.0 - phi, blow=(0.25,))]
+        ),
+        goes_on=False,
+    ),
+}
 
 
 def measured_by_the_mock(hold: str, sampling: str, delay: float, body: Any, commands: Sequence[float]) -> list[float]:
-    whole = math.floor(delay)
-    converter = converter_of(
-        whole_delay=whole, part_delay=delay - whole, impulse=hold == "impulse", average=sampling == "average"
-    )
-    ring, how = np.zeros((whole + 2, 1)), np.uint64(move_of(np.array([body])))
+    converter = converter_of(average=sampling == "average")
+    rows, how = sampler.set_hold(converter, hold, delay), np.uint64(move_of(np.array([body])))
+    ring = np.zeros((rows, 1))
     measured = []
     for n, command in enumerate(commands):
         ring[n % len(ring), 0] = command
@@ -44,6 +65,16 @@ def test_the_measured_positions_are_those_of_an_event_by_event_simulation(
     commands = np.random.default_rng(7).uniform(-30.0, 30.0, 60)
     measured = measured_by_the_mock(hold, sampling, delay, body_of(m, b, position=x, velocity=v), commands)
     expected, _ = event_by_event(hold, sampling, delay, m, b, x, v, commands)
+    np.testing.assert_allclose(measured, expected, atol=3e-16)
+
+
+@pytest.mark.parametrize("delay", DELAYS)
+@pytest.mark.parametrize("hold", OTHERS)
+def test_a_hold_is_the_pieces_that_its_entry_says(hold: str, delay: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(HOLDS, hold, OTHERS[hold])
+    commands = np.random.default_rng(7).uniform(-30.0, 30.0, 60)
+    measured = measured_by_the_mock(hold, "average", delay, body_of(0.05, 60.0, position=0.02, velocity=-0.4), commands)
+    expected, _ = event_by_event(hold, "average", delay, 0.05, 60.0, 0.02, -0.4, commands)
     np.testing.assert_allclose(measured, expected, atol=3e-16)
 
 

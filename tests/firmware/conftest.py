@@ -183,8 +183,13 @@ class MockPlayer:
 
     @property
     def force(self) -> list[int]:
-        """What acts now, in counts: of a sample of delay the command of the sample before."""
-        commands, depth = self.mock.commands, int(self.mock.depth)
+        """What acts now, in counts: of a sample of delay the command of the sample before.
+
+        Paced by the host the mock works out what a time to live left of a force once the sample is over.
+        """
+        commands, depth, board = self.mock.commands, int(self.mock.depth), self.mock.board
+        if board.pacing == schema.PACED_BY_HOST and (self.now - int(board.sampled_ns)) * 1e-9 > board.lives:
+            return [0] * self.channels
         if self.state != "armed":
             assert not commands.any()
         acting = commands[(int(self.mock.board.n) - 1) % depth, : self.channels]

@@ -34,7 +34,8 @@ pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="boards stand on
 
 
 def hapsim_command(*words: object) -> list[str]:
-    return [sys.executable, "-m", "hapsim", *map(str, words)]
+    """As the boards do, before the other programs of this machine; where that is not granted `nice` goes on without."""
+    return ["nice", "-n", "-15", sys.executable, "-m", "hapsim", *map(str, words)]
 
 
 @pytest.fixture
@@ -133,12 +134,13 @@ def test_a_host_that_is_gone_leaves_no_force(
             time.sleep(2.0)  # the watchdog lasts a tenth of a second; the port is the stopped host's meanwhile
             os.kill(host.pid, signal.SIGCONT)  # and what it goes on to say moves nothing
             assert host.wait(60) == 3
-            assert "the host was quiet" in host.stderr.read()
+            assert "watchdog of 100 samples" in host.stderr.read()
         else:
             wait_for_latch(board)
         assert not any(counts for _, counts in board.forces()[seen:])
     with connected(board) as connection:
-        arm(connection, describe(connection), schema.PACED_BY_DEVICE, 100)
+        description = describe(connection)
+        arm(connection, description, schema.PACED_BY_DEVICE, description.max_watchdog_samples)
         assert read_status_after_disarm(connection) == schema.NO_FAULT
 
 

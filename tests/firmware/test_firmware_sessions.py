@@ -46,8 +46,7 @@ def test_every_session_quotes_its_section() -> None:
     sections = {number: " ".join(text.replace("|", " ").split()) for number, text in sections.items()}
     for entry in TOLD:
         quote = " ".join(entry["says"].replace("|", " ").split())
-        if not quote.startswith("host clock: "):
-            assert quote in sections[entry["section"]], f"section {entry['section']} does not say: {entry['says']}"
+        assert quote in sections[entry["section"]], f"section {entry['section']} does not say: {entry['says']}"
 
 
 @pytest.mark.parametrize("entry", TOLD, ids=NAMES)
@@ -80,15 +79,7 @@ def test_the_hardware_watchdog_is_fed_by_the_tick_and_by_nothing_else(harness: C
             assert fed == [sum(ticks[: at + 1]) for at in range(len(lines))], entry["says"]
 
 
-def _not_in_the_mock_yet(entry: dict[str, Any]) -> Any:
-    reason = "the mock measures time to live in samples where the host paces: take this mark away once it has a clock"
-    return pytest.mark.xfail(strict=True, reason=reason) if entry["says"].startswith("host clock: ") else ()
-
-
-@pytest.mark.parametrize(
-    "entry",
-    [pytest.param(entry, id=name, marks=_not_in_the_mock_yet(entry)) for entry, name in zip(TOLD, NAMES, strict=True)],
-)
+@pytest.mark.parametrize("entry", TOLD, ids=NAMES)
 def test_the_mock_does_as_the_session_says(entry: dict[str, Any], mock_player: Callable[..., Any]) -> None:
     if any(step.get("finds") == schema.HARDWARE for step in entry["steps"]):
         pytest.skip("the mock has no hardware that could fail")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pytest
@@ -18,7 +18,8 @@ from hapsim.loop.endings import DONE
 from hapsim.loop.run import run_loop
 from hapsim.running import run
 from hapsim.running.assemble import Loop, assemble_loop
-from hapsim.scene import Scene, parse_scene
+from hapsim.scene import DamperScheme, Scene, parse_scene
+from hapsim.scene.issue import one_of
 
 Scripted = Callable[..., Any]
 FrameOf = Callable[..., bytes]
@@ -70,7 +71,8 @@ def test_a_device_that_senses_no_velocity_is_refused_with_the_links_that_ask_and
             assert not device.arms
         assert str(caught.value) == (
             f"{there.device.port}: the device does not sense velocity, but {who} for it with damper: sensed; "
-            "write damper: backward, centred or filtered there, or use a firmware that reports velocity"
+            f"write damper: {one_of(name for name in get_args(DamperScheme) if name != 'sensed')} there, or use a "
+            "firmware that reports velocity"
         )
 
 

@@ -13,13 +13,14 @@ import pytest
 from hapsim.measuring.identify import identify
 from hapsim.running import run
 from hapsim.theory import Configuration
+from hapsim.theory.interface import DAMPERS, HOLDS, SAMPLINGS, WITH_CUTOFF
 
 sys.path.insert(0, str(Path(__file__).parent))
 from scenes import one_spring
 
 MASS, RATE, FRICTION = 0.2, 1000.0, 0.05
-DAMPERS = {"backward": None, "centred": None, "filtered": 90.0, "sensed": None}
-INTERFACES = list(itertools.product(("zoh", "impulse"), ("ideal", "average"), (0.0, 0.37, 1.0)))
+CUTOFFS = {name: 90.0 if name in WITH_CUTOFF else None for name in DAMPERS}
+INTERFACES = list(itertools.product(HOLDS, SAMPLINGS, (0.0, 0.37, 1.0)))
 
 
 def element_and_target(c: Configuration, rng: np.random.Generator) -> tuple[float, float, float, float]:
@@ -47,7 +48,7 @@ def test_what_is_measured_is_what_is_predicted(damper: str, spring: float, figur
             sampling=sampling,
             stiffness=spring * MASS * RATE**2,
             damper=damper,
-            cutoff=DAMPERS[damper],
+            cutoff=CUTOFFS[damper],
         )
         K, B, k, b = element_and_target(c, rng)
         velocity = min(5e-4 * np.sqrt(k / MASS), 1.0)
@@ -61,7 +62,7 @@ def test_what_is_measured_is_what_is_predicted(damper: str, spring: float, figur
             sampling=sampling,
             device_stiffness=c.stiffness,
             damper=damper,
-            cutoff=DAMPERS[damper],
+            cutoff=CUTOFFS[damper],
             velocity=float(velocity),
             quantum=1e-12,
             force_limit=float(max(1e-3, 2.0 * (K * 1e-3 + B * velocity))),

@@ -50,8 +50,8 @@ def test_what_is_left_out_of_a_module_has_the_defaults_of_the_format(good: str) 
 
 def test_a_cell_begins_where_it_rests_unless_the_scene_says_where(good: str) -> None:
     resting = "{type: cell, mass: 0.01, stiffness: 100, rest: 0.02%s}"
-    starts = [parse_scene(with_module(good, resting % more)).cells["it"].start for more in ("", ", position: 0.0")]
-    assert starts == [0.02, 0.0]
+    scenes = [parse_scene(with_module(good, resting % more)) for more in ("", ", position: 0.0")]
+    assert [scene.material_points["it"].start() for scene in scenes] == [(0.02, 0.0), (0.0, 0.0)]
 
 
 def test_a_cell_is_a_point_that_a_link_can_hold(good: str) -> None:

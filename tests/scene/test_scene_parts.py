@@ -4,25 +4,34 @@ import copy
 import pickle
 import subprocess
 import sys
+from pathlib import Path
 from typing import Any, get_args
 
 import pytest
 from pydantic import ValidationError
 
+from hapsim.cordis.registry import PART_TYPES
 from hapsim.cordis.schemes import SCHEMES
+from hapsim.device.mock import sampler
 from hapsim.scene import (
+    DamperScheme,
     Device,
     DevicePoint,
     Ground,
+    Hold,
     Initial,
     Mass,
     Mock,
     MockDevice,
+    Sampling,
     Scene,
     SchemeName,
     ViscoElastic,
+    choices,
     parse_scene,
 )
+from hapsim.scene.modules import MODULE_TYPES
+from hapsim.theory import interface
 from hapsim.theory.schemes import SCHEMES as THEORY
 
 TEXT = """\
@@ -225,3 +234,35 @@ def test_the_scheme_is_cordis_unless_the_scene_says_another() -> None:
 
 def test_every_scheme_that_is_offered_is_known_to_kernel_and_theory() -> None:
     assert set(get_args(SchemeName)) <= set(SCHEMES) <= set(THEORY)
+
+
+def test_what_a_device_can_do_is_known_to_theory_and_mock() -> None:
+    assert get_args(Hold) == tuple(interface.HOLDS) == tuple(sampler.HOLDS)
+    assert get_args(Sampling) == tuple(interface.SAMPLINGS) == tuple(sampler.SAMPLINGS)
+
+
+def test_every_damper_is_known_to_theory_and_kernel(good: str) -> None:
+    assert get_args(DamperScheme) == tuple(interface.DAMPERS)
+    assert choices.WITH_CUTOFF == interface.WITH_CUTOFF
+    for name in get_args(DamperScheme):
+        cutoff = 80.0 if name in choices.WITH_CUTOFF else None
+        assert interface.damper_named(name, cutoff, 500.0).senses == (name in choices.WITH_SENSOR)
+        damper = f"damper: {name}" + ("" if cutoff is None else f", cutoff: {cutoff}")
+        scene = parse_scene(good.replace("stiffness: 2000", f"stiffness: 2000, {damper}"))
+        assert [kind.name for kind in PART_TYPES if "touch" in kind.select(scene)] != [], name
+
+
+@pytest.mark.parametrize("words", [Hold, Sampling, DamperScheme, SchemeName], ids=str)
+def test_every_choice_is_told_of_in_the_schema_and_to_people(words: Any) -> None:
+    told = Path("configs/README.md").read_text(encoding="utf-8")
+    described = " ".join((choices.HOLD, choices.SAMPLING, choices.DAMPER, choices.SCHEME))
+    for name in get_args(words):
+        assert f"`{name}`" in told
+        assert f"({name})" in described
+
+
+def test_every_type_of_module_has_its_heading() -> None:
+    told = Path("hapsim/cordis/MODULES.md").read_text(encoding="utf-8")
+    for name in MODULE_TYPES:
+        assert f"\n## {name}\n" in told
+        assert f"(#{name})" in told

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from hapsim.theory import Configuration, Network
+from hapsim.theory.interface import HOLDS, SAMPLINGS
 from hapsim.theory.network import solve, transition
 
 RATE = 1000.0
@@ -40,8 +41,8 @@ def unmatched(poles: np.ndarray, expected: np.ndarray, atol: float) -> np.ndarra
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.2, 0.37, 1.0, 1.5, 2.0, 3.9])
-@pytest.mark.parametrize("sampling", ["ideal", "average"])
-@pytest.mark.parametrize("hold", ["zoh", "impulse"])
+@pytest.mark.parametrize("sampling", SAMPLINGS)
+@pytest.mark.parametrize("hold", HOLDS)
 def test_one_channel_on_one_link_has_the_poles_of_a_ths(hold: str, sampling: str, delay: float) -> None:
     rng = np.random.default_rng(3)
     for friction in (0.0, 1e-9, 0.5, 20.0, 500.0):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,9 +12,40 @@ from hapsim.theory import Network, NotWorkedOutError, margins_of, solve
 from hapsim.theory.interface import damper_named
 from hapsim.theory.network import is_large, transition
 from hapsim.theory.network.operators import operator_of
-from hapsim.theory.schemes import SCHEMES
+from hapsim.theory.schemes import SCHEMES, SchemeModel
+from hapsim.theory.schemes.scheme import (
+    Advance,
+    Implicit,
+    Polynomial,
+    always_stable,
+    at_every_instant,
+    in_a_matrix,
+    step_by,
+)
 
 RATE = 1000.0
+
+
+def implicit_euler(rates: np.ndarray, start: np.ndarray) -> np.ndarray:
+    return np.linalg.solve(np.eye(len(rates)) - rates, start)
+
+
+def heun(rates: Any, start: Any) -> Any:
+    return start + rates @ (start + rates @ start / 2.0)
+
+
+#: Schemes that hapsim does not ship, of what a scheme can say of itself.
+OTHERS = {
+    "implicit Euler": Advance(implicit_euler, in_a_matrix, Implicit(1.0)),
+    "Heun": Advance(heun, at_every_instant, Polynomial()),
+}
+
+
+@pytest.fixture(autouse=True)
+def _others_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, advance in OTHERS.items():
+        model = SchemeModel(step_by(advance), always_stable, order=2, error=0.0, advance=advance)
+        monkeypatch.setitem(SCHEMES, name, model)
 
 
 def string(scheme: str, masses: int, sampling: str = "ideal", damping: float = 0.02, friction: float = 0.01) -> Network:
@@ -52,7 +84,7 @@ def apart(found: np.ndarray, expected: np.ndarray) -> float:
 
 
 @pytest.mark.parametrize("sampling", ["ideal", "average"])
-@pytest.mark.parametrize("scheme", SCHEMES)
+@pytest.mark.parametrize("scheme", SCHEMES | OTHERS)
 def test_an_operator_is_the_transition(scheme: str, sampling: str) -> None:
     network = string(scheme, 12, sampling)
     operator, expected = operator_of(network), transition(network)

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import random
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, get_args
 
 import yaml
 
 import hapsim
+from hapsim.scene import DamperScheme, SchemeName
+from hapsim.scene.choices import WITH_CUTOFF
 
-_SCHEMES = ("cordis", "semi_implicit", "midpoint", "rk4", "exact")
-_DAMPERS: tuple[dict[str, Any], ...] = (
-    {"damper": "backward"},
-    {"damper": "centred"},
-    {"damper": "filtered", "cutoff": 200.0},
-    {"damper": "sensed"},
+_DAMPERS: tuple[dict[str, Any], ...] = tuple(
+    {"damper": name} | ({"cutoff": 200.0} if name in WITH_CUTOFF else {}) for name in get_args(DamperScheme)
 )
 _STRING = {"type": "string", "mass": 0.01, "stiffness": 100.0, "damping": 0.01}
 _MATTER: tuple[dict[str, Any], ...] = (
@@ -62,7 +60,7 @@ def _random_document(chance: random.Random) -> dict[str, Any]:
     return {
         "version": 1,
         "rate": chance.choice((1000, 2000)),
-        "scheme": chance.choice(_SCHEMES),
+        "scheme": chance.choice(get_args(SchemeName)),
         "precision": chance.choice(("single", "double")),
         "device": {"mass": 0.3, "friction": 1.0, "clock": chance.choice(("device", "host", "lockstep"))},
         "modules": modules,

@@ -48,4 +48,5 @@ DAMPER = PartType(
     name="dampers",
     compiled_as="gathered through unsigned indices; no stiffness is carried",
     memoryless=True,
+    in_a_matrix=lambda damper: (0.0, damper.damping),
 )

@@ -33,4 +33,5 @@ BACKWARD = PartType(
     name="visco-elastic links",
     compiled_as="gathered through unsigned indices",
     memoryless=True,
+    in_a_matrix=lambda link: (link.stiffness, link.damping),
 )

@@ -14,11 +14,12 @@ from hapsim.compiling.native import value_of
 from hapsim.cordis.build_context import BuildContext, PartType
 from hapsim.cordis.dispatch import Part, fma_action
 from hapsim.cordis.tick_state import Column
-from hapsim.scene import Cell, Mass, Scene
+from hapsim.scene import Scene
+from hapsim.scene.modules import MaterialPoint
 
 
 class Masses(NamedTuple):
-    """M masses, those of cells last, which stand together from point `start` on; `mobility`: T²/m in m/N, (M,)."""
+    """M masses, one type of material point after the other, from point `start` on; `mobility`: T²/m in m/N, (M,)."""
 
     start: np.uint64
     mobility: Column
@@ -41,11 +42,11 @@ def mobility_of(mass: Sequence[float] | float, context: BuildContext) -> Column:
     return np.asarray(1.0 / (np.asarray(mass, np.float64) * context.rate * context.rate), context.real)
 
 
-def _select(scene: Scene) -> Mapping[str, Mass | Cell]:
-    return scene.masses | scene.cells
+def _select(scene: Scene) -> Mapping[str, MaterialPoint]:
+    return scene.material_points
 
 
-def _build(masses: Mapping[str, Mass | Cell], _columns: Sequence[Column], context: BuildContext) -> Part:
+def _build(masses: Mapping[str, MaterialPoint], _columns: Sequence[Column], context: BuildContext) -> Part:
     start = np.uint64(context.number[next(iter(masses))])
     return Part(Masses(start, mobility_of([one.mass for one in masses.values()], context)), integrate=integrate)
 
@@ -55,4 +56,5 @@ MASS = PartType(
     _build,
     name="masses",
     compiled_as="one pass over contiguous memory",
+    moves_points=True,
 )

@@ -91,6 +91,7 @@ MEMBRANE = PartType(
     _layout,
     name="membranes",
     compiled_as="a stencil over contiguous memory, row by row, many masses at once",
+    moves_points=True,
 )
 
 

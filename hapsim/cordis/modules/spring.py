@@ -48,4 +48,5 @@ SPRING = PartType(
     name="springs",
     compiled_as="gathered through unsigned indices; no previous positions are read",
     memoryless=True,
+    in_a_matrix=lambda spring: (spring.stiffness, 0.0),
 )

@@ -95,6 +95,7 @@ STIFF_STRING = PartType(
     _layout,
     name="stiff strings",
     compiled_as="a stencil of five over contiguous memory, many masses at once",
+    moves_points=True,
 )
 
 

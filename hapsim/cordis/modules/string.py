@@ -99,6 +99,7 @@ STRING = PartType(
     _layout,
     name="strings",
     compiled_as="a stencil over contiguous memory, many masses at once; only those under links are asked for a force",
+    moves_points=True,
 )
 
 

@@ -18,7 +18,7 @@ from hapsim.compiling.native import value_of
 from hapsim.cordis.build_context import BuildContext, PartType
 from hapsim.cordis.dispatch import Part, action
 from hapsim.cordis.modules.link import Ends, pull_ends, stretch
-from hapsim.cordis.modules.mass import MASS, mobility_of
+from hapsim.cordis.modules.mass import mobility_of
 from hapsim.cordis.modules.string import STRING, StringRows, free_ends, rows_of
 from hapsim.cordis.schemes.scheme import Taken
 from hapsim.cordis.tick_state import Column
@@ -62,11 +62,6 @@ def first_moved(scene: Scene) -> int:
     return len(scene.device_points) + len(scene.grounds)
 
 
-def moves_points(kind: PartType) -> bool:
-    """Whether this kind of module has points that the scene moves."""
-    return kind is MASS or kind.layout is not None
-
-
 def mobility_of_all(scene: Scene, context: BuildContext) -> Column:
     """T²/m in m/N of all points from `first_moved` on; 0 for borders."""
     start = first_moved(scene)
@@ -78,7 +73,7 @@ def mobility_of_all(scene: Scene, context: BuildContext) -> Column:
 
 def masses_of(scene: Scene) -> Iterator[tuple[str, float]]:
     """Every point that the scene moves, with its mass in kg."""
-    for name, mass in (scene.masses | scene.cells).items():
+    for name, mass in scene.material_points.items():
         yield name, mass.mass
     for name, structure in scene.structures.items():
         for place, kilograms in zip(structure.point_names(), structure.elements().masses, strict=True):
@@ -88,7 +83,7 @@ def masses_of(scene: Scene) -> Iterator[tuple[str, float]]:
 def expanded_forces(taken: Taken, context: BuildContext) -> tuple[Part, ...]:
     """The parts that add up the forces in what this type's modules move, and move nothing."""
     kind, modules, columns = taken
-    if kind is MASS:
+    if kind.layout is None:  # points, between which there is no force
         return ()
     if kind is STRING:
         return (Part(StringForces(rows_of(modules, context), *columns), add_forces=add_string_forces),)

@@ -1,8 +1,8 @@
 """The linear subsystem of a scene that is worked into matrices: M x'' + B x' + K x = f.
 
 Inside are the points that the scene moves, and what joins them to each other, to grounds and to themselves at rest:
-what structures and cells consist of, springs, dampers, and visco-elastic links with a backward damper. Everything else
-pulls from outside, and so does the place of a ground, which may change while the scene runs.
+what structures consist of, what holds material points, and links that are a spring and a backward damper and nothing
+else. Everything else pulls from outside, and so does the place of a ground, which may change while the scene runs.
 """
 
 from __future__ import annotations
@@ -16,14 +16,12 @@ from numpy.typing import NDArray
 from hapsim.compiling import inlined
 from hapsim.cordis.build_context import BuildContext
 from hapsim.cordis.dispatch import Part
-from hapsim.cordis.modules.damper import DAMPER
-from hapsim.cordis.modules.damper_backward import BACKWARD
-from hapsim.cordis.modules.spring import SPRING
+from hapsim.cordis.registry import PART_TYPES
 from hapsim.cordis.schemes.force_expansion import masses_of
 from hapsim.cordis.schemes.scheme import Taken
 from hapsim.cordis.tick_state import Column
 from hapsim.errors import UsageError
-from hapsim.scene import Link, Scene, ViscoElastic
+from hapsim.scene import Scene
 
 STAYS = -1
 
@@ -34,6 +32,14 @@ class InnerLinks(NamedTuple):
     ends: NDArray[np.intp]
     stiffness: NDArray[np.float64]
     damping: NDArray[np.float64]
+
+
+class MatrixLink(NamedTuple):
+    """A link that is inside, as its matrix has it: N/m, N·s/m."""
+
+    between: tuple[str, str]
+    stiffness: float
+    damping: float
 
 
 class Ties(NamedTuple):
@@ -86,28 +92,28 @@ class LinearSubsystem(NamedTuple):
         return (spread.T @ diags_array(values) @ spread).tocsr()
 
 
-def inner_links(scene: Scene) -> dict[str, ViscoElastic]:
-    """The scene's links that are inside, each as the visco-elastic link that it is."""
+def inner_links(scene: Scene) -> dict[str, MatrixLink]:
+    """The scene's links that are inside."""
     hands = scene.device_points
-    springs, dampers = SPRING.select(scene), DAMPER.select(scene)
-    links: dict[str, Any] = {**BACKWARD.select(scene)}
-    links |= {name: _as_viscoelastic(one, one.stiffness, 0.0) for name, one in springs.items()}
-    links |= {name: _as_viscoelastic(one, 0.0, one.damping) for name, one in dampers.items()}
-    return {name: link for name, link in links.items() if not any(end in hands for end in link.between)}
-
-
-def _as_viscoelastic(link: Link, stiffness: float, damping: float) -> ViscoElastic:
-    return ViscoElastic(between=link.between, stiffness=stiffness, damping=damping)
+    return {
+        name: MatrixLink(link.between, *kind.in_a_matrix(link))
+        for kind in PART_TYPES
+        if kind.in_a_matrix is not None
+        for name, link in kind.select(scene).items()
+        if not any(end in hands for end in link.between)
+    }
 
 
 def inside(scene: Scene) -> frozenset[str]:
-    """The modules that the inner system is made of, by name."""
-    return frozenset([*scene.masses, *scene.cells, *scene.structures, *inner_links(scene)])
+    """The modules that the inner system is made of, by name; without those points that pull themselves, of which it has
+    no more than the mass."""
+    points = [name for name, point in scene.material_points.items() if not point.pulls_itself]
+    return frozenset([*points, *scene.structures, *inner_links(scene)])
 
 
 def external_parts(context: BuildContext, taken: Sequence[Taken]) -> tuple[Part, ...]:
     """The parts of what is not inside."""
-    return tuple(one.build(context) for one in taken)
+    return tuple(one.build(context) for one in taken if not one.kind.moves_points)
 
 
 def linear_subsystem(scene: Scene, context: BuildContext) -> LinearSubsystem | None:
@@ -119,7 +125,7 @@ def linear_subsystem(scene: Scene, context: BuildContext) -> LinearSubsystem | N
     place = {int(number): i for i, number in enumerate(point)}
     joins = [
         *_structure_links(scene, context, place),
-        *_cell_links(scene, context, place),
+        *_own_links(scene, context, place),
         *_scene_links(scene, context, place),
     ]
     ends = np.array([(first, second) for first, second, *_ in joins], np.intp).reshape(-1, 2)
@@ -130,10 +136,11 @@ def linear_subsystem(scene: Scene, context: BuildContext) -> LinearSubsystem | N
     for first, second, k, _, rest in joins:
         if second == STAYS:
             force[first] += k * rest
-    for name, one in (scene.masses | scene.cells).items():
-        velocity[place[context.number[name]]] = one.velocity  # to the last digit, whatever the rows' precision
+    for name, one in scene.material_points.items():
+        velocity[place[context.number[name]]] = one.start()[1]  # to the last digit, whatever the rows' precision
     ties = _ties(scene, context)
     outer = {end for name, link in scene.links.items() if name not in inside(scene) for end in link.between}
+    outer |= {name for name, point in scene.material_points.items() if point.pulls_itself}
     loaded = {context.number[end] for end in outer} | {int(p) for p in ties.point}
     return LinearSubsystem(
         point=point,
@@ -164,9 +171,11 @@ def _structure_links(scene: Scene, context: BuildContext, place: Mapping[int, in
             yield places[first], STAYS if second < 0 else places[second], k, z, structure.position
 
 
-def _cell_links(scene: Scene, context: BuildContext, place: Mapping[int, int]) -> Iterator[_Join]:
-    for name, cell in scene.cells.items():
-        yield place[context.number[name]], STAYS, cell.stiffness, cell.damping, cell.rest
+def _own_links(scene: Scene, context: BuildContext, place: Mapping[int, int]) -> Iterator[_Join]:
+    for name, point in scene.material_points.items():
+        held = point.held_by()
+        if held is not None:
+            yield place[context.number[name]], STAYS, *held
 
 
 def _scene_links(scene: Scene, context: BuildContext, place: Mapping[int, int]) -> Iterator[_Join]:

@@ -22,7 +22,7 @@ from hapsim.compiling import fma, inlined
 from hapsim.compiling.native import Behind, value_of
 from hapsim.cordis.build_context import BuildContext
 from hapsim.cordis.dispatch import CALLS, Part, action, call_all, calls_of
-from hapsim.cordis.schemes.force_expansion import expanded_forces, first_moved, mobility_of_all, moves_points
+from hapsim.cordis.schemes.force_expansion import expanded_forces, first_moved, mobility_of_all
 from hapsim.cordis.schemes.scheme import Scheme, Taken
 from hapsim.cordis.tick_state import Column, TickState
 from hapsim.scene import Scene
@@ -150,7 +150,7 @@ def _parts(scene: Scene, context: BuildContext, taken: Sequence[Taken]) -> tuple
     once: list[Part] = []
     always: list[Part] = []
     for one in taken:
-        if moves_points(one.kind):
+        if one.kind.moves_points:
             always += expanded_forces(one, context)
         else:
             part = one.build(context)

@@ -19,7 +19,7 @@ from hapsim.compiling import fma
 from hapsim.compiling.native import value_of
 from hapsim.cordis.build_context import BuildContext
 from hapsim.cordis.dispatch import Part, action
-from hapsim.cordis.schemes.force_expansion import expanded_forces, first_moved, mobility_of_all, moves_points
+from hapsim.cordis.schemes.force_expansion import expanded_forces, first_moved, mobility_of_all
 from hapsim.cordis.schemes.scheme import Scheme, Taken
 from hapsim.cordis.tick_state import Column
 from hapsim.scene import Scene
@@ -67,7 +67,7 @@ def _advance(mobility, step, position, following, force):
 def _parts(scene: Scene, context: BuildContext, taken: Sequence[Taken]) -> tuple[Part, ...]:
     parts: list[Part] = []
     for one in taken:
-        parts += expanded_forces(one, context) if moves_points(one.kind) else [one.build(context)]
+        parts += expanded_forces(one, context) if one.kind.moves_points else [one.build(context)]
     mobility = mobility_of_all(scene, context)
     steps = Steps(np.uint64(first_moved(scene)), mobility, np.zeros_like(mobility))
     return (*parts, Part(steps, initialize=initialize, integrate=integrate))

@@ -14,7 +14,7 @@ from firmware_protocol.frames import SETUP, armed_format, framing_of
 from firmware_protocol.records import new_record
 from firmware_protocol.wire_time import BITS_PER_BYTE, WireTime, wire_time
 from hapsim.device.mock.firmware import MOCK, MOST_LATE
-from hapsim.device.mock.sampler import HOLDS, SAMPLINGS
+from hapsim.device.mock.sampler import SAMPLINGS, set_hold
 from hapsim.errors import UsageError
 from hapsim.prediction.silence import time_to_live_samples
 from hapsim.scene import Scene
@@ -71,12 +71,9 @@ def _set_bodies(mock: Any, scene: Scene) -> None:
 
 def _set_converters(mock: Any, scene: Scene, description: Description) -> None:
     device, converters = scene.mock_device, mock.converters[: scene.channels]
-    whole = math.floor(device.delay)
-    mock.depth = whole + 2
     converters["period"] = 1.0 / scene.rate
-    converters["whole_delay"] = whole
-    converters["part_delay"] = device.delay - whole
-    converters["impulse"] = HOLDS[device.hold]
+    for converter in converters:
+        mock.depth = set_hold(converter, device.hold, device.delay)
     converters["average"] = SAMPLINGS[device.sampling]
     converters["quantum"] = device.quantum
     converters["velocity_quantum"] = description.velocity_scale
@@ -94,6 +91,10 @@ def _set_wire(mock: Any, scene: Scene) -> None:
     if scene.device.clock == "lockstep":
         _require_passable(wire, late, time_to_live_samples(scene.rate))
     mock.late_samples = min(late or 0, MOST_LATE)
+    if mock.late_samples:
+        from hapsim.device.mock.late_force import take_late_force
+
+        mock.called.take_force = take_late_force.address()
     mock.byte_ns = BITS_PER_BYTE * 1e9 / device.baud if device.baud else 0.0
     mock.turnaround_ns = device.turnaround * 1e9
 

@@ -22,6 +22,7 @@ from hapsim.compiling.native import address_in_memory, address_of, array_at, fun
 from hapsim.device.mock.motion import BODY, move, move_of
 from hapsim.device.mock.sampler import (
     CONVERTER,
+    MOST_AGES,
     advance_body,
     first_sample,
     first_velocity,
@@ -76,7 +77,7 @@ MOCK = np.dtype(
         ("initial", BODY, _EACH),
         ("converters", CONVERTER, _EACH),
         ("depth", np.int64),  # rows of commands in use
-        ("commands", np.float64, (LONGEST_DELAY + 2, schema.MAX_CHANNELS)),  # N, sample by sample
+        ("commands", np.float64, (LONGEST_DELAY + MOST_AGES, schema.MAX_CHANNELS)),  # N, sample by sample
         ("force_scale", np.float64, _EACH),
         ("force_limit", np.float64, _EACH),
         # What a frame carries: the positions of all channels, and then their velocities.
@@ -233,7 +234,7 @@ def _take_force(mock, now):
 def _decide_command(mock):
     """Settles the command of the sample that lasts; whether the force that answers it arrived in time.
 
-    Without one, a held force goes on until its time to live is over. An impulse is given once and never again.
+    Without one, a force that is held goes on until its time to live is over. An impulse is given once and never again.
     """
     board = mock.board
     row = board.n % mock.depth
@@ -243,7 +244,7 @@ def _decide_command(mock):
     mock.registers[schema.REG_HELD] += 1
     if board.heard == board.n:
         return False
-    lives = board.n <= board.expires and not mock.converters[0].impulse
+    lives = board.n <= board.expires and mock.converters[0].goes_on
     for c in range(mock.channels):
         mock.commands[row, c] = mock.commands[before, c] if lives else 0.0
     return False
@@ -394,11 +395,8 @@ def prepare(mock: Any) -> None:
     for name, function in FUNCTIONS.items():
         mock.called[name] = function.address()
     mock.called.move = move_of(mock.initial[: mock.channels])
-    mock.called.take_force = mock.called.act_on_force
-    if mock.late_samples:
-        from hapsim.device.mock.late_force import take_late_force
-
-        mock.called.take_force = take_late_force.address()
+    if not mock.called.take_force:
+        mock.called.take_force = mock.called.act_on_force
 
 
 FUNCTIONS = {

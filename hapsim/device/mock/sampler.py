@@ -1,31 +1,63 @@
 """The mock's converters: what the body's position and velocity become on the wire, and when a commanded force acts on
 the body.
 
-Command c[n], decided during sample n, acts from (n + delay) T on: held until the next one (zero-order hold), or as an
-impulse c[n] T. With delay = D + phi, sample n sees c[n-D-1] for its first phi T and c[n-D] for the rest.
+Command c[n], decided during sample n, acts from (n + delay) T on, as its hold says. With delay = D + phi, sample n sees
+what c[n-D-1] and those before it leave for its first phi T, and c[n-D] with them for the rest.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from hapsim.compiling import helper
 from hapsim.device.mock.motion import move, strike
 
-HOLDS = {"zoh": 0, "impulse": 1}
-"""A scene's names for what becomes of a force: it acts until the next one, or is given at once as an impulse."""
+MOST_PIECES, MOST_AGES = 4, 4
+
+
+class Piece(NamedTuple):
+    """A part of a sample. Weights of commands, the first that of c[n-D], the next that of c[n-D-1], and so on."""
+
+    lasts: float
+    """sample periods"""
+    force: tuple[float, ...] = ()
+    """of the force that acts throughout"""
+    blow: tuple[float, ...] = ()
+    """of the impulse at the beginning, in sample periods"""
+
+
+class MockHold(NamedTuple):
+    """What becomes of a command: the pieces of a sample, from phi, and whether it goes on where no force comes."""
+
+    pieces: Callable[[float], list[Piece]]
+    goes_on: bool
+
+
+HOLDS = {
+    "zoh": MockHold(lambda phi: [Piece(phi, force=(0.0, 1.0)), Piece(1.0 - phi, force=(1.0,))], goes_on=True),
+    "impulse": MockHold(lambda phi: [Piece(phi), Piece(1.0 - phi, blow=(1.0,))], goes_on=False),
+}
+"""By a scene's names for what becomes of a force: it acts until the next one, or is given at once as an impulse."""
 
 SAMPLINGS = {"ideal": 0, "average": 1}
 """A scene's names for what is measured: the position at the instant, or its mean over the sample before."""
+
+PIECE = np.dtype(
+    [("lasts", np.float64), ("force", np.float64, (MOST_AGES,)), ("blow", np.float64, (MOST_AGES,))], align=True
+)
 
 CONVERTER = np.dtype(
     [
         ("period", np.float64),  # s, nominal
         ("whole_delay", np.int64),  # D
-        ("part_delay", np.float64),  # phi, in [0, 1)
-        ("impulse", np.int64),  # of HOLDS
+        ("pieces", PIECE, (MOST_PIECES,)),
+        ("pieces_in_use", np.int64),
+        ("ages", np.int64),  # how many commands they weigh
+        ("goes_on", np.int64),
         ("average", np.int64),  # of SAMPLINGS
         ("quantum", np.float64),  # m per count
         ("velocity_quantum", np.float64),  # (m/s) per count; 0: the device senses no velocity
@@ -37,20 +69,37 @@ CONVERTER = np.dtype(
 )
 
 
+def set_hold(converter: Any, hold: str, delay: float) -> int:
+    """Sets how a CONVERTER holds a command that is `delay` sample periods late; how many samples of commands that
+    takes."""
+    whole = math.floor(delay)
+    pieces = [piece for piece in HOLDS[hold].pieces(delay - whole) if piece.lasts > 0.0]
+    converter.whole_delay, converter.goes_on = whole, HOLDS[hold].goes_on
+    converter.pieces_in_use = len(pieces)
+    converter.ages = max(len(weights) for piece in pieces for weights in (piece.force, piece.blow))
+    for record, piece in zip(converter.pieces[: len(pieces)], pieces, strict=True):
+        record.lasts = piece.lasts
+        record.force[: len(piece.force)], record.blow[: len(piece.blow)] = piece.force, piece.blow
+    return whole + max(2, int(converter.ages))
+
+
 @helper
 def advance_body(how, body, converter, commands, depth, channel, n, h):
     """Moves one channel's body through sample n, which lasts `h` seconds. `how`: see `move`; `commands`: N, the last
     `depth` rows of them, a column for each channel."""
-    newer = commands[(n - converter.whole_delay) % depth, channel]
-    first = converter.part_delay * h
-    if converter.impulse:
-        move(how, body, 0.0, first)
-        strike(body, newer * converter.period)
-        move(how, body, 0.0, h - first)
-        return
-    if first > 0.0:
-        move(how, body, commands[(n - converter.whole_delay - 1) % depth, channel], first)
-    move(how, body, newer, h - first)
+    newest, gone = n - converter.whole_delay, 0.0
+    for i in range(converter.pieces_in_use):
+        piece = converter.pieces[i]
+        force, blow = 0.0, 0.0
+        for age in range(converter.ages):
+            command = commands[(newest - age) % depth, channel]
+            force += piece.force[age] * command
+            blow += piece.blow[age] * command
+        if blow != 0.0:
+            strike(body, blow * converter.period)
+        lasts = piece.lasts * h if i + 1 < converter.pieces_in_use else h - gone
+        move(how, body, force, lasts)
+        gone += lasts
 
 
 @helper

@@ -12,6 +12,7 @@ from .friction import Friction
 from .ground import Ground
 from .link import Link
 from .mass import Mass
+from .material_point import Held, MaterialPoint
 from .membrane import Membrane
 from .module import Module, ModuleContext
 from .nonlinear import Nonlinear
@@ -53,8 +54,10 @@ __all__ = [
     "Elements",
     "Friction",
     "Ground",
+    "Held",
     "Link",
     "Mass",
+    "MaterialPoint",
     "Membrane",
     "Module",
     "ModuleContext",

@@ -6,15 +6,14 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
-from ..issue import Issue, quote
+from ..choices import DAMPER, WITH_CUTOFF, WITH_SENSOR, DamperScheme
+from ..issue import Issue, one_of, quote
 from ..quantity import Quantity
 from .device_point import DevicePoint
 from .link import Link
 from .module import Check, ModuleContext
 
-DamperScheme = Literal["backward", "centred", "filtered", "sensed"]
-
-CUTOFF = Quantity("Cutoff of the filtered damper", "Hz", above=0)
+CUTOFF = Quantity(f"Cutoff of the {one_of(WITH_CUTOFF)} damper", "Hz", above=0)
 
 
 class ViscoElastic(Link):
@@ -25,11 +24,7 @@ class ViscoElastic(Link):
     type: Literal["viscoelastic"] = Field(default="viscoelastic", description="A spring and a damper in parallel")
     stiffness: Annotated[float, Quantity("Stiffness of the spring", "N/m", least=0)]
     damping: Annotated[float, Quantity("Viscosity of the damper", "N·s/m", least=0)] = 0.0
-    damper: DamperScheme = Field(
-        default="backward",
-        description="Where the damper's velocity comes from: the last two positions (backward), the last and the last "
-        "but one before (centred), a low-pass behind the first (filtered), or the device's own sensor (sensed)",
-    )
+    damper: DamperScheme = Field(default="backward", description=DAMPER)
     cutoff: Annotated[float | None, replace(CUTOFF, left_out="no filter")] = None
 
     def checks(self) -> list[Check]:
@@ -38,17 +33,20 @@ class ViscoElastic(Link):
 
     def _cutoff_fits(self, name: str, _around: ModuleContext) -> Iterator[Issue]:
         path = ("modules", name)
-        if self.damper == "filtered" and self.cutoff is None:
-            yield Issue((*path, "damper"), "found filtered without a cutoff, expected cutoff: a number > 0 (Hz) too")
-        elif self.damper != "filtered" and self.cutoff is not None:
-            sentence = f"found a cutoff, which the {self.damper} damper does not have; expected damper: filtered"
+        if self.damper in WITH_CUTOFF and self.cutoff is None:
+            sentence = f"found {self.damper} without a cutoff, expected cutoff: a number > 0 (Hz) too"
+            yield Issue((*path, "damper"), sentence)
+        elif self.damper not in WITH_CUTOFF and self.cutoff is not None:
+            having = one_of(WITH_CUTOFF)
+            sentence = f"found a cutoff, which the {self.damper} damper does not have; expected damper: {having}"
             yield Issue((*path, "cutoff"), sentence)
 
     def _is_sensed(self, name: str, around: ModuleContext) -> Iterator[Issue]:
         ends = [around.kinds.get(end) for end in self.between]
-        if self.damper == "sensed" and None not in ends and DevicePoint not in ends:
+        if self.damper in WITH_SENSOR and None not in ends and DevicePoint not in ends:
             names = " and ".join(map(quote, self.between))
             yield Issue(
                 ("modules", name, "damper"),
-                f"found sensed between {names}, which no device senses; expected a point of type device at one end",
+                f"found {self.damper} between {names}, which no device senses; "
+                "expected a point of type device at one end",
             )

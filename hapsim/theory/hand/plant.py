@@ -9,11 +9,13 @@ The velocity that the device senses is a second output; of the position that it 
 
     V(z)/Y(z) = w velocity(z) / (z numerator(z)) + offset
 
-``offset`` is what it reads at rest: nothing, except where force impulses keep a spring in its place by blows.
+``offset`` is what it reads at rest: nothing, except where a force that is not level, such as impulses, keeps a spring
+in its place.
 """
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -43,7 +45,8 @@ def sampled_plant(damping: float, stiffness: float, delay: float, hold: str, sam
     """The plant of a normalised real friction b0 T/m and spring k0 T²/m, and a delay in sample periods."""
     whole, fraction = whole_and_fraction(delay)
     terms = product(HOLDS[hold].terms, SAMPLINGS[sampling].terms)
-    count = max(term.lag for term in terms) + (1 if fraction == 0.0 else 2)
+    last, part = whole_and_fraction(max(term.lag for term in terms))
+    count = last + math.ceil(part + fraction) + 1  # samples until the mass moves freely
     # One more than the position needs: a blow's velocity is there at once.
     outputs = _readings(terms, damping, stiffness, np.arange(1.0, count + 2.0) - fraction)
     p, q = quadratic_of_oscillator(damping, stiffness)
@@ -52,8 +55,7 @@ def sampled_plant(damping: float, stiffness: float, delay: float, hold: str, sam
     # does, and what is left of the product is the numerator.
     free = np.array([1.0, p - 2.0, 1.0 - p + q])
     numerator = np.convolve(outputs[0], free)[:count]
-    blows = any(term.integrations == 0 for term in terms)
-    offset = _reading_at_rest(damping, stiffness, 1.0 - fraction) if blows else 0.0
+    offset = _reading_at_rest(damping, stiffness, _ripple(terms, fraction))
     velocity = _over_w(np.convolve(outputs[1], free)[: count + 1] - offset * np.append(numerator, 0.0))
     return Plant(damping, stiffness, p, q, numerator, whole + count - 2, velocity, offset)
 
@@ -69,16 +71,50 @@ def _readings(terms: tuple[Term, ...], damping: float, stiffness: float, times: 
     return read
 
 
-def _reading_at_rest(damping: float, stiffness: float, since: float) -> float:
-    """Velocity over position, as read ``since`` a blow, of a mass that equal blows keep on its spring for ever.
+def _ripple(terms: tuple[Term, ...], fraction: float) -> tuple[Term, ...]:
+    """What is left of the terms where all computed forces are 1: within a period, each with the time from its beginning
+    to the next sample as its lag. Nothing where the force is then 1 throughout."""
+    weights: dict[tuple[float, int], float] = {}
+    for weight, lag, integrations in terms:
+        since = 1.0 - (whole_and_fraction(lag)[1] + fraction) % 1.0
+        weights[since, integrations] = weights.get((since, integrations), 0.0) + weight
+    return tuple(Term(weight, since, integrations) for (since, integrations), weight in weights.items() if weight)
 
-    The sum of a blow's sampled responses, (1 - exp(M))⁻¹ times the first, in which the integral of exp(M) over a
-    period takes the place of 1 - exp(M), so that nothing cancels where the spring is weak.
+
+def _reading_at_rest(damping: float, stiffness: float, ripple: tuple[Term, ...]) -> float:
+    """Velocity over position, as read, of a mass that the same ``ripple`` in every period keeps on its spring.
+
+    What one period does to a mass at rest, times (1 - exp(M))⁻¹, in which the integral of exp(M) over a period takes
+    the place of 1 - exp(M), so that nothing cancels where the spring is weak.
     """
-    blow, period = response_to_a_blow(damping, stiffness, since), response_to_a_blow(damping, stiffness, 1.0)
-    velocity = period[AREA] * blow[VELOCITY] - period[POSITION] * blow[POSITION]
-    position = period[POSITION] * (blow[VELOCITY] + damping * blow[POSITION])
-    return float(stiffness * velocity / (position + stiffness * period[AREA] * blow[POSITION]))
+    if not ripple:
+        return 0.0
+    period = response_to_a_blow(damping, stiffness, 1.0)
+    x = v = 0.0
+    for order, value in enumerate(_force_at_a_sample(ripple), start=1):
+        x += value * period[POSITION + order]
+        v += value * period[VELOCITY + order]
+    for weight, since, integrations in ripple:
+        response = response_to_a_blow(damping, stiffness, since)
+        x += weight * response[POSITION + integrations]
+        v += weight * response[VELOCITY + integrations]
+    velocity = period[AREA] * v - period[POSITION] * x
+    position = period[POSITION] * (v + damping * x) + stiffness * period[AREA] * x
+    return float(stiffness * velocity / position)
+
+
+def _force_at_a_sample(ripple: tuple[Term, ...]) -> list[float]:
+    """The force and its derivatives just after a sample: after a period they are the same, and its mean is 1."""
+    found: list[float] = []  # the highest first
+    for order in reversed(range(1 + max(term.integrations for term in ripple))):
+        grown = math.fsum(
+            weight * since ** (integrations - order) / math.factorial(integrations - order)
+            for weight, since, integrations in ripple
+            if integrations >= order
+        )
+        grown += math.fsum(value / math.factorial(i) for i, value in enumerate(reversed(found), start=2))
+        found.append(float(order == 0) - grown)
+    return found[::-1]
 
 
 def _over_w(polynomial: Floats) -> Floats:

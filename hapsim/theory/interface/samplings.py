@@ -15,10 +15,10 @@ class Sampling(NamedTuple):
     reads_mean: bool
 
 
-IDEAL = Sampling(terms=(Term(1.0, 0, 0),), lag=0.0, reads_mean=False)
+IDEAL = Sampling(terms=(Term(1.0, 0.0, 0),), lag=0.0, reads_mean=False)
 """The computer reads the position at the instant of the sample."""
 
-AVERAGE = Sampling(terms=(Term(1.0, 0, 1), Term(-1.0, 1, 1)), lag=0.5, reads_mean=True)
+AVERAGE = Sampling(terms=(Term(1.0, 0.0, 1), Term(-1.0, 1.0, 1)), lag=0.5, reads_mean=True)
 """It reads the mean position over the sample period that has just ended: the paper's "1 sample integrator at input"
 (Florens et al., §6.2)."""
 

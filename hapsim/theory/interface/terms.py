@@ -15,7 +15,7 @@ class Term(NamedTuple):
     """One term ``weight · exp(-lag s) / s^integrations`` of a transfer function, time in sample periods."""
 
     weight: float
-    lag: int
+    lag: float
     integrations: int
 
 

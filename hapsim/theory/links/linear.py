@@ -1,4 +1,4 @@
-"""What a link is for small motions: a spring and a damper, and the assumption under which."""
+"""What a link is for small motions: a spring and a damper, the assumption under which, and what schemes ask of it."""
 
 from __future__ import annotations
 
@@ -11,26 +11,33 @@ class Linear(NamedTuple):
     Attributes:
         stiffness: N/m. damping: N·s/m.
         assumption: under which that is so, in words that follow the link's name; "" where it is so always.
+        memoryless: its force is one of where its ends are and how fast they go, and of nothing before (but for what its
+            damper remembers, if it has one of several).
+        in_a_matrix: it is that spring and that damper and nothing else, so that a scheme can work it into a matrix.
+
+    The last two are as its part of the kernel says (`PartType`), or else the theory is of another scene.
     """
 
     stiffness: float
     damping: float
     assumption: str = ""
+    memoryless: bool = False
+    in_a_matrix: bool = False
+
+
+def viscoelastic(stiffness: float, damping: float) -> Linear:
+    """A spring and a damper, N/m and N·s/m."""
+    return Linear(stiffness, damping, memoryless=True, in_a_matrix=True)
 
 
 def spring(stiffness: float) -> Linear:
     """A spring of so many N/m."""
-    return Linear(stiffness, 0.0)
+    return viscoelastic(stiffness, 0.0)
 
 
 def damper(damping: float) -> Linear:
     """A damper of so many N·s/m."""
-    return Linear(0.0, damping)
-
-
-def cell(stiffness: float, damping: float) -> Linear:
-    """What holds the cell's mass to where it rests. N/m, N·s/m."""
-    return Linear(stiffness, damping)
+    return viscoelastic(0.0, damping)
 
 
 def buffer(stiffness: float, damping: float) -> Linear:
@@ -41,7 +48,7 @@ def buffer(stiffness: float, damping: float) -> Linear:
     either to be unstable; what bounds it is passivity in touch (Colgate and Schenkel), under which no change between
     the two can add energy beyond what one sample of approach does.
     """
-    return Linear(stiffness, damping, "is taken as touched all the time; apart, nothing is felt of it")
+    return Linear(stiffness, damping, "is taken as touched all the time; apart, nothing is felt of it", memoryless=True)
 
 
 def plectrum(stiffness: float, damping: float) -> Linear:

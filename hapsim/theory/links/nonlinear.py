@@ -57,6 +57,7 @@ def nonlinear(over_distance: Points | None, over_velocity: Points | None) -> Lin
         slope_at(over_distance, 0.0),
         slope_at(over_velocity, 0.0),
         f"is taken with its slopes where its ends meet and stand{reach}",
+        memoryless=True,
     )
 
 

@@ -1,9 +1,9 @@
-"""The transition of a large scene under the exact scheme, in the coordinates in which every motion goes by itself.
+"""The transition of a large scene, in the coordinates in which every motion goes by itself: that of the exact scheme.
 
 With x = S q, where S' M S = 1 and S' K S, S' B S are diagonal, each mode is an oscillator q'' + b q' + k q = g of unit
-mass, solved exactly under a force g that is held. The state has q where it otherwise has the masses' x, and q - T q'
-where it has x - w. What joins the modes is what pulls them from outside, on few points: the transition is a sparse
-matrix F and a product U W of few columns and rows, and its inverse is Woodbury's.
+mass, advanced by the scheme under a force g that is held. The state has q where it otherwise has the masses' x, and
+q - T q' where it has x - w. What joins the modes is what pulls them from outside, on few points: the transition is a
+sparse matrix F and a product U W of few columns and rows, and its inverse is Woodbury's.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapsim.theory.arrays import Floats
+from hapsim.theory.network.linear_algebra import Solve, factorised
 from hapsim.theory.network.links import inner_links
 from hapsim.theory.network.moved import Moved
 from hapsim.theory.network.network import Network
-from hapsim.theory.network.operators import Solve, factorised
 from hapsim.theory.network.parts import part_of_each
 from hapsim.theory.network.reasons import NotWorkedOutError
 from hapsim.theory.network.triplets import Indices, Parts, Triplets, dense, sparse
@@ -92,7 +92,7 @@ def modal_operator(network: Network, entries: Triplets, moved: Moved, size: int)
     read_pulls = held.some(of_masses[held.column])
     pulls += dense(read_pulls._replace(column=number[read_pulls.column]), (held_size, read.size)) @ readings
 
-    flow = _flows(stiffness, damping)
+    flow = _flows(network.scheme, stiffness, damping)
     alone = Parts()
     own = entries.some(~of_masses[entries.column])
     alone.add(*own)
@@ -114,9 +114,9 @@ def _add_modes(alone: Parts, flow: Floats, now: Indices, before: Indices) -> Non
         alone.add(row, before, -gain[:, 1])
 
 
-def _flows(stiffness: Floats, damping: Floats) -> Floats:
+def _flows(scheme: str, stiffness: Floats, damping: Floats) -> Floats:
     """(n, 3, 3): what a sample makes of q, p = T q' and a force T² g that is held; of k T² and b T."""
-    advance = SCHEMES["exact"].advance
+    advance = SCHEMES[scheme].advance
     assert advance is not None
     rates = np.zeros((stiffness.size, 3, 3))
     unit = np.sqrt(np.maximum(1.0, stiffness))

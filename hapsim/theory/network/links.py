@@ -1,14 +1,13 @@
 """Which of a scene's links act, and which of them its scheme asks for their force between two samples.
 
-Those are inside; the others pull from outside: their force is that of the sample, held until the next. Inside are
-
-    midpoint, exact     links with a backward damper that touch no channel
-    rk4                 links with a damper that remembers nothing
-
-of those that the network does not say to be ``outside``; under CORDIS's scheme none.
+Those are inside; the others pull from outside: their force is that of the sample, held until the next. Inside are those
+that the scheme says (`theory.schemes`), of those that the network does not say to be ``outside``; under CORDIS's scheme
+none.
 """
 
 from __future__ import annotations
+
+from functools import lru_cache
 
 import numpy as np
 
@@ -16,7 +15,7 @@ from hapsim.theory.arrays import Bools
 from hapsim.theory.interface import DamperModel
 from hapsim.theory.network.network import BACKWARD, Network
 from hapsim.theory.network.triplets import Indices
-from hapsim.theory.schemes import SCHEMES
+from hapsim.theory.schemes import SCHEMES, LinkNature
 
 
 def is_centred(network: Network) -> bool:
@@ -31,11 +30,14 @@ def acting_links(network: Network) -> Indices:
 
 def inner_links(network: Network) -> Indices:
     """The links that act and that the scheme asks between two samples; of CORDIS's scheme none."""
-    if is_centred(network):
+    advance = SCHEMES[network.scheme].advance
+    if advance is None or is_centred(network):
         return np.zeros(0, np.intp)
-    never = set(np.flatnonzero(network.outside).tolist())
-    links = [link for link in acting_links(network).tolist() if link not in never and _is_inside(network, link)]
-    return np.array(links, np.intp)
+    links = np.setdiff1d(acting_links(network), np.flatnonzero(network.outside))
+    at_channel = touches_channel(network, links)
+    asked = zip(links.tolist(), at_channel.tolist(), strict=True)
+    natures = (_nature(network.damper[link], at) for link, at in asked)
+    return links[np.fromiter(map(advance.inside, natures), bool, links.size)]
 
 
 def outside_links(network: Network) -> Indices:
@@ -49,12 +51,11 @@ def touches_channel(network: Network, links: Indices) -> Bools:
     return np.any((ends >= 0) & (ends < network.channel_mass.size), axis=1)
 
 
-def _is_inside(network: Network, link: int) -> bool:
-    damper = network.damper[link]
-    if network.scheme == "rk4":
-        return _remembers_nothing(damper)
-    return damper == BACKWARD and not touches_channel(network, np.array([link]))[0]
+@lru_cache(64)
+def _nature(damper: DamperModel, at_channel: bool) -> LinkNature:
+    return LinkNature(damper == BACKWARD, remembers_nothing(damper), at_channel)
 
 
-def _remembers_nothing(damper: DamperModel) -> bool:
+def remembers_nothing(damper: DamperModel) -> bool:
+    """Whether its velocity is one of the newest two positions, or sensed."""
     return len(damper.of_positions) <= 2 and not damper.of_velocities

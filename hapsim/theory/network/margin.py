@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapsim.theory.arrays import Bools, Complexes, Floats
+from hapsim.theory.network.linear_algebra import one_thread
 from hapsim.theory.network.links import is_centred
 from hapsim.theory.network.margin_angles import AFFORDABLE, angles_about, angles_for_links
 from hapsim.theory.network.margin_modal import ModalResponse, NotModalError
@@ -24,7 +25,6 @@ from hapsim.theory.network.margin_response import Response, TooLargeError
 from hapsim.theory.network.network import Network
 from hapsim.theory.network.solve import solve
 from hapsim.theory.network.state import is_large, state_size
-from hapsim.theory.network.threads import one_thread
 
 AnyResponse = Response | ModalResponse
 

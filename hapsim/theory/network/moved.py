@@ -8,18 +8,16 @@ w = T v that the scheme gives it: so the state's "position before" of a mass is 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from hapsim.theory.arrays import Floats
+from hapsim.theory.network.layout import Layout
 from hapsim.theory.network.links import inner_links, touches_channel
 from hapsim.theory.network.network import Network
 from hapsim.theory.network.triplets import Indices, Parts, Triplets, dense
 from hapsim.theory.schemes import SCHEMES
-
-if TYPE_CHECKING:
-    from hapsim.theory.network.state import Layout
 
 
 class Moved(NamedTuple):

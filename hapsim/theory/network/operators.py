@@ -1,25 +1,23 @@
 """The transition of a large scene, as what an iteration asks of it: what it makes of a state, and its shifted inverse.
 
-Under CORDIS's scheme and rk4 it is one sparse matrix. Under midpoint it is sparse on either side, left z' = right z.
-Under exact it is full, and its modes are what is sparse (``exact_modes.py``).
+The scheme says which (``theory.schemes``). Under CORDIS's and rk4 it is one sparse matrix. Under midpoint it is sparse
+on either side, left z' = right z. Under exact it is full, and its modes are what is sparse (``exact_modes.py``).
 """
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any, Protocol, assert_never
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hapsim.theory.network.linear_algebra import Solve, factorised
 from hapsim.theory.network.moved import Moved
 from hapsim.theory.network.network import Network
 from hapsim.theory.network.state import transition_parts
 from hapsim.theory.network.triplets import sparse
 from hapsim.theory.schemes import SCHEMES
-
-Solve = Callable[[NDArray], NDArray]
+from hapsim.theory.schemes.scheme import Advance, ByModes, Implicit, Polynomial
 
 
 class Operator(Protocol):
@@ -63,7 +61,7 @@ class Explicit:
         return bool(np.isfinite(self.matrix.data).all())
 
 
-class Implicit:
+class TwoSided:
     """Two sparse matrices, left z' = right z."""
 
     def __init__(self, left: Any, right: Any, points: int) -> None:
@@ -91,45 +89,34 @@ class Implicit:
         return self._step is not None
 
 
-def factorised(matrix: Any, **how: Any) -> Solve | None:
-    """x -> matrix^-1 x; None where there is no inverse. ``how``: as for scipy's ``splu``."""
-    from scipy.sparse import linalg
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        try:
-            solve: Solve = linalg.splu(matrix.tocsc(), **how).solve
-        except RuntimeError:
-            return None
-    return solve
-
-
 @np.errstate(all="ignore")  # what is out of range becomes NaN
 def operator_of(network: Network) -> Operator:
     """The transition of a large scene.
 
     Raises:
-        NotWorkedOutError: under exact, of a scene whose modes damping joins, or that has too many masses.
+        NotWorkedOutError: by modes, of a scene whose modes damping joins, or that has too many masses.
     """
     entries, moved, size = transition_parts(network)
     points = network.channel_mass.size + network.point_mass.size
-    if network.scheme == "exact" and moved is not None:
-        from hapsim.theory.network.exact_modes import modal_operator
+    advance = SCHEMES[network.scheme].advance
+    if advance is None or moved is None:
+        return Explicit(sparse(entries, (size, size)), points, size)
+    match advance.large:
+        case ByModes():
+            from hapsim.theory.network.exact_modes import modal_operator
 
-        return modal_operator(network, entries, moved, size)
-    matrix = sparse(entries, (size, size))
-    if moved is None:
-        return Explicit(matrix, points, size)
-    if network.scheme == "rk4":
-        matrix = matrix + _placed(moved, size) @ _advanced(moved, size)
-        return Explicit(matrix.tocsc(), points, max(size, matrix.nnz // 4))
-    return _implicit(matrix, moved, size, points)
+            return modal_operator(network, entries, moved, size)
+        case Polynomial():
+            matrix = sparse(entries, (size, size)) + _placed(moved, size) @ _advanced(advance, moved, size)
+            return Explicit(matrix.tocsc(), points, max(size, matrix.nnz // 4))
+        case Implicit(share):
+            return _two_sided(sparse(entries, (size, size)), moved, size, points, share)
+        case other:
+            assert_never(other)
 
 
-def _advanced(moved: Moved, size: int) -> Any:
+def _advanced(advance: Advance, moved: Moved, size: int) -> Any:
     """Sparse (2 M, size): the masses' next positions and steps, by a scheme that is a polynomial of the rates."""
-    advance = SCHEMES["rk4"].advance
-    assert advance is not None
     rates = sparse(moved.rates, (moved.size, moved.size))
     return advance(rates, sparse(moved.start, (moved.size, size))).tocsr()[: 2 * moved.masses]
 
@@ -145,8 +132,8 @@ def _placed(moved: Moved, size: int) -> Any:
     return csc_matrix((values, (rows, columns)), (size, 2 * own.size))
 
 
-def _implicit(matrix: Any, moved: Moved, size: int, points: int) -> Implicit:
-    """By the midpoint scheme: (1 - Z/2) z' = (1 + Z/2) z in the masses' rows, with what pulls from outside held."""
+def _two_sided(matrix: Any, moved: Moved, size: int, points: int, share: float) -> TwoSided:
+    """(1 - share Z) z' = (1 + (1 - share) Z) z in the masses' rows, with what pulls from outside held."""
     from scipy.sparse import csc_matrix
 
     own = 2 * moved.masses
@@ -158,7 +145,7 @@ def _implicit(matrix: Any, moved: Moved, size: int, points: int) -> Implicit:
     others[rows] = 0.0
     kept = csc_matrix((others, (np.arange(size), np.arange(size))), (size, size))
     inner = start[:own]
-    half = 0.5 * rates[:, :own] @ inner
-    left = kept + place @ (inner - half)
-    right = matrix + place @ (inner + half + rates[:, own:] @ start[own:])
-    return Implicit(left.tocsc(), right.tocsc(), points)
+    way = rates[:, :own] @ inner
+    left = kept + place @ (inner - share * way)
+    right = matrix + place @ (inner + (1.0 - share) * way + rates[:, own:] @ start[own:])
+    return TwoSided(left.tocsc(), right.tocsc(), points)

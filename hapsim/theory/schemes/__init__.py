@@ -10,7 +10,7 @@ from hapsim.theory.schemes.centred import CORDIS, SEMI_IMPLICIT
 from hapsim.theory.schemes.exact import EXACT
 from hapsim.theory.schemes.midpoint import MIDPOINT
 from hapsim.theory.schemes.rk4 import RK4
-from hapsim.theory.schemes.scheme import SchemeModel, spectral_radius
+from hapsim.theory.schemes.scheme import LinkNature, SchemeModel, spectral_radius
 
 SCHEMES: dict[str, SchemeModel] = {
     "cordis": CORDIS,
@@ -20,4 +20,4 @@ SCHEMES: dict[str, SchemeModel] = {
     "exact": EXACT,
 }
 
-__all__ = ["SCHEMES", "SchemeModel", "spectral_radius"]
+__all__ = ["SCHEMES", "LinkNature", "SchemeModel", "spectral_radius"]

@@ -28,5 +28,5 @@ def _stiffness_limit(mass: float, damping: float, period: float) -> float:
     return max(0.0, 4.0 - 2.0 * damping * period / mass) * mass / period**2
 
 
-CORDIS = SchemeModel(_step, _stiffness_limit, order=2, error=1.0 / 24.0)
+CORDIS = SchemeModel(_step, _stiffness_limit, order=2, error=1.0 / 24.0, advance=None)
 SEMI_IMPLICIT = CORDIS

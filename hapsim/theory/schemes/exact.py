@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from hapsim.theory.arrays import Floats
-from hapsim.theory.schemes.scheme import SchemeModel, always_stable, step_by
+from hapsim.theory.schemes.scheme import Advance, ByModes, SchemeModel, always_stable, in_a_matrix, step_by
 
 
 def _advance(rates: Floats, start: Floats) -> Floats:
@@ -13,4 +13,6 @@ def _advance(rates: Floats, start: Floats) -> Floats:
     return after
 
 
-EXACT = SchemeModel(step_by(_advance), always_stable, order=0, error=0.0, advance=_advance)
+EXACT = SchemeModel(
+    step_by(_advance), always_stable, order=0, error=0.0, advance=Advance(_advance, in_a_matrix, ByModes())
+)

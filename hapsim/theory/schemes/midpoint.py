@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from hapsim.theory.arrays import Floats
-from hapsim.theory.schemes.scheme import SchemeModel, always_stable, step_by
+from hapsim.theory.schemes.scheme import Advance, Implicit, SchemeModel, always_stable, in_a_matrix, step_by
 
 
 def _advance(rates: Floats, start: Floats) -> Floats:
@@ -17,4 +17,10 @@ def _advance(rates: Floats, start: Floats) -> Floats:
     return np.asarray(np.linalg.solve(np.eye(len(half)) - half, start + half @ start), float)
 
 
-MIDPOINT = SchemeModel(step_by(_advance), always_stable, order=2, error=-1.0 / 12.0, advance=_advance)
+MIDPOINT = SchemeModel(
+    step_by(_advance),
+    always_stable,
+    order=2,
+    error=-1.0 / 12.0,
+    advance=Advance(_advance, in_a_matrix, Implicit(0.5)),
+)

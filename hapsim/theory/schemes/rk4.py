@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from hapsim.theory.arrays import Floats
-from hapsim.theory.schemes.scheme import SchemeModel, step_by
+from hapsim.theory.schemes.scheme import Advance, Polynomial, SchemeModel, at_every_instant, step_by
 
 REAL_LIMIT = 2.785293563405282  # -z where R(z) = 1
 
@@ -54,4 +54,10 @@ def _square_of_growth(b: float) -> Floats:
     return square
 
 
-RK4 = SchemeModel(step_by(_advance), _stiffness_limit, order=4, error=-1.0 / 120.0, advance=_advance)
+RK4 = SchemeModel(
+    step_by(_advance),
+    _stiffness_limit,
+    order=4,
+    error=-1.0 / 120.0,
+    advance=Advance(_advance, at_every_instant, Polynomial()),
+)

@@ -1,9 +1,28 @@
-"""How many threads the linear algebra takes."""
+"""What a large scene asks of the linear algebra: a sparse inverse, and how many threads it may take."""
 
 from __future__ import annotations
 
+import warnings
+from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from typing import Any
+
+from numpy.typing import NDArray
+
+Solve = Callable[[NDArray], NDArray]
+
+
+def factorised(matrix: Any, **how: Any) -> Solve | None:
+    """x -> matrix^-1 x; None where there is no inverse. ``how``: as for scipy's ``splu``."""
+    from scipy.sparse import linalg
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            solve: Solve = linalg.splu(matrix.tocsc(), **how).solve
+        except RuntimeError:
+            return None
+    return solve
 
 
 def one_thread(where: bool = True) -> AbstractContextManager[Any]:

@@ -1,0 +1,29 @@
+"""What a scene can choose by name: holds, samplings, dampers and schemes. Whoever lists them takes them from here.
+
+What each of them is stands under the same name in `hapsim.theory`, and in what runs it: `hapsim/device/mock`,
+`hapsim/cordis`. Nothing is imported here, so that a help text that lists names costs nothing.
+"""
+
+from typing import Literal
+
+Hold = Literal["zoh", "impulse"]
+HOLD = "How the device keeps a force until the next one: level (zoh), or given all at once (impulse)"
+
+Sampling = Literal["ideal", "average"]
+SAMPLING = "How the device reads its position: at the instant (ideal), or as the mean over the period (average)"
+
+DamperScheme = Literal["backward", "centred", "filtered", "sensed"]
+DAMPER = (
+    "Where the damper's velocity comes from: the last two positions (backward), the last and the last but one before "
+    "(centred), a low-pass behind the first (filtered), or the device's own sensor (sensed)"
+)
+#: The dampers that have a cutoff, and those that read the device's own velocity sensor.
+WITH_CUTOFF: tuple[DamperScheme, ...] = ("filtered",)
+WITH_SENSOR: tuple[DamperScheme, ...] = ("sensed",)
+
+SchemeName = Literal["cordis", "semi_implicit", "midpoint", "rk4", "exact"]
+SCHEME = (
+    "How masses move from sample to sample: by CORDIS's centred scheme (cordis), by the same with the step stored "
+    "itself (semi_implicit), by the trapezoidal rule (midpoint), by the Runge-Kutta rule of fourth order (rk4), or by "
+    "the exact solution between forces that are held (exact)"
+)
