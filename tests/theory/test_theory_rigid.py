@@ -165,6 +165,15 @@ def test_springs_that_cancel_hold_nothing() -> None:
     assert poles_at_rest(scene(1, [*both[:2], (0, -1, -0.3, 0.0)])) == 0  # 0.1 + 0.2 is not 0.3, as they are written
 
 
+@pytest.mark.parametrize("masses", [30, 100])
+def test_a_free_bar_drifts_and_tilts_however_unlike_its_parts_are(masses: int) -> None:
+    """Stiffnesses over twelve decades, of which no rounded rank tells the softest from nothing."""
+    stiffness = 10.0 ** np.random.default_rng(0).uniform(-3.0, 9.0, masses - 2)
+    links = [link for i, k in enumerate(stiffness) for link in bends(range(i, i + 3), float(k))]
+    assert poles_at_rest(scene(masses, links)) == 4
+    assert poles_at_rest(scene(masses, [*links, (0, -1, 1e-9, 0.0)])) == 2
+
+
 def test_membranes_and_cells_move_as_they_did() -> None:
     """Springs alone: one way along for each part that nothing holds, whatever its shape."""
     square = [(3 * i + j, 3 * i + j + 1, 10.0, 0.1) for i in range(3) for j in range(2)]

@@ -4,6 +4,11 @@ A long bar's slowest bending is softer than its stiffness by the fourth power of
 it from a motion that bends nothing. So this counts in the integers modulo a prime, in which a floating-point number, an
 integer times a power of two, has its place. A rank is too small there only where the prime divides one of some
 determinants, whose values know nothing of it.
+
+`scipy.linalg.null_space` and `numpy.linalg.matrix_rank` round: of a free bar of 100 masses whose stiffnesses span
+twelve decades they leave 18 poles at 1 in place of 4, and of 1000 masses they take twenty times as long; and
+`scipy.sparse.csgraph.structural_rank` does not look at the values, in which alone a free bar differs from a held one.
+SymPy's `DomainMatrix` over a prime field would count the same, and is a dependency heavier than numpy for sixty lines.
 """
 
 from __future__ import annotations
