@@ -128,8 +128,10 @@ def test_a_wire_that_is_full_takes_no_more_and_hands_on_what_never_ends() -> Non
 @pytest.mark.parametrize("clock", ["device", "host", "lockstep"])
 def test_a_run_over_a_pseudo_terminal_with_a_uart_ends_as_asked(new_scene: New, clock: str) -> None:
     scene = new_scene(rate=200.0, device={"clock": clock}, mock={"baud": 1_000_000, "turnaround": 1e-4})
-    trace = run(scene, duration=0.2, transport="terminal")
-    assert (trace.report.ending, trace.report.ticks) == ("done", 40)
+    report = run(scene, duration=0.2, transport="terminal").report
+    assert report.ending == "done"
+    # A duration is time: where this machine was held up, fewer samples passed in it.
+    assert report.ticks == 40 if clock == "lockstep" else 0 < report.ticks <= 40
 
 
 def test_paced_by_the_device_over_a_pseudo_terminal_a_turnaround_of_more_than_a_sample_makes_every_force_late(
