@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -14,12 +15,15 @@ from hapsim.cordis.program import Program, compile_scene
 from hapsim.device.connection import Connection
 from hapsim.loop.exchange import DEVICE_CLOCK, HOST_CLOCK, LOOP, NO_CLOCK
 from hapsim.loop.guards import watch_for_leaps
+from hapsim.loop.predictor import PredictorMemory
 from hapsim.loop.ring import Ring
 from hapsim.loop.stage import cross_fade, post
 from hapsim.loop.transport import Transport
+from hapsim.prediction.correction import rendered
 from hapsim.prediction.silence import time_to_live_samples, watchdog_samples
 from hapsim.running.excitation import Excitation
 from hapsim.scene import Scene
+from hapsim.theory.correction import StatePredictor
 
 _RING_ROWS = 1 << 16
 _CLOCK = {"device": DEVICE_CLOCK, "host": HOST_CLOCK, "lockstep": NO_CLOCK}
@@ -65,6 +69,19 @@ class Loop:
         self._programs.append(program)
         post(self.record.stage, program.address, samples, cross_fade.address())
 
+    def predict_by(self, predictors: Mapping[int, StatePredictor], *, goes_on: bool) -> None:
+        """Hands the scene the state that these expect on their channels; nothing, where there are none. `goes_on`:
+        whether the device's hold keeps a force until the next one."""
+        if predictors:
+            self._predictor = PredictorMemory(
+                self.record.predictor,
+                {channel: (one.readings, one.forces) for channel, one in predictors.items()},
+                channels=self.wire.channels,
+                senses=any(one.senses for one in predictors.values()),
+                goes_on=goes_on,
+                lives_samples=int(self.record.control.time_to_live),
+            )
+
     @property
     def is_replacing(self) -> bool:
         """Whether a scene was posted, and the one before is not yet left."""
@@ -99,13 +116,15 @@ def assemble_loop(
     duration: float | None = None,
 ) -> Loop:
     """The loop of `scene` over `connection`, for `duration` seconds (None: until stopped), not yet armed."""
+    rendering = rendered(scene)
     loop = Loop(connection, description, bool(scene.sensed_links), scene.device.clock == "lockstep")
     if isinstance(connection.transport, Transport):
         loop.inbox.transport = connection.transport.record
-    loop.begin_with(compile_scene(scene))
+    loop.begin_with(compile_scene(rendering.scene))
     _set_io(loop.record.io, scene, description)
     _set_leap(loop.record.leap, scene, description)
     _set_control(loop.record.control, scene, excitation, duration)
+    loop.predict_by(rendering.predictors(), goes_on=scene.device.hold == "zoh")
     loop.watchdog_samples = watchdog_samples(scene.rate, description.max_watchdog_samples)
     loop.record.watch.judges = scene.device.clock == "device" and connection.has_timer
     return loop
@@ -154,7 +173,7 @@ def _set_leap(leap: Any, scene: Scene, description: Description) -> None:
         leap,
         rate_hz=scene.rate,
         by_host=device.clock == "host",
-        mass=np.minimum(device.masses(channels), mock.mass),
+        mass=np.minimum([least for least, _ in device.mass_spans(channels)], mock.mass),
         friction=np.maximum(device.frictions(channels), mock.friction),
         stiffness=np.maximum(device.stiffnesses(channels), mock.stiffness),
         force=np.full(channels, device.force_limit + mock.coulomb),
