@@ -329,6 +329,9 @@ def show_report(out: Console, report: Report) -> None:
         if count:
             note = _FEW_ARE_NORMAL if label == _REFUSED_BY_DEVICE and count < _MANY else ""
             table.add_row(label, f"[yellow]{count}[/yellow]{note}")
+    for channel, mass in enumerate(report.estimated_mass_kg):
+        if mass is not None:
+            table.add_row(f"estimated mass, channel {channel}  kg", f"{mass:.4g}")
     if report.released is False:
         table.add_row("force released", "[yellow]not confirmed[/yellow]")
     out.print()

@@ -16,7 +16,7 @@ from hapsim.loop.codes import BAD_FORCE, FAULT, HEARD, LEAPT, OFF_RATE, TIMED_OU
 from hapsim.loop.guards import LEAP, WATCH, cut, is_finite, is_leap, is_off_rate
 from hapsim.loop.histogram import HISTOGRAM, note
 from hapsim.loop.io_buffer import IO_BUFFER
-from hapsim.loop.predictor import PREDICTOR, call_predict
+from hapsim.loop.predictor import PREDICTOR, call_add, call_predict
 from hapsim.loop.ring import BRIDGED, LATE_FORCE, LIMITED, OFF_GRID, RING, UNSENT, mark_last, publish, push
 from hapsim.loop.stage import STAGE, move_scene
 
@@ -157,6 +157,8 @@ def take_frame(loop, decoder, now):
     if predictor.predict != 0:
         call_predict(predictor.predict, (predictor.address, io.address, gap, np.int64(late), state.age))
     move_scene(loop.stage, io, gap)
+    if predictor.add != 0:
+        call_add(predictor.add, (predictor.address, io.address))
     state.sample += gap
     state.newest_ns = now
     sound, limited = _set_force(io, control, state.ticks)

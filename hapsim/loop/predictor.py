@@ -26,6 +26,8 @@ PREDICTOR = np.dtype(
     [
         ("address", np.uint64),  # of all this
         ("predict", np.uint64),  # and of what predicts; 0: the scene is told what was read
+        ("add", np.uint64),  # and of what is added to the scene's force; 0: nothing
+        ("adaptive", np.uint64),  # address of an ADAPTIVE, for these two
         ("lags", np.int64),  # so many past forces count
         ("senses", np.int64),  # 1: the second reading is the velocity of this sample, 0: the position of the one before
         ("goes_on", np.int64),  # 1: the device keeps a force until the next one comes,
@@ -41,22 +43,29 @@ PREDICTOR = np.dtype(
     align=True,
 )
 
-_PREDICT = types.void(types.uint64, types.uint64, types.int64, types.int64, types.int64)
-call_predict = function_at(_PREDICT)
-"""Calls `predict`, with its arguments."""
+PREDICT = types.void(types.uint64, types.uint64, types.int64, types.int64, types.int64)
+ADD = types.void(types.uint64, types.uint64)
+call_predict, call_add = function_at(PREDICT), function_at(ADD)
+"""Call what predicts, with `predict`'s arguments, and what adds a force, with the first two of them."""
 
 _predictor_at, _io_at, _doubles_at = record_at(PREDICTOR), record_at(IO_BUFFER), array_at(np.float64)
 _ROW = schema.MAX_CHANNELS
 
 
-@native(_PREDICT.return_type, *_PREDICT.args)
+@native(PREDICT.return_type, *PREDICT.args)
 def predict(predictor, io, gap, late, age):
     """Puts the state that is expected in place of what was read `gap` samples after the last. `late`: the last force
     did not act in time; `age`: samples since the one that acts was asked for."""
     predictor, io = _predictor_at(predictor), _io_at(io)
     forces = _doubles_at(predictor.forces, (predictor.mask + 1) * _ROW)
     if predictor.begun:
-        _keep_forces(predictor, io, forces, gap, late, age)
+        keep_forces(predictor, io, forces, gap, late, age)
+    predict_state(predictor, io, forces, gap)
+
+
+@helper
+def predict_state(predictor, io, forces, gap):
+    """By the weights, from what is read and the forces that acted."""
     width = 2 + predictor.lags
     weights = _doubles_at(predictor.weights, io.channels * 2 * width)
     for c in range(io.channels):
@@ -81,7 +90,7 @@ def predict(predictor, io, gap, late, age):
 
 
 @helper
-def _keep_forces(predictor, io, forces, gap, late, age):
+def keep_forces(predictor, io, forces, gap, late, age):
     """The forces of the samples since the last: those that acted. Instead of one that was late the one before it did:
     it went on, or, on a wire that takes a sample longer, was late itself."""
     holds = predictor.goes_on and age <= predictor.lives
@@ -116,7 +125,7 @@ class PredictorMemory:
         """`weights`: of each channel that is predicted, (2, 2) of the readings and (2, lags) of the forces, SI units;
         the others are told what is read."""
         lags = max(forces.shape[1] for _, forces in weights.values())
-        rows = 1 << max(lags, 1).bit_length()
+        rows = 2 << max(lags, 1).bit_length()
         self._weights = np.zeros((channels, 2, 2 + lags))
         self._weights[:, 0, 0] = 1.0
         for channel, (readings, forces) in weights.items():

@@ -247,11 +247,11 @@ def _desired_on(rendering: Rendering, port: Corrected) -> Desired:
     kind, (k, b) = rendering.kind, port.desired
     frequency, ratio = frequency_and_ratio(port.declared.mass, k, b)
     least, most = rendering.desired.device.mass_spans(rendering.desired.channels)[port.channel]
-    model = replace(port.declared, mass=port.made_for)
-    errors = [
-        felt_error(kind.closed(replace(port.declared, mass=mass), model).equivalent(*port.rendered), (k, b), mass)
-        for mass in np.geomspace(least, most, 1 if least == most else _MASSES)
-    ]
+    errors = []
+    for mass in np.geomspace(least, most, 1 if least == most else _MASSES).tolist():
+        element, made_for = port.settled(mass)
+        loop = kind.closed(replace(port.declared, mass=mass), replace(port.declared, mass=made_for))
+        errors.append(felt_error(loop.equivalent(*element), (k, b), mass))
     return Desired(
         name=port.name,
         channel=port.channel,

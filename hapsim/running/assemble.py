@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -15,15 +14,14 @@ from hapsim.cordis.program import Program, compile_scene
 from hapsim.device.connection import Connection
 from hapsim.loop.exchange import DEVICE_CLOCK, HOST_CLOCK, LOOP, NO_CLOCK
 from hapsim.loop.guards import watch_for_leaps
-from hapsim.loop.predictor import PredictorMemory
 from hapsim.loop.ring import Ring
 from hapsim.loop.stage import cross_fade, post
 from hapsim.loop.transport import Transport
 from hapsim.prediction.correction import rendered
 from hapsim.prediction.silence import time_to_live_samples, watchdog_samples
+from hapsim.running.correction import LoopCorrection
 from hapsim.running.excitation import Excitation
 from hapsim.scene import Scene
-from hapsim.theory.correction import StatePredictor
 
 _RING_ROWS = 1 << 16
 _CLOCK = {"device": DEVICE_CLOCK, "host": HOST_CLOCK, "lockstep": NO_CLOCK}
@@ -47,6 +45,8 @@ class Loop:
         self.record.framing = framing_of(self.wire, to_device=True)
         self.watchdog_samples = 0
         """After how many samples without a force the device releases."""
+        self.correction: LoopCorrection | None = None
+        """What the loop does beside moving the scene, so that the hand feels it."""
         self._programs: list[Program] = []
         self._changes_before = 0
 
@@ -68,19 +68,6 @@ class Loop:
         self._forget_what_was_left()
         self._programs.append(program)
         post(self.record.stage, program.address, samples, cross_fade.address())
-
-    def predict_by(self, predictors: Mapping[int, StatePredictor], *, goes_on: bool) -> None:
-        """Hands the scene the state that these expect on their channels; nothing, where there are none. `goes_on`:
-        whether the device's hold keeps a force until the next one."""
-        if predictors:
-            self._predictor = PredictorMemory(
-                self.record.predictor,
-                {channel: (one.readings, one.forces) for channel, one in predictors.items()},
-                channels=self.wire.channels,
-                senses=any(one.senses for one in predictors.values()),
-                goes_on=goes_on,
-                lives_samples=int(self.record.control.time_to_live),
-            )
 
     @property
     def is_replacing(self) -> bool:
@@ -124,7 +111,7 @@ def assemble_loop(
     _set_io(loop.record.io, scene, description)
     _set_leap(loop.record.leap, scene, description)
     _set_control(loop.record.control, scene, excitation, duration)
-    loop.predict_by(rendering.predictors(), goes_on=scene.device.hold == "zoh")
+    loop.correction = LoopCorrection(loop.record, rendering, description)
     loop.watchdog_samples = watchdog_samples(scene.rate, description.max_watchdog_samples)
     loop.record.watch.judges = scene.device.clock == "device" and connection.has_timer
     return loop

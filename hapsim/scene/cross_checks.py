@@ -12,6 +12,8 @@ from .part import Part
 #: The parts that may have lists with one value per channel.
 PER_CHANNEL_PARTS: tuple[Path, ...] = (("device",), ("mock",), ("mock", "initial"))
 
+_OTHER_LISTS = ("grips",)  # that do not have a value for each channel
+
 #: Fields by the path of the part that they belong to.
 Fields = Mapping[Path, Mapping[str, object]]
 
@@ -57,6 +59,8 @@ def _channels(around: ModuleContext) -> int | None:
 def _lists_of_another_length(per_channel: Fields, channels: int) -> Iterator[Issue]:
     for path, fields in per_channel.items():
         for name, value in fields.items():
+            if name in _OTHER_LISTS:
+                continue
             if isinstance(value, list | tuple) and len(value) != channels:
                 found = f"found {len(value)} {'number' if len(value) == 1 else 'numbers'}"
                 expected = f"expected {channels}: one for each channel, up to the highest that a module holds"

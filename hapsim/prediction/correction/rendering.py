@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-from hapsim.prediction.correction.adaptive import ADAPTIVE
+from hapsim.prediction.correction.adaptive import ADAPTIVE, Schedule, schedule_for
 from hapsim.prediction.correction.coupled import MOST_STATES, is_small, match_modes
 from hapsim.prediction.correction.kind import CorrectionKind
 from hapsim.prediction.correction.lone import Element, element_for
@@ -41,6 +41,17 @@ class Corrected(NamedTuple):
     """kg: the mass for which the force is right."""
     reached: bool
     """Whether the hand feels what is desired, by prediction."""
+    schedule: Schedule | None = None
+    """Of an adaptive one: what is simulated for which mass. `rendered` and `made_for` are for the declared one."""
+    rest: float = 0.0
+    """m: where the linear links together have no force, their other ends at rest."""
+
+    def settled(self, mass: float) -> tuple[tuple[float, float], float]:
+        """((K, B), kg for which they are made) of a hand of this mass, once an estimate has settled."""
+        if self.schedule is None:
+            return self.rendered, self.made_for
+        element = self.schedule.settled(mass)
+        return (element.stiffness, element.damping), element.made_for
 
 
 @dataclass(frozen=True)
@@ -62,7 +73,10 @@ class Rendering:
         """Of every channel of a device point; none where nothing is predicted."""
         if self.kind is None or not self.kind.predicts:
             return {}
-        made_for = {port.channel: port.made_for for port in self.ports}
+        made_for = {
+            port.channel: port.made_for if port.schedule is None else port.schedule.elements[0].made_for
+            for port in self.ports
+        }
         channels = [point.channel for point in self.desired.device_points.values()]
         senses = bool(self.desired.sensed_links)
         configurations = {channel: configuration_of(self.desired, channel) for channel in channels}
@@ -81,8 +95,12 @@ def rendered(scene: Scene) -> Rendering:
     linear = linear_scene(scene)
     lone = [port for port in ports if not why_coupled(scene, linear, port.name) or not is_small(scene)]
     elements: dict[str, Element] = {}
+    schedules: dict[str, Schedule] = {}
     for port in lone:
         elements[port.name] = _lone(kind, scene, port)
+        if kind.adapts and (schedule := _schedule(scene, port)) is not None:
+            schedules[port.name] = schedule
+            elements[port.name] = schedule.elements[0]
         if why := why_coupled(scene, linear, port.name):
             notes.append(
                 f"{port.name} {why}: what moves with it is taken to stand still, since the scene has more than "
@@ -98,7 +116,11 @@ def rendered(scene: Scene) -> Rendering:
             changed |= _contacts(kind, scene, port, element)
         notes += [f"{name} is left as it is: {_WHY_LEFT}" for name in port.others]
     run = with_modules(scene, changed)
-    corrected = tuple(_corrected(scene, port, elements[port.name]) for port in ports if port.name in elements)
+    corrected = tuple(
+        _corrected(scene, port, elements[port.name], schedules.get(port.name))
+        for port in ports
+        if port.name in elements
+    )
     return Rendering(scene, run, _as_seen(kind, run), kind, corrected, tuple(notes))
 
 
@@ -120,6 +142,14 @@ def _lone(kind: CorrectionKind, scene: Scene, port: Port, more: tuple[float, flo
         return Element(0.0, 0.0, declared.mass, True)
     span = scene.device.mass_spans(scene.channels)[port.channel]
     return element_for(kind, declared, span, (stiffness + declared.stiffness, damping + declared.friction))
+
+
+def _schedule(scene: Scene, port: Port) -> Schedule | None:
+    """None where there is nothing to adapt, or no span to adapt in."""
+    declared, span = _declared(scene, port), scene.device.mass_spans(scene.channels)[port.channel]
+    if span[0] == span[1] or port.stiffness == port.damping == 0.0:
+        return None
+    return schedule_for(declared, span, (port.stiffness + declared.stiffness, port.damping + declared.friction))
 
 
 def _declared(scene: Scene, port: Port) -> Configuration:
@@ -153,17 +183,32 @@ def _match(kind: CorrectionKind, scene: Scene, ports: list[Port], elements: dict
     return []
 
 
-def _corrected(scene: Scene, port: Port, element: Element) -> Corrected:
+def _corrected(scene: Scene, port: Port, element: Element, schedule: Schedule | None) -> Corrected:
     declared = _declared(scene, port)
     k, b = port.stiffness + declared.stiffness, port.damping + declared.friction
     is_coupled = bool(why_coupled(scene, linear_scene(scene), port.name))
+    settled = element if schedule is None else schedule.settled(declared.mass)
     return Corrected(
         name=port.name,
         channel=port.channel,
         desired=(math.nan, math.nan) if is_coupled else (k, b),
         written=(port.stiffness, port.damping),
-        rendered=(element.stiffness, element.damping),
+        rendered=(settled.stiffness, settled.damping),
         declared=declared,
-        made_for=element.made_for,
-        reached=element.reached,
+        made_for=settled.made_for,
+        reached=settled.reached and (schedule is None or schedule.safe >= declared.mass),
+        schedule=schedule,
+        rest=_rest(scene, port),
     )
+
+
+def _rest(scene: Scene, port: Port) -> float:
+    """Where the springs to grounds balance; 0 without any."""
+    grounds = [
+        (link.stiffness, scene.grounds[end].position)
+        for link in port.linear.values()
+        for end in link.between
+        if end in scene.grounds
+    ]
+    whole = math.fsum(stiffness for stiffness, _ in grounds)
+    return math.fsum(stiffness * position for stiffness, position in grounds) / whole if whole > 0.0 else 0.0

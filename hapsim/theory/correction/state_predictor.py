@@ -14,6 +14,7 @@ import numpy as np
 
 from hapsim.theory.arrays import Floats
 from hapsim.theory.hand import Configuration
+from hapsim.theory.hand.plant import sampled_plant
 from hapsim.theory.interface import HOLDS, HoldSegment, whole_and_fraction
 from hapsim.theory.network.device_step import POSITION, DeviceStep, device_step, through
 
@@ -99,3 +100,10 @@ def _in_si(model: Configuration, readings: Floats, forces: Floats, senses: bool)
     out = np.array([[1.0], [model.rate]])
     second = model.period if senses else 1.0
     return StatePredictor(out * readings * [1.0, second], out * forces / model.stiffness_unit, senses)
+
+
+def forces_in_second_difference(model: Configuration) -> tuple[Floats, int]:
+    """(weights, first): y[n] - 2 y[n-1] + y[n-2] of the readings of a mass that nothing but the hold pushes is T²/m
+    times the sum of weights[i] f[n - first - i]; their sum is 1."""
+    plant = sampled_plant(0.0, 0.0, model.delay, model.hold, model.sampling)
+    return plant.numerator, plant.lead + 3 - plant.numerator.size
