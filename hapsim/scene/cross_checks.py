@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping
 from .issue import Issue, Path
 from .modules import DevicePoint, ModuleContext
 from .part import Part
+from .quantity import Span
 
 #: The parts that may have lists with one value per channel.
 PER_CHANNEL_PARTS: tuple[Path, ...] = (("device",), ("mock",), ("mock", "initial"))
@@ -41,10 +42,23 @@ def cross_check_issues(around: ModuleContext, per_channel: Fields, precision: ob
         )
     if precision == "single":
         issues += _beyond_single(around)
+    issues += _nothing_to_adapt_to(per_channel[("device",)])
     channels = _channels(around)
     if channels is not None:
         issues += _lists_of_another_length(per_channel, channels)
     return issues
+
+
+def _nothing_to_adapt_to(device: Mapping[str, object]) -> Iterator[Issue]:
+    if device.get("correction") != "adaptive" or "mass" not in device:
+        return
+    masses = device["mass"] if isinstance(device["mass"], tuple) else (device["mass"],)
+    if not any(isinstance(mass, Span) for mass in masses):
+        yield Issue(
+            ("device", "correction"),
+            "found adaptive with a mass that is known, expected device.mass: {from: the least, to: the most}; "
+            "or write correction: predictor",
+        )
 
 
 def _channels(around: ModuleContext) -> int | None:

@@ -35,8 +35,14 @@ class Schedule(NamedTuple):
     """kg: the greatest mass whose element is stable for every mass in the span."""
 
     def settled(self, mass: float) -> Element:
-        """What is simulated once the estimate is this mass, in kg."""
-        return self.elements[int(np.argmin(np.abs(np.log(self.masses / mass))))]
+        """What is simulated once the estimate is this mass, in kg: between two of the elements."""
+        made_for = min(mass, self.safe)
+        at = np.log(made_for / self.masses[0])
+        logs = np.log(self.masses / self.masses[0])
+        values = [[one.stiffness, one.damping, one.made_for] for one in self.elements]
+        K, B, model = (float(np.interp(at, logs, column)) for column in np.transpose(values))
+        is_free = self.elements[0].reached
+        return Element(K, B, made_for if is_free else model, is_free and mass <= self.safe)
 
 
 def schedule_for(declared: Configuration, span: tuple[float, float], desired: tuple[float, float]) -> Schedule:

@@ -25,15 +25,15 @@ MOST_STATES = 200
 """Of a larger scene the modes are not searched: the neighbours of its hands are taken to stand still."""
 
 _MOVES = 0.05  # the hand's share of a mode's kinetic energy, from which it is one of the hand's
+_ON_THE_CIRCLE = 1e-7  # where a scene with something free has two poles, as rounding leaves them
 _SOLVED = 1e-9  # of the distance of the poles from z = 1
 
 
 class Matched(NamedTuple):
-    """(K, B) for each port in N/m and N·s/m, and the modes (s, 1/s) that they put in place; ``reached``: whether."""
+    """(K, B) for each port in N/m and N·s/m, and the modes that they put in place."""
 
     elements: list[tuple[float, float]]
     modes: list[ContinuousMode]
-    reached: bool
 
 
 def is_small(scene: Scene) -> bool:
@@ -42,30 +42,44 @@ def is_small(scene: Scene) -> bool:
     return state_size(network) <= MOST_STATES
 
 
-def match_modes(desired: Scene, as_seen: Scene, ports: Sequence[Port], damper: DamperScheme | None) -> Matched | None:
+def match_modes(
+    desired: Scene,
+    as_seen: Scene,
+    ports: Sequence[Port],
+    damper: DamperScheme | None,
+    starts: Sequence[Sequence[tuple[float, float]]],
+) -> Matched | None:
     """``desired``: as it is written. ``as_seen``: the same, with the device as the loop sees it under the correction.
-    None where no mode moves a hand."""
+    ``starts``: elements of the ports from which they are searched. None where none put the modes in place, or none
+    that leave every motion stable."""
     network, names = network_of(desired, linear_scene(desired))
     pairs, modes = _targets(continuous_modes(network), [names.index(port.name) for port in ports], desired.rate)
     if len(pairs) < len(ports):
         return None
-    start = np.array([[port.stiffness, port.damping] for port in ports])
-    scale = np.maximum(start, [1e-6, 1e-6])
+    written = np.array([[port.stiffness, port.damping] for port in ports])
+    scale = np.maximum(written, 1e-3 * written.max(initial=1e-6))
     target = np.array([_sum_and_product(pair) for pair in pairs])
     unit = np.array([[abs(1.0 - pair[0]), abs(1.0 - pair[0]) ** 2] for pair in pairs])
 
+    def poles_with(elements: Floats) -> Complexes:
+        return poles_of(_with_elements(as_seen, ports, elements, damper))
+
     def off(x: Floats) -> Floats:
-        elements = x.reshape(-1, 2) * scale
-        network = _with_elements(as_seen, ports, elements, damper)
-        found = _nearest_pairs(poles_of(network), pairs)
+        found = _nearest_pairs(poles_with(x.reshape(-1, 2) * scale), pairs)
         return np.asarray(((found - target) / unit).ravel())
 
     from scipy.optimize import root
 
-    solved = root(off, (start / scale).ravel(), options={"xtol": 1e-13})
-    elements = solved.x.reshape(-1, 2) * scale
-    reached = bool(np.abs(off(solved.x)).max() < _SOLVED)
-    return Matched([(float(K), float(B)) for K, B in elements], modes, reached)
+    for begin in starts:
+        solved = root(off, (np.array(begin) / scale).ravel(), options={"xtol": 1e-13})
+        elements = solved.x.reshape(-1, 2) * scale
+        if np.abs(off(solved.x)).max() < _SOLVED and _is_stable(poles_with(elements)):
+            return Matched([(float(K), float(B)) for K, B in elements], modes)
+    return None
+
+
+def _is_stable(poles: Complexes) -> bool:
+    return bool(np.abs(poles).max(initial=0.0) <= 1.0 + _ON_THE_CIRCLE)
 
 
 def _with_elements(scene: Scene, ports: Sequence[Port], elements: Floats, damper: DamperScheme | None) -> Network:

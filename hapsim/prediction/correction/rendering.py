@@ -63,7 +63,8 @@ class Rendering:
     scene: Scene
     """As it is run."""
     seen: Scene
-    """As theory sees it: the same, before a device whose delay a predictor takes away."""
+    """As theory sees it: the same, before a device whose delay a predictor takes away, and for the declared mass where
+    a correction adapts."""
     kind: CorrectionKind | None
     ports: tuple[Corrected, ...]
     notes: tuple[str, ...]
@@ -108,20 +109,28 @@ def rendered(scene: Scene) -> Rendering:
             )
     coupled = [port for port in ports if port.name not in elements and port.linear]
     notes += _match(kind, scene, coupled, elements)
+    settled = dict(elements)
+    for port in ports:
+        if port.name in schedules:
+            settled[port.name] = schedules[port.name].settled(_declared(scene, port).mass)
+        notes += [f"{name} is left as it is: {_WHY_LEFT}" for name in port.others]
+    run, seen = (_with_elements(kind, scene, ports, given) for given in (elements, settled))
+    corrected = tuple(
+        _corrected(scene, port, elements[port.name], schedules.get(port.name))
+        for port in ports
+        if port.name in elements
+    )
+    return Rendering(scene, run, _as_seen(kind, seen), kind, corrected, tuple(notes))
+
+
+def _with_elements(kind: CorrectionKind, scene: Scene, ports: list[Port], elements: dict[str, Element]) -> Scene:
     changed: dict[str, Module] = {}
     for port in ports:
         if port.name in elements:
             element = elements[port.name]
             changed |= shared_out(port, element.stiffness, element.damping, kind.with_damper)
             changed |= _contacts(kind, scene, port, element)
-        notes += [f"{name} is left as it is: {_WHY_LEFT}" for name in port.others]
-    run = with_modules(scene, changed)
-    corrected = tuple(
-        _corrected(scene, port, elements[port.name], schedules.get(port.name))
-        for port in ports
-        if port.name in elements
-    )
-    return Rendering(scene, run, _as_seen(kind, run), kind, corrected, tuple(notes))
+    return with_modules(scene, changed)
 
 
 _WHY_LEFT = "a force that is no spring and damper everywhere has no stiffness and damping to correct"
@@ -172,11 +181,15 @@ def _match(kind: CorrectionKind, scene: Scene, ports: list[Port], elements: dict
     """Puts the elements of hands that move more than themselves among `elements`; what to say of them."""
     if not ports:
         return []
-    names = ", ".join(port.name for port in ports)
-    matched = match_modes(scene, _as_seen(kind, scene), ports, kind.with_damper)
-    if matched is None or not matched.reached:
-        for port in ports:
-            elements[port.name] = _lone(kind, scene, port)._replace(reached=False)
+    alone = {port.name: _lone(kind, scene, port) for port in ports}
+    starts = [
+        [(port.stiffness, port.damping) for port in ports],
+        [(one.stiffness, one.damping) for one in alone.values()],
+    ]
+    matched = match_modes(scene, _as_seen(kind, scene), ports, kind.with_damper, starts)
+    if matched is None:
+        elements |= {name: one._replace(reached=False) for name, one in alone.items()}
+        names = ", ".join(alone)
         return [f"no stiffness and damping at {names} gives the slowest mode its place: corrected as if it held alone"]
     for port, (K, B) in zip(ports, matched.elements, strict=True):
         elements[port.name] = Element(K, B, scene.device.masses(scene.channels)[port.channel], True)
@@ -196,7 +209,7 @@ def _corrected(scene: Scene, port: Port, element: Element, schedule: Schedule | 
         rendered=(settled.stiffness, settled.damping),
         declared=declared,
         made_for=settled.made_for,
-        reached=settled.reached and (schedule is None or schedule.safe >= declared.mass),
+        reached=settled.reached,
         schedule=schedule,
         rest=_rest(scene, port),
     )
