@@ -23,11 +23,13 @@ from firmware_protocol import schema
 from hapsim.device.conversation import arm, describe, disarm, read_register
 from hapsim.device.serial_port import open_serial_port
 from hapsim.errors import DeviceError
+from hapsim.probe.wire import Heard, Wire
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 BOARDS = ("linux", "avr", "cortex_m")
 TIME_TO_LIVE = 20  # samples: what hapsim asks for at 1 kHz
 PERIOD_US = 1000
+PATIENCE_S = 30.0  # for a machine that hangs
 Start = Callable[..., Any]
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="boards stand on pseudo-terminals of Linux")
@@ -85,6 +87,10 @@ def connected(board: Any) -> Iterator[Any]:
         yield connection
 
 
+def is_description(heard: Heard) -> bool:
+    return heard.kind == schema.DESCRIPTION
+
+
 @pytest.mark.parametrize("name", BOARDS)
 def test_a_first_touch_feels_as_predicted(name: str, start_board: Start) -> None:
     """Shorter than the rate is judged: a machine that is busy with other tests may hold an emulated board up."""
@@ -111,6 +117,35 @@ def test_a_board_describes_itself(name: str, start_board: Start) -> None:
     assert description.velocity_scale == (1e-8,)
     assert description.force_scale == (1e-8,)
     assert description.force_limit == (10.0,)
+
+
+@pytest.mark.parametrize("name", BOARDS)
+def test_a_board_finds_the_frame_behind_noise_that_no_ring_holds(name: str, start_board: Start) -> None:
+    """All in one piece, at the full baud: the newest bytes are those that have to be kept."""
+    with connected(start_board(name)) as connection:
+        describe(connection)
+        wire = Wire(connection)
+        for length in (255, 300, 3000):
+            noise = bytes(1 + (7 * i) % 255 for i in range(length))
+            wire.send(noise + wire.frame(schema.DESCRIBE, schema.REG_SCHEMA))
+            answer, _ = wire.wait_for(is_description, PATIENCE_S)
+            assert answer is not None, f"nothing after {length} bytes of noise"
+            assert (answer.number, answer.word) == (schema.REG_SCHEMA, schema.SCHEMA_HASH)
+
+
+@pytest.mark.parametrize("name", BOARDS)
+def test_a_board_takes_every_frame_of_a_row_without_a_pause(name: str, start_board: Start) -> None:
+    numbers = [*range(12)]
+    with connected(start_board(name)) as connection:
+        describe(connection)
+        wire = Wire(connection)
+        wire.send(b"".join(wire.frame(schema.DESCRIBE, number) for number in numbers))
+        answers = []
+        while len(answers) < len(numbers):
+            answer, heard = wire.wait_for(is_description, PATIENCE_S)
+            assert answer is not None, f"only {answers} of the registers {numbers} were answered"
+            answers += [one.number for one in heard]
+    assert answers == numbers
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])

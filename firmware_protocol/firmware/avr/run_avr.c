@@ -6,6 +6,7 @@
  * microseconds of the emulated clock, and counts. At the end it tells how many cycles the firmware's parts took.
  */
 #define _GNU_SOURCE
+#include "chip.h"
 #include "cycles.h"
 #include "terminal.h"
 
@@ -27,13 +28,12 @@
 #define CHIP "atmega328p"
 #define CYCLES_PER_US 16u
 #define SLICE_US 100
+#define BYTES_PER_SLICE 32 /* more than arrive in one at 2 Mbaud: the wire is never short of them */
 #define MOST_BEHIND_US 1000
-#define BYTES_PER_SLICE 20 /* of 2 Mbaud */
 #define GPIOR0 0x3e
 #define GPIOR1 0x4a
 
 static avr_t *avr;
-static avr_irq_t *to_uart;
 static int port, log_file = -1;
 static uint32_t shifted, force;
 static uint8_t unsent[4096];
@@ -116,10 +116,9 @@ static void send_bytes(void) {
 
 static void receive_bytes(void) {
     uint8_t bytes[BYTES_PER_SLICE];
-    const ssize_t count = read(port, bytes, sizeof bytes);
-    for (ssize_t i = 0; i < count; i++) {
-        avr_raise_irq(to_uart, bytes[i]);
-    }
+    const size_t room = wire_room();
+    const ssize_t count = read(port, bytes, room < sizeof bytes ? room : sizeof bytes);
+    put_on_wire(bytes, count > 0 ? (size_t)count : 0);
 }
 
 /* A sleeping chip goes on to its next timer at once: time is kept below. */
@@ -166,7 +165,6 @@ static int load(const char *file) {
 static void connect_pins(void) {
     uint32_t flags = 0;
     avr_ioctl(avr, AVR_IOCTL_UART_SET_FLAGS('0'), &flags); /* neither printed nor slept upon */
-    to_uart = avr_io_getirq(avr, AVR_IOCTL_UART_GETIRQ('0'), UART_IRQ_INPUT);
     avr_irq_register_notify(avr_io_getirq(avr, AVR_IOCTL_UART_GETIRQ('0'), UART_IRQ_OUTPUT), on_byte, NULL);
     avr_register_io_write(avr, GPIOR0, on_gpior0, NULL);
     avr_register_io_write(avr, GPIOR1, on_gpior1, NULL);
@@ -216,11 +214,13 @@ int main(int count, char **words) {
     signal(SIGINT, stop);
     prctl(PR_SET_TIMERSLACK, 1);
     connect_pins();
+    mend_chip(avr); /* before those who watch: simavr tells the last one first, and they count what is added here */
     watch_cycles(avr);
     printf("%s\n", path);
     fflush(stdout);
     const int status = run();
     note_force(0);
     tell_cycles(stderr);
+    tell_wire(stderr);
     return status;
 }
