@@ -21,10 +21,13 @@ static uint8_t wire[WIRE];
 static size_t put, arrived;
 static unsigned long lost;
 
+static unsigned unread(void) {
+    return (unsigned)(uart->input.write - uart->input.read) % uart_fifo_fifo_size;
+}
+
 /* A byte whose time on the wire is over raises the flag at once: for the receiver alone it takes no further time. */
 static void receive(uint8_t byte) {
-    const unsigned unread = (unsigned)(uart->input.write - uart->input.read) % uart_fifo_fifo_size;
-    if (unread >= KEPT) {
+    if (unread() >= KEPT) {
         lost++;
         return;
     }
@@ -60,6 +63,14 @@ static void on_interrupt(avr_irq_t *irq, uint32_t begins, void *unused) {
     }
 }
 
+/* The flag stands as long as a byte is unread; simavr would look for the second one a byte's time later. */
+static void on_received(avr_irq_t *irq, uint32_t begins, void *unused) {
+    (void)irq, (void)unused;
+    if (!begins && unread()) {
+        avr_raise_interrupt(chip, &uart->rxc);
+    }
+}
+
 void mend_chip(avr_t *avr) {
     chip = avr;
     for (avr_io_t *io = avr->io_port; io; io = io->next) {
@@ -67,6 +78,7 @@ void mend_chip(avr_t *avr) {
             uart = (avr_uart_t *)io;
         }
     }
+    avr_irq_register_notify(avr_get_interrupt_irq(avr, uart->rxc.vector) + AVR_INT_IRQ_RUNNING, on_received, NULL);
     receiver = avr_io_getirq(avr, AVR_IOCTL_UART_GETIRQ('0'), UART_IRQ_INPUT);
     for (uint8_t vector = 1; vector <= VECTORS; vector++) {
         avr_irq_t *irq = avr_get_interrupt_irq(avr, vector);
