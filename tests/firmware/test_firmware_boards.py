@@ -159,11 +159,11 @@ def test_a_host_that_is_gone_leaves_no_force(
         os.kill(host.pid, number)
         if number == signal.SIGKILL:
             host.wait()
-        last = board.wait_for(lambda forces: forces[-1][1] == 0)[-2:]
+        board.wait_for(lambda forces: forces[-1][1] == 0)
         # The force of the last answer, and its end: by the board's clock no later than its time to live allows. One of
         # the boards tells the time in whole samples.
         allowed = TIME_TO_LIVE + (2 if clock == "host" else 1.5)
-        assert last[1][0] - last[0][0] <= allowed * PERIOD_US
+        assert life_of_the_last(board, clock) <= allowed * PERIOD_US
         seen = len(board.forces())
         if number == signal.SIGSTOP:
             time.sleep(2.0)  # the watchdog lasts a tenth of a second; the port is the stopped host's meanwhile
@@ -175,8 +175,21 @@ def test_a_host_that_is_gone_leaves_no_force(
         assert not any(counts for _, counts in board.forces()[seen:])
     with connected(board) as connection:
         description = describe(connection)
-        arm(connection, description, schema.PACED_BY_DEVICE, description.max_watchdog_samples)
-        assert read_status_after_disarm(connection) == schema.NO_FAULT
+        for _ in range(10):  # held up for longer than its watchdog, two seconds, it has latched anew
+            arm(connection, description, schema.PACED_BY_DEVICE, description.max_watchdog_samples)
+            fault = read_status_after_disarm(connection)
+            if fault == schema.NO_FAULT:
+                break
+        assert fault == schema.NO_FAULT
+
+
+def life_of_the_last(board: Any, clock: str) -> int:
+    """Microseconds from the last answer to its end. Paced by the host, each answer is put out as it comes, and a host
+    that waits too long for the next position sends the same one again, which lives anew; paced by the device, each tick
+    puts out what it holds, and an answer is a change."""
+    put_out = board.put_out() if clock == "host" else board.forces()
+    last = max(at for at, (_, counts) in enumerate(put_out) if counts)
+    return int(put_out[last + 1][0] - put_out[last][0])
 
 
 def wait_for_latch(board: Any) -> None:

@@ -2,8 +2,8 @@
  * keeps the emulated clock at real time until it is stopped.
  *
  * The emulated clock never runs ahead of it. Where this machine was held up for longer than a sample, that time is lost:
- * a burst of samples would help nobody. LOG: each change of the force put out, a line of two hexadecimal words:
- * microseconds of the emulated clock, and counts. At the end it tells how many cycles the firmware's parts took.
+ * a burst of samples would help nobody. LOG: each force put out, be it the same again, a line of two hexadecimal
+ * words: microseconds of the emulated clock, and counts. At the end it tells how many cycles the firmware's parts took.
  */
 #define _GNU_SOURCE
 #include "chip.h"
@@ -35,7 +35,7 @@
 
 static avr_t *avr;
 static int port, log_file = -1;
-static uint32_t shifted, force;
+static uint32_t shifted;
 static uint8_t unsent[4096];
 static size_t unsent_bytes;
 static void (*reset_chip)(avr_t *);
@@ -50,10 +50,9 @@ static void note_force(uint32_t counts) {
     char line[32];
     const int length = snprintf(line, sizeof line, "%08lx %08lx\n",
                                 (unsigned long)(uint32_t)(avr->cycle / CYCLES_PER_US), (unsigned long)counts);
-    if (counts != force && log_file >= 0 && write(log_file, line, (size_t)length) != length) {
+    if (log_file >= 0 && write(log_file, line, (size_t)length) != length) {
         log_file = -1;
     }
-    force = counts;
 }
 
 static void on_gpior0(avr_t *chip, avr_io_addr_t address, uint8_t value, void *unused) {

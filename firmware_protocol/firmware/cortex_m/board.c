@@ -1,9 +1,9 @@
 /* The firmware on a Cortex-M3: SysTick makes the tick, UART 0 is the port, the interrupt of its receiver comes before the
  * tick. In place of an encoder and a motor there is simulated_mass.c.
  *
- * The emulator is told each change of the force put out, a line of two hexadecimal words: microseconds, and counts. They
- * are those of the ticks: the emulator's clock goes on where its machine holds it up, and ticks are lost. That is done
- * by semihosting: a real chip without a debugger stops at it, so a real board leaves note_force out.
+ * The emulator is told each force put out, be it the same again, a line of two hexadecimal words: microseconds, and
+ * counts. They are those of the ticks: the emulator's clock goes on where its machine holds it up, and ticks are lost.
+ * That is done by semihosting: a real chip without a debugger stops at it, so a real board leaves note_force out.
  */
 #include "hapsim_board.h"
 #include "hapsim_device.h"
@@ -112,10 +112,8 @@ static void note_force(void) {
 }
 
 void hapsim_port_put_forces(const int32_t *counts) {
-    if (counts[0] != force) {
-        force = counts[0];
-        note_force();
-    }
+    force = counts[0];
+    note_force();
 }
 
 /* Called by the tick, or while the tick is held off. The receiver's priority is the transmitter's too, so it is kept out
