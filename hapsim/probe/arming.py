@@ -25,10 +25,11 @@ def probe_arming(probing: Probing) -> bool:
             probing.findings.failed("arm", "no STATUS armed within 1 s", look_at)
         return not probing.device.paces(schema.PACED_BY_DEVICE)
     _judge_status(probing, session)
-    going = session.run(probing.samples_in(1.2, 192, 4000), session.zero)
+    session.run(0, session.zero)
     if not _judge_first(probing, session):
         probing.wire.release()
         return False
+    going = session.run(probing.samples_in(1.2, 192, 4000), session.zero)
     _judge_numbers(probing, session, going)
     _judge_rate(probing, session)
     _judge_ignored(probing, session)

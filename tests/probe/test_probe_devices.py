@@ -88,6 +88,30 @@ def test_a_leave_below_the_limit_does_not_ask_for_more(new_bench: NewBench) -> N
     assert 0.0 < bench.device.largest <= 0.5
 
 
+def test_a_leave_at_the_limit_is_told_what_it_takes_to_try_the_cut(new_bench: NewBench) -> None:
+    checks = judged(new_bench(limit=0.5), "push", leave=GENTLE)
+    assert (checks["limit_cut"].result, checks["limit_cut"].found) == (
+        "not seen",
+        "this takes --push 0.6: 1.2 times the limit",
+    )
+
+
+def test_forces_that_are_all_late_do_not_accuse_the_device(new_bench: NewBench) -> None:
+    bench = new_bench(limit=0.4, rate=2000.0)
+    begun = []
+
+    def late_when_judging_limits(step: str, _number: int, _of: int) -> None:
+        begun.append(step)
+        if begun.count("push") == 2:
+            bench.line.late = (1.0, 0.1)
+
+    judgement = judge(bench.wire, leave=GENTLE, steps=steps_of(("push",), None), on_step=late_when_judging_limits)
+    checks = {check.name: check for check in judgement.checks}
+    assert failed(checks) == set(), told(checks)
+    assert checks["limit_cut"].result == "not seen"
+    assert "0 of them in time: register 12 counts 0" in checks["limit_cut"].found
+
+
 FAULTS = {
     "answers_damaged": ("registers", {"damaged_frames"}, "a bit flipped"),
     "chatters": ("registers", {"silence"}, "bytes in"),
