@@ -163,6 +163,14 @@ def test_a_force_that_is_not_cut_is_found(new_bench: NewBench) -> None:
     assert failed(checks) == {"limit_cut"}, told(checks)
 
 
+def test_positions_that_come_in_bursts_tell_no_rate(new_bench: NewBench) -> None:
+    bench = new_bench()
+    bench.line.late = (0.02, 2.0)  # the host is held up for a second, and finds hundreds of positions
+    checks = judged(bench, "arming")
+    assert checks["rate_kept"].result == "not seen", told(checks)
+    assert "came in bursts" in checks["rate_kept"].found
+
+
 def test_pushing_stops_where_the_device_moves_too_far(new_bench: NewBench) -> None:
     bench = new_bench()
     checks = judged(bench, "push", leave=Leave(force=10.0, travel=1e-6))
