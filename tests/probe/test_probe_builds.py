@@ -46,10 +46,6 @@ NOT_SEEN = {
 # QEMU's clock stands still while it emulates what an interrupt does: its rate is this machine's, 0.85 kHz or so.
 OF_THE_EMULATOR = {"cortex_m": {"rate_kept"}}
 
-RUNS_OVER = pytest.mark.xfail(
-    strict=True, raises=AssertionError, reason="300 bytes of noise without a pause run over its ring: finding_back"
-)
-
 
 @pytest.fixture(autouse=True)
 def _before_other_programs() -> Iterator[None]:
@@ -93,7 +89,7 @@ def is_overloaded() -> bool:
     return os.getloadavg()[0] > 2 * (os.cpu_count() or 1)
 
 
-@pytest.mark.parametrize("name", ["mock", "linux", "cortex_m", pytest.param("avr", marks=RUNS_OVER)])
+@pytest.mark.parametrize("name", NOT_SEEN)
 def test_a_sound_device_passes_every_check_that_can_be_seen_of_it(name: str, request: pytest.FixtureRequest) -> None:
     not_seen, of_the_emulator = NOT_SEEN[name], OF_THE_EMULATOR.get(name, set())
 
