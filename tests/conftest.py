@@ -141,11 +141,16 @@ class Board:
         self.port = self.process.stdout.readline().strip()
         assert self.port.startswith("/dev/"), f"{command}: no port"
 
-    def forces(self) -> list[tuple[int, int]]:
-        """Each change of the force put out: microseconds of the board's clock, counts."""
+    def put_out(self) -> list[tuple[int, int]]:
+        """Each force put out, be it the same again: microseconds of the board's clock, counts."""
         lines = self.log.read_text("ascii").splitlines(keepends=True) if self.log.exists() else []
         words = [line.split() for line in lines if line.endswith("\n")]
         return [(int(us, 16), int.from_bytes(bytes.fromhex(counts), signed=True)) for us, counts in words]
+
+    def forces(self) -> list[tuple[int, int]]:
+        """Of these, each that changed the force."""
+        put_out = self.put_out()
+        return [one for before, one in zip([(0, None), *put_out], put_out, strict=False) if one[1] != before[1]]
 
     def wait_for(self, what: Callable[[list[tuple[int, int]]], bool]) -> list[tuple[int, int]]:
         """The changes so far, as soon as `what` is true of them. The minute is for a machine that hangs."""

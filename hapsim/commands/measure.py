@@ -140,7 +140,8 @@ def _show_measured(
 
     show_assumptions(stdout(), prediction)
     hands = {point.channel: name for name, point in scene.device_points.items()}
-    show_measurement(stdout(), f"{hands[channel]}, channel {channel}", felt, why, measurement)
+    desired = next((one for one in prediction.desired if one.channel == channel), None)
+    show_measurement(stdout(), f"{hands[channel]}, channel {channel}", felt, why, measurement, desired)
     others = ", ".join(f"--channel {c} for {name}" for c, name in hands.items() if c != channel)
     if others:
         say(f"Other hands of this scene: {others}.")

@@ -16,6 +16,7 @@ from hapsim.loop.codes import BAD_FORCE, FAULT, HEARD, LEAPT, OFF_RATE, TIMED_OU
 from hapsim.loop.guards import LEAP, WATCH, cut, is_finite, is_leap, is_off_rate
 from hapsim.loop.histogram import HISTOGRAM, note
 from hapsim.loop.io_buffer import IO_BUFFER
+from hapsim.loop.predictor import PREDICTOR, call_add, call_predict
 from hapsim.loop.ring import BRIDGED, LATE_FORCE, LIMITED, OFF_GRID, RING, UNSENT, mark_last, publish, push
 from hapsim.loop.stage import STAGE, move_scene
 
@@ -95,6 +96,7 @@ LOOP = np.dtype(
     [
         ("inbox", np.uint64),  # address of an INBOX
         ("framing", FRAMING),  # of the frames to the device
+        ("predictor", PREDICTOR),
         ("stage", STAGE),
         ("ring", RING),
         ("io", IO_BUFFER),
@@ -153,7 +155,12 @@ def take_frame(loop, decoder, now):
     note(loop.histograms.age, state.age)
     state.lost_frames += gap - 1
     flags = (LATE_FORCE if late else 0) | (BRIDGED if gap > 1 else 0) | _note_time(loop, now, gap)
+    predictor = loop.predictor
+    if predictor.predict != 0:
+        call_predict(predictor.predict, (predictor.address, io.address, gap, np.int64(late), state.age))
     move_scene(loop.stage, io, gap)
+    if predictor.add != 0:
+        call_add(predictor.add, (predictor.address, io.address))
     state.sample += gap
     state.newest_ns = now
     sound, limited = _set_force(io, control, state.ticks)

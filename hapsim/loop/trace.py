@@ -65,6 +65,8 @@ class Report:
     released: bool | None = None
     """Whether the device said, after the last force, that it released it; None in a record that does not tell."""
     timed_by_device: bool = False
+    estimated_mass_kg: tuple[float | None, ...] = ()
+    """Where a correction adapts: for which mass the force of each channel was at the end; None on the others."""
     """Whether a timer of the device's own paced the positions: then their arrival tells its rate."""
 
 
