@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapsim.chart.figure import figure_to
+from hapsim.console.identify import rounded
 from hapsim.measuring.device_misfit import BINS, binned
 from hapsim.measuring.identify_device import DeviceIdentification
 
@@ -51,16 +52,17 @@ def draw_device_residual(found: DeviceIdentification, path: Path) -> None:
     """Draws it; the ending of `path` chooses SVG, PNG or PDF."""
     columns, lacking = residual_columns(found), found.force_residual
     with figure_to(path, 9.0, 6.4) as figure:
-        upper, lower = figure.subplot_mosaic([["time", "time"], ["velocity", "position"]]), "force beside the model"
-        _over_time(upper["time"], columns, found)
+        panels = figure.subplot_mosaic([["time", "time"], ["velocity", "position"]])
+        _over_time(panels["time"], columns, found)
         unit, name = _force_unit(lacking.force)
-        _over(upper["velocity"], lacking.velocity, lacking.force * unit, lacking.noise * unit)
-        _over(upper["position"], 1e3 * lacking.position, lacking.force * unit, lacking.noise * unit)
-        upper["velocity"].set_xlabel("velocity (m/s)")
-        upper["position"].set_xlabel("position from where it was found (mm)")
-        upper["velocity"].set_ylabel(f"{lower} ({name})")
-        upper["position"].sharey(upper["velocity"])
-        upper["velocity"].legend(*upper["velocity"].get_legend_handles_labels(), frameon=False, loc="best")
+        _over(panels["velocity"], lacking.velocity, lacking.force * unit, lacking.noise * unit)
+        _over(panels["position"], 1e3 * lacking.position, lacking.force * unit, lacking.noise * unit)
+        panels["velocity"].set_xlabel("velocity (m/s)")
+        panels["position"].set_xlabel("position from where it was found (mm)")
+        panels["velocity"].set_ylabel(f"force beside the model ({name})")
+        panels["position"].sharey(panels["velocity"])
+        legend = panels["velocity"].get_legend_handles_labels()
+        figure.legend(*legend, loc="outside lower center", ncols=3, frameon=False)
         figure.suptitle(_title(found), fontsize=9)
 
 
@@ -85,7 +87,7 @@ def _over_time(axes: Axes, columns: dict[str, Vector], found: DeviceIdentificati
 
 def _over(axes: Axes, along: Vector, force: Vector, noise: float) -> None:
     axes.plot(along, force, ".", ms=2.5, color=_POINTS, label="a window each")
-    axes.axhspan(-2.0 * noise, 2.0 * noise, color="0.9", zorder=0, label="95 % of them, were it noise")
+    axes.axhspan(-2.0 * noise, 2.0 * noise, color="0.9", zorder=0, label="95 % of noise and rounding")
     if force.size >= 4 * BINS:
         _, middles, means = binned(along, force)
         axes.plot(middles, means, "o-", ms=4, lw=1.4, color=_MEANS, label="mean over a twelfth of them")
@@ -100,7 +102,7 @@ def _force_unit(force: Vector) -> tuple[float, str]:
 def _title(found: DeviceIdentification) -> str:
     def told(name: str, unit: str) -> str:
         estimate: Any = getattr(found, name)
-        return f"{estimate.value:.5g} ± {estimate.uncertainty:.1g} {unit}"
+        return f"{rounded(estimate.value, estimate.uncertainty)} ± {estimate.uncertainty:.1g} {unit}"
 
     return (
         f"mass {told('mass', 'kg')}, friction {told('friction', 'N·s/m')}, stiffness {told('stiffness', 'N/m')},\n"

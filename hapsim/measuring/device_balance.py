@@ -23,7 +23,7 @@ from hapsim.measuring.device_motion import Motion, Swing
 Vector = NDArray[np.float64]
 
 _WINDOW = Polynomial([1.0, 0.0, -1.0]) ** 3  # (1 - s²)³ for s from -1 to 1
-_LEAST_WIDTH, _LEAST_WINDOWS = 8, 20
+LEAST_WIDTH, _LEAST_WINDOWS = 8, 20
 _DELAY_STEP = 0.25
 
 
@@ -122,7 +122,7 @@ def _around(force: Vector, begin: int, rows: int) -> Vector:
 def width_for(swings: list[Swing]) -> int:
     """Rows of a window: a third of a swing, and less of a short record."""
     rows = [swing.rows for swing in swings]
-    return max(_LEAST_WIDTH, min(int(np.median(rows)) // 3, sum(rows) // _LEAST_WINDOWS))
+    return max(LEAST_WIDTH, min(int(np.median(rows)) // 3, sum(rows) // _LEAST_WINDOWS))
 
 
 def rough_fit(

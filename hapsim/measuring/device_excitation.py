@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hapsim.measuring.device_model import Converters, sampled_motion
-from hapsim.running import Excitation
+from hapsim.running.excitation import Excitation
 from hapsim.scene import DevicePoint, Ground, Initial, Mock, Scene, ViscoElastic
 
 _LEAST_HALF = 32

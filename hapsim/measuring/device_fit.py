@@ -19,13 +19,12 @@ from scipy.optimize import least_squares
 
 from hapsim.measuring.device_balance import Rough
 from hapsim.measuring.device_model import Converters, sampled_motion
-from hapsim.measuring.device_motion import Motion, Swing
+from hapsim.measuring.device_motion import ROUNDING, Motion, Swing
 
 Vector = NDArray[np.float64]
 
 _STEP = 1e-5  # of a parameter's scale, for differences
 _WHITE = 5.0  # standard deviations of the correlation from row to row that white noise has
-_ROUNDING = 1.0 / math.sqrt(12.0)
 _FEW_SWINGS = 12  # with fewer their scatter does not tell a covariance
 _NAMES = 6
 _MARGIN = 4  # rows beyond the longest delay that is tried
@@ -183,7 +182,7 @@ def _spread(table: _Table, residual: Vector, slopes: Vector) -> tuple[Vector, fl
     correlation = _correlation(table, residual)
     q, r = np.linalg.qr(slopes)
     inverse = solve_triangular(r, np.eye(_NAMES))
-    spread = inverse * max(rms, _ROUNDING)
+    spread = inverse * max(rms, ROUNDING)
     if correlation * math.sqrt(rows) > _WHITE and swings > _FEW_SWINGS:
         by_swing = np.zeros((swings, _NAMES))
         np.add.at(by_swing, np.nonzero(table.inside)[0], q * residual[table.inside][:, None])

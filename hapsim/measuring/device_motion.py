@@ -15,7 +15,7 @@ from hapsim.measuring.stretches import unbroken
 
 Vector = NDArray[np.float64]
 
-_ROUNDING = 1.0 / math.sqrt(12.0)  # counts: standard deviation of rounding to whole ones
+ROUNDING = 1.0 / math.sqrt(12.0)  # counts: standard deviation of rounding to whole ones
 _CERTAIN = 6.0  # standard deviations: a velocity of which the sign is known
 _SLOW = 0.03  # of the largest velocity: what is slower may be about to turn
 _LEAST_ROWS = 8
@@ -66,7 +66,7 @@ def motion_of(trace: Trace, channel: int, home_counts: float, most_delay: float)
 def swings_of(motions: list[Motion], noise_counts: float) -> list[Swing]:
     """Where the velocity is known to keep its sign, with a margin on either side. `noise_counts`: of a position, rms;
     the rounding is added."""
-    noise = math.hypot(noise_counts, _ROUNDING)
+    noise = math.hypot(noise_counts, ROUNDING)
     fastest = max((_fastest(motion) for motion in motions), default=0.0)
     if fastest == 0.0:
         return []

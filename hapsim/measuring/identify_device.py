@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from hapsim.device.open_connection import TransportKind
 from hapsim.errors import GuardError, UsageError
@@ -115,10 +116,11 @@ def identify_device(
     if duration is not None and not 0 < duration < math.inf:
         raise UsageError(f"duration: found {duration}, expected a finite number of seconds above 0")
     pusher = _Pusher(scene, channel, bounds_of(scene, force, travel), transport, on_progress, stop_on_signals)
-    pusher.find_home()
-    rough = pusher.grow()
-    drives = pusher.record(_plant_of(rough, scene.rate), SECONDS if duration is None else duration)
-    return pusher.identified(drives)
+    with threadpool_limits(1, user_api="blas"):  # as for `identify`: small matrices
+        pusher.find_home()
+        rough = pusher.grow()
+        drives = pusher.record(_plant_of(rough, scene.rate), SECONDS if duration is None else duration)
+        return pusher.identified(drives)
 
 
 class _Pusher:
@@ -231,7 +233,7 @@ class _Pusher:
         swings = swings_of(motions, self._noise_counts)
         start = self._require_sound(rough_fit(motions, swings, count_m, self._converters, self._most_delay))
         fit = fit_device(motions, swings, start, count_m, rate, self._converters)
-        lacking = force_residual(motions, fit, count_m, rate, self._converters)
+        lacking = force_residual(motions, fit, self._noise_counts, count_m, rate, self._converters)
         return DeviceIdentification(
             mass=fit.mass,
             friction=fit.friction,
