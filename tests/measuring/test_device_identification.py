@@ -60,6 +60,7 @@ def test_random_devices_are_found_as_well_as_the_uncertainties_say(figures: Any)
     for share, found in zip((0.6827, 0.95), within, strict=True):
         assert abs(found - share) < 3.0 * np.sqrt(share * (1.0 - share) / sizes.size)
     assert np.max(sizes) < 4.5
+    assert 0.6 < np.sqrt(np.mean(sizes**2)) < 1.5  # nor are they stated larger than they are
 
 
 @pytest.mark.parametrize("wrong", [3.0, 1.0 / 3.0])
@@ -104,9 +105,7 @@ def test_the_device_stays_within_force_and_travel() -> None:
 
 def test_a_device_that_moves_too_far_is_left_alone() -> None:
     """It breaks away from a dry friction that is large for so small a travel."""
-    with pytest.raises(
-        GuardError, match=r"farther than the 0\.2 mm that it may, .* nothing more was"
-    ):
+    with pytest.raises(GuardError, match=r"farther than the 0\.2 mm that it may, .* nothing more was"):
         hapsim.identify_device(replace(ONE, coulomb=1.5).scene(), force=5.0, travel=2e-4)
 
 
