@@ -21,6 +21,24 @@
 #include <stdint.h>
 #include <string.h>
 
+/* An AVR copies constants to RAM unless they are told to stay in flash. */
+#ifdef __AVR__
+#include <avr/pgmspace.h>
+#define HAPSIM_IN_FLASH PROGMEM
+#define HAPSIM_FLASH_16(at) pgm_read_word(at)
+#define HAPSIM_FLASH_32(at) pgm_read_dword(at)
+#else
+#define HAPSIM_IN_FLASH
+#define HAPSIM_FLASH_16(at) (*(at))
+#define HAPSIM_FLASH_32(at) (*(at))
+#endif
+
+#ifdef __GNUC__
+#define HAPSIM_APART __attribute__((noinline, unused))
+#else
+#define HAPSIM_APART inline
+#endif
+
 #define HAPSIM_VERSION 1u
 #define HAPSIM_SCHEMA_HASH 0x314a417fu
 #define HAPSIM_VELOCITY_MARK 0x56454c01u
@@ -96,7 +114,7 @@ typedef struct {
     uint8_t argument;
     int32_t payload[HAPSIM_MAX_CHANNELS];
     uint32_t accepted, crc_errors, length_errors, form_errors, garbage_bytes;
-    uint32_t seen; /* bytes since the last delimiter */
+    uint16_t seen; /* bytes since the last delimiter; beyond its counts they are garbage at once */
     uint8_t at;    /* where the next byte goes in `recent` */
     uint8_t recent[HAPSIM_RECENT];
 } hapsim_decoder;
@@ -129,25 +147,45 @@ static inline uint8_t hapsim_check_bytes(const hapsim_format *format) {
     return format->long_check ? 5 : 3;
 }
 
-/* CRC-16/DNP and CRC-32C, four bits at a time. */
-static inline uint32_t hapsim_check(const hapsim_format *format, const uint8_t *data, size_t bytes) {
-    static const uint32_t dnp[16] = {0x0000, 0xb26b, 0x29af, 0x9bc4, 0x535e, 0xe135, 0x7af1, 0xc89a,
-                                     0xa6bc, 0x14d7, 0x8f13, 0x3d78, 0xf5e2, 0x4789, 0xdc4d, 0x6e26};
-    static const uint32_t castagnoli[16] = {
-        0x00000000u, 0x105ec76fu, 0x20bd8edeu, 0x30e349b1u, 0x417b1dbcu, 0x5125dad3u, 0x61c69362u, 0x7198540du,
-        0x82f63b78u, 0x92a8fc17u, 0xa24bb5a6u, 0xb21572c9u, 0xc38d26c4u, 0xd3d3e1abu, 0xe330a81au, 0xf36e6f75u};
-    const uint32_t *table = format->long_check ? castagnoli : dnp;
-    uint32_t crc = format->seed;
+/* CRC-16/DNP, four bits at a time. */
+static inline uint16_t hapsim_dnp(uint16_t crc, const uint8_t *data, size_t bytes) {
+    static const uint16_t table[16] HAPSIM_IN_FLASH = {0x0000, 0xb26b, 0x29af, 0x9bc4, 0x535e, 0xe135, 0x7af1, 0xc89a,
+                                                       0xa6bc, 0x14d7, 0x8f13, 0x3d78, 0xf5e2, 0x4789, 0xdc4d, 0x6e26};
     for (size_t i = 0; i < bytes; i++) {
-        crc = (crc >> 4) ^ table[(crc ^ data[i]) & 15u];
-        crc = (crc >> 4) ^ table[(crc ^ ((uint32_t)data[i] >> 4)) & 15u];
+        crc ^= data[i];
+        crc = (uint16_t)((crc >> 4) ^ HAPSIM_FLASH_16(&table[crc & 15u]));
+        crc = (uint16_t)((crc >> 4) ^ HAPSIM_FLASH_16(&table[crc & 15u]));
     }
-    return crc ^ (format->long_check ? 0xFFFFFFFFu : 0xFFFFu);
+    return crc;
 }
 
-/* Byte i of the check as it is sent: seven bits, the lowest first, and the high bit set. */
-static inline uint8_t hapsim_check_byte(uint32_t check, uint8_t i) {
-    return (uint8_t)(0x80u | ((check >> (7u * i)) & 0x7Fu));
+/* CRC-32C, the same way. */
+static inline uint32_t hapsim_castagnoli(uint32_t crc, const uint8_t *data, size_t bytes) {
+    static const uint32_t table[16] HAPSIM_IN_FLASH = {
+        0x00000000u, 0x105ec76fu, 0x20bd8edeu, 0x30e349b1u, 0x417b1dbcu, 0x5125dad3u, 0x61c69362u, 0x7198540du,
+        0x82f63b78u, 0x92a8fc17u, 0xa24bb5a6u, 0xb21572c9u, 0xc38d26c4u, 0xd3d3e1abu, 0xe330a81au, 0xf36e6f75u};
+    for (size_t i = 0; i < bytes; i++) {
+        crc ^= data[i];
+        crc = (crc >> 4) ^ HAPSIM_FLASH_32(&table[crc & 15u]);
+        crc = (crc >> 4) ^ HAPSIM_FLASH_32(&table[crc & 15u]);
+    }
+    return crc;
+}
+
+static inline uint32_t hapsim_check(const hapsim_format *format, const uint8_t *data, size_t bytes) {
+    if (format->long_check) {
+        return hapsim_castagnoli(format->seed, data, bytes) ^ 0xFFFFFFFFu;
+    }
+    return hapsim_dnp((uint16_t)format->seed, data, bytes) ^ 0xFFFFu;
+}
+
+/* The check as it is sent, how many bytes of it: seven bits each, the lowest first, and the high bit set. */
+static inline uint8_t hapsim_put_check(const hapsim_format *format, uint32_t check, uint8_t *out) {
+    const uint8_t bytes = hapsim_check_bytes(format);
+    for (uint8_t i = 0; i < bytes; i++, check >>= 7) {
+        out[i] = (uint8_t)(0x80u | (check & 0x7Fu));
+    }
+    return bytes;
 }
 
 /* COBS for bodies of at most 253 bytes, in place: the body stands in buffer[1 .. bytes - 1]. */
@@ -185,15 +223,12 @@ static inline size_t hapsim_write_to_host(const hapsim_format *format, uint8_t *
     out[at++] = (uint8_t)(number & 0xFF);
     for (uint8_t i = 0; i < hapsim_words_to_host(format); i++) {
         uint32_t word = (uint32_t)payload[i];
-        for (uint8_t shift = 0; shift < 32; shift += 8) {
-            out[at++] = (uint8_t)((word >> shift) & 0xFFu);
+        for (uint8_t byte = 0; byte < 4; byte++, word >>= 8) { /* a shift that is not constant is a loop on an AVR */
+            out[at++] = (uint8_t)(word & 0xFFu);
         }
     }
     hapsim_stuff(out, at);
-    uint32_t check = hapsim_check(format, out, at);
-    for (uint8_t i = 0; i < hapsim_check_bytes(format); i++) {
-        out[at++] = hapsim_check_byte(check, i);
-    }
+    at += hapsim_put_check(format, hapsim_check(format, out, at), out + at);
     out[at++] = 0;
     return at;
 }
@@ -226,27 +261,27 @@ static inline bool hapsim_read_body(hapsim_decoder *decoder, const uint8_t *body
     return true;
 }
 
-/* Looks at the last bytes before a delimiter, as many as a frame has. */
-static inline bool hapsim_accept(hapsim_decoder *decoder) {
-    const uint32_t encoded = 4u + 4u * decoder->format.channels;
-    const uint32_t length = encoded + hapsim_check_bytes(&decoder->format);
-    const uint32_t seen = decoder->seen;
+/* Looks at the last bytes before a delimiter, as many as a frame has. A function of its own: inlined, its registers
+ * would be saved for every byte. */
+static HAPSIM_APART bool hapsim_accept(hapsim_decoder *decoder) {
+    const uint8_t encoded = (uint8_t)(4u + 4u * decoder->format.channels);
+    const uint8_t length = (uint8_t)(encoded + hapsim_check_bytes(&decoder->format));
+    const uint16_t seen = decoder->seen;
     uint8_t frame[HAPSIM_RECENT];
     decoder->seen = 0;
     if (seen < length) {
         decoder->length_errors += seen > 0; /* two delimiters in a row are no error */
         return false;
     }
-    decoder->garbage_bytes += seen - length;
-    for (uint32_t i = 0; i < length; i++) {
-        frame[i] = decoder->recent[(decoder->at + HAPSIM_RECENT - length + i) % HAPSIM_RECENT];
+    decoder->garbage_bytes += (uint16_t)(seen - length);
+    for (uint8_t i = 0; i < length; i++) {
+        frame[i] = decoder->recent[(uint8_t)(decoder->at + HAPSIM_RECENT - length + i) % HAPSIM_RECENT];
     }
-    const uint32_t check = hapsim_check(&decoder->format, frame, encoded);
-    for (uint8_t i = 0; i < length - encoded; i++) {
-        if (frame[encoded + i] != hapsim_check_byte(check, i)) {
-            decoder->crc_errors++;
-            return false;
-        }
+    uint8_t check[5];
+    hapsim_put_check(&decoder->format, hapsim_check(&decoder->format, frame, encoded), check);
+    if (memcmp(frame + encoded, check, (size_t)(length - encoded)) != 0) {
+        decoder->crc_errors++;
+        return false;
     }
     if (!hapsim_unstuff(frame, encoded) || !hapsim_read_body(decoder, frame + 1)) {
         decoder->form_errors++;
@@ -263,8 +298,10 @@ static inline bool hapsim_take_byte(hapsim_decoder *decoder, uint8_t byte) {
     }
     decoder->recent[decoder->at] = byte;
     decoder->at = (uint8_t)((decoder->at + 1u) % HAPSIM_RECENT);
-    if (decoder->seen < UINT32_MAX) {
+    if (decoder->seen < UINT16_MAX) {
         decoder->seen++;
+    } else {
+        decoder->garbage_bytes++;
     }
     return false;
 }

@@ -210,9 +210,6 @@ static void describe(void) {
 }
 
 static void act(void) {
-    if (device.listen_anew) {
-        return; /* the tick latched while this frame was read: it is of a format that is over */
-    }
     if (decoder.type == HAPSIM_DISARM) {
         release();
     } else if (device.state == HAPSIM_ARMED) {
@@ -233,19 +230,34 @@ void hapsim_device_init(void) {
     put_zero();
 }
 
+static HAPSIM_APART void listen_anew(void) {
+    hapsim_port_hold_tick();
+    device.listen_anew = false;
+    hapsim_use_format(&decoder, device.format);
+    hapsim_port_let_tick();
+}
+
+static HAPSIM_APART void take_frame(void) {
+    hapsim_port_hold_tick();
+    if (!device.listen_anew) { /* else the tick latched while this frame was read: it is of a format that is over */
+        act();
+    }
+    hapsim_port_let_tick();
+}
+
+/* The short way, as most bytes take it. The check of a whole frame takes long on a small processor: the tick comes in
+ * between. */
 void hapsim_device_take_byte(uint8_t byte) {
     if (device.listen_anew) {
-        hapsim_port_hold_tick();
-        device.listen_anew = false;
-        hapsim_use_format(&decoder, device.format);
-        hapsim_port_let_tick();
+        listen_anew();
     }
-    /* The check of a whole frame takes long on a small processor: the tick comes in between. */
     if (hapsim_take_byte(&decoder, byte)) {
-        hapsim_port_hold_tick();
-        act();
-        hapsim_port_let_tick();
+        take_frame();
     }
+}
+
+void hapsim_device_lost_bytes(void) {
+    hapsim_use_format(&decoder, decoder.format);
 }
 
 void hapsim_device_tick(void) {

@@ -36,6 +36,10 @@ void hapsim_device_init(void);
 /* A byte of the host. From the main loop. */
 void hapsim_device_take_byte(uint8_t byte);
 
+/* Bytes of the host were lost before the next one: the beginning of an unfinished frame is forgotten. From the main
+ * loop. */
+void hapsim_device_lost_bytes(void);
+
 /* One sample period has passed. From the sample timer, in every state and whatever paces: it feeds the hardware
  * watchdog. */
 void hapsim_device_tick(void);

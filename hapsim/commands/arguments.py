@@ -55,6 +55,14 @@ def transport_kind(mock: bool, transport: str | None, port: str | None) -> Any:
     return transport or ("mock" if mock else "auto")
 
 
+def as_played(scene: Scene, kind: Any) -> Scene:
+    """The scene for its prediction: without the port that it names where the mock stands in for it, which has no wire
+    of a port. `kind`: as `transport_kind` gave it."""
+    if kind == "auto":
+        return scene
+    return scene.model_copy(update={"device": scene.device.model_copy(update={"port": None})})
+
+
 def require_files_writable(picture: Path | None = None, data: Path | None = None, record: Path | None = None) -> None:
     """UsageError where one of the files could not be written: better before the run than after it."""
     if picture is not None or data is not None:

@@ -15,6 +15,7 @@ from hapsim.commands.arguments import (
     Record,
     SceneFile,
     TransportOption,
+    as_played,
     complain,
     load,
     require_files_writable,
@@ -57,7 +58,8 @@ def measure(
     from hapsim.measuring.measure import measure as measure_scene
     from hapsim.prediction import predict, predict_on_wire
 
-    loaded = load(scene, port)
+    kind = transport_kind(mock, transport, port)
+    loaded = as_played(load(scene, port), kind)
     require_files_writable(picture, data, record)
     if channel is None:
         channel = next(iter(loaded.device_points.values())).channel
@@ -73,7 +75,7 @@ def measure(
                 loaded,
                 channel=channel,
                 duration=duration,
-                transport=transport_kind(mock, transport, port),
+                transport=kind,
                 on_progress=tell,
                 stop_on_signals=True,
             )
@@ -138,7 +140,8 @@ def _show_measured(
 
     show_assumptions(stdout(), prediction)
     hands = {point.channel: name for name, point in scene.device_points.items()}
-    show_measurement(stdout(), f"{hands[channel]}, channel {channel}", felt, why, measurement)
+    desired = next((one for one in prediction.desired if one.channel == channel), None)
+    show_measurement(stdout(), f"{hands[channel]}, channel {channel}", felt, why, measurement, desired)
     others = ", ".join(f"--channel {c} for {name}" for c, name in hands.items() if c != channel)
     if others:
         say(f"Other hands of this scene: {others}.")

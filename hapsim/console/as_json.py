@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from hapsim.prediction import Felt, Prediction, felt_at_rate, host_silence
+from hapsim.prediction import Desired, Felt, Prediction, felt_at_rate, host_silence
 
 if TYPE_CHECKING:
     from hapsim.errors import RunError
@@ -38,6 +38,7 @@ def prediction_document(
         "dominant": felt is not None and felt.dominant,
         "poles": prediction.poles,
         "predicted": None if felt is None else _felt(felt),
+        **_correction_document(prediction, channel),
         "device_points": {one.name: _felt(one) for one in prediction.felt},
         "coupled_device_points": prediction.coupled,
         "assumptions": prediction.assumptions,
@@ -58,6 +59,40 @@ def prediction_document(
         "wire_time": _wire_document(prediction, channel, on_wire),
         "host_silence": asdict(host_silence(prediction.rate)),
     }
+
+
+def _correction_document(prediction: Prediction, channel: int | None) -> dict[str, Any]:
+    """`desired` and `correction`; nothing without a correction."""
+    rendering = prediction.rendering
+    if rendering is None or rendering.kind is None:
+        return {}
+    first = next((one for one in prediction.desired if channel in (None, one.channel)), None)
+    return {
+        "desired": None if first is None else _desired(first),
+        "correction": {
+            "name": rendering.kind.name,
+            "device_points": {
+                port.name: {
+                    "written": dict(zip(("K", "B"), port.written, strict=True)),
+                    "rendered": dict(zip(("K", "B"), port.rendered, strict=True)),
+                    "made_for_kg": port.made_for,
+                    "reached": port.reached,
+                }
+                for port in rendering.ports
+            },
+            "desired": {one.name: _desired(one) for one in prediction.desired},
+            "desired_modes": [
+                {"root": mode.root, "frequency_hz": mode.frequency_hz, "damping_ratio": mode.damping_ratio}
+                for mode in prediction.desired_modes
+            ],
+            "notes": rendering.notes,
+        },
+    }
+
+
+def _desired(desired: Desired) -> dict[str, Any]:
+    values = desired._asdict()
+    return values | {"remedies": None if desired.remedies is None else desired.remedies._asdict()}
 
 
 def _wire_document(prediction: Prediction, channel: int | None, on_wire: Prediction | None) -> dict[str, Any]:

@@ -10,8 +10,9 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from hapsim.console.correction import show_correction
 from hapsim.console.wire import show_silence, show_wire
-from hapsim.prediction import Felt, Prediction, felt_at_rate
+from hapsim.prediction import Desired, Felt, Prediction, felt_at_rate
 from hapsim.theory import Mode
 
 if TYPE_CHECKING:
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 _REFUSED_BY_DEVICE = "frames refused by the device"
 _FEW_ARE_NORMAL = " (a few at arming and disarming are normal)"
 _MANY = 10
+_OFF_RATE = 0.02  # of the rate, from which a hand feels another damping
 _MARGINAL = 1e-9  # of the spectral radius: a free motion, which rounding places on either side of 1
 
 
@@ -38,8 +40,10 @@ def show_prediction(out: Console, name: str, prediction: Prediction, on_wire: Pr
         out.print(verdict)
     show_assumptions(out, prediction)
     in_table = {margin.stiffness_factor for margin in _tightest(prediction)}
+    desired = {one.name: one for one in prediction.desired}
     for felt in prediction.felt:
-        _show_felt(out, felt, felt.stiffness_factor in in_table)
+        _show_felt(out, felt, felt.stiffness_factor in in_table, desired.get(felt.name))
+    show_correction(out, prediction)
     for coupled, why in prediction.coupled.items():
         out.print(
             f"\n[bold]{coupled}[/bold] {why}: it feels no single spring and damper. The modes below are those "
@@ -74,17 +78,20 @@ def _stability(prediction: Prediction) -> str:
     return f"{'[green]stable' if prediction.stable else '[red]unstable'}[/] {radius}"
 
 
-def _show_felt(out: Console, felt: Felt, margin_in_table: bool) -> None:
+def _show_felt(out: Console, felt: Felt, margin_in_table: bool, desired: Desired | None) -> None:
     """`margin_in_table`: whether its gain margin, that of its only link, stands in the table of the links' margins."""
     table = Table(title=f"What the hand feels at {felt.name}", title_justify="left")
-    for heading in ("", "simulated", "felt"):
+    for heading in ("", *(["desired"] if desired else []), "simulated", "felt"):
         table.add_column(heading, justify="right" if heading else "left")
     real = felt.configuration.friction
     own = f" (+ {felt.configuration.stiffness:.6g} real)" if felt.configuration.stiffness else ""
-    table.add_row("stiffness  N/m", f"K = {felt.stiffness:.6g}{own}", f"k = {_number(felt.k)}")
-    table.add_row("damping  N·s/m", f"B = {felt.damping:.6g} (+ {real:.6g} real)", f"b = {_number(felt.b)}")
-    table.add_row("eigenfrequency  Hz", "", _number(felt.frequency_hz))
-    table.add_row("damping ratio", "", _number(felt.damping_ratio))
+    for label, wanted, simulated, is_felt in (
+        ("stiffness  N/m", "k", f"K = {felt.stiffness:.6g}{own}", f"k = {_number(felt.k)}"),
+        ("damping  N·s/m", "b", f"B = {felt.damping:.6g} (+ {real:.6g} real)", f"b = {_number(felt.b)}"),
+        ("eigenfrequency  Hz", "frequency_hz", "", _number(felt.frequency_hz)),
+        ("damping ratio", "damping_ratio", "", _number(felt.damping_ratio)),
+    ):
+        table.add_row(label, *([_number(getattr(desired, wanted))] if desired else []), simulated, is_felt)
     out.print()
     out.print(table)
     if felt.reason:
@@ -191,13 +198,20 @@ def _oscillation(mode: Mode) -> tuple[str, str]:
     return (_number(mode.frequency_hz), _number(mode.damping_ratio)) if mode.pole.imag else ("–", "–")
 
 
-def show_measurement(out: Console, where: str, felt: Felt | None, why: str, measurement: Measurement) -> None:
-    """Prediction beside measurement, as `hapsim measure` tells them.
+def show_measurement(
+    out: Console,
+    where: str,
+    felt: Felt | None,
+    why: str,
+    measurement: Measurement,
+    desired: Desired | None = None,
+) -> None:
+    """Prediction beside measurement, as `hapsim measure` tells them; and beside what is desired, with a correction.
 
     `where`: the hand in question; `why`: there is no prediction for it, in words.
     """
     out.print()
-    out.print(_side_by_side(f"What the hand feels at {escape(where)}", felt, measurement))
+    out.print(_side_by_side(f"What the hand feels at {escape(where)}", felt, measurement, desired))
     _show_at_seen_rate(out, felt, measurement)
     if felt is None:
         out.print(
@@ -250,10 +264,18 @@ def _rounded(seen: SeenRate) -> tuple[str, str]:
     return f"{seen.rate_hz:.{decimals}f}", f"{seen.uncertainty_hz:.{decimals}f}"
 
 
-def _side_by_side(title: str, felt: Felt | None, measurement: Measurement) -> Table:
+def _side_by_side(title: str, felt: Felt | None, measurement: Measurement, desired: Desired | None = None) -> Table:
     table = Table(title=title, title_justify="left")
-    for heading in ("", "predicted", "measured", "uncertainty", "off by"):
+    for heading in (
+        "",
+        *(["desired"] if desired else []),
+        "predicted",
+        "measured",
+        "±" if desired else "uncertainty",
+        "off by",
+    ):
         table.add_column(heading, justify="right" if heading else "left")
+    digits = 7 if desired else 9  # so that 80 columns hold the table
     rows = [
         ("k  N/m", "k", measurement.k_uncertainty),
         ("b  N·s/m", "b", measurement.b_uncertainty),
@@ -266,8 +288,9 @@ def _side_by_side(title: str, felt: Felt | None, measurement: Measurement) -> Ta
         difference = (measured / predicted - 1.0) if predicted else math.nan
         table.add_row(
             label,
-            _number(predicted, 9),
-            _number(measured, 9),
+            *([_number(getattr(desired, key))] if desired else []),
+            _number(predicted, digits),
+            _number(measured, digits),
             "" if uncertainty is None else _number(uncertainty, 1),
             f"{difference:+.1e}" if math.isfinite(difference) else "",
         )
@@ -283,13 +306,12 @@ def show_report(out: Console, report: Report) -> None:
     table.add_row("ended", report.ending)
     table.add_row(f"{time} time  s", f"{report.duration_s:.3f}")
     table.add_row("ticks", str(report.ticks))
-    asked = report.nominal_rate_hz
-    slow = "" if report.rate_hz > 0.95 * asked else f" [yellow]({report.rate_hz / asked:.0%} of {asked:g})[/yellow]"
-    table.add_row("rate  Hz", f"{report.rate_hz:.2f}{slow}")
+    table.add_row("rate  Hz", f"{report.rate_hz:.2f}{_off_rate(report)}")
     share = report.deadline_misses / report.ticks if report.ticks else 0.0
     table.add_row("deadline misses", f"{report.deadline_misses} ({share:.2%})")
     if report.age_samples.max is not None:
-        table.add_row("oldest force  samples", f"{report.age_samples.max:.0f}")
+        at_most = "at most " if report.deadline_misses else ""
+        table.add_row("oldest force  samples", f"{at_most}{report.age_samples.max:.0f}")
     if not report.virtual_time:
         table.add_row("lateness  µs", _spread_in_us(report.lateness_s))
         table.add_row("exchange  µs", _spread_in_us(report.exchange_s))
@@ -307,10 +329,23 @@ def show_report(out: Console, report: Report) -> None:
         if count:
             note = _FEW_ARE_NORMAL if label == _REFUSED_BY_DEVICE and count < _MANY else ""
             table.add_row(label, f"[yellow]{count}[/yellow]{note}")
+    for channel, mass in enumerate(report.estimated_mass_kg):
+        if mass is not None:
+            table.add_row(f"estimated mass, channel {channel}  kg", f"{mass:.4g}")
     if report.released is False:
         table.add_row("force released", "[yellow]not confirmed[/yellow]")
     out.print()
     out.print(table)
+
+
+def _off_rate(report: Report) -> str:
+    """Beside the rate that was kept: that it is another than was asked for, where that is sure."""
+    from hapsim.measuring.seen_rate import kept_rate
+
+    asked, kept = report.nominal_rate_hz, kept_rate(report)
+    if kept is None or not kept.differs_from(asked) or abs(kept.rate_hz / asked - 1.0) < _OFF_RATE:
+        return ""
+    return f" [yellow]({kept.rate_hz / asked:.1%} of {asked:g})[/yellow]"
 
 
 def _spread_in_us(spread: Spread) -> str:

@@ -16,6 +16,7 @@ from hapsim.loop.codes import BAD_FORCE, FAULT, HEARD, LEAPT, OFF_RATE, TIMED_OU
 from hapsim.loop.guards import LEAP, WATCH, cut, is_finite, is_leap, is_off_rate
 from hapsim.loop.histogram import HISTOGRAM, note
 from hapsim.loop.io_buffer import IO_BUFFER
+from hapsim.loop.predictor import PREDICTOR, call_add, call_predict
 from hapsim.loop.ring import BRIDGED, LATE_FORCE, LIMITED, OFF_GRID, RING, UNSENT, mark_last, publish, push
 from hapsim.loop.stage import STAGE, move_scene
 
@@ -52,7 +53,9 @@ STATE = np.dtype(
         ("stale_positions", np.int64),
         ("old_positions", np.int64),  # of these, those that came again or after a newer one
         ("limited_ticks", np.int64),
-        ("age", np.int64),  # samples from the position that the acting force answers to the force's change
+        # Samples from the position that the acting force answers to the force's change, at most: the device says of a
+        # late force only that it was. Beyond its time to live and one more no force acts: two more say that.
+        ("age", np.int64),
         ("fault", np.int64),  # what the device said when it stopped,
         ("device_state", np.int64),  # which state it said it is in,
         ("stopped_ns", np.int64),  # and when
@@ -83,7 +86,7 @@ HISTOGRAMS = np.dtype(
         # ns: from a position's arrival until its force has left; where the host is the clock, from waking up for the
         # tick until the position has arrived, the force sent in between.
         ("exchange", HISTOGRAM),
-        # Samples from the position that the acting force answers to the force's change.
+        # Samples, as in STATE.
         ("age", HISTOGRAM),
     ],
     align=True,
@@ -93,6 +96,7 @@ LOOP = np.dtype(
     [
         ("inbox", np.uint64),  # address of an INBOX
         ("framing", FRAMING),  # of the frames to the device
+        ("predictor", PREDICTOR),
         ("stage", STAGE),
         ("ring", RING),
         ("io", IO_BUFFER),
@@ -147,11 +151,16 @@ def take_frame(loop, decoder, now):
     leapt = is_leap(loop.leap, io, state, gap, now, control.period_ns)
     late = decoder.type == schema.POSITION_HELD
     state.deadline_misses += late
-    state.age = state.age + 1 if late else 1
+    state.age = min(state.age + 1, control.time_to_live + 2) if late else 1
     note(loop.histograms.age, state.age)
     state.lost_frames += gap - 1
     flags = (LATE_FORCE if late else 0) | (BRIDGED if gap > 1 else 0) | _note_time(loop, now, gap)
+    predictor = loop.predictor
+    if predictor.predict != 0:
+        call_predict(predictor.predict, (predictor.address, io.address, gap, np.int64(late), state.age))
     move_scene(loop.stage, io, gap)
+    if predictor.add != 0:
+        call_add(predictor.add, (predictor.address, io.address))
     state.sample += gap
     state.newest_ns = now
     sound, limited = _set_force(io, control, state.ticks)

@@ -94,6 +94,7 @@ LEAP = np.dtype(
     [
         ("channels", np.int64),  # so many are judged
         ("by_host", np.int64),  # 1: the host paces, and samples last as long as it takes
+        ("last", np.float64, _EACH),  # m, the last position that was read
         ("span", np.float64),  # sample periods from the position before the last to the last
         ("pace", np.float64, _EACH),  # m per sample period, of the last step,
         ("pace_before", np.float64, _EACH),  # and of the one before
@@ -113,8 +114,8 @@ LEAP = np.dtype(
 
 @inlined
 def is_leap(leap, io, state, gap, now, period_ns):
-    """Whether the position newly in `io.measured`, which arrived at `now` (ns), `gap` samples after the one in
-    `io.before`, is where none can be. `state`: as it was with that one. The first two begin a motion at any speed."""
+    """Whether the position newly in `io.measured`, which arrived at `now` (ns), `gap` samples after the last one, is
+    where none can be. `state`: as it was with that one. The first two begin a motion at any speed."""
     periods = np.float64(gap)
     if leap.by_host:
         # The device samples when it is asked; the longer of the two times, for either may be held up.
@@ -126,7 +127,9 @@ def is_leap(leap, io, state, gap, now, period_ns):
     leap.span = periods
     found = False
     for c in range(np.uint64(leap.channels)):
-        step = io.measured[c] - io.before[c]
+        last = leap.last[c]
+        leap.last[c] = io.measured[c]
+        step = io.measured[c] - last
         off = abs(step - leap.pace[c] * periods)
         # Of the last two steps: a blow that fell within the last one has left little of it.
         now_at, before = abs(leap.pace[c]), abs(leap.pace_before[c])
@@ -138,7 +141,7 @@ def is_leap(leap, io, state, gap, now, period_ns):
         bound = leap.sensed[c] + periods * (
             turned
             + (braked if braked < 1.0 else 1.0) * speed
-            + mean * (leap.accelerated[c] + leap.sprung[c] * (abs(io.before[c]) + speed * mean))
+            + mean * (leap.accelerated[c] + leap.sprung[c] * (abs(last) + speed * mean))
         )
         if off > bound and state.ticks > 1:
             leap.leapt_m, leap.bound_m, leap.channel = off, bound, c

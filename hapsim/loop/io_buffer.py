@@ -15,10 +15,10 @@ IO_BUFFER = np.dtype(
         ("address", np.uint64),  # of all this
         ("channels", np.int64),  # of the device; of what follows, so many are in use
         ("velocities", np.int64),  # 1: they are on the wire
-        ("measured", np.float64, _EACH),  # m, the newest position
+        ("measured", np.float64, _EACH),  # m, the newest position, or what a predictor puts in its place
         ("before", np.float64, _EACH),  # m, the one before
         ("bridge", np.float64, _EACH),  # m, between the two where positions were lost
-        ("velocity", np.float64, _EACH),  # m/s, sensed with the newest position; 0 where not asked for
+        ("velocity", np.float64, _EACH),  # m/s, sensed with it, or predicted; 0 where neither
         ("velocity_before", np.float64, _EACH),  # m/s, with the one before
         ("velocity_bridge", np.float64, _EACH),  # m/s, between the two where positions were lost
         ("asked", np.float64, _EACH),  # N, the scene's force

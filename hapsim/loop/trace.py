@@ -53,7 +53,9 @@ class Report:
     """From a position's arrival until its force has left; where the host is the clock, from waking up for the tick
     until the position has arrived, the force sent in between."""
     age_samples: Spread
-    """From the position that the acting force answers to the force's change."""
+    """From the position that the acting force answers to the force's change: 1 where it was in time, else at most so
+    many, as the device says of a late force only that it was. No force acts for longer than its time to live and one
+    sample more; that the force may be zero already is counted as two more."""
     virtual_time: bool
     garbage_bytes: int = 0
     """Bytes from the device, since it was armed, that belonged to no frame."""
@@ -63,6 +65,8 @@ class Report:
     released: bool | None = None
     """Whether the device said, after the last force, that it released it; None in a record that does not tell."""
     timed_by_device: bool = False
+    estimated_mass_kg: tuple[float | None, ...] = ()
+    """Where a correction adapts: for which mass the force of each channel was at the end; None on the others."""
     """Whether a timer of the device's own paced the positions: then their arrival tells its rate."""
 
 

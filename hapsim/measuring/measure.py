@@ -8,6 +8,7 @@ from dataclasses import replace
 
 from hapsim.device.open_connection import TransportKind
 from hapsim.errors import DeviceError, UsageError
+from hapsim.loop.trace import Trace
 from hapsim.measuring.identify import Measurement, identify
 from hapsim.progress import Progress
 from hapsim.running import Excitation, run
@@ -34,7 +35,9 @@ def measure(
     """Rings the hand on `channel` and identifies what it feels.
 
     For half of the time it rings down once, from the mock's initial state or from a push where the device is at rest;
-    then pushes follow, so that a motion which dies out in a few samples is seen many times. `duration`: seconds.
+    then pushes follow, so that a motion which dies out in a few samples is seen many times. `duration`: seconds. A
+    correction that adapts is pushed all the time, and what it does in the second half is identified, with the mass that
+    it has found.
 
     Raises what `hapsim.running.run` raises, and UsageError where too little moves to identify anything. Where the
     device fails, or stops by itself, and was recorded for long enough to identify something, the measurement is
@@ -62,22 +65,38 @@ def measure(
             raise
         failure, trace = error, error.trace
     try:
-        return replace(identify(trace, scene.device.masses(scene.channels)[channel], channel), failure=failure)
+        return replace(identify(_settled(scene, trace), _mass_of(scene, trace, channel), channel), failure=failure)
     except UsageError as nothing:
         if failure is None:
             raise
         raise failure from nothing
 
 
+def _settled(scene: Scene, trace: Trace) -> Trace:
+    """What a correction that adapts did once it knew the hand."""
+    half = trace.sample.size // 2
+    if scene.device.correction != "adaptive" or trace.sample.size - half < _LEAST_ROWS:
+        return trace
+    rows = ("sample", "time_ns", "flags", "position_counts", "force_counts", "asked_force")
+    return replace(trace, **{name: getattr(trace, name)[half:] for name in rows})
+
+
+def _mass_of(scene: Scene, trace: Trace, channel: int) -> float:
+    """kg: the one that was estimated, or declared."""
+    estimated = trace.report.estimated_mass_kg
+    found = estimated[channel] if channel < len(estimated) else None
+    return scene.device.masses(scene.channels)[channel] if found is None else found
+
+
 def _pushes(scene: Scene, channel: int, duration: float) -> Excitation:
     """Pushes that move the hand clearly, and neither beyond the device's force nor beyond its range."""
     device, mock = scene.device, scene.mock_device
     ticks = math.ceil(duration * scene.rate)
-    free = ticks // 2
+    free = 0 if device.correction == "adaptive" else ticks // 2
     every = max(32, (ticks - free) // _PUSHES)
     # Until the next push even a free mass must stay in the range of its counts; a real device's is not known before.
     range_m = mock.quantum * _COUNTS if device.port is None else math.inf
-    kick = min(_KICK, 0.05 * range_m * scene.rate / free)
+    kick = min(_KICK, 0.05 * range_m * scene.rate / max(free, every))
     impulse = device.masses(scene.channels)[channel] * kick
     limit = device.force_limit if device.port is not None else mock.force_limit
     force = min(_SHARE_OF_LIMIT * limit, impulse * scene.rate)

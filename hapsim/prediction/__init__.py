@@ -4,12 +4,13 @@ Public is what `__all__` names.
 """
 
 from firmware_protocol.wire_time import WireTime
+from hapsim.prediction.hands import configuration_of
 from hapsim.prediction.predict import (
+    Desired,
     Felt,
     LinkMargin,
     Prediction,
     Shaking,
-    configuration_of,
     felt_at_rate,
     is_surely_unstable,
     predict,
@@ -20,6 +21,7 @@ from hapsim.prediction.predict import (
 from hapsim.prediction.silence import HostSilence, host_silence
 
 __all__ = [
+    "Desired",
     "Felt",
     "HostSilence",
     "LinkMargin",

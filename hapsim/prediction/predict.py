@@ -4,13 +4,23 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from firmware_protocol.wire_time import WireTime
 from hapsim.errors import UsageError
-from hapsim.prediction.linear import LinearLink, LinearScene, linear_scene
+from hapsim.prediction.correction import (
+    Corrected,
+    Remedies,
+    Rendering,
+    felt_error,
+    remedies_for,
+    rendered,
+    stable_masses,
+)
+from hapsim.prediction.hands import hand_of, is_lone, links_of, network_of, why_coupled
+from hapsim.prediction.linear import LinearScene, linear_scene
 from hapsim.prediction.wire import WireOf, wire_of, wire_time_of, with_wire_delay
 from hapsim.scene import Scene
 from hapsim.scene.choices import WITH_SENSOR
@@ -25,8 +35,10 @@ from hapsim.theory import (
     margins_of,
     solve,
 )
-from hapsim.theory.interface import damper_named
+from hapsim.theory.arrays import sort_by_modulus
+from hapsim.theory.network import ContinuousMode, continuous_modes, is_large
 
+_MASSES = 9  # of a span, at which the error of a correction is looked at
 _SURELY = 1.0 + 1e-9  # what grows by more in a sample is not at the limit
 
 
@@ -61,6 +73,27 @@ class Felt:
     """N/m: the stiffness that the linear rule allows, (b0 + B)/(T/2 + delay T) (Gil et al.)."""
     reason: str
     """Why there is no equivalent, where there is none."""
+
+
+class Desired(NamedTuple):
+    """What the hand is to feel on one device point: the scene's stiffness and damping and the device's own; and how
+    far a correction brings it there."""
+
+    name: str
+    channel: int
+    k: float
+    """N/m"""
+    b: float
+    """N·s/m"""
+    frequency_hz: float
+    damping_ratio: float
+    error: float
+    """Of what is felt, as `felt_error` counts it; over a span of masses the largest."""
+    reached: bool
+    remedies: Remedies | None
+    """What would make it reachable; None where it is reached, or the mass is a span."""
+    stable_masses: tuple[float, float]
+    """kg: the least and the most mass with which the corrected loop is stable."""
 
 
 @dataclass(frozen=True)
@@ -106,6 +139,13 @@ class Prediction:
     """Whose wire that is."""
     assumptions: tuple[str, ...] = ()
     """Sentences: what was taken for what the theory does not have."""
+    rendering: Rendering | None = None
+    """What is run in place of the scene, where it has a correction: `stiffness` and `damping` of `felt`, poles, modes
+    and margins are those of that."""
+    desired: tuple[Desired, ...] = ()
+    """What the hand is to feel, for the same device points as `felt`; none without a correction."""
+    desired_modes: tuple[ContinuousMode, ...] = ()
+    """Those of the scene in continuous time, the slowest to decay first; none without a correction."""
     by_its_scheme: bool = True
     """Whether poles, modes and margins are those of the scheme by which the scene runs, or else of CORDIS's."""
 
@@ -147,12 +187,20 @@ def predict(scene: Scene, *, with_margins: bool = True) -> Prediction:
     """
     if not 1e-9 <= scene.rate <= 1e9:
         raise UsageError(f"rate: found {scene.rate:g} Hz, which is beyond what is worked out (1e-9 to 1e9 Hz)")
-    linear = linear_scene(scene)
-    network, points = _network(scene, linear)
+    rendering = rendered(scene)
+    as_seen = rendering.seen
+    linear = linear_scene(as_seen)
+    network, points = network_of(as_seen, linear)
     network, solution, instead = _solved(network)
-    coupled = {name: why for name in scene.device_points if (why := _why_coupled(scene, linear, name))}
-    felt = tuple(_felt(scene, linear, name) for name in scene.device_points if name not in coupled)
+    coupled = {name: why for name in scene.device_points if (why := why_coupled(as_seen, linear, name))}
+    felt = tuple(
+        _as_made(rendering, _felt(as_seen, linear, name)) for name in scene.device_points if name not in coupled
+    )
     whole = not coupled and not linear.masses
+    poles, radius = solution.poles, solution.spectral_radius
+    if whole and rendering.kind is not None:  # what is made for another mass is no part of the network
+        poles = sort_by_modulus(np.array([pole for one in felt for pole in one.poles], complex))
+        radius = max(one.spectral_radius for one in felt)
     margins = margins_of(network, solution.poles) if with_margins else Margins([])
     return Prediction(
         rate=scene.rate,
@@ -160,8 +208,8 @@ def predict(scene: Scene, *, with_margins: bool = True) -> Prediction:
         coupled=coupled,
         # A loop of lone hands is judged by the formula, which resolves poles that rounding would place on the circle.
         stable=all(one.stable for one in felt) and (whole or solution.is_stable),
-        spectral_radius=solution.spectral_radius,
-        poles=tuple(complex(pole) for pole in solution.poles if abs(pole) > 1e-9),
+        spectral_radius=radius,
+        poles=tuple(complex(pole) for pole in poles if abs(pole) > 1e-9),
         poles_in_all=solution.all,
         poles_method=solution.method,
         modes=tuple(solution.modes),
@@ -171,7 +219,50 @@ def predict(scene: Scene, *, with_margins: bool = True) -> Prediction:
         wire_time=wire_time_of(scene),
         wire_of=wire_of(scene),
         assumptions=(*linear.assumptions, *([instead] if instead else [])),
+        **_desired(rendering),
         by_its_scheme=not instead,
+    )
+
+
+def _desired(rendering: Rendering) -> dict[str, Any]:
+    """Fields of `Prediction`."""
+    if rendering.kind is None:
+        return {}
+    scene = rendering.desired
+    linear = linear_scene(scene)
+    network, _ = network_of(scene, linear)
+    return {
+        "rendering": rendering,
+        "desired": tuple(
+            _desired_on(rendering, port)
+            for port in rendering.ports
+            if not why_coupled(scene, linear, port.name) and not math.isnan(port.desired[0])
+        ),
+        "desired_modes": () if is_large(network) else tuple(continuous_modes(network)),
+    }
+
+
+def _desired_on(rendering: Rendering, port: Corrected) -> Desired:
+    assert rendering.kind is not None
+    kind, (k, b) = rendering.kind, port.desired
+    frequency, ratio = frequency_and_ratio(port.declared.mass, k, b)
+    least, most = rendering.desired.device.mass_spans(rendering.desired.channels)[port.channel]
+    errors = []
+    for mass in np.geomspace(least, most, 1 if least == most else _MASSES).tolist():
+        element, made_for = port.settled(mass)
+        loop = kind.closed(replace(port.declared, mass=mass), replace(port.declared, mass=made_for))
+        errors.append(felt_error(loop.equivalent(*element), (k, b), mass))
+    return Desired(
+        name=port.name,
+        channel=port.channel,
+        k=k,
+        b=b,
+        frequency_hz=float(frequency),
+        damping_ratio=float(ratio),
+        error=float(np.max(errors)),
+        reached=port.reached,
+        remedies=None if port.reached or least < most else remedies_for(kind, port.declared, port.desired),
+        stable_masses=stable_masses(kind, port.declared, port.made_for, port.rendered),
     )
 
 
@@ -217,15 +308,16 @@ def surely_shaken_by(scene: Scene) -> Shaking | None:
     It is not sure at the limit, or where it was not worked out for the scheme by which the scene runs. This is what a
     running loop has to know of a scene before it takes it, at a tenth of what `predict` costs.
     """
+    scene = rendered(scene).seen
     linear = linear_scene(scene)
-    network, points = _network(scene, linear)
+    network, points = network_of(scene, linear)
     try:
         solution = solve(network)
     except NotWorkedOutError:
         return None
     if not solution.spectral_radius > _SURELY:
         return None
-    if _is_lone(scene, linear) and _lone_hands_are_stable(scene, linear):
+    if is_lone(scene, linear) and _lone_hands_are_stable(scene, linear):
         return None
     fastest = max(solution.modes, key=lambda mode: abs(mode.pole), default=None)
     if fastest is None or abs(fastest.pole) < solution.spectral_radius * (1.0 - 1e-9):
@@ -238,16 +330,11 @@ def is_surely_unstable(prediction: Prediction) -> bool:
     return prediction.by_its_scheme and not prediction.stable and prediction.spectral_radius > _SURELY
 
 
-def _is_lone(scene: Scene, linear: LinearScene) -> bool:
-    """Whether it is nothing but hands, each an oscillator of its own."""
-    return not linear.masses and not any(_why_coupled(scene, linear, name) for name in scene.device_points)
-
-
 def _lone_hands_are_stable(scene: Scene, linear: LinearScene) -> bool:
     """By the formula, which resolves poles that rounding would place on the circle."""
     return all(
         bool(configuration.is_stable(stiffness, damping))
-        for configuration, stiffness, damping in (_hand(scene, linear, name) for name in scene.device_points)
+        for configuration, stiffness, damping in (hand_of(scene, linear, name) for name in scene.device_points)
     )
 
 
@@ -281,63 +368,32 @@ def warnings_about(scene: Scene, prediction: Prediction) -> list[str]:
     return warnings
 
 
-def _links_of(linear: LinearScene, name: str) -> list[LinearLink]:
-    return [link for link in linear.links.values() if name in link.between]
-
-
-def _dampers(linear: LinearScene, name: str) -> dict[tuple[str, float | None], str]:
-    """The kinds of damper that do something at this device point, (damper, cutoff), each with a link that has it."""
-    own = {link: module for link, module in linear.links.items() if name in module.between}
-    return {(module.damper, module.cutoff): link for link, module in own.items() if module.damping > 0.0}
-
-
-def _why_coupled(scene: Scene, linear: LinearScene, name: str) -> str:
-    """Why the hand at this device point is no oscillator of its own, in words that follow its name; "" where it is."""
-    links = {link: module for link, module in linear.links.items() if name in module.between}
-    masses, hands = linear.masses, scene.device_points
-    for link, module in links.items():
-        (other,) = set(module.between) - {name}
-        if other in masses:
-            return f"moves a mass of the scene too ({other}, by {link})"
-        if other in hands:
-            return f"is tied to another hand ({other}, by {link})"
-    kinds = _dampers(linear, name)
-    if len(kinds) < 2:
-        return ""
-    words = (
-        f"{link}: {kind}" + ("" if cutoff is None else f" at {cutoff:g} Hz") for (kind, cutoff), link in kinds.items()
-    )
-    return f"has dampers of several kinds ({', '.join(words)})"
-
-
-def configuration_of(
-    scene: Scene, channel: int, damper: str = "backward", cutoff: float | None = None
-) -> Configuration:
-    """The temporary hybrid system of one channel, as the scene's device describes it, with such a damper."""
-    device = scene.device
-    return Configuration(
-        mass=device.masses(scene.channels)[channel],
-        rate=scene.rate,
-        friction=device.frictions(scene.channels)[channel],
-        delay=device.delay,
-        hold=device.hold,
-        sampling=device.sampling,
-        stiffness=device.stiffnesses(scene.channels)[channel],
-        damper=damper,
-        cutoff=cutoff,
-    )
-
-
-def _hand(scene: Scene, linear: LinearScene, name: str) -> tuple[Configuration, float, float]:
-    """The temporary hybrid system of a hand, and K and B of all its links."""
-    links = _links_of(linear, name)
-    damper, cutoff = next(iter(_dampers(linear, name)), ("backward", None))
-    stiffness, damping = math.fsum(link.stiffness for link in links), math.fsum(link.damping for link in links)
-    return configuration_of(scene, scene.device_points[name].channel, damper, cutoff), stiffness, damping
-
-
 def _felt(scene: Scene, linear: LinearScene, name: str) -> Felt:
-    return _felt_of(name, scene.device_points[name].channel, *_hand(scene, linear, name))
+    return _felt_of(name, scene.device_points[name].channel, *hand_of(scene, linear, name))
+
+
+def _as_made(rendering: Rendering, felt: Felt) -> Felt:
+    """The same, where the force of this hand is made for another mass than the declared one."""
+    port = next((port for port in rendering.ports if port.name == felt.name), None)
+    if port is None or rendering.kind is None or not rendering.kind.predicts or port.made_for == port.declared.mass:
+        return felt
+    loop = rendering.kind.closed(port.declared, replace(port.declared, mass=port.made_for))
+    poles = loop.poles(*port.rendered)
+    k, b = (float(value) for value in loop.equivalent(*port.rendered))
+    frequency, ratio = frequency_and_ratio(port.declared.mass, k, b)
+    radius = float(abs(poles[0]))
+    return replace(
+        felt,
+        k=k,
+        b=b,
+        frequency_hz=float(frequency),
+        damping_ratio=float(ratio),
+        dominant=math.isfinite(k),
+        stable=radius < 1.0,
+        spectral_radius=radius,
+        poles=tuple(complex(pole) for pole in poles),
+        reason="" if math.isfinite(k) else "with this mass the force that was made for another leaves no dominant pair",
+    )
 
 
 def felt_at_rate(felt: Felt, rate_hz: float) -> Felt:
@@ -379,7 +435,7 @@ def _felt_of(name: str, channel: int, configuration: Configuration, stiffness: f
 
 def _link_margins(linear: LinearScene, margins: Margins, felt: tuple[Felt, ...]) -> tuple[LinkMargin, ...]:
     """Where a hand's only link is all that holds it, its margin by the closed formula."""
-    lone = {one.name: one.stiffness_factor for one in felt if len(_links_of(linear, one.name)) == 1}
+    lone = {one.name: one.stiffness_factor for one in felt if len(links_of(linear, one.name)) == 1}
     named = []
     for (name, link), margin in zip(linear.links.items(), margins.links, strict=False):
         hand = next((end for end in link.between if end in lone), None)
@@ -405,33 +461,3 @@ def _stiffness_factor(configuration: Configuration, stiffness: float, damping: f
 def _stable_damping(configuration: Configuration, stiffness: float) -> tuple[float, float]:
     least, most = configuration.stable_damping(stiffness)
     return float(least), float(most)
-
-
-def _network(scene: Scene, linear: LinearScene) -> tuple[Network, tuple[str, ...]]:
-    """The whole scene as arrays: one point for every device point, one for every mass; the scene's own links first.
-
-    Channels below the highest that no module holds are no part of it: what nothing touches is neither stable nor not.
-    """
-    channels = [point.channel for point in scene.device_points.values()]
-    points = [*scene.device_points, *linear.masses]
-    number = {name: i for i, name in enumerate(points)} | dict.fromkeys(linear.fixed, -1)
-    links = [*linear.links.values(), *linear.inner]
-    device = scene.device
-    network = Network(
-        rate=scene.rate,
-        channel_mass=np.array(device.masses(scene.channels))[channels],
-        channel_friction=np.array(device.frictions(scene.channels))[channels],
-        delay=device.delay,
-        hold=device.hold,
-        sampling=device.sampling,
-        point_mass=np.array(list(linear.masses.values())),
-        ends=np.array([[number[end] for end in link.between] for link in links], int).reshape(-1, 2),
-        stiffness=np.array([link.stiffness for link in links]),
-        damping=np.array([link.damping for link in links]),
-        channel_stiffness=np.array(device.stiffnesses(scene.channels))[channels],
-        damper=tuple(damper_named(link.damper, link.cutoff, scene.rate) for link in links),
-        margin_links=len(linear.links),
-        scheme=scene.scheme,
-        outside=tuple(link.outside for link in links),
-    )
-    return network, tuple(points)

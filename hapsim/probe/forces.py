@@ -43,18 +43,24 @@ def probe_forces(probing: Probing) -> bool:
 
 
 def _send_what_is_refused(session: Session) -> bool:
-    """FORCE frames that are too old, from the future, or damaged: none is acted on, none feeds the watchdog."""
-    wire, newest = session.wire, session.newest
-    assert newest is not None
-    for i in range(_OLD):
-        wire.send(wire.frame(schema.FORCE, newest.n - 200 - i, 20, armed=True))
-    for i in range(_FUTURE):
-        wire.send(wire.frame(schema.FORCE, newest.n + 1000 + i, schema.MAX_TIME_TO_LIVE_SAMPLES, armed=True))
-    for i in range(_DAMAGED):
-        damaged = bytearray(wire.frame(schema.FORCE, newest.n, 20, armed=True))
-        damaged[-2 - i % 2] ^= 0x01
-        wire.send(bytes(damaged))
-    return session.ended is None
+    """FORCE frames that are too old, from the future, or damaged, one a sample, as a host sends them: none is acted on,
+    none feeds the watchdog. Whether the samples went on."""
+    wire = session.wire
+    for i in range(_OLD + _FUTURE + _DAMAGED):
+        newest = session.newest
+        assert newest is not None
+        if i < _OLD:
+            frame = wire.frame(schema.FORCE, newest.n - 200 - i, 20, armed=True)
+        elif i < _OLD + _FUTURE:
+            frame = wire.frame(schema.FORCE, newest.n + 1000 + i, schema.MAX_TIME_TO_LIVE_SAMPLES, armed=True)
+        else:
+            damaged = bytearray(wire.frame(schema.FORCE, newest.n, 20, armed=True))
+            damaged[-2 - i % 2] ^= 0x01
+            frame = bytes(damaged)
+        wire.send(frame)
+        if not session.run(1, None):
+            return False
+    return True
 
 
 def _samples_after(session: Session) -> list[tuple[Sample, Sample]]:

@@ -17,7 +17,9 @@ from hapsim.loop.guards import watch_for_leaps
 from hapsim.loop.ring import Ring
 from hapsim.loop.stage import cross_fade, post
 from hapsim.loop.transport import Transport
+from hapsim.prediction.correction import rendered
 from hapsim.prediction.silence import time_to_live_samples, watchdog_samples
+from hapsim.running.correction import LoopCorrection
 from hapsim.running.excitation import Excitation
 from hapsim.scene import Scene
 
@@ -43,6 +45,8 @@ class Loop:
         self.record.framing = framing_of(self.wire, to_device=True)
         self.watchdog_samples = 0
         """After how many samples without a force the device releases."""
+        self.correction: LoopCorrection | None = None
+        """What the loop does beside moving the scene, so that the hand feels it."""
         self._programs: list[Program] = []
         self._changes_before = 0
 
@@ -99,13 +103,15 @@ def assemble_loop(
     duration: float | None = None,
 ) -> Loop:
     """The loop of `scene` over `connection`, for `duration` seconds (None: until stopped), not yet armed."""
+    rendering = rendered(scene)
     loop = Loop(connection, description, bool(scene.sensed_links), scene.device.clock == "lockstep")
     if isinstance(connection.transport, Transport):
         loop.inbox.transport = connection.transport.record
-    loop.begin_with(compile_scene(scene))
+    loop.begin_with(compile_scene(rendering.scene))
     _set_io(loop.record.io, scene, description)
     _set_leap(loop.record.leap, scene, description)
     _set_control(loop.record.control, scene, excitation, duration)
+    loop.correction = LoopCorrection(loop.record, rendering, description)
     loop.watchdog_samples = watchdog_samples(scene.rate, description.max_watchdog_samples)
     loop.record.watch.judges = scene.device.clock == "device" and connection.has_timer
     return loop
@@ -154,7 +160,7 @@ def _set_leap(leap: Any, scene: Scene, description: Description) -> None:
         leap,
         rate_hz=scene.rate,
         by_host=device.clock == "host",
-        mass=np.minimum(device.masses(channels), mock.mass),
+        mass=np.minimum([least for least, _ in device.mass_spans(channels)], mock.mass),
         friction=np.maximum(device.frictions(channels), mock.friction),
         stiffness=np.maximum(device.stiffnesses(channels), mock.stiffness),
         force=np.full(channels, device.force_limit + mock.coulomb),

@@ -21,6 +21,7 @@ from hapsim.cordis.schemes import without_matrices
 from hapsim.cordis.succession import take_over_from
 from hapsim.errors import UsageError
 from hapsim.prediction import surely_shaken_by
+from hapsim.prediction.correction import Rendering, rendered
 from hapsim.realtime.giving_way import Beside
 from hapsim.running.assemble import Loop
 from hapsim.scene import Scene
@@ -75,23 +76,32 @@ class LiveScene:
     def _lead_to(self, scene: Scene, over: float) -> None:
         """Nothing is posted where nothing differs."""
         samples = _samples(scene, over)
-        values = parameter_values(scene)
-        if not _same_values(values, parameter_values(self.scene)):
+        rendering = rendered(scene)
+        values = parameter_values(rendering.scene)
+        if not _same_values(values, parameter_values(rendered(self.scene).scene)):
             self._loop.program.parameters.post(values, samples)
+            self._correct_as(rendering, samples)
         self.scene = scene
 
     def _replace(self, scene: Scene, samples: int) -> None:
         """Live parameters may be set meanwhile; nobody but the last lines holds them up."""
-        program = compile_scene(scene)
+        rendering = rendered(scene)
+        run, before = rendering.scene, rendered(self.scene).scene
+        program = compile_scene(run)
         while self._loop.is_replacing:
             if self._is_over():
                 raise UsageError(OVER)
             time.sleep(_GLANCE_S)
         with self._writing:
-            take_over_from(self._loop.program, self.scene, program, scene)
-            program.parameters.post(parameter_values(scene), samples)
+            take_over_from(self._loop.program, before, program, run)
+            program.parameters.post(parameter_values(run), samples)
             self._loop.follow_with(program, samples)
+            self._correct_as(rendering, samples)
             self.scene = scene
+
+    def _correct_as(self, rendering: Rendering, samples: int) -> None:
+        if self._loop.correction is not None:
+            self._loop.correction.follow(rendering, samples)
 
     def _require_possible(self, scene: Scene) -> None:
         stays = what_stays(self.scene, scene)

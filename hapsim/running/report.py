@@ -85,6 +85,7 @@ def _report(scene: Scene, loop: Loop, ending: int) -> Report:
         virtual_time=virtual,
         garbage_bytes=int(decoder.garbage_bytes) + _endless_bytes(loop),
         timed_by_device=bool(loop.record.watch.judges),
+        estimated_mass_kg=() if loop.correction is None else loop.correction.estimated_mass_kg(loop.wire.channels),
     )
 
 

@@ -1,4 +1,5 @@
-"""What a scene can choose by name: holds, samplings, dampers and schemes. Whoever lists them takes them from here.
+"""What a scene can choose by name: holds, samplings, dampers, schemes, corrections. Whoever lists them takes them from
+here.
 
 What each of them is stands under the same name in `hapsim.theory`, and in what runs it: `hapsim/device/mock`,
 `hapsim/cordis`. Nothing is imported here, so that a help text that lists names costs nothing.
@@ -26,4 +27,11 @@ SCHEME = (
     "How masses move from sample to sample: by CORDIS's centred scheme (cordis), by the same with the step stored "
     "itself (semi_implicit), by the trapezoidal rule (midpoint), by the Runge-Kutta rule of fourth order (rk4), or by "
     "the exact solution between forces that are held (exact)"
+)
+
+CorrectionName = Literal["none", "poles", "predictor", "adaptive"]
+CORRECTION = (
+    "What is done so that the hand feels the stiffness and damping of the scene, and not what sampling, hold and delay "
+    "make of them: nothing (none); the links at the device are given those that feel so (poles); their force answers "
+    "the state that the mass will have when it acts (predictor); the same for a mass that is estimated (adaptive)"
 )

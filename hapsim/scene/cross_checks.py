@@ -8,9 +8,12 @@ from collections.abc import Iterator, Mapping
 from .issue import Issue, Path
 from .modules import DevicePoint, ModuleContext
 from .part import Part
+from .quantity import Span
 
 #: The parts that may have lists with one value per channel.
 PER_CHANNEL_PARTS: tuple[Path, ...] = (("device",), ("mock",), ("mock", "initial"))
+
+_OTHER_LISTS = ("grips",)  # that do not have a value for each channel
 
 #: Fields by the path of the part that they belong to.
 Fields = Mapping[Path, Mapping[str, object]]
@@ -39,10 +42,23 @@ def cross_check_issues(around: ModuleContext, per_channel: Fields, precision: ob
         )
     if precision == "single":
         issues += _beyond_single(around)
+    issues += _nothing_to_adapt_to(per_channel[("device",)])
     channels = _channels(around)
     if channels is not None:
         issues += _lists_of_another_length(per_channel, channels)
     return issues
+
+
+def _nothing_to_adapt_to(device: Mapping[str, object]) -> Iterator[Issue]:
+    if device.get("correction") != "adaptive" or "mass" not in device:
+        return
+    masses = device["mass"] if isinstance(device["mass"], tuple) else (device["mass"],)
+    if not any(isinstance(mass, Span) for mass in masses):
+        yield Issue(
+            ("device", "correction"),
+            "found adaptive with a mass that is known, expected device.mass: {from: the least, to: the most}; "
+            "or write correction: predictor",
+        )
 
 
 def _channels(around: ModuleContext) -> int | None:
@@ -57,6 +73,8 @@ def _channels(around: ModuleContext) -> int | None:
 def _lists_of_another_length(per_channel: Fields, channels: int) -> Iterator[Issue]:
     for path, fields in per_channel.items():
         for name, value in fields.items():
+            if name in _OTHER_LISTS:
+                continue
             if isinstance(value, list | tuple) and len(value) != channels:
                 found = f"found {len(value)} {'number' if len(value) == 1 else 'numbers'}"
                 expected = f"expected {channels}: one for each channel, up to the highest that a module holds"

@@ -21,21 +21,25 @@ class CurvePoints(Expectation):
         description: what the curve is, for the schema.
         along, up: units of x and y as people read them.
         left_out: what it means to leave the curve out.
+        fewest: how many points there are at least.
+        above: what every y is greater than.
     """
 
     description: str
     along: str
     up: str
     left_out: str
+    fewest: int = LEAST_POINTS
+    above: float | None = None
 
     def expected(self) -> str:
-        return f"a list of {LEAST_POINTS} to {MOST_POINTS} points [{self.along}, {self.up}]"
+        return f"a list of {self.fewest} to {MOST_POINTS} points [{self.along}, {self.up}]"
 
     def check(self, value: object) -> Curve | None:
         """The points as numbers; None for ``null``. An error that names the point through `unexpected`."""
         if value is None:
             return None
-        if not _is_list(value) or not LEAST_POINTS <= len(value) <= MOST_POINTS:
+        if not _is_list(value) or not self.fewest <= len(value) <= MOST_POINTS:
             unexpected(self.expected())
         points: list[tuple[float, float]] = []
         for index, entry in enumerate(value):
@@ -49,14 +53,17 @@ class CurvePoints(Expectation):
         """A list of points, or ``null``."""
         number = {"type": "number"}
         point = {"type": "array", "items": number, "minItems": 2, "maxItems": 2}
-        points = {"type": "array", "items": point, "minItems": LEAST_POINTS, "maxItems": MOST_POINTS}
+        points = {"type": "array", "items": point, "minItems": self.fewest, "maxItems": MOST_POINTS}
         described = f"{self.description}, in points [{self.along}, {self.up}]; left out: {self.left_out}"
         return {"description": described, "anyOf": [points, {"type": "null"}]}
 
     def _point(self, entry: object, index: int) -> tuple[float, float]:
         if not _is_list(entry) or len(entry) != 2:
             unexpected(f"a point [{self.along}, {self.up}], two numbers", (index,))
-        return self._number(entry[0], self.along, (index, 0)), self._number(entry[1], self.up, (index, 1))
+        x, y = self._number(entry[0], self.along, (index, 0)), self._number(entry[1], self.up, (index, 1))
+        if self.above is not None and not y > self.above:
+            unexpected(f"a number > {self.above:g} ({self.up})", (index, 1))
+        return x, y
 
     @staticmethod
     def _number(value: object, unit: str, at: tuple[int, int]) -> float:

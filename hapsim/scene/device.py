@@ -1,12 +1,14 @@
 """What stands on the other side of the wire: the device that the hand holds."""
 
+import math
+from dataclasses import replace
 from typing import Annotated, Literal
 
 from pydantic import Field
 
-from .choices import HOLD, SAMPLING, Hold, Sampling
+from .choices import CORRECTION, HOLD, SAMPLING, CorrectionName, Hold, Sampling
 from .part import Part
-from .quantity import Count, PerChannel, Quantity, per_channel
+from .quantity import Count, PerChannel, Quantity, Span, SpanPerChannel, per_channel
 
 Clock = Literal["device", "host", "lockstep"]
 
@@ -27,17 +29,23 @@ class Device(Part):
         default="device",
         description="Who paces the loop; lockstep: the mock, in virtual time, as fast as it goes",
     )
-    mass: Annotated[PerChannel, MASS]
+    mass: Annotated[SpanPerChannel, replace(MASS, spans=True)]
     friction: Annotated[PerChannel, FRICTION] = 0.0
     stiffness: Annotated[PerChannel, STIFFNESS] = 0.0
     delay: Annotated[float, DELAY] = 1.0
     hold: Hold = Field(default="zoh", description=HOLD)
     sampling: Sampling = Field(default="ideal", description=SAMPLING)
     force_limit: Annotated[float, Quantity("Force that is never exceeded", "N", above=0)] = 10.0
+    correction: CorrectionName = Field(default="none", description=CORRECTION)
 
     def masses(self, channels: int) -> tuple[float, ...]:
-        """Mass of each of ``channels`` channels, in kg."""
-        return per_channel(self.mass, channels)
+        """Mass of each of ``channels`` channels, in kg; of one that is not known, the middle of its span."""
+        return tuple(math.sqrt(least * most) if least < most else most for least, most in self.mass_spans(channels))
+
+    def mass_spans(self, channels: int) -> tuple[tuple[float, float], ...]:
+        """The least and the most that the mass of each of ``channels`` channels may be, in kg."""
+        masses = self.mass if isinstance(self.mass, tuple) else (self.mass,) * channels
+        return tuple((one.least, one.most) if isinstance(one, Span) else (one, one) for one in masses)
 
     def frictions(self, channels: int) -> tuple[float, ...]:
         """Viscous friction of each of ``channels`` channels, in N·s/m."""

@@ -6,6 +6,7 @@ from typing import Annotated
 from pydantic import Field
 
 from .choices import HOLD, SAMPLING, Hold, Sampling
+from .curve import Curve, CurvePoints
 from .device import DELAY, FRICTION, MASS, STIFFNESS, Device
 from .part import Part
 from .quantity import Count, PerChannel, Quantity, per_channel
@@ -45,6 +46,20 @@ class Mock(Part):
         float,
         Quantity("What the mock takes before a position's first byte and after a force's last", "s", least=0, most=1),
     ] = 0.0
+    misses: Annotated[
+        float, Quantity("Share of the forces that come too late, by chance, in virtual time", "1", least=0, most=1)
+    ] = 0.0
+    grips: Annotated[
+        Curve | None,
+        CurvePoints(
+            "The mass of every moving part and its hand from these times on: a hand that grips, or releases",
+            "s",
+            "kg",
+            left_out="it stays what it is",
+            fewest=1,
+            above=0.0,
+        ),
+    ] = None
 
 
 @dataclass(frozen=True)
@@ -66,6 +81,8 @@ class MockDevice:
         seed: seed of that noise.
         baud: speed of its UART, bit/s; None where bytes take no time.
         turnaround: what it takes before a position's first byte and after a force's last, together, s.
+        misses: share of the forces that come too late.
+        grips: (s, kg): from when on every channel has which mass.
     """
 
     mass: tuple[float, ...]
@@ -83,6 +100,8 @@ class MockDevice:
     seed: int
     baud: int | None = None
     turnaround: float = 0.0
+    misses: float = 0.0
+    grips: Curve = ()
 
     @property
     def channels(self) -> int:
@@ -94,7 +113,7 @@ def resolve(device: Device, mock: Mock | None, channels: int) -> MockDevice:
     """The mock of ``channels`` channels that ``mock`` describes, with ``device`` where it is silent."""
     mock = mock or Mock()
     return MockDevice(
-        mass=per_channel(device.mass if mock.mass is None else mock.mass, channels),
+        mass=device.masses(channels) if mock.mass is None else per_channel(mock.mass, channels),
         friction=per_channel(device.friction if mock.friction is None else mock.friction, channels),
         stiffness=per_channel(device.stiffness if mock.stiffness is None else mock.stiffness, channels),
         delay=device.delay if mock.delay is None else mock.delay,
@@ -109,4 +128,6 @@ def resolve(device: Device, mock: Mock | None, channels: int) -> MockDevice:
         seed=mock.seed,
         baud=mock.baud,
         turnaround=mock.turnaround,
+        misses=mock.misses,
+        grips=mock.grips or (),
     )

@@ -6,12 +6,12 @@ person who never heard of pydantic can act on them.
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from numbers import Integral, Real
 from typing import Any, NoReturn
 
-from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
+from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler, GetJsonSchemaHandler, model_serializer
 from pydantic_core import PydanticCustomError, core_schema
 
 #: The pydantic error type under which every check of ours reports.
@@ -21,6 +21,23 @@ MOST_CHANNELS = 16
 
 #: A number of the scene file, or one for each channel of the device.
 PerChannel = float | tuple[float, ...]
+
+
+class Span(BaseModel):
+    """A number that is not known: `from` the least that it may be `to` the most."""
+
+    model_config = ConfigDict(frozen=True)
+
+    least: float
+    most: float
+
+    @model_serializer
+    def _as_written(self) -> dict[str, float]:
+        return {"from": self.least, "to": self.most}
+
+
+#: The same, where a span may stand for a number.
+SpanPerChannel = float | Span | tuple[float | Span, ...]
 
 
 def unexpected(expected: str, at: tuple[int, ...] = ()) -> NoReturn:
@@ -66,6 +83,7 @@ class Quantity(Expectation):
         above, least, most: the bounds; ``above`` is exclusive.
         per_channel: a list with one number for each channel is welcome too, and becomes a tuple.
         left_out: what it means to leave the number out; where this is given, ``null`` is welcome too.
+        spans: a mapping ``{from: least, to: most}`` is welcome in place of a number, and becomes a `Span`.
     """
 
     description: str
@@ -75,26 +93,32 @@ class Quantity(Expectation):
     most: float | None = None
     per_channel: bool = False
     left_out: str = ""
+    spans: bool = False
 
     def expected(self) -> str:
+        span = ", or {from: the least, to: the most}" if self.spans else ""
         several = ", or a list with one per channel" if self.per_channel else ""
-        return self._one() + several
+        return self._one() + span + several
 
-    def check(self, value: object) -> PerChannel | None:
+    def check(self, value: object) -> SpanPerChannel | None:
         """A float, or a tuple of one for each channel; None for a welcome ``null``. An error through `unexpected`."""
         if value is None and self.left_out:
             return None
         if self.per_channel and isinstance(value, Sequence) and not isinstance(value, str | bytes):
-            return tuple(self._number(entry, (index,)) for index, entry in enumerate(value))
-        return self._number(value, ())
+            return tuple(self._entry(entry, (index,)) for index, entry in enumerate(value))
+        return self._entry(value, ())
 
     def json_schema(self) -> dict[str, Any]:
         """A number within the bounds, or a list of one for each channel, or ``null``."""
         bounds = {"exclusiveMinimum": self.above, "minimum": self.least, "maximum": self.most}
         number = {"type": "number"} | {key: bound for key, bound in bounds.items() if bound is not None}
         kinds: list[dict[str, Any]] = [number]
+        if self.spans:
+            ends = {"type": "object", "properties": {"from": number, "to": number}, "required": ["from", "to"]}
+            kinds.append(ends | {"additionalProperties": False})
         if self.per_channel:
-            kinds.append({"type": "array", "items": number, "minItems": 1, "maxItems": MOST_CHANNELS})
+            items = number if len(kinds) == 1 else {"anyOf": list(kinds)}
+            kinds.append({"type": "array", "items": items, "minItems": 1, "maxItems": MOST_CHANNELS})
         if self.left_out:
             kinds.append({"type": "null"})
         return {"description": self._described()} | (number if len(kinds) == 1 else {"anyOf": kinds})
@@ -105,6 +129,18 @@ class Quantity(Expectation):
 
     def _one(self, kind: str = "number") -> str:
         return f"a {kind}{_bounds(self.above, self.least, self.most)} ({self.unit})"
+
+    def _entry(self, value: object, at: tuple[int, ...]) -> float | Span:
+        if isinstance(value, Span):
+            return value
+        if not self.spans or not isinstance(value, Mapping):
+            return self._number(value, at)
+        if set(value) != {"from", "to"}:
+            unexpected("a mapping with the keys from and to", at)
+        least, most = self._number(value["from"], at), self._number(value["to"], at)
+        if least >= most:
+            unexpected(f"from ({least:g}) below to ({most:g})", at)
+        return Span(least=least, most=most)
 
     def _number(self, value: object, at: tuple[int, ...]) -> float:
         number = as_float(value)

@@ -67,6 +67,8 @@ class OneSpring:
             measured = measure(scene)
         except (UsageError, DeviceError, GuardError) as error:
             return Found({}, str(error))
+        if measured.failure is not None:
+            return Found({}, str(measured.failure))
         if not measured.dominant:
             return Found({}, f"no spring and damper was identified: {measured.reason}")
         return Found({"k": measured.k / STIFFNESS - 1.0, "b": measured.b / (DAMPING + FRICTION) - 1.0})

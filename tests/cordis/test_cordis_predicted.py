@@ -14,8 +14,8 @@ from hapsim.cordis.offline import start, tick
 from hapsim.cordis.program import compile_scene, positions_of
 from hapsim.cordis.registry import PART_TYPES
 from hapsim.cordis.schemes import SCHEMES
+from hapsim.prediction.hands import network_of
 from hapsim.prediction.linear import linear_of, linear_scene
-from hapsim.prediction.predict import _network
 from hapsim.scene import DamperScheme, Link, Scene, ViscoElastic, parse_scene
 from hapsim.scene.choices import WITH_CUTOFF, WITH_SENSOR
 from hapsim.theory import Network, solve
@@ -71,8 +71,8 @@ def scene_of(scheme: str, seed: int, state: np.ndarray | None = None) -> Scene:
     return parse_scene(json.dumps(document))
 
 
-def network_of(scene: Scene) -> tuple[Network, Layout]:
-    network, _ = _network(scene, linear_scene(scene))
+def network_and_layout(scene: Scene) -> tuple[Network, Layout]:
+    network, _ = network_of(scene, linear_scene(scene))
     return network, layout_of(network, channel_steps(network))
 
 
@@ -130,7 +130,7 @@ def hand_step(delay: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 @pytest.mark.parametrize("scheme", SCHEMES)
 def test_a_tick_is_the_transition_that_is_predicted(scheme: str, seed: int) -> None:
     """Every linear link, between a hand, masses and what stays: of each number of the state, one after the other."""
-    network, layout = network_of(scene_of(scheme, seed))
+    network, layout = network_and_layout(scene_of(scheme, seed))
     points = layout.now.stop
     matrix = transition(network)
     at_rest = ticked(scheme, seed, np.zeros(2 * points + 1))
@@ -156,7 +156,7 @@ def test_the_same_links_are_inside_as_in_the_kernel(scheme: str) -> None:
     types = {name: {"type": one.type} for name, one in scene.modules.items()}
     modules = {name: types[name] | one for name, one in document["modules"].items()} | {"rubs": rubs, "plucks": plucks}
     scene = parse_scene(json.dumps({"version": 1, **document, "modules": modules}))
-    linear, (network, _) = linear_scene(scene), network_of(scene)
+    linear, (network, _) = linear_scene(scene), network_and_layout(scene)
     names = list(linear.links)
     found = {names[link] for link in inner_links(network) if link < len(names)}
     in_matrices = SCHEMES[scheme].inside(scene)
@@ -192,7 +192,7 @@ def test_the_poles_are_those_of_the_run(scheme: str) -> None:
     modules["a"], modules["b"] = link(("wall", "m0"), 9e3, 20.0), link(("m0", "m1"), 9e3, 30.0)
     modules["touch"] = link(("hand", "m1"), 2e3, 3.0)
     scene = parse_scene(json.dumps(document | {"modules": modules}))
-    network, _ = network_of(scene)
+    network, _ = network_and_layout(scene)
     whole, of_before, of_now = hand_step(DELAY)
     program = compile_scene(scene)
     start(program, np.zeros(1))

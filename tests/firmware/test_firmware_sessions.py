@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from firmware_protocol import schema
+from firmware_protocol.frames import SETUP, frame_to_device
 from firmware_protocol.make_vectors import DOCUMENT, SESSIONS, sessions_text
 from firmware_protocol.sessions import sessions
 from firmware_protocol.story import DEVICES, STATES
@@ -77,6 +78,16 @@ def test_the_hardware_watchdog_is_fed_by_the_tick_and_by_nothing_else(harness: C
             fed = [int(answer.split()[1]) for answer in harness(device)(lines)]
             ticks = [line == "tick" for line in lines]
             assert fed == [sum(ticks[: at + 1]) for at in range(len(lines))], entry["says"]
+
+
+def test_what_a_receiver_lost_joins_no_two_pieces_to_a_frame(harness: Callable[..., Any]) -> None:
+    question = frame_to_device(SETUP, schema.DESCRIBE, schema.REG_CHANNELS, 0, [0]).hex()
+    run = harness({"name": "plain"} | DEVICES["plain"])
+    halves = [f"bytes {question[:12]}", f"bytes {question[12:]}"]
+    said = [answer.split()[2] for answer in run([*halves, halves[0], "lost", halves[1], f"bytes {question}"])]
+    assert said[1] != "-"  # in two pieces, nothing lost between them
+    assert said[2:5] == ["-", "-", "-"]
+    assert said[5] == said[1]
 
 
 @pytest.mark.parametrize("entry", TOLD, ids=NAMES)

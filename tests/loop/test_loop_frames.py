@@ -124,6 +124,13 @@ def test_what_the_device_held_is_counted_as_late_and_ages_the_force(scripted: Sc
     assert trace.flags.tolist() == [0, 0, LATE_FORCE, LATE_FORCE, LATE_FORCE, 0]
 
 
+def test_where_every_force_is_late_none_is_told_older_than_one_can_act(scripted: Scripted, frame: FrameOf) -> None:
+    kinds = [schema.POSITION] + [schema.POSITION_HELD] * 60
+    trace, device = play(scripted, [frame(n, 0, kind=kind) for n, kind in enumerate(kinds)], 61)
+    assert trace.report.deadline_misses == 60
+    assert trace.report.age_samples.max == device.forces[0].argument + 2
+
+
 def test_a_frame_that_is_no_position_moves_nothing(scripted: Scripted, frame: FrameOf) -> None:
     stray = frame_to_host(armed_format(1), schema.DESCRIPTION, 7, [123456])
     trace, _ = play(scripted, [frame(0, 0), stray + frame(1, 10), frame(2, 20)], 3)

@@ -33,10 +33,7 @@ static size_t write_to_device(const hapsim_format *format, uint8_t *out, uint8_t
     if (spoilt) {
         out[chance((uint32_t)at)] = (uint8_t)(1 + chance(255));
     }
-    const uint32_t check = hapsim_check(format, out, at);
-    for (uint8_t i = 0; i < hapsim_check_bytes(format); i++) {
-        out[at++] = hapsim_check_byte(check, i);
-    }
+    at += hapsim_put_check(format, hapsim_check(format, out, at), out + at);
     out[at++] = 0;
     return at;
 }

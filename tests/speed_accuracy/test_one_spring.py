@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import pytest
 
+from hapsim.errors import DeviceError
+from hapsim.measuring.measure import measure
 from hapsim.speed_accuracy.one_spring import (
     DAMPING,
     DELAY_S,
@@ -38,3 +43,12 @@ def test_more_rate_does_not_cure_the_delay() -> None:
 
 def test_what_is_predicted_to_be_unstable_is_left_out() -> None:
     assert OneSpring().found(ONE_SAMPLE, "double", 400.0).why_not == "unstable, as predicted"
+
+
+def test_a_measurement_whose_run_failed_says_so_in_place_of_errors(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(*arguments: Any, **options: Any) -> Any:
+        return replace(measure(*arguments, **options), failure=DeviceError("the mock went away"))
+
+    monkeypatch.setattr("hapsim.speed_accuracy.one_spring.measure", fails)
+    found = OneSpring().found(ONE_SAMPLE, "double", 1000.0)
+    assert (found.errors, found.why_not) == ({}, "the mock went away")

@@ -2,10 +2,11 @@
  * keeps the emulated clock at real time until it is stopped.
  *
  * The emulated clock never runs ahead of it. Where this machine was held up for longer than a sample, that time is lost:
- * a burst of samples would help nobody. LOG: each change of the force put out, a line of two hexadecimal words:
- * microseconds of the emulated clock, and counts. At the end it tells how many cycles the firmware's parts took.
+ * a burst of samples would help nobody. LOG: each force put out, be it the same again, a line of two hexadecimal
+ * words: microseconds of the emulated clock, and counts. At the end it tells how many cycles the firmware's parts took.
  */
 #define _GNU_SOURCE
+#include "chip.h"
 #include "cycles.h"
 #include "terminal.h"
 
@@ -27,15 +28,14 @@
 #define CHIP "atmega328p"
 #define CYCLES_PER_US 16u
 #define SLICE_US 100
+#define BYTES_PER_SLICE 32 /* more than arrive in one at 2 Mbaud: the wire is never short of them */
 #define MOST_BEHIND_US 1000
-#define BYTES_PER_SLICE 20 /* of 2 Mbaud */
 #define GPIOR0 0x3e
 #define GPIOR1 0x4a
 
 static avr_t *avr;
-static avr_irq_t *to_uart;
 static int port, log_file = -1;
-static uint32_t shifted, force;
+static uint32_t shifted;
 static uint8_t unsent[4096];
 static size_t unsent_bytes;
 static void (*reset_chip)(avr_t *);
@@ -50,10 +50,9 @@ static void note_force(uint32_t counts) {
     char line[32];
     const int length = snprintf(line, sizeof line, "%08lx %08lx\n",
                                 (unsigned long)(uint32_t)(avr->cycle / CYCLES_PER_US), (unsigned long)counts);
-    if (counts != force && log_file >= 0 && write(log_file, line, (size_t)length) != length) {
+    if (log_file >= 0 && write(log_file, line, (size_t)length) != length) {
         log_file = -1;
     }
-    force = counts;
 }
 
 static void on_gpior0(avr_t *chip, avr_io_addr_t address, uint8_t value, void *unused) {
@@ -116,10 +115,9 @@ static void send_bytes(void) {
 
 static void receive_bytes(void) {
     uint8_t bytes[BYTES_PER_SLICE];
-    const ssize_t count = read(port, bytes, sizeof bytes);
-    for (ssize_t i = 0; i < count; i++) {
-        avr_raise_irq(to_uart, bytes[i]);
-    }
+    const size_t room = wire_room();
+    const ssize_t count = read(port, bytes, room < sizeof bytes ? room : sizeof bytes);
+    put_on_wire(bytes, count > 0 ? (size_t)count : 0);
 }
 
 /* A sleeping chip goes on to its next timer at once: time is kept below. */
@@ -166,7 +164,6 @@ static int load(const char *file) {
 static void connect_pins(void) {
     uint32_t flags = 0;
     avr_ioctl(avr, AVR_IOCTL_UART_SET_FLAGS('0'), &flags); /* neither printed nor slept upon */
-    to_uart = avr_io_getirq(avr, AVR_IOCTL_UART_GETIRQ('0'), UART_IRQ_INPUT);
     avr_irq_register_notify(avr_io_getirq(avr, AVR_IOCTL_UART_GETIRQ('0'), UART_IRQ_OUTPUT), on_byte, NULL);
     avr_register_io_write(avr, GPIOR0, on_gpior0, NULL);
     avr_register_io_write(avr, GPIOR1, on_gpior1, NULL);
@@ -216,11 +213,13 @@ int main(int count, char **words) {
     signal(SIGINT, stop);
     prctl(PR_SET_TIMERSLACK, 1);
     connect_pins();
+    mend_chip(avr); /* before those who watch: simavr tells the last one first, and they count what is added here */
     watch_cycles(avr);
     printf("%s\n", path);
     fflush(stdout);
     const int status = run();
     note_force(0);
     tell_cycles(stderr);
+    tell_wire(stderr);
     return status;
 }

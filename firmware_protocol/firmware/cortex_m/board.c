@@ -1,9 +1,9 @@
 /* The firmware on a Cortex-M3: SysTick makes the tick, UART 0 is the port, the interrupt of its receiver comes before the
  * tick. In place of an encoder and a motor there is simulated_mass.c.
  *
- * The emulator is told each change of the force put out, a line of two hexadecimal words: microseconds, and counts. They
- * are those of the ticks: the emulator's clock goes on where its machine holds it up, and ticks are lost. That is done
- * by semihosting: a real chip without a debugger stops at it, so a real board leaves note_force out.
+ * The emulator is told each force put out, be it the same again, a line of two hexadecimal words: microseconds, and
+ * counts. They are those of the ticks: the emulator's clock goes on where its machine holds it up, and ticks are lost.
+ * That is done by semihosting: a real chip without a debugger stops at it, so a real board leaves note_force out.
  */
 #include "hapsim_board.h"
 #include "hapsim_device.h"
@@ -22,7 +22,7 @@ void on_uart0_received(void);
 void on_uart0_sent(void);
 void on_timer1(void);
 
-/* One context writes `end`, the other one `start`. */
+/* One context writes `end`, the other one `start`; both count on and on. */
 typedef struct {
     volatile uint32_t start, end;
     uint8_t bytes[RING];
@@ -33,22 +33,19 @@ static simulated_mass mass;
 static int32_t force;
 static uint32_t ticks;
 
+/* The newest bytes are kept: after noise of any length the frame that follows it is among them. */
 void on_uart0_received(void) {
     UART0->interrupts = UART_RECEIVED;
     while (UART0->state & UART_RECEIVER_FULL) {
-        const uint8_t byte = (uint8_t)UART0->data;
-        const uint32_t next = (received.end + 1u) % RING;
-        if (next != received.start) { /* else it is lost, and the frame with it: its check tells */
-            received.bytes[received.end] = byte;
-            received.end = next;
-        }
+        received.bytes[received.end % RING] = (uint8_t)UART0->data;
+        received.end++;
     }
 }
 
 static void send_next(void) {
     while (to_send.start != to_send.end && !(UART0->state & UART_TRANSMITTER_FULL)) {
-        UART0->data = to_send.bytes[to_send.start];
-        to_send.start = (to_send.start + 1u) % RING;
+        UART0->data = to_send.bytes[to_send.start % RING];
+        to_send.start++;
     }
 }
 
@@ -115,22 +112,19 @@ static void note_force(void) {
 }
 
 void hapsim_port_put_forces(const int32_t *counts) {
-    if (counts[0] != force) {
-        force = counts[0];
-        note_force();
-    }
+    force = counts[0];
+    note_force();
 }
 
 /* Called by the tick, or while the tick is held off. The receiver's priority is the transmitter's too, so it is kept out
  * while the first byte goes. */
 bool hapsim_port_write(const uint8_t *bytes, size_t count) {
     uint32_t end = to_send.end;
-    if (count > (to_send.start - end - 1u) % RING) {
+    if (count > RING - (end - to_send.start)) {
         return false;
     }
     for (size_t i = 0; i < count; i++) {
-        to_send.bytes[end] = bytes[i];
-        end = (end + 1u) % RING;
+        to_send.bytes[end++ % RING] = bytes[i];
     }
     uint32_t before;
     __asm volatile("mrs %0, basepri" : "=r"(before));
@@ -169,11 +163,16 @@ static void start_hardware(void) {
 }
 
 static bool take_byte(void) {
-    if (received.start == received.end) {
+    const uint32_t end = received.end;
+    if (end - received.start > RING) { /* it ran over: the oldest half goes, before the rest is overwritten too */
+        received.start = end - RING / 2;
+        hapsim_device_lost_bytes();
+    }
+    if (received.start == end) {
         return false;
     }
-    const uint8_t byte = received.bytes[received.start];
-    received.start = (received.start + 1u) % RING;
+    const uint8_t byte = received.bytes[received.start % RING];
+    received.start++;
     hapsim_device_take_byte(byte);
     return true;
 }

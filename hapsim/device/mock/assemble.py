@@ -47,6 +47,7 @@ def assemble_mock(scene: Scene) -> Any:
     _set_bodies(mock, scene)
     _set_converters(mock, scene, description)
     _set_wire(mock, scene)
+    _set_grips(mock, scene)
     mock.force_scale[: scene.channels] = description.force_scale
     mock.force_limit[: scene.channels] = description.force_limit
     mock.registers[:] = to_registers(description)
@@ -90,12 +91,20 @@ def _set_wire(mock: Any, scene: Scene) -> None:
     if scene.device.clock == "lockstep":
         _require_passable(wire, late, time_to_live_samples(scene.rate))
     mock.late_samples = min(late or 0, MOST_LATE)
-    if mock.late_samples:
+    mock.chance.share = device.misses if scene.device.clock == "lockstep" else 0.0
+    mock.chance.seed = np.random.SeedSequence((device.seed, 1)).generate_state(1, np.uint64)[0] | np.uint64(1)
+    if mock.late_samples or mock.chance.share:
         from hapsim.device.mock.late_force import take_late_force
 
         mock.called.take_force = take_late_force.address()
     mock.byte_ns = BITS_PER_BYTE * 1e9 / device.baud if device.baud else 0.0
     mock.turnaround_ns = device.turnaround * 1e9
+
+
+def _set_grips(mock: Any, scene: Scene) -> None:
+    mock.grips["sample"] = -1
+    for grip, (second, mass) in zip(mock.grips, scene.mock_device.grips, strict=False):
+        grip.sample, grip.mass = max(0, round(second * scene.rate)), mass
 
 
 def _require_passable(wire: WireTime, late: int | None, lives: int) -> None:

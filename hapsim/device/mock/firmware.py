@@ -65,6 +65,12 @@ FORCE_UNDER_WAY = np.dtype(
     [("number", np.int64), ("argument", np.int64), ("counts", np.int64, (schema.MAX_CHANNELS,))], align=True
 )
 
+CHANCE = np.dtype([("share", np.float64), ("seed", np.uint64), ("state", np.uint64)], align=True)
+"""By which forces come late: their share, and where the generator begins and stands."""
+
+MOST_GRIPS = 1000
+GRIP = np.dtype([("sample", np.int64), ("mass", np.float64)], align=True)
+
 _EACH = (schema.MAX_CHANNELS,)
 
 FORMATS = np.dtype([("setup", FRAMING), ("armed", FRAMING), ("armed_with_velocity", FRAMING)], align=True)
@@ -89,6 +95,13 @@ MOCK = np.dtype(
         ("outbox", np.uint8, (OUTBOX_BYTES,)),
         ("late_samples", np.int64),  # in virtual time: so many samples pass while a force is on the wire
         ("under_way", FORCE_UNDER_WAY, (MOST_LATE + 1,)),  # by the sample in which it was sent
+        ("chance", CHANCE),
+        (
+            "grips",
+            GRIP,
+            (MOST_GRIPS + 1,),
+        ),  # from which sample on the bodies have which mass (kg); the last never comes
+        ("gripped", np.int64),  # how many of them are over
         ("byte_ns", np.float64),  # in real time: what a byte takes on the wire,
         ("turnaround_ns", np.float64),  # and what the device takes before its first
         ("address", np.uint64),  # of all this
@@ -166,6 +179,10 @@ def _end_sample(mock, now):
         h = (now - board.sampled_ns if now > board.sampled_ns else 1) * 1e-9
         acts = min(h, board.lives)
     board.sampled_ns = now
+    if board.n == mock.grips[mock.gripped].sample:
+        for c in range(mock.channels):
+            mock.bodies[c].mass = mock.grips[mock.gripped].mass
+        mock.gripped += 1
     fresh = _decide_command(mock)
     if fresh and acts < h:
         fresh = False
@@ -335,6 +352,8 @@ def _arm(mock, now):
     board.heard_ns = board.sampled_ns = now
     board.lives = math.inf
     board.scale_out_of_range = 0
+    mock.gripped = 0
+    mock.chance.state = mock.chance.seed
     for register in range(schema.REG_ACCEPTED, schema.REG_LIMITED + 1):
         mock.registers[register] = 0
     decoder.crc_errors = decoder.length_errors = decoder.form_errors = 0

@@ -178,18 +178,22 @@ def to_counts(value, quantum):
 
 @helper
 def _noise(converter):
-    """A normal value (Box and Muller) from two that are uniform in (0, 1] (xorshift64*): the mock's own, so that the
-    same seed gives the same noise everywhere."""
+    """A normal value, from two that are uniform (Box and Muller)."""
     if not converter.noise > 0.0:
         return 0.0
-    uniform = (0.0, 0.0)
-    for _ in range(2):
-        x = converter.state
-        x ^= x >> np.uint64(12)
-        x ^= x << np.uint64(25)
-        x ^= x >> np.uint64(27)
-        converter.state = x
-        scrambled = x * np.uint64(2685821657736338717)
-        uniform = (uniform[1], (np.float64(scrambled >> np.uint64(11)) + 1.0) / 9007199254740992.0)
-    radius = math.sqrt(-2.0 * math.log(uniform[0]))
-    return converter.noise * radius * math.cos(2.0 * math.pi * uniform[1])
+    first, second = uniform(converter), uniform(converter)
+    radius = math.sqrt(-2.0 * math.log(first))
+    return converter.noise * radius * math.cos(2.0 * math.pi * second)
+
+
+@helper
+def uniform(generator):
+    """A value in (0, 1] (xorshift64*) from a record with a `state`: the mock's own, so that the same seed gives the
+    same run everywhere."""
+    x = generator.state
+    x ^= x >> np.uint64(12)
+    x ^= x << np.uint64(25)
+    x ^= x >> np.uint64(27)
+    generator.state = x
+    scrambled = x * np.uint64(2685821657736338717)
+    return (np.float64(scrambled >> np.uint64(11)) + 1.0) / 9007199254740992.0

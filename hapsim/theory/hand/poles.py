@@ -138,16 +138,28 @@ def roots(coefficients: Floats) -> Complexes:
 
 def leading_pair(equation: LoopEquation, kappa: Floats, beta: Floats, poles: Complexes) -> Leading:
     """The pair of the two slowest poles, polished, from all the poles (..., N) by decreasing modulus."""
-    first, second, others = poles[..., 0], poles[..., 1], poles[..., 2:]
-    p = 2.0 - (first + second).real
-    q = ((1.0 - first) * (1.0 - second)).real
+    p, q, is_pair = _two_slowest(poles)
+    others = poles[..., 2:]
+    p, q = _polished(equation, kappa, beta, (p, q), others)
+    return Leading(p, q, is_pair & _decay_faster(others, PolePair(p, q)))
+
+
+def pair_of_poles(poles: Complexes) -> Leading:
+    """The same, as they are: of a loop that has no ``LoopEquation``."""
+    p, q, is_pair = _two_slowest(poles)
+    return Leading(p, q, is_pair & _decay_faster(poles[..., 2:], PolePair(p, q)))
+
+
+def _two_slowest(poles: Complexes) -> tuple[Floats, Floats, Bools]:
+    """(p, q) of the two slowest poles, and whether they are conjugates, or two positive ones."""
+    first, second = poles[..., 0], poles[..., 1]
     conjugates = (first.imag != 0.0) & (second == first.conj())
     positive = (first.imag == 0.0) & (second.imag == 0.0) & (first.real > 0.0) & (second.real > 0.0)
-    is_pair = conjugates | positive
-    p, q = _polished(equation, kappa, beta, (p, q), others)
+    return 2.0 - (first + second).real, ((1.0 - first) * (1.0 - second)).real, conjugates | positive
 
-    dominant = is_pair & (np.abs(others).max(axis=-1, initial=0.0) < PolePair(p, q).smaller_modulus)
-    return Leading(p, q, dominant)
+
+def _decay_faster(others: Complexes, pair: PolePair) -> Bools:
+    return np.asarray(np.abs(others).max(axis=-1, initial=0.0) < pair.smaller_modulus)
 
 
 def _polished(

@@ -1,22 +1,27 @@
 """The closed loop of any linear scene: hands, masses and links together."""
 
+from hapsim.theory.network.continuous import ContinuousMode, continuous_modes
 from hapsim.theory.network.margin import Margin, Margins, margins_of
-from hapsim.theory.network.modes import Mode, Solution
+from hapsim.theory.network.modes import Mode, Solution, poles_of
 from hapsim.theory.network.network import Network
 from hapsim.theory.network.reasons import NotWorkedOutError
 from hapsim.theory.network.solve import solve
-from hapsim.theory.network.state import LARGE, is_large, transition
+from hapsim.theory.network.state import LARGE, is_large, state_size, transition
 
 __all__ = [
     "LARGE",
+    "ContinuousMode",
     "Margin",
     "Margins",
     "Mode",
     "Network",
     "NotWorkedOutError",
     "Solution",
+    "continuous_modes",
     "is_large",
     "margins_of",
+    "poles_of",
     "solve",
+    "state_size",
     "transition",
 ]

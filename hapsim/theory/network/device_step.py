@@ -58,6 +58,20 @@ def device_step(damping: float, delay: float, hold: str, stiffness: float = 0.0,
     return DeviceStep(np.vstack([motion[rows], read[0]]), np.vstack([forces[rows], read[1]]), window)
 
 
+def through(segments: list[HoldSegment], damping: float, stiffness: float) -> tuple[Floats, Floats]:
+    """(2, 2) and (2, ages): position and velocity after some segments of a hold, from those before and the forces."""
+    ages = max((len(weights) for _, *made in segments for weights in made), default=0)
+    motion, forces = np.eye(5)[:, [POSITION, VELOCITY]], np.zeros((5, ages))
+    for duration, kick, level, slope in segments:
+        forces[VELOCITY, : len(kick)] += kick
+        forces[FORCE] = forces[SLOPE] = 0.0
+        forces[FORCE, : len(level)] = level
+        forces[SLOPE, : len(slope)] = slope
+        flow = _flow(damping, stiffness, duration)
+        motion, forces = flow @ motion, flow @ forces
+    return motion[:2], forces[:2]
+
+
 def _opened(segments: list[HoldSegment], at: float) -> list[tuple[bool, HoldSegment]]:
     """The segments, one of which begins ``at`` sample periods into the period: where the window of the reading opens,
     which is said beside it."""

@@ -77,6 +77,15 @@ def all_modes(network: Network) -> Solution:
     return Solution(sort_by_modulus(poles), modes_of(network, poles, vectors), size)
 
 
+@np.errstate(all="ignore")
+def poles_of(network: Network) -> Complexes:
+    """Every pole, memories included, of a scene that is not large; NaN where the transition is not finite."""
+    matrix = transition(network)
+    if not np.isfinite(matrix).all():
+        return not_finite(matrix.shape[0]).poles
+    return np.asarray(np.linalg.eigvals(matrix).astype(complex))
+
+
 def not_finite(size: int) -> Solution:
     """Of a scene whose numbers are out of range."""
     return Solution(np.full(size, complex(np.nan, np.nan)), [], size)

@@ -107,6 +107,8 @@ static void obey(char *line) {
         read_counts(rest, measured + HAPSIM_BOARD_CHANNELS);
     } else if (strncmp(line, "fault", 5) == 0) {
         found = (uint8_t)strtoul(rest, NULL, 10);
+    } else if (strncmp(line, "lost", 4) == 0) {
+        hapsim_device_lost_bytes();
     } else if (strncmp(line, "room", 4) == 0) {
         room = strtoul(rest, NULL, 10) != 0;
     }

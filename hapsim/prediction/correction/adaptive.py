@@ -1,0 +1,70 @@
+"""correction: adaptive. The predictor, for the mass of the temporary hybrid system that is estimated while it runs.
+
+For every mass in the declared span there is a force that is right for it. The one for a heavy hand is strong: where a
+hand lets go, and leaves a light device under it, that may be unstable before any estimate can tell. So only those are
+taken that are stable for every mass in the span, and the estimate goes no further: between the least mass and the
+greatest one for which that holds. ``loop/adaptive.py`` estimates, and moves between them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from hapsim.prediction.correction.lone import Element, element_for
+from hapsim.prediction.correction.predictor import PREDICTOR, predicted
+from hapsim.theory import Configuration
+from hapsim.theory.arrays import Floats
+
+ADAPTIVE = PREDICTOR._replace(name="adaptive", adapts=True)
+
+ROWS = 48
+_TRIED = 9  # masses of the span at which each row has to be stable
+_ON_THE_CIRCLE = 1e-9
+
+
+class Schedule(NamedTuple):
+    """What is simulated for each of ROWS masses, kg, from the least to the most in equal ratios."""
+
+    masses: Floats
+    elements: tuple[Element, ...]
+    """Those above ``safe`` are the one for it."""
+    safe: float
+    """kg: the greatest mass whose element is stable for every mass in the span."""
+
+    def settled(self, mass: float) -> Element:
+        """What is simulated once the estimate is this mass, in kg: between two of the elements."""
+        made_for = min(mass, self.safe)
+        at = np.log(made_for / self.masses[0])
+        logs = np.log(self.masses / self.masses[0])
+        values = [[one.stiffness, one.damping, one.made_for] for one in self.elements]
+        K, B, model = (float(np.interp(at, logs, column)) for column in np.transpose(values))
+        is_free = self.elements[0].reached
+        return Element(K, B, made_for if is_free else model, is_free and mass <= self.safe)
+
+
+def schedule_for(declared: Configuration, span: tuple[float, float], desired: tuple[float, float]) -> Schedule:
+    """For a hand that is to feel ``desired`` (k in N/m, b in N·s/m), whatever mass of the span it has. Where even the
+    element of the least mass is not stable for all, the one that `element_for` finds for the span, for every mass."""
+    masses = np.geomspace(*span, ROWS)
+    trues = [replace(declared, mass=mass) for mass in np.geomspace(*span, _TRIED).tolist()]
+    found: list[Element] = []
+    for mass in masses.tolist():
+        model = replace(declared, mass=mass)
+        element = element_for(PREDICTOR, model, (mass, mass), desired)
+        if not element.reached or not _is_stable_for(trues, model, element):
+            break
+        found.append(element)
+    if not found:
+        found.append(element_for(PREDICTOR, declared, span, desired))
+    elements = found + [found[-1]] * (ROWS - len(found))
+    return Schedule(masses, tuple(elements), float(masses[len(found) - 1]))
+
+
+def _is_stable_for(trues: list[Configuration], model: Configuration, element: Element) -> bool:
+    loops = (predicted(true, model) for true in trues)
+    return all(
+        bool(np.abs(loop.poles(element.stiffness, element.damping)[..., 0]) <= 1.0 + _ON_THE_CIRCLE) for loop in loops
+    )

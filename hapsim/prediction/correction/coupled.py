@@ -1,0 +1,139 @@
+"""The port's parameters of hands that move masses, or each other: those with which the slowest modes of the closed loop
+are the ones of the continuous scene.
+
+Each device point has two numbers to give, the stiffness and the damping of its links together; so one mode of its own,
+two poles, can be put where the continuous scene has it. What the other modes become, the prediction tells.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from hapsim.prediction.correction.ports import Port, shared_out, with_modules
+from hapsim.prediction.hands import network_of
+from hapsim.prediction.linear import linear_scene
+from hapsim.scene import Scene
+from hapsim.scene.choices import DamperScheme
+from hapsim.theory import Network
+from hapsim.theory.arrays import Complexes, Floats
+from hapsim.theory.network import ContinuousMode, continuous_modes, poles_of, state_size
+
+MOST_STATES = 200
+"""Of a larger scene the modes are not searched: the neighbours of its hands are taken to stand still."""
+
+_MOVES = 0.05  # the hand's share of a mode's kinetic energy, from which it is one of the hand's
+_ON_THE_CIRCLE = 1e-7  # where a scene with something free has two poles, as rounding leaves them
+_LEAST, _MOST = 1e-3, 10.0  # times what the scene has, between which the nearest is searched
+_SOLVED = 1e-9  # of the distance of the poles from z = 1
+
+
+class Matched(NamedTuple):
+    """(K, B) for each port in N/m and N·s/m, and the modes that they put in place, or nearest to it."""
+
+    elements: list[tuple[float, float]]
+    modes: list[ContinuousMode]
+    reached: bool
+
+
+def is_small(scene: Scene) -> bool:
+    """Whether the modes of this scene are searched."""
+    network, _ = network_of(scene, linear_scene(scene))
+    return state_size(network) <= MOST_STATES
+
+
+def match_modes(
+    desired: Scene,
+    as_seen: Scene,
+    ports: Sequence[Port],
+    damper: DamperScheme | None,
+    starts: Sequence[Sequence[tuple[float, float]]],
+) -> Matched | None:
+    """``desired``: as it is written. ``as_seen``: the same, with the device as the loop sees it under the correction.
+    ``starts``: elements of the ports from which they are searched. None where no mode is a hand's own, or
+    nothing that is near leaves every motion stable."""
+    network, names = network_of(desired, linear_scene(desired))
+    pairs, modes = _targets(continuous_modes(network), [names.index(port.name) for port in ports], desired.rate)
+    if len(pairs) < len(ports):
+        return None
+    written = np.array([[port.stiffness, port.damping] for port in ports])
+    scale = np.maximum(written, 1e-3 * written.max(initial=1e-6))
+    target = np.array([_sum_and_product(pair) for pair in pairs])
+    unit = np.array([[abs(1.0 - pair[0]), abs(1.0 - pair[0]) ** 2] for pair in pairs])
+
+    def poles_with(elements: Floats) -> Complexes:
+        return poles_of(_with_elements(as_seen, ports, elements, damper))
+
+    def off(x: Floats) -> Floats:
+        found = _nearest_pairs(poles_with(x.reshape(-1, 2) * scale), pairs)
+        return np.asarray(((found - target) / unit).ravel())
+
+    from scipy.optimize import least_squares, root
+
+    begins = [np.array(begin).ravel() / scale.ravel() for begin in starts]
+    for begin in begins:
+        solved = root(off, begin, options={"xtol": 1e-13})
+        elements = solved.x.reshape(-1, 2) * scale
+        if np.abs(off(solved.x)).max() < _SOLVED and (elements >= 0.0).all() and _is_stable(poles_with(elements)):
+            return Matched([(float(K), float(B)) for K, B in elements], modes, True)
+    nearest = least_squares(off, np.clip(begins[-1], _LEAST, _MOST), bounds=(0.0, 2.0 * _MOST))
+    elements = nearest.x.reshape(-1, 2) * scale
+    if not _is_stable(poles_with(elements)):
+        return None
+    return Matched([(float(K), float(B)) for K, B in elements], modes, False)
+
+
+def _is_stable(poles: Complexes) -> bool:
+    return bool(np.abs(poles).max(initial=0.0) <= 1.0 + _ON_THE_CIRCLE)
+
+
+def _with_elements(scene: Scene, ports: Sequence[Port], elements: Floats, damper: DamperScheme | None) -> Network:
+    changed = {
+        name: link
+        for port, (K, B) in zip(ports, elements, strict=True)
+        for name, link in shared_out(port, float(K), float(B), damper).items()
+    }
+    rendered = with_modules(scene, changed)
+    return network_of(rendered, linear_scene(rendered))[0]
+
+
+def _targets(
+    modes: list[ContinuousMode], hands: Sequence[int], rate: float
+) -> tuple[list[tuple[complex, complex]], list[ContinuousMode]]:
+    """Two poles in the z-plane for each hand: of the slowest mode that moves it and is no other's; of real roots, the
+    two slowest."""
+    pairs, taken, left = [], [], list(modes)
+    for hand in hands:
+        own = [mode for mode in left if mode.participation[hand] >= _MOVES and abs(mode.root.imag) < np.pi * rate]
+        if not own:
+            continue
+        first = own[0]
+        second = first if first.root.imag else next((mode for mode in own[1:] if not mode.root.imag), None)
+        if second is None:
+            continue
+        left = [mode for mode in left if mode is not first and mode is not second]
+        z = np.exp(first.root / rate)
+        pairs.append((complex(z), complex(np.conj(z)) if first.root.imag else complex(np.exp(second.root / rate))))
+        taken.append(first)
+    return pairs, taken
+
+
+def _nearest_pairs(poles: Complexes, pairs: Sequence[tuple[complex, complex]]) -> Floats:
+    """(ports, 2): sum and product of the poles nearest to each pair."""
+    found, left = [], poles
+    for pair in pairs:
+        nearest = []
+        for pole in pair:
+            at = int(np.argmin(np.abs(left - pole)))
+            nearest.append(complex(left[at]))
+            left = np.delete(left, at)
+        found.append(_sum_and_product((nearest[0], nearest[1])))
+    return np.array(found)
+
+
+def _sum_and_product(pair: tuple[complex, complex]) -> tuple[float, float]:
+    """Of two poles, from z = 1: so that slow ones keep their digits."""
+    one, other = 1.0 - pair[0], 1.0 - pair[1]
+    return (one + other).real, (one * other).real

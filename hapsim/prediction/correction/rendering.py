@@ -1,0 +1,230 @@
+"""The scene as the daemon renders it, so that the hand feels the scene as it is written."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+from hapsim.prediction.correction.adaptive import ADAPTIVE, Schedule, schedule_for
+from hapsim.prediction.correction.coupled import MOST_STATES, is_small, match_modes
+from hapsim.prediction.correction.kind import CorrectionKind
+from hapsim.prediction.correction.lone import Element, element_for
+from hapsim.prediction.correction.poles import POLES
+from hapsim.prediction.correction.ports import Port, ports_of, shared_out, with_modules
+from hapsim.prediction.correction.predictor import PREDICTOR
+from hapsim.prediction.hands import configuration_of, dampers_of, why_coupled
+from hapsim.prediction.linear import linear_scene
+from hapsim.scene import Scene
+from hapsim.scene.modules import Module
+from hapsim.theory import Configuration
+from hapsim.theory.correction import StatePredictor, state_predictor
+
+CORRECTIONS: dict[str, CorrectionKind] = {kind.name: kind for kind in (POLES, PREDICTOR, ADAPTIVE)}
+"""By the names of `device.correction`; "none" is not among them."""
+
+
+class Corrected(NamedTuple):
+    """What a correction does at one device point."""
+
+    name: str
+    channel: int
+    desired: tuple[float, float]
+    """(k, b) in N/m and N·s/m, what is real included; NaN where the hand moves masses or other hands."""
+    written: tuple[float, float]
+    """(K, B) of the scene's linear links together."""
+    rendered: tuple[float, float]
+    """(K, B) that they are given."""
+    declared: Configuration
+    """The device, as the scene describes it."""
+    made_for: float
+    """kg: the mass for which the force is right."""
+    reached: bool
+    """Whether the hand feels what is desired, by prediction."""
+    schedule: Schedule | None = None
+    """Of an adaptive one: what is simulated for which mass. `rendered` and `made_for` are for the declared one."""
+    rest: float = 0.0
+    """m: where the linear links together have no force, their other ends at rest."""
+
+    def settled(self, mass: float) -> tuple[tuple[float, float], float]:
+        """((K, B), kg for which they are made) of a hand of this mass, once an estimate has settled."""
+        if self.schedule is None:
+            return self.rendered, self.made_for
+        element = self.schedule.settled(mass)
+        return (element.stiffness, element.damping), element.made_for
+
+
+@dataclass(frozen=True)
+class Rendering:
+    """A scene, and what is run and predicted in its place."""
+
+    desired: Scene
+    """As it is written."""
+    scene: Scene
+    """As it is run."""
+    seen: Scene
+    """As theory sees it: the same, before a device whose delay a predictor takes away, and for the declared mass where
+    a correction adapts."""
+    kind: CorrectionKind | None
+    ports: tuple[Corrected, ...]
+    notes: tuple[str, ...]
+    """Sentences: what was not corrected, and why."""
+
+    def predictors(self) -> dict[int, StatePredictor]:
+        """Of every channel of a device point; none where nothing is predicted."""
+        if self.kind is None or not self.kind.predicts:
+            return {}
+        made_for = {
+            port.channel: port.made_for if port.schedule is None else port.schedule.elements[0].made_for
+            for port in self.ports
+        }
+        channels = [point.channel for point in self.desired.device_points.values()]
+        senses = bool(self.desired.sensed_links)
+        configurations = {channel: configuration_of(self.desired, channel) for channel in channels}
+        return {
+            channel: state_predictor(replace(one, mass=made_for.get(channel, one.mass)), senses)
+            for channel, one in configurations.items()
+        }
+
+
+def rendered(scene: Scene) -> Rendering:
+    """What the daemon runs so that the hand feels `scene`, by its ``device.correction``."""
+    kind = CORRECTIONS.get(scene.device.correction)
+    if kind is None:
+        return Rendering(scene, scene, scene, None, (), ())
+    ports, notes = ports_of(scene), []
+    linear = linear_scene(scene)
+    lone = [port for port in ports if not why_coupled(scene, linear, port.name) or not is_small(scene)]
+    elements: dict[str, Element] = {}
+    schedules: dict[str, Schedule] = {}
+    for port in lone:
+        elements[port.name] = _lone(kind, scene, port)
+        if kind.adapts and (schedule := _schedule(scene, port)) is not None:
+            schedules[port.name] = schedule
+            elements[port.name] = schedule.elements[0]
+        if why := why_coupled(scene, linear, port.name):
+            notes.append(
+                f"{port.name} {why}: what moves with it is taken to stand still, since the scene has more than "
+                f"{MOST_STATES} numbers in its state"
+            )
+    coupled = [port for port in ports if port.name not in elements and port.linear]
+    notes += _match(kind, scene, coupled, elements)
+    settled = dict(elements)
+    for port in ports:
+        if port.name in schedules:
+            settled[port.name] = schedules[port.name].settled(_declared(scene, port).mass)
+        notes += [f"{name} is left as it is: {_WHY_LEFT}" for name in port.others]
+    run, seen = (_with_elements(kind, scene, ports, given) for given in (elements, settled))
+    corrected = tuple(
+        _corrected(scene, port, elements[port.name], schedules.get(port.name))
+        for port in ports
+        if port.name in elements
+    )
+    return Rendering(scene, run, _as_seen(kind, seen), kind, corrected, tuple(notes))
+
+
+def _with_elements(kind: CorrectionKind, scene: Scene, ports: list[Port], elements: dict[str, Element]) -> Scene:
+    changed: dict[str, Module] = {}
+    for port in ports:
+        if port.name in elements:
+            element = elements[port.name]
+            changed |= shared_out(port, element.stiffness, element.damping, kind.with_damper)
+            changed |= _contacts(kind, scene, port, element)
+    return with_modules(scene, changed)
+
+
+_WHY_LEFT = "a force that is no spring and damper everywhere has no stiffness and damping to correct"
+
+
+def _as_seen(kind: CorrectionKind, scene: Scene) -> Scene:
+    """Before the device that the loop seems to have."""
+    if not kind.predicts:
+        return scene
+    return scene.model_copy(update={"device": scene.device.model_copy(update={"delay": 0.0, "sampling": "ideal"})})
+
+
+def _lone(kind: CorrectionKind, scene: Scene, port: Port, more: tuple[float, float] = (0.0, 0.0)) -> Element:
+    """The element of a port whose neighbours stand still; `more`: K and B of a contact that is touched."""
+    stiffness, damping = port.stiffness + more[0], port.damping + more[1]
+    declared = _declared(scene, port)
+    if stiffness == 0.0 and damping == 0.0:
+        return Element(0.0, 0.0, declared.mass, True)
+    span = scene.device.mass_spans(scene.channels)[port.channel]
+    return element_for(kind, declared, span, (stiffness + declared.stiffness, damping + declared.friction))
+
+
+def _schedule(scene: Scene, port: Port) -> Schedule | None:
+    """None where there is nothing to adapt, or no span to adapt in."""
+    declared, span = _declared(scene, port), scene.device.mass_spans(scene.channels)[port.channel]
+    if span[0] == span[1] or port.stiffness == port.damping == 0.0:
+        return None
+    return schedule_for(declared, span, (port.stiffness + declared.stiffness, port.damping + declared.friction))
+
+
+def _declared(scene: Scene, port: Port) -> Configuration:
+    damper, cutoff = next(iter(dampers_of(linear_scene(scene), port.name)), ("backward", None))
+    return configuration_of(scene, port.channel, damper, cutoff)
+
+
+def _contacts(kind: CorrectionKind, scene: Scene, port: Port, base: Element) -> dict[str, Module]:
+    """Each contact with what it adds, while it is touched, to the linear links; as it is where that is nothing."""
+    changed: dict[str, Module] = {}
+    for name, contact in port.contacts.items():
+        touched = _lone(kind, scene, port, (contact.stiffness, contact.damping))
+        stiffness, damping = touched.stiffness - base.stiffness, touched.damping - base.damping
+        if stiffness >= 0.0 and damping >= 0.0:
+            changed[name] = contact.model_copy(update={"stiffness": stiffness, "damping": damping})
+    return changed
+
+
+def _match(kind: CorrectionKind, scene: Scene, ports: list[Port], elements: dict[str, Element]) -> list[str]:
+    """Puts the elements of hands that move more than themselves among `elements`; what to say of them."""
+    if not ports:
+        return []
+    alone = {port.name: _lone(kind, scene, port) for port in ports}
+    starts = [
+        [(port.stiffness, port.damping) for port in ports],
+        [(one.stiffness, one.damping) for one in alone.values()],
+    ]
+    matched = match_modes(scene, _as_seen(kind, scene), ports, kind.with_damper, starts)
+    names = ", ".join(alone)
+    if matched is None:
+        elements |= {name: one._replace(reached=False) for name, one in alone.items()}
+        return [f"no stiffness and damping at {names} gives the slowest mode its place: corrected as if it held alone"]
+    masses = scene.device.masses(scene.channels)
+    for port, (K, B) in zip(ports, matched.elements, strict=True):
+        elements[port.name] = Element(K, B, masses[port.channel], matched.reached)
+    if matched.reached:
+        return []
+    return [f"no stiffness and damping at {names} gives the slowest modes exactly their place: these come nearest"]
+
+
+def _corrected(scene: Scene, port: Port, element: Element, schedule: Schedule | None) -> Corrected:
+    declared = _declared(scene, port)
+    k, b = port.stiffness + declared.stiffness, port.damping + declared.friction
+    is_coupled = bool(why_coupled(scene, linear_scene(scene), port.name))
+    settled = element if schedule is None else schedule.settled(declared.mass)
+    return Corrected(
+        name=port.name,
+        channel=port.channel,
+        desired=(math.nan, math.nan) if is_coupled else (k, b),
+        written=(port.stiffness, port.damping),
+        rendered=(settled.stiffness, settled.damping),
+        declared=declared,
+        made_for=settled.made_for,
+        reached=settled.reached,
+        schedule=schedule,
+        rest=_rest(scene, port),
+    )
+
+
+def _rest(scene: Scene, port: Port) -> float:
+    """Where the springs to grounds balance; 0 without any."""
+    grounds = [
+        (link.stiffness, scene.grounds[end].position)
+        for link in port.linear.values()
+        for end in link.between
+        if end in scene.grounds
+    ]
+    whole = math.fsum(stiffness for stiffness, _ in grounds)
+    return math.fsum(stiffness * position for stiffness, position in grounds) / whole if whole > 0.0 else 0.0

@@ -1,0 +1,139 @@
+"""A hand of unknown and changing mass: estimated while it runs, and never across the stability boundary."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from hapsim import run, start
+from hapsim.loop.trace import Trace
+from hapsim.measuring.identify import identify
+from hapsim.prediction.correction import CORRECTIONS
+from hapsim.prediction.correction.adaptive import schedule_for
+from hapsim.running import Excitation, Session
+from hapsim.scene import Device, DevicePoint, Ground, Initial, Mock, Scene, ViscoElastic
+from hapsim.theory import Configuration
+
+LEAST, MOST, RATE = 0.1, 0.4, 1000.0
+
+
+def gripped(stiffness: float, damping: float, *, mass: float = LEAST, friction: float = 1.0, **mock: Any) -> Scene:
+    """A hand of this true mass on a spring, which the scene knows to have between LEAST and MOST."""
+    modules = {
+        "hand": DevicePoint(channel=0),
+        "wall": Ground(),
+        "touch": ViscoElastic(between=("hand", "wall"), stiffness=stiffness, damping=damping),
+    }
+    span = {"from": LEAST, "to": MOST}
+    device = Device(clock="lockstep", mass=span, friction=friction, correction="adaptive", force_limit=1000.0)
+    own = {"initial": Initial(velocity=0.1), "mass": mass} | mock
+    return Scene(version=1, rate=RATE, device=device, mock=Mock(**own), modules=modules)
+
+
+def after(trace: Trace, tick: int) -> Trace:
+    """What was recorded from this tick on."""
+    rows = ("sample", "time_ns", "flags", "position_counts", "force_counts", "asked_force")
+    return replace(trace, **{name: getattr(trace, name)[tick:] for name in rows})
+
+
+@pytest.mark.parametrize("mass", [0.1, 0.15, 0.2, 0.4])
+def test_once_settled_the_hand_feels_what_the_scene_says(mass: float) -> None:
+    """Its own pushes, every tenth of a second, tell the mass; what is identified is the second half."""
+    scene = gripped(5000.0, 20.0, mass=mass)
+    pushes = Excitation(0, 5.0, 4, 100, start=0, first=True)
+    trace = run(scene, duration=4.0, excitation=pushes)
+    assert trace.report.estimated_mass_kg[0] == pytest.approx(mass, rel=2e-3)
+    felt = identify(after(trace, 2000), mass, 0)
+    assert felt.k == pytest.approx(5000.0, rel=2e-3)
+    assert felt.b == pytest.approx(21.0, rel=5e-3)
+
+
+def test_the_estimate_stays_where_nothing_moves() -> None:
+    scene = gripped(5000.0, 60.0, mass=0.3, quantum=1e-6)
+    traces = [run(scene, duration=duration) for duration in (0.5, 1.5)]
+    assert np.ptp(traces[1].position_counts[500:]) <= 2
+    (at_rest,), (later,) = (trace.report.estimated_mass_kg for trace in traces)
+    assert LEAST < at_rest == later
+
+
+SCENES = [(500.0, 2.0), (3000.0, 10.0), (9000.0, 40.0), (30000.0, 60.0)]
+
+
+def schedules(count: int) -> list[tuple[tuple[float, float], tuple[tuple[float, float], ...]]]:
+    """Springs, and when the hand grips and releases: seconds and kg, at random within 50 ms, three times."""
+    random = np.random.default_rng(20)
+    made = []
+    for n in range(count):
+        times = 0.01 + np.cumsum(random.uniform(0.005, 0.05, 6))
+        masses = [MOST, LEAST] * 3 if n % 2 else random.uniform(LEAST, MOST, 6)
+        made.append((SCENES[n % len(SCENES)], tuple(zip(times.tolist(), np.asarray(masses).tolist(), strict=True))))
+    return made
+
+
+@pytest.mark.parametrize("n", range(12))
+def test_a_hand_that_grips_and_releases_never_swings_more_and_more(n: int) -> None:
+    (stiffness, damping), grips = schedules(12)[n]
+    scene = gripped(stiffness, damping, grips=grips)
+    trace = run(scene, duration=0.6)
+    assert largest_growth(trace.position[:, 0], grips) < 1.05
+    assert not trace.report.limited_ticks
+
+
+def largest_growth(x: NDArray[np.float64], grips: Any) -> float:
+    """From one extreme of the motion to the next, while the mass is the same. A mass that is added to a moving one
+    keeps the speed, and so brings energy of its own."""
+    events = [0, *(round(second * RATE) for second, _ in grips), len(x)]
+    worst = 0.0
+    floor = 1e-3 * np.abs(x).max()
+    for begin, end in itertools.pairwise(events):
+        piece = np.abs(x[begin + 1 : end])
+        peaks = piece[1:-1][(piece[1:-1] >= piece[:-2]) & (piece[1:-1] >= piece[2:])]
+        peaks = peaks[peaks > floor]
+        if peaks.size > 1:
+            worst = max(worst, float((peaks[1:] / peaks[:-1]).max()))
+    return worst
+
+
+def test_nothing_is_simulated_that_some_mass_of_the_span_makes_unstable() -> None:
+    """By the mathematics, for points of the whole plane: and so wherever the estimate is, right or wrong."""
+    random = np.random.default_rng(3)
+    kind = CORRECTIONS["adaptive"]
+    limited = 0
+    for _ in range(12):
+        declared = Configuration(mass=0.2, rate=RATE, friction=0.5, delay=float(random.choice([0.37, 1.0, 2.0])))
+        k = declared.stiffness_unit * 10.0 ** random.uniform(-3.5, 0.3)
+        b = 2.0 * random.uniform(0.1, 1.5) * np.sqrt(k * 0.2)
+        schedule = schedule_for(declared, (LEAST, MOST), (float(k), float(b)))
+        limited += schedule.safe < MOST
+        for element in schedule.elements[::6]:
+            for mass in np.geomspace(LEAST, MOST, 7):
+                loop = kind.closed(replace(declared, mass=float(mass)), replace(declared, mass=element.made_for))
+                assert abs(loop.poles(element.stiffness, element.damping)[0]) <= 1.0 + 1e-6
+    assert 0 < limited < 12  # some are free, some are not
+
+
+def test_another_spring_comes_without_a_step() -> None:
+    """Live parameters pass through the correction, and its tables along the same ramp."""
+    pushes = Excitation(0, 5.0, 4, 100, start=0, first=True)
+
+    def change(session: Session) -> None:
+        session.set({"touch": {"stiffness": 6000.0, "damping": 15.0}}, over=0.2)
+
+    scene = gripped(3000.0, 10.0, mass=0.2)
+    with start(scene, duration=2.0, excitation=pushes, on_arming=change) as session:
+        session.wait()
+    trace = session.trace
+    assert trace.report.parameter_changes == 1
+    assert trace.report.estimated_mass_kg[0] == pytest.approx(0.2, rel=5e-3)
+    felt = identify(after(trace, 1200), 0.2, 0)
+    assert felt.k == pytest.approx(6000.0, rel=2e-3)
+    assert felt.b == pytest.approx(16.0, rel=1e-2)
+    # From sample to sample the force changes no more than where it is the stiffer spring's from the beginning.
+    unchanged = run(gripped(6000.0, 15.0, mass=0.2), duration=2.0, excitation=pushes)
+    steps = [np.abs(np.diff(one.asked_force[3:, 0])).max() for one in (trace, unchanged)]
+    assert steps[0] <= steps[1]

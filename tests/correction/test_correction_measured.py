@@ -1,0 +1,134 @@
+"""What is asked for is what is felt: measured on the mock, in virtual time. The identification knows neither K and B
+nor what is desired."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hapsim import measure, predict, run
+from hapsim.loop.ring import LATE_FORCE
+from hapsim.prediction.correction import rendered
+from hapsim.scene import Device, DevicePoint, Ground, Initial, Mock, Nonlinear, Scene, Spring, ViscoElastic
+from hapsim.theory.correction import PredictedLoop, state_predictor
+
+MASS, FRICTION = 0.2, 1.0
+
+
+def hand_on(*links: Any, mock: dict[str, Any] | None = None, **device: Any) -> Scene:
+    """A hand with a flick on links to one wall."""
+    modules: dict[str, Any] = {"hand": DevicePoint(channel=0), "wall": Ground()}
+    modules |= {f"link{i}": link for i, link in enumerate(links)}
+    own: dict[str, Any] = {"clock": "lockstep", "mass": MASS, "friction": FRICTION} | device
+    start = Mock(initial=Initial(velocity=0.1), quantum=1e-10, **(mock or {}))
+    return Scene(version=1, rate=1000.0, device=Device(**own), mock=start, modules=modules)
+
+
+def touch(stiffness: float, damping: float, **more: Any) -> ViscoElastic:
+    return ViscoElastic(between=("hand", "wall"), stiffness=stiffness, damping=damping, **more)
+
+
+def spring(stiffness: float) -> Spring:
+    return Spring(between=("hand", "wall"), stiffness=stiffness)
+
+
+@pytest.mark.parametrize("correction", ["poles", "predictor"])
+@pytest.mark.parametrize(("stiffness", "damping"), [(2000.0, 5.0), (12000.0, 30.0), (800.0, 0.0)])
+def test_the_hand_feels_what_the_scene_says(correction: str, stiffness: float, damping: float) -> None:
+    felt = measure(hand_on(touch(stiffness, damping), correction=correction))
+    assert felt.k == pytest.approx(stiffness, rel=1e-6)
+    assert felt.b == pytest.approx(damping + FRICTION, rel=1e-5)
+
+
+def test_without_it_the_hand_feels_something_else() -> None:
+    felt = measure(hand_on(touch(2000.0, 5.0)))
+    assert felt.k > 2050.0
+    assert felt.b < 3.5
+
+
+@pytest.mark.parametrize(
+    "device",
+    [
+        {"delay": 0.0},
+        {"delay": 0.37},
+        {"delay": 2.5, "sampling": "average"},
+        {"delay": 3.0, "stiffness": 700.0},
+        {"delay": 1.0, "hold": "impulse"},
+    ],
+    ids=str,
+)
+def test_a_predictor_takes_any_delay_away(device: dict[str, Any]) -> None:
+    """Where (K, B) alone could not."""
+    scene = hand_on(touch(20000.0, 40.0), correction="predictor", **device)
+    felt = measure(scene)
+    assert felt.k == pytest.approx(20000.0 + device.get("stiffness", 0.0), rel=3e-6)
+    assert felt.b == pytest.approx(40.0 + FRICTION, rel=3e-5)
+
+
+def test_a_predictor_may_be_told_velocities() -> None:
+    felt = measure(hand_on(touch(20000.0, 40.0, damper="sensed"), correction="predictor", delay=2.0))
+    assert (felt.k, felt.b) == (pytest.approx(20000.0, rel=1e-5), pytest.approx(41.0, rel=1e-4))
+
+
+@pytest.mark.parametrize("factor", [0.7, 0.9, 1.1, 2.0])
+def test_another_mass_than_the_declared_one_feels_what_is_predicted_for_it(factor: float) -> None:
+    scene = hand_on(touch(6000.0, 20.0), correction="predictor", mock={"mass": factor * MASS})
+    (port,) = rendered(scene).ports
+    true = replace(port.declared, mass=factor * MASS)
+    k, b = PredictedLoop(true, state_predictor(port.declared)).equivalent(*port.rendered)
+    felt = measure(scene)
+    assert felt.k * factor == pytest.approx(float(k), rel=1e-5)  # it reads k and b with the declared mass
+    assert felt.b * factor == pytest.approx(float(b), rel=1e-5)
+
+
+@pytest.mark.parametrize("correction", ["poles", "predictor"])
+def test_table_1_has_two_frequencies_once_corrected(correction: str) -> None:
+    """Florens et al., §3: II swings as I, IV and V as III."""
+    k = 5000.0
+    one, two = (math.sqrt(n * k / MASS) / (2.0 * math.pi) for n in (1, 2))
+    given: dict[str, Any] = {"correction": correction, "friction": 0.0}
+    couplings = {
+        "II": (hand_on(spring(k), **given), one),
+        "IV": (hand_on(spring(k), spring(k), **given), two),
+        "V": (hand_on(spring(k), stiffness=k, **given), two),
+    }
+    for numeral, (scene, expected) in couplings.items():
+        assert measure(scene).frequency_hz == pytest.approx(expected, rel=1e-4), numeral
+
+
+def test_a_span_of_masses_is_no_worse_at_its_ends_than_without() -> None:
+    for correction in ("poles", "predictor"):
+        scene = hand_on(touch(3000.0, 12.0), mass={"from": 0.1, "to": 0.4}, correction=correction)
+        (wanted,) = predict(scene, with_margins=False).desired
+        plain = predict(hand_on(touch(3000.0, 12.0), mass=0.1), with_margins=False)
+        assert wanted.error < abs(plain.b - 13.0) / 13.0
+        for mass in (0.1, 0.4):
+            felt = measure(
+                hand_on(touch(3000.0, 12.0), mass={"from": 0.1, "to": 0.4}, correction=correction, mock={"mass": mass})
+            )
+            factor = mass / scene.device.masses(1)[0]  # it reads k and b with the middle of the span
+            off = max(abs(felt.k * factor - 3000.0) / 3000.0, abs(felt.b * factor - 13.0) / 13.0)
+            assert off <= wanted.error * 1.01 + 1e-6
+
+
+@pytest.mark.parametrize(("hold", "misses"), [("zoh", 0.0), ("zoh", 0.05), ("impulse", 0.05)])
+def test_the_force_answers_where_the_mass_will_be_whatever_is_late_on_the_way(hold: str, misses: float) -> None:
+    """A link that a correction leaves as it is: its force at a sample is that of the position two samples later, which
+    the trace tells. Forces that missed their deadline are not counted, because the device says so."""
+    table = ((-1.0, -2000.0), (1.0, 2000.0))
+    spring = Nonlinear(between=("hand", "wall"), force_over_distance=table)
+    scene = hand_on(spring, correction="predictor", hold=hold, delay=2.0, friction=4.0, mock={"misses": misses})
+    trace = run(scene, duration=0.3)
+    assert (trace.report.deadline_misses > 5) == (misses > 0.0)
+    known = np.full(len(trace.sample), True)
+    known[:2] = False  # two samples tell the state
+    for late in np.flatnonzero(trace.flags & LATE_FORCE):
+        known[max(late - 4, 0) : late] = False  # what would miss its deadline nobody knew when it was asked for
+    expected = -2000.0 * trace.position[2:, 0]
+    asked, known = trace.asked_force[:-2, 0], known[:-2]
+    assert known.sum() > 100
+    np.testing.assert_allclose(asked[known], expected[known], rtol=0.0, atol=1e-6 * np.abs(asked).max())
