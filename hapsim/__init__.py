@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from hapsim.loop.trace import load_trace as load_trace
     from hapsim.measuring.identify import Measurement as Measurement
     from hapsim.measuring.identify import identify as identify
+    from hapsim.measuring.identify_device import DeviceIdentification as DeviceIdentification
+    from hapsim.measuring.identify_device import identify_device as identify_device
     from hapsim.measuring.measure import measure as measure
     from hapsim.prediction import Prediction as Prediction
     from hapsim.prediction import predict as predict
@@ -33,12 +35,14 @@ if TYPE_CHECKING:
     from hapsim.scene import parse_scene as parse_scene
 
 _HOME = {
+    "DeviceIdentification": "hapsim.measuring.identify_device",
     "Measurement": "hapsim.measuring.identify",
     "Prediction": "hapsim.prediction",
     "Scene": "hapsim.scene",
     "Session": "hapsim.running",
     "Trace": "hapsim.loop.trace",
     "identify": "hapsim.measuring.identify",
+    "identify_device": "hapsim.measuring.identify_device",
     "load_scene": "hapsim.scene",
     "load_trace": "hapsim.loop.trace",
     "measure": "hapsim.measuring.measure",
@@ -48,12 +52,14 @@ _HOME = {
     "start": "hapsim.running",
 }
 __all__ = [
+    "DeviceIdentification",
     "Measurement",
     "Prediction",
     "Scene",
     "Session",
     "Trace",
     "identify",
+    "identify_device",
     "load_scene",
     "load_trace",
     "measure",
