@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from hapsim.measuring.identify import Measurement as Measurement
     from hapsim.measuring.identify import identify as identify
     from hapsim.measuring.measure import measure as measure
+    from hapsim.measuring.measure_impedance import MeasuredImpedance as MeasuredImpedance
+    from hapsim.measuring.measure_impedance import measure_impedance as measure_impedance
     from hapsim.prediction import Prediction as Prediction
     from hapsim.prediction import predict as predict
     from hapsim.running import Session as Session
@@ -33,6 +35,7 @@ if TYPE_CHECKING:
     from hapsim.scene import parse_scene as parse_scene
 
 _HOME = {
+    "MeasuredImpedance": "hapsim.measuring.measure_impedance",
     "Measurement": "hapsim.measuring.identify",
     "Prediction": "hapsim.prediction",
     "Scene": "hapsim.scene",
@@ -42,12 +45,14 @@ _HOME = {
     "load_scene": "hapsim.scene",
     "load_trace": "hapsim.loop.trace",
     "measure": "hapsim.measuring.measure",
+    "measure_impedance": "hapsim.measuring.measure_impedance",
     "parse_scene": "hapsim.scene",
     "predict": "hapsim.prediction",
     "run": "hapsim.running",
     "start": "hapsim.running",
 }
 __all__ = [
+    "MeasuredImpedance",
     "Measurement",
     "Prediction",
     "Scene",
@@ -57,6 +62,7 @@ __all__ = [
     "load_scene",
     "load_trace",
     "measure",
+    "measure_impedance",
     "parse_scene",
     "predict",
     "run",

@@ -15,10 +15,10 @@ import pytest
 from hapsim.console.impedance import measured_width
 from hapsim.errors import UsageError
 from hapsim.loop.ring import LATE_FORCE, UNSENT
-from hapsim.measuring.impedance import Loop
+from hapsim.measuring.impedance import Loop, impedance_of
 from hapsim.measuring.measure_impedance import MeasuredImpedance, measure_impedance, walls_in_place
 from hapsim.measuring.multisine import lines_for, multisine
-from hapsim.measuring.spectra import periods_of
+from hapsim.measuring.spectra import Periods, periods_of
 from hapsim.prediction.impedance import predict_impedance, z_width_of
 from hapsim.scene import Scene, load_scene
 from hapsim.theory.hand.impedance import late_and_held
@@ -121,6 +121,34 @@ def test_counts_are_within_the_uncertainty_even_where_every_period_is_rounded_al
     off = off_by(found, scene, "device")
     assert off.max() <= 1.0
     assert np.median(off) > 0.03
+
+
+def test_the_rounding_of_a_sensed_velocity_is_within_the_uncertainty_too() -> None:
+    """It is on no trace: what is seen of it is what the scene's force has at frequencies that nothing excites."""
+    scene = one_spring(2000.0, 15.0, friction=5.0, quantum=1e-7, velocity=0.0, damper="sensed")
+    found = measure_impedance(scene)
+    assert off_by(found, scene, "rendered").max() <= 1.0
+
+
+def test_each_element_of_a_matrix_has_an_uncertainty_of_its_own() -> None:
+    """Two channels, of which one is excited ten times as much, and forces with noise in one experiment alone."""
+    rng = np.random.default_rng(5)
+    count, frequency = 60, np.linspace(1.0, 100.0, 300)
+    ratio = np.array([[3.0, 0.5 + 1j], [2.0, 1.0 - 2j]])
+    moved = np.array([[10.0, 0.3], [1.0, 1.0]])  # [channel, experiment]
+    none = np.zeros(2)
+    experiments = []
+    for d, noise in enumerate((0.0, 1.0)):
+        position = np.broadcast_to(moved[:, d], (count, 300, 2)).astype(complex)
+        force = position @ ratio.T
+        force = force + noise * (rng.normal(size=force.shape) + 1j * rng.normal(size=force.shape))
+        experiments.append(Periods(position, 0.0 * force, force, none, none + 1e-30, True, 0, 0))
+    found = impedance_of(Loop(1000.0, 0.0, True, False), frequency, experiments)
+    true = ratio / (2j * np.pi * frequency[:, None, None])
+    off = np.abs(found.device.value - true) / found.device.uncertainty
+    typical = np.median(off, axis=0)
+    assert off.max() <= 1.0
+    assert np.all((typical > 0.1) & (typical < 0.3))
 
 
 def test_a_device_that_is_later_than_it_declares_does_not_look_like_its_mass() -> None:
