@@ -72,13 +72,8 @@ def measure_impedance(
 
     Raises what `hapsim.running.run` raises, and UsageError where too little moves, or too little was recorded.
     """
-    if duration is not None and not 0 < duration < math.inf:
-        raise UsageError(f"duration: found {duration}, expected a finite number of seconds above 0")
     lines = lines_for(scene.rate)
-    periods = _PERIODS if duration is None else math.floor(duration / lines.period_s)
-    if duration is not None and periods < LEAST_PERIODS + 2:
-        least = (LEAST_PERIODS + 2) * lines.period_s
-        raise UsageError(f"duration: found {duration:g} s, expected {least:g} s or more: six periods of the excitation")
+    periods = _whole_periods(duration, lines)
     if not 0 < travel < math.inf:
         raise UsageError(f"travel: found {travel}, expected a finite number of metres above 0")
     channels = tuple(point.channel for point in scene.device_points.values())
@@ -103,15 +98,15 @@ def measure_impedance(
         soft = _soft_forces(scene, lines, channel, travel)
         answer = _periods(excited(channel, soft, _SOFT_PERIODS), lines, scene)
         forces = _forces(scene, lines, answer, channels.index(channel), travel)
+        peaks.append(float(np.max(np.abs(forces))))
         trace = excited(channel, forces, periods)
+        moved.append(_travel(trace, lines, channel, peaks[-1]))
         experiment = _periods(trace, lines, scene)
         if duration is None and settling(experiment, channels.index(channel)).scatter > _UNCERTAIN:
             trace = excited(channel, forces, _MORE * periods)
             experiment = _periods(trace, lines, scene)
         traces.append(trace)
         experiments.append(experiment)
-        peaks.append(float(np.max(np.abs(forces))))
-        moved.append(_travel(traces[-1], lines, channel, peaks[-1]))
     loop = Loop(scene.rate, scene.device.delay, scene.device.hold == "impulse", scene.device.sampling == "average")
     found = impedance_of(loop, lines.frequency, experiments)
     return MeasuredImpedance(
@@ -125,6 +120,21 @@ def measure_impedance(
         seen_rate=seen_rate(traces[0]),
         traces=tuple(traces),
     )
+
+
+def _whole_periods(duration: float | None, lines: Lines) -> int:
+    """How many periods of the excitation there are in so many seconds; enough of them for None."""
+    if duration is None:
+        return _PERIODS
+    if not 0 < duration < math.inf:
+        raise UsageError(f"duration: found {duration}, expected a finite number of seconds above 0")
+    periods, fewest = math.floor(duration / lines.period_s * (1.0 + 1e-9)), LEAST_PERIODS + 2
+    if periods < fewest:
+        raise UsageError(
+            f"duration: found {duration:g} s, expected {fewest * lines.period_s:g} s or more: {fewest} periods of the "
+            "excitation"
+        )
+    return periods
 
 
 def _periods(trace: Trace, lines: Lines, scene: Scene) -> Periods:

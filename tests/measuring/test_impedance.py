@@ -15,6 +15,7 @@ import pytest
 from hapsim.console.impedance import measured_width
 from hapsim.errors import UsageError
 from hapsim.loop.ring import LATE_FORCE, UNSENT
+from hapsim.loop.trace import Trace
 from hapsim.measuring.impedance import Loop, impedance_of
 from hapsim.measuring.measure_impedance import MeasuredImpedance, measure_impedance, walls_in_place
 from hapsim.measuring.multisine import lines_for, multisine
@@ -238,10 +239,25 @@ class TestSentences:
         with pytest.raises(UsageError, match=r"channel 0: an excitation of 2\.5 N at most moved it by \d+ counts of "):
             measure_impedance(one_spring(2000.0, 5.0, friction=1.0, quantum=3e-4, velocity=0.0, force_limit=10.0))
 
+    def test_a_device_that_does_not_move_at_all(self) -> None:
+        with pytest.raises(UsageError, match=r"moved it by 0 counts of 0\.001 m, expected 20 counts or more"):
+            measure_impedance(
+                one_spring(0.0, 0.0, mass=1e6, friction=1.0, quantum=1e-3, velocity=0.0, force_limit=10.0)
+            )
+
+    def test_a_run_that_was_stopped(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        def stopped(*_: Any, **__: Any) -> Trace:
+            trace = measured("first_touch").traces[0]
+            return replace(trace, report=replace(trace.report, ending="stopped"))
+
+        monkeypatch.setattr("hapsim.measuring.measure_impedance.run", stopped)
+        with pytest.raises(UsageError, match="stopped before everything was excited"):
+            measure_impedance(shipped("first_touch"))
+
     @pytest.mark.parametrize(
         ("options", "words"),
         [
-            ({"duration": 1.0}, "duration: found 1 s, expected 3 s or more: six periods of the excitation"),
+            ({"duration": 1.0}, "duration: found 1 s, expected 3 s or more: 6 periods of the excitation"),
             ({"duration": float("nan")}, "duration: found nan, expected a finite number of seconds above 0"),
             ({"travel": -1.0}, r"travel: found -1\.0, expected a finite number of metres above 0"),
         ],
