@@ -246,8 +246,9 @@ class TestSentences:
             )
 
     def test_a_run_that_was_stopped(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        trace = measured("first_touch").traces[0]
+
         def stopped(*_: Any, **__: Any) -> Trace:
-            trace = measured("first_touch").traces[0]
             return replace(trace, report=replace(trace.report, ending="stopped"))
 
         monkeypatch.setattr("hapsim.measuring.measure_impedance.run", stopped)
