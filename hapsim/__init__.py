@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from hapsim.measuring.identify_device import DeviceIdentification as DeviceIdentification
     from hapsim.measuring.identify_device import identify_device as identify_device
     from hapsim.measuring.measure import measure as measure
+    from hapsim.measuring.measure_impedance import MeasuredImpedance as MeasuredImpedance
+    from hapsim.measuring.measure_impedance import measure_impedance as measure_impedance
     from hapsim.prediction import Prediction as Prediction
     from hapsim.prediction import predict as predict
     from hapsim.running import Session as Session
@@ -36,6 +38,7 @@ if TYPE_CHECKING:
 
 _HOME = {
     "DeviceIdentification": "hapsim.measuring.identify_device",
+    "MeasuredImpedance": "hapsim.measuring.measure_impedance",
     "Measurement": "hapsim.measuring.identify",
     "Prediction": "hapsim.prediction",
     "Scene": "hapsim.scene",
@@ -46,6 +49,7 @@ _HOME = {
     "load_scene": "hapsim.scene",
     "load_trace": "hapsim.loop.trace",
     "measure": "hapsim.measuring.measure",
+    "measure_impedance": "hapsim.measuring.measure_impedance",
     "parse_scene": "hapsim.scene",
     "predict": "hapsim.prediction",
     "run": "hapsim.running",
@@ -53,6 +57,7 @@ _HOME = {
 }
 __all__ = [
     "DeviceIdentification",
+    "MeasuredImpedance",
     "Measurement",
     "Prediction",
     "Scene",
@@ -63,6 +68,7 @@ __all__ = [
     "load_scene",
     "load_trace",
     "measure",
+    "measure_impedance",
     "parse_scene",
     "predict",
     "run",

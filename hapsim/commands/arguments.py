@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
@@ -28,6 +28,14 @@ Realtime = Annotated[
 ]
 Data = Annotated[Path | None, typer.Option(metavar="FILE", help="Write the picture's numbers: .csv.")]
 Record = Annotated[Path | None, typer.Option(metavar="FILE", help="Write the trace: .npz or .csv.")]
+
+
+class Files(NamedTuple):
+    """Where a picture, its numbers and a trace go; None: nowhere."""
+
+    picture: Path | None
+    data: Path | None
+    record: Path | None
 
 
 def seconds_above_zero(value: float | None) -> float | None:

@@ -11,6 +11,7 @@ from firmware_protocol import schema
 from firmware_protocol.code_size import compact
 from firmware_protocol.frames import FRAMING, write_frame
 from hapsim.compiling import inlined
+from hapsim.compiling.native import array_at
 from hapsim.cordis.tick import program_at, start
 from hapsim.loop.codes import BAD_FORCE, FAULT, HEARD, LEAPT, OFF_RATE, TIMED_OUT
 from hapsim.loop.guards import LEAP, WATCH, cut, is_finite, is_leap, is_off_rate
@@ -40,6 +41,8 @@ CONTROL = np.dtype(
         ("pulse_ticks", np.int64),  # each this long,
         ("pulse_channel", np.int64),
         ("pulse_force", np.float64),  # N at most, to one side and to the other in turn
+        ("periodic", np.uint64),  # or, without pushes, the address of an excitation on that channel: forces in N, each
+        ("periodic_length", np.int64),  # for a sample, and how many (0: none) before they begin again
     ],
     align=True,
 )
@@ -163,7 +166,7 @@ def take_frame(loop, decoder, now):
         call_add(predictor.add, (predictor.address, io.address))
     state.sample += gap
     state.newest_ns = now
-    sound, limited = _set_force(io, control, state.ticks)
+    sound, limited = _set_force(io, control, state)
     state.limited_ticks += limited
     push(loop.ring, state.sample, now, flags | LIMITED if limited else flags, io)
     state.ticks += 1
@@ -227,14 +230,20 @@ def _note_time(loop, now, gap):
     return 0
 
 
+_doubles_at = array_at(np.float64)
 _GOLDEN = 0.6180339887498949  # its multiples are spread evenly over every interval
 
 
 @inlined
-def _excitation(control, tick):
-    """The excitation's force at this tick, in N: no two pushes alike, so that no two ring-downs are rounded alike."""
+def _excitation(control, state):
+    """The excitation's force, in N: no two pushes alike, so that no two ring-downs are rounded alike. A periodic one
+    goes by the device's count of samples: lost positions do not shift it."""
     if control.pulse_every == 0:
-        return 0.0
+        if control.periodic_length == 0:
+            return 0.0
+        at = np.uint64(state.sample % control.periodic_length)
+        return _doubles_at(control.periodic, control.periodic_length)[at]
+    tick = state.ticks
     if control.pulse_first and tick < control.pulse_ticks:
         return control.pulse_force
     since = tick - control.pulse_from
@@ -246,10 +255,12 @@ def _excitation(control, tick):
 
 
 @inlined
-def _set_force(io, control, tick):
+def _set_force(io, control, state):
     """Adds the excitation, guards the force and turns it into counts: (whether it is a number, whether it was cut)."""
     compact()
-    excitation = _excitation(control, tick)
+    excitation = _excitation(control, state)
+    if control.periodic_length > 0:
+        io.as_hand[np.uint64(control.pulse_channel)] = excitation
     sound, limited = True, False
     for c in range(np.uint64(io.channels)):
         wanted = io.asked[c] + excitation if c == np.uint64(control.pulse_channel) else io.asked[c]
