@@ -58,7 +58,7 @@ def identify(
     It pushes to either side, gently at first, at several simulated (K, B) of its own: of the scene only the device
     counts. The file stays as it is without --write.
     """
-    from hapsim.console.identify import before_pushing, declared_of, values_to_write
+    from hapsim.console.identify import before_pushing, declared_of, has_span, values_to_write
     from hapsim.console.live import live_line
     from hapsim.measuring.identify_device import SECONDS, bounds_of, identify_device
 
@@ -86,7 +86,8 @@ def identify(
             stop_on_signals=True,
         )
     declared = declared_of(loaded, channel)
-    values = values_to_write(found, declared) if write else None
+    span = has_span(loaded, channel)
+    values = values_to_write(found, declared, span) if write and not found.stopped else None
     if values is not None:
         from hapsim.scene.rewrite import rewrite_device
 
@@ -102,12 +103,18 @@ def identify(
 
     hand = next(name for name, point in loaded.device_points.items() if point.channel == channel)
     show_identification(stdout(), found, declared, hand)
-    if values is None:
-        say("The file was not changed; --write writes what was found into its `device`.")
-    else:
-        told = ", ".join(f"{name}: {value}" for name, value in values.items())
-        say(f"Wrote into `device` of {scene}: {told}.")
+    _say_what_was_written(scene, values, write, span)
     say_written(picture, data)
+
+
+def _say_what_was_written(scene: str, values: dict[str, str] | None, asked: bool, span: bool) -> None:
+    if values is None:
+        why = "it was stopped before all was recorded" if asked else "--write writes what was found into its `device`"
+        say(f"The file was not changed; {why}.")
+        return
+    told = ", ".join(f"{name}: {value}" for name, value in values.items())
+    stays = " The mass stays: the file gives a span for it, and this is one hand's." if span else ""
+    say(f"Wrote into `device` of {scene}: {told}.{stays}")
 
 
 def _require_writable_scene(scene: str, write: bool, of_mock: bool) -> None:
