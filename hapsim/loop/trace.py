@@ -166,4 +166,5 @@ def load_trace(path: str | Path) -> Trace:
 def _report(values: dict[str, Any]) -> Report:
     for name in ("lateness_s", "exchange_s", "age_samples"):
         values[name] = Spread(**values[name])
+    values["estimated_mass_kg"] = tuple(values.get("estimated_mass_kg", ()))
     return Report(**values)

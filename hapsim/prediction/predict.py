@@ -268,8 +268,13 @@ def _desired_on(rendering: Rendering, port: Corrected) -> Desired:
 
 def predict_on_wire(scene: Scene) -> Prediction | None:
     """What the hand will feel at the delay that results from the wire, `WireTime.delay_samples` in place of one; None
-    where the wire costs one sample, or is saturated."""
-    delayed = with_wire_delay(scene)
+    where the wire costs one sample, or is saturated, or a predictor knows nothing of it."""
+    rendering = rendered(scene)
+    if rendering.kind is not None and rendering.kind.predicts:
+        return None  # it leads the state to another instant than that at which the force then acts
+    run = rendering.scene
+    as_run = run.model_copy(update={"device": run.device.model_copy(update={"correction": "none"})})
+    delayed = with_wire_delay(as_run)
     return None if delayed is None else predict(delayed, with_margins=False)
 
 
