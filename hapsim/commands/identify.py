@@ -28,6 +28,7 @@ from hapsim.errors import UsageError
 
 if TYPE_CHECKING:
     from hapsim.measuring.identify_device import DeviceIdentification
+    from hapsim.scene import Scene
 
 
 def identify(
@@ -58,7 +59,7 @@ def identify(
     It pushes to either side, gently at first, at several simulated (K, B) of its own: of the scene only the device
     counts. The file stays as it is without --write.
     """
-    from hapsim.console.identify import before_pushing, declared_of, values_to_write
+    from hapsim.console.identify import before_pushing
     from hapsim.console.live import live_line
     from hapsim.measuring.identify_device import SECONDS, bounds_of, identify_device
 
@@ -85,29 +86,46 @@ def identify(
             on_progress=tell,
             stop_on_signals=True,
         )
-    declared = declared_of(loaded, channel)
-    values = values_to_write(found, declared) if write else None
+    _chart_residual(found, picture, data)
+    _tell(scene, loaded, found, write, json)
+    if not json:
+        say_written(picture, data)
+
+
+def _tell(scene: str, loaded: Scene, found: DeviceIdentification, write: bool, json: bool) -> None:
+    """Shows what was found, then writes it where that was asked for: if it cannot, it was shown at least."""
+    from hapsim.console.as_json import document
+    from hapsim.console.identify import (
+        declared_of,
+        has_span,
+        identification_document,
+        show_identification,
+        values_to_write,
+    )
+
+    declared, span = declared_of(loaded, found.channel), has_span(loaded, found.channel)
+    if not json:
+        hand = next(name for name, point in loaded.device_points.items() if point.channel == found.channel)
+        show_identification(stdout(), found, declared, hand)
+    values = values_to_write(found, declared, span) if write and not found.stopped else None
     if values is not None:
         from hapsim.scene.rewrite import rewrite_device
 
-        rewrite_device(scene, values, channel)
-    _chart_residual(found, picture, data)
+        rewrite_device(scene, values, found.channel)
     if json:
-        from hapsim.console.as_json import document
-        from hapsim.console.identify import identification_document
-
         print(document({"scene": scene} | identification_document(found, declared, values)))
-        return
-    from hapsim.console.identify import show_identification
-
-    hand = next(name for name, point in loaded.device_points.items() if point.channel == channel)
-    show_identification(stdout(), found, declared, hand)
-    if values is None:
-        say("The file was not changed; --write writes what was found into its `device`.")
     else:
-        told = ", ".join(f"{name}: {value}" for name, value in values.items())
-        say(f"Wrote into `device` of {scene}: {told}.")
-    say_written(picture, data)
+        _say_what_was_written(scene, values, write, span)
+
+
+def _say_what_was_written(scene: str, values: dict[str, str] | None, asked: bool, span: bool) -> None:
+    if values is None:
+        why = "it was stopped before all was recorded" if asked else "--write writes what was found into its `device`"
+        say(f"The file was not changed; {why}.")
+        return
+    told = ", ".join(f"{name}: {value}" for name, value in values.items())
+    stays = " The mass stays: the file gives a span for it, and this is one hand's." if span else ""
+    say(f"Wrote into `device` of {scene}: {told}.{stays}")
 
 
 def _require_writable_scene(scene: str, write: bool, of_mock: bool) -> None:

@@ -52,16 +52,23 @@ def declared_of(scene: Scene, channel: int) -> dict[str, float]:
     }
 
 
-def values_to_write(found: DeviceIdentification, declared: Mapping[str, float]) -> dict[str, str]:
+def values_to_write(found: DeviceIdentification, declared: Mapping[str, float], span: bool) -> dict[str, str]:
     """What `--write` puts into the `device` section, as text with the digits that are known: no spring where none was
-    seen and none is declared, and nothing below 0, which no device is."""
+    seen and none is declared, and nothing below 0, which no device is. `span`: the file gives a span for the mass, of
+    which one hand's says nothing."""
     values = {}
-    for name in _IN_SCENE:
+    for name in _IN_SCENE[1:] if span else _IN_SCENE:
         estimate: Estimate = getattr(found, name)
         seen = estimate.value > _SEEN * estimate.uncertainty
         if name != "stiffness" or seen or declared[name] != 0.0:
             values[name] = rounded(max(estimate.value, 0.0), estimate.uncertainty)
     return values
+
+
+def has_span(scene: Scene, channel: int) -> bool:
+    """Whether the file says between what the mass lies, and not what it is."""
+    least, most = scene.device.mass_spans(scene.channels)[channel]
+    return least < most
 
 
 def rounded(value: float, uncertainty: float) -> str:
@@ -102,9 +109,10 @@ def _off(declared: float, found: Estimate) -> str:
 
 def _sentences(found: DeviceIdentification) -> list[str]:
     pairs = ", ".join(f"({drive.stiffness:.3g}, {drive.damping:.2g})" for drive in found.drives)
+    cut = "It was stopped before all was recorded. " if found.stopped else ""
     told = [
-        f"Read from {found.samples} samples at simulated (K, B) of {pairs}; it moved {1e3 * found.peak_m:.2g} mm at "
-        f"most. The fit leaves {found.residual_m:.2g} m rms."
+        f"{cut}Read from {found.samples} samples at simulated (K, B) of {pairs}; it moved {1e3 * found.peak_m:.2g} mm "
+        f"at most. The fit leaves {found.residual_m:.2g} m rms."
     ]
     if found.coulomb.value > _SEEN * found.coulomb.uncertainty:
         told.append(
@@ -148,6 +156,7 @@ def identification_document(
         "samples": found.samples,
         "residual_m": found.residual_m,
         "misfit": found.misfit or None,
+        "stopped": found.stopped,
         "rate_hz": found.rate_hz,
         "rate_seen_hz": None if seen is None else seen.rate_hz,
         "rate_seen_uncertainty_hz": None if seen is None else seen.uncertainty_hz,

@@ -106,7 +106,7 @@ def peak_per_newton(plant: Plant, drive: Drive, rate_hz: float, converters: Conv
 
 def scene_of(scene: Scene, bounds: Bounds, channel: int, drive: Drive | None, home: float) -> Scene:
     """The scene's device on this spring and damper at `home` (m), or on nothing: every other channel is left free, the
-    force is limited to what is allowed, and a mock begins at rest."""
+    force is limited to what is allowed, nothing is corrected by what is declared, and a mock begins at rest."""
     modules = {f"device-{point.channel}": point for point in scene.device_points.values()}
     if drive is not None:
         held = next(name for name, point in modules.items() if point.channel == channel)
@@ -121,7 +121,7 @@ def scene_of(scene: Scene, bounds: Bounds, channel: int, drive: Drive | None, ho
     mock = scene.mock or Mock()
     return scene.model_copy(
         update={
-            "device": scene.device.model_copy(update={"force_limit": bounds.force}),
+            "device": scene.device.model_copy(update={"force_limit": bounds.force, "correction": "none"}),
             "mock": mock.model_copy(update={"initial": Initial(position=mock.initial.position)}),
             "modules": modules,
             "scheme": "cordis",

@@ -69,6 +69,8 @@ class DeviceIdentification:
     """rms, of the positions: their rounding and noise where all is well."""
     misfit: str
     """A sentence that says where the model does not fit; "" where it does."""
+    stopped: bool
+    """Whether a signal ended it before all was recorded; the values are of what was."""
     seen_rate: SeenRate | None
     """At which rate the device sampled, as its positions arrived; None where that does not tell."""
     fit: DeviceFit = field(repr=False, compare=False)
@@ -250,6 +252,7 @@ class _Pusher:
             samples=fit.rows,
             residual_m=fit.residual_counts * count_m,
             misfit=misfit_of(fit, lacking, self._noise_counts),
+            stopped=self._stopped,
             seen_rate=seen_rate(max(self._traces, key=lambda trace: trace.sample.size)),
             fit=fit,
             motions=tuple(motions),

@@ -65,6 +65,17 @@ def test_written_it_is_what_the_scene_says(hapsim: Callable[..., Any], wrong_sce
     assert "# kg, moving part and hand" in wrong_scene.read_text(encoding="utf-8")
 
 
+def test_a_span_of_masses_stays(hapsim: Callable[..., Any], wrong_scene: Path) -> None:
+    text = wrong_scene.read_text(encoding="utf-8")
+    wrong_scene.write_text(text.replace("mass: 0.2 ", "mass: {from: 0.1, to: 0.4} ", 1), encoding="utf-8")
+    answer = hapsim("identify", wrong_scene, "--duration", 1, "--write")
+    assert answer.status == 0
+    assert "The mass stays: the file gives a span for it" in answer.out
+    device = load_scene(wrong_scene).device
+    assert device.mass_spans(1) == ((0.1, 0.4),)
+    assert device.delay == pytest.approx(1.4, abs=1e-4)
+
+
 def test_what_is_left_is_drawn_and_told_in_numbers(hapsim: Callable[..., Any], wrong_scene: Path) -> None:
     picture, data = wrong_scene.with_name("left.svg"), wrong_scene.with_name("left.csv")
     answer = hapsim("identify", wrong_scene, "--duration", 1, "--picture", picture, "--data", data)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -135,6 +136,31 @@ def test_what_cannot_be_is_refused_before_anything_runs(options: dict[str, Any],
     with pytest.raises(UsageError) as caught:
         hapsim.identify_device(ONE.scene(), **options)
     assert sentence in str(caught.value)
+
+
+def test_an_interrupt_ends_the_recording_and_what_there_is_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    as_it_is, all_swings = room.run, room.swings_of
+
+    def run(scene: hapsim.Scene, **options: Any) -> hapsim.Trace:
+        """The recording, not the short runs before it, is interrupted as soon as it tells how it is doing."""
+        if options["duration"] > 1000.0:
+            options["on_progress"] = lambda _: signal.raise_signal(signal.SIGINT)
+        return as_it_is(scene, **options)
+
+    monkeypatch.setattr(room, "run", run)
+    monkeypatch.setattr(room, "swings_of", lambda *record: all_swings(*record)[:100])  # enough, of a long record
+    device = replace(ONE, coulomb=0.1)
+    found = hapsim.identify_device(device.scene(), duration=6000.0, transport="loopback", stop_on_signals=True)
+    assert found.stopped
+    assert len(found.drives) == 1
+    assert found.mass.value == pytest.approx(0.2, rel=1e-3)
+
+
+def test_a_correction_that_takes_the_declared_mass_for_true_is_left_out() -> None:
+    scene = replace(ONE, delay=1.6).scene(wrong=3.0)
+    corrected = scene.model_copy(update={"device": scene.device.model_copy(update={"correction": "predictor"})})
+    plain, found = (hapsim.identify_device(one, duration=1.0) for one in (scene, corrected))
+    assert found == plain
 
 
 def lacking_force(law: str, position: np.ndarray, velocity: np.ndarray, time: np.ndarray) -> np.ndarray:
