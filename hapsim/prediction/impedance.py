@@ -83,7 +83,7 @@ def predict_impedance(scene: Scene, frequency: ArrayLike) -> PredictedImpedance:
 
 
 def _of_predictors(rendering: Rendering, frequency: Floats) -> Complexes:
-    """(n, C, C): what lone hands meet whose force answers a predicted state, once an estimate of the mass has settled."""
+    """(n, C, C): what lone hands meet whose force answers a predicted state, an estimate of the mass having settled."""
     scene = rendering.desired
     names = list(scene.device_points)
     found = np.zeros((frequency.size, len(names), len(names)), dtype=complex)
