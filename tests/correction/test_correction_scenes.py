@@ -10,6 +10,7 @@ import pytest
 
 from hapsim import measure, predict
 from hapsim.errors import SceneError
+from hapsim.prediction import warnings_about
 from hapsim.prediction.correction import rendered
 from hapsim.scene import Scene, parse_scene
 
@@ -100,6 +101,9 @@ def test_what_cannot_be_had_is_told_with_what_would_reach_it() -> None:
     assert not wanted.reached
     remedies = wanted.remedies
     assert remedies is not None
+    scene = scene_of(stiff, correction="poles")
+    (warning,) = warnings_about(scene, predict(scene, with_margins=False))
+    assert "does not reach k = 100000 N/m, b = 151 N·s/m at hand" in warning
     assert remedies.predictor
     assert predict(scene_of(stiff, correction="predictor"), with_margins=False).desired[0].reached
 
