@@ -11,6 +11,7 @@ import typer
 
 from hapsim.commands.arguments import complain
 from hapsim.commands.chart import app as chart
+from hapsim.commands.chart_felt import felt
 from hapsim.commands.check import check
 from hapsim.commands.device import mock, ports
 from hapsim.commands.doctor import doctor
@@ -34,6 +35,7 @@ app = typer.Typer(
 )
 for _command in (run, check, measure, identify, doctor, probe, frames, mock, compile_, ports, new, schema):
     app.command(_command.__name__.rstrip("_"))(_command)
+chart.command()(felt)
 app.add_typer(chart)
 
 

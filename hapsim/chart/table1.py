@@ -16,12 +16,16 @@ from hapsim.chart.figure import figure_to
 from hapsim.chart.hand import Hand
 from hapsim.errors import UsageError
 from hapsim.measuring.measure import measure
+from hapsim.prediction.correction import CORRECTIONS
+from hapsim.prediction.correction.lone import element_for
 from hapsim.progress import Progress
 from hapsim.scene import Device, DevicePoint, Ground, Initial, Mock, Scene, ViscoElastic
 from hapsim.theory import Configuration
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+    from hapsim.scene.choices import CorrectionName
 
 _FLICK = 0.1  # m/s
 _ROOM = 16.0  # range of the position counts, over how far the flick swings the mass
@@ -50,6 +54,7 @@ class Coupling:
     """Real springs and real dampers are its own stiffness and friction."""
     K: float
     B: float
+    correction: CorrectionName
     predicted_hz: float
     """Eigenfrequency."""
     measured_hz: float
@@ -101,7 +106,13 @@ class Table1:
         }
 
 
-def table1(hand: Hand, *, as_scene: bool, on_progress: Callable[[Progress], None] | None = None) -> Table1:
+def table1(
+    hand: Hand,
+    *,
+    as_scene: bool,
+    correction: CorrectionName = "none",
+    on_progress: Callable[[Progress], None] | None = None,
+) -> Table1:
     """The five couplings of one hand, each predicted and each run on the mock.
 
     Args:
@@ -110,12 +121,13 @@ def table1(hand: Hand, *, as_scene: bool, on_progress: Callable[[Progress], None
         as_scene: with the hold, the delay, the sampling and the damping that the hand has; the real spring then comes
             with the real damper that the hand feels. Otherwise as the paper supposes: a force impulse at once, ideal
             sampling, no damping.
+        correction: with one, nothing is tuned: K is to be felt as a real spring k = K is, alone or beside others.
 
     Raises:
         UsageError: there is no spring, or one of the couplings has no frequency below half the rate.
         DeviceError: the mock failed.
     """
-    configuration, K, B, k, b = _tuned(hand, as_scene)
+    configuration, K, B, k, b = _tuned(hand, as_scene) if correction == "none" else _as_written(hand, as_scene)
     b0 = configuration.friction
     if 2.0 * b - b0 < 0.0:
         raise UsageError(
@@ -130,7 +142,9 @@ def table1(hand: Hand, *, as_scene: bool, on_progress: Callable[[Progress], None
         "V": (k, b, K, B),
     }
     planned = {
-        numeral: _predicted(numeral, replace(configuration, stiffness=k_real, friction=b_real), K_there, B_there)
+        numeral: _predicted(
+            numeral, replace(configuration, stiffness=k_real, friction=b_real), K_there, B_there, correction
+        )
         for numeral, (k_real, b_real, K_there, B_there) in built.items()
     }
     return Table1({numeral: _measured(one, on_progress) for numeral, one in planned.items()}, configuration, k, K)
@@ -139,10 +153,7 @@ def table1(hand: Hand, *, as_scene: bool, on_progress: Callable[[Progress], None
 def _tuned(hand: Hand, as_scene: bool) -> tuple[Configuration, float, float, float, float]:
     """(configuration without springs, K, B, k, b) with which couplings I and II swing alike."""
     own = hand.configuration
-    if as_scene:
-        configuration, damping = replace(own, stiffness=0.0), hand.damping
-    else:
-        configuration, damping = Configuration(own.mass, own.rate, delay=0.0, hold="impulse"), 0.0
+    configuration, damping = _loop(hand, as_scene)
     if hand.stiffness > 0.0:
         K, B = hand.stiffness, damping
         k, b = (float(value) for value in configuration.equivalent(K, B))
@@ -150,9 +161,7 @@ def _tuned(hand: Hand, as_scene: bool) -> tuple[Configuration, float, float, flo
         k, b = own.stiffness, configuration.friction + damping
         K, B = (float(value) for value in configuration.simulated(k, b))
     else:
-        raise UsageError(
-            f"{hand.name}: found no spring, expected a link with a stiffness above 0, or one of the device"
-        )
+        raise _no_spring(hand)
     if not (math.isfinite(k) and math.isfinite(K)):
         raise UsageError(
             f"{hand.name}: no real and simulated spring swing alike here; K is {hand.stiffness:g} N/m, m/T² is "
@@ -161,8 +170,35 @@ def _tuned(hand: Hand, as_scene: bool) -> tuple[Configuration, float, float, flo
     return configuration, K, B, k, b if as_scene else 0.0
 
 
-def _predicted(numeral: str, configuration: Configuration, K: float, B: float) -> Coupling:
+def _as_written(hand: Hand, as_scene: bool) -> tuple[Configuration, float, float, float, float]:
+    """The same for a corrected loop: the real spring and damper are those that the scene asks for."""
+    configuration, damping = _loop(hand, as_scene)
+    K = hand.stiffness if hand.stiffness > 0.0 else hand.configuration.stiffness
+    if not K > 0.0:
+        raise _no_spring(hand)
+    return configuration, K, damping, K, configuration.friction + damping
+
+
+def _loop(hand: Hand, as_scene: bool) -> tuple[Configuration, float]:
+    """(what all couplings have in common, without springs; the simulated damping)"""
+    own = hand.configuration
+    if as_scene:
+        return replace(own, stiffness=0.0), hand.damping
+    return Configuration(own.mass, own.rate, delay=0.0, hold="impulse"), 0.0
+
+
+def _no_spring(hand: Hand) -> UsageError:
+    return UsageError(f"{hand.name}: found no spring, expected a link with a stiffness above 0, or one of the device")
+
+
+def _predicted(numeral: str, configuration: Configuration, K: float, B: float, correction: CorrectionName) -> Coupling:
     k = float(configuration.equivalent(K, B)[0])
+    if correction != "none" and K > 0.0:
+        kind = CORRECTIONS[correction]
+        total = configuration.stiffness + K, configuration.friction + B
+        span = configuration.mass, configuration.mass
+        element = element_for(kind, configuration, span, total)
+        k = float(kind.closed(configuration, configuration).equivalent(element.stiffness, element.damping)[0])
     frequency = math.sqrt(k / configuration.mass) / (2.0 * math.pi) if k > 0.0 else math.nan
     if not frequency < 0.5 * configuration.rate:
         raise UsageError(
@@ -170,7 +206,7 @@ def _predicted(numeral: str, configuration: Configuration, K: float, B: float) -
             f"its real spring is {configuration.stiffness:.4g} N/m, its simulated one {K:.4g} N/m, and m/T² is "
             f"{configuration.stiffness_unit:.4g} N/m. Write a smaller stiffness, or a higher rate"
         )
-    return Coupling(numeral, configuration, K, B, frequency, math.nan, math.nan)
+    return Coupling(numeral, configuration, K, B, correction, frequency, math.nan, math.nan)
 
 
 def _measured(coupling: Coupling, on_progress: Callable[[Progress], None] | None) -> Coupling:
@@ -203,6 +239,7 @@ def _scene_of(coupling: Coupling) -> Scene:
             hold=c.hold,  # type: ignore[arg-type]
             sampling=c.sampling,  # type: ignore[arg-type]
             force_limit=limit,
+            correction=coupling.correction,
         ),
         mock=Mock(initial=Initial(velocity=_FLICK), quantum=quantum),
         modules={

@@ -3,16 +3,38 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, get_args
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from hapsim.commands.arguments import Json, say_written, stderr, stdout
+from hapsim.commands.chart_options import (
+    Channel,
+    Cutoff,
+    Damper,
+    Data,
+    Delay,
+    Friction,
+    Hold,
+    MaybeScene,
+    Picture,
+    Rate,
+    Sampling,
+    SceneFile,
+    SimulatedB,
+    SimulatedK,
+    Stiffness,
+    correction_asked_for,
+    hands_asked_for,
+    in_paper_units,
+    loop_options,
+    print_json,
+    save_rows,
+    writable,
+)
 from hapsim.console.options import names, numbers
 from hapsim.console.sentences import say
 from hapsim.errors import UsageError
-from hapsim.scene import choices
-from hapsim.scene.issue import one_of
 
 if TYPE_CHECKING:
     from hapsim.chart.hand import Hand
@@ -25,36 +47,6 @@ app = typer.Typer(
     no_args_is_help=True,
 )
 
-SceneFile = Annotated[str, typer.Argument(metavar="SCENE", help="A scene in YAML.")]
-MaybeScene = Annotated[
-    str | None, typer.Argument(metavar="[SCENE]", help="A scene in YAML; left out: a hand as the options describe it.")
-]
-Channel = Annotated[int | None, typer.Option(help="The channel whose hand it is; left out: the first.")]
-Rate = Annotated[float | None, typer.Option(metavar="HZ", help="Sample rate, Hz.")]
-Friction = Annotated[float | None, typer.Option(metavar="B0", help="Real friction of the device, N·s/m.")]
-Stiffness = Annotated[float | None, typer.Option(metavar="K0", help="Real spring of the device, N/m.")]
-Delay = Annotated[float | None, typer.Option(metavar="N", help="Delay, sample periods.")]
-Hold = Annotated[str | None, typer.Option(metavar="KIND", help=one_of(get_args(choices.Hold)) + ".")]
-Sampling = Annotated[str | None, typer.Option(metavar="KIND", help=one_of(get_args(choices.Sampling)) + ".")]
-Damper = Annotated[str | None, typer.Option(metavar="KIND", help=one_of(get_args(choices.DamperScheme)) + ".")]
-Cutoff = Annotated[
-    float | None, typer.Option(metavar="HZ", help=f"Cutoff of the {one_of(choices.WITH_CUTOFF)} damper, Hz.")
-]
-SimulatedK = Annotated[
-    float | None, typer.Option("--simulated-stiffness", metavar="K", help="The stiffness K that is simulated, N/m.")
-]
-SimulatedB = Annotated[
-    float | None, typer.Option("--simulated-damping", metavar="B", help="The damping B that is simulated, N·s/m.")
-]
-Picture = Annotated[
-    Path | None,
-    typer.Option(
-        metavar="FILE",
-        help="Where to draw: .svg, .png, .pdf; left out: the command's name with .svg, here, unless only --data or "
-        "--json is asked for.",
-    ),
-]
-Data = Annotated[Path | None, typer.Option(metavar="FILE", help="Write the numbers that are drawn: .csv.")]
 _OBJECTS = "spring, contact, string-10, string-100, string-1000, stiff-string-100"
 
 
@@ -99,18 +91,18 @@ def plane(
     """
     from hapsim.chart.scale import scale_of
 
-    picture = _writable(picture, data, json, "plane.svg")
+    picture = writable(picture, data, json, "plane.svg")
     masses = numbers("--mass", mass)
     if normalised:
-        masses, rate = _normalised(masses, rate, described_by_options=scene is None)
-    given = _loop_options(context, mass=masses[0] if masses else None, rate=rate)
-    chosen, others = _hands(scene, channel, given, simulated_stiffness, simulated_damping)
+        masses, rate = in_paper_units(masses, rate, described_by_options=scene is None)
+    given = loop_options(context, mass=masses[0] if masses else None, rate=rate)
+    chosen, others = hands_asked_for(scene, channel, given, simulated_stiffness, simulated_damping)
     drawn = _in_one_plane(chosen, others, masses)
     scale = scale_of(chosen.configuration, normalised=normalised, total=total_damping)
     view = _view(drawn, scale, total_damping, to_stiffness, to_damping)
     _draw_plane(drawn, len(masses) > 1, view, scale, normalised, picture, data)
     if json:
-        _print_json({"scene": scene, "hands": [hand.summary() for hand in drawn]}, picture, data)
+        print_json({"scene": scene, "hands": [hand.summary() for hand in drawn]}, picture, data)
         return
     _tell_of(drawn, [other for other in others if other not in drawn])
     say_written(picture, data)
@@ -145,9 +137,9 @@ def transparency(
     from hapsim.chart.transparency import draw_transparency
     from hapsim.chart.transparency import transparency as transparency_of
 
-    picture = _writable(picture, data, json, "transparency.svg")
-    given = _loop_options(context, mass=mass, rate=rate)
-    hand, _ = _hands(scene, channel, given, simulated_stiffness, simulated_damping)
+    picture = writable(picture, data, json, "transparency.svg")
+    given = loop_options(context, mass=mass, rate=rate)
+    hand, _ = hands_asked_for(scene, channel, given, simulated_stiffness, simulated_damping)
     if not hand.is_simulated:
         raise UsageError("--simulated-stiffness is missing: without a SCENE, it says what is simulated")
     worked_out = transparency_of(hand)
@@ -158,7 +150,7 @@ def transparency(
         draw_transparency(worked_out, f"{simulated}; {described(hand.configuration)}", picture)
     bands = worked_out.gives_energy()
     if json:
-        _print_json({"scene": scene, "hand": hand.summary(), "gives_energy_hz": bands}, picture, data)
+        print_json({"scene": scene, "hand": hand.summary(), "gives_energy_hz": bands}, picture, data)
         return
     _tell_of([hand], [])
     frequency = worked_out.frequency
@@ -178,6 +170,10 @@ def table1(
             "--as-scene", help="With the scene's hold, delay, friction and damping, in place of the paper's ideal loop."
         ),
     ] = False,
+    correction: Annotated[
+        str | None,
+        typer.Option(metavar="KIND", help="poles, predictor; left out: none, with --as-scene the scene's own."),
+    ] = None,
     picture: Picture = None,
     data: Data = None,
     json: Json = False,
@@ -188,18 +184,20 @@ def table1(
     from hapsim.chart.table1 import table1 as table1_of
     from hapsim.console.live import live_line
 
-    picture = _writable(picture, data, json, "table1.svg")
-    hand, _ = _hands(scene, channel, {}, None, None)
+    picture = writable(picture, data, json, "table1.svg")
+    hand, _ = hands_asked_for(scene, channel, {}, as_written=True)
+    corrected = correction_asked_for(correction, scene if as_scene else None)
     with live_line(stderr()) as tell:
-        worked_out = table1_of(hand, as_scene=as_scene, on_progress=tell)
-    _save_rows(worked_out.columns(), data)
+        worked_out = table1_of(hand, as_scene=as_scene, correction=corrected, on_progress=tell)
+    save_rows(worked_out.columns(), data)
     if picture is not None:
-        tuned = f"K = {worked_out.K:.6g} N/m, k = {worked_out.k:.6g} N/m"
+        tuned = f"K = {worked_out.K:.6g} N/m, k = {worked_out.k:.6g} N/m, correction: {corrected}"
         draw_table1(worked_out, f"{tuned}; {described(worked_out.configuration)}", picture)
     if json:
         columns = worked_out.columns()
         rows = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
-        _print_json({"scene": scene, "k": worked_out.k, "K": worked_out.K, "couplings": rows}, picture, data)
+        found = {"scene": scene, "correction": corrected, "k": worked_out.k, "K": worked_out.K, "couplings": rows}
+        print_json(found, picture, data)
         return
     stdout().print(_table(worked_out))
     say_written(picture, data)
@@ -242,16 +240,16 @@ def speed_accuracy(
     at = _rates(numbers("--rates", rates)) or RATES
     if rounds < 1:
         raise UsageError(f"--rounds: found {rounds}, expected a whole number of at least 1")
-    picture = _writable(picture, data, json, "speed-accuracy.svg")
+    picture = writable(picture, data, json, "speed-accuracy.svg")
     rows = [] if peers is None else peers_in(peers, [one.name for one in chosen])
     with live_words(stderr()) as tell:
         rows = compare(chosen, at, rounds, tell, by) + rows
-    _save_rows(columns(rows, [row for front in fronts(rows).values() for row in front]), data)
+    save_rows(columns(rows, [row for front in fronts(rows).values() for row in front]), data)
     if picture is not None:
         draw_speed_accuracy(chosen, rows, picture)
     told = {one.name: verdict(one, rows) for one in chosen}
     if json:
-        _print_json({"objects": told, "rows": [row.as_document() for row in rows]}, picture, data)
+        print_json({"objects": told, "rows": [row.as_document() for row in rows]}, picture, data)
         return
     for sentence in told.values():
         say(sentence)
@@ -263,56 +261,6 @@ def _rates(found: list[float]) -> list[float]:
         if not 0.0 < rate < float("inf"):
             raise UsageError(f"--rates: found {rate:g}, expected a finite number above 0")
     return found
-
-
-def _writable(picture: Path | None, data: Path | None, json: bool, otherwise: str) -> Path | None:
-    """Where the picture goes; UsageError where it or its numbers cannot be written."""
-    from hapsim.chart.figure import require_writable
-
-    if picture is None and data is None and not json:
-        picture = Path(otherwise)
-    require_writable(picture)
-    require_writable(data, (".csv",))
-    return picture
-
-
-def _normalised(
-    masses: list[float], rate: float | None, described_by_options: bool
-) -> tuple[list[float], float | None]:
-    """Mass and rate are 1 in the paper's units where nothing says otherwise."""
-    if len(masses) > 1:
-        raise UsageError("--normalised: the unit of the axes holds for one mass only, found several; leave it out")
-    if not described_by_options:
-        return masses, rate
-    return masses or [1.0], 1.0 if rate is None else rate
-
-
-def _loop_options(context: typer.Context, **more: Any) -> dict[str, Any]:
-    """The options that describe hand, device and loop, of those that were given; a command only has to declare them."""
-    names = ("friction", "stiffness", "delay", "hold", "sampling", "damper", "cutoff")
-    options = more | {name: context.params[name] for name in names}
-    return {name: value for name, value in options.items() if value is not None}
-
-
-def _hands(
-    scene: str | None, channel: int | None, given: dict[str, Any], stiffness: float | None, damping: float | None
-) -> tuple[Hand, list[Hand]]:
-    """The hand that is asked for, with what is simulated for it, and the other hands of the scene."""
-    from hapsim.chart.hand import hand_of_options, hands_of_scene
-    from hapsim.scene import load_scene
-
-    if scene is None:
-        if channel is not None:
-            raise UsageError("--channel: without a SCENE there is one hand only")
-        return hand_of_options(given).with_simulated(stiffness, damping), []
-    hands = hands_of_scene(load_scene(scene), given)
-    chosen = next((hand for hand in hands if channel in (None, hand.channel)), None)
-    if chosen is None:
-        known = ", ".join(str(hand.channel) for hand in hands)
-        raise UsageError(
-            f"--channel {channel}: no hand there whose links all end on grounds; such hands are on: {known}"
-        )
-    return chosen.with_simulated(stiffness, damping), [hand for hand in hands if hand is not chosen]
 
 
 def _in_one_plane(chosen: Hand, others: list[Hand], masses: list[float]) -> list[Hand]:
@@ -361,7 +309,7 @@ def _draw_plane(
     from hapsim.chart.plane import plane as plane_of
 
     worked_out: Any = family(drawn, view, scale) if several_masses else plane_of(drawn, view, scale)
-    _save_rows(worked_out.columns(), data)
+    save_rows(worked_out.columns(), data)
     if picture is not None:
         title = described(drawn[0].configuration, mass=not several_masses, normalised=normalised)
         (draw_family if several_masses else draw_plane)(worked_out, title, picture)
@@ -424,17 +372,3 @@ def _table(worked_out: Any) -> Any:
             f"{worked_out.relative(one.numeral):.7f}",
         )
     return table
-
-
-def _save_rows(columns: dict[str, list[Any]], path: Path | None) -> None:
-    from hapsim.chart.figure import save_rows
-
-    if path is not None:
-        save_rows(columns, path)
-
-
-def _print_json(summary: dict[str, Any], picture: Path | None, data: Path | None) -> None:
-    from hapsim.console.as_json import document
-
-    files = {"picture": picture, "data": data}
-    print(document(summary | {name: None if path is None else str(path) for name, path in files.items()}))

@@ -37,6 +37,10 @@ class Mock(Part):
     initial: Initial = Field(default=Initial(), description="Where the moving parts are when the run starts")
     coulomb: Annotated[float, Quantity("Dry friction", "N", least=0)] = 0.0
     quantum: Annotated[float, Quantity("Step of the position on the wire", "m per count", above=0)] = 1.0e-9
+    force_quantum: Annotated[
+        float | None,
+        Quantity("Step of the force on the wire", "N per count", above=0, left_out="as fine as its 32 bits are"),
+    ] = None
     noise: Annotated[float, Quantity("Noise of the position sensor", "m rms", least=0)] = 0.0
     seed: Annotated[int, Count("Seed of the noise: the same seed, the same run", 0, 2**32 - 1)] = 0
     baud: Annotated[
@@ -83,6 +87,7 @@ class MockDevice:
         turnaround: what it takes before a position's first byte and after a force's last, together, s.
         misses: share of the forces that come too late.
         grips: (s, kg): from when on every channel has which mass.
+        force_quantum: step of the force on the wire, N per count; None where its 32 bits reach to the force limit.
     """
 
     mass: tuple[float, ...]
@@ -102,6 +107,7 @@ class MockDevice:
     turnaround: float = 0.0
     misses: float = 0.0
     grips: Curve = ()
+    force_quantum: float | None = None
 
     @property
     def channels(self) -> int:
@@ -130,4 +136,5 @@ def resolve(device: Device, mock: Mock | None, channels: int) -> MockDevice:
         turnaround=mock.turnaround,
         misses=mock.misses,
         grips=mock.grips or (),
+        force_quantum=mock.force_quantum,
     )

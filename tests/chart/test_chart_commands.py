@@ -129,8 +129,29 @@ def test_table1_as_json(chart: Chart, scene_file: SceneFile) -> None:
 
 
 @pytest.mark.parametrize(
+    ("words", "correction", "of_two"),
+    [
+        (["--correction", "predictor"], "predictor", 0.0),
+        (["--as-scene"], "poles", 0.0),
+        (["--as-scene", "--correction", "none"], "none", 0.02),
+        ([], "none", 4e-4),
+    ],
+)
+def test_table1_is_corrected_as_asked_for(
+    chart: Chart, scene_file: SceneFile, words: list[str], correction: str, of_two: float
+) -> None:
+    """Left out, by what the scene says where it is taken as it is."""
+    answer = chart("table1", scene_file("spring", correction="poles"), *words, "--json")
+    assert answer.document["correction"] == correction
+    (two,) = (row for row in answer.document["couplings"] if row["coupling"] == "IV")
+    assert two["beyond_real_springs"] == pytest.approx(of_two, rel=0.1, abs=1e-6)
+    assert abs(two["measured_off_by"]) < 1e-6
+
+
+@pytest.mark.parametrize(
     ("words", "told"),
     [
+        (["table1", "spring", "--correction", "pole"], "--correction: found 'pole', expected"),
         (["plane"], "--mass is missing"),
         (["plane", "--mass", "1"], "--rate is missing"),
         (["plane", "--mass", "one"], "--mass: found 'one', expected a number"),

@@ -64,6 +64,25 @@ def test_as_the_scene_is_the_simulated_spring_stands_for_the_real_one_that_it_is
         assert abs(coupling.off_by) < 6.0 * coupling.uncertainty_hz / coupling.measured_hz + 1e-12
 
 
+@pytest.mark.parametrize("correction", ["poles", "predictor"])
+@pytest.mark.parametrize("as_scene", [False, True])
+def test_corrected_two_simulated_springs_are_two_real_ones(correction: Any, as_scene: bool) -> None:
+    """I and II, and III to V, swing alike, each at the frequency of real springs alone (Florens et al., §3)."""
+    device = Configuration(mass=0.2, rate=1000.0, friction=1.0, delay=1.5)
+    data = table1(Hand("hand", 0, device, 2000.0, 5.0), as_scene=as_scene, correction=correction)
+    once = math.sqrt(2000.0 / 0.2) / (2.0 * math.pi)
+    expected = {"I": 1.0, "II": 1.0, "III": math.sqrt(2.0), "IV": math.sqrt(2.0), "V": math.sqrt(2.0)}
+    require_agreement(data, {numeral: times * once for numeral, times in expected.items()}, 1e-6)
+
+
+def test_what_poles_do_not_reach_is_predicted_as_the_nearest_that_is_simulated() -> None:
+    device = Configuration(mass=0.2, rate=1000.0, friction=1.0, delay=3.0)
+    data = table1(Hand("hand", 0, device, 40000.0, 20.0), as_scene=True, correction="poles")
+    assert data.relative("IV") < 1.3
+    for coupling in data.couplings.values():
+        assert abs(coupling.off_by) < 1e-5
+
+
 @pytest.mark.parametrize(
     ("stiffness", "damping", "as_scene", "told"),
     [

@@ -29,6 +29,7 @@ INSIDE = {
     ("tools/bench/steadiness/in_memory.py", "hapsim.loop"): TIMES_THE_EXCHANGE,
     ("tools/bench/steadiness/in_memory.py", "hapsim.running.assemble"): TIMES_THE_EXCHANGE,
     ("tools/bench/steadiness/wakeups.py", "hapsim.doctor.wakeups"): "times the loop's sleep as it schedules itself",
+    ("tools/bench/felt.py", "hapsim.prediction.correction"): "counts an error as the correction does",
     ("tools/bench/start.py", "hapsim.device.mock"): PLAYS_THE_DEVICE,
     ("tools/bench/start.py", "firmware_protocol"): PLAYS_THE_DEVICE,
 }

@@ -47,6 +47,7 @@ mock:
   hold: impulse
   initial: {position: 0.01, velocity: [0.1, 0.2]}
   quantum: 1e-6
+  force_quantum: 0.01
 modules:
   right: {type: device, channel: 1}
   wall:  {type: ground, position: -0.1}
@@ -120,6 +121,7 @@ def test_the_mock_is_as_the_device_says_where_it_does_not_say_otherwise() -> Non
         quantum=1e-6,
         noise=0.0,
         seed=0,
+        force_quantum=0.01,
     )
 
 

@@ -32,7 +32,7 @@ def describe_mock(scene: Scene) -> Description:
         pacings=1 << schema.PACED_BY_DEVICE | 1 << schema.PACED_BY_HOST | 1 << schema.LOCKSTEP,
         max_watchdog_samples=schema.MAX_WATCHDOG_SAMPLES,
         position_scale=(scene.mock_device.quantum,) * channels,
-        force_scale=(max(limit / _FORCE_COUNTS, math.ulp(0.0)),) * channels,
+        force_scale=(max(limit / _FORCE_COUNTS, scene.mock_device.force_quantum or 0.0, math.ulp(0.0)),) * channels,
         force_limit=(limit,) * channels,
         velocity_scale=(scene.mock_device.quantum * scene.rate,) * channels,
     )

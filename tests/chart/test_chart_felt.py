@@ -1,0 +1,169 @@
+"""`hapsim chart felt`: what is asked for, and which part of it is felt, beside theory and mock point by point."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hapsim import measure
+from hapsim.chart.felt import DRAWN, Outcome, Plane, felt_by, felt_chart, limit_of
+from hapsim.chart.hand import Hand
+from hapsim.scene import Device, DevicePoint, Ground, Initial, Mock, Scene, ViscoElastic
+from hapsim.theory import Configuration
+
+Chart = Callable[..., Any]
+SceneFile = Callable[..., Path]
+DEVICE = Configuration(mass=1.0, rate=1.0)
+SMALL = Plane(np.array([0.001, 0.02, 0.7]), np.array([0.05, 0.6, 1.4]))
+
+
+@pytest.fixture(scope="module")
+def usual() -> Any:
+    return felt_chart(Hand("hand", None, DEVICE, math.nan, math.nan))
+
+
+def test_none_is_felt_as_the_configuration_says() -> None:
+    felt = felt_by("none", DEVICE, DEVICE, SMALL)
+    for (i, j), error in np.ndenumerate(felt.error):
+        k = SMALL.kappa[i]
+        b = 2.0 * SMALL.ratio[j] * math.sqrt(k)
+        found_k, found_b = DEVICE.equivalent(k, b)
+        expected = max(abs(found_k - k) / k, abs(found_b - b) / max(b, 0.1 * math.sqrt(k)))
+        assert error == (pytest.approx(expected) if math.isfinite(expected) else math.inf)
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.37, 2.5])
+def test_poles_feel_right_wherever_there_is_a_simulated_pair(delay: float) -> None:
+    late = replace(DEVICE, delay=delay)
+    felt = felt_by("poles", late, late, SMALL)
+    had = np.isfinite(late.simulated(*SMALL.desired(late))[0])
+    assert 0 < np.count_nonzero(had) < had.size
+    assert (felt.outcome[had] == Outcome.WITHIN_1).all()
+    assert (felt.outcome[~had] == Outcome.OUT_OF_REACH).all()
+    assert felt.share(0.1) == np.mean(had)
+
+
+@pytest.mark.parametrize("device", [{}, {"hold": "impulse", "delay": 2.0}, {"sampling": "average", "delay": 1.5}])
+def test_a_predictor_that_knows_the_mass_has_the_whole_plane(device: dict[str, Any]) -> None:
+    declared = replace(DEVICE, **device)
+    felt = felt_by("predictor", declared, declared, SMALL)
+    assert felt.share(1e-6) == 1.0
+
+
+@pytest.mark.parametrize("correction", DRAWN)
+@pytest.mark.parametrize(("mass", "delay"), [(0.5, 1.0), (1.0, 1.0), (1.1, 0.37), (2.0, 2.0)])
+def test_the_error_is_the_one_that_is_measured(correction: Any, mass: float, delay: float) -> None:
+    """At two points, on the mock."""
+    declared = Configuration(mass=0.2, rate=1000.0, delay=delay)
+    plane = Plane(np.array([0.002]), np.array([0.03, 0.3]))
+    felt = felt_by(correction, declared, replace(declared, mass=0.2 * mass), plane)
+    k, b = plane.desired(declared)
+    for i in range(2):
+        scene = Scene(
+            version=1,
+            rate=1000.0,
+            device=Device(clock="lockstep", mass=0.2, delay=delay, correction=correction, force_limit=200.0),
+            mock=Mock(initial=Initial(velocity=0.1), quantum=1e-10, mass=0.2 * mass),
+            modules={
+                "hand": DevicePoint(channel=0),
+                "wall": Ground(),
+                "touch": ViscoElastic(between=("hand", "wall"), stiffness=k[0, i], damping=b[0, i]),
+            },
+        )
+        found = measure(scene)  # it reads k and b with the declared mass
+        error = max(
+            abs(found.k * mass - k[0, i]) / k[0, i],
+            abs(found.b * mass - b[0, i]) / max(b[0, i], 0.1 * math.sqrt(k[0, i] * 0.2 * mass)),
+        )
+        assert felt.error[0, i] == pytest.approx(error, rel=1e-4, abs=1e-5)
+
+
+def test_what_the_device_has_more_of_by_itself_does_not_count() -> None:
+    declared = replace(DEVICE, friction=0.1, stiffness=0.01)
+    felt = felt_by("none", declared, declared, SMALL)
+    k, b = SMALL.desired(declared)
+    asked = (k >= 0.01) & (b >= 0.1)
+    assert ((felt.outcome == Outcome.NOT_ASKED) == ~asked).all()
+    assert felt.share(math.inf) == 1.0
+    assert felt.share(0.05) == np.mean(felt.error[asked] <= 0.05)
+
+
+def test_the_better_correction_feels_more_and_the_mass_matters(usual: Any) -> None:
+    none, poles, predictor = (usual.felt[name].share(0.05) for name in DRAWN)
+    assert none < 0.1
+    assert poles > 0.7
+    assert predictor == usual.limit == 1.0
+    here = np.flatnonzero(usual.mass_ratio == 1.0)[0]
+    for name, share in (("poles", poles), ("predictor", predictor)):
+        of_masses = usual.against_mass[name]
+        assert of_masses[here] == pytest.approx(share, abs=0.02)  # of a coarser plane
+        assert of_masses.argmax() == here
+        assert usual.against_delay[name][np.flatnonzero(usual.delay == 1.0)[0]] == of_masses[here]
+    assert (np.diff(usual.against_delay["poles"]) < 0.0).all()
+
+
+def test_no_controller_has_what_swings_at_half_the_rate_or_faster() -> None:
+    slow = Configuration(mass=1.0, rate=1.0, stiffness=1.9)  # nothing softer can be asked for
+    chart = felt_chart(Hand("hand", None, slow, math.nan, math.nan))
+    assert chart.limit == 1.0
+    assert chart.felt["predictor"].share(0.05) == 1.0
+    fast = Plane(np.array([1.0, 20.0]), np.array([0.1, 0.9]))  # 20 swings at 4.4 and at 1.9 rad a sample
+    assert limit_of(DEVICE, fast) == 0.75
+    assert felt_by("predictor", DEVICE, DEVICE, fast).share(0.05) <= 0.75
+
+
+def test_the_numbers_are_those_of_the_summary(chart: Chart) -> None:
+    answer = chart("felt", "--normalised", "--delay", "2", "--data", "n.csv", "--picture", "p.png", "--json")
+    assert answer.status == 0
+    assert Path("p.png").read_bytes().startswith(b"\x89PNG")
+    with Path("n.csv").open(newline="", encoding="utf-8") as stream:
+        rows = list(csv.DictReader(stream))
+    for name in DRAWN:
+        plane = [row for row in rows if row["panel"] == "plane" and row["correction"] == name]
+        for within in (0.01, 0.05, 0.1):
+            share = np.mean([float(row["error_or_share"]) <= within for row in plane])
+            assert answer.document["share"][name][f"{within:g}"] == pytest.approx(share)
+        of_delays = [
+            float(row["error_or_share"]) for row in rows if row["panel"] == "delay" and row["correction"] == name
+        ]
+        assert answer.document["against_delay"][name] == of_delays
+
+
+def test_a_scene_is_taken_as_it_is_written(chart: Chart, scene_file: SceneFile) -> None:
+    """Its own correction is not applied twice."""
+    told = [
+        chart("felt", scene_file("spring", correction=correction), "--json").document["share"]
+        for correction in ("none", "predictor")
+    ]
+    assert told[0] == told[1]
+    assert told[0]["none"]["0.05"] < told[0]["poles"]["0.05"] < told[0]["predictor"]["0.05"] == 1.0
+
+
+def test_people_read_a_table_and_the_limit(chart: Chart, scene_file: SceneFile) -> None:
+    answer = chart("felt", scene_file("spring"))
+    assert answer.status == 0
+    assert "predictor" in answer.out
+    assert "Any controller: 100.0 % at most" in answer.out
+    assert Path("felt.svg").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["felt"], "--mass is missing"),
+        (["felt", "--normalised", "--delay", "-1"], "--delay is -1"),
+        (["felt", "--normalised", "--picture", "p.bmp"], "expected .svg, .png, .pdf"),
+        (["felt", "--normalised", "--channel", "1"], "without a SCENE there is one hand only"),
+    ],
+)
+def test_what_cannot_be_drawn_is_a_sentence(chart: Chart, words: list[str], told: str) -> None:
+    answer = chart(*words)
+    assert (answer.status, answer.out) == (2, "")
+    assert told in answer.err

@@ -1,0 +1,255 @@
+"""Which share of what a scene may ask for the hand feels, with every correction: measured on the mock in virtual time.
+
+    tools/bench/felt [--grid 24x12] [--only CONDITION ...] [--processes N] [--json FILE] [--from FILE.json]
+
+A hand on one spring and damper, K T²/m from 1e-4 to 2 (logarithmic) and damping ratio from 0 to 1.5: the plane in
+cells, each measured at its middle. A cell is felt where the k and b that are identified from the run are off by 5 % or
+less (b: of itself, or of 0.1 sqrt(k m) where that is more); where nothing can be identified it is not. Nothing is
+predicted here. One device serves, 50 g at 1 kHz, since only K T²/m, B T/m and the delay in samples count.
+
+The hand is let go from a deflection, at rest, and pushed every 32 samples: a motion that is over in three samples is
+seen sixty times. Where the identification states that it is not sure to 1 %, the cell is measured again, with pushes
+that follow each other otherwise; the measurement that states the least uncertainty counts. `--json` keeps every cell,
+`--from` prints the table of a kept file.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import os
+import statistics
+import sys
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+import hapsim
+from hapsim.errors import HapsimError
+from hapsim.prediction.correction import felt_error
+from hapsim.running import Excitation
+from hapsim.scene import Device, DevicePoint, Ground, Initial, Mock, Scene, ViscoElastic
+
+MASS, RATE = 0.05, 1000.0  # kg, Hz: declared
+FROM, TO, MOST_RATIO = 1e-4, 2.0, 1.5  # K T²/m; damping ratio
+WITHIN = (0.01, 0.05, 0.1)
+
+FORCE_LIMIT = 100.0  # N
+DEFLECTED, FURTHEST = 25.0, 0.1  # N that hold the hand where it is let go from, and m at the most
+PUSH = 25.0  # N
+PUSHES = ((32, 40), (8, 20), (23, 40), (4, 40), (16, 100), (11, 30))  # samples: every, from which on
+DURATION = 2.0  # s
+CERTAIN = 0.01  # what is identified so well is not measured again
+ROOM, COUNTS = 16.0, 2.0**31  # range of the position counts over how far the hand moves
+
+
+class Contender(NamedTuple):
+    """What a device does about the deformation; ``settles``: s before what is measured."""
+
+    name: str
+    device: dict[str, Any]
+    settles: float = 0.0
+
+
+CONTENDERS = (
+    Contender("none", {}),
+    Contender("poles", {"correction": "poles"}),
+    Contender("predictor", {"correction": "predictor"}),
+)
+NONE = CONTENDERS[0].name
+
+AS_DECLARED = "as declared"
+CONDITIONS: dict[str, dict[str, Any]] = {
+    AS_DECLARED: {},
+    **{f"true mass × {factor:g}": {"mock": {"mass": factor * MASS}} for factor in (0.5, 0.9, 1.1, 2.0)},
+    "1 µm counts": {"mock": {"quantum": 1e-6}},
+    "12-bit force": {"mock": {"force_quantum": FORCE_LIMIT / 2048.0}},
+    "1 % of the forces late": {"mock": {"misses": 0.01}},
+    **{f"delay {delay:g}": {"device": {"delay": delay}} for delay in (0.0, 0.37, 2.0, 3.0)},
+}
+"""What is other than a delay of 1 sample, a zero-order hold and no friction, on a mock as fine as can be."""
+
+
+FIELDS = ("error", "uncertainty", "stable")
+
+
+class Cell(NamedTuple):
+    """What was measured at one point of the plane."""
+
+    error: float
+    """Infinite where nothing was identified."""
+    uncertainty: float
+    """That the identification states for it."""
+    stable: bool
+
+
+def plane(columns: int, rows: int) -> Iterator[tuple[float, float]]:
+    """The middles of the cells: (K T²/m, damping ratio)."""
+    for i in range(columns):
+        for j in range(rows):
+            yield FROM * (TO / FROM) ** ((i + 0.5) / columns), MOST_RATIO * (j + 0.5) / rows
+
+
+def scene_of(kappa: float, ratio: float, contender: Contender, condition: dict[str, Any]) -> Scene:
+    """A hand that is let go from a deflection, on a mock whose counts are as fine as the motion allows."""
+    k, b = desired(kappa, ratio)
+    start = min(DEFLECTED / k, FURTHEST)
+    pushed = PUSH / (MASS * RATE) / math.sqrt(k / MASS)  # m: how far a push of one sample swings it
+    quantum = ROOM * max(start, pushed) / COUNTS
+    device = {"clock": "lockstep", "mass": MASS, "force_limit": FORCE_LIMIT} | contender.device
+    return Scene(
+        version=1,
+        rate=RATE,
+        device=Device(**(device | condition.get("device", {}))),
+        mock=Mock(**({"initial": Initial(position=start), "quantum": quantum} | condition.get("mock", {}))),
+        modules={
+            "hand": DevicePoint(channel=0),
+            "wall": Ground(),
+            "touch": ViscoElastic(between=("hand", "wall"), stiffness=k, damping=b),
+        },
+    )
+
+
+def desired(kappa: float, ratio: float) -> tuple[float, float]:
+    """(k, b) in N/m and N·s/m: the scene's K and B, since nothing of the device is real."""
+    k = kappa * MASS * RATE**2
+    return k, 2.0 * ratio * math.sqrt(k * MASS)
+
+
+def measured(kappa: float, ratio: float, contender: Contender, condition: dict[str, Any]) -> Cell:
+    """The measurement that is most certain of itself. A run that fails was unstable."""
+    scene = scene_of(kappa, ratio, contender, condition)
+    best = Cell(math.inf, math.inf, stable=False)
+    for every, first in PUSHES:
+        cell = measured_once(scene, desired(kappa, ratio), contender.settles, every, first)
+        if cell.uncertainty < best.uncertainty or (cell.stable and not best.stable):
+            best = cell
+        if best.uncertainty <= CERTAIN or not cell.stable:
+            break
+    return best
+
+
+def measured_once(scene: Scene, wanted: tuple[float, float], settles: float, every: int, first: int) -> Cell:
+    """One run, and what is identified from it."""
+    mass, settling = scene.mock_device.mass[0], round(settles * RATE)
+    pushes = Excitation(0, PUSH, 1, every, first, first=False)
+    try:
+        trace = hapsim.run(scene, duration=settles + DURATION, transport="loopback", excitation=pushes)
+    except HapsimError:
+        return Cell(math.inf, math.inf, stable=False)
+    try:
+        found = hapsim.identify(since(trace, settling), mass)
+    except HapsimError:
+        return Cell(math.inf, math.inf, stable=stays(trace))
+    k, b = wanted
+    error = float(felt_error((found.k, found.b), wanted, mass))
+    of_b = found.b_uncertainty / max(b, 0.1 * math.sqrt(k * mass))
+    uncertainty = max(found.k_uncertainty / k, of_b)
+    stable = (found.k > 0.0 and found.b > 0.0) or (not uncertainty <= CERTAIN and stays(trace))
+    return Cell(error, uncertainty if math.isfinite(uncertainty) else math.inf, stable)
+
+
+def since(trace: hapsim.Trace, sample: int) -> hapsim.Trace:
+    """The trace from that sample on."""
+    if sample == 0:
+        return trace
+    rows = trace.sample.size
+    fields = {name: value[sample:] for name, value in vars(trace).items() if np.shape(value)[:1] == (rows,)}
+    return replace(trace, **fields)
+
+
+def stays(trace: hapsim.Trace) -> bool:
+    """Whether what is not identified dies out: between the last pushes the force falls far below its limit."""
+    last = np.abs(trace.asked_force[-2 * max(every for every, _ in PUSHES) :, 0])
+    return bool(last.size and last.min() < 0.1 * FORCE_LIMIT and last.max() < FORCE_LIMIT)
+
+
+def _measure_one(task: tuple[str, str, float, float]) -> Cell:
+    name, condition, kappa, ratio = task
+    contender = next(one for one in CONTENDERS if one.name == name)
+    return measured(kappa, ratio, contender, CONDITIONS[condition])
+
+
+def measure_all(columns: int, rows: int, conditions: list[str], processes: int) -> dict[str, Any]:
+    """Every cell of every condition with every correction, as the document that is kept."""
+    tasks = [(one.name, name, *at) for name in conditions for one in CONTENDERS for at in plane(columns, rows)]
+    cells: dict[str, dict[str, list[list[Any]]]] = {name: {one.name: [] for one in CONTENDERS} for name in conditions}
+    measured(0.01, 0.5, CONTENDERS[-1], {})  # compiles what all of them need
+    with ProcessPoolExecutor(processes) as pool:
+        for done, (task, cell) in enumerate(zip(tasks, pool.map(_measure_one, tasks, chunksize=8), strict=True), 1):
+            cells[task[1]][task[0]].append([_kept(value) for value in cell])
+            if done % 100 == 0 or done == len(tasks):
+                print(f"\r{done} of {len(tasks)} runs: {task[1]}, {task[0]}   ", end="", file=sys.stderr, flush=True)
+    print(file=sys.stderr)
+    about = {"order": "damping ratio after damping ratio, then the next K T²/m", "fields": FIELDS}
+    return {"columns": columns, "rows": rows, **about, "cells": cells}
+
+
+def _kept(value: float | bool) -> float | bool | None:
+    """A number in few digits; null where there is none."""
+    if isinstance(value, bool):
+        return value
+    return float(f"{value:.3g}") if math.isfinite(value) else None
+
+
+def table(document: dict[str, Any]) -> str:
+    """The shares for a page; and of the cells of each, how many are not identified to 1 %; of those of each correction,
+    how many were stable without it and are not with it."""
+    names = list(next(iter(document["cells"].values())))
+    lines = [
+        "| felt within 5 % | " + " | ".join(names) + " | uncertainty, median | not sure to 1 % | made unstable |",
+        "|---|" + "---|" * (len(names) + 3),
+    ]
+    for condition, of_contenders in document["cells"].items():
+        every = {name: [_cell(row) for row in rows] for name, rows in of_contenders.items()}
+        shares = [f"{share(cells, 0.05):.3f}" for cells in every.values()]
+        spoilt = [str(made_unstable(every[NONE], cells)) for name, cells in every.items() if name != NONE]
+        known = [cell.uncertainty for cells in every.values() for cell in cells if math.isfinite(cell.uncertainty)]
+        unsure = [str(sum(cell.uncertainty > CERTAIN for cell in cells)) for cells in every.values()]
+        words = [condition, *shares, f"{statistics.median(known):.0e}", ", ".join(unsure), ", ".join(spoilt)]
+        lines.append("| " + " | ".join(words) + " |")
+    return "\n".join(lines)
+
+
+def _cell(row: list[Any]) -> Cell:
+    return Cell(*(math.inf if value is None else value for value in row))
+
+
+def share(cells: list[Cell], within: float) -> float:
+    """Of the plane, every cell alike."""
+    return sum(cell.error <= within for cell in cells) / len(cells)
+
+
+def made_unstable(without: list[Cell], corrected: list[Cell]) -> int:
+    """Cells that were stable without a correction and are not with it."""
+    return sum(one.stable and not other.stable for one, other in zip(without, corrected, strict=True))
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(
+        "tools/bench/felt", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--grid", default="24x12", help="cells along K T²/m and along the damping ratio")
+    parser.add_argument("--only", nargs="+", choices=list(CONDITIONS), metavar="CONDITION", help="; ".join(CONDITIONS))
+    parser.add_argument("--processes", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--json", type=Path, help="keep every cell")
+    parser.add_argument("--from", dest="kept", type=Path, help="print the table of what --json kept")
+    arguments = parser.parse_args()
+    if arguments.kept:
+        document = json.loads(arguments.kept.read_text(encoding="utf-8"))
+    else:
+        columns, rows = (int(number) for number in arguments.grid.split("x"))
+        document = measure_all(columns, rows, arguments.only or list(CONDITIONS), arguments.processes)
+    if arguments.json:
+        arguments.json.write_text(json.dumps(document, ensure_ascii=False) + "\n", encoding="utf-8")
+    print(table(document))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
