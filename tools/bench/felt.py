@@ -34,6 +34,7 @@ from hapsim.errors import HapsimError
 from hapsim.prediction.correction import felt_error
 from hapsim.running import Excitation
 from hapsim.scene import Device, DevicePoint, Ground, Initial, Mock, Scene, ViscoElastic
+from hapsim.scene.quantity import Span
 
 MASS, RATE = 0.05, 1000.0  # kg, Hz: declared
 FROM, TO, MOST_RATIO = 1e-4, 2.0, 1.5  # K T²/m; damping ratio
@@ -60,6 +61,7 @@ CONTENDERS = (
     Contender("none", {}),
     Contender("poles", {"correction": "poles"}),
     Contender("predictor", {"correction": "predictor"}),
+    Contender("adaptive", {"correction": "adaptive", "mass": Span(least=0.5 * MASS, most=2.0 * MASS)}, settles=4.0),
 )
 NONE = CONTENDERS[0].name
 
