@@ -50,7 +50,7 @@ def measure(
         typer.Option(
             metavar="S",
             callback=seconds_above_zero,
-            help="Seconds; left out: about two, or with --impedance seven for each channel.",
+            help="Seconds; left out: about two, or with --impedance eight for each channel.",
         ),
     ] = None,
     impedance: Annotated[
@@ -89,7 +89,7 @@ def measure(
     from hapsim.console.as_json import felt_on
     from hapsim.console.live import live_line
     from hapsim.measuring.measure import measure as measure_scene
-    from hapsim.prediction import predict, predict_on_wire
+    from hapsim.prediction import predict, predict_on_wire, with_mass
 
     kind = transport_kind(mock, transport, port)
     loaded = as_played(load(scene, port), kind)
@@ -116,6 +116,8 @@ def measure(
         if error.trace is None:
             raise
         _tell_failed(scene, prediction, channel, error, error.trace, record, json)
+    prediction = with_mass(prediction, channel, measurement.mass)
+    felt = felt_on(prediction, channel)
     if record is not None:
         measurement.trace.save(record)
     if picture is not None or data is not None:
@@ -173,6 +175,13 @@ def _show_measured(
 
     show_assumptions(stdout(), prediction)
     hands = {point.channel: name for name, point in scene.device_points.items()}
+    least, most = scene.device.mass_spans(scene.channels)[channel]
+    if least < most:
+        whose = "the estimated mass" if measurement.trace.report.estimated_mass_kg else "the middle of the span"
+        say(
+            f"k and b are those of a hand of {measurement.mass:.6g} kg, {whose} of {least:g} to {most:g} kg; they grow "
+            "with the mass."
+        )
     desired = next((one for one in prediction.desired if one.channel == channel), None)
     show_measurement(stdout(), f"{hands[channel]}, channel {channel}", felt, why, measurement, desired)
     others = ", ".join(f"--channel {c} for {name}" for c, name in hands.items() if c != channel)

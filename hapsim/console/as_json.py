@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any
 
 from hapsim.prediction import Desired, Felt, Prediction, felt_at_rate, host_silence
@@ -74,7 +74,7 @@ def _correction_document(prediction: Prediction, channel: int | None) -> dict[st
             "device_points": {
                 port.name: {
                     "written": dict(zip(("K", "B"), port.written, strict=True)),
-                    "rendered": dict(zip(("K", "B"), port.rendered, strict=True)),
+                    "simulated": dict(zip(("K", "B"), port.rendered, strict=True)),
                     "made_for_kg": port.made_for,
                     "reached": port.reached,
                 }
@@ -169,8 +169,9 @@ def felt_on(prediction: Prediction, channel: int | None) -> Felt | None:
 
 
 def _felt(felt: Felt) -> dict[str, Any]:
-    values = asdict(felt)
+    values = asdict(replace(felt, predictor=None))
     configuration = values.pop("configuration")
+    values.pop("predictor")
     hand = {name: configuration[name] for name in ("mass", "friction", "damper", "cutoff")}
     return values | hand | {"device_stiffness": configuration["stiffness"]}
 

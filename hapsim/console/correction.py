@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from hapsim.prediction.correction import Remedies
 
 _EXACT = 1e-6  # errors below are none to anybody
+_SMALL = 1e-3
 _ROWS = 12
 
 
@@ -34,21 +35,31 @@ def show_correction(out: Console, prediction: Prediction) -> None:
 
 def _reached(desired: Desired, name: str) -> str:
     if desired.error < _EXACT:
-        return f"Correction {name}: {desired.name} feels what is desired."
+        return f"Correction {name}: {desired.name} swings as desired.{_steady(desired)}"
     if desired.remedies is None:
-        off = f"off by {desired.error:.1%} at most" if math.isfinite(desired.error) else "far off at some of them"
-        return f"Correction {name}: over the masses that it may have, {desired.name} feels what is desired, {off}."
-    off = f", off by {desired.error:.1%}" if math.isfinite(desired.error) else ""
+        off = f"{desired.error:.1%} off at most" if desired.error >= _SMALL else "less than 0.1 % off"
+        off = off if math.isfinite(desired.error) else "not a spring and damper's at some of them"
+        return (
+            f"Correction {name}: over the masses of its span, what {desired.name} feels is {off}; the table is of the "
+            f"middle of the span.{_steady(desired)}"
+        )
+    off = f", {desired.error:.1%} off" if math.isfinite(desired.error) else ""
     return (
         f"[yellow]Correction {name} does not reach what is desired at {desired.name}[/yellow]: simulated is what comes "
         f"nearest{off}. {_what_would(desired.remedies)}"
     )
 
 
+def _steady(desired: Desired) -> str:
+    if abs(desired.steady_stiffness - desired.k) <= _EXACT * abs(desired.k):
+        return ""
+    return f" A steady push meets {desired.steady_stiffness:.6g} N/m, not {desired.k:.6g}."
+
+
 def _what_would(remedies: Remedies) -> str:
     ways = []
     if remedies.rate_hz is not None:
-        ways.append(f"a rate of {remedies.rate_hz:.4g} Hz or more")
+        ways.append(f"a rate of {remedies.rate_hz:.4g} Hz or more, with a delay of as many samples")
     if remedies.delay_samples is not None:
         ways.append(f"a delay of {remedies.delay_samples:.3g} samples or less")
     if remedies.friction is not None:
@@ -66,8 +77,9 @@ def _masses(desired: Desired) -> str:
         return "The loop is stable at no mass near the declared one."
     if least == 0.0 and math.isinf(most):
         return "It stays stable from a thirtieth of the mass to thirty times it."
-    low = "less than a thirtieth" if least == 0.0 else f"{least:.3g} kg"
-    return f"It stays stable for a mass from {low} to {'thirty times it' if math.isinf(most) else f'{most:.3g} kg'}."
+    low = "less than a thirtieth of the declared one" if least == 0.0 else f"{least:.3g} kg"
+    high = "more than thirty times the declared one" if math.isinf(most) else f"{most:.3g} kg"
+    return f"It stays stable for a mass from {low} to {high}."
 
 
 def _modes(prediction: Prediction) -> Table:

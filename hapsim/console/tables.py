@@ -90,6 +90,7 @@ def _show_felt(out: Console, felt: Felt, margin_in_table: bool, desired: Desired
         ("damping  N·s/m", "b", f"B = {felt.damping:.6g} (+ {real:.6g} real)", f"b = {_number(felt.b)}"),
         ("eigenfrequency  Hz", "frequency_hz", "", _number(felt.frequency_hz)),
         ("damping ratio", "damping_ratio", "", _number(felt.damping_ratio)),
+        *([("steady push  N/m", "k", "", _number(desired.steady_stiffness))] if desired else []),
     ):
         table.add_row(label, *([_number(getattr(desired, wanted))] if desired else []), simulated, is_felt)
     out.print()
@@ -118,11 +119,13 @@ def _margin(felt: Felt, in_table: bool) -> str:
 def _enough_damping(felt: Felt) -> str:
     least, most = felt.stable_damping
     if not most > 0.0:
-        return "; no damping makes this stiffness stable: give it less, or the device more friction"
+        return "; no damping makes this stiffness stable: take less of it, a shorter delay or device.correction"
     return f"; or where the damping is between {max(least, 0.0):.4g} and {most:.4g} N·s/m"
 
 
 def _passivity(felt: Felt) -> str:
+    if felt.predictor is not None:
+        return "Passivity: no condition is known where a predictor answers; another hand's mass is judged below."
     if felt.passive is None:
         return "Passivity: no condition is known for this hold, sampling and damper."
     if felt.passive:
@@ -221,10 +224,9 @@ def show_measurement(
         )
     limited = measurement.trace.report.limited_ticks
     if limited:
-        share = limited / measurement.trace.report.ticks
         out.print(
-            f"[yellow]{share:.0%} of the ticks were at the force limit[/yellow]: k and b hold for motions that stay "
-            "below it; beyond, the hand feels less."
+            f"[yellow]{limited} of {measurement.trace.report.ticks} ticks were at the force limit[/yellow]: k and b "
+            "hold for motions that stay below it; beyond, the hand feels less."
         )
     if not measurement.dominant:
         out.print(f"The motion is not that of a spring and damper: {_plainly(measurement.reason)}.")

@@ -18,6 +18,7 @@ from hapsim.prediction.predict import (
     predict_on_wire,
     surely_shaken_by,
     warnings_about,
+    with_mass,
 )
 from hapsim.prediction.silence import HostSilence, host_silence
 
@@ -40,5 +41,6 @@ __all__ = [
     "predict_on_wire",
     "surely_shaken_by",
     "warnings_about",
+    "with_mass",
     "z_width_of",
 ]

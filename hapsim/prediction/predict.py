@@ -36,6 +36,7 @@ from hapsim.theory import (
     solve,
 )
 from hapsim.theory.arrays import sort_by_modulus
+from hapsim.theory.correction import PredictedLoop, StatePredictor
 from hapsim.theory.network import ContinuousMode, continuous_modes, is_large
 
 _MASSES = 9  # of a span, at which the error of a correction is looked at
@@ -73,6 +74,8 @@ class Felt:
     """N/m: the stiffness that the linear rule allows, (b0 + B)/(T/2 + delay T) (Gil et al.)."""
     reason: str
     """Why there is no equivalent, where there is none."""
+    predictor: StatePredictor | None = None
+    """Whose state the force answers, with a correction that predicts."""
 
 
 class Desired(NamedTuple):
@@ -94,6 +97,8 @@ class Desired(NamedTuple):
     """What would make it reachable; None where it is reached, or the mass is a span."""
     stable_masses: tuple[float, float]
     """kg: the least and the most mass with which the corrected loop is stable."""
+    steady_stiffness: float
+    """N/m: what a steady push meets, the device's own spring included; desired is k."""
 
 
 @dataclass(frozen=True)
@@ -263,6 +268,7 @@ def _desired_on(rendering: Rendering, port: Corrected) -> Desired:
         reached=port.reached,
         remedies=None if port.reached or least < most else remedies_for(kind, port.declared, port.desired),
         stable_masses=stable_masses(kind, port.declared, port.made_for, port.rendered),
+        steady_stiffness=_steady_stiffness(rendering, port),
     )
 
 
@@ -386,18 +392,36 @@ def _felt(scene: Scene, linear: LinearScene, name: str) -> Felt:
     return _felt_of(name, scene.device_points[name].channel, *hand_of(scene, linear, name))
 
 
+def _steady_stiffness(rendering: Rendering, port: Corrected) -> float:
+    own = port.declared.stiffness
+    if rendering.kind is None or not rendering.kind.predicts:
+        return port.rendered[0] + own
+    predictor = rendering.predictor_of(port)
+    return PredictedLoop(port.declared, predictor).steady_stiffness(*port.rendered) + own
+
+
 def _as_made(rendering: Rendering, felt: Felt) -> Felt:
-    """The same, where the force of this hand is made for another mass than the declared one."""
+    """The same, where a predictor's loop stands behind it: of the device as it is declared."""
     port = next((port for port in rendering.ports if port.name == felt.name), None)
-    if port is None or rendering.kind is None or not rendering.kind.predicts or port.made_for == port.declared.mass:
+    if port is None or rendering.kind is None or not rendering.kind.predicts:
         return felt
-    loop = rendering.kind.closed(port.declared, replace(port.declared, mass=port.made_for))
-    poles = loop.poles(*port.rendered)
-    k, b = (float(value) for value in loop.equivalent(*port.rendered))
-    frequency, ratio = frequency_and_ratio(port.declared.mass, k, b)
+    return _felt_of_predictor(felt, port.declared, rendering.predictor_of(port), port.rendered)
+
+
+def _felt_of_predictor(
+    felt: Felt, device: Configuration, predictor: StatePredictor, element: tuple[float, float]
+) -> Felt:
+    """`felt` of this device with a force that answers this predictor's state."""
+    loop = PredictedLoop(device, predictor)
+    poles = loop.poles(*element)
+    k, b = (float(value) for value in loop.equivalent(*element))
+    frequency, ratio = frequency_and_ratio(device.mass, k, b)
     radius = float(abs(poles[0]))
     return replace(
         felt,
+        configuration=device,
+        stiffness=element[0],
+        damping=element[1],
         k=k,
         b=b,
         frequency_hz=float(frequency),
@@ -406,14 +430,40 @@ def _as_made(rendering: Rendering, felt: Felt) -> Felt:
         stable=radius < 1.0,
         spectral_radius=radius,
         poles=tuple(complex(pole) for pole in poles),
-        reason="" if math.isfinite(k) else "with this mass the force that was made for another leaves no dominant pair",
+        reason="" if math.isfinite(k) else "the slowest poles are not those of a spring and damper",
+        predictor=predictor,
     )
+
+
+def with_mass(prediction: Prediction, channel: int, mass: float) -> Prediction:
+    """The same for a hand of this mass (kg) on one channel, once a correction that adapts has found it."""
+    rendering = prediction.rendering
+    port = None if rendering is None else next((one for one in rendering.ports if one.channel == channel), None)
+    if rendering is None or port is None or port.schedule is None:
+        return prediction
+    element, made_for = port.settled(mass)
+    device = replace(port.declared, mass=mass)
+    predictor = rendering.predictor_of(port._replace(made_for=made_for))
+    felt = tuple(
+        _felt_of_predictor(one, device, predictor, element) if one.channel == channel else one
+        for one in prediction.felt
+    )
+    desired = tuple(_desired_of(one, mass) if one.channel == channel else one for one in prediction.desired)
+    return replace(prediction, felt=felt, desired=desired)
+
+
+def _desired_of(desired: Desired, mass: float) -> Desired:
+    frequency, ratio = frequency_and_ratio(mass, desired.k, desired.b)
+    return desired._replace(frequency_hz=float(frequency), damping_ratio=float(ratio))
 
 
 def felt_at_rate(felt: Felt, rate_hz: float) -> Felt:
     """What the same hand feels where the device samples at `rate_hz` while the loop takes it to sample at the rate of
     `felt`: the loop makes a velocity of a step with the period that it believes in, so a damper is stronger by as much
     as the true period is longer, and a filter's cutoff lower. A velocity that the device senses is what it is."""
+    if felt.predictor is not None:
+        device = replace(felt.configuration, rate=rate_hz)
+        return _felt_of_predictor(felt, device, felt.predictor, (felt.stiffness, felt.damping))
     slower = felt.configuration.rate / rate_hz
     cutoff = felt.configuration.cutoff
     configuration = replace(felt.configuration, rate=rate_hz, cutoff=None if cutoff is None else cutoff / slower)

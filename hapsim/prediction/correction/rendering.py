@@ -70,6 +70,10 @@ class Rendering:
     notes: tuple[str, ...]
     """Sentences: what was not corrected, and why."""
 
+    def predictor_of(self, port: Corrected) -> StatePredictor:
+        """The one whose state this port's force answers, once an estimate of the mass has settled."""
+        return state_predictor(replace(port.declared, mass=port.made_for), bool(self.desired.sensed_links))
+
     def predictors(self) -> dict[int, StatePredictor]:
         """Of every channel of a device point; none where nothing is predicted."""
         if self.kind is None or not self.kind.predicts:

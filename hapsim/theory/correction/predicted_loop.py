@@ -84,6 +84,15 @@ class PredictedLoop(NamedTuple):
         found[some] = answer * through / (2j * np.pi * f[some])
         return found
 
+    def steady_stiffness(self, K: float, B: float) -> float:
+        """N/m: what a steady push meets, of whose force the predictor knows nothing; the device's own spring left out.
+
+        The forces that the predictor knows, with which the push is in balance, make it expect the mass elsewhere.
+        """
+        gain = np.array([K, B])
+        of_position = self.predictor.readings[:, 0] if self.predictor.senses else self.predictor.readings.sum(axis=1)
+        return float(gain @ of_position / (1.0 + gain @ self.predictor.forces.sum(axis=1)))
+
     def _answer(self, own: Plant, gain: Floats) -> Floats:
         """numerator (gain readings) z^lags: what is read answers, in units of T²/m f; the second reading is that of
         sample n - 1, or the velocity V = (w velocity / (z numerator) + offset) Y."""
