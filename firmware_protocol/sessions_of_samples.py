@@ -6,6 +6,7 @@ from firmware_protocol.story import HOST, LIMIT, PERIOD, Story
 
 
 def force_acts_at_the_next_tick() -> Story:
+    """Four forces in time, to the limit on either side."""
     s = Story("6", "So a force that answers position *n* and arrives before tick *n + 1* acts from that tick on")
     s.arms()
     for n, force in enumerate((7, -8, LIMIT, -LIMIT)):
@@ -14,12 +15,14 @@ def force_acts_at_the_next_tick() -> Story:
 
 
 def later_one_acts() -> Story:
+    """Two answers to one sample: both are accepted, and the second acts."""
     s = Story("5", "one that a later one in the same sample replaced among them")
     s.arms().host(s.answer(0, 3), s.answer(0, 4)).tick(out=s.position(1), force=[4])
     return s.registers(accepted=2, held=0)
 
 
 def too_much_is_cut() -> Story:
+    """To either side, up to the ends of 32 bits; what is at the limit is not counted."""
     s = Story("8", "cuts it to the limit, counts it", "four").arms()
     s.host(s.answer(0, LIMIT + 1, -LIMIT - 1, 2**31 - 1, -(2**31)))
     s.tick(out=s.position(1), force=[LIMIT, -LIMIT, LIMIT, -LIMIT]).registers(limited=4)
@@ -38,18 +41,22 @@ def _lives(lives: int) -> Story:
 
 
 def lives_for_its_sample() -> Story:
+    """Time to live 0: one sample."""
     return _lives(0)
 
 
 def lives_for_two() -> Story:
+    """Time to live 1: two samples."""
     return _lives(1)
 
 
 def lives_for_ten() -> Story:
+    """Time to live 9: ten samples."""
     return _lives(9)
 
 
 def late_but_alive() -> Story:
+    """A force two samples old with time to live 2 acts for the one that is left."""
     s = Story("6", "POSITION_HELD n** says: during sample *n - 1* no force arrived that answers position *n - 1*.")
     s.arms().tick(out=s.held(1)).tick(out=s.held(2))
     s.host(s.answer(0, 6, lives=2)).tick(out=s.held(3), force=[6])
@@ -58,6 +65,7 @@ def late_but_alive() -> Story:
 
 
 def too_old() -> Story:
+    """It does not feed the watchdog, which latches."""
     s = Story(
         "6", "if (age > time_to_live) { expired++; return; }      /* not acted on, and it does not feed the watchdog"
     )
@@ -66,6 +74,7 @@ def too_old() -> Story:
 
 
 def from_the_future() -> Story:
+    """By one sample, and by half of the numbers."""
     s = Story(
         "6", "0 is a force in time; 1 one that answers the position before; a force from the future reads as 4095."
     )
@@ -95,6 +104,7 @@ def ages_across_the_wrap() -> Story:
 
 
 def host_makes_the_tick() -> Story:
+    """However long it takes, and twice where two forces come together."""
     s = Story("6", "the device answers it with the next position; the sample lasts as long as the host takes")
     s.arms(pacing=HOST).passes(300)
     s.host(s.answer(0, 5), out=s.position(1), force=[5]).passes(400).measures(77)
@@ -104,6 +114,7 @@ def host_makes_the_tick() -> Story:
 
 
 def host_asks_again() -> Story:
+    """The same force makes another tick, until it is too old."""
     s = Story("6", "paced by the host, it sends that answer again, which asks for the next position.")
     s.arms(pacing=HOST).host(s.answer(0, 5, lives=3), out=s.position(1), force=[5])
     s.host(s.answer(0, 5, lives=3), out=s.held(2))
@@ -112,6 +123,7 @@ def host_asks_again() -> Story:
 
 
 def host_clock_time_to_live() -> Story:
+    """By the device's clock: zero after t + 1 periods; the next force acts as ever."""
     s = Story("6", "once more than *t + 1* nominal sample periods have passed since the last accepted FORCE.")
     s.arms(pacing=HOST, watchdog=100).host(s.answer(0, 5, lives=3), out=s.position(1), force=[5])
     s.passes(4 * PERIOD).passes(1, force=[0]).passes(50 * PERIOD)
@@ -122,6 +134,7 @@ def host_clock_time_to_live() -> Story:
 
 
 def impulses_are_not_repeated() -> Story:
+    """A device whose actuator gives impulses, with forces that might live on."""
     s = Story("6", "gives each accepted force once and does not repeat", "impulse").arms()
     s.host(s.answer(0, 9, lives=20)).tick(out=s.position(1), force=[9]).tick(out=s.held(2), force=[0])
     return s.host(s.answer(1, 8, lives=20)).tick(out=s.held(3), force=[8]).tick(out=s.held(4), force=[0])

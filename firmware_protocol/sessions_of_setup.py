@@ -10,6 +10,7 @@ VELOCITY = schema.WITH_VELOCITY
 
 
 def it_waits() -> Story:
+    """For ticks and for five seconds, until it is asked."""
     s = Story("1", "A device that is not armed says nothing of its own accord and its force is zero.")
     s.tick().tick().passes(5_000_000)
     s.host(s.describe(schema.REG_VERSION), out=s.description(schema.REG_VERSION, 1))
@@ -17,6 +18,7 @@ def it_waits() -> Story:
 
 
 def it_describes_itself() -> Story:
+    """Registers of every kind, words of doubles among them."""
     s = Story("4", "**DESCRIBE** is answered by DESCRIPTION with the same number.", "four")
     for register, value in (
         (schema.REG_VERSION, schema.VERSION),
@@ -38,6 +40,7 @@ def it_describes_itself() -> Story:
 
 
 def there_are_no_others() -> Story:
+    """Registers between those that exist, and beyond them."""
     s = Story("4", "A register that does not exist reads 0.")
     for register in (13, 15, 20, 31, schema.REG_CHANNEL + 8, schema.REGISTERS, 4095):
         s.host(s.describe(register), out=s.description(register, 0))
@@ -45,6 +48,7 @@ def there_are_no_others() -> Story:
 
 
 def armed_it_ignores_describe() -> Story:
+    """In either format."""
     s = Story("4", "An armed device ignores DESCRIBE.").arms()
     for wire in ("setup", "armed_1"):
         s.host(frame(wire, "describe", 0, 0, [0]))
@@ -52,6 +56,7 @@ def armed_it_ignores_describe() -> Story:
 
 
 def arming_is_answered() -> Story:
+    """Taken, refused after DISARM, and taken again."""
     s = Story("4", "**ARM** is answered by STATUS with number 0: state *armed*, or the state as it was")
     s.arms().tick(out=s.held(1)).host(s.disarm(), out=s.status(1, "idle"), state="idle")
     s.wire = "setup"
@@ -60,6 +65,7 @@ def arming_is_answered() -> Story:
 
 
 def armed_it_ignores_arm() -> Story:
+    """In either format: the watchdog stays that of the first ARM."""
     s = Story("4", "An armed device ignores ARM.").arms(watchdog=2)
     s.host(s.answer(0, 5, lives=9)).tick(out=s.position(1), force=[5])
     for wire in ("setup", "armed_1"):
@@ -68,6 +74,7 @@ def armed_it_ignores_arm() -> Story:
 
 
 def only_the_armed_act() -> Story:
+    """FORCE in either format, while idle."""
     s = Story("4", "**FORCE** is acted on by an armed device alone")
     s.host(frame("setup", "force", 0, 255, [77]), frame("armed_1", "force", 0, 255, [77])).tick()
     return s.registers(accepted=0)
@@ -81,6 +88,7 @@ def idle_it_says_where_it_stopped() -> Story:
 
 
 def disarm_is_obeyed() -> Story:
+    """Idle, armed, and idle again, each in the format of that state."""
     s = Story("4", "**DISARM** is obeyed in every state: force zero at once, state *idle*, set-up format, then STATUS.")
     s.host(s.disarm(), out=s.status(0, "idle")).arms()
     s.host(s.answer(0, 5, lives=9)).tick(out=s.position(1), force=[5])
@@ -91,6 +99,7 @@ def disarm_is_obeyed() -> Story:
 
 
 def disarm_takes_what_waits() -> Story:
+    """A force that came in the same sample acts no more, nor after arming again."""
     s = Story("4", "**DISARM** is obeyed in every state: force zero at once", "four").arms()
     s.host(s.answer(0, 5, 6, 7, 8, lives=9), s.disarm(), out=s.status(0, "idle"), state="idle").tick()
     s.wire = "setup"
@@ -105,6 +114,7 @@ def unused_fields_count_for_nothing() -> Story:
 
 
 def types_are_refused() -> Story:
+    """Those of the device, and those of nobody."""
     from firmware_protocol.frames import SETUP, frame_to_device
 
     s = Story("4", "All other types are unknown and are refused as errors of form.")
@@ -113,6 +123,7 @@ def types_are_refused() -> Story:
 
 
 def it_refuses() -> Story:
+    """For every reason; of several, schema is told before pacing, sensing and watchdog."""
     s = Story("7", "ARM is refused, with the fault in brackets, unless", "bare")
     for argument, watchdog, word, fault in (
         (DEVICE, 100, schema.SCHEMA_HASH ^ 1, schema.WRONG_SCHEMA),
@@ -134,6 +145,7 @@ def it_refuses() -> Story:
 
 
 def it_refuses_latched() -> Story:
+    """The device stays latched, and says why it refused."""
     s = Story("4", "or the state as it was and the reason of the refusal as its fault.").arms(watchdog=1)
     s.tick(out=s.held(1) + s.latches(1, schema.HOST_QUIET), state="latched")
     s.host(s.arm_frame(watchdog=0), out=s.status(0, "latched", schema.WRONG_WATCHDOG))
@@ -141,6 +153,7 @@ def it_refuses_latched() -> Story:
 
 
 def arming_begins_anew() -> Story:
+    """After a session in which each counter counted."""
     s = Story("7", "Otherwise the device clears its fault and the counters of registers 8 to 12, counts samples from 0")
     s.arms(watchdog=3)
     s.host(s.answer(0, 2 * 10**9, lives=1)).tick(out=s.position(1), force=[10**9])
@@ -152,6 +165,7 @@ def arming_begins_anew() -> Story:
 
 
 def every_channel() -> Story:
+    """Four of them, to the ends of 32 bits."""
     s = Story(
         "6", "measures the positions, which are sample *n + 1*, and the velocities where they were asked for;", "four"
     )
@@ -161,6 +175,7 @@ def every_channel() -> Story:
 
 
 def velocities_or_none() -> Story:
+    """Armed with them, and again without."""
     s = Story("7", "Until it is armed again it measures and sends velocities with every position, or with none.")
     s.measures(11, velocities=[-500]).arms(velocity=True).host(s.answer(0, 5)).tick(out=s.position(1), force=[5])
     s.measures(12, velocities=[600]).tick(out=s.held(2), force=[0])
@@ -170,6 +185,7 @@ def velocities_or_none() -> Story:
 
 
 def format_is_forgotten() -> Story:
+    """A frame is cut off before a switch in either direction."""
     s = Story("3", "Whoever switches forgets the beginning of an unfinished frame; counters go on.")
     s.host(s.describe(0)[:5]).host(s.describe(0), out=s.description(0, 1)).registers(rejected=0)
     s.arms().host(s.answer(0, 5)[:6]).host(s.disarm(), out=s.status(0, "idle"), state="idle")

@@ -22,7 +22,11 @@ if TYPE_CHECKING:
     from hapsim.loop.trace import load_trace as load_trace
     from hapsim.measuring.identify import Measurement as Measurement
     from hapsim.measuring.identify import identify as identify
+    from hapsim.measuring.identify_device import DeviceIdentification as DeviceIdentification
+    from hapsim.measuring.identify_device import identify_device as identify_device
     from hapsim.measuring.measure import measure as measure
+    from hapsim.measuring.measure_impedance import MeasuredImpedance as MeasuredImpedance
+    from hapsim.measuring.measure_impedance import measure_impedance as measure_impedance
     from hapsim.prediction import Prediction as Prediction
     from hapsim.prediction import predict as predict
     from hapsim.running import Session as Session
@@ -33,30 +37,38 @@ if TYPE_CHECKING:
     from hapsim.scene import parse_scene as parse_scene
 
 _HOME = {
+    "DeviceIdentification": "hapsim.measuring.identify_device",
+    "MeasuredImpedance": "hapsim.measuring.measure_impedance",
     "Measurement": "hapsim.measuring.identify",
     "Prediction": "hapsim.prediction",
     "Scene": "hapsim.scene",
     "Session": "hapsim.running",
     "Trace": "hapsim.loop.trace",
     "identify": "hapsim.measuring.identify",
+    "identify_device": "hapsim.measuring.identify_device",
     "load_scene": "hapsim.scene",
     "load_trace": "hapsim.loop.trace",
     "measure": "hapsim.measuring.measure",
+    "measure_impedance": "hapsim.measuring.measure_impedance",
     "parse_scene": "hapsim.scene",
     "predict": "hapsim.prediction",
     "run": "hapsim.running",
     "start": "hapsim.running",
 }
 __all__ = [
+    "DeviceIdentification",
+    "MeasuredImpedance",
     "Measurement",
     "Prediction",
     "Scene",
     "Session",
     "Trace",
     "identify",
+    "identify_device",
     "load_scene",
     "load_trace",
     "measure",
+    "measure_impedance",
     "parse_scene",
     "predict",
     "run",

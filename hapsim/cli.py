@@ -16,6 +16,7 @@ from hapsim.commands.check import check
 from hapsim.commands.device import mock, ports
 from hapsim.commands.doctor import doctor
 from hapsim.commands.frames import frames
+from hapsim.commands.identify import identify
 from hapsim.commands.measure import measure
 from hapsim.commands.prepare import compile_, new, schema
 from hapsim.commands.probe import probe
@@ -32,7 +33,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for _command in (run, check, measure, doctor, probe, frames, mock, compile_, ports, new, schema):
+for _command in (run, check, measure, identify, doctor, probe, frames, mock, compile_, ports, new, schema):
     app.command(_command.__name__.rstrip("_"))(_command)
 chart.command()(felt)
 app.add_typer(chart)

@@ -17,6 +17,9 @@ class Progress:
     elapsed_s: float = 0.0
     rate_hz: float = 0.0
     force: tuple[float, ...] = ()
+    """N, per channel."""
+    position: tuple[float, ...] = ()
+    """m, per channel."""
     age_samples: int = 0
     deadline_misses: int = 0
     limited_ticks: int = 0

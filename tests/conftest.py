@@ -1,17 +1,34 @@
-"""The command line, called in this process as the console script calls it; figures told at the end of a run."""
+"""The command line, called in this process as the console script calls it; the firmware's boards, built once; figures
+told at the end of a run."""
 
 from __future__ import annotations
 
+import fcntl
 import json
 import math
+import os
+import shutil
 import signal
-from collections.abc import Callable
+import subprocess
+import time
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import pytest
 
+import firmware_protocol
 from hapsim import cli
+
+FIRMWARE = Path(firmware_protocol.__file__).parent / "firmware"
+
+# What is there where a board can be run on this machine, and the Debian packages that bring what it takes.
+RUNNERS = {
+    "linux": ("linux", "gcc libc6-dev"),
+    "avr": ("run_avr", "gcc libc6-dev gcc-avr avr-libc libsimavr-dev"),
+    "cortex_m": ("on_terminal", "gcc libc6-dev gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm"),
+}
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -63,6 +80,123 @@ def hapsim(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -
         return Answer(int(caught.value.code or 0), captured.out, captured.err)
 
     return call
+
+
+@pytest.fixture(scope="session")
+def compiler() -> str:
+    found = shutil.which("gcc")
+    if found is None:
+        pytest.skip("no C compiler on this machine (Debian: gcc libc6-dev)")
+    return found
+
+
+@pytest.fixture(scope="session")
+def once(compiler: str, tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, list[str], dict[str, str]], Path]:
+    """Runs a build that writes into the directory that is its last word, once for all workers of this run."""
+    assert compiler
+    shared = tmp_path_factory.getbasetemp()
+    if os.environ.get("PYTEST_XDIST_WORKER"):
+        shared = shared.parent
+
+    def build(name: str, command: list[str], environment: dict[str, str]) -> Path:
+        to = shared / name
+        with open(shared / f"{name}.lock", "w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            if not (to / "done").exists():
+                to.mkdir(exist_ok=True)
+                words = [*command, str(to)]
+                built = subprocess.run(words, env=os.environ | environment, capture_output=True, text=True, check=False)
+                assert built.returncode == 0, built.stderr
+                (to / "done").write_text(built.stdout, "utf-8")
+        return to
+
+    return build
+
+
+@pytest.fixture(scope="session")
+def built(once: Any) -> Path:
+    """Where the boards were built."""
+    return once("firmware", [str(FIRMWARE / "build")], {})
+
+
+@pytest.fixture(scope="session")
+def built_broken(once: Any) -> Path:
+    """Where the Linux boards that are broken on purpose were built."""
+    return once("broken", [str(FIRMWARE / "linux" / "broken")], {})
+
+
+class Board:
+    """A board that runs: its port, and what it says of the force that it puts out."""
+
+    def __init__(self, command: list[str | Path], built: Path, log: Path) -> None:
+        self.log = log
+        self.process = subprocess.Popen(
+            [*command, log],
+            env=os.environ | {"HAPSIM_FIRMWARE": str(built)},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            text=True,
+        )
+        assert self.process.stdout is not None
+        self.port = self.process.stdout.readline().strip()
+        assert self.port.startswith("/dev/"), f"{command}: no port"
+
+    def put_out(self) -> list[tuple[int, int]]:
+        """Each force put out, be it the same again: microseconds of the board's clock, counts."""
+        lines = self.log.read_text("ascii").splitlines(keepends=True) if self.log.exists() else []
+        words = [line.split() for line in lines if line.endswith("\n")]
+        return [(int(us, 16), int.from_bytes(bytes.fromhex(counts), signed=True)) for us, counts in words]
+
+    def forces(self) -> list[tuple[int, int]]:
+        """Of these, each that changed the force."""
+        put_out = self.put_out()
+        return [one for before, one in zip([(0, None), *put_out], put_out, strict=False) if one[1] != before[1]]
+
+    def wait_for(self, what: Callable[[list[tuple[int, int]]], bool]) -> list[tuple[int, int]]:
+        """The changes so far, as soon as `what` is true of them. The minute is for a machine that hangs."""
+        give_up = time.monotonic() + 60.0
+        while not what(forces := self.forces()):
+            assert time.monotonic() < give_up, f"not seen within a minute; the last forces: {forces[-3:]}"
+            time.sleep(0.02)
+        return forces
+
+    def stop(self) -> None:
+        self.process.terminate()
+        self.process.communicate()
+
+
+@pytest.fixture
+def boards() -> Iterator[list[Board]]:
+    """Those that run; stopped when the test ends."""
+    running: list[Board] = []
+    yield running
+    for board in running:
+        board.stop()
+
+
+@pytest.fixture
+def start_board(built: Path, boards: list[Board], tmp_path: Path) -> Callable[..., Board]:
+    """Starts a board by its name, from `built` or from elsewhere; skips where this machine lacks what it takes."""
+
+    def start(name: str, where: Path = built) -> Board:
+        needed, packages = RUNNERS[name]
+        if not (where / needed).exists():
+            pytest.skip(f"{name} was not built on this machine (Debian: {packages})")
+        boards.append(Board([FIRMWARE / "board", name], where, tmp_path / f"{name}.log"))
+        return boards[-1]
+
+    return start
+
+
+@pytest.fixture
+def start_broken_board(built_broken: Path, boards: list[Board], tmp_path: Path) -> Callable[[str], Board]:
+    """Starts a Linux board that is broken on purpose, by the name of what is wrong with it."""
+
+    def start(name: str) -> Board:
+        boards.append(Board([built_broken / name], built_broken, tmp_path / f"{name}.log"))
+        return boards[-1]
+
+    return start
 
 
 @dataclass(frozen=True)

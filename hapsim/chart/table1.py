@@ -214,6 +214,8 @@ def _measured(coupling: Coupling, on_progress: Callable[[Progress], None] | None
     rate = coupling.configuration.rate
     ticks = min(max(_LEAST_TICKS, _SWINGS * rate / coupling.predicted_hz), _MOST_TICKS)
     found = measure(_scene_of(coupling), duration=ticks / rate, on_progress=on_progress)
+    if found.failure is not None:
+        raise found.failure
     uncertainty = 0.5 * found.k_uncertainty / found.k * found.frequency_hz
     return replace(coupling, measured_hz=found.frequency_hz, uncertainty_hz=uncertainty)
 

@@ -5,16 +5,14 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from hapsim.chart.figure import figure_to
 from hapsim.chart.hand import Hand
+from hapsim.chart.impedance_panels import Curves, draw_frequencies, draw_grid, draw_phases, draw_sizes, phase
 from hapsim.theory.arrays import Complexes, Floats
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 _BELOW_EIGENFREQUENCY, _BELOW_NYQUIST = 20.0, 1000.0  # where the picture begins, the second where nothing swings
 _POINTS = 1200
@@ -37,12 +35,12 @@ class Transparency:
     @property
     def desired_phase(self) -> Floats:
         """Degrees."""
-        return _phase(self.desired)
+        return phase(self.desired)
 
     @property
     def rendered_phase(self) -> Floats:
         """Degrees, followed from the lowest frequency on: what is late goes on turning."""
-        return _phase(self.rendered)
+        return phase(self.rendered)
 
     def columns(self) -> dict[str, Any]:
         """What is drawn, by the names that a data file uses."""
@@ -82,23 +80,17 @@ def transparency(hand: Hand) -> Transparency:
 
 def draw_transparency(data: Transparency, title: str, path: Path) -> None:
     """Draws it. The ending of `path` chooses SVG, PNG or PDF."""
+    curves = Curves(data.frequency, data.desired, data.rendered)
     with figure_to(path, 6.5, 5.6) as figure:
         upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[1.15, 1.0])
         upper.set_title(title)
-        _draw_both(upper, data.frequency, np.abs(data.desired), np.abs(data.rendered), "desired", "rendered")
-        if data.desired.any() or data.rendered.any():  # of a hand that feels nothing there is nothing to draw
-            upper.set_yscale("log")
+        draw_sizes(upper, curves, ("desired", "rendered", ""))
         upper.set_ylabel("|force / velocity|  (N·s/m)")
-        _draw_both(lower, data.frequency, data.desired_phase, data.rendered_phase, "", "")
-        _mark_passive_band(lower, data)
+        draw_phases(lower, curves)
         lower.set_ylabel("phase  (degrees)")
-        lower.set_xlabel("frequency  (Hz)")
-        lower.set_xscale("log")
-        lower.xaxis.set_major_formatter("{x:g}")
-        lower.xaxis.set_minor_formatter("")
-        lower.set_xlim(data.frequency[0], 0.5 * data.hand.configuration.rate)
+        draw_frequencies(lower, float(data.frequency[0]), 0.5 * data.hand.configuration.rate)
         for axes in (upper, lower):
-            axes.grid(which="major", color="0.88", linewidth=0.6)
+            draw_grid(axes)
         if math.isfinite(data.eigenfrequency):
             label = f"eigenfrequency of the hand, {data.eigenfrequency:.4g} Hz"
             for axes in (upper, lower):
@@ -107,32 +99,5 @@ def draw_transparency(data: Transparency, title: str, path: Path) -> None:
         figure.legend(loc="outside lower center", ncols=2, frameon=False, handlelength=2.6, columnspacing=1.5)
 
 
-def _draw_both(axes: Axes, frequency: Floats, desired: Floats, rendered: Floats, *labels: str) -> None:
-    axes.plot(frequency, desired, color="0.5", linewidth=1.6, dashes=(5, 2), label=labels[0])
-    axes.plot(frequency, rendered, color="black", linewidth=1.4, label=labels[1])
-
-
-def _mark_passive_band(axes: Axes, data: Transparency) -> None:
-    """-90 to 90 degrees: outside of it the wall gives the hand energy."""
-    lowest = min(-90.0, float(np.min(data.rendered_phase)), float(np.min(data.desired_phase)))
-    highest = max(0.0, float(np.max(data.rendered_phase)), float(np.max(data.desired_phase)))
-    low = 45.0 * math.floor(lowest / 45.0 - 0.2)
-    high = 45.0 * math.ceil(highest / 45.0 + 0.2)
-    every = 45.0 if high - low <= 270.0 else 90.0 if high - low <= 900.0 else 360.0
-    axes.set_yticks(every * np.arange(math.ceil(low / every), math.floor(high / every) + 1))
-    outside: dict[str, Any] = {"facecolor": "0.86", "linewidth": 0, "zorder": 0.5}
-    label = "outside of −90° to 90°: the wall gives energy"
-    # A phase that goes on turning comes back into the band, a turn further down.
-    turn = math.floor((low + 90.0) / 360.0)
-    for centre in 360.0 * np.arange(turn, 2):
-        axes.axhspan(max(low, centre - 270.0), min(high, centre - 90.0), label=label, **outside)
-        label = ""
-    axes.set_ylim(low, high)
-
-
 def _not_zero(x: Floats) -> Floats:
     return np.where(x == 0.0, 1.0, x)
-
-
-def _phase(impedance: Complexes) -> Floats:
-    return np.degrees(np.unwrap(np.angle(impedance)))

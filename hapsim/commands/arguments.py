@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
@@ -30,6 +30,14 @@ Data = Annotated[Path | None, typer.Option(metavar="FILE", help="Write the pictu
 Record = Annotated[Path | None, typer.Option(metavar="FILE", help="Write the trace: .npz or .csv.")]
 
 
+class Files(NamedTuple):
+    """Where a picture, its numbers and a trace go; None: nowhere."""
+
+    picture: Path | None
+    data: Path | None
+    record: Path | None
+
+
 def seconds_above_zero(value: float | None) -> float | None:
     if value is not None and not 0 < value < float("inf"):
         raise UsageError(f"--duration: found {value:g}, expected a finite number of seconds above 0")
@@ -53,6 +61,14 @@ def transport_kind(mock: bool, transport: str | None, port: str | None) -> Any:
     if transport is not None and transport not in ("loopback", "terminal"):
         raise UsageError(f"--transport: found '{transport}', expected loopback or terminal")
     return transport or ("mock" if mock else "auto")
+
+
+def as_played(scene: Scene, kind: Any) -> Scene:
+    """The scene for its prediction: without the port that it names where the mock stands in for it, which has no wire
+    of a port. `kind`: as `transport_kind` gave it."""
+    if kind == "auto":
+        return scene
+    return scene.model_copy(update={"device": scene.device.model_copy(update={"port": None})})
 
 
 def require_files_writable(picture: Path | None = None, data: Path | None = None, record: Path | None = None) -> None:

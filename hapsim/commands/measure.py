@@ -9,12 +9,14 @@ import typer
 
 from hapsim.commands.arguments import (
     Data,
+    Files,
     Json,
     MockFlag,
     Port,
     Record,
     SceneFile,
     TransportOption,
+    as_played,
     complain,
     load,
     require_files_writable,
@@ -39,11 +41,33 @@ def measure(
     port: Port = None,
     mock: MockFlag = False,
     transport: TransportOption = None,
-    channel: Annotated[int | None, typer.Option(help="The channel whose hand is rung; left out: the first.")] = None,
-    duration: Annotated[
-        float | None, typer.Option(metavar="S", callback=seconds_above_zero, help="Seconds; left out: about two.")
+    channel: Annotated[
+        int | None,
+        typer.Option(help="The channel whose hand is rung, or whose impedance is shown; left out: the first, or all."),
     ] = None,
-    picture: Annotated[Path | None, typer.Option(metavar="FILE", help="Draw the ring-down: .svg, .png, .pdf.")] = None,
+    duration: Annotated[
+        float | None,
+        typer.Option(
+            metavar="S",
+            callback=seconds_above_zero,
+            help="Seconds; left out: about two, or with --impedance seven for each channel.",
+        ),
+    ] = None,
+    impedance: Annotated[
+        bool,
+        typer.Option("--impedance", help="Measure the driving-point impedance over frequency, in place of k and b."),
+    ] = False,
+    travel: Annotated[
+        float | None,
+        typer.Option(metavar="M", help="With --impedance: how far a hand is moved at most, about, in m: 0.001."),
+    ] = None,
+    z_width: Annotated[
+        bool,
+        typer.Option("--z-width", help="With --impedance: put the stiffest passive wall in the scene's place, too."),
+    ] = False,
+    picture: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Draw the ring-down, or the impedance: .svg, .png, .pdf.")
+    ] = None,
     data: Data = None,
     record: Record = None,
     json: Json = False,
@@ -51,13 +75,24 @@ def measure(
     """Ring the hand, identify the spring and damper that it felt, and set them beside the prediction.
 
     It pushes the hand: now and then, to one side and the other, with up to a quarter of the scene's force_limit.
+    With --impedance it excites each channel in turn by many frequencies at once, with as much.
     """
+    if impedance:
+        from hapsim.commands.measure_impedance import measure_impedance
+
+        files = Files(picture, data, record)
+        place = transport_kind(mock, transport, port)
+        measure_impedance(scene, port, place, channel, duration, travel, z_width, files, json)
+        return
+    if travel is not None or z_width:
+        raise UsageError("--travel and --z-width go with --impedance: it is missing")
     from hapsim.console.as_json import felt_on
     from hapsim.console.live import live_line
     from hapsim.measuring.measure import measure as measure_scene
     from hapsim.prediction import predict, predict_on_wire
 
-    loaded = load(scene, port)
+    kind = transport_kind(mock, transport, port)
+    loaded = as_played(load(scene, port), kind)
     require_files_writable(picture, data, record)
     if channel is None:
         channel = next(iter(loaded.device_points.values())).channel
@@ -73,7 +108,7 @@ def measure(
                 loaded,
                 channel=channel,
                 duration=duration,
-                transport=transport_kind(mock, transport, port),
+                transport=kind,
                 on_progress=tell,
                 stop_on_signals=True,
             )

@@ -14,6 +14,7 @@ from hapsim.commands.arguments import (
     Record,
     SceneFile,
     TransportOption,
+    as_played,
     complain,
     load,
     predict_and_warn,
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from hapsim.errors import RunError
     from hapsim.loop.trace import Report
     from hapsim.realtime import PrivilegeResult
+    from hapsim.scene import Scene
 
 
 def run(
@@ -53,18 +55,22 @@ def run(
     from hapsim.running import run as run_scene
     from hapsim.running.signals import undisturbed
 
-    loaded = load(scene, port)
+    loaded, kind = load(scene, port), transport_kind(mock, transport, port)
     require_files_writable(record=record)
-    predict_and_warn(loaded)
+
+    def warn_about(changed: Scene) -> None:
+        predict_and_warn(as_played(changed, kind))
+
+    warn_about(loaded)
     error_console = stderr()
-    reporter = RunReporter(error_console, scene if watch else None, predict_and_warn)
+    reporter = RunReporter(error_console, scene if watch else None, warn_about)
     failure: RunError | None = None
     try:
         with live_line(error_console) as tell:
             trace = run_scene(
                 loaded,
                 duration=duration,
-                transport=transport_kind(mock, transport, port),
+                transport=kind,
                 keep=record is not None,
                 realtime=realtime,
                 portable=portable,

@@ -13,6 +13,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from hapsim.console.histogram import show_histogram
+from hapsim.console.sentences import fitted
 from hapsim.doctor import words
 from hapsim.doctor.exchanges import MOCK, Exchanges
 from hapsim.doctor.verdict import EXCHANGE, IN_TIME, ON_THE_MOCK, Verdict
@@ -107,9 +108,10 @@ def _show_exchanges(out: Console, examination: Examination) -> None:
     for clock in dict.fromkeys(run.clock for run, _ in made):
         of_clock = [(run, verdict) for run, verdict in made if run.clock == clock]
         verdicts = [verdict for _, verdict in of_clock]
-        where = "the mock" if of_clock[0][0].where == MOCK else f"{escape(of_clock[0][0].where)}, sent zero force"
+        where = "the mock" if of_clock[0][0].where == MOCK else f"{of_clock[0][0].where}, sent zero force"
         # Above the table, not its title: that would be folded to the table's width.
-        out.print(f"\n[italic]Exchanges of {escape(examination.scene)} on {where}; clock: {clock}[/italic]")
+        heading = fitted(f"Exchanges of {examination.scene} on {where}; clock: {clock}", out.width, indent="")
+        out.print(f"\n{heading}", style="italic", markup=False, soft_wrap=True)
         out.print(_exchanges(out, of_clock))
         beware = f" {ON_THE_MOCK}" if clock == "device" and clock in examination.best_rates else ""
         out.print(f"{EXCHANGE[clock]} {IN_TIME[clock]}{beware}")

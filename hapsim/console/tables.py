@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 _REFUSED_BY_DEVICE = "frames refused by the device"
 _FEW_ARE_NORMAL = " (a few at arming and disarming are normal)"
 _MANY = 10
+_OFF_RATE = 0.02  # of the rate, from which a hand feels another damping
 _MARGINAL = 1e-9  # of the spectral radius: a free motion, which rounding places on either side of 1
 
 
@@ -305,13 +306,12 @@ def show_report(out: Console, report: Report) -> None:
     table.add_row("ended", report.ending)
     table.add_row(f"{time} time  s", f"{report.duration_s:.3f}")
     table.add_row("ticks", str(report.ticks))
-    asked = report.nominal_rate_hz
-    slow = "" if report.rate_hz > 0.95 * asked else f" [yellow]({report.rate_hz / asked:.0%} of {asked:g})[/yellow]"
-    table.add_row("rate  Hz", f"{report.rate_hz:.2f}{slow}")
+    table.add_row("rate  Hz", f"{report.rate_hz:.2f}{_off_rate(report)}")
     share = report.deadline_misses / report.ticks if report.ticks else 0.0
     table.add_row("deadline misses", f"{report.deadline_misses} ({share:.2%})")
     if report.age_samples.max is not None:
-        table.add_row("oldest force  samples", f"{report.age_samples.max:.0f}")
+        at_most = "at most " if report.deadline_misses else ""
+        table.add_row("oldest force  samples", f"{at_most}{report.age_samples.max:.0f}")
     if not report.virtual_time:
         table.add_row("lateness  µs", _spread_in_us(report.lateness_s))
         table.add_row("exchange  µs", _spread_in_us(report.exchange_s))
@@ -336,6 +336,16 @@ def show_report(out: Console, report: Report) -> None:
         table.add_row("force released", "[yellow]not confirmed[/yellow]")
     out.print()
     out.print(table)
+
+
+def _off_rate(report: Report) -> str:
+    """Beside the rate that was kept: that it is another than was asked for, where that is sure."""
+    from hapsim.measuring.seen_rate import kept_rate
+
+    asked, kept = report.nominal_rate_hz, kept_rate(report)
+    if kept is None or not kept.differs_from(asked) or abs(kept.rate_hz / asked - 1.0) < _OFF_RATE:
+        return ""
+    return f" [yellow]({kept.rate_hz / asked:.1%} of {asked:g})[/yellow]"
 
 
 def _spread_in_us(spread: Spread) -> str:

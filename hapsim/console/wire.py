@@ -23,6 +23,11 @@ def show_wire(out: Console, prediction: Prediction, on_wire: Prediction | None) 
     out.print(f"\n{_time(prediction)}: {verdict}. {_delay(budget)}")
     if on_wire is not None:
         out.print(_felt(prediction, on_wire))
+    elif not budget.fits and not budget.is_saturated and _predicts(prediction):
+        out.print(
+            "[yellow]The predictor leads the state to where a force acts that is in time[/yellow]: what is felt with "
+            "one that never is was not worked out. Use a faster wire."
+        )
     if prediction.wire_of == "port":
         out.print(
             "This is counted for a UART. A device with USB of its own (CDC) ignores the baud rate and answers within a "
@@ -89,6 +94,11 @@ def _felt(prediction: Prediction, on_wire: Prediction) -> str:
         sentences.append(f"With a delay of {delay}, at {late.name}: {felt}{instead}.")
     verdict = "stable" if on_wire.stable else "[red]unstable[/red]"
     return " ".join([*sentences, f"The scene is then {verdict} (spectral radius {on_wire.spectral_radius:.9g})."])
+
+
+def _predicts(prediction: Prediction) -> bool:
+    rendering = prediction.rendering
+    return rendering is not None and rendering.kind is not None and rendering.kind.predicts
 
 
 def _below(rate: float) -> str:

@@ -28,7 +28,7 @@ from hapsim.compiling import entry, helper
 from hapsim.compiling.memory_fence import fence
 from hapsim.compiling.native import address_of, array_at, native, record_at
 from hapsim.loop.io_buffer import IO_BUFFER
-from hapsim.loop.predictor import ADD, PREDICT, PREDICTOR, keep_forces, predict_state
+from hapsim.loop.predictor import ADD, IN_ALL, PREDICT, PREDICTOR, keep_forces, predict_state
 
 MEMORY_S, LEAST_MEMORY = 0.03, 24  # s, samples
 SLOW_S = 0.1  # what changes more slowly is a hand's own push, or gravity
@@ -87,7 +87,7 @@ def predict_adaptively(predictor, io, gap, late, age):
     """As `predict`, with the weights for the mass that is estimated."""
     predictor, io = _predictor_at(predictor), _io_at(io)
     adaptive = _adaptive_at(predictor.adaptive)
-    forces = _doubles_at(predictor.forces, (predictor.mask + 1) * _ROW)
+    forces = _doubles_at(predictor.forces, (predictor.mask + 1) * 2 * _ROW)
     if predictor.begun:
         keep_forces(predictor, io, forces, gap, late, age)
     _take_posted(adaptive)
@@ -130,7 +130,7 @@ def _estimate(adaptive, predictor, forces, c, position):
         return
     for i in range(adaptive.count):
         row = (predictor.newest - (adaptive.first_lag - 1 + i)) & predictor.mask
-        phi += adaptive.weights[i] * forces[row * _ROW + c]
+        phi += adaptive.weights[i] * forces[row * 2 * _ROW + IN_ALL + c]
     adaptive.slow_motion[c] += adaptive.slow * (motion - adaptive.slow_motion[c])
     adaptive.slow_phi[c] += adaptive.slow * (phi - adaptive.slow_phi[c])
     motion -= adaptive.slow_motion[c]

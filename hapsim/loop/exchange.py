@@ -11,6 +11,7 @@ from firmware_protocol import schema
 from firmware_protocol.code_size import compact
 from firmware_protocol.frames import FRAMING, write_frame
 from hapsim.compiling import inlined
+from hapsim.compiling.native import array_at
 from hapsim.cordis.tick import program_at, start
 from hapsim.loop.codes import BAD_FORCE, FAULT, HEARD, LEAPT, OFF_RATE, TIMED_OUT
 from hapsim.loop.guards import LEAP, WATCH, cut, is_finite, is_leap, is_off_rate
@@ -40,6 +41,8 @@ CONTROL = np.dtype(
         ("pulse_ticks", np.int64),  # each this long,
         ("pulse_channel", np.int64),
         ("pulse_force", np.float64),  # N at most, to one side and to the other in turn
+        ("periodic", np.uint64),  # or, without pushes, the address of an excitation on that channel: forces in N, each
+        ("periodic_length", np.int64),  # for a sample, and how many (0: none) before they begin again
     ],
     align=True,
 )
@@ -53,7 +56,9 @@ STATE = np.dtype(
         ("stale_positions", np.int64),
         ("old_positions", np.int64),  # of these, those that came again or after a newer one
         ("limited_ticks", np.int64),
-        ("age", np.int64),  # samples from the position that the acting force answers to the force's change
+        # Samples from the position that the acting force answers to the force's change, at most: the device says of a
+        # late force only that it was. Beyond its time to live and one more no force acts: two more say that.
+        ("age", np.int64),
         ("fault", np.int64),  # what the device said when it stopped,
         ("device_state", np.int64),  # which state it said it is in,
         ("stopped_ns", np.int64),  # and when
@@ -84,7 +89,7 @@ HISTOGRAMS = np.dtype(
         # ns: from a position's arrival until its force has left; where the host is the clock, from waking up for the
         # tick until the position has arrived, the force sent in between.
         ("exchange", HISTOGRAM),
-        # Samples from the position that the acting force answers to the force's change.
+        # Samples, as in STATE.
         ("age", HISTOGRAM),
     ],
     align=True,
@@ -149,7 +154,7 @@ def take_frame(loop, decoder, now):
     leapt = is_leap(loop.leap, io, state, gap, now, control.period_ns)
     late = decoder.type == schema.POSITION_HELD
     state.deadline_misses += late
-    state.age = state.age + 1 if late else 1
+    state.age = min(state.age + 1, control.time_to_live + 2) if late else 1
     note(loop.histograms.age, state.age)
     state.lost_frames += gap - 1
     flags = (LATE_FORCE if late else 0) | (BRIDGED if gap > 1 else 0) | _note_time(loop, now, gap)
@@ -161,7 +166,7 @@ def take_frame(loop, decoder, now):
         call_add(predictor.add, (predictor.address, io.address))
     state.sample += gap
     state.newest_ns = now
-    sound, limited = _set_force(io, control, state.ticks)
+    sound, limited = _set_force(io, control, state)
     state.limited_ticks += limited
     push(loop.ring, state.sample, now, flags | LIMITED if limited else flags, io)
     state.ticks += 1
@@ -225,14 +230,20 @@ def _note_time(loop, now, gap):
     return 0
 
 
+_doubles_at = array_at(np.float64)
 _GOLDEN = 0.6180339887498949  # its multiples are spread evenly over every interval
 
 
 @inlined
-def _excitation(control, tick):
-    """The excitation's force at this tick, in N: no two pushes alike, so that no two ring-downs are rounded alike."""
+def _excitation(control, state):
+    """The excitation's force, in N: no two pushes alike, so that no two ring-downs are rounded alike. A periodic one
+    goes by the device's count of samples: lost positions do not shift it."""
     if control.pulse_every == 0:
-        return 0.0
+        if control.periodic_length == 0:
+            return 0.0
+        at = np.uint64(state.sample % control.periodic_length)
+        return _doubles_at(control.periodic, control.periodic_length)[at]
+    tick = state.ticks
     if control.pulse_first and tick < control.pulse_ticks:
         return control.pulse_force
     since = tick - control.pulse_from
@@ -244,10 +255,12 @@ def _excitation(control, tick):
 
 
 @inlined
-def _set_force(io, control, tick):
+def _set_force(io, control, state):
     """Adds the excitation, guards the force and turns it into counts: (whether it is a number, whether it was cut)."""
     compact()
-    excitation = _excitation(control, tick)
+    excitation = _excitation(control, state)
+    if control.periodic_length > 0:
+        io.as_hand[np.uint64(control.pulse_channel)] = excitation
     sound, limited = True, False
     for c in range(np.uint64(io.channels)):
         wanted = io.asked[c] + excitation if c == np.uint64(control.pulse_channel) else io.asked[c]

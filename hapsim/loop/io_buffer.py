@@ -22,6 +22,7 @@ IO_BUFFER = np.dtype(
         ("velocity_before", np.float64, _EACH),  # m/s, with the one before
         ("velocity_bridge", np.float64, _EACH),  # m/s, between the two where positions were lost
         ("asked", np.float64, _EACH),  # N, the scene's force
+        ("as_hand", np.float64, _EACH),  # N, what an excitation that plays the hand adds to it
         ("position_counts", np.int64, _EACH),
         ("force_counts", np.int64, _EACH),  # what excitation and guards make of it
         ("position_scale", np.float64, _EACH),  # m per count

@@ -3,7 +3,7 @@ the force that answers the sample begins to act.
 
 A line in two readings and in the forces that have been sent since: `hapsim.theory.correction` says which. The forces
 are those that left, cut, rounded and with every push; where the device said that one came too late, the one that it
-went on with.
+went on with. An excitation that measures an impedance plays the hand, of which no predictor knows: it is left out.
 
 Who predicts nothing never compiles this: it is called by an address, which is 0 then.
 """
@@ -33,11 +33,11 @@ PREDICTOR = np.dtype(
         ("goes_on", np.int64),  # 1: the device keeps a force until the next one comes,
         ("lives", np.int64),  # for so many samples at most
         ("weights", np.uint64),  # address of (channels, 2, 2 + lags): of position and velocity, of readings and forces
-        ("forces", np.uint64),  # address of (rows, MAX_CHANNELS): N, of the last samples
+        ("forces", np.uint64),  # address of (rows, 2, MAX_CHANNELS): N, of the last samples, known and in all
         ("mask", np.int64),  # rows - 1, and rows is a power of two
         ("newest", np.int64),  # the row of the last sample
         ("begun", np.int64),  # 1: there was a sample
-        ("sent", np.float64, (schema.MAX_CHANNELS,)),  # N, with the sample before the last
+        ("sent", np.float64, (2, schema.MAX_CHANNELS)),  # N, with the sample before the last, known and in all
         ("read", np.float64, (schema.MAX_CHANNELS,)),  # m, with the last sample
     ],
     align=True,
@@ -49,7 +49,8 @@ call_predict, call_add = function_at(PREDICT), function_at(ADD)
 """Call what predicts, with `predict`'s arguments, and what adds a force, with the first two of them."""
 
 _predictor_at, _io_at, _doubles_at = record_at(PREDICTOR), record_at(IO_BUFFER), array_at(np.float64)
-_ROW = schema.MAX_CHANNELS
+_ROW = 2 * schema.MAX_CHANNELS
+IN_ALL = schema.MAX_CHANNELS
 
 
 @native(PREDICT.return_type, *PREDICT.args)
@@ -99,14 +100,18 @@ def keep_forces(predictor, io, forces, gap, late, age):
         predictor.newest = (predictor.newest + 1) & predictor.mask
         row = predictor.newest * _ROW
         for c in range(io.channels):
+            in_all = io.force_counts[c] * io.force_scale[c]
+            known = in_all - io.as_hand[c]
             if sample > 0:
-                forces[row + c] = forces[before + c] if holds else 0.0
+                known, in_all = forces[before + c], forces[before + IN_ALL + c]
             elif late and gap == 1:
-                forces[row + c] = predictor.sent[c] if holds else 0.0
-            else:
-                forces[row + c] = io.force_counts[c] * io.force_scale[c]
+                known, in_all = predictor.sent[0, c], predictor.sent[1, c]
+            acts = holds or (sample == 0 and not (late and gap == 1))
+            forces[row + c] = known if acts else 0.0
+            forces[row + IN_ALL + c] = in_all if acts else 0.0
     for c in range(io.channels):
-        predictor.sent[c] = io.force_counts[c] * io.force_scale[c]
+        in_all = io.force_counts[c] * io.force_scale[c]
+        predictor.sent[0, c], predictor.sent[1, c] = in_all - io.as_hand[c], in_all
 
 
 class PredictorMemory:
@@ -131,7 +136,7 @@ class PredictorMemory:
         for channel, (readings, forces) in weights.items():
             self._weights[channel, :, :2] = readings
             self._weights[channel, :, 2 : 2 + forces.shape[1]] = forces
-        self._forces = np.zeros((rows, _ROW))
+        self._forces = np.zeros((rows, 2, schema.MAX_CHANNELS))
         record.address = address_of(record)
         record.lags, record.mask, record.senses = lags, rows - 1, senses
         record.goes_on, record.lives = goes_on, lives_samples

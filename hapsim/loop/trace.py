@@ -53,7 +53,9 @@ class Report:
     """From a position's arrival until its force has left; where the host is the clock, from waking up for the tick
     until the position has arrived, the force sent in between."""
     age_samples: Spread
-    """From the position that the acting force answers to the force's change."""
+    """From the position that the acting force answers to the force's change: 1 where it was in time, else at most so
+    many, as the device says of a late force only that it was. No force acts for longer than its time to live and one
+    sample more; that the force may be zero already is counted as two more."""
     virtual_time: bool
     garbage_bytes: int = 0
     """Bytes from the device, since it was armed, that belonged to no frame."""
@@ -164,4 +166,5 @@ def load_trace(path: str | Path) -> Trace:
 def _report(values: dict[str, Any]) -> Report:
     for name in ("lateness_s", "exchange_s", "age_samples"):
         values[name] = Spread(**values[name])
+    values["estimated_mass_kg"] = tuple(values.get("estimated_mass_kg", ()))
     return Report(**values)

@@ -15,11 +15,12 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from hapsim.errors import RunError, UsageError
-from hapsim.loop.ring import BRIDGED, LATE_FORCE, LIMITED, OFF_GRID, UNSENT
+from hapsim.loop.ring import BRIDGED, LATE_FORCE, LIMITED, OFF_GRID
 from hapsim.loop.trace import Trace
 from hapsim.measuring.pair import FittedPair, dominant_pair
 from hapsim.measuring.regression import Fit, Segment, fit
 from hapsim.measuring.seen_rate import SeenRate, seen_rate
+from hapsim.measuring.stretches import unbroken
 
 _ROUNDING = 1.0 / math.sqrt(12.0)  # standard deviation of rounding to whole counts
 _MOST_ROWS = 6000
@@ -36,7 +37,6 @@ _LAWFUL = 1e-9  # of the largest force: what misses a law by less obeys it
 _CERTAIN = 0.02  # counts: a rest that is known so well is as good as exact
 _FAR_OFF = 5.0  # a fit that is this much less certain than the best one is no rival of it
 _MOST_SPOILT = 0.1  # of the samples: with more, what is missing is not motion
-_ALWAYS = 0.99  # of all samples: what is late so often is late by the wire's nature
 _UNDECIDED = 20.0  # criterion: four standard deviations of p, squared, and something for the coarseness of its steps
 
 
@@ -194,7 +194,7 @@ def _segments(trace: Trace, channel: int, spoilt: int) -> list[Segment]:
     rest, known = _rest(position, asked, following & (trace.flags[1:] & BRIDGED == 0))
     found = [
         Segment(position[first:last] - rest, surplus[first:last], known)
-        for whole in _unbroken(trace, spoilt)
+        for whole in unbroken(trace, spoilt)
         for first, last in _loud(position - rest, *whole)
     ]
     return _first_rows(found)
@@ -226,23 +226,6 @@ def _first_rows(segments: list[Segment]) -> list[Segment]:
         kept.append(Segment(segment.position[:most], segment.surplus[:most], segment.rest_known))
         rows += segment.position.size
     return kept
-
-
-def _unbroken(trace: Trace, spoilt: int) -> Iterator[tuple[int, int]]:
-    """Index ranges without a gap: no sample missing or spoilt, each force sent."""
-    flags = trace.flags ^ _usual_flags(trace)
-    broken = (np.diff(trace.sample, prepend=trace.sample[:1] - 1) != 1) | (flags & spoilt != 0)
-    broken[1:] |= flags[:-1] & UNSENT != 0
-    starts = np.flatnonzero(broken | (np.arange(broken.size) == 0))
-    for first, last in zip(starts, np.append(starts[1:], broken.size), strict=True):
-        yield int(first), int(last)
-
-
-def _usual_flags(trace: Trace) -> int:
-    """LATE_FORCE where every force was late, as over a slow wire: that is a delay like any other, and a record like any
-    other. What is out of the common is then a force in time."""
-    late = trace.flags & LATE_FORCE != 0
-    return LATE_FORCE if late.size and float(np.mean(late)) > _ALWAYS else 0
 
 
 def _loud(y: NDArray[np.float64], first: int, last: int) -> Iterator[tuple[int, int]]:

@@ -12,9 +12,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import theilslopes
 
-from hapsim.loop.trace import Trace
+from hapsim.loop.trace import Report, Trace
 
 _STRETCHES, _LEAST_STRETCHES, _LEAST_ROWS = 40, 10, 8
 _CONFIDENCE = 0.999
@@ -37,6 +36,8 @@ class SeenRate:
 def seen_rate(trace: Trace) -> SeenRate | None:
     """The rate at which the device sampled; None where the device's own timer did not pace the positions (in virtual
     time, by the host's clock, on a mock in this process), or too few came to tell."""
+    from scipy.stats import theilslopes
+
     if not trace.report.timed_by_device:
         return None
     stretches = min(_STRETCHES, trace.sample.size // _LEAST_ROWS)
@@ -54,3 +55,14 @@ def seen_rate(trace: Trace) -> SeenRate | None:
         return None
     spread = max(high - slope, slope - low) / period**2
     return SeenRate(float(1.0 / period), float(np.hypot(spread, _CLOCK / period)))
+
+
+def kept_rate(report: Report) -> SeenRate | None:
+    """The rate of the samples that a run took, without the arrival of each: from the first to the newest, of which
+    either may have come later than it ought to by as much as the latest of all. None of a run of less than two."""
+    if not (report.duration_s > 0.0 and report.rate_hz > 0.0):
+        return None
+    if report.virtual_time:
+        return SeenRate(report.rate_hz, 0.0)
+    latest = (report.lateness_s.max or 0.0) + (report.exchange_s.max or 0.0)
+    return SeenRate(report.rate_hz, report.rate_hz * float(np.hypot(latest / report.duration_s, _CLOCK)))

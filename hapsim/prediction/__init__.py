@@ -5,6 +5,7 @@ Public is what `__all__` names.
 
 from firmware_protocol.wire_time import WireTime
 from hapsim.prediction.hands import configuration_of
+from hapsim.prediction.impedance import PredictedImpedance, ZWidth, predict_impedance, z_width_of
 from hapsim.prediction.predict import (
     Desired,
     Felt,
@@ -25,15 +26,19 @@ __all__ = [
     "Felt",
     "HostSilence",
     "LinkMargin",
+    "PredictedImpedance",
     "Prediction",
     "Shaking",
     "WireTime",
+    "ZWidth",
     "configuration_of",
     "felt_at_rate",
     "host_silence",
     "is_surely_unstable",
     "predict",
+    "predict_impedance",
     "predict_on_wire",
     "surely_shaken_by",
     "warnings_about",
+    "z_width_of",
 ]

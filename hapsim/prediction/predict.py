@@ -268,8 +268,13 @@ def _desired_on(rendering: Rendering, port: Corrected) -> Desired:
 
 def predict_on_wire(scene: Scene) -> Prediction | None:
     """What the hand will feel at the delay that results from the wire, `WireTime.delay_samples` in place of one; None
-    where the wire costs one sample, or is saturated."""
-    delayed = with_wire_delay(scene)
+    where the wire costs one sample, or is saturated, or a predictor knows nothing of it."""
+    rendering = rendered(scene)
+    if rendering.kind is not None and rendering.kind.predicts:
+        return None  # it leads the state to another instant than that at which the force then acts
+    run = rendering.scene
+    as_run = run.model_copy(update={"device": run.device.model_copy(update={"correction": "none"})})
+    delayed = with_wire_delay(as_run)
     return None if delayed is None else predict(delayed, with_margins=False)
 
 
@@ -330,6 +335,14 @@ def is_surely_unstable(prediction: Prediction) -> bool:
     return prediction.by_its_scheme and not prediction.stable and prediction.spectral_radius > _SURELY
 
 
+def _out_of_reach(scene: Scene, desired: Desired) -> str:
+    off = f", off by {desired.error:.1%}" if math.isfinite(desired.error) else ""
+    return (
+        f"correction {scene.device.correction} does not reach k = {desired.k:.6g} N/m, b = {desired.b:.6g} N·s/m at "
+        f"{desired.name}: what comes nearest is simulated{off}. `hapsim check` tells what would reach it."
+    )
+
+
 def _lone_hands_are_stable(scene: Scene, linear: LinearScene) -> bool:
     """By the formula, which resolves poles that rounding would place on the circle."""
     return all(
@@ -355,6 +368,7 @@ def warnings_about(scene: Scene, prediction: Prediction) -> list[str]:
             f"the scene is predicted unstable: the hand will be shaken, with up to the force limit of {limit:g} N. "
             "`hapsim check` tells by how much the stiffness has to go down."
         )
+    warnings += [_out_of_reach(scene, one) for one in prediction.desired if one.remedies is not None]
     budget = prediction.wire_time
     if prediction.wire_of == "port" and not budget.fits:
         delay = (

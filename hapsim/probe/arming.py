@@ -14,6 +14,7 @@ from hapsim.probe.wire import ARMED, SET_UP, told
 STEP = "arming"
 _TOLERANCE = 0.01  # of the rate: what a damper's force is off by, too
 _WINDOWS = 24
+_BURSTS = 100.0  # times the rate: what comes so fast has waited, and came in one piece
 
 
 def probe_arming(probing: Probing) -> bool:
@@ -25,10 +26,11 @@ def probe_arming(probing: Probing) -> bool:
             probing.findings.failed("arm", "no STATUS armed within 1 s", look_at)
         return not probing.device.paces(schema.PACED_BY_DEVICE)
     _judge_status(probing, session)
-    going = session.run(probing.samples_in(1.2, 192, 4000), session.zero)
+    session.run(0, session.zero)
     if not _judge_first(probing, session):
         probing.wire.release()
         return False
+    going = session.run(probing.samples_in(1.2, 192, 4000), session.zero)
     _judge_numbers(probing, session, going)
     _judge_rate(probing, session)
     _judge_ignored(probing, session)
@@ -125,6 +127,10 @@ def _judge_rate(probing: Probing, session: Session) -> None:
         findings.not_seen("jitter", f"only {numbers.size} samples came")
         return
     rate = rate_of(numbers, at_s, nominal)
+    if not 0.0 < rate.hz < _BURSTS * nominal:
+        findings.not_seen("rate_kept", "the positions came in bursts: this host, or the device, is held up too often")
+        findings.not_seen("jitter", "the positions came in bursts")
+        return
     off = rate.hz / nominal - 1.0
     found = f"{rate.hz:.6g} ± {rate.uncertainty:.1g} Hz, {100 * off:+z.2f} % from register 4 ({nominal:g} Hz)"
     if rate.uncertainty > 0.5 * _TOLERANCE * nominal:

@@ -11,6 +11,7 @@ from hapsim.probe.probing import Leave, Probing
 from hapsim.probe.pushing import STEP, Pusher, TravelledError
 from hapsim.probe.response import Estimate, Row, estimate
 from hapsim.probe.session import Sample, Session
+from hapsim.probe.wire import told as told_frame
 
 _LIFE = 6  # samples that a force acts, with a time to live of one less
 _SILENCE = 10  # samples more without a FORCE
@@ -20,6 +21,7 @@ _HOST_LIFE_S = 0.04  # long beside what this host is held up, as a rule
 _HOST_WAIT = 3.0  # lives
 _HOST_ON = 1.5  # lives: nearer to one than to all of the silence, of which friction takes its share
 _TOO_GREAT = 1.2  # of the limit
+_TRIES = 10  # until one such force was in time
 _ON, _UNSURE = 0.35, 0.15  # of the response: acting; too uncertain to tell
 
 
@@ -40,7 +42,8 @@ def probe_lives(probing: Probing) -> bool:
         _push_and_be_silent(probing, pusher)
         _push_too_much(probing, pusher)
     except TravelledError:
-        probing.findings.not_seen("time_to_live", f"it moved more than {1e3 * leave.travel:g} mm: stopped")
+        for name in ("time_to_live", "limit_cut"):
+            probing.findings.not_seen(name, f"it moved more than {1e3 * leave.travel:g} mm: stopped")
     finally:
         if session.disarm() is None:
             probing.wire.release()
@@ -70,6 +73,7 @@ def _push_and_be_silent(probing: Probing, pusher: Pusher) -> None:
         side = (1.0, -1.0, -1.0, 1.0)[i % 4]
         pusher.push(session.newest, side * force, _LIFE - 1)
         if not session.run(_LIFE + _SILENCE, None) or not session.run(4, lambda sample: pusher.push(sample, 0.0)):
+            probing.findings.not_seen("time_to_live", _why_stopped(session))
             return
     found = estimate(_lives(pusher, begun))
     _judge_life(probing, found)
@@ -127,35 +131,60 @@ def _judge_life(probing: Probing, found: Estimate | None) -> None:
         probing.findings.passed("time_to_live", f"{told}; from {1 - _ON:g} up and up to {_ON:g} are allowed")
 
 
+def _why_stopped(session: Session) -> str:
+    return f"the device stopped: {told_frame(session.ended)}" if session.ended else "the positions ceased"
+
+
 def _push_too_much(probing: Probing, pusher: Pusher) -> None:
-    """Forces above the limit, where the leave is as great as what the device may then put out."""
-    device, leave, findings = probing.device, pusher.leave, probing.findings
-    limit = device.force_limit[leave.channel]
-    if leave.force < limit:
-        findings.not_seen("limit_cut", f"this takes --push {limit:g}")
-    elif _TOO_GREAT * limit > pusher.force_scale * (2**31 - 1):
+    """Forces above the limit, where the leave is as great as they are: a device that does not cut puts out all of it.
+
+    Again, until one of them was in time: one that was late says nothing.
+    """
+    leave, findings = pusher.leave, probing.findings
+    limit = probing.device.force_limit[leave.channel]
+    if leave.force < (1 - 1e-5) * _TOO_GREAT * limit:  # as it is told below
+        findings.not_seen("limit_cut", f"this takes --push {_TOO_GREAT * limit:g}: {_TOO_GREAT:g} times the limit")
+        return
+    if _TOO_GREAT * limit > pusher.force_scale * (2**31 - 1):
         findings.not_seen("limit_cut", "32 bits of counts carry no force above the limit")
-    elif pusher.session.newest is not None and pusher.session.ended is None:
-        side = iter((1.0, -1.0, -1.0, 1.0))
-        pusher.session.run(4, lambda sample: _push_to(pusher, sample, next(side, 0.0) * _TOO_GREAT * limit))
-        pusher.session.run(4, pusher.session.zero)
+        return
+    for _ in range(_TRIES):
+        if not pusher.settle(probing.samples_in(3.0, 100, 20000)):
+            break
+        pusher.begin_here()
+        _push_four(pusher, _TOO_GREAT * limit)
+        if _too_great(pusher, limit)[1]:
+            return
 
 
-def _push_to(pusher: Pusher, sample: Sample, force: float) -> None:
-    pusher.push(sample, force, 0 if force else schema.MAX_TIME_TO_LIVE_SAMPLES)
+def _push_four(pusher: Pusher, force: float) -> None:
+    sides = iter((1.0, -1.0, -1.0, 1.0))
+    pusher.session.run(4, lambda sample: pusher.push(sample, next(sides, 0.0) * force))
+    pusher.session.run(4, pusher.session.zero)
+
+
+def _too_great(pusher: Pusher, limit: float) -> tuple[int, int]:
+    """How many forces were above the limit, and how many of them were in time, as the position after each says."""
+    fresh = {sample.n: sample.fresh for sample in pusher.session.samples}
+    asked = [n for n, force in pusher.forces.items() if abs(force) > limit]
+    return len(asked), sum(fresh.get(n + 1, False) for n in asked)
 
 
 def _judge_limited(probing: Probing, pusher: Pusher) -> None:
     limit = probing.device.force_limit[pusher.leave.channel]
-    asked = sum(abs(force) > limit for force in pusher.forces.values())
+    asked, in_time = _too_great(pusher, limit)
+    if not asked:
+        why = "the device does not come to rest" if pusher.session.ended is None else _why_stopped(pusher.session)
+        probing.findings.not_seen("limit_cut", why)
+        return
     limited = probing.wire.register(schema.REG_LIMITED)
-    if asked:
-        kept = limited is not None and 0 < limited <= asked
-        found = f"{asked} forces of {_TOO_GREAT * limit:g} N: register 12 counts {limited}"
-        look_at = (
-            "each channel of a FORCE that is acted on is cut to its limit before it becomes the command; limited++"
-        )
-        probing.findings.judge("limit_cut", kept, found, look_at)
+    found = f"{asked} forces of {_TOO_GREAT * limit:g} N, {in_time} of them in time: register 12 counts {limited}"
+    if not (in_time or limited):
+        probing.findings.not_seen("limit_cut", found)
+        return
+    kept = limited is not None and in_time <= limited <= asked
+    look_at = "each channel of a FORCE that is acted on is cut to its limit before it becomes the command; limited++"
+    probing.findings.judge("limit_cut", kept, found, look_at)
 
 
 def _by_the_host(probing: Probing, leave: Leave) -> None:

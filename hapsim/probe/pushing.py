@@ -59,7 +59,8 @@ class Pusher:
             raise TravelledError
         force = min(max(force, -self.leave.force), self.leave.force)  # whoever asks
         counts = [0] * (self.leave.channel + 1)
-        counts[self.leave.channel] = math.trunc(force / self.force_scale)
+        largest = 2**31 - 1  # of the wire's; rounded, the limit of some devices is one more
+        counts[self.leave.channel] = min(max(math.trunc(force / self.force_scale), -largest), largest)
         self.forces[sample.n] = counts[self.leave.channel] * self.force_scale
         self.session.force(sample.n, counts, time_to_live if force else schema.MAX_TIME_TO_LIVE_SAMPLES)
 

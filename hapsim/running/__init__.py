@@ -5,9 +5,9 @@ Public is what `__all__` names: a run, and what it tells.
 
 from hapsim.loop.trace import Report, Statistics, Trace
 from hapsim.progress import Progress
-from hapsim.running.excitation import Excitation
+from hapsim.running.excitation import Excitation, PeriodicExcitation
 from hapsim.running.run import run
 from hapsim.running.session import Session
 from hapsim.running.starting import start
 
-__all__ = ["Excitation", "Progress", "Report", "Session", "Statistics", "Trace", "run", "start"]
+__all__ = ["Excitation", "PeriodicExcitation", "Progress", "Report", "Session", "Statistics", "Trace", "run", "start"]

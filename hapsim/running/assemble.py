@@ -20,7 +20,7 @@ from hapsim.loop.transport import Transport
 from hapsim.prediction.correction import rendered
 from hapsim.prediction.silence import time_to_live_samples, watchdog_samples
 from hapsim.running.correction import LoopCorrection
-from hapsim.running.excitation import Excitation
+from hapsim.running.excitation import Excitation, PeriodicExcitation
 from hapsim.scene import Scene
 
 _RING_ROWS = 1 << 16
@@ -47,6 +47,8 @@ class Loop:
         """After how many samples without a force the device releases."""
         self.correction: LoopCorrection | None = None
         """What the loop does beside moving the scene, so that the hand feels it."""
+        self.excitation: Excitation | PeriodicExcitation | None = None
+        """Kept: the forces of a periodic one are read at each sample."""
         self._programs: list[Program] = []
         self._changes_before = 0
 
@@ -99,7 +101,7 @@ def assemble_loop(
     scene: Scene,
     connection: Connection,
     description: Description,
-    excitation: Excitation | None = None,
+    excitation: Excitation | PeriodicExcitation | None = None,
     duration: float | None = None,
 ) -> Loop:
     """The loop of `scene` over `connection`, for `duration` seconds (None: until stopped), not yet armed."""
@@ -110,14 +112,17 @@ def assemble_loop(
     loop.begin_with(compile_scene(rendering.scene))
     _set_io(loop.record.io, scene, description)
     _set_leap(loop.record.leap, scene, description)
-    _set_control(loop.record.control, scene, excitation, duration)
+    _set_control(loop.record.control, scene, duration)
+    loop.excitation = excitation
+    if excitation is not None:
+        _set_excitation(loop.record.control, excitation)
     loop.correction = LoopCorrection(loop.record, rendering, description)
     loop.watchdog_samples = watchdog_samples(scene.rate, description.max_watchdog_samples)
     loop.record.watch.judges = scene.device.clock == "device" and connection.has_timer
     return loop
 
 
-def _set_control(control: Any, scene: Scene, excitation: Excitation | None, duration: float | None) -> None:
+def _set_control(control: Any, scene: Scene, duration: float | None) -> None:
     control.samples = -1 if duration is None else max(1, round(duration * scene.rate))
     control.lasts_ns = _FOREVER_NS
     if duration is not None and scene.device.clock != "lockstep":
@@ -129,13 +134,19 @@ def _set_control(control: Any, scene: Scene, excitation: Excitation | None, dura
     control.time_to_live = time_to_live_samples(scene.rate)
     if scene.device.clock == "lockstep":
         control.silence_ns = 5_000_000_000  # the mock may live in a process that is only now being compiled
-    if excitation is not None:
-        control.pulse_channel = excitation.channel
-        control.pulse_force = excitation.force
-        control.pulse_ticks = excitation.ticks
-        control.pulse_every = excitation.every
-        control.pulse_first = excitation.first
-        control.pulse_from = excitation.start
+
+
+def _set_excitation(control: Any, excitation: Excitation | PeriodicExcitation) -> None:
+    control.pulse_channel = excitation.channel
+    if isinstance(excitation, PeriodicExcitation):
+        control.periodic = address_of(excitation.forces)
+        control.periodic_length = excitation.forces.size
+        return
+    control.pulse_force = excitation.force
+    control.pulse_ticks = excitation.ticks
+    control.pulse_every = excitation.every
+    control.pulse_first = excitation.first
+    control.pulse_from = excitation.start
 
 
 def _set_io(io: Any, scene: Scene, description: Description) -> None:

@@ -49,6 +49,7 @@ def progress_of(loop: Loop) -> Progress:
         elapsed_s=elapsed,
         rate_hz=(ticks - 1) / elapsed if elapsed > 0 else 0.0,
         force=tuple((io.force_counts * io.force_scale)[: loop.wire.channels].tolist()),
+        position=tuple(io.measured[: loop.wire.channels].tolist()),
         age_samples=int(state.age),
         deadline_misses=int(state.deadline_misses),
         limited_ticks=int(state.limited_ticks),

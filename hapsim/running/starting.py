@@ -24,7 +24,7 @@ from hapsim.progress import Progress
 from hapsim.realtime import realtime as with_realtime
 from hapsim.running.assemble import Loop, assemble_loop
 from hapsim.running.compatibility import PACING, require_compatible
-from hapsim.running.excitation import Excitation
+from hapsim.running.excitation import Excitation, PeriodicExcitation
 from hapsim.running.report import failure_of, trace_of, with_farewell
 from hapsim.running.session import Session
 from hapsim.scene import Scene
@@ -37,7 +37,7 @@ class StartOptions(TypedDict, total=False):
 
     duration: float | None
     transport: TransportKind
-    excitation: Excitation | None
+    excitation: Excitation | PeriodicExcitation | None
     keep: bool
     realtime: bool
     portable: bool
@@ -50,7 +50,7 @@ def start(
     *,
     duration: float | None = None,
     transport: TransportKind = "auto",
-    excitation: Excitation | None = None,
+    excitation: Excitation | PeriodicExcitation | None = None,
     keep: bool = True,
     realtime: bool = False,
     portable: bool = False,

@@ -1,4 +1,5 @@
-"""What a simulated second of a scene costs: compiled ticks in a compiled loop, in rounds in which all take turns."""
+"""What a simulated second of a scene costs: compiled ticks in a compiled loop, with what a correction does around each,
+in rounds in which all take turns."""
 
 from __future__ import annotations
 
@@ -9,6 +10,10 @@ import numpy as np
 
 from hapsim.cordis.offline import start, ticks
 from hapsim.cordis.program import compile_scene
+from hapsim.device.mock.assemble import describe_mock
+from hapsim.loop.offline import CorrectedTicks
+from hapsim.prediction.correction import rendered
+from hapsim.running.correction import LoopCorrection
 from hapsim.scene import Scene
 from hapsim.speed_accuracy.strings import hand_motion
 from hapsim.speed_accuracy.timing import Timed
@@ -21,13 +26,21 @@ class Running:
     """A scene whose first hand moves as `hand_motion` says, the first samples of it over and over."""
 
     def __init__(self, scene: Scene) -> None:
-        self._program = compile_scene(scene)
+        rendering = rendered(scene)
+        self._program = compile_scene(rendering.scene)
         self._measured, self._velocity, self._force = np.zeros((3, _BLOCK, scene.channels))
         self._measured[:, 0] = hand_motion(_BLOCK, scene.rate)
         start(self._program, self._measured[0])
+        self._corrected: CorrectedTicks | None = None
+        if rendering.predictors():
+            self._corrected = CorrectedTicks(self._program, scene.channels)
+            self._kept = LoopCorrection(self._corrected.record, rendering, describe_mock(scene))
 
     def advance(self, samples: int) -> None:
         """Simulates so many samples."""
+        if self._corrected is not None:
+            self._corrected.ticks(self._measured, samples)
+            return
         ticks(self._program, self._measured, self._velocity, self._force, samples)
 
 

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import pytest
 
 from hapsim.chart.hand import Hand
 from hapsim.chart.table1 import Table1, table1
-from hapsim.errors import UsageError
+from hapsim.errors import DeviceError, UsageError
+from hapsim.measuring.measure import measure
 from hapsim.theory import Configuration
 
 MASS, RATE, STIFFNESS = 0.001, 1000.0, 100.0
@@ -95,3 +97,12 @@ def test_what_cannot_be_coupled_is_reported(stiffness: float, damping: float, as
     hand = Hand("hand", 0, Configuration(mass=0.2, rate=1000.0, friction=1.0), stiffness, damping)
     with pytest.raises(UsageError, match=told):
         table1(hand, as_scene=as_scene)
+
+
+def test_a_measurement_whose_run_failed_is_told_and_not_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(*arguments: Any, **options: Any) -> Any:
+        return replace(measure(*arguments, **options), failure=DeviceError("the mock went away"))
+
+    monkeypatch.setattr("hapsim.chart.table1.measure", fails)
+    with pytest.raises(DeviceError, match="the mock went away"):
+        table1(Hand("hand", 0, Configuration(MASS, RATE, friction=0.3, delay=1.0), STIFFNESS, 0.2), as_scene=False)

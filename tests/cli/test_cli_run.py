@@ -123,6 +123,36 @@ def test_the_mock_serves_even_where_the_scene_names_a_port(
     assert hapsim("run", path, "--mock", "--duration", 0.1, "--json").document["ticks"] == 100
 
 
+def test_on_the_mock_nothing_is_told_of_the_wire_of_the_port_that_the_scene_names(
+    hapsim: Callable[..., Any], scene_file: Callable[..., Path]
+) -> None:
+    path = scene_file("spring", port="/dev/ttyNOPE7", baud=9600)
+    assert "UART" in hapsim("check", path).out
+    for command in (("run", "--duration", 0.1), ("measure",)):
+        answer = hapsim(*command, path, "--mock")
+        assert answer.status == 0
+        assert "baud" not in answer.out + answer.err
+
+
+@pytest.mark.parametrize(
+    ("rate", "latest", "marked"),
+    [(970.0, 1e-3, "(97.0% of 1000)"), (1030.0, 1e-3, "(103.0% of 1000)"), (985.0, 1e-3, ""), (970.0, 0.1, "")],
+)
+def test_a_rate_that_is_surely_another_than_was_asked_for_is_marked(
+    hapsim: Callable[..., Any], scene_file: Callable[..., Path], tmp_path: Path, rate: float, latest: float, marked: str
+) -> None:
+    record = tmp_path / "trace.npz"
+    hapsim("run", scene_file("spring"), "--duration", 0.05, "--record", record, "--json")
+    report = load_trace(record).report
+    lateness = replace(report.lateness_s, max=latest)
+    console = Console(record=True, width=80)
+    show_report(console, replace(report, virtual_time=False, rate_hz=rate, duration_s=2.0, lateness_s=lateness))
+    told = console.export_text()
+    assert f"{rate:.2f}" in told
+    assert ("% of 1000)" in told) == bool(marked)
+    assert marked in told
+
+
 def test_a_guard_that_stops_the_force_is_status_4_with_a_document_and_a_record(
     hapsim: Callable[..., Any], scene_file: Callable[..., Path], tmp_path: Path
 ) -> None:

@@ -1,237 +1,43 @@
 """Every module's compiled code against a recurrence of its own, written in Python from what its file says.
 
-Each module has a hand of its own, as many in a scene as there are channels: what one does reaches no other. Each hand
-walks at random, creeps, stands still and leaps, so that every branch is taken; that it was, each test asserts.
-
-In single precision the scene is another: all its numbers, and the places where hands can be, are multiples of powers of
-two, so that what decides between branches is exact there too and both precisions take the same.
+The hands of `module_scenes.py` take every branch: that they did, each test asserts.
 """
 
 from __future__ import annotations
 
 import itertools
+import sys
 from collections import Counter
 from collections.abc import Callable, Iterator
-from functools import cache
-from typing import Any, NamedTuple, get_args
+from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
-from numpy.typing import NDArray
 
 from hapsim.cordis.modules.friction import Frictions
 from hapsim.cordis.modules.plectrum import Plectra
-from hapsim.cordis.offline import follow_parameters, start, tick
-from hapsim.cordis.program import Program, compile_scene, parameter_values
 from hapsim.prediction.linear import linear_scene
-from hapsim.scene import DamperScheme, Scene, parse_scene
-from hapsim.scene.choices import WITH_CUTOFF, WITH_SENSOR
 
-Array = NDArray[np.float64]
-SAMPLES = 10_000
+sys.path.insert(0, str(Path(__file__).parent))
+from module_scenes import (
+    CUTOFF,
+    HANDS,
+    NUMBERS,
+    SAMPLES,
+    SCENES,
+    Array,
+    Bench,
+    Numbers,
+    Run,
+    run_of,
+    scene_with,
+    walk,
+)
 
 #: What forces may differ by, over the largest force of the module, in double and in single precision. A mass and a cell
 #: carry what was rounded on from sample to sample.
 WITHIN = {"double": 1e-12, "single": 1e-6}
 WITHIN_CARRIED_ON = {"double": 1e-12, "single": 2e-4}
-
-
-class Numbers(NamedTuple):
-    """What the modules of a precision's scene are made of; SI units."""
-
-    rate: float
-    mass: float
-    wall: float
-    K: float
-    B: float
-    soft: float
-    distance: float
-    force: float
-    static: float
-    bristle: float
-    bristle_damping: float
-    release: float
-    over_distance: list[list[float]]
-    over_velocity: list[list[float]]
-
-
-NUMBERS = {
-    "double": Numbers(
-        rate=1000.0,
-        mass=0.0137,
-        wall=0.0031,
-        K=731.3,
-        B=0.771,
-        soft=113.7,
-        distance=0.0047,
-        force=1.13,
-        static=2.21,
-        bristle=1511.0,
-        bristle_damping=0.31,
-        release=0.0191,
-        over_distance=[[-0.031, 3.1], [-0.0123, -2.7], [0.0017, 0.3], [0.0113, 1.9], [0.0297, 1.1]],
-        over_velocity=[[-2.1, -0.7], [-0.13, -1.9], [0.11, 1.7], [1.9, 0.6]],
-    ),
-    "single": Numbers(
-        rate=1024.0,
-        mass=2**-6,
-        wall=2**-8,
-        K=512.0,
-        B=0.5,
-        soft=128.0,
-        distance=2**-7,
-        force=1.0,
-        static=2.0,
-        bristle=1024.0,
-        bristle_damping=0.25,
-        release=2**-6,
-        over_distance=[[-0.03125, 3.0], [-0.015625, -2.75], [0.0, 0.25], [0.0078125, 2.0], [0.03125, 1.0]],
-        over_velocity=[[-2.0, -0.75], [-0.125, -2.0], [0.125, 1.75], [2.0, 0.5]],
-    ),
-}
-
-HANDS = (
-    "mass",
-    "ground",
-    "cell",
-    "device",
-    "other",
-    "spring",
-    "damper",
-    "backward",
-    "centred",
-    "filtered",
-    "sensed",
-    "buffer",
-    "nonlinear",
-    "friction",
-    "plectrum",
-)
-CUTOFF = 61.0
-
-#: Those that stand in one scene. `device` and `other`, which hold one link, have to be in the same.
-Hands = tuple[str, ...]
-SCENES: tuple[Hands, ...] = tuple(HANDS[first : first + 8] for first in range(0, len(HANDS), 8))
-
-
-def scene_with(name: str) -> Hands:
-    """The hands of the scene in which this one is."""
-    return next(hands for hands in SCENES if name in hands)
-
-
-@cache
-def scene_of(precision: str, hands: Hands) -> Scene:
-    """The scene, with a hand `h_…` for each of these modules."""
-    n = NUMBERS[precision]
-    modules: dict[str, Any] = {f"h_{name}": {"type": "device", "channel": i} for i, name in enumerate(hands)}
-    modules |= {
-        "wall": {"type": "ground", "position": n.wall},
-        "m": {"type": "mass", "mass": n.mass, "position": n.wall, "velocity": 0.25},
-        "moved": {"type": "ground", "position": n.wall},
-        "c": {"type": "cell", "mass": n.mass, "stiffness": n.K, "damping": n.B, "rest": n.wall, "velocity": 0.25},
-    }
-
-    def link(name: str, kind: str, between: list[str], **values: Any) -> None:
-        if name in hands:
-            modules[name] = {"type": kind, "between": between, **values}
-
-    link("mass", "spring", ["h_mass", "m"], stiffness=n.soft)
-    link("ground", "viscoelastic", ["h_ground", "moved"], stiffness=n.K, damping=n.B)
-    link("cell", "spring", ["c", "h_cell"], stiffness=n.soft)
-    link("device", "viscoelastic", ["h_device", "h_other"], stiffness=n.K, damping=n.B)
-    link("spring", "spring", ["h_spring", "wall"], stiffness=n.K)
-    link("damper", "damper", ["wall", "h_damper"], damping=n.B)
-    for damper in get_args(DamperScheme):
-        cutoff = {"cutoff": CUTOFF} if damper in WITH_CUTOFF else {}
-        ends = [f"h_{damper}", "moved" if damper in WITH_SENSOR else "wall"]
-        link(damper, "viscoelastic", ends, stiffness=n.K, damping=n.B, damper=damper, **cutoff)
-    link("buffer", "buffer", ["h_buffer", "wall"], stiffness=n.K, damping=n.B, distance=n.distance)
-    curves = {"force_over_distance": n.over_distance, "force_over_velocity": n.over_velocity}
-    link("nonlinear", "nonlinear", ["wall", "h_nonlinear"], **curves)
-    bristle = {"stiffness": n.bristle, "damping": n.bristle_damping}
-    link("friction", "friction", ["h_friction", "wall"], force=n.force, static=n.static, **bristle)
-    link("plectrum", "plectrum", ["wall", "h_plectrum"], stiffness=n.K, damping=n.B, release=n.release)
-    document = {"version": 1, "rate": n.rate, "precision": precision, "device": {"mass": 0.2}, "modules": modules}
-    return parse_scene(yaml.safe_dump(document, sort_keys=False))
-
-
-def walk(rng: np.random.Generator, precision: str) -> Array:
-    """A hand that creeps, walks, leaps and stands still, within 50 mm: (SAMPLES,) m."""
-    steps = rng.choice([0.0, 1e-3, 0.02, 0.3], SAMPLES // 50, p=[0.2, 0.3, 0.3, 0.2]).repeat(50)
-    position: Array = 0.05 * np.sin(np.cumsum(steps * rng.normal(size=SAMPLES)))
-    return np.round(position * 2**16) / 2**16 if precision == "single" else position
-
-
-def rests_of(rng: np.random.Generator, where: float) -> Array:
-    """A fixed point that is moved now and then, by 4 mm at the most: (SAMPLES,) m."""
-    moves = rng.random(SAMPLES) < 0.02
-    moves[:5], moves[-5:] = False, False
-    places = where + rng.integers(-(2**6), 2**6, SAMPLES) * 2.0**-14
-    return np.array([where, *places])[np.maximum.accumulate(np.where(moves, np.arange(1, SAMPLES + 1), 0))]
-
-
-class Run(NamedTuple):
-    """What went in and what came out: each (SAMPLES,) by the name of a hand."""
-
-    position: dict[str, Array]
-    velocity: dict[str, Array]
-    rest: dict[str, Array]
-    force: dict[str, Array]
-
-
-@cache
-def place_of(precision: str, hands: Hands, name: str, field: str) -> int:
-    """Where a live value stands among the parameters."""
-    scene = scene_of(precision, hands)
-    other = scene.modules[name].model_copy(update={field: getattr(scene.modules[name], field) + 1.0})
-    changed = scene.model_copy(update={"modules": dict(scene.modules) | {name: other}})
-    (place,) = np.flatnonzero(parameter_values(changed) != parameter_values(scene))
-    return int(place)
-
-
-class Bench:
-    """A compiled scene, from sample to sample as the loop takes it."""
-
-    def __init__(self, precision: str, hands: Hands) -> None:
-        self.scene, self.hands = scene_of(precision, hands), hands
-        self._wanted = parameter_values(self.scene)
-        self._places = [place_of(precision, hands, *value) for value in (("moved", "position"), ("c", "rest"))]
-        self.program: Program = compile_scene(self.scene)
-
-    def start(self, position: Array) -> None:
-        """Hands at `position` (C,) m, at rest."""
-        start(self.program, position)
-
-    def step(self, position: Array, velocity: Array, rests: Array | None = None) -> Array:
-        """The forces (C,) N at a sample; `rests`: where the ground and the cell rest from now on."""
-        if rests is not None and not np.array_equal(self._wanted[self._places], rests.astype(self._wanted.dtype)):
-            self._wanted[self._places] = rests
-            self.program.parameters.post(self._wanted, 1)
-        follow_parameters(self.program)
-        force = np.zeros(len(self.hands))
-        tick(self.program, position, velocity, force)
-        return force
-
-
-def run_of(precision: str) -> Run:
-    rng = np.random.default_rng(20)
-    position = np.array([walk(rng, precision) for _ in HANDS]).T.copy()
-    velocity = np.round(rng.normal(size=position.shape) * 2**8) / 2**8
-    wall = NUMBERS[precision].wall
-    rests = np.array([rests_of(rng, wall), rests_of(rng, wall)]).T.copy()
-    forces = []
-    for hands in SCENES:
-        bench, own = Bench(precision, hands), [HANDS.index(name) for name in hands]
-        bench.start(position[0, own])
-        samples = zip(position[:, own], velocity[:, own], rests, strict=True)
-        forces.append([bench.step(*sample) for sample in samples])
-    force = np.concatenate(forces, axis=1)
-
-    def named(columns: Array) -> dict[str, Array]:
-        return dict(zip(HANDS, columns.T, strict=True))
-
-    return Run(named(position), named(velocity), {"ground": rests[:, 0], "cell": rests[:, 1]}, named(force))
 
 
 @pytest.fixture(scope="module")
@@ -371,21 +177,21 @@ def friction(points: Run, n: Numbers, took: Branches) -> Iterator[float]:
 
 
 def plectrum(points: Run, n: Numbers, took: Branches) -> Iterator[float]:
-    let_go, before = 0.0, n.wall - points.position["plectrum"][0]
+    released, before = 0.0, n.wall - points.position["plectrum"][0]
     for x in points.position["plectrum"]:
         d = n.wall - x
         step, before = d - before, d
-        met = let_go != 0.0 and (d == 0 or (d > 0) != (let_go > 0))
-        if let_go and not met:
-            took["let go"] += 1
+        met = released != 0.0 and (d == 0 or (d > 0) != (released > 0))
+        if released and not met:
+            took["released"] += 1
             yield 0.0
         elif abs(d) <= n.release:
             took["grips again" if met else "grips"] += 1
-            let_go = 0.0
+            released = 0.0
             yield n.K * d + n.B * n.rate * step
         else:
-            took["passes beyond its reach" if met else "lets go"] += 1
-            let_go = d
+            took["passes beyond its reach" if met else "releases"] += 1
+            released = d
             yield 0.0
 
 
@@ -417,7 +223,7 @@ RECURRENCES: dict[str, tuple[Recurrence, set[str]]] = {
             "turns about in one sample",
         },
     ),
-    "plectrum": (plectrum, {"grips", "lets go", "let go", "grips again", "passes beyond its reach"}),
+    "plectrum": (plectrum, {"grips", "releases", "released", "grips again", "passes beyond its reach"}),
 }
 
 

@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hapsim import measure, predict, run
+from hapsim import measure, measure_impedance, predict, run
 from hapsim.loop.ring import LATE_FORCE
+from hapsim.prediction import predict_impedance
 from hapsim.prediction.correction import rendered
 from hapsim.scene import Device, DevicePoint, Ground, Initial, Mock, Nonlinear, Scene, Spring, ViscoElastic
 from hapsim.theory.correction import PredictedLoop, state_predictor
@@ -132,3 +133,16 @@ def test_the_force_answers_where_the_mass_will_be_whatever_is_late_on_the_way(ho
     asked, known = trace.asked_force[:-2, 0], known[:-2]
     assert known.sum() > 100
     np.testing.assert_allclose(asked[known], expected[known], rtol=0.0, atol=1e-6 * np.abs(asked).max())
+
+
+@pytest.mark.parametrize("correction", ["poles", "predictor"])
+def test_the_impedance_that_is_rendered_is_the_predicted_one_at_every_frequency(correction: str) -> None:
+    """The excitation plays the hand, of which a predictor knows nothing."""
+    scene = hand_on(touch(5000.0, 15.0), correction=correction)
+    found = measure_impedance(scene)
+    expected = predict_impedance(scene, found.frequency)
+    off = np.abs(found.rendered.value - expected.rendered) / np.abs(expected.rendered)
+    assert off.max() < 1e-4
+    assert (
+        np.abs(expected.rendered / expected.desired - 1.0).max() > 0.1
+    )  # the motion is corrected, not every frequency

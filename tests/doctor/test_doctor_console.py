@@ -64,6 +64,13 @@ def shown(examination: Examination, width: int = 80, encoding: str = "utf-8") ->
     return str(raw.getvalue().decode(encoding))
 
 
+def test_a_long_path_of_a_scene_stays_whole(examination: Examination) -> None:
+    path = f"/home/[me]/{'a-directory/' * 8}a_scene.yaml"
+    told = shown(replace(examination, scene=path)).splitlines()
+    assert path in told
+    assert "on the mock; clock: device" in told
+
+
 @pytest.mark.parametrize("width", [80, 120])
 def test_no_line_is_wider_than_the_terminal_but_a_command(examination: Examination, width: int) -> None:
     lines = shown(examination, width).splitlines()

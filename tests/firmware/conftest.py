@@ -1,13 +1,9 @@
-"""The reference firmware: its state machine as a program in virtual time, and its boards, built once."""
+"""The reference firmware: its state machine as a program in virtual time, and the mock as it is played."""
 
 from __future__ import annotations
 
-import fcntl
-import os
-import shutil
 import subprocess
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -27,46 +23,11 @@ FIRMWARE = Path(firmware_protocol.__file__).parent / "firmware"
 HARNESS = Path(__file__).parent / "harness"
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-O2")
 
-# What is there where a board can be run on this machine, and the Debian packages that bring what it takes.
-RUNNERS = {
-    "linux": ("linux", "gcc libc6-dev"),
-    "avr": ("run_avr", "gcc libc6-dev gcc-avr avr-libc libsimavr-dev"),
-    "cortex_m": ("on_terminal", "gcc libc6-dev gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm"),
-}
 Run = Callable[[list[str]], list[str]]
 
 
-def compiler() -> str:
-    found = shutil.which("gcc")
-    if found is None:
-        pytest.skip("no C compiler on this machine (Debian: gcc libc6-dev)")
-    return found
-
-
 @pytest.fixture(scope="session")
-def once(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, list[str], dict[str, str]], Path]:
-    """Runs a build that writes into the directory that is its last word, once for all workers of this run."""
-    shared = tmp_path_factory.getbasetemp()
-    if os.environ.get("PYTEST_XDIST_WORKER"):
-        shared = shared.parent
-
-    def build(name: str, command: list[str], environment: dict[str, str]) -> Path:
-        to = shared / name
-        with open(shared / f"{name}.lock", "w") as lock:
-            fcntl.flock(lock, fcntl.LOCK_EX)
-            if not (to / "done").exists():
-                to.mkdir(exist_ok=True)
-                words = [*command, str(to)]
-                built = subprocess.run(words, env=os.environ | environment, capture_output=True, text=True, check=False)
-                assert built.returncode == 0, built.stderr
-                (to / "done").write_text(built.stdout, "utf-8")
-        return to
-
-    return build
-
-
-@pytest.fixture(scope="session")
-def harness(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Run]:
+def harness(compiler: str, tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Run]:
     """The state machine of a device of sessions.json, compiled: runs lines through it."""
     programs: dict[str, Path] = {}
 
@@ -74,7 +35,7 @@ def harness(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Run]:
         name = f"{device['name']}_{core.parent.name}"
         if name not in programs:
             programs[name] = tmp_path_factory.mktemp(name) / "harness"
-            _compile_harness(device, core, programs[name])
+            _compile_harness(compiler, device, core, programs[name])
 
         def run(lines: list[str]) -> list[str]:
             text = "\n".join(lines) + "\n"
@@ -86,20 +47,13 @@ def harness(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Run]:
     return program
 
 
-def _compile_harness(device: dict[str, Any], core: Path, to: Path) -> None:
+def _compile_harness(compiler: str, device: dict[str, Any], core: Path, to: Path) -> None:
     keys = ("channels", "pacings", "max_watchdog", "impulse", "velocity")
     defined = [f"-DHARNESS_{key.upper()}={int(device[key])}" for key in keys]
     sources = [str(HARNESS / "harness.c"), str(core)]
-    command = [compiler(), *STRICT, "-fsanitize=address,undefined", f"-I{FIRMWARE}", f"-I{HARNESS}", *defined]
+    command = [compiler, *STRICT, "-fsanitize=address,undefined", f"-I{FIRMWARE}", f"-I{HARNESS}", *defined]
     built = subprocess.run([*command, *sources, "-o", str(to)], capture_output=True, text=True, check=False)
     assert built.returncode == 0, built.stderr
-
-
-@pytest.fixture(scope="session")
-def built(once: Any) -> Path:
-    """Where the boards were built."""
-    compiler()
-    return once("firmware", [str(FIRMWARE / "build")], {})
 
 
 _PERIOD_NS = 1_000_000
@@ -209,65 +163,7 @@ def mock_player() -> type[MockPlayer]:
     return MockPlayer
 
 
-class Board:
-    """A board that runs: its port, and what it says of the force that it puts out."""
-
-    def __init__(self, name: str, built: Path, log: Path) -> None:
-        self.log = log
-        self.process = subprocess.Popen(
-            [FIRMWARE / "board", name, log],
-            env=os.environ | {"HAPSIM_FIRMWARE": str(built)},
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            text=True,
-        )
-        assert self.process.stdout is not None
-        self.port = self.process.stdout.readline().strip()
-        assert self.port.startswith("/dev/"), f"{name}: no port"
-
-    def put_out(self) -> list[tuple[int, int]]:
-        """Each force put out, be it the same again: microseconds of the board's clock, counts."""
-        lines = self.log.read_text("ascii").splitlines(keepends=True) if self.log.exists() else []
-        words = [line.split() for line in lines if line.endswith("\n")]
-        return [(int(us, 16), int.from_bytes(bytes.fromhex(counts), signed=True)) for us, counts in words]
-
-    def forces(self) -> list[tuple[int, int]]:
-        """Of these, each that changed the force."""
-        put_out = self.put_out()
-        return [one for before, one in zip([(0, None), *put_out], put_out, strict=False) if one[1] != before[1]]
-
-    def wait_for(self, what: Callable[[list[tuple[int, int]]], bool]) -> list[tuple[int, int]]:
-        """The changes so far, as soon as `what` is true of them. The minute is for a machine that hangs."""
-        give_up = time.monotonic() + 60.0
-        while not what(forces := self.forces()):
-            assert time.monotonic() < give_up, f"not seen within a minute; the last forces: {forces[-3:]}"
-            time.sleep(0.02)
-        return forces
-
-    def stop(self) -> None:
-        self.process.terminate()
-        self.process.communicate()
-
-
-@pytest.fixture
-def start_board(built: Path, tmp_path: Path) -> Iterator[Callable[..., Board]]:
-    """Starts a board by its name, from `built` or from elsewhere; skips where this machine lacks what it takes."""
-    boards: list[Board] = []
-
-    def start(name: str, where: Path = built) -> Board:
-        needed, packages = RUNNERS[name]
-        if not (where / needed).exists():
-            pytest.skip(f"{name} was not built on this machine (Debian: {packages})")
-        boards.append(Board(name, where, tmp_path / f"{name}.log"))
-        return boards[-1]
-
-    yield start
-    for board in boards:
-        board.stop()
-
-
 @pytest.fixture(scope="session")
 def built_to_die(once: Any) -> Path:
     """The boards, with a tick that dies half a second after arming."""
-    compiler()
     return once("dying", [str(FIRMWARE / "build")], {"DEFINES": "-DHAPSIM_BROKEN_TICK"})

@@ -13,7 +13,7 @@ from firmware_protocol.frames import armed_format, frame_to_host
 from hapsim.errors import DeviceError
 from hapsim.loop.ring import BRIDGED, LATE_FORCE, UNSENT
 from hapsim.loop.trace import Trace
-from hapsim.running import run
+from hapsim.running import PeriodicExcitation, run
 
 Scripted = Callable[..., Any]
 FrameOf = Callable[..., bytes]
@@ -50,6 +50,14 @@ def test_a_lost_position_is_bridged_along_a_straight_line_and_counted(scripted: 
     assert trace.flags.tolist() == [0, 0, 0, BRIDGED, 0]
     whole = spring_force(np.arange(7) * 100e-6)  # as if nothing were lost: the true path is straight
     np.testing.assert_allclose(trace.asked_force[:, 0], whole[numbers], rtol=1e-9)
+
+
+def test_lost_positions_do_not_shift_a_periodic_excitation(scripted: Scripted, frame: FrameOf) -> None:
+    forces, numbers = np.array([0.5, -0.25, 0.125]), [0, 1, 4, 5, 7]
+    with scripted([frame(n, 0) for n in numbers]) as (scene, _):
+        trace = run(scene, duration=8 / RATE, excitation=PeriodicExcitation(0, forces))
+    assert trace.sample.tolist() == numbers
+    np.testing.assert_allclose(trace.force[:, 0], forces[[n % 3 for n in numbers]], rtol=0, atol=1e-12)
 
 
 def test_the_first_position_may_be_the_one_that_is_lost(scripted: Scripted, frame: FrameOf) -> None:
@@ -122,6 +130,13 @@ def test_what_the_device_held_is_counted_as_late_and_ages_the_force(scripted: Sc
     assert trace.report.deadline_misses == 3
     assert trace.report.age_samples.max == 4
     assert trace.flags.tolist() == [0, 0, LATE_FORCE, LATE_FORCE, LATE_FORCE, 0]
+
+
+def test_where_every_force_is_late_none_is_told_older_than_one_can_act(scripted: Scripted, frame: FrameOf) -> None:
+    kinds = [schema.POSITION] + [schema.POSITION_HELD] * 60
+    trace, device = play(scripted, [frame(n, 0, kind=kind) for n, kind in enumerate(kinds)], 61)
+    assert trace.report.deadline_misses == 60
+    assert trace.report.age_samples.max == device.forces[0].argument + 2
 
 
 def test_a_frame_that_is_no_position_moves_nothing(scripted: Scripted, frame: FrameOf) -> None:

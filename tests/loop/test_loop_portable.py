@@ -32,9 +32,11 @@ def test_the_portable_loop_sends_the_forces_of_the_compiled_one(scene_of: SceneO
 
 @pytest.mark.parametrize("clock", ["device", "host"])
 def test_the_portable_loop_runs_in_real_time_by_either_clock(scene_of: SceneOf, clock: str) -> None:
-    trace = run(scene_of(rate=100.0, device={"clock": clock}), duration=0.2, portable=True)
-    assert trace.report.ending == "done"
-    assert trace.report.ticks == 20 or trace.report.duration_s > 0.2  # a busy machine gets fewer in
+    """At a rate at which neither the device's watchdog nor the loop's patience ends within a second: a busy machine."""
+    trace = run(scene_of(rate=10.0, device={"clock": clock}), duration=0.3, portable=True)
+    report = trace.report
+    assert report.ending == "done"
+    assert report.ticks + report.lost_frames >= 3 or report.duration_s > 0.3  # what ends a run, and nothing else
     assert trace.statistics.lateness.total > 0
     assert trace.statistics.exchange.total > 0
 

@@ -24,7 +24,7 @@ from hapsim.loop.portable import PortableTransport
 from hapsim.loop.ring import UNSENT
 from hapsim.loop.trace import Trace
 from hapsim.loop.transport import Transport
-from hapsim.running import Excitation, run
+from hapsim.running import Excitation, PeriodicExcitation, run
 from hapsim.scene import Scene
 
 COLUMNS = ("sample", "flags", "position_counts", "force_counts", "asked_force")
@@ -118,6 +118,30 @@ def test_an_excitation_adds_to_its_channel_only_and_not_to_what_the_scene_asked(
     assert np.all(np.abs(pushed[100:]) <= 2.0 + trace.force_scale[1])
     assert not trace.force[:, 0].any()
     assert not trace.asked_force.any()
+
+
+@pytest.mark.parametrize("portable", [False, True])
+def test_a_periodic_excitation_begins_again_by_the_device_s_count_of_samples(
+    scene_of: Callable[..., Scene], portable: bool
+) -> None:
+    forces = np.array([0.5, -0.25, 0.125, 1.0, -2.0])
+    scene = scene_of(2, stiffness=300.0, damping=1.0)
+    trace = run(
+        scene,
+        duration=0.1,
+        excitation=PeriodicExcitation(1, forces),
+        portable=portable,
+        transport="terminal" if portable else "auto",
+    )
+    added = trace.force - trace.asked_force
+    np.testing.assert_allclose(added[:, 1], forces[trace.sample % 5], rtol=0, atol=0.5 * trace.force_scale[1])
+    np.testing.assert_allclose(added[:, 0], 0.0, rtol=0, atol=0.5 * trace.force_scale[0])
+
+
+@pytest.mark.parametrize("forces", [[], [[1.0]], [np.nan]])
+def test_a_periodic_excitation_is_a_row_of_finite_numbers(forces: list[float]) -> None:
+    with pytest.raises(ValueError, match=r"forces: found shape .* expected finite numbers in one row"):
+        PeriodicExcitation(0, np.array(forces))
 
 
 @pytest.mark.parametrize("clock", ["device", "host"])

@@ -23,7 +23,6 @@ from hapsim.probe.wire import Clock, Wire
 SCRIPT = Path(__file__).with_name("device.py")
 _ROOM = 20_480  # bytes that wait for the host, as on a pseudo-terminal
 _WORK_S = 20e-6  # of the host, for each call
-_LATE_S = 0.004  # now and then, as a host in Python is
 
 
 def _device_module() -> Any:
@@ -41,7 +40,7 @@ Device = _device_module().Device
 class VirtualLine(Clock):
     """A host's clock, transport and device in one: time passes where the host waits, and a little where it works.
 
-    One answer in ten is late by up to 4 ms, by a seed.
+    `late`: the share of answers that are late, by up to so many s, by a seed.
     """
 
     def __init__(self, options: dict[str, Any]) -> None:
@@ -49,6 +48,7 @@ class VirtualLine(Clock):
         self._to_host = b""
         self._gone = False
         self._random = random.Random(1)
+        self.late = (0.1, 0.004)  # now and then, as a host in Python is
         self.device = Device(self._put, self.now, options)
 
     def _put(self, data: bytes) -> int:
@@ -83,7 +83,8 @@ class VirtualLine(Clock):
     def send(self, frame: bytes) -> int:
         if self._is_gone():
             return HUNG_UP
-        late = self._random.random() * _LATE_S if self._random.random() < 0.1 else 0.0
+        share, longest = self.late
+        late = self._random.random() * longest if self._random.random() < share else 0.0
         self._pass_until(self._time + _WORK_S + late, heard=False)
         self.device.take(frame)
         self.device.look()
@@ -94,9 +95,9 @@ class Bench:
     """A wire to a device of these faults and options, in virtual time."""
 
     def __init__(self, *faults: str, **options: Any) -> None:
-        line = VirtualLine(options | {"faults": list(faults)})
-        self.device = line.device
-        self.wire = Wire(Connection(line, "virtual device", close=lambda: None), line)
+        self.line = VirtualLine(options | {"faults": list(faults)})
+        self.device = self.line.device
+        self.wire = Wire(Connection(self.line, "virtual device", close=lambda: None), self.line)
 
 
 @pytest.fixture(scope="session")

@@ -88,6 +88,30 @@ def test_a_leave_below_the_limit_does_not_ask_for_more(new_bench: NewBench) -> N
     assert 0.0 < bench.device.largest <= 0.5
 
 
+def test_a_leave_at_the_limit_is_told_what_it_takes_to_try_the_cut(new_bench: NewBench) -> None:
+    checks = judged(new_bench(limit=0.5), "push", leave=GENTLE)
+    assert (checks["limit_cut"].result, checks["limit_cut"].found) == (
+        "not seen",
+        "this takes --push 0.6: 1.2 times the limit",
+    )
+
+
+def test_forces_that_are_all_late_do_not_accuse_the_device(new_bench: NewBench) -> None:
+    bench = new_bench(limit=0.4, rate=2000.0)
+    begun = []
+
+    def late_when_judging_limits(step: str, _number: int, _of: int) -> None:
+        begun.append(step)
+        if begun.count("push") == 2:
+            bench.line.late = (1.0, 0.1)
+
+    judgement = judge(bench.wire, leave=GENTLE, steps=steps_of(("push",), None), on_step=late_when_judging_limits)
+    checks = {check.name: check for check in judgement.checks}
+    assert failed(checks) == set(), told(checks)
+    assert checks["limit_cut"].result == "not seen"
+    assert "0 of them in time: register 12 counts 0" in checks["limit_cut"].found
+
+
 FAULTS = {
     "answers_damaged": ("registers", {"damaged_frames"}, "a bit flipped"),
     "chatters": ("registers", {"silence"}, "bytes in"),
@@ -137,6 +161,14 @@ def test_what_shows_in_the_motion_alone_is_found_and_named(new_bench: NewBench, 
 def test_a_force_that_is_not_cut_is_found(new_bench: NewBench) -> None:
     checks = judged(new_bench("never_cuts", limit=0.4), "push", leave=GENTLE)
     assert failed(checks) == {"limit_cut"}, told(checks)
+
+
+def test_positions_that_come_in_bursts_tell_no_rate(new_bench: NewBench) -> None:
+    bench = new_bench()
+    bench.line.late = (0.02, 2.0)  # the host is held up for a second, and finds hundreds of positions
+    checks = judged(bench, "arming")
+    assert checks["rate_kept"].result == "not seen", told(checks)
+    assert "came in bursts" in checks["rate_kept"].found
 
 
 def test_pushing_stops_where_the_device_moves_too_far(new_bench: NewBench) -> None:

@@ -12,7 +12,7 @@ from hapsim.scene import Scene, ViscoElastic, load_scene
 FOLDER = Path(__file__).parents[2] / "configs"
 EVERY = sorted(path.stem for path in FOLDER.glob("*.yaml"))
 #: With masses, strings or contacts: the tests of the tick hold what they do.
-PLAYED = ["buzzing_contact", "four_keys", "plucked_string", "rubbed_string", "wall"]
+PLAYED = ["buzzing_contact", "four_keys", "held_string", "plucked_string", "rubbed_string", "two_hands", "wall"]
 NAMES = [name for name in EVERY if name not in PLAYED]
 CONFIGS = [FOLDER / f"{name}.yaml" for name in NAMES]
 FORETOLD = re.compile(

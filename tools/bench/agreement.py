@@ -1,17 +1,23 @@
 """Predicted and measured, of every shipped scene whose hand is on a linear system of its own, over a pseudo-terminal.
 
     tools/bench/agreement [--rounds 5]
+    tools/bench/agreement --impedance
 
-Those in virtual time give the same numbers in every round, and are measured once.
+With --impedance: the driving-point impedance of every shipped scene that is linear, with masses and several hands too,
+in virtual time. Those in virtual time give the same numbers in every round, and are measured once.
 """
 
 from __future__ import annotations
 
 import argparse
 import statistics
+from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
+
 import hapsim
+from hapsim.prediction import predict_impedance
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 
@@ -35,12 +41,42 @@ def spread(values: list[float], form: str) -> str:
     return middle if len(values) == 1 else f"{middle} [{min(values):{form}}, {max(values):{form}}]"
 
 
+def impedances() -> Iterator[str]:
+    """Of each linear scene a row: how far prediction and measurement are apart over the uncertainty, at most, and how
+    wide that is, relative, in the median over the frequencies of what each hand itself meets."""
+    yield "| scene | hands | frequencies | device | its uncertainty | rendered | its uncertainty | closed loop |"
+    yield "|---|---|---|---|---|---|---|---|"
+    for path in sorted(CONFIGS.glob("*.yaml")):
+        scene = hapsim.load_scene(path)
+        if hapsim.predict(scene, with_margins=False).assumptions:
+            continue
+        scene = scene.model_copy(update={"device": scene.device.model_copy(update={"clock": "lockstep"})})
+        measured = hapsim.measure_impedance(scene)
+        predicted = predict_impedance(scene, measured.frequency)
+        apart, wide = {}, {}
+        for kind in ("device", "rendered", "closed_loop"):
+            value, uncertainty = getattr(measured, kind)
+            off = np.abs(value - getattr(predicted, kind))
+            apart[kind] = float(np.max(np.divide(off, uncertainty, out=np.zeros_like(off), where=off > 0.0)))
+            own = np.arange(len(measured.channels))
+            wide[kind] = float(np.median(uncertainty[:, own, own] / np.abs(value[:, own, own])))
+        cells = [path.stem, f"{len(measured.channels)}", f"{measured.frequency.size}"]
+        cells += [f"{apart['device']:.2f}", f"{wide['device']:.0e}"]
+        cells += [f"{apart['rendered']:.2f}", f"{wide['rendered']:.0e}", f"{apart['closed_loop']:.2f}"]
+        yield "| " + " | ".join(cells) + " |"
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(
         "tools/bench/agreement", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--rounds", type=int, default=5, help="of the scenes that run in real time")
+    parser.add_argument("--impedance", action="store_true", help="over frequency, in place of k and b")
     arguments = parser.parse_args()
+    if arguments.impedance:
+        for row in impedances():
+            print(row, flush=True)
+        return
     print("| scene | pole off by | its stated uncertainty | k off by | b off by |")
     print("|---|---|---|---|---|")
     for path in sorted(CONFIGS.glob("*.yaml")):

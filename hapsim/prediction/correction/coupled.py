@@ -26,14 +26,16 @@ MOST_STATES = 200
 
 _MOVES = 0.05  # the hand's share of a mode's kinetic energy, from which it is one of the hand's
 _ON_THE_CIRCLE = 1e-7  # where a scene with something free has two poles, as rounding leaves them
+_LEAST, _MOST = 1e-3, 10.0  # times what the scene has, between which the nearest is searched
 _SOLVED = 1e-9  # of the distance of the poles from z = 1
 
 
 class Matched(NamedTuple):
-    """(K, B) for each port in N/m and N·s/m, and the modes that they put in place."""
+    """(K, B) for each port in N/m and N·s/m, and the modes that they put in place, or nearest to it."""
 
     elements: list[tuple[float, float]]
     modes: list[ContinuousMode]
+    reached: bool
 
 
 def is_small(scene: Scene) -> bool:
@@ -50,8 +52,8 @@ def match_modes(
     starts: Sequence[Sequence[tuple[float, float]]],
 ) -> Matched | None:
     """``desired``: as it is written. ``as_seen``: the same, with the device as the loop sees it under the correction.
-    ``starts``: elements of the ports from which they are searched. None where none put the modes in place, or none
-    that leave every motion stable."""
+    ``starts``: elements of the ports from which they are searched. None where no mode is a hand's own, or
+    nothing that is near leaves every motion stable."""
     network, names = network_of(desired, linear_scene(desired))
     pairs, modes = _targets(continuous_modes(network), [names.index(port.name) for port in ports], desired.rate)
     if len(pairs) < len(ports):
@@ -68,14 +70,19 @@ def match_modes(
         found = _nearest_pairs(poles_with(x.reshape(-1, 2) * scale), pairs)
         return np.asarray(((found - target) / unit).ravel())
 
-    from scipy.optimize import root
+    from scipy.optimize import least_squares, root
 
-    for begin in starts:
-        solved = root(off, (np.array(begin) / scale).ravel(), options={"xtol": 1e-13})
+    begins = [np.array(begin).ravel() / scale.ravel() for begin in starts]
+    for begin in begins:
+        solved = root(off, begin, options={"xtol": 1e-13})
         elements = solved.x.reshape(-1, 2) * scale
-        if np.abs(off(solved.x)).max() < _SOLVED and _is_stable(poles_with(elements)):
-            return Matched([(float(K), float(B)) for K, B in elements], modes)
-    return None
+        if np.abs(off(solved.x)).max() < _SOLVED and (elements >= 0.0).all() and _is_stable(poles_with(elements)):
+            return Matched([(float(K), float(B)) for K, B in elements], modes, True)
+    nearest = least_squares(off, np.clip(begins[-1], _LEAST, _MOST), bounds=(0.0, 2.0 * _MOST))
+    elements = nearest.x.reshape(-1, 2) * scale
+    if not _is_stable(poles_with(elements)):
+        return None
+    return Matched([(float(K), float(B)) for K, B in elements], modes, False)
 
 
 def _is_stable(poles: Complexes) -> bool:

@@ -187,13 +187,16 @@ def _match(kind: CorrectionKind, scene: Scene, ports: list[Port], elements: dict
         [(one.stiffness, one.damping) for one in alone.values()],
     ]
     matched = match_modes(scene, _as_seen(kind, scene), ports, kind.with_damper, starts)
+    names = ", ".join(alone)
     if matched is None:
         elements |= {name: one._replace(reached=False) for name, one in alone.items()}
-        names = ", ".join(alone)
         return [f"no stiffness and damping at {names} gives the slowest mode its place: corrected as if it held alone"]
+    masses = scene.device.masses(scene.channels)
     for port, (K, B) in zip(ports, matched.elements, strict=True):
-        elements[port.name] = Element(K, B, scene.device.masses(scene.channels)[port.channel], True)
-    return []
+        elements[port.name] = Element(K, B, masses[port.channel], matched.reached)
+    if matched.reached:
+        return []
+    return [f"no stiffness and damping at {names} gives the slowest modes exactly their place: these come nearest"]
 
 
 def _corrected(scene: Scene, port: Port, element: Element, schedule: Schedule | None) -> Corrected:

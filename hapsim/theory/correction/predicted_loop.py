@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from hapsim.theory.arrays import Complexes, Floats
 from hapsim.theory.correction.state_predictor import StatePredictor
 from hapsim.theory.hand import Configuration
+from hapsim.theory.hand.impedance import late_and_held
 from hapsim.theory.hand.pair import oscillator_of_quadratic
 from hapsim.theory.hand.plant import Plant, sampled_plant
 from hapsim.theory.hand.poles import pair_of_poles, roots
@@ -66,6 +67,22 @@ class PredictedLoop(NamedTuple):
     def spectral_radius(self, K: ArrayLike, B: ArrayLike) -> Floats:
         """The largest modulus of a pole."""
         return np.asarray(np.abs(self.poles(K, B)[..., 0]))[()]
+
+    def impedance(self, K: float, B: float, frequency: ArrayLike) -> Complexes:
+        """Force over velocity, N·s/m, that is rendered at frequencies (n,) in Hz to a hand of whose force the predictor
+        knows nothing, the device's own left out; where no velocities are sent. NaN from the Nyquist frequency on, and
+        at 0."""
+        f = np.asarray(frequency, dtype=float)
+        theta = 2.0 * np.pi * f * self.plant.period
+        some = (theta > 0.0) & (theta < np.pi)
+        earlier = np.exp(-1j * theta[some, None] * np.arange(1.0, self.predictor.lags + 1.0))  # z^-1, z^-2, ...
+        gain = np.array([K, B])
+        (first, second), forces = gain @ self.predictor.readings, gain @ self.predictor.forces
+        answer = (first + second * earlier[:, 0]) / (1.0 + earlier @ forces)
+        through = late_and_held(theta[some], self.plant.delay, self.plant.hold, self.plant.sampling)
+        found = np.full(f.shape, np.nan, dtype=complex)
+        found[some] = answer * through / (2j * np.pi * f[some])
+        return found
 
     def _answer(self, own: Plant, gain: Floats) -> Floats:
         """numerator (gain readings) z^lags: what is read answers, in units of T²/m f; the second reading is that of

@@ -1,0 +1,130 @@
+"""How hard, how long and at which simulated (K, B) a device is pushed, so that its parameters show and it stays where
+it may be.
+
+The device hangs on a soft simulated spring and damper at the place where it was found, and is pushed to one side and to
+the other, level, each time for `half` samples. Everything is slow beside the delay: with w the eigenfrequency,
+w half T <= 1 and half >= 16 (delay + 1), so that the loop is stable for a mass and a delay several times the ones
+that it was designed for, or a fraction of them.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from hapsim.measuring.device_model import Converters, sampled_motion
+from hapsim.running.excitation import Excitation
+from hapsim.scene import DevicePoint, Ground, Initial, Mock, Scene, ViscoElastic
+
+_LEAST_HALF = 32
+_SLOW = 16.0  # sample periods for each of the delay and one more
+_LONGEST_HALF_S = 1.0
+_DAMPING_RATIO = 0.5
+_PUSHES = 0.8  # of the force that is allowed; the rest is the spring's
+_LOOKED_AT = 24  # half periods of a motion that is worked out ahead
+_GOLDEN = 0.6180339887498949  # as the loop varies its pushes
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """What the device may be given: force in N, travel in m to either side of where it was found."""
+
+    force: float
+    travel: float
+
+    @property
+    def push(self) -> float:
+        """N that a push may have."""
+        return _PUSHES * self.force
+
+
+@dataclass(frozen=True)
+class Plant:
+    """What is taken for the device, SI units, delay in sample periods."""
+
+    mass: float
+    friction: float
+    stiffness: float
+    delay: float
+
+
+@dataclass(frozen=True)
+class Drive:
+    """A simulated spring and damper in SI units, and pushes of `force` N, `half` samples each."""
+
+    stiffness: float
+    damping: float
+    force: float
+    half: int
+
+    def excitation(self, channel: int) -> Excitation:
+        """From the first tick on, one push after the other."""
+        return Excitation(channel, self.force, self.half, self.half, start=0, first=False)
+
+
+def drive_for(plant: Plant, bounds: Bounds, rate_hz: float, *, pace: float, tightness: float) -> Drive:
+    """Pushes with all the force that is allowed, and as long as it takes to cross the travel, were the plant free.
+
+    `pace`: times as long as that; `tightness`: eigenfrequency on the spring times half a period, in rad.
+    """
+    shortest = max(_LEAST_HALF, math.ceil(_SLOW * (plant.delay + 1.0)))
+    crossing = math.sqrt(4.0 * bounds.travel * plant.mass / bounds.push) * rate_hz
+    longest = max(shortest, math.floor(_LONGEST_HALF_S * rate_hz))
+    half = min(max(shortest, math.ceil(pace * crossing)), longest)
+    eigen = tightness * rate_hz / half  # rad/s
+    return Drive(
+        stiffness=plant.mass * eigen**2,
+        damping=2.0 * _DAMPING_RATIO * plant.mass * eigen,
+        force=bounds.push,
+        half=half,
+    )
+
+
+def peak_per_newton(plant: Plant, drive: Drive, rate_hz: float, converters: Converters) -> float:
+    """How far the plant gets under these pushes, m for each newton of them: with dry friction it would be less."""
+    per_sample = rate_hz * plant.mass * rate_hz
+    motion = sampled_motion(
+        plant.friction * rate_hz / per_sample, plant.stiffness / per_sample, plant.delay, converters
+    )
+    count = _LOOKED_AT * drive.half
+    gone = motion.whole_delay + 2
+    forces, state, before, now, peak = np.zeros(count + gone), np.zeros(2), 0.0, 0.0, 0.0
+    for n in range(count):
+        push, number = 1.0, n // drive.half
+        push -= 0.5 * ((number * _GOLDEN) % 1.0)
+        spring = drive.stiffness * now + drive.damping * rate_hz * (now - before)
+        forces[n + gone] = ((-push if number & 1 else push) - spring) / per_sample
+        newer, older = forces[n + gone - motion.whole_delay], forces[n + gone - motion.whole_delay - 1]
+        seen = float(motion.row @ state) + motion.seen_newer * newer + motion.seen_older * older
+        state = motion.step @ state + motion.newer * newer + motion.older * older
+        before, now = now, seen
+        peak = max(peak, abs(seen))
+    return peak
+
+
+def scene_of(scene: Scene, bounds: Bounds, channel: int, drive: Drive | None, home: float) -> Scene:
+    """The scene's device on this spring and damper at `home` (m), or on nothing: every other channel is left free, the
+    force is limited to what is allowed, nothing is corrected by what is declared, and a mock begins at rest."""
+    modules = {f"device-{point.channel}": point for point in scene.device_points.values()}
+    if drive is not None:
+        held = next(name for name, point in modules.items() if point.channel == channel)
+        spring = ViscoElastic(
+            type="viscoelastic", between=(held, "home"), stiffness=drive.stiffness, damping=drive.damping
+        )
+        around: dict[str, DevicePoint | Ground | ViscoElastic] = {
+            "home": Ground(type="ground", position=home),
+            "spring": spring,
+        }
+        modules = {**modules, **around}  # type: ignore[dict-item]
+    mock = scene.mock or Mock()
+    return scene.model_copy(
+        update={
+            "device": scene.device.model_copy(update={"force_limit": bounds.force, "correction": "none"}),
+            "mock": mock.model_copy(update={"initial": Initial(position=mock.initial.position)}),
+            "modules": modules,
+            "scheme": "cordis",
+            "precision": "double",
+        }
+    )

@@ -1,0 +1,101 @@
+"""What a record shows of the device: positions, the forces that were really sent, and where it moved to one side."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hapsim.loop.ring import BRIDGED, LATE_FORCE, OFF_GRID
+from hapsim.loop.trace import Trace
+from hapsim.measuring.stretches import unbroken
+
+Vector = NDArray[np.float64]
+
+ROUNDING = 1.0 / math.sqrt(12.0)  # counts: standard deviation of rounding to whole ones
+_CERTAIN = 6.0  # standard deviations: a velocity of which the sign is known
+_SLOW = 0.03  # of the largest velocity: what is slower may be about to turn
+_LEAST_ROWS = 8
+_APART = 0.06  # of a swing: much longer than it takes from the least velocity to twice that
+_CLEARLY = 4.0  # times the least velocity, in a swing that counts
+
+
+@dataclass(frozen=True)
+class Motion:
+    """One channel of a record: `position` in counts from where the device was found, `force` in N, row by row."""
+
+    position: Vector
+    force: Vector
+    known: tuple[tuple[int, int], ...]
+    """Index ranges in which every force that acts was recorded."""
+
+
+@dataclass(frozen=True)
+class Swing:
+    """Rows of a motion in which the velocity keeps its sign: `first` to `last` of them, `side` 1 or -1."""
+
+    motion: int
+    first: int
+    last: int
+    side: float
+
+    @property
+    def rows(self) -> int:
+        """How many."""
+        return self.last - self.first
+
+
+def motion_of(trace: Trace, channel: int, home_counts: float, most_delay: float) -> Motion:
+    """`most_delay`: in sample periods; after a gap so many rows are left out, for an unknown force acts in them."""
+    lead = math.ceil(most_delay) + 2
+    known = []
+    for first, last in unbroken(trace, LATE_FORCE | BRIDGED | OFF_GRID):
+        begin = first + lead if first > 0 else first  # before the first row no force acted
+        if last - begin >= _LEAST_ROWS:
+            known.append((begin, last))
+    return Motion(
+        trace.position_counts[:, channel].astype(np.float64) - home_counts,
+        trace.force_counts[:, channel].astype(np.float64) * float(trace.force_scale[channel]),
+        tuple(known),
+    )
+
+
+def swings_of(motions: list[Motion], noise_counts: float) -> list[Swing]:
+    """Where the velocity is known to keep its sign, with a margin on either side. `noise_counts`: of a position, rms;
+    the rounding is added."""
+    noise = math.hypot(noise_counts, ROUNDING)
+    fastest = max((_fastest(motion) for motion in motions), default=0.0)
+    if fastest == 0.0:
+        return []
+    reach = max(1, math.ceil(_CERTAIN * noise / (math.sqrt(2.0) * _SLOW * fastest)))
+    return [swing for i, motion in enumerate(motions) for swing in _swings(i, motion, reach, noise, fastest)]
+
+
+def _fastest(motion: Motion) -> float:
+    """Counts per sample; of short steps the rounding is left out."""
+    steps = [np.abs(velocity(motion.position[first:last], 2)) for first, last in motion.known]
+    return max((float(np.quantile(step, 0.99)) for step in steps if step.size), default=0.0)
+
+
+def velocity(position: Vector, reach: int) -> Vector:
+    """Counts per sample from `reach` rows on either side; so many rows are missing at either end."""
+    return (position[2 * reach :] - position[: -2 * reach]) / (2.0 * reach)
+
+
+def _swings(number: int, motion: Motion, reach: int, noise: float, fastest: float) -> Iterator[Swing]:
+    least = max(_CERTAIN * noise / (math.sqrt(2.0) * reach), _SLOW * fastest)
+    for first, last in motion.known:
+        speed = velocity(motion.position[first:last], reach)
+        for side in (1.0, -1.0):
+            moves = side * speed > least
+            edges = np.flatnonzero(np.diff(moves.astype(np.int8), prepend=0, append=0))
+            for begin, end in edges.reshape(-1, 2):
+                # A velocity is a mean over its rows: only what lies so far inside keeps the sign for sure. And whose
+                # noise had a say in where the swing begins must not be in it, or what is left would not be noise.
+                apart = 1 + math.ceil(_APART * (end - begin))
+                inner = Swing(number, first + begin + 2 * reach + apart, first + end - apart, side)
+                if inner.rows >= _LEAST_ROWS and float(np.max(side * speed[begin:end])) > _CLEARLY * least:
+                    yield inner

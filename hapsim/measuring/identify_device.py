@@ -1,0 +1,329 @@
+"""What a device really is: it is pushed within stated bounds, and mass, friction, stiffness and delay are fitted."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from hapsim.device.open_connection import TransportKind
+from hapsim.errors import GuardError, UsageError
+from hapsim.loop.endings import IN_WORDS, STOPPED
+from hapsim.loop.trace import Trace
+from hapsim.measuring.device_balance import Rough, rough_fit
+from hapsim.measuring.device_excitation import Bounds, Drive, Plant, drive_for, peak_per_newton, scene_of
+from hapsim.measuring.device_fit import DeviceFit, Estimate, fit_device
+from hapsim.measuring.device_misfit import ForceResidual, force_residual, misfit_of
+from hapsim.measuring.device_model import Converters
+from hapsim.measuring.device_motion import Motion, motion_of, swings_of
+from hapsim.measuring.seen_rate import SeenRate, seen_rate
+from hapsim.progress import Progress
+from hapsim.running import Session, run
+from hapsim.scene import Scene
+
+_SHARE_OF_LIMIT = 0.25
+_TRAVEL = 0.005
+SECONDS = 6.0
+"""That are recorded for the fit, where nothing else is said."""
+_LISTEN_S, _LISTEN_TICKS = 0.1, 64
+_GENTLE_HALVES, _GENTLE_TICKS = 12, 384
+_MAY_BE_LIGHTER = 3.0  # the mass, than declared
+_MOVES = 0.35  # of the travel: enough for a fit
+_MEANT = 0.6  # of the travel
+_HARDLY = 0.02  # of the travel
+_A_LITTLE_HARDER, _MUCH_HARDER = 1.25, 3.0
+_SEEN_COUNTS = 200.0  # less motion tells nothing
+_MOST_ATTEMPTS, _MORE_ATTEMPTS = 24, 3
+_MANY_TIMES_DECLARED, _LEAST_DELAY = 3.0, 8.0
+_DRIVES = ((1.0, 0.5), (0.6, 1.0), (1.6, 0.7))  # pace and tightness: three simulated (K, B)
+
+
+@dataclass(frozen=True)
+class DeviceIdentification:
+    """What was found of a device on one channel. SI units, the delay in sample periods."""
+
+    mass: Estimate
+    friction: Estimate
+    stiffness: Estimate
+    delay: Estimate
+    coulomb: Estimate
+    """N, dry friction."""
+    constant_force: Estimate
+    """N: gravity, or an offset of the force."""
+    channel: int
+    bounds: Bounds
+    """Within which it was pushed."""
+    drives: tuple[Drive, ...]
+    """At which simulated stiffness and damping, and how."""
+    peak_m: float
+    """How far it was moved, from where it was found."""
+    rate_hz: float
+    count_m: float
+    """m per count of the position."""
+    samples: int
+    """That the fit used: those of which the velocity keeps its sign."""
+    residual_m: float
+    """rms, of the positions: their rounding and noise where all is well."""
+    misfit: str
+    """A sentence that says where the model does not fit; "" where it does."""
+    stopped: bool
+    """Whether a signal ended it before all was recorded; the values are of what was."""
+    seen_rate: SeenRate | None
+    """At which rate the device sampled, as its positions arrived; None where that does not tell."""
+    fit: DeviceFit = field(repr=False, compare=False)
+    motions: tuple[Motion, ...] = field(repr=False, compare=False)
+    force_residual: ForceResidual = field(repr=False, compare=False)
+    traces: tuple[Trace, ...] = field(repr=False, compare=False)
+
+
+def bounds_of(scene: Scene, force: float | None = None, travel: float | None = None) -> Bounds:
+    """What the device may be given: a quarter of the scene's force limit, and 5 mm to either side, where nothing else
+    is said. UsageError where more than the limit is asked for."""
+    limit = min(scene.device.force_limit, scene.mock_device.force_limit if scene.device.port is None else math.inf)
+    if force is not None and not 0.0 < force <= limit:
+        raise UsageError(f"force: found {force:g} N, expected above 0 N, and at most the force_limit, {limit:g} N")
+    if travel is not None and not 0.0 < travel < math.inf:
+        raise UsageError(f"travel: found {travel:g} m, expected a finite number above 0")
+    return Bounds(_SHARE_OF_LIMIT * limit if force is None else force, _TRAVEL if travel is None else travel)
+
+
+def identify_device(
+    scene: Scene,
+    *,
+    channel: int = 0,
+    force: float | None = None,
+    travel: float | None = None,
+    duration: float | None = None,
+    transport: TransportKind = "auto",
+    on_progress: Callable[[Progress], None] | None = None,
+    stop_on_signals: bool = False,
+) -> DeviceIdentification:
+    """Pushes the device of `scene` on `channel`, whatever the scene simulates, and identifies what it is.
+
+    `force`: N, at most, to either side (left out: a quarter of the scene's force_limit); `travel`: m, at most, from
+    where it is found (left out: 0.005); `duration`: seconds that are recorded for the fit, beside a few seconds that
+    find out how hard to push. It begins with a fraction of the force that the declared mass would need, and pushes
+    harder as it learns how far the device gets. Mass, friction and delay may be declared wrong by a
+    factor of three.
+
+    Raises what `hapsim.running.run` raises, GuardError where the device moved farther than `travel`, and UsageError
+    where too little moves to identify anything, or what moves does not answer to the force.
+    """
+    if channel not in {point.channel for point in scene.device_points.values()}:
+        known = ", ".join(str(point.channel) for point in scene.device_points.values())
+        raise UsageError(f"channel {channel}: the scene has nothing there; its device points are on: {known}")
+    if duration is not None and not 0 < duration < math.inf:
+        raise UsageError(f"duration: found {duration}, expected a finite number of seconds above 0")
+    pusher = _Pusher(scene, channel, bounds_of(scene, force, travel), transport, on_progress, stop_on_signals)
+    with threadpool_limits(1, user_api="blas"):  # as for `identify`: small matrices
+        pusher.find_home()
+        rough = pusher.grow()
+        drives = pusher.record(_plant_of(rough, scene.rate), SECONDS if duration is None else duration)
+        return pusher.identified(drives)
+
+
+class _Pusher:
+    """A device that is pushed within bounds, run after run, and what was recorded of it."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        channel: int,
+        bounds: Bounds,
+        transport: TransportKind,
+        on_progress: Callable[[Progress], None] | None,
+        stop_on_signals: bool,
+    ) -> None:
+        self._scene, self._channel, self._bounds = scene, channel, bounds
+        self._transport, self._tell, self._signals = transport, on_progress or (lambda _: None), stop_on_signals
+        self._converters = Converters(scene.device.hold, scene.device.sampling)
+        self._most_delay = max(_LEAST_DELAY, _MANY_TIMES_DECLARED * scene.device.delay + 1.0)
+        self._home_counts = self._noise_counts = 0.0
+        self._count_m = 1.0
+        self._traces: list[Trace] = []
+        self._stopped = False
+        """Whether a signal ended the last run."""
+
+    def find_home(self) -> None:
+        """Where the device stands at zero force, and how its positions are noisy there."""
+        rate = self._scene.rate
+        trace = self._run(None, max(_LISTEN_S, _LISTEN_TICKS / rate))
+        counts = trace.position_counts[:, self._channel].astype(float)
+        self._count_m = float(trace.position_scale[self._channel])
+        moved = float(np.ptp(counts)) * self._count_m if counts.size else 0.0
+        if self._stopped or counts.size < _LISTEN_TICKS // 2:
+            raise UsageError("stopped before the device was pushed: nothing was identified")
+        if moved > self._bounds.travel:
+            raise GuardError(
+                f"without any force the device moved by {1e3 * moved:.3g} mm, farther than the "
+                f"{1e3 * self._bounds.travel:g} mm that it may: it was not pushed. Let it rest, or hold it, and try "
+                "again"
+            )
+        self._home_counts = float(np.median(counts))
+        self._noise_counts = float(np.std(np.diff(counts, 2))) / math.sqrt(6.0)
+
+    def grow(self) -> Rough:
+        """Pushes ever harder until the device moves enough for a first fit."""
+        scene, bounds = self._scene, self._bounds
+        declared = Plant(scene.device.masses(scene.channels)[self._channel], 0.0, 0.0, scene.device.delay)
+        full = drive_for(declared, bounds, scene.rate, pace=1.0, tightness=0.5)
+        steepest = _MAY_BE_LIGHTER * peak_per_newton(declared, full, scene.rate, self._converters)
+        force, peak = min(full.force, _MOVES * bounds.travel / steepest), 0.0
+        before: tuple[float, float] | None = None
+        for _ in range(_MOST_ATTEMPTS):
+            drive = replace(full, force=force)
+            trace = self._pushed(drive, max(_GENTLE_HALVES * drive.half, _GENTLE_TICKS) / scene.rate)
+            peak = self._peak(trace)
+            if self._stopped:
+                raise UsageError("stopped before enough was recorded: nothing was identified")
+            if peak > _MOVES * bounds.travel or force >= full.force:
+                break
+            slope = steepest if before is None else (peak - before[1]) / (force - before[0])
+            before = (force, peak) if peak > _HARDLY * bounds.travel else None
+            force = min(full.force, self._harder(force, peak, slope))
+        if peak < _SEEN_COUNTS * self._count_m:
+            raise UsageError(
+                f"pushed with {force:.3g} N the device moved by {1e6 * peak:.3g} µm, which is too little to identify "
+                "anything: it is held, stuck by dry friction, or much heavier than declared. Let it move freely, or "
+                "allow more with --force"
+            )
+        motions = [self._motion(trace)]
+        swings = swings_of(motions, self._noise_counts)
+        rough = rough_fit(motions, swings, self._count_m, self._converters, self._most_delay)
+        return self._require_sound(rough)
+
+    def record(self, plant: Plant, duration: float) -> tuple[Drive, ...]:
+        """Records the device at several simulated (K, B), as far as it may be moved; with which ones."""
+        drives = []
+        for pace, tightness in _DRIVES:
+            drive = drive_for(plant, self._bounds, self._scene.rate, pace=pace, tightness=tightness)
+            far = peak_per_newton(plant, drive, self._scene.rate, self._converters)
+            drive = replace(drive, force=min(drive.force, _MEANT * self._bounds.travel / far))
+            drive, trace = self._hard_enough(drive, far, duration / len(_DRIVES))
+            self._traces.append(trace)
+            drives.append(drive)
+            if self._stopped:
+                break
+        return tuple(drives)
+
+    def _hard_enough(self, drive: Drive, slope: float, duration: float) -> tuple[Drive, Trace]:
+        """A run under this drive; once more, pushed harder, where dry friction kept the device from moving. `slope`: m
+        that another newton adds where nothing is dry."""
+        trace = self._pushed(drive, duration)
+        for _ in range(_MORE_ATTEMPTS):
+            peak, most = self._peak(trace), self._bounds.push
+            if self._stopped or peak > _MOVES * self._bounds.travel or drive.force >= most:
+                break
+            drive = replace(drive, force=min(most, self._harder(drive.force, peak, slope)))
+            trace = self._pushed(drive, duration)
+        return drive, trace
+
+    def _harder(self, force: float, peak: float, slope: float) -> float:
+        """N, with which the device gets as far as is meant where each further one takes it `slope` m farther. Where it
+        hardly moved a dry friction is in the way, or a large mass: then a quarter more at least."""
+        wanted = force + max(_MEANT * self._bounds.travel - peak, 0.0) / max(slope, 1e-300)
+        stuck = peak < _HARDLY * self._bounds.travel
+        return max(wanted, _A_LITTLE_HARDER * force) if stuck else min(wanted, _MUCH_HARDER * force)
+
+    def identified(self, drives: tuple[Drive, ...]) -> DeviceIdentification:
+        """The fit over all that was recorded."""
+        rate, count_m = self._scene.rate, self._count_m
+        motions = [self._motion(trace) for trace in self._traces]
+        swings = swings_of(motions, self._noise_counts)
+        start = self._require_sound(rough_fit(motions, swings, count_m, self._converters, self._most_delay))
+        fit = fit_device(motions, swings, start, count_m, rate, self._converters)
+        lacking = force_residual(motions, fit, self._noise_counts, count_m, rate, self._converters)
+        return DeviceIdentification(
+            mass=fit.mass,
+            friction=fit.friction,
+            stiffness=fit.stiffness,
+            delay=fit.delay,
+            coulomb=fit.coulomb,
+            constant_force=fit.constant_force,
+            channel=self._channel,
+            bounds=self._bounds,
+            drives=drives,
+            peak_m=max(self._peak(trace) for trace in self._traces),
+            rate_hz=rate,
+            count_m=count_m,
+            samples=fit.rows,
+            residual_m=fit.residual_counts * count_m,
+            misfit=misfit_of(fit, lacking, self._noise_counts),
+            stopped=self._stopped,
+            seen_rate=seen_rate(max(self._traces, key=lambda trace: trace.sample.size)),
+            fit=fit,
+            motions=tuple(motions),
+            force_residual=lacking,
+            traces=tuple(self._traces),
+        )
+
+    def _motion(self, trace: Trace) -> Motion:
+        return motion_of(trace, self._channel, self._home_counts, self._most_delay)
+
+    def _require_sound(self, rough: Rough | None) -> Rough:
+        if rough is None:
+            raise UsageError(
+                "too little motion was recorded to identify the device: let it move freely, record longer, or allow "
+                "more with --force and --travel"
+            )
+        if not rough.mass > 0.0:
+            raise UsageError(
+                "the device does not move the way it is pushed: its force or its position has the wrong sign, or "
+                "something else moves it. `hapsim probe PORT --push N` tells which"
+            )
+        return rough
+
+    def _pushed(self, drive: Drive, duration: float) -> Trace:
+        """A run under this drive. GuardError where the device moved farther than it may."""
+        trace = self._run(drive, duration)
+        peak = self._peak(trace)
+        if peak > self._bounds.travel:
+            error = GuardError(
+                f"the device moved {1e3 * peak:.3g} mm from where it was found, farther than the "
+                f"{1e3 * self._bounds.travel:g} mm that it may, pushed with {drive.force:.3g} N on a simulated "
+                f"{drive.stiffness:.3g} N/m: nothing more was tried. Its mass may be much less than declared, a hand "
+                "may have moved it, or its force may have the wrong sign; --travel allows more"
+            )
+            error.trace = trace
+            raise error
+        return trace
+
+    def _run(self, drive: Drive | None, duration: float) -> Trace:
+        """A run, ended where the device is seen too far away."""
+        home = self._home_counts * self._count_m
+        sessions: list[Session] = []
+
+        too_far = False
+
+        def watch(progress: Progress) -> None:
+            nonlocal too_far
+            self._tell(progress)
+            if drive is None or not sessions or progress.phase != "running":
+                return
+            if abs(progress.position[self._channel] - home) > self._bounds.travel:
+                too_far = True
+                sessions[0].stop()
+
+        trace = run(
+            scene_of(self._scene, self._bounds, self._channel, drive, home),
+            duration=duration,
+            transport=self._transport,
+            excitation=None if drive is None else drive.excitation(self._channel),
+            on_progress=watch,
+            on_start=sessions.append,
+            stop_on_signals=self._signals,
+        )
+        self._stopped = trace.report.ending == IN_WORDS[STOPPED] and not too_far
+        return trace
+
+    def _peak(self, trace: Trace) -> float:
+        """m, how far from home."""
+        counts = trace.position_counts[:, self._channel] - self._home_counts
+        return float(np.max(np.abs(counts), initial=0.0)) * self._count_m
+
+
+def _plant_of(rough: Rough, rate: float) -> Plant:
+    return Plant(rough.mass / rate**2, max(rough.friction / rate, 0.0), max(rough.stiffness, 0.0), rough.delay)

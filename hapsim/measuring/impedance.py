@@ -1,0 +1,185 @@
+"""The driving-point impedance of a running loop, identified from what was recorded of periodic excitations.
+
+An excitation e is added to the scene's force a; f = a + e acts, late and held, on the real mass, and the device reads
+the position y. Of these three alone, frequency by frequency and, of several channels, from one experiment for each:
+
+* device:       f over the velocity. The real mass, friction and spring, as the loop sees them.
+* rendered:    -a over the velocity. What the sampled, held and late scene presents at the device point.
+* closed loop:  e over the velocity, the sum of the two. What meets an additional force of the loop.
+
+The velocity is 2 pi j f y. Each force counts as it acts on the mass: of a held force the part at its own frequency,
+late by the device's delay. How the device holds and delays is what it declares; the positions show when that is wrong,
+for then the device is not its mass, friction and spring.
+
+It never sees a prediction, nor what is in the scene.
+
+How certain: the ratio over the periods' means (Pintelon and Schoukens, *System Identification: A Frequency Domain
+Approach*, 2012, §2.4 to §2.5), the residual of each pair of periods giving the variance, in which what disturbs
+position and force alike cancels. To that is added the rounding of the positions to counts as if it were the same in
+every period, which no mean makes smaller.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from hapsim.errors import UsageError
+from hapsim.measuring.spectra import Complexes, Floats, Periods
+
+CONFIDENCE = 0.999
+"""That the true values lie within their circles, at all frequencies and of all channels together."""
+
+LEAST_PERIODS = 4
+
+_OVERLAP = 1.5
+"""By how much more the mean of overlapping pairs of periods is uncertain than that of so many independent ones: Hann's
+windows, half overlapping, are correlated by a sixth, which makes 4/3; the scatter shows a little less than there is."""
+
+
+class Circles(NamedTuple):
+    """Values (n, C, C) in N·s/m, [:, i, j] the force on channel i over the velocity of channel j while the others are
+    held, and the radii of the circles about them that hold the true values, all of them together with 99.9 %."""
+
+    value: Complexes
+    uncertainty: Floats
+
+
+@dataclass(frozen=True)
+class Impedance:
+    """What was measured at n frequencies, Hz (n,), on C channels: see the top of this file."""
+
+    frequency: Floats
+    device: Circles
+    rendered: Circles
+    closed_loop: Circles
+    periods: tuple[int, ...]
+    """How many pairs of periods, each overlapping the next, count of each experiment."""
+
+
+@dataclass(frozen=True)
+class Loop:
+    """What a device declares of itself, by which a computed force becomes one that acts on its mass."""
+
+    rate: float
+    """Hz."""
+    delay: float
+    """Sample periods."""
+    impulse: bool
+    """Whether a force strikes once, in place of being held."""
+    averaged: bool
+    """Whether a reading is the mean over the sample period before it."""
+
+    def over_velocity(self, frequency: Floats) -> Complexes:
+        """(n,) by what a computed force over a position that is read becomes one that acts, over the velocity."""
+        angle = 2.0 * np.pi * frequency / self.rate
+        window = np.exp(-0.5j * angle) * np.sinc(0.5 * angle / np.pi)
+        windows = (not self.impulse) + self.averaged
+        return np.asarray(window**windows * np.exp(-1j * self.delay * angle) / (2j * np.pi * frequency))
+
+
+def impedance_of(loop: Loop, frequency: Floats, experiments: Sequence[Periods]) -> Impedance:
+    """The impedances from one experiment for each channel, the excitation on the first channel first.
+
+    Raises:
+        UsageError: too few periods, or motions that do not tell the channels apart.
+    """
+    settled = [one.after(settling(one, c).first) for c, one in enumerate(experiments)]
+    position, scene, force = (
+        np.stack([np.mean(getattr(one, name), axis=0) for one in settled], axis=-1)  # (n, C, experiments)
+        for name in ("position", "scene", "force")
+    )
+    try:
+        inverse = np.linalg.inv(position)
+    except np.linalg.LinAlgError:
+        raise UsageError("the excitations did not move every channel: there is nothing to be measured") from None
+    through = loop.over_velocity(frequency)[:, None, None]
+    device, rendered = force @ inverse, -scene @ inverse
+    closed_loop = device + rendered
+    # What a rounding of the positions does to the scene's force is the scene's doing, and no error of what it renders.
+    counted = [_rounded(one, device) for one in settled]
+    computed = [one.rounded_scene + (0.0 if one.by_position else _rounded(one, rendered)) for one in settled]
+    unseen = (counted, computed, [a + b for a, b in zip(counted, computed, strict=True)])
+    forces = ([one.force for one in settled], [-one.scene for one in settled])
+    both = [a + b for a, b in zip(*forces, strict=True)]
+    circles = [
+        Circles(value * through, np.abs(through) * _radius(settled, of, value, inverse, more))
+        for value, of, more in zip((device, rendered, closed_loop), (*forces, both), unseen, strict=True)
+    ]
+    used = tuple(one.position.shape[0] for one in settled)
+    return Impedance(frequency, circles[0], circles[1], circles[2], used)
+
+
+def _rounded(periods: Periods, ratio: Complexes) -> Floats:
+    """(n, C) complex variance of the forces that the positions' rounding stands for, at so many N/m."""
+    return np.asarray(np.abs(ratio) ** 2 @ periods.rounded_position)
+
+
+def _radius(
+    settled: Sequence[Periods],
+    forces: Sequence[Complexes],
+    ratio: Complexes,
+    inverse: Complexes,
+    unseen: Sequence[Floats],
+) -> Floats:
+    """(n, C, C) of the circles about ``ratio``, of the forces (P, n, C) over the positions, in N/m.
+
+    ``unseen``: of each experiment a complex variance (n, C) of the forces that the scatter between periods need not
+    show.
+    """
+    outside = (1.0 - CONFIDENCE) / ratio.size  # of each circle, Bonferroni
+    total = np.zeros(ratio.shape)
+    for d, (one, force) in enumerate(zip(settled, forces, strict=True)):
+        count = one.position.shape[0]
+        scatter = _OVERLAP * _variance(force - np.einsum("nij,pnj->pni", ratio, one.position)) / count
+        squared = _quantile(count, outside) * scatter - math.log(outside) * unseen[d]
+        total += squared[:, :, None] * np.abs(inverse[:, d, :])[:, None, :] ** 2
+    return np.sqrt(total)
+
+
+def _quantile(count: int, outside: float) -> float:
+    """What a complex mean of so many, squared, exceeds with the probability ``outside``, over its estimated variance:
+    of F with 2 and 2 (count - 1) degrees of freedom, in closed form."""
+    return (count - 1) * (outside ** (-1.0 / (count - 1)) - 1.0)
+
+
+class Settling(NamedTuple):
+    """How many periods to leave out at the beginning, while what was before dies away, so that the mean of the rest is
+    as certain as can be; and how uncertain the device's impedance then is, the radius relative, in the median."""
+
+    first: int
+    scatter: float
+
+
+def settling(periods: Periods, channel: int) -> Settling:
+    """Of an experiment that excites this channel.
+
+    Raises:
+        UsageError: there are too few periods.
+    """
+    count = periods.position.shape[0]
+    if count < LEAST_PERIODS + 1:
+        raise UsageError(
+            f"only {count} periods of the excitation were recorded whole, expected {LEAST_PERIODS + 1} or more: "
+            "measure for longer with --duration; where positions are lost, `hapsim doctor` tells which rates are kept"
+        )
+    found = []
+    for first in range(1, count - LEAST_PERIODS + 1):
+        rest = periods.after(first)
+        force, position = rest.force[:, :, [channel]], rest.position[:, :, [channel]]
+        ratio = np.mean(force, axis=0) / np.mean(position, axis=0)
+        variance = _OVERLAP * _variance(force - ratio * position)[:, 0] / (count - first)
+        variance *= _quantile(count - first, (1.0 - CONFIDENCE) / ratio.size)
+        share = np.sqrt(variance) / np.abs(np.mean(force, axis=0)[:, 0])
+        found.append(Settling(first, float(np.median(share))))
+    return min(found, key=lambda one: one.scatter)
+
+
+def _variance(residual: Complexes) -> Floats:
+    """(n, C) complex variance of one period's (P, n, C)."""
+    centred = residual - np.mean(residual, axis=0)
+    return np.asarray(np.sum(np.abs(centred) ** 2, axis=0) / (residual.shape[0] - 1))

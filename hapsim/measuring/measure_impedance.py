@@ -1,0 +1,203 @@
+"""Exciting a device with multisines, one channel after the other, and identifying the impedances of its loop."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from hapsim.device.open_connection import TransportKind
+from hapsim.errors import UsageError
+from hapsim.loop.trace import Trace
+from hapsim.measuring.impedance import LEAST_PERIODS, Impedance, Loop, impedance_of, settling
+from hapsim.measuring.multisine import Lines, lines_for, multisine
+from hapsim.measuring.seen_rate import SeenRate, seen_rate
+from hapsim.measuring.spectra import Floats, Periods, periods_of
+from hapsim.progress import Progress
+from hapsim.running import PeriodicExcitation, run
+from hapsim.scene import Ground, Scene, ViscoElastic
+
+SHARE_OF_LIMIT = 0.25
+"""Of the force limit, that an excitation's peak has at most."""
+TRAVEL_M = 0.001
+"""That a device point moves at most, about: excitations are made smaller where it would move farther."""
+
+STOPPED = "stopped"  # as a report says it
+
+_PERIODS, _MORE = 14, 4  # so many times as many where what was before has hardly died away
+_UNCERTAIN = 0.01  # of the device's impedance, in the median: then more periods are worth their time
+_SOFT_PERIODS, _SOFT = 5, 0.125  # of the first excitation, which finds how far a force moves what
+_FEW_COUNTS = 20.0  # of travel: the rounding is no longer like noise
+
+
+@dataclass(frozen=True)
+class MeasuredImpedance(Impedance):
+    """What was measured, on which channels, and by what."""
+
+    channels: tuple[int, ...] = ()
+    """(C,) as the scene numbers them."""
+    period_s: float = math.nan
+    peak_force: tuple[float, ...] = ()
+    """(C,) N, of each channel's excitation."""
+    travel: tuple[float, ...] = ()
+    """(C,) m, from one end to the other, of the channel that was excited."""
+    lost_periods: int = 0
+    """Periods that were left out because positions of them never came."""
+    limited_samples: int = 0
+    """Samples whose force was cut to its limit."""
+    seen_rate: SeenRate | None = None
+    """At which rate the device sampled, as its positions arrived; None where that does not tell."""
+    traces: tuple[Trace, ...] = field(default=(), repr=False, compare=False)
+    """(C,) what it was read from."""
+
+
+def measure_impedance(
+    scene: Scene,
+    *,
+    duration: float | None = None,
+    travel: float = TRAVEL_M,
+    transport: TransportKind = "auto",
+    on_progress: Callable[[Progress], None] | None = None,
+    stop_on_signals: bool = False,
+) -> MeasuredImpedance:
+    """The driving-point impedances of `scene` at its device points, from 2 Hz to close below the Nyquist frequency.
+
+    Each channel in turn is excited by a multisine that is added to the scene's force: softly at first, which tells how
+    far each frequency moves it, then so that it moves by about `travel` (m) at most, with at most a quarter of the
+    force limit. `duration`: seconds of each channel's second excitation. Where something in the scene is not linear,
+    the impedance is that about the motion to which it was excited.
+
+    Raises what `hapsim.running.run` raises, and UsageError where too little moves, or too little was recorded.
+    """
+    lines = lines_for(scene.rate)
+    periods = _whole_periods(duration, lines)
+    if not 0 < travel < math.inf:
+        raise UsageError(f"travel: found {travel}, expected a finite number of metres above 0")
+    channels = tuple(point.channel for point in scene.device_points.values())
+    if not channels:
+        raise UsageError("the scene has no device point: there is nothing at which an impedance could be measured")
+
+    def excited(channel: int, forces: Floats, count: int) -> Trace:
+        trace = run(
+            scene,
+            duration=count * lines.period_s,
+            transport=transport,
+            excitation=PeriodicExcitation(channel, forces),
+            on_progress=on_progress,
+            stop_on_signals=stop_on_signals,
+        )
+        if trace.report.ending == STOPPED:
+            raise UsageError("stopped before everything was excited: an impedance takes whole periods of every channel")
+        return trace
+
+    traces, experiments, peaks, moved = [], [], [], []
+    for channel in channels:
+        soft = _soft_forces(scene, lines, channel, travel)
+        answer = _periods(excited(channel, soft, _SOFT_PERIODS), lines, scene)
+        forces = _forces(scene, lines, answer, channels.index(channel), travel)
+        peaks.append(float(np.max(np.abs(forces))))
+        trace = excited(channel, forces, periods)
+        moved.append(_travel(trace, lines, channel, peaks[-1]))
+        experiment = _periods(trace, lines, scene)
+        if duration is None and settling(experiment, channels.index(channel)).scatter > _UNCERTAIN:
+            trace = excited(channel, forces, _MORE * periods)
+            experiment = _periods(trace, lines, scene)
+        traces.append(trace)
+        experiments.append(experiment)
+    loop = Loop(scene.rate, scene.device.delay, scene.device.hold == "impulse", scene.device.sampling == "average")
+    found = impedance_of(loop, lines.frequency, experiments)
+    return MeasuredImpedance(
+        **vars(found),
+        channels=channels,
+        period_s=lines.period_s,
+        peak_force=tuple(peaks),
+        travel=tuple(moved),
+        lost_periods=sum(one.lost for one in experiments),
+        limited_samples=sum(one.limited for one in experiments),
+        seen_rate=seen_rate(traces[0]),
+        traces=tuple(traces),
+    )
+
+
+def _whole_periods(duration: float | None, lines: Lines) -> int:
+    """How many periods of the excitation there are in so many seconds; enough of them for None."""
+    if duration is None:
+        return _PERIODS
+    if not 0 < duration < math.inf:
+        raise UsageError(f"duration: found {duration}, expected a finite number of seconds above 0")
+    periods, fewest = math.floor(duration / lines.period_s * (1.0 + 1e-9)), LEAST_PERIODS + 2
+    if periods < fewest:
+        raise UsageError(
+            f"duration: found {duration:g} s, expected {fewest * lines.period_s:g} s or more: {fewest} periods of the "
+            "excitation"
+        )
+    return periods
+
+
+def _periods(trace: Trace, lines: Lines, scene: Scene) -> Periods:
+    """Of the scene's channels alone, in its order."""
+    channels = [point.channel for point in scene.device_points.values()]
+    if not np.all(np.isfinite(trace.asked_force)):
+        raise UsageError("the scene's force was not finite throughout: there is nothing to be measured")
+    impulse, senses = scene.device.hold == "impulse", bool(scene.sensed_links)
+    return periods_of(trace, lines, impulse=impulse, senses=senses).on(channels)
+
+
+def _force_limit(scene: Scene) -> float:
+    """N, of the scene and of the mock where that is the device."""
+    limit = scene.device.force_limit
+    return limit if scene.device.port is not None else min(limit, scene.mock_device.force_limit)
+
+
+def _soft_forces(scene: Scene, lines: Lines, channel: int, travel: float) -> Floats:
+    """By what the device's mass alone would do: what holds it is not known yet."""
+    inertia = scene.device.masses(scene.channels)[channel] * (2.0 * np.pi * lines.frequency) ** 2
+    most = SHARE_OF_LIMIT * _force_limit(scene)
+    amplitude = np.minimum(lines.each(most), lines.each(0.5 * travel) * inertia)
+    return multisine(lines, _SOFT * amplitude, _SOFT * most)
+
+
+def _forces(scene: Scene, lines: Lines, answer: Periods, excited: int, travel: float) -> Floats:
+    """As strong at each frequency as the travel, and the force, allow: from what the soft excitation moved."""
+    if answer.position.shape[0] == 0:
+        raise UsageError(
+            "no period of the first excitation was recorded whole: positions are lost; `hapsim doctor` tells which "
+            "rates are kept"
+        )
+    last = answer.after(max(0, answer.position.shape[0] - 3))
+    force = np.abs(np.mean(last.force - last.scene, axis=0)[:, excited])
+    position = np.max(np.abs(np.mean(last.position, axis=0)), axis=1)
+    most = SHARE_OF_LIMIT * _force_limit(scene)
+    with np.errstate(divide="ignore"):
+        amplitude = np.minimum(lines.each(most), lines.each(0.5 * travel) * force / position)
+    return multisine(lines, amplitude, most)
+
+
+def _travel(trace: Trace, lines: Lines, channel: int, peak: float) -> float:
+    """m, from one end to the other in the last period. UsageError where that is next to nothing."""
+    counts = trace.position_counts[-lines.samples :, channel].astype(float)
+    moved, count = float(np.ptp(counts)) if counts.size else 0.0, float(trace.position_scale[channel])
+    if moved < _FEW_COUNTS:
+        raise UsageError(
+            f"channel {channel}: an excitation of {peak:.3g} N at most moved it by {moved:g} counts of {count:g} m, "
+            f"expected {_FEW_COUNTS:g} counts or more: the rounding hides its motion. Allow more force (force_limit; a "
+            "quarter of it is used), or more travel, or use a finer position sensor"
+        )
+    return moved * count
+
+
+def walls_in_place(scene: Scene, walls: Mapping[int, tuple[float, float]]) -> Scene:
+    """The device of `scene` with a wall on each of these channels, (N/m, N·s/m), in place of all that the scene has."""
+    modules: dict[str, Any] = dict(scene.device_points)
+    for name, point in scene.device_points.items():
+        if point.channel in walls:
+            stiffness, damping = walls[point.channel]
+            ends = (name, f"{name}-ground")
+            modules[ends[1]] = Ground(type="ground")
+            modules[f"{name}-wall"] = ViscoElastic(
+                type="viscoelastic", between=ends, stiffness=stiffness, damping=damping
+            )
+    return scene.model_copy(update={"modules": modules})

@@ -1,0 +1,173 @@
+"""What a scene's loop is at its device points, frequency by frequency, before it runs; and the device's Z-width."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hapsim.prediction.correction import Rendering, rendered
+from hapsim.prediction.hands import configuration_of, network_of, why_coupled
+from hapsim.prediction.linear import linear_scene
+from hapsim.scene import Scene
+from hapsim.theory import Configuration, Network, NotWorkedOutError
+from hapsim.theory.arrays import Complexes, Floats
+from hapsim.theory.correction import PredictedLoop, state_predictor
+from hapsim.theory.hand.walls import StiffestWall, stiffest_passive, stiffest_stable
+from hapsim.theory.network.impedance import desired_impedance, loop_impedance
+
+
+@dataclass(frozen=True)
+class PredictedImpedance:
+    """Driving-point impedances (n, C, C), N·s/m, at frequencies (n,) in Hz: the force on a device point over the
+    velocity of another while the others are held. ``theory/network/impedance.py`` defines each."""
+
+    names: tuple[str, ...]
+    """(C,) of the device points, in the scene's order."""
+    frequency: Floats
+    desired: Complexes
+    """The scene in continuous time; no device in it."""
+    device: Complexes
+    """The real mass, friction and spring as the loop sees them."""
+    ideal_device: Complexes
+    """m s + b0 + k0/s of each."""
+    rendered: Complexes
+    """What the sampled, held and late scene presents."""
+    assumptions: tuple[str, ...]
+    """Sentences: what was taken for linear."""
+
+    @property
+    def closed_loop(self) -> Complexes:
+        """What an additional force of the loop meets."""
+        return self.device + self.rendered
+
+
+def predict_impedance(scene: Scene, frequency: ArrayLike) -> PredictedImpedance:
+    """The impedances at the device points of `scene`; NaN from the Nyquist frequency on.
+
+    With a correction, rendered is what is run in place of the scene, and desired the scene. A large scene whose scheme
+    is not worked out has CORDIS's in its place, which its assumptions say.
+    """
+    f = np.asarray(frequency, dtype=float)
+    rendering = rendered(scene)
+    run = rendering.scene
+    linear = linear_scene(run)
+    network, _ = network_of(run, linear)
+    assumptions = list(linear.assumptions)
+    try:
+        loop = loop_impedance(network, f)
+    except NotWorkedOutError as reason:
+        assumptions.append(f"the masses are taken to move by CORDIS's scheme: {reason}")
+        loop = loop_impedance(replace(network, scheme="cordis"), f)
+    if rendering.kind is not None and rendering.kind.predicts:
+        loop = loop._replace(rendered=_of_predictors(rendering, f))
+        if np.isnan(loop.rendered).any(axis=(1, 2)).all():
+            assumptions.append(
+                "what a predictor renders is worked out for hands whose links end on grounds and a device without a "
+                "velocity sensor, not here"
+            )
+    s = 2j * np.pi * f[:, None]
+    real = network.channel_mass * s + network.channel_friction + network.channel_stiffness / s
+    return PredictedImpedance(
+        names=tuple(scene.device_points),
+        frequency=f,
+        desired=desired_impedance(network_of(scene, linear_scene(scene))[0], f),
+        device=loop.device,
+        ideal_device=real[:, :, None] * np.eye(network.channel_mass.size),
+        rendered=loop.rendered,
+        assumptions=tuple(assumptions),
+    )
+
+
+def _of_predictors(rendering: Rendering, frequency: Floats) -> Complexes:
+    """(n, C, C): what lone hands meet whose force answers a predicted state, an estimate of the mass having settled."""
+    scene = rendering.desired
+    names = list(scene.device_points)
+    found = np.zeros((frequency.size, len(names), len(names)), dtype=complex)
+    linear = linear_scene(scene)
+    if scene.sensed_links or any(why_coupled(scene, linear, name) for name in names):
+        return np.full_like(found, np.nan)
+    for port in rendering.ports:
+        model = replace(port.declared, mass=port.made_for)
+        at = names.index(port.name)
+        found[:, at, at] = PredictedLoop(port.declared, state_predictor(model)).impedance(*port.rendered, frequency)
+    return found
+
+
+@dataclass(frozen=True)
+class ZWidth:
+    """What a device can render, from itself alone to its stiffest wall K/s + B (Colgate and Brown, 1994): at
+    frequencies (n,) in Hz, in dB, 20 log10 of the larger of both impedances' sizes over the device's."""
+
+    frequency: Floats
+    wall: StiffestWall
+    width_db: Floats
+    """(n,)"""
+
+    @property
+    def mean_db(self) -> float:
+        """One figure: the mean over the logarithm of the frequency."""
+        return mean_width(self.frequency, self.width_db)
+
+    def decades(self) -> list[tuple[float, float, float]]:
+        """(from, to, mean in dB) of each decade of the frequencies."""
+        return decades_of(self.frequency, self.width_db)
+
+
+def z_width_of(scene: Scene, channel: int, frequency: ArrayLike) -> dict[str, ZWidth]:
+    """The Z-width of the device's channel as the scene describes it: "passive", to the stiffest wall that no hand makes
+    unstable, and "stable", to the stiffest that is stable with the declared mass. Without "passive" where that is not
+    derived for the device's hold and sampling."""
+    configuration = configuration_of(scene, channel)
+    f = np.asarray(frequency, dtype=float)
+    walls = {"stable": stiffest_stable(configuration)}
+    with contextlib.suppress(ValueError):
+        walls = {"passive": stiffest_passive(configuration)} | walls
+    return {name: _width(configuration, wall, f) for name, wall in walls.items()}
+
+
+def _width(configuration: Configuration, wall: StiffestWall, frequency: Floats) -> ZWidth:
+    c = configuration
+    network = Network(
+        rate=c.rate,
+        channel_mass=np.array([c.mass]),
+        channel_friction=np.array([c.friction]),
+        delay=c.delay,
+        hold=c.hold,
+        sampling=c.sampling,
+        point_mass=np.empty(0),
+        ends=np.array([[0, -1]]),
+        stiffness=np.array([wall.stiffness]),
+        damping=np.array([wall.damping]),
+        channel_stiffness=np.array([c.stiffness]),
+    )
+    loop = loop_impedance(network, frequency)
+    return ZWidth(frequency, wall, width_db(loop.device[:, 0, 0], loop.closed_loop[:, 0, 0]))
+
+
+def width_db(device: Complexes, with_wall: Complexes) -> Floats:
+    """(n,) dB: the Z-width at each frequency, of the device alone and of what holds the wall."""
+    return np.asarray(20.0 * np.log10(np.maximum(np.abs(with_wall) / np.abs(device), 1.0)))
+
+
+def mean_width(frequency: Floats, width: Floats) -> float:
+    """dB: the mean over the logarithm of the frequency."""
+    if frequency.size < 2:
+        return math.nan
+    along = np.log(frequency)
+    return float(np.trapezoid(width, along) / (along[-1] - along[0]))
+
+
+def decades_of(frequency: Floats, width: Floats) -> list[tuple[float, float, float]]:
+    """(from, to, mean in dB) of each decade."""
+    first, last = math.floor(math.log10(frequency[0])), math.ceil(math.log10(frequency[-1]))
+    found = []
+    for decade in range(first, last):
+        inside = (frequency >= 10.0**decade) & (frequency <= 10.0 ** (decade + 1))
+        if np.count_nonzero(inside) >= 2:
+            f = frequency[inside]
+            found.append((float(f[0]), float(f[-1]), mean_width(f, width[inside])))
+    return found

@@ -1,0 +1,144 @@
+"""Other values for the device of a scene's file, and nothing else of the file changed: not a comment, not a space.
+
+The YAML nodes tell where each value stands, and only there the text is replaced. (A writer of YAML would write the
+whole file anew, and align nothing.) Whether the new text says what was meant is then read from it.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+
+import yaml
+
+from hapsim.errors import SceneError, UsageError
+
+from .load import parse_scene
+from .quantity import per_channel
+from .scene import Scene
+from .syntax import compose
+
+_PER_CHANNEL = ("mass", "friction", "stiffness")
+
+
+def rewrite_device(path: str, values: Mapping[str, str], channel: int) -> None:
+    """Writes `values`, numbers as text by keys of `device`, into a scene's file; where channels may differ, for
+    `channel` alone. The file is replaced as a whole, or stays as it is.
+
+    Raises:
+        UsageError: the file cannot be written, is no scene any more, or says these values in a way (an anchor, a merge)
+            in which they cannot be changed without changing something else.
+    """
+    place = Path(os.path.realpath(path))
+    require_rewritable(path)
+    text = place.read_bytes().decode("utf-8")
+    _replace_file(place, device_rewritten(text, values, channel, path))
+
+
+def require_rewritable(path: str) -> None:
+    """UsageError where the file could not be written: better before a run than after it."""
+    place = Path(os.path.realpath(path))
+    if not os.access(place, os.W_OK) or not os.access(place.parent, os.W_OK):
+        raise UsageError(f"{path}: this file cannot be written; check its permissions and those of its directory")
+
+
+def device_rewritten(text: str, values: Mapping[str, str], channel: int, name: str = "<scene>") -> str:
+    """The text with these values. Raises as `rewrite_device`; `name`: what errors call the text."""
+    before = parse_scene(text, name)
+    wanted = {key: _with_channel(before, key, value, channel) for key, value in values.items()}
+    expected = before.model_copy(update={"device": before.device.model_copy(update=wanted)})
+    after = _spliced(text, values, before, channel)
+    try:
+        if after is not None and parse_scene(after, name).model_dump() == expected.model_dump():
+            return after
+    except SceneError:
+        pass
+    told = ", ".join(f"{key}: {value}" for key, value in values.items())
+    raise UsageError(
+        f"{name}: nothing was written: its device section says a value by an anchor or a merge, which stands for other "
+        f"places too. Write it yourself, under device: {told}"
+    )
+
+
+def _with_channel(scene: Scene, key: str, value: str, channel: int) -> object:
+    """What the scene's device is to have under `key`."""
+    if key not in _PER_CHANNEL or (scene.channels == 1 and not isinstance(getattr(scene.device, key), tuple)):
+        return float(value)
+    each = list(per_channel(getattr(scene.device, key), scene.channels))
+    each[channel] = float(value)
+    return tuple(each)
+
+
+def _spliced(text: str, values: Mapping[str, str], scene: Scene, channel: int) -> str | None:
+    """The text with the values in their places; None where a place is not to be found."""
+    root = compose(text)
+    device = _entry(root, "device")
+    mass = _entry(device, "mass")
+    if not isinstance(device, yaml.MappingNode) or mass is None:
+        return None
+    edits: list[tuple[int, int, str]] = []
+    for key, value in values.items():
+        node = _entry(device, key)
+        if node is None:
+            edits.append(_inserted(text, device, mass, f"{key}: {_as_list(scene, key, value, channel)}"))
+        elif isinstance(node, yaml.SequenceNode) and channel < len(node.value):
+            edits.append(_replaced(text, node.value[channel], value))
+        else:
+            edits.append(_replaced(text, node, _as_list(scene, key, value, channel)))
+    for begin, end, new in sorted(edits, key=lambda edit: edit[0], reverse=True):
+        text = text[:begin] + new + text[end:]
+    return text
+
+
+def _entry(mapping: yaml.Node | None, key: str) -> yaml.Node | None:
+    """The value that a mapping has of its own under `key`."""
+    if not isinstance(mapping, yaml.MappingNode):
+        return None
+    return next((value for name, value in mapping.value if name.value == key), None)
+
+
+def _as_list(scene: Scene, key: str, value: str, channel: int) -> str:
+    """The value as the file is to say it: with those of the other channels, where there are any."""
+    if key not in _PER_CHANNEL or scene.channels == 1:
+        return value
+    each = [repr(one) for one in per_channel(getattr(scene.device, key), scene.channels)]
+    each[channel] = value
+    return f"[{', '.join(each)}]"
+
+
+def _replaced(text: str, node: yaml.Node, new: str) -> tuple[int, int, str]:
+    """(from, to, what stands there then); a comment behind it stays in its column, if there is room."""
+    begin, end = node.start_mark.index, node.end_mark.index
+    rest = text[end:].split("\n", 1)[0]
+    gap = len(rest) - len(rest.lstrip(" "))
+    if not rest.lstrip(" ").startswith("#"):
+        return begin, end, new
+    return begin, end + gap, new + " " * max(2, gap - (len(new) - (end - begin)))
+
+
+def _inserted(text: str, device: yaml.MappingNode, mass: yaml.Node, entry: str) -> tuple[int, int, str]:
+    """(where, where, an entry after that of the mass): in the same line in braces, else in a line of its own."""
+    end = mass.end_mark.index
+    if device.flow_style:
+        return end, end, f", {entry}"
+    key = next(name for name, value in device.value if value is mass)
+    margin = " " * key.start_mark.column
+    until = text.find("\n", end)
+    if until < 0:
+        return len(text), len(text), f"\n{margin}{entry}"
+    newline = "\r\n" if text[until - 1] == "\r" else "\n"
+    return until + 1, until + 1, f"{margin}{entry}{newline}"
+
+
+def _replace_file(place: Path, text: str) -> None:
+    """Whole or not at all, with the permissions that it has."""
+    try:
+        with tempfile.NamedTemporaryFile("wb", dir=place.parent, prefix=f".{place.name}.", delete=False) as file:
+            file.write(text.encode("utf-8"))
+        shutil.copymode(place, file.name)
+        os.replace(file.name, place)
+    except OSError as error:
+        raise UsageError(f"{place}: this file cannot be written: {error.strerror}") from error

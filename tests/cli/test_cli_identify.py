@@ -1,0 +1,127 @@
+"""`hapsim identify`: what it says before it pushes, what it prints, and what it writes."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hapsim.scene import load_scene
+from hapsim.shipped import shipped_scene
+
+
+@pytest.fixture
+def wrong_scene(tmp_path: Path) -> Path:
+    """The first scene in virtual time, of which the mock is another device than the file says."""
+    path = tmp_path / "scene.yaml"
+    text = shipped_scene("first_touch.yaml").replace("clock: device ", "clock: lockstep ")
+    mock = "mock:\n  mass: 0.15\n  friction: 1.6\n  delay: 1.4\n  coulomb: 0.1\n"
+    path.write_text(text.replace("mock:\n", mock, 1), encoding="utf-8")
+    return path
+
+
+def test_it_says_what_it_will_do_and_tells_declared_beside_found(hapsim: Callable[..., Any], wrong_scene: Path) -> None:
+    before = wrong_scene.read_bytes()
+    answer = hapsim("identify", wrong_scene, "--duration", 1, "--force", 2)
+    assert answer.status == 0
+    assert answer.err.startswith("Pushing channel 0 of the embedded mock now: at most 2 N to either side, 1 s ")
+    assert "more than 5 mm from where it stands" in answer.err
+    row = next(line for line in answer.out.splitlines() if "mass  kg" in line)
+    assert [cell.strip() for cell in row.split("│")][2] == "0.2"
+    assert "-25.0%" in row
+    assert re.search(r"It has dry friction, 0\.(0999|1000)\d* N", answer.out)
+    assert "`mock.coulomb`" in answer.out
+    assert "The file was not changed; --write writes" in answer.out
+    assert wrong_scene.read_bytes() == before
+
+
+def test_written_it_is_what_the_scene_says(hapsim: Callable[..., Any], wrong_scene: Path) -> None:
+    answer = hapsim("identify", wrong_scene, "--duration", 1, "--write", "--json")
+    assert answer.status == 0
+    document = answer.document
+    assert document["declared"] == {"mass": 0.2, "friction": 1.0, "stiffness": 0.0, "delay": 1.0}
+    assert document.keys() >= {
+        "identified",
+        "force_n",
+        "travel_m",
+        "peak_m",
+        "drives",
+        "residual_m",
+        "misfit",
+        "written",
+    }
+    assert document["misfit"] is None
+    for name, truth in {"mass": 0.15, "friction": 1.6, "delay": 1.4, "coulomb": 0.1, "stiffness": 0.0}.items():
+        found = document["identified"][name]
+        assert abs(found["value"] - truth) < 4.5 * found["uncertainty"] < 1e-2
+    device = load_scene(wrong_scene).device
+    assert {"mass": device.mass, "friction": device.friction, "delay": device.delay} == document["written"]
+    assert device.mass == pytest.approx(0.15, rel=1e-5)
+    assert "mass: 0.15" in wrong_scene.read_text(encoding="utf-8")
+    assert "# kg, moving part and hand" in wrong_scene.read_text(encoding="utf-8")
+
+
+def test_a_span_of_masses_stays(hapsim: Callable[..., Any], wrong_scene: Path) -> None:
+    text = wrong_scene.read_text(encoding="utf-8")
+    wrong_scene.write_text(text.replace("mass: 0.2 ", "mass: {from: 0.1, to: 0.4} ", 1), encoding="utf-8")
+    answer = hapsim("identify", wrong_scene, "--duration", 1, "--write")
+    assert answer.status == 0
+    assert "The mass stays: the file gives a span for it" in answer.out
+    device = load_scene(wrong_scene).device
+    assert device.mass_spans(1) == ((0.1, 0.4),)
+    assert device.delay == pytest.approx(1.4, abs=1e-4)
+
+
+def test_what_is_left_is_drawn_and_told_in_numbers(hapsim: Callable[..., Any], wrong_scene: Path) -> None:
+    picture, data = wrong_scene.with_name("left.svg"), wrong_scene.with_name("left.csv")
+    answer = hapsim("identify", wrong_scene, "--duration", 1, "--picture", picture, "--data", data)
+    assert answer.status == 0
+    assert "position beside the model" not in answer.out
+    assert picture.read_text(encoding="utf-8").lstrip().startswith("<?xml")
+    rows = np.genfromtxt(data, delimiter=",", names=True)
+    assert rows.dtype.names == (
+        "run",
+        "time_s",
+        "position_m",
+        "position_residual_m",
+        "velocity_m_s",
+        "force_residual_N",
+    )
+    assert set(rows["run"]) == {0, 1, 2}
+    assert np.std(rows["position_residual_m"]) == pytest.approx(1e-9 / np.sqrt(12.0), rel=0.1)
+    windows = rows[np.isfinite(rows["force_residual_N"])]
+    assert 50 < windows.size < rows.size
+    assert np.max(np.abs(windows["force_residual_N"])) < 1e-3
+
+
+@pytest.mark.parametrize(
+    ("options", "status", "sentence"),
+    [
+        (("--force", 20), 2, "force: found 20 N, expected above 0 N, and at most the force_limit, 10 N"),
+        (("--channel", 4), 2, "channel 4: the scene has nothing there"),
+        (("--travel", 1e-5), 4, "farther than the 0.01 mm that it may"),
+        (("--mock", "--port", "/dev/null", "--write"), 2, "found both, expected one of them"),
+    ],
+)
+def test_what_goes_wrong_is_a_sentence_and_a_status(
+    hapsim: Callable[..., Any], wrong_scene: Path, options: tuple[Any, ...], status: int, sentence: str
+) -> None:
+    before = wrong_scene.read_bytes()
+    answer = hapsim("identify", wrong_scene, *options, "--json")
+    assert answer.status == status
+    assert sentence in answer.sentence
+    assert wrong_scene.read_bytes() == before
+
+
+def test_the_mock_of_a_device_with_a_port_is_not_written_in_its_place(
+    hapsim: Callable[..., Any], wrong_scene: Path
+) -> None:
+    text = wrong_scene.read_text(encoding="utf-8").replace("device:\n", "device:\n  port: /dev/ttyACM9\n", 1)
+    wrong_scene.write_text(text, encoding="utf-8")
+    answer = hapsim("identify", wrong_scene, "--mock", "--write")
+    assert answer.status == 2
+    assert "what is found of the mock is not its device's" in answer.sentence

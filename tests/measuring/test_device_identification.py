@@ -1,0 +1,201 @@
+"""What `hapsim identify` finds of a device: mocks whose mass, friction, spring and delay are known."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import hapsim
+from hapsim.errors import GuardError, UsageError
+from hapsim.measuring import identify_device as room
+from hapsim.measuring.device_misfit import binned
+
+sys.path.append(str(Path(__file__).resolve().parents[2] / "tools" / "bench"))
+from identification import FORCE, NAMES, SECONDS, TRAVEL, Device, errors, random_device
+
+# A few in the ordinary suite; HAPSIM_POINTS=50 takes fifty, for longer.
+MANY = "HAPSIM_POINTS" in os.environ
+DEVICES = int(os.environ.get("HAPSIM_POINTS", "4"))
+ONE = Device(rate=1000.0, mass=0.2, friction=1.0, stiffness=0.0, delay=1.0, coulomb=0.0)
+
+
+def identified(device: Device, wrong: float = 1.0, seconds: float = 2.0, **scene: str) -> hapsim.DeviceIdentification:
+    return hapsim.identify_device(device.scene(wrong, **scene), force=FORCE, travel=TRAVEL, duration=seconds)
+
+
+def assert_found(device: Device, found: hapsim.DeviceIdentification) -> None:
+    """Every value within four of the uncertainties stated, and these are small."""
+    _, scaled = errors(device, found)
+    assert np.max(np.abs(scaled)) < 4.0
+    assert found.mass.uncertainty < 1e-3 * device.mass
+    assert found.delay.uncertainty < 0.01
+    assert found.misfit == ""
+
+
+def test_random_devices_are_found_as_well_as_the_uncertainties_say(figures: Any) -> None:
+    all_off, all_scaled = [], []
+    for seed in range(DEVICES):
+        device = random_device(seed)
+        off, scaled = errors(device, identified(device, seconds=SECONDS if MANY else 5.0))
+        mass, friction, _, delay, _ = np.abs(off)
+        assert mass < 1e-3 * device.mass
+        assert friction < max(1e-3 * device.friction, 1e-3)  # of none a millinewton at 1 m/s
+        assert delay < 0.01
+        all_off.append(off)
+        all_scaled.append(scaled)
+    sizes = np.abs(all_scaled)
+    within = [float(np.mean(sizes < limit)) for limit in (1.0, 1.96)]
+    off = ", ".join(f"{name} {value:.1e}" for name, value in zip(NAMES, np.max(np.abs(all_off), axis=0), strict=True))
+    figures.note(
+        f"{DEVICES} devices identified, off at most by {off}; {within[0]:.0%} within the stated uncertainty, "
+        f"{within[1]:.0%} within 1.96, root mean square {np.sqrt(np.mean(sizes**2)):.2f}, worst {np.max(sizes):.2f}"
+    )
+    # Within three standard deviations of the binomial distribution, were each value an independent draw.
+    for share, found in zip((0.6827, 0.95), within, strict=True):
+        assert abs(found - share) < 3.0 * np.sqrt(share * (1.0 - share) / sizes.size)
+    assert np.max(sizes) < 4.5
+    assert 0.6 < np.sqrt(np.mean(sizes**2)) < 1.5  # nor are they stated larger than they are
+
+
+@pytest.mark.parametrize("wrong", [3.0, 1.0 / 3.0])
+def test_mass_friction_and_delay_may_be_declared_wrong_by_a_factor_of_three(wrong: float) -> None:
+    for seed in range(50 if MANY else 2):
+        device = random_device(seed + 1)
+        found = identified(device, wrong)
+        assert_found(device, found)
+        assert found.peak_m < TRAVEL
+
+
+@pytest.mark.parametrize(("hold", "sampling"), [("zoh", "average"), ("impulse", "ideal"), ("impulse", "average")])
+def test_a_device_of_another_hold_and_sampling_is_found(hold: str, sampling: str) -> None:
+    device = replace(ONE, delay=1.37, stiffness=150.0)
+    assert_found(device, identified(device, hold=hold, sampling=sampling))
+
+
+def test_a_delay_of_nothing_and_no_friction_lie_within_their_uncertainties() -> None:
+    device = replace(ONE, delay=0.0, friction=0.0)
+    found = identified(device)
+    assert_found(device, found)
+    assert found.friction.value < 4.0 * found.friction.uncertainty
+
+
+def test_a_wire_on_which_every_force_is_late_is_a_delay_of_one_sample_more() -> None:
+    """At 150 000 baud both frames take a sample period and a half."""
+    scene = ONE.scene()
+    mock = scene.mock.model_copy(update={"baud": 150_000})  # type: ignore[union-attr]
+    found = hapsim.identify_device(scene.model_copy(update={"mock": mock}), duration=2.0)
+    assert found.traces[0].report.deadline_misses > 0.9 * found.traces[0].report.ticks
+    assert found.delay.value == pytest.approx(2.0, abs=0.01)
+    assert found.misfit == ""
+
+
+def test_the_device_stays_within_force_and_travel() -> None:
+    found = hapsim.identify_device(replace(ONE, coulomb=0.3).scene(), force=1.0, travel=0.002, duration=1.0)
+    assert found.peak_m < 0.002
+    assert max(float(np.max(np.abs(trace.force))) for trace in found.traces) <= 1.0
+    assert len({(drive.stiffness, drive.damping) for drive in found.drives}) == 3
+    assert found.bounds.force == 1.0
+
+
+def test_a_device_that_moves_too_far_is_left_alone() -> None:
+    """It breaks away from a dry friction that is large for so small a travel."""
+    with pytest.raises(GuardError, match=r"farther than the 0\.2 mm that it may, .* nothing more was"):
+        hapsim.identify_device(replace(ONE, coulomb=1.5).scene(), force=5.0, travel=2e-4)
+
+
+def test_a_device_that_moves_by_itself_is_not_pushed() -> None:
+    scene = ONE.scene()
+    mock = scene.mock.model_copy(update={"stiffness": 2000.0, "initial": hapsim.scene.Initial(position=0.01)})  # type: ignore[union-attr]
+    with pytest.raises(GuardError, match=r"without any force the device moved by .* it was not pushed"):
+        hapsim.identify_device(scene.model_copy(update={"mock": mock}))
+
+
+def test_a_device_that_is_stuck_is_told_so() -> None:
+    with pytest.raises(UsageError, match=r"stuck by dry friction"):
+        hapsim.identify_device(replace(ONE, coulomb=3.0).scene(), force=2.0)
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        ({"force": 11.0}, "force: found 11 N, expected above 0 N, and at most the force_limit, 10 N"),
+        ({"force": float("nan")}, "force: found nan"),
+        ({"travel": 0.0}, "travel: found 0 m, expected a finite number above 0"),
+        ({"duration": -1.0}, "duration: found -1"),
+        ({"channel": 3}, "channel 3: the scene has nothing there; its device points are on: 0"),
+    ],
+)
+def test_what_cannot_be_is_refused_before_anything_runs(options: dict[str, Any], sentence: str) -> None:
+    with pytest.raises(UsageError) as caught:
+        hapsim.identify_device(ONE.scene(), **options)
+    assert sentence in str(caught.value)
+
+
+def test_an_interrupt_ends_the_recording_and_what_there_is_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    as_it_is, all_swings = room.run, room.swings_of
+
+    def run(scene: hapsim.Scene, **options: Any) -> hapsim.Trace:
+        """The recording, not the short runs before it, is interrupted as soon as it tells how it is doing."""
+        if options["duration"] > 1000.0:
+            options["on_progress"] = lambda _: signal.raise_signal(signal.SIGINT)
+        return as_it_is(scene, **options)
+
+    monkeypatch.setattr(room, "run", run)
+    monkeypatch.setattr(room, "swings_of", lambda *record: all_swings(*record)[:100])  # enough, of a long record
+    device = replace(ONE, coulomb=0.1)
+    found = hapsim.identify_device(device.scene(), duration=6000.0, transport="loopback", stop_on_signals=True)
+    assert found.stopped
+    assert len(found.drives) == 1
+    assert found.mass.value == pytest.approx(0.2, rel=1e-3)
+
+
+def test_a_correction_that_takes_the_declared_mass_for_true_is_left_out() -> None:
+    scene = replace(ONE, delay=1.6).scene(wrong=3.0)
+    corrected = scene.model_copy(update={"device": scene.device.model_copy(update={"correction": "predictor"})})
+    plain, found = (hapsim.identify_device(one, duration=1.0) for one in (scene, corrected))
+    assert found == plain
+
+
+def lacking_force(law: str, position: np.ndarray, velocity: np.ndarray, time: np.ndarray) -> np.ndarray:
+    """A force that no parameter of the model makes."""
+    if law == "position":
+        return 0.05 * np.sin(2.0 * np.pi * position / 2e-3)
+    if law == "velocity":
+        return 0.1 * np.sign(velocity) * np.exp(-((velocity / 0.02) ** 2))
+    return 0.02 * np.sin(2.0 * np.pi * 3.3 * time)
+
+
+@pytest.mark.parametrize(
+    ("law", "sentence"),
+    [
+        ("position", "goes with the position"),
+        ("velocity", "goes with the velocity"),
+        ("hand", "goes with neither position nor velocity nor reversals"),
+    ],
+)
+def test_a_force_that_the_model_lacks_is_told_with_what_it_goes(
+    law: str, sentence: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A mock has none: what is recorded as sent is more, by that force, than what acted."""
+    as_recorded = room.motion_of
+
+    def motion_of(trace: hapsim.Trace, channel: int, home: float, most_delay: float) -> Any:
+        motion = as_recorded(trace, channel, home, most_delay)
+        position, time = trace.position[:, channel], np.arange(trace.sample.size) / trace.rate
+        more = lacking_force(law, position, np.gradient(position) * trace.rate, time)
+        return replace(motion, force=motion.force + more)
+
+    monkeypatch.setattr(room, "motion_of", motion_of)
+    found = hapsim.identify_device(ONE.scene(), duration=3.0)
+    assert sentence in found.misfit
+    if law == "position":  # and the residual has its shape: what acted beside the model is what was not there
+        lacking = found.force_residual
+        _, at, means = binned(lacking.position, lacking.force)
+        assert np.corrcoef(means, -np.sin(2.0 * np.pi * at / 2e-3))[0, 1] > 0.9

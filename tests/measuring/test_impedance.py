@@ -1,0 +1,268 @@
+"""The measured driving-point impedance: beside the prediction at every frequency, how certain, and when it is none."""
+
+from __future__ import annotations
+
+import itertools
+import sys
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hapsim.console.impedance import measured_width
+from hapsim.errors import UsageError
+from hapsim.loop.ring import LATE_FORCE, UNSENT
+from hapsim.loop.trace import Trace
+from hapsim.measuring.impedance import Loop, impedance_of
+from hapsim.measuring.measure_impedance import MeasuredImpedance, measure_impedance, walls_in_place
+from hapsim.measuring.multisine import lines_for, multisine
+from hapsim.measuring.spectra import Periods, periods_of
+from hapsim.prediction.impedance import predict_impedance, z_width_of
+from hapsim.scene import Scene, load_scene
+from hapsim.theory.hand.impedance import late_and_held
+
+sys.path.insert(0, str(Path(__file__).parent))
+from scenes import one_spring
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+SHIPPED = ("first_touch", "paper_6_2_one_sample", "sensed_velocity", "sprung_device", "held_string", "two_hands")
+KINDS = ("device", "rendered", "closed_loop")
+
+
+def shipped(name: str) -> Scene:
+    """In virtual time."""
+    scene = load_scene(CONFIGS / f"{name}.yaml")
+    return scene.model_copy(update={"device": scene.device.model_copy(update={"clock": "lockstep"})})
+
+
+@cache
+def measured(name: str) -> MeasuredImpedance:
+    return measure_impedance(shipped(name))
+
+
+def off_by(found: MeasuredImpedance, scene: Scene, kind: str) -> np.ndarray:
+    """(n, C, C): measured and predicted, apart by so many of the stated uncertainties."""
+    predicted = predict_impedance(scene, found.frequency)
+    circles = getattr(found, kind)
+    apart = np.abs(circles.value - getattr(predicted, kind))
+    with np.errstate(divide="ignore"):  # hands that are not tied: 0, exactly
+        return np.divide(apart, circles.uncertainty, out=np.zeros_like(apart), where=apart > 0.0)
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_of_shipped_scenes_measured_and_predicted_agree_within_the_uncertainty_at_every_frequency(
+    name: str, figures: Any
+) -> None:
+    found = measured(name)
+    assert found.frequency[0] == 2.0
+    assert found.frequency[-1] > 0.88 * 0.5 * shipped(name).rate
+    for kind in KINDS:
+        off = off_by(found, shipped(name), kind)
+        assert off.max() <= 1.0
+        figures.most(f"impedance {kind}, predicted and measured apart, of the stated uncertainty", off.max())
+        circles = getattr(found, kind)
+        own = np.arange(len(found.channels))
+        certain = circles.uncertainty[:, own, own] / np.abs(circles.value[:, own, own])
+        assert np.median(certain) < 1e-3  # and it is no wide circle that holds them
+        assert certain.max() < 1e-2
+
+
+def test_what_one_hand_feels_of_the_other_is_measured_as_a_matrix() -> None:
+    found = measured("two_hands")
+    assert found.channels == (0, 1)
+    rendered = found.rendered.value
+    np.testing.assert_allclose(rendered[:, 0, 1], rendered[:, 1, 0], rtol=1e-3)
+    assert np.abs(rendered[:5, 0, 1]).min() > 5.0  # N·s/m
+    assert np.all(np.abs(found.device.value[:, 0, 1]) <= found.device.uncertainty[:, 0, 1])
+
+
+@pytest.mark.parametrize(("name", "at", "peaks"), [("held_string", (0, 0), 2), ("two_hands", (0, 1), 1)])
+def test_the_peaks_stand_where_the_scenes_that_ship_say(name: str, at: tuple[int, int], peaks: int) -> None:
+    f = np.arange(20.0, 90.0, 0.1)
+    size = np.abs(predict_impedance(shipped(name), f).rendered[:, *at])
+    found = f[1:-1][(size[1:-1] > size[:-2]) & (size[1:-1] > size[2:])]
+    assert found.size == peaks
+    comment = (CONFIGS / f"{name}.yaml").read_text()
+    assert all(f"{peak:.1f} Hz" in comment for peak in found)
+
+
+def test_an_excitation_keeps_to_a_quarter_of_the_force_limit_and_about_to_its_travel() -> None:
+    scene = one_spring(2000.0, 5.0, friction=1.0, force_limit=4.0)
+    for travel in (1e-3, 1e-4):
+        found = measure_impedance(scene, travel=travel)
+        (peak,), (moved,) = found.peak_force, found.travel
+        added = found.traces[0].force - found.traces[0].asked_force
+        assert np.abs(added).max() == pytest.approx(peak, rel=1e-6)
+        assert peak <= 1.0 + 1e-9
+        assert moved < 1.5 * travel
+    assert moved > 0.5 * travel  # the smaller one is what bounds it, not the force
+    assert peak < 0.9
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_noise_of_the_position_is_within_the_uncertainty_and_no_small_part_of_it(seed: int) -> None:
+    quiet = one_spring(2000.0, 5.0, friction=1.0)
+    scene = quiet.model_copy(update={"mock": quiet.mock.model_copy(update={"noise": 1e-6, "seed": seed})})
+    found = measure_impedance(scene)
+    for kind in ("device", "closed_loop"):
+        off = off_by(found, scene, kind)
+        assert off.max() <= 1.0
+        assert 0.08 < np.median(off) < 0.5
+
+
+def test_counts_are_within_the_uncertainty_even_where_every_period_is_rounded_alike() -> None:
+    """Without noise the periods repeat to the last count: their scatter is none, and the rounding is in them all."""
+    scene = one_spring(2000.0, 15.0, friction=5.0, quantum=1e-7, velocity=0.0)
+    found = measure_impedance(scene)
+    last = found.traces[0].position_counts[-500:, 0]
+    assert np.array_equal(last, found.traces[0].position_counts[-1000:-500, 0])
+    off = off_by(found, scene, "device")
+    assert off.max() <= 1.0
+    assert np.median(off) > 0.03
+
+
+def test_the_rounding_of_a_sensed_velocity_is_within_the_uncertainty_too() -> None:
+    """It is on no trace: what is seen of it is what the scene's force has at frequencies that nothing excites."""
+    scene = one_spring(2000.0, 15.0, friction=5.0, quantum=1e-7, velocity=0.0, damper="sensed")
+    found = measure_impedance(scene)
+    assert off_by(found, scene, "rendered").max() <= 1.0
+
+
+def test_each_element_of_a_matrix_has_an_uncertainty_of_its_own() -> None:
+    """Two channels, of which one is excited ten times as much, and forces with noise in one experiment alone."""
+    rng = np.random.default_rng(5)
+    count, frequency = 60, np.linspace(1.0, 100.0, 300)
+    ratio = np.array([[3.0, 0.5 + 1j], [2.0, 1.0 - 2j]])
+    moved = np.array([[10.0, 0.3], [1.0, 1.0]])  # [channel, experiment]
+    none = np.zeros(2)
+    experiments = []
+    for d, noise in enumerate((0.0, 1.0)):
+        position = np.broadcast_to(moved[:, d], (count, 300, 2)).astype(complex)
+        force = position @ ratio.T
+        force = force + noise * (rng.normal(size=force.shape) + 1j * rng.normal(size=force.shape))
+        experiments.append(Periods(position, 0.0 * force, force, none, none + 1e-30, True, 0, 0))
+    found = impedance_of(Loop(1000.0, 0.0, True, False), frequency, experiments)
+    true = ratio / (2j * np.pi * frequency[:, None, None])
+    off = np.abs(found.device.value - true) / found.device.uncertainty
+    typical = np.median(off, axis=0)
+    assert off.max() <= 1.0
+    assert np.all((typical > 0.1) & (typical < 0.3))
+
+
+def test_a_device_that_is_later_than_it_declares_does_not_look_like_its_mass() -> None:
+    scene = shipped("first_touch")
+    late = scene.model_copy(update={"mock": scene.mock.model_copy(update={"delay": 2.0})})
+    found = measure_impedance(late)
+    assert off_by(found, scene, "rendered").max() <= 1.0  # that is the scene's, whatever the device
+    off = off_by(found, scene, "device")[:, 0, 0]
+    assert np.all(off[found.frequency > 20.0] > 10.0)
+
+
+def test_an_instant_of_the_hold_and_the_delay_are_those_of_the_theory() -> None:
+    f = np.geomspace(1.0, 480.0, 30)
+    theta = 2.0 * np.pi * f / 1000.0
+    for impulse, averaged, delay in itertools.product((False, True), (False, True), (0.0, 0.4, 1.0, 2.0)):
+        hold, sampling = "impulse" if impulse else "zoh", "average" if averaged else "ideal"
+        expected = late_and_held(theta, delay, hold, sampling) / (2j * np.pi * f)
+        found = Loop(1000.0, delay, impulse, averaged).over_velocity(f)
+        np.testing.assert_allclose(found, expected, rtol=1e-12)
+
+
+def test_impulses_averages_and_fractions_of_a_delay_agree_too() -> None:
+    for hold, sampling, delay in (("impulse", "average", 0.37), ("zoh", "average", 1.5)):
+        scene = one_spring(2000.0, 5.0, friction=1.0, hold=hold, sampling=sampling, delay=delay)
+        found = measure_impedance(scene)
+        assert max(off_by(found, scene, kind).max() for kind in KINDS) <= 1.0
+
+
+class TestRecords:
+    """What becomes of rows that are missing, late or unsent: a sound record, and then spoilt."""
+
+    lines = lines_for(1000.0)
+
+    def spectra(self, **changed: Any) -> Any:
+        trace = replace(measured("first_touch").traces[0], **changed)
+        return periods_of(trace, self.lines, impulse=False, senses=False)
+
+    def test_a_period_with_a_lost_position_is_left_out_and_counted(self) -> None:
+        trace = measured("first_touch").traces[0]
+        kept = np.delete(np.arange(trace.sample.size), 1234)
+        names = ("sample", "time_ns", "flags", "position_counts", "force_counts", "asked_force")
+        whole, torn = self.spectra(), self.spectra(**{name: getattr(trace, name)[kept] for name in names})
+        assert torn.position.shape[0] == whole.position.shape[0] - 2  # it is in two pairs
+        assert (whole.lost, torn.lost) == (0, 1)
+        # Positions are counted from their mean over the record, which no other frequency sees.
+        np.testing.assert_allclose(torn.position, np.delete(whole.position, [1, 2], axis=0), rtol=1e-9)
+
+    @pytest.mark.parametrize(("flag", "shown_at"), [(LATE_FORCE, 1), (UNSENT, 0)])
+    def test_in_place_of_a_force_that_came_too_late_the_one_before_acted(self, flag: int, shown_at: int) -> None:
+        trace = measured("first_touch").traces[0]
+        flags, held = trace.flags.copy(), trace.force_counts.copy()
+        flags[1234 + shown_at] |= flag
+        held[1234] = held[1233]
+        late, expected = self.spectra(flags=flags), self.spectra(force_counts=held)
+        np.testing.assert_array_equal(late.force, expected.force)
+        assert not np.array_equal(late.force, self.spectra().force)
+
+
+def test_a_multisine_has_its_amplitudes_and_nothing_between_them() -> None:
+    lines = lines_for(1000.0)
+    amplitude = np.linspace(0.1, 0.2, lines.bins.size)
+    wave = multisine(lines, amplitude, 100.0)
+    spectrum = np.abs(np.fft.rfft(wave)) * 2.0 / lines.samples
+    np.testing.assert_allclose(spectrum[lines.bins], amplitude, rtol=1e-9)
+    assert np.delete(spectrum, lines.bins).max() < 1e-12
+    assert np.abs(wave).max() < 3.0 * np.sqrt(np.mean(wave**2))
+    assert np.abs(multisine(lines, amplitude, 0.3)).max() == pytest.approx(0.3)
+
+
+def test_the_z_width_is_measured_where_the_stiffest_passive_wall_stands_in_the_scene_s_place() -> None:
+    scene = shipped("two_hands")
+    alone = measured("two_hands")
+    widths = [z_width_of(scene, channel, alone.frequency)["passive"] for channel in alone.channels]
+    walls = walls_in_place(scene, {c: tuple(w.wall) for c, w in zip(alone.channels, widths, strict=True)})
+    with_walls = measure_impedance(walls, duration=7.0)
+    assert off_by(with_walls, walls, "rendered").max() <= 1.0
+    for i, width in enumerate(widths):
+        found = measured_width(alone, i, with_walls)
+        assert np.all(np.abs(found.width_db - width.width_db) <= found.uncertainty_db)
+        assert np.median(found.uncertainty_db) < 0.01
+        assert width.width_db[0] > 25.0  # dB, at 2 Hz
+        assert width.mean_db == pytest.approx(4.5, abs=0.3)
+
+
+class TestSentences:
+    def test_a_motion_of_few_counts(self) -> None:
+        with pytest.raises(UsageError, match=r"channel 0: an excitation of 2\.5 N at most moved it by \d+ counts of "):
+            measure_impedance(one_spring(2000.0, 5.0, friction=1.0, quantum=3e-4, velocity=0.0, force_limit=10.0))
+
+    def test_a_device_that_does_not_move_at_all(self) -> None:
+        with pytest.raises(UsageError, match=r"moved it by 0 counts of 0\.001 m, expected 20 counts or more"):
+            measure_impedance(
+                one_spring(0.0, 0.0, mass=1e6, friction=1.0, quantum=1e-3, velocity=0.0, force_limit=10.0)
+            )
+
+    def test_a_run_that_was_stopped(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        trace = measured("first_touch").traces[0]
+
+        def stopped(*_: Any, **__: Any) -> Trace:
+            return replace(trace, report=replace(trace.report, ending="stopped"))
+
+        monkeypatch.setattr("hapsim.measuring.measure_impedance.run", stopped)
+        with pytest.raises(UsageError, match="stopped before everything was excited"):
+            measure_impedance(shipped("first_touch"))
+
+    @pytest.mark.parametrize(
+        ("options", "words"),
+        [
+            ({"duration": 1.0}, "duration: found 1 s, expected 3 s or more: 6 periods of the excitation"),
+            ({"duration": float("nan")}, "duration: found nan, expected a finite number of seconds above 0"),
+            ({"travel": -1.0}, r"travel: found -1\.0, expected a finite number of metres above 0"),
+        ],
+    )
+    def test_numbers_that_cannot_be(self, options: dict[str, float], words: str) -> None:
+        with pytest.raises(UsageError, match=words):
+            measure_impedance(shipped("first_touch"), **options)

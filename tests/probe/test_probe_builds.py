@@ -1,0 +1,146 @@
+"""The mock and every build of the firmware pass each check that can be seen of them; a build that is broken on purpose
+fails the check that is there to find it, and what is printed names the fault and its section of PROTOCOL.md.
+
+These run on ports and in real time, all of them at 1 kHz. Where this machine is busy with other tests it may hold a
+device or its judge up: then what depends on time is judged again, and nothing else is.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import re
+import sys
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+from rich.console import Console
+
+from hapsim.console.probe import show_judgement
+from hapsim.device.mock.assemble import assemble_mock
+from hapsim.device.mock.terminal import serving
+from hapsim.probe import STEPS, Check, Judgement, Leave, probe, steps_of
+from hapsim.scene import Scene
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="pseudo-terminals of Linux")
+
+LIMIT, MASS = 10.0, 0.2  # N, kg: of every device here
+# Far enough for a push of which the opposite one was late: nobody is hurt.
+LEAVE = Leave(force=1.2 * LIMIT, travel=0.2, mass=MASS)
+ATTEMPTS = 6
+TIMED = STEPS[STEPS.index("arming") :]
+
+SENSES = "the device senses velocity on every channel: nothing to refuse"
+NOT_SEEN = {
+    "mock": {
+        "lockstep": "declared; whether there is a motor cannot be seen on the wire",
+        "wrong_sensing": SENSES,
+        "limit_cut": "32 bits of counts carry no force above the limit",
+    },
+    "linux": {"wrong_sensing": SENSES},
+    "avr": {"wrong_sensing": SENSES},
+    "cortex_m": {"wrong_sensing": SENSES},
+}
+# QEMU's clock stands still while it emulates what an interrupt does: its rate is this machine's, 0.85 kHz or so.
+OF_THE_EMULATOR = {"cortex_m": {"rate_kept"}}
+
+
+@pytest.fixture(autouse=True)
+def _before_other_programs() -> Iterator[None]:
+    """As the boards are, where that is granted: a judge that is held up sees less."""
+    usual = os.getpriority(os.PRIO_PROCESS, 0)
+    with contextlib.suppress(PermissionError):
+        os.setpriority(os.PRIO_PROCESS, 0, -15)
+    yield
+    with contextlib.suppress(PermissionError):
+        os.setpriority(os.PRIO_PROCESS, 0, usual)
+
+
+@contextlib.contextmanager
+def mock_port() -> Iterator[str]:
+    device = {"clock": "device", "mass": MASS, "force_limit": LIMIT}
+    modules = {"hand": {"type": "device", "channel": 0}}
+    scene = Scene.model_validate({"version": 1, "rate": 1000.0, "device": device, "modules": modules})
+    with serving(assemble_mock(scene), as_hardware=True) as path:
+        yield path
+
+
+def judged(start: Callable[[], str], expected: Callable[[Check], bool]) -> dict[str, Check]:
+    """Every check of the device at the port that `start` gives; those of a step that time may have spoiled as they came
+    out last. A board that its hardware watchdog ended, as it was held up for so long, is started anew."""
+    checks: dict[str, Check] = {}
+    port, again = start(), STEPS
+    for _ in range(ATTEMPTS):
+        judgement = probe(port, leave=LEAVE, steps=steps_of(again, None))
+        checks |= {check.name: check for check in judgement.checks if check.step in again}
+        again = tuple(step for step in TIMED if not all(expected(c) for c in checks.values() if c.step == step))
+        if not judgement.released:
+            port, again = start(), again or STEPS[-1:]
+        if not again:
+            break
+    assert judgement.released
+    return checks
+
+
+def is_overloaded() -> bool:
+    """Whether more programs want this machine than it has processors for, by far."""
+    return os.getloadavg()[0] > 2 * (os.cpu_count() or 1)
+
+
+@pytest.mark.parametrize("name", NOT_SEEN)
+def test_a_sound_device_passes_every_check_that_can_be_seen_of_it(name: str, request: pytest.FixtureRequest) -> None:
+    not_seen, of_the_emulator = NOT_SEEN[name], OF_THE_EMULATOR.get(name, set())
+
+    def expected(check: Check) -> bool:
+        if check.name in not_seen:
+            return (check.result, check.found) == ("not seen", not_seen[check.name])
+        return check.result == "pass" or check.name in of_the_emulator
+
+    with contextlib.ExitStack() as stack:
+        start_board = request.getfixturevalue("start_board") if name != "mock" else None
+        start = (lambda: start_board(name).port) if start_board else (lambda: stack.enter_context(mock_port()))
+        checks = judged(start, expected)
+    others = {check.name: (check.result, check.found) for check in checks.values() if not expected(check)}
+    if others and is_overloaded() and {result for result, _ in others.values()} == {"not seen"}:
+        pytest.skip(f"this machine has too much else to do to see {', '.join(others)} of {name}")
+    assert not others, others
+
+
+# The step that is looked at; how the line begins that tells the failure; which fault it names; where it says to look.
+BROKEN = {
+    "sign": ("push", "sign (§ 6)", "inverted: 1 N makes -", "the sign of the motor's output or of the encoder's"),
+    "scale": ("push", "mass (§ 5)", "as if positions were", "position_scale (an encoder's edges counted once, twice"),
+    "rate": ("arming", "rate_kept (§ 6)", "% from register 4 (1000 Hz)", "the sample timer's divider"),
+    "transmitter": ("blocked", "tick_goes_on (§ 8)", "the device went away here", "a tick that died or waits for room"),
+    "tick": ("arming", "numbers (§ 6)", "the device went away here", "hardware watchdog, which ends a tick that died"),
+    "watchdog": ("watchdog", "latches (§ 7)", "watchdog 40: still armed at sample", "n - heard > watchdog"),
+    "arrival": ("push", "delay (§ 6)", "within the sample that the force came in", "FORCE is put out on arrival"),
+}
+
+
+def printed(judgement: Judgement) -> list[str]:
+    """What is shown of each failure, by failure, without its line breaks."""
+    shown = io.StringIO()
+    show_judgement(Console(file=shown, width=100), judgement)
+    blocks = re.split(r"\n(?=\S|$)", shown.getvalue())
+    return [" ".join(block.split()) for block in blocks if block.startswith("FAIL")]
+
+
+@pytest.mark.parametrize("name", BROKEN)
+def test_a_build_that_is_broken_on_purpose_is_found_out(name: str, start_broken_board: Callable[[str], Any]) -> None:
+    step, check, fault, look_at = BROKEN[name]
+    for _ in range(ATTEMPTS):
+        judgement = probe(start_broken_board(name).port, leave=LEAVE, steps=steps_of((step,), None))
+        if failures := printed(judgement):
+            break
+    assert len(failures) == 1, failures
+    assert re.fullmatch(
+        rf"FAIL {re.escape(check)}: .*{re.escape(fault)}.*look at: .*{re.escape(look_at)}.*", failures[0]
+    )
+    assert judgement.exit_status == 3
+
+
+def test_every_build_that_is_broken_on_purpose_is_judged(built_broken: Any) -> None:
+    assert {path.name for path in built_broken.iterdir()} - {"done"} == BROKEN.keys()

@@ -1,0 +1,92 @@
+"""Other values for a scene's device: nothing else of the file changes."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from hapsim.errors import UsageError
+from hapsim.scene import load_scene, parse_scene
+from hapsim.scene.rewrite import device_rewritten, rewrite_device
+from hapsim.shipped import shipped_scene
+
+CONFIGS = Path(__file__).resolve().parents[2] / "configs"
+VALUES = {"mass": "0.21345", "friction": "0.98", "delay": "1.0213"}
+FLOW = """version: 1
+rate: 1000
+device: {clock: lockstep, mass: &m 0.2, friction: 1.0}   # all of it
+modules:
+  hand: {type: device, channel: 0}
+  ball: {type: mass, mass: *m}
+"""
+
+
+@pytest.mark.parametrize("path", sorted(CONFIGS.glob("*.yaml")), ids=lambda path: path.stem)
+def test_of_every_shipped_scene_only_the_values_change(path: Path) -> None:
+    before = path.read_text(encoding="utf-8")
+    after = device_rewritten(before, VALUES, channel=0)
+    scene, old = parse_scene(after), parse_scene(before)
+    device = scene.device
+    assert (device.masses(scene.channels)[0], device.frictions(scene.channels)[0]) == (0.21345, 0.98)
+    assert device.delay == 1.0213
+    assert device.masses(scene.channels)[1:] == old.device.masses(old.channels)[1:]
+    assert device.frictions(scene.channels)[1:] == old.device.frictions(old.channels)[1:]
+    assert (scene.modules, scene.mock) == (old.modules, old.mock)
+    changed = {new.split(":")[0].strip() for new in set(after.splitlines()) - set(before.splitlines())}
+    assert changed <= VALUES.keys()
+    assert [line.partition("#")[2] for line in after.splitlines() if "#" in line] == [
+        line.partition("#")[2] for line in before.splitlines() if "#" in line
+    ]
+
+
+def test_a_comment_stays_in_its_column_and_a_new_key_stands_below_the_mass() -> None:
+    after = device_rewritten(shipped_scene("first_touch.yaml"), VALUES | {"stiffness": "12.5"}, channel=0)
+    assert (
+        "  mass: 0.21345                # kg, moving part and hand\n"
+        "  stiffness: 12.5\n"
+        "  friction: 0.98               # N·s/m\n"
+        "  delay: 1.0213                # sample periods"
+    ) in after
+
+
+def test_of_several_channels_one_is_written() -> None:
+    after = device_rewritten(shipped_scene("four_keys.yaml"), VALUES | {"stiffness": "12.5"}, channel=2)
+    assert "  mass: [0.08, 0.08, 0.21345, 0.1]         # kg, per channel\n" in after
+    assert "  friction: [0.6, 0.6, 0.98, 0.6]  # N·s/m\n" in after
+    assert "  stiffness: [0.0, 0.0, 12.5, 0.0]\n" in after
+
+
+def test_a_device_in_braces_stays_in_them() -> None:
+    after = device_rewritten(FLOW, {"friction": "2.5", "delay": "1.5"}, channel=0)
+    assert "device: {clock: lockstep, mass: &m 0.2, delay: 1.5, friction: 2.5}   # all of it\n" in after
+
+
+def test_a_value_that_stands_for_others_too_is_not_touched(tmp_path: Path) -> None:
+    path = tmp_path / "scene.yaml"
+    path.write_text(FLOW, encoding="utf-8")
+    with pytest.raises(UsageError, match=r"scene\.yaml: nothing was written: .* anchor .*, under device: mass: 0\.3"):
+        rewrite_device(str(path), {"mass": "0.3"}, channel=0)
+    assert path.read_text(encoding="utf-8") == FLOW
+
+
+def test_a_file_keeps_its_line_endings_and_permissions_and_a_link_to_it(tmp_path: Path) -> None:
+    path, link = tmp_path / "scene.yaml", tmp_path / "link.yaml"
+    path.write_bytes(shipped_scene("first_touch.yaml").replace("\n", "\r\n").encode())
+    path.chmod(0o640)
+    link.symlink_to(path)
+    rewrite_device(str(link), VALUES | {"stiffness": "3"}, channel=0)
+    assert link.is_symlink()
+    assert path.stat().st_mode & 0o777 == 0o640
+    assert path.read_bytes().count(b"\n") == path.read_bytes().count(b"\r\n")
+    assert load_scene(link).device.stiffness == 3.0
+    assert [entry.name for entry in tmp_path.iterdir() if entry.name.startswith(".")] == []
+
+
+def test_a_file_that_cannot_be_written_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "scene.yaml"
+    path.write_text(FLOW, encoding="utf-8")
+    monkeypatch.setattr(os, "access", lambda *_: False)  # for root may write anything
+    with pytest.raises(UsageError, match="cannot be written; check its permissions"):
+        rewrite_device(str(path), VALUES, channel=0)
