@@ -113,8 +113,8 @@ def hands_of_scene(scene: Scene, given: Mapping[str, Any]) -> list[Hand]:
         and prediction.rendering.kind.predicts
     ):
         raise UsageError(
-            f"device.correction: found {scene.device.correction}, of which this picture does not show the loop; expected "
-            "none or poles. `hapsim chart felt` and `hapsim measure --impedance` show what a predictor does"
+            f"device.correction: found {scene.device.correction}, of which this picture does not show the loop; "
+            "expected none or poles. `hapsim chart felt` and `hapsim measure --impedance` show what a predictor does"
         )
     felt = prediction.felt
     if not felt:
