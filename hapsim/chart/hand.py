@@ -107,11 +107,7 @@ def described(configuration: Configuration, *, mass: bool = True, normalised: bo
 def hands_of_scene(scene: Scene, given: Mapping[str, Any]) -> list[Hand]:
     """The lone hands of a scene, in its order; `given`: fields of a Configuration that are to be other than it says."""
     prediction = predict(scene, with_margins=False)
-    if (
-        prediction.rendering is not None
-        and prediction.rendering.kind is not None
-        and prediction.rendering.kind.predicts
-    ):
+    if any(one.predictor is not None for one in prediction.felt):
         raise UsageError(
             f"device.correction: found {scene.device.correction}, of which this picture does not show the loop; "
             "expected none or poles. `hapsim chart felt` and `hapsim measure --impedance` show what a predictor does"

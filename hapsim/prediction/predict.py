@@ -252,11 +252,14 @@ def _desired_on(rendering: Rendering, port: Corrected) -> Desired:
     kind, (k, b) = rendering.kind, port.desired
     frequency, ratio = frequency_and_ratio(port.declared.mass, k, b)
     least, most = rendering.desired.device.mass_spans(rendering.desired.channels)[port.channel]
-    errors = []
+    errors: list[float] = []
     for mass in np.geomspace(least, most, 1 if least == most else _MASSES).tolist():
         element, made_for = port.settled(mass)
+        if element == (0.0, 0.0):
+            errors.append(0.0)  # the device alone
+            continue
         loop = kind.closed(replace(port.declared, mass=mass), replace(port.declared, mass=made_for))
-        errors.append(felt_error(loop.equivalent(*element), (k, b), mass))
+        errors.append(float(felt_error(loop.equivalent(*element), (k, b), mass)))
     return Desired(
         name=port.name,
         channel=port.channel,
@@ -405,6 +408,8 @@ def _as_made(rendering: Rendering, felt: Felt) -> Felt:
     port = next((port for port in rendering.ports if port.name == felt.name), None)
     if port is None or rendering.kind is None or not rendering.kind.predicts:
         return felt
+    if port.rendered == (0.0, 0.0):
+        return felt  # without a force it is the device alone, whatever was predicted
     return _felt_of_predictor(felt, port.declared, rendering.predictor_of(port), port.rendered)
 
 

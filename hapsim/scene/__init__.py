@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from .load import load_scene, parse_scene
     from .mock import Initial, Mock, MockDevice
     from .modules import *  # noqa: F403
+    from .quantity import Span
     from .scene import VERSION, Scene
     from .schema import scene_schema
 
@@ -23,6 +24,7 @@ _EXPORTS = {
     "device": ("Clock", "Device"),
     "load": ("load_scene", "parse_scene"),
     "mock": ("Initial", "Mock", "MockDevice"),
+    "quantity": ("Span",),
     "scene": ("VERSION", "Scene"),
     "schema": ("scene_schema",),
 }
@@ -41,6 +43,7 @@ __all__ = [
     "Sampling",
     "Scene",
     "SchemeName",
+    "Span",
     "load_scene",
     "parse_scene",
     "scene_schema",

@@ -33,8 +33,7 @@ import hapsim
 from hapsim.errors import HapsimError
 from hapsim.prediction.correction import felt_error
 from hapsim.running import Excitation
-from hapsim.scene import Device, DevicePoint, Ground, Initial, Mock, Scene, ViscoElastic
-from hapsim.scene.quantity import Span
+from hapsim.scene import Device, DevicePoint, Ground, Initial, Mock, Scene, Span, ViscoElastic
 
 MASS, RATE = 0.05, 1000.0  # kg, Hz: declared
 FROM, TO, MOST_RATIO = 1e-4, 2.0, 1.5  # K T²/m; damping ratio

@@ -26,6 +26,7 @@ MOST_STATES = 200
 
 _MOVES = 0.05  # the hand's share of a mode's kinetic energy, from which it is one of the hand's
 _ON_THE_CIRCLE = 1e-7  # where a scene with something free has two poles, as rounding leaves them
+_AT_REST = 1e-6  # of the fastest root: a motion that no force brings back, as rounding leaves it
 _LEAST, _MOST = 1e-3, 10.0  # times what the scene has, between which the nearest is searched
 _SOLVED = 1e-9  # of the distance of the poles from z = 1
 
@@ -103,16 +104,16 @@ def _targets(
     modes: list[ContinuousMode], hands: Sequence[int], rate: float
 ) -> tuple[list[tuple[complex, complex]], list[ContinuousMode]]:
     """Two poles in the z-plane for each hand: of the slowest mode that moves it and is no other's; of real roots, the
-    two slowest."""
-    pairs, taken, left = [], [], list(modes)
+    two slowest. What moves all together, held by nothing, is no mode that a link changes."""
+    still = _AT_REST * max((abs(mode.root) for mode in modes), default=0.0)
+    pairs, taken, left = [], [], [mode for mode in modes if abs(mode.root) > still]
     for hand in hands:
         own = [mode for mode in left if mode.participation[hand] >= _MOVES and abs(mode.root.imag) < np.pi * rate]
-        if not own:
+        real = [mode for mode in own if not mode.root.imag]
+        first = next((mode for mode in own if mode.root.imag or len(real) > 1), None)
+        if first is None:
             continue
-        first = own[0]
-        second = first if first.root.imag else next((mode for mode in own[1:] if not mode.root.imag), None)
-        if second is None:
-            continue
+        second = first if first.root.imag else real[1]
         left = [mode for mode in left if mode is not first and mode is not second]
         z = np.exp(first.root / rate)
         pairs.append((complex(z), complex(np.conj(z)) if first.root.imag else complex(np.exp(second.root / rate))))

@@ -17,7 +17,8 @@ LEAST_DAMPING = 0.1
 """An error of b counts against b, or against this part of the critical damping's half where b is smaller."""
 
 _UNSTABLE, _NO_EQUIVALENT = 1e6, 1e3  # costs above every error that counts
-_GRID, _ZOOMS, _KEPT = 41, 7, 0.15
+_GRID, _LEAST_GRID, _ZOOMS, _KEPT = 41, 9, 7, 0.15
+_WORK = 3e4  # points of a grid, times loops, times the cube of a sixth of the poles: fewer where the delay is long
 _MASSES = 5  # of a span, at which the worst error is looked for
 _AT_THE_LIMIT = 1e-9
 
@@ -63,11 +64,12 @@ def felt_error(
     felt: tuple[Floats, Floats], desired: tuple[float | Floats, float | Floats], mass: float | Floats
 ) -> Floats:
     """How far the felt (k, b) is from the desired one: the larger of the relative errors of the two; infinite where
-    there is no felt one. Of b, relative to the desired one or to 0.1 sqrt(k m), whichever is larger."""
+    there is no felt one. Of b, relative to the desired one or to 0.1 sqrt(k m), whichever is larger; of k, where
+    none is desired, relative to b²/m."""
     (k, b), (k_wanted, b_wanted) = felt, desired
     critical = np.sqrt(np.abs(k_wanted) * mass)
     with np.errstate(all="ignore"):
-        of_k = np.abs(k - k_wanted) / np.abs(k_wanted)
+        of_k = np.abs(k - k_wanted) / np.where(k_wanted, np.abs(k_wanted), np.square(b_wanted) / mass)
         of_b = np.abs(b - b_wanted) / np.maximum(np.abs(b_wanted), LEAST_DAMPING * critical)
         error = np.maximum(of_k, of_b)
     return np.where(np.isfinite(error), error, np.inf)
@@ -82,8 +84,10 @@ def _nearest(
     most_B = min(4.0 * max(b, math.sqrt(max(k, 0.0) * declared.mass)), 2.0 * declared.damping_unit)
     lowest, highest = np.zeros(2), np.array([most_K, most_B])
     best, cost = np.zeros(2), math.inf
+    poles = loops[0].poles(0.0, 0.0).shape[-1]
+    size = int(np.clip(math.sqrt(_WORK / (len(loops) * (poles / 6.0) ** 3)), _LEAST_GRID, _GRID))
     for _ in range(_ZOOMS):
-        K, B = np.meshgrid(*(np.linspace(lowest[i], highest[i], _GRID) for i in range(2)), indexing="ij")
+        K, B = np.meshgrid(*(np.linspace(lowest[i], highest[i], size) for i in range(2)), indexing="ij")
         costs = np.max(
             [_cost(loop, K.ravel(), B.ravel(), desired, mass) for loop, mass in zip(loops, masses, strict=True)], axis=0
         )
@@ -98,6 +102,9 @@ def _nearest(
 def _cost(loop: ClosedLoop, K: Floats, B: Floats, desired: tuple[float, float], mass: float) -> Floats:
     """The error; a loop without an equivalent costs more than any that has one, an unstable one more than any."""
     radius = np.abs(loop.poles(K, B)[..., 0])
-    error = felt_error(loop.equivalent(K, B), desired, mass)
-    error = np.where(np.isfinite(error), error, _NO_EQUIVALENT * radius)
-    return np.where(radius <= 1.0 + _AT_THE_LIMIT, error, _UNSTABLE * radius)
+    cost = _UNSTABLE * radius
+    stable = radius <= 1.0 + _AT_THE_LIMIT
+    if stable.any():
+        error = felt_error(loop.equivalent(K[stable], B[stable]), desired, mass)
+        cost[stable] = np.where(np.isfinite(error), error, _NO_EQUIVALENT * radius[stable])
+    return np.asarray(cost)

@@ -150,10 +150,10 @@ def _as_seen(kind: CorrectionKind, scene: Scene) -> Scene:
 def _lone(kind: CorrectionKind, scene: Scene, port: Port, more: tuple[float, float] = (0.0, 0.0)) -> Element:
     """The element of a port whose neighbours stand still; `more`: K and B of a contact that is touched."""
     stiffness, damping = port.stiffness + more[0], port.damping + more[1]
-    declared = _declared(scene, port)
+    declared, span = _declared(scene, port), scene.device.mass_spans(scene.channels)[port.channel]
     if stiffness == 0.0 and damping == 0.0:
-        return Element(0.0, 0.0, declared.mass, True)
-    span = scene.device.mass_spans(scene.channels)[port.channel]
+        # What a contact adds is searched for a predictor of the least mass, as that of links is.
+        return Element(0.0, 0.0, span[0] if kind.predicts else declared.mass, True)
     return element_for(kind, declared, span, (stiffness + declared.stiffness, damping + declared.friction))
 
 

@@ -1,0 +1,80 @@
+"""Corrections at the edges: what moves freely, what has no stiffness, contacts alone, delays that are long."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hapsim import predict
+from hapsim.prediction.correction import CORRECTIONS, rendered
+from hapsim.prediction.correction.lone import element_for
+from hapsim.scene import Scene, parse_scene
+from hapsim.theory import Configuration
+
+SPAN = {"from": 0.1, "to": 0.4}
+
+
+def scene_of(modules: dict[str, Any], correction: str, **device: Any) -> Scene:
+    own = {"clock": "lockstep", "mass": 0.2, "friction": 1.0, "correction": correction} | device
+    modules = {"hand": {"type": "device", "channel": 0}, "wall": {"type": "ground"}} | modules
+    return parse_scene(json.dumps({"version": 1, "rate": 1000.0, "device": own, "modules": modules}))
+
+
+@pytest.mark.parametrize("correction", ["poles", "predictor"])
+@pytest.mark.parametrize("friction", [0.0, 1.0])
+def test_two_hands_that_hold_only_each_other_swing_as_the_scene_says(correction: str, friction: float) -> None:
+    """Their common motion comes back from nowhere: it is no mode of the link."""
+    modules = {
+        "other": {"type": "device", "channel": 1},
+        "tie": {"type": "viscoelastic", "between": ["hand", "other"], "stiffness": 2000.0, "damping": 2.0},
+    }
+    prediction = predict(scene_of(modules, correction, friction=friction), with_margins=False)
+    stiffness, damping, reduced = 2000.0, 2.0 + friction / 2.0, 0.1
+    decay = damping / (2.0 * reduced)
+    swing = np.sqrt(stiffness / reduced - decay**2)
+    expected = np.exp(complex(-decay, swing) / 1000.0)
+    assert min(abs(pole - expected) for pole in prediction.poles) < 1e-7
+
+
+@pytest.mark.parametrize("correction", ["poles", "predictor"])
+def test_a_damper_alone_keeps_its_damping_over_a_span(correction: str) -> None:
+    damper = {"touch": {"type": "damper", "between": ["hand", "wall"], "damping": 5.0}}
+    (port,) = rendered(scene_of(damper, correction, mass=SPAN)).ports
+    kind = CORRECTIONS[correction]
+    model = replace(port.declared, mass=port.made_for)
+    for mass in np.geomspace(0.1, 0.4, 7):
+        k, b = kind.closed(replace(port.declared, mass=float(mass)), model).equivalent(*port.rendered)
+        assert k == pytest.approx(0.0, abs=1e-3)
+        assert b == pytest.approx(6.0, rel=0.05)
+
+
+def test_a_contact_alone_has_the_predictor_that_it_was_searched_for() -> None:
+    """Of the least mass; without a touch it is the device alone, and stable for all that is predicted."""
+    contact = {"touch": {"type": "buffer", "between": ["hand", "wall"], "stiffness": 9000.0, "damping": 30.0}}
+    scene = scene_of(contact, "predictor", mass=SPAN, friction=0.0)
+    (port,) = rendered(scene).ports
+    assert port.made_for == SPAN["from"]
+    prediction = predict(scene, with_margins=False)
+    assert prediction.stable
+    assert prediction.desired[0].error == 0.0
+
+
+@pytest.mark.parametrize("correction", ["poles", "predictor"])
+def test_a_long_delay_is_searched_for_more_coarsely(correction: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By the work that it takes: the cube of the number of poles, in all."""
+    work = 0
+    eigenvalues = np.linalg.eigvals
+
+    def counted(matrices: Any) -> Any:
+        nonlocal work
+        work += matrices[..., 0, 0].size * matrices.shape[-1] ** 3
+        return eigenvalues(matrices)
+
+    monkeypatch.setattr(np.linalg, "eigvals", counted)
+    declared = Configuration(mass=0.2, rate=1000.0, friction=1.0, delay=20.0)
+    element_for(CORRECTIONS[correction], declared, (0.1, 0.4), (3000.0, 10.0))
+    assert 0 < work < 6e8
