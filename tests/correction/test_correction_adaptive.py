@@ -121,6 +121,21 @@ def test_nothing_is_simulated_that_some_mass_of_the_span_makes_unstable() -> Non
     assert 0 < limited < 12  # some are free, some are not
 
 
+def test_a_contact_is_stable_for_every_mass_too() -> None:
+    """A light device, released while it is pressed against a contact, with a force for a heavy hand."""
+    declared = Configuration(mass=0.2, rate=RATE, friction=1.0)
+    contact = (30000.0, 60.0)
+    alone = schedule_for(declared, (LEAST, MOST), (3000.0, 11.0))
+    beside = schedule_for(declared, (LEAST, MOST), (3000.0, 11.0), [contact])
+    assert beside.safe < alone.safe
+    kind = CORRECTIONS["adaptive"]
+    for element in beside.elements[::6]:
+        for mass in (LEAST, 0.15, MOST):
+            loop = kind.closed(replace(declared, mass=mass), replace(declared, mass=element.made_for))
+            pole = loop.poles(element.stiffness + contact[0], element.damping + contact[1])[0]
+            assert abs(pole) <= 1.0 + 1e-6
+
+
 def test_another_spring_comes_without_a_step() -> None:
     """Live parameters pass through the correction, and its tables along the same ramp."""
     pushes = Excitation(0, 5.0, 4, 100, start=0, first=True)

@@ -8,6 +8,7 @@ greatest one for which that holds. ``loop/adaptive.py`` estimates, and moves bet
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -45,16 +46,23 @@ class Schedule(NamedTuple):
         return Element(K, B, made_for if is_free else model, is_free and mass <= self.safe)
 
 
-def schedule_for(declared: Configuration, span: tuple[float, float], desired: tuple[float, float]) -> Schedule:
+def schedule_for(
+    declared: Configuration,
+    span: tuple[float, float],
+    desired: tuple[float, float],
+    touched: Sequence[tuple[float, float]] = (),
+) -> Schedule:
     """For a hand that is to feel ``desired`` (k in N/m, b in N·s/m), whatever mass of the span it has. Where even the
-    element of the least mass is not stable for all, the one that `element_for` finds for the span, for every mass."""
+    element of the least mass is not stable for all, the one that `element_for` finds for the span, for every mass.
+    ``touched``: (K, B) of contacts, each of which may come to an element, and has to leave it stable."""
     masses = np.geomspace(*span, ROWS)
     trues = [replace(declared, mass=mass) for mass in np.geomspace(*span, _TRIED).tolist()]
     found: list[Element] = []
     for mass in masses.tolist():
         model = replace(declared, mass=mass)
         element = element_for(PREDICTOR, model, (mass, mass), desired)
-        if not element.reached or not _is_stable_for(trues, model, element):
+        sums = [(element.stiffness + K, element.damping + B) for K, B in [(0.0, 0.0), *touched]]
+        if not element.reached or not all(_is_stable_for(trues, model, K, B) for K, B in sums):
             break
         found.append(element)
     if not found:
@@ -63,8 +71,6 @@ def schedule_for(declared: Configuration, span: tuple[float, float], desired: tu
     return Schedule(masses, tuple(elements), float(masses[len(found) - 1]))
 
 
-def _is_stable_for(trues: list[Configuration], model: Configuration, element: Element) -> bool:
+def _is_stable_for(trues: list[Configuration], model: Configuration, K: float, B: float) -> bool:
     loops = (predicted(true, model) for true in trues)
-    return all(
-        bool(np.abs(loop.poles(element.stiffness, element.damping)[..., 0]) <= 1.0 + _ON_THE_CIRCLE) for loop in loops
-    )
+    return all(bool(np.abs(loop.poles(K, B)[..., 0]) <= 1.0 + _ON_THE_CIRCLE) for loop in loops)

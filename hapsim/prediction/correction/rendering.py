@@ -102,10 +102,11 @@ def rendered(scene: Scene) -> Rendering:
     elements: dict[str, Element] = {}
     schedules: dict[str, Schedule] = {}
     for port in lone:
-        elements[port.name] = _lone(kind, scene, port)
         if kind.adapts and (schedule := _schedule(scene, port)) is not None:
             schedules[port.name] = schedule
             elements[port.name] = schedule.elements[0]
+        else:
+            elements[port.name] = _lone(kind, scene, port)
         if why := why_coupled(scene, linear, port.name):
             notes.append(
                 f"{port.name} {why}: what moves with it is taken to stand still, since the scene has more than "
@@ -162,7 +163,11 @@ def _schedule(scene: Scene, port: Port) -> Schedule | None:
     declared, span = _declared(scene, port), scene.device.mass_spans(scene.channels)[port.channel]
     if span[0] == span[1] or port.stiffness == port.damping == 0.0:
         return None
-    return schedule_for(declared, span, (port.stiffness + declared.stiffness, port.damping + declared.friction))
+    contacts = [(contact.stiffness, contact.damping) for contact in port.contacts.values()]
+    if len(contacts) > 1:
+        contacts.append((math.fsum(K for K, _ in contacts), math.fsum(B for _, B in contacts)))
+    desired = port.stiffness + declared.stiffness, port.damping + declared.friction
+    return schedule_for(declared, span, desired, contacts)
 
 
 def _declared(scene: Scene, port: Port) -> Configuration:
@@ -171,7 +176,10 @@ def _declared(scene: Scene, port: Port) -> Configuration:
 
 
 def _contacts(kind: CorrectionKind, scene: Scene, port: Port, base: Element) -> dict[str, Module]:
-    """Each contact with what it adds, while it is touched, to the linear links; as it is where that is nothing."""
+    """Each contact with what it adds, while it is touched, to the linear links; as it is where that is nothing, and
+    where the links follow an estimate, of which a contact knows nothing."""
+    if kind.adapts:
+        return {}
     changed: dict[str, Module] = {}
     for name, contact in port.contacts.items():
         touched = _lone(kind, scene, port, (contact.stiffness, contact.damping))
