@@ -87,7 +87,7 @@ def mark_passive_band(axes: Axes, *phases: Floats) -> None:
     every = 45.0 if high - low <= 270.0 else 90.0 if high - low <= 900.0 else 360.0
     axes.set_yticks(every * np.arange(math.ceil(low / every), math.floor(high / every) + 1))
     outside: dict[str, Any] = {"facecolor": "0.86", "linewidth": 0, "zorder": 0.5}
-    label = "outside of −90° to 90°: the wall gives energy"
+    label = "outside of −90° to 90°: the scene gives energy"
     # A phase that goes on turning comes back into the band, a turn further down.
     turn = math.floor((low + 90.0) / 360.0)
     for centre in 360.0 * np.arange(turn, 2):

@@ -12,7 +12,7 @@ from rich.table import Table
 
 from hapsim.console.correction import show_correction
 from hapsim.console.wire import show_silence, show_wire
-from hapsim.prediction import Desired, Felt, Prediction, felt_at_rate
+from hapsim.prediction import Desired, Felt, Prediction, correction_for, felt_at_rate
 from hapsim.theory import Mode
 
 if TYPE_CHECKING:
@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 _REFUSED_BY_DEVICE = "frames refused by the device"
 _FEW_ARE_NORMAL = " (a few at arming and disarming are normal)"
 _MANY = 10
+_FEW = 0.01
+_CLEARLY = 0.01  # of what is predicted, of b of half the critical damping
 _OFF_RATE = 0.02  # of the rate, from which a hand feels another damping
 _MARGINAL = 1e-9  # of the spectral radius: a free motion, which rounding places on either side of 1
 
@@ -95,6 +97,9 @@ def _show_felt(out: Console, felt: Felt, margin_in_table: bool, desired: Desired
         table.add_row(label, *([_number(getattr(desired, wanted))] if desired else []), simulated, is_felt)
     out.print()
     out.print(table)
+    if desired is None and (name := correction_for(felt)):
+        k, b = felt.stiffness + felt.configuration.stiffness, felt.damping + real
+        out.print(f"With `correction: {name}` under `device` the hand would feel k = {k:.6g}, b = {b:.6g}.")
     if felt.reason:
         out.print(f"No spring and damper is equivalent: {felt.reason}.")
     if margin := _margin(felt, margin_in_table):
@@ -228,12 +233,30 @@ def show_measurement(
             f"[yellow]{limited} of {measurement.trace.report.ticks} ticks were at the force limit[/yellow]: k and b "
             "hold for motions that stay below it; beyond, the hand feels less."
         )
+    if felt is not None and _is_another_device(felt, measurement):
+        out.print(
+            "[yellow]Measured and predicted are much further apart than the uncertainty[/yellow]: the device is not as "
+            "the scene declares it, or has dry friction. `hapsim identify` finds what it is."
+        )
     if not measurement.dominant:
         out.print(f"The motion is not that of a spring and damper: {_plainly(measurement.reason)}.")
     out.print(
         f"Read from {measurement.samples} samples; the fit leaves {measurement.residual_m:.2g} m, in "
         f"{measurement.order} poles."
     )
+
+
+def _is_another_device(felt: Felt, measurement: Measurement) -> bool:
+    """At the declared rate, and with most forces below the limit and in time."""
+    report, seen = measurement.trace.report, measurement.seen_rate
+    disturbed = report.limited_ticks + report.deadline_misses > _FEW * report.ticks
+    if disturbed or (seen is not None and seen.differs_from(measurement.trace.rate)):
+        return False
+    pairs = [
+        (measurement.k - felt.k, measurement.k_uncertainty, felt.k),
+        (measurement.b - felt.b, measurement.b_uncertainty, math.sqrt(abs(felt.k) * measurement.mass)),
+    ]
+    return any(abs(off) > max(_MANY * uncertainty, _CLEARLY * abs(whole)) for off, uncertainty, whole in pairs)
 
 
 def _plainly(reason: str) -> str:

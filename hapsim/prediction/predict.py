@@ -11,6 +11,7 @@ import numpy as np
 from firmware_protocol.wire_time import WireTime
 from hapsim.errors import UsageError
 from hapsim.prediction.correction import (
+    CORRECTIONS,
     Corrected,
     Remedies,
     Rendering,
@@ -40,6 +41,7 @@ from hapsim.theory.correction import PredictedLoop, StatePredictor
 from hapsim.theory.network import ContinuousMode, continuous_modes, is_large
 
 _MASSES = 9  # of a span, at which the error of a correction is looked at
+_PLAIN = 0.01  # an error of what is felt that is worth a correction
 _SURELY = 1.0 + 1e-9  # what grows by more in a sample is not at the limit
 
 
@@ -438,6 +440,19 @@ def _felt_of_predictor(
         reason="" if math.isfinite(k) else "the slowest poles are not those of a spring and damper",
         predictor=predictor,
     )
+
+
+def correction_for(felt: Felt) -> str:
+    """The simplest correction with which this hand would feel its stiffness and damping as they are written; "" where
+    it does so within a hundredth without one, and where none makes it so."""
+    device = felt.configuration
+    k, b = felt.stiffness + device.stiffness, felt.damping + device.friction
+    if felt.predictor is not None or not felt_error((np.array(felt.k), np.array(felt.b)), (k, b), device.mass) > _PLAIN:
+        return ""
+    for name in ("poles", "predictor"):
+        if np.isfinite(CORRECTIONS[name].seen_by_theory(device).simulated(k, b)).all():
+            return name
+    return ""
 
 
 def with_mass(prediction: Prediction, channel: int, mass: float) -> Prediction:
