@@ -12,11 +12,13 @@ import pytest
 from numpy.typing import NDArray
 
 from hapsim import run, start
+from hapsim.loop.adaptive import SLEW_S
 from hapsim.loop.trace import Trace
 from hapsim.measuring.identify import identify
-from hapsim.prediction.correction import CORRECTIONS
+from hapsim.prediction.correction import CORRECTIONS, rendered
 from hapsim.prediction.correction.adaptive import schedule_for
 from hapsim.running import Excitation, Session
+from hapsim.running.correction import _adaptive
 from hapsim.scene import Device, DevicePoint, Ground, Initial, Mock, Scene, ViscoElastic
 from hapsim.theory import Configuration
 
@@ -101,6 +103,37 @@ def largest_growth(x: NDArray[np.float64], grips: Any) -> float:
         if peaks.size > 1:
             worst = max(worst, float((peaks[1:] / peaks[:-1]).max()))
     return worst
+
+
+@pytest.mark.parametrize("n", range(POINTS))
+def test_the_force_follows_the_estimate_no_faster_than_it_says(n: int) -> None:
+    """At every sample it is that of a mass which differs from the last one's by no more than the slew allows: followed
+    through the record, of all masses there are, while the hand grips and releases."""
+    (stiffness, damping), grips = schedules(4 * POINTS)[4 * n + 1]
+    scene = gripped(stiffness, damping, grips=grips)
+    trace = run(scene, duration=0.4)
+    (port,) = rendered(scene).ports
+    channel = _adaptive(port, senses=False)
+    rows, fine = np.log(np.geomspace(LEAST, MOST, len(channel.stiffness))), np.linspace(*np.log([LEAST, MOST]), 4001)
+
+    def at_every_mass(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.interp(fine, rows, values)
+
+    element = port.schedule.elements[0]
+    K, B = at_every_mass(channel.stiffness) + element.stiffness, at_every_mass(channel.damping) + element.damping
+    weights = np.array([[at_every_mass(channel.weights[:, i, j]) for j in range(4)] for i in range(2)])
+    y, f, asked = trace.position[:, 0], trace.force[:, 0], trace.asked_force[:, 0]
+    slew = 1.0 / (SLEW_S * RATE)
+    possible = fine < fine[0] + slew
+    reach = int(np.ceil(slew / (fine[1] - fine[0])))
+    for sample in range(2, y.size):
+        told = [y[sample], y[sample - 1], f[sample - 1], f[sample - 2]]
+        x, v = (np.tensordot(told, row, axes=1) for row in weights)
+        forces = -K * x - B * v
+        reached = np.convolve(possible, np.ones(2 * reach + 1), mode="same") > 0.0
+        coarse = np.abs(np.gradient(forces)) + 1e-6 * np.abs(asked).max()
+        possible = reached & (np.abs(forces - asked[sample]) <= coarse)
+        assert possible.any(), sample
 
 
 def test_nothing_is_simulated_that_some_mass_of_the_span_makes_unstable() -> None:
