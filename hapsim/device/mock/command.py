@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import signal
-import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from queue import SimpleQueue
 
 from hapsim.compiling.progress import Counted, on_compilation
 from hapsim.device.mock.assemble import assemble_mock
@@ -29,19 +29,20 @@ def serve_until_stopped(
     is taken. `as_hardware`: before every other program, where the system grants that.
     """
     require_pseudo_terminal()  # before anything is changed
-    stopped = threading.Event()
+    # A queue, and not an event: a handler that sets one while it is waited for may wait for the event's own lock.
+    stops: SimpleQueue[None] = SimpleQueue()
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, lambda _number, _frame: stopped.set())
+        signal.signal(number, lambda _number, _frame: stops.put(None))
     with (
         on_compilation(Counted(lambda name, share: tell(Progress("compiling", name, share=share))).add),
         serving(assemble_mock(scene), as_hardware) as path,
         _linked(link, path) as name,
     ):
-        if stopped.is_set():
+        if not stops.empty():
             return  # told to stop while it was compiled: nobody shall take it for a port that answers
         announce(name)
         tell(Progress("serving", name))
-        stopped.wait()
+        stops.get()
 
 
 @contextlib.contextmanager
