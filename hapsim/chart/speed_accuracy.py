@@ -33,7 +33,7 @@ def draw_speed_accuracy(objects: Sequence[Object], rows: Sequence[Row], path: Pa
     """Draws it. The ending of `path` chooses SVG, PNG or PDF."""
     across = min(len(objects), _ABREAST)
     down = math.ceil(len(objects) / across)
-    with figure_to(path, max(6.4, 3.45 * across), 3.0 * down + 1.1) as figure:
+    with figure_to(path, max(6.4, 3.45 * across), 3.0 * down + (1.1 if across > 1 else 1.6)) as figure:
         panels = figure.subplots(down, across, squeeze=False).ravel()
         styles = _Styles(objects, rows)
         for axes, one in zip(panels, objects, strict=False):
@@ -148,4 +148,11 @@ def _legend(figure: Figure, objects: Sequence[Object], styles: _Styles) -> None:
     handles.append(line("front of hapsim's own", **_FRONT))
     handles.append(line("real time", **_REAL_TIME))
     handles += [line(name, **_of_peer(styles, name)) for name in styles.peers]
-    figure.legend(handles=handles, loc="outside lower center", ncols=6, frameon=False, columnspacing=1.4, fontsize=8)
+    figure.legend(
+        handles=handles,
+        loc="outside lower center",
+        ncols=6 if len(objects) > 1 else 3,
+        frameon=False,
+        columnspacing=1.4,
+        fontsize=8,
+    )
