@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from firmware_protocol.wire_time import WireTime
 from hapsim.errors import UsageError
 from hapsim.prediction.correction import (
     CORRECTIONS,
     Corrected,
-    Remedies,
     Rendering,
     felt_error,
     remedies_for,
@@ -22,13 +20,13 @@ from hapsim.prediction.correction import (
 )
 from hapsim.prediction.hands import hand_of, is_lone, links_of, network_of, why_coupled
 from hapsim.prediction.linear import LinearScene, linear_scene
-from hapsim.prediction.wire import WireOf, wire_of, wire_time_of, with_wire_delay
+from hapsim.prediction.types import Desired, Felt, LinkMargin, Prediction
+from hapsim.prediction.wire import wire_of, wire_time_of, with_wire_delay
 from hapsim.scene import Scene
 from hapsim.scene.choices import WITH_SENSOR
 from hapsim.theory import (
     Configuration,
     Margins,
-    Mode,
     Network,
     NotWorkedOutError,
     Solution,
@@ -38,153 +36,11 @@ from hapsim.theory import (
 )
 from hapsim.theory.arrays import sort_by_modulus
 from hapsim.theory.correction import PredictedLoop, StatePredictor
-from hapsim.theory.network import ContinuousMode, continuous_modes, is_large
+from hapsim.theory.network import continuous_modes, is_large
 
 _MASSES = 9  # of a span, at which the error of a correction is looked at
 _PLAIN = 0.01  # an error of what is felt that is worth a correction
 _SURELY = 1.0 + 1e-9  # what grows by more in a sample is not at the limit
-
-
-@dataclass(frozen=True)
-class Felt:
-    """What the hand feels on one device point whose links all end on grounds: a temporary hybrid system of its own."""
-
-    name: str
-    channel: int
-    configuration: Configuration
-    stiffness: float
-    """K, N/m, simulated."""
-    damping: float
-    """B, N·s/m, simulated."""
-    k: float
-    """k, N/m; NaN where no spring and damper is equivalent."""
-    b: float
-    """b, N·s/m, real friction included."""
-    frequency_hz: float
-    damping_ratio: float
-    dominant: bool
-    stable: bool
-    spectral_radius: float
-    poles: tuple[complex, ...]
-    passive: bool | None
-    """Whether no hand can make it unstable (Colgate and Schenkel); None where the condition is not derived."""
-    stiffness_factor: float
-    """By how much K could grow before the loop becomes unstable, B as it is; infinity if never, below 1 if it is."""
-    stable_damping: tuple[float, float]
-    """N·s/m: from least to most B, with K as it is; NaN where no damping makes it stable."""
-    linear_limit: float
-    """N/m: the stiffness that the linear rule allows, (b0 + B)/(T/2 + delay T) (Gil et al.)."""
-    reason: str
-    """Why there is no equivalent, where there is none."""
-    predictor: StatePredictor | None = None
-    """Whose state the force answers, with a correction that predicts."""
-
-
-class Desired(NamedTuple):
-    """What the hand is to feel on one device point: the scene's stiffness and damping and the device's own; and how
-    far a correction brings it there."""
-
-    name: str
-    channel: int
-    k: float
-    """N/m"""
-    b: float
-    """N·s/m"""
-    frequency_hz: float
-    damping_ratio: float
-    error: float
-    """Of what is felt, as `felt_error` counts it; over a span of masses the largest."""
-    reached: bool
-    remedies: Remedies | None
-    """What would make it reachable; None where it is reached, or the mass is a span."""
-    stable_masses: tuple[float, float]
-    """kg: the least and the most mass with which the corrected loop is stable."""
-    steady_stiffness: float
-    """N/m: what a steady push meets, the device's own spring included; desired is k."""
-
-
-@dataclass(frozen=True)
-class LinkMargin:
-    """By what one link may be multiplied before the whole scene is unstable, all else as it is.
-
-    Infinity where it never is. Where the scene is unstable as it stands: the largest factor below 1 that makes it
-    stable, 0 where there is none. NaN where it was not worked out.
-    """
-
-    name: str
-    stiffness_factor: float
-    damping_factor: float
-
-
-@dataclass(frozen=True)
-class Prediction:
-    """A scene, predicted."""
-
-    rate: float
-    felt: tuple[Felt, ...]
-    """One for each device point that is a temporary hybrid system of its own, in the scene's order."""
-    coupled: dict[str, str]
-    """Device points that are not, and why, in words that follow their name."""
-    stable: bool
-    """As far as the poles were worked out: see `poles_method`."""
-    spectral_radius: float
-    poles: tuple[complex, ...]
-    """Of the whole closed loop, by decreasing modulus, those at zero left out; of a large scene some."""
-    poles_in_all: int
-    """How many the closed loop has, those at zero included."""
-    poles_method: str
-    """In words, which poles of a large scene were worked out; "" where all were."""
-    modes: tuple[Mode, ...]
-    points: tuple[str, ...]
-    """Names to which a mode's participation refers."""
-    margins: tuple[LinkMargin, ...]
-    """One for each link, in the scene's order; none where they were not asked for."""
-    margins_method: str
-    """In words, which links of a large scene were worked out, and how surely; "" where all were."""
-    wire_time: WireTime
-    wire_of: WireOf
-    """Whose wire that is."""
-    assumptions: tuple[str, ...] = ()
-    """Sentences: what was taken for what the theory does not have."""
-    rendering: Rendering | None = None
-    """What is run in place of the scene, where it has a correction: `stiffness` and `damping` of `felt`, poles, modes
-    and margins are those of that."""
-    desired: tuple[Desired, ...] = ()
-    """What the hand is to feel, for the same device points as `felt`; none without a correction."""
-    desired_modes: tuple[ContinuousMode, ...] = ()
-    """Those of the scene in continuous time, the slowest to decay first; none without a correction."""
-    by_its_scheme: bool = True
-    """Whether poles, modes and margins are those of the scheme by which the scene runs, or else of CORDIS's."""
-
-    @property
-    def first(self) -> Felt | None:
-        """What the hand feels at the scene's first device point that is a system of its own."""
-        return self.felt[0] if self.felt else None
-
-    @property
-    def k(self) -> float:
-        """N/m, of the first; NaN where there is none."""
-        return self.first.k if self.first else math.nan
-
-    @property
-    def b(self) -> float:
-        """N·s/m, of the first; NaN where there is none."""
-        return self.first.b if self.first else math.nan
-
-    @property
-    def frequency_hz(self) -> float:
-        """Eigenfrequency of the first; NaN where there is none."""
-        return self.first.frequency_hz if self.first else math.nan
-
-    @property
-    def damping_ratio(self) -> float:
-        """Of the first; NaN where there is none."""
-        return self.first.damping_ratio if self.first else math.nan
-
-    @property
-    def dominant(self) -> bool:
-        """Whether the first has an equivalent spring and damper."""
-        return self.first is not None and self.first.dominant
 
 
 def predict(scene: Scene, *, with_margins: bool = True) -> Prediction:
