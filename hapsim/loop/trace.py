@@ -6,7 +6,7 @@ import json
 import os
 import zipfile
 import zlib
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -113,6 +113,11 @@ class Trace:
     def force(self) -> NDArray[np.float64]:
         """(N, C) N."""
         return self.force_counts * self.force_scale
+
+    def since(self, tick: int) -> Trace:
+        """Its rows from this tick on, with the same report."""
+        rows = ("sample", "time_ns", "flags", "position_counts", "force_counts", "asked_force")
+        return replace(self, **{name: getattr(self, name)[tick:] for name in rows})
 
     def save(self, path: str | Path) -> None:
         """Writes a .npz (every array as it is) or a .csv (SI units). UsageError where it cannot."""

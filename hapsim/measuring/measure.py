@@ -77,8 +77,7 @@ def _settled(scene: Scene, trace: Trace) -> Trace:
     half = trace.sample.size // 2
     if scene.device.correction != "adaptive" or trace.sample.size - half < _LEAST_ROWS:
         return trace
-    rows = ("sample", "time_ns", "flags", "position_counts", "force_counts", "asked_force")
-    return replace(trace, **{name: getattr(trace, name)[half:] for name in rows})
+    return trace.since(half)
 
 
 def _mass_of(scene: Scene, trace: Trace, channel: int) -> float:

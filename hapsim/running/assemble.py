@@ -45,6 +45,8 @@ class Loop:
         self.record.framing = framing_of(self.wire, to_device=True)
         self.watchdog_samples = 0
         """After how many samples without a force the device releases."""
+        self.run: Scene | None = None
+        """What is run in place of the newest scene, so that the hand feels that."""
         self.correction: LoopCorrection | None = None
         """What the loop does beside moving the scene, so that the hand feels it."""
         self.excitation: Excitation | PeriodicExcitation | None = None
@@ -109,6 +111,7 @@ def assemble_loop(
     loop = Loop(connection, description, bool(scene.sensed_links), scene.device.clock == "lockstep")
     if isinstance(connection.transport, Transport):
         loop.inbox.transport = connection.transport.record
+    loop.run = rendering.scene
     loop.begin_with(compile_scene(rendering.scene))
     _set_io(loop.record.io, scene, description)
     _set_leap(loop.record.leap, scene, description)

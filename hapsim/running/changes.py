@@ -78,26 +78,31 @@ class LiveScene:
         samples = _samples(scene, over)
         rendering = rendered(scene)
         values = parameter_values(rendering.scene)
-        if not _same_values(values, parameter_values(rendered(self.scene).scene)):
+        if not _same_values(values, parameter_values(self._run)):
             self._loop.program.parameters.post(values, samples)
             self._correct_as(rendering, samples)
-        self.scene = scene
+        self.scene, self._loop.run = scene, rendering.scene
 
     def _replace(self, scene: Scene, samples: int) -> None:
         """Live parameters may be set meanwhile; nobody but the last lines holds them up."""
         rendering = rendered(scene)
-        run, before = rendering.scene, rendered(self.scene).scene
+        run = rendering.scene
         program = compile_scene(run)
         while self._loop.is_replacing:
             if self._is_over():
                 raise UsageError(OVER)
             time.sleep(_GLANCE_S)
         with self._writing:
-            take_over_from(self._loop.program, before, program, run)
+            take_over_from(self._loop.program, self._run, program, run)
             program.parameters.post(parameter_values(run), samples)
             self._loop.follow_with(program, samples)
             self._correct_as(rendering, samples)
-            self.scene = scene
+            self.scene, self._loop.run = scene, run
+
+    @property
+    def _run(self) -> Scene:
+        """What is run in place of `scene`."""
+        return self.scene if self._loop.run is None else self._loop.run
 
     def _correct_as(self, rendering: Rendering, samples: int) -> None:
         if self._loop.correction is not None:

@@ -33,7 +33,8 @@ class LoopCorrection:
             goes_on=device.hold == "zoh",
             lives_samples=int(loop.control.time_to_live),
         )
-        channels = _adaptive_channels(rendering)
+        self._channels = channels = _adaptive_channels(rendering)
+        """Those that adapted at the beginning: no other begins to while it runs."""
         if channels:
             numerator, first_lag = forces_in_second_difference(rendering.ports[0].declared)
             self._adaptation = Adaptation(
@@ -46,11 +47,20 @@ class LoopCorrection:
             )
 
     def follow(self, rendering: Rendering, samples: int) -> None:
-        """Another scene before the same device, over so many samples."""
-        if self._adaptation is not None:
-            channels = _adaptive_channels(rendering)
-            if channels:
-                self._adaptation.follow(channels, samples)
+        """Another scene before the same device, over so many samples. A channel on which nothing adapts any more has
+        the predictor that its links are simulated for, and nothing comes to their force."""
+        if self._adaptation is None:
+            return
+        channels = _adaptive_channels(rendering)
+        predictors = rendering.predictors()
+        for channel, before in self._channels.items():
+            if channel not in channels:
+                constant = np.zeros_like(before.stiffness)
+                one = predictors.get(channel)
+                told = before.weights[0] if one is None else np.hstack([one.readings, one.forces])
+                weights = np.broadcast_to(told, before.weights.shape)
+                channels[channel] = before._replace(stiffness=constant, damping=constant, weights=weights)
+        self._adaptation.follow({channel: channels[channel] for channel in self._channels}, samples)
 
     def estimated_mass_kg(self, channels: int) -> tuple[float | None, ...]:
         """For which mass the force of each channel is now; None where it does not adapt, none where nothing does."""

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from hapsim import run, start
 from hapsim.loop.adaptive import SLEW_S
-from hapsim.loop.trace import Trace
 from hapsim.measuring.identify import identify
 from hapsim.prediction.correction import CORRECTIONS, rendered
 from hapsim.prediction.correction.adaptive import schedule_for
@@ -38,12 +37,6 @@ def gripped(stiffness: float, damping: float, *, mass: float = LEAST, friction: 
     return Scene(version=1, rate=RATE, device=device, mock=Mock(**own), modules=modules)
 
 
-def after(trace: Trace, tick: int) -> Trace:
-    """What was recorded from this tick on."""
-    rows = ("sample", "time_ns", "flags", "position_counts", "force_counts", "asked_force")
-    return replace(trace, **{name: getattr(trace, name)[tick:] for name in rows})
-
-
 @pytest.mark.parametrize("mass", [0.1, 0.15, 0.2, 0.4])
 def test_once_settled_the_hand_feels_what_the_scene_says(mass: float) -> None:
     """Its own pushes, every tenth of a second, tell the mass; what is identified is the second half."""
@@ -51,7 +44,7 @@ def test_once_settled_the_hand_feels_what_the_scene_says(mass: float) -> None:
     pushes = Excitation(0, 5.0, 4, 100, start=0, first=True)
     trace = run(scene, duration=4.0, excitation=pushes)
     assert trace.report.estimated_mass_kg[0] == pytest.approx(mass, rel=2e-3)
-    felt = identify(after(trace, 2000), mass, 0)
+    felt = identify(trace.since(2000), mass, 0)
     assert felt.k == pytest.approx(5000.0, rel=2e-3)
     assert felt.b == pytest.approx(21.0, rel=5e-3)
 
@@ -182,7 +175,7 @@ def test_another_spring_comes_without_a_step() -> None:
     trace = session.trace
     assert trace.report.parameter_changes == 1
     assert trace.report.estimated_mass_kg[0] == pytest.approx(0.2, rel=5e-3)
-    felt = identify(after(trace, 1200), 0.2, 0)
+    felt = identify(trace.since(1200), 0.2, 0)
     assert felt.k == pytest.approx(6000.0, rel=2e-3)
     assert felt.b == pytest.approx(16.0, rel=1e-2)
     # From sample to sample the force changes no more than where it is the stiffer spring's from the beginning.

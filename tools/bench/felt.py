@@ -23,7 +23,6 @@ import statistics
 import sys
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -144,7 +143,7 @@ def measured_once(scene: Scene, wanted: tuple[float, float], settles: float, eve
     except HapsimError:
         return Cell(math.inf, math.inf, stable=False)
     try:
-        found = hapsim.identify(since(trace, settling), mass)
+        found = hapsim.identify(trace.since(settling), mass)
     except HapsimError:
         return Cell(math.inf, math.inf, stable=stays(trace))
     k, b = wanted
@@ -153,15 +152,6 @@ def measured_once(scene: Scene, wanted: tuple[float, float], settles: float, eve
     uncertainty = max(found.k_uncertainty / k, of_b)
     stable = (found.k > 0.0 and found.b > 0.0) or (not uncertainty <= CERTAIN and stays(trace))
     return Cell(error, uncertainty if math.isfinite(uncertainty) else math.inf, stable)
-
-
-def since(trace: hapsim.Trace, sample: int) -> hapsim.Trace:
-    """The trace from that sample on."""
-    if sample == 0:
-        return trace
-    rows = trace.sample.size
-    fields = {name: value[sample:] for name, value in vars(trace).items() if np.shape(value)[:1] == (rows,)}
-    return replace(trace, **fields)
 
 
 def stays(trace: hapsim.Trace) -> bool:

@@ -32,10 +32,9 @@ _SOLVED = 1e-9  # of the distance of the poles from z = 1
 
 
 class Matched(NamedTuple):
-    """(K, B) for each port in N/m and N·s/m, and the modes that they put in place, or nearest to it."""
+    """(K, B) for each port in N/m and N·s/m; ``reached``: whether they put the modes in place, or only near it."""
 
     elements: list[tuple[float, float]]
-    modes: list[ContinuousMode]
     reached: bool
 
 
@@ -56,7 +55,7 @@ def match_modes(
     ``starts``: elements of the ports from which they are searched. None where no mode is a hand's own, or
     nothing that is near leaves every motion stable."""
     network, names = network_of(desired, linear_scene(desired))
-    pairs, modes = _targets(continuous_modes(network), [names.index(port.name) for port in ports], desired.rate)
+    pairs = _targets(continuous_modes(network), [names.index(port.name) for port in ports], desired.rate)
     if len(pairs) < len(ports):
         return None
     written = np.array([[port.stiffness, port.damping] for port in ports])
@@ -78,12 +77,12 @@ def match_modes(
         solved = root(off, begin, options={"xtol": 1e-13})
         elements = solved.x.reshape(-1, 2) * scale
         if np.abs(off(solved.x)).max() < _SOLVED and (elements >= 0.0).all() and _is_stable(poles_with(elements)):
-            return Matched([(float(K), float(B)) for K, B in elements], modes, True)
+            return Matched([(float(K), float(B)) for K, B in elements], True)
     nearest = least_squares(off, np.clip(begins[-1], _LEAST, _MOST), bounds=(0.0, 2.0 * _MOST))
     elements = nearest.x.reshape(-1, 2) * scale
     if not _is_stable(poles_with(elements)):
         return None
-    return Matched([(float(K), float(B)) for K, B in elements], modes, False)
+    return Matched([(float(K), float(B)) for K, B in elements], False)
 
 
 def _is_stable(poles: Complexes) -> bool:
@@ -100,13 +99,11 @@ def _with_elements(scene: Scene, ports: Sequence[Port], elements: Floats, damper
     return network_of(rendered, linear_scene(rendered))[0]
 
 
-def _targets(
-    modes: list[ContinuousMode], hands: Sequence[int], rate: float
-) -> tuple[list[tuple[complex, complex]], list[ContinuousMode]]:
+def _targets(modes: list[ContinuousMode], hands: Sequence[int], rate: float) -> list[tuple[complex, complex]]:
     """Two poles in the z-plane for each hand: of the slowest mode that moves it and is no other's; of real roots, the
     two slowest. What moves all together, held by nothing, is no mode that a link changes."""
     still = _AT_REST * max((abs(mode.root) for mode in modes), default=0.0)
-    pairs, taken, left = [], [], [mode for mode in modes if abs(mode.root) > still]
+    pairs, left = [], [mode for mode in modes if abs(mode.root) > still]
     for hand in hands:
         own = [mode for mode in left if mode.participation[hand] >= _MOVES and abs(mode.root.imag) < np.pi * rate]
         real = [mode for mode in own if not mode.root.imag]
@@ -117,8 +114,7 @@ def _targets(
         left = [mode for mode in left if mode is not first and mode is not second]
         z = np.exp(first.root / rate)
         pairs.append((complex(z), complex(np.conj(z)) if first.root.imag else complex(np.exp(second.root / rate))))
-        taken.append(first)
-    return pairs, taken
+    return pairs
 
 
 def _nearest_pairs(poles: Complexes, pairs: Sequence[tuple[complex, complex]]) -> Floats:

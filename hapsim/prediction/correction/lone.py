@@ -51,12 +51,12 @@ def element_for(
         if math.isfinite(K) and math.isfinite(B):
             return Element(K, B, declared.mass, True)
         loops = [kind.closed(declared, declared)]
-        K, B, _ = _nearest(loops, [declared.mass], declared, desired)
+        K, B = _nearest(loops, [declared.mass], declared, desired)
         return Element(K, B, declared.mass, False)
     masses = np.geomspace(least, most, _MASSES).tolist()
     model = replace(declared, mass=least if kind.predicts else declared.mass)
     loops = [kind.closed(replace(declared, mass=mass), model) for mass in masses]
-    K, B, _ = _nearest(loops, masses, declared, desired)
+    K, B = _nearest(loops, masses, declared, desired)
     return Element(K, B, model.mass, False)
 
 
@@ -77,8 +77,8 @@ def felt_error(
 
 def _nearest(
     loops: Sequence[ClosedLoop], masses: Sequence[float], declared: Configuration, desired: tuple[float, float]
-) -> tuple[float, float, float]:
-    """(K, B, cost), searched on grids, each finer than the one before, around the best."""
+) -> tuple[float, float]:
+    """(K, B), searched on grids, each finer than the one before, around the best."""
     k, b = desired
     most_K = min(2.0 * max(k, 0.0), 4.0 * declared.stiffness_unit)
     most_B = min(4.0 * max(b, math.sqrt(max(k, 0.0) * declared.mass)), 2.0 * declared.damping_unit)
@@ -96,7 +96,7 @@ def _nearest(
             cost, best = float(costs[at]), np.array([K.flat[at], B.flat[at]])
         half = _KEPT * (highest - lowest)
         lowest, highest = np.maximum(best - half, 0.0), best + half
-    return float(best[0]), float(best[1]), cost
+    return float(best[0]), float(best[1])
 
 
 def _cost(loop: ClosedLoop, K: Floats, B: Floats, desired: tuple[float, float], mass: float) -> Floats:

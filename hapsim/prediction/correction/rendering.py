@@ -78,16 +78,17 @@ class Rendering:
         """Of every channel of a device point; none where nothing is predicted."""
         if self.kind is None or not self.kind.predicts:
             return {}
-        made_for = {
-            port.channel: port.made_for if port.schedule is None else port.schedule.elements[0].made_for
-            for port in self.ports
-        }
-        channels = [point.channel for point in self.desired.device_points.values()]
-        senses = bool(self.desired.sensed_links)
-        configurations = {channel: configuration_of(self.desired, channel) for channel in channels}
+        scene = self.desired
+        channels = [point.channel for point in scene.device_points.values()]
+        # Where no link ends yet, the least mass's: what may come there while it runs is simulated for that one.
+        made_for = {channel: scene.device.mass_spans(scene.channels)[channel][0] for channel in channels}
+        for port in self.ports:
+            made_for[port.channel] = port.made_for if port.schedule is None else port.schedule.elements[0].made_for
         return {
-            channel: state_predictor(replace(one, mass=made_for.get(channel, one.mass)), senses)
-            for channel, one in configurations.items()
+            channel: state_predictor(
+                replace(configuration_of(scene, channel), mass=made_for[channel]), bool(scene.sensed_links)
+            )
+            for channel in channels
         }
 
 

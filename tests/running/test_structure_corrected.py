@@ -1,0 +1,38 @@
+"""Links that come and go before a device whose correction adapts."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hapsim.scene import Scene, parse_scene
+
+sys.path.insert(0, str(Path(__file__).parent))
+from live_structures import running
+
+TOUCH = {"type": "viscoelastic", "between": ["hand", "wall"], "stiffness": 5000.0, "damping": 4.0}
+
+
+def scene_with(*links: str) -> Scene:
+    device = {"clock": "lockstep", "mass": {"from": 0.1, "to": 0.4}, "friction": 1.0, "correction": "adaptive"}
+    modules = {"hand": {"type": "device", "channel": 0}, "wall": {"type": "ground"}} | dict.fromkeys(links, TOUCH)
+    mock = {"mass": 0.4, "initial": {"velocity": 0.1}}
+    return parse_scene(json.dumps({"version": 1, "rate": 1000, "device": device, "mock": mock, "modules": modules}))
+
+
+def test_a_link_that_is_taken_away_leaves_no_force_behind(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What the estimate of the mass had added to its force goes with it."""
+    with running(scene_with("touch"), monkeypatch) as runner:
+        for _ in range(4):
+            runner.go()
+        (mass,) = runner.loop.correction.estimated_mass_kg(1)
+        assert mass > 0.2  # so that something was added
+        runner.adopt(scene_with())
+        for _ in range(3):
+            runner.go()
+    assert np.abs(runner.asked[200:260, 0]).max() > 0.1
+    np.testing.assert_array_equal(runner.asked[-65:, 0], 0.0)
