@@ -1,4 +1,4 @@
-"""The scenes and the scripts of faults that ship: beside the sources in a clone, in the scheme's share/ when installed."""
+"""The scenes and the scripts of faults that ship: beside the sources in a clone, in the scheme's share/ elsewhere."""
 
 from __future__ import annotations
 

@@ -32,7 +32,7 @@ class InMemory:
     def __init__(self, device: PythonTransport, injector: Injector, period_s: float) -> None:
         self._device, self._injector, self._period_s = device, injector, period_s
         self._queued: dict[bool, deque[Passed]] = {False: deque(), True: deque()}
-        self._waited_s = 0.0
+        self._now_s = 0.0
         self._buffer = np.zeros(_ROOM, np.uint8)
 
     def receive(self, buffer: NDArray[np.uint8], timeout_ns: int) -> int:
@@ -52,8 +52,8 @@ class InMemory:
             )
             if next_s > until_s:
                 break
-            self._waited_s += max(next_s - self._now_s, 0.0)
-        self._waited_s += max(until_s - self._now_s, 0.0)
+            self._now_s = max(self._now_s, next_s)
+        self._now_s = max(self._now_s, until_s)
         time.sleep(max(timeout_ns, 0) * 1e-9)  # the host waits by its own clock
         return TIMED_OUT
 
@@ -62,10 +62,6 @@ class InMemory:
         self._queue(self._injector.take(frame, True, self._now_s))
         self._bring_on()
         return 0 if self._injector.plugged else HUNG_UP
-
-    @property
-    def _now_s(self) -> float:
-        return self._waited_s + self._injector.samples * self._period_s
 
     def _queue(self, passed: Iterable[Passed]) -> None:
         for one in passed:
@@ -81,7 +77,9 @@ class InMemory:
             count = self._device.receive(self._buffer, 0)
             if count <= 0:
                 return count
+            before = self._injector.samples
             self._queue(self._injector.take(self._buffer[:count].tobytes(), False, self._now_s))
+            self._now_s += (self._injector.samples - before) * self._period_s
 
     def _take_due(self, buffer: NDArray[np.uint8]) -> int:
         """Bytes for the host that are due, as many as there is room for."""

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 from firmware_protocol import schema
 from hapsim.faults.fault import Effect
-from hapsim.faults.piece import Moment, Piece, Splitter
+from hapsim.faults.piece import Moment, Piece, Splitter, tidy
 from hapsim.faults.script import Script
 from hapsim.faults.witness import Witness
 
@@ -112,7 +112,7 @@ class Injector:
         return self._begun_s + min((effect.next_s(now) for effect in self._effects), default=math.inf)
 
     def _moment(self, time_s: float) -> Moment:
-        return Moment(time_s - (self._begun_s or 0.0), self._samples)
+        return Moment(tidy(time_s - (self._begun_s or 0.0)), self._samples)
 
     def _through(self, piece: Piece, first: int, time_s: float) -> list[Passed]:
         """A piece through the effects from `first` on."""

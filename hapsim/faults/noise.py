@@ -8,7 +8,7 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import Field, model_validator
 
 from hapsim.faults.fault import Chance, Direction, Effect, FrameEffect, Lasting, OnFrames
-from hapsim.faults.piece import Moment, Piece
+from hapsim.faults.piece import Moment, Piece, tidy
 from hapsim.scene.quantity import Count, Quantity, unexpected
 
 
@@ -46,7 +46,7 @@ class _Garbage(Effect):
             return []
         every_s = math.inf if self._fault.every is None else self._fault.every
         every = self._fault.every_samples
-        self._due = Moment(due.seconds + every_s, -1) if every is None else Moment(0.0, due.samples + every)
+        self._due = Moment(tidy(due.seconds + every_s), -1) if every is None else Moment(0.0, due.samples + every)
         self.count += 1
         ways = [
             way for way in (False, True) if self._fault.direction in ("both", "to_device" if way else "from_device")

@@ -14,11 +14,16 @@ LONGEST = 512
 """Bytes that are waited for without a delimiter among them, far more than a frame has: then they pass as they are."""
 
 
+def tidy(seconds: float) -> float:
+    """A time to the nanosecond, so that what is due in 0.2 s is due once 0.2 s have passed, on whatever clock."""
+    return round(seconds, 9)
+
+
 class Moment(NamedTuple):
     """When something happens, by both of a script's clocks."""
 
     seconds: float
-    """Since the first byte."""
+    """Since the first byte, to the nanosecond (`tidy`)."""
     samples: int
     """Of the device, since its first position; -1 before that."""
 

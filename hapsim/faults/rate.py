@@ -40,13 +40,14 @@ class _Rate(Effect):
         if piece.found is None:
             return [piece]
         frame = piece.found.frame
-        if frame.type == schema.STATUS and piece.found.wire.channels and not piece.to_device:
+        if frame.type == schema.STATUS and not piece.to_device:
             self._seen, self._due = None, 0.0  # armed anew, or over: it counts from 0
         if piece.to_device and frame.type == schema.FORCE and self._seen is not None:
             return [piece.rewritten(number=self._true[frame.number])]
         if piece.to_device or frame.type not in _MOVING:
             return [piece]
         if not self.window.is_open(now) and self._seen is None:
+            self._true[frame.number] = frame.number
             return [piece]
         return self._positions(piece, frame.number, self.window.is_open(now))
 

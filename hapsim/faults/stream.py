@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import Annotated, ClassVar, Literal
 
 from hapsim.faults.fault import NEVER, Effect, FrameEffect, OnFrames
-from hapsim.faults.piece import Moment, Piece
+from hapsim.faults.piece import Moment, Piece, tidy
 from hapsim.scene.quantity import Count, Quantity
 
 
@@ -70,7 +70,7 @@ class Delay(OnFrames):
 
     told: ClassVar[str] = "A frame arrives late, and so does what is behind it."
     kind: Literal["delay"] = "delay"
-    seconds: Annotated[float, Quantity("By how much", "s", above=0, most=60)]
+    seconds: Annotated[float, Quantity("By how much", "s", above=0)]
 
     def effect(self, seed: str) -> Effect:
         return _Delay(self, seed)
@@ -90,7 +90,7 @@ class Reorder(OnFrames):
 
     told: ClassVar[str] = "A frame arrives behind the one that was sent after it."
     kind: Literal["reorder"] = "reorder"
-    within: Annotated[float, Quantity("For how long the next one is waited for", "s", above=0, most=60)] = 0.02
+    within: Annotated[float, Quantity("For how long the next one is waited for", "s", above=0)] = 0.02
 
     def effect(self, seed: str) -> Effect:
         return _Reorder(self, seed)
@@ -109,7 +109,7 @@ class _Reorder(FrameEffect):
             before, _ = self._held.pop(piece.to_device)
             return [piece, before]
         if self.hits(piece, now):
-            self._held[piece.to_device] = piece, now.seconds + self._within
+            self._held[piece.to_device] = piece, tidy(now.seconds + self._within)
             return []
         return [piece]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from hapsim.faults.piece import Moment
+from hapsim.faults.piece import Moment, tidy
 
 
 class Window:
@@ -19,6 +19,8 @@ class Window:
     ) -> None:
         """Without a beginning it opens with the first byte, without an end it never closes."""
         self._begins_s = 0.0 if begins_s is None and begins_sample is None else begins_s
+        if self._begins_s is not None:
+            self._begins_s = tidy(self._begins_s)
         self._begins_sample = begins_sample
         self._lasts_s, self._lasts_samples = lasts_s, lasts_samples
         self.opened: Moment | None = None
@@ -34,7 +36,7 @@ class Window:
         """Whether the fault was there, and is no more."""
         if self.opened is None:
             return False
-        over_s = self._lasts_s is not None and now.seconds >= self.opened.seconds + self._lasts_s
+        over_s = self._lasts_s is not None and now.seconds >= tidy(self.opened.seconds + self._lasts_s)
         over_samples = self._lasts_samples is not None and now.samples >= self.opened.samples + self._lasts_samples
         return over_s or over_samples
 
@@ -44,7 +46,7 @@ class Window:
             return math.inf if self._begins_s is None else self._begins_s
         if self._lasts_s is None or self.is_over(now):
             return math.inf
-        return self.opened.seconds + self._lasts_s
+        return tidy(self.opened.seconds + self._lasts_s)
 
     def _has_begun(self, now: Moment) -> bool:
         if self._begins_s is not None:
