@@ -36,6 +36,8 @@ class Release:
     after_last_force_samples: int | None
     """Of the device's samples that were sent meanwhile; None where it is the time to live that ended it."""
     after_first_fault_s: float | None
+    confirmed: bool
+    """Whether the device said, then or later, that it is not armed any more."""
 
 
 class Witness:
@@ -50,6 +52,7 @@ class Witness:
         self._fault_s: float | None = None
         self._lockstep = False
         self._last: tuple[float, int, int] | None = None  # when the last force came, in s and samples, and how it lives
+        self._confirmed = False
         self._ended: tuple[str, float, int] | None = None  # by what, when, at which sample
 
     def begin_fault(self, time_s: float) -> None:
@@ -66,6 +69,7 @@ class Witness:
             self._described.registers[frame.number] = frame.counts[0] & 0xFFFFFFFF
             self._scale = None
         elif frame.type == schema.STATUS and frame.counts[0] & 0xFF != schema.ARMED:
+            self._confirmed = True
             self._end("device", time_s)
 
     def see(self, piece: Piece, time_s: float, samples: int) -> None:
@@ -81,7 +85,7 @@ class Witness:
             self._end("disarm", time_s)
         elif frame.type == schema.FORCE:
             self._see_force([scale * count for scale, count in zip(self._scales(), frame.counts, strict=False)])
-            self._last, self._ended = (time_s, samples, frame.argument), None
+            self._last, self._ended, self._confirmed = (time_s, samples, frame.argument), None, False
 
     def release(self) -> Release | None:
         """How the last force ended; None where none reached the device."""
@@ -92,11 +96,10 @@ class Witness:
         over_s = last_s + (_LOCKSTEP_S if self._lockstep else (lives + 2) / rate)
         ended = self._ended
         if ended is None or over_s < ended[1]:
-            return Release(
-                "lockstep" if self._lockstep else "time to live", over_s - last_s, None, self._since_fault(over_s)
-            )
+            by = "lockstep" if self._lockstep else "time to live"
+            return Release(by, over_s - last_s, None, self._since_fault(over_s), self._confirmed)
         by, ended_s, sample = ended
-        return Release(by, ended_s - last_s, sample - last_sample, self._since_fault(ended_s))
+        return Release(by, ended_s - last_s, sample - last_sample, self._since_fault(ended_s), self._confirmed)
 
     def _since_fault(self, time_s: float) -> float | None:
         return None if self._fault_s is None else time_s - self._fault_s

@@ -60,7 +60,7 @@ def test_the_last_force_ends_with_the_disarm() -> None:
     injector.take(DISARM, True, 0.0035)
     release = injector.witness.release()
     assert release is not None
-    assert (release.by, release.after_last_force_samples) == ("disarm", 1)
+    assert (release.by, release.after_last_force_samples, release.confirmed) == ("disarm", 1, False)
     assert release.after_last_force_s == pytest.approx(0.001)
     assert release.after_first_fault_s == pytest.approx(0.0005)
 
@@ -75,8 +75,18 @@ def test_or_with_its_time_to_live_or_with_the_device_that_says_so_first() -> Non
     injector.take(frame_to_host(ARMED, schema.STATUS, 3, [schema.LATCHED | schema.HOST_QUIET << 8]), False, 0.0045)
     release = injector.witness.release()
     assert release is not None
-    assert release.by == "device"
+    assert (release.by, release.confirmed) == ("device", True)
     assert release.after_last_force_s == pytest.approx(0.002)
+
+
+def test_a_device_may_confirm_later_what_was_over_before() -> None:
+    injector = armed("kind: drop, direction: from_device")
+    injector.take(force(2, 5, lives=20), True, 0.0025)
+    injector.take(DISARM, True, 0.1)
+    injector.take(frame_to_host(SETUP, schema.STATUS, 3, [schema.IDLE]), False, 0.101)
+    release = injector.witness.release()
+    assert release is not None
+    assert (release.by, release.confirmed) == ("time to live", True)
 
 
 def test_in_lockstep_no_time_to_live_passes() -> None:
