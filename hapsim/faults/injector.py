@@ -7,6 +7,7 @@ beginning, and asks `next_s` when to call again although nothing comes.
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -54,6 +55,7 @@ class Injector:
         self._begun_s: float | None = None
         self._first_fault_s: float | None = None
         self._samples, self._number = -1, -1
+        self._under_way: deque[tuple[Piece, float]] = deque()
         self.witness = Witness()
         """What went to the device, and what it said, on its own side of the faults."""
         self.passed = {to_device: Traffic() for to_device in (False, True)}
@@ -89,12 +91,14 @@ class Injector:
                 self.witness.hear(piece, time_s, self._samples)
             passed += self.advance(time_s)
             passed += self._through(piece, 0, time_s)
+        self._arrive(time_s)
         return passed
 
     def advance(self, time_s: float) -> list[Passed]:
         """What time brings although nothing comes in."""
         if self._begun_s is None:
             return []
+        self._arrive(time_s)
         now, passed = self._moment(time_s), list[Passed]()
         for at, effect in enumerate(self._effects):
             for piece in effect.pass_time(now):
@@ -135,6 +139,12 @@ class Injector:
         traffic.frames_out += piece.found is not None
         traffic.bytes_out += len(piece.data)
         if piece.to_device and piece.found is not None:
+            self._under_way.append((piece, due_s))
+
+    def _arrive(self, time_s: float) -> None:
+        """What is due reaches the device."""
+        while self._under_way and self._under_way[0][1] <= time_s:
+            piece, due_s = self._under_way.popleft()
             self.witness.see(piece, due_s, self._samples)
 
     def _note_first(self, time_s: float) -> None:

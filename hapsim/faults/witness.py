@@ -1,5 +1,6 @@
 """What a device got, on its own side of the faults: every force, how far one was from the one before, and when the last
-of them was over. It decodes what a receiver would decode, and judges nothing.
+of them was over. It decodes what a receiver would decode, and judges nothing. A force that comes when the device said,
+or was told, that it is not armed is none.
 """
 
 from __future__ import annotations
@@ -52,6 +53,7 @@ class Witness:
         self._fault_s: float | None = None
         self._lockstep = False
         self._last: tuple[float, int, int] | None = None  # when the last force came, in s and samples, and how it lives
+        self._armed = True  # unless it was heard to be something else
         self._confirmed = False
         self._ended: tuple[str, float, int] | None = None  # by what, when, at which sample
 
@@ -68,9 +70,11 @@ class Witness:
         if frame.type == schema.DESCRIPTION:
             self._described.registers[frame.number] = frame.counts[0] & 0xFFFFFFFF
             self._scale = None
-        elif frame.type == schema.STATUS and frame.counts[0] & 0xFF != schema.ARMED:
-            self._confirmed = True
-            self._end("device", time_s)
+        elif frame.type == schema.STATUS:
+            self._armed = frame.counts[0] & 0xFF == schema.ARMED
+            if not self._armed:
+                self._confirmed = True
+                self._end("device", time_s)
 
     def see(self, piece: Piece, time_s: float, samples: int) -> None:
         """A frame that reaches the device, `samples` after its first."""
@@ -82,8 +86,9 @@ class Witness:
             self._before, self._ended = None, None
             self._lockstep = frame.argument & (schema.WITH_VELOCITY - 1) == schema.LOCKSTEP
         elif frame.type == schema.DISARM:
+            self._armed = False
             self._end("disarm", time_s)
-        elif frame.type == schema.FORCE:
+        elif frame.type == schema.FORCE and self._armed:
             self._see_force([scale * count for scale, count in zip(self._scales(), frame.counts, strict=False)])
             self._last, self._ended, self._confirmed = (time_s, samples, frame.argument), None, False
 

@@ -95,3 +95,18 @@ def test_in_lockstep_no_time_to_live_passes() -> None:
     release = injector.witness.release()
     assert release is not None
     assert (release.by, release.after_last_force_s) == ("lockstep", 10.0)
+
+
+def test_what_is_held_up_reaches_the_device_when_it_does_and_is_no_force_once_that_is_not_armed() -> None:
+    injector = armed("kind: delay, seconds: 0.4, direction: to_device, after_samples: 1, for_samples: 1")
+    for number in range(3):
+        injector.take(position(number), False, number * 0.001)
+        injector.take(force(number, 5000 * (number > 0)), True, number * 0.001 + 1e-4)
+    assert injector.witness.all.largest == 0.0
+    injector.advance(0.2)
+    injector.take(frame_to_host(ARMED, schema.STATUS, 102, [schema.LATCHED | schema.HOST_QUIET << 8]), False, 0.102)
+    injector.advance(1.0)
+    assert (injector.witness.all.count, injector.witness.all.largest) == (1, 0.0)
+    release = injector.witness.release()
+    assert release is not None
+    assert (release.by, release.confirmed) == ("time to live", True)
