@@ -202,7 +202,7 @@ def _reason(loop: Loop, report: Report) -> str:
     useless = _useless(loop, report)
     if has_heard:
         sent_s = 1e-9 * (int(state.stopped_ns) - int(state.sent_ns))
-        so = ", so forces do not reach it, or not whole" if sent_s < 0.5 * watchdog_s else ""
+        so = ", so forces reach it late, or damaged, or not at all" if sent_s < 0.5 * watchdog_s else ""
         return (
             f"{fault_text(fault)}, it says ({watchdog}); the last force left this host {1e3 * sent_s:.3g} ms before"
             f"{so} ({useless or 'its positions arrived undamaged'})"

@@ -31,6 +31,7 @@ ROOT = Path(__file__).parents[2]
 RESULTS = ROOT / "tools" / "bench" / "results" / "faults.json"
 PAGE = ROOT / "tools" / "bench" / "faults.md"
 LIMIT_N, BEGIN, DURATION_S = 10.0, 700, 1.5
+TRIES = 4
 PATIENCE_S = 60.0  # beyond the run's own time: then it hangs
 FIRMWARE_FORCE_SCALE_N = 1e-8
 CONFIRMED = "the device confirmed that it released it"
@@ -196,6 +197,15 @@ def put_out(log: Path) -> dict[str, float] | None:
 
 
 def cell(case: str, clock: str, carrier: str) -> dict[str, Any]:
+    """Everything about a run in which the fault happened: a machine that is held up may end one before that."""
+    for _ in range(TRIES):
+        found = tried(case, clock, carrier)
+        if found["defects"] or any(fault["times"] for fault in found["wire"].get("faults", [])):
+            break
+    return found
+
+
+def tried(case: str, clock: str, carrier: str) -> dict[str, Any]:
     """Everything about one run."""
     if carrier == "memory":
         process = started(__file__, "--in-memory", case)
@@ -286,6 +296,12 @@ def write_page(cells: list[dict[str, Any]], when: str) -> None:
     PAGE.write_text(head + "".join(row(found) + "\n" for found in cells), "utf-8")
 
 
+def keep(cells: list[dict[str, Any]]) -> None:
+    when = time.strftime("%Y-%m-%d", time.gmtime())
+    RESULTS.write_text(json.dumps({"when": when, "cells": cells}, indent=1) + "\n", "utf-8")
+    write_page(cells, when)
+
+
 def every_cell() -> list[tuple[str, str, str]]:
     """(case, clock, carrier)"""
     return [
@@ -335,10 +351,8 @@ def main() -> None:
     for number, (case, clock, carrier) in enumerate(wanted):
         cells.append(cell(case, clock, carrier))
         print(f"{number + 1}/{len(wanted)} {row(cells[-1])}", flush=True)
-    if wanted == every_cell():
-        when = time.strftime("%Y-%m-%d", time.gmtime())
-        RESULTS.write_text(json.dumps({"when": when, "cells": cells}, indent=1, default=str) + "\n", "utf-8")
-        write_page(cells, when)
+        if wanted == every_cell():
+            keep(cells)
     wrong = [found for found in cells if found["defects"]]
     print(f"{len(cells)} cells, {len(wrong)} defects")
     sys.exit(1 if wrong else 0)
