@@ -15,6 +15,7 @@ from hapsim.commands.chart_felt import felt
 from hapsim.commands.check import check
 from hapsim.commands.device import mock, ports
 from hapsim.commands.doctor import doctor
+from hapsim.commands.faults import faults
 from hapsim.commands.frames import frames
 from hapsim.commands.identify import identify
 from hapsim.commands.measure import measure
@@ -33,7 +34,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for _command in (run, check, measure, identify, doctor, probe, frames, mock, compile_, ports, new, schema):
+for _command in (run, check, measure, identify, doctor, probe, frames, faults, mock, compile_, ports, new, schema):
     app.command(_command.__name__.rstrip("_"))(_command)
 chart.command()(felt)
 app.add_typer(chart)

@@ -14,7 +14,13 @@ from hapsim.compiling.entries import compile_for
 from hapsim.compiling.progress import Counted, on_compilation
 from hapsim.device.connection import Connection
 from hapsim.device.conversation import arm, describe, disarm, frames_rejected_by
-from hapsim.device.open_connection import TransportKind, open_connection, place_of_device, require_possible_here
+from hapsim.device.open_connection import (
+    Between,
+    TransportKind,
+    open_connection,
+    place_of_device,
+    require_possible_here,
+)
 from hapsim.errors import UsageError
 from hapsim.loop.only_linux import missing_calls, require_linux
 from hapsim.loop.portable import PortableLoop
@@ -41,6 +47,7 @@ class StartOptions(TypedDict, total=False):
     keep: bool
     realtime: bool
     portable: bool
+    between: Between | None
     on_progress: Callable[[Progress], None] | None
 
 
@@ -54,6 +61,7 @@ def start(
     keep: bool = True,
     realtime: bool = False,
     portable: bool = False,
+    between: Between | None = None,
     on_progress: Callable[[Progress], None] | None = None,
     on_arming: Callable[[Session], None] | None = None,
 ) -> Iterator[Session]:
@@ -62,8 +70,9 @@ def start(
     `transport`: where the device is ("auto": the scene's port, else the mock that fits the clock). `keep`: False for a
     trace without rows, for runs without an end. `realtime`: asks the system for what makes a loop steady, see
     hapsim.realtime; `Session.grants` says what was granted. `portable`: the loop in plain Python over pyserial; off
-    Linux that loop runs with the mock in memory too. `on_progress` hears of the compilation, `on_arming` gets the
-    session just before the device is armed: a `stop` from then on ends the run in good order.
+    Linux that loop runs with the mock in memory too. `between`: what loop and device speak through, made of the
+    transport to the device; the loop is then the one in Python. `on_progress` hears of the compilation, `on_arming`
+    gets the session just before the device is armed: a `stop` from then on ends the run in good order.
 
     Raises SceneError and UsageError for what cannot be run; DeviceError where port or device fail, GuardError where a
     guard stopped the force, both when the with-block is left; they carry what was recorded as their attribute `trace`.
@@ -71,8 +80,11 @@ def start(
     _require_sound(scene, duration, realtime)
     tell = on_progress or (lambda _: None)
     counted = Counted(lambda name, share: tell(Progress("compiling", name, share=share)))
-    in_python = portable or bool(missing_calls())
-    with on_compilation(counted.add), _open(scene, transport, portable, realtime, counted) as opened:
+    in_python = portable or between is not None or bool(missing_calls())
+    with (
+        on_compilation(counted.add),
+        _open(scene, transport, portable, in_python, realtime, between, counted) as opened,
+    ):
         description = describe(opened)
         require_compatible(scene, opened.name, description)
         loop = assemble_loop(scene, opened, description, excitation, duration)
@@ -112,15 +124,21 @@ def _require_sound(scene: Scene, duration: float | None, realtime: bool) -> None
 
 @contextlib.contextmanager
 def _open(
-    scene: Scene, transport: TransportKind, portable: bool, realtime: bool, counted: Counted
+    scene: Scene,
+    transport: TransportKind,
+    portable: bool,
+    in_python: bool,
+    realtime: bool,
+    between: Between | None,
+    counted: Counted,
 ) -> Iterator[Connection]:
     """The connection; what loop and mock need is compiled, the mock's part before it has to answer."""
     place = place_of_device(scene, transport, portable=portable)
-    require_possible_here(place, portable=portable)
-    loop = () if portable or missing_calls() else ("loop",)
+    require_possible_here(place, portable=in_python)
+    loop = () if in_python else ("loop",)
     if place != "port":
         compile_ahead((*loop, *MOCK_UNITS[place]), counted)
-    with open_connection(scene, transport, portable=portable, realtime=realtime) as opened:
+    with open_connection(scene, transport, portable=portable, realtime=realtime, between=between) as opened:
         if loop:
             compile_ahead((*loop, "port"), counted)
         yield opened
