@@ -27,7 +27,7 @@ Realtime = Annotated[
     typer.Option("--realtime", help="Ask the system for what makes a loop steady; tell what it granted and what not."),
 ]
 Data = Annotated[Path | None, typer.Option(metavar="FILE", help="Write the picture's numbers: .csv.")]
-Record = Annotated[Path | None, typer.Option(metavar="FILE", help="Write the trace: .npz or .csv.")]
+Record = Annotated[Path | None, typer.Option(metavar="FILE", help="Write the trace: .trace, .npz or .csv.")]
 
 
 class Files(NamedTuple):

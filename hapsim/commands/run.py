@@ -71,10 +71,12 @@ def run(
                 loaded,
                 duration=duration,
                 transport=kind,
-                keep=record is not None,
+                keep=False,
+                record=record,
                 realtime=realtime,
                 portable=portable,
                 on_progress=tell,
+                on_warning=complain,
                 on_start=reporter.started,
                 stop_on_signals=True,
             )
@@ -83,13 +85,11 @@ def run(
             raise
         failure, trace = error, error.trace
     with undisturbed():
-        if record is not None:
-            trace.save(record)
         if json:
             _print_run(trace.report, reporter.grants, failure)
         else:
             show_report(stdout(), trace.report)
-            say_written(record=record)
+            say_written(record=record if record is not None and record.exists() else None)
     if failure is not None:
         complain(failure)
         raise typer.Exit(failure.exit_status)

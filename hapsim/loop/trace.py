@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import zipfile
 import zlib
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO, TextIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hapsim.errors import UsageError
 from hapsim.loop.histogram import Histogram, Spread
+
+IN_REPORT = "trace.npz"
+"""A trace's name in a report file."""
 
 _COUNTED = "counted_"  # before the name of a histogram in the file
 
@@ -65,9 +70,12 @@ class Report:
     released: bool | None = None
     """Whether the device said, after the last force, that it released it; None in a record that does not tell."""
     timed_by_device: bool = False
+    """Whether a timer of the device's own paced the positions: then their arrival tells its rate."""
     estimated_mass_kg: tuple[float | None, ...] = ()
     """Where a correction adapts: for which mass the force of each channel was at the end; None on the others."""
-    """Whether a timer of the device's own paced the positions: then their arrival tells its rate."""
+    unrecorded_rows: int = 0
+    """Rows that are not in the file that was to be written while it ran: it could not be written, or not fast enough.
+    The force was not affected."""
 
 
 @dataclass(frozen=True)
@@ -116,60 +124,110 @@ class Trace:
 
     def since(self, tick: int) -> Trace:
         """Its rows from this tick on, with the same report."""
-        rows = ("sample", "time_ns", "flags", "position_counts", "force_counts", "asked_force")
-        return replace(self, **{name: getattr(self, name)[tick:] for name in rows})
+        return replace(self, **{name: getattr(self, name)[tick:] for name in ROWS})
 
     def save(self, path: str | Path) -> None:
-        """Writes a .npz (every array as it is) or a .csv (SI units). UsageError where it cannot."""
+        """Writes a .npz or a .trace (every array as it is) or a .csv (SI units). UsageError where it cannot."""
+        from hapsim.loop.streamed_trace import save_stream
+
         path = Path(path)
         require_writable_as_trace(path)
         try:
             if path.suffix == ".csv":
-                self._save_csv(path)
+                with path.open("w", encoding="utf-8") as file:
+                    write_csv(file, [self], self.position_scale.size)
+            elif path.suffix == ".trace":
+                save_stream(self, path)
             else:
                 self._save_npz(path)
         except OSError as error:
             raise UsageError(f"{path}: the trace cannot be written: {error.strerror or error}") from error
 
     def _save_npz(self, path: Path) -> None:
-        arrays: dict[str, Any] = {name: value for name, value in vars(self).items() if isinstance(value, np.ndarray)}
-        counted = {f"{_COUNTED}{name}": histogram.as_row() for name, histogram in vars(self.statistics).items()}
-        np.savez_compressed(path, rate=self.rate, report=json.dumps(asdict(self.report)), **arrays, **counted)
+        arrays: dict[str, Any] = {name: getattr(self, name) for name in (*ROWS, "position_scale", "force_scale")}
+        np.savez_compressed(path, **arrays, **beside_the_rows(self.rate, self.statistics, self.report))
 
-    def _save_csv(self, path: Path) -> None:
-        channels = range(self.position_scale.size)
-        names = [f"{what}[{c}]" for what in ("position_m", "force_N", "asked_force_N") for c in channels]
-        table = np.column_stack([self.sample, self.time_ns, self.flags, self.position, self.force, self.asked_force])
-        formats = ["%d", "%d", "%d"] + ["%.12g"] * (3 * len(channels))
-        header = ",".join(["sample", "time_ns", "flags", *names])
-        np.savetxt(path, table, fmt=formats, delimiter=",", header=header, comments="")
+
+ROWS = ("sample", "time_ns", "flags", "position_counts", "force_counts", "asked_force")
+"""The arrays of a trace that have a row for each tick."""
+
+
+def beside_the_rows(rate: float, statistics: Statistics, report: Report) -> dict[str, Any]:
+    """What else is in a .npz, by name."""
+    counted = {f"{_COUNTED}{name}": histogram.as_row() for name, histogram in vars(statistics).items()}
+    return {"rate": rate, "report": json.dumps(asdict(report)), **counted}
+
+
+def write_csv(file: TextIO, pieces: Iterable[Trace], channels: int) -> None:
+    """Writes traces that follow one another as one table, in SI units."""
+    each = range(channels)
+    names = [f"{what}[{c}]" for what in ("position_m", "force_N", "asked_force_N") for c in each]
+    formats = ["%d", "%d", "%d"] + ["%.12g"] * (3 * channels)
+    file.write(",".join(["sample", "time_ns", "flags", *names]) + "\n")
+    for one in pieces:
+        table = np.column_stack([one.sample, one.time_ns, one.flags, one.position, one.force, one.asked_force])
+        np.savetxt(file, table, fmt=formats, delimiter=",")
 
 
 def require_writable_as_trace(path: Path) -> None:
     """UsageError where a trace could not be written there: better before the run than after it."""
-    if path.suffix not in (".npz", ".csv"):
-        raise UsageError(f"{path}: a trace is written as .npz or .csv, by the file's ending")
+    if path.suffix not in ENDINGS:
+        raise UsageError(f"{path}: a trace is written as {one_of_endings()}, by the file's ending")
     if not path.resolve().parent.is_dir():
         raise UsageError(f"{path}: there is no directory {path.resolve().parent}")
     if path.is_dir() or not os.access(path if path.exists() else path.resolve().parent, os.W_OK):
         raise UsageError(f"{path}: no file can be written there")
 
 
+ENDINGS = (".npz", ".csv", ".trace")
+
+
+def one_of_endings() -> str:
+    """In words."""
+    return f"{', '.join(ENDINGS[:-1])} or {ENDINGS[-1]}"
+
+
 def load_trace(path: str | Path) -> Trace:
-    """Reads a trace back from a .npz. UsageError where the file is none."""
+    """Reads a trace back from a .npz, from a .trace or the .part that a run left which did not come to its end, or from
+    a report file, which has its last second. UsageError where the file is none of these.
+
+    Of a file that was cut off (a crash, a full disk) everything up to there is read; the report's `ending` says so.
+    """
+    from hapsim.loop.stream import is_stream
+    from hapsim.loop.streamed_trace import load_stream
+
+    path = Path(path)
     try:
-        with Path(path).open("rb") as stream, np.load(stream) as file:  # numpy leaves a torn file open
-            arrays = {name: file[name] for name in file.files if name not in ("rate", "report")}
-            counted = {name: arrays.pop(name) for name in list(arrays) if name.startswith(_COUNTED)}
-            statistics = Statistics(**{name[len(_COUNTED) :]: Histogram.from_row(row) for name, row in counted.items()})
-            report = _report(json.loads(str(file["report"])))
-            return Trace(rate=float(file["rate"]), statistics=statistics, report=report, **arrays)
+        if is_stream(path):
+            return load_stream(path)
+        with path.open("rb") as stream:
+            return _load_npz(_within_report(stream))
     except (OSError, EOFError, ValueError, KeyError, TypeError, zipfile.BadZipFile, zlib.error) as error:
         raise UsageError(f"{path}: not a trace that hapsim wrote ({error})") from error
 
 
-def _report(values: dict[str, Any]) -> Report:
-    for name in ("lateness_s", "exchange_s", "age_samples"):
-        values[name] = Spread(**values[name])
-    values["estimated_mass_kg"] = tuple(values.get("estimated_mass_kg", ()))
-    return Report(**values)
+def _within_report(stream: BinaryIO) -> BinaryIO:
+    """The .npz in a report file; any other file as it is."""
+    if not zipfile.is_zipfile(stream):
+        stream.seek(0)
+        return stream
+    with zipfile.ZipFile(stream) as file:
+        if IN_REPORT in file.namelist():
+            return io.BytesIO(file.read(IN_REPORT))
+    stream.seek(0)
+    return stream
+
+
+def _load_npz(stream: BinaryIO) -> Trace:
+    with np.load(stream) as file:
+        arrays = {name: file[name] for name in file.files if name not in ("rate", "report")}
+        counted = {name: arrays.pop(name) for name in list(arrays) if name.startswith(_COUNTED)}
+        statistics = Statistics(**{name[len(_COUNTED) :]: Histogram.from_row(row) for name, row in counted.items()})
+        report = report_from(json.loads(str(file["report"])))
+        return Trace(rate=float(file["rate"]), statistics=statistics, report=report, **arrays)
+
+
+def report_from(values: dict[str, Any]) -> Report:
+    """What `asdict` made of a report, after JSON. TypeError where it is none."""
+    spreads = {name: Spread(**values[name]) for name in ("lateness_s", "exchange_s", "age_samples")}
+    return Report(**values | spreads | {"estimated_mass_kg": tuple(values.get("estimated_mass_kg", ()))})
