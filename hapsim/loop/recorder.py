@@ -10,9 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapsim.loop.recording import Recording
+from hapsim.loop.report import Report, Statistics
 from hapsim.loop.ring import Ring, RingRows
+from hapsim.loop.stream import ROWS
 from hapsim.loop.streamed_trace import as_rows
-from hapsim.loop.trace import ROWS, Report, Statistics, Trace
+from hapsim.loop.trace import Trace
 
 
 class Recorder:

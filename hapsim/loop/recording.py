@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapsim.errors import UsageError
+from hapsim.loop.report import Report, Statistics, as_told
 from hapsim.loop.stream import Head, StreamWriter
-from hapsim.loop.streamed_trace import as_told, convert
-from hapsim.loop.trace import Report, Statistics
+from hapsim.loop.streamed_trace import convert
 
 _WRITE_S = 0.25  # how often what has gathered is written: a process that is killed loses no more
 _KEEP_S = 1.0  # how often the system puts it on the disk, and the report so far is told

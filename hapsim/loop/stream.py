@@ -36,6 +36,10 @@ _HEAD, _ROWS, _TOLD = b"HEAD", b"ROWS", b"TOLD"
 _MOST_BYTES = 1 << 26  # of a chunk; one that says it is longer is damaged
 
 
+ROWS = ("sample", "time_ns", "flags", "position_counts", "force_counts", "asked_force")
+"""The columns of a trace that have a row for each tick, by their names there."""
+
+
 def row_type(channels: int) -> np.dtype[Any]:
     """A row as it is in the file: little-endian, without gaps."""
     each = (channels,)

@@ -5,29 +5,19 @@ from __future__ import annotations
 
 import os
 import zipfile
-from collections.abc import Sequence
-from dataclasses import asdict, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 import numpy as np
 from numpy.lib import format as npy
 from numpy.typing import NDArray
 
 from hapsim.errors import UsageError
-from hapsim.loop.histogram import Histogram
+from hapsim.loop.report import Report, beside_the_rows, from_told
 from hapsim.loop.ring import LATE_FORCE, LIMITED
-from hapsim.loop.stream import MOST_ROWS, Head, StreamReader, StreamWriter, row_type
-from hapsim.loop.trace import ROWS, Report, Statistics, Trace, beside_the_rows, report_from, write_csv
-
-
-def as_told(report: Report, statistics: Statistics, finished: bool) -> dict[str, Any]:
-    """What a stream tells of a run beside its rows, for JSON."""
-    return {
-        "finished": finished,
-        "report": asdict(report),
-        "histograms": {name: _sparse(histogram) for name, histogram in vars(statistics).items()},
-    }
+from hapsim.loop.stream import MOST_ROWS, ROWS, Head, StreamReader, StreamWriter, row_type
 
 
 def as_rows(columns: Sequence[NDArray[Any]], channels: int) -> NDArray[Any]:
@@ -38,23 +28,22 @@ def as_rows(columns: Sequence[NDArray[Any]], channels: int) -> NDArray[Any]:
     return rows
 
 
-def save_stream(trace: Trace, path: Path) -> None:
-    """OSError where it cannot be written."""
-    head = Head(trace.rate, trace.position_scale.tolist(), trace.force_scale.tolist())
-    told = as_told(trace.report, trace.statistics, True)
+def save_stream(path: Path, head: Head, columns: Mapping[str, NDArray[Any]], told: dict[str, Any]) -> None:
+    """Writes a whole trace as one. OSError where it cannot be written."""
     descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | getattr(os, "O_BINARY", 0), 0o666)
     writer = StreamWriter(descriptor, head, told)
     try:
-        for first in range(0, trace.sample.size, MOST_ROWS):
-            columns = [getattr(trace, name)[first : first + MOST_ROWS] for name in ROWS]
-            writer.rows(as_rows(columns, head.channels))
+        for first in range(0, columns["sample"].size, MOST_ROWS):
+            piece = [columns[name][first : first + MOST_ROWS] for name in ROWS]
+            writer.rows(as_rows(piece, head.channels))
         writer.tell(told)
     finally:
         writer.close()
 
 
-def load_stream(path: Path) -> Trace:
-    """UsageError where it has not even a beginning. Of one that was cut off, everything up to there."""
+def load_stream(path: Path) -> dict[str, Any]:
+    """What a Trace consists of, by the names of its fields. UsageError where the file has not even a beginning. Of one
+    that was cut off, everything up to there."""
     try:
         reader = StreamReader(path)
         all_rows = np.empty(reader.count(), row_type(reader.head.channels))
@@ -63,9 +52,17 @@ def load_stream(path: Path) -> Trace:
             taken = rows[: len(all_rows) - at]
             all_rows[at : at + len(taken)] = taken
             at += len(taken)
-        return _trace_of(reader, all_rows[:at])
+        report, statistics = from_told(reader.told)
     except (KeyError, TypeError, ValueError) as error:
         raise UsageError(f"{path}: not a trace that hapsim wrote ({error})") from error
+    all_rows = all_rows[:at]
+    return {name: np.ascontiguousarray(all_rows[name]) for name in ROWS} | {
+        "rate": reader.head.rate_hz,
+        "position_scale": np.array(reader.head.position_scale),
+        "force_scale": np.array(reader.head.force_scale),
+        "statistics": statistics,
+        "report": report if reader.is_finished else _cut_off(report, all_rows),
+    }
 
 
 def convert(part: Path, path: Path) -> None:
@@ -74,15 +71,28 @@ def convert(part: Path, path: Path) -> None:
     reader = StreamReader(part)
     if path.suffix == ".csv":
         with path.open("w", encoding="utf-8") as file:
-            write_csv(file, (_trace_of(reader, rows) for rows in reader.rows()), reader.head.channels)
+            write_csv(file, reader.head, reader.rows())
     else:
         _convert_to_npz(reader, path)
+
+
+def write_csv(file: TextIO, head: Head, pieces: Iterable[Any]) -> None:
+    """Writes rows as a table, in SI units. `pieces`: each has the columns of ROWS, by name."""
+    each = range(head.channels)
+    names = [f"{what}[{c}]" for what in ("position_m", "force_N", "asked_force_N") for c in each]
+    formats = ["%d", "%d", "%d"] + ["%.12g"] * (3 * head.channels)
+    file.write(",".join(["sample", "time_ns", "flags", *names]) + "\n")
+    for rows in pieces:
+        position = rows["position_counts"] * np.array(head.position_scale)
+        force = rows["force_counts"] * np.array(head.force_scale)
+        table = np.column_stack([rows["sample"], rows["time_ns"], rows["flags"], position, force, rows["asked_force"]])
+        np.savetxt(file, table, fmt=formats, delimiter=",")
 
 
 def _convert_to_npz(reader: StreamReader, path: Path) -> None:
     """Column by column, so that each is written as it is read."""
     count, head = reader.count(), reader.head
-    report, statistics = _what_was_told(reader)
+    report, statistics = from_told(reader.told)
     small: dict[str, Any] = {"position_scale": np.array(head.position_scale), "force_scale": np.array(head.force_scale)}
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as file:
         for name in ROWS:
@@ -97,55 +107,23 @@ def _convert_to_npz(reader: StreamReader, path: Path) -> None:
                 npy.write_array(member, np.asanyarray(value), allow_pickle=False)
 
 
-def _trace_of(reader: StreamReader, rows: NDArray[Any]) -> Trace:
-    report, statistics = _what_was_told(reader)
-    columns = {name: np.ascontiguousarray(rows[name]) for name in ROWS}
-    trace = Trace(
-        rate=reader.head.rate_hz,
-        position_scale=np.array(reader.head.position_scale),
-        force_scale=np.array(reader.head.force_scale),
-        statistics=statistics,
-        report=report,
-        **columns,
-    )
-    return trace if reader.is_finished else replace(trace, report=_cut_off(trace))
-
-
-def _what_was_told(reader: StreamReader) -> tuple[Report, Statistics]:
-    histograms = {name: _whole(one) for name, one in reader.told["histograms"].items()}
-    return report_from(reader.told["report"]), Statistics(**histograms)
-
-
-def _cut_off(trace: Trace) -> Report:
+def _cut_off(report: Report, rows: NDArray[Any]) -> Report:
     """The report of a run whose record does not come to an end: what the rows tell is of the rows, the rest as it was
-    told last, a second before at most."""
-    ticks = trace.sample.size
+    told last, a second before or two."""
+    ticks = rows.size
     elapsed = 0.0
     if ticks:
-        by_clock = float(trace.time_ns[-1] - trace.time_ns[0]) * 1e-9
-        elapsed = float(trace.sample[-1] - trace.sample[0]) / trace.rate if trace.report.virtual_time else by_clock
+        by_clock = float(rows["time_ns"][-1] - rows["time_ns"][0]) * 1e-9
+        by_count = float(rows["sample"][-1] - rows["sample"][0]) / report.nominal_rate_hz
+        elapsed = by_count if report.virtual_time else by_clock
     return replace(
-        trace.report,
+        report,
         ending=f"not finished: the record stops after {ticks} ticks",
         ticks=ticks,
         duration_s=elapsed,
         rate_hz=(ticks - 1) / elapsed if elapsed > 0 else 0.0,
-        deadline_misses=int(np.count_nonzero(trace.flags & LATE_FORCE)),
-        limited_ticks=int(np.count_nonzero(trace.flags & LIMITED)),
+        deadline_misses=int(np.count_nonzero(rows["flags"] & LATE_FORCE)),
+        limited_ticks=int(np.count_nonzero(rows["flags"] & LIMITED)),
         released=None,
         rejected_by_device=None,
     )
-
-
-def _sparse(histogram: Histogram) -> dict[str, Any]:
-    """The bins in which something was counted."""
-    bins = np.flatnonzero(histogram.counts)
-    counted = [bins.tolist(), histogram.counts[bins].tolist()]
-    return {"unit": histogram.unit, "maximum": histogram.maximum, "bins": histogram.counts.size, "counted": counted}
-
-
-def _whole(sparse: dict[str, Any]) -> Histogram:
-    counts = np.zeros(sparse["bins"], np.int64)
-    bins, counted = sparse["counted"]
-    counts[np.array(bins, np.int64)] = counted
-    return Histogram(counts, sparse["maximum"], sparse["unit"])

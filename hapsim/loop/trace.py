@@ -7,84 +7,21 @@ import json
 import os
 import zipfile
 import zlib
-from collections.abc import Iterable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, BinaryIO, TextIO
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hapsim.errors import UsageError
-from hapsim.loop.histogram import Histogram, Spread
+from hapsim.loop.histogram import Histogram
+from hapsim.loop.report import COUNTED, Report, Statistics, as_told, beside_the_rows, report_from
+from hapsim.loop.stream import ROWS, Head, is_stream
+from hapsim.loop.streamed_trace import load_stream, save_stream, write_csv
 
 IN_REPORT = "trace.npz"
 """A trace's name in a report file."""
-
-_COUNTED = "counted_"  # before the name of a histogram in the file
-
-
-@dataclass(frozen=True)
-class Report:
-    """A run in numbers."""
-
-    ending: str
-    """Why it ended: done, stopped, …"""
-    ticks: int
-    duration_s: float
-    """From the first position to the last: by the clock on the wall, or in virtual time."""
-    rate_hz: float
-    """Positions per second of that duration."""
-    nominal_rate_hz: float
-    """What the scene asks for."""
-    deadline_misses: int
-    """Samples whose force came too late and for which the one before went on acting."""
-    lost_frames: int
-    """Positions that never arrived whole."""
-    crc_errors: int
-    """Frames of the device that the check refused (too short or malformed ones included)."""
-    stale_positions: int
-    """Positions that a newer one replaced before they could be answered."""
-    limited_ticks: int
-    """Ticks whose force was cut to its limit."""
-    dropped_rows: int
-    """Rows missing from the trace because its reader was too slow; the force was not affected."""
-    parameter_changes: int
-    """Changes of the scene while it ran that were taken: sets of parameters, or another structure."""
-    lateness_s: Spread
-    """Where the host is the clock: of the loop's wake-up, after the tick was due. Where the device is: of its position,
-    after the earliest ones of late, by its own count of samples. Nothing in virtual time."""
-    exchange_s: Spread
-    """From a position's arrival until its force has left; where the host is the clock, from waking up for the tick
-    until the position has arrived, the force sent in between."""
-    age_samples: Spread
-    """From the position that the acting force answers to the force's change: 1 where it was in time, else at most so
-    many, as the device says of a late force only that it was. No force acts for longer than its time to live and one
-    sample more; that the force may be zero already is counted as two more."""
-    virtual_time: bool
-    garbage_bytes: int = 0
-    """Bytes from the device, since it was armed, that belonged to no frame."""
-    rejected_by_device: int | None = None
-    """Frames of the host that the device says it refused since it was armed (register 9); of a device that stopped by
-    itself the last one, which disarms, is among them. None where it did not say."""
-    released: bool | None = None
-    """Whether the device said, after the last force, that it released it; None in a record that does not tell."""
-    timed_by_device: bool = False
-    """Whether a timer of the device's own paced the positions: then their arrival tells its rate."""
-    estimated_mass_kg: tuple[float | None, ...] = ()
-    """Where a correction adapts: for which mass the force of each channel was at the end; None on the others."""
-    unrecorded_rows: int = 0
-    """Rows that are not in the file that was to be written while it ran: it could not be written, or not fast enough.
-    The force was not affected."""
-
-
-@dataclass(frozen=True)
-class Statistics:
-    """The histograms of which a report tells the quantiles: s, s and samples."""
-
-    lateness: Histogram
-    exchange: Histogram
-    age: Histogram
 
 
 @dataclass(frozen=True)
@@ -128,16 +65,16 @@ class Trace:
 
     def save(self, path: str | Path) -> None:
         """Writes a .npz or a .trace (every array as it is) or a .csv (SI units). UsageError where it cannot."""
-        from hapsim.loop.streamed_trace import save_stream
-
         path = Path(path)
         require_writable_as_trace(path)
+        head = Head(self.rate, self.position_scale.tolist(), self.force_scale.tolist())
+        columns = {name: getattr(self, name) for name in ROWS}
         try:
             if path.suffix == ".csv":
                 with path.open("w", encoding="utf-8") as file:
-                    write_csv(file, [self], self.position_scale.size)
+                    write_csv(file, head, [columns])
             elif path.suffix == ".trace":
-                save_stream(self, path)
+                save_stream(path, head, columns, as_told(self.report, self.statistics, True))
             else:
                 self._save_npz(path)
         except OSError as error:
@@ -146,27 +83,6 @@ class Trace:
     def _save_npz(self, path: Path) -> None:
         arrays: dict[str, Any] = {name: getattr(self, name) for name in (*ROWS, "position_scale", "force_scale")}
         np.savez_compressed(path, **arrays, **beside_the_rows(self.rate, self.statistics, self.report))
-
-
-ROWS = ("sample", "time_ns", "flags", "position_counts", "force_counts", "asked_force")
-"""The arrays of a trace that have a row for each tick."""
-
-
-def beside_the_rows(rate: float, statistics: Statistics, report: Report) -> dict[str, Any]:
-    """What else is in a .npz, by name."""
-    counted = {f"{_COUNTED}{name}": histogram.as_row() for name, histogram in vars(statistics).items()}
-    return {"rate": rate, "report": json.dumps(asdict(report)), **counted}
-
-
-def write_csv(file: TextIO, pieces: Iterable[Trace], channels: int) -> None:
-    """Writes traces that follow one another as one table, in SI units."""
-    each = range(channels)
-    names = [f"{what}[{c}]" for what in ("position_m", "force_N", "asked_force_N") for c in each]
-    formats = ["%d", "%d", "%d"] + ["%.12g"] * (3 * channels)
-    file.write(",".join(["sample", "time_ns", "flags", *names]) + "\n")
-    for one in pieces:
-        table = np.column_stack([one.sample, one.time_ns, one.flags, one.position, one.force, one.asked_force])
-        np.savetxt(file, table, fmt=formats, delimiter=",")
 
 
 def require_writable_as_trace(path: Path) -> None:
@@ -193,13 +109,10 @@ def load_trace(path: str | Path) -> Trace:
 
     Of a file that was cut off (a crash, a full disk) everything up to there is read; the report's `ending` says so.
     """
-    from hapsim.loop.stream import is_stream
-    from hapsim.loop.streamed_trace import load_stream
-
     path = Path(path)
     try:
         if is_stream(path):
-            return load_stream(path)
+            return Trace(**load_stream(path))
         with path.open("rb") as stream:
             return _load_npz(_within_report(stream))
     except (OSError, EOFError, ValueError, KeyError, TypeError, zipfile.BadZipFile, zlib.error) as error:
@@ -221,13 +134,7 @@ def _within_report(stream: BinaryIO) -> BinaryIO:
 def _load_npz(stream: BinaryIO) -> Trace:
     with np.load(stream) as file:
         arrays = {name: file[name] for name in file.files if name not in ("rate", "report")}
-        counted = {name: arrays.pop(name) for name in list(arrays) if name.startswith(_COUNTED)}
-        statistics = Statistics(**{name[len(_COUNTED) :]: Histogram.from_row(row) for name, row in counted.items()})
+        counted = {name: arrays.pop(name) for name in list(arrays) if name.startswith(COUNTED)}
+        statistics = Statistics(**{name[len(COUNTED) :]: Histogram.from_row(row) for name, row in counted.items()})
         report = report_from(json.loads(str(file["report"])))
         return Trace(rate=float(file["rate"]), statistics=statistics, report=report, **arrays)
-
-
-def report_from(values: dict[str, Any]) -> Report:
-    """What `asdict` made of a report, after JSON. TypeError where it is none."""
-    spreads = {name: Spread(**values[name]) for name in ("lateness_s", "exchange_s", "age_samples")}
-    return Report(**values | spreads | {"estimated_mass_kg": tuple(values.get("estimated_mass_kg", ()))})

@@ -16,8 +16,9 @@ import yaml
 
 import hapsim
 from hapsim.errors import RecordError, UsageError
-from hapsim.loop import recording, stream
-from hapsim.loop.trace import ROWS, Trace, load_trace
+from hapsim.loop import recording, stream, streamed_trace
+from hapsim.loop.stream import ROWS
+from hapsim.loop.trace import Trace, load_trace
 from hapsim.running import run
 from hapsim.scene import Scene
 
@@ -36,7 +37,8 @@ def require_same(found: Trace, expected: Trace, ticks: int | None = None) -> Non
 
 @pytest.fixture
 def small_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(stream, "MOST_ROWS", 7)
+    for module in (stream, streamed_trace):
+        monkeypatch.setattr(module, "MOST_ROWS", 7)
 
 
 @pytest.mark.parametrize("ending", ["trace", "npz"])
@@ -96,7 +98,7 @@ def test_of_a_torn_file_every_whole_chunk_is_read_and_where_it_stops_is_told(sce
     assert seen == {0, 7, 14, 21, 28, 35, 42, 49, 50}
     for length in range(0, first_row, 50):
         path.write_bytes(whole[:length])
-        with pytest.raises(UsageError, match="not a trace|before its first row"):
+        with pytest.raises(UsageError, match=r"not a trace|before its first row"):
             load_trace(path)
 
 
@@ -113,7 +115,7 @@ def test_a_damaged_chunk_ends_what_is_read(scene_of: SceneOf, tmp_path: Path) ->
         assert back.report.ending == "not finished: the record stops after 14 ticks"
 
 
-def test_a_stream_of_a_later_version_is_told(scene_of: SceneOf, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_later_version_is_told(scene_of: SceneOf, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(stream, "VERSION", 2)
     run(scene_of(), duration=0.01, record=tmp_path / "t.trace")
     monkeypatch.undo()
