@@ -12,6 +12,7 @@ from hapsim.commands.arguments import (
     Port,
     Realtime,
     Record,
+    Reports,
     SceneFile,
     TransportOption,
     as_played,
@@ -42,6 +43,7 @@ def run(
         float | None, typer.Option(metavar="S", callback=seconds_above_zero, help="Seconds; left out: until stopped.")
     ] = None,
     record: Record = None,
+    reports: Reports = None,
     realtime: Realtime = False,
     watch: Annotated[bool, typer.Option("--watch", help="Follow the scene's file: what is saved is felt.")] = False,
     portable: Annotated[bool, typer.Option("--portable", help="The loop in plain Python: less steady.")] = False,
@@ -73,6 +75,7 @@ def run(
                 transport=kind,
                 keep=False,
                 record=record,
+                reports=reports,
                 realtime=realtime,
                 portable=portable,
                 on_progress=tell,

@@ -71,7 +71,7 @@ class Recorder:
             report=report,
         )
 
-    def last_rows(self) -> dict[str, NDArray[Any]]:
+    def last_rows(self) -> dict[str, Any]:
         """The columns of the `recent` rows that came last, by their names in a trace."""
         rows: tuple[NDArray[Any], ...] = _joined([self._nothing, *self._last])
         return {name: column[-self._recent :] for name, column in zip(ROWS, rows, strict=True)}

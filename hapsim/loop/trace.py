@@ -76,13 +76,14 @@ class Trace:
             elif path.suffix == ".trace":
                 save_stream(path, head, columns, as_told(self.report, self.statistics, True))
             else:
-                self._save_npz(path)
+                self.write_npz(path)
         except OSError as error:
             raise UsageError(f"{path}: the trace cannot be written: {error.strerror or error}") from error
 
-    def _save_npz(self, path: Path) -> None:
+    def write_npz(self, file: Path | BinaryIO) -> None:
+        """OSError where it cannot be written."""
         arrays: dict[str, Any] = {name: getattr(self, name) for name in (*ROWS, "position_scale", "force_scale")}
-        np.savez_compressed(path, **arrays, **beside_the_rows(self.rate, self.statistics, self.report))
+        np.savez_compressed(file, **arrays, **beside_the_rows(self.rate, self.statistics, self.report))
 
 
 def require_writable_as_trace(path: Path) -> None:

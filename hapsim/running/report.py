@@ -6,12 +6,11 @@ from dataclasses import replace
 
 from firmware_protocol import schema
 from hapsim.device.conversation import fault_text
-from hapsim.errors import DeviceError, GuardError, RecordError, RunError
+from hapsim.errors import DeviceError, GuardError, RunError
 from hapsim.loop import endings
 from hapsim.loop.exchange import DEVICE_CLOCK, HOST_CLOCK
 from hapsim.loop.histogram import histogram_of
 from hapsim.loop.recorder import Recorder
-from hapsim.loop.recording import Recording
 from hapsim.loop.trace import Report, Statistics, Trace
 from hapsim.prediction.silence import host_silence
 from hapsim.progress import Progress
@@ -112,20 +111,6 @@ def failure_of(name: str, scene: Scene, loop: Loop, trace: Trace, ending: int) -
     error = kind(f"{told}; {_where_the_force_is(scene, loop, bool(trace.report.released))}")
     error.trace = trace
     return error
-
-
-def with_record(failure: RunError | None, name: str, trace: Trace, recording: Recording | None) -> RunError | None:
-    """The error of a run, or None, with what became of its record where that is not as it was asked for."""
-    sentence = "" if recording is None else recording.sentence
-    if not sentence:
-        return failure
-    told: RunError
-    if failure is None:
-        told = RecordError(f"{name}: the run ended as asked after {trace.report.ticks} ticks, and {sentence}")
-    else:
-        told = type(failure)(f"{failure}. And {sentence}")
-    told.trace = trace
-    return told
 
 
 def _what_ended(name: str, loop: Loop, trace: Trace, ending: int) -> tuple[type[RunError], str]:

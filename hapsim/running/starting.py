@@ -6,8 +6,6 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import replace
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, TypedDict
 
@@ -18,26 +16,26 @@ from hapsim.compiling.entries import compile_for
 from hapsim.compiling.progress import Counted, on_compilation
 from hapsim.device.connection import Connection
 from hapsim.device.conversation import arm, describe, disarm, frames_rejected_by
-from hapsim.device.open_connection import TransportKind, open_connection, place_of_device, require_possible_here
+from hapsim.device.open_connection import Place, TransportKind, open_connection, place_of_device, require_possible_here
 from hapsim.errors import UsageError
-from hapsim.loop import endings
 from hapsim.loop.only_linux import missing_calls, require_linux
 from hapsim.loop.portable import PortableLoop
 from hapsim.loop.recorder import Recorder
-from hapsim.loop.recording import Recording
 from hapsim.loop.run import run_loop
-from hapsim.loop.stream import Head
 from hapsim.loop.trace import require_writable_as_trace
 from hapsim.progress import Progress
 from hapsim.realtime import realtime as with_realtime
 from hapsim.running.assemble import Loop, assemble_loop
 from hapsim.running.compatibility import PACING, require_compatible
 from hapsim.running.excitation import Excitation, PeriodicExcitation
-from hapsim.running.report import failure_of, report_of, statistics_of, trace_of, with_farewell, with_record
+from hapsim.running.recorded import recorded, with_record, with_report
+from hapsim.running.report import failure_of, trace_of, with_farewell
+from hapsim.running.report_file import default_directory
 from hapsim.running.session import Session
 from hapsim.scene import Scene
 
 _MOST_TICKS = 2.0**62
+_LAST_ROWS = 1 << 16  # of the last second, at most
 
 
 class StartOptions(TypedDict, total=False):
@@ -48,6 +46,7 @@ class StartOptions(TypedDict, total=False):
     excitation: Excitation | PeriodicExcitation | None
     keep: bool
     record: str | Path | None
+    reports: str | Path | None
     realtime: bool
     portable: bool
     on_progress: Callable[[Progress], None] | None
@@ -63,6 +62,7 @@ def start(
     excitation: Excitation | PeriodicExcitation | None = None,
     keep: bool = True,
     record: str | Path | None = None,
+    reports: str | Path | None = None,
     realtime: bool = False,
     portable: bool = False,
     on_progress: Callable[[Progress], None] | None = None,
@@ -73,9 +73,11 @@ def start(
 
     `transport`: where the device is ("auto": the scene's port, else the mock that fits the clock). `keep`: False for a
     trace without rows, for runs without an end. `record`: a .trace, .npz or .csv that is written while it runs, in
-    memory that does not grow; what was written before a crash is read by `load_trace`. `realtime`: asks the system for
-    what makes a loop steady, see hapsim.realtime; `Session.grants` says what was granted. `portable`: the loop in plain
-    Python over pyserial; off Linux that loop runs with the mock in memory too. `on_progress` hears of the compilation,
+    memory that does not grow; what was written before a crash is read by `load_trace`. `reports`: the
+    directory for the report file of a run that a guard, a fault of the device or a lost device ends; None: a default
+    one where the device is on a port, no file for the mock in this process. `realtime`: asks the system for what makes
+    a loop steady, see hapsim.realtime; `Session.grants` says what was granted. `portable`: the loop in plain Python
+    over pyserial; off Linux that loop runs with the mock in memory too. `on_progress` hears of the compilation,
     `on_warning` once, in a sentence and in another thread, of a record that cannot be written any more; `on_arming`
     gets the session just before the device is armed: a `stop` from then on ends the run in good order.
 
@@ -95,15 +97,17 @@ def start(
         loop = assemble_loop(scene, opened, description, excitation, duration)
         # Everything is compiled now: the device is armed only when the loop can answer at once.
         gives_way = scene.device.clock != "lockstep" and not in_python
-        recorder = Recorder(loop.ring, keep, max(1, math.ceil(scene.rate)))
+        recorder = Recorder(loop.ring, keep, min(math.ceil(scene.rate), _LAST_ROWS))
         session = Session(scene, loop, _ready_body(opened, loop, in_python), recorder, gives_way)
-        with _recorded(session, record, on_warning):
+        spoken = b""
+        with recorded(session, record, on_warning):
             try:
                 session._begin()
                 if on_arming is not None:
                     on_arming(session)
                 with _real_time(session) if realtime else contextlib.nullcontext():
                     _arm(scene, opened, description, loop)
+                    spoken = opened.take_written()
                     session._go()
                     yield session
             finally:
@@ -116,9 +120,17 @@ def start(
                     released = disarm(opened, loop.wire)
             session._trace = with_farewell(session.trace, released, frames_rejected_by(opened) if released else None)
     failure = failure_of(opened.name, scene, loop, session.trace, ending)
-    failure = with_record(failure, opened.name, session.trace, recorder.recording)
+    directory = _report_directory(reports, place_of_device(scene, transport, portable=portable))
+    failure = with_report(failure, directory, opened, session, description, spoken)
+    failure = with_record(failure, opened.name, session)
     if failure is not None:
         raise failure
+
+
+def _report_directory(asked: str | Path | None, place: Place) -> Path | None:
+    if asked is not None:
+        return Path(asked)
+    return default_directory() if place == "port" else None
 
 
 def _require_sound(scene: Scene, duration: float | None, realtime: bool) -> None:
@@ -156,35 +168,6 @@ def _ready_body(connection: Connection, loop: Loop, in_python: bool) -> Callable
         return PortableLoop(loop.record, loop.inbox, connection.transport).run
     compile_for(run_loop, loop.record)
     return run_loop
-
-
-@contextlib.contextmanager
-def _recorded(session: Session, path: str | Path | None, on_warning: Callable[[str], None] | None) -> Iterator[None]:
-    """While open, the rows are written to `path`; the report that it is closed with stands at the end."""
-    if path is None:
-        yield
-        return
-    scene, loop = session.scene, session._loop
-    io, used = loop.record.io, slice(loop.wire.channels)
-    head = Head(
-        rate_hz=scene.rate,
-        position_scale=io.position_scale[used].tolist(),
-        force_scale=io.force_scale[used].tolist(),
-        scene=scene.path or "",
-        begun=datetime.now(UTC).isoformat(),
-    )
-    recording = Recording(
-        Path(path),
-        head,
-        lambda: (report_of(scene, loop, "running"), statistics_of(loop)),
-        on_warning or (lambda _: None),
-    )
-    session._recorder.recording = recording
-    try:
-        yield
-    finally:
-        trace = session._trace or trace_of(scene, loop, session._recorder, endings.STOPPED)
-        session._trace = replace(trace, report=recording.finish(trace.report, trace.statistics))
 
 
 @contextlib.contextmanager
