@@ -100,7 +100,8 @@ def _print_failure(sentence: str, exit_status: int) -> None:
 
 def _end_as_typer_does(ending: SystemExit) -> NoReturn:
     """Typer has said what it had to say: about a wrong command line, or nothing where a command has its own status."""
-    if ending.code == _WRONG_COMMAND_LINE and "--json" in sys.argv:
+    of_its_own = isinstance(ending.__context__, typer.Exit)
+    if ending.code == _WRONG_COMMAND_LINE and "--json" in sys.argv and not of_its_own:
         _print_failure("the command line was not understood; standard error says why", ending.code)
     if ending.code == _INTERRUPTED:
         complain("hapsim: stopped before anything was running")  # typer has taken the interrupt, and says nothing

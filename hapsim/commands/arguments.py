@@ -27,7 +27,15 @@ Realtime = Annotated[
     typer.Option("--realtime", help="Ask the system for what makes a loop steady; tell what it granted and what not."),
 ]
 Data = Annotated[Path | None, typer.Option(metavar="FILE", help="Write the picture's numbers: .csv.")]
-Record = Annotated[Path | None, typer.Option(metavar="FILE", help="Write the trace: .npz or .csv.")]
+Record = Annotated[Path | None, typer.Option(metavar="FILE", help="Write the trace: .trace, .npz or .csv.")]
+Reports = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="DIR",
+        help="Where a run that a guard or a device ends leaves its report, the newest 20; left out: "
+        "~/.local/state/hapsim/reports for a device on a port.",
+    ),
+]
 
 
 class Files(NamedTuple):

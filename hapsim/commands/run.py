@@ -12,6 +12,7 @@ from hapsim.commands.arguments import (
     Port,
     Realtime,
     Record,
+    Reports,
     SceneFile,
     TransportOption,
     as_played,
@@ -42,6 +43,7 @@ def run(
         float | None, typer.Option(metavar="S", callback=seconds_above_zero, help="Seconds; left out: until stopped.")
     ] = None,
     record: Record = None,
+    reports: Reports = None,
     realtime: Realtime = False,
     watch: Annotated[bool, typer.Option("--watch", help="Follow the scene's file: what is saved is felt.")] = False,
     portable: Annotated[bool, typer.Option("--portable", help="The loop in plain Python: less steady.")] = False,
@@ -71,10 +73,13 @@ def run(
                 loaded,
                 duration=duration,
                 transport=kind,
-                keep=record is not None,
+                keep=False,
+                record=record,
+                reports=reports,
                 realtime=realtime,
                 portable=portable,
                 on_progress=tell,
+                on_warning=complain,
                 on_start=reporter.started,
                 stop_on_signals=True,
             )
@@ -83,13 +88,11 @@ def run(
             raise
         failure, trace = error, error.trace
     with undisturbed():
-        if record is not None:
-            trace.save(record)
         if json:
             _print_run(trace.report, reporter.grants, failure)
         else:
             show_report(stdout(), trace.report)
-            say_written(record=record)
+            say_written(record=record if record is not None and record.exists() else None)
     if failure is not None:
         complain(failure)
         raise typer.Exit(failure.exit_status)

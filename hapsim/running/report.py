@@ -25,7 +25,7 @@ def trace_of(scene: Scene, loop: Loop, recorder: Recorder, ending: int) -> Trace
         loop.record.io.position_scale[: loop.wire.channels].copy(),
         loop.record.io.force_scale[: loop.wire.channels].copy(),
         statistics_of(loop),
-        _report(scene, loop, ending),
+        report_of(scene, loop, endings.IN_WORDS[ending]),
     )
 
 
@@ -56,7 +56,8 @@ def progress_of(loop: Loop) -> Progress:
     )
 
 
-def _report(scene: Scene, loop: Loop, ending: int) -> Report:
+def report_of(scene: Scene, loop: Loop, ending: str) -> Report:
+    """A loop in numbers, while it runs or afterwards."""
     state, decoder, virtual = loop.state, loop.inbox.decoder, scene.device.clock == "lockstep"
     ticks = int(state.ticks)
     samples = max(ticks - 1, 0)
@@ -67,7 +68,7 @@ def _report(scene: Scene, loop: Loop, ending: int) -> Report:
     )
     statistics = statistics_of(loop)
     return Report(
-        ending=endings.IN_WORDS[ending],
+        ending=ending,
         ticks=ticks,
         duration_s=elapsed,
         rate_hz=samples / elapsed if elapsed > 0 else 0.0,
