@@ -26,6 +26,9 @@ Realtime = Annotated[
     bool,
     typer.Option("--realtime", help="Ask the system for what makes a loop steady; tell what it granted and what not."),
 ]
+Unstable = Annotated[
+    bool, typer.Option("--unstable", help="Run a scene that is predicted unstable, too: the hand is shaken.")
+]
 Data = Annotated[Path | None, typer.Option(metavar="FILE", help="Write the picture's numbers: .csv.")]
 Record = Annotated[Path | None, typer.Option(metavar="FILE", help="Write the trace: .npz or .csv.")]
 
@@ -95,6 +98,25 @@ def predict_and_warn(scene: Scene) -> None:
     from hapsim.prediction import predict
 
     warn(scene, predict(scene, with_margins=False))
+
+
+def predict_before_arming(path: str, scene: Scene, unstable: bool) -> None:
+    """Predicts the scene of this file, and says what there is against running it. UsageError where it is surely
+    unstable, and that is not asked for."""
+    from hapsim.prediction import predict
+
+    prediction = predict(scene, with_margins=False)
+    require_stable(path, scene, prediction, unstable)
+    warn(scene, prediction)
+
+
+def require_stable(path: str, scene: Scene, prediction: Prediction, unstable: bool) -> None:
+    """UsageError where the scene of this file is surely predicted unstable, and that is not asked for."""
+    from hapsim.running.stability import why_not_armed
+
+    why = "" if unstable else why_not_armed(path, scene, prediction)
+    if why:
+        raise UsageError(why)
 
 
 def warn(scene: Scene, prediction: Prediction) -> None:

@@ -14,10 +14,12 @@ from hapsim.commands.arguments import (
     Record,
     SceneFile,
     TransportOption,
+    Unstable,
     as_played,
     complain,
     load,
     predict_and_warn,
+    predict_before_arming,
     require_files_writable,
     say_written,
     seconds_above_zero,
@@ -44,6 +46,7 @@ def run(
     record: Record = None,
     realtime: Realtime = False,
     watch: Annotated[bool, typer.Option("--watch", help="Follow the scene's file: what is saved is felt.")] = False,
+    unstable: Unstable = False,
     portable: Annotated[bool, typer.Option("--portable", help="The loop in plain Python: less steady.")] = False,
     json: Json = False,
 ) -> None:
@@ -61,7 +64,7 @@ def run(
     def warn_about(changed: Scene) -> None:
         predict_and_warn(as_played(changed, kind))
 
-    warn_about(loaded)
+    predict_before_arming(scene, as_played(loaded, kind), unstable)
     error_console = stderr()
     reporter = RunReporter(error_console, scene if watch else None, warn_about)
     failure: RunError | None = None
@@ -74,6 +77,7 @@ def run(
                 keep=record is not None,
                 realtime=realtime,
                 portable=portable,
+                unstable=unstable,
                 on_progress=tell,
                 on_start=reporter.started,
                 stop_on_signals=True,

@@ -27,6 +27,7 @@ from hapsim.running.compatibility import PACING, require_compatible
 from hapsim.running.excitation import Excitation, PeriodicExcitation
 from hapsim.running.report import failure_of, trace_of, with_farewell
 from hapsim.running.session import Session
+from hapsim.running.stability import require_startable
 from hapsim.scene import Scene
 
 _MOST_TICKS = 2.0**62
@@ -41,6 +42,7 @@ class StartOptions(TypedDict, total=False):
     keep: bool
     realtime: bool
     portable: bool
+    unstable: bool | None
     on_progress: Callable[[Progress], None] | None
 
 
@@ -54,6 +56,7 @@ def start(
     keep: bool = True,
     realtime: bool = False,
     portable: bool = False,
+    unstable: bool | None = None,
     on_progress: Callable[[Progress], None] | None = None,
     on_arming: Callable[[Session], None] | None = None,
 ) -> Iterator[Session]:
@@ -62,13 +65,17 @@ def start(
     `transport`: where the device is ("auto": the scene's port, else the mock that fits the clock). `keep`: False for a
     trace without rows, for runs without an end. `realtime`: asks the system for what makes a loop steady, see
     hapsim.realtime; `Session.grants` says what was granted. `portable`: the loop in plain Python over pyserial; off
-    Linux that loop runs with the mock in memory too. `on_progress` hears of the compilation, `on_arming` gets the
-    session just before the device is armed: a `stop` from then on ends the run in good order.
+    Linux that loop runs with the mock in memory too. `unstable`: whether a scene that is surely predicted unstable may
+    run: False refuses it, at the start and as a change (`Session.set`, `Session.adopt`), True takes it; None starts and
+    sets it, and `Session.adopt` refuses what is more unstable than what runs. `on_progress` hears of the compilation,
+    `on_arming` gets the session just before the device is armed: a `stop` from then on ends the run in good order.
 
     Raises SceneError and UsageError for what cannot be run; DeviceError where port or device fail, GuardError where a
     guard stopped the force, both when the with-block is left; they carry what was recorded as their attribute `trace`.
     """
     _require_sound(scene, duration, realtime)
+    if unstable is False:
+        require_startable(scene)
     tell = on_progress or (lambda _: None)
     counted = Counted(lambda name, share: tell(Progress("compiling", name, share=share)))
     in_python = portable or bool(missing_calls())
@@ -78,7 +85,8 @@ def start(
         loop = assemble_loop(scene, opened, description, excitation, duration)
         # Everything is compiled now: the device is armed only when the loop can answer at once.
         gives_way = scene.device.clock != "lockstep" and not in_python
-        session = Session(scene, loop, _ready_body(opened, loop, in_python), Recorder(loop.ring, keep), gives_way)
+        body = _ready_body(opened, loop, in_python)
+        session = Session(scene, loop, body, Recorder(loop.ring, keep), gives_way, unstable)
         try:
             session._begin()
             if on_arming is not None:
