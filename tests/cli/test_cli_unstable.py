@@ -58,7 +58,9 @@ def test_a_running_scene_becomes_unstable_only_where_it_may(
             session.set(STIFF)
         session.set(SOFT)  # which is stable, wherever it comes from
         file = WatchedFile(str(path))
-        path.write_text(path.read_text(encoding="utf-8").replace("stiffness: 1000.0", "stiffness: 50000.0"), encoding="utf-8")
+        path.write_text(
+            path.read_text(encoding="utf-8").replace("stiffness: 1000.0", "stiffness: 50000.0"), encoding="utf-8"
+        )
         os.utime(path, ns=(1, 1))
         news = file.look(session)
         assert news is not None
