@@ -10,7 +10,7 @@ from typing import Literal
 class Progress:
     """How a run is doing, for a live line."""
 
-    phase: Literal["compiling", "running", "serving"]
+    phase: Literal["compiling", "running", "waiting", "serving"]
     text: str = ""
     share: float | None = None
     """How far it is, 0 to 1, where that is known."""

@@ -29,10 +29,10 @@ from hapsim.commands.arguments import (
 )
 
 if TYPE_CHECKING:
-    from hapsim.errors import RunError
-    from hapsim.loop.trace import Report
+    from pathlib import Path
+
+    from hapsim.daemon.lifetime import Lifetime
     from hapsim.realtime import PrivilegeResult
-    from hapsim.scene import Scene
 
 
 def run(
@@ -46,6 +46,9 @@ def run(
     record: Record = None,
     realtime: Realtime = False,
     watch: Annotated[bool, typer.Option("--watch", help="Follow the scene's file: what is saved is felt.")] = False,
+    reconnect: Annotated[
+        bool, typer.Option("--reconnect", help="Wait for a device that is lost, and go on once it is back.")
+    ] = False,
     unstable: Unstable = False,
     portable: Annotated[bool, typer.Option("--portable", help="The loop in plain Python: less steady.")] = False,
     json: Json = False,
@@ -53,53 +56,46 @@ def run(
     """Run SCENE against its device, or against the embedded mock where it names none."""
     from hapsim.console.live import live_line
     from hapsim.console.run_reporter import RunReporter
-    from hapsim.console.tables import show_report
-    from hapsim.errors import RunError
-    from hapsim.running import run as run_scene
+    from hapsim.daemon.reconnecting import keep_running
     from hapsim.running.signals import undisturbed
 
     loaded, kind = load(scene, port), transport_kind(mock, transport, port)
     require_files_writable(record=record)
-
-    def warn_about(changed: Scene) -> None:
-        predict_and_warn(as_played(changed, kind))
-
     predict_before_arming(scene, as_played(loaded, kind), unstable)
     error_console = stderr()
-    reporter = RunReporter(error_console, scene if watch else None, warn_about)
-    failure: RunError | None = None
-    try:
-        with live_line(error_console) as tell:
-            trace = run_scene(
-                loaded,
-                duration=duration,
-                transport=kind,
-                keep=record is not None,
-                realtime=realtime,
-                portable=portable,
-                unstable=unstable,
-                on_progress=tell,
-                on_start=reporter.started,
-                stop_on_signals=True,
-            )
-    except RunError as error:
-        if error.trace is None:
-            raise
-        failure, trace = error, error.trace
+    reporter = RunReporter(
+        error_console, scene if watch else None, lambda changed: predict_and_warn(as_played(changed, kind))
+    )
+    with live_line(error_console) as tell:
+        lifetime = keep_running(
+            loaded,
+            reporter.observer(tell, loaded.device.port or ""),
+            reconnect=reconnect,
+            record=record,
+            duration=duration,
+            transport=kind,
+            keep=record is not None,
+            realtime=realtime,
+            portable=portable,
+            unstable=unstable,
+            on_progress=tell,
+        )
     with undisturbed():
-        if record is not None:
-            trace.save(record)
-        if json:
-            _print_run(trace.report, reporter.grants, failure)
-        else:
-            show_report(stdout(), trace.report)
-            say_written(record=record)
-    if failure is not None:
-        complain(failure)
-        raise typer.Exit(failure.exit_status)
+        _show(lifetime, reporter.grants, record, json)
+    if lifetime.failure is not None:
+        complain(lifetime.failure)
+        raise typer.Exit(lifetime.failure.exit_status)
 
 
-def _print_run(report: Report, grants: list[PrivilegeResult], failure: RunError | None) -> None:
-    from hapsim.console.as_json import document, failure_document, report_document
+def _show(lifetime: Lifetime, grants: list[PrivilegeResult], record: Path | None, json: bool) -> None:
+    if json:
+        from hapsim.console.as_json import document, lifetime_document
 
-    print(document(report_document(report, grants) | failure_document(failure)))
+        print(document(lifetime_document(lifetime, grants)))
+        return
+    from hapsim.console.tables import show_report
+    from hapsim.daemon.reconnecting import record_of
+
+    show_report(stdout(), lifetime.report, lifetime.reconnections)
+    for session in range(lifetime.reconnections + 1):
+        say_written(record=None if record is None else record_of(record, session))

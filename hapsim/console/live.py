@@ -68,6 +68,9 @@ class _Line:
             elapsed = time.monotonic() - self._since
             self._show(f"compiling, once on this machine: {far}{self._compiled} functions in {elapsed:.0f} s")
             return
+        if progress.phase == "waiting":
+            self._show(f"waiting for {progress.text} · Ctrl-C ends the run")
+            return
         if progress.phase == "serving":
             self._show(f"serving the mock device at {progress.text} · Ctrl-C stops it")
             return

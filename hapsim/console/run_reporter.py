@@ -11,6 +11,8 @@ from rich.markup import escape
 from hapsim.console.sentences import fitted
 
 if TYPE_CHECKING:
+    from hapsim.daemon.reconnecting import Observer
+    from hapsim.progress import Progress
     from hapsim.realtime import PrivilegeResult
     from hapsim.running import Session
     from hapsim.running.watch import WatchedFile
@@ -49,6 +51,18 @@ class RunReporter:
         if self._file is not None:
             file = self._file
             Beside(lambda: self._follow(file, session), session.gives_way)
+
+    def observer(self, tell: Callable[[Progress], None], port: str) -> Observer:
+        """What has a run be reported: by sentences, and by `tell` on a live line."""
+        from hapsim.daemon.reconnecting import Observer
+        from hapsim.progress import Progress
+
+        return Observer(
+            started=self.started,
+            running=tell,
+            waiting=lambda: tell(Progress("waiting", port)),
+            tell=lambda _event, sentence: self._say(sentence),
+        )
 
     def _follow(self, file: WatchedFile, session: Session) -> None:
         while not session.wait(_LOOK_S):
