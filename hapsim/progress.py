@@ -23,3 +23,6 @@ class Progress:
     age_samples: int = 0
     deadline_misses: int = 0
     limited_ticks: int = 0
+    ticks: int = 0
+    estimated_mass_kg: tuple[float | None, ...] = ()
+    """Where a correction adapts, for which mass the force of each channel is; None on the others."""

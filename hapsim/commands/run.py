@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -29,9 +32,8 @@ from hapsim.commands.arguments import (
 )
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from hapsim.daemon.lifetime import Lifetime
+    from hapsim.daemon.state import RunState
     from hapsim.realtime import PrivilegeResult
 
 
@@ -49,6 +51,12 @@ def run(
     reconnect: Annotated[
         bool, typer.Option("--reconnect", help="Wait for a device that is lost, and go on once it is back.")
     ] = False,
+    status: Annotated[
+        str | None,
+        typer.Option(
+            metavar="PATH", help="Tell the status at this unix socket, for `hapsim status`; auto: by the port."
+        ),
+    ] = None,
     unstable: Unstable = False,
     portable: Annotated[bool, typer.Option("--portable", help="The loop in plain Python: less steady.")] = False,
     json: Json = False,
@@ -56,7 +64,8 @@ def run(
     """Run SCENE against its device, or against the embedded mock where it names none."""
     from hapsim.console.live import live_line
     from hapsim.console.run_reporter import RunReporter
-    from hapsim.daemon.reconnecting import keep_running
+    from hapsim.daemon.reconnecting import keep_running, together
+    from hapsim.daemon.state import RunState
     from hapsim.running.signals import undisturbed
 
     loaded, kind = load(scene, port), transport_kind(mock, transport, port)
@@ -66,10 +75,12 @@ def run(
     reporter = RunReporter(
         error_console, scene if watch else None, lambda changed: predict_and_warn(as_played(changed, kind))
     )
-    with live_line(error_console) as tell:
+    serves = loaded.device.port if kind == "auto" else None
+    state = RunState(os.path.abspath(scene), serves, loaded.rate)
+    with _telling(state, status, serves, portable), live_line(error_console) as tell:
         lifetime = keep_running(
             loaded,
-            reporter.observer(tell, loaded.device.port or ""),
+            together(state.observer, reporter.observer(tell, serves or "")),
             reconnect=reconnect,
             record=record,
             duration=duration,
@@ -85,6 +96,19 @@ def run(
     if lifetime.failure is not None:
         complain(lifetime.failure)
         raise typer.Exit(lifetime.failure.exit_status)
+
+
+def _telling(
+    state: RunState, status: str | None, port: str | None, portable: bool
+) -> contextlib.AbstractContextManager[None]:
+    """While open, the status is told to who asks, where that was asked for."""
+    if status is None:
+        return contextlib.nullcontext()
+    from hapsim.console.as_json import document
+    from hapsim.daemon.status import AUTO, path_for, telling
+
+    path = path_for(port) if status == AUTO else Path(status)
+    return telling(path, lambda: document(state.document()) + "\n", gives_way=not portable)
 
 
 def _show(lifetime: Lifetime, grants: list[PrivilegeResult], record: Path | None, json: bool) -> None:

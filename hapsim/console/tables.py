@@ -365,6 +365,24 @@ def show_report(out: Console, report: Report, reconnections: int = 0) -> None:
     out.print(table)
 
 
+def show_status(out: Console, document: Mapping[str, object]) -> None:
+    """What a running hapsim told of itself: a row for each key."""
+    table = Table(show_header=False)
+    table.add_column()
+    table.add_column(justify="right", overflow="fold")
+    for key, value in document.items():
+        table.add_row(escape(str(key)), escape(_status_value(value)))
+    out.print(table)
+
+
+def _status_value(value: object) -> str:
+    if isinstance(value, list | tuple):
+        return " ".join(map(_status_value, value))
+    if value is None:
+        return "–"
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
 def _off_rate(report: Report) -> str:
     """Beside the rate that was kept: that it is another than was asked for, where that is sure."""
     from hapsim.measuring.seen_rate import kept_rate

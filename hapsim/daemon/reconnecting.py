@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal
@@ -50,6 +50,19 @@ class Observer:
     """Now and then while the port is waited for."""
     tell: Callable[[str, str], None] = lambda _event, _sentence: None
     """(event, sentence): `lost`, `waiting` (it was tried and failed), `reconnected`."""
+
+
+def together(*observers: Observer) -> Observer:
+    """Each of them hears of everything, in this order."""
+
+    def each(name: str) -> Callable[..., None]:
+        def call(*arguments: Any) -> None:
+            for one in observers:
+                getattr(one, name)(*arguments)
+
+        return call
+
+    return Observer(**{field.name: each(field.name) for field in fields(Observer)})
 
 
 def keep_running(

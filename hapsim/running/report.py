@@ -53,7 +53,13 @@ def progress_of(loop: Loop) -> Progress:
         age_samples=int(state.age),
         deadline_misses=int(state.deadline_misses),
         limited_ticks=int(state.limited_ticks),
+        ticks=ticks,
+        estimated_mass_kg=_estimated_masses(loop),
     )
+
+
+def _estimated_masses(loop: Loop) -> tuple[float | None, ...]:
+    return () if loop.correction is None else loop.correction.estimated_mass_kg(loop.wire.channels)
 
 
 def _report(scene: Scene, loop: Loop, ending: int) -> Report:
@@ -85,7 +91,7 @@ def _report(scene: Scene, loop: Loop, ending: int) -> Report:
         virtual_time=virtual,
         garbage_bytes=int(decoder.garbage_bytes) + _endless_bytes(loop),
         timed_by_device=bool(loop.record.watch.judges),
-        estimated_mass_kg=() if loop.correction is None else loop.correction.estimated_mass_kg(loop.wire.channels),
+        estimated_mass_kg=_estimated_masses(loop),
     )
 
 
