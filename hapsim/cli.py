@@ -9,7 +9,6 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from hapsim.commands.arguments import complain
 from hapsim.commands.chart import app as chart
 from hapsim.commands.chart_felt import felt
 from hapsim.commands.check import check
@@ -23,6 +22,7 @@ from hapsim.commands.probe import probe
 from hapsim.commands.run import run
 from hapsim.commands.status import status
 from hapsim.console.guarded_output import guarded_output, is_full
+from hapsim.console.log import complain, use_sentences
 from hapsim.errors import HapsimError
 
 _WRONG_COMMAND_LINE = 2
@@ -69,6 +69,14 @@ def main() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal that cannot show a character shows another
+    use_sentences()
+    try:
+        _run_app()
+    finally:
+        use_sentences()  # what a log left out is said at its end
+
+
+def _run_app() -> None:
     try:
         app()
     except HapsimError as error:

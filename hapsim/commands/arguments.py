@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
+from hapsim.console.log import complain
 from hapsim.console.sentences import say
 from hapsim.errors import UsageError
 
@@ -124,12 +124,7 @@ def warn(scene: Scene, prediction: Prediction) -> None:
     from hapsim.prediction import warnings_about
 
     for warning in warnings_about(scene, prediction):
-        complain(f"Warning: {warning}")
-
-
-def complain(problem: object) -> None:
-    """What went wrong, on standard error."""
-    say(problem, sys.stderr)
+        complain(warning, "prediction", "warning")
 
 
 def stdout() -> Any:

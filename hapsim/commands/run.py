@@ -30,6 +30,7 @@ from hapsim.commands.arguments import (
     stdout,
     transport_kind,
 )
+from hapsim.errors import UsageError
 
 if TYPE_CHECKING:
     from hapsim.daemon.lifetime import Lifetime
@@ -57,6 +58,9 @@ def run(
             metavar="PATH", help="Tell the status at this unix socket, for `hapsim status`; auto: by the port."
         ),
     ] = None,
+    log: Annotated[
+        str, typer.Option(metavar="FORM", help="Standard error: text, or json: a line of JSON for each event.")
+    ] = "text",
     unstable: Unstable = False,
     portable: Annotated[bool, typer.Option("--portable", help="The loop in plain Python: less steady.")] = False,
     json: Json = False,
@@ -68,6 +72,7 @@ def run(
     from hapsim.daemon.state import RunState
     from hapsim.running.signals import undisturbed
 
+    _choose_log(log)
     loaded, kind = load(scene, port), transport_kind(mock, transport, port)
     require_files_writable(record=record)
     predict_before_arming(scene, as_played(loaded, kind), unstable)
@@ -98,6 +103,15 @@ def run(
         raise typer.Exit(lifetime.failure.exit_status)
 
 
+def _choose_log(log: str) -> None:
+    from hapsim.console.log import use_json_log
+
+    if log not in ("text", "json"):
+        raise UsageError(f"--log: found '{log}', expected text or json")
+    if log == "json":
+        use_json_log()
+
+
 def _telling(
     state: RunState, status: str | None, port: str | None, portable: bool
 ) -> contextlib.AbstractContextManager[None]:
@@ -112,6 +126,12 @@ def _telling(
 
 
 def _show(lifetime: Lifetime, grants: list[PrivilegeResult], record: Path | None, json: bool) -> None:
+    from hapsim.console.log import json_log
+
+    log, report = json_log(), lifetime.report
+    if log is not None:
+        ended = f"the run ended after {report.ticks} ticks: {report.ending}"
+        log.say("info", "ended", ended, ticks=report.ticks, ending=report.ending, reconnections=lifetime.reconnections)
     if json:
         from hapsim.console.as_json import document, lifetime_document
 

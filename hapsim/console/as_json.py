@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 def document(value: dict[str, Any]) -> str:
     """The text of one JSON document."""
-    return json.dumps(_plain(value), indent=2, allow_nan=False)
+    return json.dumps(plain(value), indent=2, allow_nan=False)
 
 
 def prediction_document(
@@ -186,15 +186,15 @@ def _felt(felt: Felt) -> dict[str, Any]:
     return values | hand | {"device_stiffness": configuration["stiffness"]}
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
     """Only what JSON has: complex numbers as [re, im], infinities and NaN as null."""
     if isinstance(value, dict):
-        return {str(key): _plain(entry) for key, entry in value.items()}
+        return {str(key): plain(entry) for key, entry in value.items()}
     if isinstance(value, complex):
-        return [_plain(value.real), _plain(value.imag)]
+        return [plain(value.real), plain(value.imag)]
     if isinstance(value, (list, tuple)) or hasattr(value, "tolist"):
         entries = value.tolist() if hasattr(value, "tolist") else value
-        return [_plain(entry) for entry in entries] if isinstance(entries, (list, tuple)) else _plain(entries)
+        return [plain(entry) for entry in entries] if isinstance(entries, (list, tuple)) else plain(entries)
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
