@@ -53,7 +53,13 @@ def progress_of(loop: Loop) -> Progress:
         age_samples=int(state.age),
         deadline_misses=int(state.deadline_misses),
         limited_ticks=int(state.limited_ticks),
+        ticks=ticks,
+        estimated_mass_kg=_estimated_masses(loop),
     )
+
+
+def _estimated_masses(loop: Loop) -> tuple[float | None, ...]:
+    return () if loop.correction is None else loop.correction.estimated_mass_kg(loop.wire.channels)
 
 
 def report_of(scene: Scene, loop: Loop, ending: str) -> Report:
@@ -87,7 +93,7 @@ def report_of(scene: Scene, loop: Loop, ending: str) -> Report:
         garbage_bytes=int(decoder.garbage_bytes) + _endless_bytes(loop),
         timed_by_device=bool(loop.record.watch.judges),
         released=True if ending == endings.DEVICE_STOPPED and _says_released(loop) else None,
-        estimated_mass_kg=() if loop.correction is None else loop.correction.estimated_mass_kg(loop.wire.channels),
+        estimated_mass_kg=_estimated_masses(loop),
     )
 
 

@@ -39,6 +39,7 @@ from hapsim.running.recorded import recorded, with_record, with_report
 from hapsim.running.report import failure_of, trace_of, with_farewell
 from hapsim.running.report_file import default_directory
 from hapsim.running.session import Session
+from hapsim.running.stability import require_startable
 from hapsim.scene import Scene
 
 _MOST_TICKS = 2.0**62
@@ -57,6 +58,7 @@ class StartOptions(TypedDict, total=False):
     realtime: bool
     portable: bool
     between: Between | None
+    unstable: bool | None
     on_progress: Callable[[Progress], None] | None
     on_warning: Callable[[str], None] | None
 
@@ -74,6 +76,7 @@ def start(
     realtime: bool = False,
     portable: bool = False,
     between: Between | None = None,
+    unstable: bool | None = None,
     on_progress: Callable[[Progress], None] | None = None,
     on_warning: Callable[[str], None] | None = None,
     on_arming: Callable[[Session], None] | None = None,
@@ -87,9 +90,12 @@ def start(
     one where the device is on a port, no file for the mock in this process. `realtime`: asks the system for what makes
     a loop steady, see hapsim.realtime; `Session.grants` says what was granted. `portable`: the loop in plain Python
     over pyserial; off Linux that loop runs with the mock in memory too. `between`: what loop and device speak through,
-    made of the transport to the device; the loop is then the one in Python. `on_progress` hears of the compilation,
-    `on_warning` once, in a sentence and in another thread, of a record that cannot be written any more; `on_arming`
-    gets the session just before the device is armed: a `stop` from then on ends the run in good order.
+    made of the transport to the device; the loop is then the one in Python. `unstable`: whether a scene that is surely
+    predicted unstable may run: False refuses it, at the start and as a change (`Session.set`, `Session.adopt`), True
+    takes it; None starts and sets it, and `Session.adopt` refuses what is more unstable than what runs. `on_progress`
+    hears of the compilation, `on_warning` once, in a sentence and in another thread, of a record that cannot be written
+    any more; `on_arming` gets the session just before the device is armed: a `stop` from then on ends the run in good
+    order.
 
     Raises SceneError and UsageError for what cannot be run; DeviceError where port or device fail, GuardError where a
     guard stopped the force, RecordError where the run went as asked and its record did not, these when the with-block
@@ -98,6 +104,8 @@ def start(
     _require_sound(scene, duration, realtime)
     if record is not None:
         require_writable_as_trace(Path(record))
+    if unstable is False:
+        require_startable(scene)
     tell = on_progress or (lambda _: None)
     counted = Counted(lambda name, share: tell(Progress("compiling", name, share=share)))
     in_python = portable or between is not None or bool(missing_calls())
@@ -111,7 +119,7 @@ def start(
         # Everything is compiled now: the device is armed only when the loop can answer at once.
         gives_way = scene.device.clock != "lockstep" and not in_python
         recorder = Recorder(loop.ring, keep, min(math.ceil(scene.rate), _LAST_ROWS))
-        session = Session(scene, loop, _ready_body(opened, loop, in_python), recorder, gives_way)
+        session = Session(scene, loop, _ready_body(opened, loop, in_python), recorder, gives_way, unstable)
         spoken = b""
         with recorded(session, record, on_warning):
             try:
