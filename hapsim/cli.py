@@ -20,6 +20,7 @@ from hapsim.commands.measure import measure
 from hapsim.commands.prepare import compile_, new, schema
 from hapsim.commands.probe import probe
 from hapsim.commands.run import run
+from hapsim.commands.service import service
 from hapsim.commands.status import status
 from hapsim.console.guarded_output import guarded_output, is_full
 from hapsim.console.log import complain, use_sentences
@@ -34,7 +35,22 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for _command in (run, status, check, measure, identify, doctor, probe, frames, mock, compile_, ports, new, schema):
+for _command in (
+    run,
+    status,
+    service,
+    check,
+    measure,
+    identify,
+    doctor,
+    probe,
+    frames,
+    mock,
+    compile_,
+    ports,
+    new,
+    schema,
+):
     app.command(_command.__name__.rstrip("_"))(_command)
 chart.command()(felt)
 app.add_typer(chart)

@@ -68,6 +68,7 @@ def run(
     """Run SCENE against its device, or against the embedded mock where it names none."""
     from hapsim.console.live import live_line
     from hapsim.console.run_reporter import RunReporter
+    from hapsim.daemon.notify import Notifier
     from hapsim.daemon.reconnecting import keep_running, together
     from hapsim.daemon.state import RunState
     from hapsim.running.signals import undisturbed
@@ -82,10 +83,11 @@ def run(
     )
     serves = loaded.device.port if kind == "auto" else None
     state = RunState(os.path.abspath(scene), serves, loaded.rate)
+    notifier = Notifier(reconnect)
     with _telling(state, status, serves, portable), live_line(error_console) as tell:
         lifetime = keep_running(
             loaded,
-            together(state.observer, reporter.observer(tell, serves or "")),
+            together(state.observer, notifier.observer, reporter.observer(tell, serves or "")),
             reconnect=reconnect,
             record=record,
             duration=duration,
@@ -96,6 +98,7 @@ def run(
             unstable=unstable,
             on_progress=tell,
         )
+    notifier.stopping()
     with undisturbed():
         _show(lifetime, reporter.grants, record, json)
     if lifetime.failure is not None:
