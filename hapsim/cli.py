@@ -24,6 +24,7 @@ from hapsim.commands.service import service
 from hapsim.commands.status import status
 from hapsim.console.guarded_output import guarded_output, is_full
 from hapsim.console.log import complain, use_sentences
+from hapsim.console.standard_streams import standing_streams
 from hapsim.errors import HapsimError
 
 _WRONG_COMMAND_LINE = 2
@@ -85,11 +86,12 @@ def main() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal that cannot show a character shows another
-    use_sentences()
-    try:
-        _run_app()
-    finally:
-        use_sentences()  # what a log left out is said at its end
+    with standing_streams():
+        use_sentences()
+        try:
+            _run_app()
+        finally:
+            use_sentences()  # what a log left out is said at its end
 
 
 def _run_app() -> None:

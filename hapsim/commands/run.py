@@ -100,10 +100,12 @@ def run(
         )
     notifier.stopping()
     with undisturbed():
-        _show(lifetime, reporter.grants, record, json)
-    if lifetime.failure is not None:
-        complain(lifetime.failure)
-        raise typer.Exit(lifetime.failure.exit_status)
+        try:
+            _show(lifetime, reporter.grants, record, json)
+        finally:  # even where nobody reads the report: why it failed, and the status, are told apart from it
+            if lifetime.failure is not None:
+                complain(lifetime.failure)
+                raise typer.Exit(lifetime.failure.exit_status)
 
 
 def _choose_log(log: str) -> None:
