@@ -12,6 +12,7 @@ import typer
 from hapsim.commands.arguments import complain
 from hapsim.commands.chart import app as chart
 from hapsim.commands.chart_felt import felt
+from hapsim.commands.chart_trace import trace
 from hapsim.commands.check import check
 from hapsim.commands.device import mock, ports
 from hapsim.commands.doctor import doctor
@@ -36,6 +37,7 @@ app = typer.Typer(
 for _command in (run, check, measure, identify, doctor, probe, frames, mock, compile_, ports, new, schema):
     app.command(_command.__name__.rstrip("_"))(_command)
 chart.command()(felt)
+chart.command()(trace)
 app.add_typer(chart)
 
 
