@@ -9,20 +9,22 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from hapsim.commands.arguments import complain
 from hapsim.commands.chart import app as chart
 from hapsim.commands.chart_felt import felt
 from hapsim.commands.chart_trace import trace
 from hapsim.commands.check import check
 from hapsim.commands.device import mock, ports
 from hapsim.commands.doctor import doctor
+from hapsim.commands.faults import faults
 from hapsim.commands.frames import frames
 from hapsim.commands.identify import identify
 from hapsim.commands.measure import measure
 from hapsim.commands.prepare import compile_, new, schema
 from hapsim.commands.probe import probe
 from hapsim.commands.run import run
+from hapsim.commands.status import status
 from hapsim.console.guarded_output import guarded_output, is_full
+from hapsim.console.log import complain, use_sentences
 from hapsim.errors import HapsimError
 
 _WRONG_COMMAND_LINE = 2
@@ -34,7 +36,22 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for _command in (run, check, measure, identify, doctor, probe, frames, mock, compile_, ports, new, schema):
+for _command in (
+    run,
+    status,
+    check,
+    measure,
+    identify,
+    doctor,
+    probe,
+    frames,
+    faults,
+    mock,
+    compile_,
+    ports,
+    new,
+    schema,
+):
     app.command(_command.__name__.rstrip("_"))(_command)
 chart.command()(felt)
 chart.command()(trace)
@@ -70,6 +87,14 @@ def main() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal that cannot show a character shows another
+    use_sentences()
+    try:
+        _run_app()
+    finally:
+        use_sentences()  # what a log left out is said at its end
+
+
+def _run_app() -> None:
     try:
         app()
     except HapsimError as error:

@@ -10,7 +10,16 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from hapsim.loop.trace import Trace
 
-__all__ = ["DeviceError", "GuardError", "HapsimError", "RecordError", "RunError", "SceneError", "UsageError"]
+__all__ = [
+    "DescriptionError",
+    "DeviceError",
+    "GuardError",
+    "HapsimError",
+    "RecordError",
+    "RunError",
+    "SceneError",
+    "UsageError",
+]
 
 
 class HapsimError(Exception):
@@ -45,6 +54,10 @@ class RecordError(RunError):
     """The run went as asked; its record is not what was asked for: the disk is full, or was too slow."""
 
     exit_status = 2
+
+
+class DescriptionError(DeviceError):
+    """The device answers, and what it says of itself cannot be run: waiting does not help."""
 
 
 class GuardError(RunError):

@@ -8,7 +8,7 @@ import numpy as np
 
 from firmware_protocol import schema
 from firmware_protocol.description import Description
-from hapsim.errors import DeviceError, UsageError
+from hapsim.errors import DescriptionError, UsageError
 from hapsim.scene import DamperScheme, Scene
 from hapsim.scene.choices import WITH_SENSOR
 from hapsim.scene.issue import one_of
@@ -22,19 +22,19 @@ PACING = {
 
 
 def require_compatible(scene: Scene, name: str, description: Description) -> None:
-    """UsageError or DeviceError where scene and device do not go together. `name`: what a user calls the port."""
+    """UsageError or DescriptionError where scene and device do not go together. `name`: what a user calls the port."""
     if description.channels < scene.channels:
         raise UsageError(f"{name}: the device has {description.channels} channel(s), the scene uses {scene.channels}")
     scales = (*description.position_scale, *description.force_scale, *description.force_limit, description.rate_hz)
     if not all(np.isfinite(scales)) or min(scales) <= 0:
-        raise DeviceError(f"{name}: the device declares a rate, scale or limit that is not a number above 0")
+        raise DescriptionError(f"{name}: the device declares a rate, scale or limit that is not a number above 0")
     if abs(description.rate_hz / scene.rate - 1.0) > 1e-6:
         raise UsageError(
             f"{name}: the device samples at {description.rate_hz:g} Hz, the scene says {scene.rate:g} Hz: "
             f"write rate: {description.rate_hz:g} into the scene, or set the device"
         )
     if description.max_watchdog_samples < 1:
-        raise DeviceError(
+        raise DescriptionError(
             f"{name}: the device allows no watchdog (its register {schema.REG_MAX_WATCHDOG} reads 0), so that nothing "
             f"would end a force of a host that died: found 0, expected 1 to {schema.MAX_WATCHDOG_SAMPLES} samples. Not "
             "armed; set the register in its firmware"
@@ -56,4 +56,4 @@ def _require_velocity(scene: Scene, name: str, description: Description) -> None
             "reports velocity"
         )
     if not description.senses_velocity or not all(np.isfinite(description.velocity_scale)):
-        raise DeviceError(f"{name}: the device declares a velocity scale that is not a number above 0")
+        raise DescriptionError(f"{name}: the device declares a velocity scale that is not a number above 0")

@@ -16,7 +16,14 @@ from hapsim.compiling.entries import compile_for
 from hapsim.compiling.progress import Counted, on_compilation
 from hapsim.device.connection import Connection
 from hapsim.device.conversation import arm, describe, disarm, frames_rejected_by
-from hapsim.device.open_connection import Place, TransportKind, open_connection, place_of_device, require_possible_here
+from hapsim.device.open_connection import (
+    Between,
+    Place,
+    TransportKind,
+    open_connection,
+    place_of_device,
+    require_possible_here,
+)
 from hapsim.errors import UsageError
 from hapsim.loop.only_linux import missing_calls, require_linux
 from hapsim.loop.portable import PortableLoop
@@ -32,6 +39,7 @@ from hapsim.running.recorded import recorded, with_record, with_report
 from hapsim.running.report import failure_of, trace_of, with_farewell
 from hapsim.running.report_file import default_directory
 from hapsim.running.session import Session
+from hapsim.running.stability import require_startable
 from hapsim.scene import Scene
 
 _MOST_TICKS = 2.0**62
@@ -49,6 +57,8 @@ class StartOptions(TypedDict, total=False):
     reports: str | Path | None
     realtime: bool
     portable: bool
+    between: Between | None
+    unstable: bool | None
     on_progress: Callable[[Progress], None] | None
     on_warning: Callable[[str], None] | None
 
@@ -65,6 +75,8 @@ def start(
     reports: str | Path | None = None,
     realtime: bool = False,
     portable: bool = False,
+    between: Between | None = None,
+    unstable: bool | None = None,
     on_progress: Callable[[Progress], None] | None = None,
     on_warning: Callable[[str], None] | None = None,
     on_arming: Callable[[Session], None] | None = None,
@@ -77,9 +89,13 @@ def start(
     directory for the report file of a run that a guard, a fault of the device or a lost device ends; None: a default
     one where the device is on a port, no file for the mock in this process. `realtime`: asks the system for what makes
     a loop steady, see hapsim.realtime; `Session.grants` says what was granted. `portable`: the loop in plain Python
-    over pyserial; off Linux that loop runs with the mock in memory too. `on_progress` hears of the compilation,
-    `on_warning` once, in a sentence and in another thread, of a record that cannot be written any more; `on_arming`
-    gets the session just before the device is armed: a `stop` from then on ends the run in good order.
+    over pyserial; off Linux that loop runs with the mock in memory too. `between`: what loop and device speak through,
+    made of the transport to the device; the loop is then the one in Python. `unstable`: whether a scene that is surely
+    predicted unstable may run: False refuses it, at the start and as a change (`Session.set`, `Session.adopt`), True
+    takes it; None starts and sets it, and `Session.adopt` refuses what is more unstable than what runs. `on_progress`
+    hears of the compilation, `on_warning` once, in a sentence and in another thread, of a record that cannot be written
+    any more; `on_arming` gets the session just before the device is armed: a `stop` from then on ends the run in good
+    order.
 
     Raises SceneError and UsageError for what cannot be run; DeviceError where port or device fail, GuardError where a
     guard stopped the force, RecordError where the run went as asked and its record did not, these when the with-block
@@ -88,17 +104,22 @@ def start(
     _require_sound(scene, duration, realtime)
     if record is not None:
         require_writable_as_trace(Path(record))
+    if unstable is False:
+        require_startable(scene)
     tell = on_progress or (lambda _: None)
     counted = Counted(lambda name, share: tell(Progress("compiling", name, share=share)))
-    in_python = portable or bool(missing_calls())
-    with on_compilation(counted.add), _open(scene, transport, portable, realtime, counted) as opened:
+    in_python = portable or between is not None or bool(missing_calls())
+    with (
+        on_compilation(counted.add),
+        _open(scene, transport, portable, in_python, realtime, between, counted) as opened,
+    ):
         description = describe(opened)
         require_compatible(scene, opened.name, description)
         loop = assemble_loop(scene, opened, description, excitation, duration)
         # Everything is compiled now: the device is armed only when the loop can answer at once.
         gives_way = scene.device.clock != "lockstep" and not in_python
         recorder = Recorder(loop.ring, keep, min(math.ceil(scene.rate), _LAST_ROWS))
-        session = Session(scene, loop, _ready_body(opened, loop, in_python), recorder, gives_way)
+        session = Session(scene, loop, _ready_body(opened, loop, in_python), recorder, gives_way, unstable)
         spoken = b""
         with recorded(session, record, on_warning):
             try:
@@ -144,15 +165,21 @@ def _require_sound(scene: Scene, duration: float | None, realtime: bool) -> None
 
 @contextlib.contextmanager
 def _open(
-    scene: Scene, transport: TransportKind, portable: bool, realtime: bool, counted: Counted
+    scene: Scene,
+    transport: TransportKind,
+    portable: bool,
+    in_python: bool,
+    realtime: bool,
+    between: Between | None,
+    counted: Counted,
 ) -> Iterator[Connection]:
     """The connection; what loop and mock need is compiled, the mock's part before it has to answer."""
     place = place_of_device(scene, transport, portable=portable)
-    require_possible_here(place, portable=portable)
-    loop = () if portable or missing_calls() else ("loop",)
+    require_possible_here(place, portable=in_python)
+    loop = () if in_python else ("loop",)
     if place != "port":
         compile_ahead((*loop, *MOCK_UNITS[place]), counted)
-    with open_connection(scene, transport, portable=portable, realtime=realtime) as opened:
+    with open_connection(scene, transport, portable=portable, realtime=realtime, between=between) as opened:
         if loop:
             compile_ahead((*loop, "port"), counted)
         yield opened
