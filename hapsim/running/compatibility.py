@@ -62,8 +62,8 @@ def _require_numbers(name: str, description: Description) -> None:
 def _require_above_zero(name: str, what: str, value: float, unit: str, register: int) -> None:
     if not (np.isfinite(value) and value > 0):
         raise DeviceError(
-            f"{name}: the device declares {what} of {value:g} {unit} (register {register}), which is not a number above "
-            "0. Not armed; set the register in its firmware"
+            f"{name}: the device declares {what} of {value:g} {unit} (register {register}), which is not a number above"
+            " 0. Not armed; set the register in its firmware"
         )
 
 
