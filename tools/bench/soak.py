@@ -5,7 +5,7 @@
 At 1 kHz, three processes: `hapsim mock`, `hapsim faults` in front of it, which flips a bit in so many of the frames,
 and `hapsim run`. At the end the positions that the device sent are set against what the run says became of each, the
 forces that the run sent against the device's own counters, and the memory of the run (RSS, every 10 s) against a
-straight line. Where this machine holds a run up for longer than the device's watchdog waits, that run ends, as it
+straight line. Where this machine holds a run or the mock up for longer than the guards allow, that run ends, as it
 should: it is accounted for, and another one goes on with the time that is left.
 """
 
@@ -34,7 +34,7 @@ from hapsim.device.serial_port import open_portable_port
 ROOT = Path(__file__).parents[2]
 RESULTS = ROOT / "tools" / "bench" / "results" / "soak.json"
 EVERY_S = 10.0
-DEVICE_FAILED = 3  # the exit status
+STATUSES = (0, 3, 4)  # done; the device stopped, or samples too slowly, where this machine holds it up
 WARM_UP_S = 20.0  # until a process has touched what it works on
 FLAT_KB_PER_MINUTE = 4.0  # one page in a minute: less than that no straight line tells from a single page
 SCENE = """\
@@ -62,7 +62,7 @@ def running(*words: object) -> Iterator[subprocess.Popen[str]]:
     command = [sys.executable, "-m", "hapsim", *map(str, words)]
     process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     with contextlib.suppress(PermissionError):  # before other programs, where that is granted: a device waits for none
-        os.setpriority(os.PRIO_PROCESS, process.pid, -15)
+        os.setpriority(os.PRIO_PROCESS, process.pid, -5)
     try:
         yield process
     finally:
@@ -90,7 +90,7 @@ def soak(minutes: float, damaged: float) -> list[dict[str, Any]]:
     ends_s, runs = time.monotonic() + 60.0 * minutes, list[dict[str, Any]]()
     while not runs or (left_s := ends_s - time.monotonic()) > 1.0:
         runs.append(run(left_s if runs else 60.0 * minutes, damaged, seed=len(runs)))
-        if runs[-1]["run"]["status"] not in (0, DEVICE_FAILED):
+        if runs[-1]["run"]["status"] not in STATUSES:
             break
     return runs
 
@@ -168,7 +168,13 @@ def accounts(found: dict[str, Any]) -> list[tuple[str, int, str, int, int]]:
             answered - 2,
             answered + 2,
         ),
-        ("forces that reached the device whole", wire["forces"]["count"], "accepted + too old, it says", whole, whole),
+        (
+            "forces that reached the device whole",
+            wire["forces"]["count"],
+            "accepted + too old, it says, but for what came as it stopped",
+            whole,
+            whole + 2,
+        ),
         (
             "samples without a force in time, says the device",
             device["held"],
@@ -229,7 +235,7 @@ def main() -> None:
         "flat": bool(is_flat),
     }
     RESULTS.write_text(json.dumps(document | {"runs": runs}, indent=1) + "\n", "utf-8")
-    sys.exit(0 if whole and is_flat and set(statuses.split(", ")) <= {"0", "3"} else 1)
+    sys.exit(0 if whole and is_flat and all(found["run"]["status"] in STATUSES for found in runs) else 1)
 
 
 def _number(value: float) -> float | None:
