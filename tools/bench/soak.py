@@ -47,6 +47,10 @@ modules:
   wall:  {type: ground}
   touch: {type: viscoelastic, between: [hand, wall], stiffness: 2000, damping: 5}
 """
+KEPT = (
+    *("ticks", "duration_s", "deadline_misses", "lost_frames", "stale_positions", "crc_errors", "garbage_bytes"),
+    *("released", "rejected_by_device", "error"),
+)
 COUNTERS = {
     "accepted": schema.REG_ACCEPTED,
     "rejected": schema.REG_REJECTED,
@@ -112,7 +116,8 @@ def run(duration_s: float, damaged: float, seed: int) -> dict[str, Any]:
                 relay.send_signal(signal.SIGINT)
                 wire, _ = relay.communicate()
             return {
-                "run": json.loads(out) | {"status": host.returncode, "err": err[-2000:]},
+                "run": {key: json.loads(out).get(key) for key in KEPT}
+                | {"status": host.returncode, "err": err[-2000:]},
                 "wire": json.loads(wire),
                 "device": counters_of(str(device)),
                 "memory": memory,
