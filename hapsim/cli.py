@@ -9,7 +9,6 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from hapsim.commands.arguments import complain
 from hapsim.commands.chart import app as chart
 from hapsim.commands.chart_felt import felt
 from hapsim.commands.check import check
@@ -22,7 +21,9 @@ from hapsim.commands.measure import measure
 from hapsim.commands.prepare import compile_, new, schema
 from hapsim.commands.probe import probe
 from hapsim.commands.run import run
+from hapsim.commands.status import status
 from hapsim.console.guarded_output import guarded_output, is_full
+from hapsim.console.log import complain, use_sentences
 from hapsim.errors import HapsimError
 
 _WRONG_COMMAND_LINE = 2
@@ -34,7 +35,22 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for _command in (run, check, measure, identify, doctor, probe, frames, faults, mock, compile_, ports, new, schema):
+for _command in (
+    run,
+    status,
+    check,
+    measure,
+    identify,
+    doctor,
+    probe,
+    frames,
+    faults,
+    mock,
+    compile_,
+    ports,
+    new,
+    schema,
+):
     app.command(_command.__name__.rstrip("_"))(_command)
 chart.command()(felt)
 app.add_typer(chart)
@@ -69,6 +85,14 @@ def main() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal that cannot show a character shows another
+    use_sentences()
+    try:
+        _run_app()
+    finally:
+        use_sentences()  # what a log left out is said at its end
+
+
+def _run_app() -> None:
     try:
         app()
     except HapsimError as error:
@@ -100,7 +124,8 @@ def _print_failure(sentence: str, exit_status: int) -> None:
 
 def _end_as_typer_does(ending: SystemExit) -> NoReturn:
     """Typer has said what it had to say: about a wrong command line, or nothing where a command has its own status."""
-    if ending.code == _WRONG_COMMAND_LINE and "--json" in sys.argv:
+    of_its_own = isinstance(ending.__context__, typer.Exit)
+    if ending.code == _WRONG_COMMAND_LINE and "--json" in sys.argv and not of_its_own:
         _print_failure("the command line was not understood; standard error says why", ending.code)
     if ending.code == _INTERRUPTED:
         complain("hapsim: stopped before anything was running")  # typer has taken the interrupt, and says nothing

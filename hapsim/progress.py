@@ -10,7 +10,7 @@ from typing import Literal
 class Progress:
     """How a run is doing, for a live line."""
 
-    phase: Literal["compiling", "running", "serving"]
+    phase: Literal["compiling", "running", "waiting", "serving"]
     text: str = ""
     share: float | None = None
     """How far it is, 0 to 1, where that is known."""
@@ -23,3 +23,6 @@ class Progress:
     age_samples: int = 0
     deadline_misses: int = 0
     limited_ticks: int = 0
+    ticks: int = 0
+    estimated_mass_kg: tuple[float | None, ...] = ()
+    """Where a correction adapts, for which mass the force of each channel is; None on the others."""

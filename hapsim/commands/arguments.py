@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
+from hapsim.console.log import complain
 from hapsim.console.sentences import say
 from hapsim.errors import UsageError
 
@@ -26,8 +26,19 @@ Realtime = Annotated[
     bool,
     typer.Option("--realtime", help="Ask the system for what makes a loop steady; tell what it granted and what not."),
 ]
+Unstable = Annotated[
+    bool, typer.Option("--unstable", help="Run a scene that is predicted unstable, too: the hand is shaken.")
+]
 Data = Annotated[Path | None, typer.Option(metavar="FILE", help="Write the picture's numbers: .csv.")]
-Record = Annotated[Path | None, typer.Option(metavar="FILE", help="Write the trace: .npz or .csv.")]
+Record = Annotated[Path | None, typer.Option(metavar="FILE", help="Write the trace: .trace, .npz or .csv.")]
+Reports = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="DIR",
+        help="Where a run that a guard or a device ends leaves its report, the newest 20; left out: "
+        "~/.local/state/hapsim/reports for a device on a port.",
+    ),
+]
 
 
 class Files(NamedTuple):
@@ -97,17 +108,31 @@ def predict_and_warn(scene: Scene) -> None:
     warn(scene, predict(scene, with_margins=False))
 
 
+def predict_before_arming(path: str, scene: Scene, unstable: bool) -> None:
+    """Predicts the scene of this file, and says what there is against running it. UsageError where it is surely
+    unstable, and that is not asked for."""
+    from hapsim.prediction import predict
+
+    prediction = predict(scene, with_margins=False)
+    require_stable(path, scene, prediction, unstable)
+    warn(scene, prediction)
+
+
+def require_stable(path: str, scene: Scene, prediction: Prediction, unstable: bool) -> None:
+    """UsageError where the scene of this file is surely predicted unstable, and that is not asked for."""
+    from hapsim.running.stability import why_not_armed
+
+    why = "" if unstable else why_not_armed(path, scene, prediction)
+    if why:
+        raise UsageError(why)
+
+
 def warn(scene: Scene, prediction: Prediction) -> None:
     """Says before a run what its prediction has against it: the hand should know what is coming."""
     from hapsim.prediction import warnings_about
 
     for warning in warnings_about(scene, prediction):
-        complain(f"Warning: {warning}")
-
-
-def complain(problem: object) -> None:
-    """What went wrong, on standard error."""
-    say(problem, sys.stderr)
+        complain(warning, "prediction", "warning")
 
 
 def stdout() -> Any:

@@ -16,10 +16,12 @@ from hapsim.commands.arguments import (
     Record,
     SceneFile,
     TransportOption,
+    Unstable,
     as_played,
     complain,
     load,
     require_files_writable,
+    require_stable,
     say_written,
     seconds_above_zero,
     stderr,
@@ -70,6 +72,7 @@ def measure(
     ] = None,
     data: Data = None,
     record: Record = None,
+    unstable: Unstable = False,
     json: Json = False,
 ) -> None:
     """Ring the hand, identify the spring and damper that it felt, and set them beside the prediction.
@@ -82,7 +85,7 @@ def measure(
 
         files = Files(picture, data, record)
         place = transport_kind(mock, transport, port)
-        measure_impedance(scene, port, place, channel, duration, travel, z_width, files, json)
+        measure_impedance(scene, port, place, channel, duration, travel, z_width, files, unstable, json)
         return
     if travel is not None or z_width:
         raise UsageError("--travel and --z-width go with --impedance: it is missing")
@@ -101,6 +104,7 @@ def measure(
     felt = felt_on(prediction, channel)
     why = next((prediction.coupled.get(n, "") for n, p in loaded.device_points.items() if p.channel == channel), "")
     _require_drawable(felt, why, picture, data)
+    require_stable(scene, loaded, prediction, unstable)
     warn(loaded, prediction)
     try:
         with live_line(stderr()) as tell:

@@ -9,7 +9,7 @@ from hapsim.commands.arguments import (
     Files,
     complain,
     load,
-    predict_and_warn,
+    predict_before_arming,
     require_files_writable,
     say_written,
     stderr,
@@ -33,6 +33,7 @@ def measure_impedance(
     travel: float | None,
     z_width: bool,
     files: Files,
+    unstable: bool,
     json: bool,
 ) -> None:
     """Excites each device point, and sets the impedance that it identifies beside the prediction."""
@@ -44,7 +45,7 @@ def measure_impedance(
     scene = load(path, port)
     require_files_writable(*files)
     place = _place(scene, channel)
-    predict_and_warn(scene)
+    predict_before_arming(path, scene, unstable)
     options: dict[str, Any] = {"duration": duration, "transport": transport, "stop_on_signals": True}
     options["travel"] = TRAVEL_M if travel is None else travel
     with live_line(stderr()) as tell:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -12,12 +15,15 @@ from hapsim.commands.arguments import (
     Port,
     Realtime,
     Record,
+    Reports,
     SceneFile,
     TransportOption,
+    Unstable,
     as_played,
     complain,
     load,
     predict_and_warn,
+    predict_before_arming,
     require_files_writable,
     say_written,
     seconds_above_zero,
@@ -25,12 +31,12 @@ from hapsim.commands.arguments import (
     stdout,
     transport_kind,
 )
+from hapsim.errors import UsageError
 
 if TYPE_CHECKING:
-    from hapsim.errors import RunError
-    from hapsim.loop.trace import Report
+    from hapsim.daemon.lifetime import Lifetime
+    from hapsim.daemon.state import RunState
     from hapsim.realtime import PrivilegeResult
-    from hapsim.scene import Scene
 
 
 def run(
@@ -42,60 +48,103 @@ def run(
         float | None, typer.Option(metavar="S", callback=seconds_above_zero, help="Seconds; left out: until stopped.")
     ] = None,
     record: Record = None,
+    reports: Reports = None,
     realtime: Realtime = False,
     watch: Annotated[bool, typer.Option("--watch", help="Follow the scene's file: what is saved is felt.")] = False,
+    reconnect: Annotated[
+        bool, typer.Option("--reconnect", help="Wait for a device that is lost, and go on once it is back.")
+    ] = False,
+    status: Annotated[
+        str | None,
+        typer.Option(
+            metavar="PATH", help="Tell the status at this unix socket, for `hapsim status`; auto: by the port."
+        ),
+    ] = None,
+    log: Annotated[
+        str, typer.Option(metavar="FORM", help="Standard error: text, or json: a line of JSON for each event.")
+    ] = "text",
+    unstable: Unstable = False,
     portable: Annotated[bool, typer.Option("--portable", help="The loop in plain Python: less steady.")] = False,
     json: Json = False,
 ) -> None:
     """Run SCENE against its device, or against the embedded mock where it names none."""
     from hapsim.console.live import live_line
     from hapsim.console.run_reporter import RunReporter
-    from hapsim.console.tables import show_report
-    from hapsim.errors import RunError
-    from hapsim.running import run as run_scene
+    from hapsim.daemon.reconnecting import keep_running, together
+    from hapsim.daemon.state import RunState
     from hapsim.running.signals import undisturbed
 
+    _choose_log(log)
     loaded, kind = load(scene, port), transport_kind(mock, transport, port)
     require_files_writable(record=record)
-
-    def warn_about(changed: Scene) -> None:
-        predict_and_warn(as_played(changed, kind))
-
-    warn_about(loaded)
+    predict_before_arming(scene, as_played(loaded, kind), unstable)
     error_console = stderr()
-    reporter = RunReporter(error_console, scene if watch else None, warn_about)
-    failure: RunError | None = None
-    try:
-        with live_line(error_console) as tell:
-            trace = run_scene(
-                loaded,
-                duration=duration,
-                transport=kind,
-                keep=record is not None,
-                realtime=realtime,
-                portable=portable,
-                on_progress=tell,
-                on_start=reporter.started,
-                stop_on_signals=True,
-            )
-    except RunError as error:
-        if error.trace is None:
-            raise
-        failure, trace = error, error.trace
+    reporter = RunReporter(
+        error_console, scene if watch else None, lambda changed: predict_and_warn(as_played(changed, kind))
+    )
+    serves = loaded.device.port if kind == "auto" else None
+    state = RunState(os.path.abspath(scene), serves, loaded.rate)
+    with _telling(state, status, serves, portable), live_line(error_console) as tell:
+        lifetime = keep_running(
+            loaded,
+            together(state.observer, reporter.observer(tell, serves or "")),
+            reconnect=reconnect,
+            record=record,
+            duration=duration,
+            transport=kind,
+            keep=False,
+            reports=reports,
+            realtime=realtime,
+            portable=portable,
+            unstable=unstable,
+            on_progress=tell,
+            on_warning=complain,
+        )
     with undisturbed():
-        if record is not None:
-            trace.save(record)
-        if json:
-            _print_run(trace.report, reporter.grants, failure)
-        else:
-            show_report(stdout(), trace.report)
-            say_written(record=record)
-    if failure is not None:
-        complain(failure)
-        raise typer.Exit(failure.exit_status)
+        _show(lifetime, reporter.grants, record, json)
+    if lifetime.failure is not None:
+        complain(lifetime.failure)
+        raise typer.Exit(lifetime.failure.exit_status)
 
 
-def _print_run(report: Report, grants: list[PrivilegeResult], failure: RunError | None) -> None:
-    from hapsim.console.as_json import document, failure_document, report_document
+def _choose_log(log: str) -> None:
+    from hapsim.console.log import use_json_log
 
-    print(document(report_document(report, grants) | failure_document(failure)))
+    if log not in ("text", "json"):
+        raise UsageError(f"--log: found '{log}', expected text or json")
+    if log == "json":
+        use_json_log()
+
+
+def _telling(
+    state: RunState, status: str | None, port: str | None, portable: bool
+) -> contextlib.AbstractContextManager[None]:
+    """While open, the status is told to who asks, where that was asked for."""
+    if status is None:
+        return contextlib.nullcontext()
+    from hapsim.console.as_json import document
+    from hapsim.daemon.status import AUTO, path_for, telling
+
+    path = path_for(port) if status == AUTO else Path(status)
+    return telling(path, lambda: document(state.document()) + "\n", gives_way=not portable)
+
+
+def _show(lifetime: Lifetime, grants: list[PrivilegeResult], record: Path | None, json: bool) -> None:
+    from hapsim.console.log import json_log
+
+    log, report = json_log(), lifetime.report
+    if log is not None:
+        ended = f"the run ended after {report.ticks} ticks: {report.ending}"
+        log.say("info", "ended", ended, ticks=report.ticks, ending=report.ending, reconnections=lifetime.reconnections)
+    if json:
+        from hapsim.console.as_json import document, lifetime_document
+
+        print(document(lifetime_document(lifetime, grants)))
+        return
+    from hapsim.console.tables import show_report
+    from hapsim.daemon.reconnecting import record_of
+
+    show_report(stdout(), lifetime.report, lifetime.reconnections)
+    for session in range(lifetime.reconnections + 1):
+        file = None if record is None else record_of(record, session)
+        say_written(record=file if file is not None and file.exists() else None)

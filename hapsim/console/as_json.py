@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 from hapsim.prediction import Desired, Felt, Prediction, felt_at_rate, host_silence
 
 if TYPE_CHECKING:
-    from hapsim.errors import RunError
+    from hapsim.daemon.lifetime import Lifetime
+    from hapsim.errors import HapsimError, RunError
     from hapsim.loop.trace import Report
     from hapsim.measuring.identify import Measurement
     from hapsim.realtime import PrivilegeResult
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 
 def document(value: dict[str, Any]) -> str:
     """The text of one JSON document."""
-    return json.dumps(_plain(value), indent=2, allow_nan=False)
+    return json.dumps(plain(value), indent=2, allow_nan=False)
 
 
 def prediction_document(
@@ -145,7 +146,7 @@ def measured_document(
     return predicted | {"measured": None} | run | rates | failure_document(failure)
 
 
-def failure_document(failure: RunError | None) -> dict[str, Any]:
+def failure_document(failure: HapsimError | None) -> dict[str, Any]:
     """The keys that say how something failed; none where nothing did."""
     return {} if failure is None else {"error": str(failure), "exit_status": failure.exit_status}
 
@@ -155,8 +156,17 @@ def _measured(measurement: Measurement) -> dict[str, Any]:
     return {name: value for name, value in vars(measurement).items() if name not in left_out}
 
 
+def lifetime_document(lifetime: Lifetime, grants: Sequence[PrivilegeResult] = ()) -> dict[str, Any]:
+    """What `hapsim run` prints: the report of all sessions, and how often the device came back."""
+    return (
+        report_document(lifetime.report, grants)
+        | {"reconnections": lifetime.reconnections, "interruptions": [asdict(one) for one in lifetime.interruptions]}
+        | failure_document(lifetime.failure)
+    )
+
+
 def report_document(report: Report, grants: Sequence[PrivilegeResult] = ()) -> dict[str, Any]:
-    """What `hapsim run` prints; `grants`: what a real-time set-up asked for."""
+    """One run; `grants`: what a real-time set-up asked for."""
     return asdict(report) | ({"realtime": [asdict(grant) for grant in grants]} if grants else {})
 
 
@@ -176,15 +186,15 @@ def _felt(felt: Felt) -> dict[str, Any]:
     return values | hand | {"device_stiffness": configuration["stiffness"]}
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
     """Only what JSON has: complex numbers as [re, im], infinities and NaN as null."""
     if isinstance(value, dict):
-        return {str(key): _plain(entry) for key, entry in value.items()}
+        return {str(key): plain(entry) for key, entry in value.items()}
     if isinstance(value, complex):
-        return [_plain(value.real), _plain(value.imag)]
+        return [plain(value.real), plain(value.imag)]
     if isinstance(value, (list, tuple)) or hasattr(value, "tolist"):
         entries = value.tolist() if hasattr(value, "tolist") else value
-        return [_plain(entry) for entry in entries] if isinstance(entries, (list, tuple)) else _plain(entries)
+        return [plain(entry) for entry in entries] if isinstance(entries, (list, tuple)) else plain(entries)
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value

@@ -5,10 +5,13 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.status import Status
+
+from hapsim.console.log import JsonLog, json_log
 
 if TYPE_CHECKING:
     from hapsim.progress import Progress
@@ -19,6 +22,10 @@ _STEP_S = 5.0  # between two lines where the output is no terminal
 @contextlib.contextmanager
 def live_line(error: Console) -> Iterator[Callable[[Progress], None]]:
     """A function to tell progress to. On a terminal one line changes in place; elsewhere a line comes now and then."""
+    log = json_log()
+    if log is not None:
+        yield _Logged(log).tell
+        return
     with live_words(error) as say:
         yield _Line(say).tell
 
@@ -52,6 +59,28 @@ class _Spoken:
             self._last, self._kind = now, kind
 
 
+class _Logged:
+    """Progress as lines of a log: when its phase is another, and now and then; the event is the phase."""
+
+    def __init__(self, log: JsonLog) -> None:
+        self._log = log
+        self._text = ""
+        self._line = _Line(self._take)
+        self._last, self._phase = -_STEP_S, ""
+
+    def tell(self, progress: Progress) -> None:
+        """Logs it, unless the last one is only just written."""
+        self._line.tell(progress)
+        now = time.monotonic()
+        if progress.phase != self._phase or now - self._last >= _STEP_S:
+            self._last, self._phase = now, progress.phase
+            fields = asdict(progress) if progress.phase == "running" else {"text": progress.text}
+            self._log.say("info", progress.phase, self._text, **fields)
+
+    def _take(self, text: str) -> None:
+        self._text = text
+
+
 class _Line:
     """Progress, as a line of text."""
 
@@ -67,6 +96,9 @@ class _Line:
             far = "" if progress.share is None else f"{100.0 * progress.share:.0f} %, "
             elapsed = time.monotonic() - self._since
             self._show(f"compiling, once on this machine: {far}{self._compiled} functions in {elapsed:.0f} s")
+            return
+        if progress.phase == "waiting":
+            self._show(f"waiting for {progress.text} · Ctrl-C ends the run")
             return
         if progress.phase == "serving":
             self._show(f"serving the mock device at {progress.text} · Ctrl-C stops it")

@@ -8,9 +8,12 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 from rich.markup import escape
 
+from hapsim.console.log import Level, json_log
 from hapsim.console.sentences import fitted
 
 if TYPE_CHECKING:
+    from hapsim.daemon.reconnecting import Observer
+    from hapsim.progress import Progress
     from hapsim.realtime import PrivilegeResult
     from hapsim.running import Session
     from hapsim.running.watch import WatchedFile
@@ -21,7 +24,13 @@ _LOOK_S = 0.05  # how often the file is looked at
 
 def show_grants(error: Console, grants: Sequence[PrivilegeResult]) -> None:
     """A line for each privilege, granted or denied and why."""
+    log = json_log()
     for grant in grants:
+        if log is not None:
+            word = "granted" if grant.granted else "denied"
+            sentence = f"{word} {grant.privilege}: {grant.detail}"
+            log.say("info" if grant.granted else "warning", word, sentence, about=sentence, **vars(grant))
+            continue
         sign = "[green]granted[/green]" if grant.granted else "[yellow]denied[/yellow] "
         error.print(
             f"{sign} {grant.privilege}: {escape(grant.detail)}", soft_wrap=not error.is_terminal, highlight=False
@@ -45,10 +54,25 @@ class RunReporter:
         from hapsim.realtime.giving_way import Beside
 
         self.grants = session.grants
+        log = json_log()
+        if log is not None:
+            log.say("info", "armed", f"the device is armed; {session.scene.path or 'the scene'} runs")
         show_grants(self._error, session.grants)
         if self._file is not None:
             file = self._file
             Beside(lambda: self._follow(file, session), session.gives_way)
+
+    def observer(self, tell: Callable[[Progress], None], port: str) -> Observer:
+        """What has a run be reported: by sentences, and by `tell` on a live line."""
+        from hapsim.daemon.reconnecting import Observer
+        from hapsim.progress import Progress
+
+        return Observer(
+            started=self.started,
+            running=tell,
+            waiting=lambda: tell(Progress("waiting", port)),
+            tell=lambda event, sentence: self._say(event, sentence, "info" if event == "reconnected" else "warning"),
+        )
 
     def _follow(self, file: WatchedFile, session: Session) -> None:
         while not session.wait(_LOOK_S):
@@ -56,12 +80,16 @@ class RunReporter:
             if news is None:
                 continue
             if news.refused:
-                self._say(f"{news.refused}\nNothing was changed.")
+                self._say("refused", f"{news.refused}\nNothing was changed.", "warning")
             for change in news.changed:
-                self._say(f"changed: {change}")
+                self._say("changed", f"changed: {change}")
             if news.changed:
                 self._about(session.scene)
 
-    def _say(self, text: str) -> None:
+    def _say(self, event: str, text: str, level: Level = "info") -> None:
+        log = json_log()
+        if log is not None:
+            log.say(level, event, text, about=text)
+            return
         columns = self._error.width if self._error.is_terminal else None
         self._error.print(fitted(text, columns), soft_wrap=True, highlight=False, markup=False)

@@ -322,8 +322,8 @@ def _side_by_side(title: str, felt: Felt | None, measurement: Measurement, desir
     return table
 
 
-def show_report(out: Console, report: Report) -> None:
-    """How a run went."""
+def show_report(out: Console, report: Report, reconnections: int = 0) -> None:
+    """How a run went. `reconnections`: how often its device came back."""
     table = Table(title="The run", title_justify="left", show_header=False)
     table.add_column()
     table.add_column(justify="right")
@@ -331,6 +331,8 @@ def show_report(out: Console, report: Report) -> None:
     table.add_row("ended", report.ending)
     table.add_row(f"{time} time  s", f"{report.duration_s:.3f}")
     table.add_row("ticks", str(report.ticks))
+    if reconnections:
+        table.add_row("reconnections", str(reconnections))
     table.add_row("rate  Hz", f"{report.rate_hz:.2f}{_off_rate(report)}")
     share = report.deadline_misses / report.ticks if report.ticks else 0.0
     table.add_row("deadline misses", f"{report.deadline_misses} ({share:.2%})")
@@ -349,7 +351,7 @@ def show_report(out: Console, report: Report) -> None:
         (_REFUSED_BY_DEVICE, report.rejected_by_device),
         ("stale positions", report.stale_positions),
         ("ticks at the force limit", report.limited_ticks),
-        ("rows not recorded", report.dropped_rows),
+        ("rows not recorded", report.dropped_rows + report.unrecorded_rows),
     ):
         if count:
             note = _FEW_ARE_NORMAL if label == _REFUSED_BY_DEVICE and count < _MANY else ""
@@ -361,6 +363,24 @@ def show_report(out: Console, report: Report) -> None:
         table.add_row("force released", "[yellow]not confirmed[/yellow]")
     out.print()
     out.print(table)
+
+
+def show_status(out: Console, document: Mapping[str, object]) -> None:
+    """What a running hapsim told of itself: a row for each key."""
+    table = Table(show_header=False)
+    table.add_column()
+    table.add_column(justify="right", overflow="fold")
+    for key, value in document.items():
+        table.add_row(escape(str(key)), escape(_status_value(value)))
+    out.print(table)
+
+
+def _status_value(value: object) -> str:
+    if isinstance(value, list | tuple):
+        return " ".join(map(_status_value, value))
+    if value is None:
+        return "–"
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
 def _off_rate(report: Report) -> str:

@@ -12,7 +12,7 @@ from firmware_protocol import schema
 from firmware_protocol.description import Description, from_registers, registers_of_a_description
 from firmware_protocol.frames import SETUP, Format, armed_format, frame_to_device
 from hapsim.device.connection import Connection
-from hapsim.errors import DeviceError
+from hapsim.errors import DescriptionError, DeviceError
 from hapsim.loop.codes import FAILED, HUNG_UP
 
 _ANSWER_S = 0.25  # how long one answer is waited for
@@ -147,18 +147,18 @@ def _require_same_language(connection: Connection, registers: Any) -> None:
     version, schema_hash = int(registers[schema.REG_VERSION]), int(registers[schema.REG_SCHEMA])
     if version != schema.VERSION:
         side = "a newer hapsim" if version > schema.VERSION else "a newer firmware"
-        raise DeviceError(
+        raise DescriptionError(
             f"{connection.name}: the device speaks version {version} of the protocol, this hapsim speaks version "
             f"{schema.VERSION}: it takes {side}"
         )
     if schema_hash != schema.SCHEMA_HASH:
-        raise DeviceError(
+        raise DescriptionError(
             f"{connection.name}: the device's schema is {schema_hash:08x}, this hapsim's is {schema.SCHEMA_HASH:08x}: "
             "build the firmware from the protocol description of the hapsim that is to talk to it"
         )
     channels = int(registers[schema.REG_CHANNELS])
     if not 1 <= channels <= schema.MAX_CHANNELS:
-        raise DeviceError(
+        raise DescriptionError(
             f"{connection.name}: the device says it has {channels} channels, where 1 to {schema.MAX_CHANNELS} can be"
         )
 

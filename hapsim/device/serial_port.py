@@ -1,20 +1,24 @@
 """Opening a device's serial port: found, configured and locked by pyserial, then raw for the loop.
 
-Two locks, because each alone lets somebody in: pyserial's is advisory, and the terminal's own does not stop root.
+Two locks, because each alone lets somebody in: pyserial's is advisory, and the terminal's own does not stop root. Both
+are the kernel's and end with the process, however it ends.
 """
 
 from __future__ import annotations
 
 import contextlib
 import errno
+import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from hapsim.device.connection import Connection
+from hapsim.device.port_holder import who_holds
 from hapsim.errors import DeviceError
 from hapsim.loop.descriptor import descriptor_transport
 
+_PSEUDO_TERMINALS = range(136, 144)  # major numbers, Linux's Documentation/admin-guide/devices.txt
 _WRITE_TIMEOUT_S = 1.0  # of the portable loop, whose own interpreter may be held up for a tenth of a second
 
 
@@ -86,8 +90,14 @@ def _make_raw(descriptor: int) -> None:
     attributes[6][termios.VMIN] = 1
     attributes[6][termios.VTIME] = 0
     termios.tcsetattr(descriptor, termios.TCSANOW, attributes)
+    if _is_pseudo_terminal(descriptor):
+        return  # its other side keeps it open, and with it what the next line sets: nobody but root could open it again
     with contextlib.suppress(OSError):
         fcntl.ioctl(descriptor, termios.TIOCEXCL)
+
+
+def _is_pseudo_terminal(descriptor: int) -> bool:
+    return os.major(os.fstat(descriptor).st_rdev) in _PSEUDO_TERMINALS
 
 
 def _low_latency(port: object) -> str:
@@ -111,7 +121,9 @@ def _why_not(path: str, baud: int, error: Exception) -> str:
     if code in (errno.EACCES, errno.EPERM) or "Permission denied" in text:
         return f"{path}: not permitted. On most systems: add yourself to the group dialout and log in again"
     if code in (errno.EAGAIN, errno.EBUSY) or any(word in text for word in _BUSY):
-        return f"{path}: another program is using the port. Close it (ModemManager is a frequent one) and try again"
+        holders = who_holds(path)
+        which = f": {holders}. Close it" if holders else ". Close it (ModemManager is a frequent one)"
+        return f"{path}: another program is using the port{which} and try again"
     if code in (errno.ENOTTY, errno.EISDIR) or "not configure port" in text or "Inappropriate ioctl" in text:
         if Path(path).is_file() or Path(path).is_dir():
             return f"{path}: not a serial port, but a {'file' if Path(path).is_file() else 'directory'}"

@@ -20,10 +20,10 @@ from hapsim.cordis.program import compile_scene, fixed_modules, parameter_values
 from hapsim.cordis.schemes import without_matrices
 from hapsim.cordis.succession import take_over_from
 from hapsim.errors import UsageError
-from hapsim.prediction import surely_shaken_by
 from hapsim.prediction.correction import Rendering, rendered
 from hapsim.realtime.giving_way import Beside
 from hapsim.running.assemble import Loop
+from hapsim.running.stability import require_followable
 from hapsim.scene import Scene
 from hapsim.scene.issue import did_you_mean, one_of
 from hapsim.scene.modules import Module, ModuleContext
@@ -42,19 +42,27 @@ class LiveScene:
     """The scene of a running loop. Any thread may change it, one after the other."""
 
     def __init__(
-        self, scene: Scene, loop: Loop, is_over: Callable[[], bool] = lambda: False, gives_way: bool = False
+        self,
+        scene: Scene,
+        loop: Loop,
+        is_over: Callable[[], bool] = lambda: False,
+        gives_way: bool = False,
+        unstable: bool | None = None,
     ) -> None:
         """`is_over`: whether the loop has ended, so that nobody has to be waited for any more. `gives_way`: whether
-        what is prepared beside the loop gives way to it."""
+        what is prepared beside the loop gives way to it. `unstable`: as of `start`."""
         self.scene = scene
         """With every change that was posted."""
-        self._loop, self._is_over, self._gives_way = loop, is_over, gives_way
+        self._loop, self._is_over, self._gives_way, self._unstable = loop, is_over, gives_way, unstable
         self._replacing, self._writing = threading.Lock(), threading.Lock()
 
     def set(self, changes: Mapping[str, Mapping[str, float]], over: float) -> None:
         """Changes some live parameters; UsageError, and nothing is changed, where a name, a key or a value is wrong."""
         with self._writing:
-            self._lead_to(_changed(self.scene, changes), over)
+            scene = _changed(self.scene, changes)
+            if self._unstable is False:
+                require_followable(self.scene, scene)
+            self._lead_to(scene, over)
 
     def adopt(self, scene: Scene, over: float) -> None:
         """Changes to `scene`, whatever its modules are; UsageError, and nothing is changed, where that cannot be."""
@@ -120,12 +128,8 @@ class LiveScene:
                 f"{scene.sensed_links[0]}: damper: sensed needs the device's velocities, which it was not asked for "
                 "when it was armed: stop the scene and start it anew, or write damper: backward"
             )
-        shaken = surely_shaken_by(scene)
-        if shaken is None:
-            return
-        before = surely_shaken_by(self.scene)
-        if before is None or shaken.growth > before.growth:  # what is unstable may be made less so
-            raise UsageError(f"the scene is predicted unstable: {shaken.sentence}")
+        if not self._unstable:
+            require_followable(self.scene, scene)
 
 
 def what_stays(now: Scene, wanted: Scene) -> str:

@@ -8,7 +8,7 @@ import numpy as np
 
 from firmware_protocol import schema
 from firmware_protocol.description import Description
-from hapsim.errors import DeviceError, UsageError
+from hapsim.errors import DescriptionError, UsageError
 from hapsim.scene import DamperScheme, Scene
 from hapsim.scene.choices import WITH_SENSOR
 from hapsim.scene.issue import one_of
@@ -22,7 +22,7 @@ PACING = {
 
 
 def require_compatible(scene: Scene, name: str, description: Description) -> None:
-    """UsageError or DeviceError where scene and device do not go together. `name`: what a user calls the port."""
+    """UsageError or DescriptionError where scene and device do not go together. `name`: what a user calls the port."""
     if description.channels < scene.channels:
         raise UsageError(f"{name}: the device has {description.channels} channel(s), the scene uses {scene.channels}")
     _require_numbers(name, description)
@@ -32,7 +32,7 @@ def require_compatible(scene: Scene, name: str, description: Description) -> Non
             f"write rate: {description.rate_hz:g} into the scene, or set the device"
         )
     if description.max_watchdog_samples < 1:
-        raise DeviceError(
+        raise DescriptionError(
             f"{name}: the device allows no watchdog (its register {schema.REG_MAX_WATCHDOG} reads 0), so that nothing "
             f"would end a force of a host that died: found 0, expected 1 to {schema.MAX_WATCHDOG_SAMPLES} samples. Not "
             "armed; set the register in its firmware"
@@ -46,7 +46,7 @@ def require_compatible(scene: Scene, name: str, description: Description) -> Non
 
 
 def _require_numbers(name: str, description: Description) -> None:
-    """DeviceError where the rate, a scale or a limit is not a number above 0."""
+    """DescriptionError where the rate, a scale or a limit is not a number above 0."""
     _require_above_zero(name, "a rate", description.rate_hz, "Hz", schema.REG_RATE)
     declared = (
         ("position scale", description.position_scale, "m per count", schema.REG_POSITION_SCALE),
@@ -61,7 +61,7 @@ def _require_numbers(name: str, description: Description) -> None:
 
 def _require_above_zero(name: str, what: str, value: float, unit: str, register: int) -> None:
     if not (np.isfinite(value) and value > 0):
-        raise DeviceError(
+        raise DescriptionError(
             f"{name}: the device declares {what} of {value:g} {unit} (register {register}), which is not a number above"
             " 0. Not armed; set the register in its firmware"
         )
@@ -76,4 +76,4 @@ def _require_velocity(scene: Scene, name: str, description: Description) -> None
             "reports velocity"
         )
     if not description.senses_velocity or not all(np.isfinite(description.velocity_scale)):
-        raise DeviceError(f"{name}: the device declares a velocity scale that is not a number above 0")
+        raise DescriptionError(f"{name}: the device declares a velocity scale that is not a number above 0")

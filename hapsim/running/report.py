@@ -25,7 +25,7 @@ def trace_of(scene: Scene, loop: Loop, recorder: Recorder, ending: int) -> Trace
         loop.record.io.position_scale[: loop.wire.channels].copy(),
         loop.record.io.force_scale[: loop.wire.channels].copy(),
         statistics_of(loop),
-        _report(scene, loop, ending),
+        report_of(scene, loop, endings.IN_WORDS[ending]),
     )
 
 
@@ -53,10 +53,17 @@ def progress_of(loop: Loop) -> Progress:
         age_samples=int(state.age),
         deadline_misses=int(state.deadline_misses),
         limited_ticks=int(state.limited_ticks),
+        ticks=ticks,
+        estimated_mass_kg=_estimated_masses(loop),
     )
 
 
-def _report(scene: Scene, loop: Loop, ending: int) -> Report:
+def _estimated_masses(loop: Loop) -> tuple[float | None, ...]:
+    return () if loop.correction is None else loop.correction.estimated_mass_kg(loop.wire.channels)
+
+
+def report_of(scene: Scene, loop: Loop, ending: str) -> Report:
+    """A loop in numbers, while it runs or afterwards."""
     state, decoder, virtual = loop.state, loop.inbox.decoder, scene.device.clock == "lockstep"
     ticks = int(state.ticks)
     samples = max(ticks - 1, 0)
@@ -67,7 +74,7 @@ def _report(scene: Scene, loop: Loop, ending: int) -> Report:
     )
     statistics = statistics_of(loop)
     return Report(
-        ending=endings.IN_WORDS[ending],
+        ending=ending,
         ticks=ticks,
         duration_s=elapsed,
         rate_hz=samples / elapsed if elapsed > 0 else 0.0,
@@ -86,7 +93,7 @@ def _report(scene: Scene, loop: Loop, ending: int) -> Report:
         garbage_bytes=int(decoder.garbage_bytes) + _endless_bytes(loop),
         timed_by_device=bool(loop.record.watch.judges),
         released=True if ending == endings.DEVICE_STOPPED and _says_released(loop) else None,
-        estimated_mass_kg=() if loop.correction is None else loop.correction.estimated_mass_kg(loop.wire.channels),
+        estimated_mass_kg=_estimated_masses(loop),
     )
 
 

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import Unpack
 
 from hapsim.loop.trace import Trace
+from hapsim.progress import Progress
 from hapsim.running.session import Session
 from hapsim.running.signals import stopping_on_signals
 from hapsim.running.starting import StartOptions, start
@@ -42,7 +43,12 @@ def run(
     ):
         if on_start is not None:
             on_start(session)
-        while not session.wait(_LOOK_S):
-            tell(session.progress())
-        tell(session.progress())
+        follow(session, tell)
     return session.trace
+
+
+def follow(session: Session, tell: Callable[[Progress], None]) -> None:
+    """Waits until the session has ended, and tells now and then how it is doing."""
+    while not session.wait(_LOOK_S):
+        tell(session.progress())
+    tell(session.progress())

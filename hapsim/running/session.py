@@ -27,13 +27,19 @@ class Session:
     """A running scene. Made by `start`; every method may be called from any thread."""
 
     def __init__(
-        self, scene: Scene, loop: Loop, body: Callable[[Any], int], recorder: Recorder, gives_way: bool
+        self,
+        scene: Scene,
+        loop: Loop,
+        body: Callable[[Any], int],
+        recorder: Recorder,
+        gives_way: bool,
+        unstable: bool | None = None,
     ) -> None:
         self._loop, self._body, self._recorder = loop, body, recorder
         self._over = threading.Event()
         self.gives_way = gives_way
         """Whether work beside the loop gives way to it (hapsim.realtime.giving_way)."""
-        self._live = LiveScene(scene, loop, self._over.is_set, gives_way)
+        self._live = LiveScene(scene, loop, self._over.is_set, gives_way, unstable)
         self._ending: int | None = None
         self._thread = threading.Thread(target=self._work, name="haptic loop")
         self._reader = threading.Thread(target=self._read, name="telemetry")
@@ -52,8 +58,8 @@ class Session:
 
         They are led there within `over` seconds (0: at once), no value by more than 1.5/N of its way in one of the N
         samples. A set that comes during another's ramp retargets it: all values arrive when its own do. UsageError
-        where a name, a key or a value is wrong, or what is asked for cannot change while the scene runs; nothing has
-        changed then.
+        where a name, a key or a value is wrong, or what is asked for cannot change while the scene runs, or with
+        `start(unstable=False)` the scene is predicted unstable by it; nothing has changed then.
         """
         self._require_running()
         self._live.set(changes, over)
@@ -66,7 +72,7 @@ class Session:
         What both have under one name and of one type goes on from where it is: points with their velocities, live
         parameters, what links remember. UsageError, and nothing is changed, where the rate, the device or the mock
         differ, where the device has too few channels or was not asked for the velocities that are needed, where the
-        scene is predicted unstable, or has too much for its scheme.
+        scene is predicted unstable (but with `start(unstable=True)`), or has too much for its scheme.
         """
         self._require_running()
         self._live.adopt(scene, over)
@@ -111,7 +117,7 @@ class Session:
 
     def _read(self) -> None:
         while not self._over.wait(_COLLECT_S):
-            if not self._loop.record.ring.waits:
+            if not self._loop.record.ring.waits or self._recorder.recording is not None:
                 self._recorder.collect()
 
     def _begin(self) -> None:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from hapsim.errors import SceneError, UsageError
+from hapsim.running.changes import OVER
 from hapsim.running.session import Session
 from hapsim.scene import Scene, load_scene
 from hapsim.scene.modules import Module
@@ -48,7 +49,7 @@ class WatchedFile:
         self._missed = 0
         if stamp == self._stamp:
             return None
-        self._stamp = stamp
+        seen, self._stamp = self._stamp, stamp
         before = session.scene
         try:
             wanted = load_scene(self._path)
@@ -58,6 +59,9 @@ class WatchedFile:
         except SceneError as error:
             return self._refuse(str(error))
         except UsageError as error:
+            if str(error) == OVER:  # the next session may take it
+                self._stamp = seen
+                return None
             return self._refuse(f"{self._path}: {error}")
         except Exception as error:
             return self._refuse(f"{self._path}: a defect of hapsim itself: {type(error).__name__}: {error}")

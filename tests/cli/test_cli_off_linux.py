@@ -80,8 +80,8 @@ def test_in_memory_the_loop_in_python_sends_the_forces_of_the_compiled_one(
 
 @pytest.mark.parametrize(("clock", "rate"), [("lockstep", 1000.0), ("device", 100.0), ("host", 100.0)])
 def test_the_portable_loop_runs_on_a_port_to_its_end(scene_file: SceneFile, clock: str, rate: float) -> None:
-    scene = scene_file("spring", clock=clock, rate=rate)
-    told = done("run", scene, "--portable", "--port", "COM3", "--duration", 0.2, "--json")
+    scene = scene_file("spring", clock=clock, rate=rate)  # at 100 Hz the spring is too stiff
+    told = done("run", scene, "--portable", "--port", "COM3", "--duration", 0.2, "--unstable", "--json")
     report = json.loads(told)
     assert report["ending"] == "done"
     assert report["ticks"] == round(0.2 * rate) or (report["duration_s"] > 0.2 and clock != "lockstep")

@@ -98,7 +98,7 @@ def test_what_it_cannot_bear_ends_it_with_a_true_sentence_and_no_further_force(s
     injector = injector_of(fault)
     with pytest.raises(HapsimError) as caught:
         run(scene, duration=1.0, between=in_memory(injector, scene.period))
-    assert type(caught.value) is error
+    assert isinstance(caught.value, error)
     assert re.search(sentence, str(caught.value)), caught.value
     witness = injector.witness
     assert witness.since_fault.count == 0

@@ -1,0 +1,223 @@
+"""A device that is lost is waited for, and the scene goes on as it is by then; what a guard stopped stays stopped.
+
+The port is a symbolic link, as udev's are, that leads to one pseudo-terminal after the other.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import os
+import signal
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from firmware_protocol import schema
+from firmware_protocol.frames import armed_format, frame_to_host
+from hapsim.daemon import reconnecting
+from hapsim.daemon.reconnecting import Observer, keep_running, record_of
+from hapsim.device.conversation import describe
+from hapsim.device.mock.assemble import assemble_mock
+from hapsim.device.mock.terminal import serving
+from hapsim.errors import DeviceError, GuardError
+from hapsim.loop.trace import load_trace
+from hapsim.running import Session, starting
+from hapsim.scene import Scene
+
+SOFTER = {"touch0": {"stiffness": 500.0}}
+
+
+class Bench:
+    """A mock that can be plugged in behind one name, and taken away."""
+
+    def __init__(self, link: Path) -> None:
+        self.link = link
+        self.told: list[str] = []
+        self.sentences: list[str] = []
+        self.sessions: list[Session] = []
+        self.waited = 0
+        self._plugged = contextlib.ExitStack()
+
+    def plug(self, scene: Scene) -> Any:
+        mock = assemble_mock(scene)
+        self.link.unlink(missing_ok=True)
+        self.link.symlink_to(self._plugged.enter_context(serving(mock)))
+        return mock
+
+    def unplug(self) -> None:
+        self.link.unlink(missing_ok=True)
+        self._plugged.close()
+
+    def observer(self, *on_start: Callable[[], None], on_waiting: Callable[[], None] = lambda: None) -> Observer:
+        """`on_start`: at each arming the next; `on_waiting`: at the third glance of each waiting."""
+
+        def started(session: Session) -> None:
+            self.sessions.append(session)
+            self.waited = 0
+            on_start[len(self.sessions) - 1]()
+
+        def waiting() -> None:
+            self.waited += 1
+            if self.waited == 3:
+                on_waiting()
+
+        def tell(event: str, sentence: str) -> None:
+            self.told.append(event)
+            self.sentences.append(sentence)
+
+        return Observer(started=started, waiting=waiting, tell=tell)
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Iterator[Bench]:
+    made = Bench(tmp_path / "usb-device")
+    yield made
+    made.unplug()
+
+
+@pytest.fixture(autouse=True)
+def _short_pauses(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(reconnecting, "_PAUSES_S", (0.0,))
+    monkeypatch.setattr(reconnecting, "_GLANCE_S", 1e-3)
+
+
+@pytest.fixture
+def scene(scene_of: Callable[..., Scene], on_port: Callable[..., Scene], bench: Bench) -> Scene:
+    return on_port(scene_of(), str(bench.link))
+
+
+def test_after_an_unplug_the_scene_goes_on_as_it_is_now(scene: Scene, bench: Bench, tmp_path: Path) -> None:
+    mocks = [bench.plug(scene)]
+
+    def change_and_unplug() -> None:
+        bench.sessions[0].set(SOFTER)
+        bench.unplug()
+
+    def stop_in_time() -> None:
+        while bench.sessions[1].progress().elapsed_s == 0.0 and not bench.sessions[1].wait(1e-3):
+            pass
+        bench.sessions[1].stop()
+
+    record = tmp_path / "touch.npz"
+    lifetime = keep_running(
+        scene,
+        bench.observer(change_and_unplug, stop_in_time, on_waiting=lambda: mocks.append(bench.plug(scene))),
+        reconnect=True,
+        record=record,
+    )
+    assert (lifetime.failure, lifetime.report.ending, lifetime.reconnections) == (None, "stopped", 1)
+    assert bench.told == ["lost", "reconnected"]
+    assert bench.sentences[0].startswith(f"{bench.link}: the device went away after ")
+    assert bench.sentences[0].endswith(f". Waiting for {bench.link} to answer again")
+    assert bench.sessions[1].scene.links["touch0"].stiffness == 500.0  # type: ignore[attr-defined]
+    assert mocks[1].board.state == schema.IDLE
+    traces = [load_trace(record_of(record, session)) for session in (0, 1)]
+    assert lifetime.report.ticks == sum(trace.report.ticks for trace in traces)
+    assert lifetime.report.age_samples.count == sum(trace.report.age_samples.count for trace in traces)
+    assert [trace.sample[0] for trace in traces] == [0, 0]
+
+
+def test_a_port_that_is_back_and_does_not_answer_is_tried_again(
+    scene: Scene, bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A board that boots, a ModemManager that looks at it first: told once, however often it fails."""
+    bench.plug(scene)
+    tries = []
+
+    def answers_at_last(connection: Any) -> Any:
+        tries.append(connection)
+        if 2 <= len(tries) <= 4:
+            raise DeviceError("no answer")
+        return describe(connection)
+
+    monkeypatch.setattr(starting, "describe", answers_at_last)
+
+    def stop() -> None:
+        bench.sessions[1].stop()
+
+    observer = bench.observer(bench.unplug, stop, on_waiting=lambda: bench.plug(scene))
+    lifetime = keep_running(scene, observer, reconnect=True)
+    assert (lifetime.failure, lifetime.reconnections, len(tries)) == (None, 1, 5)
+    assert bench.told == ["lost", "waiting", "reconnected"]
+
+
+def test_another_device_in_its_place_is_not_armed(scene: Scene, scene_of: Callable[..., Scene], bench: Bench) -> None:
+    bench.plug(scene)
+    other = scene_of(rate=500.0)
+    others: list[Any] = []
+    observer = bench.observer(bench.unplug, on_waiting=lambda: others.append(bench.plug(other)))
+    lifetime = keep_running(scene, observer, reconnect=True)
+    assert lifetime.failure is not None
+    assert "the device samples at 500 Hz, the scene says 1000 Hz" in str(lifetime.failure)
+    assert (lifetime.failure.exit_status, lifetime.reconnections) == (2, 0)
+    assert not lifetime.interruptions[0].came_back
+    assert others[0].board.state == schema.IDLE
+
+
+def test_what_a_guard_stopped_is_not_begun_again(scene_of: Callable[..., Scene], on_port: Any, bench: Bench) -> None:
+    scene = on_port(scene_of(stiffness=1e308, damping=1e308), str(bench.link))
+    bench.plug(scene)
+    lifetime = keep_running(scene, bench.observer(lambda: None), reconnect=True)
+    assert isinstance(lifetime.failure, GuardError)
+    assert (bench.told, len(bench.sessions)) == ([], 1)
+
+
+def test_without_being_asked_for_nothing_is_waited_for(scene: Scene, bench: Bench) -> None:
+    bench.plug(scene)
+    lifetime = keep_running(scene, bench.observer(bench.unplug), reconnect=False)
+    assert lifetime.failure is not None
+    assert (lifetime.failure.exit_status, bench.told) == (3, [])
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_ends_the_waiting(scene: Scene, bench: Bench, number: signal.Signals) -> None:
+    bench.plug(scene)
+    observer = bench.observer(bench.unplug, on_waiting=lambda: os.kill(os.getpid(), number))
+    lifetime = keep_running(scene, observer, reconnect=True)
+    assert (lifetime.failure, lifetime.report.ending, lifetime.reconnections) == (None, "stopped", 0)
+
+
+def test_a_signal_ends_the_next_handshake(scene: Scene, bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    mocks = [bench.plug(scene)]
+
+    def unplug() -> None:
+        bench.unplug()
+        monkeypatch.setattr(starting, "describe", lambda _: os.kill(os.getpid(), signal.SIGTERM))
+
+    observer = bench.observer(unplug, on_waiting=lambda: mocks.append(bench.plug(scene)))
+    lifetime = keep_running(scene, observer, reconnect=True)
+    assert (lifetime.failure, lifetime.report.ending, bench.told) == (None, "stopped", ["lost"])
+    assert mocks[1].board.state == schema.IDLE
+
+
+def test_its_time_goes_on_while_a_device_is_waited_for(
+    scene: Scene, bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By a clock that a look at it moves on by a second."""
+    bench.plug(scene)
+    seconds = itertools.count(0.0)
+    clock = SimpleNamespace(monotonic=lambda: next(seconds), sleep=lambda _: None)
+    monkeypatch.setattr(reconnecting, "time", clock)
+    lifetime = keep_running(scene, bench.observer(bench.unplug), reconnect=True, duration=1000.0)
+    assert (lifetime.failure, lifetime.report.ending, lifetime.reconnections) == (None, "done", 0)
+    assert 990.0 < lifetime.interruptions[0].waited_s + lifetime.report.duration_s < 1010.0
+
+
+def test_a_device_that_stopped_by_itself_is_armed_anew(scripted: Any, frame: Any) -> None:
+    stopped = frame_to_host(armed_format(1, velocity=False), schema.STATUS, 1, [schema.LATCHED | 99 << 8])
+    sessions: list[Session] = []
+
+    def started(session: Session) -> None:
+        sessions.append(session)
+        if len(sessions) == 2:
+            session.stop()
+
+    with scripted([frame(0, 0) + stopped]) as (scene, device):
+        lifetime = keep_running(scene, Observer(started=started), reconnect=True)
+        assert len(device.arms) == 2
+    assert (lifetime.failure, lifetime.reconnections) == (None, 1)
+    assert "the device stopped after" in lifetime.interruptions[0].why

@@ -1,0 +1,125 @@
+"""A daemon tells how it is doing to its owner, and is held up by nobody who asks."""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import stat
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from hapsim.console.as_json import document
+from hapsim.daemon.state import RunState
+from hapsim.daemon.status import ask, path_for, telling
+from hapsim.errors import UsageError
+from hapsim.running import start
+from hapsim.scene import parse_scene
+
+SCENE = """
+version: 1
+rate: 1000
+device: {mass: 0.2, clock: lockstep, friction: 1.0}
+mock: {initial: {velocity: 0.1}}
+modules:
+  hand:  {type: device, channel: 0}
+  wall:  {type: ground}
+  touch: {type: viscoelastic, between: [hand, wall], stiffness: 1000, damping: 2}
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """Where sockets are by default."""
+    monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path / "run"))
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "login"))
+    return tmp_path / "run"
+
+
+def test_a_running_scene_is_told_to_who_connects_and_to_nobody_else(folder: Path) -> None:
+    state = RunState("scene.yaml", "/dev/serial/by-id/usb-1", 1000.0)
+    path = path_for("/dev/serial/by-id/usb-1")
+    with telling(path, lambda: document(state.document())):
+        assert json.loads(ask(path))["phase"] == "starting"
+        with start(parse_scene(SCENE, "scene.yaml"), duration=0.5) as session:
+            state.observer.started(session)
+            session.wait()
+            told = json.loads(ask(path))
+        assert (path, stat.S_IMODE(path.stat().st_mode)) == (folder / "usb-1.sock", 0o600)
+        assert stat.S_IMODE(folder.stat().st_mode) == 0o700
+        state.observer.over()
+        assert json.loads(ask(path))["armed_since"] is None
+    assert not path.exists()
+    assert told.keys() >= {"rate_hz", "deadline_misses", "limited_ticks", "age_samples", "estimated_mass_kg", "news"}
+    assert (told["pid"], told["scene"], told["phase"], told["ticks"]) == (os.getpid(), "scene.yaml", "running", 500)
+    assert (len(told["force_n"]), told["position_m"]) == (1, list(session.trace.position[-1]))
+
+
+def test_readers_that_do_not_read_hold_nobody_up(tmp_path: Path) -> None:
+    path = tmp_path / "s"
+    with telling(path, lambda: json.dumps("x" * 900_000)):
+        idle = [socket.socket(socket.AF_UNIX) for _ in range(5)]
+        for one in idle:
+            one.connect(str(path))
+        assert ask(path).startswith('"xxx')
+        for one in idle:
+            one.close()
+        assert ask(path).startswith('"xxx')
+
+
+def test_what_cannot_be_told_once_is_no_end(tmp_path: Path) -> None:
+    values: list[Any] = [{"ticks": 1}]
+    with telling(tmp_path / "s", lambda: json.dumps(values[0])):
+        values[0] = object()
+        assert json.loads(ask(tmp_path / "s")) == {"error": "the status cannot be told: TypeError"}
+        values[0] = 7
+        assert ask(tmp_path / "s") == "7"
+
+
+def test_a_socket_that_was_left_is_replaced_and_one_that_is_heard_is_not(tmp_path: Path) -> None:
+    path = tmp_path / "s"
+    left = socket.socket(socket.AF_UNIX)
+    left.bind(str(path))
+    left.close()
+    with telling(path, lambda: "1"):
+        with pytest.raises(UsageError, match="another hapsim tells its status there"), telling(path, lambda: "2"):
+            pass
+        assert ask(path) == "1"
+    path.write_text("mine", encoding="utf-8")
+    with pytest.raises(UsageError, match="a file that is no socket"), telling(path, lambda: "3"):
+        pass
+    assert path.read_text(encoding="utf-8") == "mine"
+    for nowhere in (tmp_path / "no" / "s", tmp_path / ("s" * 120)):
+        with pytest.raises(UsageError, match="no socket can be made there"), telling(nowhere, lambda: "4"):
+            pass
+
+
+def test_a_directory_that_others_may_enter_is_none_for_it(folder: Path) -> None:
+    folder.mkdir(mode=0o755)
+    with pytest.raises(UsageError, match=r"\(mode 0700\): found mode 0755"):
+        path_for(None)
+    folder.rmdir()
+    folder.symlink_to("/tmp")
+    with pytest.raises(UsageError, match="not a directory of this user's alone"):
+        path_for(None)
+
+
+def test_the_command_finds_the_one_that_runs(
+    folder: Path, hapsim: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("hapsim.realtime.giving_way.leave_unfinished", lambda _: None)  # both sides are this process
+    assert "no running hapsim was found" in hapsim("status", "--json").sentence
+    with telling(path_for("/dev/ttyACM0"), lambda: '{"ticks": 5, "force_n": [0.5, null]}'):
+        left = socket.socket(socket.AF_UNIX)
+        left.bind(str(folder / "left.sock"))
+        left.close()
+        assert hapsim("status", "--json").document == {"ticks": 5, "force_n": [0.5, None]}
+        assert "0.5 –" in hapsim("status", "/dev/ttyACM0").out
+        assert hapsim("status", "/dev/ttyACM1").status == 2
+        with telling(tmp_path / "other", lambda: "\x1b[2J"):
+            assert hapsim("status", tmp_path / "other").status == 2
+        with telling(path_for(None), lambda: "{}"):
+            assert "name one of them" in hapsim("status").sentence
