@@ -175,9 +175,10 @@ def _ask(connection: Connection, register: int, tries: int = _TRIES_TO_ASK, when
         return word
     waited = f"within {tries * _ANSWER_S:.2g} s{_refused(connection)}"
     if register == schema.REG_VERSION:
+        at_baud = f" at {connection.baud} baud" if connection.baud else ""
         raise DeviceError(
             f"{connection.name}: no answer {waited}. Is this the device's port, is the device "
-            "powered, does its firmware speak hapsim's protocol, and is no other program using it?"
+            f"powered, does its firmware speak hapsim's protocol{at_baud}, and is no other program using it?"
         )
     raise DeviceError(
         f"{connection.name}: the device told its version (register {schema.REG_VERSION}), but not what register "

@@ -161,5 +161,6 @@ class Injector:
             self._number = -1
         elif frame.type in _MOVING:
             gap = (frame.number - self._number) % schema.SAMPLE_MODULUS
-            self._samples += gap if gap < schema.SAMPLE_MODULUS // 2 else 0
-            self._number = frame.number
+            if gap < schema.SAMPLE_MODULUS // 2:  # else it is one of the past
+                self._samples += gap
+                self._number = frame.number

@@ -8,7 +8,6 @@ again there is a new one, under the name that `path` gives it.
 from __future__ import annotations
 
 import contextlib
-import errno
 import os
 import select
 import time
@@ -21,8 +20,6 @@ from hapsim.faults.injector import Injector, Passed
 _PIECE = 1 << 16
 _LONGEST_WAIT_S = 1.0
 _MOST_WAITING = 1 << 20  # bytes that a device does not take are kept up to here
-
-GONE = (errno.EIO, errno.ENXIO, errno.ENODEV, errno.EBADF)
 
 
 class Relay:

@@ -25,9 +25,7 @@ def require_compatible(scene: Scene, name: str, description: Description) -> Non
     """UsageError or DescriptionError where scene and device do not go together. `name`: what a user calls the port."""
     if description.channels < scene.channels:
         raise UsageError(f"{name}: the device has {description.channels} channel(s), the scene uses {scene.channels}")
-    scales = (*description.position_scale, *description.force_scale, *description.force_limit, description.rate_hz)
-    if not all(np.isfinite(scales)) or min(scales) <= 0:
-        raise DescriptionError(f"{name}: the device declares a rate, scale or limit that is not a number above 0")
+    _require_numbers(name, description)
     if abs(description.rate_hz / scene.rate - 1.0) > 1e-6:
         raise UsageError(
             f"{name}: the device samples at {description.rate_hz:g} Hz, the scene says {scene.rate:g} Hz: "
@@ -45,6 +43,28 @@ def require_compatible(scene: Scene, name: str, description: Description) -> Non
         )
     if scene.sensed_links:
         _require_velocity(scene, name, description)
+
+
+def _require_numbers(name: str, description: Description) -> None:
+    """DescriptionError where the rate, a scale or a limit is not a number above 0."""
+    _require_above_zero(name, "a rate", description.rate_hz, "Hz", schema.REG_RATE)
+    declared = (
+        ("position scale", description.position_scale, "m per count", schema.REG_POSITION_SCALE),
+        ("force scale", description.force_scale, "N per count", schema.REG_FORCE_SCALE),
+        ("force limit", description.force_limit, "N", schema.REG_FORCE_LIMIT),
+    )
+    for channel in range(description.channels):
+        at = schema.REG_CHANNEL + channel * schema.CHANNEL_WORDS
+        for what, values, unit, register in declared:
+            _require_above_zero(name, f"a {what} of channel {channel}", values[channel], unit, at + register)
+
+
+def _require_above_zero(name: str, what: str, value: float, unit: str, register: int) -> None:
+    if not (np.isfinite(value) and value > 0):
+        raise DescriptionError(
+            f"{name}: the device declares {what} of {value:g} {unit} (register {register}), which is not a number above"
+            " 0. Not armed; set the register in its firmware"
+        )
 
 
 def _require_velocity(scene: Scene, name: str, description: Description) -> None:

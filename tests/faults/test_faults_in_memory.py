@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from wire_session import injector_of
 from hapsim.errors import DeviceError, GuardError, HapsimError
 from hapsim.faults import Injector
 from hapsim.faults.in_memory import in_memory
+from hapsim.loop.codes import HUNG_UP, TIMED_OUT
 from hapsim.loop.trace import Trace
 from hapsim.running import run
 from hapsim.scene import Scene
@@ -66,7 +68,7 @@ def test_what_a_lockstep_run_can_bear_changes_no_force(scene: Scene, undisturbed
 
 
 # The fault, the error, and what is told. No force may reach the device after the fault.
-NO_NUMBER = "the device declares a rate, scale or limit that is not a number above 0"
+NOT_ARMED = "which is not a number above 0. Not armed; set the register in its firmware"
 UNPLUGGED = (
     r"the device went away after 50 ticks \(unplugged.* did not confirm that it released .* 10 s after the last force"
 )
@@ -77,8 +79,14 @@ ENDS = {
     ),
     "kind: unplug, after_samples: 50": (DeviceError, UNPLUGGED),
     "kind: version": (DeviceError, "the device speaks version 2 of the protocol, this hapsim speaks version 1"),
-    "kind: nonsense, register: rate, what: nan": (DeviceError, NO_NUMBER),
-    "kind: nonsense, register: force_limit, what: negative": (DeviceError, NO_NUMBER),
+    "kind: nonsense, register: rate, what: nan": (
+        DeviceError,
+        rf"declares a rate of nan Hz \(register 4\), {NOT_ARMED}",
+    ),
+    "kind: nonsense, register: force_limit, what: negative": (
+        DeviceError,
+        rf"a force limit of channel 0 of -1 N \(register 36\), {NOT_ARMED}",
+    ),
     "kind: nonsense, register: channels, what: huge": (DeviceError, "the device says it has 2147483647 channels"),
     "kind: reboot, after_samples: 50": (DeviceError, rf"the device was silent for 5 s after 50 ticks; {RELEASED}"),
 }
@@ -90,7 +98,7 @@ def test_what_it_cannot_bear_ends_it_with_a_true_sentence_and_no_further_force(s
     injector = injector_of(fault)
     with pytest.raises(HapsimError) as caught:
         run(scene, duration=1.0, between=in_memory(injector, scene.period))
-    assert type(caught.value) is error
+    assert isinstance(caught.value, error)
     assert re.search(sentence, str(caught.value)), caught.value
     witness = injector.witness
     assert witness.since_fault.count == 0
@@ -99,6 +107,41 @@ def test_what_it_cannot_bear_ends_it_with_a_true_sentence_and_no_further_force(s
     if "after_samples" in fault:
         assert release is not None
         assert release.by == ("lockstep" if "unplug" in fault else "device" if "reboot" in fault else "disarm")
+
+
+class Silent:
+    """A device that hears everything and says nothing."""
+
+    def __init__(self) -> None:
+        self.heard: list[bytes] = []
+
+    def receive(self, buffer: Any, timeout_ns: int) -> int:
+        del buffer, timeout_ns
+        return TIMED_OUT
+
+    def send(self, frame: bytes) -> int:
+        self.heard.append(frame)
+        return 0
+
+
+def test_time_passes_while_the_host_waits_and_the_plug_is_pulled_meanwhile() -> None:
+    device, buffer = Silent(), np.zeros(100, np.uint8)
+    carrier = in_memory(injector_of("kind: unplug, at: 0.003"), 0.001)(device)
+    assert carrier.receive(buffer, 10**7) == TIMED_OUT  # nothing passed yet: no time of the script's either
+    assert carrier.send(b"\1\0") == 0
+    assert device.heard == [b"\1\0"]
+    assert carrier.receive(buffer, 2 * 10**6) == TIMED_OUT
+    assert carrier.receive(buffer, 2 * 10**6) == HUNG_UP
+    assert carrier.send(b"\2\0") == HUNG_UP
+    assert device.heard == [b"\1\0"]
+
+
+def test_what_is_held_up_comes_when_it_is_due_in_pieces_where_there_is_little_room() -> None:
+    carrier = in_memory(injector_of("kind: garbage, bytes: 5, from: 0.002"), 0.001)(Silent())
+    carrier.send(b"\0")
+    room = np.zeros(3, np.uint8)
+    assert carrier.receive(room, 10**6) == TIMED_OUT
+    assert [carrier.receive(room, 10**7) for _ in range(3)] == [3, 2, TIMED_OUT]
 
 
 def test_a_sign_that_is_wrong_stays_below_the_force_limit(scene: Scene) -> None:

@@ -65,6 +65,13 @@ def test_what_goes_the_other_way_decides_nothing() -> None:
     assert bytes_of(alone.take(STREAM, False, 0.0)) == bytes_of(beside.take(STREAM, False, 0.0))
 
 
+def test_either_way_has_a_chance_of_its_own() -> None:
+    injector = injector_of("kind: drop, probability: 0.5")
+    positions = numbers_of(injector.take(STREAM, False, 0.0))
+    forces = bytes_of(injector.take(b"".join(map(force, range(300))), True, 0.0), to_device=True)
+    assert positions != [frame.number for frame in frames_of(forces, to_device=True)]
+
+
 def test_a_frame_is_dropped_while_the_fault_lasts_and_in_its_direction() -> None:
     by_samples = injector_of("kind: drop, direction: from_device, after_samples: 10, for_samples: 5")
     assert numbers_of(positions_through(by_samples, 30)) == [*range(10), *range(15, 30)]
@@ -143,6 +150,7 @@ def test_a_uart_at_another_rate_reads_what_its_samples_hit() -> None:
     """By hand: 0x55 is ten levels that change with each bit, 0 first; then the wire rests at 1."""
     assert misread(b"\x55", 0.5) == b"\xff"  # samples at 3, 5, 7, 9 and beyond
     assert misread(b"\x55", 2.0) == b"\x66\xe6"  # at 0.75, 1.25, … 4.25 from the edge at 0; and again from that at 6
+    assert misread(b"\x55\x40", 0.5) == b"\x8f"  # 3 … 17; the edge at 18 comes before the stop bit's middle at 19
     assert misread(b"\x00", 0.5) == b"\xf8"  # three zeros, at 3, 5 and 7; then the stop bit, and rest
 
 
@@ -277,7 +285,10 @@ def test_samples_go_on_being_counted_where_numbers_begin_anew_and_where_the_host
     for first in range(0, 5000, 1000):
         positions_through(injector, 1000, first)
     assert injector.samples == 4999
-    assert injector.counts == [("drop", 900)]
+    injector.take(position(4990) + position(4999), False, 5.0)  # of the past, and the newest again
+    positions_through(injector, 1, 4999)
+    assert injector.samples == 4999
+    assert injector.counts == [("drop", 903)]
     injector.take(frame_to_host(SETUP, schema.STATUS, 0, [schema.ARMED]), False, 6.0)
     positions_through(injector, 10)
     assert injector.samples == 5009

@@ -7,8 +7,9 @@ import os
 import select
 import sys
 import threading
+import time
 import tty
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -86,6 +87,13 @@ def read(descriptor: int, count: int) -> bytes:
     return data
 
 
+def wait_for(what: Callable[[], bool]) -> None:
+    give_up = time.monotonic() + _LONGEST_S
+    while not what():
+        assert time.monotonic() < give_up, "not seen within a minute"
+        time.sleep(0.005)
+
+
 @contextlib.contextmanager
 def host_of(name: str) -> Iterator[int]:
     descriptor = os.open(name, os.O_RDWR | os.O_NOCTTY)
@@ -118,7 +126,7 @@ def test_bytes_pass_both_ways_and_hosts_come_and_go() -> None:
 def test_a_plug_that_is_pulled_hangs_the_host_up_and_comes_back_under_its_name(tmp_path: Path) -> None:
     name = tmp_path / "port"
     injector = injector_of("kind: unplug, after_samples: 1", "kind: replug, after_samples: 2")
-    with pair() as (device, port), relaying(port, injector, name) as running:
+    with pair() as (device, port), relaying(port, injector, name):
         with host_of(str(name)) as host:
             os.write(device, position(0))
             assert read(host, 11) == position(0)
@@ -126,8 +134,7 @@ def test_a_plug_that_is_pulled_hangs_the_host_up_and_comes_back_under_its_name(t
             assert hangs_up(host)
         assert not name.is_symlink()
         os.write(device, position(2))
-        while not name.exists():
-            assert running.whole is None
+        wait_for(name.exists)
         with host_of(str(name)) as host:
             os.write(host, force(2))
             assert read(device, 12) == force(2)
@@ -144,8 +151,7 @@ def test_what_no_host_fetches_is_counted() -> None:
     injector = injector_of("kind: garbage, bytes: 60000, after_samples: 0")
     with pair() as (device, port), relaying(port, injector) as running:
         os.write(device, position(0))
-        while not running.relay.unread_bytes:
-            assert running.whole is None
+        wait_for(lambda: running.relay.unread_bytes > 0)
         running.stop()
     assert 0 < running.relay.unread_bytes < 60011
 

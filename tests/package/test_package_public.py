@@ -18,6 +18,8 @@ ABOUT_ITSELF = {"__version__", "__file__", "__all__"}
 ADDS_PEERS = "adds C, Faust, MuJoCo and SciPy to what `hapsim chart speed-accuracy` works out and draws"
 TIMES_THE_EXCHANGE = "times the compiled exchange itself, on a transport in memory of its own"
 PLAYS_THE_DEVICE = "plays the device itself, to see when a run arms it"
+FAULTS_IN_MEMORY = "puts the faults between the loop and the mock in memory, where no command does"
+ASKS_THE_DEVICE = "asks the device for its own counters once the run is over"
 INSIDE = {
     ("tools/bench/speed/", "hapsim.speed_accuracy"): ADDS_PEERS,
     ("tools/bench/speed/", "hapsim.chart"): ADDS_PEERS,
@@ -30,6 +32,10 @@ INSIDE = {
     ("tools/bench/steadiness/in_memory.py", "hapsim.running.assemble"): TIMES_THE_EXCHANGE,
     ("tools/bench/steadiness/wakeups.py", "hapsim.doctor.wakeups"): "times the loop's sleep as it schedules itself",
     ("tools/bench/felt.py", "hapsim.prediction.correction"): "counts an error as the correction does",
+    ("tools/bench/faults.py", "hapsim.faults"): FAULTS_IN_MEMORY,
+    ("tools/bench/faults.py", "hapsim.console.faults"): FAULTS_IN_MEMORY,
+    ("tools/bench/soak.py", "firmware_protocol"): ASKS_THE_DEVICE,
+    ("tools/bench/soak.py", "hapsim.device"): ASKS_THE_DEVICE,
     ("tools/bench/start.py", "hapsim.device.mock"): PLAYS_THE_DEVICE,
     ("tools/bench/start.py", "firmware_protocol"): PLAYS_THE_DEVICE,
 }

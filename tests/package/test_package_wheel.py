@@ -97,8 +97,8 @@ def test_everything_that_the_clone_has_is_in_the_wheel(contents: dict[str, str])
     assert {path.suffix for path in ours} == {".py", ".md", ".json", ".h", ".c", ".ld", ".typed", ""}
     for path in ours:
         assert contents[path.relative_to(REPOSITORY).as_posix()] == path.read_text(encoding="utf-8")
-    for path in (REPOSITORY / "configs").glob("*.yaml"):
-        assert contents[f"share/hapsim/configs/{path.name}"] == path.read_text(encoding="utf-8")
+    for path in (REPOSITORY / "configs").rglob("*.yaml"):
+        assert contents[f"share/hapsim/{path.relative_to(REPOSITORY).as_posix()}"] == path.read_text(encoding="utf-8")
 
 
 def test_nothing_else_is(contents: dict[str, str]) -> None:
