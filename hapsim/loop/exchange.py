@@ -14,7 +14,10 @@ from hapsim.compiling import inlined
 from hapsim.compiling.native import array_at
 from hapsim.cordis.tick import program_at, start
 from hapsim.loop.codes import BAD_FORCE, FAULT, HEARD, LEAPT, OFF_RATE, TIMED_OUT
-from hapsim.loop.guards import LEAP, WATCH, cut, is_finite, is_leap, is_off_rate
+from hapsim.loop.guards.finite import is_finite
+from hapsim.loop.guards.force_limit import cut
+from hapsim.loop.guards.leap import LEAP, is_leap
+from hapsim.loop.guards.rate import WATCH, is_off_rate
 from hapsim.loop.histogram import HISTOGRAM, note
 from hapsim.loop.io_buffer import IO_BUFFER
 from hapsim.loop.predictor import PREDICTOR, call_add, call_predict

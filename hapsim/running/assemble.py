@@ -13,7 +13,7 @@ from hapsim.compiling.native import address_of
 from hapsim.cordis.program import Program, compile_scene
 from hapsim.device.connection import Connection
 from hapsim.loop.exchange import DEVICE_CLOCK, HOST_CLOCK, LOOP, NO_CLOCK
-from hapsim.loop.guards import watch_for_leaps
+from hapsim.loop.guards.leap import watch_for_leaps
 from hapsim.loop.ring import Ring
 from hapsim.loop.stage import cross_fade, post
 from hapsim.loop.transport import Transport
