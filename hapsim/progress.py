@@ -23,3 +23,4 @@ class Progress:
     age_samples: int = 0
     deadline_misses: int = 0
     limited_ticks: int = 0
+    slewed_ticks: int = 0

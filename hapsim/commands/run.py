@@ -74,6 +74,7 @@ def run(
                 keep=record is not None,
                 realtime=realtime,
                 portable=portable,
+                judges_energy=True,
                 on_progress=tell,
                 on_start=reporter.started,
                 stop_on_signals=True,

@@ -42,6 +42,10 @@ class Report:
     """Positions that a newer one replaced before they could be answered."""
     limited_ticks: int
     """Ticks whose force was cut to its limit."""
+    slewed_ticks: int
+    """Ticks whose force was brought closer to the one before, by the slew limit or the soft start."""
+    withheld_forces: int
+    """Times that zero force was sent because the position was older than a force may live."""
     dropped_rows: int
     """Rows missing from the trace because its reader was too slow; the force was not affected."""
     parameter_changes: int
@@ -90,7 +94,7 @@ class Trace:
     time_ns: NDArray[np.int64]
     """(N,) monotonic time at which it arrived."""
     flags: NDArray[np.uint8]
-    """(N,) LATE_FORCE, UNSENT, LIMITED, BRIDGED, OFF_GRID of hapsim.loop.ring."""
+    """(N,) LATE_FORCE, UNSENT, LIMITED, BRIDGED, OFF_GRID, SLEWED, WITHHELD of hapsim.loop.ring."""
     position_counts: NDArray[np.int32]
     """(N, C) as on the wire."""
     force_counts: NDArray[np.int32]

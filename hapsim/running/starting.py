@@ -41,6 +41,7 @@ class StartOptions(TypedDict, total=False):
     keep: bool
     realtime: bool
     portable: bool
+    judges_energy: bool
     on_progress: Callable[[Progress], None] | None
 
 
@@ -54,6 +55,7 @@ def start(
     keep: bool = True,
     realtime: bool = False,
     portable: bool = False,
+    judges_energy: bool = False,
     on_progress: Callable[[Progress], None] | None = None,
     on_arming: Callable[[Session], None] | None = None,
 ) -> Iterator[Session]:
@@ -62,8 +64,10 @@ def start(
     `transport`: where the device is ("auto": the scene's port, else the mock that fits the clock). `keep`: False for a
     trace without rows, for runs without an end. `realtime`: asks the system for what makes a loop steady, see
     hapsim.realtime; `Session.grants` says what was granted. `portable`: the loop in plain Python over pyserial; off
-    Linux that loop runs with the mock in memory too. `on_progress` hears of the compilation, `on_arming` gets the
-    session just before the device is armed: a `stop` from then on ends the run in good order.
+    Linux that loop runs with the mock in memory too. `judges_energy`: a scene that gives the hand energy is stopped
+    before the mock too, as by `hapsim run`; behind a port, or where it names `energy_limit`, it always is.
+    `on_progress` hears of the compilation, `on_arming` gets the session just before the device is armed: a `stop` from
+    then on ends the run in good order.
 
     Raises SceneError and UsageError for what cannot be run; DeviceError where port or device fail, GuardError where a
     guard stopped the force, both when the with-block is left; they carry what was recorded as their attribute `trace`.
@@ -75,7 +79,7 @@ def start(
     with on_compilation(counted.add), _open(scene, transport, portable, realtime, counted) as opened:
         description = describe(opened)
         require_compatible(scene, opened.name, description)
-        loop = assemble_loop(scene, opened, description, excitation, duration)
+        loop = assemble_loop(scene, opened, description, excitation, duration, judges_energy)
         # Everything is compiled now: the device is armed only when the loop can answer at once.
         gives_way = scene.device.clock != "lockstep" and not in_python
         session = Session(scene, loop, _ready_body(opened, loop, in_python), Recorder(loop.ring, keep), gives_way)
