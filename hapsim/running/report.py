@@ -9,7 +9,7 @@ from hapsim.device.conversation import fault_text
 from hapsim.errors import DeviceError, GuardError, RunError
 from hapsim.loop import endings
 from hapsim.loop.exchange import DEVICE_CLOCK, HOST_CLOCK
-from hapsim.loop.guards.divergence import SWINGING
+from hapsim.loop.guards.divergence import SHAKING, SWINGING
 from hapsim.loop.histogram import histogram_of
 from hapsim.loop.recorder import Recorder
 from hapsim.loop.trace import Report, Statistics, Trace
@@ -166,6 +166,11 @@ def _diverging(loop: Loop, ticks: int) -> str:
             f"the force swung at its limit: cut {int(energy.swings)} times in a row until tick {ticks}, it gave the "
             f"hand {float(energy.work):.3g} J over these, above its limit of {float(energy.limit):.3g} J and no less "
             f"than the declared friction takes; the last force was not sent. {what_to_do}"
+        )
+    if int(energy.why) == SHAKING:
+        return (
+            f"the force shook at its limit: from one side to the other {int(energy.shakes)} times in a row until tick "
+            f"{ticks}, faster than any hand moves; the last force was not sent. {what_to_do}"
         )
     return (
         f"by tick {ticks} the scene had given the hand {float(energy.given):.3g} J that it had not got from it, above "

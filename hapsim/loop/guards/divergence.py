@@ -32,6 +32,16 @@ are begun anew where it did less: between two crossings of the limit at one plac
 is gained between them comes of the sampling and of nothing else. A hand that presses on, knocks, or shakes a passive
 object loses energy from episode to episode.
 
+**Shaking at the limit.** A scene whose own masses diverge, or a damper that is too much for the rate, throws the force
+from limit to limit so fast that the hand hardly moves, and gets no energy at all. So the guard trips, too, after SHAKES
+turns in a row of one channel's force from one limit to the other, if the scene asks in none for less than in those
+before, and each turn is one of these:
+
+* within SHAKE_SAMPLES of the one before: so fast a swing the friction that makes an object passive ends at once;
+* within SHAKE_S, the scene asking for SHAKE_OVER times the limit: no hand shakes at 10 Hz and more, and a mass that
+  swings so on a passive object comes to rest, and asks for less from turn to turn;
+* within GAP_S, the scene asking for FAR_OVER times the limit: no hand has stretched anything so far.
+
 Who judges nothing never compiles this: it is called by an address, which is 0 then.
 """
 
@@ -53,9 +63,11 @@ from hapsim.loop.io_buffer import IO_BUFFER
 CREDIT_M = 0.25  # of travel at the force limit: what a scene could hold
 FIRST_FORCE_M = 0.1  # of travel of the first force: what a link holds at least that is stretched at arming
 SWINGS, GAP_S, GAP_SAMPLES = 16, 0.5, 3
+SHAKES, SHAKE_SAMPLES, SHAKE_S, SHAKE_OVER, FAR_OVER = 64, 6, 0.05, 1.5, 100.0
+_LESS = 0.999  # of what was asked for: a sample need not fall on the peak
 
-GIVEN, SWINGING = 1, 2
-"""Why it tripped: the energy, or the swing at the limit."""
+GIVEN, SWINGING, SHAKING = 1, 2, 3
+"""Why it tripped: the energy, the swing at the limit, or that it shakes there."""
 
 _EACH = (schema.MAX_CHANNELS,)
 
@@ -86,7 +98,14 @@ ENERGY = np.dtype(
         ("swings", np.int64),  # episodes in a row
         ("work", np.float64),  # J, of the force over these,
         ("gained", np.float64),  # and what friction left of that
-        ("why", np.int64),  # GIVEN, SWINGING
+        ("most_turn", np.int64),  # samples from one turn to the next
+        ("last_side", np.int64, _EACH),  # to which each channel's force was cut last,
+        ("turn", np.int64, _EACH),  # how many samples ago it turned to that,
+        ("peak", np.float64, _EACH),  # N, the most that was asked for since,
+        ("least_peak", np.float64, _EACH),  # N, the least of those
+        ("turns", np.int64, _EACH),  # and how often in a row
+        ("shakes", np.int64),  # the most of these
+        ("why", np.int64),  # GIVEN, SWINGING, SHAKING
     ],
     align=True,
 )
@@ -113,7 +132,7 @@ def observe(energy, io, gap, unsent, late, expired):
     else:
         _begin(energy, io, forces)
     _take_account(energy, work - lost)
-    cut_anew = _is_cut_anew(energy, io)
+    cut_anew = _is_cut_anew(energy, io, gap)
     energy.work += work
     energy.gained += work - lost
     energy.gap += gap
@@ -127,6 +146,8 @@ def observe(energy, io, gap, unsent, late, expired):
         energy.why = GIVEN
     elif energy.swings >= SWINGS and energy.work > energy.limit:
         energy.why = SWINGING
+    elif energy.shakes >= SHAKES:
+        energy.why = SHAKING
     return energy.why
 
 
@@ -193,15 +214,35 @@ def _take_account(energy, gained):
 
 
 @helper
-def _is_cut_anew(energy, io):
-    """Whether a channel's force is cut that was not, or was to the other side."""
+def _is_cut_anew(energy, io, gap):
+    """Whether a channel's force is cut that was not, or was to the other side; counts its turns."""
     anew = False
     for c in range(io.channels):
         wanted = io.asked[c] + io.excitation[c]
         side = 1 if wanted > io.force_limit[c] else -1 if wanted < -io.force_limit[c] else 0
         anew = anew or (side != 0 and side != energy.side[c])
         energy.side[c] = side
+        energy.turn[c] += gap
+        if side != 0 and side != energy.last_side[c]:
+            _count_turn(energy, c, io.force_limit[c])
+            energy.last_side[c], energy.turn[c], energy.peak[c] = side, 0, 0.0
+        energy.peak[c] = max(energy.peak[c], abs(wanted))
     return anew
+
+
+@helper
+def _count_turn(energy, c, limit):
+    peak = energy.peak[c]
+    turn = energy.turn[c]
+    over = 1.0 if turn <= SHAKE_SAMPLES else SHAKE_OVER if turn <= energy.most_turn else FAR_OVER
+    if turn > energy.most_gap or peak < over * limit:
+        energy.turns[c], energy.least_peak[c] = 0, math.inf
+    elif peak < _LESS * energy.least_peak[c]:
+        energy.turns[c], energy.least_peak[c] = 1, peak
+    else:
+        energy.turns[c] += 1
+        energy.least_peak[c] = min(energy.least_peak[c], peak)
+    energy.shakes = max(energy.shakes, energy.turns[c])
 
 
 class EnergyMemory:
@@ -234,6 +275,8 @@ class EnergyMemory:
         record.compliance[: compliance.size] = compliance
         record.limit, record.credit, record.given = limit_j, credit_j, -held_j
         record.most_gap = max(GAP_SAMPLES, round(GAP_S * rate_hz))
+        record.most_turn = round(SHAKE_S * rate_hz)
+        record.least_peak[:] = math.inf
         record.observe = observe.address()
 
     def lend(self, energy_j: float) -> None:
