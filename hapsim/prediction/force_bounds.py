@@ -43,3 +43,9 @@ def force_bounds(
     if energy is None:
         energy = ENERGY_M * most if in_hand or judges_energy else math.inf
     return ForceBounds(slew, soft, energy)
+
+
+def run_bounds(scene: Scene) -> ForceBounds:
+    """Those of `hapsim run`, where the scene says that its device is."""
+    in_hand = scene.device.port is not None and scene.device.clock != "lockstep"
+    return force_bounds(scene, in_hand=in_hand, judges_energy=True)
