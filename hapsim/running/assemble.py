@@ -147,10 +147,14 @@ def _set_control(control: Any, scene: Scene, duration: float | None) -> None:
     control.clock = _CLOCK[scene.device.clock]
     control.silence_ns = round(1e9 * max(0.25, 20.0 / scene.rate))
     control.time_to_live = time_to_live_samples(scene.rate)
-    control.stale_ns = (int(control.time_to_live) + 1) * int(control.period_ns)
+    control.stale_ns = _stale_ns(scene, control)
     if scene.device.clock == "lockstep":
-        control.stale_ns = _FOREVER_NS  # no time passes
         control.silence_ns = 5_000_000_000  # the mock may live in a process that is only now being compiled
+
+
+def _stale_ns(scene: Scene, control: Any) -> int:
+    """How old a position may be that a force answers. In virtual time no time passes."""
+    return _FOREVER_NS if scene.device.clock == "lockstep" else (int(control.time_to_live) + 1) * int(control.period_ns)
 
 
 def _set_excitation(control: Any, excitation: Excitation | PeriodicExcitation) -> None:
