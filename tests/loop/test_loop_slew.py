@@ -116,8 +116,9 @@ def test_what_the_device_holds_is_what_left_whatever_was_worked_out_meanwhile(ho
     loop = host(**limited_to(100))
     assert loop.hears(0, FAR) == 100
     assert [loop.hears(number, FAR, sends=False, late=number > 1) for number in (1, 2, 3)] == [200, 200, 200]
-    assert loop.hears(4, FAR, late=True) == 200
-    assert loop.hears(5, FAR) == 300
+    assert loop.hears(4, -FAR, late=True, sends=False) == 0
+    assert loop.hears(5, FAR, late=True) == 200
+    assert loop.hears(6, FAR) == 300
 
 
 def test_lost_positions_allow_no_more_than_a_step(host: Callable[..., Host]) -> None:
