@@ -176,4 +176,4 @@ def _report(values: dict[str, Any]) -> Report:
     for name in ("lateness_s", "exchange_s", "age_samples"):
         values[name] = Spread(**values[name])
     values["estimated_mass_kg"] = tuple(values.get("estimated_mass_kg", ()))
-    return Report(**values)
+    return Report(**({"slewed_ticks": 0, "withheld_forces": 0} | values))  # of a record from before there were any
