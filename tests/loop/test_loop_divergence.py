@@ -96,10 +96,18 @@ def test_before_the_mock_it_is_off_until_it_is_asked_for() -> None:
         run(wall(), duration=5.0, judges_energy=True)
 
 
-def test_it_is_the_default_before_a_port(served: Served) -> None:
-    """Where positions come as they come: only that it ends."""
-    with served(wall(clock="host", friction=0.0, velocity=0.5)) as (scene, _), pytest.raises(GuardError):
-        run(scene, duration=60.0)
+@pytest.mark.parametrize(("clock", "judges"), [("host", True), ("device", True), ("lockstep", False)])
+def test_it_is_the_default_before_a_port_but_in_virtual_time(served: Served, clock: str, judges: bool) -> None:
+    limits = []
+
+    def note(session: Any) -> None:
+        energy = session._loop.record.energy
+        limits.append(float(energy.limit) if energy.observe else None)
+        session.stop()
+
+    with served(wall(200.0, clock=clock)) as (scene, _), start(scene, duration=0.01, on_arming=note):
+        pass
+    assert limits == [pytest.approx(0.2) if judges else None]
 
 
 @pytest.mark.parametrize("periodic", [False, True])

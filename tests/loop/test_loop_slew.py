@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 
 from firmware_protocol import schema
-from hapsim.errors import UsageError
+from hapsim.errors import DeviceError, UsageError
 from hapsim.loop.ring import LATE_FORCE, SLEWED
+from hapsim.loop.trace import Trace
 from hapsim.prediction.force_bounds import force_bounds
 from hapsim.running import Excitation, run
 from hapsim.running.assemble import Loop
@@ -178,7 +179,11 @@ def test_behind_a_port_the_first_force_is_soft_but_in_virtual_time(
     scene_of: Callable[..., Scene], served: Served, clock: str
 ) -> None:
     with served(scene_of(device={"clock": clock}, mock={"initial": {"position": 0.003}})) as (scene, _):
-        trace = run(scene, duration=0.02)
+        try:
+            trace: Trace | None = run(scene, duration=0.02)
+        except DeviceError as error:  # a machine that is held up for a tenth of a second
+            trace = error.trace
+    assert trace is not None
     assert abs(trace.asked_force[0, 0]) > 1.0
     assert (trace.force_counts[0, 0] == 0) == bool(trace.flags[0] & SLEWED) == (clock != "lockstep")
 
