@@ -26,3 +26,4 @@ class Progress:
     ticks: int = 0
     estimated_mass_kg: tuple[float | None, ...] = ()
     """Where a correction adapts, for which mass the force of each channel is; None on the others."""
+    slewed_ticks: int = 0

@@ -83,8 +83,9 @@ def _loop() -> list[_Entry | PlainNative]:
 
 def _port() -> list[PlainNative]:
     from hapsim.loop import descriptor
+    from hapsim.loop.guards import divergence, slew
 
-    return [descriptor.receive, descriptor.send]
+    return [descriptor.receive, descriptor.send, slew.shape_force, divergence.observe]
 
 
 def _mock() -> list[_Entry | PlainNative]:
@@ -141,7 +142,7 @@ def _portable() -> list[_Entry]:
 
 UNITS: dict[str, Unit] = {
     "loop": Unit(48, _loop, calls_system=True),
-    "port": Unit(5, _port, calls_system=True),
+    "port": Unit(15, _port, calls_system=True),
     "mock": Unit(45, _mock, beside=True, calls_system=True),
     "loopback": Unit(39, _loopback, beside=True),
     "motion": Unit(12, _motion, beside=True),

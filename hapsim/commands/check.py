@@ -23,6 +23,7 @@ def check(
 ) -> None:
     """Predict, without running: stable or not, what the hand will feel, every mode, what the wire costs."""
     from hapsim.prediction import predict, predict_on_wire
+    from hapsim.prediction.force_bounds import run_bounds
 
     loaded = load(scene)
     with stderr().status("working out the modes and how much each link may grow"):
@@ -33,11 +34,14 @@ def check(
         from hapsim.console.as_json import document, prediction_document
 
         compiled = {} if explanation is None else {"compiled": explanation.as_document()}
-        print(document({"scene": scene} | prediction_document(prediction, on_wire=on_wire) | compiled))
+        bounds = {"force_bounds": run_bounds(loaded)._asdict()}
+        print(document({"scene": scene} | prediction_document(prediction, on_wire=on_wire) | bounds | compiled))
         return
     from hapsim.console.tables import show_prediction
+    from hapsim.console.wire import show_force_bounds
 
     show_prediction(stdout(), scene, prediction, on_wire)
+    show_force_bounds(stdout(), loaded)
     if explanation is not None:
         from hapsim.console.explained import show_explanation
 

@@ -99,6 +99,7 @@ def run(
             realtime=realtime,
             portable=portable,
             unstable=unstable,
+            judges_energy=True,
             on_progress=tell,
             on_warning=complain,
         )

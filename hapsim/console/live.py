@@ -105,7 +105,8 @@ class _Line:
             return
         force = " ".join(f"{f:+.3f}" for f in progress.force[:4])
         limited = f" · {progress.limited_ticks} at the limit" if progress.limited_ticks else ""
+        slewed = f" · {progress.slewed_ticks} slewed" if progress.slewed_ticks else ""
         self._show(
             f"running {progress.elapsed_s:.1f} s · {progress.rate_hz:.1f} Hz · force {force} N · "
-            f"age {progress.age_samples} · misses {progress.deadline_misses}{limited}"
+            f"age {progress.age_samples} · misses {progress.deadline_misses}{limited}{slewed}"
         )

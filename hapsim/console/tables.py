@@ -233,6 +233,12 @@ def show_measurement(
             f"[yellow]{limited} of {measurement.trace.report.ticks} ticks were at the force limit[/yellow]: k and b "
             "hold for motions that stay below it; beyond, the hand feels less."
         )
+    slewed = measurement.trace.report.slewed_ticks
+    if slewed:
+        out.print(
+            f"[yellow]{slewed} of {measurement.trace.report.ticks} ticks were at the slew limit or in the soft "
+            "start[/yellow]: k and b hold for motions that are slower; in these the hand feels less."
+        )
     if felt is not None and _is_another_device(felt, measurement):
         out.print(
             "[yellow]Measured and predicted are much further apart than the uncertainty[/yellow]: the device is not as "
@@ -249,7 +255,7 @@ def show_measurement(
 def _is_another_device(felt: Felt, measurement: Measurement) -> bool:
     """At the declared rate, and with most forces below the limit and in time."""
     report, seen = measurement.trace.report, measurement.seen_rate
-    disturbed = report.limited_ticks + report.deadline_misses > _FEW * report.ticks
+    disturbed = report.limited_ticks + report.slewed_ticks + report.deadline_misses > _FEW * report.ticks
     if disturbed or (seen is not None and seen.differs_from(measurement.trace.rate)):
         return False
     pairs = [
@@ -351,6 +357,8 @@ def show_report(out: Console, report: Report, reconnections: int = 0) -> None:
         (_REFUSED_BY_DEVICE, report.rejected_by_device),
         ("stale positions", report.stale_positions),
         ("ticks at the force limit", report.limited_ticks),
+        ("ticks at the slew limit or in the soft start", report.slewed_ticks),
+        ("forces withheld: position too old", report.withheld_forces),
         ("rows not recorded", report.dropped_rows + report.unrecorded_rows),
     ):
         if count:

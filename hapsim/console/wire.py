@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 
 from hapsim.prediction import HostSilence, WireTime, host_silence
+from hapsim.prediction.force_bounds import run_bounds
 
 if TYPE_CHECKING:
     from hapsim.prediction import Prediction
+    from hapsim.scene import Scene
 
 
 def show_wire(out: Console, prediction: Prediction, on_wire: Prediction | None) -> None:
@@ -45,6 +47,17 @@ def show_silence(out: Console, rate: float) -> None:
         f"{_ms(silence.zero_force_after_s)} ({silence.time_to_live_samples} samples' time to live, and one more); "
         f"after {_ms(silence.latched_after_s)} (watchdog of {silence.watchdog_samples} samples, if the device allows "
         "it) the device latches: zero force until it is armed again."
+    )
+
+
+def show_force_bounds(out: Console, scene: Scene) -> None:
+    """What bounds the force in `hapsim run`, where the scene says its device is."""
+    bounds = run_bounds(scene)
+    slew = f"by at most {bounds.slew_limit:g} N/s" if math.isfinite(bounds.slew_limit) else "as fast as the scene asks"
+    soft = f"rises along a ramp of {_ms(bounds.soft_start_s)}" if bounds.soft_start_s > 0.0 else "comes at once"
+    out.print(
+        f"Force: at most {scene.device.force_limit:g} N; it changes {slew}, and the first one {soft}. A run ends where "
+        f"the scene gives the hand more than {bounds.energy_limit:g} J, or swings at its limit."
     )
 
 

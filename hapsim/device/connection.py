@@ -40,6 +40,8 @@ class Connection:
     """What opening it had to leave undone, for the user."""
     has_timer: bool = False
     """Whether the device has a timer of its own: a mock in this process is only as punctual as this machine."""
+    in_hand: bool = False
+    """Whether a hand may hold the device: nobody holds a mock in this process."""
     inbox: Any = field(default_factory=_new_inbox)
     """INBOX"""
     _written: deque[bytes] = field(default_factory=lambda: deque(maxlen=_REMEMBERED))

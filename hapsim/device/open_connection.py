@@ -101,5 +101,5 @@ def _mock_terminal(
         serving(assemble_mock(scene), as_hardware) as path,
         contextlib.closing(open_port(path, scene.device.baud)) as connection,
     ):
-        connection.has_timer = False
+        connection.has_timer = connection.in_hand = False
         yield connection

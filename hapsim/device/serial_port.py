@@ -34,6 +34,7 @@ def open_serial_port(path: str, baud: int) -> Connection:
         baud=baud,
         note=_low_latency(port),
         has_timer=True,
+        in_hand=True,
     )
 
 
@@ -49,6 +50,7 @@ def open_portable_port(path: str, baud: int) -> Connection:
         baud=baud,
         note=_low_latency(port),
         has_timer=True,
+        in_hand=True,
     )
 
 

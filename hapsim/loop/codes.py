@@ -21,3 +21,5 @@ OFF_RATE = -5
 """The device does not sample at the rate that it declares."""
 LEAPT = -6
 """A position is where no hand can have moved the device."""
+DIVERGED = -7
+"""The simulated force gave the hand more energy than a passive object can hold, or swings at its limit."""

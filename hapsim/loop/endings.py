@@ -3,9 +3,21 @@
 from __future__ import annotations
 
 from hapsim.compiling import inlined
-from hapsim.loop.codes import BAD_FORCE, FAILED, FAULT, LEAPT, OFF_RATE, TIMED_OUT
+from hapsim.loop.codes import BAD_FORCE, DIVERGED, FAILED, FAULT, LEAPT, OFF_RATE, TIMED_OUT
 
-DONE, STOPPED, RING_FULL, SILENT, GONE, NOT_FINITE, DEVICE_STOPPED, WRONG_RATE, POSITION_LEAPT, PORT_FAILED = range(10)
+(
+    DONE,
+    STOPPED,
+    RING_FULL,
+    SILENT,
+    GONE,
+    NOT_FINITE,
+    DEVICE_STOPPED,
+    WRONG_RATE,
+    POSITION_LEAPT,
+    DIVERGING,
+    PORT_FAILED,
+) = range(11)
 
 GOES_ON = -1
 """Nothing ends it yet."""
@@ -19,6 +31,7 @@ IN_WORDS = {
     DEVICE_STOPPED: "device stopped",
     WRONG_RATE: "wrong rate",
     POSITION_LEAPT: "position leapt",
+    DIVERGING: "scene diverging",
     PORT_FAILED: "port failed",
 }
 """As a report tells it. RING_FULL is no end: the loop goes on once the reader has made room."""
@@ -51,6 +64,8 @@ def ending_of(code, stop):
         return WRONG_RATE
     if code == LEAPT:
         return POSITION_LEAPT
+    if code == DIVERGED:
+        return DIVERGING
     if code == FAILED:
         return PORT_FAILED
     return SILENT if code == TIMED_OUT else GONE

@@ -13,13 +13,31 @@ from firmware_protocol.frames import FRAMING, write_frame
 from hapsim.compiling import inlined
 from hapsim.compiling.native import array_at
 from hapsim.cordis.tick import program_at, start
-from hapsim.loop.codes import BAD_FORCE, FAULT, HEARD, LEAPT, OFF_RATE, TIMED_OUT
-from hapsim.loop.guards import LEAP, WATCH, cut, is_finite, is_leap, is_off_rate
+from hapsim.loop.codes import BAD_FORCE, DIVERGED, FAULT, HEARD, LEAPT, OFF_RATE, TIMED_OUT
+from hapsim.loop.guards.divergence import ENERGY, call_observe
+from hapsim.loop.guards.finite import is_finite
+from hapsim.loop.guards.force_limit import cut
+from hapsim.loop.guards.leap import LEAP, is_leap
+from hapsim.loop.guards.rate import WATCH, is_off_rate
+from hapsim.loop.guards.slew import SLEW, call_shape
+from hapsim.loop.guards.stale import has_expired, is_outdated
 from hapsim.loop.histogram import HISTOGRAM, note
 from hapsim.loop.io_buffer import IO_BUFFER
 from hapsim.loop.last_bytes import next_place
 from hapsim.loop.predictor import PREDICTOR, call_add, call_predict
-from hapsim.loop.ring import BRIDGED, LATE_FORCE, LIMITED, OFF_GRID, RING, UNSENT, mark_last, publish, push
+from hapsim.loop.ring import (
+    BRIDGED,
+    LATE_FORCE,
+    LIMITED,
+    OFF_GRID,
+    RING,
+    SLEWED,
+    UNSENT,
+    WITHHELD,
+    mark_last,
+    publish,
+    push,
+)
 from hapsim.loop.stage import STAGE, move_scene
 
 _MODULUS_MASK = schema.SAMPLE_MODULUS - 1  # it is a power of two
@@ -36,6 +54,7 @@ CONTROL = np.dtype(
         ("clock", np.int64),  # DEVICE_CLOCK, HOST_CLOCK, NO_CLOCK
         ("silence_ns", np.int64),  # a device quiet for longer is gone
         ("time_to_live", np.int64),  # samples that a force may act without being replaced
+        ("stale_ns", np.int64),  # and how long that is, with the sample in which it begins to act
         ("pulse_first", np.int64),  # the excitation: 1 for a push on the first ticks,
         ("pulse_from", np.int64),  # and pushes from this tick on,
         ("pulse_every", np.int64),  # one every so many ticks (0: none),
@@ -57,6 +76,8 @@ STATE = np.dtype(
         ("stale_positions", np.int64),
         ("old_positions", np.int64),  # of these, those that came again or after a newer one
         ("limited_ticks", np.int64),
+        ("slewed_ticks", np.int64),
+        ("withheld_forces", np.int64),
         # Samples from the position that the acting force answers to the force's change, at most: the device says of a
         # late force only that it was. Beyond its time to live and one more no force acts: two more say that.
         ("age", np.int64),
@@ -65,6 +86,7 @@ STATE = np.dtype(
         ("stopped_ns", np.int64),  # and when
         ("first_ns", np.int64),  # when the first and the newest position arrived
         ("newest_ns", np.int64),
+        ("since_sent", np.int64),  # samples from the position that the last force to leave answers
         ("unanswered", np.int64),  # 1: the newest position's force has not left yet
         ("tick_ns", np.int64),  # when the loop woke up to ask for the next position, where the host is the clock
         ("sent_ns", np.int64),  # when the last force had left
@@ -109,6 +131,8 @@ LOOP = np.dtype(
         ("wait", WAIT),
         ("watch", WATCH),
         ("leap", LEAP),
+        ("slew", SLEW),
+        ("energy", ENERGY),
         ("histograms", HISTOGRAMS),
     ],
     align=True,
@@ -119,7 +143,7 @@ LOOP = np.dtype(
 @inlined
 def take_frame(loop, decoder, now):
     """Takes the decoder's frame, which arrived at `now` (ns). A position moves the scene up to its sample, and the
-    force that answers it is worked out: HEARD; or BAD_FORCE, LEAPT, OFF_RATE. FAULT: the device has stopped.
+    force that answers it is worked out: HEARD; or BAD_FORCE, LEAPT, OFF_RATE, DIVERGED. FAULT: the device has stopped.
 
     A position that comes twice, or after a newer one, is counted and passed over, as is a frame of another type:
     TIMED_OUT. The scene never goes back in time.
@@ -141,13 +165,7 @@ def take_frame(loop, decoder, now):
     if state.unanswered:
         state.stale_positions += 1
         mark_last(loop.ring, UNSENT)
-    for c in range(np.uint64(io.channels)):
-        io.position_counts[c] = decoder.counts[c]
-        io.before[c] = io.measured[c]
-        io.measured[c] = decoder.counts[c] * io.position_scale[c]
-        if io.velocities:
-            io.velocity_before[c] = io.velocity[c]
-            io.velocity[c] = decoder.counts[np.uint64(io.channels) + c] * io.velocity_scale[c]
+    _read_position(io, decoder)
     if state.ticks == 0:
         start(program_at(loop.stage.program), io.measured)
         state.sample = decoder.number - 1
@@ -166,17 +184,65 @@ def take_frame(loop, decoder, now):
     if predictor.add != 0:
         call_add(predictor.add, (predictor.address, io.address))
     state.sample += gap
-    state.newest_ns = now
-    sound, limited = _set_force(io, control, state)
-    state.limited_ticks += limited
-    push(loop.ring, state.sample, now, flags | LIMITED if limited else flags, io)
-    state.ticks += 1
-    state.unanswered = 1
+    sound, diverged = _answer(loop, gap, late, flags, now)
     if not sound:
         return BAD_FORCE
     if leapt:
         return LEAPT
+    if diverged:
+        return DIVERGED
     return OFF_RATE if is_off_rate(loop.watch, state.sample, now, control.period_ns) else HEARD
+
+
+@inlined
+def _read_position(io, decoder):
+    """The decoder's counts, in m and m/s."""
+    for c in range(np.uint64(io.channels)):
+        io.position_counts[c] = decoder.counts[c]
+        io.before[c] = io.measured[c]
+        io.measured[c] = decoder.counts[c] * io.position_scale[c]
+        if io.velocities:
+            io.velocity_before[c] = io.velocity[c]
+            io.velocity[c] = decoder.counts[np.uint64(io.channels) + c] * io.velocity_scale[c]
+
+
+@inlined
+def _answer(loop, gap, late, flags, now):
+    """Makes the scene's force what is to leave, and counts the tick: (whether it is a number, whether the scene gives
+    too much energy). `flags`: of the row so far."""
+    compact()
+    state, io = loop.state, loop.io
+    sound, limited = _set_force(io, loop.control, state)
+    if flags & WITHHELD:
+        state.withheld_forces += 1
+        _take_force_away(io)
+    diverged = False
+    if sound and (loop.slew.shape | loop.energy.observe) != 0:
+        slewed, diverged = _by_what_was_sent(loop, gap, late, flags & WITHHELD != 0, now)
+        state.slewed_ticks += slewed
+        flags |= SLEWED if slewed else 0
+    state.newest_ns = now
+    state.limited_ticks += limited
+    push(loop.ring, state.sample, now, flags | LIMITED if limited else flags, io)
+    state.ticks += 1
+    state.unanswered = 1
+    return sound, diverged
+
+
+@inlined
+def _by_what_was_sent(loop, gap, late, withheld, now):
+    """What the forces that left before make of this one: (whether its counts changed, whether the energy is too
+    much)."""
+    compact()
+    state, slew, energy, io = loop.state, loop.slew, loop.energy, loop.io
+    expired = state.ticks > 0 and has_expired(state, loop.control, gap, now)
+    happened = (np.int64(gap), np.int64(state.unanswered), np.int64(late), np.int64(expired))
+    slewed, diverged = np.int64(0), np.int64(0)
+    if slew.shape != 0:
+        slewed = call_shape(slew.shape, (slew.address, io.address, *happened, np.int64(withheld)))
+    if energy.observe != 0:
+        diverged = call_observe(energy.observe, (energy.address, io.address, *happened))
+    return slewed, diverged != 0
 
 
 @inlined
@@ -185,11 +251,15 @@ def compose_frame(loop, disarm):
     one that disarms, with zero force, the last frame of every loop whatever ended it. Where the frame ends."""
     compact()
     io = loop.io
-    kind, number, argument = schema.FORCE, loop.state.sample & _MODULUS_MASK, loop.control.time_to_live
+    state, control = loop.state, loop.control
+    kind, number, argument = schema.FORCE, state.sample & _MODULUS_MASK, control.time_to_live
     if disarm:
         kind, number, argument = schema.DISARM, 0, 0
-        for c in range(np.uint64(io.channels)):
-            io.force_counts[c] = 0
+        _take_force_away(io)
+    elif control.clock == HOST_CLOCK and is_outdated(control, state.newest_ns, loop.wait.begun_ns):
+        state.withheld_forces += 1
+        _take_force_away(io)
+        mark_last(loop.ring, WITHHELD)
     return write_frame(loop.framing, io.outbox, next_place(io.sent), kind, number, argument, io.force_counts)
 
 
@@ -213,21 +283,23 @@ def flush_unsent(loop):
 
 @inlined
 def _note_time(loop, now, gap):
-    """Counts how late a position is, `gap` samples after the last. Returns the row's flag for it.
+    """Counts how late a position is, `gap` samples after the last. Returns the row's flags for it.
 
     Where the device is the clock: how much later than the earliest recent ones, by the device's own count of samples.
     Nobody tells when the device sampled. The grid of expected arrivals moves to every arrival that is earlier, and a
     little, a 16th of the lateness, after every later one, so that it follows a device whose clock is slow.
     """
-    state, period = loop.state, loop.control.period_ns
+    state, control, period = loop.state, loop.control, loop.control.period_ns
     if loop.control.clock == DEVICE_CLOCK:
         late = now - (state.due_ns + (gap - 1) * period)
         note(loop.histograms.lateness, late)
         state.due_ns += (late if late < 0 else late >> 4) + gap * period
+        if is_outdated(control, 0, late):
+            return WITHHELD
     elif loop.control.clock == HOST_CLOCK and state.ticks > 0:
         note(loop.histograms.exchange, now - state.tick_ns)
         if abs(now - state.newest_ns - period) > period // 8:
-            return OFF_GRID
+            return OFF_GRID | WITHHELD if is_outdated(control, state.tick_ns, now) else OFF_GRID
     return 0
 
 
@@ -260,6 +332,7 @@ def _set_force(io, control, state):
     """Adds the excitation, guards the force and turns it into counts: (whether it is a number, whether it was cut)."""
     compact()
     excitation = _excitation(control, state)
+    io.excitation[np.uint64(control.pulse_channel)] = excitation
     if control.periodic_length > 0:
         io.as_hand[np.uint64(control.pulse_channel)] = excitation
     sound, limited = True, False
@@ -271,7 +344,12 @@ def _set_force(io, control, state):
         counts = np.rint(force / io.force_scale[c])
         io.force_counts[c] = np.int64(cut(counts, 2147483647.0))
     if not sound:
-        for c in range(np.uint64(io.channels)):
-            io.force_counts[c] = 0
+        _take_force_away(io)
         return False, False
     return True, limited
+
+
+@inlined
+def _take_force_away(io):
+    for c in range(np.uint64(io.channels)):
+        io.force_counts[c] = 0

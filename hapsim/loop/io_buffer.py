@@ -24,6 +24,7 @@ IO_BUFFER = np.dtype(
         ("velocity_bridge", np.float64, _EACH),  # m/s, between the two where positions were lost
         ("asked", np.float64, _EACH),  # N, the scene's force
         ("as_hand", np.float64, _EACH),  # N, what an excitation that plays the hand adds to it
+        ("excitation", np.float64, _EACH),  # N, all that is added to it: a push, or what plays the hand
         ("position_counts", np.int64, _EACH),
         ("force_counts", np.int64, _EACH),  # what excitation and guards make of it
         ("position_scale", np.float64, _EACH),  # m per count

@@ -66,6 +66,11 @@ def _take_and_compose(loop, now):
 
 
 @entry
+def _compose_again(loop):
+    return compose_frame(loop, False)
+
+
+@entry
 def _on_force_sent(loop, now):
     on_force_sent(loop, now)
 
@@ -87,6 +92,7 @@ def entries_for(loop: Any) -> list[tuple[Any, tuple[Any, ...]]]:
     """What the loop in Python calls, each with arguments of the types that it is called with."""
     return [
         (_take_and_compose, (loop, 0)),
+        (_compose_again, (loop,)),
         (_on_force_sent, (loop, 0)),
         (_plan_by_device, (loop,)),
         (_compose_last, (loop,)),
@@ -121,6 +127,8 @@ class PortableLoop:
             elif wait["answers"]:
                 if by_host and loop.state.unanswered:
                     loop.state.tick_ns = wait["begun_ns"]
+                if by_host:
+                    self._frame = self._composed(_compose_again(loop))  # by now the position may be too old
                 code = self._send(self._frame)
                 ending = GOES_ON if code == 0 else int(ending_of(code, 0))
                 _on_force_sent(loop, time.monotonic_ns())

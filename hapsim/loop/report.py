@@ -63,6 +63,10 @@ class Report:
     """Whether a timer of the device's own paced the positions: then their arrival tells its rate."""
     estimated_mass_kg: tuple[float | None, ...] = ()
     """Where a correction adapts: for which mass the force of each channel was at the end; None on the others."""
+    slewed_ticks: int = 0
+    """Ticks whose force was brought closer to the one before, by the slew limit or the soft start."""
+    withheld_forces: int = 0
+    """Times that zero force was sent because the position was older than a force may live."""
     unrecorded_rows: int = 0
     """Rows that are not in the file that was to be written while it ran: it could not be written, or not fast enough.
     The force was not affected."""

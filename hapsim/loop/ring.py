@@ -26,6 +26,10 @@ BRIDGED = 8
 """Positions before this one never arrived; the scene was led past them along a straight line."""
 OFF_GRID = 16
 """The host is the clock, and from the last position to this one passed clearly more or less than a period."""
+SLEWED = 32
+"""The force was brought closer to the one before: the slew limit, or the soft start."""
+WITHHELD = 64
+"""The position was older than a force may live: zero force was sent in place of what answers it."""
 
 RING = np.dtype(
     [

@@ -35,7 +35,7 @@ class Trace:
     time_ns: NDArray[np.int64]
     """(N,) monotonic time at which it arrived."""
     flags: NDArray[np.uint8]
-    """(N,) LATE_FORCE, UNSENT, LIMITED, BRIDGED, OFF_GRID of hapsim.loop.ring."""
+    """(N,) LATE_FORCE, UNSENT, LIMITED, BRIDGED, OFF_GRID, SLEWED, WITHHELD of hapsim.loop.ring."""
     position_counts: NDArray[np.int32]
     """(N, C) as on the wire."""
     force_counts: NDArray[np.int32]

@@ -13,14 +13,17 @@ from hapsim.compiling.native import address_of
 from hapsim.cordis.program import Program, compile_scene
 from hapsim.device.connection import Connection
 from hapsim.loop.exchange import DEVICE_CLOCK, HOST_CLOCK, LOOP, NO_CLOCK
-from hapsim.loop.guards import watch_for_leaps
+from hapsim.loop.guards.divergence import EnergyMemory
+from hapsim.loop.guards.leap import watch_for_leaps
 from hapsim.loop.ring import Ring
 from hapsim.loop.stage import cross_fade, post
 from hapsim.loop.transport import Transport
 from hapsim.prediction.correction import rendered
+from hapsim.prediction.force_bounds import force_bounds
 from hapsim.prediction.silence import time_to_live_samples, watchdog_samples
 from hapsim.running.correction import LoopCorrection
 from hapsim.running.excitation import Excitation, PeriodicExcitation
+from hapsim.running.guarding import energy_of, set_slew
 from hapsim.scene import Scene
 
 _RING_ROWS = 1 << 16
@@ -51,6 +54,8 @@ class Loop:
         """What the loop does beside moving the scene, so that the hand feels it."""
         self.excitation: Excitation | PeriodicExcitation | None = None
         """Kept: the forces of a periodic one are read at each sample."""
+        self.energy: EnergyMemory | None = None
+        """What judges the energy that the scene gives the hand; None where nothing does."""
         self._programs: list[Program] = []
         self._changes_before = 0
 
@@ -105,8 +110,10 @@ def assemble_loop(
     description: Description,
     excitation: Excitation | PeriodicExcitation | None = None,
     duration: float | None = None,
+    judges_energy: bool = False,
 ) -> Loop:
-    """The loop of `scene` over `connection`, for `duration` seconds (None: until stopped), not yet armed."""
+    """The loop of `scene` over `connection`, for `duration` seconds (None: until stopped), not yet armed.
+    `judges_energy`: before the mock too."""
     rendering = rendered(scene)
     loop = Loop(connection, description, bool(scene.sensed_links), scene.device.clock == "lockstep")
     if isinstance(connection.transport, Transport):
@@ -121,6 +128,11 @@ def assemble_loop(
         _set_excitation(loop.record.control, excitation)
     loop.correction = LoopCorrection(loop.record, rendering, description)
     loop.watchdog_samples = watchdog_samples(scene.rate, description.max_watchdog_samples)
+    limit = float(loop.record.io.force_limit[: description.channels].max())
+    in_hand = connection.in_hand and scene.device.clock != "lockstep"  # no hand lives in virtual time
+    bounds = force_bounds(scene, in_hand=in_hand, judges_energy=judges_energy, force_limit=limit)
+    set_slew(loop.record, scene, description, bounds)
+    loop.energy = energy_of(loop.record, scene, description, bounds)
     loop.record.watch.judges = scene.device.clock == "device" and connection.has_timer
     return loop
 
@@ -135,8 +147,14 @@ def _set_control(control: Any, scene: Scene, duration: float | None) -> None:
     control.clock = _CLOCK[scene.device.clock]
     control.silence_ns = round(1e9 * max(0.25, 20.0 / scene.rate))
     control.time_to_live = time_to_live_samples(scene.rate)
+    control.stale_ns = _stale_ns(scene, control)
     if scene.device.clock == "lockstep":
         control.silence_ns = 5_000_000_000  # the mock may live in a process that is only now being compiled
+
+
+def _stale_ns(scene: Scene, control: Any) -> int:
+    """How old a position may be that a force answers. In virtual time no time passes."""
+    return _FOREVER_NS if scene.device.clock == "lockstep" else (int(control.time_to_live) + 1) * int(control.period_ns)
 
 
 def _set_excitation(control: Any, excitation: Excitation | PeriodicExcitation) -> None:

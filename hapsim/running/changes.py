@@ -23,6 +23,7 @@ from hapsim.errors import UsageError
 from hapsim.prediction.correction import Rendering, rendered
 from hapsim.realtime.giving_way import Beside
 from hapsim.running.assemble import Loop
+from hapsim.running.guarding import lent_by_change
 from hapsim.running.stability import require_followable
 from hapsim.scene import Scene
 from hapsim.scene.issue import did_you_mean, one_of
@@ -87,6 +88,7 @@ class LiveScene:
         rendering = rendered(scene)
         values = parameter_values(rendering.scene)
         if not _same_values(values, parameter_values(self._run)):
+            self._lend_for(scene)
             self._loop.program.parameters.post(values, samples)
             self._correct_as(rendering, samples)
         self.scene, self._loop.run = scene, rendering.scene
@@ -101,6 +103,7 @@ class LiveScene:
                 raise UsageError(OVER)
             time.sleep(_GLANCE_S)
         with self._writing:
+            self._lend_for(scene)
             take_over_from(self._loop.program, self._run, program, run)
             program.parameters.post(parameter_values(run), samples)
             self._loop.follow_with(program, samples)
@@ -111,6 +114,11 @@ class LiveScene:
     def _run(self) -> Scene:
         """What is run in place of `scene`."""
         return self.scene if self._loop.run is None else self._loop.run
+
+    def _lend_for(self, scene: Scene) -> None:
+        """Before the change acts."""
+        if self._loop.energy is not None:
+            self._loop.energy.lend(lent_by_change(self.scene, scene))
 
     def _correct_as(self, rendering: Rendering, samples: int) -> None:
         if self._loop.correction is not None:

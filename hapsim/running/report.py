@@ -9,6 +9,7 @@ from hapsim.device.conversation import fault_text
 from hapsim.errors import DeviceError, GuardError, RunError
 from hapsim.loop import endings
 from hapsim.loop.exchange import DEVICE_CLOCK, HOST_CLOCK
+from hapsim.loop.guards.divergence import SHAKING, SWINGING
 from hapsim.loop.histogram import histogram_of
 from hapsim.loop.recorder import Recorder
 from hapsim.loop.trace import Report, Statistics, Trace
@@ -55,6 +56,7 @@ def progress_of(loop: Loop) -> Progress:
         limited_ticks=int(state.limited_ticks),
         ticks=ticks,
         estimated_mass_kg=_estimated_masses(loop),
+        slewed_ticks=int(state.slewed_ticks),
     )
 
 
@@ -84,6 +86,8 @@ def report_of(scene: Scene, loop: Loop, ending: str) -> Report:
         crc_errors=int(decoder.crc_errors + decoder.length_errors + decoder.form_errors),
         stale_positions=int(state.stale_positions),
         limited_ticks=int(state.limited_ticks),
+        slewed_ticks=int(state.slewed_ticks),
+        withheld_forces=int(state.withheld_forces),
         dropped_rows=int(loop.record.ring.dropped),
         parameter_changes=loop.changes,
         lateness_s=statistics.lateness.spread(),
@@ -160,7 +164,33 @@ def _what_ended(name: str, loop: Loop, trace: Trace, ending: int) -> tuple[type[
             "its force was not sent. A loose cable, a sensor or counter that jumps, or a position scale, a mass or a "
             "force_limit that is not the device's"
         )
+    if ending == endings.DIVERGING:
+        return GuardError, f"{name}: {_diverging(loop, ticks)}"
     return DeviceError, ""
+
+
+def _diverging(loop: Loop, ticks: int) -> str:
+    energy = loop.record.energy
+    what_to_do = (
+        "No passive object does that: `hapsim check` tells whether the scene is stable, and what would make it; less "
+        "stiffness, more real friction, a higher rate or a shorter delay. A scene that is meant to give energy says so "
+        "with device.energy_limit (hapsim/STABILITY.md)"
+    )
+    if int(energy.why) == SWINGING:
+        return (
+            f"the force swung at its limit: cut {int(energy.swings)} times in a row until tick {ticks}, it gave the "
+            f"hand {float(energy.work):.3g} J over these, above its limit of {float(energy.limit):.3g} J and no less "
+            f"than the declared friction takes; the last force was not sent. {what_to_do}"
+        )
+    if int(energy.why) == SHAKING:
+        return (
+            f"the force shook at its limit: from one side to the other {int(energy.shakes)} times in a row until tick "
+            f"{ticks}, faster than any hand moves; the last force was not sent. {what_to_do}"
+        )
+    return (
+        f"by tick {ticks} the scene had given the hand {float(energy.given):.3g} J that it had not got from it, above "
+        f"its limit of {float(energy.limit):.3g} J; the last force was not sent. {what_to_do}"
+    )
 
 
 def _silence(loop: Loop, report: Report) -> str:

@@ -59,6 +59,7 @@ class StartOptions(TypedDict, total=False):
     portable: bool
     between: Between | None
     unstable: bool | None
+    judges_energy: bool
     on_progress: Callable[[Progress], None] | None
     on_warning: Callable[[str], None] | None
 
@@ -77,6 +78,7 @@ def start(
     portable: bool = False,
     between: Between | None = None,
     unstable: bool | None = None,
+    judges_energy: bool = False,
     on_progress: Callable[[Progress], None] | None = None,
     on_warning: Callable[[str], None] | None = None,
     on_arming: Callable[[Session], None] | None = None,
@@ -92,10 +94,11 @@ def start(
     over pyserial; off Linux that loop runs with the mock in memory too. `between`: what loop and device speak through,
     made of the transport to the device; the loop is then the one in Python. `unstable`: whether a scene that is surely
     predicted unstable may run: False refuses it, at the start and as a change (`Session.set`, `Session.adopt`), True
-    takes it; None starts and sets it, and `Session.adopt` refuses what is more unstable than what runs. `on_progress`
-    hears of the compilation, `on_warning` once, in a sentence and in another thread, of a record that cannot be written
-    any more; `on_arming` gets the session just before the device is armed: a `stop` from then on ends the run in good
-    order.
+    takes it; None starts and sets it, and `Session.adopt` refuses what is more unstable than what runs.
+    `judges_energy`: a scene that gives the hand energy is stopped before the mock too, as by `hapsim run`; behind a
+    port, or where it names `energy_limit`, it always is. `on_progress` hears of the compilation, `on_warning` once, in
+    a sentence and in another thread, of a record that cannot be written any more; `on_arming` gets the session just
+    before the device is armed: a `stop` from then on ends the run in good order.
 
     Raises SceneError and UsageError for what cannot be run; DeviceError where port or device fail, GuardError where a
     guard stopped the force, RecordError where the run went as asked and its record did not, these when the with-block
@@ -115,7 +118,7 @@ def start(
     ):
         description = describe(opened)
         require_compatible(scene, opened.name, description)
-        loop = assemble_loop(scene, opened, description, excitation, duration)
+        loop = assemble_loop(scene, opened, description, excitation, duration, judges_energy)
         # Everything is compiled now: the device is armed only when the loop can answer at once.
         gives_way = scene.device.clock != "lockstep" and not in_python
         recorder = Recorder(loop.ring, keep, min(math.ceil(scene.rate), _LAST_ROWS))

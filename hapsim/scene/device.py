@@ -18,6 +18,24 @@ STIFFNESS = Quantity("Spring in the device itself, at rest at position 0", "N/m"
 DELAY = Quantity(
     "From sampling the position to the force's change, any real number", "sample periods", least=0, most=1000
 )
+SLEW_LIMIT = Quantity(
+    "How fast the force may change from one sample to the next",
+    "N/s",
+    above=0,
+    left_out="behind a port force_limit in 1 ms, or in a sample period where that is longer; before the mock none",
+)
+SOFT_START = Quantity(
+    "How long the first force after arming takes to rise; 0: no time",
+    "s",
+    least=0,
+    left_out="0.05 behind a port, 0 before the mock",
+)
+ENERGY_LIMIT = Quantity(
+    "Energy that the scene may give the hand before the loop stops",
+    "J",
+    above=0,
+    left_out="behind a port, and in `hapsim run`, force_limit times 0.02 m; before the mock none",
+)
 
 
 class Device(Part):
@@ -36,6 +54,9 @@ class Device(Part):
     hold: Hold = Field(default="zoh", description=HOLD)
     sampling: Sampling = Field(default="ideal", description=SAMPLING)
     force_limit: Annotated[float, Quantity("Force that is never exceeded", "N", above=0)] = 10.0
+    slew_limit: Annotated[float | None, SLEW_LIMIT] = None
+    soft_start: Annotated[float | None, SOFT_START] = None
+    energy_limit: Annotated[float | None, ENERGY_LIMIT] = None
     correction: CorrectionName = Field(default="none", description=CORRECTION)
 
     def masses(self, channels: int) -> tuple[float, ...]:

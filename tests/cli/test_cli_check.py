@@ -240,6 +240,26 @@ def test_a_wire_that_costs_a_sample_is_predicted_at_the_delay_that_results(
     assert "frames queue up" in queueing["text"]
 
 
+def test_what_bounds_the_force_is_told_for_where_the_device_is(
+    hapsim: Callable[..., Any], scene_file: Callable[..., Path], tmp_path: Path
+) -> None:
+    path = scene_file("spring")
+    assert hapsim("check", path, "--json").document["force_bounds"] == {
+        "slew_limit": None,
+        "soft_start_s": 0.0,
+        "energy_limit": pytest.approx(0.2),
+    }
+    told = hapsim("check", path).out.replace("\n", " ")
+    assert "Force: at most 10 N; it changes as fast as the scene asks, and the first one comes at once." in told
+    assert "A run ends where the scene gives the hand more than 0.2 J, or swings at its limit." in told
+    document = yaml.safe_load(path.read_text())
+    document["device"] |= {"port": "/dev/ttyACM0", "clock": "device"}
+    in_hand = tmp_path / "in_hand.yaml"
+    in_hand.write_text(yaml.safe_dump(document))
+    told = hapsim("check", in_hand).out.replace("\n", " ")
+    assert "it changes by at most 10000 N/s, and the first one rises along a ramp of 50 ms." in told
+
+
 def test_what_bounds_the_force_of_a_dead_host_is_what_a_run_asks_the_device_for(
     hapsim: Callable[..., Any], scene_file: Callable[..., Path]
 ) -> None:

@@ -169,6 +169,18 @@ def test_a_guard_that_stops_the_force_is_status_4_with_a_document_and_a_record(
     assert load_trace(record).report.ending == "force not finite"
 
 
+def test_a_scene_that_diverges_on_the_mock_is_ended_as_before_a_hand(
+    hapsim: Callable[..., Any], tmp_path: Path
+) -> None:
+    text = shipped_scene("first_touch.yaml").replace("clock: device ", "clock: lockstep ")
+    path = tmp_path / "stiff.yaml"
+    path.write_text(text.replace("stiffness: 2000,", "stiffness: 40000,"), encoding="utf-8")
+    answer = hapsim("run", path, "--duration", 20, "--json")
+    assert answer.status == answer.document["exit_status"] == 4
+    assert answer.document["ending"] == "scene diverging"
+    assert "No passive object does that" in answer.err
+
+
 @pytest.mark.parametrize("limit", ["1.0e-3", "1.0e-310", "5.0e-324"])
 def test_a_hand_that_hardly_moves_is_measured_or_refused_in_words(
     hapsim: Callable[..., Any], tmp_path: Path, limit: str

@@ -100,6 +100,14 @@ def position(number: int, *counts: int, kind: int = schema.POSITION, velocity: S
     return frame_to_host(wire, kind, number % schema.SAMPLE_MODULUS, [*counts, *velocity])
 
 
+def as_it_is(scene: Scene) -> Scene:
+    """The scene whose force is neither slewed nor judged by its energy, where it names no bounds: a script's positions
+    are no hand's, and a force of half a newton in the first sample is what is asked for."""
+    off = {"slew_limit": 1e15, "soft_start": 0.0, "energy_limit": 1e15}
+    changes = {key: value for key, value in off.items() if getattr(scene.device, key) is None}
+    return scene.model_copy(update={"device": scene.device.model_copy(update=changes)})
+
+
 class ScriptedDevice:
     """Speaks the protocol up to arming; then each item of `script` (bytes, or HANG_UP) answers one event: the arming
     first, then force after force. When the script is over it stays silent."""
@@ -207,8 +215,11 @@ class ScriptedDevice:
 @pytest.fixture
 def scripted(
     on_port: Callable[[Scene, str], Scene],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> Callable[..., contextlib.AbstractContextManager[tuple[Scene, ScriptedDevice]]]:
-    """A scripted device on a pseudo-terminal, and a scene of one spring (1000 N/m, 2 N·s/m) with its port."""
+    """A scripted device on a pseudo-terminal, and a scene of one spring (1000 N/m, 2 N·s/m) with its port. A script
+    keeps no time: how old its positions are says only how busy this machine is."""
+    monkeypatch.setattr(assemble, "_stale_ns", lambda *_: 1 << 62)
 
     @contextlib.contextmanager
     def act(
@@ -222,7 +233,7 @@ def scripted(
         thread = threading.Thread(target=device.serve)
         thread.start()
         try:
-            yield on_port(scene or make_scene(), path), device
+            yield on_port(as_it_is(scene or make_scene()), path), device
         finally:
             device.stop.set()
             thread.join()

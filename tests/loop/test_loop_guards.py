@@ -12,7 +12,8 @@ import pytest
 from firmware_protocol import schema
 from hapsim.compiling import entry
 from hapsim.errors import GuardError, UsageError
-from hapsim.loop.guards import cut, is_finite
+from hapsim.loop.guards.finite import is_finite
+from hapsim.loop.guards.force_limit import cut
 from hapsim.loop.ring import LIMITED
 from hapsim.running import Excitation, run
 from hapsim.scene import Scene, parse_scene

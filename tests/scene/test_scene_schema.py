@@ -86,6 +86,9 @@ def test_the_defaults_of_the_format_are_in_the_schema(schema: dict[str, Any]) ->
         "hold": "zoh",
         "sampling": "ideal",
         "force_limit": 10.0,
+        "slew_limit": None,
+        "soft_start": None,
+        "energy_limit": None,
         "correction": "none",
     }
 

@@ -22,7 +22,7 @@ from hapsim.device.mock.assemble import assemble_mock
 from hapsim.device.mock.loopback import loopback_transport
 from hapsim.device.mock.terminal import serving
 from hapsim.errors import GuardError
-from hapsim.loop.guards import MOST_OFF, WATCH, WINDOW_NS, WINDOW_SAMPLES, WINDOWS, is_off_rate
+from hapsim.loop.guards.rate import MOST_OFF, WATCH, WINDOW_NS, WINDOW_SAMPLES, WINDOWS, is_off_rate
 from hapsim.measuring.identify import identify
 from hapsim.running import run, starting
 from hapsim.scene import Scene

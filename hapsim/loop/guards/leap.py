@@ -1,86 +1,16 @@
-"""The guards between scene and device: what ends a run, or is cut, before it reaches a hand.
-
-**The force.** One that is not a number never leaves: the loop stops instead. One above its limit is cut to it, and the
-tick counted: the hand then feels less than the scene asks.
-
-**The rate.** A device that does not sample at the rate that it declares is answered for a second or two: then the loop
-stops.
-
-A damper's force is made with the rate, and every delay lasts as many periods: at half the rate a damper damps twice as
-much, and a spring takes twice the damping back. No prediction holds.
-
-The host must never be taken for the device. So the device's own count of its samples is held against the host's clock,
-over windows of a quarter of a second and more, and several in a row have to be off to the same side: a host that was
-held up makes one window long and the next one short. Where the host is the clock, in virtual time, and where the mock
-runs in this process, there is nothing to tell.
-
-**The position.** A hand's motion goes on: from one sample to the next its position changes by what it changed before,
-and by what forces can make of that. One that is farther off than any force and any blow can have brought it is no
-hand's position: the loop stops before it answers. `watch_for_leaps` says how far that is; STABILITY.md says why no hand
-gets there.
+"""A hand's motion goes on: from one sample to the next its position changes by what it changed before, and by what
+forces can make of that. One that is farther off than any force and any blow can have brought it is no hand's position:
+the loop stops before it answers. `watch_for_leaps` says how far that is; STABILITY.md says why no hand gets there.
 """
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
 
 from firmware_protocol import schema
 from hapsim.compiling import inlined
-
-
-@inlined
-def is_finite(force):
-    """Whether a force is a number."""
-    return math.isfinite(force)
-
-
-@inlined
-def cut(force, limit):
-    """A force (N), or where it is larger its limit, to the same side. What is no number comes out as none, or as the
-    limit."""
-    return -limit if force < -limit else limit if force > limit else force
-
-
-WINDOW_NS = 250_000_000  # by the declared rate
-WINDOW_SAMPLES = 64  # at least
-WINDOWS = 4  # in a row
-MOST_OFF = 1.5
-
-WATCH = np.dtype(
-    [
-        ("judges", np.int64),  # 1: the device has a timer of its own that is to be judged
-        ("opened_ns", np.int64),  # when this window's first position arrived; 0: before the first window
-        ("opened_sample", np.int64),  # and which one it was
-        ("long", np.int64),  # windows in a row that lasted too long,
-        ("short", np.int64),  # or not long enough
-        ("rate_hz", np.float64),  # of the last window that did not fit
-    ],
-    align=True,
-)
-
-
-@inlined
-def is_off_rate(watch, sample, now, period_ns):
-    """Whether the positions, of which number `sample` arrived at `now` (ns), have come at another rate for long."""
-    if watch.judges == 0:
-        return False
-    samples = sample - watch.opened_sample
-    if watch.opened_ns != 0:
-        if samples < WINDOW_SAMPLES or samples * period_ns < WINDOW_NS:
-            return False
-        lasted = now - watch.opened_ns
-        nominal = samples * period_ns
-        watch.long = watch.long + 1 if lasted > MOST_OFF * nominal else 0
-        watch.short = watch.short + 1 if lasted * MOST_OFF < nominal else 0
-        if watch.long + watch.short > 0:
-            watch.rate_hz = samples * 1e9 / (lasted if lasted > 0 else 1)
-    watch.opened_ns = now
-    watch.opened_sample = sample
-    return watch.long >= WINDOWS or watch.short >= WINDOWS
-
 
 HAND_N = 200.0  # a hand pushes and pulls with less
 LEAST_MASS = 0.1  # of the declared one: what is left where the hand lets go. With it, blows of ten times HAND_N

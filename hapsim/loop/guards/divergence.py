@@ -1,0 +1,284 @@
+"""A scene that gives the hand energy, which no object does: the loop stops before that is more than a hand can bear.
+
+**The energy.** Time-domain passivity (Hannaford and Ryu, IEEE Trans. Robotics and Automation 18(1), 2002): what the
+simulated force gave the hand, summed over channels and samples,
+
+    S += f dx - b0 dx² / T,     dx = x[n] - x[n-1],
+
+f the force that acted from sample n-1 to n: with a delay of d samples the one that answers sample n-1-d, the two
+neighbours of a fraction of a sample by its weights; b0 the device's friction as the scene declares it, which takes at
+least b0 dx²/T of it. A force that an excitation adds is the hand's.
+
+For a spring K and a backward damper B this never exceeds what the spring holds at the beginning, whatever the
+positions are, quantised ones too, where b0 >= K T (1/2 + d) + |B|. Without delay, the spring held at x[n-1] gives
+
+    -K x[n-1] dx[n] = -K/2 (x[n]² - x[n-1]²) + K/2 dx[n]²,
+
+a difference of stored energies and K T/2 · dx²/T. Of each further sample of delay K dx[n-j] dx[n] comes to that, at
+most K/2 (dx[n-j]² + dx[n]²): summed K T · dx²/T at most, and of a fraction its share. The damper, however late, gives
+-B/T dx[m] dx[n], summed at most |B| dx²/T. What friction takes is no less than all of it. That is Colgate's condition
+for a whole delay and a spring (`theory/hand/passivity.py`), shown here sample by sample. A force that is cut at its
+limit is a spring whose stiffness is smaller there, and two channels are two sums.
+
+What the hand gave is its credit, but no more than a scene could hold: S stays above -`credit`. At arming S is minus
+what the scene holds then, and every change of it while it runs lends as much as that may bring (running/guarding.py).
+The guard trips where S is above `limit`: no hand is ever given more than `limit` and `credit` together.
+
+**Swinging at the limit.** Where the limit cuts the force and friction takes all that it gives, the swing is of
+constant size and S stays where it is, for ever. So the guard trips also after SWINGS episodes in a row in which the
+force is cut, each to another side or after a sample without, and each beginning within GAP_S (GAP_SAMPLES at least) of
+the one before, if over these episodes the force did no less work than friction took, and more than `limit`. The sums
+are begun anew where it did less: between two crossings of the limit at one place a spring holds the same, so that what
+is gained between them comes of the sampling and of nothing else. A hand that presses on, knocks, or shakes a passive
+object loses energy from episode to episode.
+
+**Shaking at the limit.** A scene whose own masses diverge, or a damper that is too much for the rate, throws the force
+from limit to limit so fast that the hand hardly moves, and gets no energy at all. So the guard trips, too, after SHAKES
+turns in a row of one channel's force from one limit to the other, if the scene asks in none for less than in those
+before, and each turn is one of these:
+
+* within SHAKE_SAMPLES of the one before: so fast a swing the friction that makes an object passive ends at once;
+* within SHAKE_S, the scene asking for SHAKE_OVER times the limit: no hand shakes at 10 Hz and more, and a mass that
+  swings so on a passive object comes to rest, and asks for less from turn to turn;
+* within GAP_S, the scene asking for FAR_OVER times the limit: no hand has stretched anything so far.
+
+Who judges nothing never compiles this: it is called by an address, which is 0 then.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numba import types
+from numpy.typing import NDArray
+
+from firmware_protocol import schema
+from hapsim.compiling import helper
+from hapsim.compiling.native import address_of, array_at, function_at, native, record_at
+from hapsim.loop.guards.force_limit import cut
+from hapsim.loop.io_buffer import IO_BUFFER
+
+CREDIT_M = 0.25  # of travel at the force limit: what a scene could hold
+FIRST_FORCE_M = 0.1  # of travel of the first force: what a link holds at least that is stretched at arming
+SWINGS, GAP_S, GAP_SAMPLES = 16, 0.5, 3
+SHAKES, SHAKE_SAMPLES, SHAKE_S, SHAKE_OVER, FAR_OVER = 64, 6, 0.05, 1.5, 100.0
+_LESS = 0.999  # of what was asked for: a sample need not fall on the peak
+
+GIVEN, SWINGING, SHAKING = 1, 2, 3
+"""Why it tripped: the energy, the swing at the limit, or that it shakes there."""
+
+_EACH = (schema.MAX_CHANNELS,)
+
+ENERGY = np.dtype(
+    [
+        ("address", np.uint64),  # of all this
+        ("observe", np.uint64),  # and of what observes; 0: nothing is judged
+        ("forces", np.uint64),  # address of (rows, MAX_CHANNELS): N, those of the last samples
+        ("mask", np.int64),  # rows - 1, and rows is a power of two
+        ("newest", np.int64),  # the row of the last sample
+        ("goes_on", np.int64),  # 1: the device keeps a force until the next one comes
+        ("lag", np.int64),  # the force from sample n-1 to n is in the row that is so many before that of n,
+        ("share", np.float64),  # but for this share, in which it is the one before
+        ("braked", np.float64, _EACH),  # b0/T, N/m
+        ("limit", np.float64),  # J
+        ("credit", np.float64),  # J
+        ("lent", np.float64),  # J, in all: written by another thread,
+        ("taken", np.float64),  # and taken
+        ("compliance", np.float64, _EACH),  # m/N, of what is linked to each device point; 0: not known
+        ("begun", np.int64),  # 1: there was a sample
+        ("given", np.float64),  # S, J; before the first sample minus what the scene holds
+        ("position", np.float64, _EACH),  # m, of the last sample
+        ("decided", np.float64, _EACH),  # N, with the last sample,
+        ("sent", np.float64, _EACH),  # and the last that left before
+        ("side", np.int64, _EACH),  # to which the force is cut; 0: it is not
+        ("most_gap", np.int64),  # samples from one episode to the next
+        ("gap", np.int64),  # samples since this one began
+        ("swings", np.int64),  # episodes in a row
+        ("work", np.float64),  # J, of the force over these,
+        ("gained", np.float64),  # and what friction left of that
+        ("most_turn", np.int64),  # samples from one turn to the next
+        ("last_side", np.int64, _EACH),  # to which each channel's force was cut last,
+        ("turn", np.int64, _EACH),  # how many samples ago it turned to that,
+        ("peak", np.float64, _EACH),  # N, the most that was asked for since,
+        ("least_peak", np.float64, _EACH),  # N, the least of those
+        ("turns", np.int64, _EACH),  # and how often in a row
+        ("shakes", np.int64),  # the most of these
+        ("why", np.int64),  # GIVEN, SWINGING, SHAKING
+    ],
+    align=True,
+)
+
+OBSERVE = types.int64(*[types.uint64] * 2, *[types.int64] * 4)
+call_observe = function_at(OBSERVE)
+"""Calls `observe`, with its arguments."""
+
+_energy_at, _io_at, _doubles_at = record_at(ENERGY), record_at(IO_BUFFER), array_at(np.float64)
+_ROW = schema.MAX_CHANNELS
+
+
+@native(OBSERVE.return_type, *OBSERVE.args)
+def observe(energy, io, gap, unsent, late, expired):
+    """Adds the energy of the last `gap` samples; why the loop has to stop, or 0. `io`: with the force that answers
+    this sample. `unsent`: the force before never left; `late`: the device says that it came too late; `expired`: its
+    time to live is over."""
+    energy, io = _energy_at(energy), _io_at(io)
+    forces = _doubles_at(energy.forces, (energy.mask + 1) * _ROW)
+    work, lost = 0.0, 0.0
+    if energy.begun:
+        _keep_forces(energy, io, forces, gap, unsent, late, expired)
+        work, lost = _energy_of(energy, io, forces, gap)
+    else:
+        _begin(energy, io, forces)
+    _take_account(energy, work - lost)
+    cut_anew = _is_cut_anew(energy, io, gap)
+    energy.work += work
+    energy.gained += work - lost
+    energy.gap += gap
+    if cut_anew:
+        goes_on = energy.gap <= energy.most_gap and energy.gained >= 0.0
+        energy.swings = energy.swings + 1 if goes_on else 1
+        if not goes_on:
+            energy.work = energy.gained = 0.0
+        energy.gap = 0
+    if energy.given > energy.limit:
+        energy.why = GIVEN
+    elif energy.swings >= SWINGS and energy.work > energy.limit:
+        energy.why = SWINGING
+    elif energy.shakes >= SHAKES:
+        energy.why = SHAKING
+    return energy.why
+
+
+@helper
+def _begin(energy, io, forces):
+    energy.begun = 1
+    for c in range(io.channels):
+        first = abs(cut(io.asked[c], io.force_limit[c]))
+        energy.given -= first * min(max(0.5 * first * energy.compliance[c], FIRST_FORCE_M), CREDIT_M)
+        energy.position[c] = io.position_counts[c] * io.position_scale[c]
+        energy.decided[c] = _scene_force(io, c)
+        forces[energy.newest * _ROW + c] = energy.decided[c]
+
+
+@helper
+def _scene_force(io, c):
+    """Of what is sent, what is not the excitation's, N."""
+    return io.force_counts[c] * io.force_scale[c] - io.excitation[c]
+
+
+@helper
+def _keep_forces(energy, io, forces, gap, unsent, late, expired):
+    """The forces of the samples since the last: those that acted, as in predictor.py. The last one is new."""
+    for c in range(io.channels):
+        held = energy.sent[c] if energy.goes_on else 0.0
+        acted = held if unsent or late else energy.decided[c]
+        if not unsent:
+            energy.sent[c] = energy.decided[c]
+        held = energy.sent[c] if energy.goes_on and not expired else 0.0
+        energy.decided[c] = _scene_force(io, c)
+        forces[energy.newest * _ROW + c] = 0.0 if expired else acted
+        for i in range(1, gap):
+            forces[((energy.newest + i) & energy.mask) * _ROW + c] = held
+        forces[((energy.newest + gap) & energy.mask) * _ROW + c] = energy.decided[c]
+    energy.newest = (energy.newest + gap) & energy.mask
+
+
+@helper
+def _energy_of(energy, io, forces, gap):
+    """(work of the force, what friction took of it at least) since the last sample, J."""
+    work, lost = 0.0, 0.0
+    for c in range(io.channels):
+        position = io.position_counts[c] * io.position_scale[c]
+        way = position - energy.position[c]
+        energy.position[c] = position
+        force = 0.0
+        for i in range(gap):
+            row = energy.newest - i - energy.lag
+            force += (1.0 - energy.share) * forces[(row & energy.mask) * _ROW + c]
+            force += energy.share * forces[((row - 1) & energy.mask) * _ROW + c]
+        work += force / gap * way
+        lost += energy.braked[c] * way * way / gap
+    return work, lost
+
+
+@helper
+def _take_account(energy, gained):
+    """S, with what was lent meanwhile: a hand's credit is no larger than `credit`, but for that."""
+    before = energy.given
+    energy.given = max(before + gained, min(before, -energy.credit))
+    lent = energy.lent
+    energy.given -= lent - energy.taken
+    energy.taken = lent
+
+
+@helper
+def _is_cut_anew(energy, io, gap):
+    """Whether a channel's force is cut that was not, or was to the other side; counts its turns."""
+    anew = False
+    for c in range(io.channels):
+        wanted = io.asked[c] + io.excitation[c]
+        side = 1 if wanted > io.force_limit[c] else -1 if wanted < -io.force_limit[c] else 0
+        anew = anew or (side != 0 and side != energy.side[c])
+        energy.side[c] = side
+        energy.turn[c] += gap
+        if side != 0 and side != energy.last_side[c]:
+            _count_turn(energy, c, io.force_limit[c])
+            energy.last_side[c], energy.turn[c], energy.peak[c] = side, 0, 0.0
+        energy.peak[c] = max(energy.peak[c], abs(wanted))
+    return anew
+
+
+@helper
+def _count_turn(energy, c, limit):
+    peak = energy.peak[c]
+    turn = energy.turn[c]
+    over = 1.0 if turn <= SHAKE_SAMPLES else SHAKE_OVER if turn <= energy.most_turn else FAR_OVER
+    if turn > energy.most_gap or peak < over * limit:
+        energy.turns[c], energy.least_peak[c] = 0, math.inf
+    elif peak < _LESS * energy.least_peak[c]:
+        energy.turns[c], energy.least_peak[c] = 1, peak
+    else:
+        energy.turns[c] += 1
+        energy.least_peak[c] = min(energy.least_peak[c], peak)
+    energy.shakes = max(energy.shakes, energy.turns[c])
+
+
+class EnergyMemory:
+    """Fills an ENERGY, and keeps what it points to."""
+
+    def __init__(
+        self,
+        record: Any,
+        *,
+        rate_hz: float,
+        friction: NDArray[np.float64],
+        compliance: NDArray[np.float64],
+        delay: float,
+        goes_on: bool,
+        limit_j: float,
+        credit_j: float,
+        held_j: float,
+    ) -> None:
+        """`friction`: (channels,) N·s/m; `compliance`: (channels,) m/N, 0 where it is not known; `delay`: samples
+        from the position's mean instant to the force's, -1/2 or more; `goes_on`: the device holds a force until the
+        next one; `held_j`: what the scene holds at the start."""
+        whole = math.floor(delay)
+        rows = 2 << (whole + 3).bit_length()
+        self._record = record
+        self._forces = np.zeros((rows, schema.MAX_CHANNELS))
+        record.address, record.forces = address_of(record), address_of(self._forces)
+        record.mask, record.goes_on = rows - 1, goes_on
+        record.lag, record.share = whole + 1, delay - whole
+        record.braked[: friction.size] = friction * rate_hz
+        record.compliance[: compliance.size] = compliance
+        record.limit, record.credit, record.given = limit_j, credit_j, -held_j
+        record.most_gap = max(GAP_SAMPLES, round(GAP_S * rate_hz))
+        record.most_turn = round(SHAKE_S * rate_hz)
+        record.least_peak[:] = math.inf
+        record.observe = observe.address()
+
+    def lend(self, energy_j: float) -> None:
+        """What a change of the scene may bring, J: one thread may lend at a time."""
+        self._record.lent += energy_j

@@ -1,0 +1,142 @@
+"""What the guards that remember are told of a scene and its device: how fast the force may change, how it begins, and
+how much energy a passive object could give."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_protocol.description import Description
+from hapsim.errors import UsageError
+from hapsim.loop.guards.divergence import CREDIT_M, FIRST_FORCE_M, EnergyMemory
+from hapsim.loop.guards.slew import limit_slew
+from hapsim.prediction.force_bounds import ForceBounds
+from hapsim.scene import Scene
+from hapsim.scene.modules import Buffer, Ground, Link, MaterialPoint, Module, Nonlinear, Structure
+
+_ONE_PERIOD = 1.0 + 1e-12  # so that what is meant to be a whole number of counts is one
+
+
+def set_slew(loop: Any, scene: Scene, description: Description, bounds: ForceBounds) -> None:
+    """Fills the SLEW of `loop`, LOOP. UsageError where a step would be less than a count of the device's force."""
+    steps = None
+    if math.isfinite(bounds.slew_limit):
+        scale = np.array(description.force_scale)
+        with np.errstate(over="ignore"):
+            counts = np.floor(bounds.slew_limit * scene.period / scale * _ONE_PERIOD)
+        steps = np.minimum(counts, 2.0**40).astype(np.int64)
+        if scene.device.slew_limit is None:
+            steps = np.maximum(steps, 1)  # a device of few counts has no finer step
+        elif np.any((steps < 1) & (scale <= scene.device.force_limit)):
+            raise UsageError(
+                f"device.slew_limit: found {bounds.slew_limit:g} N/s, which is less than a count of the device's force "
+                f"in a sample; expected at least {float(scale.max()) * scene.rate:.4g} N/s, or a slower rate"
+            )
+    limit_slew(
+        loop.slew,
+        step_counts=steps,
+        soft_samples=bounds.soft_start_s * scene.rate,
+        channels=description.channels,
+    )
+
+
+def energy_of(loop: Any, scene: Scene, description: Description, bounds: ForceBounds) -> EnergyMemory | None:
+    """What judges the energy that the scene gives, in the ENERGY of `loop`, LOOP; None where nothing does."""
+    if not math.isfinite(bounds.energy_limit):
+        return None
+    device = scene.device
+    # The mean instant of a position that is averaged is half a sample earlier; that of an impulse's motion, too.
+    shift = (0.5 if device.sampling == "average" else 0.0) - (0.5 if device.hold == "impulse" else 0.0)
+    return EnergyMemory(
+        loop.energy,
+        rate_hz=scene.rate,
+        friction=np.array(device.frictions(scene.channels)),
+        compliance=_compliance(scene, description.channels),
+        delay=device.delay + shift,
+        goes_on=device.hold == "zoh",
+        limit_j=bounds.energy_limit,
+        credit_j=CREDIT_M * device.force_limit,
+        held_j=held_energy(scene.modules, device.force_limit),
+    )
+
+
+def _compliance(scene: Scene, channels: int) -> NDArray[np.float64]:
+    """(channels,) m/N: 1/K of all that is linked to each channel's device point; 0 where nothing is."""
+    stiffness = np.zeros(channels)
+    for point, module in scene.device_points.items():
+        held = (link for link in scene.links.values() if point in link.between)
+        stiffness[module.channel] += sum(float(getattr(link, "stiffness", 0.0)) for link in held)
+    return np.divide(1.0, stiffness, out=np.zeros(channels), where=stiffness > 0.0)
+
+
+def held_energy(modules: Mapping[str, Module], force_limit: float) -> float:
+    """J: what moving masses and stretched links hold before any hand moves. More than that harms nobody: the guard then
+    waits for longer. What a link holds that ends at a device point is known with its first force only."""
+    places = dict(_places(modules))
+    total = 0.0
+    for module in modules.values():
+        if isinstance(module, MaterialPoint):
+            position, velocity = module.start()
+            total += 0.5 * module.mass * velocity**2
+            held = module.held_by()
+            total += 0.0 if held is None else 0.5 * held.stiffness * (position - held.rest) ** 2
+        elif isinstance(module, Structure):
+            total += _held_by_structure(module)
+        elif isinstance(module, Link) and all(end in places for end in module.between):
+            first, second = (places[end] for end in module.between)
+            total += _held_by_link(module, first - second, force_limit)
+    return total
+
+
+def _places(modules: Mapping[str, Module]) -> Iterator[tuple[str, float]]:
+    """Where every point begins that no hand holds."""
+    for name, module in modules.items():
+        if isinstance(module, Ground):
+            yield name, module.position
+        elif isinstance(module, MaterialPoint):
+            yield name, module.start()[0]
+        elif isinstance(module, Structure):
+            names = (f"{name}.{point}" for point in module.point_names())
+            yield from zip(names, module.initial_positions(), strict=True)
+
+
+def _held_by_structure(structure: Structure) -> float:
+    at = np.array(structure.initial_positions())
+    rest = float(getattr(structure, "position", 0.0))
+    if not np.ptp(at) and at[0] == rest:
+        return 0.0
+    links = np.array([(first, second, abs(stiffness)) for first, second, stiffness, _ in structure.elements().links])
+    ends = np.append(at, rest)[links[:, :2].astype(int)]  # -1 is what stays
+    return float(np.sum(0.5 * links[:, 2] * (ends[:, 0] - ends[:, 1]) ** 2))
+
+
+def _held_by_link(link: Link, apart: float, force_limit: float) -> float:
+    if isinstance(link, Nonlinear):
+        return FIRST_FORCE_M * force_limit
+    if isinstance(link, Buffer):
+        apart = min(apart - link.distance, 0.0)
+    return 0.5 * float(getattr(link, "stiffness", 0.0)) * apart**2
+
+
+_IN_METRES = ("position", "rest", "distance", "release")
+
+
+def lent_by_change(before: Scene, after: Scene) -> float:
+    """J: what a change of a running scene may bring a hand: by a place that moves, what the force limit does on that
+    way; by anything else in a module, FIRST_FORCE_M at the limit; and what new modules hold."""
+    limit, old = after.device.force_limit, before.modules
+    lent = held_energy({name: one for name, one in after.modules.items() if name not in old}, limit)
+    for name, module in after.modules.items():
+        if module == old.get(name):
+            continue
+        moved = 0.0
+        if type(module) is type(old.get(name)):
+            keys = [key for key in type(module).model_fields if getattr(module, key) != getattr(old[name], key)]
+            if set(keys) <= set(_IN_METRES):
+                moved = sum(abs((getattr(module, key) or 0.0) - (getattr(old[name], key) or 0.0)) for key in keys)
+        lent += limit * (moved or FIRST_FORCE_M)
+    return lent + limit * FIRST_FORCE_M * (old.keys() - after.modules.keys() != set())

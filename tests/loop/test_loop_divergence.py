@@ -1,0 +1,257 @@
+"""The guard of the energy: what no passive object does ends the run, and nothing that one does."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from firmware_protocol import schema
+from firmware_protocol.records import new_record
+from hapsim.compiling import entry
+from hapsim.errors import GuardError
+from hapsim.loop.guards.divergence import ENERGY, GIVEN, SHAKES, SHAKING, EnergyMemory, call_observe
+from hapsim.loop.io_buffer import IO_BUFFER
+from hapsim.running import Excitation, PeriodicExcitation, run, start
+from hapsim.running.guarding import held_energy, lent_by_change
+from hapsim.scene import Scene, parse_scene
+
+sys.path.append(str(Path(__file__).resolve().parents[2] / "tools" / "bench"))
+
+from divergence import Drawn, judged, passive_scenes, unstable_scenes
+
+Served = Callable[[Scene], contextlib.AbstractContextManager[tuple[Scene, Any]]]
+
+T = 1e-3
+FEW = 15
+
+
+@pytest.fixture(scope="module")
+def unstable() -> list[Drawn]:
+    return list(unstable_scenes(FEW, seed=7))
+
+
+@pytest.fixture(scope="module")
+def passive() -> list[Drawn]:
+    return list(passive_scenes(FEW, seed=7))
+
+
+@pytest.mark.parametrize("number", range(FEW))
+def test_what_diverges_is_ended_before_the_hand_had_more_than_its_limit(unstable: list[Drawn], number: int) -> None:
+    outcome = judged(unstable[number])
+    assert outcome.is_ended
+    assert outcome.is_within
+
+
+@pytest.mark.parametrize("number", range(FEW))
+def test_no_hand_on_a_passive_object_is_stopped(passive: list[Drawn], number: int) -> None:
+    assert judged(passive[number]).ending == "done"
+
+
+def wall(stiffness: float = 20_000.0, *, clock: str = "lockstep", velocity: float = 0.1, **device: Any) -> Scene:
+    """A hand on a spring, unstable where it is stiff."""
+    document = {
+        "version": 1,
+        "rate": 1000,
+        "device": {"mass": 0.2, "friction": 1.0, "clock": clock, **device},
+        "mock": {"initial": {"velocity": velocity}},
+        "modules": {
+            "hand": {"type": "device", "channel": 0},
+            "wall": {"type": "ground"},
+            "touch": {"type": "spring", "between": ["hand", "wall"], "stiffness": stiffness},
+        },
+    }
+    return parse_scene(json.dumps(document))
+
+
+def test_the_device_is_disarmed_and_the_sentence_says_what_was_given(served: Served) -> None:
+    with served(wall(energy_limit=0.05, friction=0.0)) as (scene, mock):
+        with pytest.raises(GuardError) as caught:
+            run(scene, duration=60.0)
+        assert mock.board.state == schema.IDLE
+        assert not mock.commands.any()
+    assert caught.value.exit_status == 4
+    assert "the scene had given the hand 0.05" in str(caught.value)
+    assert "above its limit of 0.05 J; the last force was not sent. No passive object does that" in str(caught.value)
+    assert "the force is zero: the device confirmed that it released it" in str(caught.value)
+    trace = caught.value.trace
+    assert trace is not None
+    assert trace.report.ending == "scene diverging"
+
+
+def test_a_swing_at_the_limit_says_so(served: Served) -> None:
+    with served(wall(energy_limit=0.2)) as (scene, _), pytest.raises(GuardError, match="the force swung at its limit"):
+        run(scene, duration=60.0)
+
+
+def test_before_the_mock_it_is_off_until_it_is_asked_for() -> None:
+    assert run(wall(), duration=5.0).report.ending == "done"
+    with pytest.raises(GuardError):
+        run(wall(), duration=5.0, judges_energy=True)
+
+
+@pytest.mark.parametrize(("clock", "judges"), [("host", True), ("device", True), ("lockstep", False)])
+def test_it_is_the_default_before_a_port_but_in_virtual_time(served: Served, clock: str, judges: bool) -> None:
+    limits = []
+
+    def note(session: Any) -> None:
+        energy = session._loop.record.energy
+        limits.append(float(energy.limit) if energy.observe else None)
+        session.stop()
+
+    with served(wall(200.0, clock=clock)) as (scene, _), start(scene, duration=0.01, on_arming=note):
+        pass
+    assert limits == [pytest.approx(0.2) if judges else None]
+
+
+@pytest.mark.parametrize("periodic", [False, True])
+def test_what_an_excitation_gives_the_hand_is_the_hand_s(periodic: bool) -> None:
+    """It sends the hand off at several metres a second, with a hundred times what the scene may give."""
+    pushes: Any = Excitation(channel=0, force=5.0, ticks=200, every=10_000, start=10_000, first=True)
+    if periodic:
+        pushes = PeriodicExcitation(channel=0, forces=np.repeat([5.0, -5.0], 150))
+    scene = wall(20.0, energy_limit=0.002, friction=0.5)
+    assert run(scene, duration=0.6, excitation=pushes).report.ending == "done"
+
+
+def test_what_a_change_of_the_scene_brings_is_lent() -> None:
+    """A wall that moves by half a metre takes the hand along; a guard that did not know would stop it."""
+    scene = wall(200.0, clock="device", friction=2.0, velocity=0.0, energy_limit=0.02)
+    still = scene.model_copy(update={"mock": None})
+    with start(still) as session:
+        session.set({"wall": {"position": 0.2}}, over=0.01)
+        session.wait(0.4)
+        session.stop()
+    assert session.trace.report.ending == "stopped"
+    assert np.ptp(session.trace.position) > 0.1
+
+
+def changed(scene: Scene, **modules: dict[str, Any]) -> Scene:
+    document = scene.model_dump(mode="json", exclude_none=True)
+    document["modules"] |= modules
+    return parse_scene(json.dumps(document))
+
+
+def test_a_change_lends_its_way_at_the_force_limit_or_a_tenth_of_a_metre_and_what_it_brings() -> None:
+    scene = wall(100.0)
+    assert lent_by_change(scene, scene) == 0.0
+    assert lent_by_change(scene, changed(scene, wall={"type": "ground", "position": -0.5})) == pytest.approx(5.0)
+    stiffer = {"type": "spring", "between": ["hand", "wall"], "stiffness": 101.0}
+    assert lent_by_change(scene, changed(scene, touch=stiffer)) == pytest.approx(1.0)
+    thrown = {"type": "mass", "mass": 0.5, "velocity": 4.0}
+    assert lent_by_change(scene, changed(scene, ball=thrown)) == pytest.approx(1.0 + 4.0)
+
+
+def test_what_a_scene_holds_at_arming_is_known() -> None:
+    scene = changed(
+        wall(),
+        ball={"type": "mass", "mass": 0.5, "velocity": 4.0, "position": 0.1},
+        tied={"type": "spring", "between": ["wall", "ball"], "stiffness": 200.0},
+        stop={"type": "buffer", "between": ["ball", "wall"], "stiffness": 1000.0, "distance": 0.3},
+        cell={"type": "cell", "mass": 0.1, "stiffness": 50.0, "rest": 0.0, "position": 0.2},
+        gut={"type": "string", "masses": 3, "mass": 0.01, "stiffness": 100.0, "pluck": {"at": 1, "by": 0.02}},
+    )
+    string = 4 * 0.5 * 100.0 * 0.01**2
+    held = 0.5 * 0.5 * 16.0 + 0.5 * 200.0 * 0.01 + 0.5 * 1000.0 * 0.04 + 0.5 * 50.0 * 0.04 + string
+    assert held_energy(scene.modules, 10.0) == pytest.approx(held)
+
+
+# The guard alone, told of forces and positions.
+
+
+@entry
+def first_trip(energy, io, positions, stiffness, damping, limit):
+    """At which sample the guard trips, of a spring and a backward damper at these positions (m); -1 if never. Also the
+    most energy that it counts."""
+    before, most = positions[0], -1e300
+    for n in range(positions.size):
+        io.position_counts[0] = positions[n]
+        asked = -stiffness * positions[n] - damping * (positions[n] - before) / T
+        before = positions[n]
+        io.asked[0] = asked
+        io.force_counts[0] = max(min(asked, limit), -limit)
+        if call_observe(energy.observe, (energy.address, io.address, 1, 0, 0, 0)) != 0:
+            return n, most
+        most = max(most, energy.given)
+    return -1, most
+
+
+def judge(
+    positions: Any,
+    *,
+    stiffness: float,
+    damping: float = 0.0,
+    friction: float,
+    delay: float,
+    limit: float = 1e9,
+    energy: float = 1e12,
+) -> tuple[int, float, int]:
+    """(the sample at which it trips, the most energy counted, why). Counts are of 1 m and 1 N."""
+    record, io = new_record(ENERGY), new_record(IO_BUFFER)
+    io.channels, io.address = 1, io.__array_interface__["data"][0]
+    io.position_scale[0] = io.force_scale[0] = 1.0
+    io.force_limit[0] = limit
+    kept = EnergyMemory(
+        record,
+        rate_hz=1.0 / T,
+        friction=np.array([friction]),
+        compliance=np.zeros(1),
+        delay=delay,
+        goes_on=True,
+        limit_j=energy,
+        credit_j=1e15,
+        held_j=0.0,
+    )
+    row, most = first_trip(record, io, np.asarray(positions, np.int64), stiffness, damping, limit)
+    del kept
+    return int(row), float(most), int(record.why)
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.37, 1.0, 2.5])
+@pytest.mark.parametrize("damping", [0.0, 3000.0, -3000.0])
+def test_with_the_friction_of_the_docstring_no_sequence_of_positions_is_given_energy(
+    delay: float, damping: float
+) -> None:
+    """Whatever the positions are. What a spring held at the beginning is nothing here: they begin at rest in its
+    middle."""
+    chance, stiffness = np.random.default_rng(2), 1_000_000.0
+    friction = stiffness * T * (0.5 + delay) + abs(damping)
+    for _ in range(30):
+        positions = np.concatenate([np.zeros(8), np.cumsum(chance.integers(-40, 41, 300))])
+        _, most, _ = judge(positions, stiffness=stiffness, damping=damping, friction=friction, delay=delay)
+        assert most <= 1e-3
+
+
+@pytest.mark.parametrize(("delay", "period"), [(0.0, 2), (1.0, 6), (2.0, 10)])
+def test_with_less_a_hand_that_shakes_is_given_energy(delay: float, period: int) -> None:
+    """Without delay at half the rate, and with it where the force is most behind: of too little friction by a tenth."""
+    stiffness = 1000.0
+    whole = stiffness * T * (0.5 + delay)
+    positions = np.rint(1e6 * np.sin(2.0 * np.pi * (np.arange(4000) + 0.5) / period))
+    least = 1.0 if delay == 0.0 else 0.6
+    assert judge(positions, stiffness=stiffness, friction=0.9 * least * whole, delay=delay, energy=1e17)[2] == GIVEN
+    assert judge(positions, stiffness=stiffness, friction=1.1 * whole, delay=delay, energy=1e17)[0] == -1
+
+
+def test_a_hand_that_only_just_shakes_into_the_limit_is_not_taken_for_a_scene_that_does() -> None:
+    """At 8 Hz a strong hand, at 100 Hz a scene; the peaks stay the same. Much friction, so that no energy is given."""
+    time = np.arange(20_000) * T
+    for hz, over, row in ((8.0, 3.0, False), (15.0, 1.3, False), (15.0, 3.0, True), (100.0, 1.2, True)):
+        positions = np.rint(1e6 * np.sin(2.0 * np.pi * hz * time))
+        at, _, why = judge(positions, stiffness=1.0, friction=1e4, delay=1.0, limit=1e6 / over)
+        assert (at >= 0) == row, (hz, over)
+        if row:
+            assert why == SHAKING
+            assert at == pytest.approx((SHAKES + 1.5) / (2.0 * hz) / T, rel=0.1)
+
+
+def test_a_swing_that_dies_away_is_none() -> None:
+    time = np.arange(20_000) * T
+    positions = np.rint(1e7 * np.exp(-0.5 * time) * np.sin(2.0 * np.pi * 15.0 * time))
+    assert judge(positions, stiffness=1.0, friction=1e4, delay=1.0, limit=2e6)[0] == -1

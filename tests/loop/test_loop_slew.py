@@ -1,0 +1,206 @@
+"""How fast the force changes, and how it begins."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from firmware_protocol import schema
+from hapsim.errors import DeviceError, UsageError
+from hapsim.loop.ring import LATE_FORCE, SLEWED
+from hapsim.loop.trace import Trace
+from hapsim.prediction.force_bounds import force_bounds
+from hapsim.running import Excitation, run
+from hapsim.running.assemble import Loop
+from hapsim.scene import Scene
+
+Served = Callable[[Scene], contextlib.AbstractContextManager[tuple[Scene, Any]]]
+
+FORCE_SCALE, RATE = 1e-3, 1000.0
+
+
+def limited_to(step: int, **device: Any) -> dict[str, Any]:
+    """A device whose force may change by so many counts of an assembled loop in a sample."""
+    return {"slew_limit": step * FORCE_SCALE * RATE, "soft_start": 0.0, **device}
+
+
+def test_no_force_differs_by_more_than_a_step_from_the_one_before(scene_of: Callable[..., Scene]) -> None:
+    scene = scene_of(2, device={"slew_limit": 40.0, "force_limit": 3.0}, mock={"initial": {"velocity": 0.6}})
+    pushes = Excitation(channel=1, force=2.0, ticks=3, every=25, start=10, first=True)
+    trace = run(scene, duration=0.5, excitation=pushes)
+    step = math.floor(40.0 / RATE / trace.force_scale[0])
+    moved = np.abs(np.diff(trace.force_counts.astype(np.int64), axis=0, prepend=0))
+    assert moved.max() == step
+    slewed = trace.flags & SLEWED > 0
+    assert trace.report.slewed_ticks == np.count_nonzero(slewed)
+    assert 0 < np.count_nonzero(slewed) < slewed.size
+    at_once = np.clip(
+        np.rint(trace.asked_force[:, 0] / trace.force_scale[0]),
+        *(side * 3.0 / trace.force_scale[0] for side in (-1, 1)),
+    )
+    assert np.all(slewed[np.abs(trace.force_counts[:, 0] - at_once) > 1])
+
+
+def test_a_force_that_is_slow_enough_is_sent_as_it_is(scene_of: Callable[..., Scene]) -> None:
+    as_it_is = run(scene_of(2), duration=0.3)
+    bounded = run(scene_of(2, device={"slew_limit": 1e4}), duration=0.3)
+    assert bounded.report.slewed_ticks == 0
+    np.testing.assert_array_equal(bounded.force_counts, as_it_is.force_counts)
+
+
+@pytest.mark.parametrize(("position", "velocity"), [(0.004, 0.0), (0.004, -0.3), (-0.02, 0.5)])
+def test_the_first_force_is_reached_along_a_ramp_and_never_overshoots_what_is_asked(
+    scene_of: Callable[..., Scene], position: float, velocity: float
+) -> None:
+    initial = {"initial": {"position": position, "velocity": velocity}}
+    trace = run(scene_of(device={"soft_start": 0.05}, mock=initial), duration=0.2)
+    asked = np.clip(trace.asked_force[:, 0], -10.0, 10.0)
+    u = np.minimum(trace.sample / RATE / 0.05, 1.0)
+    taken_off = asked[0] * (1.0 - u * u * (3.0 - 2.0 * u))
+    wanted = np.clip(asked - taken_off, np.minimum(asked, 0.0), np.maximum(asked, 0.0))
+    np.testing.assert_allclose(trace.force[:, 0], wanted, rtol=0, atol=1.6 * trace.force_scale[0])  # three roundings
+    assert trace.force_counts[0, 0] == 0
+    assert np.all(trace.force[:, 0] * asked >= 0.0)
+    np.testing.assert_array_equal(
+        trace.flags & SLEWED > 0, np.abs(trace.force[:, 0] - asked) > 0.6 * trace.force_scale[0]
+    )
+    assert trace.report.slewed_ticks > 0
+
+
+def test_where_the_first_force_is_zero_a_soft_start_changes_nothing(scene_of: Callable[..., Scene]) -> None:
+    soft = run(scene_of(2, device={"soft_start": 0.1}), duration=0.3)
+    np.testing.assert_array_equal(soft.force_counts, run(scene_of(2), duration=0.3).force_counts)
+    assert soft.report.slewed_ticks == 0
+
+
+class Host:
+    """A loop that is told what arrives, and whose forces leave or do not."""
+
+    def __init__(self, loop: Loop, arrive: Callable[[Loop, bytes, int], int], frame: Callable[..., bytes]) -> None:
+        self.loop, self._arrive, self._frame = loop, arrive, frame
+        self.sent: list[int] = []
+
+    def hears(self, number: int, counts: int, *, late: bool = False, sends: bool = True) -> int:
+        """The force, in counts, that answers this position; in time by the clock."""
+        kind = schema.POSITION_HELD if late else schema.POSITION
+        now = 10**9 + number * 10**6
+        assert self._arrive(self.loop, self._frame(number, counts, kind=kind), now) == 1
+        if sends:
+            self.loop.state.sent_ns, self.loop.state.unanswered = now, 0
+        return int(self.loop.record.io.force_counts[0])
+
+
+@pytest.fixture
+def host(
+    assembled: Callable[..., Loop],
+    arrive: Callable[[Loop, bytes, int], int],
+    frame: Callable[..., bytes],
+    scene_of: Callable[..., Scene],
+) -> Callable[..., Host]:
+    def made(**device: Any) -> Host:
+        """On a spring of 1000 N/m: a micrometre asks for a count of force."""
+        scene = scene_of(damping=0.0, device={"clock": "device", "force_limit": 9.0, **device})
+        return Host(assembled(scene), arrive, frame)
+
+    return made
+
+
+FAR = -5000  # um: 5 N, 5000 counts
+
+
+def test_what_the_device_holds_is_what_left_whatever_was_worked_out_meanwhile(host: Callable[..., Host]) -> None:
+    loop = host(**limited_to(100))
+    assert loop.hears(0, FAR) == 100
+    assert [loop.hears(number, FAR, sends=False, late=number > 1) for number in (1, 2, 3)] == [200, 200, 200]
+    assert loop.hears(4, -FAR, late=True, sends=False) == 0
+    assert loop.hears(5, FAR, late=True) == 200
+    assert loop.hears(6, FAR) == 300
+
+
+def test_lost_positions_allow_no_more_than_a_step(host: Callable[..., Host]) -> None:
+    loop = host(**limited_to(100))
+    assert loop.hears(0, FAR) == 100
+    assert loop.hears(9, FAR, late=True) == 100  # nobody knows whether the first came: zero, or 100
+    assert loop.hears(10, FAR) == 200
+
+
+def test_of_a_late_force_and_the_one_before_the_next_is_within_a_step(host: Callable[..., Host]) -> None:
+    """Whichever of the two the device holds; however often and to whichever side."""
+    loop, chance = host(**limited_to(70)), np.random.default_rng(1)
+    held = {0}
+    sent = 0
+    for number in range(3000):
+        late = number > 0 and bool(chance.random() < 0.4)
+        held = held | {sent} if late else {sent}
+        if late and chance.random() < 0.5:
+            held = {int(chance.choice(sorted(held)))} | {sent}
+        force = loop.hears(number, int(chance.integers(-300, 300)), late=late)
+        assert max(abs(force - one) for one in held) <= 70
+        sent = force
+
+
+def test_after_its_time_to_live_a_force_rises_from_zero_again(host: Callable[..., Host]) -> None:
+    loop = host(**limited_to(1000))
+    assert [loop.hears(number, FAR) for number in range(6)] == [1000, 2000, 3000, 4000, 5000, 5000]
+    lives = int(loop.loop.control.time_to_live)
+    for number in range(6, 6 + lives):
+        assert loop.hears(number, FAR, late=number > 6, sends=False) == 5000
+    assert loop.hears(6 + lives, FAR, late=True, sends=False) == 5000
+    assert loop.hears(7 + lives, FAR, late=True) == 1000
+
+
+def test_the_way_to_zero_is_immediate(
+    scripted: Callable[..., Any], scene_of: Callable[..., Scene], frame: Callable[..., bytes]
+) -> None:
+    scene = scene_of(damping=0.0, device={"clock": "device", **limited_to(1000)})
+    with scripted([frame(n, FAR) for n in range(8)], scene=scene) as (there, device):
+        run(there, duration=0.008)
+    sent = [heard.counts[0] for heard in device.forces]
+    assert sent == [1000, 2000, 3000, 4000, *[5000] * (len(sent) - 4)]
+    assert [list(farewell.counts) for farewell in device.farewells] == [[0]]
+
+
+def test_a_port_has_a_slew_limit_and_a_soft_start_and_the_mock_has_none(scene_of: Callable[..., Scene]) -> None:
+    for rate, slew in ((100.0, 1000.0), (1000.0, 10_000.0), (4000.0, 10_000.0)):
+        bounds = force_bounds(scene_of(rate=rate), in_hand=True)
+        assert bounds == (pytest.approx(slew), 0.05, pytest.approx(0.2))
+    assert force_bounds(scene_of(), in_hand=False) == (math.inf, 0.0, math.inf)
+    named = scene_of(device={"slew_limit": 5.0, "soft_start": 0.2, "energy_limit": 0.1})
+    assert force_bounds(named, in_hand=False) == force_bounds(named, in_hand=True) == (5.0, 0.2, 0.1)
+
+
+@pytest.mark.parametrize("clock", ["device", "host", "lockstep"])
+def test_behind_a_port_the_first_force_is_soft_but_in_virtual_time(
+    scene_of: Callable[..., Scene], served: Served, clock: str
+) -> None:
+    with served(scene_of(device={"clock": clock}, mock={"initial": {"position": 0.003}})) as (scene, _):
+        try:
+            trace: Trace | None = run(scene, duration=0.02)
+        except DeviceError as error:  # a machine that is held up for a tenth of a second
+            trace = error.trace
+    assert trace is not None
+    assert abs(trace.asked_force[0, 0]) > 1.0
+    assert (trace.force_counts[0, 0] == 0) == bool(trace.flags[0] & SLEWED) == (clock != "lockstep")
+
+
+def test_a_step_of_less_than_a_count_is_refused(scene_of: Callable[..., Scene], assembled: Callable[..., Loop]) -> None:
+    with pytest.raises(UsageError, match=r"slew_limit: found 0.9 N/s, .* expected at least 1 N/s"):
+        assembled(scene_of(device=limited_to(0, slew_limit=0.9)))
+
+
+def test_the_forces_that_a_predictor_counts_are_those_that_were_sent(scene_of: Callable[..., Scene]) -> None:
+    """It finds the hand where it will be: with other forces it would be off by what they would have moved it."""
+    device = {"delay": 3.0, "correction": "predictor", "force_limit": 100.0}
+    initial = {"initial": {"position": 0.01}, "quantum": 1e-10}
+    trace = run(scene_of(device={**device, "slew_limit": 300.0}, mock=initial), duration=0.2)
+    assert trace.report.slewed_ticks > 5
+    assert not np.any(trace.flags & LATE_FORCE)
+    stiffness = 1000.0
+    velocity = np.gradient(trace.position[:, 0], 1.0 / RATE)
+    ahead = -stiffness * trace.position[3:, 0] - 2.0 * velocity[3:]
+    np.testing.assert_allclose(trace.asked_force[5:-3, 0], ahead[5:], rtol=0, atol=0.05 * np.max(np.abs(ahead)))

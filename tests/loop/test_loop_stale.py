@@ -1,0 +1,134 @@
+"""No force answers a position that is older than a force may live."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from firmware_protocol import schema
+from firmware_protocol.decoder import frames_in, new_decoder
+from firmware_protocol.frames import armed_format
+from hapsim.loop.codes import HEARD
+from hapsim.loop.portable import _compose_again
+from hapsim.loop.ring import OFF_GRID, SLEWED, WITHHELD
+from hapsim.running.assemble import Loop
+from hapsim.scene import Scene
+
+MS = 1_000_000
+START = 10**9
+FAR = -5000  # um: 5 N, 5000 counts
+
+Assembled = Callable[..., Loop]
+Arrive = Callable[[Loop, bytes, int], int]
+
+
+def loop_with(assembled: Assembled, scene_of: Callable[..., Scene], clock: str, **device: Any) -> Loop:
+    return assembled(scene_of(damping=0.0, device={"clock": clock, **device}))
+
+
+def leaves(loop: Loop, now: int) -> list[int]:
+    """The force that leaves at a tick of the host at `now` (ns), by the bytes of its frame."""
+    loop.record.wait.begun_ns = now
+    stop = int(_compose_again(loop.record))
+    decoder = new_decoder(armed_format(1), to_device=True)
+    (force,) = frames_in(decoder, loop.record.io.outbox[:stop].tobytes())
+    assert force.type == schema.FORCE
+    loop.state.sent_ns, loop.state.unanswered = now, 0
+    return list(force.counts)
+
+
+def last_flags(loop: Loop) -> int:
+    loop.record.ring.head += loop.record.ring.unpublished
+    loop.record.ring.unpublished = 0
+    return int(loop.ring.drain().flags[-1])
+
+
+def test_a_host_that_was_held_up_sends_zero_in_place_of_an_old_force(
+    assembled: Assembled, scene_of: Callable[..., Scene], arrive: Arrive, frame: Callable[..., bytes]
+) -> None:
+    """With its time to live of 20 samples and one more: a force may answer 21 ms after the position, not 22."""
+    for late_ms, counts, withheld in ((1, 5000, 0), (21, 5000, 0), (22, 0, 1), (500, 0, 1)):
+        loop = loop_with(assembled, scene_of, "host")
+        loop.state.tick_ns = START
+        assert arrive(loop, frame(0, FAR), START) == HEARD
+        assert leaves(loop, START + late_ms * MS) == [counts]
+        assert loop.state.withheld_forces == withheld
+        assert bool(last_flags(loop) & WITHHELD) == bool(withheld)
+
+
+def test_a_host_that_gets_no_position_asks_with_zero_force_once_the_last_is_too_old(
+    assembled: Assembled, scene_of: Callable[..., Scene], arrive: Arrive, frame: Callable[..., bytes]
+) -> None:
+    loop = loop_with(assembled, scene_of, "host")
+    loop.state.tick_ns = START
+    assert arrive(loop, frame(0, FAR), START) == HEARD
+    sent = [leaves(loop, START + n * MS)[0] for n in range(1, 40)]
+    assert sent == [5000] * 21 + [0] * 18
+    assert loop.state.withheld_forces == 18
+
+
+def test_after_that_the_force_rises_from_zero(
+    assembled: Assembled, scene_of: Callable[..., Scene], arrive: Arrive, frame: Callable[..., bytes]
+) -> None:
+    loop = loop_with(assembled, scene_of, "host", slew_limit=2000.0)
+    sent = []
+    for n in range(6):
+        loop.state.tick_ns = START + n * MS
+        assert arrive(loop, frame(n, FAR), START + n * MS) == HEARD
+        sent += leaves(loop, START + (n + 1) * MS)
+    assert sent == [2000, 4000, 5000, 5000, 5000, 5000]
+    loop.state.tick_ns = START + 5 * MS + 40 * MS
+    assert arrive(loop, frame(6, FAR, kind=schema.POSITION_HELD), START + 46 * MS) == HEARD
+    assert last_flags(loop) & SLEWED
+    assert leaves(loop, START + 47 * MS) == [2000]
+
+
+def test_a_position_that_was_on_its_way_for_too_long_is_answered_with_zero(
+    assembled: Assembled, scene_of: Callable[..., Scene], arrive: Arrive, frame: Callable[..., bytes]
+) -> None:
+    for on_its_way_ms, counts, flags in ((21, 5000, OFF_GRID), (22, 0, OFF_GRID | WITHHELD)):
+        loop = loop_with(assembled, scene_of, "host")
+        loop.state.tick_ns = START
+        assert arrive(loop, frame(0, FAR), START) == HEARD
+        loop.state.tick_ns, loop.state.unanswered = START + MS, 0
+        assert arrive(loop, frame(1, FAR), START + (1 + on_its_way_ms) * MS) == HEARD
+        assert loop.record.io.force_counts[0] == counts
+        assert last_flags(loop) == flags
+
+
+@pytest.mark.parametrize("number", [1, 7])
+def test_by_the_device_s_clock_one_that_arrives_too_late_is_answered_with_zero(
+    assembled: Assembled, scene_of: Callable[..., Scene], arrive: Arrive, frame: Callable[..., bytes], number: int
+) -> None:
+    """Its number says when it was measured, whether or not the positions before it came."""
+    for late_ms, counts in ((0, 5000), (21, 5000), (22, 0), (90, 0)):
+        loop = loop_with(assembled, scene_of, "device")
+        assert arrive(loop, frame(0, FAR), START) == HEARD
+        loop.state.unanswered = 0
+        assert arrive(loop, frame(number, FAR), START + (number + late_ms) * MS) == HEARD
+        assert loop.record.io.force_counts[0] == counts
+        assert bool(last_flags(loop) & WITHHELD) == (counts == 0)
+        assert loop.state.withheld_forces == (counts == 0)
+
+
+def test_a_hand_at_rest_and_late_forces_withhold_nothing(
+    assembled: Assembled, scene_of: Callable[..., Scene], arrive: Arrive, frame: Callable[..., bytes]
+) -> None:
+    """A sensor that says the same for long is no fault; forces that are late, each within its time to live, act."""
+    loop = loop_with(assembled, scene_of, "device")
+    for n in range(500):
+        assert arrive(loop, frame(n, FAR, kind=schema.POSITION_HELD if n else schema.POSITION), START + n * MS) == HEARD
+        loop.state.unanswered = 0
+        assert loop.record.io.force_counts[0] == 5000
+    assert loop.state.withheld_forces == 0
+
+
+def test_in_virtual_time_no_time_passes(
+    assembled: Assembled, scene_of: Callable[..., Scene], arrive: Arrive, frame: Callable[..., bytes]
+) -> None:
+    loop = loop_with(assembled, scene_of, "lockstep")
+    for n in range(5):
+        assert arrive(loop, frame(n, FAR), START + n * 10**12) == HEARD
+        assert leaves(loop, START + n * 10**12 + 10**11) == [5000]

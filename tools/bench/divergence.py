@@ -1,0 +1,245 @@
+"""The guard of the energy (hapsim/loop/guards/divergence.py) before scenes by chance, in virtual time.
+
+    tools/bench/divergence [--scenes 200] [--seed 1]
+
+Unstable scenes, of a spectral radius of 1.002 and more: every one has to be ended, before the hand had more energy than
+the limit and what it began with. Passive ones, by hands that flick at up to 2 m/s, into walls, beyond the force limit
+and over coarse encoders: none may be. The hand's energy is that of the recorded motion, of which the guard knows
+nothing.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import random
+import sys
+from collections import Counter
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+
+import hapsim
+from hapsim.errors import DeviceError, GuardError
+from hapsim.loop.guards.divergence import CREDIT_M
+from hapsim.loop.ring import LIMITED
+from hapsim.loop.trace import Trace
+from hapsim.running import run
+from hapsim.scene import Scene, parse_scene
+from hapsim.theory import Configuration
+
+LEAST_RADIUS, MOST_RADIUS = 1.002, 1.5
+KINDS = ("spring", "spring", "damper", "contact", "mass", "string")
+LIMIT_M = 0.02  # the default energy limit over the force limit
+TOLERANCE = 1.02  # of energies that are read from positions
+
+
+class Drawn(NamedTuple):
+    """A scene, and what was drawn of it."""
+
+    kind: str
+    scene: Scene
+    mass: float
+    speed: float
+    duration: float
+
+
+class Outcome(NamedTuple):
+    """What came of it."""
+
+    drawn: Drawn
+    ending: str
+    why: str
+    after_s: float
+    most_energy: float
+    """J, kinetic, of the hand at any time."""
+    bound: float
+    """J, that it may have had."""
+    cut: bool
+    """Whether the force was still cut in the second half of the run."""
+
+    @property
+    def is_ended(self) -> bool:
+        """Whether the guard ended it."""
+        return self.ending == "scene diverging"
+
+    @property
+    def is_bounded(self) -> bool:
+        """Whether it goes on, on a swing that stays below the force limit, as that of a contact may."""
+        return self.ending == "done" and not self.cut and self.is_within
+
+    @property
+    def is_within(self) -> bool:
+        """Whether the hand never had more than it may."""
+        return self.most_energy <= TOLERANCE * self.bound
+
+
+def unstable_scenes(number: int, seed: int) -> Iterator[Drawn]:
+    """So many that diverge, started by a small flick."""
+    chance, found = random.Random(seed), 0
+    while found < number:
+        drawn = _unstable(chance)
+        if LEAST_RADIUS <= hapsim.predict(drawn.scene, with_margins=False).spectral_radius <= MOST_RADIUS:
+            found += 1
+            yield drawn
+
+
+def _unstable(chance: random.Random) -> Drawn:
+    rate = chance.choice((500.0, 1000.0, 1000.0, 2000.0))
+    mass, kind = _log_uniform(chance, 0.05, 2.0), chance.choice(KINDS)
+    stiffness = mass * rate**2 * _log_uniform(chance, 1e-3, 2.0)
+    damping = mass * rate * _log_uniform(chance, 1e-4, 1.5) if kind == "damper" else chance.choice((0.0, 0.5, 3.0))
+    device: dict[str, Any] = {"mass": mass, "friction": chance.choice((0.0, 1.0)) * chance.uniform(0.0, 5.0)}
+    device |= {"delay": chance.choice((0.0, 1.0, 0.37)), "force_limit": chance.uniform(2.0, 20.0)}
+    device |= {"hold": chance.choice(("zoh", "zoh", "impulse"))}
+    link = {"type": "viscoelastic", "between": ["hand", "wall"], "stiffness": stiffness, "damping": damping}
+    modules: dict[str, Any] = {"touch": link}
+    if kind == "contact":
+        # The device's own spring presses the hand on it.
+        device["stiffness"] = 0.05 * stiffness
+        pressed = chance.uniform(0.05, 0.3) * device["force_limit"]
+        modules = {"touch": link | {"type": "buffer", "distance": pressed / device["stiffness"]}}
+    elif kind == "mass":
+        modules = {
+            "ball": {"type": "mass", "mass": mass * chance.uniform(0.2, 2.0)},
+            "touch": link | {"between": ["hand", "ball"]},
+            "held": {"type": "spring", "between": ["ball", "wall"], "stiffness": 0.1 * stiffness},
+        }
+    elif kind == "string":
+        of_string = {"masses": 12, "mass": 0.01, "stiffness": 0.002 * rate**2, "damping": 0.01}
+        modules["gut"] = {"type": "string"} | of_string
+        modules["bow"] = {"type": "spring", "between": ["hand", "gut.3"], "stiffness": 0.002 * rate**2}
+    speed = chance.choice((-1.0, 1.0)) * chance.uniform(0.005, 0.1)
+    return Drawn(kind, _scene(rate, device, speed, 1e-9, modules), mass, speed, 60.0)
+
+
+def passive_scenes(number: int, seed: int) -> Iterator[Drawn]:
+    """So many that no hand makes unstable, up to the limit of that."""
+    chance, found = random.Random(seed), 0
+    while found < number:
+        drawn = _passive(chance)
+        if drawn is not None:
+            found += 1
+            yield drawn
+
+
+def _passive(chance: random.Random) -> Drawn | None:
+    rate, mass = chance.choice((500.0, 1000.0, 1000.0, 4000.0)), _log_uniform(chance, 0.05, 2.0)
+    friction, delay = _log_uniform(chance, 0.1, 10.0), chance.choice((0.0, 1.0, 0.37, 2.0))
+    damping = chance.choice((0.0, 0.3, 0.8)) * friction
+    stiffness = (friction - damping) * rate / (0.5 + delay) * chance.choice((1.0, chance.uniform(0.1, 1.0)))
+    hand = Configuration(mass=mass, rate=rate, friction=friction, delay=delay, hold="zoh", sampling="ideal")
+    if not hand.is_passive(0.9999 * stiffness, damping):
+        return None
+    kind = chance.choice(("spring", "contact", "two walls"))
+    device: dict[str, Any] = {"mass": mass, "friction": friction, "delay": delay}
+    device["force_limit"] = chance.choice((1.0, 0.1)) * chance.uniform(1.0, 20.0)
+    link = {"type": "viscoelastic", "between": ["hand", "wall"], "stiffness": 0.9999 * stiffness, "damping": damping}
+    modules: dict[str, Any] = {"touch": link}
+    if kind != "spring":
+        modules = {"touch": link | {"type": "buffer", "distance": -0.01}}
+    if kind == "two walls":
+        modules["back"] = link | {"type": "buffer", "between": ["wall", "hand"], "distance": -0.01}
+    elif kind == "contact":
+        device["stiffness"] = _log_uniform(chance, 5.0, 500.0)
+    # Of a motion that ends, cut all the way, within the travel for which a scene has credit.
+    most = math.sqrt(2.0 * 0.9 * CREDIT_M * device["force_limit"] / mass)
+    speed = max(min(chance.uniform(-2.0, 2.0), most), -most)
+    quantum = chance.choice((1e-9, 1e-6, 1e-5, 1e-4))
+    return Drawn(kind, _scene(rate, device, speed, quantum, modules), mass, speed, 4.0)
+
+
+def _scene(rate: float, device: dict[str, Any], speed: float, quantum: float, modules: dict[str, Any]) -> Scene:
+    document = {
+        "version": 1,
+        "rate": rate,
+        "device": {"clock": "lockstep", **device},
+        "mock": {"quantum": quantum, "initial": {"velocity": speed}},
+        "modules": {"hand": {"type": "device", "channel": 0}, "wall": {"type": "ground"}, **modules},
+    }
+    return parse_scene(json.dumps(document), "by chance")
+
+
+def _log_uniform(chance: random.Random, least: float, most: float) -> float:
+    return math.exp(chance.uniform(math.log(least), math.log(most)))
+
+
+def judged(drawn: Drawn) -> Outcome:
+    """Runs it with the guard on."""
+    try:
+        trace, why = run(drawn.scene, duration=drawn.duration, judges_energy=True), ""
+    except (GuardError, DeviceError) as error:
+        if error.trace is None:
+            raise
+        trace = error.trace
+        why = next((word for word in ("swung", "shook") if f"force {word} at its limit" in str(error)), "energy")
+    device = drawn.scene.device
+    first = min(abs(float(trace.asked_force[0, 0])), device.force_limit)
+    # What a stretched link gives is known with its first force, and so is what the device's own spring does.
+    compliance = 0.5 / max(sum(getattr(link, "stiffness", 0.0) for link in drawn.scene.links.values()), 1e-9)
+    bound = 0.5 * drawn.mass * drawn.speed**2 + LIMIT_M * device.force_limit
+    bound += first * max(0.1, first * compliance)
+    # What the last forces do before they end: of the sample in which it is found, and of the delay.
+    steps = np.abs(np.diff(trace.position[:, 0]))
+    bound += (2.0 + device.delay) * device.force_limit * float(np.max(steps, initial=0.0))
+    cut = bool(np.any(trace.flags[trace.flags.size // 2 :] & LIMITED))
+    return Outcome(drawn, trace.report.ending, why, trace.report.duration_s, _most_energy(drawn, trace), bound, cut)
+
+
+def _most_energy(drawn: Drawn, trace: Trace) -> float:
+    """J: of the hand and the device's own spring, by positions one sample apart."""
+    position, rate = trace.position[:, 0], drawn.scene.rate
+    if position.size < 2:
+        return 0.0
+    speed = np.diff(position) * rate
+    sprung = 0.5 * drawn.scene.device.stiffnesses(1)[0] * np.minimum(position[1:] ** 2, position[:-1] ** 2)
+    quantum = float(trace.position_scale[0]) * rate
+    return float(np.max(0.5 * drawn.mass * np.maximum(np.abs(speed) - quantum, 0.0) ** 2 + sprung))
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser("tools/bench/divergence", description=__doc__)
+    parser.add_argument("--scenes", type=int, default=200)
+    parser.add_argument("--seed", type=int, default=1)
+    arguments = parser.parse_args()
+    unstable = [judged(drawn) for drawn in unstable_scenes(arguments.scenes, arguments.seed)]
+    passive = [judged(drawn) for drawn in passive_scenes(arguments.scenes, arguments.seed)]
+    print(
+        "| unstable | scenes | ended: energy, swing, shaking | swings below the limit | after, s: median, most | "
+        "most energy over its bound |"
+    )
+    print("|---|---|---|---|---|---|")
+    for kind in sorted({one.drawn.kind for one in unstable}):
+        print(_row(kind, [one for one in unstable if one.drawn.kind == kind]))
+    print(_row("all", unstable))
+    print("\n| passive | scenes | ended |\n|---|---|---|")
+    for kind, count in sorted(Counter(one.drawn.kind for one in passive).items()):
+        ended = [one for one in passive if one.drawn.kind == kind and one.ending != "done"]
+        print(f"| {kind} | {count} | {len(ended)} |")
+    wrong = [one for one in unstable if not ((one.is_ended or one.is_bounded) and one.is_within)]
+    wrong += [one for one in passive if one.ending != "done"]
+    for one in wrong:
+        print(
+            f"WRONG: {one.ending} {one.why} after {one.after_s:.3g} s, {one.most_energy:.3g} of {one.bound:.3g} J: "
+            f"{one.drawn.kind} {one.drawn.scene.model_dump_json(exclude_none=True)}",
+            file=sys.stderr,
+        )
+    return 1 if wrong else 0
+
+
+def _row(kind: str, outcomes: list[Outcome]) -> str:
+    ended = [one for one in outcomes if one.is_ended]
+    why = Counter(one.why for one in ended)
+    after = [one.after_s for one in ended] or [math.nan]
+    share = max(one.most_energy / one.bound for one in outcomes)
+    return (
+        f"| {kind} | {len(outcomes)} | {len(ended)}: {why['energy']}, {why['swung']}, {why['shook']} | "
+        f"{sum(one.is_bounded for one in outcomes)} | "
+        f"{float(np.median(after)):.2g}, {max(after):.2g} | {share:.2f} |"
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())
