@@ -14,6 +14,7 @@ from hapsim.commands.chart_felt import felt
 from hapsim.commands.check import check
 from hapsim.commands.device import mock, ports
 from hapsim.commands.doctor import doctor
+from hapsim.commands.faults import faults
 from hapsim.commands.frames import frames
 from hapsim.commands.identify import identify
 from hapsim.commands.measure import measure
@@ -46,6 +47,7 @@ for _command in (
     doctor,
     probe,
     frames,
+    faults,
     mock,
     compile_,
     ports,
@@ -126,7 +128,8 @@ def _print_failure(sentence: str, exit_status: int) -> None:
 
 def _end_as_typer_does(ending: SystemExit) -> NoReturn:
     """Typer has said what it had to say: about a wrong command line, or nothing where a command has its own status."""
-    if ending.code == _WRONG_COMMAND_LINE and "--json" in sys.argv:
+    of_its_own = isinstance(ending.__context__, typer.Exit)
+    if ending.code == _WRONG_COMMAND_LINE and "--json" in sys.argv and not of_its_own:
         _print_failure("the command line was not understood; standard error says why", ending.code)
     if ending.code == _INTERRUPTED:
         complain("hapsim: stopped before anything was running")  # typer has taken the interrupt, and says nothing

@@ -10,7 +10,16 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from hapsim.loop.trace import Trace
 
-__all__ = ["DescriptionError", "DeviceError", "GuardError", "HapsimError", "RunError", "SceneError", "UsageError"]
+__all__ = [
+    "DescriptionError",
+    "DeviceError",
+    "GuardError",
+    "HapsimError",
+    "RecordError",
+    "RunError",
+    "SceneError",
+    "UsageError",
+]
 
 
 class HapsimError(Exception):
@@ -39,6 +48,12 @@ class DeviceError(RunError):
     """The port, the link or the device failed."""
 
     exit_status = 3
+
+
+class RecordError(RunError):
+    """The run went as asked; its record is not what was asked for: the disk is full, or was too slow."""
+
+    exit_status = 2
 
 
 class DescriptionError(DeviceError):

@@ -1,4 +1,4 @@
-"""The scenes that ship with hapsim: beside the sources in a clone, in the scheme's share/ when installed."""
+"""The scenes and the scripts of faults that ship: beside the sources in a clone, in the scheme's share/ elsewhere."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from hapsim.errors import HapsimError
 
 _PACKAGES = Path(__file__).parent.parent
 _INSTALLED = Path("share") / "hapsim" / "configs"
+_SCRIPTS = "faults"
 
 
 def shipped_scene(name: str) -> str:
@@ -20,6 +21,16 @@ def shipped_scene(name: str) -> str:
             return (place / name).read_text(encoding="utf-8")
     looked = ", ".join(map(str, places))
     raise HapsimError(f"{name}: not among the files of this installation of hapsim; looked in {looked}")
+
+
+def shipped_scripts() -> list[str]:
+    """The names of the scripts of faults that ship."""
+    return sorted({path.stem for place in _places() for path in (place / _SCRIPTS).glob("*.yaml")})
+
+
+def shipped_script(name: str) -> str:
+    """The text of one of them. HapsimError where the installation lacks it."""
+    return shipped_scene(f"{_SCRIPTS}/{name}.yaml")
 
 
 def _places() -> Iterator[Path]:

@@ -38,6 +38,14 @@ def _interrupts_are_heard() -> None:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+@pytest.fixture(scope="session", autouse=True)
+def _reports_stay_here(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Those of runs that end badly on purpose: nothing of a test goes to the user's own directories."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
+        yield
+
+
 @dataclass(frozen=True)
 class Answer:
     status: int

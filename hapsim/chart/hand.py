@@ -26,6 +26,8 @@ class Hand:
     """K, N/m, simulated; NaN where none is."""
     damping: float
     """B, N·s/m, simulated; NaN where none is."""
+    masses: tuple[float, ...] = ()
+    """kg: the least, the middle and the most that the hand may have, where the scene knows no more."""
 
     @property
     def is_simulated(self) -> bool:
@@ -118,9 +120,22 @@ def hands_of_scene(scene: Scene, given: Mapping[str, Any]) -> list[Hand]:
         raise UsageError(
             f"a hand is drawn that is a spring and damper's alone, but {why}. `hapsim check` lists the whole's modes"
         )
+    spans = scene.device.mass_spans(scene.channels)
     return [
-        Hand(one.name, one.channel, configured(one.configuration, given), one.stiffness, one.damping) for one in felt
+        Hand(
+            one.name,
+            one.channel,
+            configured(one.configuration, given),
+            one.stiffness,
+            one.damping,
+            _masses(*spans[one.channel]),
+        )
+        for one in felt
     ]
+
+
+def _masses(least: float, most: float) -> tuple[float, ...]:
+    return (least, math.sqrt(least * most), most) if least < most else ()
 
 
 def hand_of_options(given: Mapping[str, Any]) -> Hand:

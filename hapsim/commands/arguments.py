@@ -30,7 +30,15 @@ Unstable = Annotated[
     bool, typer.Option("--unstable", help="Run a scene that is predicted unstable, too: the hand is shaken.")
 ]
 Data = Annotated[Path | None, typer.Option(metavar="FILE", help="Write the picture's numbers: .csv.")]
-Record = Annotated[Path | None, typer.Option(metavar="FILE", help="Write the trace: .npz or .csv.")]
+Record = Annotated[Path | None, typer.Option(metavar="FILE", help="Write the trace: .trace, .npz or .csv.")]
+Reports = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="DIR",
+        help="Where a run that a guard or a device ends leaves its report, the newest 20; left out: "
+        "~/.local/state/hapsim/reports for a device on a port.",
+    ),
+]
 
 
 class Files(NamedTuple):

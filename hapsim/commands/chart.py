@@ -57,7 +57,10 @@ def plane(
     channel: Channel = None,
     mass: Annotated[
         list[str] | None,
-        typer.Option(metavar="M", help="Hand and moving part, kg; several, 0.1,0.2,0.4, for a hand that nobody knows."),
+        typer.Option(
+            metavar="M",
+            help="Hand and moving part, kg; several, 0.1,0.2,0.4, for a hand that nobody knows.",
+        ),
     ] = None,
     rate: Rate = None,
     friction: Friction = None,  # noqa: ARG001
@@ -97,6 +100,7 @@ def plane(
         masses, rate = in_paper_units(masses, rate, described_by_options=scene is None)
     given = loop_options(context, mass=masses[0] if masses else None, rate=rate)
     chosen, others = hands_asked_for(scene, channel, given, simulated_stiffness, simulated_damping)
+    masses = masses or list(chosen.masses)
     drawn = _in_one_plane(chosen, others, masses)
     scale = scale_of(chosen.configuration, normalised=normalised, total=total_damping)
     view = _view(drawn, scale, total_damping, to_stiffness, to_damping)

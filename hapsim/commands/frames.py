@@ -15,9 +15,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hapsim.commands.arguments import Json, complain, seconds_above_zero, stderr
+from hapsim.console.sentences import say
 from hapsim.errors import DeviceError, UsageError
 
 if TYPE_CHECKING:
+    from hapsim.console.frames import JsonDocument
     from hapsim.device.capture import Capture, Decoded, Refused
 
 _SENDERS = {"host": (True,), "device": (False,), "both": (True, False)}
@@ -30,7 +32,10 @@ Piece = tuple[bytes, float | None]
 
 def frames(
     source: Annotated[
-        str, typer.Argument(metavar="FILE|PORT", help="A capture, raw bytes; - for standard input; or a serial port.")
+        str,
+        typer.Argument(
+            metavar="FILE|PORT", help="A capture, raw bytes, or a report file; - for standard input; or a serial port."
+        ),
     ],
     sender: Annotated[
         str, typer.Option("--from", metavar="WHO", help="Whose frames to look for: host, device or both.")
@@ -43,39 +48,89 @@ def frames(
     ] = None,
     json: Json = False,
 ) -> None:
-    """Decode a capture of the wire, or listen at a port without sending: every frame field by field, and what is
-    refused."""
+    """Decode a capture of the wire or the frames of a report file, or listen at a port without sending: every frame
+    field by field, and what is refused."""
     if sender not in _SENDERS:
         raise UsageError(f"--from: found '{sender}', expected host, device or both")
-    from hapsim.console.frames import TEXT_INDENT, JsonDocument, counters_of, entry_of, summary_of, text_of
-    from hapsim.console.sentences import say
+    from hapsim.console.frames import JsonDocument, counters_of
     from hapsim.device.capture import Capture
     from hapsim.running.signals import stopping_on_signals
 
-    capture = Capture(_SENDERS[sender])
     document = JsonDocument(sys.stdout.write, source) if json else None
     stopped: list[bool] = []
-
-    def show(found: Decoded | Refused, time_s: float | None) -> None:
-        entry = entry_of(capture, found, time_s, hex_too)
-        if document is not None:
-            document.add(entry)
+    show = _Shown(sender, hex_too, document)
+    failure: DeviceError | None = None
+    with stopping_on_signals(lambda: stopped.append(True)):
+        if _is_report(source):
+            _show_report(Path(source), show)
         else:
-            say(text_of(entry), indent=TEXT_INDENT)
-
-    with (
-        _pieces_of(source, baud, duration, lambda: bool(stopped)) as pieces,
-        stopping_on_signals(lambda: stopped.append(True)),
-    ):
-        failure = _decode(capture, pieces, show)
-        if document is None:
-            say(summary_of(capture, sender))
-        else:
-            error = {} if failure is None else {"error": str(failure), "exit_status": failure.exit_status}
-            document.close({"counters": counters_of(capture), "stopped": bool(stopped)} | error)
+            with _pieces_of(source, baud, duration, lambda: bool(stopped)) as pieces:
+                failure = show.all_of(Capture(_SENDERS[sender]), pieces)
+    if document is not None:
+        error = {} if failure is None else {"error": str(failure), "exit_status": failure.exit_status}
+        document.close({"counters": counters_of(show.captures), "stopped": bool(stopped)} | show.beside | error)
     if failure is not None:
         complain(failure)  # its document is written
         raise typer.Exit(failure.exit_status)
+
+
+class _Shown:
+    """What is found, as text or in a document."""
+
+    def __init__(self, sender: str, hex_too: bool, document: JsonDocument | None) -> None:
+        self.sender, self.document = sender, document
+        self.captures: list[Capture] = []
+        self.beside: dict[str, Any] = {}
+        """What a document tells beside the entries."""
+        self._hex_too = hex_too
+
+    def all_of(self, capture: Capture, pieces: Iterator[Piece]) -> DeviceError | None:
+        """Shows every piece, and what they come to."""
+        from hapsim.console.frames import TEXT_INDENT, entry_of, summary_of, text_of
+
+        self.captures.append(capture)
+
+        def show(found: Decoded | Refused, time_s: float | None) -> None:
+            entry = entry_of(capture, found, time_s, self._hex_too)
+            if self.document is not None:
+                self.document.add(entry)
+            else:
+                say(text_of(entry), indent=TEXT_INDENT)
+
+        failure = _decode(capture, pieces, show)
+        if self.document is None:
+            say(summary_of(capture, self.sender))
+        return failure
+
+
+def _is_report(source: str) -> bool:
+    from hapsim.running.report_file import is_report
+
+    path = Path(source)
+    try:
+        return path.is_file() and is_report(path)
+    except OSError:
+        return False  # whoever reads it says so
+
+
+def _show_report(path: Path, show: _Shown) -> None:
+    """One direction after the other: nothing tells when which byte was on the wire."""
+    from hapsim.device.capture import Capture
+    from hapsim.running.report_file import read_report
+
+    report = read_report(path)
+    registers = {int(number): value for number, value in report.about["registers"].items()}
+    show.beside = {"report": {name: report.about[name] for name in ("when", "port", "sentence")}}
+    if show.document is None:
+        say(f"{report.about['when']}  {report.about['sentence']}")
+    for from_host, data in ((False, report.wire.from_device), (True, report.wire.to_device)):
+        if from_host not in _SENDERS[show.sender]:
+            continue
+        if show.document is None:
+            say("\nto the device:" if from_host else "\nfrom the device:")
+        capture = Capture((from_host,))
+        capture.registers.update(registers)
+        show.all_of(capture, iter([(data, None)]))
 
 
 def _decode(

@@ -15,6 +15,7 @@ from hapsim.commands.arguments import (
     Port,
     Realtime,
     Record,
+    Reports,
     SceneFile,
     TransportOption,
     Unstable,
@@ -47,6 +48,7 @@ def run(
         float | None, typer.Option(metavar="S", callback=seconds_above_zero, help="Seconds; left out: until stopped.")
     ] = None,
     record: Record = None,
+    reports: Reports = None,
     realtime: Realtime = False,
     watch: Annotated[bool, typer.Option("--watch", help="Follow the scene's file: what is saved is felt.")] = False,
     reconnect: Annotated[
@@ -92,11 +94,13 @@ def run(
             record=record,
             duration=duration,
             transport=kind,
-            keep=record is not None,
+            keep=False,
+            reports=reports,
             realtime=realtime,
             portable=portable,
             unstable=unstable,
             on_progress=tell,
+            on_warning=complain,
         )
     notifier.stopping()
     with undisturbed():
@@ -147,4 +151,5 @@ def _show(lifetime: Lifetime, grants: list[PrivilegeResult], record: Path | None
 
     show_report(stdout(), lifetime.report, lifetime.reconnections)
     for session in range(lifetime.reconnections + 1):
-        say_written(record=None if record is None else record_of(record, session))
+        file = None if record is None else record_of(record, session)
+        say_written(record=file if file is not None and file.exists() else None)

@@ -30,7 +30,7 @@ def show_correction(out: Console, prediction: Prediction) -> None:
         out.print()
         out.print(_modes(prediction))
     for note in rendering.notes:
-        out.print(f"[yellow]Not corrected:[/yellow] {escape(note)}.")
+        out.print(f"[yellow]Of the correction:[/yellow] {escape(note)}.")
 
 
 def _reached(desired: Desired, name: str) -> str:

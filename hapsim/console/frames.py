@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Iterable
 from typing import Any
 
 from firmware_protocol import schema
@@ -180,9 +181,9 @@ def summary_of(capture: Capture, sender: str = "both") -> str:
     return f"{told} Nothing in it is a frame{whose}: is it raw bytes of the wire?"
 
 
-def counters_of(capture: Capture) -> dict[str, Any]:
-    """The counters, for JSON."""
-    counted = capture.counters
+def counters_of(captures: Iterable[Capture]) -> dict[str, Any]:
+    """The counters of all of them, for JSON."""
+    counted = sum((capture.counters for capture in captures), Counter[str]())
     return {
         "bytes": counted["bytes"],
         "from_host": counted["from the host"],

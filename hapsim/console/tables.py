@@ -351,7 +351,7 @@ def show_report(out: Console, report: Report, reconnections: int = 0) -> None:
         (_REFUSED_BY_DEVICE, report.rejected_by_device),
         ("stale positions", report.stale_positions),
         ("ticks at the force limit", report.limited_ticks),
-        ("rows not recorded", report.dropped_rows),
+        ("rows not recorded", report.dropped_rows + report.unrecorded_rows),
     ):
         if count:
             note = _FEW_ARE_NORMAL if label == _REFUSED_BY_DEVICE and count < _MANY else ""

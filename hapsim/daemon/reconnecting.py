@@ -194,7 +194,9 @@ class _Keeper:
             if self._stopped:
                 raise KeyboardInterrupt
             left = self._left_s()
-            with start(self._scene, duration=left, on_arming=self._arming, **self._options) as session:
+            record = None if self._record is None else record_of(self._record, len(self._runs))
+            options = {"duration": left, "record": record, "on_arming": self._arming, **self._options}
+            with start(self._scene, **options) as session:
                 on_armed()
                 self._observer.started(session)
                 follow(session, self._observer.running)
@@ -216,8 +218,6 @@ class _Keeper:
         self._session, self._state = session, "running"
 
     def _add(self, trace: Trace) -> None:
-        if self._record is not None:
-            trace.save(record_of(self._record, len(self._runs)))
         self._runs.append(Run(trace.report, trace.statistics))
         self._spent_s += trace.report.duration_s
         self._short = 0 if trace.report.duration_s > _LONG_S else self._short + 1

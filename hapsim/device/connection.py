@@ -7,6 +7,7 @@ Here it is read in plain Python, by the same functions that the loop is compiled
 from __future__ import annotations
 
 import time
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
@@ -16,6 +17,8 @@ from firmware_protocol.frames import SETUP, Format
 from firmware_protocol.records import new_record
 from hapsim.loop.inbox import INBOX, fetch_in_python
 from hapsim.loop.transport import PythonTransport
+
+_REMEMBERED = 128  # frames of the conversation, for a report
 
 
 def _new_inbox() -> Any:
@@ -39,6 +42,7 @@ class Connection:
     """Whether the device has a timer of its own: a mock in this process is only as punctual as this machine."""
     inbox: Any = field(default_factory=_new_inbox)
     """INBOX"""
+    _written: deque[bytes] = field(default_factory=lambda: deque(maxlen=_REMEMBERED))
 
     @property
     def decoder(self) -> Any:
@@ -51,7 +55,14 @@ class Connection:
 
     def write(self, frame: bytes) -> bool:
         """Sends a frame, outside of the loop; False where the port does not take it."""
+        self._written.append(frame)
         return self.transport.send(frame) == 0
+
+    def take_written(self) -> bytes:
+        """The last that `write` sent since this was asked before."""
+        written = b"".join(self._written)
+        self._written.clear()
+        return written
 
     def next_frame(self, timeout_s: float) -> tuple[bool, int]:
         """Waits for a frame, outside of the loop: (True, 0) when there is one in the decoder, else (False, 0 or HUNG_UP

@@ -10,12 +10,16 @@ from hapsim.device.connection import Connection
 from hapsim.device.serial_port import open_portable_port, open_serial_port
 from hapsim.errors import UsageError
 from hapsim.loop.only_linux import require_linux
+from hapsim.loop.transport import PythonTransport
 from hapsim.scene import Scene
 
 TransportKind = Literal["auto", "mock", "loopback", "terminal"]
 """auto: the scene's port, or the mock where it names none. mock: the mock whatever the scene says, in memory where the
 time is virtual and on a pseudo-terminal where it is real. loopback, terminal: the mock, there."""
 
+
+Between = Callable[[PythonTransport], PythonTransport]
+"""What is put between the host and a device: made of the transport that it stands on, itself one for the host."""
 
 Place = Literal["port", "terminal", "loopback"]
 """Behind a port; or the mock: on a pseudo-terminal, or in memory."""
@@ -47,10 +51,24 @@ def require_possible_here(place: Place, *, portable: bool = False) -> None:
 
 @contextlib.contextmanager
 def open_connection(
-    scene: Scene, kind: TransportKind = "auto", *, portable: bool = False, realtime: bool = False
+    scene: Scene,
+    kind: TransportKind = "auto",
+    *,
+    portable: bool = False,
+    realtime: bool = False,
+    between: Between | None = None,
 ) -> Iterator[Connection]:
     """The connection to the scene's device, open inside the with-block. `portable`: for the loop in Python; `realtime`:
-    where the mock has a time of its own, it keeps it as hardware does, as far as the system lets it."""
+    where the mock has a time of its own, it keeps it as hardware does, as far as the system lets it; `between`: what
+    the bytes go through, each way."""
+    with _open_directly(scene, kind, portable, realtime) as connection:
+        if between is not None:
+            connection.transport = between(connection.transport)
+        yield connection
+
+
+@contextlib.contextmanager
+def _open_directly(scene: Scene, kind: TransportKind, portable: bool, realtime: bool) -> Iterator[Connection]:
     open_port = open_portable_port if portable else open_serial_port
     place = place_of_device(scene, kind, portable=portable)
     if place == "port":

@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -49,6 +50,16 @@ def open_portable_port(path: str, baud: int) -> Connection:
         note=_low_latency(port),
         has_timer=True,
     )
+
+
+@contextlib.contextmanager
+def raw_port(path: str, baud: int) -> Iterator[int]:
+    """The descriptor of an open port, raw, locked and not blocking, for who reads and writes it himself. DeviceError,
+    with what to do, where it cannot be opened."""
+    with contextlib.closing(_open(path, baud)) as port:
+        _make_raw(port.fileno())
+        _low_latency(port)
+        yield port.fileno()
 
 
 def _open(path: str, baud: int) -> Any:

@@ -17,6 +17,7 @@ from hapsim.loop.codes import BAD_FORCE, FAULT, HEARD, LEAPT, OFF_RATE, TIMED_OU
 from hapsim.loop.guards import LEAP, WATCH, cut, is_finite, is_leap, is_off_rate
 from hapsim.loop.histogram import HISTOGRAM, note
 from hapsim.loop.io_buffer import IO_BUFFER
+from hapsim.loop.last_bytes import next_place
 from hapsim.loop.predictor import PREDICTOR, call_add, call_predict
 from hapsim.loop.ring import BRIDGED, LATE_FORCE, LIMITED, OFF_GRID, RING, UNSENT, mark_last, publish, push
 from hapsim.loop.stage import STAGE, move_scene
@@ -180,8 +181,8 @@ def take_frame(loop, decoder, now):
 
 @inlined
 def compose_frame(loop, disarm):
-    """Writes the frame with the force that answers the newest position into the outbox; or the one that disarms, with
-    zero force, the last frame of every loop whatever ended it. Where the frame ends."""
+    """Writes the frame with the force that answers the newest position into the outbox, where the next bytes go; or the
+    one that disarms, with zero force, the last frame of every loop whatever ended it. Where the frame ends."""
     compact()
     io = loop.io
     kind, number, argument = schema.FORCE, loop.state.sample & _MODULUS_MASK, loop.control.time_to_live
@@ -189,7 +190,7 @@ def compose_frame(loop, disarm):
         kind, number, argument = schema.DISARM, 0, 0
         for c in range(np.uint64(io.channels)):
             io.force_counts[c] = 0
-    return write_frame(loop.framing, io.outbox, 0, kind, number, argument, io.force_counts)
+    return write_frame(loop.framing, io.outbox, next_place(io.sent), kind, number, argument, io.force_counts)
 
 
 @inlined

@@ -8,7 +8,11 @@ import numpy as np
 
 from firmware_protocol.decoder import DECODER
 from hapsim.compiling.native import record_at
+from hapsim.loop.last_bytes import KEPT, LAST_BYTES, next_place
 from hapsim.loop.transport import TRANSPORT, PythonTransport
+
+AT_ONCE = 8192
+"""Bytes that are taken in one go, at most."""
 
 INBOX = np.dtype(
     [
@@ -16,7 +20,8 @@ INBOX = np.dtype(
         ("decoder", DECODER),
         ("start", np.int64),  # of what is not yet looked at
         ("stop", np.int64),
-        ("bytes", np.uint8, 8192),
+        ("last", LAST_BYTES),
+        ("bytes", np.uint8, KEPT + AT_ONCE),
     ],
     align=True,
 )
@@ -28,7 +33,8 @@ inbox_at = record_at(INBOX)
 def fetch_in_python(inbox: Any, transport: PythonTransport, timeout_ns: int) -> int:
     """Reads what has arrived into an inbox that is used up, outside of the compiled loop: the count, or a code of
     codes.py."""
-    inbox.start = inbox.stop = 0
-    count = transport.receive(inbox.bytes, timeout_ns)
-    inbox.stop = max(count, 0)
+    at = int(next_place(inbox.last))
+    inbox.start = inbox.stop = at
+    count = transport.receive(inbox.bytes[at : at + AT_ONCE], timeout_ns)
+    inbox.stop = inbox.last.at = at + max(count, 0)
     return count

@@ -6,6 +6,7 @@ import numpy as np
 
 from firmware_protocol import schema
 from firmware_protocol.frames import ROOM
+from hapsim.loop.last_bytes import KEPT, LAST_BYTES
 from hapsim.loop.system import SCRATCH
 
 _EACH = (schema.MAX_CHANNELS,)
@@ -30,7 +31,8 @@ IO_BUFFER = np.dtype(
         ("force_scale", np.float64, _EACH),  # N per count
         ("force_limit", np.float64, _EACH),  # N
         SCRATCH,
-        ("outbox", np.uint8, (ROOM,)),  # the frame that is being written
+        ("sent", LAST_BYTES),
+        ("outbox", np.uint8, (KEPT + ROOM,)),  # the frame that is being written, and those before
     ],
     align=True,
 )

@@ -19,6 +19,7 @@ from hapsim.loop.codes import FAILED, HEARD, HUNG_UP, TIMED_OUT
 from hapsim.loop.endings import GOES_ON, RING_FULL, ending_of
 from hapsim.loop.exchange import HOST_CLOCK, compose_frame, flush_unsent, on_force_sent
 from hapsim.loop.inbox import fetch_in_python, inbox_at
+from hapsim.loop.last_bytes import put
 from hapsim.loop.paced_by_device import plan_by_device
 from hapsim.loop.paced_by_host import is_patient, plan_by_host
 from hapsim.loop.transport import PythonTransport
@@ -98,8 +99,8 @@ class PortableLoop:
     def __init__(self, loop: Any, inbox: Any, transport: PythonTransport) -> None:
         self._loop, self._inbox, self._transport = loop, inbox, transport
         self._control, self._wait = loop.control, loop.wait
-        self._stop = 0
-        """Where the newest force's frame ends."""
+        self._frame = b""
+        """The newest force's."""
         for function, arguments in entries_for(loop):
             compile_for(function, *arguments)
 
@@ -120,11 +121,11 @@ class PortableLoop:
             elif wait["answers"]:
                 if by_host and loop.state.unanswered:
                     loop.state.tick_ns = wait["begun_ns"]
-                code = self._send(self._stop)
+                code = self._send(self._frame)
                 ending = GOES_ON if code == 0 else int(ending_of(code, 0))
                 _on_force_sent(loop, time.monotonic_ns())
         if ending != RING_FULL:
-            self._send(_compose_last(loop))
+            self._send(self._composed(_compose_last(loop)))
         return ending
 
     def _take_newest_position(self, begun: int, timeout_ns: int) -> int:
@@ -133,7 +134,7 @@ class PortableLoop:
         while True:
             code, stop = _take_and_compose(self._loop, now)
             if code == HEARD:
-                self._stop = stop
+                self._frame = self._composed(stop)
             if code != TIMED_OUT or last_look:
                 return int(code)
             last_look = now >= give_up or bool(self._control["stop"])
@@ -142,5 +143,11 @@ class PortableLoop:
             if count < 0:
                 return count
 
-    def _send(self, stop: int) -> int:
-        return self._transport.send(self._loop.io.outbox[:stop].tobytes())
+    def _composed(self, stop: int) -> bytes:
+        io = self._loop.io
+        return bytes(io.outbox[int(io.sent.at) : stop])
+
+    def _send(self, frame: bytes) -> int:
+        """The same frame may be sent again."""
+        put(self._loop.io.sent, self._loop.io.outbox, frame)
+        return self._transport.send(frame)

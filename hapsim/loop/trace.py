@@ -2,81 +2,26 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import zipfile
 import zlib
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hapsim.errors import UsageError
-from hapsim.loop.histogram import Histogram, Spread
+from hapsim.loop.histogram import Histogram
+from hapsim.loop.report import COUNTED, Report, Statistics, as_told, beside_the_rows, report_from
+from hapsim.loop.stream import ROWS, Head, is_stream
+from hapsim.loop.streamed_trace import load_stream, save_stream, write_csv
 
-_COUNTED = "counted_"  # before the name of a histogram in the file
-
-
-@dataclass(frozen=True)
-class Report:
-    """A run in numbers."""
-
-    ending: str
-    """Why it ended: done, stopped, …"""
-    ticks: int
-    duration_s: float
-    """From the first position to the last: by the clock on the wall, or in virtual time."""
-    rate_hz: float
-    """Positions per second of that duration."""
-    nominal_rate_hz: float
-    """What the scene asks for."""
-    deadline_misses: int
-    """Samples whose force came too late and for which the one before went on acting."""
-    lost_frames: int
-    """Positions that never arrived whole."""
-    crc_errors: int
-    """Frames of the device that the check refused (too short or malformed ones included)."""
-    stale_positions: int
-    """Positions that a newer one replaced before they could be answered."""
-    limited_ticks: int
-    """Ticks whose force was cut to its limit."""
-    dropped_rows: int
-    """Rows missing from the trace because its reader was too slow; the force was not affected."""
-    parameter_changes: int
-    """Changes of the scene while it ran that were taken: sets of parameters, or another structure."""
-    lateness_s: Spread
-    """Where the host is the clock: of the loop's wake-up, after the tick was due. Where the device is: of its position,
-    after the earliest ones of late, by its own count of samples. Nothing in virtual time."""
-    exchange_s: Spread
-    """From a position's arrival until its force has left; where the host is the clock, from waking up for the tick
-    until the position has arrived, the force sent in between."""
-    age_samples: Spread
-    """From the position that the acting force answers to the force's change: 1 where it was in time, else at most so
-    many, as the device says of a late force only that it was. No force acts for longer than its time to live and one
-    sample more; that the force may be zero already is counted as two more."""
-    virtual_time: bool
-    garbage_bytes: int = 0
-    """Bytes from the device, since it was armed, that belonged to no frame."""
-    rejected_by_device: int | None = None
-    """Frames of the host that the device says it refused since it was armed (register 9); of a device that stopped by
-    itself the last one, which disarms, is among them. None where it did not say."""
-    released: bool | None = None
-    """Whether the device said, after the last force, that it released it; None in a record that does not tell."""
-    timed_by_device: bool = False
-    estimated_mass_kg: tuple[float | None, ...] = ()
-    """Where a correction adapts: for which mass the force of each channel was at the end; None on the others."""
-    """Whether a timer of the device's own paced the positions: then their arrival tells its rate."""
-
-
-@dataclass(frozen=True)
-class Statistics:
-    """The histograms of which a report tells the quantiles: s, s and samples."""
-
-    lateness: Histogram
-    exchange: Histogram
-    age: Histogram
+IN_REPORT = "trace.npz"
+"""A trace's name in a report file."""
 
 
 @dataclass(frozen=True)
@@ -116,60 +61,81 @@ class Trace:
 
     def since(self, tick: int) -> Trace:
         """Its rows from this tick on, with the same report."""
-        rows = ("sample", "time_ns", "flags", "position_counts", "force_counts", "asked_force")
-        return replace(self, **{name: getattr(self, name)[tick:] for name in rows})
+        return replace(self, **{name: getattr(self, name)[tick:] for name in ROWS})
 
     def save(self, path: str | Path) -> None:
-        """Writes a .npz (every array as it is) or a .csv (SI units). UsageError where it cannot."""
+        """Writes a .npz or a .trace (every array as it is) or a .csv (SI units). UsageError where it cannot."""
         path = Path(path)
         require_writable_as_trace(path)
+        head = Head(self.rate, self.position_scale.tolist(), self.force_scale.tolist())
+        columns = {name: getattr(self, name) for name in ROWS}
         try:
             if path.suffix == ".csv":
-                self._save_csv(path)
+                with path.open("w", encoding="utf-8") as file:
+                    write_csv(file, head, [columns])
+            elif path.suffix == ".trace":
+                save_stream(path, head, columns, as_told(self.report, self.statistics, True))
             else:
-                self._save_npz(path)
+                self.write_npz(path)
         except OSError as error:
             raise UsageError(f"{path}: the trace cannot be written: {error.strerror or error}") from error
 
-    def _save_npz(self, path: Path) -> None:
-        arrays: dict[str, Any] = {name: value for name, value in vars(self).items() if isinstance(value, np.ndarray)}
-        counted = {f"{_COUNTED}{name}": histogram.as_row() for name, histogram in vars(self.statistics).items()}
-        np.savez_compressed(path, rate=self.rate, report=json.dumps(asdict(self.report)), **arrays, **counted)
-
-    def _save_csv(self, path: Path) -> None:
-        channels = range(self.position_scale.size)
-        names = [f"{what}[{c}]" for what in ("position_m", "force_N", "asked_force_N") for c in channels]
-        table = np.column_stack([self.sample, self.time_ns, self.flags, self.position, self.force, self.asked_force])
-        formats = ["%d", "%d", "%d"] + ["%.12g"] * (3 * len(channels))
-        header = ",".join(["sample", "time_ns", "flags", *names])
-        np.savetxt(path, table, fmt=formats, delimiter=",", header=header, comments="")
+    def write_npz(self, file: Path | BinaryIO) -> None:
+        """OSError where it cannot be written."""
+        arrays: dict[str, Any] = {name: getattr(self, name) for name in (*ROWS, "position_scale", "force_scale")}
+        np.savez_compressed(file, **arrays, **beside_the_rows(self.rate, self.statistics, self.report))
 
 
 def require_writable_as_trace(path: Path) -> None:
     """UsageError where a trace could not be written there: better before the run than after it."""
-    if path.suffix not in (".npz", ".csv"):
-        raise UsageError(f"{path}: a trace is written as .npz or .csv, by the file's ending")
+    if path.suffix not in ENDINGS:
+        raise UsageError(f"{path}: a trace is written as {one_of_endings()}, by the file's ending")
     if not path.resolve().parent.is_dir():
         raise UsageError(f"{path}: there is no directory {path.resolve().parent}")
     if path.is_dir() or not os.access(path if path.exists() else path.resolve().parent, os.W_OK):
         raise UsageError(f"{path}: no file can be written there")
 
 
+ENDINGS = (".npz", ".csv", ".trace")
+
+
+def one_of_endings() -> str:
+    """In words."""
+    return f"{', '.join(ENDINGS[:-1])} or {ENDINGS[-1]}"
+
+
 def load_trace(path: str | Path) -> Trace:
-    """Reads a trace back from a .npz. UsageError where the file is none."""
+    """Reads a trace back from a .npz, from a .trace or the .part that a run left which did not come to its end, or from
+    a report file, which has its last second. UsageError where the file is none of these.
+
+    Of a file that was cut off (a crash, a full disk) everything up to there is read; the report's `ending` says so.
+    """
+    path = Path(path)
     try:
-        with Path(path).open("rb") as stream, np.load(stream) as file:  # numpy leaves a torn file open
-            arrays = {name: file[name] for name in file.files if name not in ("rate", "report")}
-            counted = {name: arrays.pop(name) for name in list(arrays) if name.startswith(_COUNTED)}
-            statistics = Statistics(**{name[len(_COUNTED) :]: Histogram.from_row(row) for name, row in counted.items()})
-            report = _report(json.loads(str(file["report"])))
-            return Trace(rate=float(file["rate"]), statistics=statistics, report=report, **arrays)
+        if is_stream(path):
+            return Trace(**load_stream(path))
+        with path.open("rb") as stream:
+            return _load_npz(_within_report(stream))
     except (OSError, EOFError, ValueError, KeyError, TypeError, zipfile.BadZipFile, zlib.error) as error:
         raise UsageError(f"{path}: not a trace that hapsim wrote ({error})") from error
 
 
-def _report(values: dict[str, Any]) -> Report:
-    for name in ("lateness_s", "exchange_s", "age_samples"):
-        values[name] = Spread(**values[name])
-    values["estimated_mass_kg"] = tuple(values.get("estimated_mass_kg", ()))
-    return Report(**values)
+def _within_report(stream: BinaryIO) -> BinaryIO:
+    """The .npz in a report file; any other file as it is."""
+    if not zipfile.is_zipfile(stream):
+        stream.seek(0)
+        return stream
+    with zipfile.ZipFile(stream) as file:
+        if IN_REPORT in file.namelist():
+            return io.BytesIO(file.read(IN_REPORT))
+    stream.seek(0)
+    return stream
+
+
+def _load_npz(stream: BinaryIO) -> Trace:
+    with np.load(stream) as file:
+        arrays = {name: file[name] for name in file.files if name not in ("rate", "report")}
+        counted = {name: arrays.pop(name) for name in list(arrays) if name.startswith(COUNTED)}
+        statistics = Statistics(**{name[len(COUNTED) :]: Histogram.from_row(row) for name, row in counted.items()})
+        report = report_from(json.loads(str(file["report"])))
+        return Trace(rate=float(file["rate"]), statistics=statistics, report=report, **arrays)

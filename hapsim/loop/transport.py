@@ -41,6 +41,20 @@ def receive(transport, buffer, timeout_ns):
 
 
 @inlined
+def receive_at(transport, buffer, at, room, timeout_ns):
+    """Bytes that have arrived, `room` of them at most, into buffer[at:]."""
+    address = np.uint64(buffer.ctypes.data) + np.uint64(at)
+    return _call_receive(transport.receive, (transport.context, address, np.int64(room), np.int64(timeout_ns)))
+
+
+@inlined
+def send_from(transport, buffer, start, stop):
+    """Sends buffer[start:stop]."""
+    address = np.uint64(buffer.ctypes.data) + np.uint64(start)
+    return _call_send(transport.send, (transport.context, address, np.int64(stop - start)))
+
+
+@inlined
 def send(transport, buffer, stop):
     """Sends buffer[:stop]."""
     return _call_send(transport.send, (transport.context, np.uint64(buffer.ctypes.data), np.int64(stop)))

@@ -10,9 +10,10 @@ from firmware_protocol.decoder import next_frame
 from hapsim.compiling import inlined
 from hapsim.loop.codes import TIMED_OUT
 from hapsim.loop.exchange import compose_frame, flush_unsent, on_force_sent, take_frame
-from hapsim.loop.inbox import inbox_at
+from hapsim.loop.inbox import AT_ONCE, inbox_at
+from hapsim.loop.last_bytes import next_place
 from hapsim.loop.system import now_ns, sleep_until
-from hapsim.loop.transport import receive, send
+from hapsim.loop.transport import receive_at, send_from
 
 SLICE_NS = 100_000_000
 """No wait is longer without a look at whether the loop is to stop."""
@@ -59,19 +60,21 @@ def take_newest_position(loop, begun, timeout_ns):
             return code
         last_look = arrived >= give_up or loop.control.stop != 0
         left = give_up - arrived
-        inbox.start = inbox.stop = 0
-        count = receive(inbox.transport, inbox.bytes, left if left < SLICE_NS else SLICE_NS)
+        inbox.start = inbox.stop = at = next_place(inbox.last)
+        count = receive_at(inbox.transport, inbox.bytes, at, AT_ONCE, left if left < SLICE_NS else SLICE_NS)
         arrived = now_ns(loop.io.scratch)
         if count < 0:
             return count
-        inbox.stop = count
+        inbox.stop = inbox.last.at = at + count
 
 
 @inlined
 def send_frame(loop, disarm):
     """Sends the force that answers the newest position; or, to `disarm`, zero force, the last frame of every loop
     whatever ended it: 0, or HUNG_UP or FAILED."""
-    code = send(inbox_at(loop.inbox).transport, loop.io.outbox, compose_frame(loop, disarm))
+    io, stop = loop.io, compose_frame(loop, disarm)
+    code = send_from(inbox_at(loop.inbox).transport, io.outbox, io.sent.at, stop)
+    io.sent.at = stop
     if disarm:
         flush_unsent(loop)
     else:

@@ -25,7 +25,7 @@ def trace_of(scene: Scene, loop: Loop, recorder: Recorder, ending: int) -> Trace
         loop.record.io.position_scale[: loop.wire.channels].copy(),
         loop.record.io.force_scale[: loop.wire.channels].copy(),
         statistics_of(loop),
-        _report(scene, loop, ending),
+        report_of(scene, loop, endings.IN_WORDS[ending]),
     )
 
 
@@ -62,7 +62,8 @@ def _estimated_masses(loop: Loop) -> tuple[float | None, ...]:
     return () if loop.correction is None else loop.correction.estimated_mass_kg(loop.wire.channels)
 
 
-def _report(scene: Scene, loop: Loop, ending: int) -> Report:
+def report_of(scene: Scene, loop: Loop, ending: str) -> Report:
+    """A loop in numbers, while it runs or afterwards."""
     state, decoder, virtual = loop.state, loop.inbox.decoder, scene.device.clock == "lockstep"
     ticks = int(state.ticks)
     samples = max(ticks - 1, 0)
@@ -73,7 +74,7 @@ def _report(scene: Scene, loop: Loop, ending: int) -> Report:
     )
     statistics = statistics_of(loop)
     return Report(
-        ending=endings.IN_WORDS[ending],
+        ending=ending,
         ticks=ticks,
         duration_s=elapsed,
         rate_hz=samples / elapsed if elapsed > 0 else 0.0,
@@ -91,8 +92,14 @@ def _report(scene: Scene, loop: Loop, ending: int) -> Report:
         virtual_time=virtual,
         garbage_bytes=int(decoder.garbage_bytes) + _endless_bytes(loop),
         timed_by_device=bool(loop.record.watch.judges),
+        released=True if ending == endings.DEVICE_STOPPED and _says_released(loop) else None,
         estimated_mass_kg=_estimated_masses(loop),
     )
+
+
+def _says_released(loop: Loop) -> bool:
+    """Whether the STATUS that the loop took says that the force is zero: a device releases it before it says so."""
+    return int(loop.state.device_state) in (schema.IDLE, schema.LATCHED)
 
 
 def _endless_bytes(loop: Loop) -> int:
@@ -102,8 +109,10 @@ def _endless_bytes(loop: Loop) -> int:
 
 
 def with_farewell(trace: Trace, released: bool, rejected: int | None) -> Trace:
-    """The trace, with whether the device said that it `released` the force, and how many frames it `rejected`."""
-    return replace(trace, report=replace(trace.report, released=released, rejected_by_device=rejected))
+    """The trace, with whether the device said that it `released` the force, now or when it stopped by itself, and how
+    many frames it `rejected`."""
+    said = released or bool(trace.report.released)
+    return replace(trace, report=replace(trace.report, released=said, rejected_by_device=rejected))
 
 
 def failure_of(name: str, scene: Scene, loop: Loop, trace: Trace, ending: int) -> RunError | None:
@@ -167,17 +176,19 @@ def _silence(loop: Loop, report: Report) -> str:
 def _useless(loop: Loop, report: Report) -> str:
     """What came and was of no use; "" where there was nothing."""
     counts = {
-        "frames were refused": report.crc_errors,
-        "bytes belonged to no frame": report.garbage_bytes,
-        "positions were numbered as earlier ones": int(loop.state.old_positions),
+        "frame{s} {were} refused": report.crc_errors,
+        "byte{s} belonged to no frame": report.garbage_bytes,
+        "position{s} {were} numbered as earlier ones": int(loop.state.old_positions),
     }
-    return ", ".join(f"{count} {what}" for what, count in counts.items() if count)
+    one, several = {"s": "", "were": "was"}, {"s": "s", "were": "were"}
+    told = [f"{count} {what.format(**(one if count == 1 else several))}" for what, count in counts.items() if count]
+    return ", ".join(told)
 
 
 def _reason(loop: Loop, report: Report) -> str:
     """Why the device stopped, as it says. That the host was quiet is the host's doing only where it had a position."""
     state, fault = loop.state, int(loop.state.fault)
-    if int(state.device_state) not in (schema.IDLE, schema.LATCHED):
+    if not _says_released(loop):
         return (
             f"it sent a STATUS with state {int(state.device_state)} and fault {fault}, where an armed device says only "
             "that it is idle or latched (PROTOCOL.md, section 7)"
@@ -195,13 +206,20 @@ def _reason(loop: Loop, report: Report) -> str:
             f"waits for a force ({watchdog}). Where the machine is busy, `hapsim doctor` tells what would help, and "
             "`--realtime` asks for it"
         )
-    if has_heard:
-        return f"{fault_text(fault)} ({watchdog}; {_useless(loop, report) or 'though its positions arrived undamaged'})"
     useless = _useless(loop, report)
+    if has_heard:
+        sent_s = 1e-9 * (int(state.stopped_ns) - int(state.sent_ns))
+        so = ", so forces reach it late, or damaged, or not at all" if sent_s < 0.5 * watchdog_s else ""
+        return (
+            f"{fault_text(fault)}, it says ({watchdog}); the last force left this host {1e3 * sent_s:.3g} ms before"
+            f"{so} ({useless or 'its positions arrived undamaged'})"
+        )
     when = f"for {since_s:.2g} s before" if report.ticks else "at all"
-    return f"it got no force within {watchdog}, as the host got no position that it could use {when}" + (
-        f": {useless}" if useless else ""
-    )
+    if int(loop.control.clock) == HOST_CLOCK and report.ticks:
+        why = f"and the host no position {when}, though it asked for one at every tick"
+    else:
+        why = f"as the host got no position that it could use {when}"
+    return f"it got no force that it could use within {watchdog}, {why}" + (f": {useless}" if useless else "")
 
 
 def _gap_s(loop: Loop, report: Report, has_heard: bool) -> float:

@@ -117,7 +117,7 @@ class Session:
 
     def _read(self) -> None:
         while not self._over.wait(_COLLECT_S):
-            if not self._loop.record.ring.waits:
+            if not self._loop.record.ring.waits or self._recorder.recording is not None:
                 self._recorder.collect()
 
     def _begin(self) -> None:

@@ -4,7 +4,9 @@ whether the device confirmed it is part of the report."""
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any, TypedDict
 
 from firmware_protocol.description import Description
@@ -14,23 +16,34 @@ from hapsim.compiling.entries import compile_for
 from hapsim.compiling.progress import Counted, on_compilation
 from hapsim.device.connection import Connection
 from hapsim.device.conversation import arm, describe, disarm, frames_rejected_by
-from hapsim.device.open_connection import TransportKind, open_connection, place_of_device, require_possible_here
+from hapsim.device.open_connection import (
+    Between,
+    Place,
+    TransportKind,
+    open_connection,
+    place_of_device,
+    require_possible_here,
+)
 from hapsim.errors import UsageError
 from hapsim.loop.only_linux import missing_calls, require_linux
 from hapsim.loop.portable import PortableLoop
 from hapsim.loop.recorder import Recorder
 from hapsim.loop.run import run_loop
+from hapsim.loop.trace import require_writable_as_trace
 from hapsim.progress import Progress
 from hapsim.realtime import realtime as with_realtime
 from hapsim.running.assemble import Loop, assemble_loop
 from hapsim.running.compatibility import PACING, require_compatible
 from hapsim.running.excitation import Excitation, PeriodicExcitation
+from hapsim.running.recorded import recorded, with_record, with_report
 from hapsim.running.report import failure_of, trace_of, with_farewell
+from hapsim.running.report_file import default_directory
 from hapsim.running.session import Session
 from hapsim.running.stability import require_startable
 from hapsim.scene import Scene
 
 _MOST_TICKS = 2.0**62
+_LAST_ROWS = 1 << 16  # of the last second, at most
 
 
 class StartOptions(TypedDict, total=False):
@@ -40,10 +53,14 @@ class StartOptions(TypedDict, total=False):
     transport: TransportKind
     excitation: Excitation | PeriodicExcitation | None
     keep: bool
+    record: str | Path | None
+    reports: str | Path | None
     realtime: bool
     portable: bool
+    between: Between | None
     unstable: bool | None
     on_progress: Callable[[Progress], None] | None
+    on_warning: Callable[[str], None] | None
 
 
 @contextlib.contextmanager
@@ -54,59 +71,87 @@ def start(
     transport: TransportKind = "auto",
     excitation: Excitation | PeriodicExcitation | None = None,
     keep: bool = True,
+    record: str | Path | None = None,
+    reports: str | Path | None = None,
     realtime: bool = False,
     portable: bool = False,
+    between: Between | None = None,
     unstable: bool | None = None,
     on_progress: Callable[[Progress], None] | None = None,
+    on_warning: Callable[[str], None] | None = None,
     on_arming: Callable[[Session], None] | None = None,
 ) -> Iterator[Session]:
     """Starts `scene`, for `duration` seconds (None: until stopped); it runs while the with-block lasts.
 
     `transport`: where the device is ("auto": the scene's port, else the mock that fits the clock). `keep`: False for a
-    trace without rows, for runs without an end. `realtime`: asks the system for what makes a loop steady, see
-    hapsim.realtime; `Session.grants` says what was granted. `portable`: the loop in plain Python over pyserial; off
-    Linux that loop runs with the mock in memory too. `unstable`: whether a scene that is surely predicted unstable may
-    run: False refuses it, at the start and as a change (`Session.set`, `Session.adopt`), True takes it; None starts and
-    sets it, and `Session.adopt` refuses what is more unstable than what runs. `on_progress` hears of the compilation,
-    `on_arming` gets the session just before the device is armed: a `stop` from then on ends the run in good order.
+    trace without rows, for runs without an end. `record`: a .trace, .npz or .csv that is written while it runs, in
+    memory that does not grow; what was written before a crash is read by `load_trace`. `reports`: the
+    directory for the report file of a run that a guard, a fault of the device or a lost device ends; None: a default
+    one where the device is on a port, no file for the mock in this process. `realtime`: asks the system for what makes
+    a loop steady, see hapsim.realtime; `Session.grants` says what was granted. `portable`: the loop in plain Python
+    over pyserial; off Linux that loop runs with the mock in memory too. `between`: what loop and device speak through,
+    made of the transport to the device; the loop is then the one in Python. `unstable`: whether a scene that is surely
+    predicted unstable may run: False refuses it, at the start and as a change (`Session.set`, `Session.adopt`), True
+    takes it; None starts and sets it, and `Session.adopt` refuses what is more unstable than what runs. `on_progress`
+    hears of the compilation, `on_warning` once, in a sentence and in another thread, of a record that cannot be written
+    any more; `on_arming` gets the session just before the device is armed: a `stop` from then on ends the run in good
+    order.
 
     Raises SceneError and UsageError for what cannot be run; DeviceError where port or device fail, GuardError where a
-    guard stopped the force, both when the with-block is left; they carry what was recorded as their attribute `trace`.
+    guard stopped the force, RecordError where the run went as asked and its record did not, these when the with-block
+    is left; they carry what was recorded as their attribute `trace`.
     """
     _require_sound(scene, duration, realtime)
+    if record is not None:
+        require_writable_as_trace(Path(record))
     if unstable is False:
         require_startable(scene)
     tell = on_progress or (lambda _: None)
     counted = Counted(lambda name, share: tell(Progress("compiling", name, share=share)))
-    in_python = portable or bool(missing_calls())
-    with on_compilation(counted.add), _open(scene, transport, portable, realtime, counted) as opened:
+    in_python = portable or between is not None or bool(missing_calls())
+    with (
+        on_compilation(counted.add),
+        _open(scene, transport, portable, in_python, realtime, between, counted) as opened,
+    ):
         description = describe(opened)
         require_compatible(scene, opened.name, description)
         loop = assemble_loop(scene, opened, description, excitation, duration)
         # Everything is compiled now: the device is armed only when the loop can answer at once.
         gives_way = scene.device.clock != "lockstep" and not in_python
-        body = _ready_body(opened, loop, in_python)
-        session = Session(scene, loop, body, Recorder(loop.ring, keep), gives_way, unstable)
-        try:
-            session._begin()
-            if on_arming is not None:
-                on_arming(session)
-            with _real_time(session) if realtime else contextlib.nullcontext():
-                _arm(scene, opened, description, loop)
-                session._go()
-                yield session
-        finally:
+        recorder = Recorder(loop.ring, keep, min(math.ceil(scene.rate), _LAST_ROWS))
+        session = Session(scene, loop, _ready_body(opened, loop, in_python), recorder, gives_way, unstable)
+        spoken = b""
+        with recorded(session, record, on_warning):
             try:
-                ending = session._end()
-                session._trace = trace_of(scene, loop, session._recorder, ending)
+                session._begin()
+                if on_arming is not None:
+                    on_arming(session)
+                with _real_time(session) if realtime else contextlib.nullcontext():
+                    _arm(scene, opened, description, loop)
+                    spoken = opened.take_written()
+                    session._go()
+                    yield session
             finally:
-                session._join()  # whatever interrupted the first: nobody else may be on the port
-                # The loop has disarmed already; this is for every way out that did not get so far, and to know.
-                released = disarm(opened, loop.wire)
-        session._trace = with_farewell(session.trace, released, frames_rejected_by(opened) if released else None)
+                try:
+                    ending = session._end()
+                    session._trace = trace_of(scene, loop, recorder, ending)
+                finally:
+                    session._join()  # whatever interrupted the first: nobody else may be on the port
+                    # The loop has disarmed already; this is for every way out that did not get so far, and to know.
+                    released = disarm(opened, loop.wire)
+            session._trace = with_farewell(session.trace, released, frames_rejected_by(opened) if released else None)
     failure = failure_of(opened.name, scene, loop, session.trace, ending)
+    directory = _report_directory(reports, place_of_device(scene, transport, portable=portable))
+    failure = with_report(failure, directory, opened, session, description, spoken)
+    failure = with_record(failure, opened.name, session)
     if failure is not None:
         raise failure
+
+
+def _report_directory(asked: str | Path | None, place: Place) -> Path | None:
+    if asked is not None:
+        return Path(asked)
+    return default_directory() if place == "port" else None
 
 
 def _require_sound(scene: Scene, duration: float | None, realtime: bool) -> None:
@@ -120,15 +165,21 @@ def _require_sound(scene: Scene, duration: float | None, realtime: bool) -> None
 
 @contextlib.contextmanager
 def _open(
-    scene: Scene, transport: TransportKind, portable: bool, realtime: bool, counted: Counted
+    scene: Scene,
+    transport: TransportKind,
+    portable: bool,
+    in_python: bool,
+    realtime: bool,
+    between: Between | None,
+    counted: Counted,
 ) -> Iterator[Connection]:
     """The connection; what loop and mock need is compiled, the mock's part before it has to answer."""
     place = place_of_device(scene, transport, portable=portable)
-    require_possible_here(place, portable=portable)
-    loop = () if portable or missing_calls() else ("loop",)
+    require_possible_here(place, portable=in_python)
+    loop = () if in_python else ("loop",)
     if place != "port":
         compile_ahead((*loop, *MOCK_UNITS[place]), counted)
-    with open_connection(scene, transport, portable=portable, realtime=realtime) as opened:
+    with open_connection(scene, transport, portable=portable, realtime=realtime, between=between) as opened:
         if loop:
             compile_ahead((*loop, "port"), counted)
         yield opened

@@ -1,9 +1,11 @@
 """What pydantic found wrong, in our own sentences: what was found, what was expected, what to do."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from typing import Any, get_args
 
 from pydantic import BaseModel, ValidationError
+from pydantic.fields import FieldInfo
 
 from .device import Device
 from .document import Document
@@ -13,20 +15,52 @@ from .modules import MODULE_TYPES
 from .quantity import UNEXPECTED, Expectation
 from .scene import ACROSS, Scene
 
-_PARTS: dict[Path, type[BaseModel]] = {
-    (): Scene,
-    ("device",): Device,
-    ("mock",): Mock,
-    ("mock", "initial"): Initial,
-}
+
+@dataclass(frozen=True)
+class Layout:
+    """Which parts a kind of file has, for the words about what is wrong in them.
+
+    Attributes:
+        parts: the class of each part that has a place of its own.
+        collection: the key of the table or list whose entries say by themselves which part they are,
+        tag: by this key,
+        tagged: and the class of each of its values.
+        entry: what is expected where an entry should be,
+        mappings: and where another mapping should be, by its place.
+    """
+
+    parts: Mapping[Path, type[BaseModel]]
+    collection: str
+    tag: str
+    tagged: Mapping[str, type[BaseModel]]
+    entry: str
+    mappings: Mapping[Path, str]
+
+    def mapping_words(self, path: Path) -> str:
+        """What a mapping at `path` is expected to be."""
+        is_entry = len(path) == 2 and path[0] == self.collection
+        return self.entry if is_entry else self.mappings.get(path, "a mapping")
 
 
-def findings_of(error: ValidationError, document: Document) -> list[Issue]:
+_SCENE = Layout(
+    {(): Scene, ("device",): Device, ("mock",): Mock, ("mock", "initial"): Initial},
+    "modules",
+    "type",
+    MODULE_TYPES,
+    "a mapping such as {type: mass, mass: 0.01}",
+    {
+        (): "a mapping with version, rate, device and modules",
+        ("modules",): "a mapping from names to modules",
+    },
+)
+
+
+def findings_of(error: ValidationError, document: Document, layout: Layout = _SCENE) -> list[Issue]:
     """The faults within single parts; those between parts are left to `cross_check_issues`.
 
     A missing key is not mentioned where an unknown key beside it looks like that key misspelt.
     """
-    details = [_Detail(raw) for raw in error.errors(include_url=False) if raw["type"] != ACROSS]
+    details = [_Detail(raw, layout) for raw in error.errors(include_url=False) if raw["type"] != ACROSS]
     misspelt = {detail.meant() for detail in details if detail.kind == "extra_forbidden"}
     return [
         detail.issue(document)
@@ -44,20 +78,21 @@ class _Detail:
         path: the way through the file, which does not have pydantic's mark for the type of a module.
     """
 
-    def __init__(self, raw: Any) -> None:
+    def __init__(self, raw: Any, layout: Layout) -> None:
+        self._layout = layout
         self.kind: str = raw["type"]
         self.context: dict[str, Any] = raw.get("ctx", {})
         location: Path = raw["loc"]
         self.place, self.key = location[:-1], str(location[-1]) if location else ""
-        self.path = location[:2] + location[3:] if location[:1] == ("modules",) else location
+        self.path = location[:2] + location[3:] if location[:1] == (layout.collection,) else location
 
     def issue(self, document: Document) -> Issue:
         """The error in our words."""
         match self.kind:
             case "union_tag_not_found":
-                return _no_type(self.path, document)
+                return _no_tag(self.path, self._layout, document)
             case "union_tag_invalid":
-                return _wrong_word((*self.path, "type"), MODULE_TYPES, document)
+                return _wrong_word((*self.path, self._layout.tag), self._layout.tagged, document)
             case "literal_error":
                 return _wrong_word(self.path, self._words(), document)
             case "missing" | "extra_forbidden":
@@ -84,32 +119,40 @@ class _Detail:
             path += tuple(self.context["at"])
             expected = self.context["expected"]
         else:
-            expected = "a text" if self.kind == "string_type" else _mapping_words(path)
+            expected = "a text" if self.kind == "string_type" else self._layout.mapping_words(path)
         hint = document.number_hint(path) if "number" in expected else ""
         return Issue(path, f"found {document.found(path)}, expected {expected}{hint}")
 
     def _part(self) -> type[BaseModel]:
         """The class of the part that holds the value."""
-        if self.place in _PARTS:
-            return _PARTS[self.place]
-        part: type[BaseModel] = MODULE_TYPES[str(self.place[2])]
+        if self.place in self._layout.parts:
+            return self._layout.parts[self.place]
+        part: type[BaseModel] = self._layout.tagged[str(self.place[2])]
         for key in self.place[3:]:
-            part = _part_in(part.model_fields[str(key)].annotation)
+            part = _part_in(_fields_of(part)[str(key)].annotation)
         return part
 
     def _known_keys(self) -> list[str]:
-        return list(self._part().model_fields)
+        return list(_fields_of(self._part()))
 
     def _wanted(self) -> str:
         """What a missing key is to hold."""
-        wishes = [item for item in self._part().model_fields[self.key].metadata if isinstance(item, Expectation)]
-        return wishes[0].expected() if wishes else _mapping_words(self.path)
+        wishes = [item for item in _fields_of(self._part())[self.key].metadata if isinstance(item, Expectation)]
+        if wishes:
+            return wishes[0].expected()
+        words = self._words()
+        return one_of(words) if words else self._layout.mapping_words(self.path)
 
     def _words(self) -> list[str]:
         """The words that a field takes, from ``Literal[...]`` or ``Literal[...] | None``."""
-        annotation = self._part().model_fields[self.key].annotation
+        annotation = _fields_of(self._part())[self.key].annotation
         options = [word for option in get_args(annotation) for word in get_args(option) or (option,)]
         return [word for word in options if isinstance(word, str)]
+
+
+def _fields_of(part: type[BaseModel]) -> dict[str, FieldInfo]:
+    """The fields of a part, by their keys in the file."""
+    return {field.alias or name: field for name, field in part.model_fields.items()}
 
 
 def _part_in(annotation: Any) -> type[BaseModel]:
@@ -118,25 +161,13 @@ def _part_in(annotation: Any) -> type[BaseModel]:
     return next(option for option in options if isinstance(option, type) and issubclass(option, BaseModel))
 
 
-def _no_type(path: Path, document: Document) -> Issue:
-    near = nearest("type", document.keys(path))
-    hint = f"; is {quote(near)} meant to be 'type'?" if near else ""
-    return Issue(path, f"'type' is missing, expected {one_of(MODULE_TYPES)}{hint}", True)
+def _no_tag(path: Path, layout: Layout, document: Document) -> Issue:
+    near = nearest(layout.tag, document.keys(path))
+    hint = f"; is {quote(near)} meant to be '{layout.tag}'?" if near else ""
+    return Issue(path, f"'{layout.tag}' is missing, expected {one_of(layout.tagged)}{hint}", True)
 
 
 def _wrong_word(path: Path, words: Iterable[str], document: Document) -> Issue:
     value = document.value(path)
     hint = did_you_mean(value, words) if isinstance(value, str) else ""
     return Issue(path, f"found {document.found(path)}, expected {one_of(words)}{hint}")
-
-
-def _mapping_words(path: Path) -> str:
-    match path:
-        case ():
-            return "a mapping with version, rate, device and modules"
-        case ("modules",):
-            return "a mapping from names to modules"
-        case ("modules", _):
-            return "a mapping such as {type: mass, mass: 0.01}"
-        case _:
-            return "a mapping"

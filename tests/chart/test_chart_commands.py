@@ -197,3 +197,11 @@ def test_help_loads_nothing_heavy() -> None:
     )
     answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert answer.stdout.strip() == "[]"
+
+
+def test_a_mass_that_is_a_span_is_drawn_as_a_family(chart: Chart, scene_file: SceneFile) -> None:
+    scene = scene_file("spring", mass={"from": 0.1, "to": 0.4})
+    answer = chart("plane", str(scene), "--data", "numbers.csv", "--json")
+    assert [hand["mass"] for hand in answer.document["hands"]] == pytest.approx([0.1, 0.2, 0.4])
+    alone = chart("plane", str(scene), "--mass", "0.3", "--data", "numbers.csv", "--json")
+    assert [hand["mass"] for hand in alone.document["hands"]] == [0.3]

@@ -68,6 +68,25 @@ def test_two_hands_on_one_mass_come_nearest_and_stay_stable() -> None:
             assert found.frequency_hz == pytest.approx(wanted.frequency_hz, rel=0.01)
 
 
+@pytest.mark.parametrize(
+    ("least", "told"), [(0.15, "stable with the least and with the most mass"), (0.01, "unstable")]
+)
+def test_of_a_hand_that_moves_a_mass_the_ends_of_its_span_are_tried(least: float, told: str) -> None:
+    scene = scene_of(ON_A_MASS, correction="poles", mass={"from": least, "to": 0.3})
+    (note,) = rendered(scene).notes
+    assert told in note
+    light = scene_of(ON_A_MASS, correction="poles", mass=float(np.sqrt(0.3 * least)))
+    (port,) = rendered(light).ports  # the middle of the span: what is given to the links
+    K, B = port.rendered
+    modules = ON_A_MASS | {"touch": link(("hand", "m"), K, B)}
+    assert predict(scene_of(modules, mass=least), with_margins=False).stable == ("unstable" not in told)
+
+
+def test_of_a_hand_that_moves_a_mass_no_estimate_follows_the_mass() -> None:
+    (note,) = rendered(scene_of(ON_A_MASS, correction="adaptive", mass={"from": 0.1, "to": 0.4})).notes
+    assert "no estimate follows" in note
+
+
 @pytest.mark.parametrize("correction", ["poles", "predictor"])
 def test_a_contact_is_felt_as_it_is_while_it_is_touched(correction: str) -> None:
     """A spring presses the hand against it: k and b are the sum of both."""

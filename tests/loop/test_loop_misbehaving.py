@@ -131,10 +131,18 @@ def test_a_device_without_a_watchdog_is_never_armed(scripted: Scripted) -> None:
     [
         ("device", 90, 120, 0, "the host got no position that it could use for 0.09 s before", "the host was quiet"),
         ("device", 90, 120, 7, "could use for 0.09 s before: 7 frames were refused", "the host was quiet"),
-        ("device", 1, 3, 0, "(its watchdog of 100 samples; though its positions arrived undamaged)", "held up"),
-        ("device", 1, 99, 0, "(its watchdog of 100 samples; though its positions arrived undamaged)", "held up"),
+        (
+            "device",
+            1,
+            3,
+            0,
+            "left this host 3 ms before, so forces reach it late, or damaged, or not at all (its",
+            "held up",
+        ),
+        ("device", 1, 3, 7, "so forces reach it late, or damaged, or not at all (7 frames were refused)", "held up"),
+        ("device", 1, 99, 0, "left this host 99 ms before (its positions arrived undamaged)", "reach it late"),
         ("device", 1, 120, 0, f"0.12 s, {HELD_UP}", "undamaged"),
-        ("host", 150, 99, 0, "the host got no position that it could use for 0.15 s before", "held up"),
+        ("host", 150, 99, 0, "and the host no position for 0.15 s before, though it asked for one", "held up"),
         ("host", 150, 149, 0, f"0.15 s, {HELD_UP}", "it could use"),
     ],
 )
@@ -168,6 +176,7 @@ def test_a_watchdog_is_the_hosts_fault_only_where_it_had_a_position(
     sentence = str(failure_of("test", scene, loop, trace, endings.DEVICE_STOPPED))
     assert told in sentence
     assert not_told not in sentence
+    assert trace.report.released is True  # it releases before it says that it is latched
 
 
 def test_a_status_that_says_neither_idle_nor_latched_is_told_as_it_came(scripted: Scripted, frame: FrameOf) -> None:

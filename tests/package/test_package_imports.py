@@ -20,7 +20,7 @@ ORDER = (
     ("hapsim.device",),
     ("hapsim.ahead",),
     ("hapsim.running",),
-    ("hapsim.measuring", "hapsim.doctor", "hapsim.probe", "hapsim.daemon"),
+    ("hapsim.measuring", "hapsim.doctor", "hapsim.probe", "hapsim.faults", "hapsim.daemon"),
     ("hapsim.speed_accuracy",),
     ("hapsim.console",),
     ("hapsim.chart",),

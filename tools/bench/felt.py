@@ -8,7 +8,7 @@ less (b: of itself, or of 0.1 sqrt(k m) where that is more); where nothing can b
 predicted here. One device serves, 50 g at 1 kHz, since only K T²/m, B T/m and the delay in samples count.
 
 The hand is let go from a deflection, at rest, and pushed every 32 samples: a motion that is over in three samples is
-seen sixty times. Where the identification states that it is not sure to 1 %, the cell is measured again, with pushes
+seen sixty times. Where the identification states that it is not sure to 0.1 %, the cell is measured again, with pushes
 that follow each other otherwise; the measurement that states the least uncertainty counts. `--json` keeps every cell,
 `--from` prints the table of a kept file.
 """
@@ -43,7 +43,8 @@ DEFLECTED, FURTHEST = 25.0, 0.1  # N that hold the hand where it is let go from,
 PUSH = 25.0  # N
 PUSHES = ((32, 40), (8, 20), (23, 40), (4, 40), (16, 100), (11, 30))  # samples: every, from which on
 DURATION = 2.0  # s
-CERTAIN = 0.01  # what is identified so well is not measured again
+CERTAIN = 0.001  # what is identified so well is not measured again
+SURELY = 2.0  # uncertainties by which a k or b is below 0 that counts as unstable
 ROOM, COUNTS = 16.0, 2.0**31  # range of the position counts over how far the hand moves
 
 
@@ -150,7 +151,8 @@ def measured_once(scene: Scene, wanted: tuple[float, float], settles: float, eve
     error = float(felt_error((found.k, found.b), wanted, mass))
     of_b = found.b_uncertainty / max(b, 0.1 * math.sqrt(k * mass))
     uncertainty = max(found.k_uncertainty / k, of_b)
-    stable = (found.k > 0.0 and found.b > 0.0) or (not uncertainty <= CERTAIN and stays(trace))
+    holds = found.k > -SURELY * found.k_uncertainty and found.b > -SURELY * found.b_uncertainty
+    stable = holds or (not uncertainty <= CERTAIN and stays(trace))
     return Cell(error, uncertainty if math.isfinite(uncertainty) else math.inf, stable)
 
 
@@ -189,11 +191,11 @@ def _kept(value: float | bool) -> float | bool | None:
 
 
 def table(document: dict[str, Any]) -> str:
-    """The shares for a page; and of the cells of each, how many are not identified to 1 %; of those of each correction,
-    how many were stable without it and are not with it."""
+    """The shares for a page; and of the cells of each, how many are not identified to 0.1 %; of those of each
+    correction, how many were stable without it and are not with it."""
     names = list(next(iter(document["cells"].values())))
     lines = [
-        "| felt within 5 % | " + " | ".join(names) + " | uncertainty, median | not sure to 1 % | made unstable |",
+        "| felt within 5 % | " + " | ".join(names) + " | uncertainty, median | not sure to 0.1 % | made unstable |",
         "|---|" + "---|" * (len(names) + 3),
     ]
     for condition, of_contenders in document["cells"].items():

@@ -44,6 +44,11 @@ def is_small(scene: Scene) -> bool:
     return state_size(network) <= MOST_STATES
 
 
+def is_stable(scene: Scene) -> bool:
+    """Whether every motion of the scene dies out or stays as it is."""
+    return _is_stable(poles_of(network_of(scene, linear_scene(scene))[0]))
+
+
 def match_modes(
     desired: Scene,
     as_seen: Scene,

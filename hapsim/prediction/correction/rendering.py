@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from hapsim.prediction.correction.adaptive import ADAPTIVE, Schedule, schedule_for
-from hapsim.prediction.correction.coupled import MOST_STATES, is_small, match_modes
+from hapsim.prediction.correction.coupled import MOST_STATES, is_small, is_stable, match_modes
 from hapsim.prediction.correction.kind import CorrectionKind
 from hapsim.prediction.correction.lone import Element, element_for
 from hapsim.prediction.correction.poles import POLES
@@ -203,13 +203,40 @@ def _match(kind: CorrectionKind, scene: Scene, ports: list[Port], elements: dict
     names = ", ".join(alone)
     if matched is None:
         elements |= {name: one._replace(reached=False) for name, one in alone.items()}
-        return [f"no stiffness and damping at {names} gives the slowest mode its place: corrected as if it held alone"]
+        notes = _over_the_spans(kind, scene, ports, elements)
+        why = f"no stiffness and damping at {names} gives the slowest mode its place: corrected as if it held alone"
+        return [why, *notes]
     masses = scene.device.masses(scene.channels)
     for port, (K, B) in zip(ports, matched.elements, strict=True):
         elements[port.name] = Element(K, B, masses[port.channel], matched.reached)
+    notes = _over_the_spans(kind, scene, ports, elements)
     if matched.reached:
+        return notes
+    return [
+        f"no stiffness and damping at {names} gives the slowest modes exactly their place: these come nearest",
+        *notes,
+    ]
+
+
+def _over_the_spans(kind: CorrectionKind, scene: Scene, ports: list[Port], elements: dict[str, Element]) -> list[str]:
+    """What to say of hands that move more than themselves, and whose mass is not known: the modes are placed for the
+    middle of its span."""
+    spans = scene.device.mass_spans(scene.channels)
+    open_ports = [port for port in ports if spans[port.channel][0] < spans[port.channel][1]]
+    if not open_ports:
         return []
-    return [f"no stiffness and damping at {names} gives the slowest modes exactly their place: these come nearest"]
+    middle = ", ".join(f"{port.name} of {elements[port.name].made_for:.3g} kg" for port in open_ports)
+    told = f"the modes are placed for {middle}, the middle of the span"
+    if kind.predicts:
+        follows = ", which no estimate follows where a hand moves a mass or another hand" if kind.adapts else ""
+        return [f"{told}{follows}; what another mass makes of them is predicted with correction: poles alone"]
+    run = _with_elements(kind, scene, ports, elements)
+    for end, words in enumerate(("least", "most")):
+        masses = tuple(span[end] for span in spans)
+        other = run.model_copy(update={"device": run.device.model_copy(update={"mass": masses})})
+        if not is_stable(other):
+            return [f"{told}: with the {words} mass of the span the scene is unstable"]
+    return [f"{told}; stable with the least and with the most mass, too"]
 
 
 def _corrected(scene: Scene, port: Port, element: Element, schedule: Schedule | None) -> Corrected:

@@ -70,7 +70,8 @@ def undamped(equation: LoopEquation, theta: Floats) -> tuple[tuple[Floats, Float
 
 def is_attainable(sigma: Floats | float, kappa: Floats | float) -> Bools:
     """Whether the oscillator swings below the Nyquist frequency."""
-    return np.asarray(kappa - 0.25 * sigma**2 < np.pi**2)
+    with np.errstate(over="ignore"):
+        return np.asarray(kappa - 0.25 * np.square(sigma) < np.pi**2)
 
 
 def leads(equation: LoopEquation, stiffness: Floats, damping: Floats, pair: PolePair) -> Bools:

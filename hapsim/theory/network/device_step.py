@@ -101,4 +101,5 @@ def _flow(damping: float, stiffness: float, duration: float) -> Floats:
     flow = np.eye(5)
     for n in reversed(range(1, TAYLOR_TERMS + 1)):
         flow = np.eye(5) + scaled @ flow / n
-    return np.linalg.matrix_power(flow, 2**halvings)
+    with np.errstate(over="ignore", invalid="ignore"):  # beyond all numbers where a period is endless beside the swing
+        return np.linalg.matrix_power(flow, 2**halvings)

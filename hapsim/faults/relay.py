@@ -1,0 +1,193 @@
+"""The faults between a pseudo-terminal and a port: what a host opens, and what a device is behind.
+
+One thread waits for both in the kernel and passes on what comes, in a fraction of a millisecond. When the device is
+unplugged, by the script, the pseudo-terminal goes away, so that whoever has it open is hung up; when it is plugged in
+again there is a new one, under the name that `path` gives it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import select
+import time
+from collections import deque
+from pathlib import Path
+
+from hapsim.errors import DeviceError, UsageError
+from hapsim.faults.injector import Injector, Passed
+
+_PIECE = 1 << 16
+_LONGEST_WAIT_S = 1.0
+_MOST_WAITING = 1 << 20  # bytes that a device does not take are kept up to here
+
+GONE = (errno.EIO, errno.ENXIO, errno.ENODEV, errno.EBADF)
+
+
+class Relay:
+    """Passes bytes both ways until it is told to stop, or the device goes away."""
+
+    def __init__(self, device: int, injector: Injector, path: Path | None = None) -> None:
+        """`device`: the descriptor of its port, not blocking; `path`: a name for the pseudo-terminal, a link."""
+        self._device, self._injector, self._path = device, injector, path
+        self._host: _PseudoTerminal | None = None
+        self._held_up: dict[bool, deque[Passed]] = {False: deque(), True: deque()}
+        self._to_write = b""  # that the device has not taken yet
+        self._told, self._tell = os.pipe()
+        self.unread_bytes = 0
+        """Of the device, that no host fetched."""
+
+    def __enter__(self) -> Relay:
+        self._host = _PseudoTerminal(self._path)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._hang_up()
+        for end in (self._told, self._tell):
+            os.close(end)
+
+    @property
+    def name(self) -> str:
+        """The port that a host opens. DeviceError while it is unplugged."""
+        if self._host is None:
+            raise DeviceError("the port is unplugged, by the script")
+        return self._host.name
+
+    def stop(self) -> None:
+        """Ends `run`; may be called from a signal's handler and from any thread."""
+        with contextlib.suppress(OSError):
+            os.write(self._tell, b".")
+
+    def run(self, duration_s: float | None = None) -> bool:
+        """Passes on until told to stop, or for so long: True. False where the device went away."""
+        ends_s = None if duration_s is None else time.monotonic() + duration_s
+        while True:
+            now_s = time.monotonic()
+            self._keep(self._injector.advance(now_s))
+            self._plug()
+            self._send_due(now_s)
+            if ends_s is not None and now_s >= ends_s:
+                return True
+            ready, writable = self._wait(now_s, ends_s)
+            if self._told in ready:
+                return True
+            if self._device in ready and not self._read_device():
+                return False
+            if writable and not self._write_device():
+                return False
+            if self._host is not None and self._host.near in ready:
+                self._read_host()
+
+    def _wait(self, now_s: float, ends_s: float | None) -> tuple[list[int], bool]:
+        """(what there is to be read, whether the device takes bytes that wait for it)"""
+        due = [queue[0].due_s for queue in self._held_up.values() if queue]
+        until_s = min([self._injector.next_s(now_s), *due, *([] if ends_s is None else [ends_s])])
+        ends = [self._told, self._device, *([] if self._host is None else [self._host.near])]
+        ready, writable, _ = select.select(
+            ends, [self._device] if self._to_write else [], [], min(max(until_s - now_s, 0.0), _LONGEST_WAIT_S)
+        )
+        return ready, bool(writable)
+
+    def _read_device(self) -> bool:
+        """Takes what the device says; False where it is gone."""
+        try:
+            data = os.read(self._device, _PIECE)
+        except BlockingIOError:
+            return True
+        except OSError:
+            return False
+        if not data:
+            return False
+        now_s = time.monotonic()
+        self._keep(self._injector.take(data, False, now_s))
+        self._send_due(now_s)
+        return True
+
+    def _read_host(self) -> None:
+        assert self._host is not None
+        try:
+            data = os.read(self._host.near, _PIECE)
+        except OSError:
+            return
+        now_s = time.monotonic()
+        self._keep(self._injector.take(data, True, now_s))
+        self._send_due(now_s)
+
+    def _keep(self, passed: list[Passed]) -> None:
+        for one in passed:
+            self._held_up[one.to_device].append(one)
+
+    def _send_due(self, now_s: float) -> None:
+        for to_device, queue in self._held_up.items():
+            due = b""
+            while queue and queue[0].due_s <= now_s:
+                due += queue.popleft().data
+            if due and to_device:
+                self._to_write = (self._to_write + due)[-_MOST_WAITING:]
+                self._write_device()
+            elif due:
+                self._write_host(due)
+
+    def _write_device(self) -> bool:
+        """Writes what the device takes; False where it is gone."""
+        try:
+            self._to_write = self._to_write[os.write(self._device, self._to_write) :]
+        except BlockingIOError:
+            return True
+        except OSError:
+            self._to_write = b""
+            return False
+        return True
+
+    def _write_host(self, data: bytes) -> None:
+        """A host that does not read loses what does not fit, as behind any driver."""
+        written = 0
+        if self._host is not None:
+            with contextlib.suppress(OSError):
+                written = os.write(self._host.near, data)
+        self.unread_bytes += len(data) - written
+
+    def _plug(self) -> None:
+        """Has the pseudo-terminal be there, or not, as the script says."""
+        if self._injector.plugged and self._host is None:
+            self._host = _PseudoTerminal(self._path)
+        elif not self._injector.plugged:
+            self._hang_up()
+
+    def _hang_up(self) -> None:
+        if self._host is not None:
+            self._host.close()
+            self._host = None
+
+
+class _PseudoTerminal:
+    """What the host opens: raw before anybody can, and open at its far end too, so that no close reads as a hang-up."""
+
+    def __init__(self, path: Path | None) -> None:
+        import tty
+
+        try:
+            self.near, self._far = os.openpty()
+        except OSError as error:
+            raise DeviceError(f"no pseudo-terminal is to be had: {error}") from error
+        for end in (self.near, self._far):
+            tty.setraw(end)
+            os.set_blocking(end, False)
+        self._link = path
+        self.name = os.ttyname(self._far) if path is None else str(path)
+        if path is not None:
+            try:
+                if path.is_symlink() and not path.exists():
+                    path.unlink()  # left over from a relay that was killed
+                path.symlink_to(os.ttyname(self._far))
+            except OSError as error:
+                self._link = None
+                self.close()
+                raise UsageError(f"{path}: cannot be made a name of the port: {error.strerror}") from error
+
+    def close(self) -> None:
+        if self._link is not None:
+            self._link.unlink(missing_ok=True)
+        for end in (self.near, self._far):
+            os.close(end)

@@ -1,0 +1,118 @@
+"""A run in numbers, and how these are told in files."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from hapsim.loop.histogram import Histogram, Spread
+
+COUNTED = "counted_"
+"""Before the name of a histogram in a .npz."""
+
+
+@dataclass(frozen=True)
+class Report:
+    """A run in numbers."""
+
+    ending: str
+    """Why it ended: done, stopped, …"""
+    ticks: int
+    duration_s: float
+    """From the first position to the last: by the clock on the wall, or in virtual time."""
+    rate_hz: float
+    """Positions per second of that duration."""
+    nominal_rate_hz: float
+    """What the scene asks for."""
+    deadline_misses: int
+    """Samples whose force came too late and for which the one before went on acting."""
+    lost_frames: int
+    """Positions that never arrived whole."""
+    crc_errors: int
+    """Frames of the device that the check refused (too short or malformed ones included)."""
+    stale_positions: int
+    """Positions that a newer one replaced before they could be answered."""
+    limited_ticks: int
+    """Ticks whose force was cut to its limit."""
+    dropped_rows: int
+    """Rows missing from the trace because its reader was too slow; the force was not affected."""
+    parameter_changes: int
+    """Changes of the scene while it ran that were taken: sets of parameters, or another structure."""
+    lateness_s: Spread
+    """Where the host is the clock: of the loop's wake-up, after the tick was due. Where the device is: of its position,
+    after the earliest ones of late, by its own count of samples. Nothing in virtual time."""
+    exchange_s: Spread
+    """From a position's arrival until its force has left; where the host is the clock, from waking up for the tick
+    until the position has arrived, the force sent in between."""
+    age_samples: Spread
+    """From the position that the acting force answers to the force's change: 1 where it was in time, else at most so
+    many, as the device says of a late force only that it was. No force acts for longer than its time to live and one
+    sample more; that the force may be zero already is counted as two more."""
+    virtual_time: bool
+    garbage_bytes: int = 0
+    """Bytes from the device, since it was armed, that belonged to no frame."""
+    rejected_by_device: int | None = None
+    """Frames of the host that the device says it refused since it was armed (register 9); of a device that stopped by
+    itself the last one, which disarms, is among them. None where it did not say."""
+    released: bool | None = None
+    """Whether the device said, after the last force, that it released it; None in a record that does not tell."""
+    timed_by_device: bool = False
+    """Whether a timer of the device's own paced the positions: then their arrival tells its rate."""
+    estimated_mass_kg: tuple[float | None, ...] = ()
+    """Where a correction adapts: for which mass the force of each channel was at the end; None on the others."""
+    unrecorded_rows: int = 0
+    """Rows that are not in the file that was to be written while it ran: it could not be written, or not fast enough.
+    The force was not affected."""
+
+
+@dataclass(frozen=True)
+class Statistics:
+    """The histograms of which a report tells the quantiles: s, s and samples."""
+
+    lateness: Histogram
+    exchange: Histogram
+    age: Histogram
+
+
+def beside_the_rows(rate: float, statistics: Statistics, report: Report) -> dict[str, Any]:
+    """What else is in a .npz, by name."""
+    counted = {f"{COUNTED}{name}": histogram.as_row() for name, histogram in vars(statistics).items()}
+    return {"rate": rate, "report": json.dumps(asdict(report)), **counted}
+
+
+def report_from(values: dict[str, Any]) -> Report:
+    """What `asdict` made of a report, after JSON. TypeError where it is none."""
+    spreads = {name: Spread(**values[name]) for name in ("lateness_s", "exchange_s", "age_samples")}
+    return Report(**values | spreads | {"estimated_mass_kg": tuple(values.get("estimated_mass_kg", ()))})
+
+
+def as_told(report: Report, statistics: Statistics, finished: bool) -> dict[str, Any]:
+    """What a stream tells of a run beside its rows, for JSON."""
+    return {
+        "finished": finished,
+        "report": asdict(report),
+        "histograms": {name: _sparse(histogram) for name, histogram in vars(statistics).items()},
+    }
+
+
+def from_told(told: dict[str, Any]) -> tuple[Report, Statistics]:
+    """What `as_told` made a document of. KeyError, TypeError or ValueError where it is none."""
+    histograms = {name: _whole(one) for name, one in told["histograms"].items()}
+    return report_from(told["report"]), Statistics(**histograms)
+
+
+def _sparse(histogram: Histogram) -> dict[str, Any]:
+    """The bins in which something was counted."""
+    bins = np.flatnonzero(histogram.counts)
+    counted = [bins.tolist(), histogram.counts[bins].tolist()]
+    return {"unit": histogram.unit, "maximum": histogram.maximum, "bins": histogram.counts.size, "counted": counted}
+
+
+def _whole(sparse: dict[str, Any]) -> Histogram:
+    counts = np.zeros(sparse["bins"], np.int64)
+    bins, counted = sparse["counted"]
+    counts[np.array(bins, np.int64)] = counted
+    return Histogram(counts, sparse["maximum"], sparse["unit"])

@@ -1,0 +1,94 @@
+"""What a run leaves on the disk: its record, written while it runs; a report where something ended it."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+from firmware_protocol.description import Description
+from hapsim.device.connection import Connection
+from hapsim.errors import RecordError, RunError
+from hapsim.loop import endings
+from hapsim.loop.last_bytes import in_order
+from hapsim.loop.recording import Recording
+from hapsim.loop.stream import Head
+from hapsim.running.report import report_of, statistics_of, trace_of
+from hapsim.running.report_file import WireBytes, write_report
+from hapsim.running.session import Session
+
+
+@contextlib.contextmanager
+def recorded(session: Session, path: str | Path | None, on_warning: Callable[[str], None] | None) -> Iterator[None]:
+    """While open, the rows are written to `path`; the report that it is closed with stands at the end."""
+    if path is None:
+        yield
+        return
+    scene, loop = session.scene, session._loop
+    io, used = loop.record.io, slice(loop.wire.channels)
+    head = Head(
+        rate_hz=scene.rate,
+        position_scale=io.position_scale[used].tolist(),
+        force_scale=io.force_scale[used].tolist(),
+        scene=scene.path or "",
+        begun=datetime.now(UTC).isoformat(),
+    )
+    recording = Recording(
+        Path(path),
+        head,
+        lambda: (report_of(scene, loop, "running"), statistics_of(loop)),
+        on_warning or (lambda _: None),
+    )
+    session._recorder.recording = recording
+    try:
+        yield
+    finally:
+        trace = session._trace or trace_of(scene, loop, session._recorder, endings.STOPPED)
+        session._trace = replace(trace, report=recording.finish(trace.report, trace.statistics))
+
+
+def with_record(failure: RunError | None, name: str, session: Session) -> RunError | None:
+    """The error of a run, or None, with what became of its record where that is not as it was asked for."""
+    recording, trace = session._recorder.recording, session.trace
+    if recording is None or not recording.sentence:
+        return failure
+    if failure is not None:
+        return _with_more(failure, f". And {recording.sentence}")
+    told = RecordError(f"{name}: the run ended as asked after {trace.report.ticks} ticks, and {recording.sentence}")
+    told.trace = trace
+    return told
+
+
+def with_report(
+    failure: RunError | None,
+    directory: Path | None,
+    opened: Connection,
+    session: Session,
+    description: Description,
+    spoken: bytes,
+) -> RunError | None:
+    """The error of a run, or None, with where its report file is, which is written here; no file without a
+    `directory`. `spoken`: what was said to the device before the loop began."""
+    if failure is None or directory is None:
+        return failure
+    loop = session._loop
+    io, inbox = loop.record.io, loop.inbox
+    wire = WireBytes(
+        from_device=in_order(inbox.last, inbox.bytes),
+        to_device=spoken + in_order(io.sent, io.outbox) + opened.take_written(),
+    )
+    last = replace(session.trace, **session._recorder.last_rows())
+    try:
+        path = write_report(directory, opened.name, failure, last, session.scene, description, wire)
+    except (OSError, ValueError) as error:
+        why = getattr(error, "strerror", None) or error
+        return _with_more(failure, f". No report of it could be written in {directory}: {why}")
+    return _with_more(failure, f". The last frames and the last second are in {path} (`hapsim frames` reads it)")
+
+
+def _with_more(failure: RunError, sentence: str) -> RunError:
+    told = type(failure)(f"{failure}{sentence}")
+    told.trace = failure.trace
+    return told

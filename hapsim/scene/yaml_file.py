@@ -1,0 +1,107 @@
+"""A file in YAML -> a `Document`, or an error with a line for each fault: for scenes, and for other files."""
+
+import os
+from collections.abc import Iterable
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path as FilePath
+
+from hapsim.errors import UsageError
+
+from .document import Document
+from .issue import Issue, LocatedIssue, Path, Place, did_you_mean, quote
+from .quantity import Name
+from .syntax import YamlSyntaxError, compose, place_in
+
+
+@dataclass(frozen=True)
+class YamlFile:
+    """How files of one kind are read.
+
+    Attributes:
+        error: what is raised where a file is wrong.
+        wanted: what is expected in the file, in words.
+        nothing: what to say of an empty one.
+    """
+
+    error: type[UsageError]
+    wanted: str
+    nothing: str
+
+    def text_of(self, path: str | os.PathLike[str]) -> str:
+        """The text of a file; `error` where it cannot be read, or is no UTF-8."""
+        name = os.fsdecode(path)
+        try:
+            content = FilePath(name).read_bytes()
+        except (OSError, ValueError) as error:
+            raise self.error(f"{name}: {self._unreadable(name, error)}") from None
+        try:
+            return content.decode("utf-8")
+        except UnicodeDecodeError as error:
+            readable = content[: error.start].decode("utf-8")
+            place = place_in(readable, len(readable))
+            sentence = f"found the byte 0x{content[error.start]:02x}, expected text in UTF-8"
+            raise self.failure(name, [LocatedIssue(place, sentence)]) from None
+
+    def document_of(self, text: str, name: str) -> Document:
+        """The document of a text that errors call `name`; `error` where it is no YAML, or holds nothing."""
+        try:
+            root = compose(text)
+        except YamlSyntaxError as error:
+            raise self.failure(name, [error.fault]) from None
+        document = Document(root) if root is not None else None
+        if document is None or (document.data is None and not document.faults):
+            raise self.failure(name, [LocatedIssue(Place(1, 1), self.nothing)])
+        return document
+
+    def located(self, issues: Iterable[Issue], document: Document) -> list[LocatedIssue]:
+        """Where in the file the issues are, and the faults of the document itself."""
+        known = {fault.place for fault in document.faults}
+        told = [_located(issue, document) for issue in issues if not _follows(issue, document, known)]
+        return told + document.faults
+
+    def failure(self, name: str, faults: Iterable[LocatedIssue]) -> UsageError:
+        """One line for each fault; one that an anchor brings to several places is reported once."""
+        lines = [
+            f"{name}:{fault.place.line}:{fault.place.column}: {fault.sentence}"
+            for fault in sorted(dict.fromkeys(faults), key=lambda fault: fault.place)
+        ]
+        return self.error("\n".join(lines))
+
+    def _unreadable(self, name: str, error: OSError | ValueError) -> str:
+        match error:
+            case FileNotFoundError():
+                folder, wanted = os.path.split(name)
+                with suppress(OSError):
+                    hint = did_you_mean(wanted, os.listdir(folder or "."))
+                    return f"no such file, expected {self.wanted}{hint}"
+                return f"no such directory, expected {self.wanted}"
+            case IsADirectoryError():
+                return f"found a directory, expected a file with {self.wanted}"
+            case PermissionError():
+                return "this file may not be read, expected one that may; check its permissions"
+            case OSError(strerror=reason):
+                return f"this file cannot be read: {reason}"
+            case _:
+                return "this is not the name of a file"
+
+
+def _follows(issue: Issue, document: Document, known: set[Place]) -> bool:
+    """A value that could not even be read is reported for that alone."""
+    return not issue.at_key and document.place(issue.path) in known
+
+
+def _located(issue: Issue, document: Document) -> LocatedIssue:
+    name = _label(issue.path)
+    sentence = f"{name}: {issue.sentence}" if name else issue.sentence
+    return LocatedIssue(document.place(issue.path, issue.at_key), sentence)
+
+
+def _label(path: Path) -> str:
+    """How an error names a value: its key, with the index if it is in a list; nothing for the whole file."""
+    last = max((at for at, step in enumerate(path) if isinstance(step, str)), default=None)
+    if last is None:
+        return ""
+    key = str(path[last])
+    name = key if Name.PATTERN.fullmatch(key) and len(key) <= 60 else quote(key)
+    return name + "".join(f"[{step}]" for step in path[last + 1 :])

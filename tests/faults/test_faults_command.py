@@ -1,0 +1,115 @@
+"""`hapsim faults`: what it prints, and how it ends."""
+
+from __future__ import annotations
+
+import os
+import sys
+import threading
+import time
+import tty
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from hapsim.faults import KINDS
+
+SCENE = """\
+version: 1
+rate: 1000
+device: {mass: 0.2, friction: 1.0, clock: lockstep}
+modules:
+  hand: {type: device, channel: 0}
+  wall: {type: ground}
+  touch: {type: viscoelastic, between: [hand, wall], stiffness: 1000, damping: 5}
+"""
+Hapsim = Callable[..., Any]
+
+linux = pytest.mark.skipif(sys.platform != "linux", reason="pseudo-terminals of Linux")
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Path:
+    path = tmp_path / "scene.yaml"
+    path.write_text(SCENE, encoding="utf-8")
+    return path
+
+
+def test_every_kind_is_listed_with_its_sentence_within_80_columns(
+    hapsim: Hapsim, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    answer = hapsim("faults", "--list")
+    assert answer.status == 0
+    assert max(map(len, answer.out.splitlines())) <= 80
+    document = hapsim("faults", "--list", "--json").document
+    assert document == {
+        "kinds": {kind: fault.told for kind, fault in KINDS.items()},
+        "scripts": ["bad_device", "loose_plug", "noisy_wire"],
+    }
+    assert all(kind in answer.out for kind in KINDS)
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        ([], "found no SCRIPT, expected one, or --list"),
+        (["noisy_wire"], "found both or none of --port and --scene"),
+        (["noisy_wire", "--port", "/dev/x", "--scene", "y"], "found both or none of --port and --scene"),
+        (["loose_plug", "--port", "/dev/x"], "--path: found none, expected a name for the port: replug puts it back"),
+        (["nowhere.yaml", "--port", "/dev/x"], "nowhere.yaml: no such file, expected a script of faults in YAML"),
+        (["noisy_wire", "--port", "/dev/x", "--duration", "-1"], "--duration: found -1"),
+        (["noisy_wire", "--scene", "nowhere.yaml"], "nowhere.yaml: no such file, expected a scene in YAML"),
+    ],
+)
+def test_a_wrong_call_is_status_2(hapsim: Hapsim, words: list[str], sentence: str) -> None:
+    answer = hapsim("faults", *words, "--json")
+    assert answer.status == 2
+    assert sentence in answer.sentence
+
+
+def test_a_port_that_is_not_there_is_status_3(hapsim: Hapsim) -> None:
+    answer = hapsim("faults", "noisy_wire", "--port", "/dev/nowhere", "--json")
+    assert (answer.status, "no such port" in answer.sentence) == (3, True)
+
+
+@linux
+def test_it_tells_where_it_is_and_at_its_end_what_it_did(hapsim: Hapsim, scene: Path, tmp_path: Path) -> None:
+    name = tmp_path / "port"
+    answer = hapsim("faults", "noisy_wire", "--scene", scene, "--path", name, "--duration", 0.05, "--json")
+    assert answer.status == 0
+    assert str(name) in answer.err.splitlines()
+    document = answer.document
+    assert document["port"] == str(name)
+    nothing = {"frames_in": 0, "frames_out": 0, "bytes_in": 0, "bytes_out": 0}
+    assert document["to_device"] == document["from_device"] == nothing
+    assert [entry["kind"] for entry in document["faults"]] == ["corrupt", "drop", "delay", "garbage"]
+    assert (document["release"], document["forces"]["count"]) == (None, 0)
+    shown = hapsim("faults", "noisy_wire", "--scene", scene, "--path", name, "--duration", 0.05)
+    assert shown.out.splitlines()[0] == str(name)
+    assert "No force reached the device." in shown.out
+
+
+@linux
+def test_a_device_that_goes_away_is_status_3_and_told_beside_what_passed(hapsim: Hapsim, tmp_path: Path) -> None:
+    near, far = os.openpty()
+    tty.setraw(far)
+    path = tmp_path / "device"
+    path.symlink_to(os.ttyname(far))
+    script = tmp_path / "s.yaml"
+    script.write_text("version: 1\nfaults: [{kind: drop, probability: 0}]\n", encoding="utf-8")
+
+    def leave() -> None:
+        while not (tmp_path / "port").exists():
+            time.sleep(0.01)
+        os.close(far)
+        os.close(near)
+
+    thread = threading.Thread(target=leave)
+    thread.start()
+    answer = hapsim("faults", script, "--port", path, "--path", tmp_path / "port", "--json")
+    thread.join()
+    assert answer.status == 3
+    assert "the device went away" in answer.document["error"]
+    assert answer.document["exit_status"] == 3

@@ -1,0 +1,108 @@
+"""Runs in virtual time over a wire with faults: what the user is told, and what reached the device."""
+
+from __future__ import annotations
+
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+from wire_session import injector_of
+
+from hapsim.errors import DeviceError, GuardError, HapsimError
+from hapsim.faults import Injector
+from hapsim.faults.in_memory import in_memory
+from hapsim.loop.trace import Trace
+from hapsim.running import run
+from hapsim.scene import Scene
+
+TICKS, LIMIT = 200, 10.0
+RELEASED = "the force is zero: the device confirmed that it released it"
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    device = {"mass": 0.2, "friction": 1.0, "clock": "lockstep", "force_limit": LIMIT}
+    touch = {"type": "viscoelastic", "between": ["hand", "wall"], "stiffness": 2000, "damping": 5}
+    modules = {"hand": {"type": "device", "channel": 0}, "wall": {"type": "ground"}, "touch": touch}
+    mock = {"initial": {"velocity": 0.1}}
+    return Scene.model_validate({"version": 1, "rate": 1000, "device": device, "mock": mock, "modules": modules})
+
+
+def through(scene: Scene, *faults: str) -> tuple[Trace, Injector]:
+    injector = injector_of(*faults)
+    return run(scene, duration=TICKS / scene.rate, between=in_memory(injector, scene.period)), injector
+
+
+@pytest.fixture(scope="module")
+def undisturbed(scene: Scene) -> Trace:
+    return run(scene, duration=TICKS / scene.rate)
+
+
+@pytest.mark.parametrize(
+    "fault",
+    [
+        "kind: silence, after_samples: 1000000",
+        "kind: duplicate, direction: from_device, probability: 0.3",
+        "kind: garbage, bytes: 300, every_samples: 7, direction: both",
+        "kind: delay, seconds: 0.0035, probability: 0.3",
+        "kind: reorder, probability: 0.3",
+    ],
+)
+def test_what_a_lockstep_run_can_bear_changes_no_force(scene: Scene, undisturbed: Trace, fault: str) -> None:
+    trace, injector = through(scene, fault)
+    assert trace.report.ending == "done"
+    assert trace.report.released
+    for name in ("sample", "position_counts", "force_counts"):
+        np.testing.assert_array_equal(getattr(trace, name), getattr(undisturbed, name))
+    ((_, count),) = injector.counts
+    assert count > 0 or "1000000" in fault
+    largest = np.abs(trace.force).max()
+    assert injector.witness.all.largest == pytest.approx(largest, rel=1e-9)
+    assert injector.witness.all.count == TICKS
+
+
+# The fault, the error, and what is told. No force may reach the device after the fault.
+NO_NUMBER = "the device declares a rate, scale or limit that is not a number above 0"
+UNPLUGGED = (
+    r"the device went away after 50 ticks \(unplugged.* did not confirm that it released .* 10 s after the last force"
+)
+ENDS = {
+    "kind: leap, metres: 0.1, after_samples: 50": (
+        GuardError,
+        rf"the position of channel 0 leapt at tick 51: 0\.1 m away .* its force was not sent.*; {RELEASED}",
+    ),
+    "kind: unplug, after_samples: 50": (DeviceError, UNPLUGGED),
+    "kind: version": (DeviceError, "the device speaks version 2 of the protocol, this hapsim speaks version 1"),
+    "kind: nonsense, register: rate, what: nan": (DeviceError, NO_NUMBER),
+    "kind: nonsense, register: force_limit, what: negative": (DeviceError, NO_NUMBER),
+    "kind: nonsense, register: channels, what: huge": (DeviceError, "the device says it has 2147483647 channels"),
+    "kind: reboot, after_samples: 50": (DeviceError, rf"the device was silent for 5 s after 50 ticks; {RELEASED}"),
+}
+
+
+@pytest.mark.parametrize("fault", ENDS)
+def test_what_it_cannot_bear_ends_it_with_a_true_sentence_and_no_further_force(scene: Scene, fault: str) -> None:
+    error, sentence = ENDS[fault]
+    injector = injector_of(fault)
+    with pytest.raises(HapsimError) as caught:
+        run(scene, duration=1.0, between=in_memory(injector, scene.period))
+    assert type(caught.value) is error
+    assert re.search(sentence, str(caught.value)), caught.value
+    witness = injector.witness
+    assert witness.since_fault.count == 0
+    assert witness.all.largest <= LIMIT
+    release = witness.release()
+    if "after_samples" in fault:
+        assert release is not None
+        assert release.by == ("lockstep" if "unplug" in fault else "device" if "reboot" in fault else "disarm")
+
+
+def test_a_sign_that_is_wrong_stays_below_the_force_limit(scene: Scene) -> None:
+    for direction in ("from_device", "to_device"):
+        trace, injector = through(scene, f"kind: invert, direction: {direction}, after_samples: 50")
+        assert injector.witness.since_fault.largest <= LIMIT
+        assert trace.report.limited_ticks > 0

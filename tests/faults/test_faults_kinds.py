@@ -1,0 +1,288 @@
+"""Each kind of fault, bytes in and bytes out, without a port and without a clock."""
+
+from __future__ import annotations
+
+import math
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+from wire_session import (
+    ARMED,
+    DESCRIPTION,
+    PERIOD_S,
+    bytes_of,
+    described,
+    force,
+    frames_of,
+    injector_of,
+    numbers_of,
+    position,
+    positions_through,
+)
+
+from firmware_protocol import schema
+from firmware_protocol.description import from_registers
+from firmware_protocol.frames import SETUP, frame_to_device, frame_to_host
+from hapsim.faults import KINDS, Injector, parse_script
+from hapsim.faults.noise import misread
+
+STREAM = b"".join(position(number) for number in range(300))
+MANY = ("kind: drop, probability: 0.1", "kind: corrupt, probability: 0.2, bits: 3", "kind: reorder, probability: 0.1")
+
+
+def test_where_nothing_happens_every_byte_passes_at_once_whatever_it_is() -> None:
+    injector = injector_of("kind: silence, at: 1000", "kind: drop, probability: 0")
+    noise = np.random.default_rng(1).bytes(5000) + b"\0"
+    for to_device, data in ((False, STREAM), (True, noise), (False, noise + STREAM)):
+        passed = injector.take(data, to_device, 1.0)
+        assert bytes_of(passed, to_device) == data
+        assert {one.due_s for one in passed} == {1.0}
+    assert all(count == 0 for _, count in injector.counts)
+
+
+@pytest.mark.parametrize("size", [1, 7, 11, 100])
+def test_the_same_bytes_make_the_same_faults_however_they_arrive(size: int) -> None:
+    whole, pieces = injector_of(*MANY), injector_of(*MANY)
+    expected = bytes_of(whole.take(STREAM, False, 0.0))
+    cut = [pieces.take(STREAM[at : at + size], False, 0.0) for at in range(0, len(STREAM), size)]
+    assert b"".join(map(bytes_of, cut)) == expected != STREAM
+    assert pieces.counts == whole.counts
+
+
+def test_another_seed_makes_other_faults() -> None:
+    script = parse_script("version: 1\nseed: 3\nfaults: [{kind: drop, probability: 0.3}]")
+    streams = [bytes_of(Injector(script, seed).take(STREAM, False, 0.0)) for seed in (None, 3, 4)]
+    assert streams[0] == streams[1] != streams[2]
+
+
+def test_what_goes_the_other_way_decides_nothing() -> None:
+    alone, beside = injector_of(*MANY), injector_of(*MANY)
+    beside.take(b"".join(force(number) for number in range(100)), True, 0.0)
+    assert bytes_of(alone.take(STREAM, False, 0.0)) == bytes_of(beside.take(STREAM, False, 0.0))
+
+
+def test_a_frame_is_dropped_while_the_fault_lasts_and_in_its_direction() -> None:
+    by_samples = injector_of("kind: drop, direction: from_device, after_samples: 10, for_samples: 5")
+    assert numbers_of(positions_through(by_samples, 30)) == [*range(10), *range(15, 30)]
+    assert bytes_of(by_samples.take(force(1), True, 0.012), to_device=True) == force(1)
+    by_time = injector_of("kind: drop, from: 0.0095, for: 0.005")
+    assert numbers_of(positions_through(by_time, 30)) == [*range(10), *range(15, 30)]
+
+
+def test_as_many_are_dropped_as_the_probability_says() -> None:
+    injector = injector_of("kind: drop, probability: 0.1")
+    left = len(positions_through(injector, 2000))
+    assert injector.counts == [("drop", 2000 - left)]
+    assert 2000 - left == pytest.approx(200, abs=4 * math.sqrt(2000 * 0.1 * 0.9))
+
+
+@pytest.mark.parametrize("bits", [1, 2, 5])
+def test_so_many_bits_flip_and_no_receiver_takes_the_frame(bits: int) -> None:
+    injector = injector_of(f"kind: corrupt, bits: {bits}, after_samples: 5, for_samples: 1")
+    passed = positions_through(injector, 10)
+    flipped = np.unpackbits(np.frombuffer(bytes_of(passed), np.uint8)) != np.unpackbits(
+        np.frombuffer(STREAM[: 10 * 11], np.uint8)
+    )
+    assert np.flatnonzero(flipped).size == bits
+    assert set(np.flatnonzero(flipped) // (8 * 11)) == {5}
+    assert 5 not in numbers_of(passed)
+
+
+def test_a_frame_comes_twice() -> None:
+    injector = injector_of("kind: duplicate, after_samples: 3, for_samples: 2")
+    assert numbers_of(positions_through(injector, 8)) == [0, 1, 2, 3, 3, 4, 4, 5, 6, 7]
+
+
+def test_a_late_frame_holds_up_what_is_behind_it() -> None:
+    injector = injector_of("kind: delay, seconds: 0.0025, after_samples: 3, for_samples: 1")
+    passed = positions_through(injector, 8)
+    assert numbers_of(passed) == list(range(8))
+    assert [one.due_s for one in passed] == pytest.approx([0.0, 0.001, 0.002, 0.0055, 0.0055, 0.0055, 0.006, 0.007])
+
+
+def test_two_frames_change_places_and_the_last_one_is_not_kept() -> None:
+    injector = injector_of("kind: reorder, within: 0.02")
+    passed = positions_through(injector, 5)
+    assert numbers_of(passed) == [1, 0, 3, 2]
+    due_s = injector.next_s(4 * PERIOD_S)
+    assert due_s == pytest.approx(4 * PERIOD_S + 0.02)
+    assert injector.advance(due_s - 1e-6) == []
+    assert numbers_of(injector.advance(due_s)) == [4]
+    assert injector.next_s(due_s) == math.inf
+
+
+@pytest.mark.parametrize("every", ["every_samples: 10", "every: 0.01"])
+def test_noise_comes_between_frames_and_no_frame_is_lost_by_it(every: str) -> None:
+    injector = injector_of(f"kind: garbage, bytes: 300, {every}", seed=1)
+    passed = positions_through(injector, 95)
+    assert injector.counts == [("garbage", 10)]
+    assert len(bytes_of(passed)) == 95 * 11 + 10 * 300
+    assert numbers_of(passed) == list(range(95))
+
+
+def test_noise_comes_although_nothing_else_does_and_once_where_no_period_is_given() -> None:
+    injector = injector_of("kind: garbage, bytes: 5, every: 0.5, direction: both", "kind: garbage, bytes: 7, from: 0.2")
+    first = injector.take(b"\0", False, 10.0)
+    assert [len(one.data) for one in first] == [5, 5, 1]
+    assert injector.next_s(10.0) == pytest.approx(10.2)
+    assert [(one.to_device, len(one.data)) for one in injector.advance(10.2)] == [(False, 7)]
+    assert injector.next_s(10.2) == pytest.approx(10.5)
+    assert len(injector.advance(10.5)) == 2
+
+
+def test_a_uart_at_the_senders_rate_reads_what_was_sent() -> None:
+    every = bytes(range(256))
+    assert misread(every, 1.0) == every
+
+
+def test_a_uart_at_another_rate_reads_what_its_samples_hit() -> None:
+    """By hand: 0x55 is ten levels that change with each bit, 0 first; then the wire rests at 1."""
+    assert misread(b"\x55", 0.5) == b"\xff"  # samples at 3, 5, 7, 9 and beyond
+    assert misread(b"\x55", 2.0) == b"\x66\xe6"  # at 0.75, 1.25, … 4.25 from the edge at 0; and again from that at 6
+    assert misread(b"\x00", 0.5) == b"\xf8"  # three zeros, at 3, 5 and 7; then the stop bit, and rest
+
+
+def test_at_the_wrong_baud_no_frame_is_accepted_and_after_it_every_one() -> None:
+    injector = injector_of("kind: wrong_baud, ratio: 0.5, after_samples: 5, for_samples: 20")
+    assert numbers_of(positions_through(injector, 30)) == [*range(5), *range(25, 30)]
+
+
+def test_half_a_frame_and_then_nothing() -> None:
+    injector = injector_of("kind: half_frame, after_samples: 5")
+    assert bytes_of(positions_through(injector, 20)) == STREAM[: 5 * 11 + 5]
+
+
+def test_a_silence_ends() -> None:
+    injector = injector_of("kind: silence, direction: both, at: 0.0045, for: 0.003")
+    assert numbers_of(positions_through(injector, 10)) == [0, 1, 2, 3, 4, 8, 9]
+    assert injector.counts == [("silence", 3)]
+
+
+def test_an_unplugged_device_is_gone_both_ways_until_it_is_plugged_in_again() -> None:
+    injector = injector_of("kind: unplug, at: 0.005", "kind: replug, at: 0.5")
+    assert injector.next_s(0.0) == math.inf  # no byte yet: no time passes
+    assert numbers_of(positions_through(injector, 10)) == list(range(5))
+    assert not injector.plugged
+    assert injector.take(force(3), True, 0.02) == []
+    assert injector.next_s(0.02) == pytest.approx(0.5)
+    injector.advance(0.5)
+    assert injector.plugged
+    assert injector.take(force(3), True, 0.6)[0].data == force(3)
+
+
+def test_a_device_that_reboots_is_released_and_says_nothing_until_it_is_back() -> None:
+    injector = injector_of("kind: reboot, seconds: 0.5, after_samples: 5")
+    passed = positions_through(injector, 10)
+    assert numbers_of(passed) == list(range(5))
+    disarm = frame_to_device(ARMED, schema.DISARM, 0, 0, [0])
+    assert bytes_of(passed, to_device=True) == disarm
+    idle = frame_to_host(SETUP, schema.STATUS, 5, [schema.IDLE])
+    assert injector.take(idle, False, 0.011) == []
+    assert injector.take(force(9), True, 0.012) == []
+    assert bytes_of(injector.take(idle, False, 0.506)) == idle
+
+
+def test_another_version_is_declared_with_a_right_check() -> None:
+    injector = injector_of("kind: version, answers: 3")
+    frames = frames_of(bytes_of(injector.take(described(), False, 0.0)), wire=SETUP)
+    assert len(frames) == schema.REGISTERS
+    assert [frame.counts[0] for frame in frames[:3]] == [3, frames_of(described(), wire=SETUP)[1].counts[0], 1]
+
+
+@pytest.mark.parametrize(
+    ("register", "what", "field", "value"),
+    [
+        ("rate", "nan", "rate_hz", math.nan),
+        ("rate", "zero", "rate_hz", 0.0),
+        ("position_scale", "negative", "position_scale", (-1.0,)),
+        ("force_scale", "huge", "force_scale", (1e300,)),
+        ("force_limit", "zero", "force_limit", (0.0,)),
+        ("pacings", "negative", "pacings", 2**32 - 1),
+    ],
+)
+def test_nonsense_is_declared_of_one_thing_alone(register: str, what: str, field: str, value: object) -> None:
+    injector = injector_of(f"kind: nonsense, register: {register}, what: {what}")
+    words = np.zeros(schema.REGISTERS, np.int64)
+    for frame in frames_of(bytes_of(injector.take(described(), False, 0.0)), wire=SETUP):
+        words[frame.number] = frame.counts[0] & 0xFFFFFFFF
+    declared = from_registers(words)
+    np.testing.assert_equal(getattr(declared, field), value)
+    np.testing.assert_equal(
+        [entry for name, entry in vars(declared).items() if name != field],
+        [entry for name, entry in vars(DESCRIPTION).items() if name != field],
+    )
+
+
+def test_a_position_leaps_by_so_many_metres_and_stays_there() -> None:
+    injector = injector_of("kind: leap, metres: 0.01, after_samples: 3")
+    assert bytes_of(injector.take(described(), False, 0.0)) == described()
+    counts = [frame.counts[0] for frame in frames_of(bytes_of(positions_through(injector, 6)))]
+    assert counts == [0, 1000, 2000, 13000, 14000, 15000]
+
+
+def test_a_leap_in_counts_needs_no_scale_one_in_metres_does_and_none_leaves_32_bits() -> None:
+    for fault, expected in (("counts: -7", 993), ("metres: 1", 1000), ("counts: 2147483647", 2**31 - 1)):
+        injector = injector_of(f"kind: leap, {fault}, at: 0")
+        (frame,) = frames_of(bytes_of(injector.take(position(1), False, 0.0)))
+        assert frame.counts == (expected,)
+
+
+def test_a_sign_is_wrong_one_way() -> None:
+    positions = injector_of("kind: invert, after_samples: 2")
+    assert [frame.counts[0] for frame in frames_of(bytes_of(positions_through(positions, 4)))] == [
+        0,
+        1000,
+        -2000,
+        -3000,
+    ]
+    forces = injector_of("kind: invert, direction: to_device, at: 0")
+    (frame,) = frames_of(bytes_of(forces.take(force(5, 700), True, 0.0), to_device=True), to_device=True)
+    assert (frame.number, frame.argument, frame.counts) == (5, 20, (-700,))
+    assert bytes_of(forces.take(position(1), False, 0.0)) == position(1)
+
+
+@pytest.mark.parametrize(
+    ("factor", "seen", "true"),
+    [(0.5, [0, 1, 2, 3, 4, 5], [0, 1, 3, 5, 7, 9]), (2.0, [0, 1, 2, 3, 4, 5, 6], [0, 1, 2, 2, 3, 3, 4])],
+)
+def test_a_device_samples_at_another_rate_and_counts_its_own_samples(
+    factor: float, seen: list[int], true: list[int]
+) -> None:
+    """The forces answer the samples that the device knows."""
+    injector = injector_of(f"kind: rate, factor: {factor}, after_samples: 2")
+    passed = positions_through(injector, 12)
+    frames = frames_of(bytes_of(passed))
+    assert [frame.number for frame in frames][: len(seen)] == seen
+    assert [frame.counts[0] // 1000 for frame in frames][: len(seen)] == true
+    answers = bytes_of(injector.take(b"".join(map(force, seen)), True, 0.02), to_device=True)
+    assert [frame.number for frame in frames_of(answers, to_device=True)] == true
+
+
+def test_faults_act_one_after_the_other_in_the_scripts_order() -> None:
+    twice = injector_of("kind: duplicate", "kind: delay, seconds: 1")
+    assert twice.counts == [("duplicate", 0), ("delay", 0)]
+    positions_through(twice, 3)
+    assert twice.counts == [("duplicate", 3), ("delay", 6)]
+    never = injector_of("kind: drop", "kind: duplicate")
+    assert positions_through(never, 3) == []
+    assert never.counts == [("drop", 3), ("duplicate", 0)]
+
+
+def test_samples_go_on_being_counted_where_numbers_begin_anew_and_where_the_host_arms_again() -> None:
+    injector = injector_of("kind: drop, after_samples: 4100")
+    for first in range(0, 5000, 1000):
+        positions_through(injector, 1000, first)
+    assert injector.samples == 4999
+    assert injector.counts == [("drop", 900)]
+    injector.take(frame_to_host(SETUP, schema.STATUS, 0, [schema.ARMED]), False, 6.0)
+    positions_through(injector, 10)
+    assert injector.samples == 5009
+
+
+def test_every_kind_is_tested_here() -> None:
+    text = Path(__file__).read_text("utf-8")
+    assert [kind for kind in KINDS if f"kind: {kind}" not in text] == []

@@ -1,0 +1,201 @@
+"""The faults between a pseudo-terminal and a port: what passes, what a host sees of a plug, and how it ends."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import sys
+import threading
+import tty
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+from wire_session import force, injector_of, position
+
+from hapsim.device.mock.assemble import assemble_mock
+from hapsim.device.mock.terminal import serving
+from hapsim.device.serial_port import raw_port
+from hapsim.errors import DeviceError, UsageError
+from hapsim.faults import Injector
+from hapsim.faults.relay import Relay
+from hapsim.running import run
+from hapsim.scene import Scene
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="pseudo-terminals of Linux")
+
+_LONGEST_S = 60.0  # for a machine that hangs
+
+
+@contextlib.contextmanager
+def pair() -> Iterator[tuple[int, int]]:
+    """A device's own end, and that which the relay reads; both raw."""
+    ends = os.openpty()
+    for end in ends:
+        tty.setraw(end)
+        os.set_blocking(end, False)
+    try:
+        yield ends
+    finally:
+        for end in ends:
+            with contextlib.suppress(OSError):
+                os.close(end)
+
+
+class Running:
+    """A relay in a thread of its own."""
+
+    def __init__(self, relay: Relay) -> None:
+        self.relay, self.whole = relay, None
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+
+    def _run(self) -> None:
+        self.whole = self.relay.run()
+
+    def ended(self) -> bool | None:
+        self._thread.join(_LONGEST_S)
+        assert not self._thread.is_alive()
+        return self.whole
+
+    def stop(self) -> bool | None:
+        self.relay.stop()
+        return self.ended()
+
+
+@contextlib.contextmanager
+def relaying(device: int, injector: Injector, path: Path | None = None) -> Iterator[Running]:
+    with Relay(device, injector, path) as relay:
+        running = Running(relay)
+        try:
+            yield running
+        finally:
+            running.stop()
+
+
+def read(descriptor: int, count: int) -> bytes:
+    """So many bytes, as they come."""
+    data = b""
+    while len(data) < count:
+        assert select.select([descriptor], [], [], _LONGEST_S)[0], f"only {data!r} came"
+        data += os.read(descriptor, count - len(data))
+    return data
+
+
+@contextlib.contextmanager
+def host_of(name: str) -> Iterator[int]:
+    descriptor = os.open(name, os.O_RDWR | os.O_NOCTTY)
+    try:
+        yield descriptor
+    finally:
+        os.close(descriptor)
+
+
+def hangs_up(descriptor: int) -> bool:
+    poll = select.poll()
+    poll.register(descriptor, 0)
+    return any(event & select.POLLHUP for _, event in poll.poll(1000 * _LONGEST_S))
+
+
+def test_bytes_pass_both_ways_and_hosts_come_and_go() -> None:
+    injector = injector_of("kind: drop, probability: 0")
+    with pair() as (device, port), relaying(port, injector) as running:
+        for number in range(2):
+            with host_of(running.relay.name) as host:
+                os.write(host, force(number))
+                assert read(device, 12) == force(number)
+                os.write(device, position(number))
+                assert read(host, 11) == position(number)
+        assert running.stop() is True
+    assert injector.passed[True].frames_in == injector.passed[True].frames_out == 2
+    assert injector.passed[False].bytes_out == 22
+
+
+def test_a_plug_that_is_pulled_hangs_the_host_up_and_comes_back_under_its_name(tmp_path: Path) -> None:
+    name = tmp_path / "port"
+    injector = injector_of("kind: unplug, after_samples: 1", "kind: replug, after_samples: 2")
+    with pair() as (device, port), relaying(port, injector, name) as running:
+        with host_of(str(name)) as host:
+            os.write(device, position(0))
+            assert read(host, 11) == position(0)
+            os.write(device, position(1))
+            assert hangs_up(host)
+        assert not name.is_symlink()
+        os.write(device, position(2))
+        while not name.exists():
+            assert running.whole is None
+        with host_of(str(name)) as host:
+            os.write(host, force(2))
+            assert read(device, 12) == force(2)
+    assert not name.is_symlink()
+
+
+def test_a_device_that_goes_away_ends_it() -> None:
+    with pair() as (device, port), relaying(port, injector_of("kind: drop")) as running:
+        os.close(device)
+        assert running.ended() is False
+
+
+def test_what_no_host_fetches_is_counted() -> None:
+    injector = injector_of("kind: garbage, bytes: 60000, after_samples: 0")
+    with pair() as (device, port), relaying(port, injector) as running:
+        os.write(device, position(0))
+        while not running.relay.unread_bytes:
+            assert running.whole is None
+        running.stop()
+    assert 0 < running.relay.unread_bytes < 60011
+
+
+def test_a_name_that_is_taken_is_left_alone(tmp_path: Path) -> None:
+    taken = tmp_path / "taken"
+    taken.write_text("mine")
+    with pair() as (_, port), pytest.raises(UsageError, match="cannot be made a name of the port: File exists"):
+        Relay(port, injector_of("kind: drop"), taken).__enter__()
+    assert taken.read_text() == "mine"
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    device = {"mass": 0.2, "friction": 1.0, "clock": "lockstep"}
+    touch = {"type": "viscoelastic", "between": ["hand", "wall"], "stiffness": 2000, "damping": 5}
+    modules = {"hand": {"type": "device", "channel": 0}, "wall": {"type": "ground"}, "touch": touch}
+    mock = {"initial": {"velocity": 0.1}}
+    return Scene.model_validate({"version": 1, "rate": 1000, "device": device, "mock": mock, "modules": modules})
+
+
+def on(scene: Scene, port: str) -> Scene:
+    return scene.model_copy(update={"device": scene.device.model_copy(update={"port": port})})
+
+
+def test_a_run_through_it_is_the_run_without_it(scene: Scene) -> None:
+    injector = injector_of("kind: garbage, bytes: 50, every_samples: 10", "kind: duplicate, direction: from_device")
+    with (
+        serving(assemble_mock(scene)) as device,
+        raw_port(device, 2_000_000) as port,
+        relaying(port, injector) as running,
+    ):
+        trace = run(on(scene, running.relay.name), duration=0.2)
+    direct = run(scene, duration=0.2)
+    np.testing.assert_array_equal(trace.force_counts, direct.force_counts)
+    assert trace.report.stale_positions >= 199
+    assert trace.report.garbage_bytes > 0
+    assert injector.witness.all.count == 200
+    release = injector.witness.release()
+    assert release is not None
+    assert release.by == "disarm"
+
+
+def test_a_run_whose_plug_is_pulled_says_so(scene: Scene) -> None:
+    injector = injector_of("kind: unplug, after_samples: 50")
+    with (
+        serving(assemble_mock(scene)) as device,
+        raw_port(device, 2_000_000) as port,
+        relaying(port, injector) as running,
+        pytest.raises(DeviceError, match=r"the device went away after \d+ ticks \(unplugged.*did not confirm"),
+    ):
+        run(on(scene, running.relay.name), duration=10.0)
+    assert injector.witness.since_fault.count == 0

@@ -1,0 +1,204 @@
+"""What is left when host or device is killed or stopped in the middle of a run: no force, no process, no lock on the
+port; and a record and a report that can be read.
+
+Nothing is measured by this machine's clock: the board tells what it put out, and when, by its own.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from firmware_protocol import schema
+from hapsim.device.conversation import arm, describe, disarm, read_register
+from hapsim.device.serial_port import open_serial_port
+from hapsim.errors import DeviceError
+from hapsim.loop.trace import load_trace
+from hapsim.running.report_file import read_report
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="ports of Linux, and its signals")
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+HAPSIM = ["nice", "-n", "-15", sys.executable, "-m", "hapsim"]
+TIME_TO_LIVE = 20  # samples: what hapsim asks for at 1 kHz
+PATIENCE_S = 60.0  # for a machine that hangs
+Start = Callable[..., Any]
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Path:
+    """A heavy mass that swings for minutes and draws the hand along by a soft spring: each sample has a force of its
+    own."""
+    document = yaml.safe_load((CONFIGS / "first_touch.yaml").read_text("utf-8"))
+    document["modules"] = {
+        "hand": {"type": "device", "channel": 0},
+        "wall": {"type": "ground", "position": 0.0},
+        "heavy": {"type": "mass", "mass": 10.0, "position": 0.0, "velocity": 0.5},
+        "swing": {"type": "viscoelastic", "between": ["heavy", "wall"], "stiffness": 1000.0, "damping": 0.0},
+        "draw": {"type": "viscoelastic", "between": ["hand", "heavy"], "stiffness": 20.0, "damping": 0.5},
+    }
+    path = tmp_path / "swinging.yaml"
+    path.write_text(yaml.safe_dump(document), "utf-8")
+    return path
+
+
+class Host:
+    """A hapsim that runs, in a process group of its own."""
+
+    def __init__(self, scene: Path, port: str, *words: object) -> None:
+        command = [*HAPSIM, "run", scene, "--port", port, "--duration", 1e6, *words]
+        self.process = subprocess.Popen(
+            list(map(str, command)),
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+        )
+
+    def end(self) -> tuple[int, str, str]:
+        """Its status, and what it said, once it has ended; nothing of it is left."""
+        out, err = self.process.communicate(timeout=PATIENCE_S)
+        with pytest.raises(ProcessLookupError):
+            os.killpg(self.process.pid, 0)
+        return self.process.returncode, out, err
+
+
+@contextlib.contextmanager
+def hosting(scene: Path, board: Any, tmp_path: Path) -> Iterator[tuple[Host, Path]]:
+    """A host that has played with the board for a second of its samples, and its record. Where a machine that is busy
+    with other tests held it up so long that the board latched, another one."""
+    for attempt in range(10):
+        record, before = tmp_path / f"{attempt}.npz", len(board.forces())
+        host = Host(scene, board.port, "--record", record, "--reports", tmp_path / "reports")
+        board.wait_for(lambda forces: len(forces) > before + 1000 or host.process.poll() is not None)  # noqa: B023
+        if host.process.poll() is None:
+            break
+        host.end()
+    try:
+        yield host, record
+    finally:
+        host.process.kill()
+        host.process.communicate()
+
+
+def require_port_is_free(port: str) -> None:
+    """It can be opened, and the device armed and disarmed again. An armed device answers no DESCRIBE until its watchdog
+    has latched it."""
+    with contextlib.closing(open_serial_port(port, 2_000_000)) as connection:
+        for _ in range(60):
+            with contextlib.suppress(DeviceError):
+                description = describe(connection)
+                break
+        else:
+            pytest.fail("the device does not answer any more")
+        assert read_register(connection, schema.REG_FAULT) in (schema.NO_FAULT, schema.HOST_QUIET)
+        wire = arm(connection, description, schema.PACED_BY_DEVICE, description.max_watchdog_samples)
+        assert disarm(connection, wire)
+
+
+def test_of_a_host_that_is_killed_the_record_is_read_up_to_the_last_second(
+    start_board: Start, scene: Path, tmp_path: Path
+) -> None:
+    board = start_board("linux")
+    with hosting(scene, board, tmp_path) as (host, record):
+        first = len(board.forces())
+        os.kill(host.process.pid, signal.SIGKILL)
+        assert host.end()[0] == -signal.SIGKILL
+    forces = board.wait_for(lambda forces: forces[-1][1] == 0)
+    assert first > 1000
+    last = max(i for i, (_, counts) in enumerate(forces) if counts)
+    assert forces[last + 1][0] - forces[last][0] <= (TIME_TO_LIVE + 1.5) * 1000
+    assert not record.exists()
+    trace = load_trace(record.with_name(f"{record.name}.part"))
+    assert trace.report.ending == f"not finished: the record stops after {trace.sample.size} ticks"
+    # Of the record's last forces the board has put out some, and after them no more than a second of its samples.
+    ends = {int(count) for count in trace.force_counts[-50:, 0]}
+    put_out = [i for i, (_, count) in enumerate(forces) if count in ends]
+    assert put_out
+    assert last - put_out[-1] < 1000
+    require_port_is_free(board.port)
+
+
+def test_a_device_that_is_killed_ends_the_run_with_a_report_and_a_whole_record(scene: Path, tmp_path: Path) -> None:
+    """In lockstep over its port, where a busy machine makes nobody late."""
+    scene.write_text(scene.read_text("utf-8").replace("clock: device", "clock: lockstep"), "utf-8")
+    record, reports = tmp_path / "t.trace", tmp_path / "reports"
+    mock = subprocess.Popen(
+        [*HAPSIM, "mock", scene], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, start_new_session=True
+    )
+    try:
+        assert mock.stdout is not None
+        host = Host(scene, mock.stdout.readline().strip(), "--record", record, "--reports", reports, "--json")
+        while not (record.exists() and load_whole(record) > 100):
+            assert host.process.poll() is None, host.end()
+            time.sleep(0.05)
+    finally:
+        mock.kill()
+        mock.communicate()
+    status, out, err = host.end()
+    assert status == 3
+    assert "Traceback" not in err
+    document = json.loads(out)
+    assert document["ending"] in ("device gone", "port failed")
+    assert document["released"] is False
+    assert "did not confirm that it released its force" in document["error"]
+    trace, (report,) = load_trace(record), reports.iterdir()
+    assert str(report) in document["error"]
+    assert (trace.report.ending, trace.report.ticks) == (document["ending"], document["ticks"])
+    assert trace.sample.size == document["ticks"]
+    assert load_trace(report).sample.tolist() == trace.sample[-1000:].tolist()
+    assert read_report(report).wire.from_device
+
+
+def load_whole(record: Path) -> int:
+    """How many rows of a stream can be read while it is written."""
+    with contextlib.suppress(Exception):
+        return int(load_trace(record).sample.size)
+    return 0
+
+
+def test_a_device_that_is_stopped_and_goes_on_puts_out_nothing_but_what_it_had(
+    start_board: Start, scene: Path, tmp_path: Path
+) -> None:
+    """Its tick stands still meanwhile, and so does its force; then that lives no longer than any other."""
+    board = start_board("linux")
+    with hosting(scene, board, tmp_path) as (host, record):
+        os.kill(board.process.pid, signal.SIGSTOP)
+        try:
+            status, _, err = host.end()
+            stopped = board.put_out()
+        finally:
+            os.kill(board.process.pid, signal.SIGCONT)
+    assert status == 3
+    assert "did not confirm that it released its force" in err
+    assert "Traceback" not in err
+    assert load_trace(record).report.ending == "device silent"
+    assert len(list((tmp_path / "reports").iterdir())) == 1
+    board.wait_for(lambda forces: forces[-1][1] == 0)
+    after = board.put_out()[len(stopped) :]
+    assert sum(1 for _, counts in after if counts) <= TIME_TO_LIVE + 1
+    require_port_is_free(board.port)
+
+
+def test_a_run_whose_output_nobody_reads_leaves_its_record(tmp_path: Path) -> None:
+    text = (CONFIGS / "first_touch.yaml").read_text("utf-8").replace("clock: device ", "clock: lockstep ")
+    (tmp_path / "scene.yaml").write_text(text, "utf-8")
+    read, write = os.pipe()
+    os.close(read)
+    command = [*HAPSIM, "run", tmp_path / "scene.yaml", "--duration", "1", "--record", tmp_path / "t.npz"]
+    done = subprocess.run(command, stdout=write, stderr=subprocess.PIPE, text=True, check=False)
+    os.close(write)
+    assert done.returncode == 0, done.stderr
+    assert [path.name for path in tmp_path.glob("t.*")] == ["t.npz"]
+    assert load_trace(tmp_path / "t.npz").report.ticks == 1000

@@ -1,0 +1,226 @@
+"""A record that is written while a scene runs: whole where the run came to its end, readable where it did not."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+import hapsim
+from hapsim.errors import RecordError, UsageError
+from hapsim.loop import recording, stream, streamed_trace
+from hapsim.loop.stream import ROWS
+from hapsim.loop.trace import Trace, load_trace
+from hapsim.running import run
+from hapsim.scene import Scene
+
+SceneOf = Callable[..., Scene]
+
+
+def require_same(found: Trace, expected: Trace, ticks: int | None = None) -> None:
+    """Its first so many rows (None: all), and what is beside them."""
+    for name in ROWS:
+        column = getattr(found, name)
+        assert column.dtype == getattr(expected, name).dtype
+        np.testing.assert_array_equal(column, getattr(expected, name)[:ticks])
+    for name in ("position_scale", "force_scale", "rate"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
+
+
+@pytest.fixture
+def small_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
+    for module in (stream, streamed_trace):
+        monkeypatch.setattr(module, "MOST_ROWS", 7)
+
+
+@pytest.mark.parametrize("ending", ["trace", "npz"])
+@pytest.mark.parametrize("channels", [1, 2])
+@pytest.mark.usefixtures("small_chunks")
+def test_what_is_written_is_what_happened(scene_of: SceneOf, tmp_path: Path, ending: str, channels: int) -> None:
+    path = tmp_path / f"t.{ending}"
+    trace = run(scene_of(channels), duration=0.05, record=path)
+    assert trace.sample.size == 50
+    back = load_trace(path)
+    require_same(back, trace)
+    assert (back.report, back.statistics) == (trace.report, trace.statistics)
+    assert back.report.ending == "done"
+    assert back.report.released is True
+    assert os.listdir(tmp_path) == [path.name]
+
+
+@pytest.mark.usefixtures("small_chunks")
+def test_a_csv_is_the_one_that_a_trace_in_memory_writes(scene_of: SceneOf, tmp_path: Path) -> None:
+    trace = run(scene_of(2), duration=0.05, record=tmp_path / "t.csv")
+    trace.save(tmp_path / "whole.csv")
+    assert (tmp_path / "t.csv").read_bytes() == (tmp_path / "whole.csv").read_bytes()
+
+
+def test_what_is_written_needs_nothing_in_memory(scene_of: SceneOf, tmp_path: Path) -> None:
+    """More rows than the ring has: each was freed once it was handed over."""
+    trace = run(scene_of(), duration=150.0, keep=False, record=tmp_path / "t.trace")
+    assert trace.sample.size == 0
+    assert load_trace(tmp_path / "t.trace").sample.tolist() == list(range(150_000))
+
+
+@pytest.mark.usefixtures("small_chunks")
+def test_a_trace_in_memory_can_be_saved_as_a_stream(scene_of: SceneOf, tmp_path: Path) -> None:
+    trace = run(scene_of(2), duration=0.05)
+    trace.save(tmp_path / "t.trace")
+    back = load_trace(tmp_path / "t.trace")
+    require_same(back, trace)
+    assert (back.report, back.statistics) == (trace.report, trace.statistics)
+
+
+@pytest.mark.usefixtures("small_chunks")
+def test_of_a_torn_file_every_whole_chunk_is_read_and_where_it_stops_is_told(scene_of: SceneOf, tmp_path: Path) -> None:
+    path = tmp_path / "t.trace"
+    trace = run(scene_of(2), duration=0.05, record=path)
+    whole = path.read_bytes()
+    first_row = whole.index(b"ROWS")
+    seen = set()
+    for length in range(first_row, len(whole), 11):
+        path.write_bytes(whole[:length])
+        back = load_trace(path)
+        ticks = back.sample.size
+        require_same(back, trace, ticks)
+        assert back.report.ending == f"not finished: the record stops after {ticks} ticks"
+        assert back.report.ticks == ticks
+        assert back.report.released is None
+        seen.add(ticks)
+    assert seen == {0, 7, 14, 21, 28, 35, 42, 49, 50}
+    for length in range(0, first_row, 50):
+        path.write_bytes(whole[:length])
+        with pytest.raises(UsageError, match=r"not a trace|before its first row"):
+            load_trace(path)
+
+
+@pytest.mark.usefixtures("small_chunks")
+def test_a_damaged_chunk_ends_what_is_read(scene_of: SceneOf, tmp_path: Path) -> None:
+    path = tmp_path / "t.trace"
+    trace = run(scene_of(), duration=0.05, record=path)
+    whole = path.read_bytes()
+    third = whole.index(b"ROWS", whole.index(b"ROWS", whole.index(b"ROWS") + 4) + 4)
+    for at in range(third, third + 200, 3):
+        path.write_bytes(whole[:at] + bytes([whole[at] ^ 0x10]) + whole[at + 1 :])
+        back = load_trace(path)
+        require_same(back, trace, 14)
+        assert back.report.ending == "not finished: the record stops after 14 ticks"
+
+
+def test_a_later_version_is_told(scene_of: SceneOf, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(stream, "VERSION", 2)
+    run(scene_of(), duration=0.01, record=tmp_path / "t.trace")
+    monkeypatch.undo()
+    with pytest.raises(UsageError, match=r"found version 2 .* expected 1: it takes a newer hapsim"):
+        load_trace(tmp_path / "t.trace")
+
+
+def test_the_record_of_a_run_that_died_is_not_written_over(scene_of: SceneOf, tmp_path: Path) -> None:
+    (tmp_path / "t.npz.part").write_text("of a run that died", "utf-8")
+    told: list[str] = []
+    run(scene_of(), duration=0.01, record=tmp_path / "t.npz", on_warning=told.append)
+    assert (tmp_path / "t.npz.part").read_text("utf-8") == "of a run that died"
+    assert sorted(os.listdir(tmp_path)) == ["t.npz", "t.npz.part"]
+    assert [str(tmp_path / "t.npz.part") in one for one in told] == [True]
+
+
+def test_where_nothing_can_be_written_nothing_is_armed(scene_of: SceneOf, tmp_path: Path) -> None:
+    (tmp_path / "t.trace").symlink_to("/dev/full")
+    armed: list[Any] = []
+    with pytest.raises(UsageError, match=r"t\.trace: the trace cannot be written: No space left"):
+        run(scene_of(), duration=0.01, record=tmp_path / "t.trace", on_start=armed.append)
+    assert armed == []
+
+
+LIMITED = """
+import resource, sys
+resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[1]), resource.RLIM_INFINITY))
+sys.argv[:2] = ["hapsim"]
+from hapsim.cli import main
+main()
+"""
+
+
+@pytest.mark.parametrize("ending", ["trace", "npz"])
+def test_on_a_full_disk_the_run_goes_on_and_what_was_written_stays(
+    scene_of: SceneOf, tmp_path: Path, ending: str
+) -> None:
+    """Full for files of more than so many bytes, which is all that a process may do to itself."""
+    scene, record = tmp_path / "scene.yaml", tmp_path / f"t.{ending}"
+    scene.write_text(yaml.safe_dump(scene_of().model_dump(mode="json", exclude_none=True)), "utf-8")
+    room, ticks = 2_000_000, 120_000
+    words = ["run", str(scene), "--duration", str(ticks / 1000), "--record", str(record), "--json"]
+    command = [sys.executable, "-c", LIMITED, str(room), *words]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 2, done.stderr
+    assert "Traceback" not in done.stderr
+    assert done.stderr.count("from here on rows are missing from the record (File too large)") == 1
+    report = yaml.safe_load(done.stdout)
+    assert report["ending"] == "done"
+    assert report["ticks"] == ticks
+    assert report["released"] is True
+    assert "the run ended as asked" in report["error"]
+    missing = report["unrecorded_rows"]
+    assert 0 < missing < ticks
+    assert f"{missing} rows are missing" in report["error"]
+    back = load_trace(record)
+    assert back.sample.tolist() == list(range(ticks - missing))
+    assert (back.report.ending, back.report.unrecorded_rows) == ("done", missing)
+
+
+def test_a_disk_that_is_slower_than_the_run_costs_rows_and_holds_up_nobody(
+    monkeypatch: pytest.MonkeyPatch, scene_of: SceneOf, tmp_path: Path
+) -> None:
+    """It takes nothing until the run is over, and then the rest."""
+    goes_on = threading.Event()
+    write = stream.StreamWriter.rows
+
+    def write_later(self: Any, rows: Any) -> None:
+        goes_on.wait(60.0)
+        write(self, rows)
+
+    monkeypatch.setattr(stream.StreamWriter, "rows", write_later)
+    monkeypatch.setattr(recording, "_MOST_BYTES", 1_500_000)
+    monkeypatch.setattr(recording, "_PATIENCE_S", 0.01)
+    monkeypatch.setattr(recording.Recording, "finish", _then(goes_on.set, recording.Recording.finish))
+    told: list[str] = []
+    with pytest.raises(RecordError, match="the disk is slower than the run") as caught:
+        run(scene_of(), duration=200.0, record=tmp_path / "t.trace", on_warning=told.append)
+    trace = caught.value.trace
+    assert trace is not None
+    assert caught.value.exit_status == 2
+    assert (trace.sample.size, trace.report.ending, len(told)) == (200_000, "done", 1)
+    back = load_trace(tmp_path / "t.trace")
+    assert back.sample.size == 200_000 - trace.report.unrecorded_rows
+    assert 0 < back.sample.size < 200_000
+
+
+def _then(first: Callable[[], object], second: Callable[..., Any]) -> Callable[..., Any]:
+    def both(*arguments: Any) -> Any:
+        first()
+        return second(*arguments)
+
+    return both
+
+
+def test_an_exception_of_whoever_runs_it_leaves_a_whole_record(scene_of: SceneOf, tmp_path: Path) -> None:
+    class OfTheirOwnError(Exception):
+        pass
+
+    def run_and_fail() -> None:
+        with hapsim.start(scene_of(), duration=0.05, record=tmp_path / "t.npz") as session:
+            session.wait(60.0)
+            raise OfTheirOwnError
+
+    with pytest.raises(OfTheirOwnError):
+        run_and_fail()
+    assert load_trace(tmp_path / "t.npz").report.ticks == 50
+    assert os.listdir(tmp_path) == ["t.npz"]

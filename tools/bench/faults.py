@@ -1,0 +1,363 @@
+"""Every fault of the wire, with every clock, on every carrier: what the hand got, and what the user was told.
+
+    tools/bench/faults [--only KIND] [--carrier memory|terminal|firmware] [--clock device|host|lockstep] [--from FILE]
+
+A cell is one run of a hand that a spring pulls, at 1 kHz, over a wire with one fault, begun after 700 samples.
+Carriers: `memory`, the mock in virtual time; `terminal`, the mock behind `hapsim faults` in real time; `firmware`, the
+reference firmware's Linux build behind it. What reached the device is what the injector saw on the device's side of the
+fault; of the firmware there is also what it put out, from its own log.
+
+A cell is a defect where the program does not end, ends with a traceback or with status 1, where a force is above the
+limit, or where the user is told of a release that the device did not confirm.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).parents[2]
+RESULTS = ROOT / "tools" / "bench" / "results" / "faults.json"
+PAGE = ROOT / "tools" / "bench" / "faults.md"
+LIMIT_N, BEGIN, DURATION_S = 10.0, 700, 1.5
+TRIES = 4
+PATIENCE_S = 60.0  # beyond the run's own time: then it hangs
+FIRMWARE_FORCE_SCALE_N = 1e-8
+CONFIRMED = "the device confirmed that it released it"
+
+SCENE = """\
+version: 1
+rate: 1000
+device: {{clock: {clock}, mass: 0.2, friction: 1.0, stiffness: 1000, delay: 1, force_limit: 10}}
+modules:
+  hand:  {{type: device, channel: 0}}
+  wall:  {{type: ground, position: 0.004}}
+  touch: {{type: viscoelastic, between: [hand, wall], stiffness: 2000, damping: 3}}
+"""
+_MANY = f"after_samples: {BEGIN}, probability"
+CASES = {
+    "drop 20 %": [f"kind: drop, {_MANY}: 0.2"],
+    "drop all positions": [f"kind: drop, direction: from_device, {_MANY}: 1"],
+    "drop all forces": [f"kind: drop, direction: to_device, {_MANY}: 1"],
+    "corrupt 20 %, 3 bits": [f"kind: corrupt, bits: 3, {_MANY}: 0.2"],
+    "corrupt all, 1 bit": [f"kind: corrupt, {_MANY}: 1"],
+    "duplicate 50 %": [f"kind: duplicate, {_MANY}: 0.5"],
+    "delay 3 ms, 10 %": [f"kind: delay, seconds: 0.003, {_MANY}: 0.1"],
+    "delay 0.4 s, once": [f"kind: delay, seconds: 0.4, after_samples: {BEGIN}, for_samples: 1"],
+    "reorder 30 %": [f"kind: reorder, {_MANY}: 0.3"],
+    "garbage 300 bytes every 10": [
+        f"kind: garbage, bytes: 300, every_samples: 10, direction: both, after_samples: {BEGIN}"
+    ],
+    "garbage 100 000 bytes": [f"kind: garbage, bytes: 100000, direction: both, after_samples: {BEGIN}"],
+    "wrong_baud 0.5, 100 samples": [f"kind: wrong_baud, ratio: 0.5, after_samples: {BEGIN}, for: 0.1"],
+    "wrong_baud 2, for good": [f"kind: wrong_baud, ratio: 2, after_samples: {BEGIN}"],
+    "wrong_baud 0.5, from the start": ["kind: wrong_baud, ratio: 0.5"],
+    "half_frame from the device": [f"kind: half_frame, after_samples: {BEGIN}"],
+    "half_frame to the device": [f"kind: half_frame, direction: to_device, after_samples: {BEGIN}"],
+    "silence 10 ms": [f"kind: silence, direction: both, after_samples: {BEGIN}, for: 0.01"],
+    "silence 0.1 s": [f"kind: silence, direction: both, after_samples: {BEGIN}, for: 0.1"],
+    "silence both ways": [f"kind: silence, direction: both, after_samples: {BEGIN}"],
+    "silence from the start": ["kind: silence, direction: both, at: 0"],
+    "unplug": [f"kind: unplug, after_samples: {BEGIN}"],
+    "replug after 0.1 s": [f"kind: unplug, after_samples: {BEGIN}", f"kind: replug, after_samples: {BEGIN + 100}"],
+    "reboot": [f"kind: reboot, after_samples: {BEGIN}"],
+    "reboot within 0.1 s": [f"kind: reboot, seconds: 0.1, after_samples: {BEGIN}"],
+    "version": ["kind: version"],
+    **{
+        f"nonsense {register} {what}": [f"kind: nonsense, register: {register}, what: {what}"]
+        for register, all_of_it in {
+            "rate": ("nan", "zero", "negative", "huge"),
+            "position_scale": ("nan", "zero", "negative", "huge"),
+            "force_scale": ("nan", "zero", "negative", "huge"),
+            "force_limit": ("nan", "zero", "negative", "huge"),
+            "velocity_scale": ("nan", "huge"),
+            "channels": ("zero", "negative", "huge"),
+            "pacings": ("zero", "negative"),
+            "max_watchdog": ("zero", "negative", "huge"),
+            "schema": ("zero",),
+        }.items()
+        for what in all_of_it
+    },
+    "rate 0.5": [f"kind: rate, factor: 0.5, after_samples: {BEGIN}"],
+    "rate 2": [f"kind: rate, factor: 2, after_samples: {BEGIN}"],
+    "leap 0.1 m": [f"kind: leap, metres: 0.1, after_samples: {BEGIN}"],
+    "leap 4 mm": [f"kind: leap, metres: 0.004, after_samples: {BEGIN}"],
+    "leap to the end of the counts": [f"kind: leap, counts: 2147483647, after_samples: {BEGIN}"],
+    "invert positions": [f"kind: invert, after_samples: {BEGIN}"],
+    "invert forces": [f"kind: invert, direction: to_device, after_samples: {BEGIN}"],
+}
+CARRIERS = {"memory": ("lockstep",), "terminal": ("device", "host", "lockstep"), "firmware": ("device", "host")}
+BEFORE_ARMING = {"version": {"memory", "terminal"}, "nonsense": {"memory", "terminal"}}
+"""Kinds that are over before a clock matters, and the carriers on which they are looked at, with its first clock."""
+
+
+def kind_of(case: str) -> str:
+    return case.partition(" ")[0]
+
+
+def script_of(case: str) -> str:
+    return "\n".join(["version: 1", "seed: 1", "faults:", *(f"  - {{{fault}}}" for fault in CASES[case])]) + "\n"
+
+
+def in_memory(case: str) -> dict[str, Any]:
+    """One run in this process: what `hapsim run` and `hapsim faults` would print of it."""
+    import hapsim
+    from hapsim.console.faults import faults_document
+    from hapsim.errors import HapsimError
+    from hapsim.faults import Injector, parse_script
+    from hapsim.faults.in_memory import in_memory as between_of
+
+    scene = hapsim.parse_scene(SCENE.format(clock="lockstep"))
+    injector = Injector(parse_script(script_of(case)))
+    told: dict[str, Any] = {"exit_status": 0, "error": ""}
+    try:
+        trace = hapsim.run(scene, duration=DURATION_S, between=between_of(injector, scene.period))
+        told["ticks"] = trace.report.ticks
+        told["released"] = trace.report.released
+    except HapsimError as error:
+        told |= {"exit_status": error.exit_status, "error": str(error)}
+    return {"run": told, "wire": faults_document("", injector, 0, None)}
+
+
+def finished(process: subprocess.Popen[str], within_s: float) -> tuple[str, str, bool]:
+    """(standard output, standard error, whether it had to be killed)"""
+    try:
+        out, err = process.communicate(timeout=within_s)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        out, err = process.communicate()
+        return out, err, True
+    return out, err, False
+
+
+def started(*words: object) -> subprocess.Popen[str]:
+    command = [sys.executable, *map(str, words)]
+    return subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+@contextmanager
+def device_of(carrier: str, scene: Path, log: Path) -> Iterator[list[str]]:
+    """The options of `hapsim faults` that lead to the device."""
+    if carrier == "terminal":
+        yield ["--scene", str(scene)]
+        return
+    board = ROOT / "firmware_protocol" / "firmware" / "board"
+    with subprocess.Popen([board, "linux", log], stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        try:
+            yield ["--port", process.stdout.readline().strip()]
+        finally:
+            process.terminate()
+
+
+def on_terminal(case: str, clock: str, carrier: str) -> dict[str, Any]:
+    """One run, of `hapsim run` through `hapsim faults`, each a process."""
+    with tempfile.TemporaryDirectory() as folder:
+        scene, script, port, log = (Path(folder) / name for name in ("scene.yaml", "script.yaml", "port", "log"))
+        scene.write_text(SCENE.format(clock=clock), "utf-8")
+        script.write_text(script_of(case), "utf-8")
+        with device_of(carrier, scene, log) as options:
+            relay = started("-m", "hapsim", "faults", script, *options, "--path", port, "--json")
+            give_up = time.monotonic() + PATIENCE_S
+            while not port.is_symlink() and relay.poll() is None and time.monotonic() < give_up:
+                time.sleep(0.01)
+            run = started("-m", "hapsim", "run", scene, "--port", port, "--duration", DURATION_S, "--json")
+            out, err, hung = finished(run, DURATION_S + PATIENCE_S)
+            time.sleep(0.3)  # for a watchdog that ends meanwhile
+            relay.send_signal(signal.SIGINT)
+            wire_out, wire_err, wire_hung = finished(relay, PATIENCE_S)
+        told = json.loads(out) if out.strip() else {}
+        told |= {"exit_status": run.returncode, "error": told.get("error", ""), "err": err, "hung": hung}
+        wire = json.loads(wire_out) if wire_out.strip() else {}
+        wire |= {"err": wire_err, "hung": wire_hung}
+        return {"run": told, "wire": wire, "put_out": put_out(log)}
+
+
+def put_out(log: Path) -> dict[str, float] | None:
+    """Of the firmware's log: what it put out at most, and by how much it changed at most."""
+    if not log.exists():
+        return None
+    lines = [line.split() for line in log.read_text("ascii").splitlines(keepends=True) if line.endswith("\n")]
+    forces = [int.from_bytes(bytes.fromhex(words[1]), signed=True) * FIRMWARE_FORCE_SCALE_N for words in lines]
+    if not forces:
+        return None
+    steps = [abs(after - before) for before, after in itertools.pairwise(forces)]
+    return {"largest_N": max(map(abs, forces)), "largest_change_N": max(steps, default=0.0), "last_N": forces[-1]}
+
+
+def cell(case: str, clock: str, carrier: str) -> dict[str, Any]:
+    """Everything about a run in which the fault happened: a machine that is held up may end one before that."""
+    for _ in range(TRIES):
+        found = tried(case, clock, carrier)
+        if found["defects"] or any(fault["times"] for fault in found["wire"].get("faults", [])):
+            break
+    return found
+
+
+def tried(case: str, clock: str, carrier: str) -> dict[str, Any]:
+    """Everything about one run."""
+    if carrier == "memory":
+        process = started(__file__, "--in-memory", case)
+        out, err, hung = finished(process, PATIENCE_S)
+        found = (
+            json.loads(out) if out.strip() else {"run": {"exit_status": process.returncode, "error": ""}, "wire": {}}
+        )
+        found["run"] |= {"err": err, "hung": hung}
+    else:
+        found = on_terminal(case, clock, carrier)
+    found = {"case": case, "kind": kind_of(case), "clock": clock, "carrier": carrier} | found
+    found["defects"] = defects_of(found)
+    return found
+
+
+def defects_of(found: dict[str, Any]) -> list[str]:
+    """What must not be."""
+    run, wire = found["run"], found["wire"]
+    release, largest = wire.get("release"), (wire.get("forces") or {}).get("largest_N") or 0.0
+    confirmed = run.get("released") or CONFIRMED in run["error"]
+    status, sentence = run["exit_status"], run["error"]
+    wrong = {
+        "it did not end": run.get("hung") or wire.get("hung"),
+        "a traceback": "Traceback" in run.get("err", "") + wire.get("err", ""),
+        "status 1, or none of ours": status not in (0, 2, 3, 4),
+        "a failure without a sentence": status != 0 and not sentence,
+        f"a force above {LIMIT_N:g} N": largest > LIMIT_N * (1 + 1e-9),
+        f"the device put out more than {LIMIT_N:g} N": (found.get("put_out") or {}).get("largest_N", 0.0) > LIMIT_N,
+        "it says that the device confirmed its release, which it did not": confirmed
+        and release is not None
+        and not release["confirmed"],
+        "the device still pushes at the end": (found.get("put_out") or {}).get("last_N", 0.0) != 0.0,
+    }
+    return [what for what, is_so in wrong.items() if is_so]
+
+
+def row(found: dict[str, Any]) -> str:
+    run, wire = found["run"], found["wire"]
+    since, release, out = wire.get("forces_since_fault") or {}, wire.get("release"), found.get("put_out")
+    zero = "–"
+    if release is not None:
+        zero = f"{1e3 * release['after_last_force_s']:.3g} ms ({release['by']})"
+    largest = _newtons(since.get("largest_N"), since.get("count"))
+    change = _newtons(since.get("largest_change_N"), since.get("count"))
+    if out is not None:
+        largest += f" / {out['largest_N']:.3g}"
+        change += f" / {out['largest_change_N']:.3g}"
+    sentence = run["error"].partition(": ")[2] or (
+        f"done, {run.get('ticks')} ticks" if not run["error"] else run["error"]
+    )
+    told = sentence.replace("|", "\\|").replace("\n", " ")
+    flag = "".join(f" **{defect}**" for defect in found["defects"])
+    times = ", ".join(str(fault["times"]) for fault in wire.get("faults", []))
+    return (
+        f"| {found['case']} | {found['clock']} | {found['carrier']} | {times} | {largest} | {change} | {zero} | "
+        f"{run['exit_status']} | {told}{flag} |"
+    )
+
+
+def _newtons(force: float | None, count: int | None) -> str:
+    return "none" if not count or force is None else f"{force:.3g}"
+
+
+HEAD = """\
+# Faults of the wire
+
+Every fault, with every clock, on every carrier: `tools/bench/faults` ({when}). A spring of 2000 N/m pulls the hand at
+1 kHz, with at most 10 N, against a spring of 1000 N/m in the device (2.7 N at rest; the firmware's mass has none, and
+swings); the fault begins after {begin} samples, or with the first byte. *memory*: the mock in virtual time; *terminal*:
+the mock behind `hapsim faults`; *firmware*: the Linux build of the reference firmware behind it.
+
+The largest force and the largest change from one force to the next are those that reached the device after the first
+fault (of the firmware also, behind the stroke, what it put out over the whole run, its release among it). *Zero force*:
+after the last force that reached the device, by what: the host's DISARM, the device itself, the time to live that
+PROTOCOL.md promises, or, in lockstep, where no time passes while a host is quiet, its 10 s.
+
+{verdict}
+
+| fault | clock | carrier | times | largest, N | change, N | zero force | status | the user is told |
+|---|---|---|---:|---:|---:|---|---:|---|
+"""
+
+
+def write_page(cells: list[dict[str, Any]], when: str) -> None:
+    wrong = sum(bool(found["defects"]) for found in cells)
+    verdict = f"Of {len(cells)} cells {wrong or 'none'} {'is a defect' if wrong in (0, 1) else 'are defects'}."
+    head = HEAD.format(when=when, begin=BEGIN, verdict=verdict)
+    PAGE.write_text(head + "".join(row(found) + "\n" for found in cells), "utf-8")
+
+
+def keep(cells: list[dict[str, Any]]) -> None:
+    when = time.strftime("%Y-%m-%d", time.gmtime())
+    RESULTS.write_text(json.dumps({"when": when, "cells": cells}, indent=1) + "\n", "utf-8")
+    write_page(cells, when)
+
+
+def every_cell() -> list[tuple[str, str, str]]:
+    """(case, clock, carrier)"""
+    return [
+        (case, clock, carrier)
+        for case in CASES
+        for carrier, clocks in CARRIERS.items()
+        if carrier in BEFORE_ARMING.get(kind_of(case), CARRIERS)
+        for clock in (clocks[:1] if kind_of(case) in BEFORE_ARMING else clocks)
+    ]
+
+
+def asked_for(options: argparse.Namespace) -> list[tuple[str, str, str]]:
+    return [
+        (case, clock, carrier)
+        for case, clock, carrier in every_cell()
+        if options.only in (None, kind_of(case), case)
+        and options.carrier in (None, carrier)
+        and options.clock in (None, clock)
+    ]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        "tools/bench/faults", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--only", metavar="KIND", help="this kind, or this one case")
+    parser.add_argument("--carrier", choices=CARRIERS)
+    parser.add_argument("--clock", choices=("device", "host", "lockstep"))
+    parser.add_argument("--from", dest="source", type=Path, help="write the page from results that are there")
+    parser.add_argument("--in-memory", metavar="CASE", help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.in_memory:
+        print(json.dumps(in_memory(options.in_memory)))
+        return
+    if options.source:
+        kept = json.loads(options.source.read_text("utf-8"))
+        for found in kept["cells"]:
+            found["defects"] = defects_of(found)
+        write_page(kept["cells"], kept["when"])
+        return
+    wanted = asked_for(options)
+    if not wanted:
+        raise SystemExit(
+            f"--only {options.only}: no such kind; there are {', '.join(dict.fromkeys(map(kind_of, CASES)))}"
+        )
+    cells = []
+    for number, (case, clock, carrier) in enumerate(wanted):
+        cells.append(cell(case, clock, carrier))
+        print(f"{number + 1}/{len(wanted)} {row(cells[-1])}", flush=True)
+        if wanted == every_cell():
+            keep(cells)
+    wrong = [found for found in cells if found["defects"]]
+    print(f"{len(cells)} cells, {len(wrong)} defects")
+    sys.exit(1 if wrong else 0)
+
+
+if __name__ == "__main__":
+    os.environ.setdefault("COLUMNS", "200")
+    main()
