@@ -18,6 +18,8 @@ RuntimeDirectory=hapsim/{name}
 RuntimeDirectoryMode=0700
 CacheDirectory=hapsim/{name}
 Environment=XDG_CACHE_HOME=%C/hapsim/{name}
+StateDirectory=hapsim/{name}
+Environment=XDG_STATE_HOME=%S/hapsim/{name}
 ProtectSystem=strict
 ProtectHome=read-only
 PrivateTmp={private_tmp}

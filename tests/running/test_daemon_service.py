@@ -153,7 +153,8 @@ def test_the_unit_starts_this_interpreter_with_no_more_rights_than_it_needs(
     assert found["RestartPreventExitStatus"] == ["2 4"]
     assert found["DeviceAllow"] == ["char-ttyACM rw", "/dev/cpu_dma_latency rw"]
     assert found["PrivateNetwork"] == found["NoNewPrivileges"] == ["yes"]
-    assert found["RuntimeDirectory"] == ["hapsim/ttyACM0"]
+    assert found["RuntimeDirectory"] == found["StateDirectory"] == found["CacheDirectory"] == ["hapsim/ttyACM0"]
+    assert "XDG_STATE_HOME=%S/hapsim/ttyACM0" in found["Environment"]  # else no report of a fault can be written
     of_user = settings(hapsim("service", scene, "--user", "--json").document["unit"])
     assert of_user["WantedBy"] == ["default.target"]
     assert not of_user.keys() & {"SupplementaryGroups", "ProtectSystem", "User"}
