@@ -11,6 +11,7 @@ import typer
 
 from hapsim.commands.chart import app as chart
 from hapsim.commands.chart_felt import felt
+from hapsim.commands.chart_trace import trace
 from hapsim.commands.check import check
 from hapsim.commands.device import mock, ports
 from hapsim.commands.doctor import doctor
@@ -21,9 +22,11 @@ from hapsim.commands.measure import measure
 from hapsim.commands.prepare import compile_, new, schema
 from hapsim.commands.probe import probe
 from hapsim.commands.run import run
+from hapsim.commands.service import service
 from hapsim.commands.status import status
 from hapsim.console.guarded_output import guarded_output, is_full
 from hapsim.console.log import complain, use_sentences
+from hapsim.console.standard_streams import standing_streams
 from hapsim.errors import HapsimError
 
 _WRONG_COMMAND_LINE = 2
@@ -38,6 +41,7 @@ app = typer.Typer(
 for _command in (
     run,
     status,
+    service,
     check,
     measure,
     identify,
@@ -53,6 +57,7 @@ for _command in (
 ):
     app.command(_command.__name__.rstrip("_"))(_command)
 chart.command()(felt)
+chart.command()(trace)
 app.add_typer(chart)
 
 
@@ -85,11 +90,12 @@ def main() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal that cannot show a character shows another
-    use_sentences()
-    try:
-        _run_app()
-    finally:
-        use_sentences()  # what a log left out is said at its end
+    with standing_streams():
+        use_sentences()
+        try:
+            _run_app()
+        finally:
+            use_sentences()  # what a log left out is said at its end
 
 
 def _run_app() -> None:

@@ -70,6 +70,7 @@ def run(
     """Run SCENE against its device, or against the embedded mock where it names none."""
     from hapsim.console.live import live_line
     from hapsim.console.run_reporter import RunReporter
+    from hapsim.daemon.notify import Notifier
     from hapsim.daemon.reconnecting import keep_running, together
     from hapsim.daemon.state import RunState
     from hapsim.running.signals import undisturbed
@@ -84,10 +85,11 @@ def run(
     )
     serves = loaded.device.port if kind == "auto" else None
     state = RunState(os.path.abspath(scene), serves, loaded.rate)
+    notifier = Notifier(reconnect)
     with _telling(state, status, serves, portable), live_line(error_console) as tell:
         lifetime = keep_running(
             loaded,
-            together(state.observer, reporter.observer(tell, serves or "")),
+            together(state.observer, notifier.observer, reporter.observer(tell, serves or "")),
             reconnect=reconnect,
             record=record,
             duration=duration,
@@ -100,11 +102,14 @@ def run(
             on_progress=tell,
             on_warning=complain,
         )
+    notifier.stopping()
     with undisturbed():
-        _show(lifetime, reporter.grants, record, json)
-    if lifetime.failure is not None:
-        complain(lifetime.failure)
-        raise typer.Exit(lifetime.failure.exit_status)
+        try:
+            _show(lifetime, reporter.grants, record, json)
+        finally:  # even where nobody reads the report: why it failed, and the status, are told apart from it
+            if lifetime.failure is not None:
+                complain(lifetime.failure)
+                raise typer.Exit(lifetime.failure.exit_status)
 
 
 def _choose_log(log: str) -> None:

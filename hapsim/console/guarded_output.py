@@ -56,6 +56,8 @@ def _flushed(status: int | str | None) -> int | str | None:
     """The status, or that of an output that could not be written. What is left in the buffers goes out here: at its
     very end Python would complain of it by itself."""
     for stream in (sys.stdout, sys.stderr):
+        if stream is None:  # it was closed before we began
+            continue
         try:
             stream.flush()
         except OSError as error:

@@ -92,7 +92,8 @@ def require_writable_as_trace(path: Path) -> None:
         raise UsageError(f"{path}: a trace is written as {one_of_endings()}, by the file's ending")
     if not path.resolve().parent.is_dir():
         raise UsageError(f"{path}: there is no directory {path.resolve().parent}")
-    if path.is_dir() or not os.access(path if path.exists() else path.resolve().parent, os.W_OK):
+    is_other = path.exists() and not path.is_file() and not path.is_char_device()  # a pipe would keep us waiting
+    if is_other or not os.access(path if path.exists() else path.resolve().parent, os.W_OK):
         raise UsageError(f"{path}: no file can be written there")
 
 

@@ -62,7 +62,10 @@ def denied(name: str, error: OSError, advise: Callable[[OSError], str]) -> Privi
         return PrivilegeResult(name, False, "the loop's thread is not there: it has ended already")
     if error.errno == errno.ENOSYS:
         return PrivilegeResult(name, False, "this kernel or C library does not have the call; another one may")
-    return PrivilegeResult(name, False, advise(error))
+    try:
+        return PrivilegeResult(name, False, advise(error))
+    except Exception:  # what to do about it is asked of the system, too
+        return PrivilegeResult(name, False, f"it was refused ({error.strerror or error})")
 
 
 def _asked(
@@ -72,6 +75,11 @@ def _asked(
         detail, undo = ask(thread_id)
     except OSError as error:
         return denied(name, error, advise), _nothing
+    except AttributeError as missing:
+        return PrivilegeResult(name, False, f"this Python was built without the call ({missing})"), _nothing
+    except Exception as error:  # an answer that no system should give is no reason to end a run
+        why = f"the system's answer could not be used ({type(error).__name__}: {error})"
+        return PrivilegeResult(name, False, why), _nothing
     return PrivilegeResult(name, True, detail), undo
 
 

@@ -27,10 +27,11 @@ def stopping_on_signals(stop: Callable[[], None]) -> Iterator[None]:
 
 @contextlib.contextmanager
 def undisturbed() -> Iterator[None]:
-    """While open, an interrupt is passed over: what a run has left is being written, and takes no time worth stopping
-    for. Main thread only."""
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    """While open, what means "stop" is passed over: what a run has left is being written, and takes no time worth
+    stopping for. Main thread only."""
+    before = {number: signal.signal(number, signal.SIG_IGN) for number in STOPS}
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -67,6 +67,12 @@ def test_a_place_where_no_trace_can_be_written_is_refused(trace: Trace, tmp_path
     assert os.listdir(tmp_path) == ["taken.npz"]
 
 
+def test_a_pipe_that_nobody_may_read_is_refused(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "t.trace")
+    with pytest.raises(UsageError, match="no file can be written there"):
+        require_writable_as_trace(tmp_path / "t.trace")
+
+
 def test_a_disk_that_is_full_is_reported(trace: Trace, tmp_path: Path) -> None:
     (tmp_path / "t.csv").symlink_to("/dev/full")
     with pytest.raises(UsageError, match="cannot be written: No space left on device"):

@@ -47,6 +47,38 @@ def test_whatever_the_error_is_a_measure_is_denied_with_a_sentence(
 
 
 @pytest.mark.parametrize("name", CALLS)
+@pytest.mark.parametrize("error", [AttributeError("no such name"), ValueError("no"), OverflowError("too large")])
+def test_what_no_system_should_answer_is_a_denial_too(
+    name: str, error: Exception, thread_id: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_arguments: object) -> None:
+        raise error
+
+    ask, function = CALLS[name]
+    monkeypatch.setattr(function, fail)
+    with ask(thread_id) as grant:
+        pass
+    assert not grant.granted
+    assert str(error) in grant.detail
+
+
+def test_a_c_library_without_the_call_is_a_denial(thread_id: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("hapsim.realtime.c_library.ctypes.CDLL", lambda *_, **__: object())
+    with locked(thread_id) as grant:
+        assert "does not have the call" in grant.detail
+    assert not no_timer_slack().granted
+
+
+def test_where_advice_cannot_be_had_the_denial_is_told_without(
+    thread_id: int, refuse: Callable[[str, int], None]
+) -> None:
+    refuse("resource.getrlimit", errno.EPERM)
+    refuse("hapsim.realtime.c_library.call", errno.ENOMEM)
+    with locked(thread_id) as grant:
+        assert grant.detail == f"it was refused ({os.strerror(errno.ENOMEM)})"
+
+
+@pytest.mark.parametrize("name", CALLS)
 @pytest.mark.parametrize(("number", "words"), [(errno.ESRCH, "ended"), (errno.ENOSYS, "does not have the call")])
 def test_no_thread_and_no_such_call_read_alike_for_every_measure(
     name: str, number: int, words: str, thread_id: int, refuse: Callable[[str, int], None]

@@ -1,0 +1,73 @@
+"""What was recorded: position and force over time, channel by channel."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hapsim.chart.figure import figure_to
+from hapsim.loop.ring import BRIDGED, LATE_FORCE, LIMITED, UNSENT
+from hapsim.loop.trace import Trace
+
+_STRETCHES = 2000  # of more rows than that, the least and the greatest of each stretch are drawn: no peak is lost
+_MARKED = {"late": LATE_FORCE, "never sent": UNSENT, "at its limit": LIMITED, "positions lost before": BRIDGED}
+
+
+def seconds_of(trace: Trace) -> NDArray[np.float64]:
+    """(N,) s since the first row: by its clock; in virtual time by the count of samples."""
+    since = (trace.sample - trace.sample[:1]) if trace.report.virtual_time else (trace.time_ns - trace.time_ns[:1])
+    return since.astype(np.float64) / (trace.rate if trace.report.virtual_time else 1e9)
+
+
+def columns_of(trace: Trace) -> dict[str, NDArray[Any]]:
+    """What is drawn, row by row, by the names that a data file uses."""
+    columns: dict[str, NDArray[Any]] = {"time_s": seconds_of(trace), "sample": trace.sample, "flags": trace.flags}
+    for c in range(trace.position_scale.size):
+        columns |= {f"position_m[{c}]": trace.position[:, c], f"force_N[{c}]": trace.force[:, c]}
+    return columns
+
+
+def draw_trace(trace: Trace, title: str, path: Path) -> None:
+    """Draws it; rows whose force was late, cut or never sent are marked. The ending of `path` chooses SVG, PNG or
+    PDF."""
+    time = seconds_of(trace)
+    with figure_to(path, 8.0, 5.2) as figure:
+        upper, lower = figure.subplots(2, 1, sharex=True)
+        for axes, values, label in (
+            (upper, 1e3 * trace.position, "position (mm)"),
+            (lower, trace.force, "force (N)"),
+        ):
+            for c in range(values.shape[1]):
+                drawn = _least_and_greatest(values[:, c])
+                axes.plot(time[drawn], values[drawn, c], lw=1.0, label=f"channel {c}")
+            axes.axhline(0.0, color="black", linewidth=0.5)
+            axes.set_ylabel(label)
+            axes.margins(x=0.01)
+        for (what, flag), sign in zip(_MARKED.items(), "|xv+", strict=True):
+            marked = np.flatnonzero(trace.flags & flag)
+            drawn = marked[_spread(marked.size)]
+            if marked.size:
+                at = trace.force[drawn, 0]
+                lower.plot(time[drawn], at, sign, ms=5, ls="", color="black", label=f"{what}: {marked.size}")
+        lower.set_xlabel("time (s)")
+        upper.set_title(title, fontsize=9)
+        figure.legend(*lower.get_legend_handles_labels(), loc="outside lower left", ncols=4, frameon=False)
+
+
+def _least_and_greatest(values: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Which rows are drawn: all, or of each stretch the one with the least and the one with the greatest value."""
+    if values.size <= 2 * _STRETCHES:
+        return np.arange(values.size)
+    edges = np.linspace(0, values.size, _STRETCHES + 1).astype(np.int64)
+    of: tuple[Callable[..., Any], ...] = (np.argmin, np.argmax)
+    rows = [a + of_stretch(values[a:b]) for a, b in pairwise(edges) for of_stretch in of]
+    return np.unique(rows)
+
+
+def _spread(count: int) -> NDArray[np.int64]:
+    return np.unique(np.linspace(0, max(count - 1, 0), min(count, _STRETCHES)).astype(np.int64))

@@ -1,0 +1,53 @@
+"""`hapsim chart trace`: what was recorded."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from hapsim.commands.arguments import Json, say_written
+from hapsim.commands.chart_options import Data, Picture, print_json, writable
+from hapsim.console.sentences import say
+from hapsim.errors import UsageError
+
+
+def trace(
+    file: Annotated[
+        Path,
+        typer.Argument(metavar="FILE", help="A record, .npz or .trace, what is left of one, or a report file."),
+    ],
+    last: Annotated[
+        float | None, typer.Option(metavar="S", help="Draw the last so many seconds; left out: all of it.")
+    ] = None,
+    picture: Picture = None,
+    data: Data = None,
+    json: Json = False,
+) -> None:
+    """Draw what was recorded: position and force over time, and which forces were late, cut or never sent."""
+    from hapsim.chart.figure import save_columns
+    from hapsim.chart.recorded import columns_of, draw_trace, seconds_of
+    from hapsim.console.as_json import report_document
+    from hapsim.loop.trace import load_trace
+
+    if last is not None and not 0 < last < float("inf"):
+        raise UsageError(f"--last: found {last:g}, expected a finite number of seconds above 0")
+    picture = writable(picture, data, json, "trace.svg")
+    recorded = load_trace(file)
+    if recorded.sample.size == 0:
+        raise UsageError(f"{file}: there is no row in it to be drawn")
+    if last is not None:
+        time = seconds_of(recorded)
+        recorded = recorded.since(int((time < time[-1] - last).sum()))
+    if data is not None:
+        save_columns(columns_of(recorded), data)
+    about = f"{file.name}: {recorded.sample.size} of {recorded.report.ticks} ticks, {recorded.report.ending}"
+    if picture is not None:
+        draw_trace(recorded, about, picture)
+    if json:
+        drawn = {"trace": str(file), "rows": recorded.sample.size, "report": report_document(recorded.report)}
+        print_json(drawn, picture, data)
+        return
+    say(about)
+    say_written(picture, data)

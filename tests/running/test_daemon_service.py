@@ -1,0 +1,177 @@
+"""A daemon under a service manager: what it tells it, and the unit that starts it."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import shutil
+import socket
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from hapsim.daemon.notify import Notifier
+from hapsim.daemon.unit import unit_for
+from hapsim.errors import UsageError
+from hapsim.progress import Progress
+
+SCENE = """
+version: 1
+rate: 1000
+device: {mass: 0.2, clock: lockstep, friction: 1.0, port: /dev/ttyACM0}
+modules:
+  hand:  {type: device, channel: 0}
+"""
+
+
+class Manager:
+    """A service manager, as far as a service hears of it."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._heard = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self._heard.bind(str(path))
+        self._heard.setblocking(False)
+
+    def told(self) -> list[str]:
+        """Every datagram since the last look."""
+        found = []
+        while True:
+            try:
+                found.append(self._heard.recv(1 << 16).decode())
+            except BlockingIOError:
+                return found
+
+    def close(self) -> None:
+        self._heard.close()
+
+
+@pytest.fixture
+def manager(tmp_path: Path) -> Iterator[Manager]:
+    made = Manager(tmp_path / "notify")
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Path:
+    path = tmp_path / "my scene.yaml"
+    path.write_text(SCENE, encoding="utf-8")
+    return path
+
+
+def notifier(manager: Manager, now: list[float], reconnects: bool = False, **environ: str) -> Notifier:
+    environ = {"NOTIFY_SOCKET": str(manager.path), "WATCHDOG_USEC": "3000000"} | environ
+    return Notifier(reconnects, environ, clock=lambda: now[0])
+
+
+def test_the_watchdog_hears_of_it_only_while_the_ticks_go_on(manager: Manager) -> None:
+    now = [0.0]
+    observer = notifier(manager, now).observer
+    observer.started(SimpleNamespace(scene=SimpleNamespace(path="touch.yaml")))  # type: ignore[arg-type]
+    assert manager.told() == ["READY=1\nSTATUS=touch.yaml runs"]
+    heard = []
+    for now[0], ticks in ((0.0, 0), (1.0, 500), (1.5, 900), (2.0, 900), (4.0, 900), (6.0, 900), (6.1, 901)):
+        observer.running(Progress("running", ticks=ticks))
+        heard.append("WATCHDOG=1" in manager.told())
+    assert heard == [False, True, False, True, False, False, True]
+    now[0] = 9.0
+    observer.waiting()
+    assert manager.told() == ["WATCHDOG=1"]
+    observer.tell("lost", "the device\nwent away")
+    assert manager.told() == ["STATUS=the device went away"]
+    observer.over()
+    assert manager.told() == ["STOPPING=1"]
+
+
+@pytest.mark.parametrize(
+    ("environ", "hears"),
+    [
+        ({}, True),
+        ({"WATCHDOG_PID": str(os.getpid())}, True),
+        ({"WATCHDOG_PID": "1"}, False),
+        ({"WATCHDOG_USEC": "0"}, False),
+        ({"WATCHDOG_USEC": "soon"}, False),
+    ],
+)
+def test_the_watchdog_is_told_where_it_asks_this_process(
+    manager: Manager, environ: dict[str, str], hears: bool
+) -> None:
+    observer = notifier(manager, [0.0], **environ).observer
+    observer.running(Progress("running", ticks=5))
+    assert ("WATCHDOG=1" in manager.told()) == hears
+
+
+def test_a_run_that_may_reconnect_is_not_over_with_a_session(manager: Manager) -> None:
+    notifying = notifier(manager, [0.0], reconnects=True)
+    notifying.observer.over()
+    assert manager.told() == []
+    notifying.stopping()
+    assert manager.told() == ["STOPPING=1"]
+
+
+def test_a_manager_that_is_gone_ends_nothing(manager: Manager, tmp_path: Path) -> None:
+    manager.close()
+    for where in (str(manager.path), str(tmp_path / "nowhere"), "@hapsim/nobody", ""):
+        notifying = Notifier(False, {"NOTIFY_SOCKET": where})
+        notifying.observer.tell("lost", "gone")
+        notifying.stopping()
+
+
+def test_the_command_is_ready_when_it_is_armed_and_says_when_it_ends(
+    manager: Manager, hapsim: Callable[..., Any], scene: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("NOTIFY_SOCKET", str(manager.path))
+    monkeypatch.setenv("WATCHDOG_USEC", "1000")
+    assert hapsim("run", scene, "--mock", "--duration", 0.05, "--json").status == 0
+    told = [line for datagram in manager.told() for line in datagram.split("\n") if "compiling" not in line]
+    assert (told[0], told[1], told[-1]) == ("READY=1", f"STATUS={scene} runs", "STOPPING=1")
+    assert "WATCHDOG=1" in told
+    assert hapsim("run", scene, "--port", "/dev/ttyNOPE7").status == 3
+    assert "READY=1" not in manager.told()
+
+
+def settings(unit: str) -> dict[str, list[str]]:
+    lines = [line.split("=", 1) for line in unit.splitlines() if "=" in line and not line.startswith("#")]
+    return {name: [value for other, value in lines if other == name] for name, _ in lines}
+
+
+def test_the_unit_starts_this_interpreter_with_no_more_rights_than_it_needs(
+    hapsim: Callable[..., Any], scene: Path, tmp_path: Path
+) -> None:
+    document = hapsim("service", scene, "--json").document
+    found = settings(document["unit"])
+    words = shlex.split(found["ExecStart"][0])
+    assert words[:5] == [sys.executable, "-m", "hapsim", "run", str(scene)]
+    assert words[5:8] == ["--port", "/dev/ttyACM0", "--reconnect"]
+    assert "--unstable" not in words
+    assert found["RestartPreventExitStatus"] == ["2 4"]
+    assert found["DeviceAllow"] == ["char-ttyACM rw", "/dev/cpu_dma_latency rw"]
+    assert found["PrivateNetwork"] == found["NoNewPrivileges"] == ["yes"]
+    assert found["RuntimeDirectory"] == ["hapsim/ttyACM0"]
+    of_user = settings(hapsim("service", scene, "--user", "--json").document["unit"])
+    assert of_user["WantedBy"] == ["default.target"]
+    assert not of_user.keys() & {"SupplementaryGroups", "ProtectSystem", "User"}
+    if shutil.which("systemd-analyze"):
+        file = tmp_path / document["name"]
+        file.write_text(document["unit"], encoding="utf-8")
+        verified = subprocess.run(["systemd-analyze", "verify", file], capture_output=True, text=True, check=False)
+        assert (verified.returncode, verified.stderr) == (0, "")
+
+
+def test_what_a_unit_reads_otherwise_is_escaped_and_what_it_cannot_hold_is_refused() -> None:
+    found = settings(unit_for('/a "b" 5%/$c.yaml', "/dev/serial/by-id/usb-1"))
+    assert '"/a \\"b\\" 5%%/$$c.yaml"' in found["ExecStart"][0]
+    assert found["DeviceAllow"][:2] == ["char-ttyACM rw", "char-ttyUSB rw"]
+    with pytest.raises(UsageError, match="no unit can hold"):
+        unit_for("/a\nExecStart=/bin/sh", "/dev/ttyACM0")
+
+
+def test_a_scene_without_a_port_has_no_service(hapsim: Callable[..., Any], scene: Path) -> None:
+    scene.write_text(SCENE.replace(", port: /dev/ttyACM0", ""), encoding="utf-8")
+    assert "found no port" in hapsim("service", scene).sentence
