@@ -96,7 +96,7 @@ def report_of(scene: Scene, loop: Loop, ending: str) -> Report:
         virtual_time=virtual,
         garbage_bytes=int(decoder.garbage_bytes) + _endless_bytes(loop),
         timed_by_device=bool(loop.record.watch.judges),
-        released=True if ending == endings.DEVICE_STOPPED and _says_released(loop) else None,
+        released=True if ending == endings.IN_WORDS[endings.DEVICE_STOPPED] and _says_released(loop) else None,
         estimated_mass_kg=_estimated_masses(loop),
     )
 
