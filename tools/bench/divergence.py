@@ -23,9 +23,6 @@ import numpy as np
 
 import hapsim
 from hapsim.errors import DeviceError, GuardError
-from hapsim.loop.guards.divergence import CREDIT_M
-from hapsim.loop.ring import LIMITED
-from hapsim.loop.trace import Trace
 from hapsim.running import run
 from hapsim.scene import Scene, parse_scene
 from hapsim.theory import Configuration
@@ -33,6 +30,7 @@ from hapsim.theory import Configuration
 LEAST_RADIUS, MOST_RADIUS = 1.002, 1.5
 KINDS = ("spring", "spring", "damper", "contact", "mass", "string")
 LIMIT_M = 0.02  # the default energy limit over the force limit
+CREDIT_M = 0.25  # what a hand's credit is, at most, over the force limit
 TOLERANCE = 1.02  # of energies that are read from positions
 
 
@@ -184,11 +182,12 @@ def judged(drawn: Drawn) -> Outcome:
     # What the last forces do before they end: of the sample in which it is found, and of the delay.
     steps = np.abs(np.diff(trace.position[:, 0]))
     bound += (2.0 + device.delay) * device.force_limit * float(np.max(steps, initial=0.0))
-    cut = bool(np.any(trace.flags[trace.flags.size // 2 :] & LIMITED))
+    force = np.abs(trace.force[trace.sample.size // 2 :, 0])
+    cut = bool(np.any(force > 0.9999 * device.force_limit))
     return Outcome(drawn, trace.report.ending, why, trace.report.duration_s, _most_energy(drawn, trace), bound, cut)
 
 
-def _most_energy(drawn: Drawn, trace: Trace) -> float:
+def _most_energy(drawn: Drawn, trace: Any) -> float:
     """J: of the hand and the device's own spring, by positions one sample apart."""
     position, rate = trace.position[:, 0], drawn.scene.rate
     if position.size < 2:
