@@ -19,6 +19,7 @@ import fcntl
 import itertools
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -37,6 +38,7 @@ LONGER_S = {"rate": 4.0}  # its guard wants a second of samples
 TRIES = 3
 PATIENCE_S = 60.0  # beyond the run's own time: then it hangs
 FIRMWARE_FORCE_SCALE_N = 1e-8
+REPORT = r"\. The last frames and the last second are in .*? reads it\)"  # of a file that goes with this bench
 CONFIRMED = "the device confirmed that it released it"
 
 SCENE = """\
@@ -183,16 +185,34 @@ def on_terminal(case: str, clock: str, carrier: str) -> dict[str, Any]:
             give_up = time.monotonic() + PATIENCE_S
             while not port.is_symlink() and relay.poll() is None and time.monotonic() < give_up:
                 time.sleep(0.01)
-            run = started("-m", "hapsim", "run", scene, "--port", port, "--duration", duration_of(case), "--json")
+            run = started(
+                "-m",
+                "hapsim",
+                "run",
+                scene,
+                "--port",
+                port,
+                "--duration",
+                duration_of(case),
+                "--reports",
+                folder,
+                "--json",
+            )
             out, err, hung = finished(run, duration_of(case) + PATIENCE_S)
             time.sleep(0.3)  # for a watchdog that ends meanwhile
             relay.send_signal(signal.SIGINT)
             wire_out, wire_err, wire_hung = finished(relay, PATIENCE_S)
+        out, err, wire_out = (without_paths(text, folder) for text in (out, err, wire_out))
         told = json.loads(out) if out.strip() else {}
         told |= {"exit_status": run.returncode, "error": told.get("error", ""), "err": err, "hung": hung}
         wire = json.loads(wire_out) if wire_out.strip() else {}
         wire |= {"err": wire_err, "hung": wire_hung}
         return {"run": told, "wire": wire, "put_out": put_out(log)}
+
+
+def without_paths(text: str, folder: str) -> str:
+    """What a program printed, without where this machine has its files."""
+    return re.sub(REPORT, "", text).replace(f"{folder}/", "")
 
 
 def put_out(log: Path) -> dict[str, float] | None:

@@ -110,7 +110,9 @@ def run(duration_s: float, damaged: float, seed: int) -> dict[str, Any]:
             wait_for(device, mock)
             with running("faults", script, "--port", device, "--path", port, "--json") as relay:
                 wait_for(port, relay)
-                with running("run", scene, "--port", port, "--duration", duration_s, "--json") as host:
+                with running(
+                    "run", scene, "--port", port, "--duration", duration_s, "--reports", folder, "--json"
+                ) as host:
                     memory = list(sampled(host))
                     out, err = host.communicate()
                 relay.send_signal(signal.SIGINT)
