@@ -30,10 +30,12 @@ import numpy as np
 from firmware_protocol import schema
 from hapsim.device.conversation import read_register
 from hapsim.device.serial_port import open_portable_port
+from hapsim.errors import DeviceError
 
 ROOT = Path(__file__).parents[2]
 RESULTS = ROOT / "tools" / "bench" / "results" / "soak.json"
 EVERY_S = 10.0
+TRIES = 5
 STATUSES = (0, 3, 4)  # done; the device stopped, or samples too slowly, where this machine holds it up
 WARM_UP_S = 20.0  # until a process has touched what it works on
 FLAT_KB_PER_MINUTE = 4.0  # one page in a minute: less than that no straight line tells from a single page
@@ -139,9 +141,15 @@ def sampled(host: subprocess.Popen[str]) -> Iterator[tuple[float, int]]:
 
 
 def counters_of(port: str) -> dict[str, int]:
-    """The device's own, asked of itself once nobody else is on the port."""
-    with contextlib.closing(open_portable_port(port, 2_000_000)) as connection:
-        return {name: read_register(connection, register) for name, register in COUNTERS.items()}
+    """The device's own, asked of itself once nobody else is on the port; again where this machine holds it up."""
+    for tries_left in reversed(range(TRIES)):
+        try:
+            with contextlib.closing(open_portable_port(port, 2_000_000)) as connection:
+                return {name: read_register(connection, register) for name, register in COUNTERS.items()}
+        except DeviceError:
+            if not tries_left:
+                raise
+    raise AssertionError
 
 
 def accounts(found: dict[str, Any]) -> list[tuple[str, int, str, int, int]]:
