@@ -41,6 +41,7 @@ from hapsim.theory.network import continuous_modes, is_large
 _MASSES = 9  # of a span, at which the error of a correction is looked at
 _PLAIN = 0.01  # an error of what is felt that is worth a correction
 _SURELY = 1.0 + 1e-9  # what grows by more in a sample is not at the limit
+_MOST = 1e60  # of b0 T/m and k0 T²/m: their fourth powers are numbers, too
 
 
 def predict(scene: Scene, *, with_margins: bool = True) -> Prediction:
@@ -48,8 +49,7 @@ def predict(scene: Scene, *, with_margins: bool = True) -> Prediction:
 
     `with_margins`: also each link's gain margin, which for a large scene takes longer than the rest.
     """
-    if not 1e-9 <= scene.rate <= 1e9:
-        raise UsageError(f"rate: found {scene.rate:g} Hz, which is beyond what is worked out (1e-9 to 1e9 Hz)")
+    _require_within_numbers(scene)
     rendering = rendered(scene)
     as_seen = rendering.seen
     linear = linear_scene(as_seen)
@@ -85,6 +85,21 @@ def predict(scene: Scene, *, with_margins: bool = True) -> Prediction:
         **_desired(rendering),
         by_its_scheme=not instead,
     )
+
+
+def _require_within_numbers(scene: Scene) -> None:
+    """UsageError where the device is beyond what floating point holds."""
+    if not 1e-9 <= scene.rate <= 1e9:
+        raise UsageError(f"rate: found {scene.rate:g} Hz, which is beyond what is worked out (1e-9 to 1e9 Hz)")
+    device, channels = scene.device, scene.channels
+    for (mass, _), friction, stiffness in zip(
+        device.mass_spans(channels), device.frictions(channels), device.stiffnesses(channels), strict=True
+    ):
+        if friction > _MOST * mass * scene.rate or stiffness > _MOST * mass * scene.rate**2:
+            raise UsageError(
+                f"device: found {friction:g} N·s/m of friction and a spring of {stiffness:g} N/m on {mass:g} kg, which "
+                "is beyond what is worked out: expected a larger mass, or less of them"
+            )
 
 
 def _desired(rendering: Rendering) -> dict[str, Any]:

@@ -12,9 +12,9 @@ from .quantity import Count, PerChannel, Quantity, Span, SpanPerChannel, per_cha
 
 Clock = Literal["device", "host", "lockstep"]
 
-MASS = Quantity("Moving part of the device and the hand that holds it", "kg", least=1e-9, most=1e9, per_channel=True)
-FRICTION = Quantity("Viscous friction of the device", "N·s/m", least=0, most=1e9, per_channel=True)
-STIFFNESS = Quantity("Spring in the device itself, at rest at position 0", "N/m", least=0, most=1e12, per_channel=True)
+MASS = Quantity("Moving part of the device and the hand that holds it", "kg", above=0, per_channel=True)
+FRICTION = Quantity("Viscous friction of the device", "N·s/m", least=0, per_channel=True)
+STIFFNESS = Quantity("Spring in the device itself, at rest at position 0", "N/m", least=0, per_channel=True)
 DELAY = Quantity(
     "From sampling the position to the force's change, any real number", "sample periods", least=0, most=1000
 )

@@ -79,7 +79,7 @@ class Scene(Part):
     """
 
     version: Annotated[int, Version()]
-    rate: Annotated[float, Quantity("Rate of the simulation: one over the sample period", "Hz", least=1e-3, most=1e9)]
+    rate: Annotated[float, Quantity("Rate of the simulation: one over the sample period", "Hz", above=0)]
     device: Device = Field(description="What stands on the other side of the wire")
     mock: Mock | None = Field(
         default=None, description="Only where the mock device differs from what `device` says, or adds to it"

@@ -175,7 +175,7 @@ def test_a_scene_that_diverges_on_the_mock_is_ended_as_before_a_hand(
     text = shipped_scene("first_touch.yaml").replace("clock: device ", "clock: lockstep ")
     path = tmp_path / "stiff.yaml"
     path.write_text(text.replace("stiffness: 2000,", "stiffness: 40000,"), encoding="utf-8")
-    answer = hapsim("run", path, "--duration", 20, "--json")
+    answer = hapsim("run", path, "--unstable", "--duration", 20, "--json")
     assert answer.status == answer.document["exit_status"] == 4
     assert answer.document["ending"] == "scene diverging"
     assert "No passive object does that" in answer.err

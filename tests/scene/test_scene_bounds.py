@@ -32,9 +32,6 @@ INCLUSIVE: list[tuple[str, str, Number, Number]] = [
     ("device", "baud", 100_000_000, 100_000_001),
     ("device", "friction", 0.0, BELOW_0),
     ("device", "stiffness", 0.0, BELOW_0),
-    *(("device", "mass", bound, nextafter(bound, away)) for bound, away in ((1e-9, 0.0), (1e9, inf))),
-    ("device", "friction", 1e9, nextafter(1e9, inf)),
-    ("device", "stiffness", 1e12, nextafter(1e12, inf)),
     ("device", "delay", 0.0, BELOW_0),
     ("device", "delay", 1000.0, nextafter(1000.0, inf)),
     ("mock", "friction", 0.0, BELOW_0),
@@ -113,4 +110,4 @@ def test_so_may_every_number_of_a_list(faults: Faults, good: str, part: str, key
     )
     parse_scene(text.replace("X", "0"))
     (fault,) = faults(text.replace("X", repr(BELOW_0)))
-    assert f" {key}[1]: found -5e-324, expected a number from 0 to" in fault
+    assert f" {key}[1]: found -5e-324, expected a number >= 0" in fault

@@ -76,12 +76,9 @@ def test_a_list_of_the_device_has_one_number_per_channel(only_fault: OnlyFault, 
 @pytest.mark.parametrize(
     ("device", "told"),
     [
-        ("{mass: [0.2, -1]}", "3:22: mass[1]: found -1, expected a number from 1e-09 to 1e+09 (kg)"),
-        ("{mass: 1, friction: [0, -1, 0]}", "3:33: friction[1]: found -1, expected a number from 0 to 1e+09 (N·s/m)"),
-        (
-            "{mass: 1}\nmock: {stiffness: [0, x]}",
-            "4:23: stiffness[1]: found 'x' (text), expected a number from 0 to 1e+12 (N/m)",
-        ),
+        ("{mass: [0.2, -1]}", "3:22: mass[1]: found -1, expected a number > 0 (kg)"),
+        ("{mass: 1, friction: [0, -1, 0]}", "3:33: friction[1]: found -1, expected a number >= 0 (N·s/m)"),
+        ("{mass: 1}\nmock: {stiffness: [0, x]}", "4:23: stiffness[1]: found 'x' (text), expected a number >= 0 (N/m)"),
         (
             "{mass: 1}\nmock: {initial: {velocity: [0, .nan]}}",
             "4:32: velocity[1]: found .nan, expected a finite number (m/s)",

@@ -191,7 +191,7 @@ def test_a_scene_made_in_python_goes_through_the_same_checks() -> None:
             device=Device(mass=0.2),
             modules={**modules, "touch": ViscoElastic(between=("hand", "wal"), stiffness=1.0)},
         )
-    with pytest.raises(ValidationError, match=r"expected a number from 1e-09 to 1e\+09 \(kg\)"):
+    with pytest.raises(ValidationError, match=r"expected a number > 0 \(kg\)"):
         Device(mass=True)
 
 
