@@ -178,7 +178,7 @@ def _open(
 ) -> Iterator[Connection]:
     """The connection; what loop and mock need is compiled, the mock's part before it has to answer."""
     place = place_of_device(scene, transport, portable=portable)
-    require_possible_here(place, portable=in_python)
+    require_possible_here(place, portable=portable or between is not None)
     loop = () if in_python else ("loop",)
     if place != "port":
         compile_ahead((*loop, *MOCK_UNITS[place]), counted)
