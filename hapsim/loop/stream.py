@@ -15,6 +15,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import stat
 import struct
 import zlib
 from collections.abc import Iterator
@@ -107,6 +108,17 @@ class StreamWriter:
         """Has the system put on the disk what was written. OSError where it cannot."""
         with contextlib.suppress(ValueError):
             os.fsync(self._descriptor)
+
+    def what_became_of(self, path: Path) -> str:
+        """What another program did to the file that was opened as `path`, as a participle; "" where it is there."""
+        written = os.fstat(self._descriptor)
+        try:
+            there = path.stat()
+        except OSError:
+            return "was removed"
+        if (there.st_dev, there.st_ino) != (written.st_dev, written.st_ino):
+            return "was replaced"
+        return "was cut short" if stat.S_ISREG(written.st_mode) and written.st_size < self._end else ""
 
     def close(self) -> None:
         os.close(self._descriptor)
