@@ -169,9 +169,14 @@ def test_a_record_that_another_program_takes_away_is_told_and_no_other_file_is_t
     if ending == "npz":
         path.write_bytes(before)
     part = path if ending == "trace" else tmp_path / "t.npz.part"
-    with pytest.raises(RecordError) as caught, hapsim.start(scene_of(), duration=0.05, record=path) as session:
-        session.wait(60.0)
-        spoil(part)
+
+    def run_and_spoil() -> None:
+        with hapsim.start(scene_of(), duration=0.05, record=path) as session:
+            session.wait(60.0)
+            spoil(part)
+
+    with pytest.raises(RecordError) as caught:
+        run_and_spoil()
     told = str(caught.value)
     assert f"the run ended as asked after 50 ticks, and the record is lost: {part} {said} by another program" in told
     assert caught.value.trace is not None
