@@ -10,6 +10,7 @@ scene.yaml               the scene as it ran, changes included
 from __future__ import annotations
 
 import contextlib
+import errno
 import io
 import json
 import os
@@ -54,9 +55,15 @@ class StopReport(NamedTuple):
 
 
 def default_directory() -> Path:
-    """Where the reports of runs on a port go: $XDG_STATE_HOME/hapsim/reports, by default under ~/.local/state."""
+    """Where the reports of runs on a port go: $XDG_STATE_HOME/hapsim/reports, by default under ~/.local/state. OSError
+    where the user has no home."""
     state = os.environ.get("XDG_STATE_HOME", "")
-    return (Path(state) if os.path.isabs(state) else Path.home() / ".local" / "state") / "hapsim" / "reports"
+    try:
+        return (Path(state) if os.path.isabs(state) else Path.home() / ".local" / "state") / "hapsim" / "reports"
+    except RuntimeError as error:
+        raise FileNotFoundError(
+            errno.ENOENT, "this user has no home: set XDG_STATE_HOME, or name a directory"
+        ) from error
 
 
 def write_report(

@@ -104,7 +104,7 @@ def test_a_file_that_is_no_trace_is_reported(tmp_path: Path, text: bytes) -> Non
         {"rate": 0.0},
         {"report": np.array("[" * 100_000)},
     ],
-    ids=str,
+    ids=["short", "two axes", "no counts", "one scale", "no scale", "no rate", "rate of 0", "deep report"],
 )
 def test_a_trace_whose_parts_do_not_fit_is_none(trace: Trace, tmp_path: Path, damage: dict[str, Any]) -> None:
     trace.save(tmp_path / "t.npz")
