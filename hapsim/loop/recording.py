@@ -129,11 +129,12 @@ class Recording:
         raise FileExistsError(errno.EEXIST, f"{_MOST_PARTS} unfinished records are beside it")
 
     def _convert(self) -> None:
+        before = _identity(self.path)
         try:
             convert(self._part, self.path)
         except Exception as error:  # of the disk; or of what another program made of the stream
             self._failure = self._failure or _in_words(error)
-            if self.path.is_file():
+            if self.path.is_file() and _identity(self.path) != before:  # an older record that was not touched stays
                 with contextlib.suppress(OSError):
                     self.path.unlink()
             return
@@ -218,6 +219,15 @@ def _lock(descriptor: int, path: Path) -> None:
         raise UsageError(f"{path}: another run writes its record there: name another file") from error
     except OSError:
         return
+
+
+def _identity(path: Path) -> tuple[int, ...]:
+    """What changes when a file is written to; () where there is none."""
+    try:
+        found = path.stat()
+    except OSError:
+        return ()
+    return found.st_ino, found.st_size, found.st_mtime_ns
 
 
 def _in_words(error: Exception) -> str:

@@ -184,6 +184,21 @@ def test_a_record_that_another_program_takes_away_is_told_and_no_other_file_is_t
         assert path.read_bytes() == before
 
 
+def test_a_part_that_cannot_be_read_back_costs_no_older_record(scene_of: SceneOf, tmp_path: Path) -> None:
+    path = tmp_path / "t.npz"
+    path.write_bytes(b"an older record")
+
+    def run_and_spoil() -> None:
+        with hapsim.start(scene_of(), duration=0.05, record=path) as session:
+            session.wait(60.0)
+            with (tmp_path / "t.npz.part").open("r+b") as part:
+                part.write(b"no magic")
+
+    with pytest.raises(RecordError, match=r"not a trace that hapsim wrote"):
+        run_and_spoil()
+    assert path.read_bytes() == b"an older record"
+
+
 def test_where_nothing_can_be_written_nothing_is_armed(scene_of: SceneOf, tmp_path: Path) -> None:
     (tmp_path / "t.trace").symlink_to("/dev/full")
     armed: list[Any] = []
