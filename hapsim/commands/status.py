@@ -51,7 +51,7 @@ def _path_of(where: str | None) -> Path:
 def _document(path: Path, told: str) -> dict[str, Any]:
     try:
         document = standard_json.loads(told)
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise UsageError(f"{path}: what answers there is not a hapsim: found {told[:40]!r}") from error
     if not isinstance(document, dict):
         raise UsageError(f"{path}: what answers there is not a hapsim: found {told[:40]!r}")

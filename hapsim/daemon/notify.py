@@ -100,6 +100,7 @@ def _watchdog_s(environ: Mapping[str, str]) -> float | None:
     """The time within which it has to hear from this process; None where it does not ask."""
     try:
         process, time_us = int(environ.get("WATCHDOG_PID") or os.getpid()), int(environ.get("WATCHDOG_USEC") or 0)
-    except ValueError:
+        watchdog_s = 1e-6 * time_us
+    except (ValueError, OverflowError):
         return None
-    return 1e-6 * time_us if time_us > 0 and process == os.getpid() else None
+    return watchdog_s if watchdog_s > 0 and process == os.getpid() else None

@@ -7,6 +7,7 @@ owner's alone, by its mode and that of its directory.
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import re
 import select
@@ -34,6 +35,7 @@ def telling(path: Path, document: Callable[[], str], gives_way: bool = True) -> 
     """While open, whoever connects to `path` gets what `document` returns. UsageError where that cannot be; a socket
     that nobody listens at any more is replaced. `gives_way`: whether the thread that answers gives way to others."""
     listening = _listen(path)
+    ours = path.lstat()
     asked_to_stop, stop = socket.socketpair()
     try:
         work = Beside(lambda: _serve(listening, asked_to_stop, document), gives_way)
@@ -47,7 +49,8 @@ def telling(path: Path, document: Callable[[], str], gives_way: bool = True) -> 
         for one in (listening, asked_to_stop, stop):
             one.close()
         with contextlib.suppress(OSError):
-            path.unlink()
+            if os.path.samestat(path.lstat(), ours):  # and not another's, who took it away
+                path.unlink()
 
 
 def path_for(port: str | None) -> Path:
@@ -68,9 +71,15 @@ def path_for(port: str | None) -> Path:
 
 
 def sockets(port: str | None = None) -> list[Path]:
-    """Every socket at which a daemon may be, by default: of any port, or of this one."""
+    """Every socket at which a daemon may be, by default: of any port, or of this one. What is in a directory of another
+    user's is passed over: who can make that in a directory for all could tell this user anything."""
     name = "*" if port is None else _name(port)
-    found = [path for folder in _folders() for pattern in (name, f"*/{name}") for path in _glob(folder, pattern)]
+    found = [
+        path
+        for folder in filter(_is_trusted, _folders())
+        for pattern in (name, f"*/{name}")
+        for path in _glob(folder, pattern)
+    ]
     return list(dict.fromkeys(found))
 
 
@@ -78,7 +87,7 @@ def answers(path: Path) -> bool:
     """Whether a daemon is there: one that was killed leaves a socket at which nobody is."""
     with _unix_socket() as connection:
         connection.settimeout(_PATIENCE_S)
-        return connection.connect_ex(str(path)) == 0
+        return connection.connect_ex(str(path)) in (0, errno.EAGAIN)  # EAGAIN: others ask already, more than it takes
 
 
 def ask(path: Path) -> str:
@@ -87,9 +96,12 @@ def ask(path: Path) -> str:
         connection.settimeout(_PATIENCE_S)
         try:
             connection.connect(str(path))
+            give_up = time.monotonic() + _PATIENCE_S
             told = b""
             while (part := connection.recv(1 << 16)) and len(told) < _LONGEST:
                 told += part
+                if time.monotonic() > give_up:
+                    raise TimeoutError("timed out: it does not come to an end")
         except OSError as error:
             raise UsageError(f"{path}: no hapsim answers there ({error.strerror or error})") from error
     return told.decode("utf-8", "replace")
@@ -101,6 +113,14 @@ def _folders() -> list[Path]:
     login = os.environ.get("XDG_RUNTIME_DIR")
     own = Path(login) / "hapsim" if login else Path(tempfile.gettempdir()) / f"hapsim-{os.geteuid()}"
     return [*given, own, Path("/run/hapsim")]
+
+
+def _is_trusted(folder: Path) -> bool:
+    """Whether it is this user's, or the system's."""
+    try:
+        return folder.stat().st_uid in (os.geteuid(), 0)
+    except OSError:
+        return False
 
 
 def _glob(folder: Path, pattern: str) -> list[Path]:

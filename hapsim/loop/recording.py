@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import stat
 import threading
 import time
 from collections.abc import Callable
@@ -29,6 +30,7 @@ _MOST_BYTES = 1 << 26  # that wait to be written
 _PATIENCE_S = 5.0  # in virtual time, where waiting for the disk holds up nobody's hand
 _AT_ONCE_BYTES = 1 << 22  # so many are written before their time
 _MOST_PARTS = 1000
+_FOR_READING = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0)
 _FOR_WRITING = os.O_WRONLY | os.O_CREAT | getattr(os, "O_BINARY", 0)
 
 Tell = Callable[[], tuple[Report, Statistics]]
@@ -44,6 +46,7 @@ class Recording:
         self.path = path
         self._tell, self._on_warning = tell, on_warning
         self._failure = ""  # why rows are missing, or the file that was asked for
+        self._lost = ""  # what another program did to the file
         self._is_broken = False
         self._handed = 0
         try:
@@ -87,14 +90,17 @@ class Recording:
             self._writer.keep()
         except OSError as error:
             self._failure = self._failure or _in_words(error)
+        self._lost = self._writer.what_became_of(self._part)
         self._writer.close()
-        if self._part != self.path:
+        if self._part != self.path and not self._lost:
             self._convert()
         return report
 
     @property
     def sentence(self) -> str:
         """What became of the record, once it is finished, where it is not as it was asked for; "" where it is."""
+        if self._lost:
+            return f"the record is lost: {self._part} {self._lost} by another program while the run went on"
         if not self._failure:
             return ""
         missing = f"{self._unrecorded} rows are missing" if self._unrecorded else "no row is missing"
@@ -105,13 +111,15 @@ class Recording:
     def _begin(self) -> tuple[Path, int]:
         """The stream's file, which takes no other's place where it is one beside the record."""
         if self.path.suffix == ".trace":
-            return self.path, os.open(self.path, _FOR_WRITING | os.O_TRUNC, 0o666)
+            return self.path, _open_empty(self.path)
         for number in range(1, _MOST_PARTS):
             part = self.path.with_name(f"{self.path.name}.part{number if number > 1 else ''}")
             try:
                 descriptor = os.open(part, _FOR_WRITING | os.O_EXCL, 0o666)
             except FileExistsError:
+                _require_unlocked(part)
                 continue
+            _lock(descriptor, part)
             if number > 1:
                 self._on_warning(
                     f"{self.path}.part: the record of a run that has not come to its end; it stays (hapsim.load_trace "
@@ -121,11 +129,12 @@ class Recording:
         raise FileExistsError(errno.EEXIST, f"{_MOST_PARTS} unfinished records are beside it")
 
     def _convert(self) -> None:
+        before = _identity(self.path)
         try:
             convert(self._part, self.path)
-        except OSError as error:
+        except Exception as error:  # of the disk; or of what another program made of the stream
             self._failure = self._failure or _in_words(error)
-            if self.path.is_file():
+            if self.path.is_file() and _identity(self.path) != before:  # an older record that was not touched stays
                 with contextlib.suppress(OSError):
                     self.path.unlink()
             return
@@ -170,6 +179,55 @@ class Recording:
             with self._changed:
                 self._waiting_bytes = sum(rows.nbytes for rows in self._waiting)
                 self._changed.notify_all()
+
+
+def _open_empty(path: Path) -> int:
+    """Nothing of what is in it is lost before it is known to be nobody's."""
+    descriptor = os.open(path, _FOR_WRITING, 0o666)
+    try:
+        if stat.S_ISREG(os.fstat(descriptor).st_mode):
+            _lock(descriptor, path)
+            os.ftruncate(descriptor, 0)
+    except BaseException:
+        os.close(descriptor)
+        raise
+    return descriptor
+
+
+def _require_unlocked(path: Path) -> None:
+    """UsageError where a run writes to it."""
+    try:
+        descriptor = os.open(path, _FOR_READING)
+    except OSError:
+        return
+    try:
+        _lock(descriptor, path)
+    finally:
+        os.close(descriptor)
+
+
+def _lock(descriptor: int, path: Path) -> None:
+    """Has the kernel know that this run writes there, until the descriptor is closed. UsageError where another does; a
+    file system that knows no locks gives none."""
+    try:
+        import fcntl
+    except ImportError:  # not a Unix
+        return
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError as error:
+        raise UsageError(f"{path}: another run writes its record there: name another file") from error
+    except OSError:
+        return
+
+
+def _identity(path: Path) -> tuple[int, ...]:
+    """What changes when a file is written to; () where there is none."""
+    try:
+        found = path.stat()
+    except OSError:
+        return ()
+    return found.st_ino, found.st_size, found.st_mtime_ns
 
 
 def _in_words(error: Exception) -> str:

@@ -15,6 +15,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import stat
 import struct
 import zlib
 from collections.abc import Iterator
@@ -83,6 +84,7 @@ class StreamWriter:
         """Rows so far."""
         self._descriptor = descriptor
         self._end = 0
+        self._was_cut_short = False
         try:
             self._write(MAGIC)
             whole = {"version": VERSION, "channels": head.channels, **head._asdict(), "told": told}
@@ -108,6 +110,21 @@ class StreamWriter:
         with contextlib.suppress(ValueError):
             os.fsync(self._descriptor)
 
+    def what_became_of(self, path: Path) -> str:
+        """What another program did to the file that was opened as `path`, as a participle; "" where it is there."""
+        written = os.fstat(self._descriptor)
+        try:
+            there = path.stat()
+        except OSError:
+            return "was removed"
+        if (there.st_dev, there.st_ino) != (written.st_dev, written.st_ino):
+            return "was replaced"
+        return "was cut short" if self._was_cut_short or self._is_too_short() else ""
+
+    def _is_too_short(self) -> bool:
+        written = os.fstat(self._descriptor)
+        return stat.S_ISREG(written.st_mode) and written.st_size < self._end
+
     def close(self) -> None:
         os.close(self._descriptor)
 
@@ -116,7 +133,8 @@ class StreamWriter:
         self._write(_CHUNK.pack(kind, count, len(payload), check) + payload)
 
     def _write(self, data: bytes) -> None:
-        """All of it, or else the file is as long as before."""
+        """All of it, or else the file is as long as before. In one that another program cut short it leaves a hole."""
+        self._was_cut_short = self._was_cut_short or self._is_too_short()
         left = memoryview(data)
         try:
             while left:

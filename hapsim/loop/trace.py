@@ -6,7 +6,6 @@ import io
 import json
 import os
 import zipfile
-import zlib
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -107,18 +106,39 @@ def one_of_endings() -> str:
 
 def load_trace(path: str | Path) -> Trace:
     """Reads a trace back from a .npz, from a .trace or the .part that a run left which did not come to its end, or from
-    a report file, which has its last second. UsageError where the file is none of these.
+    a report file, which has its last second. UsageError where the file is none of these, or damaged.
 
     Of a file that was cut off (a crash, a full disk) everything up to there is read; the report's `ending` says so.
     """
     path = Path(path)
     try:
         if is_stream(path):
-            return Trace(**load_stream(path))
-        with path.open("rb") as stream:
-            return _load_npz(_within_report(stream))
-    except (OSError, EOFError, ValueError, KeyError, TypeError, zipfile.BadZipFile, zlib.error) as error:
+            trace = Trace(**load_stream(path))
+        else:
+            with path.open("rb") as stream:
+                trace = _load_npz(_within_report(stream))
+        _require_consistent(trace)
+    except UsageError:
+        raise
+    except Exception as error:  # numpy and zipfile raise what they like of a damaged file
         raise UsageError(f"{path}: not a trace that hapsim wrote ({error})") from error
+    return trace
+
+
+def _require_consistent(trace: Trace) -> None:
+    """ValueError where no run has such rows, or no device such numbers."""
+    rows, channels = trace.sample.size, trace.position_scale.size
+    for name in ROWS:
+        column = getattr(trace, name)
+        expected = (rows,) if name in ("sample", "time_ns", "flags") else (rows, channels)
+        if column.shape != expected:
+            raise ValueError(f"{name}: found {column.shape}, expected {expected}")
+        if column.dtype.kind not in ("f" if name == "asked_force" else "iu"):
+            raise ValueError(f"{name}: found {column.dtype}")
+    for name in ("rate", "position_scale", "force_scale"):
+        value = np.asarray(getattr(trace, name))
+        if value.shape not in ((), (channels,)) or not np.all(np.isfinite(value) & (value > 0)):
+            raise ValueError(f"{name}: found {value.tolist()}, expected numbers above 0, one for each channel")
 
 
 def _within_report(stream: BinaryIO) -> BinaryIO:

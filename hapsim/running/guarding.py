@@ -18,6 +18,7 @@ from hapsim.prediction.force_bounds import ForceBounds
 from hapsim.scene import Scene
 from hapsim.scene.modules import Buffer, Ground, Link, MaterialPoint, Module, Nonlinear, Structure
 
+MOST_LENT_M = 10.0  # of travel at the force limit: what the guard lends at once, whatever a scene holds or changes by
 _ONE_PERIOD = 1.0 + 1e-12  # so that what is meant to be a whole number of counts is one
 
 
@@ -74,22 +75,23 @@ def _compliance(scene: Scene, channels: int) -> NDArray[np.float64]:
 
 
 def held_energy(modules: Mapping[str, Module], force_limit: float) -> float:
-    """J: what moving masses and stretched links hold before any hand moves. More than that harms nobody: the guard then
-    waits for longer. What a link holds that ends at a device point is known with its first force only."""
+    """J: what moving masses and stretched links hold before any hand moves, MOST_LENT_M at the limit at most: an energy
+    without bounds would be a guard that waits for ever. What a link holds that ends at a device point is known with its
+    first force only."""
     places = dict(_places(modules))
     total = 0.0
     for module in modules.values():
         if isinstance(module, MaterialPoint):
             position, velocity = module.start()
-            total += 0.5 * module.mass * velocity**2
+            total += 0.5 * module.mass * velocity * velocity
             held = module.held_by()
-            total += 0.0 if held is None else 0.5 * held.stiffness * (position - held.rest) ** 2
+            total += 0.0 if held is None else _of_spring(held.stiffness, position - held.rest)
         elif isinstance(module, Structure):
             total += _held_by_structure(module)
         elif isinstance(module, Link) and all(end in places for end in module.between):
             first, second = (places[end] for end in module.between)
             total += _held_by_link(module, first - second, force_limit)
-    return total
+    return _at_most_lent(total, force_limit)
 
 
 def _places(modules: Mapping[str, Module]) -> Iterator[tuple[str, float]]:
@@ -111,7 +113,8 @@ def _held_by_structure(structure: Structure) -> float:
         return 0.0
     links = np.array([(first, second, abs(stiffness)) for first, second, stiffness, _ in structure.elements().links])
     ends = np.append(at, rest)[links[:, :2].astype(int)]  # -1 is what stays
-    return float(np.sum(0.5 * links[:, 2] * (ends[:, 0] - ends[:, 1]) ** 2))
+    with np.errstate(over="ignore", invalid="ignore"):
+        return float(np.sum(0.5 * links[:, 2] * (ends[:, 0] - ends[:, 1]) ** 2))
 
 
 def _held_by_link(link: Link, apart: float, force_limit: float) -> float:
@@ -119,7 +122,17 @@ def _held_by_link(link: Link, apart: float, force_limit: float) -> float:
         return FIRST_FORCE_M * force_limit
     if isinstance(link, Buffer):
         apart = min(apart - link.distance, 0.0)
-    return 0.5 * float(getattr(link, "stiffness", 0.0)) * apart**2
+    return _of_spring(float(getattr(link, "stiffness", 0.0)), apart)
+
+
+def _of_spring(stiffness: float, stretched: float) -> float:
+    return 0.5 * stiffness * stretched * stretched
+
+
+def _at_most_lent(energy_j: float, force_limit: float) -> float:
+    """What is beyond all numbers, too."""
+    most = MOST_LENT_M * force_limit
+    return energy_j if energy_j <= most else most
 
 
 _IN_METRES = ("position", "rest", "distance", "release")
@@ -127,7 +140,8 @@ _IN_METRES = ("position", "rest", "distance", "release")
 
 def lent_by_change(before: Scene, after: Scene) -> float:
     """J: what a change of a running scene may bring a hand: by a place that moves, what the force limit does on that
-    way; by anything else in a module, FIRST_FORCE_M at the limit; and what new modules hold."""
+    way; by anything else in a module, FIRST_FORCE_M at the limit; and what new modules hold. All of it together
+    MOST_LENT_M at the limit at most."""
     limit, old = after.device.force_limit, before.modules
     lent = held_energy({name: one for name, one in after.modules.items() if name not in old}, limit)
     for name, module in after.modules.items():
@@ -139,4 +153,5 @@ def lent_by_change(before: Scene, after: Scene) -> float:
             if set(keys) <= set(_IN_METRES):
                 moved = sum(abs((getattr(module, key) or 0.0) - (getattr(old[name], key) or 0.0)) for key in keys)
         lent += limit * (moved or FIRST_FORCE_M)
-    return lent + limit * FIRST_FORCE_M * (old.keys() - after.modules.keys() != set())
+    lent += limit * FIRST_FORCE_M * (old.keys() - after.modules.keys() != set())
+    return _at_most_lent(lent, limit)

@@ -63,15 +63,22 @@ def with_record(failure: RunError | None, name: str, session: Session) -> RunErr
 
 def with_report(
     failure: RunError | None,
-    directory: Path | None,
+    directory: Callable[[], Path | None],
     opened: Connection,
     session: Session,
     description: Description,
     spoken: bytes,
 ) -> RunError | None:
-    """The error of a run, or None, with where its report file is, which is written here; no file without a
-    `directory`. `spoken`: what was said to the device before the loop began."""
-    if failure is None or directory is None:
+    """The error of a run, or None, with where its report file is, which is written here; no file where `directory`
+    returns None. `spoken`: what was said to the device before the loop began. Whatever becomes of the file, the error
+    is told."""
+    if failure is None:
+        return failure
+    try:
+        where = directory()
+    except OSError as error:
+        return _with_more(failure, f". No report of it could be written: {error.strerror or error}")
+    if where is None:
         return failure
     loop = session._loop
     io, inbox = loop.record.io, loop.inbox
@@ -81,10 +88,10 @@ def with_report(
     )
     last = replace(session.trace, **session._recorder.last_rows())
     try:
-        path = write_report(directory, opened.name, failure, last, session.scene, description, wire)
-    except (OSError, ValueError) as error:
+        path = write_report(where, opened.name, failure, last, session.scene, description, wire)
+    except Exception as error:  # of the disk; or a defect, which must not hide what ended the run
         why = getattr(error, "strerror", None) or error
-        return _with_more(failure, f". No report of it could be written in {directory}: {why}")
+        return _with_more(failure, f". No report of it could be written in {where}: {why}")
     return _with_more(failure, f". The last frames and the last second are in {path} (`hapsim frames` reads it)")
 
 

@@ -10,6 +10,7 @@ scene.yaml               the scene as it ran, changes included
 from __future__ import annotations
 
 import contextlib
+import errno
 import io
 import json
 import os
@@ -54,9 +55,15 @@ class StopReport(NamedTuple):
 
 
 def default_directory() -> Path:
-    """Where the reports of runs on a port go: $XDG_STATE_HOME/hapsim/reports, by default under ~/.local/state."""
+    """Where the reports of runs on a port go: $XDG_STATE_HOME/hapsim/reports, by default under ~/.local/state. OSError
+    where the user has no home."""
     state = os.environ.get("XDG_STATE_HOME", "")
-    return (Path(state) if os.path.isabs(state) else Path.home() / ".local" / "state") / "hapsim" / "reports"
+    try:
+        return (Path(state) if os.path.isabs(state) else Path.home() / ".local" / "state") / "hapsim" / "reports"
+    except RuntimeError as error:
+        raise FileNotFoundError(
+            errno.ENOENT, "this user has no home: set XDG_STATE_HOME, or name a directory"
+        ) from error
 
 
 def write_report(
@@ -90,12 +97,15 @@ def write_report(
 
 
 def is_report(path: Path) -> bool:
-    """Whether the file is one. OSError where it cannot be read."""
+    """Whether the file is one. OSError where it cannot be read, UsageError where it is a damaged zip."""
     with path.open("rb") as stream:
         if not zipfile.is_zipfile(stream):
             return False
-        with zipfile.ZipFile(stream) as file:
-            return {_ABOUT, _FROM_DEVICE, _TO_DEVICE} <= set(file.namelist())
+        try:
+            with zipfile.ZipFile(stream) as file:
+                return {_ABOUT, _FROM_DEVICE, _TO_DEVICE} <= set(file.namelist())
+        except Exception as error:  # zipfile raises what it likes of a damaged file
+            raise UsageError(f"{path}: a damaged zip ({error})") from error
 
 
 def read_report(path: Path) -> StopReport:
@@ -103,8 +113,12 @@ def read_report(path: Path) -> StopReport:
     try:
         with zipfile.ZipFile(path) as file:
             wire = WireBytes(file.read(_FROM_DEVICE), file.read(_TO_DEVICE))
-            return StopReport(json.loads(file.read(_ABOUT)), wire)
-    except (OSError, KeyError, ValueError, zipfile.BadZipFile) as error:
+            about = json.loads(file.read(_ABOUT))
+        missing = {"sentence", "port", "when", "registers"} - set(about)
+        if missing:
+            raise ValueError(f"{_ABOUT} has no {sorted(missing)[0]}")
+        return StopReport(about, wire)
+    except Exception as error:  # zipfile and zlib raise what they like of a damaged file
         raise UsageError(f"{path}: not a report of hapsim ({error})") from error
 
 

@@ -144,8 +144,8 @@ def start(
                     released = disarm(opened, loop.wire)
             session._trace = with_farewell(session.trace, released, frames_rejected_by(opened) if released else None)
     failure = failure_of(opened.name, scene, loop, session.trace, ending)
-    directory = _report_directory(reports, place_of_device(scene, transport, portable=portable))
-    failure = with_report(failure, directory, opened, session, description, spoken)
+    place = place_of_device(scene, transport, portable=portable)
+    failure = with_report(failure, lambda: _report_directory(reports, place), opened, session, description, spoken)
     failure = with_record(failure, opened.name, session)
     if failure is not None:
         raise failure

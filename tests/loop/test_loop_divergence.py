@@ -19,7 +19,7 @@ from hapsim.errors import DeviceError, GuardError
 from hapsim.loop.guards.divergence import ENERGY, GIVEN, SHAKES, SHAKING, EnergyMemory, call_observe
 from hapsim.loop.io_buffer import IO_BUFFER
 from hapsim.running import Excitation, PeriodicExcitation, run, start
-from hapsim.running.guarding import held_energy, lent_by_change
+from hapsim.running.guarding import MOST_LENT_M, held_energy, lent_by_change
 from hapsim.scene import Scene, parse_scene
 
 sys.path.append(str(Path(__file__).resolve().parents[2] / "tools" / "bench"))
@@ -150,6 +150,29 @@ def test_a_change_lends_its_way_at_the_force_limit_or_a_tenth_of_a_metre_and_wha
     assert lent_by_change(scene, changed(scene, touch=stiffer)) == pytest.approx(1.0)
     thrown = {"type": "mass", "mass": 0.5, "velocity": 4.0}
     assert lent_by_change(scene, changed(scene, ball=thrown)) == pytest.approx(1.0 + 4.0)
+
+
+@pytest.mark.parametrize("away", [1e6, 1e308, -1e308])
+def test_a_change_lends_no_more_than_ten_metres_at_the_force_limit(away: float) -> None:
+    """However far: a guard that lent what has no end would never trip again."""
+    scene = changed(wall(100.0), wall={"type": "ground", "position": -away})
+    there = changed(scene, wall={"type": "ground", "position": away})
+    assert lent_by_change(scene, there) == MOST_LENT_M * 10.0
+    thrown = {"type": "mass", "mass": 0.5, "velocity": away}
+    assert lent_by_change(scene, changed(scene, ball=thrown)) == MOST_LENT_M * 10.0
+
+
+@pytest.mark.parametrize("far", [1e3, 1e200])
+def test_what_a_scene_holds_is_lent_up_to_ten_metres_at_the_force_limit(far: float) -> None:
+    for module in (
+        {"type": "mass", "mass": 0.5, "velocity": far},
+        {"type": "cell", "mass": 0.1, "stiffness": 500.0, "rest": -far, "position": far},
+        {"type": "string", "masses": 3, "mass": 0.01, "stiffness": 1000.0, "pluck": {"at": 1, "by": far}},
+    ):
+        assert held_energy(changed(wall(), heavy=module).modules, 10.0) == MOST_LENT_M * 10.0
+    tied = {"type": "spring", "between": ["wall", "ball"], "stiffness": 2000.0}
+    ball = {"type": "mass", "mass": 0.5, "position": far}
+    assert held_energy(changed(wall(), ball=ball, tied=tied).modules, 10.0) == MOST_LENT_M * 10.0
 
 
 def test_what_a_scene_holds_at_arming_is_known() -> None:

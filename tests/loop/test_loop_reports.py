@@ -168,6 +168,33 @@ def test_where_no_report_can_be_written_the_sentence_says_so_beside_what_happene
     assert failure.exit_status == 3
 
 
+def test_who_has_no_home_is_told_what_ended_the_run_all_the_same(
+    scene_of: SceneOf, served: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A container's user has none, nor has one that is not in the list of users."""
+
+    def no_home() -> Path:
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.delenv("XDG_STATE_HOME", raising=False)
+    monkeypatch.setattr(Path, "home", no_home)
+    with served(scene_of()) as (scene, _):
+        assert run(scene, duration=0.05).report.ending == "done"
+    with served(leaving(scene_of, 20)) as (scene, _), pytest.raises(DeviceError) as caught:
+        run(scene, duration=5.0)
+    assert re.search(r"the device stopped after .* No report of it .*: this user has no home", str(caught.value))
+
+
+def test_a_defect_in_a_report_hides_nothing_of_what_ended_the_run(
+    scene_of: SceneOf, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(report_file, "to_registers", lambda _: [None])
+    assert re.search(
+        r"the device stopped after .* No report of it could be written in",
+        str(stopped(leaving(scene_of, 20), tmp_path)),
+    )
+
+
 def test_a_scene_that_was_changed_is_reported_as_it_ran(scene_of: SceneOf, tmp_path: Path) -> None:
     def change(session: Session) -> None:
         session.set({"touch0": {"stiffness": 2.0}}, over=0.0)

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
+import io
+import json
 import os
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,6 +18,7 @@ import pytest
 from hapsim.errors import UsageError
 from hapsim.loop.trace import Trace, load_trace, require_writable_as_trace
 from hapsim.running import run
+from hapsim.running.report_file import is_report, read_report
 from hapsim.scene import Scene
 
 
@@ -84,6 +90,70 @@ def test_a_file_that_is_no_trace_is_reported(tmp_path: Path, text: bytes) -> Non
     (tmp_path / "t.npz").write_bytes(text)
     with pytest.raises(UsageError, match="not a trace that hapsim wrote"):
         load_trace(tmp_path / "t.npz")
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        {"sample": np.arange(5)},
+        {"sample": np.zeros((50, 1), np.int64)},
+        {"position_counts": np.full((50, 2), np.nan)},
+        {"position_scale": np.array([1e-9])},
+        {"force_scale": np.array([1e-3, np.nan])},
+        {"rate": np.nan},
+        {"rate": 0.0},
+        {"report": np.array("[" * 100_000)},
+    ],
+    ids=["short", "two axes", "no counts", "one scale", "no scale", "no rate", "rate of 0", "deep report"],
+)
+def test_a_trace_whose_parts_do_not_fit_is_none(trace: Trace, tmp_path: Path, damage: dict[str, Any]) -> None:
+    trace.save(tmp_path / "t.npz")
+    with np.load(tmp_path / "t.npz") as file:
+        parts = dict(file)
+    np.savez(tmp_path / "same.npz", **parts)
+    assert load_trace(tmp_path / "same.npz").sample.size == 50
+    np.savez(tmp_path / "t.npz", **(parts | damage))
+    with pytest.raises(UsageError, match="not a trace that hapsim wrote"):
+        load_trace(tmp_path / "t.npz")
+
+
+def test_a_column_that_no_memory_holds_is_told(trace: Trace, tmp_path: Path) -> None:
+    trace.save(tmp_path / "t.npz")
+    header = io.BytesIO()
+    np.lib.format.write_array_header_1_0(header, {"descr": "<i8", "fortran_order": False, "shape": (1 << 55,)})
+    with zipfile.ZipFile(tmp_path / "t.npz") as whole, zipfile.ZipFile(tmp_path / "vast.npz", "w") as vast:
+        for name in whole.namelist():
+            vast.writestr(name, header.getvalue() if name == "sample.npy" else whole.read(name))
+    with pytest.raises(UsageError, match="not a trace that hapsim wrote"):
+        load_trace(tmp_path / "vast.npz")
+
+
+@pytest.mark.parametrize("in_report", [False, True])
+def test_of_a_flipped_bit_nothing_but_a_sentence_comes(trace: Trace, tmp_path: Path, in_report: bool) -> None:
+    """Or the same rows: a bit that says nothing of them."""
+    path = tmp_path / "t.npz"
+    trace.save(path)
+    if in_report:
+        about = {"sentence": "", "port": "", "when": "", "registers": {}}
+        with zipfile.ZipFile(tmp_path / "t.zip", "w", zipfile.ZIP_DEFLATED) as report:
+            report.writestr("report.json", json.dumps(about))
+            report.writestr("frames_from_device.bin", bytes(range(256)) * 4)
+            report.writestr("frames_to_device.bin", b"some bytes")
+            report.writestr("trace.npz", path.read_bytes())
+        path = tmp_path / "t.zip"
+        assert is_report(path)
+        assert read_report(path).about == about
+    whole = path.read_bytes()
+    readers = (load_trace, is_report, read_report) if in_report else (load_trace,)
+    random = np.random.default_rng(16)
+    for at in [*range(60), *range(len(whole) - 250, len(whole)), *random.integers(0, len(whole), 100).tolist()]:
+        path.write_bytes(whole[:at] + bytes([whole[at] ^ (1 << int(random.integers(8)))]) + whole[at + 1 :])
+        for read in readers:
+            with contextlib.suppress(UsageError):
+                found = read(path)
+                if isinstance(found, Trace):
+                    np.testing.assert_array_equal(found.position, trace.position)
+                    np.testing.assert_array_equal(found.force, trace.force)
 
 
 def test_a_trace_that_was_cut_off_or_belongs_to_somebody_else_is_reported(trace: Trace, tmp_path: Path) -> None:

@@ -97,6 +97,7 @@ def test_the_watchdog_hears_of_it_only_while_the_ticks_go_on(manager: Manager) -
         ({"WATCHDOG_PID": "1"}, False),
         ({"WATCHDOG_USEC": "0"}, False),
         ({"WATCHDOG_USEC": "soon"}, False),
+        ({"WATCHDOG_USEC": "1" + 400 * "0"}, False),
     ],
 )
 def test_the_watchdog_is_told_where_it_asks_this_process(

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import socket
 import stat
+import threading
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -13,8 +16,9 @@ from typing import Any
 import pytest
 
 from hapsim.console.as_json import document
+from hapsim.daemon import status
 from hapsim.daemon.state import RunState
-from hapsim.daemon.status import ask, path_for, telling
+from hapsim.daemon.status import ask, path_for, sockets, telling
 from hapsim.errors import UsageError
 from hapsim.running import start
 from hapsim.scene import parse_scene
@@ -77,6 +81,69 @@ def test_what_cannot_be_told_once_is_no_end(tmp_path: Path) -> None:
         assert json.loads(ask(tmp_path / "s")) == {"error": "the status cannot be told: TypeError"}
         values[0] = 7
         assert ask(tmp_path / "s") == "7"
+
+
+def _answering(path: Path, say: Callable[[socket.socket], object]) -> socket.socket:
+    """A socket where each who connects is told by `say`, in a thread."""
+    listening = socket.socket(socket.AF_UNIX)
+    listening.bind(str(path))
+    listening.listen(8)
+
+    def serve() -> None:
+        with contextlib.suppress(OSError):
+            while True:
+                connection, _ = listening.accept()
+                with connection, contextlib.suppress(OSError):
+                    say(connection)
+
+    threading.Thread(target=serve, daemon=True).start()
+    return listening
+
+
+def test_of_what_tells_without_an_end_nobody_waits_for_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(status, "_PATIENCE_S", 0.1)
+
+    def drip(connection: socket.socket) -> None:
+        while True:
+            connection.send(b" ")
+            time.sleep(0.01)
+
+    with _answering(tmp_path / "s", drip), pytest.raises(UsageError, match="does not come to an end"):
+        ask(tmp_path / "s")
+
+
+def test_what_is_no_document_is_told(tmp_path: Path, hapsim: Callable[..., Any]) -> None:
+    with _answering(tmp_path / "s", lambda connection: connection.sendall(b"[" * 100_000)):
+        told = hapsim("status", tmp_path / "s")
+    assert told.status == 2
+    assert "what answers there is not a hapsim" in told.sentence
+
+
+def test_what_another_user_put_where_sockets_are_is_passed_over(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with telling(path_for("/dev/ttyACM0"), lambda: "{}"):
+        assert sockets() == [folder / "ttyACM0.sock"]
+        someone = os.geteuid() + 1
+        monkeypatch.setattr(os, "geteuid", lambda: someone)
+        stat_of = Path.stat
+        monkeypatch.setattr(Path, "stat", lambda path, **how: _owned(stat_of(path, **how), someone + 1))
+        assert sockets() == []
+        monkeypatch.setattr(Path, "stat", lambda path, **how: _owned(stat_of(path, **how), someone))
+        assert sockets() == [folder / "ttyACM0.sock"]
+
+
+def _owned(found: os.stat_result, user: int) -> os.stat_result:
+    return os.stat_result([*found[:4], user, *found[5:]])
+
+
+def test_the_socket_of_whoever_took_the_place_stays(tmp_path: Path) -> None:
+    path = tmp_path / "s"
+    with telling(path, lambda: "first"):
+        path.unlink()
+        with telling(path, lambda: "second"):
+            pass
+        other = _answering(path, lambda connection: connection.sendall(b"third"))
+    with other:
+        assert ask(path) == "third"
 
 
 def test_a_socket_that_was_left_is_replaced_and_one_that_is_heard_is_not(tmp_path: Path) -> None:
