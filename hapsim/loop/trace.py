@@ -111,6 +111,12 @@ def load_trace(path: str | Path) -> Trace:
     Of a file that was cut off (a crash, a full disk) everything up to there is read; the report's `ending` says so.
     """
     path = Path(path)
+    if not path.exists():
+        beside = path.with_name(f"{path.name}.part")
+        left = f". {beside} is there, which a run left that did not come to its end" if beside.is_file() else ""
+        raise UsageError(f"{path}: there is no such file{left}")
+    if path.suffix == ".csv":
+        raise UsageError(f"{path}: a .csv is for other programs, and is not read back: record a .npz or a .trace")
     try:
         if is_stream(path):
             trace = Trace(**load_stream(path))
@@ -121,7 +127,8 @@ def load_trace(path: str | Path) -> Trace:
     except UsageError:
         raise
     except Exception as error:  # numpy and zipfile raise what they like of a damaged file
-        raise UsageError(f"{path}: not a trace that hapsim wrote ({error})") from error
+        why = "it is neither a .npz nor a stream of rows" if "pickle" in str(error) else str(error)
+        raise UsageError(f"{path}: not a trace that hapsim wrote ({why})") from error
     return trace
 
 

@@ -43,7 +43,13 @@ def why_not_armed(path: str, scene: Scene, prediction: Prediction) -> str:
 
 
 def _what_is_stable(prediction: Prediction) -> str:
-    """Of hands that are systems of their own: with how much of its stiffness each would be stable, in a sentence."""
-    factors = [(one.name, one.stiffness_factor) for one in prediction.felt if 0.0 < one.stiffness_factor < 1.0]
-    told = " and ".join(f"{name} with less than {factor:.3g} of its stiffness" for name, factor in factors)
-    return f" Stable by itself: {told}." if told else ""
+    """Of hands that are systems of their own: with how much of its stiffness, or with which damping, each would be
+    stable, in a sentence."""
+    ways = []
+    for one in prediction.felt:
+        least, most = one.stable_damping
+        if 0.0 < one.stiffness_factor < 1.0:
+            ways.append(f"{one.name} with less than {one.stiffness_factor:.3g} of its stiffness")
+        if not one.stable and least < most:
+            ways.append(f"{one.name} with a damping between {max(least, 0.0):.4g} and {most:.4g} N·s/m")
+    return f" Stable by itself: {'; or '.join(ways)}." if ways else ""
