@@ -186,9 +186,7 @@ class Shaking(NamedTuple):
         """Without a full stop."""
         by = f"{self.growth:.3g}-fold" if self.growth >= 2.0 else f"by {100.0 * (self.growth - 1.0):.2g} %"
         whose = f"the motion of {self.module}" if self.module else "a motion"
-        return (
-            f"{whose} grows {by} a sample; it takes less stiffness there, another damping, more mass, or a higher rate"
-        )
+        return f"{whose} grows {by} a sample; it takes less stiffness there, other damping, more mass or a higher rate"
 
 
 def surely_shaken_by(scene: Scene) -> Shaking | None:

@@ -171,15 +171,15 @@ def test_a_trace_that_was_cut_off_or_belongs_to_somebody_else_is_reported(trace:
 
 
 def test_what_is_no_trace_is_told_as_what_it_is(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="there is no such file$"):
+    with pytest.raises(UsageError, match=r"there is no such file$"):
         load_trace(tmp_path / "none.npz")
     (tmp_path / "cut.csv.part").write_bytes(b"")
     with pytest.raises(UsageError, match=r"there is no such file\. .*cut\.csv\.part is there"):
         load_trace(tmp_path / "cut.csv")
     table = tmp_path / "table.csv"
     table.write_text("sample\n1\n")
-    with pytest.raises(UsageError, match="is not read back: record a .npz or a .trace"):
+    with pytest.raises(UsageError, match=r"is not read back: record a .npz or a .trace"):
         load_trace(table)
     (tmp_path / "scene.yaml").write_text("version: 1\n")
-    with pytest.raises(UsageError, match="neither a .npz nor a stream"):
+    with pytest.raises(UsageError, match=r"neither a .npz nor a stream"):
         load_trace(tmp_path / "scene.yaml")
