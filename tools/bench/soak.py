@@ -218,7 +218,10 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=30.0)
     parser.add_argument("--damaged", type=float, default=0.001, help="share of the frames (0.001)")
     options = parser.parse_args()
-    runs = soak(options.minutes, options.damaged)
+    every = soak(options.minutes, options.damaged)
+    runs = [found for found in every if found["run"]["ticks"] is not None]  # the others were never armed
+    if not runs:
+        raise SystemExit(f"no run was armed: {every[-1]['run']['err']}")
     each = [accounts(found) for found in runs]
     summed = [
         (rows[0][0], sum(row[1] for row in rows), rows[0][2], sum(row[3] for row in rows), sum(row[4] for row in rows))
@@ -227,8 +230,10 @@ def main() -> None:
     whole = all(least <= count <= most for rows in each for _, count, _, least, most in rows)
     ticks, misses = (sum(found["run"][key] for found in runs) for key in ("ticks", "deadline_misses"))
     statuses = ", ".join(str(found["run"]["status"]) for found in runs)
+    unarmed = f", and {len(every) - len(runs)} that were not armed" if len(every) > len(runs) else ""
     print(
-        f"{options.minutes:g} minutes, {len(runs)} runs (status {statuses}): {ticks} ticks, {misses} deadline misses\n"
+        f"{options.minutes:g} minutes, {len(runs)} runs (status {statuses}){unarmed}: {ticks} ticks, "
+        f"{misses} deadline misses\n"
     )
     print("| from one side | | from another | | |\n|---|---:|---|---:|---|")
     for what, count, other, least, most in summed:
