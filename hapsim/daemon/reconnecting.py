@@ -145,7 +145,7 @@ class _Keeper:
         return self._reconnect and lost and not self._stopped and not self._time_is_over
 
     def _come_back(self, why: str, begun: float, at: str) -> HapsimError | None:
-        """Tries until the device is armed again, and runs; how that session ended. Before that: None where it was stopped,
+        """Tries until the device is armed again, and runs; how that session ended. Before that: None where stopped,
         a DeviceError where its time was over."""
         said = ""
         while self._waits_for_port(begun):
