@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -17,8 +18,8 @@ if TYPE_CHECKING:
 
 
 def faults(
-    script: Annotated[
-        str | None,
+    scripts: Annotated[
+        list[str] | None,
         typer.Argument(metavar="SCRIPT", help="Which faults happen when, in YAML; or the name of a shipped one."),
     ] = None,
     port: Annotated[str | None, typer.Option(metavar="DEV", help="The device's port.")] = None,
@@ -44,13 +45,12 @@ def faults(
     if list_:
         _print_list(json)
         return
-    if script is None:
-        raise UsageError("found no SCRIPT, expected one, or --list, which tells what there is")
+    read = _script(scripts or [])
     if (port is None) == (scene is None):
-        raise UsageError("found both or none of --port and --scene, expected the device's port or a scene with a mock")
+        found = "found neither --port nor --scene" if port is None else "found both --port and --scene"
+        raise UsageError(f"{found}, expected one of them: the device's port, or a scene with a mock")
     from hapsim.faults import Injector
 
-    read = _script(script)
     if path is None and any(fault.kind == "replug" for fault in read.faults):
         raise UsageError("--path: found none, expected a name for the port: replug puts it back under that name")
     injector = Injector(read, seed)
@@ -100,14 +100,24 @@ def _print_list(json: bool) -> None:
         show_kinds(stdout(), shipped_scripts())
 
 
-def _script(name: str) -> Script:
+def _script(names: list[str]) -> Script:
     """A file, or else a script that ships."""
     from hapsim.faults import load_script, parse_script
     from hapsim.shipped import shipped_script, shipped_scripts
 
-    if name in shipped_scripts() and not Path(name).exists():
+    if not names:
+        raise UsageError("found no SCRIPT, expected one, or --list, which tells what there is")
+    if len(names) > 1:
+        raise UsageError(f"found {len(names)} scripts, {', '.join(names)}: expected one script at a time")
+    name, ship = names[0], shipped_scripts()
+    if name in ship and not Path(name).exists():
         return parse_script(shipped_script(name), name)
-    return load_script(name)
+    try:
+        return load_script(name)
+    except UsageError as error:
+        if os.path.lexists(name):
+            raise
+        raise UsageError(f"{error}. The scripts that ship: {', '.join(ship)}") from None
 
 
 @contextlib.contextmanager

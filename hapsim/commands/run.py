@@ -106,7 +106,7 @@ def run(
     notifier.stopping()
     with undisturbed():
         try:
-            _show(lifetime, reporter.grants, record, json)
+            _show(lifetime, reporter.grants, json)
         finally:  # even where nobody reads the report: why it failed, and the status, are told apart from it
             if lifetime.failure is not None:
                 complain(lifetime.failure)
@@ -135,7 +135,7 @@ def _telling(
     return telling(path, lambda: document(state.document()) + "\n", gives_way=not portable)
 
 
-def _show(lifetime: Lifetime, grants: list[PrivilegeResult], record: Path | None, json: bool) -> None:
+def _show(lifetime: Lifetime, grants: list[PrivilegeResult], json: bool) -> None:
     from hapsim.console.log import json_log
 
     log, report = json_log(), lifetime.report
@@ -148,9 +148,7 @@ def _show(lifetime: Lifetime, grants: list[PrivilegeResult], record: Path | None
         print(document(lifetime_document(lifetime, grants)))
         return
     from hapsim.console.tables import show_report
-    from hapsim.daemon.reconnecting import record_of
 
     show_report(stdout(), lifetime.report, lifetime.reconnections)
-    for session in range(lifetime.reconnections + 1):
-        file = None if record is None else record_of(record, session)
-        say_written(record=file if file is not None and file.exists() else None)
+    for file in lifetime.records:
+        say_written(record=file if file.exists() else None)

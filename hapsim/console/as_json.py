@@ -160,7 +160,11 @@ def lifetime_document(lifetime: Lifetime, grants: Sequence[PrivilegeResult] = ()
     """What `hapsim run` prints: the report of all sessions, and how often the device came back."""
     return (
         report_document(lifetime.report, grants)
-        | {"reconnections": lifetime.reconnections, "interruptions": [asdict(one) for one in lifetime.interruptions]}
+        | {
+            "reconnections": lifetime.reconnections,
+            "interruptions": [asdict(one) for one in lifetime.interruptions],
+            "records": list(map(str, lifetime.records)),
+        }
         | failure_document(lifetime.failure)
     )
 

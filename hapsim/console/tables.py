@@ -29,6 +29,7 @@ _MANY = 10
 _FEW = 0.01
 _CLEARLY = 0.01  # of what is predicted, of b of half the critical damping
 _OFF_RATE = 0.02  # of the rate, from which a hand feels another damping
+_WIDEST_KEY = 24
 _MARGINAL = 1e-9  # of the spectral radius: a free motion, which rounding places on either side of 1
 
 
@@ -374,13 +375,16 @@ def show_report(out: Console, report: Report, reconnections: int = 0) -> None:
 
 
 def show_status(out: Console, document: Mapping[str, object]) -> None:
-    """What a running hapsim told of itself: a row for each key."""
-    table = Table(show_header=False)
-    table.add_column()
-    table.add_column(justify="right", overflow="fold")
+    """What a running hapsim told of itself: a row for each key, never broken, so that a path in it can be copied."""
+    width = min(max(map(len, document), default=0), _WIDEST_KEY)
     for key, value in document.items():
-        table.add_row(escape(str(key)), escape(_status_value(value)))
-    out.print(table)
+        row = f"{_shown(key):<{width}}  {_shown(_status_value(value))}"
+        out.print(row, soft_wrap=True, markup=False, emoji=False, highlight=False)
+
+
+def _shown(text: str) -> str:
+    """On one row, and without what a terminal would obey."""
+    return "".join(one if one.isprintable() else " " if one.isspace() else "?" for one in text)
 
 
 def _status_value(value: object) -> str:

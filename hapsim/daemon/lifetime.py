@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import NamedTuple
 
 from hapsim.errors import HapsimError
@@ -55,6 +56,8 @@ class Lifetime:
     failure: HapsimError | None
     """Why it did not end as asked."""
     interruptions: tuple[Interruption, ...]
+    records: tuple[Path, ...] = ()
+    """Where its sessions were recorded, of those that were."""
 
     @property
     def reconnections(self) -> int:
@@ -63,10 +66,13 @@ class Lifetime:
 
 
 def lifetime_of(
-    runs: Sequence[Run], failure: HapsimError | None, interruptions: Sequence[Interruption] = ()
+    runs: Sequence[Run],
+    failure: HapsimError | None,
+    interruptions: Sequence[Interruption] = (),
+    records: Sequence[Path] = (),
 ) -> Lifetime:
     """Of one session or more."""
-    return Lifetime(_together(runs), failure, tuple(interruptions))
+    return Lifetime(_together(runs), failure, tuple(interruptions), tuple(records))
 
 
 def _together(runs: Sequence[Run]) -> Report:

@@ -88,8 +88,13 @@ def keep_running(
 
 
 def record_of(path: Path, session: int) -> Path:
-    """Where session 0, 1, … is recorded: `touch.npz`, `touch.1.npz`, …"""
+    """Where session 0, 1, … is recorded where all of these are free: `touch.npz`, `touch.1.npz`, …"""
     return path if session == 0 else path.with_name(f"{path.stem}.{session}{path.suffix}")
+
+
+def _places_of(record: Path) -> tuple[Path, Path]:
+    """Where it ends up, and where it is written until then."""
+    return record, record.with_name(record.name + ".part")
 
 
 class _Keeper:
@@ -105,11 +110,13 @@ class _Keeper:
         self._scene, self._observer, self._reconnect = scene, observer, reconnect
         self._record, self._duration, self._options = record, duration, options
         self._state: Literal["starting", "running", "waiting"] = "starting"
-        self._stopped = False
+        self._stopped = self._time_is_over = False
         self._session: Session | None = None
         self._runs: list[Run] = []
         self._interruptions: list[Interruption] = []
+        self._records: list[Path] = []
         self._spent_s = 0.0
+        self._number = 0  # of the next record
         self._short = 0  # sessions and tries in a row that came to little
 
     def stop(self) -> None:
@@ -127,7 +134,7 @@ class _Keeper:
             self._observer.tell("lost", f"{why}. Waiting for {self._port} to answer again")
             at = datetime.now(UTC).isoformat(timespec="milliseconds")
             failure = self._come_back(why, begun, at)
-        return lifetime_of(self._runs, failure, self._interruptions)
+        return lifetime_of(self._runs, failure, self._interruptions, self._records[: len(self._runs)])
 
     @property
     def _port(self) -> str:
@@ -135,11 +142,11 @@ class _Keeper:
 
     def _may_come_back(self, failure: HapsimError) -> bool:
         lost = isinstance(failure, DeviceError) and self._runs[-1].report.ending in LOST
-        return self._reconnect and lost and not self._stopped
+        return self._reconnect and lost and not self._stopped and not self._time_is_over
 
     def _come_back(self, why: str, begun: float, at: str) -> HapsimError | None:
-        """Tries until the device is armed again, and runs; how that session ended. None too where it was stopped, or
-        its time was over, before."""
+        """Tries until the device is armed again, and runs; how that session ended. Before that: None where stopped,
+        a DeviceError where its time was over."""
         said = ""
         while self._waits_for_port(begun):
             try:
@@ -155,9 +162,14 @@ class _Keeper:
                     said = str(error)
                     self._observer.tell("waiting", f"{said}. It is tried again until {self._port} answers")
         self._interruptions.append(Interruption(why, at, time.monotonic() - begun, came_back=False))
-        ending = endings.STOPPED if self._stopped else endings.DONE
+        if not self._stopped:
+            self._time_is_over = True
+            return DeviceError(
+                f"{self._port}: the device was lost and did not come back within the duration of {self._duration:g} s. "
+                f"What had happened: {why}"
+            )
         last = self._runs[-1]
-        self._runs[-1] = last._replace(report=replace(last.report, ending=endings.IN_WORDS[ending]))
+        self._runs[-1] = last._replace(report=replace(last.report, ending=endings.IN_WORDS[endings.STOPPED]))
         return None
 
     def _came_back(self, why: str, begun: float, at: str) -> None:
@@ -194,8 +206,12 @@ class _Keeper:
             if self._stopped:
                 raise KeyboardInterrupt
             left = self._left_s()
-            record = None if self._record is None else record_of(self._record, len(self._runs))
-            options = {"duration": left, "record": record, "on_arming": self._arming, **self._options}
+            options = {
+                "duration": left,
+                "record": self._record_of_session(),
+                "on_arming": self._arming,
+                **self._options,
+            }
             with start(self._scene, **options) as session:
                 on_armed()
                 self._observer.started(session)
@@ -213,6 +229,19 @@ class _Keeper:
             self._scene = ended.scene
         self._add(trace)
         return failure
+
+    def _record_of_session(self) -> Path | None:
+        """Of one that may take several tries. The first is called as it was asked for; a later one by the next number
+        that no file has, nor what a run that was killed left of one."""
+        if self._record is None:
+            return None
+        if len(self._records) == len(self._runs):
+            number = self._number
+            while number > 0 and any(map(os.path.lexists, _places_of(record_of(self._record, number)))):
+                number += 1
+            self._number = number + 1
+            self._records.append(record_of(self._record, number))
+        return self._records[-1]
 
     def _arming(self, session: Session) -> None:
         self._session, self._state = session, "running"

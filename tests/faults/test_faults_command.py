@@ -55,8 +55,10 @@ def test_every_kind_is_listed_with_its_sentence_within_80_columns(
     ("words", "sentence"),
     [
         ([], "found no SCRIPT, expected one, or --list"),
-        (["noisy_wire"], "found both or none of --port and --scene"),
-        (["noisy_wire", "--port", "/dev/x", "--scene", "y"], "found both or none of --port and --scene"),
+        (["noisy_wire"], "found neither --port nor --scene, expected one of them"),
+        (["nosuch"], "The scripts that ship: bad_device, loose_plug, noisy_wire"),
+        (["noisy_wire", "bad_device", "--port", "/dev/x"], "expected one script at a time"),
+        (["noisy_wire", "--port", "/dev/x", "--scene", "y"], "found both --port and --scene, expected one of them"),
         (["loose_plug", "--port", "/dev/x"], "--path: found none, expected a name for the port: replug puts it back"),
         (["nowhere.yaml", "--port", "/dev/x"], "nowhere.yaml: no such file, expected a script of faults in YAML"),
         (["noisy_wire", "--port", "/dev/x", "--duration", "-1"], "--duration: found -1"),

@@ -19,7 +19,7 @@ import pytest
 from firmware_protocol import schema
 from firmware_protocol.frames import armed_format, frame_to_host
 from hapsim.daemon import reconnecting
-from hapsim.daemon.reconnecting import Observer, keep_running, record_of
+from hapsim.daemon.reconnecting import LOST, Observer, keep_running, record_of
 from hapsim.device.conversation import describe
 from hapsim.device.mock.assemble import assemble_mock
 from hapsim.device.mock.terminal import serving
@@ -103,6 +103,7 @@ def test_after_an_unplug_the_scene_goes_on_as_it_is_now(scene: Scene, bench: Ben
         bench.sessions[1].stop()
 
     record = tmp_path / "touch.npz"
+    record_of(record, 1).write_text("of another day", encoding="utf-8")
     lifetime = keep_running(
         scene,
         bench.observer(change_and_unplug, stop_in_time, on_waiting=lambda: mocks.append(bench.plug(scene))),
@@ -115,7 +116,9 @@ def test_after_an_unplug_the_scene_goes_on_as_it_is_now(scene: Scene, bench: Ben
     assert bench.sentences[0].endswith(f". Waiting for {bench.link} to answer again")
     assert bench.sessions[1].scene.links["touch0"].stiffness == 500.0  # type: ignore[attr-defined]
     assert mocks[1].board.state == schema.IDLE
-    traces = [load_trace(record_of(record, session)) for session in (0, 1)]
+    traces = [load_trace(file) for file in lifetime.records]
+    assert lifetime.records == (record, record_of(record, 2))
+    assert record_of(record, 1).read_text(encoding="utf-8") == "of another day"
     assert lifetime.report.ticks == sum(trace.report.ticks for trace in traces)
     assert lifetime.report.age_samples.count == sum(trace.report.age_samples.count for trace in traces)
     assert [trace.sample[0] for trace in traces] == [0, 0]
@@ -203,7 +206,9 @@ def test_its_time_goes_on_while_a_device_is_waited_for(
     clock = SimpleNamespace(monotonic=lambda: next(seconds), sleep=lambda _: None)
     monkeypatch.setattr(reconnecting, "time", clock)
     lifetime = keep_running(scene, bench.observer(bench.unplug), reconnect=True, duration=1000.0)
-    assert (lifetime.failure, lifetime.report.ending, lifetime.reconnections) == (None, "done", 0)
+    assert isinstance(lifetime.failure, DeviceError)
+    assert "was lost and did not come back within the duration of 1000 s" in str(lifetime.failure)
+    assert (lifetime.report.ending in LOST, lifetime.report.released, lifetime.reconnections) == (True, False, 0)
     assert 990.0 < lifetime.interruptions[0].waited_s + lifetime.report.duration_s < 1010.0
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import grp
 import os
+import pwd
 import shlex
 import shutil
 import socket
@@ -16,7 +18,7 @@ from typing import Any
 import pytest
 
 from hapsim.daemon.notify import Notifier
-from hapsim.daemon.unit import unit_for
+from hapsim.daemon.unit import closed_to_service, unit_for
 from hapsim.errors import UsageError
 from hapsim.progress import Progress
 
@@ -151,7 +153,7 @@ def test_the_unit_starts_this_interpreter_with_no_more_rights_than_it_needs(
     assert words[:5] == [sys.executable, "-m", "hapsim", "run", str(scene)]
     assert words[5:8] == ["--port", "/dev/ttyACM0", "--reconnect"]
     assert "--unstable" not in words
-    assert found["RestartPreventExitStatus"] == ["2 4"]
+    assert found["RestartPreventExitStatus"] == ["2 4 200 203 216 217"]
     assert found["DeviceAllow"] == ["char-ttyACM rw", "/dev/cpu_dma_latency rw"]
     assert found["PrivateNetwork"] == found["NoNewPrivileges"] == ["yes"]
     assert found["RuntimeDirectory"] == found["StateDirectory"] == found["CacheDirectory"] == ["hapsim/ttyACM0"]
@@ -177,3 +179,38 @@ def test_what_a_unit_reads_otherwise_is_escaped_and_what_it_cannot_hold_is_refus
 def test_a_scene_without_a_port_has_no_service(hapsim: Callable[..., Any], scene: Path) -> None:
     scene.write_text(SCENE.replace(", port: /dev/ttyACM0", ""), encoding="utf-8")
     assert "found no port" in hapsim("service", scene).sentence
+
+
+def test_a_scene_that_will_be_refused_has_its_unit_and_a_warning(hapsim: Callable[..., Any], scene: Path) -> None:
+    assert "will refuse" not in hapsim("service", scene).err
+    wall = (
+        "  wall:  {type: ground}\n  touch: {type: viscoelastic, between: [hand, wall], stiffness: 50000, damping: 2}\n"
+    )
+    scene.write_text(SCENE + wall, encoding="utf-8")
+    answer = hapsim("service", scene)
+    assert (answer.status, "ExecStart=" in answer.out) == (0, True)
+    assert "`hapsim run` will refuse this scene" in answer.err
+
+
+def test_the_service_is_of_who_asks_and_says_what_it_may_not_enter(
+    scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    nobody = pwd.getpwnam("nobody")
+    monkeypatch.setattr(os, "geteuid", lambda: nobody.pw_uid)
+    found = settings(unit_for(str(scene), "/dev/ttyACM0"))
+    assert (found["User"], found["Group"]) == (["nobody"], [grp.getgrgid(nobody.pw_gid).gr_name])
+    monkeypatch.setattr(os, "geteuid", lambda: 0)
+    monkeypatch.delenv("SUDO_USER", raising=False)
+    assert "User" not in settings(unit_for(str(scene), "/dev/ttyACM0"))
+    closed = {str(tmp_path): 0o40750}
+    stat_of = Path.stat
+    monkeypatch.setattr(Path, "stat", lambda path, **how: _as_nobodys(stat_of(path, **how), closed.get(str(path))))
+    assert f"the scene, {scene}, is below {tmp_path}, which a service of root may not enter" in closed_to_service(
+        str(scene)
+    )
+    closed[str(tmp_path)] = 0o40751
+    assert "the scene" not in closed_to_service(str(scene))
+
+
+def _as_nobodys(found: os.stat_result, mode: int | None) -> os.stat_result:
+    return found if mode is None else os.stat_result([mode, *found[1:4], 65534, 65534, *found[6:]])

@@ -55,7 +55,11 @@ def test_a_running_scene_is_told_to_who_connects_and_to_nobody_else(folder: Path
         assert (path, stat.S_IMODE(path.stat().st_mode)) == (folder / "usb-1.sock", 0o600)
         assert stat.S_IMODE(folder.stat().st_mode) == 0o700
         state.observer.over()
-        assert json.loads(ask(path))["armed_since"] is None
+        over = json.loads(ask(path))
+        nothing_runs = [over[name] for name in ("armed_since", "force_n", "position_m", "age_samples")]
+        assert (nothing_runs, told["released"], over["released"]) == ([None] * 4, None, True)
+        state.observer.over()  # a try that did not arm: what became of it is not known
+        assert json.loads(ask(path))["released"] is None
     assert not path.exists()
     assert told.keys() >= {"rate_hz", "deadline_misses", "limited_ticks", "age_samples", "estimated_mass_kg", "news"}
     assert (told["pid"], told["scene"], told["phase"], told["ticks"]) == (os.getpid(), "scene.yaml", "running", 500)
@@ -185,6 +189,9 @@ def test_the_command_finds_the_one_that_runs(
         left.close()
         assert hapsim("status", "--json").document == {"ticks": 5, "force_n": [0.5, None]}
         assert "0.5 –" in hapsim("status", "/dev/ttyACM0").out
+        news = "the report: " + "/long" * 40 + "/x.json"
+        with telling(tmp_path / "news", lambda: json.dumps({"news": f"{news}\n\x1b[2Jlate"})):
+            assert hapsim("status", tmp_path / "news").out == f"news  {news} ?[2Jlate\n"
         assert hapsim("status", "/dev/ttyACM1").status == 2
         with telling(tmp_path / "other", lambda: "\x1b[2J"):
             assert hapsim("status", tmp_path / "other").status == 2
