@@ -56,7 +56,7 @@ def run_bounds(scene: Scene) -> ForceBounds:
 
 
 def slow_slew(scene: Scene, prediction: Prediction) -> str:
-    """Where the slew limit of `run_bounds` is too slow for what was predicted of `scene`: sentences; "" where it is not.
+    """Where the slew limit of `run_bounds` is too slow for what was predicted of `scene`: sentences; "" where not.
 
     Too slow: less than 2 pi f times the force limit, the steepest that a swing up to the limit asks for, f of the
     fastest swing of a hand.
@@ -67,11 +67,11 @@ def slow_slew(scene: Scene, prediction: Prediction) -> str:
     if not steepest > slew:
         return ""
     return (
-        f"device.slew_limit: found {slew:g} N/s, with which the force takes {1e3 * limit / slew:.4g} ms from zero to the "
-        f"force limit of {limit:g} N; a quarter of the period of the fastest swing of a hand ({fastest:.4g} Hz) is "
-        f"{250.0 / fastest:.4g} ms, and one that reaches the limit asks for {math.ceil(steepest)} N/s. What is predicted "
-        "is without a slew limit: with this one the force may come so late that it shakes the hand. Use a slew_limit "
-        "well above that, a lower force_limit, or less stiffness."
+        f"device.slew_limit: found {slew:g} N/s, with which the force takes {1e3 * limit / slew:.4g} ms from zero to "
+        f"the force limit of {limit:g} N; a quarter of the period of the fastest swing of a hand ({fastest:.4g} Hz) is "
+        f"{250.0 / fastest:.4g} ms, and one that reaches the limit asks for {math.ceil(steepest)} N/s. What is "
+        "predicted is without a slew limit: with this one the force may come so late that it shakes the hand. Use a "
+        "slew_limit well above that, a lower force_limit, or less stiffness."
     )
 
 

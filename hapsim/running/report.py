@@ -188,8 +188,8 @@ def _diverging(loop: Loop, report: Report) -> str:
         )
     if int(energy.why) == SHAKING:
         return (
-            f"the force shook at its limit: from one side to the other {int(energy.shakes)} times in a row, the last at "
-            f"tick {ticks}, faster than any hand moves; the last force was not sent. {what_to_do}"
+            f"the force shook at its limit: from one side to the other {int(energy.shakes)} times in a row, the last "
+            f"at tick {ticks}, faster than any hand moves; the last force was not sent. {what_to_do}"
         )
     return (
         f"by tick {ticks} the scene had given the hand {float(energy.given):.3g} J that it had not got from it, above "
@@ -204,9 +204,9 @@ def _held_back(loop: Loop, report: Report) -> str:
     slew, limited = loop.record.slew, int(loop.record.slew.step[0]) < NO_LIMIT
     by = " or ".join(["device.slew_limit"] * limited + ["device.soft_start"] * (float(slew.soft_samples) > 0.0))
     return (
-        f"{by} held the force back in {report.slewed_ticks} of {report.ticks} ticks, which no prediction counts with: a "
-        f"force that comes later than the scene asks for it shakes what is stable without that. Change "
-        f"{'device.slew_limit' if limited else by} first. "
+        f"{by} held the force back in {report.slewed_ticks} of {report.ticks} ticks, which no prediction counts with: "
+        "a force that comes later than the scene asks for it can shake what is stable without that. "
+        f"Change {'device.slew_limit' if limited else by} first. "
     )
 
 

@@ -97,8 +97,8 @@ def test_a_large_energy_limit_ends_a_swing_at_the_limit_too() -> None:
 
 
 def test_where_the_slew_limit_held_the_force_back_it_is_named_first() -> None:
-    with pytest.raises(GuardError, match="device.slew_limit held the force back in .* No passive object does that"):
-        run(wall(friction=3.0, slew_limit=5.0), duration=5.0, judges_energy=True)
+    with pytest.raises(GuardError, match=r"device.slew_limit held the force back in .* No passive object does that"):
+        run(wall(2000.0, friction=6.0, slew_limit=100.0), duration=2.0, judges_energy=True)
 
 
 def test_before_the_mock_it_is_off_until_it_is_asked_for() -> None:

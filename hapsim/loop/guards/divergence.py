@@ -26,12 +26,12 @@ The guard trips where S is above `limit`: no hand is ever given more than `limit
 
 **Swinging at the limit.** Where the limit cuts the force and friction takes all that it gives, the swing is of
 constant size and S stays where it is, for ever. So the guard trips also after SWINGS episodes in a row in which the
-force is cut, each to another side or after a sample without, and each beginning within GAP_S (GAP_SAMPLES at least) of
-the one before, if over these episodes the force did no less work than friction took, and more than `swing_limit`: no
-more than `limit`, and no more than that is where a scene names none, so that one that means to give energy is found
-where it swings at the limit, too. The sums are begun anew where it did less: between two crossings of the limit at one place a spring holds the same, so that what
-is gained between them comes of the sampling and of nothing else. A hand that presses on, knocks, or shakes a passive
-object loses energy from episode to episode.
+force is cut, each to another side or after a sample without, and each beginning within GAP_S (GAP_SAMPLES at least)
+of the one before, if over these episodes the force did no less work than friction took, and more than `swing_limit`:
+no more than `limit`, and no more than that is where a scene names none, so that one that means to give energy is
+found where it swings at the limit, too. The sums are begun anew where it did less: between two crossings of the limit
+at one place a spring holds the same, so that what is gained between them comes of the sampling and of nothing else. A
+hand that presses on, knocks, or shakes a passive object loses energy from episode to episode.
 
 **Shaking at the limit.** A scene whose own masses diverge, or a damper that is too much for the rate, throws the force
 from limit to limit so fast that the hand hardly moves, and gets no energy at all. So the guard trips, too, after SHAKES
