@@ -41,7 +41,7 @@ def check(
     from hapsim.console.wire import show_force_bounds
 
     show_prediction(stdout(), scene, prediction, on_wire)
-    show_force_bounds(stdout(), loaded)
+    show_force_bounds(stdout(), loaded, prediction)
     if explanation is not None:
         from hapsim.console.explained import show_explanation
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 
 from hapsim.prediction import HostSilence, WireTime, host_silence
-from hapsim.prediction.force_bounds import run_bounds
+from hapsim.prediction.force_bounds import run_bounds, slow_slew
 
 if TYPE_CHECKING:
     from hapsim.prediction import Prediction
@@ -50,15 +50,22 @@ def show_silence(out: Console, rate: float) -> None:
     )
 
 
-def show_force_bounds(out: Console, scene: Scene) -> None:
+def show_force_bounds(out: Console, scene: Scene, prediction: Prediction) -> None:
     """What bounds the force in `hapsim run`, where the scene says its device is."""
     bounds = run_bounds(scene)
     slew = f"by at most {bounds.slew_limit:g} N/s" if math.isfinite(bounds.slew_limit) else "as fast as the scene asks"
-    soft = f"rises along a ramp of {_ms(bounds.soft_start_s)}" if bounds.soft_start_s > 0.0 else "comes at once"
+    soft = "at once"
+    if bounds.soft_start_s > 0.0:
+        soft = f"along a ramp of {_ms(bounds.soft_start_s)} (what is asked for later comes without a ramp)"
     out.print(
-        f"Force: at most {scene.device.force_limit:g} N; it changes {slew}, and the first one {soft}. A run ends where "
-        f"the scene gives the hand more than {bounds.energy_limit:g} J, or swings at its limit."
+        f"Force: at most {scene.device.force_limit:g} N; it changes {slew}, and what the scene asks for in the very "
+        f"first sample comes {soft}. A run ends where the scene gives the hand more than {bounds.energy_limit:g} J, or "
+        "goes on swinging or shaking at the force limit (what counts as that: hapsim/STABILITY.md, the guard of the "
+        "energy)."
     )
+    slow = slow_slew(scene, prediction)
+    if slow:
+        out.print(f"[yellow]Warning[/yellow]: {slow}")
 
 
 def _time(prediction: Prediction) -> str:

@@ -8,13 +8,17 @@ names it.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from hapsim.scene import Scene
+
+if TYPE_CHECKING:
+    from hapsim.prediction.types import Prediction
 
 RISE_S = 1e-3  # from zero to the force limit, or a sample period where that is longer
 SOFT_START_S = 0.05
 ENERGY_M = 0.02  # of travel at the force limit
+_IN_HAND = 0.1  # of a mode's kinetic energy: what moves the hand less is not swung by its force
 
 
 class ForceBounds(NamedTuple):
@@ -49,3 +53,36 @@ def run_bounds(scene: Scene) -> ForceBounds:
     """Those of `hapsim run`, where the scene says that its device is."""
     in_hand = scene.device.port is not None and scene.device.clock != "lockstep"
     return force_bounds(scene, in_hand=in_hand, judges_energy=True)
+
+
+def slow_slew(scene: Scene, prediction: Prediction) -> str:
+    """Where the slew limit of `run_bounds` is too slow for what was predicted of `scene`: sentences; "" where not.
+
+    Too slow: less than 2 pi f times the force limit, the steepest that a swing up to the limit asks for, f of the
+    fastest swing of a hand.
+    """
+    limit, slew = scene.device.force_limit, run_bounds(scene).slew_limit
+    fastest = fastest_swing_hz(scene, prediction)
+    steepest = 2.0 * math.pi * fastest * limit
+    if not steepest > slew:
+        return ""
+    return (
+        f"device.slew_limit: found {slew:g} N/s, with which the force takes {1e3 * limit / slew:.4g} ms from zero to "
+        f"the force limit of {limit:g} N; a quarter of the period of the fastest swing of a hand ({fastest:.4g} Hz) is "
+        f"{250.0 / fastest:.4g} ms, and one that reaches the limit asks for {math.ceil(steepest)} N/s. What is "
+        "predicted is without a slew limit: with this one the force may come so late that it shakes the hand. Use a "
+        "slew_limit well above that, a lower force_limit, or less stiffness."
+    )
+
+
+def fastest_swing_hz(scene: Scene, prediction: Prediction) -> float:
+    """The highest eigenfrequency at which a hand swings on what is simulated, below the Nyquist frequency; 0: none."""
+    still = {one.name for one in prediction.felt if one.stiffness == one.damping == 0.0}
+    held = [i for i, name in enumerate(prediction.points) if name in scene.device_points and name not in still]
+    hands = [one.frequency_hz for one in prediction.felt if one.name not in still]
+    modes = [
+        mode.frequency_hz
+        for mode in prediction.modes
+        if mode.damping_ratio < 1.0 and float(mode.participation[held].sum()) > _IN_HAND
+    ]
+    return max((one for one in [*hands, *modes] if 0.0 < one < 0.5 * prediction.rate), default=0.0)

@@ -18,6 +18,7 @@ from hapsim.prediction.correction import (
     rendered,
     stable_masses,
 )
+from hapsim.prediction.force_bounds import slow_slew
 from hapsim.prediction.hands import hand_of, is_lone, links_of, network_of, why_coupled
 from hapsim.prediction.linear import LinearScene, linear_scene
 from hapsim.prediction.types import Desired, Felt, LinkMargin, Prediction
@@ -247,9 +248,12 @@ def warnings_about(scene: Scene, prediction: Prediction) -> list[str]:
         )
     elif is_surely_unstable(prediction):
         warnings.append(
-            f"the scene is predicted unstable: the hand will be shaken, with up to the force limit of {limit:g} N. "
-            "`hapsim check` tells by how much the stiffness has to go down."
+            f"the scene is predicted unstable: the hand will be shaken, with up to the force limit of {limit:g} N, "
+            "until the guard of the energy or of the swing at the limit ends the run (hapsim/STABILITY.md tells what "
+            "they find). `hapsim check` tells by how much the stiffness has to go down."
         )
+    slow = slow_slew(scene, prediction)
+    warnings += [slow] if slow else []
     warnings += [_out_of_reach(scene, one) for one in prediction.desired if one.remedies is not None]
     budget = prediction.wire_time
     if prediction.wire_of == "port" and not budget.fits:

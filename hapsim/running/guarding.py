@@ -14,7 +14,7 @@ from firmware_protocol.description import Description
 from hapsim.errors import UsageError
 from hapsim.loop.guards.divergence import CREDIT_M, FIRST_FORCE_M, EnergyMemory
 from hapsim.loop.guards.slew import limit_slew
-from hapsim.prediction.force_bounds import ForceBounds
+from hapsim.prediction.force_bounds import ENERGY_M, ForceBounds
 from hapsim.scene import Scene
 from hapsim.scene.modules import Buffer, Ground, Link, MaterialPoint, Module, Nonlinear, Structure
 
@@ -60,6 +60,7 @@ def energy_of(loop: Any, scene: Scene, description: Description, bounds: ForceBo
         delay=device.delay + shift,
         goes_on=device.hold == "zoh",
         limit_j=bounds.energy_limit,
+        swing_limit_j=min(bounds.energy_limit, ENERGY_M * device.force_limit),
         credit_j=CREDIT_M * device.force_limit,
         held_j=held_energy(scene.modules, device.force_limit),
     )

@@ -10,6 +10,7 @@ from hapsim.errors import DeviceError, GuardError, RunError
 from hapsim.loop import endings
 from hapsim.loop.exchange import DEVICE_CLOCK, HOST_CLOCK
 from hapsim.loop.guards.divergence import SHAKING, SWINGING
+from hapsim.loop.guards.slew import NO_LIMIT
 from hapsim.loop.histogram import histogram_of
 from hapsim.loop.recorder import Recorder
 from hapsim.loop.trace import Report, Statistics, Trace
@@ -17,6 +18,8 @@ from hapsim.prediction.silence import host_silence
 from hapsim.progress import Progress
 from hapsim.running.assemble import Loop
 from hapsim.scene import Scene
+
+_MUCH_SLEWED = 0.1  # of all ticks
 
 
 def trace_of(scene: Scene, loop: Loop, recorder: Recorder, ending: int) -> Trace:
@@ -165,31 +168,45 @@ def _what_ended(name: str, loop: Loop, trace: Trace, ending: int) -> tuple[type[
             "force_limit that is not the device's"
         )
     if ending == endings.DIVERGING:
-        return GuardError, f"{name}: {_diverging(loop, ticks)}"
+        return GuardError, f"{name}: {_diverging(loop, trace.report)}"
     return DeviceError, ""
 
 
-def _diverging(loop: Loop, ticks: int) -> str:
-    energy = loop.record.energy
-    what_to_do = (
+def _diverging(loop: Loop, report: Report) -> str:
+    energy, ticks = loop.record.energy, report.ticks
+    what_to_do = _held_back(loop, report) + (
         "No passive object does that: `hapsim check` tells whether the scene is stable, and what would make it; less "
         "stiffness, more real friction, a higher rate or a shorter delay. A scene that is meant to give energy says so "
         "with device.energy_limit (hapsim/STABILITY.md)"
     )
     if int(energy.why) == SWINGING:
         return (
-            f"the force swung at its limit: cut {int(energy.swings)} times in a row until tick {ticks}, it gave the "
-            f"hand {float(energy.work):.3g} J over these, above its limit of {float(energy.limit):.3g} J and no less "
-            f"than the declared friction takes; the last force was not sent. {what_to_do}"
+            f"the force swung at its limit: it swung into it {int(energy.swings)} times in a row, the last at tick "
+            f"{ticks}, and gave the hand {float(energy.work):.3g} J over these, above the limit of "
+            f"{float(energy.swing_limit):.3g} J and no less than the declared friction takes; the last force was not "
+            f"sent. {what_to_do}"
         )
     if int(energy.why) == SHAKING:
         return (
-            f"the force shook at its limit: from one side to the other {int(energy.shakes)} times in a row until tick "
-            f"{ticks}, faster than any hand moves; the last force was not sent. {what_to_do}"
+            f"the force shook at its limit: from one side to the other {int(energy.shakes)} times in a row, the last "
+            f"at tick {ticks}, faster than any hand moves; the last force was not sent. {what_to_do}"
         )
     return (
         f"by tick {ticks} the scene had given the hand {float(energy.given):.3g} J that it had not got from it, above "
         f"its limit of {float(energy.limit):.3g} J; the last force was not sent. {what_to_do}"
+    )
+
+
+def _held_back(loop: Loop, report: Report) -> str:
+    """Where the force was held back in many ticks: a sentence, and a space."""
+    if report.slewed_ticks <= _MUCH_SLEWED * report.ticks:
+        return ""
+    slew, limited = loop.record.slew, int(loop.record.slew.step[0]) < NO_LIMIT
+    by = " or ".join(["device.slew_limit"] * limited + ["device.soft_start"] * (float(slew.soft_samples) > 0.0))
+    return (
+        f"{by} held the force back in {report.slewed_ticks} of {report.ticks} ticks, which no prediction counts with: "
+        "a force that comes later than the scene asks for it can shake what is stable without that. "
+        f"Change {'device.slew_limit' if limited else by} first. "
     )
 
 

@@ -25,9 +25,10 @@ SLEW_LIMIT = Quantity(
     left_out="behind a port force_limit in 1 ms, or in a sample period where that is longer; before the mock none",
 )
 SOFT_START = Quantity(
-    "How long the first force after arming takes to rise; 0: no time",
+    "How long what the scene asks for in the very first sample takes to rise; 0: no time",
     "s",
     least=0,
+    most=10,
     left_out="0.05 behind a port, 0 before the mock",
 )
 ENERGY_LIMIT = Quantity(

@@ -250,14 +250,21 @@ def test_what_bounds_the_force_is_told_for_where_the_device_is(
         "energy_limit": pytest.approx(0.2),
     }
     told = hapsim("check", path).out.replace("\n", " ")
-    assert "Force: at most 10 N; it changes as fast as the scene asks, and the first one comes at once." in told
-    assert "A run ends where the scene gives the hand more than 0.2 J, or swings at its limit." in told
+    assert "Force: at most 10 N; it changes as fast as the scene asks" in told
+    assert "what the scene asks for in the very first sample comes at once." in told
+    assert "A run ends where the scene gives the hand more than 0.2 J, or goes on" in told
+    assert "slew_limit" not in told
     document = yaml.safe_load(path.read_text())
     document["device"] |= {"port": "/dev/ttyACM0", "clock": "device"}
     in_hand = tmp_path / "in_hand.yaml"
     in_hand.write_text(yaml.safe_dump(document))
     told = hapsim("check", in_hand).out.replace("\n", " ")
-    assert "it changes by at most 10000 N/s, and the first one rises along a ramp of 50 ms." in told
+    assert "it changes by at most 10000 N/s" in told
+    assert "in the very first sample comes along a ramp of 50 ms (what is asked for later" in told
+    document["device"]["slew_limit"] = 5.0
+    in_hand.write_text(yaml.safe_dump(document))
+    told = hapsim("check", in_hand).out.replace("\n", " ")
+    assert "found 5 N/s, with which the force takes 2000 ms from zero to the force limit of 10 N" in told
 
 
 def test_what_bounds_the_force_of_a_dead_host_is_what_a_run_asks_the_device_for(

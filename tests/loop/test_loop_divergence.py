@@ -90,6 +90,17 @@ def test_a_swing_at_the_limit_says_so(served: Served) -> None:
         run(scene, duration=60.0)
 
 
+def test_a_large_energy_limit_ends_a_swing_at_the_limit_too() -> None:
+    with pytest.raises(GuardError, match=r"swung into it 16 times in a row, .* above the limit of 0.2 J") as caught:
+        run(wall(energy_limit=1e6), duration=5.0)
+    assert "slew_limit" not in str(caught.value)
+
+
+def test_where_the_slew_limit_held_the_force_back_it_is_named_first() -> None:
+    with pytest.raises(GuardError, match=r"device.slew_limit held the force back in .* No passive object does that"):
+        run(wall(2000.0, friction=6.0, slew_limit=100.0), duration=2.0, judges_energy=True)
+
+
 def test_before_the_mock_it_is_off_until_it_is_asked_for() -> None:
     assert run(wall(), duration=5.0).report.ending == "done"
     with pytest.raises(GuardError):
@@ -232,6 +243,7 @@ def judge(
         delay=delay,
         goes_on=True,
         limit_j=energy,
+        swing_limit_j=energy,
         credit_j=1e15,
         held_j=0.0,
     )

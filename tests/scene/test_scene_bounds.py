@@ -34,6 +34,7 @@ INCLUSIVE: list[tuple[str, str, Number, Number]] = [
     ("device", "stiffness", 0.0, BELOW_0),
     ("device", "delay", 0.0, BELOW_0),
     ("device", "delay", 1000.0, nextafter(1000.0, inf)),
+    ("device", "soft_start", 10.0, nextafter(10.0, inf)),
     ("mock", "friction", 0.0, BELOW_0),
     ("mock", "stiffness", 0.0, BELOW_0),
     ("mock", "delay", 0.0, BELOW_0),

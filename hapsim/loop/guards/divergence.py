@@ -26,11 +26,12 @@ The guard trips where S is above `limit`: no hand is ever given more than `limit
 
 **Swinging at the limit.** Where the limit cuts the force and friction takes all that it gives, the swing is of
 constant size and S stays where it is, for ever. So the guard trips also after SWINGS episodes in a row in which the
-force is cut, each to another side or after a sample without, and each beginning within GAP_S (GAP_SAMPLES at least) of
-the one before, if over these episodes the force did no less work than friction took, and more than `limit`. The sums
-are begun anew where it did less: between two crossings of the limit at one place a spring holds the same, so that what
-is gained between them comes of the sampling and of nothing else. A hand that presses on, knocks, or shakes a passive
-object loses energy from episode to episode.
+force is cut, each to another side or after a sample without, and each beginning within GAP_S (GAP_SAMPLES at least)
+of the one before, if over these episodes the force did no less work than friction took, and more than `swing_limit`:
+no more than `limit`, and no more than that is where a scene names none, so that one that means to give energy is
+found where it swings at the limit, too. The sums are begun anew where it did less: between two crossings of the limit
+at one place a spring holds the same, so that what is gained between them comes of the sampling and of nothing else. A
+hand that presses on, knocks, or shakes a passive object loses energy from episode to episode.
 
 **Shaking at the limit.** A scene whose own masses diverge, or a damper that is too much for the rate, throws the force
 from limit to limit so fast that the hand hardly moves, and gets no energy at all. So the guard trips, too, after SHAKES
@@ -83,6 +84,7 @@ ENERGY = np.dtype(
         ("share", np.float64),  # but for this share, in which it is the one before
         ("braked", np.float64, _EACH),  # b0/T, N/m
         ("limit", np.float64),  # J
+        ("swing_limit", np.float64),  # J, of the work over episodes
         ("credit", np.float64),  # J
         ("lent", np.float64),  # J, in all: written by another thread,
         ("taken", np.float64),  # and taken
@@ -144,7 +146,7 @@ def observe(energy, io, gap, unsent, late, expired):
         energy.gap = 0
     if energy.given > energy.limit:
         energy.why = GIVEN
-    elif energy.swings >= SWINGS and energy.work > energy.limit:
+    elif energy.swings >= SWINGS and energy.work > energy.swing_limit:
         energy.why = SWINGING
     elif energy.shakes >= SHAKES:
         energy.why = SHAKING
@@ -258,12 +260,14 @@ class EnergyMemory:
         delay: float,
         goes_on: bool,
         limit_j: float,
+        swing_limit_j: float,
         credit_j: float,
         held_j: float,
     ) -> None:
         """`friction`: (channels,) N·s/m; `compliance`: (channels,) m/N, 0 where it is not known; `delay`: samples
         from the position's mean instant to the force's, -1/2 or more; `goes_on`: the device holds a force until the
-        next one; `held_j`: what the scene holds at the start."""
+        next one; `limit_j`: of what is given; `swing_limit_j`: of the work of a swing at the limit; `held_j`: what the
+        scene holds at the start."""
         whole = math.floor(delay)
         rows = 2 << (whole + 3).bit_length()
         self._record = record
@@ -273,7 +277,7 @@ class EnergyMemory:
         record.lag, record.share = whole + 1, delay - whole
         record.braked[: friction.size] = friction * rate_hz
         record.compliance[: compliance.size] = compliance
-        record.limit, record.credit, record.given = limit_j, credit_j, -held_j
+        record.limit, record.swing_limit, record.credit, record.given = limit_j, swing_limit_j, credit_j, -held_j
         record.most_gap = max(GAP_SAMPLES, round(GAP_S * rate_hz))
         record.most_turn = round(SHAKE_S * rate_hz)
         record.least_peak[:] = math.inf
