@@ -150,7 +150,7 @@ class _Keeper:
         said = ""
         while self._waits_for_port(begun):
             try:
-                return self._run_once(lambda: self._came_back(why, begun, at))
+                return self._run_once(lambda: self._came_back(why, begun, at), begun)
             except (DescriptionError, UsageError) as error:
                 self._interruptions.append(Interruption(why, at, time.monotonic() - begun, came_back=False))
                 return error
@@ -198,14 +198,17 @@ class _Keeper:
         """Of the duration; None where it has no end."""
         return None if self._duration is None else self._duration - self._spent_s - waiting_s
 
-    def _run_once(self, on_armed: Callable[[], None] = lambda: None) -> HapsimError | None:
-        """One session from open to disarm: the error of one that did not end as asked. Raises where it did not arm."""
+    def _run_once(
+        self, on_armed: Callable[[], None] = lambda: None, waits_since: float | None = None
+    ) -> HapsimError | None:
+        """One session from open to disarm: the error of one that did not end as asked. Raises where it did not arm.
+        `waits_since`: when the device was lost, on the monotonic clock."""
         self._state = "starting"
         failure: RunError | None = None
         try:
             if self._stopped:
                 raise KeyboardInterrupt
-            left = self._left_s()
+            left = self._left_s(0.0 if waits_since is None else time.monotonic() - waits_since)
             options = {
                 "duration": left,
                 "record": self._record_of_session(),
