@@ -173,7 +173,7 @@ def _pieces_of(
         raise UsageError(f"{source}: found a directory, expected a capture (raw bytes) or a serial port")
     else:
         with _reading(source):
-            stream = open(source, "rb")  # noqa: SIM115 - closed below: nothing but opening is told as such
+            stream = open(source, "rb")  # noqa: SIM115 - closed below: only a failed opening is reported as one
         with stream:
             yield _of_stream(source, stream, stopped)
 

@@ -107,7 +107,7 @@ def run(
     with undisturbed():
         try:
             _show(lifetime, reporter.grants, json)
-        finally:  # even where nobody reads the report: why it failed, and the status, are told apart from it
+        finally:  # even where nobody reads the report: why it failed, and the status, do not depend on it
             if lifetime.failure is not None:
                 complain(lifetime.failure)
                 raise typer.Exit(lifetime.failure.exit_status)
@@ -125,7 +125,7 @@ def _choose_log(log: str) -> None:
 def _telling(
     state: RunState, status: str | None, port: str | None, portable: bool
 ) -> contextlib.AbstractContextManager[None]:
-    """While open, the status is told to who asks, where that was asked for."""
+    """While open, the status is served to who asks, where that was asked for."""
     if status is None:
         return contextlib.nullcontext()
     from hapsim.console.as_json import document

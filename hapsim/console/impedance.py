@@ -67,7 +67,7 @@ def _sentences(predicted: PredictedImpedance, measured: MeasuredImpedance) -> li
     found.append(
         "± is the radius of the circle about a measured value that holds the true one, all of them together with "
         "99.9 %. Rendered: what the scene presents, late and held; closed loop: that and the device's own mass, "
-        "friction and spring, which is what the hand meets."
+        "friction and spring, which is what the hand feels."
     )
     for channel, force, travel, periods in zip(
         measured.channels, measured.peak_force, measured.travel, measured.periods, strict=True

@@ -82,7 +82,7 @@ class _Messages(_Stream):
 
     def _is_taken(self) -> bool:
         """Whether who reads it takes some more, a pipe that is full or a terminal that was halted (Ctrl-S) does not:
-        there a run that is told to stop would never come to its end."""
+        there a run that shall stop would never come to its end."""
         try:
             return bool(select.select([], [self._stream.fileno()], [], _PATIENCE_S)[1])
         except (OSError, ValueError):  # it is no file, or cannot be waited for

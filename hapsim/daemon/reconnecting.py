@@ -128,6 +128,7 @@ class _Keeper:
             self._session.stop()
 
     def run(self) -> Lifetime:
+        """Session after session until one ends for good, or the device does not come back."""
         failure: HapsimError | None = self._run_once()
         while failure is not None and self._may_come_back(failure):
             why, begun = str(failure), time.monotonic()
@@ -189,7 +190,8 @@ class _Keeper:
                 return False
             self._observer.waiting()
             time.sleep(_GLANCE_S)
-        return not self._stopped
+        left = self._left_s(time.monotonic() - begun)
+        return not self._stopped and (left is None or left > 0)
 
     def _port_is_there(self) -> bool:
         return not os.path.isabs(self._port) or os.path.exists(self._port)
@@ -209,6 +211,8 @@ class _Keeper:
             if self._stopped:
                 raise KeyboardInterrupt
             left = self._left_s(0.0 if waits_since is None else time.monotonic() - waits_since)
+            if left is not None and waits_since is not None:
+                left = max(left, self._scene.period)  # what was left a moment ago may be over by now
             options = {
                 "duration": left,
                 "record": self._record_of_session(),

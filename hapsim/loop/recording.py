@@ -25,7 +25,7 @@ from hapsim.loop.stream import Head, StreamWriter
 from hapsim.loop.streamed_trace import convert
 
 _WRITE_S = 0.25  # how often what has gathered is written: a process that is killed loses no more
-_KEEP_S = 1.0  # how often the system puts it on the disk, and the report so far is told
+_KEEP_S = 1.0  # how often the system puts it on the disk, and the report so far is written
 _MOST_BYTES = 1 << 26  # that wait to be written
 _PATIENCE_S = 5.0  # in virtual time, where waiting for the disk holds up nobody's hand
 _AT_ONCE_BYTES = 1 << 22  # so many are written before their time

@@ -1,4 +1,4 @@
-"""A run in numbers, and how these are told in files."""
+"""A run in numbers, and how files hold them."""
 
 from __future__ import annotations
 

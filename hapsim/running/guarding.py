@@ -1,4 +1,4 @@
-"""What the guards that remember are told of a scene and its device: how fast the force may change, how it begins, and
+"""What the guards that remember take from a scene and its device: how fast the force may change, how it begins, and
 how much energy a passive object could give."""
 
 from __future__ import annotations
