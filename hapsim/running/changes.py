@@ -20,6 +20,7 @@ from hapsim.cordis.program import compile_scene, fixed_modules, parameter_values
 from hapsim.cordis.schemes import without_matrices
 from hapsim.cordis.succession import take_over_from
 from hapsim.errors import UsageError
+from hapsim.prediction import surely_shaken_by
 from hapsim.prediction.correction import Rendering, rendered
 from hapsim.realtime.giving_way import Beside
 from hapsim.running.assemble import Loop
@@ -88,7 +89,7 @@ class LiveScene:
         rendering = rendered(scene)
         values = parameter_values(rendering.scene)
         if not _same_values(values, parameter_values(self._run)):
-            self._lend_for(scene)
+            self._tell_guard(scene)
             self._loop.program.parameters.post(values, samples)
             self._correct_as(rendering, samples)
         self.scene, self._loop.run = scene, rendering.scene
@@ -103,7 +104,7 @@ class LiveScene:
                 raise UsageError(OVER)
             time.sleep(_GLANCE_S)
         with self._writing:
-            self._lend_for(scene)
+            self._tell_guard(scene)
             take_over_from(self._loop.program, self._run, program, run)
             program.parameters.post(parameter_values(run), samples)
             self._loop.follow_with(program, samples)
@@ -115,10 +116,12 @@ class LiveScene:
         """What is run in place of `scene`."""
         return self.scene if self._loop.run is None else self._loop.run
 
-    def _lend_for(self, scene: Scene) -> None:
+    def _tell_guard(self, scene: Scene) -> None:
         """Before the change acts."""
         if self._loop.energy is not None:
             self._loop.energy.lend(lent_by_change(self.scene, scene))
+            if self._unstable:
+                self._loop.energy.follow(unstable=surely_shaken_by(scene) is not None)
 
     def _correct_as(self, rendering: Rendering, samples: int) -> None:
         if self._loop.correction is not None:

@@ -18,7 +18,7 @@ from hapsim.prediction.force_bounds import ENERGY_M, ForceBounds
 from hapsim.scene import Scene
 from hapsim.scene.modules import Buffer, Ground, Link, MaterialPoint, Module, Nonlinear, Structure
 
-MOST_LENT_M = 10.0  # of travel at the force limit: what the guard lends at once, whatever a scene holds or changes by
+MOST_LENT_M = 10.0  # of travel at the force limit: what the guard lends, whatever a scene holds or changes by
 _ONE_PERIOD = 1.0 + 1e-12  # so that what is meant to be a whole number of counts is one
 
 
@@ -62,6 +62,7 @@ def energy_of(loop: Any, scene: Scene, description: Description, bounds: ForceBo
         limit_j=bounds.energy_limit,
         swing_limit_j=min(bounds.energy_limit, ENERGY_M * device.force_limit),
         credit_j=CREDIT_M * device.force_limit,
+        most_lent_j=MOST_LENT_M * device.force_limit,
         held_j=held_energy(scene.modules, device.force_limit),
     )
 

@@ -180,16 +180,17 @@ def _diverging(loop: Loop, report: Report) -> str:
         "with device.energy_limit (hapsim/STABILITY.md)"
     )
     if int(energy.why) == SWINGING:
+        swung = "at its limit: it swung into it" if not energy.unstable else "on a scene that is predicted unstable:"
         return (
-            f"the force swung at its limit: it swung into it {int(energy.swings)} times in a row, the last at tick "
-            f"{ticks}, and gave the hand {float(energy.work):.3g} J over these, above the limit of "
-            f"{float(energy.swing_limit):.3g} J and no less than the declared friction takes; the last force was not "
-            f"sent. {what_to_do}"
+            f"the force swung {swung} {int(energy.swings)} times in a row, the last at tick {ticks}, and gave the hand "
+            f"{float(energy.work):.3g} J over these, above the limit of {float(energy.swing_limit):.3g} J and no less "
+            f"than the declared friction takes; the last force was not sent. {what_to_do}"
         )
     if int(energy.why) == SHAKING:
+        why = "on a scene that is predicted unstable" if energy.unstable else "faster than any hand moves"
         return (
             f"the force shook at its limit: from one side to the other {int(energy.shakes)} times in a row, the last "
-            f"at tick {ticks}, faster than any hand moves; the last force was not sent. {what_to_do}"
+            f"at tick {ticks}, {why}; the last force was not sent. {what_to_do}"
         )
     return (
         f"by tick {ticks} the scene had given the hand {float(energy.given):.3g} J that it had not got from it, above "

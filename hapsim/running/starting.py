@@ -30,6 +30,7 @@ from hapsim.loop.portable import PortableLoop
 from hapsim.loop.recorder import Recorder
 from hapsim.loop.run import run_loop
 from hapsim.loop.trace import require_writable_as_trace
+from hapsim.prediction import surely_shaken_by
 from hapsim.progress import Progress
 from hapsim.realtime import realtime as with_realtime
 from hapsim.running.assemble import Loop, assemble_loop
@@ -85,20 +86,25 @@ def start(
 ) -> Iterator[Session]:
     """Starts `scene`, for `duration` seconds (None: until stopped); it runs while the with-block lasts.
 
-    `transport`: where the device is ("auto": the scene's port, else the mock that fits the clock). `keep`: False for a
-    trace without rows, for runs without an end. `record`: a .trace, .npz or .csv that is written while it runs, in
-    memory that does not grow; what was written before a crash is read by `load_trace`. `reports`: the
-    directory for the report file of a run that a guard, a fault of the device or a lost device ends; None: a default
-    one where the device is on a port, no file for the mock in this process. `realtime`: asks the system for what makes
-    a loop steady, see hapsim.realtime; `Session.grants` says what was granted. `portable`: the loop in plain Python
-    over pyserial; off Linux that loop runs with the mock in memory too. `between`: what loop and device speak through,
-    made of the transport to the device; the loop is then the one in Python. `unstable`: whether a scene that is surely
-    predicted unstable may run: False refuses it, at the start and as a change (`Session.set`, `Session.adopt`), True
-    takes it; None starts and sets it, and `Session.adopt` refuses what is more unstable than what runs.
-    `judges_energy`: a scene that gives the hand energy is stopped before the mock too, as by `hapsim run`; behind a
-    port, or where it names `energy_limit`, it always is. `on_progress` hears of the compilation, `on_warning` once, in
-    a sentence and in another thread, of a record that cannot be written any more; `on_arming` gets the session just
-    before the device is armed: a `stop` from then on ends the run in good order.
+    * `transport`: where the device is ("auto": the scene's port, else the mock that fits the clock).
+    * `keep`: False for a trace without rows, for runs without an end.
+    * `record`: a .trace, .npz or .csv that is written while it runs, in memory that does not grow; what was written
+      before a crash is read by `load_trace`.
+    * `reports`: the directory for the report file of a run that a guard, a fault of the device or a lost device ends;
+      None: a default one where the device is on a port, no file for the mock in this process.
+    * `realtime`: asks the system for what makes a loop steady, see hapsim.realtime; `Session.grants` says what was
+      granted.
+    * `portable`: the loop in plain Python over pyserial; off Linux that loop runs with the mock in memory too.
+    * `between`: what loop and device speak through, made of the transport to the device; the loop is then the one in
+      Python.
+    * `unstable`: whether a scene that is surely predicted unstable may run: False refuses it, at the start and as a
+      change (`Session.set`, `Session.adopt`), True takes it, and the guard of the energy looks closer
+      (hapsim/STABILITY.md); None starts and sets it, and `Session.adopt` refuses what is more unstable than what runs.
+    * `judges_energy`: a scene that gives the hand energy is stopped before the mock too, as by `hapsim run`; behind a
+      port, or where it names `energy_limit`, it always is.
+    * `on_progress` hears of the compilation; `on_warning` once, in a sentence and in another thread, of a record that
+      cannot be written any more; `on_arming` gets the session just before the device is armed: a `stop` from then on
+      ends the run in good order.
 
     Raises SceneError and UsageError for what cannot be run; DeviceError where port or device fail, GuardError where a
     guard stopped the force, RecordError where the run went as asked and its record did not, these when the with-block
@@ -119,6 +125,8 @@ def start(
         description = describe(opened)
         require_compatible(scene, opened.name, description)
         loop = assemble_loop(scene, opened, description, excitation, duration, judges_energy)
+        if unstable and loop.energy is not None:
+            loop.energy.follow(unstable=surely_shaken_by(scene) is not None)
         # Everything is compiled now: the device is armed only when the loop can answer at once.
         gives_way = scene.device.clock != "lockstep" and not in_python
         recorder = Recorder(loop.ring, keep, min(math.ceil(scene.rate), _LAST_ROWS))

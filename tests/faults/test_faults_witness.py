@@ -45,6 +45,35 @@ def test_forces_without_a_described_scale_are_not_numbers() -> None:
     assert math.isnan(injector.witness.all.largest)
 
 
+def test_a_step_is_counted_from_what_the_device_holds() -> None:
+    """Zero at arming, and once the force before has no more time to live; a force that is too old changes nothing."""
+    injector = armed("kind: drop, after_samples: 99")
+    witness = injector.witness
+    injector.take(position(0), False, 0.0)
+    injector.take(force(0, 3000, lives=5), True, 0.0)
+    assert witness.all.largest_change == 3.0
+    for number in range(1, 7):
+        injector.take(position(number), False, number * 0.001)
+    injector.take(force(0, -9000, lives=5), True, 0.006)
+    assert (witness.all.count, witness.all.largest, witness.all.largest_change) == (2, 3.0, 3.0)
+    injector.take(force(6, -1000, lives=5), True, 0.006)
+    assert witness.all.largest_change == 4.0
+    for number in range(7, 14):
+        injector.take(position(number), False, number * 0.001)
+    injector.take(force(13, 3500, lives=5), True, 0.013)
+    assert witness.all.largest_change == 4.0
+
+
+@pytest.mark.parametrize(("after_s", "step"), [(0.0059, 6.0), (0.0061, 3.0)])
+def test_where_the_host_paces_time_tells_whether_the_force_is_over(after_s: float, step: float) -> None:
+    injector = armed("kind: drop, after_samples: 99", pacing=schema.PACED_BY_HOST)
+    injector.take(position(0), False, 0.0)
+    injector.take(force(0, 3000, lives=5), True, 0.0)
+    injector.take(position(1), False, 0.0)
+    injector.take(force(1, -3000, lives=5), True, after_s)
+    assert injector.witness.all.largest_change == step
+
+
 def test_what_the_faults_keep_back_did_not_reach_the_device() -> None:
     injector = armed("kind: drop, direction: to_device")
     injector.take(force(0, 5000), True, 0.0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -16,7 +17,7 @@ from firmware_protocol import schema
 from firmware_protocol.records import new_record
 from hapsim.compiling import entry
 from hapsim.errors import DeviceError, GuardError
-from hapsim.loop.guards.divergence import ENERGY, GIVEN, SHAKES, SHAKING, EnergyMemory, call_observe
+from hapsim.loop.guards.divergence import ENERGY, GIVEN, SHAKES, SHAKING, SWINGING, EnergyMemory, call_observe
 from hapsim.loop.io_buffer import IO_BUFFER
 from hapsim.running import Excitation, PeriodicExcitation, run, start
 from hapsim.running.guarding import MOST_LENT_M, held_energy, lent_by_change
@@ -229,6 +230,8 @@ def judge(
     delay: float,
     limit: float = 1e9,
     energy: float = 1e12,
+    lent: tuple[float, ...] = (),
+    unstable: bool = False,
 ) -> tuple[int, float, int]:
     """(the sample at which it trips, the most energy counted, why). Counts are of 1 m and 1 N."""
     record, io = new_record(ENERGY), new_record(IO_BUFFER)
@@ -245,8 +248,12 @@ def judge(
         limit_j=energy,
         swing_limit_j=energy,
         credit_j=1e15,
+        most_lent_j=2e16 - 1e15,
         held_j=0.0,
     )
+    kept.follow(unstable=unstable)
+    for one in lent:
+        kept.lend(one)
     row, most = first_trip(record, io, np.asarray(positions, np.int64), stiffness, damping, limit)
     del kept
     return int(row), float(most), int(record.why)
@@ -294,3 +301,64 @@ def test_a_swing_that_dies_away_is_none() -> None:
     time = np.arange(20_000) * T
     positions = np.rint(1e7 * np.exp(-0.5 * time) * np.sin(2.0 * np.pi * 15.0 * time))
     assert judge(positions, stiffness=1.0, friction=1e4, delay=1.0, limit=2e6)[0] == -1
+
+
+def test_all_that_is_lent_has_an_end() -> None:
+    """A spring of negative stiffness gives its hand 5e17 J: two loans and the hand's credit are as much as there is."""
+    away = np.arange(0, 1_000_000_000, 1_000_000)
+    pushed: dict[str, Any] = {"stiffness": -1.0, "friction": 0.0, "delay": 0.0, "energy": 1e17}
+    trips = [judge(away, **pushed, lent=(1e16,) * number) for number in (0, 1, 2, 1000)]
+    assert [why for _, _, why in trips] == [GIVEN] * 4
+    assert trips[0][0] < trips[1][0] < trips[2][0] == trips[3][0]
+
+
+def test_on_a_scene_that_is_predicted_unstable_a_swing_below_the_limit_counts() -> None:
+    """Of a size that stays, with as much friction as that needs, and a little more; but none that dies away."""
+    time = np.arange(40_000) * T
+    positions = np.rint(1e6 * np.sin(2.0 * np.pi * 15.0 * time))
+    w = 2.0 * np.pi * 15.0
+    given = math.sin(w * T * 1.5) / w  # of a force that is one and a half samples late: the friction that takes it
+    swung: dict[str, Any] = {"stiffness": 1.0, "delay": 1.0, "limit": 1.5e6, "energy": 1e12}
+    for friction, at_all in ((0.999 * given, True), (1.005 * given, True), (1.1 * given, False)):
+        assert judge(positions, **swung, friction=friction)[2] == 0
+        assert (judge(positions, **swung, friction=friction, unstable=True)[2] == SWINGING) == at_all
+
+
+def test_on_such_a_scene_every_turn_from_limit_to_limit_is_shaking() -> None:
+    time = np.arange(60_000) * T
+    slow = np.rint(1e6 * np.sin(2.0 * np.pi * 3.0 * time))
+    shaken: dict[str, Any] = {"stiffness": 1.0, "friction": 1e4, "delay": 1.0, "limit": 0.8e6}
+    assert judge(slow, **shaken)[0] == -1
+    assert judge(slow, **shaken, unstable=True)[2] == SHAKING
+    slower = np.rint(1e6 * np.sin(2.0 * np.pi * 0.8 * time))
+    assert judge(slower, **shaken, unstable=True)[0] == -1
+
+
+def contact(stiffness: float, clock: str = "lockstep") -> Scene:
+    """A hand that the device's own spring presses on a wall, and which bounces on a wall that is too stiff, below the
+    limit of the force."""
+    document = wall(clock=clock).model_dump(mode="json", exclude_none=True)
+    document["device"] |= {"mass": 0.27, "friction": 4.7, "stiffness": 160.0, "delay": 1.0}
+    touch = {"type": "buffer", "between": ["hand", "wall"], "stiffness": stiffness, "damping": 0.5, "distance": 0.004}
+    document["modules"]["touch"] = touch
+    return parse_scene(json.dumps(document))
+
+
+def test_a_contact_that_is_predicted_unstable_is_ended_where_it_bounces_below_the_limit() -> None:
+    scene = contact(10_000.0)
+    assert run(scene, duration=20.0, judges_energy=True).report.ending == "done"
+    with pytest.raises(GuardError, match="swung on a scene that is predicted unstable") as caught:
+        run(scene, duration=20.0, judges_energy=True, unstable=True)
+    after = caught.value.trace.asked_force[1000:, 0]
+    assert np.abs(after).max() < scene.device.force_limit
+
+
+def test_what_a_change_makes_unstable_is_judged_so_too() -> None:
+    """And what a change makes stable again is not."""
+    judged_as = []
+    with start(contact(1000.0, clock="device"), judges_energy=True, unstable=True) as session:
+        for stiffness in (1000.0, 10_000.0, 1000.0):
+            session.set({"touch": {"stiffness": stiffness}})
+            judged_as.append(bool(session._loop.record.energy.unstable))
+        session.stop()
+    assert judged_as == [False, True, False]

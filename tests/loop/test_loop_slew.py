@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import math
 from collections.abc import Callable
 from typing import Any
@@ -129,19 +130,43 @@ def test_lost_positions_allow_no_more_than_a_step(host: Callable[..., Host]) -> 
     assert loop.hears(10, FAR) == 200
 
 
-def test_of_a_late_force_and_the_one_before_the_next_is_within_a_step(host: Callable[..., Host]) -> None:
-    """Whichever of the two the device holds; however often and to whichever side."""
+def test_a_missing_position_may_have_said_that_a_force_came_late(host: Callable[..., Host]) -> None:
+    loop = host(**limited_to(100))
+    assert loop.hears(0, FAR) == 100
+    assert loop.hears(2, FAR) == 100
+    assert loop.hears(3, FAR) == 200
+
+
+@pytest.mark.parametrize("missing", [0.0, 0.3])
+def test_what_the_device_holds_changes_by_no_more_than_a_step(host: Callable[..., Host], missing: float) -> None:
+    """Of a device that gets forces in time, a sample late, or not at all, three in a row at most; and whose positions
+    are missing by chance."""
     loop, chance = host(**limited_to(70)), np.random.default_rng(1)
-    held = {0}
-    sent = 0
-    for number in range(3000):
-        late = number > 0 and bool(chance.random() < 0.4)
-        held = held | {sent} if late else {sent}
-        if late and chance.random() < 0.5:
-            held = {int(chance.choice(sorted(held)))} | {sent}
+    held = lost = 0
+    late = False
+    for number in range(5000):
+        if number > 0 and chance.random() < missing:
+            late = True
+            continue
         force = loop.hears(number, int(chance.integers(-300, 300)), late=late)
-        assert max(abs(force - one) for one in held) <= 70
-        sent = force
+        comes = "in time" if lost == 3 else chance.choice(["in time", "late", "lost"])
+        late = comes != "in time"
+        if comes == "lost":
+            lost += 1
+        else:
+            assert abs(force - held) <= 70
+            held, lost = force, 0
+
+
+def test_where_every_force_is_late_a_slow_force_is_followed(host: Callable[..., Host]) -> None:
+    """By a step in four samples; it does not stay where the first one was."""
+    loop = host(**limited_to(100))
+    asked = [round(5000 * math.sin(number / 500)) for number in range(3000)]
+    sent = [loop.hears(number, um, late=number > 0) for number, um in enumerate(asked)]
+    assert max(abs(force + um) for force, um in zip(sent, asked, strict=True)) <= 100
+    assert max(abs(after - before) for before, after in itertools.pairwise(sent)) <= 100
+    ramp = [loop.hears(3000 + number, -5000, late=True) for number in range(41)]
+    assert abs(ramp[40] - ramp[0]) == 1000
 
 
 def test_after_its_time_to_live_a_force_rises_from_zero_again(host: Callable[..., Host]) -> None:

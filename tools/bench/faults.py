@@ -9,7 +9,8 @@ reference firmware's Linux build behind it. What reached the device is what the 
 fault; of the firmware there is also what it put out, from its own log.
 
 A cell is a defect where the program does not end, ends with a traceback or with status 1, where a force is above the
-limit, or where the user is told of a release that the device did not confirm.
+limit or a step from what the device holds above that of the slew limit, or where the user is told of a release that the
+device did not confirm.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ from typing import Any
 ROOT = Path(__file__).parents[2]
 RESULTS = ROOT / "tools" / "bench" / "results" / "faults.json"
 PAGE = ROOT / "tools" / "bench" / "faults.md"
-LIMIT_N, BEGIN, DURATION_S = 10.0, 700, 1.5
+LIMIT_N, STEP_N, BEGIN, DURATION_S = 10.0, 10.0, 700, 1.5  # the step: of slew_limit, in a sample
 LONGER_S = {"rate": 4.0}  # its guard wants a second of samples
 TRIES = 3
 PATIENCE_S = 60.0  # beyond the run's own time: then it hangs
@@ -44,7 +45,8 @@ CONFIRMED = "the device confirmed that it released it"
 SCENE = """\
 version: 1
 rate: 1000
-device: {{clock: {clock}, mass: 0.2, friction: 1.0, stiffness: 1000, delay: 1, force_limit: 10}}
+device: {{clock: {clock}, mass: 0.2, friction: 1.0, stiffness: 1000, delay: 1, force_limit: 10,
+  slew_limit: 10000}}
 modules:
   hand:  {{type: device, channel: 0}}
   wall:  {{type: ground, position: 0.004}}
@@ -103,6 +105,8 @@ CASES = {
     "invert forces": [f"kind: invert, direction: to_device, after_samples: {BEGIN}"],
 }
 CARRIERS = {"memory": ("lockstep",), "terminal": ("device", "host", "lockstep"), "firmware": ("device", "host")}
+BEHIND_THE_GUARD = {"invert forces", "reorder 30 %", "rate 2"}
+"""Cases that themselves make a step of what was sent without one: another sign, another order, every second force."""
 BEFORE_ARMING = {"version": {"memory", "terminal"}, "nonsense": {"memory", "terminal"}}
 """Kinds that are over before a clock matters, and the carriers on which they are looked at, with its first clock."""
 
@@ -259,7 +263,8 @@ def tried(case: str, clock: str, carrier: str) -> dict[str, Any]:
 def defects_of(found: dict[str, Any]) -> list[str]:
     """What must not be."""
     run, wire = found["run"], found["wire"]
-    release, largest = wire.get("release"), (wire.get("forces") or {}).get("largest_N") or 0.0
+    release, forces = wire.get("release"), wire.get("forces") or {}
+    largest, change = forces.get("largest_N") or 0.0, forces.get("largest_change_N") or 0.0
     confirmed = run.get("released") or CONFIRMED in run["error"]
     status, sentence = run["exit_status"], run["error"]
     wrong = {
@@ -268,6 +273,7 @@ def defects_of(found: dict[str, Any]) -> list[str]:
         "status 1, or none of ours": status not in (0, 2, 3, 4),
         "a failure without a sentence": status != 0 and not sentence,
         f"a force above {LIMIT_N:g} N": largest > LIMIT_N * (1 + 1e-9),
+        f"a step above {STEP_N:g} N": change > STEP_N * (1 + 1e-9) and found["case"] not in BEHIND_THE_GUARD,
         f"the device put out more than {LIMIT_N:g} N": (found.get("put_out") or {}).get("largest_N", 0.0) > LIMIT_N,
         "it says that the device confirmed its release, which it did not": confirmed
         and release is not None
@@ -308,13 +314,16 @@ HEAD = """\
 # Faults of the wire
 
 Every fault, with every clock, on every carrier: `tools/bench/faults` ({when}). A spring of 2000 N/m pulls the hand at
-1 kHz, with at most 10 N, against a spring of 1000 N/m in the device (2.7 N at rest; the firmware's mass has none, and
-swings); the fault begins after {begin} samples, or with the first byte. *memory*: the mock in virtual time; *terminal*:
-the mock behind `hapsim faults`; *firmware*: the Linux build of the reference firmware behind it.
+1 kHz, with at most 10 N and by steps of at most 10 N, against a spring of 1000 N/m in the device (2.7 N at rest; the
+firmware's mass has none, and swings); the fault begins after {begin} samples, or with the first byte. *memory*: the
+mock in virtual time; *terminal*: the mock behind `hapsim faults`; *firmware*: the Linux build of the reference firmware
+behind it.
 
-The largest force and the largest change from one force to the next are those that reached the device after the first
-fault (of the firmware also, behind the stroke, what it put out over the whole run, its release among it). *Zero force*:
-after the last force that reached the device, by what: the host's DISARM, the device itself, the time to live that
+The largest force and the largest change from what the device held (zero, once a force's time to live was over) are
+those that reached the device after the first fault; of the firmware also, behind the stroke, what it put out over the
+whole run, its release among it. Three cases make a step of what was sent without one: `invert forces` turns a sign,
+`reorder` the order, `rate 2` lets every second force pass to a device that it shows to the host at twice its rate.
+*Zero force*: after the last force that reached the device, by what: the host's DISARM, the device itself, the time to live that
 PROTOCOL.md promises, or, in lockstep, where no time passes while a host is quiet, its 10 s.
 
 {verdict}

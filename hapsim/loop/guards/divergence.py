@@ -21,8 +21,9 @@ for a whole delay and a spring (`theory/hand/passivity.py`), shown here sample b
 limit is a spring whose stiffness is smaller there, and two channels are two sums.
 
 What the hand gave is its credit, but no more than a scene could hold: S stays above -`credit`. At arming S is minus
-what the scene holds then, and every change of it while it runs lends as much as that may bring (running/guarding.py).
-The guard trips where S is above `limit`: no hand is ever given more than `limit` and `credit` together.
+what the scene holds then, and every change of it while it runs lends as much as that may bring (running/guarding.py),
+all of them together no more than makes S minus `most_credit`. The guard trips where S is above `limit`: from rest no
+hand is ever given more than `limit` and what the scene held, and never more than `limit` and `most_credit`.
 
 **Swinging at the limit.** Where the limit cuts the force and friction takes all that it gives, the swing is of
 constant size and S stays where it is, for ever. So the guard trips also after SWINGS episodes in a row in which the
@@ -42,6 +43,11 @@ before, and each turn is one of these:
 * within SHAKE_S, the scene asking for SHAKE_OVER times the limit: no hand shakes at 10 Hz and more, and a mass that
   swings so on a passive object comes to rest, and asks for less from turn to turn;
 * within GAP_S, the scene asking for FAR_OVER times the limit: no hand has stretched anything so far.
+
+**A scene that is predicted unstable** and runs all the same, because its user asked for that, is no passive object, and
+no hand has to be told from its swings. There episodes are counted from LOW of the limit on, so that a contact is found
+that shakes loose before its force reaches the limit, and friction may take more than the work by NEARLY of that; and
+every turn from limit to limit within GAP_S is shaking, for whatever the scene asks.
 
 Who judges nothing never compiles this: it is called by an address, which is 0 then.
 """
@@ -65,6 +71,7 @@ CREDIT_M = 0.25  # of travel at the force limit: what a scene could hold
 FIRST_FORCE_M = 0.1  # of travel of the first force: what a link holds at least that is stretched at arming
 SWINGS, GAP_S, GAP_SAMPLES = 16, 0.5, 3
 SHAKES, SHAKE_SAMPLES, SHAKE_S, SHAKE_OVER, FAR_OVER = 64, 6, 0.05, 1.5, 100.0
+LOW, NEARLY = 0.02, 0.01
 _LESS = 0.999  # of what was asked for: a sample need not fall on the peak
 
 GIVEN, SWINGING, SHAKING = 1, 2, 3
@@ -86,6 +93,7 @@ ENERGY = np.dtype(
         ("limit", np.float64),  # J
         ("swing_limit", np.float64),  # J, of the work over episodes
         ("credit", np.float64),  # J
+        ("most_credit", np.float64),  # J, with all that is lent
         ("lent", np.float64),  # J, in all: written by another thread,
         ("taken", np.float64),  # and taken
         ("compliance", np.float64, _EACH),  # m/N, of what is linked to each device point; 0: not known
@@ -94,7 +102,7 @@ ENERGY = np.dtype(
         ("position", np.float64, _EACH),  # m, of the last sample
         ("decided", np.float64, _EACH),  # N, with the last sample,
         ("sent", np.float64, _EACH),  # and the last that left before
-        ("side", np.int64, _EACH),  # to which the force is cut; 0: it is not
+        ("side", np.int64, _EACH),  # to which the force is out; 0: it is not
         ("most_gap", np.int64),  # samples from one episode to the next
         ("gap", np.int64),  # samples since this one began
         ("swings", np.int64),  # episodes in a row
@@ -107,6 +115,7 @@ ENERGY = np.dtype(
         ("least_peak", np.float64, _EACH),  # N, the least of those
         ("turns", np.int64, _EACH),  # and how often in a row
         ("shakes", np.int64),  # the most of these
+        ("unstable", np.int64),  # 1: predicted unstable
         ("why", np.int64),  # GIVEN, SWINGING, SHAKING
     ],
     align=True,
@@ -134,12 +143,14 @@ def observe(energy, io, gap, unsent, late, expired):
     else:
         _begin(energy, io, forces)
     _take_account(energy, work - lost)
-    cut_anew = _is_cut_anew(energy, io, gap)
+    begins = _begins_episode(energy, io)
+    _follow_turns(energy, io, gap)
     energy.work += work
     energy.gained += work - lost
     energy.gap += gap
-    if cut_anew:
-        goes_on = energy.gap <= energy.most_gap and energy.gained >= 0.0
+    if begins:
+        least = -NEARLY * energy.work if energy.unstable else 0.0
+        goes_on = energy.gap <= energy.most_gap and energy.gained >= least
         energy.swings = energy.swings + 1 if goes_on else 1
         if not goes_on:
             energy.work = energy.gained = 0.0
@@ -211,25 +222,37 @@ def _take_account(energy, gained):
     before = energy.given
     energy.given = max(before + gained, min(before, -energy.credit))
     lent = energy.lent
-    energy.given -= lent - energy.taken
+    energy.given = max(energy.given - (lent - energy.taken), -energy.most_credit)
     energy.taken = lent
 
 
 @helper
-def _is_cut_anew(energy, io, gap):
-    """Whether a channel's force is cut that was not, or was to the other side; counts its turns."""
-    anew = False
+def _begins_episode(energy, io):
+    """Whether a channel's force swings out that did not, or did to the other side."""
+    begins = False
+    from_on = LOW if energy.unstable else 1.0
+    for c in range(io.channels):
+        side = _side_of(io.asked[c] + io.excitation[c], from_on * io.force_limit[c])
+        begins = begins or (side != 0 and side != energy.side[c])
+        energy.side[c] = side
+    return begins
+
+
+@helper
+def _follow_turns(energy, io, gap):
     for c in range(io.channels):
         wanted = io.asked[c] + io.excitation[c]
-        side = 1 if wanted > io.force_limit[c] else -1 if wanted < -io.force_limit[c] else 0
-        anew = anew or (side != 0 and side != energy.side[c])
-        energy.side[c] = side
+        side = _side_of(wanted, io.force_limit[c])
         energy.turn[c] += gap
         if side != 0 and side != energy.last_side[c]:
             _count_turn(energy, c, io.force_limit[c])
             energy.last_side[c], energy.turn[c], energy.peak[c] = side, 0, 0.0
         energy.peak[c] = max(energy.peak[c], abs(wanted))
-    return anew
+
+
+@helper
+def _side_of(force, limit):
+    return 1 if force > limit else -1 if force < -limit else 0
 
 
 @helper
@@ -237,7 +260,9 @@ def _count_turn(energy, c, limit):
     peak = energy.peak[c]
     turn = energy.turn[c]
     over = 1.0 if turn <= SHAKE_SAMPLES else SHAKE_OVER if turn <= energy.most_turn else FAR_OVER
-    if turn > energy.most_gap or peak < over * limit:
+    if energy.unstable:
+        energy.turns[c] = energy.turns[c] + 1 if turn <= energy.most_gap else 0
+    elif turn > energy.most_gap or peak < over * limit:
         energy.turns[c], energy.least_peak[c] = 0, math.inf
     elif peak < _LESS * energy.least_peak[c]:
         energy.turns[c], energy.least_peak[c] = 1, peak
@@ -262,12 +287,13 @@ class EnergyMemory:
         limit_j: float,
         swing_limit_j: float,
         credit_j: float,
+        most_lent_j: float,
         held_j: float,
     ) -> None:
         """`friction`: (channels,) N·s/m; `compliance`: (channels,) m/N, 0 where it is not known; `delay`: samples
         from the position's mean instant to the force's, -1/2 or more; `goes_on`: the device holds a force until the
-        next one; `limit_j`: of what is given; `swing_limit_j`: of the work of a swing at the limit; `held_j`: what the
-        scene holds at the start."""
+        next one; `limit_j`: of what is given; `swing_limit_j`: of the work of a swing at the limit; `credit_j`: of a
+        hand, `most_lent_j` beside it of the scene; `held_j`: what that holds at the start."""
         whole = math.floor(delay)
         rows = 2 << (whole + 3).bit_length()
         self._record = record
@@ -277,11 +303,16 @@ class EnergyMemory:
         record.lag, record.share = whole + 1, delay - whole
         record.braked[: friction.size] = friction * rate_hz
         record.compliance[: compliance.size] = compliance
-        record.limit, record.swing_limit, record.credit, record.given = limit_j, swing_limit_j, credit_j, -held_j
+        record.limit, record.swing_limit, record.given = limit_j, swing_limit_j, -held_j
+        record.credit, record.most_credit = credit_j, credit_j + most_lent_j
         record.most_gap = max(GAP_SAMPLES, round(GAP_S * rate_hz))
         record.most_turn = round(SHAKE_S * rate_hz)
         record.least_peak[:] = math.inf
         record.observe = observe.address()
+
+    def follow(self, unstable: bool) -> None:
+        """From here on, whether the scene is predicted unstable, and runs because that was asked for."""
+        self._record.unstable = unstable
 
     def lend(self, energy_j: float) -> None:
         """What a change of the scene may bring, J: one thread may lend at a time."""
