@@ -323,8 +323,8 @@ The largest force and the largest change from what the device held (zero, once a
 those that reached the device after the first fault; of the firmware also, behind the stroke, what it put out over the
 whole run, its release among it. Three cases make a step of what was sent without one: `invert forces` turns a sign,
 `reorder` the order, `rate 2` lets every second force pass to a device that it shows to the host at twice its rate.
-*Zero force*: after the last force that reached the device, by what: the host's DISARM, the device itself, the time to live that
-PROTOCOL.md promises, or, in lockstep, where no time passes while a host is quiet, its 10 s.
+*Zero force*: after the last force that reached the device, by what: the host's DISARM, the device itself, the time to
+live that PROTOCOL.md promises, or, in lockstep, where no time passes while a host is quiet, its 10 s.
 
 {verdict}
 
