@@ -123,7 +123,7 @@ def types_are_refused() -> Story:
 
 
 def it_refuses() -> Story:
-    """For every reason; of several, schema is told before pacing, sensing and watchdog."""
+    """For every reason; of several, schema comes before pacing, sensing and watchdog."""
     s = Story("7", "ARM is refused, with the fault in brackets, unless", "bare")
     for argument, watchdog, word, fault in (
         (DEVICE, 100, schema.SCHEMA_HASH ^ 1, schema.WRONG_SCHEMA),

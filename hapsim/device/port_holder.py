@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 _PROC = Path("/proc")
-_LONGEST = 120  # of a command that is told
+_LONGEST = 120  # characters of a command line that a sentence quotes
 
 
 def who_holds(path: str) -> str:

@@ -1,7 +1,7 @@
 """Faults on the wire, on purpose: between a host and a device, by a script, the same every time.
 
-`script.py` reads which faults happen when; `injector.py` passes bytes on and does them, in whatever time it is told.
-Two carriers bring it bytes: `relay.py` between a pseudo-terminal and a port, `in_memory.py` around a transport.
+`script.py` reads which faults happen when; `injector.py` passes bytes on and does them. Two carriers bring
+it bytes and tell the time: `relay.py` between a pseudo-terminal and a port, `in_memory.py` around a transport.
 """
 
 from hapsim.faults.injector import Injector, Passed

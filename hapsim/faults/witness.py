@@ -1,6 +1,7 @@
 """What a device got, on its own side of the faults: every force, how far one was from what the device held, and when
 the last of them was over. It decodes what a receiver would decode, and judges nothing. A force that comes when the
-device said, or was told, that it is not armed is none; one that is older than its time to live came, and does nothing.
+device said that it is not armed, or got a DISARM, is none; one that is older than its time to live came, and does
+nothing.
 """
 
 from __future__ import annotations

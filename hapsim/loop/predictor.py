@@ -1,4 +1,4 @@
-"""What the scene is told in place of the position that was read: where the device's mass will be, and how fast, when
+"""What the scene gets in place of the position that was read: where the device's mass will be, and how fast, when
 the force that answers the sample begins to act.
 
 A line in two readings and in the forces that have been sent since: `hapsim.theory.correction` says which. The forces
@@ -25,7 +25,7 @@ from hapsim.loop.io_buffer import IO_BUFFER
 PREDICTOR = np.dtype(
     [
         ("address", np.uint64),  # of all this
-        ("predict", np.uint64),  # and of what predicts; 0: the scene is told what was read
+        ("predict", np.uint64),  # and of what predicts; 0: the scene gets what was read
         ("add", np.uint64),  # and of what is added to the scene's force; 0: nothing
         ("adaptive", np.uint64),  # address of an ADAPTIVE, for these two
         ("lags", np.int64),  # so many past forces count
@@ -128,7 +128,7 @@ class PredictorMemory:
         lives_samples: int,
     ) -> None:
         """`weights`: of each channel that is predicted, (2, 2) of the readings and (2, lags) of the forces, SI units;
-        the others are told what is read."""
+        the others get what is read."""
         lags = max(forces.shape[1] for _, forces in weights.values())
         rows = 2 << max(lags, 1).bit_length()
         self._weights = np.zeros((channels, 2, 2 + lags))

@@ -5,7 +5,7 @@
     and so on
 
 The check is a CRC-32 (zlib's) of everything else in the chunk. HEAD, the first: a JSON document (version, rate_hz,
-channels, position_scale, force_scale, scene, begun, and what was told before the first row). ROWS: `count` rows of
+channels, position_scale, force_scale, scene, begun, and the report before the first row). ROWS: `count` rows of
 `row_type(channels)`. TOLD, about once a second and at the end: a JSON document, the report and the histograms so far;
 `finished` is true in the last one of a run that came to its end. A reader stops at the first chunk that is not whole.
 """

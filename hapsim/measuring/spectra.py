@@ -113,6 +113,6 @@ def _acting_force(trace: Trace, impulse: bool) -> Floats:
 
 def _amplitudes(signal: Floats, lines: Lines) -> Complexes:
     """(n, C) of two periods (2 samples, C), by a window of Hann: it is zero one period's frequency away from each, so
-    that what is periodic is told apart exactly, and it begins and ends softly, so that what dies away hardly leaks."""
+    that what is periodic is separated exactly, and it begins and ends softly, so that what dies away hardly leaks."""
     window = 1.0 - np.cos(np.pi * np.arange(2 * lines.samples) / lines.samples)
     return np.asarray(np.fft.rfft(signal * window[:, None], axis=0)[2 * lines.bins] / lines.samples)

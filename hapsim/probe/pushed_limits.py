@@ -142,7 +142,7 @@ def _push_too_much(probing: Probing, pusher: Pusher) -> None:
     """
     leave, findings = pusher.leave, probing.findings
     limit = probing.device.force_limit[leave.channel]
-    if leave.force < (1 - 1e-5) * _TOO_GREAT * limit:  # as it is told below
+    if leave.force < (1 - 1e-5) * _TOO_GREAT * limit:  # which is what the sentence asks for
         findings.not_seen("limit_cut", f"this takes --push {_TOO_GREAT * limit:g}: {_TOO_GREAT:g} times the limit")
         return
     if _TOO_GREAT * limit > pusher.force_scale * (2**31 - 1):

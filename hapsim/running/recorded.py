@@ -71,7 +71,7 @@ def with_report(
 ) -> RunError | None:
     """The error of a run, or None, with where its report file is, which is written here; no file where `directory`
     returns None. `spoken`: what was said to the device before the loop began. Whatever becomes of the file, the error
-    is told."""
+    stays."""
     if failure is None:
         return failure
     try:

@@ -206,7 +206,7 @@ def on_terminal(case: str, clock: str, carrier: str) -> dict[str, Any]:
             time.sleep(0.3)  # for a watchdog that ends meanwhile
             relay.send_signal(signal.SIGINT)
             wire_out, wire_err, wire_hung = finished(relay, PATIENCE_S)
-        out, err, wire_out = (without_paths(text, folder) for text in (out, err, wire_out))
+        out, err, wire_out, wire_err = (without_paths(text, folder) for text in (out, err, wire_out, wire_err))
         told = json.loads(out) if out.strip() else {}
         told |= {"exit_status": run.returncode, "error": told.get("error", ""), "err": err, "hung": hung}
         wire = json.loads(wire_out) if wire_out.strip() else {}
