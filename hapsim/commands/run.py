@@ -86,7 +86,7 @@ def run(
     serves = loaded.device.port if kind == "auto" else None
     state = RunState(os.path.abspath(scene), serves, loaded.rate)
     notifier = Notifier(reconnect)
-    with _telling(state, status, serves, portable), live_line(error_console) as tell:
+    with notifier.told_of_failures(), _telling(state, status, serves, portable), live_line(error_console) as tell:
         lifetime = keep_running(
             loaded,
             together(state.observer, notifier.observer, reporter.observer(tell, serves or "")),
@@ -103,7 +103,7 @@ def run(
             on_progress=tell,
             on_warning=complain,
         )
-    notifier.stopping()
+    notifier.stopping(lifetime.failure or "")
     with undisturbed():
         try:
             _show(lifetime, reporter.grants, json)

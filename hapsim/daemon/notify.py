@@ -10,9 +10,10 @@ import contextlib
 import os
 import socket
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 
 from hapsim.daemon.reconnecting import Observer
+from hapsim.errors import HapsimError
 from hapsim.progress import Progress
 from hapsim.running.session import Session
 
@@ -45,9 +46,18 @@ class Notifier:
             started=self._started, running=self._running, over=self._over, waiting=self._waiting, tell=self._tell
         )
 
-    def stopping(self) -> None:
-        """The run is over; what is left is written."""
-        self._send("STOPPING=1")
+    def stopping(self, why: object = "") -> None:
+        """The run is over; what is left is written. `why`: it did not end as asked, a sentence."""
+        self._send("STOPPING=1", *([f"STATUS={_one_line(why)}"] if why else []))
+
+    @contextlib.contextmanager
+    def told_of_failures(self) -> Iterator[None]:
+        """Around a run: what ends it before anything is armed is told, too."""
+        try:
+            yield
+        except HapsimError as failure:
+            self.stopping(failure)
+            raise
 
     def _started(self, session: Session) -> None:
         self._ticks = 0
@@ -69,7 +79,7 @@ class Notifier:
 
     def _tell(self, _event: str, sentence: str) -> None:
         self._status_at = -1e9
-        self._status(" ".join(sentence.split()))
+        self._status(_one_line(sentence))
 
     def _waiting(self) -> None:
         self._alive()
@@ -94,6 +104,10 @@ class Notifier:
         with contextlib.suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sending:
             sending.setblocking(False)
             sending.sendto("\n".join(lines).encode("utf-8", "replace"), address)
+
+
+def _one_line(sentence: object) -> str:
+    return " ".join(str(sentence).split())
 
 
 def _watchdog_s(environ: Mapping[str, str]) -> float | None:

@@ -116,6 +116,8 @@ def test_a_run_that_may_reconnect_is_not_over_with_a_session(manager: Manager) -
     assert manager.told() == []
     notifying.stopping()
     assert manager.told() == ["STOPPING=1"]
+    notifying.stopping(RuntimeError("the force swung\n at its limit"))
+    assert manager.told() == ["STOPPING=1\nSTATUS=the force swung at its limit"]
 
 
 def test_a_manager_that_is_gone_ends_nothing(manager: Manager, tmp_path: Path) -> None:
@@ -136,7 +138,9 @@ def test_the_command_is_ready_when_it_is_armed_and_says_when_it_ends(
     assert (told[0], told[1], told[-1]) == ("READY=1", f"STATUS={scene} runs", "STOPPING=1")
     assert "WATCHDOG=1" in told
     assert hapsim("run", scene, "--port", "/dev/ttyNOPE7").status == 3
-    assert "READY=1" not in manager.told()
+    told = manager.told()
+    assert "READY=1" not in told
+    assert told[-1].startswith("STOPPING=1\nSTATUS=/dev/ttyNOPE7: ")
 
 
 def settings(unit: str) -> dict[str, list[str]]:
@@ -153,7 +157,7 @@ def test_the_unit_starts_this_interpreter_with_no_more_rights_than_it_needs(
     assert words[:5] == [sys.executable, "-m", "hapsim", "run", str(scene)]
     assert words[5:8] == ["--port", "/dev/ttyACM0", "--reconnect"]
     assert "--unstable" not in words
-    assert found["RestartPreventExitStatus"] == ["2 4 200 203 216 217"]
+    assert found["RestartPreventExitStatus"] == ["1 2 4 200 203 216 217"]
     assert found["DeviceAllow"] == ["char-ttyACM rw", "/dev/cpu_dma_latency rw"]
     assert found["PrivateNetwork"] == found["NoNewPrivileges"] == ["yes"]
     assert found["RuntimeDirectory"] == found["StateDirectory"] == found["CacheDirectory"] == ["hapsim/ttyACM0"]
