@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import yaml
 
 from firmware_protocol import schema
 from hapsim.device.conversation import arm, describe, disarm, read_register
@@ -26,6 +25,7 @@ from hapsim.errors import DeviceError
 from hapsim.probe.wire import Heard, Wire
 
 CONFIGS = Path(__file__).parents[2] / "configs"
+SWINGING = Path(__file__).parents[2] / "tools" / "bench" / "swinging.yaml"
 BOARDS = ("linux", "avr", "cortex_m")
 TIME_TO_LIVE = 20  # samples: what hapsim asks for at 1 kHz
 PERIOD_US = 1000
@@ -42,21 +42,11 @@ def hapsim_command(*words: object) -> list[str]:
 
 @pytest.fixture
 def swinging(tmp_path: Path) -> Callable[[str], Path]:
-    """A heavy mass that swings for minutes and draws the hand along by a soft spring, under a clock: each sample has a
-    force of its own, and no answer that comes late makes it unstable."""
+    """The scene whose every sample has a force of its own, under a clock."""
 
     def write(clock: str) -> Path:
-        scene = yaml.safe_load((CONFIGS / "first_touch.yaml").read_text("utf-8"))
-        scene["device"]["clock"] = clock
-        scene["modules"] = {
-            "hand": {"type": "device", "channel": 0},
-            "wall": {"type": "ground", "position": 0.0},
-            "heavy": {"type": "mass", "mass": 10.0, "position": 0.0, "velocity": 0.5},
-            "swing": {"type": "viscoelastic", "between": ["heavy", "wall"], "stiffness": 1000.0, "damping": 0.0},
-            "draw": {"type": "viscoelastic", "between": ["hand", "heavy"], "stiffness": 20.0, "damping": 0.5},
-        }
         path = tmp_path / f"{clock}.yaml"
-        path.write_text(yaml.safe_dump(scene), "utf-8")
+        path.write_text(SWINGING.read_text("utf-8").replace("clock: device", f"clock: {clock}"), "utf-8")
         return path
 
     return write

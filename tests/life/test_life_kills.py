@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import yaml
 
 from firmware_protocol import schema
 from hapsim.device.conversation import arm, describe, disarm, read_register
@@ -30,6 +29,7 @@ from hapsim.running.report_file import read_report
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="ports of Linux, and its signals")
 
 CONFIGS = Path(__file__).parents[2] / "configs"
+SWINGING = Path(__file__).parents[2] / "tools" / "bench" / "swinging.yaml"
 HAPSIM = ["nice", "-n", "-15", sys.executable, "-m", "hapsim"]
 TIME_TO_LIVE = 20  # samples: what hapsim asks for at 1 kHz
 PATIENCE_S = 60.0  # for a machine that hangs
@@ -38,18 +38,9 @@ Start = Callable[..., Any]
 
 @pytest.fixture
 def scene(tmp_path: Path) -> Path:
-    """A heavy mass that swings for minutes and draws the hand along by a soft spring: each sample has a force of its
-    own."""
-    document = yaml.safe_load((CONFIGS / "first_touch.yaml").read_text("utf-8"))
-    document["modules"] = {
-        "hand": {"type": "device", "channel": 0},
-        "wall": {"type": "ground", "position": 0.0},
-        "heavy": {"type": "mass", "mass": 10.0, "position": 0.0, "velocity": 0.5},
-        "swing": {"type": "viscoelastic", "between": ["heavy", "wall"], "stiffness": 1000.0, "damping": 0.0},
-        "draw": {"type": "viscoelastic", "between": ["hand", "heavy"], "stiffness": 20.0, "damping": 0.5},
-    }
+    """Each sample has a force of its own."""
     path = tmp_path / "swinging.yaml"
-    path.write_text(yaml.safe_dump(document), "utf-8")
+    path.write_text(SWINGING.read_text("utf-8"), "utf-8")
     return path
 
 

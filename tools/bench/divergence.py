@@ -196,9 +196,7 @@ def main() -> int:
     arguments = parser.parse_args()
     unstable = [judged(drawn) for drawn in unstable_scenes(arguments.scenes, arguments.seed)]
     passive = [judged(drawn) for drawn in passive_scenes(arguments.scenes, arguments.seed)]
-    print(
-        "| unstable | scenes | ended: energy, swing, shaking | after, s: median, most | most energy over its bound |"
-    )
+    print("| unstable | scenes | ended: energy, swing, shaking | after, s: median, most | most energy over its bound |")
     print("|---|---|---|---|---|")
     for kind in sorted({one.drawn.kind for one in unstable}):
         print(_row(kind, [one for one in unstable if one.drawn.kind == kind]))

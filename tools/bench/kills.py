@@ -22,8 +22,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-import yaml
-
 import hapsim
 
 ROOT = Path(__file__).parents[2]
@@ -190,18 +188,9 @@ def _wait(until: Callable[[], bool]) -> None:
 
 
 def _swinging(clock: str, place: Path) -> Path:
-    """A heavy mass that swings for minutes and draws the hand along by a soft spring."""
-    scene = yaml.safe_load((ROOT / "configs/first_touch.yaml").read_text("utf-8"))
-    scene["device"]["clock"] = clock
-    scene["modules"] = {
-        "hand": {"type": "device", "channel": 0},
-        "wall": {"type": "ground", "position": 0.0},
-        "heavy": {"type": "mass", "mass": 10.0, "position": 0.0, "velocity": 0.5},
-        "swing": {"type": "viscoelastic", "between": ["heavy", "wall"], "stiffness": 1000.0, "damping": 0.0},
-        "draw": {"type": "viscoelastic", "between": ["hand", "heavy"], "stiffness": 20.0, "damping": 0.5},
-    }
+    text = (ROOT / "tools/bench/swinging.yaml").read_text("utf-8")
     path = place / f"{clock}.yaml"
-    path.write_text(yaml.safe_dump(scene), "utf-8")
+    path.write_text(text.replace("clock: device", f"clock: {clock}"), "utf-8")
     return path
 
 
