@@ -10,8 +10,6 @@ from typing import Annotated, NoReturn
 import typer
 
 from hapsim.commands.chart import app as chart
-from hapsim.commands.chart_felt import felt
-from hapsim.commands.chart_trace import trace
 from hapsim.commands.check import check
 from hapsim.commands.device import mock, ports
 from hapsim.commands.doctor import doctor
@@ -56,8 +54,6 @@ for _command in (
     schema,
 ):
     app.command(_command.__name__.rstrip("_"))(_command)
-chart.command()(felt)
-chart.command()(trace)
 app.add_typer(chart)
 
 

@@ -1,4 +1,5 @@
-"""What the commands `hapsim chart …` share: the options that describe a hand, and where picture and numbers go."""
+"""What the commands `hapsim chart …` share: the options that describe a hand, where picture and numbers go, and what is
+said of hands."""
 
 from __future__ import annotations
 
@@ -7,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 import typer
 
+from hapsim.commands.arguments import stdout
+from hapsim.console.sentences import say
 from hapsim.errors import UsageError
 from hapsim.scene import choices
 from hapsim.scene.issue import one_of
@@ -133,3 +136,36 @@ def print_json(summary: dict[str, Any], picture: Path | None, data: Path | None)
 
     files = {"picture": picture, "data": data}
     print(document(summary | {name: None if path is None else str(path) for name, path in files.items()}))
+
+
+def tell_of_hands(drawn: list[Hand], others: list[Hand]) -> None:
+    """What is simulated and felt of what is drawn, and where the others are."""
+    for hand in drawn:
+        if hand.is_simulated:
+            stdout().print(_felt_sentence(hand))
+    for other in others:
+        say(f"{other.name} has a plane of its own: --channel {other.channel}")
+
+
+def _felt_sentence(hand: Hand) -> str:
+    """What is simulated and felt, and how far each may go, in a sentence."""
+    known = hand.summary()
+    who = f"{hand.name} of {known['mass']:g} kg"
+    who = who if known["stable"] else f"UNSTABLE: {who}"
+    felt = (
+        f"{who}: K = {known['stiffness']:g} N/m, B = {known['damping']:g} N·s/m is felt as "
+        f"k = {known['k']:.6g} N/m, b = {known['b']:.6g} N·s/m"
+        if known["dominant"]
+        else f"{who}: no spring and damper is equivalent"
+    )
+    ends = []
+    for name, unit, other in (("stiffness", "N/m", "B"), ("damping", "N·s/m", "K")):
+        low, high = known[f"stable_{name}"]
+        if high > 0.0:  # nobody writes a negative one
+            which = "K" if other == "B" else "B"
+            ends.append(f"for {which} from {_not_below_zero(low, high):.4g} to {high:.4g} {unit} at this {other}")
+    return f"{felt}; stable {' and '.join(ends)}." if ends else f"{felt}; not stable with this K or B."
+
+
+def _not_below_zero(low: float, high: float) -> float:
+    return low if low > 1e-12 * high else 0.0
