@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 from firmware_protocol import schema
 from hapsim.device.conversation import fault_text
 from hapsim.errors import DeviceError, GuardError, RunError
 from hapsim.loop import endings
 from hapsim.loop.exchange import DEVICE_CLOCK, HOST_CLOCK
-from hapsim.loop.guards.divergence import SHAKING, SWINGING
+from hapsim.loop.guards.divergence import GIVEN, SHAKING, SWINGING
 from hapsim.loop.guards.slew import NO_LIMIT
 from hapsim.loop.histogram import histogram_of
 from hapsim.loop.recorder import Recorder
@@ -174,11 +175,7 @@ def _what_ended(name: str, loop: Loop, trace: Trace, ending: int) -> tuple[type[
 
 def _diverging(loop: Loop, report: Report) -> str:
     energy, ticks = loop.record.energy, report.ticks
-    what_to_do = _held_back(loop, report) + (
-        "No passive object does that: `hapsim check` tells whether the scene is stable, and what would make it; less "
-        "stiffness, more real friction, a higher rate or a shorter delay. A scene that is meant to give energy says so "
-        "with device.energy_limit (hapsim/STABILITY.md)"
-    )
+    what_to_do = _held_back(loop, report) + _what_ends_it(energy)
     if int(energy.why) == SWINGING:
         swung = "at its limit: it swung into it" if not energy.unstable else "on a scene that is predicted unstable:"
         return (
@@ -196,6 +193,21 @@ def _diverging(loop: Loop, report: Report) -> str:
         f"by tick {ticks} the scene had given the hand {float(energy.given):.3g} J that it had not got from it, above "
         f"its limit of {float(energy.limit):.3g} J; the last force was not sent. {what_to_do}"
     )
+
+
+def _what_ends_it(energy: Any) -> str:
+    tells = (
+        "`hapsim check` tells what would make the scene stable"
+        if energy.unstable
+        else "No passive object does that: `hapsim check` tells whether the scene is stable, and what would make it"
+    )
+    limit = (
+        "A scene that is meant to give energy says so with device.energy_limit"
+        if int(energy.why) == GIVEN
+        else "A larger device.energy_limit does not change that"
+    )
+    ways = "less stiffness, more real friction, a higher rate or a shorter delay"
+    return f"{tells}; {ways}. {limit} (hapsim/STABILITY.md)"
 
 
 def _held_back(loop: Loop, report: Report) -> str:
