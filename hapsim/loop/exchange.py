@@ -19,7 +19,7 @@ from hapsim.loop.guards.finite import is_finite
 from hapsim.loop.guards.force_limit import cut
 from hapsim.loop.guards.leap import LEAP, is_leap
 from hapsim.loop.guards.rate import WATCH, is_off_rate
-from hapsim.loop.guards.slew import SLEW, call_shape
+from hapsim.loop.guards.slew import SLEW, call_shape, hold_zero
 from hapsim.loop.guards.stale import has_expired, is_outdated
 from hapsim.loop.histogram import HISTOGRAM, note
 from hapsim.loop.io_buffer import IO_BUFFER
@@ -235,7 +235,8 @@ def _by_what_was_sent(loop, gap, late, withheld, now):
     much)."""
     compact()
     state, slew, energy, io = loop.state, loop.slew, loop.energy, loop.io
-    expired = state.ticks > 0 and has_expired(state, loop.control, gap, now)
+    since = state.sent_ns if loop.control.clock == HOST_CLOCK else state.newest_ns
+    expired = state.ticks > 0 and has_expired(state, loop.control, gap, now, since)
     happened = (np.int64(gap), np.int64(state.unanswered), np.int64(late), np.int64(expired))
     slewed, diverged = np.int64(0), np.int64(0)
     if slew.shape != 0:
@@ -256,11 +257,35 @@ def compose_frame(loop, disarm):
     if disarm:
         kind, number, argument = schema.DISARM, 0, 0
         _take_force_away(io)
-    elif control.clock == HOST_CLOCK and is_outdated(control, state.newest_ns, loop.wait.begun_ns):
+    elif control.clock == HOST_CLOCK and is_outdated(control, _held_since(state, control), loop.wait.begun_ns):
         state.withheld_forces += 1
         _take_force_away(io)
+        if loop.slew.shape != 0:
+            _leave_zero(loop.slew, io.channels)
         mark_last(loop.ring, WITHHELD)
     return write_frame(loop.framing, io.outbox, next_place(io.sent), kind, number, argument, io.force_counts)
+
+
+@inlined
+def _held_since(state, control):
+    """The host is the clock: from when on, in ns, a device counts the time to live of what it holds, or earlier.
+
+    A force that is sent again, since no position came, has to be zero while the device still takes it: a sample before
+    its time to live is over. One that is late for the position that it answers may find a device that is at zero: that
+    counts from the force before, and how late this one comes there is not known to a quarter of a period.
+    """
+    if not state.unanswered:
+        return state.newest_ns - control.period_ns
+    since = state.sent_ns - (control.period_ns >> 2)
+    return since if state.ticks > 1 and since < state.newest_ns else state.newest_ns
+
+
+@inlined
+def _leave_zero(slew, channels):
+    """What leaves is not what was decided, but zero."""
+    hold_zero(slew, channels)
+    for c in range(np.uint64(channels)):
+        slew.decided[c] = 0
 
 
 @inlined

@@ -41,6 +41,7 @@ def set_slew(loop: Any, scene: Scene, description: Description, bounds: ForceBou
         loop.slew,
         step_counts=steps,
         soft_samples=bounds.soft_start_s * scene.rate,
+        lives_samples=int(loop.control.time_to_live),
         channels=description.channels,
     )
 

@@ -137,33 +137,76 @@ def test_a_missing_position_may_have_said_that_a_force_came_late(host: Callable[
     assert loop.hears(3, FAR) == 200
 
 
-@pytest.mark.parametrize("missing", [0.0, 0.3])
-def test_what_the_device_holds_changes_by_no_more_than_a_step(host: Callable[..., Host], missing: float) -> None:
-    """Of a device that gets forces in time, a sample late, or not at all, three in a row at most; and whose positions
-    are missing by chance."""
+class Device:
+    """What PROTOCOL.md, section 6, makes of forces that reach it late, or not at all; in order, as a port is."""
+
+    def __init__(self, lives: int) -> None:
+        self._lives, self._on_their_way, self._free = lives, list[tuple[int, int, int]](), 0
+        self._pending, self._expires, self.out = 0, -1, 0
+
+    def sent(self, number: int, force: int, late: int) -> None:
+        """The answer to a position, which comes so many samples late."""
+        self._free = max(self._free, number + late)
+        self._on_their_way.append((self._free, number, force))
+
+    def tick(self, now: int) -> bool:
+        """The end of a sample; whether its own answer came."""
+        heard = fresh = False
+        while self._on_their_way and self._on_their_way[0][0] <= now:
+            _, answered, force = self._on_their_way.pop(0)
+            if now - answered <= self._lives:
+                self._pending, self._expires = force, answered + self._lives
+                heard, fresh = True, answered == now
+        self.out = self._pending if heard else 0 if now > self._expires else self.out
+        return fresh
+
+
+def kinds_of_trouble(chance: np.random.Generator, kind: str) -> list[tuple[bool, int | None]]:
+    """For each of some samples: whether the position comes, and how late its answer, None: never."""
+    if kind == "lost":
+        return [(True, None)] * int(chance.integers(1, 19))
+    if kind == "held up":
+        count = int(chance.integers(1, 19))
+        return [(True, count - at) for at in range(count)]
+    if kind == "positions":
+        return [(False, None)] * int(chance.integers(1, 40))
+    fates = [(True, 0), (True, 1), (True, None), (False, None)]
+    return [fates[at] for at in chance.integers(0, 4, int(chance.integers(1, 18)))]
+
+
+@pytest.mark.parametrize("kind", ["lost", "held up", "positions", "mixed"])
+def test_what_the_device_puts_out_changes_by_no_more_than_a_step(host: Callable[..., Host], kind: str) -> None:
+    """But to zero. Whatever happens on the wire for shorter than a force lives; missing positions for longer, too."""
     loop, chance = host(**limited_to(70)), np.random.default_rng(1)
-    held = lost = 0
-    late = False
-    for number in range(5000):
-        if number > 0 and chance.random() < missing:
-            late = True
-            continue
-        force = loop.hears(number, int(chance.integers(-300, 300)), late=late)
-        comes = "in time" if lost == 3 else chance.choice(["in time", "late", "lost"])
-        late = comes != "in time"
-        if comes == "lost":
-            lost += 1
-        else:
-            assert abs(force - held) <= 70
-            held, lost = force, 0
+    device, late, out = Device(int(loop.loop.control.time_to_live)), False, 0
+    trouble: list[tuple[bool, int | None]] = []
+    for number in range(20_000):
+        if not trouble:
+            trouble = kinds_of_trouble(chance, kind) + [(True, 0)] * 3
+        comes, answered = trouble.pop(0)
+        if comes or number == 0:
+            force = loop.hears(number, int(chance.integers(-300, 300)), late=late)
+            if answered is not None:
+                device.sent(number, force, answered)
+        late = not device.tick(number)
+        assert device.out == 0 or abs(device.out - out) <= 70, number
+        out = device.out
+
+
+def test_where_the_device_may_be_at_zero_and_may_not_zero_leaves(host: Callable[..., Host]) -> None:
+    """Forces live for two samples, as at 100 Hz: three that are lost leave the device at zero, four lates do not."""
+    loop = host(**limited_to(100))
+    loop.loop.record.slew.lives = 2
+    assert [loop.hears(number, FAR) for number in range(51)][-1] == 5000
+    assert [loop.hears(number, FAR, late=number > 51) for number in range(51, 55)] == [5000, 5000, 5000, 0]
 
 
 def test_where_every_force_is_late_a_slow_force_is_followed(host: Callable[..., Host]) -> None:
-    """By a step in four samples; it does not stay where the first one was."""
+    """By a step in four samples, once that has lasted for as long as a force lives."""
     loop = host(**limited_to(100))
     asked = [round(5000 * math.sin(number / 500)) for number in range(3000)]
     sent = [loop.hears(number, um, late=number > 0) for number, um in enumerate(asked)]
-    assert max(abs(force + um) for force, um in zip(sent, asked, strict=True)) <= 100
+    assert max(abs(force + um) for force, um in zip(sent[60:], asked[60:], strict=True)) <= 100
     assert max(abs(after - before) for before, after in itertools.pairwise(sent)) <= 100
     ramp = [loop.hears(3000 + number, -5000, late=True) for number in range(41)]
     assert abs(ramp[40] - ramp[0]) == 1000

@@ -65,8 +65,9 @@ def test_a_host_that_gets_no_position_asks_with_zero_force_once_the_last_is_too_
     loop.state.tick_ns = START
     assert arrive(loop, frame(0, FAR), START) == HEARD
     sent = [leaves(loop, START + n * MS)[0] for n in range(1, 40)]
-    assert sent == [5000] * 21 + [0] * 18
-    assert loop.state.withheld_forces == 18
+    lives = int(loop.control.time_to_live)
+    assert sent == [5000] * lives + [0] * (39 - lives)  # the first zero has an age that a device still takes
+    assert loop.state.withheld_forces == 39 - lives
 
 
 def test_after_that_the_force_rises_from_zero(
@@ -82,7 +83,23 @@ def test_after_that_the_force_rises_from_zero(
     loop.state.tick_ns = START + 5 * MS + 40 * MS
     assert arrive(loop, frame(6, FAR, kind=schema.POSITION_HELD), START + 46 * MS) == HEARD
     assert last_flags(loop) & SLEWED
-    assert leaves(loop, START + 47 * MS) == [2000]
+    assert leaves(loop, START + 47 * MS) == [0]  # the device has none, or this makes it zero
+    loop.state.tick_ns = START + 47 * MS
+    assert arrive(loop, frame(7, FAR), START + 47 * MS) == HEARD
+    assert leaves(loop, START + 48 * MS) == [2000]
+
+
+def test_what_may_find_a_device_at_zero_is_zero(
+    assembled: Assembled, scene_of: Callable[..., Scene], arrive: Arrive, frame: Callable[..., bytes]
+) -> None:
+    """Its clock counts from the force before, not from the position that came late."""
+    for late_us, counts in ((20_000, 5000), (21_000, 0)):
+        loop = loop_with(assembled, scene_of, "host")
+        for n in range(2):
+            loop.state.tick_ns = START + n * MS
+            assert arrive(loop, frame(n, FAR), START + n * MS + 900_000 * n) == HEARD
+            sent = leaves(loop, START + MS + (late_us * 1000 if n else 0))
+        assert sent == [counts]
 
 
 def test_a_position_that_was_on_its_way_for_too_long_is_answered_with_zero(

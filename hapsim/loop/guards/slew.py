@@ -2,14 +2,17 @@
 
 **The slew limit.** From one force that is sent to the next no channel changes by more than a step, in whole counts, so
 that rounding adds nothing. It is counted from what the device holds: zero from arming on and once a force's time to
-live is over, else the last force that left, whatever was worked out meanwhile. Where the device says that a force came
-too late, or where a position is missing that may have said so, the device may hold that force or one before it. So the
-next force is within a step of each of the POSSIBLE forces sent last since the device was known to hold one of them.
-That can always be had, since each of them was within a step of all that the device might hold before it.
+live is over, else the last force that left, whatever was worked out meanwhile.
 
-Three forces lost in a row are bridged so. A longer row of late forces looks the same whether each of them comes late or
-none comes at all. It is taken for the first: the force then changes by a step in POSSIBLE samples, where the second
-would have it stay within a step of one place for ever.
+Where the device says that a force came too late, or where a position is missing that may have said so, the device may
+hold that force or one before it: the last one that surely came, and every one since. The next force is within a step of
+all of them. That can always be had, since each was within a step of all before it; but once the one that surely came
+has no more time to live, the device may be at zero, too, and where no force is within a step of that and of the others
+zero leaves, to which the way is immediate.
+
+A longer row of late forces looks the same whether each of them comes late or none comes at all. Once it has lasted for
+longer than a force lives, and LATE of them at least, it is taken for the first, and only the last LATE of them count:
+the force then changes by a step in LATE samples, where it would else stay within a step of one place for ever.
 
 **The soft start.** A scene may ask for a force in the very first sample, before the hand has met anything: f0, cut to
 the limit. It is reached along a ramp: of every force F
@@ -34,12 +37,12 @@ from numba import types
 from numpy.typing import NDArray
 
 from firmware_protocol import schema
-from hapsim.compiling import helper
+from hapsim.compiling import helper, inlined
 from hapsim.compiling.native import address_of, function_at, native, record_at
 from hapsim.loop.guards.force_limit import cut
 from hapsim.loop.io_buffer import IO_BUFFER
 
-POSSIBLE = 4  # forces of which the device may hold one; a power of two
+LATE = 4  # forces, on a wire on which every one is late, of which the device may hold one
 NO_LIMIT = 1 << 40  # counts: farther than 32 bits go
 
 _EACH, _ROW = (schema.MAX_CHANNELS,), schema.MAX_CHANNELS
@@ -53,9 +56,13 @@ SLEW = np.dtype(
         ("begun", np.int64),  # 1: there was a sample
         ("elapsed", np.float64),  # samples since the first
         ("first", np.float64, _EACH),  # f0, counts
-        ("sent", np.int64, (POSSIBLE * schema.MAX_CHANNELS,)),  # counts: the forces that left last, a row each,
-        ("newest", np.int64),  # the row of the last one,
-        ("possible", np.int64),  # and of how many of them one is what the device holds
+        ("lives", np.int64),  # samples: the time to live of a force
+        ("low", np.int64, _EACH),  # counts: the device holds no less
+        ("high", np.int64, _EACH),  # and no more than that
+        ("since", np.int64),  # samples since that of the force that surely came, or of the device's zero
+        ("unsure", np.int64),  # forces that left since
+        ("sent", np.int64, (LATE * schema.MAX_CHANNELS,)),  # counts: the forces that left last, a row each,
+        ("newest", np.int64),  # and the row of the last one
         ("decided", np.int64, _EACH),  # counts, of the sample before
     ],
     align=True,
@@ -77,7 +84,9 @@ def shape_force(slew, io, gap, unsent, late, expired, withheld):
     """
     slew, io = _slew_at(slew), _io_at(io)
     has_left = slew.begun != 0 and unsent == 0
-    _note_what_is_held(slew, io.channels, has_left, late != 0 or gap > 1, expired != 0 or withheld != 0)
+    _note_what_is_held(slew, io.channels, gap, has_left, late != 0 or gap > 1)
+    if slew.begun == 0 or expired or withheld:
+        hold_zero(slew, io.channels)
     slew.elapsed += gap if slew.begun else 0
     left = 0.0
     if slew.elapsed < slew.soft_samples:
@@ -102,34 +111,61 @@ def shape_force(slew, io, gap, unsent, late, expired, withheld):
 
 
 @helper
-def _note_what_is_held(slew, channels, has_left, unsure, is_zero):
-    """Which forces the device may hold by now. `has_left`: the one of the sample before; `unsure`: whether that came;
-    `is_zero`: whatever came, the force is zero."""
+def _note_what_is_held(slew, channels, gap, has_left, is_unsure):
+    """Between which forces the device's is by now. `has_left`: the force of the sample before; `is_unsure`: it may not
+    have come in time."""
+    slew.since += gap
     if has_left:
-        slew.possible = min(slew.possible + 1, POSSIBLE) if unsure else 1
-        slew.newest = (slew.newest + 1) % POSSIBLE
+        if is_unsure:
+            slew.unsure += 1
+        else:
+            slew.since, slew.unsure = gap, 0
+        slew.newest = (slew.newest + 1) % LATE
         for c in range(channels):
-            slew.sent[slew.newest * _ROW + c] = slew.decided[c]
-    if is_zero or slew.begun == 0:
-        slew.possible = 1
+            sent = slew.decided[c]
+            slew.sent[slew.newest * _ROW + c] = sent
+            slew.low[c] = min(slew.low[c], sent) if is_unsure else sent
+            slew.high[c] = max(slew.high[c], sent) if is_unsure else sent
+    if slew.unsure > 0 and slew.since > slew.lives + 1:
         for c in range(channels):
-            slew.sent[slew.newest * _ROW + c] = 0
+            _without_what_is_over(slew, c)
+
+
+@helper
+def _without_what_is_over(slew, channel):
+    """The force that surely came has no more time to live: the device holds a late one, or zero."""
+    if slew.unsure < LATE:
+        slew.low[channel], slew.high[channel] = min(slew.low[channel], 0), max(slew.high[channel], 0)
+        return
+    low = high = slew.sent[channel]
+    for row in range(1, LATE):
+        low, high = min(low, slew.sent[row * _ROW + channel]), max(high, slew.sent[row * _ROW + channel])
+    slew.low[channel], slew.high[channel] = low, high
+
+
+@inlined
+def hold_zero(slew, channels):
+    """From here on the device holds zero, or will once what is decided for now is over."""
+    slew.since = slew.unsure = 0
+    for c in range(channels):
+        slew.low[c] = slew.high[c] = 0
 
 
 @helper
 def _within_a_step(slew, channel, counts):
-    """The counts, or what is next to them within a step of all that the device may hold."""
-    for back in range(slew.possible):
-        held = slew.sent[(slew.newest - back) % POSSIBLE * _ROW + channel]
-        counts = max(min(counts, held + slew.step[channel]), held - slew.step[channel])
-    return counts
+    """The counts, or what is next to them within a step of all that the device may hold; zero where nothing is."""
+    low, high, step = slew.low[channel], slew.high[channel], slew.step[channel]
+    return 0 if high - low > 2 * step else max(min(counts, low + step), high - step)
 
 
-def limit_slew(slew: Any, *, step_counts: NDArray[np.int64] | None, soft_samples: float, channels: int) -> None:
+def limit_slew(
+    slew: Any, *, step_counts: NDArray[np.int64] | None, soft_samples: float, lives_samples: int, channels: int
+) -> None:
     """Fills a SLEW. `step_counts`, (channels,): by how much a force may change, None for no limit; `soft_samples`: how
-    long the soft start lasts, 0 for none. With neither, nothing is compiled and nothing is called."""
+    long the soft start lasts, 0 for none; `lives_samples`: the time to live of a force. With neither of the first two,
+    nothing is compiled and nothing is called."""
     if step_counts is None and soft_samples <= 0.0:
         return
     slew.step[:channels] = NO_LIMIT if step_counts is None else step_counts
-    slew.soft_samples = soft_samples
+    slew.soft_samples, slew.lives = soft_samples, lives_samples
     slew.address, slew.shape = address_of(slew), shape_force.address()

@@ -5,7 +5,8 @@ taken (PROTOCOL.md, section 6). On this side two things would go around that:
 
 * Where the host is the clock, a device takes the next force as an answer in time however long the host took. A host
   that was held up, or that asks once more because no position comes, would send what it worked out from a position of
-  long ago: zero force leaves in its place, and asks for the next position all the same.
+  long ago: zero force leaves in its place, and asks for the next position all the same; while the device still takes
+  an answer to that position, which it does for its time to live.
 * A position that arrives later than that, behind others in a buffer on its way, is a position of the past when it is
   read. It moves the scene, zero force answers it, and the device would take no other.
 
@@ -19,11 +20,11 @@ from hapsim.compiling import inlined
 
 
 @inlined
-def has_expired(state, control, gap, now):
+def has_expired(state, control, gap, now, since):
     """Whether the last force that left has no more time to live, for the device: by its own samples, or because so much
-    time passed. A position arrives, `gap` samples after the last, at `now` (ns)."""
+    time passed since `since` (ns). A position arrives, `gap` samples after the last, at `now` (ns)."""
     state.since_sent = gap + (state.since_sent if state.unanswered else 0)
-    return state.since_sent > control.time_to_live + 1 or now - state.newest_ns > control.stale_ns
+    return state.since_sent > control.time_to_live + 1 or now - since > control.stale_ns
 
 
 @inlined
