@@ -76,16 +76,17 @@ def run(
     from hapsim.running.signals import undisturbed
 
     _choose_log(log)
-    loaded, kind = load(scene, port), transport_kind(mock, transport, port)
-    require_files_writable(record=record)
-    predict_before_arming(scene, as_played(loaded, kind), unstable)
+    notifier = Notifier(reconnect)
+    with notifier.told_of_failures():
+        loaded, kind = load(scene, port), transport_kind(mock, transport, port)
+        require_files_writable(record=record)
+        predict_before_arming(scene, as_played(loaded, kind), unstable)
     error_console = stderr()
     reporter = RunReporter(
         error_console, scene if watch else None, lambda changed: predict_and_warn(as_played(changed, kind))
     )
     serves = loaded.device.port if kind == "auto" else None
     state = RunState(os.path.abspath(scene), serves, loaded.rate)
-    notifier = Notifier(reconnect)
     with notifier.told_of_failures(), _telling(state, status, serves, portable), live_line(error_console) as tell:
         lifetime = keep_running(
             loaded,

@@ -58,10 +58,13 @@ class Notifier:
         except HapsimError as failure:
             self.stopping(failure)
             raise
+        except Exception as failure:
+            self.stopping(f"a defect of hapsim: {failure!r}")
+            raise
 
     def _started(self, session: Session) -> None:
         self._ticks = 0
-        self._send("READY=1", f"STATUS={session.scene.path or 'the scene'} runs")
+        self._send("READY=1", f"STATUS={_one_line(session.scene.path or 'the scene')} runs")
 
     def _running(self, progress: Progress) -> None:
         if progress.phase != "running":
@@ -79,7 +82,7 @@ class Notifier:
 
     def _tell(self, _event: str, sentence: str) -> None:
         self._status_at = -1e9
-        self._status(_one_line(sentence))
+        self._status(sentence)
 
     def _waiting(self) -> None:
         self._alive()
@@ -95,7 +98,7 @@ class Notifier:
     def _status(self, sentence: str) -> None:
         if self._clock() - self._status_at >= _STATUS_S:
             self._status_at = self._clock()
-            self._send(f"STATUS={sentence}")
+            self._send(f"STATUS={_one_line(sentence)}")
 
     def _send(self, *lines: str) -> None:
         if not self._address:

@@ -64,6 +64,7 @@ class Witness:
         self._described = Capture((False,))
         self._scale: list[float] | None = None  # of each channel's force, N; None: to be looked up
         self._before: list[float] = []  # the force before, N; empty: none since arming
+        self._held: list[float] = []  # what the device puts out in this sample, N
         self._pacing = schema.PACED_BY_DEVICE
         self._number: int | None = None  # of the newest position
         self._fault_s: float | None = None
@@ -88,6 +89,7 @@ class Witness:
         elif frame.type == schema.STATUS:
             self._armed = frame.counts[0] & 0xFF == schema.ARMED
             self._number = None
+            self._before = []
             if not self._armed:
                 self._confirmed = True
                 self._end("device", time_s)
@@ -101,7 +103,7 @@ class Witness:
             return
         frame = piece.found.frame
         if frame.type == schema.ARM:
-            self._before, self._ended = [], None
+            self._ended = None
             self._pacing = frame.argument & (schema.WITH_VELOCITY - 1)
         elif frame.type == schema.DISARM:
             self._armed = False
@@ -144,13 +146,20 @@ class Witness:
         if age > frame.argument:
             return
         force = [scale * count for scale, count in zip(self._scales(), frame.counts, strict=False)]
-        held = [0.0] * len(force) if not self._before or self._is_over(time_s, samples) else self._before
-        change = max((abs(a - b) for a, b in zip(force, held, strict=True)), default=0.0)
+        if not self._is_overtaken(samples):
+            over = not self._before or self._is_over(time_s, samples)
+            self._held = [0.0] * len(force) if over else self._before
+        change = max((abs(a - b) for a, b in zip(force, self._held, strict=False)), default=0.0)
         for forces in kept:
             forces.largest = _larger(forces.largest, max(map(abs, force)))
             forces.largest_change = _larger(forces.largest_change, change)
         self._before, self._last, self._ended = force, _Last(time_s, samples, samples - age, frame.argument), None
         self._confirmed = False
+
+    def _is_overtaken(self, samples: int) -> bool:
+        """Whether the force before never acts: another one comes in the same sample of a device that paces itself."""
+        paces = self._pacing == schema.PACED_BY_DEVICE
+        return paces and self._before != [] and self._last is not None and self._last.sample == samples
 
     def _is_over(self, time_s: float, samples: int) -> bool:
         """Whether the last force has no more time to live, by the device's samples or, where the host paces, its

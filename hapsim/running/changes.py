@@ -60,6 +60,12 @@ class LiveScene:
 
     def set(self, changes: Mapping[str, Mapping[str, float]], over: float) -> None:
         """Changes some live parameters; UsageError, and nothing is changed, where a name, a key or a value is wrong."""
+        if self._gives_way and self._unstable is not None:  # a prediction takes time, of a large scene seconds
+            Beside(lambda: self._set(changes, over)).result()
+        else:
+            self._set(changes, over)
+
+    def _set(self, changes: Mapping[str, Mapping[str, float]], over: float) -> None:
         with self._writing:
             scene = _changed(self.scene, changes)
             if self._unstable is False:
@@ -89,7 +95,7 @@ class LiveScene:
         rendering = rendered(scene)
         values = parameter_values(rendering.scene)
         if not _same_values(values, parameter_values(self._run)):
-            self._tell_guard(scene)
+            self._tell_guard(scene, samples, self._is_judged_unstable(scene))
             self._loop.program.parameters.post(values, samples)
             self._correct_as(rendering, samples)
         self.scene, self._loop.run = scene, rendering.scene
@@ -98,13 +104,13 @@ class LiveScene:
         """Live parameters may be set meanwhile; nobody but the last lines holds them up."""
         rendering = rendered(scene)
         run = rendering.scene
-        program = compile_scene(run)
+        program, is_unstable = compile_scene(run), self._is_judged_unstable(scene)
         while self._loop.is_replacing:
             if self._is_over():
                 raise UsageError(OVER)
             time.sleep(_GLANCE_S)
         with self._writing:
-            self._tell_guard(scene)
+            self._tell_guard(scene, samples, is_unstable)
             take_over_from(self._loop.program, self._run, program, run)
             program.parameters.post(parameter_values(run), samples)
             self._loop.follow_with(program, samples)
@@ -116,12 +122,15 @@ class LiveScene:
         """What is run in place of `scene`."""
         return self.scene if self._loop.run is None else self._loop.run
 
-    def _tell_guard(self, scene: Scene) -> None:
-        """Before the change acts."""
+    def _tell_guard(self, scene: Scene, samples: int, is_unstable: bool) -> None:
+        """Before the change acts, which takes so many samples."""
         if self._loop.energy is not None:
             self._loop.energy.lend(lent_by_change(self.scene, scene))
-            if self._unstable:
-                self._loop.energy.follow(unstable=surely_shaken_by(scene) is not None)
+            self._loop.energy.follow(unstable=is_unstable, samples=samples)
+
+    def _is_judged_unstable(self, scene: Scene) -> bool:
+        """Whether it is predicted unstable, where such a scene may run and its energy is judged."""
+        return bool(self._unstable) and self._loop.energy is not None and surely_shaken_by(scene) is not None
 
     def _correct_as(self, rendering: Rendering, samples: int) -> None:
         if self._loop.correction is not None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 from firmware_protocol import schema
 from hapsim.device.conversation import fault_text
@@ -175,16 +174,18 @@ def _what_ended(name: str, loop: Loop, trace: Trace, ending: int) -> tuple[type[
 
 def _diverging(loop: Loop, report: Report) -> str:
     energy, ticks = loop.record.energy, report.ticks
-    what_to_do = _held_back(loop, report) + _what_ends_it(energy)
+    is_unstable = loop.energy is not None and loop.energy.is_unstable
+    what_to_do = _held_back(loop, report) + _what_ends_it(is_unstable, int(energy.why))
     if int(energy.why) == SWINGING:
-        swung = "at its limit: it swung into it" if not energy.unstable else "on a scene that is predicted unstable:"
+        swung = "at its limit: it swung into it" if not is_unstable else "on a scene that is predicted unstable:"
+        less = "no less than" if energy.gained >= 0.0 else "nearly what"
         return (
             f"the force swung {swung} {int(energy.swings)} times in a row, the last at tick {ticks}, and gave the hand "
-            f"{float(energy.work):.3g} J over these, above the limit of {float(energy.swing_limit):.3g} J and no less "
-            f"than the declared friction takes; the last force was not sent. {what_to_do}"
+            f"{float(energy.work):.3g} J over these, above the limit of {float(energy.swing_limit):.3g} J and {less} "
+            f"the declared friction takes; the last force was not sent. {what_to_do}"
         )
     if int(energy.why) == SHAKING:
-        why = "on a scene that is predicted unstable" if energy.unstable else "faster than any hand moves"
+        why = "on a scene that is predicted unstable" if is_unstable else "faster than any hand moves"
         return (
             f"the force shook at its limit: from one side to the other {int(energy.shakes)} times in a row, the last "
             f"at tick {ticks}, {why}; the last force was not sent. {what_to_do}"
@@ -195,15 +196,15 @@ def _diverging(loop: Loop, report: Report) -> str:
     )
 
 
-def _what_ends_it(energy: Any) -> str:
+def _what_ends_it(is_unstable: bool, why: int) -> str:
     tells = (
         "`hapsim check` tells what would make the scene stable"
-        if energy.unstable
+        if is_unstable
         else "No passive object does that: `hapsim check` tells whether the scene is stable, and what would make it"
     )
     limit = (
         "A scene that is meant to give energy says so with device.energy_limit"
-        if int(energy.why) == GIVEN
+        if why == GIVEN
         else "A larger device.energy_limit does not change that"
     )
     ways = "less stiffness, more real friction, a higher rate or a shorter delay"

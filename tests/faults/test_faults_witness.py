@@ -64,6 +64,28 @@ def test_a_step_is_counted_from_what_the_device_holds() -> None:
     assert witness.all.largest_change == 4.0
 
 
+def test_of_several_forces_within_a_sample_the_last_is_put_out() -> None:
+    """Each is set against what the device holds meanwhile; where the host paces, each makes a sample."""
+    for pacing, step in ((schema.PACED_BY_DEVICE, 5.0), (schema.PACED_BY_HOST, 10.0)):
+        injector = armed("kind: drop, after_samples: 99", pacing=pacing)
+        for number in range(3):
+            injector.take(position(number), False, number * 0.001)
+        for counts in (1000, 5000, -5000, 4000):
+            injector.take(force(2, counts), True, 0.002)
+        assert injector.witness.all.largest_change == step
+
+
+def test_a_device_that_is_armed_already_ignores_another_arm() -> None:
+    injector = armed("kind: drop, after_samples: 99")
+    injector.take(position(0), False, 0.0)
+    injector.take(force(0, 3000), True, 0.0)
+    arm = frame_to_device(SETUP, schema.ARM, 200, 0, [schema.SCHEMA_HASH - (schema.SCHEMA_HASH >> 31 << 32)])
+    injector.take(arm, True, 0.0)
+    injector.take(position(1), False, 0.001)
+    injector.take(force(1, -3000), True, 0.001)
+    assert injector.witness.all.largest_change == 6.0
+
+
 @pytest.mark.parametrize(("after_s", "step"), [(0.0059, 6.0), (0.0061, 3.0)])
 def test_where_the_host_paces_time_tells_whether_the_force_is_over(after_s: float, step: float) -> None:
     injector = armed("kind: drop, after_samples: 99", pacing=schema.PACED_BY_HOST)

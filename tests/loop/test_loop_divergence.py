@@ -17,7 +17,15 @@ from firmware_protocol import schema
 from firmware_protocol.records import new_record
 from hapsim.compiling import entry
 from hapsim.errors import DeviceError, GuardError
-from hapsim.loop.guards.divergence import ENERGY, GIVEN, SHAKES, SHAKING, SWINGING, EnergyMemory, call_observe
+from hapsim.loop.guards.divergence import (
+    ENERGY,
+    GIVEN,
+    SHAKES,
+    SHAKING,
+    SWINGING,
+    EnergyMemory,
+    call_observe,
+)
 from hapsim.loop.io_buffer import IO_BUFFER
 from hapsim.running import Excitation, PeriodicExcitation, run, start
 from hapsim.running.guarding import MOST_LENT_M, held_energy, lent_by_change
@@ -357,11 +365,13 @@ def test_a_contact_that_is_predicted_unstable_is_ended_where_it_bounces_below_th
 
 
 def test_what_a_change_makes_unstable_is_judged_so_too() -> None:
-    """And what a change makes stable again is not."""
+    """And what a change makes stable again is not, once it is there."""
     judged_as = []
     with start(contact(1000.0, clock="device"), judges_energy=True, unstable=True) as session:
-        for stiffness in (1000.0, 10_000.0, 1000.0):
-            session.set({"touch": {"stiffness": stiffness}})
-            judged_as.append(bool(session._loop.record.energy.unstable))
+        for stiffness, over in ((1000.0, 0.0), (10_000.0, 0.0), (1000.0, 3600.0), (1000.0, 0.0)):
+            session.set({"touch": {"stiffness": stiffness + 1.0 - over / 3600.0}}, over=over)
+            session.wait(0.05)
+            assert session._loop.energy is not None
+            judged_as.append(session._loop.energy.is_unstable)
         session.stop()
-    assert judged_as == [False, True, False]
+    assert judged_as == [False, True, True, False]

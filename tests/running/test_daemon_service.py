@@ -141,6 +141,18 @@ def test_the_command_is_ready_when_it_is_armed_and_says_when_it_ends(
     told = manager.told()
     assert "READY=1" not in told
     assert told[-1].startswith("STOPPING=1\nSTATUS=/dev/ttyNOPE7: ")
+    assert hapsim("run", scene.with_name("none.yaml"), "--mock").status == 2
+    assert "none.yaml: no such file" in manager.told()[-1]
+
+
+def test_a_defect_is_told_and_a_name_is_no_command(manager: Manager) -> None:
+    notifying = notifier(manager, [0.0])
+    with pytest.raises(ZeroDivisionError), notifying.told_of_failures():
+        _ = 1 // 0
+    (told,) = manager.told()
+    assert told.startswith("STOPPING=1\nSTATUS=a defect of hapsim: ZeroDivisionError(")
+    notifying.observer.started(SimpleNamespace(scene=SimpleNamespace(path="a\nSTOPPING=1\nb")))  # type: ignore[arg-type]
+    assert manager.told() == ["READY=1\nSTATUS=a STOPPING=1 b runs"]
 
 
 def settings(unit: str) -> dict[str, list[str]]:

@@ -21,9 +21,9 @@ for a whole delay and a spring (`theory/hand/passivity.py`), shown here sample b
 limit is a spring whose stiffness is smaller there, and two channels are two sums.
 
 What the hand gave is its credit, but no more than a scene could hold: S stays above -`credit`. At arming S is minus
-what the scene holds then, and every change of it while it runs lends as much as that may bring (running/guarding.py),
-all of them together no more than makes S minus `most_credit`. The guard trips where S is above `limit`: from rest no
-hand is ever given more than `limit` and what the scene held, and never more than `limit` and `most_credit`.
+what the scene holds then, and every change of it while it runs lends as much as that may bring (running/guarding.py);
+with what is lent S stays above -`most_credit`. The guard trips where S is above `limit`: from rest no hand is given
+more than `limit` and what the scene held, and between two changes never more than `limit` and `most_credit`.
 
 **Swinging at the limit.** Where the limit cuts the force and friction takes all that it gives, the swing is of
 constant size and S stays where it is, for ever. So the guard trips also after SWINGS episodes in a row in which the
@@ -72,6 +72,7 @@ FIRST_FORCE_M = 0.1  # of travel of the first force: what a link holds at least 
 SWINGS, GAP_S, GAP_SAMPLES = 16, 0.5, 3
 SHAKES, SHAKE_SAMPLES, SHAKE_S, SHAKE_OVER, FAR_OVER = 64, 6, 0.05, 1.5, 100.0
 LOW, NEARLY = 0.02, 0.01
+_FOREVER = 1 << 62
 _LESS = 0.999  # of what was asked for: a sample need not fall on the peak
 
 GIVEN, SWINGING, SHAKING = 1, 2, 3
@@ -115,7 +116,11 @@ ENERGY = np.dtype(
         ("least_peak", np.float64, _EACH),  # N, the least of those
         ("turns", np.int64, _EACH),  # and how often in a row
         ("shakes", np.int64),  # the most of these
-        ("unstable", np.int64),  # 1: predicted unstable
+        ("elapsed", np.int64),  # samples since the first
+        (
+            "unstable_until",
+            np.int64,
+        ),  # the sample up to which the scene is predicted unstable; written by another thread
         ("why", np.int64),  # GIVEN, SWINGING, SHAKING
     ],
     align=True,
@@ -137,6 +142,7 @@ def observe(energy, io, gap, unsent, late, expired):
     energy, io = _energy_at(energy), _io_at(io)
     forces = _doubles_at(energy.forces, (energy.mask + 1) * _ROW)
     work, lost = 0.0, 0.0
+    energy.elapsed += gap if energy.begun else 0
     if energy.begun:
         _keep_forces(energy, io, forces, gap, unsent, late, expired)
         work, lost = _energy_of(energy, io, forces, gap)
@@ -149,7 +155,7 @@ def observe(energy, io, gap, unsent, late, expired):
     energy.gained += work - lost
     energy.gap += gap
     if begins:
-        least = -NEARLY * energy.work if energy.unstable else 0.0
+        least = -NEARLY * energy.work if _is_unstable(energy) else 0.0
         goes_on = energy.gap <= energy.most_gap and energy.gained >= least
         energy.swings = energy.swings + 1 if goes_on else 1
         if not goes_on:
@@ -230,7 +236,7 @@ def _take_account(energy, gained):
 def _begins_episode(energy, io):
     """Whether a channel's force swings out that did not, or did to the other side."""
     begins = False
-    from_on = LOW if energy.unstable else 1.0
+    from_on = LOW if _is_unstable(energy) else 1.0
     for c in range(io.channels):
         side = _side_of(io.asked[c] + io.excitation[c], from_on * io.force_limit[c])
         begins = begins or (side != 0 and side != energy.side[c])
@@ -251,6 +257,12 @@ def _follow_turns(energy, io, gap):
 
 
 @helper
+def _is_unstable(energy):
+    """Whether the scene is predicted unstable, and runs all the same."""
+    return energy.elapsed < energy.unstable_until
+
+
+@helper
 def _side_of(force, limit):
     return 1 if force > limit else -1 if force < -limit else 0
 
@@ -260,7 +272,7 @@ def _count_turn(energy, c, limit):
     peak = energy.peak[c]
     turn = energy.turn[c]
     over = 1.0 if turn <= SHAKE_SAMPLES else SHAKE_OVER if turn <= energy.most_turn else FAR_OVER
-    if energy.unstable:
+    if _is_unstable(energy):
         energy.turns[c] = energy.turns[c] + 1 if turn <= energy.most_gap else 0
     elif turn > energy.most_gap or peak < over * limit:
         energy.turns[c], energy.least_peak[c] = 0, math.inf
@@ -310,9 +322,18 @@ class EnergyMemory:
         record.least_peak[:] = math.inf
         record.observe = observe.address()
 
-    def follow(self, unstable: bool) -> None:
-        """From here on, whether the scene is predicted unstable, and runs because that was asked for."""
-        self._record.unstable = unstable
+    def follow(self, unstable: bool, samples: int = 0) -> None:
+        """Whether the scene, as it will be in so many samples, is predicted unstable, and runs because that was asked
+        for: on the way to one that is, and away from one that was, it is taken for one."""
+        if unstable:
+            self._record.unstable_until = _FOREVER
+        elif self.is_unstable:
+            self._record.unstable_until = self._record.elapsed + samples
+
+    @property
+    def is_unstable(self) -> bool:
+        """Whether the scene is taken for one that is predicted unstable."""
+        return bool(self._record.elapsed < self._record.unstable_until)
 
     def lend(self, energy_j: float) -> None:
         """What a change of the scene may bring, J: one thread may lend at a time."""
