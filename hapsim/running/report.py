@@ -161,9 +161,10 @@ def _what_ended(name: str, loop: Loop, trace: Trace, ending: int) -> tuple[type[
         )
     if ending == endings.POSITION_LEAPT:
         leap = loop.record.leap
+        leapt, bound = _told_apart(float(leap.leapt_m), float(leap.bound_m))
         return GuardError, (
-            f"{name}: the position of channel {int(leap.channel)} leapt at tick {ticks}: {leap.leapt_m:.3g} m away "
-            f"from where its motion led, where no hand gets farther than {leap.bound_m:.3g} m (hapsim/STABILITY.md); "
+            f"{name}: the position of channel {int(leap.channel)} leapt at tick {ticks}: {leapt} m away "
+            f"from where its motion led, where no hand gets farther than {bound} m (hapsim/STABILITY.md); "
             "its force was not sent. A loose cable, a sensor or counter that jumps, or a position scale, a mass or a "
             "force_limit that is not the device's"
         )
@@ -181,9 +182,10 @@ def _diverging(loop: Loop, report: Report) -> str:
     )
     if int(energy.why) == SWINGING:
         swung = "at its limit: it swung into it" if not energy.unstable else "on a scene that is predicted unstable:"
+        work, limit = _told_apart(float(energy.work), float(energy.swing_limit))
         return (
             f"the force swung {swung} {int(energy.swings)} times in a row, the last at tick {ticks}, and gave the hand "
-            f"{float(energy.work):.3g} J over these, above the limit of {float(energy.swing_limit):.3g} J and no less "
+            f"{work} J over these, above the limit of {limit} J and no less "
             f"than the declared friction takes; the last force was not sent. {what_to_do}"
         )
     if int(energy.why) == SHAKING:
@@ -192,10 +194,20 @@ def _diverging(loop: Loop, report: Report) -> str:
             f"the force shook at its limit: from one side to the other {int(energy.shakes)} times in a row, the last "
             f"at tick {ticks}, {why}; the last force was not sent. {what_to_do}"
         )
+    given, limit = _told_apart(float(energy.given), float(energy.limit))
     return (
-        f"by tick {ticks} the scene had given the hand {float(energy.given):.3g} J that it had not got from it, above "
-        f"its limit of {float(energy.limit):.3g} J; the last force was not sent. {what_to_do}"
+        f"by tick {ticks} the scene had given the hand {given} J that it had not got from it, above "
+        f"its limit of {limit} J; the last force was not sent. {what_to_do}"
     )
+
+
+def _told_apart(found: float, limit: float) -> tuple[str, str]:
+    """Both in three digits, or in as many as it takes for them to differ."""
+    for digits in range(3, 17):
+        told = f"{found:.{digits}g}", f"{limit:.{digits}g}"
+        if told[0] != told[1]:
+            return told
+    return repr(found), repr(limit)
 
 
 def _held_back(loop: Loop, report: Report) -> str:
