@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -11,6 +11,9 @@ from hapsim.commands.arguments import Json, say_written
 from hapsim.commands.chart_options import Data, Picture, print_json, writable
 from hapsim.console.sentences import say
 from hapsim.errors import UsageError
+
+if TYPE_CHECKING:
+    from hapsim.loop.trace import Trace
 
 
 def trace(
@@ -25,7 +28,8 @@ def trace(
     data: Data = None,
     json: Json = False,
 ) -> None:
-    """Draw what was recorded: position and force over time, and which forces were late, cut or never sent."""
+    """Draw what was recorded: position and force over time, and which forces were late, cut, withheld or
+    never sent."""
     from hapsim.chart.figure import save_columns
     from hapsim.chart.recorded import columns_of, draw_trace, seconds_of
     from hapsim.console.as_json import report_document
@@ -42,7 +46,7 @@ def trace(
         recorded = recorded.since(int((time < time[-1] - last).sum()))
     if data is not None:
         save_columns(columns_of(recorded), data)
-    about = f"{file.name}: {recorded.sample.size} of {recorded.report.ticks} ticks, {recorded.report.ending}"
+    about = f"{file.name}: {_what_is_drawn(recorded)}"
     if picture is not None:
         draw_trace(recorded, about, picture)
     if json:
@@ -51,3 +55,10 @@ def trace(
         return
     say(about)
     say_written(picture, data)
+
+
+def _what_is_drawn(recorded: Trace) -> str:
+    drawn, report = recorded.sample.size, recorded.report
+    if report.knows_ticks:
+        return f"{drawn} of {report.ticks} ticks, {report.ending}"
+    return report.ending if drawn == report.ticks else f"{drawn} ticks drawn; {report.ending}"

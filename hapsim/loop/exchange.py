@@ -37,6 +37,7 @@ from hapsim.loop.ring import (
     mark_last,
     publish,
     push,
+    withhold_last,
 )
 from hapsim.loop.stage import STAGE, move_scene
 
@@ -216,6 +217,7 @@ def _answer(loop, gap, late, flags, now):
     if flags & WITHHELD:
         state.withheld_forces += 1
         _take_force_away(io)
+        limited = False  # nothing of it is sent: it was not cut
     diverged = False
     if sound and (loop.slew.shape | loop.energy.observe) != 0:
         slewed, diverged = _by_what_was_sent(loop, gap, late, flags & WITHHELD != 0, now)
@@ -262,7 +264,7 @@ def compose_frame(loop, disarm):
         _take_force_away(io)
         if loop.slew.shape != 0:
             _leave_zero(loop.slew, io.channels)
-        mark_last(loop.ring, WITHHELD)
+        state.limited_ticks -= withhold_last(loop.ring)
     return write_frame(loop.framing, io.outbox, next_place(io.sent), kind, number, argument, io.force_counts)
 
 

@@ -46,7 +46,7 @@ class Spread:
     max: float | None
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Histogram:
     """A copy of what a loop counted, in `unit` (1e-9: it counted nanoseconds, this tells seconds)."""
 
@@ -55,6 +55,11 @@ class Histogram:
     maximum: float
     """The largest value itself."""
     unit: float = 1.0
+
+    def __repr__(self) -> str:
+        spread = self.spread()
+        quantiles = f", p50={spread.p50:.4g}, p99={spread.p99:.4g}, max={spread.max:.4g}" if self.total else ""
+        return f"Histogram(count={spread.count}{quantiles})"
 
     @property
     def edges(self) -> NDArray[np.float64]:

@@ -13,6 +13,9 @@ from hapsim.loop.histogram import Histogram, Spread
 COUNTED = "counted_"
 """Before the name of a histogram in a .npz."""
 
+NOT_FINISHED, DAMAGED = "not finished", "damaged"
+"""How the `ending` begins of a record that does not tell how its run ended."""
+
 
 @dataclass(frozen=True)
 class Report:
@@ -70,6 +73,11 @@ class Report:
     unrecorded_rows: int = 0
     """Rows that are not in the file that was to be written while it ran: it could not be written, or not fast enough.
     The force was not affected."""
+
+    @property
+    def knows_ticks(self) -> bool:
+        """Whether `ticks` are the run's; else they are those that could be read of its record."""
+        return not self.ending.startswith((NOT_FINISHED, DAMAGED))
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,7 @@ OFF_GRID = 16
 SLEWED = 32
 """The force was brought closer to the one before: the slew limit, or the soft start."""
 WITHHELD = 64
-"""The position was older than a force may live: zero force was sent in place of what answers it."""
+"""The position was older than a force may live: zero force takes the place of what answers it, so it is not LIMITED."""
 
 RING = np.dtype(
     [
@@ -119,6 +119,21 @@ def mark_last(ring, flag):
     """Adds a flag to the row that was pushed last, while the reader cannot see it yet."""
     if ring.unpublished > 0:
         _words_at(ring.newest, ring.width)[_FLAGS] |= flag
+
+
+@inlined
+def withhold_last(ring):
+    """Makes the row that was pushed last, while the reader cannot see it yet, one of a force that is withheld. Returns
+    1 where it was LIMITED, else 0."""
+    if ring.unpublished == 0:
+        return 0
+    row = _words_at(ring.newest, ring.width)
+    limited = 1 if row[_FLAGS] & LIMITED else 0
+    row[_FLAGS] = (row[_FLAGS] | WITHHELD) & ~LIMITED
+    channels = np.uint64(ring.channels)
+    for c in range(channels):
+        row[np.uint64(_VALUES) + channels + c] = 0
+    return limited
 
 
 @inlined

@@ -172,9 +172,11 @@ class StreamReader:
         """Whether it was the run's end, and nothing follows it."""
         self.unread_bytes = 0
         """Behind the last whole chunk: a torn end, or what is damaged and all that follows it."""
+        self.damaged_at: int | None = None
+        """The byte from which on it cannot be read, where that is not just a chunk of which the end is missing."""
 
     def rows(self) -> Iterator[NDArray[Any]]:
-        """Its rows, chunk by chunk; then `told`, `is_finished` and `unread_bytes` are known."""
+        """Its rows, chunk by chunk; then `told`, `is_finished`, `unread_bytes` and `damaged_at` are known."""
         told, good, kind = b"", self._begin, b""
         with self._path.open("rb") as stream:
             stream.seek(self._begin)
@@ -189,6 +191,7 @@ class StreamReader:
                     told = payload
                 good = stream.tell()
             self.unread_bytes = os.fstat(stream.fileno()).st_size - good
+            self.damaged_at = good if _is_damaged(stream, good, row_type(self.head.channels).itemsize) else None
         self.told = json.loads(told) if told else self.told
         self.is_finished = bool(self.told["finished"]) and kind == _TOLD and self.unread_bytes == 0
 
@@ -215,6 +218,22 @@ def _next_chunk(stream: BinaryIO) -> tuple[bytes, int, bytes] | None:
     if len(payload) < size or zlib.crc32(payload, zlib.crc32(head[:12])) != check:
         return None
     return kind, count, payload
+
+
+def _is_damaged(stream: BinaryIO, at: int, row_bytes: int) -> bool:
+    """Whether what is there from byte `at` on is more than the beginning of a chunk, and yet none. A whole one was
+    written meanwhile."""
+    stream.seek(at)
+    head = stream.read(_CHUNK.size)
+    if len(head) < _CHUNK.size:
+        return not any(kind.startswith(head[: len(kind)]) for kind in (_ROWS, _TOLD))
+    kind, count, size, _ = _CHUNK.unpack(head)
+    fits = size == count * row_bytes if kind == _ROWS else kind == _TOLD and count == 0
+    if not fits or size > _MOST_BYTES:
+        return True
+    is_all_there = os.fstat(stream.fileno()).st_size >= at + _CHUNK.size + size
+    stream.seek(at)
+    return is_all_there and _next_chunk(stream) is None
 
 
 def _as_json(value: dict[str, Any]) -> bytes:

@@ -15,7 +15,7 @@ from numpy.lib import format as npy
 from numpy.typing import NDArray
 
 from hapsim.errors import UsageError
-from hapsim.loop.report import Report, beside_the_rows, from_told
+from hapsim.loop.report import DAMAGED, NOT_FINISHED, Report, beside_the_rows, from_told
 from hapsim.loop.ring import LATE_FORCE, LIMITED
 from hapsim.loop.stream import MOST_ROWS, ROWS, Head, StreamReader, StreamWriter, row_type
 
@@ -61,7 +61,7 @@ def load_stream(path: Path) -> dict[str, Any]:
         "position_scale": np.array(reader.head.position_scale),
         "force_scale": np.array(reader.head.force_scale),
         "statistics": statistics,
-        "report": report if reader.is_finished else _cut_off(report, all_rows),
+        "report": report if reader.is_finished else _cut_off(report, all_rows, reader),
     }
 
 
@@ -107,7 +107,7 @@ def _convert_to_npz(reader: StreamReader, path: Path) -> None:
                 npy.write_array(member, np.asanyarray(value), allow_pickle=False)
 
 
-def _cut_off(report: Report, rows: NDArray[Any]) -> Report:
+def _cut_off(report: Report, rows: NDArray[Any], reader: StreamReader) -> Report:
     """The report of a run whose record does not come to an end: what the rows tell is of the rows, the rest as it was
     told last, a second before or two."""
     ticks = rows.size
@@ -118,7 +118,7 @@ def _cut_off(report: Report, rows: NDArray[Any]) -> Report:
         elapsed = by_count if report.virtual_time else by_clock
     return replace(
         report,
-        ending=f"not finished: the record stops after {ticks} ticks",
+        ending=_where_it_stops(ticks, reader),
         ticks=ticks,
         duration_s=elapsed,
         rate_hz=(ticks - 1) / elapsed if elapsed > 0 else 0.0,
@@ -127,3 +127,17 @@ def _cut_off(report: Report, rows: NDArray[Any]) -> Report:
         released=None,
         rejected_by_device=None,
     )
+
+
+def _where_it_stops(ticks: int, reader: StreamReader) -> str:
+    if reader.damaged_at is None:
+        return f"{NOT_FINISHED}: the record stops after {ticks} ticks"
+    left_out = f"not read: the last {_size(reader.unread_bytes)}"
+    return f"{DAMAGED} behind byte {reader.damaged_at}: {ticks} ticks read; {left_out}"
+
+
+def _size(count: int) -> str:
+    for unit, name in ((10**9, "GB"), (10**6, "MB"), (10**3, "kB")):
+        if count >= unit:
+            return f"{count / unit:.1f} {name}"
+    return f"{count} byte" + "s" * (count != 1)

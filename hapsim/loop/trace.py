@@ -23,7 +23,7 @@ IN_REPORT = "trace.npz"
 """A trace's name in a report file."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Trace:
     """N ticks of C channels, in the order in which the positions arrived."""
 
@@ -47,6 +47,13 @@ class Trace:
     """(C,) N per count."""
     statistics: Statistics
     report: Report
+
+    def __repr__(self) -> str:
+        samples = f" (samples {self.sample[0]} to {self.sample[-1]})" if self.sample.size else ""
+        return (
+            f"Trace({self.sample.size} rows{samples}, channels={self.position_scale.size}, rate={self.rate:g}, "
+            f"ending={self.report.ending!r})"
+        )
 
     @property
     def position(self) -> NDArray[np.float64]:
@@ -117,6 +124,8 @@ def load_trace(path: str | Path) -> Trace:
         raise UsageError(f"{path}: there is no such file{left}")
     if path.suffix == ".csv":
         raise UsageError(f"{path}: a .csv is for other programs, and is not read back: record a .npz or a .trace")
+    if path.is_dir():
+        raise UsageError(f"{path}: not a trace that hapsim wrote: found a directory, expected {_EXPECTED}")
     try:
         if is_stream(path):
             trace = Trace(**load_stream(path))
@@ -126,10 +135,23 @@ def load_trace(path: str | Path) -> Trace:
         _require_consistent(trace)
     except UsageError:
         raise
+    except PermissionError as error:
+        raise UsageError(f"{path}: cannot be read: {error.strerror}") from error
     except Exception as error:  # numpy and zipfile raise what they like of a damaged file
-        why = "it is neither a .npz nor a stream of rows" if "pickle" in str(error) else str(error)
-        raise UsageError(f"{path}: not a trace that hapsim wrote ({why})") from error
+        raise UsageError(f"{path}: not a trace that hapsim wrote ({_why_none(path, error)})") from error
     return trace
+
+
+_EXPECTED = "a .npz or .trace, what is left of one (.part), or a report file"
+
+
+def _why_none(path: Path, error: Exception) -> str:
+    """What is wrong with a file that could be read, and is no trace."""
+    if path.stat().st_size == 0:
+        return f"the file is empty; expected {_EXPECTED}"
+    if is_without_end(path):
+        return ZIP_WITHOUT_END
+    return "it is neither a .npz nor a stream of rows" if "pickle" in str(error) else str(error)
 
 
 def _require_consistent(trace: Trace) -> None:
@@ -146,6 +168,16 @@ def _require_consistent(trace: Trace) -> None:
         value = np.asarray(getattr(trace, name))
         if value.shape not in ((), (channels,)) or not np.all(np.isfinite(value) & (value > 0)):
             raise ValueError(f"{name}: found {value.tolist()}, expected numbers above 0, one for each channel")
+
+
+ZIP_WITHOUT_END = "a zip file that was cut short, or damaged at its end: get a whole copy of it"
+
+
+def is_without_end(path: Path) -> bool:
+    """Whether a file begins as a zip file, as a report file and a .npz do, and its directory, which stands at the end,
+    cannot be found. OSError where it cannot be read."""
+    with path.open("rb") as stream:
+        return stream.read(4) == b"PK\x03\x04" and not zipfile.is_zipfile(stream)
 
 
 def _within_report(stream: BinaryIO) -> BinaryIO:

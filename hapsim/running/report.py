@@ -161,9 +161,10 @@ def _what_ended(name: str, loop: Loop, trace: Trace, ending: int) -> tuple[type[
         )
     if ending == endings.POSITION_LEAPT:
         leap = loop.record.leap
+        leapt, bound = _told_apart(float(leap.leapt_m), float(leap.bound_m))
         return GuardError, (
-            f"{name}: the position of channel {int(leap.channel)} leapt at tick {ticks}: {leap.leapt_m:.3g} m away "
-            f"from where its motion led, where no hand gets farther than {leap.bound_m:.3g} m (hapsim/STABILITY.md); "
+            f"{name}: the position of channel {int(leap.channel)} leapt at tick {ticks}: {leapt} m away "
+            f"from where its motion led, where no hand gets farther than {bound} m (hapsim/STABILITY.md); "
             "its force was not sent. A loose cable, a sensor or counter that jumps, or a position scale, a mass or a "
             "force_limit that is not the device's"
         )
@@ -177,12 +178,13 @@ def _diverging(loop: Loop, report: Report) -> str:
     is_unstable = loop.energy is not None and loop.energy.is_unstable
     what_to_do = _held_back(loop, report) + _what_ends_it(is_unstable, int(energy.why))
     if int(energy.why) == SWINGING:
-        swung = "at its limit: it swung into it" if not is_unstable else "on a scene that is predicted unstable:"
+        swung = "on a scene that is predicted unstable:" if is_unstable else "at its limit: it swung into it"
         less = "no less than" if energy.gained >= 0.0 else "nearly what"
+        work, limit = _told_apart(float(energy.work), float(energy.swing_limit))
         return (
             f"the force swung {swung} {int(energy.swings)} times in a row, the last at tick {ticks}, and gave the hand "
-            f"{float(energy.work):.3g} J over these, above the limit of {float(energy.swing_limit):.3g} J and {less} "
-            f"the declared friction takes; the last force was not sent. {what_to_do}"
+            f"{work} J over these, above the limit of {limit} J and {less} the declared friction takes; the last force "
+            f"was not sent. {what_to_do}"
         )
     if int(energy.why) == SHAKING:
         why = "on a scene that is predicted unstable" if is_unstable else "faster than any hand moves"
@@ -190,9 +192,10 @@ def _diverging(loop: Loop, report: Report) -> str:
             f"the force shook at its limit: from one side to the other {int(energy.shakes)} times in a row, the last "
             f"at tick {ticks}, {why}; the last force was not sent. {what_to_do}"
         )
+    given, limit = _told_apart(float(energy.given), float(energy.limit))
     return (
-        f"by tick {ticks} the scene had given the hand {float(energy.given):.3g} J that it had not got from it, above "
-        f"its limit of {float(energy.limit):.3g} J; the last force was not sent. {what_to_do}"
+        f"by tick {ticks} the scene had given the hand {given} J that it had not got from it, above "
+        f"its limit of {limit} J; the last force was not sent. {what_to_do}"
     )
 
 
@@ -209,6 +212,15 @@ def _what_ends_it(is_unstable: bool, why: int) -> str:
     )
     ways = "less stiffness, more real friction, a higher rate or a shorter delay"
     return f"{tells}; {ways}. {limit} (hapsim/STABILITY.md)"
+
+
+def _told_apart(found: float, limit: float) -> tuple[str, str]:
+    """Both in three digits, or in as many as it takes for them to differ."""
+    for digits in range(3, 17):
+        told = f"{found:.{digits}g}", f"{limit:.{digits}g}"
+        if told[0] != told[1]:
+            return told
+    return repr(found), repr(limit)
 
 
 def _held_back(loop: Loop, report: Report) -> str:

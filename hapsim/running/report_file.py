@@ -27,7 +27,7 @@ import yaml
 from firmware_protocol.description import Description, to_registers
 from hapsim.errors import RunError, UsageError
 from hapsim.loop.last_bytes import KEPT
-from hapsim.loop.trace import IN_REPORT, Trace
+from hapsim.loop.trace import IN_REPORT, ZIP_WITHOUT_END, Trace, is_without_end
 from hapsim.scene import Scene
 
 NEWEST = 20
@@ -97,15 +97,23 @@ def write_report(
 
 
 def is_report(path: Path) -> bool:
-    """Whether the file is one. OSError where it cannot be read, UsageError where it is a damaged zip."""
-    with path.open("rb") as stream:
-        if not zipfile.is_zipfile(stream):
-            return False
-        try:
-            with zipfile.ZipFile(stream) as file:
-                return {_ABOUT, _FROM_DEVICE, _TO_DEVICE} <= set(file.namelist())
-        except Exception as error:  # zipfile raises what it likes of a damaged file
-            raise UsageError(f"{path}: a damaged zip ({error})") from error
+    """Whether the file is one. OSError where it cannot be read, UsageError where it is another zip, a damaged one, or
+    one that was cut short."""
+    if is_without_end(path):
+        raise UsageError(f"{path}: {ZIP_WITHOUT_END}")
+    if not zipfile.is_zipfile(path):
+        return False
+    try:
+        with zipfile.ZipFile(path) as file:
+            missing = {_ABOUT, _FROM_DEVICE, _TO_DEVICE} - set(file.namelist())
+    except Exception as error:  # zipfile raises what it likes of a damaged file
+        raise UsageError(f"{path}: a damaged zip ({error})") from error
+    if missing:
+        raise UsageError(
+            f"{path}: found a zip file without {min(missing)}, expected a report file of hapsim or raw bytes of the "
+            "wire; what a .npz has recorded, `hapsim chart trace` draws"
+        )
+    return True
 
 
 def read_report(path: Path) -> StopReport:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,8 @@ import numpy as np
 import pytest
 
 from hapsim.chart import recorded
+from hapsim.loop import stream, streamed_trace
+from hapsim.loop.ring import LATE_FORCE, LIMITED, UNSENT, WITHHELD
 from hapsim.loop.trace import Trace
 from hapsim.running import run
 from hapsim.scene import load_scene
@@ -32,7 +35,57 @@ def test_a_record_is_drawn_and_its_numbers_are_those_recorded(chart: Chart, trac
         rows = list(csv.DictReader(file))
     np.testing.assert_allclose([float(row["position_m[0]"]) for row in rows], trace.position[-501:, 0], rtol=1e-11)
     np.testing.assert_allclose([float(row["force_N[0]"]) for row in rows], trace.force[-501:, 0], rtol=1e-11)
-    np.testing.assert_allclose([float(row["time_s"]) for row in rows], np.arange(501) * 1e-3, atol=1e-12)
+    np.testing.assert_allclose([float(row["time_s"]) for row in rows], np.arange(1499, 2000) * 1e-3, atol=1e-12)
+    np.testing.assert_allclose([float(row["arrived_s"]) for row in rows], _arrived_s(trace)[-501:], atol=1e-9)
+
+
+def _arrived_s(trace: Trace) -> Any:
+    return (trace.time_ns - trace.time_ns[-501]) * 1e-9
+
+
+def test_a_last_second_is_drawn_over_the_time_since_arming_and_the_axis_says_so(trace: Trace, tmp_path: Path) -> None:
+    last = trace.since(1500)
+    np.testing.assert_allclose(recorded.seconds_of(last), last.sample / 1000.0)
+    recorded.draw_trace(last, "the last", tmp_path / "p.svg")
+    assert "time since arming (s): sample number / 1000 Hz" in (tmp_path / "p.svg").read_text("utf-8")
+
+
+def test_a_withheld_force_is_marked_as_such_and_not_as_one_at_its_limit(trace: Trace, tmp_path: Path) -> None:
+    flags = np.zeros_like(trace.flags)
+    flags[10:18] = LIMITED | WITHHELD
+    flags[20:23] = LIMITED
+    flags[30:32] = UNSENT | WITHHELD
+    flags[40] = WITHHELD | LATE_FORCE
+    marked = recorded.marked_rows(replace(trace, flags=flags))
+    assert {what: rows.tolist() for what, rows in marked.items()} == {
+        "late": [40],
+        "never sent": [30, 31],
+        "withheld, zero sent": [*range(10, 18), 40],
+        "at its limit": [20, 21, 22],
+        "positions lost before": [],
+    }
+    recorded.draw_trace(replace(trace, flags=flags), "t", tmp_path / "p.svg")
+    picture = (tmp_path / "p.svg").read_text("utf-8")
+    assert "withheld, zero sent: 9" in picture
+    assert "at its limit: 3" in picture
+
+
+def test_of_how_many_ticks_is_said_only_where_it_is_known(
+    chart: Chart, trace: Trace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for module in (stream, streamed_trace):
+        monkeypatch.setattr(module, "MOST_ROWS", 500)
+    trace.save(tmp_path / "t.trace")
+    whole = (tmp_path / "t.trace").read_bytes()
+    cut, damaged = tmp_path / "cut.trace", tmp_path / "damaged.trace"
+    cut.write_bytes(whole[:-1])
+    at = whole.rindex(b"ROWS") + 30
+    damaged.write_bytes(whole[:at] + b"damage" + whole[at + 6 :])
+    told = [chart("trace", cut, *more, "--picture", "p.svg").out for more in ((), ("--last", 0.1))]
+    assert told[0].startswith("cut.trace: not finished: the record stops after 2000 ticks")
+    assert told[1].startswith("cut.trace: 101 ticks drawn; not finished: the record stops after 2000 ticks")
+    of_damaged = chart("trace", damaged, "--picture", "p.svg").out
+    assert f"damaged.trace: damaged behind byte {at - 30}: 1500 ticks read; " in of_damaged
 
 
 def test_what_is_left_of_a_record_is_drawn_as_far_as_it_goes(chart: Chart, trace: Trace, tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 import tty
+import zipfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -103,7 +104,14 @@ def test_as_json_it_is_one_document(hapsim: Hapsim, capture: Path) -> None:
 def test_what_cannot_be_decoded_is_a_sentence(hapsim: Hapsim, tmp_path: Path) -> None:
     empty = tmp_path / "empty"
     empty.touch()
+    other = tmp_path / "other.zip"
+    with zipfile.ZipFile(other, "w") as file:
+        file.writestr("sample.npy", bytes(300))
+    cut = tmp_path / "cut.zip"
+    cut.write_bytes(other.read_bytes()[:-30])
     for words, sentence in (
+        ((cut,), "a zip file that was cut short, or damaged at its end: get a whole copy"),
+        ((other,), "found a zip file without frames_from_device.bin, expected a report file of hapsim"),
         ((empty,), "found no bytes: the capture is empty"),
         ((empty, "--json"), "found no bytes: the capture is empty"),
         ((tmp_path,), "found a directory, expected a capture"),

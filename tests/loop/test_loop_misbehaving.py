@@ -16,6 +16,7 @@ from hapsim.device import conversation
 from hapsim.errors import DeviceError, GuardError
 from hapsim.loop import endings
 from hapsim.loop.codes import FAULT
+from hapsim.loop.guards.divergence import GIVEN, SWINGING
 from hapsim.loop.histogram import note
 from hapsim.loop.recorder import Recorder
 from hapsim.running import run
@@ -177,6 +178,32 @@ def test_a_watchdog_is_the_hosts_fault_only_where_it_had_a_position(
     assert told in sentence
     assert not_told not in sentence
     assert trace.report.released is True  # it releases before it says that it is latched
+
+
+@pytest.mark.parametrize(
+    ("found", "told"),
+    [(0.25, ("0.25", "0.2")), (0.20049, ("0.2005", "0.2")), (np.nextafter(0.2, 1.0), ("0.20000000000000004", "0.2"))],
+)
+def test_what_is_above_a_limit_is_told_in_as_many_digits_as_it_takes_to_differ(
+    assembled: Callable[..., Loop], scene_of: SceneOf, found: float, told: tuple[str, str]
+) -> None:
+    scene = scene_of()
+    loop = assembled(scene)
+    energy, leap = loop.record.energy, loop.record.leap
+    energy.work = energy.given = leap.leapt_m = found
+    energy.swing_limit = energy.limit = leap.bound_m = 0.2
+
+    def sentence(ending: int) -> str:
+        return str(failure_of("test", scene, loop, trace_of(scene, loop, Recorder(loop.ring, True), ending), ending))
+
+    energy.why = SWINGING
+    assert f"gave the hand {told[0]} J over these, above the limit of {told[1]} J and" in sentence(endings.DIVERGING)
+    energy.why = GIVEN
+    assert f"had given the hand {told[0]} J that it had not got from it, above its limit of {told[1]} J;" in sentence(
+        endings.DIVERGING
+    )
+    leapt = sentence(endings.POSITION_LEAPT)
+    assert f"{told[0]} m away from where its motion led, where no hand gets farther than {told[1]} m" in leapt
 
 
 def test_a_status_that_says_neither_idle_nor_latched_is_told_as_it_came(scripted: Scripted, frame: FrameOf) -> None:

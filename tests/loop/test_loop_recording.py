@@ -112,7 +112,43 @@ def test_a_damaged_chunk_ends_what_is_read(scene_of: SceneOf, tmp_path: Path) ->
         path.write_bytes(whole[:at] + bytes([whole[at] ^ 0x10]) + whole[at + 1 :])
         back = load_trace(path)
         require_same(back, trace, 14)
-        assert back.report.ending == "not finished: the record stops after 14 ticks"
+        left = f"{(len(whole) - third) / 1000:.1f} kB"
+        assert back.report.ending == f"damaged behind byte {third}: 14 ticks read; not read: the last {left}"
+        assert (back.report.ticks, back.report.knows_ticks) == (14, False)
+
+
+@pytest.mark.usefixtures("small_chunks")
+def test_what_stands_behind_the_end_of_a_record_is_told(scene_of: SceneOf, tmp_path: Path) -> None:
+    path = tmp_path / "t.trace"
+    run(scene_of(), duration=0.05, record=path)
+    whole = path.read_bytes()
+    for more, ending in (
+        (b"\n", f"damaged behind byte {len(whole)}: 50 ticks read; not read: the last 1 byte"),
+        (bytes(40), f"damaged behind byte {len(whole)}: 50 ticks read; not read: the last 40 bytes"),
+        (b"ROWS", "not finished: the record stops after 50 ticks"),
+    ):
+        path.write_bytes(whole + more)
+        assert load_trace(path).report.ending == ending
+
+
+@pytest.mark.usefixtures("small_chunks")
+def test_a_chunk_that_is_written_while_the_end_is_looked_at_is_no_damage(
+    scene_of: SceneOf, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "t.trace"
+    run(scene_of(), duration=0.05, record=path)
+    whole = path.read_bytes()
+    path.write_bytes(whole[: whole.rindex(b"ROWS") + 30])
+    look = stream._is_damaged
+
+    def look_later(*words: Any) -> bool:
+        path.write_bytes(whole)
+        return look(*words)
+
+    monkeypatch.setattr(stream, "_is_damaged", look_later)
+    reader = stream.StreamReader(path)
+    assert reader.count() < 50
+    assert reader.damaged_at is None
 
 
 def test_a_later_version_is_told(scene_of: SceneOf, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,7 +12,7 @@ from firmware_protocol.decoder import frames_in, new_decoder
 from firmware_protocol.frames import armed_format
 from hapsim.loop.codes import HEARD
 from hapsim.loop.portable import _compose_again
-from hapsim.loop.ring import OFF_GRID, SLEWED, WITHHELD
+from hapsim.loop.ring import LIMITED, OFF_GRID, SLEWED, WITHHELD
 from hapsim.running.assemble import Loop
 from hapsim.scene import Scene
 
@@ -39,10 +39,16 @@ def leaves(loop: Loop, now: int) -> list[int]:
     return list(force.counts)
 
 
-def last_flags(loop: Loop) -> int:
+def last_row(loop: Loop) -> tuple[int, int]:
+    """(flags, counts of the force) of the newest row."""
     loop.record.ring.head += loop.record.ring.unpublished
     loop.record.ring.unpublished = 0
-    return int(loop.ring.drain().flags[-1])
+    rows = loop.ring.drain()
+    return int(rows.flags[-1]), int(rows.force[-1, 0])
+
+
+def last_flags(loop: Loop) -> int:
+    return last_row(loop)[0]
 
 
 def test_a_host_that_was_held_up_sends_zero_in_place_of_an_old_force(
@@ -128,6 +134,42 @@ def test_by_the_device_s_clock_one_that_arrives_too_late_is_answered_with_zero(
         assert loop.record.io.force_counts[0] == counts
         assert bool(last_flags(loop) & WITHHELD) == (counts == 0)
         assert loop.state.withheld_forces == (counts == 0)
+
+
+@pytest.mark.parametrize(("late_ms", "row", "limited"), [(21, (LIMITED, 2000), 1), (22, (WITHHELD, 0), 0)])
+def test_a_force_that_a_host_withholds_is_recorded_as_the_zero_that_left_and_not_as_cut(
+    assembled: Assembled,
+    scene_of: Callable[..., Scene],
+    arrive: Arrive,
+    frame: Callable[..., bytes],
+    late_ms: int,
+    row: tuple[int, int],
+    limited: int,
+) -> None:
+    loop = loop_with(assembled, scene_of, "host", force_limit=2.0)
+    loop.state.tick_ns = START
+    assert arrive(loop, frame(0, FAR), START) == HEARD
+    assert leaves(loop, START + late_ms * MS) == [row[1]]
+    assert last_row(loop) == row
+    assert loop.state.limited_ticks == limited
+
+
+@pytest.mark.parametrize(("late_ms", "row", "limited"), [(21, (LIMITED, 2000), 2), (22, (WITHHELD, 0), 1)])
+def test_by_the_device_s_clock_neither(
+    assembled: Assembled,
+    scene_of: Callable[..., Scene],
+    arrive: Arrive,
+    frame: Callable[..., bytes],
+    late_ms: int,
+    row: tuple[int, int],
+    limited: int,
+) -> None:
+    loop = loop_with(assembled, scene_of, "device", force_limit=2.0)
+    assert arrive(loop, frame(0, FAR), START) == HEARD
+    loop.state.unanswered = 0
+    assert arrive(loop, frame(1, FAR), START + (1 + late_ms) * MS) == HEARD
+    assert last_row(loop) == row
+    assert loop.state.limited_ticks == limited
 
 
 def test_a_hand_at_rest_and_late_forces_withhold_nothing(

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 from hapsim.errors import UsageError
+from hapsim.loop.histogram import Histogram
 from hapsim.loop.trace import Trace, load_trace, require_writable_as_trace
 from hapsim.running import run
 from hapsim.running.report_file import is_report, read_report
@@ -39,6 +40,17 @@ def test_a_trace_comes_back_as_it_was(trace: Trace, tmp_path: Path) -> None:
             assert getattr(back, name) == value
     np.testing.assert_array_equal(back.position, trace.position)
     np.testing.assert_array_equal(back.force, trace.force)
+
+
+def test_it_is_told_in_one_line(trace: Trace) -> None:
+    assert repr(trace) == "Trace(50 rows (samples 0 to 49), channels=2, rate=1000, ending='done')"
+    assert repr(trace.since(50)) == "Trace(0 rows, channels=2, rate=1000, ending='done')"
+    age = trace.statistics.age
+    assert repr(age) == "Histogram(count=50, p50=1, p99=1, max=1)"
+    assert repr(Histogram(np.zeros_like(age.counts), 0.0)) == "Histogram(count=0)"
+    told = repr(trace.statistics)
+    assert f"age={age!r}" in told
+    assert "\n" not in told
 
 
 def test_a_trace_without_rows_comes_back_too(scene_of: Callable[..., Scene], tmp_path: Path) -> None:
@@ -161,7 +173,7 @@ def test_a_trace_that_was_cut_off_or_belongs_to_somebody_else_is_reported(trace:
     whole = (tmp_path / "t.npz").read_bytes()
     for length in (10, len(whole) // 2, len(whole) - 1):
         (tmp_path / "cut.npz").write_bytes(whole[:length])
-        with pytest.raises(UsageError, match="not a trace"):
+        with pytest.raises(UsageError, match=r"not a trace.*a zip file that was cut short"):
             load_trace(tmp_path / "cut.npz")
     np.savez(tmp_path / "theirs.npz", x=np.zeros(3))
     np.save(tmp_path / "array.npy", np.zeros(3))
@@ -180,6 +192,11 @@ def test_what_is_no_trace_is_told_as_what_it_is(tmp_path: Path) -> None:
     table.write_text("sample\n1\n")
     with pytest.raises(UsageError, match=r"is not read back: record a .npz or a .trace"):
         load_trace(table)
+    with pytest.raises(UsageError, match=r"found a directory, expected a .npz or .trace"):
+        load_trace(tmp_path)
+    (tmp_path / "empty.trace").touch()
+    with pytest.raises(UsageError, match=r"the file is empty; expected a .npz or .trace"):
+        load_trace(tmp_path / "empty.trace")
     (tmp_path / "scene.yaml").write_text("version: 1\n")
     with pytest.raises(UsageError, match=r"neither a .npz nor a stream"):
         load_trace(tmp_path / "scene.yaml")
