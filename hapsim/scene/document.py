@@ -27,11 +27,18 @@ from .yaml_rules import (
 Entries = dict[str, tuple[yaml.Node, yaml.Node]]
 
 
+#: What stands under a key with nothing behind it, or ``null``: a value that no field takes. None would do for a field
+#: that may be left out, and an emptied limit would be the default without a word. (pydantic looks for the fields of a
+#: part in an object of any class but the built-in ones.)
+NOTHING = ...
+
+
 class Document:
     """The values of a YAML text, and the position of each.
 
     Attributes:
-        data: the values as dicts, lists, str, float, int, bool and None; what is faulty is left out or None.
+        data: the values as dicts, lists, str, float, int and bool, `NOTHING` under a key without a value; what is
+            faulty is left out or is nothing.
         faults: what is wrong already on this level, such as a key that stands twice.
     """
 
@@ -86,7 +93,8 @@ class Document:
         if not isinstance(node, yaml.ScalarNode) and node.tag not in (MAPPING, SEQUENCE):
             self._fault(node, f"found the tag {short_tag(node.tag)}, expected a plain value without a tag")
         if isinstance(node, yaml.MappingNode):
-            return {name: self._value(value) for name, (_, value) in self._entries_of(node).items()}
+            values = {name: self._value(value) for name, (_, value) in self._entries_of(node).items()}
+            return {name: NOTHING if value is None else value for name, value in values.items()}
         if isinstance(node, yaml.SequenceNode):
             return [self._value(entry) for entry in node.value]
         try:

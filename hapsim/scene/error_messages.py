@@ -1,7 +1,7 @@
 """What pydantic found wrong, in our own sentences: what was found, what was expected, what to do."""
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, get_args
 
 from pydantic import BaseModel, ValidationError
@@ -88,6 +88,18 @@ class _Detail:
 
     def issue(self, document: Document) -> Issue:
         """The error in our words."""
+        issue = self._issue(document)
+        if issue.path == self.path and not issue.at_key and self._is_emptied(document):
+            return replace(issue, sentence=f"{issue.sentence}; leave the key out for the default")
+        return issue
+
+    def _is_emptied(self, document: Document) -> bool:
+        """Whether nothing stands behind a key that may be left out."""
+        in_part = self.place in self._layout.parts or len(self.place) > 2
+        field = _fields_of(self._part()).get(self.key) if in_part else None
+        return field is not None and not field.is_required() and document.value(self.path) is None
+
+    def _issue(self, document: Document) -> Issue:
         match self.kind:
             case "union_tag_not_found":
                 return _no_tag(self.path, self._layout, document)

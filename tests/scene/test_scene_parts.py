@@ -131,12 +131,6 @@ def test_a_zero_of_the_mock_is_a_word_of_its_own(good: str) -> None:
     assert parse_scene(text).mock_device.delay == 0.0
 
 
-def test_nothing_written_under_an_optional_key_is_as_if_it_were_left_out(good: str) -> None:
-    text = good.replace("{mass: 0.2}", "{mass: 0.2, port: }")
-    assert parse_scene(text + "mock:\n").mock_device == parse_scene(good).mock_device
-    assert parse_scene(text + "mock: {mass: , hold: ~, sampling: null}\n").mock_device.mass == (0.2,)
-
-
 def test_the_device_has_one_channel_more_than_the_highest_that_is_held(good: str) -> None:
     assert parse_scene(good).channels == 1
     assert parse_scene(good.replace("channel: 0", "channel: 3")).channels == 4
