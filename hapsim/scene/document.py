@@ -15,10 +15,12 @@ from .yaml_rules import (
     MAPPING,
     MERGE,
     MOST_NESTING,
+    NO_COMMA,
     SEQUENCE,
     STRING,
     TOO_DEEP,
     describe,
+    is_behind_comma,
     number_hint,
     scalar_value,
     short_tag,
@@ -108,13 +110,26 @@ class Document:
         if id(node) not in self._entries:
             own: Entries = {}
             merged: Entries = {}
-            for key, value in node.value:
+            for key, value in self._whole_entries(node):
                 if key.tag == MERGE:
                     merged = {**self._merged(value), **merged}
                 else:
                     self._add(own, key, value)
             self._entries[id(node)] = own | {name: pair for name, pair in merged.items() if name not in own}
         return self._entries[id(node)]
+
+    def _whole_entries(self, node: yaml.MappingNode) -> Iterator[tuple[yaml.Node, yaml.Node]]:
+        """Those that no comma cut off a number: ``{stiffness: 2,000}`` has a key ``000``, which nobody wrote."""
+        number: yaml.Node | None = None
+        before: yaml.Node | None = None
+        for key, value in node.value:
+            if before is None or not is_behind_comma(before, key, value):
+                yield key, value
+                number = before = value
+                continue
+            if number is not None and before is number:  # and not the second comma of 1,000,000
+                self._fault(number, f"found {quote(f'{number.value},{key.value}')}, {NO_COMMA}")
+            before = key
 
     def _add(self, own: Entries, key: yaml.Node, value: yaml.Node) -> None:
         if not isinstance(key, yaml.ScalarNode) or key.tag != STRING:

@@ -40,13 +40,14 @@ class Span(BaseModel):
 SpanPerChannel = float | Span | tuple[float | Span, ...]
 
 
-def unexpected(expected: str, at: tuple[int, ...] = ()) -> NoReturn:
-    """Say that a value, or the entry ``at`` within it, is not what was ``expected``.
+def unexpected(expected: str, at: tuple[int, ...] = (), found: str = "") -> NoReturn:
+    """Say that a value, or the entry ``at`` within it, is not what was ``expected``; ``found``: what it is, in place of
+    what the file spells there.
 
     Raises:
         PydanticCustomError: always; inside a pydantic validation it becomes one of the collected faults.
     """
-    raise PydanticCustomError(UNEXPECTED, "expected {expected}", {"expected": expected, "at": at})
+    raise PydanticCustomError(UNEXPECTED, "expected {expected}", {"expected": expected, "at": at, "found": found})
 
 
 class Expectation:
