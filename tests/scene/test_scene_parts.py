@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, get_args
 
 import pytest
+import yaml
 from pydantic import ValidationError
 
 from hapsim.cordis.registry import PART_TYPES
@@ -170,6 +171,7 @@ def test_a_scene_written_out_reads_back_the_same() -> None:
     scene = parse_scene(TEXT)
     assert Scene.model_validate(scene.model_dump()) == scene
     assert Scene.model_validate_json(scene.model_dump_json()) == scene
+    assert parse_scene(yaml.safe_dump(scene.model_dump(mode="json", exclude_none=True))) == scene
 
 
 def test_a_scene_made_in_python_goes_through_the_same_checks() -> None:
