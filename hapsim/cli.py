@@ -15,6 +15,7 @@ from hapsim.commands.device import mock, ports
 from hapsim.commands.doctor import doctor
 from hapsim.commands.faults import faults
 from hapsim.commands.frames import frames
+from hapsim.commands.help_text import help_text
 from hapsim.commands.identify import identify
 from hapsim.commands.measure import measure
 from hapsim.commands.prepare import compile_, new, schema
@@ -53,7 +54,7 @@ for _command in (
     new,
     schema,
 ):
-    app.command(_command.__name__.rstrip("_"))(_command)
+    app.command(_command.__name__.rstrip("_"), help=help_text(_command))(_command)
 app.add_typer(chart)
 
 

@@ -11,6 +11,7 @@ from hapsim.commands.chart_speed_accuracy import speed_accuracy
 from hapsim.commands.chart_table1 import table1
 from hapsim.commands.chart_trace import trace
 from hapsim.commands.chart_transparency import transparency
+from hapsim.commands.help_text import help_text
 
 app = typer.Typer(
     name="chart",
@@ -18,4 +19,4 @@ app = typer.Typer(
     no_args_is_help=True,
 )
 for _command in (plane, transparency, table1, speed_accuracy, felt, trace):
-    app.command(_command.__name__.replace("_", "-"))(_command)
+    app.command(_command.__name__.replace("_", "-"), help=help_text(_command))(_command)

@@ -49,11 +49,13 @@ def faults(
     if (port is None) == (scene is None):
         found = "found neither --port nor --scene" if port is None else "found both --port and --scene"
         raise UsageError(f"{found}, expected one of them: the device's port, or a scene with a mock")
+    from hapsim.device.port_name import free_name
     from hapsim.faults import Injector
 
     if path is None and any(fault.kind == "replug" for fault in read.faults):
         raise UsageError("--path: found none, expected a name for the port: replug puts it back under that name")
     injector = Injector(read, seed)
+    free_name(path)
     with _device(port, scene, baud) as descriptor:
         name, unread, whole = _relayed(descriptor, injector, path, duration, complain if json else _announce)
     gone = None if whole else DeviceError(f"{port or scene}: the device went away (unplugged, or its port was closed)")

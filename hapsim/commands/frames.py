@@ -166,7 +166,11 @@ def _pieces_of(
         if sys.platform == "win32" and source.upper().startswith("COM"):
             kind = stat.S_IFCHR
         else:
-            raise UsageError(f"{source}: neither a file nor a port: {error.strerror}") from error
+            from hapsim.device.port_name import leads_to
+
+            link = leads_to(source) if isinstance(error, FileNotFoundError) else None
+            why = f"neither a file nor a port: {error.strerror}" if link is None else f"a link to {link}, which is gone"
+            raise UsageError(f"{source}: {why}") from error
     if stat.S_ISCHR(kind):
         yield from _of_port(source, baud, duration, stopped)
     elif stat.S_ISDIR(kind):

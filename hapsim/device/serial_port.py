@@ -15,6 +15,7 @@ from typing import Any
 
 from hapsim.device.connection import Connection
 from hapsim.device.port_holder import who_holds
+from hapsim.device.port_name import leads_to
 from hapsim.errors import DeviceError
 from hapsim.loop.descriptor import descriptor_transport
 
@@ -118,8 +119,12 @@ def _why_not(path: str, baud: int, error: Exception) -> str:
     code = getattr(error, "errno", None)
     text = str(error)
     if code == errno.ENOENT or "No such file" in text or "FileNotFoundError" in text:
-        found = ", ".join(port["port"] for port in serial_ports())
-        return f"{path}: no such port. Ports found: {found or 'none'} (`hapsim ports` tells more)"
+        ports = ", ".join(port["port"] for port in serial_ports())
+        found = f"Ports found: {ports or 'none'} (`hapsim ports` tells more)"
+        link = leads_to(path)
+        if link is not None:
+            return f"{path}: a link to {link}, which is gone: was the program that made it stopped? {found}"
+        return f"{path}: no such port. {found}"
     if code in (errno.EACCES, errno.EPERM) or "Permission denied" in text:
         return f"{path}: not permitted. On most systems: add yourself to the group dialout and log in again"
     if code in (errno.EAGAIN, errno.EBUSY) or any(word in text for word in _BUSY):

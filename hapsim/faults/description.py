@@ -62,7 +62,10 @@ class Nonsense(Lasting):
     @model_validator(mode="after")
     def _fits(self) -> Nonsense:
         if self.register_ in _WHOLE and self.what not in _INTEGERS:
-            unexpected(f"zero, negative or huge of {self.register_}: it is a whole number, and none of them is nan")
+            unexpected(
+                f"zero, negative or huge of {self.register_}: it is a whole number, and none of them is nan",
+                found=self.what,
+            )
         return self
 
     def effect(self, seed: str) -> Effect:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import random
+from collections.abc import Mapping
 from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, model_validator
@@ -21,6 +22,19 @@ FOR = Quantity("For how long", "s", above=0)
 AFTER_SAMPLES = Count("When so many samples of the device have passed, in place of a time", 0, 2**31, "samples")
 FOR_SAMPLES = Count("For so many samples of the device, in place of a time", 1, 2**31, "samples")
 PROBABILITY = Quantity("Of each frame", "1", least=0, most=1)
+
+
+def at_most_one(said: Mapping[str, object]) -> None:
+    """An error through `unexpected` where both of two keys say something."""
+    if None not in said.values():
+        unexpected("one of them", found=f"both {' and '.join(said)}")
+
+
+def exactly_one(said: Mapping[str, object]) -> None:
+    """An error through `unexpected` where both of two keys say something, or neither."""
+    at_most_one(said)
+    if all(value is None for value in said.values()):
+        unexpected("one of them", found=f"neither {' nor '.join(said)}")
 
 
 class Fault(Part):
@@ -50,10 +64,8 @@ class Lasting(Fault):
 
     @model_validator(mode="after")
     def _one_clock(self) -> Lasting:
-        if self.begins_s is not None and self.after_samples is not None:
-            unexpected("from or after_samples, not both")
-        if self.lasts_s is not None and self.for_samples is not None:
-            unexpected("for or for_samples, not both")
+        at_most_one({"from": self.begins_s, "after_samples": self.after_samples})
+        at_most_one({"for": self.lasts_s, "for_samples": self.for_samples})
         return self
 
     def window(self) -> Window:
@@ -75,8 +87,7 @@ class Event(Fault):
 
     @model_validator(mode="after")
     def _one_clock(self) -> Event:
-        if (self.at is None) == (self.after_samples is None):
-            unexpected("at (s) or after_samples, one of them")
+        exactly_one({"at (s)": self.at, "after_samples": self.after_samples})
         return self
 
     def window(self) -> Window:

@@ -8,9 +8,9 @@ from pydantic import Field, model_validator
 
 from firmware_protocol import schema
 from hapsim.device.capture import Capture
-from hapsim.faults.fault import Effect, Event
+from hapsim.faults.fault import Effect, Event, exactly_one
 from hapsim.faults.piece import Moment, Piece
-from hapsim.scene.quantity import Count, Quantity, unexpected
+from hapsim.scene.quantity import Count, Quantity
 
 _MOVING = (schema.POSITION, schema.POSITION_HELD)
 
@@ -26,8 +26,7 @@ class Leap(Event):
 
     @model_validator(mode="after")
     def _one_length(self) -> Leap:
-        if (self.metres is None) == (self.counts is None):
-            unexpected("metres or counts, one of them")
+        exactly_one({"metres": self.metres, "counts": self.counts})
         return self
 
     def effect(self, seed: str) -> Effect:

@@ -7,9 +7,9 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
-from hapsim.faults.fault import Chance, Direction, Effect, FrameEffect, Lasting, OnFrames
+from hapsim.faults.fault import Chance, Direction, Effect, FrameEffect, Lasting, OnFrames, at_most_one
 from hapsim.faults.piece import Moment, Piece, tidy
-from hapsim.scene.quantity import Count, Quantity, unexpected
+from hapsim.scene.quantity import Count, Quantity
 
 
 class Garbage(Lasting):
@@ -24,8 +24,7 @@ class Garbage(Lasting):
 
     @model_validator(mode="after")
     def _one_period(self) -> Garbage:
-        if self.every is not None and self.every_samples is not None:
-            unexpected("every or every_samples, not both")
+        at_most_one({"every": self.every, "every_samples": self.every_samples})
         return self
 
     def effect(self, seed: str) -> Effect:

@@ -6,10 +6,9 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
-from hapsim.faults.fault import FOR, FOR_SAMPLES, Direction, Effect, Event, goes
+from hapsim.faults.fault import FOR, FOR_SAMPLES, Direction, Effect, Event, at_most_one, goes
 from hapsim.faults.piece import Moment, Piece
 from hapsim.faults.timing import Window
-from hapsim.scene.quantity import unexpected
 
 
 class _Quiet(Event):
@@ -21,8 +20,7 @@ class _Quiet(Event):
 
     @model_validator(mode="after")
     def _one_length(self) -> _Quiet:
-        if self.lasts_s is not None and self.for_samples is not None:
-            unexpected("for or for_samples, not both")
+        at_most_one({"for": self.lasts_s, "for_samples": self.for_samples})
         return self
 
     def window(self) -> Window:

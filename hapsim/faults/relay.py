@@ -14,6 +14,7 @@ import time
 from collections import deque
 from pathlib import Path
 
+from hapsim.device.port_name import free_name, give_name, take_name
 from hapsim.errors import DeviceError, UsageError
 from hapsim.faults.injector import Injector, Passed
 
@@ -164,6 +165,7 @@ class _PseudoTerminal:
     def __init__(self, path: Path | None) -> None:
         import tty
 
+        free_name(path)
         try:
             self.near, self._far = os.openpty()
         except OSError as error:
@@ -171,20 +173,17 @@ class _PseudoTerminal:
         for end in (self.near, self._far):
             tty.setraw(end)
             os.set_blocking(end, False)
-        self._link = path
-        self.name = os.ttyname(self._far) if path is None else str(path)
+        self._link, self._port = path, os.ttyname(self._far)
+        self.name = self._port if path is None else str(path)
         if path is not None:
             try:
-                if path.is_symlink() and not path.exists():
-                    path.unlink()  # left over from a relay that was killed
-                path.symlink_to(os.ttyname(self._far))
-            except OSError as error:
-                self._link = None
+                give_name(path, self._port)
+            except UsageError:
                 self.close()
-                raise UsageError(f"{path}: cannot be made a name of the port: {error.strerror}") from error
+                raise
 
     def close(self) -> None:
         if self._link is not None:
-            self._link.unlink(missing_ok=True)
+            take_name(self._link, self._port)
         for end in (self.near, self._far):
             os.close(end)

@@ -15,7 +15,7 @@ LEAST_POINTS, MOST_POINTS = 2, 1000
 
 @dataclass(frozen=True)
 class CurvePoints(Expectation):
-    """A list of points [x, y], by ascending x; ``null`` is welcome too.
+    """A list of points [x, y], by ascending x; None is welcome in Python too.
 
     Attributes:
         description: what the curve is, for the schema.
@@ -36,7 +36,7 @@ class CurvePoints(Expectation):
         return f"a list of {self.fewest} to {MOST_POINTS} points [{self.along}, {self.up}]"
 
     def check(self, value: object) -> Curve | None:
-        """The points as numbers; None for ``null``. An error that names the point through `unexpected`."""
+        """The points as numbers; None stays. An error that names the point through `unexpected`."""
         if value is None:
             return None
         if not _is_list(value) or not self.fewest <= len(value) <= MOST_POINTS:

@@ -2,13 +2,13 @@
 
 import math
 from dataclasses import replace
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
 from .choices import CORRECTION, HOLD, SAMPLING, CorrectionName, Hold, Sampling
 from .part import Part
-from .quantity import Count, PerChannel, Quantity, Span, SpanPerChannel, per_channel
+from .quantity import Count, Expectation, PerChannel, Quantity, Span, SpanPerChannel, per_channel, unexpected
 
 Clock = Literal["device", "host", "lockstep"]
 
@@ -39,10 +39,26 @@ ENERGY_LIMIT = Quantity(
 )
 
 
+class PortName(Expectation):
+    """A serial port by the name that the system has for it; in Python None: the embedded mock."""
+
+    def expected(self) -> str:
+        return "the name of a serial port, such as /dev/ttyACM0"
+
+    def check(self, value: object) -> str | None:
+        if value is not None and (not isinstance(value, str) or not value):
+            unexpected(self.expected())
+        return value
+
+    def json_schema(self) -> dict[str, Any]:
+        description = "Serial port, such as /dev/ttyACM0; left out: the embedded mock"
+        return {"description": description, "anyOf": [{"type": "string", "minLength": 1}, {"type": "null"}]}
+
+
 class Device(Part):
     """The device that the hand holds, and the link to it. SI units."""
 
-    port: str | None = Field(default=None, description="Serial port, such as /dev/ttyACM0; left out: the embedded mock")
+    port: Annotated[str | None, PortName()] = None
     baud: Annotated[int, Count("Speed of the serial link", 1, 100_000_000, "bit/s")] = 2_000_000
     clock: Clock = Field(
         default="device",

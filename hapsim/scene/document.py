@@ -15,10 +15,12 @@ from .yaml_rules import (
     MAPPING,
     MERGE,
     MOST_NESTING,
+    NO_COMMA,
     SEQUENCE,
     STRING,
     TOO_DEEP,
     describe,
+    is_behind_comma,
     number_hint,
     scalar_value,
     short_tag,
@@ -27,11 +29,18 @@ from .yaml_rules import (
 Entries = dict[str, tuple[yaml.Node, yaml.Node]]
 
 
+#: What stands under a key with nothing behind it, or ``null``: a value that no field takes. None would do for a field
+#: that may be left out, and an emptied limit would be the default without a word. (pydantic looks for the fields of a
+#: part in an object of any class but the built-in ones.)
+NOTHING = ...
+
+
 class Document:
     """The values of a YAML text, and the position of each.
 
     Attributes:
-        data: the values as dicts, lists, str, float, int, bool and None; what is faulty is left out or None.
+        data: the values as dicts, lists, str, float, int and bool, `NOTHING` under a key without a value; what is
+            faulty is left out or is nothing.
         faults: what is wrong already on this level, such as a key that stands twice.
     """
 
@@ -86,7 +95,8 @@ class Document:
         if not isinstance(node, yaml.ScalarNode) and node.tag not in (MAPPING, SEQUENCE):
             self._fault(node, f"found the tag {short_tag(node.tag)}, expected a plain value without a tag")
         if isinstance(node, yaml.MappingNode):
-            return {name: self._value(value) for name, (_, value) in self._entries_of(node).items()}
+            values = {name: self._value(value) for name, (_, value) in self._entries_of(node).items()}
+            return {name: NOTHING if value is None else value for name, value in values.items()}
         if isinstance(node, yaml.SequenceNode):
             return [self._value(entry) for entry in node.value]
         try:
@@ -100,13 +110,26 @@ class Document:
         if id(node) not in self._entries:
             own: Entries = {}
             merged: Entries = {}
-            for key, value in node.value:
+            for key, value in self._whole_entries(node):
                 if key.tag == MERGE:
                     merged = {**self._merged(value), **merged}
                 else:
                     self._add(own, key, value)
             self._entries[id(node)] = own | {name: pair for name, pair in merged.items() if name not in own}
         return self._entries[id(node)]
+
+    def _whole_entries(self, node: yaml.MappingNode) -> Iterator[tuple[yaml.Node, yaml.Node]]:
+        """Those that no comma cut off a number: ``{stiffness: 2,000}`` has a key ``000``, which nobody wrote."""
+        number: yaml.Node | None = None
+        before: yaml.Node | None = None
+        for key, value in node.value:
+            if before is None or not is_behind_comma(before, key, value):
+                yield key, value
+                number = before = value
+                continue
+            if number is not None and before is number:  # and not the second comma of 1,000,000
+                self._fault(number, f"found {quote(f'{number.value},{key.value}')}, {NO_COMMA}")
+            before = key
 
     def _add(self, own: Entries, key: yaml.Node, value: yaml.Node) -> None:
         if not isinstance(key, yaml.ScalarNode) or key.tag != STRING:

@@ -1,7 +1,7 @@
 """What pydantic found wrong, in our own sentences: what was found, what was expected, what to do."""
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, get_args
 
 from pydantic import BaseModel, ValidationError
@@ -14,6 +14,7 @@ from .mock import Initial, Mock
 from .modules import MODULE_TYPES
 from .quantity import UNEXPECTED, Expectation
 from .scene import ACROSS, Scene
+from .syntax import space_hint
 
 
 @dataclass(frozen=True)
@@ -88,6 +89,18 @@ class _Detail:
 
     def issue(self, document: Document) -> Issue:
         """The error in our words."""
+        issue = self._issue(document)
+        if issue.path == self.path and not issue.at_key and self._is_emptied(document):
+            return replace(issue, sentence=f"{issue.sentence}; leave the key out for the default")
+        return issue
+
+    def _is_emptied(self, document: Document) -> bool:
+        """Whether nothing stands behind a key that may be left out."""
+        in_part = self.place in self._layout.parts or len(self.place) > 2
+        field = _fields_of(self._part()).get(self.key) if in_part else None
+        return field is not None and not field.is_required() and document.value(self.path) is None
+
+    def _issue(self, document: Document) -> Issue:
         match self.kind:
             case "union_tag_not_found":
                 return _no_tag(self.path, self._layout, document)
@@ -105,12 +118,12 @@ class _Detail:
         if self.kind == "missing":
             return Issue(self.path[:-1], f"{quote(self.key)} is missing, expected {self._wanted()}", True)
         keys = self._known_keys()
-        hint = did_you_mean(self.key, keys)
+        hint = space_hint(self.key) or did_you_mean(self.key, keys)
         return Issue(self.path, f"unknown key, expected {one_of(keys)}{hint}", True)
 
     def meant(self) -> Path:
         """Where the key would stand that an unknown key seems to mean."""
-        near = nearest(self.key, self._known_keys())
+        near = nearest(self.key.partition(":")[0], self._known_keys())
         return (*self.place, near) if near else ()
 
     def _about_value(self, document: Document) -> Issue:
@@ -121,7 +134,9 @@ class _Detail:
         else:
             expected = "a text" if self.kind == "string_type" else self._layout.mapping_words(path)
         hint = document.number_hint(path) if "number" in expected else ""
-        return Issue(path, f"found {document.found(path)}, expected {expected}{hint}")
+        hint = space_hint(document.value(path)) if "mapping" in expected and not hint else hint
+        found = self.context.get("found") or document.found(path)
+        return Issue(path, f"found {found}, expected {expected}{hint}")
 
     def _part(self) -> type[BaseModel]:
         """The class of the part that holds the value."""

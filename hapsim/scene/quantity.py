@@ -40,13 +40,14 @@ class Span(BaseModel):
 SpanPerChannel = float | Span | tuple[float | Span, ...]
 
 
-def unexpected(expected: str, at: tuple[int, ...] = ()) -> NoReturn:
-    """Say that a value, or the entry ``at`` within it, is not what was ``expected``.
+def unexpected(expected: str, at: tuple[int, ...] = (), found: str = "") -> NoReturn:
+    """Say that a value, or the entry ``at`` within it, is not what was ``expected``; ``found``: what it is, in place of
+    what the file spells there.
 
     Raises:
         PydanticCustomError: always; inside a pydantic validation it becomes one of the collected faults.
     """
-    raise PydanticCustomError(UNEXPECTED, "expected {expected}", {"expected": expected, "at": at})
+    raise PydanticCustomError(UNEXPECTED, "expected {expected}", {"expected": expected, "at": at, "found": found})
 
 
 class Expectation:
@@ -82,7 +83,7 @@ class Quantity(Expectation):
         unit: its unit as people read it, such as ``N·s/m``.
         above, least, most: the bounds; ``above`` is exclusive.
         per_channel: a list with one number for each channel is welcome too, and becomes a tuple.
-        left_out: what it means to leave the number out; where this is given, ``null`` is welcome too.
+        left_out: what it means to leave the number out; where this is given, None is welcome in Python too.
         spans: a mapping ``{from: least, to: most}`` is welcome in place of a number, and becomes a `Span`.
     """
 
@@ -101,7 +102,7 @@ class Quantity(Expectation):
         return self._one() + span + several
 
     def check(self, value: object) -> SpanPerChannel | None:
-        """A float, or a tuple of one for each channel; None for a welcome ``null``. An error through `unexpected`."""
+        """A float, or a tuple of one for each channel; a welcome None stays. An error through `unexpected`."""
         if value is None and self.left_out:
             return None
         if self.per_channel and isinstance(value, Sequence) and not isinstance(value, str | bytes):
@@ -162,7 +163,7 @@ class Count(Expectation):
         description: what is counted, for the schema.
         least, most: the bounds, both inclusive.
         unit: the unit as people read it, or nothing for a bare number.
-        left_out: what it means to leave the number out; where this is given, ``null`` is welcome too.
+        left_out: what it means to leave the number out; where this is given, None is welcome in Python too.
     """
 
     description: str

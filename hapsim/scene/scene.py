@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import AfterValidator, Field, PlainSerializer, PrivateAttr, model_validator
+from pydantic import AfterValidator, Field, PlainSerializer, PrivateAttr, SerializationInfo, model_validator
 from pydantic_core import PydanticCustomError
 
 from .choices import SCHEME, WITH_SENSOR, SchemeName
@@ -51,10 +51,15 @@ class Version(Expectation):
         return {"const": VERSION, "type": "integer", "description": "Version of the scene format"}
 
 
+def _written(modules: Mapping[str, Module], info: SerializationInfo) -> dict[str, Any]:
+    """Without None where that is asked for: a file takes none."""
+    return {name: module.model_dump(exclude_none=info.exclude_none) for name, module in modules.items()}
+
+
 ModulesByName = Annotated[
     Mapping[Annotated[str, Name()], TypedModule],
     AfterValidator(Table),
-    PlainSerializer(lambda modules: {name: module.model_dump() for name, module in modules.items()}),
+    PlainSerializer(_written),
     Field(
         description="The modules of the scene, by name",
         json_schema_extra={"minProperties": 1, "additionalProperties": False},

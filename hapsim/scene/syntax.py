@@ -1,9 +1,11 @@
 """Text -> YAML nodes, or the one fault that keeps it from being YAML."""
 
+import re
+
 import yaml
 
-from .issue import LocatedIssue, Place
-from .yaml_rules import TOO_DEEP, SceneLoader
+from .issue import LocatedIssue, Place, quote
+from .yaml_rules import STRING, TOO_DEEP, SceneLoader
 
 _BROKEN_ESCAPE = "not YAML: found an escape such as \\U… that names no character"
 # What PyYAML says, and what we say in its place.
@@ -24,6 +26,10 @@ _ADVICE = {
 }
 
 
+# `key:value` at the beginning of a line.
+_UNSPACED = re.compile(r"^[ ]*(?:- )?([A-Za-z_][A-Za-z0-9_-]*):(?=[^\s:])(?!//)", re.MULTILINE)
+
+
 class YamlSyntaxError(Exception):
     """The text is not YAML; ``fault`` says where and why."""
 
@@ -41,7 +47,7 @@ def compose(text: str) -> yaml.Node | None:
     loader = None
     try:
         loader = SceneLoader(text)
-        return loader.get_single_node()
+        root = loader.get_single_node()
     except yaml.reader.ReaderError as error:
         found = f"found the character U+{ord(text[error.position]):04X}"
         raise YamlSyntaxError(
@@ -50,10 +56,39 @@ def compose(text: str) -> yaml.Node | None:
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         place = _place_of_mark(mark) if mark else Place(1, 1)
-        raise YamlSyntaxError(LocatedIssue(place, _sentence(error))) from None
+        raise YamlSyntaxError(_unspaced(text) or LocatedIssue(place, _sentence(error))) from None
     except (ValueError, OverflowError):  # PyYAML on \U followed by digits beyond Unicode
         place = _place_of_mark(loader.get_mark()) if loader else Place(1, 1)
         raise YamlSyntaxError(LocatedIssue(place, _BROKEN_ESCAPE)) from None
+    unspaced = _unspaced(text) if _is_plain_text(root) else None
+    if unspaced is not None:
+        raise YamlSyntaxError(unspaced)
+    return root
+
+
+def space_hint(text: object) -> str:
+    """What to do about a text where a mapping is meant, or about a key, with no space behind its colon; or nothing."""
+    key, colon, value = text.partition(":") if isinstance(text, str) else ("", "", "")
+    return f"; a space belongs behind the colon: {quote(f'{key}: {value}')}" if colon and value[:1].strip() else ""
+
+
+def _unspaced(text: str) -> LocatedIssue | None:
+    """The first line `key:value`, if the text is a mapping once there is a space behind these colons."""
+    first = _UNSPACED.search(text)
+    if first is None:
+        return None
+    try:
+        root = SceneLoader(_UNSPACED.sub(r"\g<0> ", text)).get_single_node()
+    except (yaml.YAMLError, ValueError, OverflowError):
+        return None
+    if not isinstance(root, yaml.MappingNode):
+        return None
+    entry = text[first.start(1) :].splitlines()[0].split(" #")[0].rstrip()
+    return LocatedIssue(place_in(text, first.end()), f"found {quote(entry)}{space_hint(entry)}")
+
+
+def _is_plain_text(root: yaml.Node | None) -> bool:
+    return isinstance(root, yaml.ScalarNode) and root.tag == STRING and root.style is None
 
 
 def place_of(node: yaml.Node) -> Place:

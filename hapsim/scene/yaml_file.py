@@ -1,5 +1,6 @@
 """A file in YAML -> a `Document`, or an error with a line for each fault: for scenes, and for other files."""
 
+import codecs
 import os
 from collections.abc import Iterable
 from contextlib import suppress
@@ -9,7 +10,7 @@ from pathlib import Path as FilePath
 from hapsim.errors import UsageError
 
 from .document import Document
-from .issue import Issue, LocatedIssue, Path, Place, did_you_mean, quote
+from .issue import Issue, LocatedIssue, Path, Place, nearest, quote
 from .quantity import Name
 from .syntax import YamlSyntaxError, compose, place_in
 
@@ -31,6 +32,8 @@ class YamlFile:
     def text_of(self, path: str | os.PathLike[str]) -> str:
         """The text of a file; `error` where it cannot be read, or is no UTF-8."""
         name = os.fsdecode(path)
+        if not name:
+            raise self.error(f"'': the name of the file is empty, expected that of a file with {self.wanted}")
         try:
             content = FilePath(name).read_bytes()
         except (OSError, ValueError) as error:
@@ -41,6 +44,8 @@ class YamlFile:
             readable = content[: error.start].decode("utf-8")
             place = place_in(readable, len(readable))
             sentence = f"found the byte 0x{content[error.start]:02x}, expected text in UTF-8"
+            if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+                sentence += "; it looks like UTF-16: save the file as UTF-8"
             raise self.failure(name, [LocatedIssue(place, sentence)]) from None
 
     def document_of(self, text: str, name: str) -> Document:
@@ -73,7 +78,7 @@ class YamlFile:
             case FileNotFoundError():
                 folder, wanted = os.path.split(name)
                 with suppress(OSError):
-                    hint = did_you_mean(wanted, os.listdir(folder or "."))
+                    hint = _did_you_mean(wanted, os.listdir(folder or "."))
                     return f"no such file, expected {self.wanted}{hint}"
                 return f"no such directory, expected {self.wanted}"
             case IsADirectoryError():
@@ -84,6 +89,16 @@ class YamlFile:
                 return f"this file cannot be read: {reason}"
             case _:
                 return "this is not the name of a file"
+
+
+def _did_you_mean(wanted: str, there: Iterable[str]) -> str:
+    """The end of a sentence that offers the file of the nearest name, or nothing. What most names have in common, how
+    they end, makes none alike; of two that differ in it alone, the one that ends as it is wanted counts."""
+    ending = os.path.splitext(wanted)[1]
+    in_order = sorted(there, key=lambda name: (os.path.splitext(name)[1] == ending, name))
+    by_stem = {os.path.splitext(name)[0]: name for name in in_order}
+    near = nearest(os.path.splitext(wanted)[0], by_stem)
+    return f"; did you mean {quote(by_stem[near])}?" if near else ""
 
 
 def _follows(issue: Issue, document: Document, known: set[Place]) -> bool:

@@ -35,6 +35,8 @@ _WORDS = {
 }
 _PATTERNS = {tag: re.compile(rf"(?:{pattern})\Z") for tag, (pattern, _) in _WORDS.items()}
 
+_CUT_OFF = re.compile(r"[0-9]+(\.[0-9]*)?\Z")  # behind a comma
+
 
 class SceneLoader(yaml.SafeLoader):
     """PyYAML's safe reader with the words above, and an end to nesting before Python's own."""
@@ -112,6 +114,17 @@ def number_hint(node: yaml.Node) -> str:
     if re.match(r"[-+]?\.?[0-9]", text):
         return "; write plain decimals without a unit, such as 2000, 0.5 or 1e-9"
     return ""
+
+
+NO_COMMA = "expected a number without a comma: leave out one for thousands, write a point for decimals"
+
+
+def is_behind_comma(before: yaml.Node, key: yaml.Node, value: yaml.Node) -> bool:
+    """Whether a key with nothing behind it is what a comma cut off a number, or off what is cut off already."""
+    if not all(isinstance(node, yaml.ScalarNode) for node in (before, key, value)) or value.value:
+        return False
+    numbers = _CUT_OFF.match(key.value) and (before.tag in (INTEGER, FLOAT) or _CUT_OFF.match(before.value))
+    return bool(numbers) and key.start_mark.index == before.end_mark.index + 1
 
 
 def _integer(text: str) -> int | float:

@@ -24,6 +24,8 @@ import yaml
 
 from firmware_protocol.schema import SCHEMA_HASH, VERSION
 from hapsim import __version__
+from hapsim.device.mock import command as serving_command
+from hapsim.scene import load_scene
 
 HAPSIM = [sys.executable, "-m", "hapsim"]
 
@@ -86,8 +88,34 @@ def test_a_link_whose_name_is_taken_is_status_2_and_left_alone(
         for number, handler in before.items():
             signal.signal(number, handler)
     assert answer.status == 2
-    assert f"{taken}: cannot be made a name of the port" in answer.sentence
+    assert f"{taken}: cannot be made a name of the port: it is a file, not a link of hapsim" in answer.sentence
     assert taken.read_text(encoding="utf-8") == "mine"
+
+
+def test_a_link_that_a_killed_mock_left_is_gone_before_the_next_has_a_port(
+    scene_file: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # The system gives the number of a pseudo-terminal that is gone to the next: the link would seem to be in use.
+    link = tmp_path / "device"
+    link.symlink_to("/dev/pts/99999")
+
+    @contextlib.contextmanager
+    def serving(*_: object) -> Iterator[str]:
+        assert not link.is_symlink()
+        yield "/dev/pts/99999"
+
+    def stop(name: str) -> None:
+        assert (name, os.readlink(link)) == (str(link), "/dev/pts/99999")
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    monkeypatch.setattr(serving_command, "serving", serving)
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+    try:
+        serving_command.serve_until_stopped(load_scene(scene_file("spring")), link, stop, lambda _: None)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    assert not link.is_symlink()
 
 
 def test_a_new_scene_can_be_checked_and_run_at_once(

@@ -101,3 +101,17 @@ def test_a_sentence_that_fits_stays_as_it_is() -> None:
     assert fitted(SENTENCE, len(SENTENCE)) == SENTENCE
     assert fitted(SENTENCE, None) == SENTENCE
     assert fitted(SENTENCE, len(SENTENCE) - 1).count("\n") == 1
+
+
+@pytest.mark.parametrize("words", [[], ["frames"], ["faults"], ["probe"], ["identify"], ["chart"], ["chart", "felt"]])
+def test_help_has_no_line_break_within_a_paragraph(
+    hapsim: Callable[..., Any], monkeypatch: pytest.MonkeyPatch, words: list[str]
+) -> None:
+    monkeypatch.setenv("COLUMNS", "600")  # the longest paragraph has room in a line
+    answer = hapsim(*words, "--help")
+    assert answer.status == 0
+    prose = [line.strip() for line in answer.out.splitlines() if line.startswith(" ") and "Usage:" not in line]
+    commands = [line.strip("│ ") for line in answer.out.split("Commands ─")[-1].splitlines()[1:] if line.strip("│╰╯─ ")]
+    told = [line for line in prose if line] + (commands if len(words) == 0 or words == ["chart"] else [])
+    assert told
+    assert all(line.endswith(".") for line in told), told

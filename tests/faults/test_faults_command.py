@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 
+from hapsim.errors import DeviceError
 from hapsim.faults import KINDS
 
 SCENE = """\
@@ -115,3 +116,19 @@ def test_a_device_that_goes_away_is_status_3_and_told_beside_what_passed(hapsim:
     assert answer.status == 3
     assert "the device went away" in answer.document["error"]
     assert answer.document["exit_status"] == 3
+
+
+@linux
+def test_a_link_that_was_left_over_is_gone_before_the_mock_has_a_port(
+    hapsim: Hapsim, scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # The system gives the number of a pseudo-terminal that is gone to the next: the link would seem to be in use.
+    name = tmp_path / "port"
+    name.symlink_to("/dev/pts/99999")
+
+    def start(_scene: str) -> None:
+        raise DeviceError("still there" if name.is_symlink() else "free")
+
+    monkeypatch.setattr("hapsim.commands.faults._mock", start)
+    answer = hapsim("faults", "noisy_wire", "--scene", scene, "--path", name, "--json")
+    assert answer.document["error"] == "free"

@@ -159,7 +159,7 @@ def test_what_no_host_fetches_is_counted() -> None:
 def test_a_name_that_is_taken_is_left_alone(tmp_path: Path) -> None:
     taken = tmp_path / "taken"
     taken.write_text("mine")
-    with pair() as (_, port), pytest.raises(UsageError, match="cannot be made a name of the port: File exists"):
+    with pair() as (_, port), pytest.raises(UsageError, match="it is a file, not a link of hapsim"):
         Relay(port, injector_of("kind: drop"), taken).__enter__()
     assert taken.read_text() == "mine"
 

@@ -33,6 +33,9 @@ faults:
   - {kind: nonsense, register: channels, what: nan}
   - {kind: unplug}
   - {kind: drop, from: 1, after_samples: 2}
+  - {kind: unplug, at: 1, after_samples: 2}
+  - {kind: garbage, bytes: 1, every: 1, every_samples: 2}
+  - {kind: leap, at: 1, metres: 1, counts: 1}
 """
     assert errors_of(text) == [
         f"s.yaml:3:12: kind: found 'drp' (text), expected {ALL}; did you mean 'drop'?",
@@ -40,15 +43,18 @@ faults:
         "s.yaml:5:31: probability: found 2, expected a number from 0 to 1 (1)",
         "s.yaml:5:34: directin: unknown key, expected kind, from, for, after_samples, for_samples, direction or "
         "probability; did you mean 'direction'?",
-        "s.yaml:6:5: faults[3]: found a mapping, expected metres or counts, one of them",
+        "s.yaml:6:5: faults[3]: found neither metres nor counts, expected one of them",
         "s.yaml:7:5: faults[4]: found 7, expected a mapping such as {kind: drop, probability: 0.001}",
         "s.yaml:8:5: faults[5]: 'register' is missing, expected rate, position_scale, force_scale, force_limit, "
         "velocity_scale, channels, pacings, max_watchdog or schema",
-        "s.yaml:9:5: faults[6]: found a mapping, expected for or for_samples, not both",
-        "s.yaml:10:5: faults[7]: found a mapping, expected zero, negative or huge of channels: it is a whole number, "
+        "s.yaml:9:5: faults[6]: found both for and for_samples, expected one of them",
+        "s.yaml:10:5: faults[7]: found nan, expected zero, negative or huge of channels: it is a whole number, "
         "and none of them is nan",
-        "s.yaml:11:5: faults[8]: found a mapping, expected at (s) or after_samples, one of them",
-        "s.yaml:12:5: faults[9]: found a mapping, expected from or after_samples, not both",
+        "s.yaml:11:5: faults[8]: found neither at (s) nor after_samples, expected one of them",
+        "s.yaml:12:5: faults[9]: found both from and after_samples, expected one of them",
+        "s.yaml:13:5: faults[10]: found both at (s) and after_samples, expected one of them",
+        "s.yaml:14:5: faults[11]: found both every and every_samples, expected one of them",
+        "s.yaml:15:5: faults[12]: found both metres and counts, expected one of them",
     ]
 
 

@@ -1,11 +1,12 @@
 """The error of a faulty value or key names line and column, what was found and what was expected."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import get_args
 
 import pytest
+from pydantic import BaseModel
 
-from hapsim.scene import DamperScheme, Hold, SchemeName
+from hapsim.scene import DamperScheme, Device, Hold, Initial, Mock, Scene, SchemeName
 from hapsim.scene.issue import one_of
 from hapsim.scene.modules import MODULE_TYPES
 
@@ -16,6 +17,7 @@ HZ = "expected a number > 0 (Hz)"
 FINITE = "expected a finite number > 0 (Hz)"
 DECIMALS = "; write plain decimals without a unit, such as 2000, 0.5 or 1e-9"
 MASS = "expected a number > 0 (kg), or {from: the least, to: the most}, or a list with one per channel"
+PORT = "expected the name of a serial port, such as /dev/ttyACM0"
 TYPES = f"expected {one_of(MODULE_TYPES)}"
 NAME = "not a name, expected letters, digits, _ and -, starting with a letter or _"
 NO_TAG = "expected a plain value without a tag"
@@ -84,7 +86,8 @@ def test_what_is_no_rate_is_reported_as_the_file_spells_it(only_fault: OnlyFault
             f"3:25: hold: found 'zho' (text), expected {one_of(get_args(Hold))}; did you mean 'zoh'?",
         ),
         ("{mass: 1, clock: 3}", "3:26: clock: found 3, expected device, host or lockstep"),
-        ("{mass: 1, port: 3}", "3:25: port: found 3, expected a text"),
+        ("{mass: 1, port: 3}", f"3:25: port: found 3, {PORT}"),
+        ("{mass: 1, port: ''}", f"3:25: port: found '' (text), {PORT}"),
         ("3", "3:9: device: found 3, expected a mapping"),
         ("", "3:8: device: found nothing, expected a mapping"),
         ("{}", f"3:1: device: 'mass' is missing, {MASS}"),
@@ -217,6 +220,44 @@ def test_what_is_no_module_is_reported(faults: Faults, good: str, old: str, new:
 )
 def test_a_wrong_key_is_reported(only_fault: OnlyFault, old: str, new: str, told: str) -> None:
     assert only_fault(old, new) == told
+
+
+def emptied(part: type[BaseModel], at: tuple[str, ...]) -> Iterator[tuple[str, ...]]:
+    """The ways to the keys of a part that may be left out."""
+    for name, field in part.model_fields.items():
+        if not field.is_required() and name != "type":
+            yield (*at, name)
+
+
+OPTIONAL = [
+    *emptied(Scene, ()),
+    *emptied(Device, ("device",)),
+    *emptied(Mock, ("mock",)),
+    *emptied(Initial, ("mock", "initial")),
+    *(path for kind, part in MODULE_TYPES.items() for path in emptied(part, ("modules", kind))),
+]
+
+
+@pytest.mark.parametrize("written", ["", "~", "null"])
+def test_nothing_under_a_key_that_may_be_left_out_is_not_taken_for_its_default(faults: Faults, written: str) -> None:
+    # An emptied limit that meant the default would be a limit that nobody wrote.
+    assert {("device", "slew_limit"), ("device", "soft_start"), ("device", "energy_limit")} < set(OPTIONAL)
+    for path in OPTIONAL:
+        lines = [f"{'  ' * depth}{step}:" for depth, step in enumerate(path)]
+        if path[0] == "modules":
+            lines.insert(-1, f"    type: {path[1]}")
+        found = f": {path[-1]}: found {written} (nothing), expected " if written else f": {path[-1]}: found nothing, "
+        (told,) = [line for line in faults("\n".join(lines) + f" {written}\n") if found in line]
+        assert told.endswith("; leave the key out for the default")
+
+
+def test_nothing_under_a_key_that_has_to_be_there_is_not_to_be_left_out(only_fault: OnlyFault) -> None:
+    assert only_fault("stiffness: 2000", "stiffness: ") == (
+        "7:64: stiffness: found nothing, expected a number >= 0 (N/m)"
+    )
+    assert only_fault("hand:  {type: device, channel: 0}", "hand:  {type: device, channel: 0}\n  more:") == (
+        "6:8: more: found nothing, expected a mapping such as {type: mass, mass: 0.01}"
+    )
 
 
 @pytest.mark.parametrize("version", ["2", "0", "-1", "1.0", "'1'", "true", "one"])

@@ -8,6 +8,8 @@ import pytest
 from hapsim.errors import SceneError
 from hapsim.scene import load_scene, parse_scene
 
+UTF_16 = "it looks like UTF-16: save the file as UTF-8"
+
 
 def refusal(path: str | os.PathLike[str]) -> str:
     with pytest.raises(SceneError) as caught:
@@ -52,6 +54,30 @@ def test_a_missing_file_is_reported_with_the_nearest_name_beside_it(tmp_path: Pa
     assert refusal(tmp_path / "no" / "s.yaml") == (f"{tmp_path}/no/s.yaml: no such directory, expected a scene in YAML")
 
 
+@pytest.mark.parametrize(
+    ("wanted", "offered"),
+    [
+        ("nosuch.yaml", None),
+        ("first_tuch.yaml", "first_touch.yaml"),
+        ("first_touch", "first_touch.yaml"),
+        ("first_touch.yml", "first_touch.yaml"),
+        ("first_touch.pn", "first_touch.yaml"),
+        ("first_touc.png", "first_touch.png"),
+    ],
+)
+def test_a_name_is_offered_only_where_it_is_alike_but_for_its_ending(
+    tmp_path: Path, wanted: str, offered: str | None
+) -> None:
+    for name in ("two.yaml", "first_touch.png", "first_touch.yaml"):
+        (tmp_path / name).write_text("")
+    hint = f"; did you mean '{offered}'?" if offered else ""
+    assert refusal(tmp_path / wanted) == f"{tmp_path}/{wanted}: no such file, expected a scene in YAML{hint}"
+
+
+def test_an_empty_name_is_told_as_that() -> None:
+    assert refusal("") == "'': the name of the file is empty, expected that of a file with a scene in YAML"
+
+
 def test_a_directory_is_no_scene(tmp_path: Path) -> None:
     assert refusal(tmp_path) == f"{tmp_path}: found a directory, expected a file with a scene in YAML"
 
@@ -84,7 +110,9 @@ def test_what_names_no_file_is_reported(name: str, told: str) -> None:
 @pytest.mark.parametrize(
     ("content", "told"),
     [
-        (b"\xff\xfev\x00", ":1:1: found the byte 0xff, expected text in UTF-8"),
+        (b"\xff\xfev\x00", f":1:1: found the byte 0xff, expected text in UTF-8; {UTF_16}"),
+        (b"\xfe\xff\x00v", f":1:1: found the byte 0xfe, expected text in UTF-8; {UTF_16}"),
+        (b"\xffv", ":1:1: found the byte 0xff, expected text in UTF-8"),
         ("# für\nrate: 1 # n\xfcr".encode("latin-1"), ":1:4: found the byte 0xfc, expected text in UTF-8"),
         ("# für\nrate: ü".encode() + b"\xfc", ":2:8: found the byte 0xfc, expected text in UTF-8"),
     ],

@@ -13,7 +13,7 @@ from hapsim.scene import Scene, parse_scene
 TEXT = """\
 version: 1
 rate: 1000
-device: {port: null, baud: 9600, clock: host, mass: [0.2, 0.1], friction: 1.0, delay: 1, hold: zoh}
+device: {port: /dev/ttyACM0, baud: 9600, clock: host, mass: [0.2, 0.1], friction: 1.0, delay: 1, hold: zoh}
 mock: &m {mass: 0.3, initial: {position: [0, 0.1], velocity: 0.1}, quantum: 1.0e-9, noise: 0.0, seed: 3}
 modules:
   hand:  {type: device, channel: 0}

@@ -45,6 +45,11 @@ def test_the_schema_takes_what_ships(schema: dict[str, Any], path: Path) -> None
         ("{mass: 0.2}", "{mass: [0.2, -1]}", "$.device.mass"),
         ("{mass: 0.2}", "{mass: 1, hold: level}", "$.device.hold"),
         ("{mass: 0.2}", "{mass: 1, delay: 1001}", "$.device.delay"),
+        ("{mass: 0.2}", "{mass: 1, slew_limit: }", "$.device.slew_limit"),
+        ("{mass: 0.2}", "{mass: 1, port: }", "$.device.port"),
+        ("{mass: 0.2}", "{mass: 1, port: ''}", "$.device.port"),
+        ("rate: 1000", "rate: 1000\nmock:", "$.mock"),
+        ("rate: 1000", "rate: 1000\nmock: {mass: ~}", "$.mock.mass"),
         ("wall: ", "2nd: ", "$.modules"),
         ("type: ground", "type: floor", "$.modules.wall"),
         ("type: ground", "position: 0.0", "$.modules.wall"),
@@ -77,7 +82,6 @@ def test_the_defaults_of_the_format_are_in_the_schema(schema: dict[str, Any]) ->
     device = schema["$defs"]["Device"]["properties"]
     defaults = {name: field["default"] for name, field in device.items() if "default" in field}
     assert defaults == {
-        "port": None,
         "baud": 2_000_000,
         "clock": "device",
         "friction": 0.0,
@@ -86,9 +90,6 @@ def test_the_defaults_of_the_format_are_in_the_schema(schema: dict[str, Any]) ->
         "hold": "zoh",
         "sampling": "ideal",
         "force_limit": 10.0,
-        "slew_limit": None,
-        "soft_start": None,
-        "energy_limit": None,
         "correction": "none",
     }
 

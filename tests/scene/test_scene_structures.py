@@ -177,7 +177,6 @@ def test_a_string_that_is_plucked_says_where_its_masses_begin(good: str) -> None
     assert string.pluck == Pluck(at=1, by=0.5)
     assert string.initial_positions() == pytest.approx([1.25, 1.5, 1.375, 1.25, 1.125])
     assert type(scene).model_validate(scene.model_dump()) == scene
-    assert parse_scene(text_with(good, f"{STRING}, pluck: ")).modules["s"] == parse_scene(text_with(good)).modules["s"]
 
 
 def ends_of(structure: Structure) -> Counter[tuple[int, int]]:

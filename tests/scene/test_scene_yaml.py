@@ -124,6 +124,68 @@ def test_what_is_not_yaml_is_reported_where_it_breaks(faults: Faults, text: str,
     assert faults(text) == [told]
 
 
+UNSPACED = """\
+# a scene: from elsewhere
+version:1
+rate:1000
+device:
+  mass: 0.2
+modules:
+  hand:{type: device, channel: 0}
+"""
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        (UNSPACED, "2:9: found 'version:1'; a space belongs behind the colon: 'version: 1'"),
+        ("version:1\nrate:1000 # Hz\n", "1:9: found 'version:1'; a space belongs behind the colon: 'version: 1'"),
+        (
+            "version: 1\nrate:1000 # Hz\ndevice: {mass: 1}\n",
+            "2:6: found 'rate:1000'; a space belongs behind the colon: 'rate: 1000'",
+        ),
+        (
+            "device:\n  port:/dev/ttyACM0\n  mass: 1\n",
+            "2:8: found 'port:/dev/ttyACM0'; a space belongs behind the colon: 'port: /dev/ttyACM0'",
+        ),
+    ],
+)
+def test_of_colons_without_a_space_the_first_is_reported(faults: Faults, text: str, told: str) -> None:
+    assert faults(text) == [told]
+
+
+def test_a_colon_without_a_space_is_not_blamed_for_something_else(faults: Faults) -> None:
+    assert faults("version:1\nrate: [1\n") == [
+        "2:5: not YAML: mapping values are not allowed here; "
+        "is a line broken or indented too far, or are quotes missing?"
+    ]
+    (told,) = faults("http://somewhere\n")
+    assert told.startswith("1:1: found 'http://somewhere' (text), expected a mapping with version")
+
+
+def test_a_colon_without_a_space_within_a_scene_is_told_with_what_to_do(faults: Faults, good: str) -> None:
+    remedy = "; a space belongs behind the colon: 'mass: 0.2'"
+    assert faults(good.replace("{mass: 0.2}", "\n  mass:0.2")) == [
+        f"4:3: device: found 'mass:0.2' (text), expected a mapping{remedy}"
+    ]
+    (told,) = faults(good.replace("mass: 0.2", "mass:0.2"))
+    assert told.startswith("3:10: 'mass:0.2': unknown key, expected port, ")
+    assert told.endswith(remedy)
+
+
+@pytest.mark.parametrize(
+    ("written", "found"), [("2,000", "2,000"), ("1,000,000", "1,000"), ("0,5", "0,5"), ("2,500.5", "2,500.5")]
+)
+def test_a_comma_in_a_number_is_told_as_that(faults: Faults, good: str, written: str, found: str) -> None:
+    remedy = "expected a number without a comma: leave out one for thousands, write a point for decimals"
+    assert faults(good.replace("2000", written)) == [f"7:65: found '{found}', {remedy}"]
+    assert faults(good.replace("2000}", f"{written}, damping: 2}}")) == [f"7:65: found '{found}', {remedy}"]
+
+
+def test_a_number_behind_a_comma_and_a_space_is_a_key(faults: Faults, good: str) -> None:
+    assert faults(good.replace("2000", "2, 000"))[0].startswith("7:68: '000': unknown key, expected type, ")
+
+
 @pytest.mark.parametrize(
     ("text", "place"),
     [

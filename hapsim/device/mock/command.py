@@ -11,7 +11,7 @@ from queue import SimpleQueue
 from hapsim.compiling.progress import Counted, on_compilation
 from hapsim.device.mock.assemble import assemble_mock
 from hapsim.device.mock.terminal import require_pseudo_terminal, serving
-from hapsim.errors import UsageError
+from hapsim.device.port_name import free_name, give_name, take_name
 from hapsim.progress import Progress
 from hapsim.scene import Scene
 
@@ -29,6 +29,7 @@ def serve_until_stopped(
     is taken. `as_hardware`: before every other program, where the system grants that.
     """
     require_pseudo_terminal()  # before anything is changed
+    free_name(link)
     # A queue, and not an event: a handler that sets one while it is waited for may wait for the event's own lock.
     stops: SimpleQueue[None] = SimpleQueue()
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
@@ -50,13 +51,8 @@ def _linked(link: Path | None, path: str) -> Iterator[str]:
     if link is None:
         yield path
         return
-    if link.is_symlink() and not link.exists():
-        link.unlink()  # left over from a mock that was killed
-    try:
-        link.symlink_to(path)
-    except OSError as error:
-        raise UsageError(f"{link}: cannot be made a name of the port: {error.strerror}") from error
+    give_name(link, path)
     try:
         yield str(link)
     finally:
-        link.unlink(missing_ok=True)
+        take_name(link, path)
