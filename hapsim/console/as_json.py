@@ -53,7 +53,12 @@ def prediction_document(
             for mode in prediction.modes
         ],
         "margins": {
-            margin.name: {"stiffness_factor": margin.stiffness_factor, "damping_factor": margin.damping_factor}
+            margin.name: {
+                "stiffness_factor": margin.stiffness_factor or None,
+                "damping_factor": margin.damping_factor or None,
+                "stabilizing_stiffness_factors": margin.stabilizing_stiffness,
+                "stabilizing_damping_factors": margin.stabilizing_damping,
+            }
             for margin in prediction.margins
         },
         "margins_method": prediction.margins_method or ("every link" if prediction.margins else "none"),

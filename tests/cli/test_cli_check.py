@@ -57,6 +57,53 @@ def test_an_unstable_scene_is_reported_as_such_and_is_no_failure(
     assert hapsim("check", scene_file("unstable"), "--json").document["stable"] is False
 
 
+def test_what_makes_an_unstable_scene_stable_does(hapsim: Callable[..., Any], scene_file: Callable[..., Path]) -> None:
+    """In the sentence, in the table and in JSON: the damping between two factors, just outside them not."""
+    path = scene_file("spring")
+    scene = yaml.safe_load(path.read_text())
+    link = next(module for module in scene["modules"].values() if module["type"] == "viscoelastic")
+    link |= {"stiffness": 4000.0, "damping": 5.0}
+
+    def check(damping: float) -> Any:
+        link["damping"] = damping
+        path.write_text(yaml.safe_dump(scene))
+        return hapsim("check", path, "--json").document
+
+    document = check(5.0)
+    (margin,) = document["margins"].values()
+    ((least, most),) = margin["stabilizing_damping_factors"]
+    assert (margin["damping_factor"], margin["stabilizing_stiffness_factors"]) == (
+        None,
+        [[0.0, margin["stiffness_factor"]]],
+    )
+    told = hapsim("check", path).out
+    row = next(line for line in told.splitlines() if line.startswith("│") and " to " in line)
+    low, high = (float(word) for word in row.split("│")[-2].split(" to "))
+    assert least <= low < least * 1.001
+    assert most * 0.999 < high <= most
+    assert "0: no factor" not in told.replace("\n", " ")
+    between = told.replace("\n", " ").partition("where the damping is between ")[2].split(" N·s/m")[0]
+    for factor, stable in ((low, True), (high, True), (least * 0.999, False), (most * 1.001, False)):
+        assert check(5.0 * factor)["stable"] is stable, factor
+    for damping in between.split(" and "):
+        assert check(float(damping))["stable"] is True, damping
+
+
+def test_where_no_factor_makes_a_scene_stable_there_is_a_dash(
+    hapsim: Callable[..., Any], scene_file: Callable[..., Path]
+) -> None:
+    path = scene_file("spring")
+    scene = yaml.safe_load(path.read_text())
+    link = next(module for module in scene["modules"].values() if module["type"] == "viscoelastic")
+    link |= {"stiffness": 4000.0, "damping": 0.0}
+    path.write_text(yaml.safe_dump(scene))
+    told = hapsim("check", path).out
+    assert "(–: no factor does it)" in " ".join(told.split())
+    assert [line.split("│")[-2].strip() for line in told.splitlines() if "or less │" in line] == ["–"]
+    (margin,) = hapsim("check", path, "--json").document["margins"].values()
+    assert (margin["damping_factor"], margin["stabilizing_damping_factors"]) == (None, [])
+
+
 @pytest.mark.parametrize("name", ["free", "damper"])
 def test_a_hand_that_nothing_pulls_back_is_not_called_unstable(
     hapsim: Callable[..., Any], scene_file: Callable[..., Path], name: str
