@@ -191,7 +191,7 @@ def _felt(felt: Felt) -> dict[str, Any]:
     values = asdict(replace(felt, predictor=None))
     configuration = values.pop("configuration")
     values.pop("predictor")
-    hand = {name: configuration[name] for name in ("mass", "friction", "damper", "cutoff")}
+    hand = {name: configuration[name] for name in ("mass", "friction", "delay", "hold", "sampling", "damper", "cutoff")}
     return values | hand | {"device_stiffness": configuration["stiffness"]}
 
 

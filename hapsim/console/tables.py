@@ -11,9 +11,9 @@ from rich.markup import escape
 from rich.table import Table
 
 from hapsim.console.correction import show_correction
-from hapsim.console.wire import show_silence, show_wire
+from hapsim.console.wire import show_silence, show_wire, slew_warnings
 from hapsim.prediction import Desired, Felt, Prediction, correction_for, felt_at_rate
-from hapsim.prediction.rounding import between, rounded_down, rounded_up
+from hapsim.prediction.rounding import between, duration, rounded_down, rounded_up
 from hapsim.theory import Mode
 
 if TYPE_CHECKING:
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from hapsim.measuring.identify import Measurement
     from hapsim.measuring.seen_rate import SeenRate
     from hapsim.prediction.predict import LinkMargin
+    from hapsim.scene import Scene
 
 
 _REFUSED_BY_DEVICE = "frames refused by the device"
@@ -35,14 +36,16 @@ _NO_FACTOR, _UNKNOWN = "–", "?"
 _MARGINAL = 1e-9  # of the spectral radius: a free motion, which rounding places on either side of 1
 
 
-def show_prediction(out: Console, name: str, prediction: Prediction, on_wire: Prediction | None) -> None:
+def show_prediction(out: Console, name: str, scene: Scene, prediction: Prediction, on_wire: Prediction | None) -> None:
     """What `hapsim check` tells. `on_wire`: as `predict_on_wire` gave it."""
-    title, verdict = f"[bold]{escape(name)}[/bold]", f"at {prediction.rate:g} Hz: {_stability(prediction)}"
+    held_back = bool(slew_warnings(scene, prediction))
+    title, verdict = f"[bold]{escape(name)}[/bold]", f"at {prediction.rate:g} Hz: {_stability(prediction, held_back)}"
     if len(name) < out.width:
         out.print(title, verdict)
     else:
         out.print(title, soft_wrap=True)  # a path stays whole: it is to be copied
         out.print(verdict)
+    out.print(_predicted_for(scene))
     show_assumptions(out, prediction)
     in_table = {margin.stiffness_factor for margin in _tightest(prediction)}
     desired = {one.name: one for one in prediction.desired}
@@ -74,12 +77,39 @@ def show_assumptions(out: Console, prediction: Prediction) -> None:
         out.print(f"[yellow]Assumed:[/yellow] {escape(assumption)}.")
 
 
-def _stability(prediction: Prediction) -> str:
+def _predicted_for(scene: Scene) -> str:
+    """Of which device and hand a prediction is; each channel's where they differ."""
+    device, channels = scene.device, scene.channels
+    each = zip(device.mass_spans(channels), device.frictions(channels), device.stiffnesses(channels), strict=True)
+    hands = [_one_hand(*one) for one in each]
+    used = {point.channel: hands[point.channel] for point in scene.device_points.values()}
+    who = "; ".join(f"channel {c}: {one}" for c, one in sorted(used.items()))
+    who = who if len(set(used.values())) > 1 else next(iter(used.values()))
+    samples = "sample" if device.delay == 1.0 else "samples"
+    late = (
+        f"{device.delay:g} {samples} ({duration(device.delay * scene.period)}) of delay" if device.delay else "no delay"
+    )
+    hold = {"zoh": "zero-order hold", "impulse": "impulse hold"}[device.hold]
+    averaged = ", averaged positions" if device.sampling == "average" else ""
+    return f"for a hand of {who}, {late}, {hold}{averaged}"
+
+
+def _one_hand(span: tuple[float, float], friction: float, stiffness: float) -> str:
+    least, most = span
+    mass = f"{most:g} kg" if least == most else f"{least:g} to {most:g} kg"
+    spring = f", a spring of {stiffness:g} N/m" if stiffness else ""
+    return f"{mass}, friction {friction:g} N·s/m{spring}"
+
+
+def _stability(prediction: Prediction, held_back: bool) -> str:
+    """`held_back`: whether the slew limit is too slow for it."""
     radius = f"(spectral radius {prediction.spectral_radius:.9g})"
     if _at_limit(prediction):
         return (
             f"[yellow]at the limit[/yellow] between stable and unstable: something drifts or swings for ever {radius}"
         )
+    if prediction.stable and held_back:
+        return f"[yellow]stable without its slew limit[/]: see the warning {radius}"
     return f"{'[green]stable' if prediction.stable else '[red]unstable'}[/] {radius}"
 
 
