@@ -108,14 +108,17 @@ def predict_and_warn(scene: Scene) -> None:
     warn(scene, predict(scene, with_margins=False))
 
 
-def predict_before_arming(path: str, scene: Scene, unstable: bool) -> None:
-    """Predicts the scene of this file, and says what there is against running it. UsageError where it is surely
-    unstable, and that is not asked for."""
+def predict_before_arming(path: str, scene: Scene, unstable: bool) -> list[str]:
+    """Predicts the scene of this file, says what there is against running it, and returns that. UsageError where it is
+    surely unstable, and that is not asked for, or its slew limit is too slow for the mock."""
     from hapsim.prediction import predict
+    from hapsim.prediction.force_bounds import refused_slew
 
+    if why := refused_slew(scene):
+        raise UsageError(why)
     prediction = predict(scene, with_margins=False)
     require_stable(path, scene, prediction, unstable)
-    warn(scene, prediction)
+    return warn(scene, prediction)
 
 
 def require_stable(path: str, scene: Scene, prediction: Prediction, unstable: bool) -> None:
@@ -127,12 +130,14 @@ def require_stable(path: str, scene: Scene, prediction: Prediction, unstable: bo
         raise UsageError(why)
 
 
-def warn(scene: Scene, prediction: Prediction) -> None:
-    """Says before a run what its prediction has against it: the hand should know what is coming."""
+def warn(scene: Scene, prediction: Prediction) -> list[str]:
+    """Says before a run what its prediction has against it, and returns it: the hand should know what is coming."""
     from hapsim.prediction import warnings_about
 
-    for warning in warnings_about(scene, prediction):
+    warnings = warnings_about(scene, prediction)
+    for warning in warnings:
         complain(warning, "prediction", "warning")
+    return warnings
 
 
 def stdout() -> Any:

@@ -22,7 +22,8 @@ def check(
     ] = False,
 ) -> None:
     """Predict, without running: stable or not, what the hand will feel, every mode, what the wire costs."""
-    from hapsim.prediction import predict, predict_on_wire
+    from hapsim.console.wire import show_force_bounds, slew_warnings
+    from hapsim.prediction import predict, predict_on_wire, warnings_about
     from hapsim.prediction.force_bounds import run_bounds
 
     loaded = load(scene)
@@ -35,12 +36,14 @@ def check(
 
         compiled = {} if explanation is None else {"compiled": explanation.as_document()}
         bounds = {"force_bounds": run_bounds(loaded)._asdict()}
-        print(document({"scene": scene} | prediction_document(prediction, on_wire=on_wire) | bounds | compiled))
+        warnings = slew_warnings(loaded, prediction)
+        warnings += [one for one in warnings_about(loaded, prediction) if one not in warnings]
+        predicted = prediction_document(prediction, on_wire=on_wire)
+        print(document({"scene": scene, "warnings": warnings} | predicted | bounds | compiled))
         return
     from hapsim.console.tables import show_prediction
-    from hapsim.console.wire import show_force_bounds
 
-    show_prediction(stdout(), scene, prediction, on_wire)
+    show_prediction(stdout(), scene, loaded, prediction, on_wire)
     show_force_bounds(stdout(), loaded, prediction)
     if explanation is not None:
         from hapsim.console.explained import show_explanation

@@ -54,7 +54,7 @@ def measure_pair(
     why = next((prediction.coupled.get(n, "") for n, p in loaded.device_points.items() if p.channel == channel), "")
     _require_drawable(felt, why, files.picture, files.data)
     require_stable(path, loaded, prediction, unstable)
-    warn(loaded, prediction)
+    warnings = warn(loaded, prediction)
     try:
         with live_line(stderr()) as tell:
             measurement = measure_scene(
@@ -78,7 +78,8 @@ def measure_pair(
     if json:
         from hapsim.console.as_json import document, measurement_document
 
-        print(document({"scene": path} | measurement_document(prediction, measurement, channel, on_wire)))
+        measured = measurement_document(prediction, measurement, channel, on_wire)
+        print(document({"scene": path, "warnings": warnings} | measured))
     else:
         _show_measured(loaded, channel, felt, why, measurement, prediction, on_wire)
         say_written(*files)

@@ -80,7 +80,7 @@ def run(
     with notifier.told_of_failures():
         loaded, kind = load(scene, port), transport_kind(mock, transport, port)
         require_files_writable(record=record)
-        predict_before_arming(scene, as_played(loaded, kind), unstable)
+        warnings = predict_before_arming(scene, as_played(loaded, kind), unstable)
     error_console = stderr()
     reporter = RunReporter(
         error_console, scene if watch else None, lambda changed: predict_and_warn(as_played(changed, kind))
@@ -107,7 +107,7 @@ def run(
     notifier.stopping(lifetime.failure or "")
     with undisturbed():
         try:
-            _show(lifetime, reporter.grants, json)
+            _show(lifetime, reporter.grants, warnings, json)
         finally:  # even where nobody reads the report: why it failed, and the status, do not depend on it
             if lifetime.failure is not None:
                 complain(lifetime.failure)
@@ -136,7 +136,7 @@ def _telling(
     return telling(path, lambda: document(state.document()) + "\n", gives_way=not portable)
 
 
-def _show(lifetime: Lifetime, grants: list[PrivilegeResult], json: bool) -> None:
+def _show(lifetime: Lifetime, grants: list[PrivilegeResult], warnings: list[str], json: bool) -> None:
     from hapsim.console.log import json_log
 
     log, report = json_log(), lifetime.report
@@ -146,7 +146,7 @@ def _show(lifetime: Lifetime, grants: list[PrivilegeResult], json: bool) -> None
     if json:
         from hapsim.console.as_json import document, lifetime_document
 
-        print(document(lifetime_document(lifetime, grants)))
+        print(document(lifetime_document(lifetime, grants) | {"warnings": warnings}))
         return
     from hapsim.console.tables import show_report
 

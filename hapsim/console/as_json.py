@@ -53,7 +53,12 @@ def prediction_document(
             for mode in prediction.modes
         ],
         "margins": {
-            margin.name: {"stiffness_factor": margin.stiffness_factor, "damping_factor": margin.damping_factor}
+            margin.name: {
+                "stiffness_factor": margin.stiffness_factor or None,
+                "damping_factor": margin.damping_factor or None,
+                "stabilizing_stiffness_factors": margin.stabilizing_stiffness,
+                "stabilizing_damping_factors": margin.stabilizing_damping,
+            }
             for margin in prediction.margins
         },
         "margins_method": prediction.margins_method or ("every link" if prediction.margins else "none"),
@@ -186,7 +191,7 @@ def _felt(felt: Felt) -> dict[str, Any]:
     values = asdict(replace(felt, predictor=None))
     configuration = values.pop("configuration")
     values.pop("predictor")
-    hand = {name: configuration[name] for name in ("mass", "friction", "damper", "cutoff")}
+    hand = {name: configuration[name] for name in ("mass", "friction", "delay", "hold", "sampling", "damper", "cutoff")}
     return values | hand | {"device_stiffness": configuration["stiffness"]}
 
 

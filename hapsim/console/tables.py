@@ -11,8 +11,9 @@ from rich.markup import escape
 from rich.table import Table
 
 from hapsim.console.correction import show_correction
-from hapsim.console.wire import show_silence, show_wire
+from hapsim.console.wire import show_silence, show_wire, slew_warnings
 from hapsim.prediction import Desired, Felt, Prediction, correction_for, felt_at_rate
+from hapsim.prediction.rounding import between, duration, rounded_down, rounded_up
 from hapsim.theory import Mode
 
 if TYPE_CHECKING:
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from hapsim.measuring.identify import Measurement
     from hapsim.measuring.seen_rate import SeenRate
     from hapsim.prediction.predict import LinkMargin
+    from hapsim.scene import Scene
 
 
 _REFUSED_BY_DEVICE = "frames refused by the device"
@@ -30,17 +32,20 @@ _FEW = 0.01
 _CLEARLY = 0.01  # of what is predicted, of b of half the critical damping
 _OFF_RATE = 0.02  # of the rate, from which a hand feels another damping
 _WIDEST_KEY = 24
+_NO_FACTOR, _UNKNOWN = "–", "?"
 _MARGINAL = 1e-9  # of the spectral radius: a free motion, which rounding places on either side of 1
 
 
-def show_prediction(out: Console, name: str, prediction: Prediction, on_wire: Prediction | None) -> None:
+def show_prediction(out: Console, name: str, scene: Scene, prediction: Prediction, on_wire: Prediction | None) -> None:
     """What `hapsim check` tells. `on_wire`: as `predict_on_wire` gave it."""
-    title, verdict = f"[bold]{escape(name)}[/bold]", f"at {prediction.rate:g} Hz: {_stability(prediction)}"
+    held_back = bool(slew_warnings(scene, prediction))
+    title, verdict = f"[bold]{escape(name)}[/bold]", f"at {prediction.rate:g} Hz: {_stability(prediction, held_back)}"
     if len(name) < out.width:
         out.print(title, verdict)
     else:
         out.print(title, soft_wrap=True)  # a path stays whole: it is to be copied
         out.print(verdict)
+    out.print(_predicted_for(scene))
     show_assumptions(out, prediction)
     in_table = {margin.stiffness_factor for margin in _tightest(prediction)}
     desired = {one.name: one for one in prediction.desired}
@@ -72,13 +77,44 @@ def show_assumptions(out: Console, prediction: Prediction) -> None:
         out.print(f"[yellow]Assumed:[/yellow] {escape(assumption)}.")
 
 
-def _stability(prediction: Prediction) -> str:
+def _predicted_for(scene: Scene) -> str:
+    """Of which device and hand a prediction is; each channel's where they differ."""
+    device, channels = scene.device, scene.channels
+    each = zip(device.mass_spans(channels), device.frictions(channels), device.stiffnesses(channels), strict=True)
+    hands = [_one_hand(*one) for one in each]
+    used = {point.channel: hands[point.channel] for point in scene.device_points.values()}
+    who = "; ".join(f"channel {c}: {one}" for c, one in sorted(used.items()))
+    who = who if len(set(used.values())) > 1 else next(iter(used.values()))
+    samples = "sample" if device.delay == 1.0 else "samples"
+    late = (
+        f"{device.delay:g} {samples} ({duration(device.delay * scene.period)}) of delay" if device.delay else "no delay"
+    )
+    hold = {"zoh": "zero-order hold", "impulse": "impulse hold"}[device.hold]
+    averaged = ", averaged positions" if device.sampling == "average" else ""
+    return f"for a hand of {who}, {late}, {hold}{averaged}"
+
+
+def _one_hand(span: tuple[float, float], friction: float, stiffness: float) -> str:
+    least, most = span
+    mass = f"{most:g} kg" if least == most else f"{least:g} to {most:g} kg"
+    spring = f", a spring of {stiffness:g} N/m" if stiffness else ""
+    return f"{mass}, friction {friction:g} N·s/m{spring}"
+
+
+def _stability(prediction: Prediction, held_back: bool) -> str:
+    """`held_back`: whether the slew limit is too slow for it."""
     radius = f"(spectral radius {prediction.spectral_radius:.9g})"
-    if not prediction.stable and abs(prediction.spectral_radius - 1.0) < _MARGINAL:
+    if _at_limit(prediction):
         return (
             f"[yellow]at the limit[/yellow] between stable and unstable: something drifts or swings for ever {radius}"
         )
+    if prediction.stable and held_back:
+        return f"[yellow]stable without its slew limit[/]: see the warning {radius}"
     return f"{'[green]stable' if prediction.stable else '[red]unstable'}[/] {radius}"
+
+
+def _at_limit(prediction: Prediction) -> bool:
+    return not prediction.stable and abs(prediction.spectral_radius - 1.0) < _MARGINAL
 
 
 def _show_felt(out: Console, felt: Felt, margin_in_table: bool, desired: Desired | None) -> None:
@@ -118,7 +154,7 @@ def _margin(felt: Felt, in_table: bool) -> str:
     if felt.stable:
         told = f"Gain margin: the loop becomes unstable at {felt.stiffness_factor:.3g} times this stiffness."
         return "" if in_table else told
-    stiffness = f"where the stiffness is {felt.stiffness_factor:.3g} of the simulated one, or less"
+    stiffness = f"where the stiffness is {rounded_down(felt.stiffness_factor)} of the simulated one, or less"
     return f"It becomes stable {stiffness}{_enough_damping(felt)}."
 
 
@@ -126,7 +162,7 @@ def _enough_damping(felt: Felt) -> str:
     least, most = felt.stable_damping
     if not most > 0.0:
         return "; no damping makes this stiffness stable: take less of it, a shorter delay or device.correction"
-    return f"; or where the damping is between {max(least, 0.0):.4g} and {most:.4g} N·s/m"
+    return f"; or where the damping is between {between(max(least, 0.0), most, ' and ')} N·s/m"
 
 
 def _passivity(felt: Felt) -> str:
@@ -141,34 +177,70 @@ def _passivity(felt: Felt) -> str:
 
 def _margins(prediction: Prediction) -> Table:
     """The links that are closest to the limit first, as many as fit the eye."""
+    unstable = not prediction.stable and not _at_limit(prediction)
+    tightest, cell = _tightest(prediction), _stabilizing if unstable else _factor
+    rows = [
+        (
+            margin.name,
+            cell(margin.stiffness_factor, margin.stabilizing_stiffness),
+            cell(margin.damping_factor, margin.stabilizing_damping),
+        )
+        for margin in tightest
+    ]
     title = "Gain margins: the scene becomes unstable where a link is multiplied by"
-    if not prediction.stable:
-        title = "For the scene to be stable, multiply one link by (0: no factor does it)"
+    larger = "have larger margins"
+    if unstable:
+        signs = ", ".join(
+            f"{sign}: {what}"
+            for sign, what in ((_NO_FACTOR, "no factor does it"), (_UNKNOWN, "not worked out"))
+            if any(sign in row[1:] for row in rows)
+        )
+        title = f"For the scene to be stable, multiply one link by{f' ({signs})' if signs else ''}"
+        larger = "need a larger change"
     table = Table(title=title, title_justify="left")
     for heading in ("link", "stiffness times", "damping times"):
         table.add_column(heading, justify="left" if heading == "link" else "right")
-    tightest = _tightest(prediction)
-    for margin in tightest:
-        table.add_row(margin.name, _factor(margin.stiffness_factor), _factor(margin.damping_factor))
+    for row in rows:
+        table.add_row(*row)
     left_out = len(prediction.margins) - len(tightest)
     if left_out:
-        table.caption = (
-            f"and {left_out} links that were not worked out, or have larger margins; --json has all that are known"
-        )
+        table.caption = f"and {left_out} links that were not worked out, or {larger}; --json has all that are known"
     return table
 
 
 def _tightest(prediction: Prediction) -> list[LinkMargin]:
     """Those of the links that are closest to the limit first; so many that the table stays short."""
     known = [margin for margin in prediction.margins if not math.isnan(margin.stiffness_factor)]
-    known.sort(key=lambda margin: min(margin.stiffness_factor, margin.damping_factor))
+    known.sort(key=_change)
     return known[:12]
 
 
-def _factor(value: float) -> str:
+def _change(margin: LinkMargin) -> float:
+    """How large a factor takes the scene to the limit, in its logarithm."""
+    ranges = (*(margin.stabilizing_stiffness or ()), *(margin.stabilizing_damping or ()))
+    factors = [least if least >= 1.0 else most for least, most in ranges]
+    if not ranges:
+        factors = [factor for factor in (margin.stiffness_factor, margin.damping_factor) if factor > 0.0]
+    return min((abs(math.log(factor)) for factor in factors), default=math.inf)
+
+
+def _factor(value: float, _: object = None) -> str:
     if math.isnan(value):
         return "–"
     return "any" if math.isinf(value) else f"{value:.4g}"
+
+
+def _stabilizing(_: float, ranges: tuple[tuple[float, float], ...] | None) -> str:
+    """Which factors make an unstable scene stable."""
+    if ranges is None:
+        return _UNKNOWN
+    return " or ".join(_range(*one) for one in ranges) or _NO_FACTOR
+
+
+def _range(least: float, most: float) -> str:
+    if least == 0.0:
+        return f"{rounded_down(most)} or less"
+    return between(least, most) if math.isfinite(most) else f"{rounded_up(least)} or more"
 
 
 def _modes(prediction: Prediction) -> Table:

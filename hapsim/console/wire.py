@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 
 from hapsim.prediction import HostSilence, WireTime, host_silence
-from hapsim.prediction.force_bounds import run_bounds, slow_slew
+from hapsim.prediction.force_bounds import force_bounds, refused_slew, run_bounds, slow_slew
+from hapsim.prediction.rounding import duration
 
 if TYPE_CHECKING:
     from hapsim.prediction import Prediction
@@ -63,9 +64,27 @@ def show_force_bounds(out: Console, scene: Scene, prediction: Prediction) -> Non
         "goes on swinging or shaking at the force limit (what counts as that: hapsim/STABILITY.md, the guard of the "
         "energy)."
     )
-    slow = slow_slew(scene, prediction)
-    if slow:
-        out.print(f"[yellow]Warning[/yellow]: {slow}")
+    if scene.device.port is None and scene.device.clock != "lockstep":
+        out.print(_behind_a_port(scene))
+    for warning in slew_warnings(scene, prediction):
+        out.print(f"[yellow]Warning[/yellow]: {warning}")
+
+
+def slew_warnings(scene: Scene, prediction: Prediction) -> list[str]:
+    """What the slew limit takes from what is predicted without it; none where it takes nothing."""
+    refused = refused_slew(scene)
+    refused = f"{refused}: `hapsim run` refuses this scene." if refused else ""
+    return [one for one in (refused, slow_slew(scene, prediction)) if one]
+
+
+def _behind_a_port(scene: Scene) -> str:
+    """How much of this is another with `--port`, where a hand may hold the device."""
+    bounds = force_bounds(scene, in_hand=True)
+    soft = f"along a ramp of {duration(bounds.soft_start_s)}" if bounds.soft_start_s > 0.0 else "at once"
+    return (
+        f"That is before the mock. Behind a port (`--port`) the force changes by at most {bounds.slew_limit:g} N/s, "
+        f"and what the scene asks for in the very first sample comes {soft}."
+    )
 
 
 def _time(prediction: Prediction) -> str:
@@ -127,4 +146,4 @@ def _below(rate: float) -> str:
 
 
 def _ms(seconds: float) -> str:
-    return f"{seconds * 1e3:.4g} ms"
+    return duration(seconds)

@@ -8,8 +8,10 @@ names it.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, NamedTuple
 
+from hapsim.prediction.rounding import duration, rounded_up
 from hapsim.scene import Scene
 
 if TYPE_CHECKING:
@@ -18,6 +20,7 @@ if TYPE_CHECKING:
 RISE_S = 1e-3  # from zero to the force limit, or a sample period where that is longer
 SOFT_START_S = 0.05
 ENERGY_M = 0.02  # of travel at the force limit
+ONE_PERIOD = 1.0 + 1e-12  # so that what is meant to be a whole number of counts is one
 _IN_HAND = 0.1  # of a mode's kinetic energy: what moves the hand less is not swung by its force
 
 
@@ -55,6 +58,29 @@ def run_bounds(scene: Scene) -> ForceBounds:
     return force_bounds(scene, in_hand=in_hand, judges_energy=True)
 
 
+def below_a_count(scene: Scene, force_scale: Iterable[float]) -> str:
+    """Where the scene's slew limit allows less than a count of the device's force in a sample, with which nothing runs:
+    a sentence without a full stop; "" where not.
+
+    `force_scale`: N per count of each channel; one above the force limit has no finer step.
+    """
+    slew, limit = scene.device.slew_limit, scene.device.force_limit
+    if slew is None:
+        return ""
+    scales = [scale for scale in force_scale if slew * scene.period / scale * ONE_PERIOD < 1.0 and scale <= limit]
+    if not scales:
+        return ""
+    return (
+        f"device.slew_limit: found {slew:g} N/s, which is less than a count of the device's force in a sample; "
+        f"expected at least {rounded_up(max(scales) * scene.rate / ONE_PERIOD)} N/s"
+    )
+
+
+def refused_slew(scene: Scene) -> str:
+    """The same of the mock, where the scene's device is the mock: what a port's device counts in, it says itself."""
+    return below_a_count(scene, [scene.mock_device.force_scale]) if scene.device.port is None else ""
+
+
 def slow_slew(scene: Scene, prediction: Prediction) -> str:
     """Where the slew limit of `run_bounds` is too slow for what was predicted of `scene`: sentences; "" where not.
 
@@ -67,9 +93,9 @@ def slow_slew(scene: Scene, prediction: Prediction) -> str:
     if not steepest > slew:
         return ""
     return (
-        f"device.slew_limit: found {slew:g} N/s, with which the force takes {1e3 * limit / slew:.4g} ms from zero to "
+        f"device.slew_limit: found {slew:g} N/s, with which the force takes {duration(limit / slew)} from zero to "
         f"the force limit of {limit:g} N; a quarter of the period of the fastest swing of a hand ({fastest:.4g} Hz) is "
-        f"{250.0 / fastest:.4g} ms, and one that reaches the limit asks for {math.ceil(steepest)} N/s. What is "
+        f"{duration(0.25 / fastest)}, and one that reaches the limit asks for {math.ceil(steepest)} N/s. What is "
         "predicted is without a slew limit: with this one the force may come so late that it shakes the hand. Use a "
         "slew_limit well above that, a lower force_limit, or less stiffness."
     )

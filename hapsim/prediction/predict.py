@@ -31,6 +31,7 @@ from hapsim.theory import (
     Network,
     NotWorkedOutError,
     Solution,
+    Stabilizing,
     frequency_and_ratio,
     margins_of,
     solve,
@@ -393,13 +394,15 @@ def _felt_of(name: str, channel: int, configuration: Configuration, stiffness: f
 
 
 def _link_margins(linear: LinearScene, margins: Margins, felt: tuple[Felt, ...]) -> tuple[LinkMargin, ...]:
-    """Where a hand's only link is all that holds it, its margin by the closed formula."""
+    """Where a hand's only link is all that holds it, its margin by the closed formula; not where the scene is unstable,
+    which another hand may be to blame for."""
     lone = {one.name: one.stiffness_factor for one in felt if len(links_of(linear, one.name)) == 1}
     named = []
-    for (name, link), margin in zip(linear.links.items(), margins.links, strict=False):
-        hand = next((end for end in link.between if end in lone), None)
+    stabilizing = margins.stabilizing or [Stabilizing(None, None)] * len(margins.links)
+    for (name, link), margin, ranges in zip(linear.links.items(), margins.links, stabilizing, strict=False):
+        hand = None if margins.stabilizing else next((end for end in link.between if end in lone), None)
         factor = margin.stiffness_factor if hand is None else lone[hand]
-        named.append(LinkMargin(name, factor, margin.damping_factor))
+        named.append(LinkMargin(name, factor, margin.damping_factor, ranges.stiffness, ranges.damping))
     return tuple(named)
 
 

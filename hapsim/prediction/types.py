@@ -77,12 +77,17 @@ class LinkMargin:
     """By what one link may be multiplied before the whole scene is unstable, all else as it is.
 
     Infinity where it never is. Where the scene is unstable as it stands: the largest factor below 1 that makes it
-    stable, 0 where there is none. NaN where it was not worked out.
+    stable, 0 where there is none; a larger one may (`stabilizing_stiffness`, `stabilizing_damping`). NaN where it was
+    not worked out.
     """
 
     name: str
     stiffness_factor: float
     damping_factor: float
+    stabilizing_stiffness: tuple[tuple[float, float], ...] | None = None
+    """Of a scene that is unstable as it stands: the ranges (from, to) of factors that make it stable, the nearest below
+    1 and the nearest above; none where no factor does it. None where it is stable, or they were not worked out."""
+    stabilizing_damping: tuple[tuple[float, float], ...] | None = None
 
 
 @dataclass(frozen=True)

@@ -14,12 +14,11 @@ from firmware_protocol.description import Description
 from hapsim.errors import UsageError
 from hapsim.loop.guards.divergence import CREDIT_M, FIRST_FORCE_M, EnergyMemory
 from hapsim.loop.guards.slew import limit_slew
-from hapsim.prediction.force_bounds import ENERGY_M, ForceBounds
+from hapsim.prediction.force_bounds import ENERGY_M, ONE_PERIOD, ForceBounds, below_a_count
 from hapsim.scene import Scene
 from hapsim.scene.modules import Buffer, Ground, Link, MaterialPoint, Module, Nonlinear, Structure
 
 MOST_LENT_M = 10.0  # of travel at the force limit: what the guard lends, whatever a scene holds or changes by
-_ONE_PERIOD = 1.0 + 1e-12  # so that what is meant to be a whole number of counts is one
 
 
 def set_slew(loop: Any, scene: Scene, description: Description, bounds: ForceBounds) -> None:
@@ -28,15 +27,12 @@ def set_slew(loop: Any, scene: Scene, description: Description, bounds: ForceBou
     if math.isfinite(bounds.slew_limit):
         scale = np.array(description.force_scale)
         with np.errstate(over="ignore"):
-            counts = np.floor(bounds.slew_limit * scene.period / scale * _ONE_PERIOD)
+            counts = np.floor(bounds.slew_limit * scene.period / scale * ONE_PERIOD)
         steps = np.minimum(counts, 2.0**40).astype(np.int64)
         if scene.device.slew_limit is None:
             steps = np.maximum(steps, 1)  # a device of few counts has no finer step
-        elif np.any((steps < 1) & (scale <= scene.device.force_limit)):
-            raise UsageError(
-                f"device.slew_limit: found {bounds.slew_limit:g} N/s, which is less than a count of the device's force "
-                f"in a sample; expected at least {float(scale.max()) * scene.rate:.4g} N/s, or a slower rate"
-            )
+        elif why := below_a_count(scene, description.force_scale):
+            raise UsageError(why)
     limit_slew(
         loop.slew,
         step_counts=steps,

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from hapsim.errors import UsageError
 from hapsim.prediction import Prediction, is_surely_unstable, surely_shaken_by
+from hapsim.prediction.rounding import between, rounded_down
 from hapsim.scene import Scene
 
 
@@ -50,7 +51,7 @@ def _what_is_stable(prediction: Prediction) -> str:
     for one in prediction.felt:
         least, most = one.stable_damping
         if 0.0 < one.stiffness_factor < 1.0:
-            ways.append(f"{one.name} with less than {one.stiffness_factor:.3g} of its stiffness")
+            ways.append(f"{one.name} with less than {rounded_down(one.stiffness_factor)} of its stiffness")
         if not one.stable and least < most:
-            ways.append(f"{one.name} with a damping between {max(least, 0.0):.4g} and {most:.4g} N·s/m")
+            ways.append(f"{one.name} with a damping between {between(max(least, 0.0), most, ' and ')} N·s/m")
     return f" Stable by itself: {'; or '.join(ways)}." if ways else ""

@@ -1,5 +1,6 @@
 """The mock device: only where it differs from what `Device` says, or adds to it."""
 
+import math
 from dataclasses import dataclass, replace
 from typing import Annotated
 
@@ -16,6 +17,9 @@ AS_DEVICE = "as `device` says"
 MOST_FORCE = 1e6
 """N, that the mock gives at most, whatever the scene allows: its 32 bits divide what it can give, and a force that a
 hand would feel has to be many of these steps."""
+
+
+FORCE_COUNTS = 2.0**31  # the limit in N lies at the end of the counts' range: the finest step that 32 bits give
 
 
 class Initial(Part):
@@ -108,6 +112,11 @@ class MockDevice:
     misses: float = 0.0
     grips: Curve = ()
     force_quantum: float | None = None
+
+    @property
+    def force_scale(self) -> float:
+        """N per count of the force on the wire."""
+        return max(self.force_limit / FORCE_COUNTS, self.force_quantum or 0.0, math.ulp(0.0))
 
     @property
     def channels(self) -> int:

@@ -7,7 +7,17 @@ Public is what `__all__` names; the rooms below are private.
 """
 
 from hapsim.theory.hand import Configuration, frequency_and_ratio
-from hapsim.theory.network import Margin, Margins, Mode, Network, NotWorkedOutError, Solution, margins_of, solve
+from hapsim.theory.network import (
+    Margin,
+    Margins,
+    Mode,
+    Network,
+    NotWorkedOutError,
+    Solution,
+    Stabilizing,
+    margins_of,
+    solve,
+)
 
 __all__ = [
     "Configuration",
@@ -17,6 +27,7 @@ __all__ = [
     "Network",
     "NotWorkedOutError",
     "Solution",
+    "Stabilizing",
     "frequency_and_ratio",
     "margins_of",
     "solve",

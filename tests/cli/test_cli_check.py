@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import yaml
 
+from hapsim.errors import UsageError
 from hapsim.running import start
 from hapsim.scene import load_scene
 
@@ -55,6 +56,53 @@ def test_an_unstable_scene_is_reported_as_such_and_is_no_failure(
     assert "unstable (spectral radius 1.14" in told.out
     assert "It becomes stable where the stiffness is" in told.out
     assert hapsim("check", scene_file("unstable"), "--json").document["stable"] is False
+
+
+def test_what_makes_an_unstable_scene_stable_does(hapsim: Callable[..., Any], scene_file: Callable[..., Path]) -> None:
+    """In the sentence, in the table and in JSON: the damping between two factors, just outside them not."""
+    path = scene_file("spring")
+    scene = yaml.safe_load(path.read_text())
+    link = next(module for module in scene["modules"].values() if module["type"] == "viscoelastic")
+    link |= {"stiffness": 4000.0, "damping": 5.0}
+
+    def check(damping: float) -> Any:
+        link["damping"] = damping
+        path.write_text(yaml.safe_dump(scene))
+        return hapsim("check", path, "--json").document
+
+    document = check(5.0)
+    (margin,) = document["margins"].values()
+    ((least, most),) = margin["stabilizing_damping_factors"]
+    assert (margin["damping_factor"], margin["stabilizing_stiffness_factors"]) == (
+        None,
+        [[0.0, margin["stiffness_factor"]]],
+    )
+    told = hapsim("check", path).out
+    row = next(line for line in told.splitlines() if line.startswith("│") and " to " in line)
+    low, high = (float(word) for word in row.split("│")[-2].split(" to "))
+    assert least <= low < least * 1.001
+    assert most * 0.999 < high <= most
+    assert "0: no factor" not in told.replace("\n", " ")
+    between = told.replace("\n", " ").partition("where the damping is between ")[2].split(" N·s/m")[0]
+    for factor, stable in ((low, True), (high, True), (least * 0.999, False), (most * 1.001, False)):
+        assert check(5.0 * factor)["stable"] is stable, factor
+    for damping in between.split(" and "):
+        assert check(float(damping))["stable"] is True, damping
+
+
+def test_where_no_factor_makes_a_scene_stable_there_is_a_dash(
+    hapsim: Callable[..., Any], scene_file: Callable[..., Path]
+) -> None:
+    path = scene_file("spring")
+    scene = yaml.safe_load(path.read_text())
+    link = next(module for module in scene["modules"].values() if module["type"] == "viscoelastic")
+    link |= {"stiffness": 4000.0, "damping": 0.0}
+    path.write_text(yaml.safe_dump(scene))
+    told = hapsim("check", path).out
+    assert "(–: no factor does it)" in " ".join(told.split())
+    assert [line.split("│")[-2].strip() for line in told.splitlines() if "or less │" in line] == ["–"]
+    (margin,) = hapsim("check", path, "--json").document["margins"].values()
+    assert (margin["damping_factor"], margin["stabilizing_damping_factors"]) == (None, [])
 
 
 @pytest.mark.parametrize("name", ["free", "damper"])
@@ -255,16 +303,77 @@ def test_what_bounds_the_force_is_told_for_where_the_device_is(
     assert "A run ends where the scene gives the hand more than 0.2 J, or goes on" in told
     assert "slew_limit" not in told
     document = yaml.safe_load(path.read_text())
-    document["device"] |= {"port": "/dev/ttyACM0", "clock": "device"}
+    document["device"] |= {"clock": "device"}
+    in_hand = tmp_path / "on_the_mock.yaml"
+    in_hand.write_text(yaml.safe_dump(document))
+    told = hapsim("check", in_hand).out.replace("\n", " ")
+    assert "Behind a port (`--port`) the force changes by at most 10000 N/s, and" in told
+    assert "in the very first sample comes along a ramp of 50 ms." in told
+    document["device"] |= {"port": "/dev/ttyACM0"}
     in_hand = tmp_path / "in_hand.yaml"
     in_hand.write_text(yaml.safe_dump(document))
     told = hapsim("check", in_hand).out.replace("\n", " ")
     assert "it changes by at most 10000 N/s" in told
+    assert "Behind a port" not in told
     assert "in the very first sample comes along a ramp of 50 ms (what is asked for later" in told
     document["device"]["slew_limit"] = 5.0
     in_hand.write_text(yaml.safe_dump(document))
     told = hapsim("check", in_hand).out.replace("\n", " ")
-    assert "found 5 N/s, with which the force takes 2000 ms from zero to the force limit of 10 N" in told
+    assert "found 5 N/s, with which the force takes 2 s from zero to the force limit of 10 N" in told
+
+
+def test_a_slew_limit_that_a_run_refuses_is_warned_of_and_not_called_stable(
+    hapsim: Callable[..., Any], scene_file: Callable[..., Path]
+) -> None:
+    path = scene_file("spring", slew_limit=1e-12)
+    refused = hapsim("run", path, "--duration", "0.01")
+    assert refused.status == 2
+    told = hapsim("check", path).out.replace("\n", " ")
+    assert "Hz: stable without its slew limit: see the warning (spectral radius" in told
+    document = hapsim("check", path, "--json").document
+    count, slow = document["warnings"]
+    assert refused.err.strip() in count
+    assert count in told
+    assert "the force takes 1e+13 s from zero" in slow
+    expected = float(count.partition("at least ")[2].split(" ")[0])
+    enough = hapsim("check", scene_file("spring", slew_limit=expected), "--json").document["warnings"]
+    assert [one for one in enough if "a count of" in one] == []
+    assert (
+        hapsim("check", scene_file("spring", slew_limit=0.999 * expected), "--json").document["warnings"][0]
+        != enough[0]
+    )
+    with pytest.raises(UsageError, match=r"less than a count of the device's force"), start(load_scene(str(path))):
+        pass
+    behind_a_port = hapsim("check", scene_file("spring", slew_limit=1e-12, port="/dev/ttyNONE"), "--json").document
+    assert not any("a count of" in one for one in behind_a_port["warnings"])
+    assert hapsim("check", scene_file("spring"), "--json").document["warnings"] == []
+
+
+def test_run_tells_its_warnings_in_json_too(hapsim: Callable[..., Any], scene_file: Callable[..., Path]) -> None:
+    path = scene_file("spring", slew_limit=5.0)
+    answer = hapsim("run", path, "--duration", "0.01", "--json")
+    assert answer.document["warnings"] == hapsim("check", path, "--json").document["warnings"]
+    assert answer.document["warnings"][0] in answer.err
+
+
+def test_the_hand_and_device_of_a_prediction_are_told(
+    hapsim: Callable[..., Any], scene_file: Callable[..., Path]
+) -> None:
+    def line(name: str = "spring", **device: Any) -> str:
+        told: str = " ".join(hapsim("check", scene_file(name, **device)).out.split())
+        return told.partition("for a hand of ")[2].partition(" What the hand")[0]
+
+    assert line(mass=0.2, friction=1.0, delay=1) == (
+        "0.2 kg, friction 1 N·s/m, 1 sample (1 ms) of delay, zero-order hold"
+    )
+    assert line(mass=200, delay=0.001).startswith("200 kg, ")
+    assert "0.001 samples (0.001 ms) of delay" in line(delay=0.001)
+    assert line(delay=0, hold="impulse", sampling="average", stiffness=50.0).endswith(
+        "a spring of 50 N/m, no delay, impulse hold, averaged positions"
+    )
+    several = line("two_hands", mass=[0.2, 0.3])
+    assert "channel 0: 0.2 kg" in several
+    assert "channel 1: 0.3 kg" in several
 
 
 def test_what_bounds_the_force_of_a_dead_host_is_what_a_run_asks_the_device_for(

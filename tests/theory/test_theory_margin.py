@@ -80,11 +80,7 @@ def require_what_poles_say(scene: Network, unknown_allowed: bool = False) -> Non
         for name, found in (("stiffness", margin.stiffness_factor), ("damping", margin.damping_factor)):
 
             def stable(factor: float, link: int = link, name: str = name) -> bool:
-                value = getattr(scene, name).copy()
-                value[link] *= factor
-                changed = replace(scene, **{name: value})
-                poles = np.linalg.eigvals(transition(changed)).astype(complex)
-                return bool(np.abs(snap_to_rest(changed, poles)).max() <= LIMIT)
+                return is_stable_with(scene, link, name, factor)
 
             if unknown_allowed and math.isnan(found):
                 continue
@@ -103,6 +99,77 @@ def test_the_walk_along_the_circle_finds_them_unaided(seed: int, monkeypatch: py
     monkeypatch.setattr(margin_module, "_check", lambda *_: None)
     scene = random_scene(seed)
     require_what_poles_say(scene, unknown_allowed=solve(scene).spectral_radius > LIMIT)
+
+
+@pytest.mark.parametrize(("K", "B"), [(4000.0, 5.0), (2000.0, 400.0), (1e6, 5.0), (6000.0, 400.0)])
+def test_an_unstable_hand_becomes_stable_in_the_ranges_of_the_formula(K: float, B: float) -> None:
+    c = Configuration(mass=0.2, rate=RATE, friction=1.0, delay=1.0, hold="zoh", sampling="ideal")
+    assert not c.is_stable(K, B)
+    found = margins_of(Network(RATE, [0.2], [1.0], 1.0, "zoh", "ideal", [], [[0, -1]], [K], [B]))
+    ((stiffness, damping),) = found.stabilizing
+    for ranges, (least, most), value in ((stiffness, c.stable_stiffness(B), K), (damping, c.stable_damping(K), B)):
+        if math.isnan(most):
+            assert ranges == ()
+        else:
+            assert ranges is not None
+            np.testing.assert_allclose(ranges, [(max(least, 0.0) / value, most / value)], rtol=1e-6)
+
+
+def unstable_scenes() -> list[int]:
+    return [seed for seed in range(24) if solve(random_scene(seed)).spectral_radius > LIMIT]
+
+
+@pytest.mark.parametrize("checked", [True, False], ids=["checked", "unaided"])
+@pytest.mark.parametrize("seed", unstable_scenes())
+def test_an_unstable_scene_becomes_stable_in_the_ranges_that_its_poles_say(
+    seed: int, checked: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In all of each range, not just outside it, and nowhere between it and 1."""
+    if not checked:
+        monkeypatch.setattr(margin_module, "EIGENVALUES", 0.0)
+    scene = random_scene(seed)
+    for link, of_link in enumerate(margins_of(scene).stabilizing):
+        for name, ranges in zip(("stiffness", "damping"), of_link, strict=True):
+            assert ranges is not None
+            below = next((one for one in ranges if one[1] <= 1.0), (0.0, 1e-3))
+            above = next((one for one in ranges if one[0] >= 1.0), (1e3, math.inf))
+            outside = [*np.geomspace(below[1], 1.0, 9)[1:-1], *np.geomspace(1.0, above[0], 9)[1:-1]]
+            outside += [least * 0.999 for least, _ in ranges if least > 1e-3]
+            outside += [most * 1.001 for _, most in ranges if most < math.inf]
+            within = [
+                factor
+                for least, most in ranges
+                for factor in np.geomspace(least or most * 1e-3, most if most < math.inf else least * 1e3, 7)[1:-1]
+            ]
+            for stable, factors in ((False, outside), (True, within)):
+                for factor in factors:
+                    assert is_stable_with(scene, link, name, factor) == stable, (link, name, ranges, factor)
+
+
+def is_stable_with(scene: Network, link: int, name: str, factor: float) -> bool:
+    value = getattr(scene, name).copy()
+    value[link] *= factor
+    changed = replace(scene, **{name: value})
+    poles = np.linalg.eigvals(transition(changed)).astype(complex)
+    return bool(np.abs(snap_to_rest(changed, poles)).max() <= LIMIT)
+
+
+def test_a_stable_scene_has_no_range_that_makes_it_stable() -> None:
+    assert margins_of(chain(3, 0.1, 1)).stabilizing == []
+
+
+def test_a_scheme_of_its_own_has_the_ranges_that_are_found_by_the_poles() -> None:
+    """One mass on one link under the midpoint rule is stable with any stiffness; with a hand it is not."""
+    centred = Network(RATE, [0.2], [1.0], 1.0, "zoh", "ideal", [0.01], [[0, 1], [1, -1]], [9e3, 9e3], [1.0, 1.0])
+    (of_hand, _) = margins_of(replace(centred, scheme="midpoint")).stabilizing
+    for name, ranges in zip(("stiffness", "damping"), of_hand, strict=True):
+        assert ranges or name == "damping"
+        for least, most in ranges:
+            scheme = replace(centred, scheme="midpoint")
+            ends = [(most * 0.999, True), (most * 1.001, False)] * math.isfinite(most)
+            ends += [(least * 1.001, True), (least * 0.999, False)] * (least > 0.0)
+            for factor, stable in ends:
+                assert is_stable_with(scheme, 0, name, factor) == stable, (name, ranges, factor)
 
 
 def chain(masses: int, B: float, held: int) -> Network:

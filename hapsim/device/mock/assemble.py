@@ -19,8 +19,6 @@ from hapsim.errors import UsageError
 from hapsim.prediction.silence import time_to_live_samples
 from hapsim.scene import Scene
 
-_FORCE_COUNTS = 2.0**31  # the limit in N lies at the end of the counts' range: the finest step that 32 bits give
-
 
 def describe_mock(scene: Scene) -> Description:
     """What the scene's mock says of itself."""
@@ -32,7 +30,7 @@ def describe_mock(scene: Scene) -> Description:
         pacings=1 << schema.PACED_BY_DEVICE | 1 << schema.PACED_BY_HOST | 1 << schema.LOCKSTEP,
         max_watchdog_samples=schema.MAX_WATCHDOG_SAMPLES,
         position_scale=(scene.mock_device.quantum,) * channels,
-        force_scale=(max(limit / _FORCE_COUNTS, scene.mock_device.force_quantum or 0.0, math.ulp(0.0)),) * channels,
+        force_scale=(scene.mock_device.force_scale,) * channels,
         force_limit=(limit,) * channels,
         velocity_scale=(scene.mock_device.quantum * scene.rate,) * channels,
     )

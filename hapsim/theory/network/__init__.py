@@ -2,6 +2,7 @@
 
 from hapsim.theory.network.continuous import ContinuousMode, continuous_modes
 from hapsim.theory.network.margin import Margin, Margins, margins_of
+from hapsim.theory.network.margin_ranges import Stabilizing
 from hapsim.theory.network.modes import Mode, Solution, poles_of
 from hapsim.theory.network.network import Network
 from hapsim.theory.network.reasons import NotWorkedOutError
@@ -17,6 +18,7 @@ __all__ = [
     "Network",
     "NotWorkedOutError",
     "Solution",
+    "Stabilizing",
     "continuous_modes",
     "is_large",
     "margins_of",

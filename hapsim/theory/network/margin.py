@@ -20,13 +20,15 @@ from hapsim.theory.network.linear_algebra import one_thread
 from hapsim.theory.network.links import is_centred
 from hapsim.theory.network.margin_angles import AFFORDABLE, angles_about, angles_for_links
 from hapsim.theory.network.margin_modal import ModalResponse, NotModalError
-from hapsim.theory.network.margin_poles import LIMIT, Varied, by_poles
+from hapsim.theory.network.margin_poles import LIMIT, Range, Varied, by_poles, largest_below
+from hapsim.theory.network.margin_ranges import Stabilizing, by_poles_agree, stable_ranges
 from hapsim.theory.network.margin_response import Response, TooLargeError
 from hapsim.theory.network.network import Network
 from hapsim.theory.network.solve import solve
 from hapsim.theory.network.state import is_large, state_size
 
 AnyResponse = Response | ModalResponse
+Ranges = list[list[tuple[Range, ...] | None]]
 
 QUICK = 2000  # multiplications for each place on the circle: an elimination of fewer takes no time
 ONCE = 200_000  # the cube of so many masses' number for each of them: as long does it take to find their modes, once
@@ -40,6 +42,7 @@ WELL = 1e-7  # the same where each place on the circle is a lot of work
 FAR = 1.5  # a crossing so many times as far from 1 as a settled one is dropped
 PASSES = 8  # that a refinement takes, about
 EIGENVALUES = 1e8  # what the eigenvalues that check may cost: their number times the cube of the state's size
+TRIED = 6  # of them for the check of a link's ranges
 SCANNED = 60  # numbers in the state of the largest scene that is searched by its poles, where the walk was wrong
 
 
@@ -77,10 +80,12 @@ class Margins(NamedTuple):
 
     Attributes:
         links: (L,). method: in words, which were worked out and how surely; "" for every one, between all poles.
+        stabilizing: (L,), of a loop that is unstable as it stands; else none.
     """
 
     links: list[Margin]
     method: str = ""
+    stabilizing: list[Stabilizing] = []  # noqa: RUF012
 
 
 def margins_of(network: Network, poles: Complexes | None = None) -> Margins:
@@ -93,20 +98,25 @@ def margins_of(network: Network, poles: Complexes | None = None) -> Margins:
     if not np.isfinite(poles).all():
         return Margins(unknown, "none was worked out: the scene's numbers are out of range")
     growing = int((np.abs(poles) > LIMIT).sum())
+    not_known = [Stabilizing(None, None)] * len(network.ends) if growing else []
     if not is_centred(network):
-        by_each, how = by_poles(network, growing > 0)
-        return Margins([Margin(stiffness, damping) for stiffness, damping in by_each.tolist()], how)
+        found = by_poles(network, growing > 0)
+        margins = [Margin(stiffness, damping) for stiffness, damping in found.factors.tolist()]
+        return Margins(margins, found.method, [Stabilizing(*of_link) for of_link in found.ranges])
     try:
         with np.errstate(all="ignore"), one_thread(is_large(network)):
             response = _response(network)
-            factors, how = _worked_out(network, response, poles, growing)
+            factors, ranges, how = _worked_out(network, response, poles, growing)
     except TooLargeError:
-        return Margins(unknown, "none was worked out: the scene's links are too many, and too entwined")
+        return Margins(unknown, "none was worked out: the scene's links are too many, and too entwined", not_known)
     idle = Margin(0.0, 0.0) if growing else Margin(math.inf, math.inf)
     margins = [idle] * len(network.ends)
     for link, (stiffness, damping) in zip(response.links[: len(factors)].tolist(), factors.tolist(), strict=True):
         margins[link] = Margin(stiffness, damping)
-    return Margins(margins, how)
+    stabilizing = [Stabilizing((), ())] * len(network.ends) if growing else []
+    for link, of_link in zip(response.links[: len(ranges)].tolist(), ranges, strict=True):
+        stabilizing[link] = Stabilizing(*of_link)
+    return Margins(margins, how, stabilizing)
 
 
 def _response(network: Network) -> AnyResponse:
@@ -125,12 +135,13 @@ def _response(network: Network) -> AnyResponse:
     return eliminated
 
 
-def _worked_out(network: Network, response: AnyResponse, poles: Complexes, growing: int) -> tuple[Floats, str]:
-    """(links, 2): the factors of stiffness and damping; and which, in words."""
+def _worked_out(network: Network, response: AnyResponse, poles: Complexes, growing: int) -> tuple[Floats, Ranges, str]:
+    """(links, 2): the factors of stiffness and damping; of an unstable loop, the ranges of factors that make it stable;
+    and which, in words."""
     margin_links = len(network.ends) if network.margin_links is None else network.margin_links
     every = np.arange(np.searchsorted(response.links, margin_links))
     if not every.size:
-        return np.zeros((0, 2)), ""
+        return np.zeros((0, 2)), [], ""
     touching = _touching(network, response)[: every.size]
     large, how = is_large(network), ""
     angles = angles_about(poles, response.work * (LESS if large else 1))
@@ -155,14 +166,14 @@ def _worked_out(network: Network, response: AnyResponse, poles: Complexes, growi
         factors[~known] = math.nan
         some = f"{known.sum()} of {every.size} links: those that touch a hand and the most critical of the others"
         how = f"{some}; {how}" if how else some
-    chosen = chosen._replace(factor=_refined(response, chosen, precision))
+    chosen = chosen._replace(factor=_refined(response, chosen, precision, growing))
     factors[chosen.link, chosen.of] = math.nan  # where none of them turns out to be the margin, nothing is known
     margin = _decided(chosen, growing)
     best = np.fmax if growing else np.fmin
     best.at(factors, (margin.link, margin.of), margin.factor)
     if not large:
         _check(network, response, factors, growing > 0)
-    return factors, how
+    return factors, _ranges(network, response, chosen, factors, growing) if growing else [], how
 
 
 def _touching(network: Network, response: AnyResponse) -> Bools:
@@ -216,10 +227,14 @@ def _at_an_end(change: Complexes, growth: Floats, angle: float, of: int) -> Cros
 
 def _candidates(crossings: Crossings, growing: int, hands: Bools, count: int) -> Crossings:
     """Of each link's quantity the ``count`` nearest to 1 of those that may be the margin, of the hands' links many."""
-    if growing:
-        some = crossings.some((crossings.factor > 0.0) & (crossings.factor < 1.0))
-    else:
-        some = crossings.some((crossings.factor > 1.0) & (crossings.factor < NEVER))
+    above = _nearest(crossings.some((crossings.factor > 1.0) & (crossings.factor < NEVER)), hands, count)
+    if not growing:
+        return above
+    below = _nearest(crossings.some((crossings.factor > 0.0) & (crossings.factor < 1.0)), hands, count)
+    return _joined([below, above])
+
+
+def _nearest(some: Crossings, hands: Bools, count: int) -> Crossings:
     near = np.abs(np.log(some.factor))
     return some.some(_first(some, near, count) | (hands[some.link] & _first(some, near, MANY)))
 
@@ -252,7 +267,7 @@ def _begins(group: NDArray[np.intp]) -> NDArray[np.intp]:
     return np.maximum.accumulate(np.where(new, np.arange(group.size), 0))
 
 
-def _refined(response: AnyResponse, crossings: Crossings, precision: float) -> Floats:
+def _refined(response: AnyResponse, crossings: Crossings, precision: float, growing: int) -> Floats:
     """The factors where the change is real, between each crossing's angles: false position, halved where it lingers."""
     left, right, factor = crossings.left.copy(), crossings.right.copy(), crossings.factor.copy()
     if not left.size:
@@ -277,13 +292,14 @@ def _refined(response: AnyResponse, crossings: Crossings, precision: float) -> F
         done |= right[active] - left[active] <= 4e-16 * right[active]
         factor[active] = now
         settled[active] = done & (step >= 3)
-        active = np.flatnonzero(~settled & _may_be_nearest(crossings, factor, settled))
+        needed = growing > 0 or _may_be_nearest(crossings, factor, settled)
+        active = np.flatnonzero(~settled & needed)
     factor[~settled] = math.nan
     return factor
 
 
 def _may_be_nearest(crossings: Crossings, factor: Floats, settled: Bools) -> Bools:
-    """Which are not far beyond a settled one of the same link's quantity; below 1 all may be what decides."""
+    """Which are not far beyond a settled one of the same link's quantity, of a loop that is stable as it stands."""
     group = crossings.link * 2 + crossings.of
     nearest = np.full(int(group.max()) + 1, math.inf)
     above = settled & (factor > 1.0)
@@ -320,3 +336,26 @@ def _check(network: Network, response: AnyResponse, factors: Floats, unstable: b
         poles = Varied(network, int(response.links[n]), of)
         if not poles.agree(float(factors[n, of]), unstable) and size <= SCANNED:
             factors[n, of] = poles.searched(unstable)
+
+
+def _ranges(network: Network, response: AnyResponse, chosen: Crossings, factors: Floats, growing: int) -> Ranges:
+    """By the crossings that were worked out; of a small scene checked by its poles, and where they say otherwise,
+    searched by them. A factor that the poles have corrected stays the larger end of the range below 1."""
+    size = state_size(network)
+    affordable = 0 if is_large(network) else int(EIGENVALUES / (size + 40) ** 3)
+    ranges: Ranges = []
+    for n in range(len(factors)):
+        ranges.append([None, None])
+        for of in (0, 1):
+            own = chosen.some((chosen.link == n) & (chosen.of == of))
+            known = not np.isnan(factors[n, of])
+            found = stable_ranges(own.factor, own.poles, growing) if known or own.link.size else None
+            if affordable > 0 and (network.stiffness, network.damping)[of][response.links[n]] != 0.0:
+                affordable -= TRIED
+                varied = Varied(network, int(response.links[n]), of)
+                if not by_poles_agree(varied, found):
+                    found = varied.stable_ranges() if size <= SCANNED else None
+            ranges[n][of] = found
+            if found is not None:
+                factors[n, of] = largest_below(found)
+    return ranges
