@@ -33,6 +33,7 @@ class Silence(_Quiet):
     """Nothing passes."""
 
     told: ClassVar[str] = "Nothing passes, while the port stays open."
+    counted: ClassVar[str] = "frames lost"
     kind: Literal["silence"] = "silence"
 
     def effect(self, seed: str) -> Effect:
@@ -56,6 +57,7 @@ class HalfFrame(_Quiet):
     """A frame breaks off."""
 
     told: ClassVar[str] = "A frame breaks off in its middle; then nothing passes."
+    counted: ClassVar[str] = "frames lost or cut"
     kind: Literal["half_frame"] = "half_frame"
 
     def effect(self, seed: str) -> Effect:
@@ -75,6 +77,7 @@ class Unplug(Event):
     """The cable is pulled."""
 
     told: ClassVar[str] = "The port is gone: whoever has it open is hung up."
+    counted: ClassVar[str] = "times"
     kind: Literal["unplug"] = "unplug"
 
     def effect(self, seed: str) -> Effect:
@@ -86,6 +89,7 @@ class Replug(Event):
     """The cable is put back."""
 
     told: ClassVar[str] = "The port is there again, under the name of before (--path)."
+    counted: ClassVar[str] = "times"
     kind: Literal["replug"] = "replug"
 
     def effect(self, seed: str) -> Effect:
