@@ -127,6 +127,9 @@ def _fail(problem: str, exit_status: int) -> NoReturn:
 
 def _end_interrupted() -> NoReturn:
     pass_over()
+    # An interrupt that leaves an exec, as of a namedtuple in a module that is loaded, has Python end by SIGINT, whatever
+    # becomes of it after that; the next exec has it forget.
+    exec("")
     complain(sentence())
     if "--json" in sys.argv:
         _print_failure(sentence(), INTERRUPTED)

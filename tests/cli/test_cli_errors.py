@@ -168,6 +168,17 @@ def test_a_signal_while_the_command_is_loaded_is_told_like_a_later_one(number: i
     assert json.loads(ended.stdout) == {"error": ended.stderr.strip(), "exit_status": 130}
 
 
+def test_an_interrupt_of_code_that_was_made_in_python_is_status_130_too() -> None:
+    """As of a namedtuple while a module is loaded: left alone, Python ends itself by SIGINT."""
+    program = (
+        "import hapsim.scene\nfrom hapsim.cli import main\n"
+        "hapsim.scene.load_scene = lambda path: exec('import os; os.kill(os.getpid(), 2)')\nmain()\n"
+    )
+    words = [sys.executable, "-c", program, "check", "configs/first_touch.yaml", "--json"]
+    ended = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert (ended.returncode, ended.stderr) == (130, "hapsim: stopped before anything was armed\n")
+
+
 def test_an_interrupt_that_a_callback_drops_comes_again(hapsim: Hapsim, monkeypatch: pytest.MonkeyPatch) -> None:
     """As of a weak reference while a module is loaded: Python prints a traceback, and goes on."""
 
