@@ -127,8 +127,8 @@ def _fail(problem: str, exit_status: int) -> NoReturn:
 
 def _end_interrupted() -> NoReturn:
     pass_over()
-    # An interrupt that leaves an exec, as of a namedtuple in a module that is loaded, has Python end by SIGINT, whatever
-    # becomes of it after that; the next exec has it forget.
+    # An interrupt that leaves an exec, as of a namedtuple in a module that is loaded, has `python -m` end by SIGINT,
+    # whatever becomes of it after that; the next exec has it forget.
     exec("")
     complain(sentence())
     if "--json" in sys.argv:

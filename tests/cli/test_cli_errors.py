@@ -168,14 +168,21 @@ def test_a_signal_while_the_command_is_loaded_is_told_like_a_later_one(number: i
     assert json.loads(ended.stdout) == {"error": ended.stderr.strip(), "exit_status": 130}
 
 
-def test_an_interrupt_of_code_that_was_made_in_python_is_status_130_too() -> None:
-    """As of a namedtuple while a module is loaded: left alone, Python ends itself by SIGINT."""
-    program = (
+def test_an_interrupt_of_code_that_was_made_in_python_is_status_130_too(tmp_path: Path) -> None:
+    """As of a namedtuple while a module is loaded: left alone, `python -m` ends itself by SIGINT."""
+    (tmp_path / "stopped.py").write_text(
         "import hapsim.scene\nfrom hapsim.cli import main\n"
-        "hapsim.scene.load_scene = lambda path: exec('import os; os.kill(os.getpid(), 2)')\nmain()\n"
+        "hapsim.scene.load_scene = lambda path: exec('import os; os.kill(os.getpid(), 2)')\nmain()\n",
+        encoding="utf-8",
     )
-    words = [sys.executable, "-c", program, "check", "configs/first_touch.yaml", "--json"]
-    ended = subprocess.run(words, capture_output=True, text=True, check=False)
+    path = os.pathsep.join([str(tmp_path), *filter(None, sys.path)])
+    ended = subprocess.run(
+        [sys.executable, "-m", "stopped", "check", "configs/first_touch.yaml", "--json"],
+        capture_output=True,
+        text=True,
+        check=False,
+        env=os.environ | {"PYTHONPATH": path},
+    )
     assert (ended.returncode, ended.stderr) == (130, "hapsim: stopped before anything was armed\n")
 
 
