@@ -28,6 +28,7 @@ from hapsim.console.log import complain, use_sentences
 from hapsim.console.standard_streams import standing_streams
 from hapsim.errors import HapsimError
 from hapsim.stopping import INTERRUPTED, pass_over, sentence, was_interrupted
+from hapsim.stopping import document as document_of_it
 
 _WRONG_COMMAND_LINE = 2
 
@@ -132,7 +133,7 @@ def _end_interrupted() -> NoReturn:
     exec("")
     complain(sentence())
     if "--json" in sys.argv:
-        _print_failure(sentence(), INTERRUPTED)
+        print(document_of_it())
     _leave(SystemExit(INTERRUPTED))
 
 

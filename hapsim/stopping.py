@@ -40,6 +40,13 @@ def sentence() -> str:
     return "hapsim: stopped before anything was armed"
 
 
+def document() -> str:
+    """The same as `--json` has it. What else writes documents may have been interrupted while it was loaded."""
+    import json
+
+    return json.dumps({"error": sentence(), "exit_status": INTERRUPTED}, indent=2)
+
+
 def was_interrupted() -> bool:
     """Whether KeyboardInterrupt was raised: a library may have made another exception of it."""
     return _Run.interrupted
@@ -93,10 +100,8 @@ def _end_at_once(_signal: int, _frame: FrameType | None) -> None:
     with contextlib.suppress(OSError):
         os.write(2, f"{sentence()}\n".encode())
     if "--json" in sys.argv:
-        import json
-
         with contextlib.suppress(OSError):
-            os.write(1, json.dumps({"error": sentence(), "exit_status": INTERRUPTED}, indent=2).encode() + b"\n")
+            os.write(1, f"{document()}\n".encode())
     os._exit(INTERRUPTED)
 
 

@@ -203,6 +203,18 @@ def test_an_interrupt_that_a_callback_drops_comes_again(hapsim: Hapsim, monkeypa
     assert (answer.status, answer.sentence) == (130, "hapsim: stopped before anything was armed\n")
 
 
+def test_an_interrupt_while_numpy_is_loaded_is_told_without_it(hapsim: Hapsim, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It cannot be loaded a second time."""
+
+    def interrupt(*_: object, **__: object) -> None:
+        monkeypatch.setitem(sys.modules, "hapsim.console.as_json", None)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    monkeypatch.setattr("hapsim.scene.load_scene", interrupt)
+    answer = hapsim("run", "configs/first_touch.yaml", "--json")
+    assert (answer.status, answer.sentence) == (130, "hapsim: stopped before anything was armed\n")
+
+
 def test_a_library_that_makes_another_failure_of_an_interrupt_is_not_believed(
     hapsim: Hapsim, monkeypatch: pytest.MonkeyPatch
 ) -> None:
