@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+_SHORTEST_S = 0.25  # over less, a few positions that came together make a rate of their own
+
 
 @dataclass(frozen=True)
 class Progress:
@@ -27,3 +29,8 @@ class Progress:
     estimated_mass_kg: tuple[float | None, ...] = ()
     """Where a correction adapts, for which mass the force of each channel is; None on the others."""
     slewed_ticks: int = 0
+
+    @property
+    def seen_rate_hz(self) -> float | None:
+        """The rate, once it is one of more than a few milliseconds."""
+        return self.rate_hz if self.elapsed_s >= _SHORTEST_S else None

@@ -22,6 +22,7 @@ from hapsim.commands.arguments import (
     transport_kind,
 )
 from hapsim.errors import UsageError
+from hapsim.stopping import INTERRUPTED, pass_over
 
 
 def doctor(
@@ -63,6 +64,8 @@ def doctor(
             transport=transport_kind(mock, None, port),
             on_progress=tell,
         )
+    if found.stopped:
+        pass_over()  # what is left takes no time worth stopping for
     if picture is not None or data is not None:
         from hapsim.chart.figure import save_rows
         from hapsim.chart.steadiness import columns, draw_steadiness, steadiness
@@ -79,6 +82,9 @@ def doctor(
     else:
         show_examination(stdout(), found)
         say_written(picture, data)
+    if found.stopped:
+        complain(f"hapsim: {found.stopped}")
+        raise typer.Exit(INTERRUPTED)
     if found.device_failed is not None:
         complain(found.device_failed.failure)
         raise typer.Exit(found.device_failed.exit_status)

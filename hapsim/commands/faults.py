@@ -15,6 +15,7 @@ from hapsim.errors import DeviceError, UsageError
 
 if TYPE_CHECKING:
     from hapsim.faults import Injector, Script
+    from hapsim.faults.relay import Relay
 
 
 def faults(
@@ -57,9 +58,9 @@ def faults(
     injector = Injector(read, seed)
     free_name(path)
     with _device(port, scene, baud) as descriptor:
-        name, unread, whole = _relayed(descriptor, injector, path, duration, complain if json else _announce)
+        relay, name, whole = _relayed(descriptor, injector, path, duration, complain if json else _announce)
     gone = None if whole else DeviceError(f"{port or scene}: the device went away (unplugged, or its port was closed)")
-    _show(name, injector, unread, gone, json)
+    _show(name, injector, relay, gone, json)
     if gone is not None:
         complain(gone)
         raise typer.Exit(gone.exit_status)
@@ -67,27 +68,30 @@ def faults(
 
 def _relayed(
     descriptor: int, injector: Injector, path: Path | None, duration: float | None, announce: Callable[[str], None]
-) -> tuple[str, int, bool]:
-    """(the port for the host, bytes that no host fetched, whether the device stayed)"""
+) -> tuple[Relay, str, bool]:
+    """(what passed it on, the port for the host, whether the device stayed)"""
+    from hapsim.console.faults import passing_on
+    from hapsim.console.live import live_words
     from hapsim.faults.relay import Relay
     from hapsim.running.signals import stopping_on_signals
 
     with Relay(descriptor, injector, path) as relay, stopping_on_signals(relay.stop):
         name = relay.name
         announce(name)
-        whole = relay.run(duration)
-        return name, relay.unread_bytes, whole
+        with live_words(stderr()) as say:
+            whole = relay.run(duration, lambda: say(passing_on(injector)))
+        return relay, name, whole
 
 
-def _show(name: str, injector: Injector, unread: int, gone: DeviceError | None, json: bool) -> None:
+def _show(name: str, injector: Injector, relay: Relay, gone: DeviceError | None, json: bool) -> None:
     from hapsim.console.faults import faults_document, show_faults
 
     if json:
         from hapsim.console.as_json import document
 
-        print(document(faults_document(name, injector, unread, gone)))
+        print(document(faults_document(name, injector, relay.unread_bytes, relay.passing, gone)))
     else:
-        show_faults(stdout(), injector, unread)
+        show_faults(stdout(), injector, relay.unread_bytes, relay.passing)
 
 
 def _print_list(json: bool) -> None:
@@ -144,10 +148,12 @@ def _mock(scene: str) -> Iterator[str]:
     from hapsim.progress import Progress
 
     loaded = load(scene)
-    with live_line(stderr()) as tell:
-        counted = Counted(lambda name, share: tell(Progress("compiling", name, share=share)))
-        with on_compilation(counted.add), serving(assemble_mock(loaded)) as path:
-            yield path
+    with contextlib.ExitStack() as stack:
+        with live_line(stderr()) as tell:
+            counted = Counted(lambda name, share: tell(Progress("compiling", name, share=share)))
+            with on_compilation(counted.add):
+                path = stack.enter_context(serving(assemble_mock(loaded)))
+        yield path
 
 
 def _announce(name: str) -> None:

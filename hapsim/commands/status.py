@@ -20,7 +20,7 @@ def status(
     json: Json = False,
 ) -> None:
     """Ask a `hapsim run --status` how it is doing."""
-    from hapsim.console.tables import show_status
+    from hapsim.console.status import show_status
     from hapsim.daemon.status import ask
 
     path = _path_of(where)

@@ -9,13 +9,15 @@ import threading
 from collections.abc import Callable, Iterator
 from typing import Any
 
+from hapsim.stopping import STOPS
+
 
 @contextlib.contextmanager
 def on_compilation(tell: Callable[[str], None]) -> Iterator[None]:
     """While open, `tell(name)` is called as the compilation of each function begins; never where the code was kept.
 
-    An interrupt (Ctrl-C) that comes during a compilation is raised before the next function's: in the middle of one it
-    would leave the compiler in pieces.
+    An interrupt (Ctrl-C, or another signal of `STOPS` that somebody here hears) that comes during a compilation is
+    raised before the next function's: in the middle of one it would leave the compiler in pieces.
     """
     from numba.core import event
 
@@ -107,10 +109,11 @@ class _Watcher(threading.local):
 
 
 class _KeptInterrupts:
-    """Keeps interrupts for later; only the main thread ever gets any. Several may ask for it, and end in any order."""
+    """Keeps interrupts for later; only the main thread ever gets any. Several may ask for it, and end in any order.
+    A signal that nobody hears does what it does by default."""
 
     def __init__(self) -> None:
-        self._before: Any = None
+        self._before: dict[int, Any] = {}
         self._asked = 0
         self._came = False
 
@@ -119,7 +122,9 @@ class _KeptInterrupts:
         if not _in_main_thread():
             return
         if self._asked == 0:
-            self._before = signal.signal(signal.SIGINT, self._remember)
+            self._before = {number: handler for number in STOPS if callable(handler := signal.getsignal(number))}
+            for number in self._before:
+                signal.signal(number, self._remember)
         self._asked += 1
 
     def let_through(self) -> None:
@@ -128,7 +133,8 @@ class _KeptInterrupts:
             return
         self._asked -= 1
         if self._asked == 0:
-            signal.signal(signal.SIGINT, self._before)
+            for number, handler in self._before.items():
+                signal.signal(number, handler)
             self.raise_kept()
 
     def raise_kept(self) -> None:

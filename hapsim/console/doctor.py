@@ -17,6 +17,7 @@ from hapsim.console.sentences import fitted
 from hapsim.doctor import words
 from hapsim.doctor.exchanges import MOCK, Exchanges
 from hapsim.doctor.verdict import EXCHANGE, IN_TIME, ON_THE_MOCK, Verdict
+from hapsim.stopping import INTERRUPTED
 
 if TYPE_CHECKING:
     from hapsim.doctor.advice import Advice
@@ -63,8 +64,9 @@ def show_examination(out: Console, examination: Examination) -> None:
     out.print()
     out.print(_wakeups(out, examination.wakeups))
     rate = examination.rate_hz
-    out.print(f"\n[italic]Wake-ups at {words.rate(rate)}, by how late they came[/italic]")
-    show_histogram(out, examination.wakeups[rate], {"a period": 1.0 / rate})
+    if rate in examination.wakeups:  # else it was stopped before
+        out.print(f"\n[italic]Wake-ups at {words.rate(rate)}, by how late they came[/italic]")
+        show_histogram(out, examination.wakeups[rate], {"a period": 1.0 / rate})
     _show_exchanges(out, examination)
     _show_advice(out, examination.advice)
 
@@ -184,7 +186,15 @@ def examination_document(examination: Examination) -> dict[str, Any]:
         "in_time_means": IN_TIME,
         "best_rates_hz": examination.best_rates,
         "advice": [asdict(one) for one in examination.advice],
-    } | ({} if failed is None else {"error": failed.failure, "exit_status": failed.exit_status})
+        "steps": examination.steps,
+        "stopped_after_steps": examination.stopped_after,
+    } | (
+        {"error": examination.stopped, "exit_status": INTERRUPTED}
+        if examination.stopped
+        else {}
+        if failed is None
+        else {"error": failed.failure, "exit_status": failed.exit_status}
+    )
 
 
 def _grant(grant: Any) -> dict[str, Any]:

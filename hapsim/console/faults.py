@@ -12,6 +12,7 @@ from rich.table import Table
 
 from hapsim.errors import RunError
 from hapsim.faults import KINDS, Injector
+from hapsim.faults.passing import PassingTimes
 
 _WAYS = {True: "to the device", False: "from the device"}
 
@@ -30,8 +31,14 @@ def kinds_document(scripts: Sequence[str]) -> dict[str, Any]:
     return {"kinds": {kind: fault.told for kind, fault in KINDS.items()}, "scripts": list(scripts)}
 
 
-def show_faults(out: Console, injector: Injector, unread_bytes: int) -> None:
-    """What passed, what was done to it, and what reached the device."""
+def passing_on(injector: Injector) -> str:
+    """What passed until now, for a live line."""
+    frames = sum(traffic.frames_in for traffic in injector.passed.values())
+    return f"passing on: {frames} frames, {sum(count for _, count in injector.counts)} faults · Ctrl-C ends it"
+
+
+def show_faults(out: Console, injector: Injector, unread_bytes: int, passing: PassingTimes) -> None:
+    """What passed, how long that took, what was done to it, and what reached the device."""
     table = Table("", "frames in", "frames out", "bytes in", "bytes out", title="What passed", title_justify="left")
     for way, name in _WAYS.items():
         traffic = injector.passed[way]
@@ -39,9 +46,16 @@ def show_faults(out: Console, injector: Injector, unread_bytes: int) -> None:
     out.print(table)
     if unread_bytes:
         out.print(f"{unread_bytes} bytes of the device were fetched by no host.")
-    table = Table("fault", "times", title="What was done to it", title_justify="left")
-    for kind, count in injector.counts:
-        table.add_row(kind, str(count))
+    if passing.count:
+        median, most = (f"{1e3 * (passing.quantile_s(share) or 0.0):.2g} ms" for share in (0.5, 0.99))
+        out.print(
+            f"Passing a frame on took {median} in the median, and at most {most} for 99 % of them, beside what a fault "
+            "held up."
+        )
+    out.print("What was done to it", style="italic")  # not as a title, which breaks where the table is narrow
+    table = Table("", "fault", "when", "how often")
+    for fault in injector.happened:
+        table.add_row(str(fault.place), fault.kind, fault.when, f"{fault.times} {fault.counted}")
     out.print(table)
     for sentence in _of_the_device(injector):
         out.print(sentence)
@@ -77,14 +91,17 @@ def _newtons(force: float) -> str:
     return "a force of unknown scale" if math.isnan(force) else f"{force:.4g} N"
 
 
-def faults_document(name: str, injector: Injector, unread_bytes: int, failure: RunError | None) -> dict[str, Any]:
+def faults_document(
+    name: str, injector: Injector, unread_bytes: int, passing: PassingTimes, failure: RunError | None
+) -> dict[str, Any]:
     """The same for JSON, and how it failed, where it did."""
     witness, release = injector.witness, injector.witness.release()
     return {
         "port": name,
         **{_WAYS[way].replace(" the", "").replace(" ", "_"): asdict(injector.passed[way]) for way in _WAYS},
         "unread_bytes": unread_bytes,
-        "faults": [{"kind": kind, "times": count} for kind, count in injector.counts],
+        "passed_on": {"frames": passing.count, "p50_s": passing.quantile_s(0.5), "p99_s": passing.quantile_s(0.99)},
+        "faults": [fault._asdict() for fault in injector.happened],
         "samples": injector.samples + 1,
         "forces": _forces(witness.all),
         "forces_since_fault": _forces(witness.since_fault),

@@ -103,10 +103,11 @@ class _Line:
         if progress.phase == "serving":
             self._show(f"serving the mock device at {progress.text} · Ctrl-C stops it")
             return
-        force = " ".join(f"{f:+.3f}" for f in progress.force[:4])
+        force = " ".join(f"{round(f, 3) + 0.0:+.3f}" for f in progress.force[:4])  # + 0.0: no minus before a zero
+        rate = "" if progress.seen_rate_hz is None else f" · {progress.seen_rate_hz:.1f} Hz"
         limited = f" · {progress.limited_ticks} at the limit" if progress.limited_ticks else ""
         slewed = f" · {progress.slewed_ticks} slewed" if progress.slewed_ticks else ""
         self._show(
-            f"running {progress.elapsed_s:.1f} s · {progress.rate_hz:.1f} Hz · force {force} N · "
+            f"running {progress.elapsed_s:.1f} s{rate} · force {force} N · "
             f"age {progress.age_samples} · misses {progress.deadline_misses}{limited}{slewed}"
         )

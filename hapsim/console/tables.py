@@ -31,7 +31,6 @@ _MANY = 10
 _FEW = 0.01
 _CLEARLY = 0.01  # of what is predicted, of b of half the critical damping
 _OFF_RATE = 0.02  # of the rate, from which a hand feels another damping
-_WIDEST_KEY = 24
 _NO_FACTOR, _UNKNOWN = "–", "?"
 _MARGINAL = 1e-9  # of the spectral radius: a free motion, which rounding places on either side of 1
 
@@ -425,7 +424,7 @@ def show_report(out: Console, report: Report, reconnections: int = 0) -> None:
         table.add_row("changes taken", str(report.parameter_changes))
     for label, count in (
         ("positions lost", report.lost_frames),
-        ("frames of the device refused", report.crc_errors),
+        ("frames refused by this host", report.crc_errors),
         ("bytes that were no frame", report.garbage_bytes),
         (_REFUSED_BY_DEVICE, report.rejected_by_device),
         ("stale positions", report.stale_positions),
@@ -444,27 +443,28 @@ def show_report(out: Console, report: Report, reconnections: int = 0) -> None:
         table.add_row("force released", "[yellow]not confirmed[/yellow]")
     out.print()
     out.print(table)
+    if sentence := _of_the_wire(report):
+        out.print(f"[yellow]{sentence}[/yellow]")
 
 
-def show_status(out: Console, document: Mapping[str, object]) -> None:
-    """What a running hapsim told of itself: a row for each key, never broken, so that a path in it can be copied."""
-    width = min(max(map(len, document), default=0), _WIDEST_KEY)
-    for key, value in document.items():
-        row = f"{_shown(key):<{width}}  {_shown(_status_value(value))}"
-        out.print(row, soft_wrap=True, markup=False, emoji=False, highlight=False)
+def _of_the_wire(report: Report) -> str:
+    """That it lost or spoilt more than a few frames, and what to look at; "" where it did not."""
+    positions = report.ticks + report.lost_frames
+    refused_there = report.rejected_by_device or 0
+    refused = report.crc_errors + (refused_there if refused_there >= _MANY else 0)
+    if not positions or max(report.lost_frames, refused) <= _FEW * positions:
+        return ""
+    told = [f"{_percent(report.lost_frames / positions)} of the positions were lost"] if report.lost_frames else []
+    told += [f"{refused} frames were refused"] if refused else []
+    held_up = "" if refused or report.garbage_bytes else ", and whether this machine was held up (`hapsim doctor`)"
+    return (
+        f"{' and '.join(told)}: look at cable, baud rate and interference{held_up}. `hapsim frames PORT`, while "
+        "nothing runs, shows what arrives."
+    )
 
 
-def _shown(text: str) -> str:
-    """On one row, and without what a terminal would obey."""
-    return "".join(one if one.isprintable() else " " if one.isspace() else "?" for one in text)
-
-
-def _status_value(value: object) -> str:
-    if isinstance(value, list | tuple):
-        return " ".join(map(_status_value, value))
-    if value is None:
-        return "–"
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.2g} %" if share < 0.995 else "Nearly all"
 
 
 def _off_rate(report: Report) -> str:

@@ -72,9 +72,8 @@ class Notifier:
             return
         if progress.ticks > self._ticks and self._alive():
             self._ticks = progress.ticks
-        self._status(
-            f"running {progress.elapsed_s:.0f} s, {progress.rate_hz:.1f} Hz, deadline misses {progress.deadline_misses}"
-        )
+        rate = "" if progress.seen_rate_hz is None else f" {progress.seen_rate_hz:.1f} Hz,"
+        self._status(f"running {progress.elapsed_s:.0f} s,{rate} deadline misses {progress.deadline_misses}")
 
     def _over(self) -> None:
         if not self._reconnects:

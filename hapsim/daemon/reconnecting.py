@@ -251,6 +251,8 @@ class _Keeper:
         return self._records[-1]
 
     def _arming(self, session: Session) -> None:
+        if self._stopped:  # and whoever was interrupted there has passed it over
+            raise KeyboardInterrupt
         self._session, self._state = session, "running"
 
     def _add(self, trace: Trace) -> None:

@@ -24,6 +24,7 @@ class RunState:
         self._sessions = 0
         self._released: bool | None = None
         self._news = ""
+        self._lost: str | None = None
 
     @property
     def observer(self) -> Observer:
@@ -41,6 +42,7 @@ class RunState:
             "armed_since": self._armed_since,
             "reconnections": max(self._sessions - 1, 0),
             "news": self._news,
+            "lost": self._lost,
             "released": self._released,
             "duration_s": None if progress is None else progress.elapsed_s,
             "rate_hz": None if progress is None else progress.rate_hz,
@@ -56,7 +58,7 @@ class RunState:
     def _started(self, session: Session) -> None:
         self._session, self._sessions = session, self._sessions + 1
         self._armed_since = datetime.now(UTC).isoformat(timespec="milliseconds")
-        self._released, self._phase = None, "running"
+        self._released, self._lost, self._phase = None, None, "running"
 
     def _over(self) -> None:
         if self._phase == "running" and self._session is not None:
@@ -69,5 +71,7 @@ class RunState:
     def _waiting(self) -> None:
         self._phase = "waiting"
 
-    def _tell(self, _event: str, sentence: str) -> None:
+    def _tell(self, event: str, sentence: str) -> None:
         self._news = sentence
+        if event == "lost":
+            self._lost = sentence  # what comes while it is waited for is about the port

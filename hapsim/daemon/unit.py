@@ -57,6 +57,8 @@ RestartSec=2
 # 1: a defect of hapsim, or no hapsim; 2: a wrong scene; 4: a guard stopped the force; the service manager's own, of
 # what it could not start: 200 directory, 203 interpreter, 216 group, 217 user. None gets better by itself.
 RestartPreventExitStatus=1 2 4 200 203 216 217
+# 130: told to stop before the device was armed.
+SuccessExitStatus=130
 LimitRTPRIO=80
 LimitMEMLOCK=infinity
 NoNewPrivileges=yes

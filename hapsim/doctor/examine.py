@@ -51,6 +51,17 @@ class Examination:
     """One for each of `exchanges`."""
     load: Load | None
     advice: tuple[Advice, ...]
+    steps: int = 0
+    """How many measurements it is made of."""
+    stopped_after: int | None = None
+    """How many of them were made when an interrupt ended it; None where it was not interrupted."""
+
+    @property
+    def stopped(self) -> str:
+        """That it was interrupted, in a sentence; "" where it was not."""
+        if self.stopped_after is None:
+            return ""
+        return f"stopped after {self.stopped_after} of {self.steps} steps: what was measured until then is told"
 
     @property
     def best_rates(self) -> dict[str, float | None]:
@@ -84,8 +95,9 @@ def examine(
     Each of these takes `seconds`. `realtime`: with what this user may have of real time. `tree`, `run`, `ask`: in
     place of this system's files, of hapsim.run and of asking the device, for tests.
 
-    A run that fails is part of the answer. Raises, before anything is measured, UsageError for rates and times that
-    cannot be, and where a scene and its device do not go together; DeviceError where no device answers.
+    A run that fails is part of the answer, and so is what was measured before a KeyboardInterrupt; one that comes
+    before the first measurement was made is passed on. Raises, before anything is measured, UsageError for rates and
+    times that cannot be, and where a scene and its device do not go together; DeviceError where no device answers.
     """
     if transport == "loopback":
         raise UsageError("--transport: found loopback, which has no time of its own; expected terminal, or nothing")
@@ -97,8 +109,18 @@ def examine(
     (ask or _ask)(to_run[0])
     steps = _Steps(len(rates) + len(to_run), seconds, on_progress)
     before = cpu_times(tree)
-    wakeups, grants = _wakeups(rates, seconds, steps, realtime)
-    ran = _exchanges(to_run, seconds, steps, run or _hapsim_run(), realtime)
+    wakeups: dict[float, Histogram] = {}
+    granted: list[list[PrivilegeResult]] = []
+    made: list[Exchanges] = []
+    stopped = False
+    try:
+        _measure_wakeups(rates, seconds, steps, realtime, wakeups, granted)
+        _make_exchanges(to_run, seconds, steps, run or _hapsim_run(), realtime, made)
+    except KeyboardInterrupt:
+        if not wakeups:
+            raise
+        stopped = True
+    ran, grants = tuple(made), tuple(granted[-1]) if realtime else None
     machine = machine_of(tree)
     load = load_between(before, cpu_times(tree), machine.cores_online, tree)
     verdicts = tuple(map(verdict_on, ran))
@@ -123,6 +145,8 @@ def examine(
         verdicts=verdicts,
         load=load,
         advice=tuple(advice_on(case)),
+        steps=steps.of,
+        stopped_after=len(wakeups) + len(ran) if stopped else None,
     )
 
 
@@ -140,43 +164,40 @@ def _require_measurable(scene: Scene, rates: tuple[float, ...], seconds: float) 
     require_measurable(scene.rate, seconds, f"{scene.path or 'the scene'}: rate")
 
 
-def _wakeups(
-    rates: tuple[float, ...], seconds: float, steps: _Steps, realtime: bool
-) -> tuple[dict[float, Histogram], tuple[PrivilegeResult, ...] | None]:
-    """(by rate, the wake-up latencies of a thread; what was granted of real time, None where it was not asked for)."""
-    granted: list[list[PrivilegeResult]] = []
-    wakeups = {
-        rate: wake_up_latency(
-            rate,
-            seconds,
-            steps.next(f"wake-ups at {words.rate(rate)}"),
-            realtime=realtime,
-            on_grants=granted.append,
-        )
-        for rate in rates
-    }
-    return wakeups, tuple(granted[-1]) if realtime else None
+def _measure_wakeups(
+    rates: tuple[float, ...],
+    seconds: float,
+    steps: _Steps,
+    realtime: bool,
+    wakeups: dict[float, Histogram],
+    granted: list[list[PrivilegeResult]],
+) -> None:
+    """Adds the wake-up latencies of a thread to `wakeups`, rate by rate, and what it was granted to `granted`."""
+    for rate in rates:
+        tell = steps.next(f"wake-ups at {words.rate(rate)}")
+        wakeups[rate] = wake_up_latency(rate, seconds, tell, realtime=realtime, on_grants=granted.append)
 
 
-def _exchanges(
-    to_run: Sequence[Trial], seconds: float, steps: _Steps, run: Run, realtime: bool
-) -> tuple[Exchanges, ...]:
-    """What came of each, in their order."""
-    return tuple(exchanges(one, seconds, steps.next(_named(one)), run, realtime=realtime) for one in to_run)
+def _make_exchanges(
+    to_run: Sequence[Trial], seconds: float, steps: _Steps, run: Run, realtime: bool, made: list[Exchanges]
+) -> None:
+    """Adds what came of each to `made`, in their order."""
+    for one in to_run:
+        made.append(exchanges(one, seconds, steps.next(_named(one)), run, realtime=realtime))
 
 
 class _Steps:
     """Counts measurements, and tells how far each is."""
 
     def __init__(self, of: int, seconds: float, tell: Callable[[Step], None] | None) -> None:
-        self._of, self._seconds, self._number = of, seconds, 0
+        self.of, self._seconds, self._number = of, seconds, 0
         self._tell = tell or (lambda _: None)
 
     def next(self, what: str) -> Tell:
         """Begins a measurement; returns what to report progress to."""
         self._number += 1
         number = self._number
-        return lambda elapsed, compiling: self._tell(Step(number, self._of, what, elapsed, self._seconds, compiling))
+        return lambda elapsed, compiling: self._tell(Step(number, self.of, what, elapsed, self._seconds, compiling))
 
 
 def _again(scene: Scene | None, where: str) -> str:

@@ -33,6 +33,7 @@ class Version(Lasting):
     """The device speaks another version."""
 
     told: ClassVar[str] = "The device says that it speaks another version of the protocol."
+    counted: ClassVar[str] = "answers changed"
     kind: Literal["version"] = "version"
     answers: Annotated[int, Count("The version that it says it speaks", 0, 2**31 - 1)] = 2
 
@@ -45,6 +46,7 @@ class Nonsense(Lasting):
     """The device describes itself by numbers that nothing has."""
 
     told: ClassVar[str] = "The device declares a rate, a scale, a limit or a number that cannot be."
+    counted: ClassVar[str] = "answers changed"
     kind: Literal["nonsense"] = "nonsense"
     register_: Literal[
         "rate",

@@ -42,6 +42,8 @@ class Fault(Part):
 
     told: ClassVar[str]
     """What it does, in a sentence."""
+    counted: ClassVar[str] = "frames"
+    """What is counted of it."""
 
     kind: str
 
@@ -52,6 +54,13 @@ class Fault(Part):
     def window(self) -> Window:
         """When it happens."""
         return Window()
+
+    def when(self) -> str:
+        """The same in words."""
+        window = self.window()
+        if window.begins_sample is not None:
+            return f"after {window.begins_sample} samples"
+        return f"at {window.begins_s:g} s" if window.begins_s else "from the first byte"
 
 
 class Lasting(Fault):

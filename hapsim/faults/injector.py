@@ -40,13 +40,26 @@ class Traffic:
     bytes_out: int = 0
 
 
+class Happened(NamedTuple):
+    """A fault of the script, and how often it happened."""
+
+    place: int
+    """In the script, from 1 on."""
+    kind: str
+    when: str
+    """When it is to begin, in words."""
+    times: int
+    counted: str
+    """What `times` counts, in words."""
+
+
 class Injector:
     """The faults of a script, between a host and a device."""
 
     def __init__(self, script: Script, seed: int | None = None) -> None:
         """`seed`: in place of the script's."""
         self._seed = script.seed if seed is None else seed
-        self._kinds = [fault.kind for fault in script.faults]
+        self._faults = script.faults
         self._effects: list[Effect] = [
             fault.effect(f"{self._seed} {at} {fault.kind}") for at, fault in enumerate(script.faults)
         ]
@@ -66,7 +79,15 @@ class Injector:
     @property
     def counts(self) -> list[tuple[str, int]]:
         """Each fault of the script, and how often it happened."""
-        return [(kind, effect.count) for kind, effect in zip(self._kinds, self._effects, strict=True)]
+        return [(fault.kind, fault.times) for fault in self.happened]
+
+    @property
+    def happened(self) -> list[Happened]:
+        """The same, with the place of each in the script, when it is to begin, and what is counted."""
+        return [
+            Happened(at, fault.kind, fault.when(), effect.count, fault.counted)
+            for at, (fault, effect) in enumerate(zip(self._faults, self._effects, strict=True), start=1)
+        ]
 
     @property
     def samples(self) -> int:

@@ -19,6 +19,7 @@ class Leap(Event):
     """The position jumps, and stays where it jumped to."""
 
     told: ClassVar[str] = "The positions are elsewhere from one sample to the next, and go on from there."
+    counted: ClassVar[str] = "positions moved"
     kind: Literal["leap"] = "leap"
     metres: Annotated[float | None, Quantity("How far", "m", left_out="counts says it")] = None
     counts: Annotated[int | None, Count("How far, in place of metres", -(2**31), 2**31 - 1, "counts")] = None
@@ -69,6 +70,7 @@ class Invert(Event):
     """A sign is wrong from now on."""
 
     told: ClassVar[str] = "Positions (from_device) or forces (to_device) have the other sign from then on."
+    counted: ClassVar[str] = "frames inverted"
     kind: Literal["invert"] = "invert"
     direction: Literal["from_device", "to_device"] = Field(
         default="from_device", description="from_device: positions and velocities; to_device: forces"

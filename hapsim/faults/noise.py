@@ -16,6 +16,7 @@ class Garbage(Lasting):
     """Noise between two frames."""
 
     told: ClassVar[str] = "Bytes that nobody sent arrive between two frames."
+    counted: ClassVar[str] = "bursts of bytes"
     kind: Literal["garbage"] = "garbage"
     direction: Direction = Field(default="from_device", description="Which way they go")
     bytes: Annotated[int, Count("How many at a time", 1, 100_000)]
@@ -68,6 +69,7 @@ class WrongBaud(OnFrames):
     """The receiver samples bits at another rate."""
 
     told: ClassVar[str] = "Bytes arrive as a UART reads them that is set to another rate."
+    counted: ClassVar[str] = "frames garbled"
     kind: Literal["wrong_baud"] = "wrong_baud"
     ratio: Annotated[float, Quantity("The receiver's bit rate over the sender's", "1", least=0.05, most=20)] = 0.5
 

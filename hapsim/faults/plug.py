@@ -31,6 +31,7 @@ class Silence(_Quiet):
     """Nothing passes."""
 
     told: ClassVar[str] = "Nothing passes, while the port stays open."
+    counted: ClassVar[str] = "frames lost"
     kind: Literal["silence"] = "silence"
 
     def effect(self, seed: str) -> Effect:
@@ -54,6 +55,7 @@ class HalfFrame(_Quiet):
     """A frame breaks off."""
 
     told: ClassVar[str] = "A frame breaks off in its middle; then nothing passes."
+    counted: ClassVar[str] = "frames lost or cut"
     kind: Literal["half_frame"] = "half_frame"
 
     def effect(self, seed: str) -> Effect:
@@ -73,6 +75,7 @@ class Unplug(Event):
     """The cable is pulled."""
 
     told: ClassVar[str] = "The port is gone: whoever has it open is hung up."
+    counted: ClassVar[str] = "times"
     kind: Literal["unplug"] = "unplug"
 
     def effect(self, seed: str) -> Effect:
@@ -84,6 +87,7 @@ class Replug(Event):
     """The cable is put back."""
 
     told: ClassVar[str] = "The port is there again, under the name of before (--path)."
+    counted: ClassVar[str] = "times"
     kind: Literal["replug"] = "replug"
 
     def effect(self, seed: str) -> Effect:

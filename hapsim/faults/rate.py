@@ -17,6 +17,7 @@ class Rate(Lasting):
     """The device samples at another rate than it declares."""
 
     told: ClassVar[str] = "The device samples at a factor of the rate that it declares."
+    counted: ClassVar[str] = "positions left out or repeated"
     kind: Literal["rate"] = "rate"
     factor: Annotated[float, Quantity("The rate over the declared one", "1", least=0.01, most=10)]
 

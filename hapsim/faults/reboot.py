@@ -18,6 +18,7 @@ class Reboot(Event):
     """The device resets."""
 
     told: ClassVar[str] = "The device falls silent, and comes back in its set-up state, disarmed."
+    counted: ClassVar[str] = "times"
     kind: Literal["reboot"] = "reboot"
     seconds: Annotated[float, Quantity("How long it takes to come back", "s", above=0)] = 0.5
 

@@ -8,18 +8,22 @@ again there is a new one, under the name that `path` gives it.
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import select
 import time
 from collections import deque
+from collections.abc import Callable
 from pathlib import Path
 
 from hapsim.device.port_name import free_name, give_name, take_name
 from hapsim.errors import DeviceError, UsageError
 from hapsim.faults.injector import Injector, Passed
+from hapsim.faults.passing import PassingTimes
 
 _PIECE = 1 << 16
 _LONGEST_WAIT_S = 1.0
+_TELL_S = 0.5
 _MOST_WAITING = 1 << 20  # bytes that a device does not take are kept up to here
 
 
@@ -35,6 +39,9 @@ class Relay:
         self._told, self._tell = os.pipe()
         self.unread_bytes = 0
         """Of the device, that no host fetched."""
+        self.passing = PassingTimes()
+        """From when a piece was read, or was due where a fault held it up, until it was written; of the pieces that the
+        other side took at once."""
 
     def __enter__(self) -> Relay:
         self._host = _PseudoTerminal(self._path)
@@ -57,14 +64,19 @@ class Relay:
         with contextlib.suppress(OSError):
             os.write(self._tell, b".")
 
-    def run(self, duration_s: float | None = None) -> bool:
-        """Passes on until told to stop, or for so long: True. False where the device went away."""
+    def run(self, duration_s: float | None = None, tell: Callable[[], None] = lambda: None) -> bool:
+        """Passes on until told to stop, or for so long: True. False where the device went away. `tell`: called now and
+        then."""
         ends_s = None if duration_s is None else time.monotonic() + duration_s
+        told_s = -math.inf
         while True:
             now_s = time.monotonic()
             self._keep(self._injector.advance(now_s))
             self._plug()
             self._send_due(now_s)
+            if now_s - told_s >= _TELL_S:
+                told_s = now_s
+                tell()
             if ends_s is not None and now_s >= ends_s:
                 return True
             ready, writable = self._wait(now_s, ends_s)
@@ -118,14 +130,20 @@ class Relay:
 
     def _send_due(self, now_s: float) -> None:
         for to_device, queue in self._held_up.items():
-            due = b""
+            due: list[Passed] = []
             while queue and queue[0].due_s <= now_s:
-                due += queue.popleft().data
-            if due and to_device:
-                self._to_write = (self._to_write + due)[-_MOST_WAITING:]
-                self._write_device()
-            elif due:
-                self._write_host(due)
+                due.append(queue.popleft())
+            if due and self._write(to_device, b"".join(one.data for one in due)):
+                written_s = time.monotonic()
+                for one in due:
+                    self.passing.note(written_s - one.due_s)
+
+    def _write(self, to_device: bool, data: bytes) -> bool:
+        """Whether all of it was taken at once."""
+        if not to_device:
+            return self._write_host(data)
+        self._to_write = (self._to_write + data)[-_MOST_WAITING:]
+        return self._write_device() and not self._to_write
 
     def _write_device(self) -> bool:
         """Writes what the device takes; False where it is gone."""
@@ -138,13 +156,14 @@ class Relay:
             return False
         return True
 
-    def _write_host(self, data: bytes) -> None:
-        """A host that does not read loses what does not fit, as behind any driver."""
+    def _write_host(self, data: bytes) -> bool:
+        """Whether all of it fits: a host that does not read loses the rest, as behind any driver."""
         written = 0
         if self._host is not None:
             with contextlib.suppress(OSError):
                 written = os.write(self._host.near, data)
         self.unread_bytes += len(data) - written
+        return written == len(data)
 
     def _plug(self) -> None:
         """Has the pseudo-terminal be there, or not, as the script says."""

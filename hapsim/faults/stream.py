@@ -14,6 +14,7 @@ class Drop(OnFrames):
     """Frames are lost."""
 
     told: ClassVar[str] = "A frame does not arrive."
+    counted: ClassVar[str] = "frames lost"
     kind: Literal["drop"] = "drop"
 
     def effect(self, seed: str) -> Effect:
@@ -29,6 +30,7 @@ class Corrupt(OnFrames):
     """Bits flip."""
 
     told: ClassVar[str] = "Bits of a frame flip, its delimiter's among them."
+    counted: ClassVar[str] = "frames damaged"
     kind: Literal["corrupt"] = "corrupt"
     bits: Annotated[int, Count("How many bits of a frame flip", 1, 64)] = 1
 
@@ -54,6 +56,7 @@ class Duplicate(OnFrames):
     """Frames come twice."""
 
     told: ClassVar[str] = "A frame arrives twice."
+    counted: ClassVar[str] = "frames sent twice"
     kind: Literal["duplicate"] = "duplicate"
 
     def effect(self, seed: str) -> Effect:
@@ -69,6 +72,7 @@ class Delay(OnFrames):
     """Frames come late."""
 
     told: ClassVar[str] = "A frame arrives late, and so does what is behind it."
+    counted: ClassVar[str] = "frames held up"
     kind: Literal["delay"] = "delay"
     seconds: Annotated[float, Quantity("By how much", "s", above=0)]
 
@@ -89,6 +93,7 @@ class Reorder(OnFrames):
     """Frames change places."""
 
     told: ClassVar[str] = "A frame arrives behind the one that was sent after it."
+    counted: ClassVar[str] = "frames swapped"
     kind: Literal["reorder"] = "reorder"
     within: Annotated[float, Quantity("For how long the next one is waited for", "s", above=0)] = 0.02
 

@@ -18,10 +18,12 @@ class Window:
         lasts_samples: int | None = None,
     ) -> None:
         """Without a beginning it opens with the first byte, without an end it never closes."""
-        self._begins_s = 0.0 if begins_s is None and begins_sample is None else begins_s
-        if self._begins_s is not None:
-            self._begins_s = tidy(self._begins_s)
-        self._begins_sample = begins_sample
+        self.begins_s = 0.0 if begins_s is None and begins_sample is None else begins_s
+        if self.begins_s is not None:
+            self.begins_s = tidy(self.begins_s)
+        """s since the first byte; None: in samples."""
+        self.begins_sample = begins_sample
+        """So many samples of the device; None: in seconds."""
         self._lasts_s, self._lasts_samples = lasts_s, lasts_samples
         self.opened: Moment | None = None
         """When it opened; None: not yet."""
@@ -43,12 +45,12 @@ class Window:
     def next_s(self, now: Moment) -> float:
         """When time alone opens or closes it, s since the first byte; infinite where it does not."""
         if self.opened is None:
-            return math.inf if self._begins_s is None else self._begins_s
+            return math.inf if self.begins_s is None else self.begins_s
         if self._lasts_s is None or self.is_over(now):
             return math.inf
         return tidy(self.opened.seconds + self._lasts_s)
 
     def _has_begun(self, now: Moment) -> bool:
-        if self._begins_s is not None:
-            return now.seconds >= self._begins_s
-        return self._begins_sample is not None and now.samples >= self._begins_sample
+        if self.begins_s is not None:
+            return now.seconds >= self.begins_s
+        return self.begins_sample is not None and now.samples >= self.begins_sample

@@ -31,15 +31,22 @@ def run(
     """
     tell = options.get("on_progress") or (lambda _: None)
     running: list[Session] = []
+    stopped: list[bool] = []
 
     def stop() -> None:
+        stopped.append(True)
         if not running:
             raise KeyboardInterrupt  # nothing is armed yet
         running[0].stop()
 
+    def arming(session: Session) -> None:
+        if stopped:  # and whoever was interrupted there has passed it over
+            raise KeyboardInterrupt
+        running.append(session)
+
     with (
         stopping_on_signals(stop) if stop_on_signals else contextlib.nullcontext(),
-        start(scene, on_arming=running.append, **options) as session,
+        start(scene, on_arming=arming, **options) as session,
     ):
         if on_start is not None:
             on_start(session)

@@ -6,8 +6,7 @@ import contextlib
 import signal
 from collections.abc import Callable, Iterator
 
-STOPS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
-"""The signals that mean it: SIGINT, SIGTERM and, where a system has it, SIGHUP."""
+from hapsim.stopping import STOPS
 
 
 @contextlib.contextmanager

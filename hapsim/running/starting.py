@@ -42,6 +42,7 @@ from hapsim.running.report_file import default_directory
 from hapsim.running.session import Session
 from hapsim.running.stability import require_startable
 from hapsim.scene import Scene
+from hapsim.stopping import note_arming
 
 _MOST_TICKS = 2.0**62
 _LAST_ROWS = 1 << 16  # of the last second, at most
@@ -138,6 +139,7 @@ def start(
                 if on_arming is not None:
                     on_arming(session)
                 with _real_time(session) if realtime else contextlib.nullcontext():
+                    note_arming()
                     _arm(scene, opened, description, loop)
                     spoken = opened.take_written()
                     session._go()

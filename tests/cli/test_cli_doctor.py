@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import signal
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -43,6 +45,21 @@ def test_a_machine_that_could_not_be_set_better_is_reported_as_such(
 ) -> None:
     monkeypatch.setattr(examine, "advice_on", lambda _: [])
     assert "Nothing was found that could be set better." in hapsim("doctor", *QUICK).out
+
+
+@pytest.mark.usefixtures("advised")
+@pytest.mark.parametrize("json", [(), ("--json",)])
+def test_a_doctor_that_is_stopped_tells_what_it_found_and_ends_with_130(
+    hapsim: Callable[..., Any], monkeypatch: pytest.MonkeyPatch, json: tuple[str, ...]
+) -> None:
+    monkeypatch.setattr(examine, "exchanges", lambda *_, **__: os.kill(os.getpid(), signal.SIGTERM))
+    told = hapsim("doctor", *QUICK, *json)
+    assert (told.status, "hapsim: stopped after 2 of 6 steps" in told.err) == (130, True)
+    assert "before anything was armed" not in told.err
+    if json:
+        assert (told.document["stopped_after_steps"], len(told.document["wakeups"])) == (2, 2)
+    else:
+        assert "Wake-up latency of a sleeping thread" in told.out
 
 
 @pytest.mark.usefixtures("advised")

@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
+
+from hapsim.stopping import STOPS
 
 Hapsim = Callable[..., Any]
 SceneFile = Callable[..., Path]
@@ -121,17 +129,115 @@ def test_a_defect_of_ours_is_status_1_and_can_be_traced(
         cli.main()
 
 
-@pytest.mark.parametrize("command", [["run"], ["compile"], ["measure"]])
-def test_an_interrupt_before_anything_runs_is_status_130_with_a_sentence(
-    hapsim: Hapsim, monkeypatch: pytest.MonkeyPatch, command: list[str]
+@pytest.mark.parametrize("number", STOPS)
+@pytest.mark.parametrize(
+    "command", [["run"], ["compile"], ["measure"], ["identify"], ["mock"], ["faults", "noisy_wire", "--scene"]]
+)
+def test_a_signal_before_anything_is_armed_is_status_130_with_a_sentence(
+    hapsim: Hapsim, monkeypatch: pytest.MonkeyPatch, command: list[str], number: int
 ) -> None:
     def interrupt(*_: object, **__: object) -> None:
-        raise KeyboardInterrupt
+        os.kill(os.getpid(), number)
+
+    before = [signal.getsignal(one) for one in STOPS]
+    monkeypatch.setattr("hapsim.scene.load_scene", interrupt)
+    answer = hapsim(*command, "configs/first_touch.yaml", "--json")
+    assert answer.status == 130
+    assert answer.sentence == "hapsim: stopped before anything was armed\n"
+    assert answer.document["exit_status"] == 130
+    assert [signal.getsignal(one) for one in STOPS] == before
+
+
+LOADING = """
+import os, sys
+class Finder:
+    def find_spec(self, name, *_):
+        if name == "typer":
+            os.kill(os.getpid(), int(sys.argv[-1]))
+sys.meta_path.insert(0, Finder())
+from hapsim.cli import main
+main()
+"""
+
+
+@pytest.mark.parametrize("number", STOPS)
+def test_a_signal_while_the_command_is_loaded_is_told_like_a_later_one(number: int) -> None:
+    words = [sys.executable, "-c", LOADING, "run", "configs/first_touch.yaml", "--json", str(int(number))]
+    ended = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert (ended.returncode, ended.stderr) == (130, "hapsim: stopped before anything was armed\n")
+    assert json.loads(ended.stdout) == {"error": ended.stderr.strip(), "exit_status": 130}
+
+
+def test_an_interrupt_of_code_that_was_made_in_python_is_status_130_too(tmp_path: Path) -> None:
+    """As of a namedtuple while a module is loaded: left alone, `python -m` ends itself by SIGINT."""
+    (tmp_path / "stopped.py").write_text(
+        "import hapsim.scene\nfrom hapsim.cli import main\n"
+        "hapsim.scene.load_scene = lambda path: exec('import os; os.kill(os.getpid(), 2)')\nmain()\n",
+        encoding="utf-8",
+    )
+    path = os.pathsep.join([str(tmp_path), *filter(None, sys.path)])
+    ended = subprocess.run(
+        [sys.executable, "-m", "stopped", "check", "configs/first_touch.yaml", "--json"],
+        capture_output=True,
+        text=True,
+        check=False,
+        env=os.environ | {"PYTHONPATH": path},
+    )
+    assert (ended.returncode, ended.stderr) == (130, "hapsim: stopped before anything was armed\n")
+
+
+def test_an_interrupt_that_a_callback_drops_comes_again(hapsim: Hapsim, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As of a weak reference while a module is loaded: Python prints a traceback, and goes on."""
+
+    def interrupt(*_: object, **__: object) -> None:
+        class Mortal:
+            def __del__(self) -> None:
+                os.kill(os.getpid(), signal.SIGINT)
+
+        mortal = Mortal()
+        del mortal
+        threading.Event().wait(60.0)
 
     monkeypatch.setattr("hapsim.scene.load_scene", interrupt)
-    answer = hapsim(*command, "configs/first_touch.yaml")
-    assert answer.status == 130
-    assert answer.sentence.endswith("hapsim: stopped before anything was running\n")
+    answer = hapsim("run", "configs/first_touch.yaml", "--json")
+    assert (answer.status, answer.sentence) == (130, "hapsim: stopped before anything was armed\n")
+
+
+def test_an_interrupt_while_numpy_is_loaded_is_told_without_it(hapsim: Hapsim, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It cannot be loaded a second time."""
+
+    def interrupt(*_: object, **__: object) -> None:
+        monkeypatch.setitem(sys.modules, "hapsim.console.as_json", None)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    monkeypatch.setattr("hapsim.scene.load_scene", interrupt)
+    answer = hapsim("run", "configs/first_touch.yaml", "--json")
+    assert (answer.status, answer.sentence) == (130, "hapsim: stopped before anything was armed\n")
+
+
+def test_a_library_that_makes_another_failure_of_an_interrupt_is_not_believed(
+    hapsim: Hapsim, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupt(*_: object, **__: object) -> None:
+        try:
+            os.kill(os.getpid(), signal.SIGINT)
+        except KeyboardInterrupt:
+            raise ImportError("a part failed to import") from None
+
+    monkeypatch.setattr("hapsim.scene.load_scene", interrupt)
+    answer = hapsim("run", "configs/first_touch.yaml", "--json")
+    assert (answer.status, answer.sentence) == (130, "hapsim: stopped before anything was armed\n")
+
+
+def test_what_is_stopped_after_a_run_does_not_say_that_nothing_was_armed(
+    hapsim: Hapsim, scene_file: SceneFile, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupt(*_: object, **__: object) -> None:
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    monkeypatch.setattr("hapsim.measuring.measure.identify", interrupt)
+    answer = hapsim("measure", scene_file("spring"), "--json")
+    assert (answer.status, "while no run was under way" in answer.sentence) == (130, True)
 
 
 @pytest.mark.parametrize(

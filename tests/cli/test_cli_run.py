@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -10,8 +11,10 @@ from typing import Any
 import pytest
 from rich.console import Console
 
+from hapsim.console.live import live_line
 from hapsim.console.tables import show_report
 from hapsim.loop.trace import load_trace
+from hapsim.progress import Progress
 from hapsim.shipped import shipped_scene
 
 RAN = {"rate_hz", "ticks", "deadline_misses", "lost_frames", "crc_errors"}
@@ -47,6 +50,39 @@ def test_a_few_frames_refused_by_the_device_are_told_to_be_normal(
     told = console.export_text()
     assert ("frames refused by the device" in told) == (count > 0)
     assert ("(a few at arming and disarming are normal)" in told) == is_normal
+
+
+@pytest.mark.parametrize(
+    ("counts", "sentence"),
+    [
+        ({"lost_frames": 10, "crc_errors": 10, "rejected_by_device": 9}, ""),
+        ({"lost_frames": 282, "crc_errors": 100, "rejected_by_device": 129}, "22 % of the positions were lost and 229"),
+        ({"lost_frames": 282}, "22 % of the positions were lost: look at cable"),
+        ({"crc_errors": 11}, "11 frames were refused: look at cable"),
+        ({"rejected_by_device": 11}, "11 frames were refused: look at cable"),
+    ],
+)
+def test_a_wire_that_loses_or_spoils_more_than_a_few_frames_is_told(
+    hapsim: Callable[..., Any], scene_file: Callable[..., Path], tmp_path: Path, counts: dict[str, int], sentence: str
+) -> None:
+    record = tmp_path / "trace.npz"
+    hapsim("run", scene_file("spring"), "--duration", 0.05, "--record", record, "--json")
+    console = Console(record=True, width=200)
+    show_report(console, replace(load_trace(record).report, ticks=1000, **counts))  # type: ignore[arg-type]
+    told = console.export_text()
+    assert sentence in told
+    assert ("`hapsim frames PORT`" in told) == bool(sentence)
+    assert ("hapsim doctor" in told) == (counts.keys() == {"lost_frames"})
+
+
+@pytest.mark.parametrize(
+    ("elapsed", "told"), [(0.002, "running 0.0 s · force"), (0.3, "running 0.3 s · 7165.5 Hz · force")]
+)
+def test_the_live_line_tells_a_rate_once_it_is_one_and_no_minus_before_a_zero(elapsed: float, told: str) -> None:
+    console = Console(file=io.StringIO(), width=200)
+    with live_line(console) as tell:
+        tell(Progress("running", elapsed_s=elapsed, rate_hz=7165.5, force=(-0.0, -0.0004, -0.25), ticks=2))
+    assert console.file.getvalue().startswith(f"{told} +0.000 +0.000 -0.250 N")  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize("ending", ["npz", "csv"])

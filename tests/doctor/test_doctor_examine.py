@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from rich.console import Console
 
-from hapsim.console.doctor import examination_document
+from hapsim.console.doctor import examination_document, show_examination
 from hapsim.doctor import examine as examination_module
 from hapsim.doctor.examine import Examination, examine
 from hapsim.doctor.step import Step
@@ -113,6 +114,43 @@ def test_a_device_that_fails_is_part_of_the_answer(examined: Callable[..., Any])
     document = examination_document(examination)
     assert (document["error"], document["exit_status"]) == ("no such port", 3)
     assert document["wakeups"]
+
+
+@pytest.mark.parametrize("steps", [2, 4])
+def test_one_that_is_stopped_tells_what_it_measured(
+    examined: Callable[..., Any], monkeypatch: pytest.MonkeyPatch, steps: int
+) -> None:
+    begun: list[object] = []
+
+    def interrupted(body: Callable[..., Any]) -> Callable[..., Any]:
+        def call(*words: Any, **options: Any) -> Any:
+            begun.append(body)
+            if len(begun) > steps:
+                raise KeyboardInterrupt
+            return body(*words, **options)
+
+        return call
+
+    for name in ("wake_up_latency", "exchanges"):
+        monkeypatch.setattr(examination_module, name, interrupted(getattr(examination_module, name)))
+    examination, _ = examined(scene(), rates=(1000.0, 2000.0))
+    assert (examination.stopped_after, examination.steps, len(begun)) == (steps, 9, steps + 1)
+    document = examination_document(examination)
+    assert (len(document["wakeups"]), len(document["exchanges"])) == (min(steps, 3), max(steps - 3, 0))
+    assert (document["stopped_after_steps"], document["exit_status"]) == (steps, 130)
+    assert f"stopped after {steps} of 9 steps" in document["error"]
+    console = Console(record=True, width=80)
+    show_examination(console, examination)
+    told = console.export_text()
+    assert ("Exchanges of" in told, "Wake-ups at 3 kHz" in told) == (steps > 3, steps > 2)
+
+
+def test_one_that_is_stopped_in_its_first_step_has_nothing_to_tell(examined: Callable[..., Any]) -> None:
+    def interrupt(_step: Step) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        examined(scene(), on_progress=interrupt)
 
 
 def test_the_device_is_asked_before_anything_is_measured(

@@ -12,9 +12,15 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from rich.console import Console
 
+sys.path.insert(0, str(Path(__file__).parent))
+from wire_session import injector_of, positions_through
+
+from hapsim.console.faults import faults_document, show_faults
 from hapsim.errors import DeviceError
 from hapsim.faults import KINDS
+from hapsim.faults.passing import PassingTimes
 
 SCENE = """\
 version: 1
@@ -89,9 +95,38 @@ def test_it_tells_where_it_is_and_at_its_end_what_it_did(hapsim: Hapsim, scene: 
     assert document["to_device"] == document["from_device"] == nothing
     assert [entry["kind"] for entry in document["faults"]] == ["corrupt", "drop", "delay", "garbage"]
     assert (document["release"], document["forces"]["count"]) == (None, 0)
+    assert document["passed_on"] == {"frames": 0, "p50_s": None, "p99_s": None}
     shown = hapsim("faults", "noisy_wire", "--scene", scene, "--path", name, "--duration", 0.05)
+    assert "passing on: 0 frames, 0 faults" in shown.err
     assert shown.out.splitlines()[0] == str(name)
     assert "No force reached the device." in shown.out
+
+
+def test_two_faults_of_a_kind_are_told_apart_and_what_is_counted_is_said() -> None:
+    injector = injector_of(
+        "kind: silence, at: 0.002, for: 0.002", "kind: silence, after_samples: 7, for: 1", "kind: drop, probability: 0"
+    )
+    positions_through(injector, 10)
+    times = PassingTimes()
+    times.note(2e-4)
+    console = Console(record=True, width=80)
+    show_faults(console, injector, 0, times)
+    told = console.export_text()
+    assert "What was done to it\n" in told
+    assert "took 0.2 ms in the median, and at most 0.2 ms for 99 %" in told
+    cells = [
+        [cell.strip() for cell in line.strip("│ \n").split("│")] for line in told.splitlines() if "silence" in line
+    ]
+    assert cells == [
+        ["1", "silence", "at 0.002 s", "2 frames lost"],
+        ["2", "silence", "after 7 samples", "3 frames lost"],
+    ]
+    faults = faults_document("", injector, 0, times, None)["faults"]
+    assert [(fault["place"], fault["when"], fault["times"]) for fault in faults] == [
+        (1, "at 0.002 s", 2),
+        (2, "after 7 samples", 3),
+        (3, "from the first byte", 0),
+    ]
 
 
 @linux

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import os
 import select
 import sys
@@ -18,11 +19,14 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parent))
 from wire_session import force, injector_of, position
 
+from hapsim.console.faults import passing_on
 from hapsim.device.mock.assemble import assemble_mock
 from hapsim.device.mock.terminal import serving
 from hapsim.device.serial_port import raw_port
 from hapsim.errors import DeviceError, UsageError
 from hapsim.faults import Injector
+from hapsim.faults import relay as relay_module
+from hapsim.faults.passing import PassingTimes
 from hapsim.faults.relay import Relay
 from hapsim.running import run
 from hapsim.scene import Scene
@@ -107,6 +111,39 @@ def hangs_up(descriptor: int) -> bool:
     poll = select.poll()
     poll.register(descriptor, 0)
     return any(event & select.POLLHUP for _, event in poll.poll(1000 * _LONGEST_S))
+
+
+def test_how_long_passing_on_took_is_counted_without_what_a_fault_held_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By a clock that goes on by a millisecond whenever it is looked at."""
+    looks = itertools.count()
+    monkeypatch.setattr(relay_module.time, "monotonic", lambda: 1e-3 * next(looks))
+    injector = injector_of("kind: delay, seconds: 0.02")
+    with pair() as (device, port), Relay(port, injector) as relay, host_of(relay.name) as host:
+        os.write(device, position(0) + position(1))
+        relay.run(0.1)
+        assert read(host, 22) == position(0) + position(1)
+    assert relay.passing.count == 2
+    assert 0.0 < (relay.passing.quantile_s(1.0) or 0.0) < 0.01
+
+
+def test_a_share_of_the_pieces_took_so_long_at_most() -> None:
+    times = PassingTimes()
+    assert times.quantile_s(0.5) is None
+    for milliseconds in (3, 1, 2, 100):
+        times.note(1e-3 * milliseconds)
+    assert [times.quantile_s(share) for share in (0.0, 0.25, 0.5, 0.75, 0.99, 1.0)] == pytest.approx(
+        [1e-3, 1e-3, 2e-3, 3e-3, 0.1, 0.1]
+    )
+
+
+def test_what_passes_is_told_now_and_then() -> None:
+    injector = injector_of("kind: drop")
+    told: list[str] = []
+    with pair() as (device, port), Relay(port, injector) as relay:
+        os.write(device, position(0) + position(1))
+        relay.run(0.01, lambda: told.append(passing_on(injector)))
+    assert told
+    assert passing_on(injector) == "passing on: 2 frames, 2 faults · Ctrl-C ends it"
 
 
 def test_bytes_pass_both_ways_and_hosts_come_and_go() -> None:

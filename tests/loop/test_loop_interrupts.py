@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+from collections.abc import Iterator
 from typing import Any
 
 import numba
@@ -12,20 +13,29 @@ import pytest
 from hapsim.compiling.progress import on_compilation
 
 
-def test_an_interrupt_during_a_compilation_comes_when_it_is_over() -> None:
+@pytest.fixture
+def _a_termination_interrupts() -> Iterator[None]:
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGTERM, before)
+
+
+@pytest.mark.usefixtures("_a_termination_interrupts")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupt_during_a_compilation_comes_when_it_is_over(number: signal.Signals) -> None:
     told = []
 
     def interrupt(name: str) -> None:
         told.append(name)
-        os.kill(os.getpid(), signal.SIGINT)
+        os.kill(os.getpid(), number)
         told.append("went on")  # the interrupt did not break in here
 
     function = numba.njit(lambda x: x + 1)
-    before = signal.getsignal(signal.SIGINT)
+    before = signal.getsignal(number)
     with pytest.raises(KeyboardInterrupt), on_compilation(interrupt):
         function(1)
     assert told == ["<lambda>", "went on"]
-    assert signal.getsignal(signal.SIGINT) == before
+    assert signal.getsignal(number) == before
     assert function(1) == 2
 
 

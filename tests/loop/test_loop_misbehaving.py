@@ -293,7 +293,7 @@ def test_garbage_and_refused_frames_are_told_each_way(
             answer = hapsim("run", file_of(scene), "--duration", 0.006, *words)
         assert answer.status == 0, answer.err
         if not words:
-            for label, count in (("refused", 1), ("no frame", 20), ("refused by the device", 5)):
+            for label, count in (("refused by this host", 1), ("no frame", 20), ("refused by the device", 5)):
                 assert any(label in row and str(count) in row for row in answer.out.splitlines())
     document = answer.document
     assert (document["crc_errors"], document["garbage_bytes"], document["rejected_by_device"]) == (1, 20, 5)

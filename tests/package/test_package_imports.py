@@ -13,7 +13,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 #: From those that stand on nothing to those that stand on all: a room imports itself, and rooms of lines above its own.
 ORDER = (
-    ("hapsim", "hapsim.errors", "hapsim.progress", "firmware_protocol"),
+    ("hapsim", "hapsim.errors", "hapsim.progress", "hapsim.stopping", "firmware_protocol"),
     ("hapsim.shipped", "hapsim.theory", "hapsim.scene", "hapsim.compiling", "hapsim.realtime"),
     ("hapsim.prediction", "hapsim.cordis"),
     ("hapsim.loop",),
@@ -25,6 +25,7 @@ ORDER = (
     ("hapsim.console",),
     ("hapsim.chart",),
     ("hapsim.commands",),
+    ("hapsim.command_line",),
     ("hapsim.cli",),
     ("hapsim.__main__",),
 )

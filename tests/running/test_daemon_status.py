@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import json
 import os
 import socket
@@ -14,8 +15,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from rich.console import Console
 
 from hapsim.console.as_json import document
+from hapsim.console.status import show_status
 from hapsim.daemon import status
 from hapsim.daemon.state import RunState
 from hapsim.daemon.status import ask, path_for, sockets, telling
@@ -64,6 +67,40 @@ def test_a_running_scene_is_told_to_who_connects_and_to_nobody_else(folder: Path
     assert told.keys() >= {"rate_hz", "deadline_misses", "limited_ticks", "age_samples", "estimated_mass_kg", "news"}
     assert (told["pid"], told["scene"], told["phase"], told["ticks"]) == (os.getpid(), "scene.yaml", "running", 500)
     assert (len(told["force_n"]), told["position_m"]) == (1, list(session.trace.position[-1]))
+
+
+def test_what_became_of_a_lost_device_is_told_until_it_is_back() -> None:
+    state = RunState("scene.yaml", "/dev/ttyACM0", 1000.0)
+    assert state.document()["lost"] is None
+    state.observer.tell("lost", "it went away. If it still pushes, power it off")
+    state.observer.tell("waiting", "no such port")
+    told = state.document()
+    assert (told["news"], told["lost"]) == ("no such port", "it went away. If it still pushes, power it off")
+    with start(parse_scene(SCENE, "scene.yaml"), duration=0.01) as session:
+        state.observer.started(session)
+    assert state.document()["lost"] is None
+
+
+@pytest.mark.parametrize(("released", "told"), [(True, "confirmed"), (False, "not confirmed"), (None, "not known")])
+def test_people_read_words_and_units(released: bool | None, told: str) -> None:
+    state = RunState("scene.yaml", "/dev/ttyACM0", 1000.0)
+    document = state.document() | {"phase": "waiting", "released": released, "force_n": [-0.0], "later": 1}
+    console = Console(record=True, width=200)
+    show_status(console, document)
+    rows = dict(row.rsplit("  ", 1) for row in console.export_text().splitlines())
+    rows = {label.strip(): value for label, value in rows.items()}
+    assert (rows["force released"], rows["force  N"], rows["rate asked for  Hz"]) == (told, "0", "1000")
+    assert rows["later"] == "1"
+    assert not rows.keys() & {"estimated mass  kg", "news", "device lost", "position  m", "released", "force_n"}
+
+
+def test_on_a_terminal_a_sentence_breaks_at_its_words_and_a_path_stays_whole() -> None:
+    path = "/long" * 20
+    console = Console(file=io.StringIO(), width=60, force_terminal=True, color_system=None)
+    show_status(console, {"news": f"{'it went away and ' * 5}{path}"})
+    lines = console.file.getvalue().splitlines()  # type: ignore[attr-defined]
+    assert len(lines) == 3
+    assert (lines[1].startswith("      "), lines[2].strip()) == (True, path)
 
 
 def test_readers_that_do_not_read_hold_nobody_up(tmp_path: Path) -> None:
@@ -188,7 +225,7 @@ def test_the_command_finds_the_one_that_runs(
         left.bind(str(folder / "left.sock"))
         left.close()
         assert hapsim("status", "--json").document == {"ticks": 5, "force_n": [0.5, None]}
-        assert "0.5 –" in hapsim("status", "/dev/ttyACM0").out
+        assert hapsim("status", "/dev/ttyACM0").out.splitlines() == ["ticks     5", "force  N  0.5 –"]
         news = "the report: " + "/long" * 40 + "/x.json"
         with telling(tmp_path / "news", lambda: json.dumps({"news": f"{news}\n\x1b[2Jlate"})):
             assert hapsim("status", tmp_path / "news").out == f"news  {news} ?[2Jlate\n"

@@ -131,6 +131,7 @@ def in_memory(case: str) -> dict[str, Any]:
     from hapsim.errors import HapsimError
     from hapsim.faults import Injector, parse_script
     from hapsim.faults.in_memory import in_memory as between_of
+    from hapsim.faults.passing import PassingTimes
 
     scene = hapsim.parse_scene(SCENE.format(clock="lockstep"))
     injector = Injector(parse_script(script_of(case)))
@@ -141,7 +142,7 @@ def in_memory(case: str) -> dict[str, Any]:
         told["released"] = trace.report.released
     except HapsimError as error:
         told |= {"exit_status": error.exit_status, "error": str(error)}
-    return {"run": told, "wire": faults_document("", injector, 0, None)}
+    return {"run": told, "wire": faults_document("", injector, 0, PassingTimes(), None)}
 
 
 def finished(process: subprocess.Popen[str], within_s: float) -> tuple[str, str, bool]:

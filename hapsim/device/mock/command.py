@@ -40,7 +40,7 @@ def serve_until_stopped(
         _linked(link, path) as name,
     ):
         if not stops.empty():
-            return  # told to stop while it was compiled: nobody shall take it for a port that answers
+            raise KeyboardInterrupt  # before it was announced: nobody shall take it for a port that answers
         announce(name)
         tell(Progress("serving", name))
         stops.get()
