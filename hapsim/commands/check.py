@@ -41,7 +41,7 @@ def check(
         predicted = prediction_document(prediction, on_wire=on_wire)
         print(document({"scene": scene, "warnings": warnings} | predicted | bounds | compiled))
         return
-    from hapsim.console.tables import show_prediction
+    from hapsim.console.prediction import show_prediction
 
     show_prediction(stdout(), scene, loaded, prediction, on_wire)
     show_force_bounds(stdout(), loaded, prediction)

@@ -124,7 +124,8 @@ def _show_measured(
     prediction: Prediction,
     on_wire: Prediction | None,
 ) -> None:
-    from hapsim.console.tables import show_assumptions, show_measurement, show_report
+    from hapsim.console.prediction import show_assumptions
+    from hapsim.console.tables import show_measurement, show_report
     from hapsim.console.wire import show_wire
 
     show_assumptions(stdout(), prediction)
