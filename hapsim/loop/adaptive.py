@@ -1,14 +1,5 @@
-"""The mass of the temporary hybrid system, estimated while it runs, and a force that follows the estimate.
-
-The second difference of the positions that are read is what the forces that acted make of it,
-
-    y[n] - 2 y[n-1] + y[n-2] = phi[n] / m,      phi[n] = T² (sum of w f) - b0 T (y[n] - y[n-2]) / 2 - k0 T² y[n-1]
-
-with the weights w of the hold, the sampling and the delay. Both sides lose their slow part, in which a hand's own push
-is, and m is the ratio of their sums of squares and products, which forget with a time of MEMORY_S. It counts only
-where the motion is clearly above the counts, and is what the forces explain: else the estimate stays, or, where the
-forces do not explain the motion, goes back to the least mass. What is simulated follows it no faster than by a factor e
-in SLEW_S.
+"""A force that follows the mass of the temporary hybrid system, which `loop/mass_estimate.py` estimates while it runs:
+no faster than by a factor e in SLEW_S.
 
 For which masses there is something to simulate, and that it is stable for all of them, is worked out before
 (`prediction/correction/adaptive.py`) and comes as a table. Who adapts nothing never compiles this.
@@ -16,7 +7,6 @@ For which masses there is something to simulate, and that it is stable for all o
 
 from __future__ import annotations
 
-import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -28,14 +18,10 @@ from hapsim.compiling import entry, helper
 from hapsim.compiling.memory_fence import fence
 from hapsim.compiling.native import address_of, array_at, native, record_at
 from hapsim.loop.io_buffer import IO_BUFFER
-from hapsim.loop.predictor import ADD, IN_ALL, PREDICT, PREDICTOR, keep_forces, predict_state
+from hapsim.loop.mass_estimate import MASS_ESTIMATE, estimate_mass, fill_mass_estimate
+from hapsim.loop.predictor import ADD, PREDICT, PREDICTOR, keep_forces, predict_state
 
-MEMORY_S, LEAST_MEMORY = 0.03, 24  # s, samples
-SLOW_S = 0.1  # what changes more slowly is a hand's own push, or gravity
 SLEW_S, LEAST_SLEW = 0.05, 25  # s, samples: for a factor e of the mass
-CLEARLY = 25.0  # the motion's mean square over that of the counts
-UNEXPLAINED = 0.1  # of the motion's energy, from which on the forces do not explain it
-MOST_WEIGHTS = 8
 
 _EACH = (schema.MAX_CHANNELS,)
 
@@ -56,23 +42,7 @@ ADAPTIVE = np.dtype(
         ("dB", np.float64, _EACH),
         ("dF", np.float64, _EACH),
         ("slew", np.float64),  # of ln m in a sample, at most
-        ("forget", np.float64),  # what a sample leaves of the sums
-        ("slow", np.float64),  # what a sample adds to the slow parts
-        ("first_lag", np.int64),  # f[n - first_lag] has the first of the weights
-        ("count", np.int64),
-        ("weights", np.float64, (MOST_WEIGHTS,)),  # s²
-        ("braked", np.float64, _EACH),  # b0 T / 2, kg
-        ("sprung", np.float64, _EACH),  # k0 T², kg
-        ("noise", np.float64, _EACH),  # m², the mean square of the counts' second difference
-        ("last", np.float64, _EACH),  # m, y[n-1]
-        ("last_but_one", np.float64, _EACH),
-        ("seen", np.int64),  # samples in a row
-        ("slow_motion", np.float64, _EACH),
-        ("slow_phi", np.float64, _EACH),
-        ("samples_kept", np.float64, _EACH),
-        ("phi_phi", np.float64, _EACH),
-        ("phi_motion", np.float64, _EACH),
-        ("motion_motion", np.float64, _EACH),
+        ("estimate", MASS_ESTIMATE),
     ],
     align=True,
 )
@@ -91,10 +61,11 @@ def predict_adaptively(predictor, io, gap, late, age):
     if predictor.begun:
         keep_forces(predictor, io, forces, gap, late, age)
     _take_posted(adaptive)
-    adaptive.seen = adaptive.seen + 1 if gap == 1 else 1
+    adaptive.estimate.seen = adaptive.estimate.seen + 1 if gap == 1 else 1
     for c in range(io.channels):
         if adaptive.adapts[c]:
-            _estimate(adaptive, predictor, forces, c, io.measured[c])
+            now, position = adaptive.log_mass[c], io.measured[c]
+            _follow(adaptive, estimate_mass(adaptive.estimate, predictor, forces, c, position, now), c)
             _set_weights(adaptive, predictor, c)
     if adaptive.left > 0:
         adaptive.left -= 1
@@ -121,40 +92,10 @@ def _take_posted(adaptive):
 
 
 @helper
-def _estimate(adaptive, predictor, forces, c, position):
-    """One sample more of what moves and of what it is moved by; then the mass goes to where they say."""
-    motion = position - 2.0 * adaptive.last[c] + adaptive.last_but_one[c]
-    phi = -adaptive.braked[c] * (position - adaptive.last_but_one[c]) - adaptive.sprung[c] * adaptive.last[c]
-    adaptive.last_but_one[c], adaptive.last[c] = adaptive.last[c], position
-    if adaptive.seen < 3 + adaptive.first_lag + adaptive.count:
-        return
-    for i in range(adaptive.count):
-        row = (predictor.newest - (adaptive.first_lag - 1 + i)) & predictor.mask
-        phi += adaptive.weights[i] * forces[row * 2 * _ROW + IN_ALL + c]
-    adaptive.slow_motion[c] += adaptive.slow * (motion - adaptive.slow_motion[c])
-    adaptive.slow_phi[c] += adaptive.slow * (phi - adaptive.slow_phi[c])
-    motion -= adaptive.slow_motion[c]
-    phi -= adaptive.slow_phi[c]
-    kept = adaptive.forget
-    adaptive.samples_kept[c] = kept * adaptive.samples_kept[c] + 1.0
-    adaptive.phi_phi[c] = kept * adaptive.phi_phi[c] + phi * phi
-    adaptive.phi_motion[c] = kept * adaptive.phi_motion[c] + phi * motion
-    adaptive.motion_motion[c] = kept * adaptive.motion_motion[c] + motion * motion
-    step = _wanted(adaptive, c) - adaptive.log_mass[c]
+def _follow(adaptive, wanted, c):
+    """The mass that the force is for goes to what is estimated (ln kg), within the span."""
+    step = min(max(wanted, adaptive.log_least[c]), adaptive.log_most[c]) - adaptive.log_mass[c]
     adaptive.log_mass[c] += min(max(step, -adaptive.slew), adaptive.slew)
-
-
-@helper
-def _wanted(adaptive, c):
-    """ln of the mass, within the span; as it is where too little moves, the least where the forces do not explain
-    it."""
-    moved, explained = adaptive.motion_motion[c], adaptive.phi_motion[c]
-    if not moved > CLEARLY * adaptive.noise[c] * adaptive.samples_kept[c]:
-        return adaptive.log_mass[c]
-    pushed = adaptive.phi_phi[c]
-    if not explained > 0.0 or explained * explained < (1.0 - UNEXPLAINED) * pushed * moved:
-        return adaptive.log_least[c]
-    return min(max(math.log(pushed / explained), adaptive.log_least[c]), adaptive.log_most[c])
 
 
 @helper
@@ -227,18 +168,16 @@ class Adaptation:
         self._tables = [self._table(channels)]
         record.table = record.before = self._tables[0].ctypes.data
         record.samples = 1
-        record.first_lag, record.count = first_lag, len(numerator)
-        record.weights[: len(numerator)] = period_s**2 * numerator
         record.slew = 1.0 / max(SLEW_S / period_s, LEAST_SLEW)
-        record.forget = 1.0 - 1.0 / max(MEMORY_S / period_s, LEAST_MEMORY)
-        record.slow = 1.0 / max(SLOW_S / period_s, 4.0 * LEAST_MEMORY)
+        fill_mass_estimate(record.estimate, period_s, numerator, first_lag)
         for channel, one in channels.items():
             record.adapts[channel] = 1
             record.log_least[channel], record.log_most[channel] = np.log(one.span)
             record.log_mass[channel] = record.log_least[channel]
-            record.braked[channel] = 0.5 * one.friction * period_s
-            record.sprung[channel] = one.device_stiffness * period_s**2
-            record.noise[channel] = 6.0 * count_m[channel] ** 2 / 12.0
+            record.estimate.log_least[channel] = record.log_least[channel]
+            record.estimate.braked[channel] = 0.5 * one.friction * period_s
+            record.estimate.sprung[channel] = one.device_stiffness * period_s**2
+            record.estimate.noise[channel] = 6.0 * count_m[channel] ** 2 / 12.0
         predictor.adaptive = address_of(record)
         predictor.predict = predict_adaptively.address()
         predictor.add = add_difference.address()
