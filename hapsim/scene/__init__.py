@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from .choices import WITH_CUTOFF, DamperScheme, Hold, Sampling, SchemeName
     from .device import Clock, Device
     from .load import load_scene, parse_scene
-    from .mock import Initial, Mock, MockDevice
+    from .mock import Hand, Initial, Mock, MockDevice
     from .modules import *  # noqa: F403
     from .quantity import Span
     from .scene import VERSION, Scene
@@ -23,7 +23,7 @@ _EXPORTS = {
     "choices": ("WITH_CUTOFF", "DamperScheme", "Hold", "Sampling", "SchemeName"),
     "device": ("Clock", "Device"),
     "load": ("load_scene", "parse_scene"),
-    "mock": ("Initial", "Mock", "MockDevice"),
+    "mock": ("Hand", "Initial", "Mock", "MockDevice"),
     "quantity": ("Span",),
     "scene": ("VERSION", "Scene"),
     "schema": ("scene_schema",),
@@ -36,6 +36,7 @@ __all__ = [
     "Clock",
     "DamperScheme",
     "Device",
+    "Hand",
     "Hold",
     "Initial",
     "Mock",

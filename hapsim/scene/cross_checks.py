@@ -11,7 +11,7 @@ from .part import Part
 from .quantity import Span
 
 #: The parts that may have lists with one value per channel.
-PER_CHANNEL_PARTS: tuple[Path, ...] = (("device",), ("mock",), ("mock", "initial"))
+PER_CHANNEL_PARTS: tuple[Path, ...] = (("device",), ("mock",), ("mock", "initial"), ("mock", "hand"))
 
 _OTHER_LISTS = ("grips",)  # that do not have a value for each channel
 

@@ -10,7 +10,7 @@ from pydantic.fields import FieldInfo
 from .device import Device
 from .document import Document
 from .issue import Issue, Path, did_you_mean, nearest, one_of, quote
-from .mock import Initial, Mock
+from .mock import Hand, Initial, Mock
 from .modules import MODULE_TYPES
 from .quantity import UNEXPECTED, Expectation
 from .scene import ACROSS, Scene
@@ -44,7 +44,7 @@ class Layout:
 
 
 _SCENE = Layout(
-    {(): Scene, ("device",): Device, ("mock",): Mock, ("mock", "initial"): Initial},
+    {(): Scene, ("device",): Device, ("mock",): Mock, ("mock", "initial"): Initial, ("mock", "hand"): Hand},
     "modules",
     "type",
     MODULE_TYPES,

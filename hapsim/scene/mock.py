@@ -1,7 +1,7 @@
 """The mock device: only where it differs from what `Device` says, or adds to it."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Annotated
 
 from pydantic import Field
@@ -29,6 +29,18 @@ class Initial(Part):
     velocity: Annotated[PerChannel, Quantity("Velocity at the start", "m/s", per_channel=True)] = 0.0
 
 
+class Hand(Part):
+    """The hand that holds the mock's moving parts, from the start of the run on: it pushes, and it is a spring and a
+    damper to where it is. Its mass is in ``mock.mass``. SI units."""
+
+    force: Annotated[PerChannel, Quantity("Force with which the hand pushes", "N", per_channel=True)] = 0.0
+    stiffness: Annotated[PerChannel, Quantity("Stiffness of the hand", "N/m", least=0, per_channel=True)] = 0.0
+    damping: Annotated[PerChannel, Quantity("Viscosity of the hand", "N·s/m", least=0, per_channel=True)] = 0.0
+    position: Annotated[
+        PerChannel, Quantity("Position at which the spring of the hand has no force", "m", per_channel=True)
+    ] = 0.0
+
+
 class Mock(Part):
     """Where the mock differs from the described device, and what a real device has of itself. SI units."""
 
@@ -39,6 +51,7 @@ class Mock(Part):
     hold: Hold | None = Field(default=None, description=f"{HOLD}; left out: {AS_DEVICE}")
     sampling: Sampling | None = Field(default=None, description=f"{SAMPLING}; left out: {AS_DEVICE}")
     initial: Initial = Field(default=Initial(), description="Where the moving parts are when the run starts")
+    hand: Hand = Field(default=Hand(), description="The hand that holds the moving parts")
     coulomb: Annotated[float, Quantity("Dry friction", "N", least=0)] = 0.0
     quantum: Annotated[float, Quantity("Step of the position on the wire", "m per count", above=0)] = 1.0e-9
     force_quantum: Annotated[
@@ -92,6 +105,7 @@ class MockDevice:
         misses: share of the forces that come too late.
         grips: (s, kg): from when on every channel has which mass.
         force_quantum: step of the force on the wire, N per count; None where its 32 bits reach to the force limit.
+        hand: a number, or one per channel, each.
     """
 
     mass: tuple[float, ...]
@@ -112,6 +126,7 @@ class MockDevice:
     misses: float = 0.0
     grips: Curve = ()
     force_quantum: float | None = None
+    hand: Hand = field(default_factory=Hand)
 
     @property
     def force_scale(self) -> float:
@@ -146,4 +161,5 @@ def resolve(device: Device, mock: Mock | None, channels: int) -> MockDevice:
         misses=mock.misses,
         grips=mock.grips or (),
         force_quantum=mock.force_quantum,
+        hand=mock.hand,
     )

@@ -174,6 +174,7 @@ class Scene(Part):
             ("device",): dict(self.device),
             ("mock",): dict(mock),
             ("mock", "initial"): dict(mock.initial),
+            ("mock", "hand"): dict(mock.hand),
         }
 
     def _of(self, kind: type[M]) -> dict[str, M]:

@@ -27,8 +27,9 @@ def body_of(
     position: float = 0.0,
     velocity: float = 0.0,
     stiffness: float = 0.0,
+    push: float = 0.0,
 ) -> np.record:
-    fields = (mass, friction, stiffness, coulomb, position, velocity, 0.0)
+    fields = (mass, friction, stiffness, coulomb, push, position, velocity, 0.0)
     body: np.record = np.array([fields], BODY).view(np.recarray)[0]
     return body
 

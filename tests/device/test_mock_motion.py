@@ -77,6 +77,14 @@ def test_an_interval_of_no_length_changes_nothing() -> None:
         assert state_of(body).tolist() == [0.1, -0.3, 0.0]
 
 
+@pytest.mark.parametrize(("coulomb", "stiffness"), [(0.0, 0.0), (0.5, 0.0), (0.0, 300.0), (0.5, 300.0)])
+def test_the_push_of_a_hand_comes_to_the_force(coulomb: float, stiffness: float) -> None:
+    held, free = (body_of(0.2, 1.0, coulomb, 0.01, 0.3, stiffness, push) for push in (2.5, 0.0))
+    move(held, -1.25, 0.004)
+    move(free, 1.25, 0.004)
+    assert state_of(held).tolist() == state_of(free).tolist()
+
+
 @settings(max_examples=200, deadline=None, derandomize=True)
 @given(masses, frictions, forces, velocities, times)
 def test_momentum_is_what_the_force_gave_less_what_the_friction_took(

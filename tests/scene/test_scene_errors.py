@@ -6,7 +6,7 @@ from typing import get_args
 import pytest
 from pydantic import BaseModel
 
-from hapsim.scene import DamperScheme, Device, Hold, Initial, Mock, Scene, SchemeName
+from hapsim.scene import DamperScheme, Device, Hand, Hold, Initial, Mock, Scene, SchemeName
 from hapsim.scene.issue import one_of
 from hapsim.scene.modules import MODULE_TYPES
 
@@ -234,6 +234,7 @@ OPTIONAL = [
     *emptied(Device, ("device",)),
     *emptied(Mock, ("mock",)),
     *emptied(Initial, ("mock", "initial")),
+    *emptied(Hand, ("mock", "hand")),
     *(path for kind, part in MODULE_TYPES.items() for path in emptied(part, ("modules", kind))),
 ]
 

@@ -59,9 +59,11 @@ def assemble_mock(scene: Scene) -> Any:
 
 def _set_bodies(mock: Any, scene: Scene) -> None:
     device, bodies = scene.mock_device, mock.initial[: scene.channels]
+    hand = device.hand
     bodies["mass"] = device.mass
-    bodies["friction"] = device.friction
-    bodies["stiffness"] = device.stiffness
+    bodies["friction"] = np.add(device.friction, hand.damping)
+    bodies["stiffness"] = np.add(device.stiffness, hand.stiffness)
+    bodies["push"] = np.add(hand.force, np.multiply(hand.stiffness, hand.position))
     bodies["coulomb"] = device.coulomb
     bodies["position"] = device.initial_position
     bodies["velocity"] = device.initial_velocity

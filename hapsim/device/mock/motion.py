@@ -1,6 +1,8 @@
 """The mock's mass in continuous time, moved in closed form over any interval of constant force.
 
-    m x'' + b0 x' + k0 x = F - Fc sign(x')
+    m x'' + b0 x' + k0 x = F + P - Fc sign(x')
+
+F is commanded; P, the hand's push, is constant. b0 and k0 are those of the device and of the hand together.
 
 No step method: whatever the interval, position, velocity and the integral of the position are exact to rounding. With
 Coulomb friction the instant at which the mass comes to rest has a closed form too; it then sticks, or sets off again.
@@ -28,6 +30,7 @@ BODY = np.dtype(
         ("friction", np.float64),  # N·s/m
         ("stiffness", np.float64),  # N/m, >= 0: a real spring to x = 0
         ("coulomb", np.float64),  # N
+        ("push", np.float64),  # N, of the hand
         ("position", np.float64),  # m
         ("velocity", np.float64),  # m/s
         ("area", np.float64),  # m·s, integral of the position since it was last set to zero
@@ -239,26 +242,29 @@ _body_at, _call = record_at(BODY), function_at(_MOVE)
 
 @inlined
 def move(how, body, force, h):
-    """Moves the body for `h` seconds under a constant `force` in N. `how`: an address that `move_of` gave."""
+    """Moves the body for `h` seconds under a constant `force` in N and its hand's push. `how`: from `move_of`."""
     _call(how, (address_in_memory(body), force, h))
 
 
 @native(_MOVE.return_type, *_MOVE.args)
 def move_gliding(body, force, h):
     """Without a spring and dry friction."""
-    _glide(_body_at(body), force, h)
+    body = _body_at(body)
+    _glide(body, force + body.push, h)
 
 
 @native(_MOVE.return_type, *_MOVE.args)
 def move_free(body, force, h):
     """Without a spring."""
-    _move_free(_body_at(body), force, h)
+    body = _body_at(body)
+    _move_free(body, force + body.push, h)
 
 
 @native(_MOVE.return_type, *_MOVE.args)
 def move_on_spring(body, force, h):
     """With or without either."""
     body = _body_at(body)
+    force += body.push
     if body.stiffness == 0.0:
         _move_free(body, force, h)
     else:
