@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from .load import load_scene, parse_scene
     from .mock import Hand, Initial, Mock, MockDevice
     from .modules import *  # noqa: F403
-    from .quantity import Span
+    from .quantity import Known, Span
     from .scene import VERSION, Scene
     from .schema import scene_schema
 
@@ -24,7 +24,7 @@ _EXPORTS = {
     "device": ("Clock", "Device"),
     "load": ("load_scene", "parse_scene"),
     "mock": ("Hand", "Initial", "Mock", "MockDevice"),
-    "quantity": ("Span",),
+    "quantity": ("Known", "Span"),
     "scene": ("VERSION", "Scene"),
     "schema": ("scene_schema",),
 }
@@ -39,6 +39,7 @@ __all__ = [
     "Hand",
     "Hold",
     "Initial",
+    "Known",
     "Mock",
     "MockDevice",
     "Sampling",

@@ -8,7 +8,7 @@ from pydantic import Field
 
 from .choices import CORRECTION, HOLD, SAMPLING, CorrectionName, Hold, Sampling
 from .part import Part
-from .quantity import Count, Expectation, PerChannel, Quantity, Span, SpanPerChannel, per_channel, unexpected
+from .quantity import Count, Expectation, Known, PerChannel, Quantity, Span, SpanPerChannel, per_channel, unexpected
 
 Clock = Literal["device", "host", "lockstep"]
 
@@ -82,8 +82,12 @@ class Device(Part):
 
     def mass_spans(self, channels: int) -> tuple[tuple[float, float], ...]:
         """The least and the most that the mass of each of ``channels`` channels may be, in kg."""
-        masses = self.mass if isinstance(self.mass, tuple) else (self.mass,) * channels
-        return tuple((one.least, one.most) if isinstance(one, Span) else (one, one) for one in masses)
+        numbers = (one.value if isinstance(one, Known) else one for one in self._masses(channels))
+        return tuple((one.least, one.most) if isinstance(one, Span) else (one, one) for one in numbers)
+
+    def mass_uncertainties(self, channels: int) -> tuple[float | None, ...]:
+        """Standard uncertainty of the mass of each of ``channels`` channels, in kg; None where the file states none."""
+        return tuple(one.uncertainty if isinstance(one, Known) else None for one in self._masses(channels))
 
     def frictions(self, channels: int) -> tuple[float, ...]:
         """Viscous friction of each of ``channels`` channels, in N·s/m."""
@@ -92,3 +96,6 @@ class Device(Part):
     def stiffnesses(self, channels: int) -> tuple[float, ...]:
         """Stiffness of the real spring of each of ``channels`` channels, in N/m."""
         return per_channel(self.stiffness, channels)
+
+    def _masses(self, channels: int) -> tuple[float | Span | Known, ...]:
+        return self.mass if isinstance(self.mass, tuple) else (self.mass,) * channels

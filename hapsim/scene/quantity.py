@@ -19,14 +19,24 @@ UNEXPECTED = "unexpected"
 
 MOST_CHANNELS = 16
 
+_MAPPINGS = "{from: the least, to: the most}, or {value: a number, uncertainty: its standard uncertainty}"
+
 #: A number of the scene file, or one for each channel of the device.
 PerChannel = float | tuple[float, ...]
 
 
-class Span(BaseModel):
-    """A number that is not known: `from` the least that it may be `to` the most."""
+class _Mapping(BaseModel):
+    """What a mapping says of a number."""
 
     model_config = ConfigDict(frozen=True)
+
+    def __str__(self) -> str:
+        """As a scene's file spells it, in braces."""
+        return "{" + ", ".join(f"{key}: {value!r}" for key, value in self.model_dump().items()) + "}"
+
+
+class Span(_Mapping):
+    """A number that is not known: `from` the least that it may be `to` the most."""
 
     least: float
     most: float
@@ -36,11 +46,18 @@ class Span(BaseModel):
         return {"from": self.least, "to": self.most}
 
 
-#: The same, where a span may stand for a number.
-SpanPerChannel = float | Span | tuple[float | Span, ...]
+class Known(_Mapping):
+    """A number that was measured, with its standard uncertainty."""
+
+    value: float
+    uncertainty: float
 
 
-def unexpected(expected: str, at: tuple[int, ...] = (), found: str = "") -> NoReturn:
+#: A number of the scene file with what is known of it, or one for each channel of the device.
+SpanPerChannel = float | Span | Known | tuple[float | Span | Known, ...]
+
+
+def unexpected(expected: str, at: tuple[int | str, ...] = (), found: str = "") -> NoReturn:
     """Say that a value, or the entry ``at`` within it, is not what was ``expected``; ``found``: what it is, in place of
     what the file spells there.
 
@@ -84,7 +101,8 @@ class Quantity(Expectation):
         above, least, most: the bounds; ``above`` is exclusive.
         per_channel: a list with one number for each channel is welcome too, and becomes a tuple.
         left_out: what it means to leave the number out; where this is given, None is welcome in Python too.
-        spans: a mapping ``{from: least, to: most}`` is welcome in place of a number, and becomes a `Span`.
+        spans: a mapping is welcome in place of a number: ``{from: least, to: most}`` becomes a `Span`,
+            ``{value: number, uncertainty: number}`` a `Known`.
     """
 
     description: str
@@ -97,7 +115,7 @@ class Quantity(Expectation):
     spans: bool = False
 
     def expected(self) -> str:
-        span = ", or {from: the least, to: the most}" if self.spans else ""
+        span = f", or {_MAPPINGS}" if self.spans else ""
         several = ", or a list with one per channel" if self.per_channel else ""
         return self._one() + span + several
 
@@ -115,8 +133,9 @@ class Quantity(Expectation):
         number = {"type": "number"} | {key: bound for key, bound in bounds.items() if bound is not None}
         kinds: list[dict[str, Any]] = [number]
         if self.spans:
-            ends = {"type": "object", "properties": {"from": number, "to": number}, "required": ["from", "to"]}
-            kinds.append(ends | {"additionalProperties": False})
+            for keys in (["from", "to"], ["value", "uncertainty"]):
+                both = {"type": "object", "properties": dict.fromkeys(keys, number), "required": keys}
+                kinds.append(both | {"additionalProperties": False})
         if self.per_channel:
             items = number if len(kinds) == 1 else {"anyOf": list(kinds)}
             kinds.append({"type": "array", "items": items, "minItems": 1, "maxItems": MOST_CHANNELS})
@@ -131,19 +150,24 @@ class Quantity(Expectation):
     def _one(self, kind: str = "number") -> str:
         return f"a {kind}{_bounds(self.above, self.least, self.most)} ({self.unit})"
 
-    def _entry(self, value: object, at: tuple[int, ...]) -> float | Span:
-        if isinstance(value, Span):
+    def _entry(self, value: object, at: tuple[int | str, ...]) -> float | Span | Known:
+        if isinstance(value, Span | Known):
             return value
         if not self.spans or not isinstance(value, Mapping):
             return self._number(value, at)
-        if set(value) != {"from", "to"}:
-            unexpected("a mapping with the keys from and to", at)
-        least, most = self._number(value["from"], at), self._number(value["to"], at)
-        if least >= most:
-            unexpected(f"from ({least:g}) below to ({most:g})", at)
-        return Span(least=least, most=most)
+        if set(value) == {"from", "to"}:
+            least, most = (self._number(value[key], (*at, key)) for key in ("from", "to"))
+            if least >= most:
+                unexpected(f"from ({least:g}) below to ({most:g})", at)
+            return Span(least=least, most=most)
+        if set(value) == {"value", "uncertainty"}:
+            number, uncertainty = (self._number(value[key], (*at, key)) for key in ("value", "uncertainty"))
+            if uncertainty >= number:
+                unexpected(f"uncertainty ({uncertainty:g}) below value ({number:g})", at)
+            return Known(value=number, uncertainty=uncertainty)
+        unexpected(_MAPPINGS, at)
 
-    def _number(self, value: object, at: tuple[int, ...]) -> float:
+    def _number(self, value: object, at: tuple[int | str, ...]) -> float:
         number = as_float(value)
         if number is None:
             unexpected(self._one() if at else self.expected(), at)

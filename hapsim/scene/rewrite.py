@@ -17,16 +17,19 @@ import yaml
 from hapsim.errors import SceneError, UsageError
 
 from .load import parse_scene
-from .quantity import per_channel
+from .quantity import Known, per_channel
 from .scene import Scene
 from .syntax import compose
 
 _PER_CHANNEL = ("mass", "friction", "stiffness")
 
+#: Numbers as text, or measured ones, by keys of `device`.
+Values = Mapping[str, str | Known]
 
-def rewrite_device(path: str, values: Mapping[str, str], channel: int) -> None:
-    """Writes `values`, numbers as text by keys of `device`, into a scene's file; where channels may differ, for
-    `channel` alone. The file is replaced as a whole, or stays as it is.
+
+def rewrite_device(path: str, values: Values, channel: int) -> None:
+    """Writes `values` into the `device` section of a scene's file; where channels may differ, for `channel` alone. The
+    file is replaced as a whole, or stays as it is.
 
     Raises:
         UsageError: the file cannot be written, is no scene any more, or says these values in a way (an anchor, a merge)
@@ -45,7 +48,7 @@ def require_rewritable(path: str) -> None:
         raise UsageError(f"{path}: this file cannot be written; check its permissions and those of its directory")
 
 
-def device_rewritten(text: str, values: Mapping[str, str], channel: int, name: str = "<scene>") -> str:
+def device_rewritten(text: str, values: Values, channel: int, name: str = "<scene>") -> str:
     """The text with these values. Raises as `rewrite_device`; `name`: what errors call the text."""
     before = parse_scene(text, name)
     wanted = {key: _with_channel(before, key, value, channel) for key, value in values.items()}
@@ -63,16 +66,17 @@ def device_rewritten(text: str, values: Mapping[str, str], channel: int, name: s
     )
 
 
-def _with_channel(scene: Scene, key: str, value: str, channel: int) -> object:
+def _with_channel(scene: Scene, key: str, value: str | Known, channel: int) -> object:
     """What the scene's device is to have under `key`."""
+    new = value if isinstance(value, Known) else float(value)
     if key not in _PER_CHANNEL or (scene.channels == 1 and not isinstance(getattr(scene.device, key), tuple)):
-        return float(value)
-    each = list(per_channel(getattr(scene.device, key), scene.channels))
-    each[channel] = float(value)
+        return new
+    each: list[object] = list(per_channel(getattr(scene.device, key), scene.channels))
+    each[channel] = new
     return tuple(each)
 
 
-def _spliced(text: str, values: Mapping[str, str], scene: Scene, channel: int) -> str | None:
+def _spliced(text: str, values: Values, scene: Scene, channel: int) -> str | None:
     """The text with the values in their places; None where a place is not to be found."""
     root = compose(text)
     device = _entry(root, "device")
@@ -85,7 +89,7 @@ def _spliced(text: str, values: Mapping[str, str], scene: Scene, channel: int) -
         if node is None:
             edits.append(_inserted(text, device, mass, f"{key}: {_as_list(scene, key, value, channel)}"))
         elif isinstance(node, yaml.SequenceNode) and channel < len(node.value):
-            edits.append(_replaced(text, node.value[channel], value))
+            edits.append(_replaced(text, node.value[channel], str(value)))
         else:
             edits.append(_replaced(text, node, _as_list(scene, key, value, channel)))
     for begin, end, new in sorted(edits, key=lambda edit: edit[0], reverse=True):
@@ -100,18 +104,25 @@ def _entry(mapping: yaml.Node | None, key: str) -> yaml.Node | None:
     return next((value for name, value in mapping.value if name.value == key), None)
 
 
-def _as_list(scene: Scene, key: str, value: str, channel: int) -> str:
+def _as_list(scene: Scene, key: str, value: str | Known, channel: int) -> str:
     """The value as the file is to say it: with those of the other channels, where there are any."""
     if key not in _PER_CHANNEL or scene.channels == 1:
-        return value
-    each = [repr(one) for one in per_channel(getattr(scene.device, key), scene.channels)]
-    each[channel] = value
+        return str(value)
+    each = [str(one) for one in per_channel(getattr(scene.device, key), scene.channels)]
+    each[channel] = str(value)
     return f"[{', '.join(each)}]"
+
+
+def _end(node: yaml.Node) -> int:
+    """Where the text of a value ends: that of a mapping in lines of its own with its last entry, and not where the next
+    key begins."""
+    last: yaml.Node = node.value[-1][1] if isinstance(node, yaml.MappingNode) and not node.flow_style else node
+    return int(last.end_mark.index)
 
 
 def _replaced(text: str, node: yaml.Node, new: str) -> tuple[int, int, str]:
     """(from, to, what stands there then); a comment behind it stays in its column, if there is room."""
-    begin, end = node.start_mark.index, node.end_mark.index
+    begin, end = node.start_mark.index, _end(node)
     rest = text[end:].split("\n", 1)[0]
     gap = len(rest) - len(rest.lstrip(" "))
     if not rest.lstrip(" ").startswith("#"):
@@ -121,7 +132,7 @@ def _replaced(text: str, node: yaml.Node, new: str) -> tuple[int, int, str]:
 
 def _inserted(text: str, device: yaml.MappingNode, mass: yaml.Node, entry: str) -> tuple[int, int, str]:
     """(where, where, an entry after that of the mass): in the same line in braces, else in a line of its own."""
-    end = mass.end_mark.index
+    end = _end(mass)
     if device.flow_style:
         return end, end, f", {entry}"
     key = next(name for name, value in device.value if value is mass)

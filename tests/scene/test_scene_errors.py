@@ -16,7 +16,8 @@ Faults = Callable[[str], list[str]]
 HZ = "expected a number > 0 (Hz)"
 FINITE = "expected a finite number > 0 (Hz)"
 DECIMALS = "; write plain decimals without a unit, such as 2000, 0.5 or 1e-9"
-MASS = "expected a number > 0 (kg), or {from: the least, to: the most}, or a list with one per channel"
+MAPPINGS = "{from: the least, to: the most}, or {value: a number, uncertainty: its standard uncertainty}"
+MASS = f"expected a number > 0 (kg), or {MAPPINGS}, or a list with one per channel"
 PORT = "expected the name of a serial port, such as /dev/ttyACM0"
 TYPES = f"expected {one_of(MODULE_TYPES)}"
 NAME = "not a name, expected letters, digits, _ and -, starting with a letter or _"
@@ -88,6 +89,15 @@ def test_what_is_no_rate_is_reported_as_the_file_spells_it(only_fault: OnlyFault
         ("{mass: 1, clock: 3}", "3:26: clock: found 3, expected device, host or lockstep"),
         ("{mass: 1, port: 3}", f"3:25: port: found 3, {PORT}"),
         ("{mass: 1, port: ''}", f"3:25: port: found '' (text), {PORT}"),
+        ("{mass: {}}", f"3:16: mass: found an empty mapping, expected {MAPPINGS}"),
+        ("{mass: {value: 0.2}}", f"3:16: mass: found a mapping, expected {MAPPINGS}"),
+        ("{mass: {value: x, uncertainty: 1}}", "3:24: value: found 'x' (text), expected a number > 0 (kg)"),
+        ("{mass: [{value: 1, uncertainty: 0}]}", "3:41: uncertainty: found 0, expected a number > 0 (kg)"),
+        (
+            "{mass: {value: 0.2, uncertainty: 0.3}}",
+            "3:16: mass: found a mapping, expected uncertainty (0.3) below value (0.2)",
+        ),
+        ("{mass: {from: 1, to: 1}}", "3:16: mass: found a mapping, expected from (1) below to (1)"),
         ("3", "3:9: device: found 3, expected a mapping"),
         ("", "3:8: device: found nothing, expected a mapping"),
         ("{}", f"3:1: device: 'mass' is missing, {MASS}"),

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from hapsim.errors import UsageError
-from hapsim.scene import load_scene, parse_scene
+from hapsim.scene import Known, load_scene, parse_scene
 from hapsim.scene.rewrite import device_rewritten, rewrite_device
 from hapsim.shipped import shipped_scene
 
@@ -56,6 +56,30 @@ def test_of_several_channels_one_is_written() -> None:
     assert "  mass: [0.08, 0.08, 0.21345, 0.1]         # kg, per channel\n" in after
     assert "  friction: [0.6, 0.6, 0.98, 0.6]  # N·s/m\n" in after
     assert "  stiffness: [0.0, 0.0, 12.5, 0.0]\n" in after
+
+
+MEASURED = Known(value=0.2, uncertainty=0.001)
+
+
+def test_a_measured_mass_is_written_with_its_uncertainty_and_again() -> None:
+    text = shipped_scene("first_touch.yaml")
+    once = device_rewritten(text, {"mass": MEASURED}, channel=0)
+    assert "  mass: {value: 0.2, uncertainty: 0.001}  # kg, moving part and hand\n" in once
+    device = parse_scene(once).device
+    assert (device.masses(1), device.mass_spans(1), device.mass_uncertainties(1)) == ((0.2,), ((0.2, 0.2),), (0.001,))
+    assert parse_scene(text).device.mass_uncertainties(1) == (None,)
+    assert device_rewritten(once, {"mass": "0.2"}, channel=0).split() == text.split()
+
+
+def test_a_measured_mass_among_several_leaves_the_others_as_they_are() -> None:
+    keys = device_rewritten(shipped_scene("four_keys.yaml"), {"mass": MEASURED}, channel=2)
+    assert "  mass: [0.08, 0.08, {value: 0.2, uncertainty: 0.001}, 0.1]" in keys
+    assert parse_scene(keys).device.mass_uncertainties(4) == (None, None, 0.001, None)
+    for mapping in ("{from: 0.1, to: 0.4}", "\n    from: 0.1\n    to: 0.4"):
+        two = shipped_scene("two_hands.yaml").replace("mass: [0.15, 0.2] ", f"mass: {mapping} ")
+        after = device_rewritten(two, {"mass": MEASURED, "stiffness": "3"}, channel=1)
+        assert "[{from: 0.1, to: 0.4}, {value: 0.2, uncertainty: 0.001}]" in after
+        assert "\n  stiffness: [0.0, 3]\n" in after
 
 
 def test_a_device_in_braces_stays_in_them() -> None:

@@ -43,6 +43,8 @@ def test_the_schema_takes_what_ships(schema: dict[str, Any], path: Path) -> None
         ("rate: 1000\n", "", "$"),
         ("rate: 1000", "rate: 1000\nspeed: 1", "$"),
         ("{mass: 0.2}", "{mass: [0.2, -1]}", "$.device.mass"),
+        ("{mass: 0.2}", "{mass: {value: 0.2}}", "$.device.mass"),
+        ("{mass: 0.2}", "{mass: [{value: 0.2, uncertainty: 0}]}", "$.device.mass"),
         ("{mass: 0.2}", "{mass: 1, hold: level}", "$.device.hold"),
         ("{mass: 0.2}", "{mass: 1, delay: 1001}", "$.device.delay"),
         ("{mass: 0.2}", "{mass: 1, slew_limit: }", "$.device.slew_limit"),
