@@ -82,10 +82,10 @@ def _loop() -> list[_Entry | PlainNative]:
 
 
 def _port() -> list[PlainNative]:
-    from hapsim.loop import descriptor
+    from hapsim.loop import descriptor, force_history
     from hapsim.loop.guards import divergence, slew
 
-    return [descriptor.receive, descriptor.send, slew.shape_force, divergence.observe]
+    return [descriptor.receive, descriptor.send, slew.shape_force, force_history.keep, divergence.observe]
 
 
 def _mock() -> list[_Entry | PlainNative]:

@@ -14,6 +14,7 @@ from hapsim.compiling import inlined
 from hapsim.compiling.native import array_at
 from hapsim.cordis.tick import program_at, start
 from hapsim.loop.codes import BAD_FORCE, DIVERGED, FAULT, HEARD, LEAPT, OFF_RATE, TIMED_OUT
+from hapsim.loop.force_history import FORCE_HISTORY, call_keep
 from hapsim.loop.guards.divergence import ENERGY, call_observe
 from hapsim.loop.guards.finite import is_finite
 from hapsim.loop.guards.force_limit import cut
@@ -133,6 +134,7 @@ LOOP = np.dtype(
         ("watch", WATCH),
         ("leap", LEAP),
         ("slew", SLEW),
+        ("history", FORCE_HISTORY),
         ("energy", ENERGY),
         ("histograms", HISTOGRAMS),
     ],
@@ -236,15 +238,17 @@ def _by_what_was_sent(loop, gap, late, withheld, now):
     """What the forces that left before make of this one: (whether its counts changed, whether the energy is too
     much)."""
     compact()
-    state, slew, energy, io = loop.state, loop.slew, loop.energy, loop.io
+    state, slew, history, energy, io = loop.state, loop.slew, loop.history, loop.energy, loop.io
     since = state.sent_ns if loop.control.clock == HOST_CLOCK else state.newest_ns
     expired = state.ticks > 0 and has_expired(state, loop.control, gap, now, since)
     happened = (np.int64(gap), np.int64(state.unanswered), np.int64(late), np.int64(expired))
     slewed, diverged = np.int64(0), np.int64(0)
     if slew.shape != 0:
         slewed = call_shape(slew.shape, (slew.address, io.address, *happened, np.int64(withheld)))
+    if history.keep != 0:
+        call_keep(history.keep, (history.address, io.address, *happened))
     if energy.observe != 0:
-        diverged = call_observe(energy.observe, (energy.address, io.address, *happened))
+        diverged = call_observe(energy.observe, (energy.address, history.address, io.address, np.int64(gap)))
     return slewed, diverged != 0
 
 

@@ -13,6 +13,7 @@ from hapsim.compiling.native import address_of
 from hapsim.cordis.program import Program, compile_scene
 from hapsim.device.connection import Connection
 from hapsim.loop.exchange import DEVICE_CLOCK, HOST_CLOCK, LOOP, NO_CLOCK
+from hapsim.loop.force_history import ForceHistory
 from hapsim.loop.guards.divergence import EnergyMemory
 from hapsim.loop.guards.leap import watch_for_leaps
 from hapsim.loop.ring import Ring
@@ -23,7 +24,7 @@ from hapsim.prediction.force_bounds import force_bounds
 from hapsim.prediction.silence import time_to_live_samples, watchdog_samples
 from hapsim.running.correction import LoopCorrection
 from hapsim.running.excitation import Excitation, PeriodicExcitation
-from hapsim.running.guarding import energy_of, set_slew
+from hapsim.running.guarding import energy_of, history_of, set_slew
 from hapsim.scene import Scene
 
 _RING_ROWS = 1 << 16
@@ -54,6 +55,8 @@ class Loop:
         """What the loop does beside moving the scene, so that the hand feels it."""
         self.excitation: Excitation | PeriodicExcitation | None = None
         """Kept: the forces of a periodic one are read at each sample."""
+        self.history: ForceHistory | None = None
+        """Which forces acted; None where no guard asks."""
         self.energy: EnergyMemory | None = None
         """What judges the energy that the scene gives the hand; None where nothing does."""
         self._programs: list[Program] = []
@@ -133,6 +136,7 @@ def assemble_loop(
     bounds = force_bounds(scene, in_hand=in_hand, judges_energy=judges_energy, force_limit=limit)
     set_slew(loop.record, scene, description, bounds)
     loop.energy = energy_of(loop.record, scene, description, bounds)
+    loop.history = None if loop.energy is None else history_of(loop.record, scene)
     loop.record.watch.judges = scene.device.clock == "device" and connection.has_timer
     return loop
 

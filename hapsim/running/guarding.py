@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from firmware_protocol.description import Description
 from hapsim.errors import UsageError
+from hapsim.loop.force_history import ForceHistory
 from hapsim.loop.guards.divergence import CREDIT_M, FIRST_FORCE_M, EnergyMemory
 from hapsim.loop.guards.slew import limit_slew
 from hapsim.prediction.force_bounds import ENERGY_M, ONE_PERIOD, ForceBounds, below_a_count
@@ -42,20 +43,24 @@ def set_slew(loop: Any, scene: Scene, description: Description, bounds: ForceBou
     )
 
 
+def history_of(loop: Any, scene: Scene) -> ForceHistory:
+    """Which forces acted, in the FORCE_HISTORY of `loop`, LOOP."""
+    device = scene.device
+    # The mean instant of a position that is averaged is half a sample earlier; that of an impulse's motion, too.
+    shift = (0.5 if device.sampling == "average" else 0.0) - (0.5 if device.hold == "impulse" else 0.0)
+    return ForceHistory(loop.history, delay=device.delay + shift, goes_on=device.hold == "zoh")
+
+
 def energy_of(loop: Any, scene: Scene, description: Description, bounds: ForceBounds) -> EnergyMemory | None:
     """What judges the energy that the scene gives, in the ENERGY of `loop`, LOOP; None where nothing does."""
     if not math.isfinite(bounds.energy_limit):
         return None
     device = scene.device
-    # The mean instant of a position that is averaged is half a sample earlier; that of an impulse's motion, too.
-    shift = (0.5 if device.sampling == "average" else 0.0) - (0.5 if device.hold == "impulse" else 0.0)
     return EnergyMemory(
         loop.energy,
         rate_hz=scene.rate,
         friction=np.array(device.frictions(scene.channels)),
         compliance=_compliance(scene, description.channels),
-        delay=device.delay + shift,
-        goes_on=device.hold == "zoh",
         limit_j=bounds.energy_limit,
         swing_limit_j=min(bounds.energy_limit, ENERGY_M * device.force_limit),
         credit_j=CREDIT_M * device.force_limit,

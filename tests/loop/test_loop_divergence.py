@@ -17,6 +17,7 @@ from firmware_protocol import schema
 from firmware_protocol.records import new_record
 from hapsim.compiling import entry
 from hapsim.errors import DeviceError, GuardError
+from hapsim.loop.force_history import FORCE_HISTORY, ForceHistory, call_keep
 from hapsim.loop.guards.divergence import (
     ENERGY,
     GIVEN,
@@ -215,7 +216,7 @@ def test_what_a_scene_holds_at_arming_is_known() -> None:
 
 
 @entry
-def first_trip(energy, io, positions, stiffness, damping, limit):
+def first_trip(energy, history, io, positions, stiffness, damping, limit):
     """At which sample the guard trips, of a spring and a backward damper at these positions (m); -1 if never. Also the
     most energy that it counts."""
     before, most = positions[0], -1e300
@@ -225,7 +226,8 @@ def first_trip(energy, io, positions, stiffness, damping, limit):
         before = positions[n]
         io.asked[0] = asked
         io.force_counts[0] = max(min(asked, limit), -limit)
-        if call_observe(energy.observe, (energy.address, io.address, 1, 0, 0, 0)) != 0:
+        call_keep(history.keep, (history.address, io.address, 1, 0, 0, 0))
+        if call_observe(energy.observe, (energy.address, history.address, io.address, 1)) != 0:
             return n, most
         most = max(most, energy.given)
     return -1, most
@@ -244,7 +246,7 @@ def judge(
     unstable: bool = False,
 ) -> tuple[int, float, int]:
     """(the sample at which it trips, the most energy counted, why). Counts are of 1 m and 1 N."""
-    record, io = new_record(ENERGY), new_record(IO_BUFFER)
+    record, history, io = new_record(ENERGY), new_record(FORCE_HISTORY), new_record(IO_BUFFER)
     io.channels, io.address = 1, io.__array_interface__["data"][0]
     io.position_scale[0] = io.force_scale[0] = 1.0
     io.force_limit[0] = limit
@@ -253,8 +255,6 @@ def judge(
         rate_hz=1.0 / T,
         friction=np.array([friction]),
         compliance=np.zeros(1),
-        delay=delay,
-        goes_on=True,
         limit_j=energy,
         swing_limit_j=energy,
         credit_j=1e15,
@@ -264,8 +264,9 @@ def judge(
     kept.follow(unstable=unstable)
     for one in lent:
         kept.lend(one)
-    row, most = first_trip(record, io, np.asarray(positions, np.int64), stiffness, damping, limit)
-    del kept
+    forces = ForceHistory(history, delay=delay, goes_on=True)
+    row, most = first_trip(record, history, io, np.asarray(positions, np.int64), stiffness, damping, limit)
+    del kept, forces
     return int(row), float(most), int(record.why)
 
 

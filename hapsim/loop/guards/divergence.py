@@ -63,7 +63,8 @@ from numpy.typing import NDArray
 
 from firmware_protocol import schema
 from hapsim.compiling import helper
-from hapsim.compiling.native import address_of, array_at, function_at, native, record_at
+from hapsim.compiling.native import address_of, function_at, native, record_at
+from hapsim.loop.force_history import FORCE_HISTORY, OF_SCENE, acting_force
 from hapsim.loop.guards.force_limit import cut
 from hapsim.loop.io_buffer import IO_BUFFER
 
@@ -84,12 +85,6 @@ ENERGY = np.dtype(
     [
         ("address", np.uint64),  # of all this
         ("observe", np.uint64),  # and of what observes; 0: nothing is judged
-        ("forces", np.uint64),  # address of (rows, MAX_CHANNELS): N, those of the last samples
-        ("mask", np.int64),  # rows - 1, and rows is a power of two
-        ("newest", np.int64),  # the row of the last sample
-        ("goes_on", np.int64),  # 1: the device keeps a force until the next one comes
-        ("lag", np.int64),  # the force from sample n-1 to n is in the row that is so many before that of n,
-        ("share", np.float64),  # but for this share, in which it is the one before
         ("braked", np.float64, _EACH),  # b0/T, N/m
         ("limit", np.float64),  # J
         ("swing_limit", np.float64),  # J, of the work over episodes
@@ -101,8 +96,6 @@ ENERGY = np.dtype(
         ("begun", np.int64),  # 1: there was a sample
         ("given", np.float64),  # S, J; before the first sample minus what the scene holds
         ("position", np.float64, _EACH),  # m, of the last sample
-        ("decided", np.float64, _EACH),  # N, with the last sample,
-        ("sent", np.float64, _EACH),  # and the last that left before
         ("side", np.int64, _EACH),  # to which the force is out; 0: it is not
         ("most_gap", np.int64),  # samples from one episode to the next
         ("gap", np.int64),  # samples since this one began
@@ -126,28 +119,24 @@ ENERGY = np.dtype(
     align=True,
 )
 
-OBSERVE = types.int64(*[types.uint64] * 2, *[types.int64] * 4)
+OBSERVE = types.int64(*[types.uint64] * 3, types.int64)
 call_observe = function_at(OBSERVE)
 """Calls `observe`, with its arguments."""
 
-_energy_at, _io_at, _doubles_at = record_at(ENERGY), record_at(IO_BUFFER), array_at(np.float64)
-_ROW = schema.MAX_CHANNELS
+_energy_at, _history_at, _io_at = record_at(ENERGY), record_at(FORCE_HISTORY), record_at(IO_BUFFER)
 
 
 @native(OBSERVE.return_type, *OBSERVE.args)
-def observe(energy, io, gap, unsent, late, expired):
-    """Adds the energy of the last `gap` samples; why the loop has to stop, or 0. `io`: with the force that answers
-    this sample. `unsent`: the force before never left; `late`: the device says that it came too late; `expired`: its
-    time to live is over."""
-    energy, io = _energy_at(energy), _io_at(io)
-    forces = _doubles_at(energy.forces, (energy.mask + 1) * _ROW)
+def observe(energy, history, io, gap):
+    """Adds the energy of the last `gap` samples; why the loop has to stop, or 0. `history` and `io`: with the force
+    that answers this sample."""
+    energy, history, io = _energy_at(energy), _history_at(history), _io_at(io)
     work, lost = 0.0, 0.0
     energy.elapsed += gap if energy.begun else 0
     if energy.begun:
-        _keep_forces(energy, io, forces, gap, unsent, late, expired)
-        work, lost = _energy_of(energy, io, forces, gap)
+        work, lost = _energy_of(energy, history, io, gap)
     else:
-        _begin(energy, io, forces)
+        _begin(energy, io)
     _take_account(energy, work - lost)
     begins = _begins_episode(energy, io)
     _follow_turns(energy, io, gap)
@@ -171,41 +160,16 @@ def observe(energy, io, gap, unsent, late, expired):
 
 
 @helper
-def _begin(energy, io, forces):
+def _begin(energy, io):
     energy.begun = 1
     for c in range(io.channels):
         first = abs(cut(io.asked[c], io.force_limit[c]))
         energy.given -= first * min(max(0.5 * first * energy.compliance[c], FIRST_FORCE_M), CREDIT_M)
         energy.position[c] = io.position_counts[c] * io.position_scale[c]
-        energy.decided[c] = _scene_force(io, c)
-        forces[energy.newest * _ROW + c] = energy.decided[c]
 
 
 @helper
-def _scene_force(io, c):
-    """Of what is sent, what is not the excitation's, N."""
-    return io.force_counts[c] * io.force_scale[c] - io.excitation[c]
-
-
-@helper
-def _keep_forces(energy, io, forces, gap, unsent, late, expired):
-    """The forces of the samples since the last: those that acted, as in predictor.py. The last one is new."""
-    for c in range(io.channels):
-        held = energy.sent[c] if energy.goes_on else 0.0
-        acted = held if unsent or late else energy.decided[c]
-        if not unsent:
-            energy.sent[c] = energy.decided[c]
-        held = energy.sent[c] if energy.goes_on and not expired else 0.0
-        energy.decided[c] = _scene_force(io, c)
-        forces[energy.newest * _ROW + c] = 0.0 if expired else acted
-        for i in range(1, gap):
-            forces[((energy.newest + i) & energy.mask) * _ROW + c] = held
-        forces[((energy.newest + gap) & energy.mask) * _ROW + c] = energy.decided[c]
-    energy.newest = (energy.newest + gap) & energy.mask
-
-
-@helper
-def _energy_of(energy, io, forces, gap):
+def _energy_of(energy, history, io, gap):
     """(work of the force, what friction took of it at least) since the last sample, J."""
     work, lost = 0.0, 0.0
     for c in range(io.channels):
@@ -214,9 +178,7 @@ def _energy_of(energy, io, forces, gap):
         energy.position[c] = position
         force = 0.0
         for i in range(gap):
-            row = energy.newest - i - energy.lag
-            force += (1.0 - energy.share) * forces[(row & energy.mask) * _ROW + c]
-            force += energy.share * forces[((row - 1) & energy.mask) * _ROW + c]
+            force += acting_force(history, OF_SCENE + c, i)
         work += force / gap * way
         lost += energy.braked[c] * way * way / gap
     return work, lost
@@ -285,7 +247,7 @@ def _count_turn(energy, c, limit):
 
 
 class EnergyMemory:
-    """Fills an ENERGY, and keeps what it points to."""
+    """Fills an ENERGY."""
 
     def __init__(
         self,
@@ -294,25 +256,17 @@ class EnergyMemory:
         rate_hz: float,
         friction: NDArray[np.float64],
         compliance: NDArray[np.float64],
-        delay: float,
-        goes_on: bool,
         limit_j: float,
         swing_limit_j: float,
         credit_j: float,
         most_lent_j: float,
         held_j: float,
     ) -> None:
-        """`friction`: (channels,) N·s/m; `compliance`: (channels,) m/N, 0 where it is not known; `delay`: samples
-        from the position's mean instant to the force's, -1/2 or more; `goes_on`: the device holds a force until the
-        next one; `limit_j`: of what is given; `swing_limit_j`: of the work of a swing at the limit; `credit_j`: of a
-        hand, `most_lent_j` beside it of the scene; `held_j`: what that holds at the start."""
-        whole = math.floor(delay)
-        rows = 2 << (whole + 3).bit_length()
+        """`friction`: (channels,) N·s/m; `compliance`: (channels,) m/N, 0 where it is not known; `limit_j`: of what is
+        given; `swing_limit_j`: of the work of a swing at the limit; `credit_j`: of a hand, `most_lent_j` beside it of
+        the scene; `held_j`: what that holds at the start."""
         self._record = record
-        self._forces = np.zeros((rows, schema.MAX_CHANNELS))
-        record.address, record.forces = address_of(record), address_of(self._forces)
-        record.mask, record.goes_on = rows - 1, goes_on
-        record.lag, record.share = whole + 1, delay - whole
+        record.address = address_of(record)
         record.braked[: friction.size] = friction * rate_hz
         record.compliance[: compliance.size] = compliance
         record.limit, record.swing_limit, record.given = limit_j, swing_limit_j, -held_j

@@ -1,0 +1,105 @@
+"""Which force acted in each sample: what every guard goes by that compares forces with the motion.
+
+The force that acts from sample n-1 to n is, with a delay of d samples, the one that answers sample n-1-d: the one that
+left, cut, rounded and with every push. Of one that never left, or that the device says came too late, the one before
+acted; once its time to live is over, none.
+
+Who compares nothing never compiles this: it is called by an address, which is 0 then.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numba import types
+
+from firmware_protocol import schema
+from hapsim.compiling import helper, inlined
+from hapsim.compiling.native import address_of, array_at, function_at, native, record_at
+from hapsim.loop.io_buffer import IO_BUFFER
+
+OF_SCENE, IN_ALL = 0, schema.MAX_CHANNELS
+"""Where the columns begin of the scene's part of a force, and of all of it."""
+
+_COLUMNS = 2 * schema.MAX_CHANNELS
+
+FORCE_HISTORY = np.dtype(
+    [
+        ("address", np.uint64),  # of all this
+        ("keep", np.uint64),  # and of what keeps it; 0: nobody asks
+        ("forces", np.uint64),  # address of (rows, 2 MAX_CHANNELS): N, those of the last samples
+        ("mask", np.int64),  # rows - 1, and rows is a power of two
+        ("newest", np.int64),  # the row of the last sample
+        ("goes_on", np.int64),  # 1: the device keeps a force until the next one comes
+        ("lag", np.int64),  # the force from sample n-1 to n is in the row that is so many before that of n,
+        ("share", np.float64),  # but for this share, in which it is the one before
+        ("begun", np.int64),  # 1: there was a sample
+        ("decided", np.float64, (_COLUMNS,)),  # N, with the last sample,
+        ("sent", np.float64, (_COLUMNS,)),  # and the last that left before
+    ],
+    align=True,
+)
+
+KEEP = types.void(*[types.uint64] * 2, *[types.int64] * 4)
+call_keep = function_at(KEEP)
+"""Calls `keep`, with its arguments."""
+
+_history_at, _io_at, _doubles_at = record_at(FORCE_HISTORY), record_at(IO_BUFFER), array_at(np.float64)
+
+
+@native(KEEP.return_type, *KEEP.args)
+def keep(history, io, gap, unsent, late, expired):
+    """Notes the forces of the last `gap` samples, and the one that answers this sample. `unsent`: the force before
+    never left; `late`: the device says that it came too late; `expired`: its time to live is over."""
+    history, io = _history_at(history), _io_at(io)
+    forces = _doubles_at(history.forces, (history.mask + 1) * _COLUMNS)
+    for c in range(io.channels):
+        in_all = io.force_counts[c] * io.force_scale[c]
+        _keep_column(history, forces, OF_SCENE + c, in_all - io.excitation[c], gap, unsent, late, expired)
+        _keep_column(history, forces, IN_ALL + c, in_all, gap, unsent, late, expired)
+    history.newest = (history.newest + gap) & history.mask if history.begun else history.newest
+    history.begun = 1
+
+
+@helper
+def _keep_column(history, forces, c, decided, gap, unsent, late, expired):
+    """Those that acted, as in predictor.py. The last one is new."""
+    if history.begun:
+        held = history.sent[c] if history.goes_on else 0.0
+        acted = held if unsent or late else history.decided[c]
+        if not unsent:
+            history.sent[c] = history.decided[c]
+        held = history.sent[c] if history.goes_on and not expired else 0.0
+        forces[history.newest * _COLUMNS + c] = 0.0 if expired else acted
+        for i in range(1, gap):
+            forces[((history.newest + i) & history.mask) * _COLUMNS + c] = held
+        forces[((history.newest + gap) & history.mask) * _COLUMNS + c] = decided
+    else:
+        forces[history.newest * _COLUMNS + c] = decided
+    history.decided[c] = decided
+
+
+@inlined
+def acting_force(history, column, before):
+    """The force, in N, in the sample that is so many `before` the one that ended last."""
+    forces = _doubles_at(history.forces, (history.mask + 1) * _COLUMNS)
+    row = history.newest - before - history.lag
+    newer = forces[(row & history.mask) * _COLUMNS + column]
+    return (1.0 - history.share) * newer + history.share * forces[((row - 1) & history.mask) * _COLUMNS + column]
+
+
+class ForceHistory:
+    """Fills a FORCE_HISTORY, and keeps what it points to."""
+
+    def __init__(self, record: Any, *, delay: float, goes_on: bool) -> None:
+        """`delay`: samples from the position's mean instant to the force's, -1/2 or more; `goes_on`: the device holds
+        a force until the next one."""
+        whole = math.floor(delay)
+        rows = 2 << (whole + 3).bit_length()
+        self._forces = np.zeros((rows, _COLUMNS))
+        record.address, record.forces = address_of(record), address_of(self._forces)
+        record.mask, record.goes_on = rows - 1, goes_on
+        record.lag, record.share = whole + 1, delay - whole
+        record.keep = keep.address()
