@@ -15,6 +15,7 @@ Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 
 _ALWAYS = 0.99  # of all samples: what is late so often is late by the wire's nature
+_FEWEST_CHANGES = 8.0  # fewer would make a circle wider than 0.7 counts, the most that rounding does to an amplitude
 _OPERATIONS = 10.0  # roundings of a double between a position and the scene's force
 
 
@@ -68,6 +69,7 @@ def periods_of(trace: Trace, lines: Lines, *, impulse: bool, senses: bool) -> Pe
         for signal in (position, scene, acted)
     ]
     share = 4.0 / lines.samples  # of a white error's variance, in an amplitude
+    rounded = 4.0 / np.clip(_changes(trace, lines), _FEWEST_CHANGES, lines.samples)
     computed = share * (_OPERATIONS * np.finfo(float).eps * np.max(np.abs(scene), axis=0, initial=0.0)) ** 2
     if senses:
         computed = computed + _beside(scene, pairs[pairs.size // 2 :], lines)
@@ -75,12 +77,19 @@ def periods_of(trace: Trace, lines: Lines, *, impulse: bool, senses: bool) -> Pe
         stacked[0],
         stacked[1],
         stacked[2],
-        share * trace.position_scale**2 / 12.0,
+        rounded * trace.position_scale**2 / 12.0,
         computed,
         not senses,
         int(np.count_nonzero(trace.flags & LIMITED)),
         int(np.count_nonzero(rows_in[1:-1] != lines.samples)) + _gaps(number),
     )
+
+
+def _changes(trace: Trace, lines: Lines) -> Floats:
+    """(C,) how often the count changes in a period: as many of the roundings are independent of each other. Where a
+    channel hardly moves, they follow its motion, and lie where that lies: at the frequencies that are excited."""
+    later = trace.position_counts[trace.sample.size // 2 :]
+    return np.asarray(np.mean(np.diff(later, axis=0) != 0, axis=0) * lines.samples)
 
 
 def _beside(signal: Floats, begins: NDArray[np.intp], lines: Lines) -> Floats:

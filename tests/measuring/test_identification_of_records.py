@@ -11,19 +11,17 @@ import numpy as np
 import pytest
 
 import hapsim
-from firmware_protocol.records import new_record
 from hapsim.errors import UsageError
-from hapsim.loop.histogram import HISTOGRAM, histogram_of
 from hapsim.loop.ring import BRIDGED, LATE_FORCE, OFF_GRID, UNSENT
-from hapsim.loop.trace import Report, Statistics, Trace
+from hapsim.loop.trace import Trace
 from hapsim.measuring.identify import identify
 from hapsim.running import run
 
 sys.path.insert(0, str(Path(__file__).parent))
+from records import QUANTUM, trace_of
 from scenes import one_spring
 
 SOURCES = Path(hapsim.__file__).parent
-QUANTUM = 1e-9
 
 
 def imports_of(folder: str) -> set[str]:
@@ -36,30 +34,6 @@ def imports_of(folder: str) -> set[str]:
             elif isinstance(node, ast.ImportFrom):
                 found.add(node.module or "")
     return found
-
-
-def trace_of(position: np.ndarray, asked: np.ndarray, rate: float = 1000.0) -> Trace:
-    """A trace of one channel, rounded to counts of a nanometre; every force as asked."""
-    n = position.size
-    nothing = histogram_of(new_record(HISTOGRAM))
-    statistics = Statistics(nothing, nothing, nothing)
-    spreads = (nothing.spread(),) * 3
-    report = Report("done", n, n / rate, rate, rate, 0, 0, 0, 0, 0, 0, 0, *spreads, virtual_time=True)
-    force_scale = 1e-8
-    counts = np.rint(position / QUANTUM).astype(np.int32)[:, None]
-    return Trace(
-        rate=rate,
-        sample=np.arange(n),
-        time_ns=np.arange(n),
-        flags=np.zeros(n, np.uint8),
-        position_counts=counts,
-        force_counts=np.rint(asked / force_scale).astype(np.int32)[:, None],
-        asked_force=asked[:, None],
-        position_scale=np.array([QUANTUM]),
-        force_scale=np.array([force_scale]),
-        statistics=statistics,
-        report=report,
-    )
 
 
 def test_identification_never_sees_the_prediction() -> None:
