@@ -241,10 +241,10 @@ def _by_what_was_sent(loop, gap, late, withheld, now):
     state, slew, history, energy, io = loop.state, loop.slew, loop.history, loop.energy, loop.io
     since = state.sent_ns if loop.control.clock == HOST_CLOCK else state.newest_ns
     expired = state.ticks > 0 and has_expired(state, loop.control, gap, now, since)
-    happened = (np.int64(gap), np.int64(state.unanswered), np.int64(late), np.int64(expired))
+    happened = (np.int64(gap), np.int64(state.unanswered), np.int64(late), np.int64(expired), np.int64(withheld))
     slewed, diverged = np.int64(0), np.int64(0)
     if slew.shape != 0:
-        slewed = call_shape(slew.shape, (slew.address, io.address, *happened, np.int64(withheld)))
+        slewed = call_shape(slew.shape, (slew.address, io.address, *happened))
     if history.keep != 0:
         call_keep(history.keep, (history.address, io.address, *happened))
     if energy.observe != 0:

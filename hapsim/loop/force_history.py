@@ -2,7 +2,11 @@
 
 The force that acts from sample n-1 to n is, with a delay of d samples, the one that answers sample n-1-d: the one that
 left, cut, rounded and with every push. Of one that never left, or that the device says came too late, the one before
-acted; once its time to live is over, none.
+acted; once its time to live is over, none. Beside those that acted it keeps the scene's part as it would have acted in
+time: of every sample the force that answers it, also where that never left; over lost positions, where the hand is
+moved along a line, the forces along the line between the two that are known.
+
+A force that an excitation adds is the hand's, and so is what the limit cuts because of it.
 
 Who compares nothing never compiles this: it is called by an address, which is 0 then.
 """
@@ -18,18 +22,19 @@ from numba import types
 from firmware_protocol import schema
 from hapsim.compiling import helper, inlined
 from hapsim.compiling.native import address_of, array_at, function_at, native, record_at
+from hapsim.loop.guards.force_limit import cut
 from hapsim.loop.io_buffer import IO_BUFFER
 
-OF_SCENE, IN_ALL = 0, schema.MAX_CHANNELS
-"""Where the columns begin of the scene's part of a force, and of all of it."""
+OF_SCENE, IN_ALL, IN_TIME = 0, schema.MAX_CHANNELS, 2 * schema.MAX_CHANNELS
+"""Where the columns begin of the scene's part of a force, of all of it, and of the scene's part in time."""
 
-_COLUMNS = 2 * schema.MAX_CHANNELS
+_COLUMNS = 3 * schema.MAX_CHANNELS
 
 FORCE_HISTORY = np.dtype(
     [
         ("address", np.uint64),  # of all this
         ("keep", np.uint64),  # and of what keeps it; 0: nobody asks
-        ("forces", np.uint64),  # address of (rows, 2 MAX_CHANNELS): N, those of the last samples
+        ("forces", np.uint64),  # address of (rows, 3 MAX_CHANNELS): N, those of the last samples
         ("mask", np.int64),  # rows - 1, and rows is a power of two
         ("newest", np.int64),  # the row of the last sample
         ("goes_on", np.int64),  # 1: the device keeps a force until the next one comes
@@ -42,7 +47,7 @@ FORCE_HISTORY = np.dtype(
     align=True,
 )
 
-KEEP = types.void(*[types.uint64] * 2, *[types.int64] * 4)
+KEEP = types.void(*[types.uint64] * 2, *[types.int64] * 5)
 call_keep = function_at(KEEP)
 """Calls `keep`, with its arguments."""
 
@@ -50,17 +55,30 @@ _history_at, _io_at, _doubles_at = record_at(FORCE_HISTORY), record_at(IO_BUFFER
 
 
 @native(KEEP.return_type, *KEEP.args)
-def keep(history, io, gap, unsent, late, expired):
+def keep(history, io, gap, unsent, late, expired, withheld):
     """Notes the forces of the last `gap` samples, and the one that answers this sample. `unsent`: the force before
-    never left; `late`: the device says that it came too late; `expired`: its time to live is over."""
+    never left; `late`: the device says that it came too late; `expired`: its time to live is over; `withheld`: the
+    counts are zero because no force may be sent."""
     history, io = _history_at(history), _io_at(io)
     forces = _doubles_at(history.forces, (history.mask + 1) * _COLUMNS)
     for c in range(io.channels):
         in_all = io.force_counts[c] * io.force_scale[c]
-        _keep_column(history, forces, OF_SCENE + c, in_all - io.excitation[c], gap, unsent, late, expired)
+        alone = cut(io.asked[c], io.force_limit[c])
+        of_scene = in_all - cut(io.asked[c] + io.excitation[c], io.force_limit[c]) + alone
+        _keep_in_time(history, forces, c, alone if withheld else of_scene, gap)
+        _keep_column(history, forces, OF_SCENE + c, 0.0 if withheld else of_scene, gap, unsent, late, expired)
         _keep_column(history, forces, IN_ALL + c, in_all, gap, unsent, late, expired)
     history.newest = (history.newest + gap) & history.mask if history.begun else history.newest
     history.begun = 1
+
+
+@helper
+def _keep_in_time(history, forces, c, decided, gap):
+    before = forces[history.newest * _COLUMNS + IN_TIME + c] if history.begun else decided
+    steps = gap if history.begun else 0
+    for i in range(steps + 1):
+        row = (history.newest + i) & history.mask
+        forces[row * _COLUMNS + IN_TIME + c] = before + (decided - before) * i / max(steps, 1)
 
 
 @helper
@@ -83,7 +101,7 @@ def _keep_column(history, forces, c, decided, gap, unsent, late, expired):
 
 @inlined
 def acting_force(history, column, before):
-    """The force, in N, in the sample that is so many `before` the one that ended last."""
+    """The force of a column, in N, in the sample that is so many `before` the one that ended last."""
     forces = _doubles_at(history.forces, (history.mask + 1) * _COLUMNS)
     row = history.newest - before - history.lag
     newer = forces[(row & history.mask) * _COLUMNS + column]

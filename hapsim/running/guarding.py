@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from firmware_protocol.description import Description
 from hapsim.errors import UsageError
 from hapsim.loop.force_history import ForceHistory
-from hapsim.loop.guards.divergence import CREDIT_M, FIRST_FORCE_M, EnergyMemory
+from hapsim.loop.guards.divergence import CREDIT_M, FIRST_FORCE_M, LATE_M, EnergyMemory
 from hapsim.loop.guards.slew import limit_slew
 from hapsim.prediction.force_bounds import ENERGY_M, ONE_PERIOD, ForceBounds, below_a_count
 from hapsim.scene import Scene
@@ -63,6 +63,7 @@ def energy_of(loop: Any, scene: Scene, description: Description, bounds: ForceBo
         compliance=_compliance(scene, description.channels),
         limit_j=bounds.energy_limit,
         swing_limit_j=min(bounds.energy_limit, ENERGY_M * device.force_limit),
+        late_limit_j=max(bounds.energy_limit, LATE_M * device.force_limit),
         credit_j=CREDIT_M * device.force_limit,
         most_lent_j=MOST_LENT_M * device.force_limit,
         held_j=held_energy(scene.modules, device.force_limit),

@@ -9,7 +9,7 @@ from hapsim.device.conversation import fault_text
 from hapsim.errors import DeviceError, GuardError, RunError
 from hapsim.loop import endings
 from hapsim.loop.exchange import DEVICE_CLOCK, HOST_CLOCK
-from hapsim.loop.guards.divergence import GIVEN, SHAKING, SWINGING
+from hapsim.loop.guards.divergence import GIVEN, LATE, SHAKING, SWINGING
 from hapsim.loop.guards.slew import NO_LIMIT
 from hapsim.loop.histogram import histogram_of
 from hapsim.loop.recorder import Recorder
@@ -176,15 +176,18 @@ def _what_ended(name: str, loop: Loop, trace: Trace, ending: int) -> tuple[type[
 def _diverging(loop: Loop, report: Report) -> str:
     energy, ticks = loop.record.energy, report.ticks
     is_unstable = loop.energy is not None and loop.energy.is_unstable
+    account = int(energy.account)
     what_to_do = _held_back(loop, report) + _what_ends_it(is_unstable, int(energy.why))
+    if account == LATE:
+        what_to_do = _what_was_late(report)
     if int(energy.why) == SWINGING:
         swung = "on a scene that is predicted unstable:" if is_unstable else "at its limit: it swung into it"
-        less = "no less than" if energy.gained >= 0.0 else "nearly what"
-        work, limit = _told_apart(float(energy.work), float(energy.swing_limit))
+        less = "no less than" if energy.gained[account] >= 0.0 else "nearly what"
+        work, limit = _told_apart(float(energy.work[account]), float(energy.swing_limit[account]))
         return (
-            f"the force swung {swung} {int(energy.swings)} times in a row, the last at tick {ticks}, and gave the hand "
-            f"{work} J over these, above the limit of {limit} J and {less} the declared friction takes; the last force "
-            f"was not sent. {what_to_do}"
+            f"the force swung {swung} {int(energy.swings[account])} times in a row, the last at tick {ticks}, and gave "
+            f"the hand {work} J over these, above the limit of {limit} J and {less} the declared friction takes; the "
+            f"last force was not sent. {what_to_do}"
         )
     if int(energy.why) == SHAKING:
         why = "on a scene that is predicted unstable" if is_unstable else "faster than any hand moves"
@@ -192,10 +195,22 @@ def _diverging(loop: Loop, report: Report) -> str:
             f"the force shook at its limit: from one side to the other {int(energy.shakes)} times in a row, the last "
             f"at tick {ticks}, {why}; the last force was not sent. {what_to_do}"
         )
-    given, limit = _told_apart(float(energy.given), float(energy.limit))
+    given, limit = _told_apart(float(energy.given[account]), float(energy.limit[account]))
+    who = "late forces" if account == LATE else "the scene"
     return (
-        f"by tick {ticks} the scene had given the hand {given} J that it had not got from it, above "
+        f"by tick {ticks} {who} had given the hand {given} J that it had not got from it, above "
         f"its limit of {limit} J; the last force was not sent. {what_to_do}"
+    )
+
+
+def _what_was_late(report: Report) -> str:
+    """Where the scene gave no more than it may, and its forces did for acting too late."""
+    late_ms = 1e3 * ((report.age_samples.max or 1.0) - 1.0) / report.nominal_rate_hz
+    lost = f", and {report.lost_frames} positions were lost" if report.lost_frames else ""
+    return (
+        f"{report.deadline_misses} forces were up to {late_ms:.3g} ms late{lost}; in time the scene would have given "
+        "no more than it may. `hapsim doctor` tells what would help this machine, and `--realtime` asks for it "
+        "(hapsim/STABILITY.md)"
     )
 
 

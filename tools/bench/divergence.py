@@ -1,11 +1,14 @@
 """The guard of the energy (hapsim/loop/guards/divergence.py) before scenes by chance, in virtual time.
 
-    tools/bench/divergence [--scenes 200] [--seed 1]
+    tools/bench/divergence [--scenes 200] [--seed 1] [--stalls]
 
 Unstable scenes, of a spectral radius of 1.002 and more: every one has to be ended, before the hand had more energy than
 the limit and what it began with. Passive ones, by hands that flick at up to 2 m/s, into walls, beyond the force limit
 and over coarse encoders: none may be. The hand's energy is that of the recorded motion, of which the guard knows
 nothing.
+
+With --stalls both again, before a host that stalls for 2 to 18 samples every so often, while the hand knocks with up to
+60 % of the force limit: no passive one may be ended by the limit of the scene's own account.
 """
 
 from __future__ import annotations
@@ -20,15 +23,22 @@ from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 import hapsim
+from firmware_protocol import schema
 from hapsim.errors import DeviceError, GuardError
-from hapsim.running import run
+from hapsim.loop.guards.divergence import LATE
+from hapsim.loop.transport import PythonTransport
+from hapsim.running import PeriodicExcitation, run
+from hapsim.running.session import Session
 from hapsim.scene import Scene, parse_scene
 from hapsim.theory import Configuration
 
 LEAST_RADIUS, MOST_RADIUS = 1.002, 1.5
 KINDS = ("spring", "spring", "damper", "contact", "mass", "string")
+EVERY, STALL = 200.0, (2, 18)  # samples from stall to stall, and of one
+FORCE_BYTES = schema.frame_bytes(1, to_device=True)  # once it is armed
 LIMIT_M = 0.02  # the default energy limit over the force limit
 CREDIT_M = 0.25  # what a hand's credit is, at most, over the force limit
 TOLERANCE = 1.02  # of energies that are read from positions
@@ -51,6 +61,8 @@ class Outcome(NamedTuple):
     ending: str
     why: str
     after_s: float
+    account: int
+    """Of divergence.py, by whose limit it was ended."""
     most_energy: float
     """J, kinetic, of the hand at any time."""
     bound: float
@@ -60,6 +72,11 @@ class Outcome(NamedTuple):
     def is_ended(self) -> bool:
         """Whether the guard ended it."""
         return self.ending == "scene diverging"
+
+    @property
+    def is_late(self) -> bool:
+        """Whether late forces ended it."""
+        return self.is_ended and self.account == LATE
 
     @property
     def is_within(self) -> bool:
@@ -157,10 +174,61 @@ def _log_uniform(chance: random.Random, least: float, most: float) -> float:
     return math.exp(chance.uniform(math.log(least), math.log(most)))
 
 
-def judged(drawn: Drawn) -> Outcome:
-    """Runs it with the guard on."""
+class Stalling:
+    """What a loop in virtual time speaks through, with a host that stalls: meanwhile the device holds the last force,
+    and its positions wait for the host all together."""
+
+    def __init__(self, device: PythonTransport, seed: int, every: float = EVERY) -> None:
+        self._device, self._chance = device, random.Random(seed)
+        self._every = every
+        self._last, self._buffer = b"", np.zeros(8192, np.uint8)
+        self._left = self._samples()
+
+    def _samples(self) -> int:
+        return 1 + int(self._chance.expovariate(1.0 / self._every))
+
+    def receive(self, buffer: NDArray[np.uint8], timeout_ns: int) -> int:
+        """What there is for the host; after a stall, all of it."""
+        data = self._take(timeout_ns)
+        self._left -= 1
+        if data and self._left <= 0 and self._last:
+            for _ in range(self._chance.randint(*STALL)):
+                self._device.send(self._last)  # in lockstep a sample passes with a force, and this is the one it has
+                data += self._take(timeout_ns)
+            self._left = self._samples()
+        buffer[: len(data)] = np.frombuffer(data, np.uint8)
+        return len(data)
+
+    def _take(self, timeout_ns: int) -> bytes:
+        count = max(self._device.receive(self._buffer, timeout_ns), 0)
+        return self._buffer[:count].tobytes()
+
+    def send(self, frame: bytes) -> int:
+        """As the device's."""
+        self._last = frame if len(frame) == FORCE_BYTES else b""
+        return self._device.send(frame)
+
+
+def knocks(scene: Scene, duration: float, seed: int) -> PeriodicExcitation:
+    """Of a hand: 2 to 40 ms each, some every second."""
+    chance, samples = np.random.default_rng(seed), round(duration * scene.rate)
+    forces, at = np.zeros(samples), 0
+    while at < samples:
+        length = round(chance.uniform(0.002, 0.04) * scene.rate) + 1
+        forces[at : at + length] = chance.uniform(-0.6, 0.6) * scene.device.force_limit
+        at += length + round(chance.exponential(0.15) * scene.rate)
+    return PeriodicExcitation(0, forces)
+
+
+def judged(drawn: Drawn, stalls: int | None = None) -> Outcome:
+    """Runs it with the guard on. `stalls`: a seed, before a host that stalls, with a hand that knocks."""
+    options: dict[str, Any] = {"duration": drawn.duration}
+    if stalls is not None:
+        options["excitation"] = knocks(drawn.scene, drawn.duration, stalls)
+        options["between"] = lambda device: Stalling(device, stalls)
+    sessions: list[Session] = []
     try:
-        trace, why = run(drawn.scene, duration=drawn.duration, judges_energy=True, unstable=True), ""
+        trace, why = run(drawn.scene, on_start=sessions.append, judges_energy=True, unstable=True, **options), ""
     except (GuardError, DeviceError) as error:
         if error.trace is None:
             raise
@@ -175,7 +243,8 @@ def judged(drawn: Drawn) -> Outcome:
     # What the last forces do before they end: of the sample in which it is found, and of the delay.
     steps = np.abs(np.diff(trace.position[:, 0]))
     bound += (2.0 + device.delay) * device.force_limit * float(np.max(steps, initial=0.0))
-    return Outcome(drawn, trace.report.ending, why, trace.report.duration_s, _most_energy(drawn, trace), bound)
+    account = int(sessions[0]._loop.record.energy.account)
+    return Outcome(drawn, trace.report.ending, why, trace.report.duration_s, account, _most_energy(drawn, trace), bound)
 
 
 def _most_energy(drawn: Drawn, trace: Any) -> float:
@@ -193,20 +262,23 @@ def main() -> int:
     parser = argparse.ArgumentParser("tools/bench/divergence", description=__doc__)
     parser.add_argument("--scenes", type=int, default=200)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--stalls", action="store_true")
     arguments = parser.parse_args()
-    unstable = [judged(drawn) for drawn in unstable_scenes(arguments.scenes, arguments.seed)]
-    passive = [judged(drawn) for drawn in passive_scenes(arguments.scenes, arguments.seed)]
+    seeds = range(arguments.scenes) if arguments.stalls else [None] * arguments.scenes
+    unstable = [judged(*one) for one in zip(unstable_scenes(arguments.scenes, arguments.seed), seeds, strict=True)]
+    passive = [judged(*one) for one in zip(passive_scenes(arguments.scenes, arguments.seed), seeds, strict=True)]
     print("| unstable | scenes | ended: energy, swing, shaking | after, s: median, most | most energy over its bound |")
     print("|---|---|---|---|---|")
     for kind in sorted({one.drawn.kind for one in unstable}):
         print(_row(kind, [one for one in unstable if one.drawn.kind == kind]))
     print(_row("all", unstable))
-    print("\n| passive | scenes | ended |\n|---|---|---|")
-    for kind, count in sorted(Counter(one.drawn.kind for one in passive).items()):
-        ended = [one for one in passive if one.drawn.kind == kind and one.ending != "done"]
-        print(f"| {kind} | {count} | {len(ended)} |")
-    wrong = [one for one in unstable if not (one.is_ended and one.is_within)]
-    wrong += [one for one in passive if one.ending != "done"]
+    print("\n| passive | scenes | ended | by late forces |\n|---|---|---|---|")
+    for kind in sorted({one.drawn.kind for one in passive}):
+        those = [one for one in passive if one.drawn.kind == kind]
+        late = sum(one.is_late for one in those)
+        print(f"| {kind} | {len(those)} | {sum(one.ending != 'done' for one in those) - late} | {late} |")
+    wrong = [one for one in unstable if not (one.is_ended and (one.is_within or arguments.stalls))]
+    wrong += [one for one in passive if one.ending != "done" and not one.is_late]
     for one in wrong:
         print(
             f"WRONG: {one.ending} {one.why} after {one.after_s:.3g} s, {one.most_energy:.3g} of {one.bound:.3g} J: "

@@ -7,7 +7,7 @@ simulated force gave the hand, summed over channels and samples,
 
 f the force that acted from sample n-1 to n: with a delay of d samples the one that answers sample n-1-d, the two
 neighbours of a fraction of a sample by its weights; b0 the device's friction as the scene declares it, which takes at
-least b0 dx²/T of it. A force that an excitation adds is the hand's.
+least b0 dx²/T of it. A force that an excitation adds is the hand's, and so is what the limit cuts because of it.
 
 For a spring K and a backward damper B this never exceeds what the spring holds at the beginning, whatever the
 positions are, quantised ones too, where b0 >= K T (1/2 + d) + |B|. Without delay, the spring held at x[n-1] gives
@@ -24,6 +24,12 @@ What the hand gave is its credit, but no more than a scene could hold: S stays a
 what the scene holds then, and every change of it while it runs lends as much as that may bring (running/guarding.py);
 with what is lent S stays above -`most_credit`. The guard trips where S is above `limit`: from rest no hand is given
 more than `limit` and what the scene held, and between two changes never more than `limit` and `most_credit`.
+
+**Two accounts.** The proof holds for forces in time at whatever positions. So the account SCENE counts those
+(force_history.py). A force that is late gives energy too, but that is the host's fault, and a hand that knocks now and
+then while the host stalls is no reason to stop. The account LATE counts the forces that acted, as far as the device
+tells. It is judged in the same way, by limits of its own: a larger `limit`, LATE_SWINGS episodes. While no force is
+late both are the same.
 
 **Swinging at the limit.** Where the limit cuts the force and friction takes all that it gives, the swing is of
 constant size and S stays where it is, for ever. So the guard trips also after SWINGS episodes in a row in which the
@@ -64,7 +70,7 @@ from numpy.typing import NDArray
 from firmware_protocol import schema
 from hapsim.compiling import helper
 from hapsim.compiling.native import address_of, function_at, native, record_at
-from hapsim.loop.force_history import FORCE_HISTORY, OF_SCENE, acting_force
+from hapsim.loop.force_history import FORCE_HISTORY, IN_TIME, OF_SCENE, acting_force
 from hapsim.loop.guards.force_limit import cut
 from hapsim.loop.io_buffer import IO_BUFFER
 
@@ -79,29 +85,33 @@ _LESS = 0.999  # of what was asked for: a sample need not fall on the peak
 GIVEN, SWINGING, SHAKING = 1, 2, 3
 """Why it tripped: the energy, the swing at the limit, or that it shakes there."""
 
-_EACH = (schema.MAX_CHANNELS,)
+SCENE, LATE = 0, 1
+"""The accounts: of the forces in time, and of those that acted."""
+
+LATE_M, LATE_SWINGS = 0.1, 64  # of travel at the force limit: what late forces may give; and how often they may swing
+_EACH, _ACCOUNTS = (schema.MAX_CHANNELS,), (2,)
 
 ENERGY = np.dtype(
     [
         ("address", np.uint64),  # of all this
         ("observe", np.uint64),  # and of what observes; 0: nothing is judged
         ("braked", np.float64, _EACH),  # b0/T, N/m
-        ("limit", np.float64),  # J
-        ("swing_limit", np.float64),  # J, of the work over episodes
+        ("limit", np.float64, _ACCOUNTS),  # J
+        ("swing_limit", np.float64, _ACCOUNTS),  # J, of the work over episodes
         ("credit", np.float64),  # J
         ("most_credit", np.float64),  # J, with all that is lent
         ("lent", np.float64),  # J, in all: written by another thread,
         ("taken", np.float64),  # and taken
         ("compliance", np.float64, _EACH),  # m/N, of what is linked to each device point; 0: not known
         ("begun", np.int64),  # 1: there was a sample
-        ("given", np.float64),  # S, J; before the first sample minus what the scene holds
+        ("given", np.float64, _ACCOUNTS),  # S, J; before the first sample minus what the scene holds
         ("position", np.float64, _EACH),  # m, of the last sample
         ("side", np.int64, _EACH),  # to which the force is out; 0: it is not
         ("most_gap", np.int64),  # samples from one episode to the next
         ("gap", np.int64),  # samples since this one began
-        ("swings", np.int64),  # episodes in a row
-        ("work", np.float64),  # J, of the force over these,
-        ("gained", np.float64),  # and what friction left of that
+        ("swings", np.int64, _ACCOUNTS),  # episodes in a row
+        ("work", np.float64, _ACCOUNTS),  # J, of the force over these,
+        ("gained", np.float64, _ACCOUNTS),  # and what friction left of that
         ("most_turn", np.int64),  # samples from one turn to the next
         ("last_side", np.int64, _EACH),  # to which each channel's force was cut last,
         ("turn", np.int64, _EACH),  # how many samples ago it turned to that,
@@ -115,6 +125,7 @@ ENERGY = np.dtype(
             np.int64,
         ),  # the sample up to which the scene is predicted unstable; written by another thread
         ("why", np.int64),  # GIVEN, SWINGING, SHAKING
+        ("account", np.int64),  # SCENE, LATE
     ],
     align=True,
 )
@@ -131,32 +142,36 @@ def observe(energy, history, io, gap):
     """Adds the energy of the last `gap` samples; why the loop has to stop, or 0. `history` and `io`: with the force
     that answers this sample."""
     energy, history, io = _energy_at(energy), _history_at(history), _io_at(io)
-    work, lost = 0.0, 0.0
-    energy.elapsed += gap if energy.begun else 0
-    if energy.begun:
-        work, lost = _energy_of(energy, history, io, gap)
+    has_begun = energy.begun != 0
+    if has_begun:
+        energy.elapsed += gap
     else:
         _begin(energy, io)
-    _take_account(energy, work - lost)
     begins = _begins_episode(energy, io)
     _follow_turns(energy, io, gap)
-    energy.work += work
-    energy.gained += work - lost
     energy.gap += gap
-    if begins:
-        least = -NEARLY * energy.work if _is_unstable(energy) else 0.0
-        goes_on = energy.gap <= energy.most_gap and energy.gained >= least
-        energy.swings = energy.swings + 1 if goes_on else 1
-        if not goes_on:
-            energy.work = energy.gained = 0.0
-        energy.gap = 0
-    if energy.given > energy.limit:
-        energy.why = GIVEN
-    elif energy.swings >= SWINGS and energy.work > energy.swing_limit:
-        energy.why = SWINGING
-    elif energy.shakes >= SHAKES:
+    goes_on = energy.gap <= energy.most_gap
+    energy.gap = 0 if begins else energy.gap
+    for account in range(2):
+        work, lost = _energy_of(energy, history, io, account, gap) if has_begun else (0.0, 0.0)
+        _take_account(energy, account, work - lost)
+        _count_swing(energy, account, work, lost, begins, goes_on)
+        if energy.why == 0 and energy.given[account] > energy.limit[account]:
+            energy.why, energy.account = GIVEN, account
+        elif energy.why == 0 and _has_swung(energy, account):
+            energy.why, energy.account = SWINGING, account
+    energy.taken = energy.lent
+    for c in range(io.channels):
+        energy.position[c] = io.position_counts[c] * io.position_scale[c]
+    if energy.why == 0 and energy.shakes >= SHAKES:
         energy.why = SHAKING
     return energy.why
+
+
+@helper
+def _has_swung(energy, account):
+    most = SWINGS if account == SCENE else LATE_SWINGS
+    return energy.swings[account] >= most and energy.work[account] > energy.swing_limit[account]
 
 
 @helper
@@ -164,34 +179,46 @@ def _begin(energy, io):
     energy.begun = 1
     for c in range(io.channels):
         first = abs(cut(io.asked[c], io.force_limit[c]))
-        energy.given -= first * min(max(0.5 * first * energy.compliance[c], FIRST_FORCE_M), CREDIT_M)
-        energy.position[c] = io.position_counts[c] * io.position_scale[c]
+        held = first * min(max(0.5 * first * energy.compliance[c], FIRST_FORCE_M), CREDIT_M)
+        for account in range(2):
+            energy.given[account] -= held
 
 
 @helper
-def _energy_of(energy, history, io, gap):
+def _energy_of(energy, history, io, account, gap):
     """(work of the force, what friction took of it at least) since the last sample, J."""
     work, lost = 0.0, 0.0
+    column = IN_TIME if account == SCENE else OF_SCENE
     for c in range(io.channels):
-        position = io.position_counts[c] * io.position_scale[c]
-        way = position - energy.position[c]
-        energy.position[c] = position
+        way = io.position_counts[c] * io.position_scale[c] - energy.position[c]
         force = 0.0
         for i in range(gap):
-            force += acting_force(history, OF_SCENE + c, i)
+            force += acting_force(history, column + c, i)
         work += force / gap * way
         lost += energy.braked[c] * way * way / gap
     return work, lost
 
 
 @helper
-def _take_account(energy, gained):
+def _take_account(energy, account, gained):
     """S, with what was lent meanwhile: a hand's credit is no larger than `credit`, but for that."""
-    before = energy.given
-    energy.given = max(before + gained, min(before, -energy.credit))
-    lent = energy.lent
-    energy.given = max(energy.given - (lent - energy.taken), -energy.most_credit)
-    energy.taken = lent
+    before = energy.given[account]
+    given = max(before + gained, min(before, -energy.credit))
+    energy.given[account] = max(given - (energy.lent - energy.taken), -energy.most_credit)
+
+
+@helper
+def _count_swing(energy, account, work, lost, begins, goes_on):
+    """Adds to the sums over the episodes of swinging at the limit; `begins`: one does with this sample."""
+    energy.work[account] += work
+    energy.gained[account] += work - lost
+    if begins:
+        least = -NEARLY * energy.work[account] if _is_unstable(energy) else 0.0
+        if goes_on and energy.gained[account] >= least:
+            energy.swings[account] += 1
+        else:
+            energy.swings[account] = 1
+            energy.work[account] = energy.gained[account] = 0.0
 
 
 @helper
@@ -258,18 +285,20 @@ class EnergyMemory:
         compliance: NDArray[np.float64],
         limit_j: float,
         swing_limit_j: float,
+        late_limit_j: float,
         credit_j: float,
         most_lent_j: float,
         held_j: float,
     ) -> None:
         """`friction`: (channels,) N·s/m; `compliance`: (channels,) m/N, 0 where it is not known; `limit_j`: of what is
-        given; `swing_limit_j`: of the work of a swing at the limit; `credit_j`: of a hand, `most_lent_j` beside it of
-        the scene; `held_j`: what that holds at the start."""
+        given; `swing_limit_j`: of the work of a swing at the limit; `late_limit_j`: of both, of forces that are late;
+        `credit_j`: of a hand, `most_lent_j` beside it of the scene; `held_j`: what that holds at the start."""
         self._record = record
         record.address = address_of(record)
         record.braked[: friction.size] = friction * rate_hz
         record.compliance[: compliance.size] = compliance
-        record.limit, record.swing_limit, record.given = limit_j, swing_limit_j, -held_j
+        record.limit[:], record.swing_limit[:] = (limit_j, late_limit_j), (swing_limit_j, late_limit_j)
+        record.given[:] = -held_j
         record.credit, record.most_credit = credit_j, credit_j + most_lent_j
         record.most_gap = max(GAP_SAMPLES, round(GAP_S * rate_hz))
         record.most_turn = round(SHAKE_S * rate_hz)
