@@ -29,6 +29,7 @@ class Progress:
     estimated_mass_kg: tuple[float | None, ...] = ()
     """Where a correction adapts, for which mass the force of each channel is; None on the others."""
     slewed_ticks: int = 0
+    faded_ticks: int = 0
 
     @property
     def seen_rate_hz(self) -> float | None:

@@ -83,9 +83,10 @@ def _loop() -> list[_Entry | PlainNative]:
 
 def _port() -> list[PlainNative]:
     from hapsim.loop import descriptor, force_history
-    from hapsim.loop.guards import divergence, slew
+    from hapsim.loop.guards import divergence, slew, travel
 
-    return [descriptor.receive, descriptor.send, slew.shape_force, force_history.keep, divergence.observe]
+    guards = [slew.shape_force, travel.fade, divergence.observe]
+    return [descriptor.receive, descriptor.send, force_history.keep, *guards]
 
 
 def _mock() -> list[_Entry | PlainNative]:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hapsim.commands.arguments import Json, SceneFile, load, stderr, stdout
+from hapsim.errors import UsageError
 
 if TYPE_CHECKING:
     from hapsim.cordis.explain import Explanation
@@ -25,8 +26,11 @@ def check(
     from hapsim.console.wire import show_force_bounds, slew_warnings
     from hapsim.prediction import predict, predict_on_wire, warnings_about
     from hapsim.prediction.force_bounds import run_bounds
+    from hapsim.prediction.travel import refused_travel, travel_document
 
     loaded = load(scene)
+    if why := refused_travel(loaded):
+        raise UsageError(f"{scene}: {why}")
     with stderr().status("working out the modes and how much each link may grow"):
         prediction = predict(loaded)
         on_wire = predict_on_wire(loaded)
@@ -35,7 +39,7 @@ def check(
         from hapsim.console.as_json import document, prediction_document
 
         compiled = {} if explanation is None else {"compiled": explanation.as_document()}
-        bounds = {"force_bounds": run_bounds(loaded)._asdict()}
+        bounds = {"force_bounds": run_bounds(loaded)._asdict(), "travel": travel_document(loaded)}
         warnings = slew_warnings(loaded, prediction)
         warnings += [one for one in warnings_about(loaded, prediction) if one not in warnings]
         predicted = prediction_document(prediction, on_wire=on_wire)

@@ -69,6 +69,7 @@ def identify(
     _require_writable_scene(scene, write, bool(loaded.device.port) and kind != "auto")
     if channel is None:
         channel = next(iter(loaded.device_points.values())).channel
+    loaded, travel = _within_travel(loaded, channel, travel)
     on_mock = kind != "auto" or loaded.device.port is None
     complain(
         before_pushing(
@@ -90,6 +91,24 @@ def identify(
     _tell(scene, loaded, found, write, json)
     if not json:
         say_written(picture, data)
+
+
+def _within_travel(scene: Scene, channel: int, travel: float | None) -> tuple[Scene, float | None]:
+    """The scene, and how far the device may move from where it is found (m), so that it stays in the scene's travel.
+
+    Each of the runs that push it would take another `origin: here`: these count from where they find it, and the
+    limits are what is left to either side.
+    """
+    from hapsim.measuring.identify_device import TRAVEL_M
+
+    device = scene.device
+    least, most = device.travels(scene.channels)[channel]
+    here = device.origins(scene.channels)[channel] is None
+    room = min(most, -least) if here else 0.5 * (most - least)
+    if here:
+        none = {"travel": None, "travel_margin": None, "origin": None}
+        scene = scene.model_copy(update={"device": device.model_copy(update=none)})
+    return scene, travel if room >= (TRAVEL_M if travel is None else travel) else room
 
 
 def _tell(scene: str, loaded: Scene, found: DeviceIdentification, write: bool, json: bool) -> None:

@@ -107,7 +107,8 @@ class _Line:
         rate = "" if progress.seen_rate_hz is None else f" · {progress.seen_rate_hz:.1f} Hz"
         limited = f" · {progress.limited_ticks} at the limit" if progress.limited_ticks else ""
         slewed = f" · {progress.slewed_ticks} slewed" if progress.slewed_ticks else ""
+        faded = f" · {progress.faded_ticks} outside the travel" if progress.faded_ticks else ""
         self._show(
             f"running {progress.elapsed_s:.1f} s{rate} · force {force} N · "
-            f"age {progress.age_samples} · misses {progress.deadline_misses}{limited}{slewed}"
+            f"age {progress.age_samples} · misses {progress.deadline_misses}{limited}{slewed}{faded}"
         )

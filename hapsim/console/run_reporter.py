@@ -48,12 +48,13 @@ class RunReporter:
         self._file = WatchedFile(watched) if watched is not None else None
         self._about = about
         self.grants: list[PrivilegeResult] = []
+        self._placed = False  # whether it was looked at where the device was armed
 
     def started(self, session: Session) -> None:
         """The device is armed. From now on the file is followed, in a thread of its own: nobody waits for it."""
         from hapsim.realtime.giving_way import Beside
 
-        self.grants = session.grants
+        self.grants, self._placed = session.grants, False
         log = json_log()
         if log is not None:
             log.say("info", "armed", f"the device is armed; {session.scene.path or 'the scene'} runs")
@@ -69,10 +70,24 @@ class RunReporter:
 
         return Observer(
             started=self.started,
-            running=tell,
+            running=lambda progress: self._running(progress, tell),
             waiting=lambda: tell(Progress("waiting", port)),
             tell=lambda event, sentence: self._say(event, sentence, "info" if event == "reconnected" else "warning"),
         )
+
+    def _running(self, progress: Progress, tell: Callable[[Progress], None]) -> None:
+        """Shows it; and says, once for each arming, where the device was armed outside its travel."""
+        if progress.phase == "running" and progress.ticks > 0 and not self._placed:
+            self._placed = True
+            if progress.faded_ticks == progress.ticks:
+                places = ", ".join(f"{one:.6g}" for one in progress.position)
+                self._say(
+                    "outside",
+                    f"the device was armed outside device.travel (it is at {places} m): there the force fades, and is "
+                    "zero beyond the band. Move it within, or say with device.origin where its zero is",
+                    "warning",
+                )
+        tell(progress)
 
     def _follow(self, file: WatchedFile, session: Session) -> None:
         while not session.wait(_LOOK_S):

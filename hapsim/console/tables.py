@@ -61,6 +61,12 @@ def show_measurement(
             f"[yellow]{slewed} of {measurement.trace.report.ticks} ticks were at the slew limit or in the soft "
             "start[/yellow]: k and b hold for motions that are slower; in these the hand feels less."
         )
+    faded = measurement.trace.report.faded_ticks
+    if faded:
+        out.print(
+            f"[yellow]{faded} of {measurement.trace.report.ticks} ticks were outside device.travel[/yellow], where the "
+            "force fades: k and b hold for motions within it."
+        )
     if felt is not None and _is_another_device(felt, measurement):
         out.print(
             "[yellow]Measured and predicted are much further apart than the uncertainty[/yellow]: the device is not as "
@@ -77,7 +83,8 @@ def show_measurement(
 def _is_another_device(felt: Felt, measurement: Measurement) -> bool:
     """At the declared rate, and with most forces below the limit and in time."""
     report, seen = measurement.trace.report, measurement.seen_rate
-    disturbed = report.limited_ticks + report.slewed_ticks + report.deadline_misses > _FEW * report.ticks
+    shaped = report.limited_ticks + report.slewed_ticks + report.faded_ticks
+    disturbed = shaped + report.deadline_misses > _FEW * report.ticks
     if disturbed or (seen is not None and seen.differs_from(measurement.trace.rate)):
         return False
     pairs = [
@@ -180,6 +187,7 @@ def show_report(out: Console, report: Report, reconnections: int = 0) -> None:
         ("stale positions", report.stale_positions),
         ("ticks at the force limit", report.limited_ticks),
         ("ticks at the slew limit or in the soft start", report.slewed_ticks),
+        ("ticks outside the travel, force faded", report.faded_ticks),
         ("forces withheld: position too old", report.withheld_forces),
         ("rows not recorded", report.dropped_rows + report.unrecorded_rows),
     ):

@@ -64,10 +64,28 @@ def show_force_bounds(out: Console, scene: Scene, prediction: Prediction) -> Non
         "goes on swinging or shaking at the force limit (what counts as that: hapsim/STABILITY.md, the guard of the "
         "energy)."
     )
+    show_travel(out, scene)
     if scene.device.port is None and scene.device.clock != "lockstep":
         out.print(_behind_a_port(scene))
     for warning in slew_warnings(scene, prediction):
         out.print(f"[yellow]Warning[/yellow]: {warning}")
+
+
+def show_travel(out: Console, scene: Scene) -> None:
+    """Within which limits the force is the scene's, and where its position 0 is; nothing where it names neither."""
+    device, channels = scene.device, scene.channels
+    limits, margins = device.travels(channels), device.travel_margins(channels)
+    for c, origin in enumerate(device.origins(channels)):
+        where = f" of channel {c}" if channels > 1 else ""
+        if device.travel is not None:
+            (least, most), stiffness = limits[c], device.force_limit / margins[c]
+            out.print(
+                f"Travel{where}: {least:g} to {most:g} m. Outside, the force fades to zero within {margins[c]:g} m (a "
+                f"stiffness of up to {stiffness:.4g} N/m); a device that goes farther ends the run."
+            )
+        if device.origin is not None:
+            zero = "the device is when it is armed" if origin is None else f"the device says {origin:g} m"
+            out.print(f"Origin{where}: position 0 is where {zero}.")
 
 
 def slew_warnings(scene: Scene, prediction: Prediction) -> list[str]:

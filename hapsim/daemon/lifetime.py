@@ -20,6 +20,7 @@ _SUMMED = (
     "stale_positions",
     "limited_ticks",
     "slewed_ticks",
+    "faded_ticks",
     "withheld_forces",
     "unrecorded_rows",
     "dropped_rows",

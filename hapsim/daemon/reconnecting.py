@@ -143,7 +143,8 @@ class _Keeper:
 
     def _may_come_back(self, failure: HapsimError) -> bool:
         lost = isinstance(failure, DeviceError) and self._runs[-1].report.ending in LOST
-        return self._reconnect and lost and not self._stopped and not self._time_is_over
+        helps = not isinstance(failure, DescriptionError)  # waiting
+        return self._reconnect and lost and helps and not self._stopped and not self._time_is_over
 
     def _come_back(self, why: str, begun: float, at: str) -> HapsimError | None:
         """Tries until the device is armed again, and runs; how that session ended. Before that: None where stopped,
@@ -151,7 +152,7 @@ class _Keeper:
         said = ""
         while self._waits_for_port(begun):
             try:
-                return self._run_once(lambda: self._came_back(why, begun, at), begun)
+                return self._run_once(lambda session: self._came_back(why, begun, at, session.restarted), begun)
             except (DescriptionError, UsageError) as error:
                 self._interruptions.append(Interruption(why, at, time.monotonic() - begun, came_back=False))
                 return error
@@ -173,12 +174,13 @@ class _Keeper:
         self._runs[-1] = last._replace(report=replace(last.report, ending=endings.IN_WORDS[endings.STOPPED]))
         return None
 
-    def _came_back(self, why: str, begun: float, at: str) -> None:
+    def _came_back(self, why: str, begun: float, at: str, restarted: bool) -> None:
         waited = time.monotonic() - begun
         self._spent_s += waited
         self._interruptions.append(Interruption(why, at, waited))
+        zero = ". The device restarted: its position 0 is where it powered up or homed" if restarted else ""
         self._observer.tell(
-            "reconnected", f"{self._port}: armed again after {waited:.1f} s; the scene goes on as it is now"
+            "reconnected", f"{self._port}: armed again after {waited:.1f} s; the scene goes on as it is now{zero}"
         )
 
     def _waits_for_port(self, begun: float) -> bool:
@@ -201,7 +203,7 @@ class _Keeper:
         return None if self._duration is None else self._duration - self._spent_s - waiting_s
 
     def _run_once(
-        self, on_armed: Callable[[], None] = lambda: None, waits_since: float | None = None
+        self, on_armed: Callable[[Session], None] = lambda _: None, waits_since: float | None = None
     ) -> HapsimError | None:
         """One session from open to disarm: the error of one that did not end as asked. Raises where it did not arm.
         `waits_since`: when the device was lost, on the monotonic clock."""
@@ -217,10 +219,11 @@ class _Keeper:
                 "duration": left,
                 "record": self._record_of_session(),
                 "on_arming": self._arming,
+                "resumes": bool(self._runs),
                 **self._options,
             }
             with start(self._scene, **options) as session:
-                on_armed()
+                on_armed(session)
                 self._observer.started(session)
                 follow(session, self._observer.running)
             trace = session.trace

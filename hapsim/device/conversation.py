@@ -130,6 +130,11 @@ def frames_rejected_by(connection: Connection) -> int | None:
         return None
 
 
+def has_restarted(connection: Connection) -> bool:
+    """Whether an unarmed device that took forces before has powered up since: then it counts none."""
+    return read_register(connection, schema.REG_ACCEPTED) == 0
+
+
 def disarm_in_every_format() -> bytes:
     """What releases a device that somebody else armed, however many channels it has, with velocities or without."""
     every = range(1, schema.MAX_CHANNELS + 1)

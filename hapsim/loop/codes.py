@@ -23,3 +23,5 @@ LEAPT = -6
 """A position is where no hand can have moved the device."""
 DIVERGED = -7
 """The simulated force gave the hand more energy than a passive object can hold, or swings at its limit."""
+OUT_OF_TRAVEL = -9
+"""The device is farther outside its travel than the force reaches."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from hapsim.compiling import inlined
 from hapsim.loop.codes import BAD_FORCE, DIVERGED, FAILED, FAULT, LEAPT, OFF_RATE, TIMED_OUT
+from hapsim.loop.codes import OUT_OF_TRAVEL as TOO_FAR_OUT
 
 (
     DONE,
@@ -17,7 +18,8 @@ from hapsim.loop.codes import BAD_FORCE, DIVERGED, FAILED, FAULT, LEAPT, OFF_RAT
     POSITION_LEAPT,
     DIVERGING,
     PORT_FAILED,
-) = range(11)
+    OUT_OF_TRAVEL,
+) = range(12)
 
 GOES_ON = -1
 """Nothing ends it yet."""
@@ -33,6 +35,7 @@ IN_WORDS = {
     POSITION_LEAPT: "position leapt",
     DIVERGING: "scene diverging",
     PORT_FAILED: "port failed",
+    OUT_OF_TRAVEL: "out of travel",
 }
 """As a report tells it. RING_FULL is no end: the loop goes on once the reader has made room."""
 
@@ -66,6 +69,8 @@ def ending_of(code, stop):
         return POSITION_LEAPT
     if code == DIVERGED:
         return DIVERGING
+    if code == TOO_FAR_OUT:
+        return OUT_OF_TRAVEL
     if code == FAILED:
         return PORT_FAILED
     return SILENT if code == TIMED_OUT else GONE

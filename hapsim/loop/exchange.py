@@ -13,7 +13,7 @@ from firmware_protocol.frames import FRAMING, write_frame
 from hapsim.compiling import inlined
 from hapsim.compiling.native import array_at
 from hapsim.cordis.tick import program_at, start
-from hapsim.loop.codes import BAD_FORCE, DIVERGED, FAULT, HEARD, LEAPT, OFF_RATE, TIMED_OUT
+from hapsim.loop.codes import BAD_FORCE, DIVERGED, FAULT, HEARD, LEAPT, OFF_RATE, OUT_OF_TRAVEL, TIMED_OUT
 from hapsim.loop.force_history import FORCE_HISTORY, call_keep
 from hapsim.loop.guards.divergence import ENERGY, call_observe
 from hapsim.loop.guards.finite import is_finite
@@ -22,12 +22,14 @@ from hapsim.loop.guards.leap import LEAP, is_leap
 from hapsim.loop.guards.rate import WATCH, is_off_rate
 from hapsim.loop.guards.slew import SLEW, call_shape, hold_zero
 from hapsim.loop.guards.stale import has_expired, is_outdated
+from hapsim.loop.guards.travel import BEYOND, TRAVEL, WITHIN, call_fade
 from hapsim.loop.histogram import HISTOGRAM, note
 from hapsim.loop.io_buffer import IO_BUFFER
 from hapsim.loop.last_bytes import next_place
 from hapsim.loop.predictor import PREDICTOR, call_add, call_predict
 from hapsim.loop.ring import (
     BRIDGED,
+    FADED,
     LATE_FORCE,
     LIMITED,
     OFF_GRID,
@@ -79,6 +81,7 @@ STATE = np.dtype(
         ("old_positions", np.int64),  # of these, those that came again or after a newer one
         ("limited_ticks", np.int64),
         ("slewed_ticks", np.int64),
+        ("faded_ticks", np.int64),
         ("withheld_forces", np.int64),
         # Samples from the position that the acting force answers to the force's change, at most: the device says of a
         # late force only that it was. Beyond its time to live and one more no force acts: two more say that.
@@ -133,6 +136,7 @@ LOOP = np.dtype(
         ("wait", WAIT),
         ("watch", WATCH),
         ("leap", LEAP),
+        ("travel", TRAVEL),
         ("slew", SLEW),
         ("history", FORCE_HISTORY),
         ("energy", ENERGY),
@@ -146,7 +150,8 @@ LOOP = np.dtype(
 @inlined
 def take_frame(loop, decoder, now):
     """Takes the decoder's frame, which arrived at `now` (ns). A position moves the scene up to its sample, and the
-    force that answers it is worked out: HEARD; or BAD_FORCE, LEAPT, OFF_RATE, DIVERGED. FAULT: the device has stopped.
+    force that answers it is worked out: HEARD; or BAD_FORCE, LEAPT, OFF_RATE, DIVERGED, OUT_OF_TRAVEL. FAULT: the
+    device has stopped.
 
     A position that comes twice, or after a newer one, is counted and passed over, as is a frame of another type:
     TIMED_OUT. The scene never goes back in time.
@@ -168,6 +173,8 @@ def take_frame(loop, decoder, now):
     if state.unanswered:
         state.stale_positions += 1
         mark_last(loop.ring, UNSENT)
+    if state.ticks == 0:
+        _take_origin(io, decoder)
     _read_position(io, decoder)
     if state.ticks == 0:
         start(program_at(loop.stage.program), io.measured)
@@ -187,23 +194,31 @@ def take_frame(loop, decoder, now):
     if predictor.add != 0:
         call_add(predictor.add, (predictor.address, io.address))
     state.sample += gap
-    sound, diverged = _answer(loop, gap, late, flags, now)
+    sound, stops = _answer(loop, gap, late, flags, now)
     if not sound:
         return BAD_FORCE
     if leapt:
         return LEAPT
-    if diverged:
-        return DIVERGED
+    if stops != 0:
+        return stops
     return OFF_RATE if is_off_rate(loop.watch, state.sample, now, control.period_ns) else HEARD
 
 
 @inlined
-def _read_position(io, decoder):
-    """The decoder's counts, in m and m/s."""
+def _take_origin(io, decoder):
+    """Where the scene counts from, on channels where that is where the device is armed."""
     for c in range(np.uint64(io.channels)):
-        io.position_counts[c] = decoder.counts[c]
+        if io.origin_at_arming[c]:
+            io.origin_counts[c] = decoder.counts[c]
+
+
+@inlined
+def _read_position(io, decoder):
+    """The decoder's counts from the origin on, in m, and in m/s."""
+    for c in range(np.uint64(io.channels)):
+        io.position_counts[c] = decoder.counts[c] - io.origin_counts[c]
         io.before[c] = io.measured[c]
-        io.measured[c] = decoder.counts[c] * io.position_scale[c]
+        io.measured[c] = io.position_counts[c] * io.position_scale[c]
         if io.velocities:
             io.velocity_before[c] = io.velocity[c]
             io.velocity[c] = decoder.counts[np.uint64(io.channels) + c] * io.velocity_scale[c]
@@ -211,8 +226,8 @@ def _read_position(io, decoder):
 
 @inlined
 def _answer(loop, gap, late, flags, now):
-    """Makes the scene's force what is to leave, and counts the tick: (whether it is a number, whether the scene gives
-    too much energy). `flags`: of the row so far."""
+    """Makes the scene's force what is to leave, and counts the tick: (whether it is a number, DIVERGED or OUT_OF_TRAVEL
+    where the loop stops before it leaves, else 0). `flags`: of the row so far."""
     compact()
     state, io = loop.state, loop.io
     sound, limited = _set_force(io, loop.control, state)
@@ -220,17 +235,26 @@ def _answer(loop, gap, late, flags, now):
         state.withheld_forces += 1
         _take_force_away(io)
         limited = False  # nothing of it is sent: it was not cut
-    diverged = False
+    stops = 0
+    if sound and loop.travel.fade != 0:
+        found = call_fade(loop.travel.fade, (loop.travel.address, io.address))
+        if found != WITHIN:
+            state.faded_ticks += 1
+            flags |= FADED
+        if found == BEYOND:
+            stops = OUT_OF_TRAVEL
     if sound and (loop.slew.shape | loop.energy.observe) != 0:
         slewed, diverged = _by_what_was_sent(loop, gap, late, flags & WITHHELD != 0, now)
         state.slewed_ticks += slewed
         flags |= SLEWED if slewed else 0
+        if diverged:
+            stops = DIVERGED
     state.newest_ns = now
     state.limited_ticks += limited
     push(loop.ring, state.sample, now, flags | LIMITED if limited else flags, io)
     state.ticks += 1
     state.unanswered = 1
-    return sound, diverged
+    return sound, stops
 
 
 @inlined

@@ -25,7 +25,9 @@ IO_BUFFER = np.dtype(
         ("asked", np.float64, _EACH),  # N, the scene's force
         ("as_hand", np.float64, _EACH),  # N, what an excitation that plays the hand adds to it
         ("excitation", np.float64, _EACH),  # N, all that is added to it: a push, or what plays the hand
-        ("position_counts", np.int64, _EACH),
+        ("position_counts", np.int64, _EACH),  # from the scene's origin on
+        ("origin_counts", np.int64, _EACH),  # which of the device's positions that is,
+        ("origin_at_arming", np.int64, _EACH),  # or 1: the first one
         ("force_counts", np.int64, _EACH),  # what excitation and guards make of it
         ("position_scale", np.float64, _EACH),  # m per count
         ("velocity_scale", np.float64, _EACH),  # (m/s) per count

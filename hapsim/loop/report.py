@@ -68,6 +68,8 @@ class Report:
     """Where a correction adapts: for which mass the force of each channel was at the end; None on the others."""
     slewed_ticks: int = 0
     """Ticks whose force was brought closer to the one before, by the slew limit or the soft start."""
+    faded_ticks: int = 0
+    """Ticks outside the device's travel, whose force faded."""
     withheld_forces: int = 0
     """Times that zero force was sent because the position was older than a force may live."""
     unrecorded_rows: int = 0

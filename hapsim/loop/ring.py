@@ -30,6 +30,8 @@ SLEWED = 32
 """The force was brought closer to the one before: the slew limit, or the soft start."""
 WITHHELD = 64
 """The position was older than a force may live: zero force takes the place of what answers it, so it is not LIMITED."""
+FADED = 128
+"""The position is outside the device's travel: the force is less than the scene's, or zero."""
 
 RING = np.dtype(
     [

@@ -34,9 +34,9 @@ class Trace:
     time_ns: NDArray[np.int64]
     """(N,) monotonic time at which it arrived."""
     flags: NDArray[np.uint8]
-    """(N,) LATE_FORCE, UNSENT, LIMITED, BRIDGED, OFF_GRID, SLEWED, WITHHELD of hapsim.loop.ring."""
+    """(N,) LATE_FORCE, UNSENT, LIMITED, BRIDGED, OFF_GRID, SLEWED, WITHHELD, FADED of hapsim.loop.ring."""
     position_counts: NDArray[np.int32]
-    """(N, C) as on the wire."""
+    """(N, C) as on the wire, less the scene's origin."""
     force_counts: NDArray[np.int32]
     """(N, C) the answer, as on the wire."""
     asked_force: NDArray[np.float64]

@@ -25,7 +25,8 @@ from hapsim.running import Session, run
 from hapsim.scene import Scene
 
 _SHARE_OF_LIMIT = 0.25
-_TRAVEL = 0.005
+TRAVEL_M = 0.005
+"""To either side of where the device is found, where nothing else is said."""
 SECONDS = 6.0
 """That are recorded for the fit, where nothing else is said."""
 _LISTEN_S, _LISTEN_TICKS = 0.1, 64
@@ -87,7 +88,7 @@ def bounds_of(scene: Scene, force: float | None = None, travel: float | None = N
         raise UsageError(f"force: found {force:g} N, expected above 0 N, and at most the force_limit, {limit:g} N")
     if travel is not None and not 0.0 < travel < math.inf:
         raise UsageError(f"travel: found {travel:g} m, expected a finite number above 0")
-    return Bounds(_SHARE_OF_LIMIT * limit if force is None else force, _TRAVEL if travel is None else travel)
+    return Bounds(_SHARE_OF_LIMIT * limit if force is None else force, TRAVEL_M if travel is None else travel)
 
 
 def identify_device(

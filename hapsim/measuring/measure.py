@@ -12,13 +12,13 @@ from hapsim.loop.trace import Trace
 from hapsim.measuring.identify import Measurement, identify
 from hapsim.progress import Progress
 from hapsim.running import Excitation, run
-from hapsim.scene import Scene
+from hapsim.scene import Scene, Spring, ViscoElastic
 
 _SECONDS = 2.0
 _LEAST_TICKS, _MOST_TICKS = 2048, 20000
 _KICK = 0.1  # m/s, what one push gives to the mass where nothing holds it
 _PUSHES = 40  # in the second half of a measurement; the first is one ring-down
-_SHARE_OF_LIMIT = 0.25
+_SHARE_OF_LIMIT = _SHARE_OF_TRAVEL = 0.25
 _COUNTS = 2.0**31
 _LEAST_ROWS = 32
 
@@ -87,20 +87,33 @@ def _mass_of(scene: Scene, trace: Trace, channel: int) -> float:
     return scene.device.masses(scene.channels)[channel] if found is None else found
 
 
+def _kick_within_travel(scene: Scene, channel: int, rests_s: float) -> float:
+    """m/s, with which the hand goes through no more than _SHARE_OF_TRAVEL of device.travel before a spring that always
+    holds it takes it back, or else the next push. Where it rests within that is not known before it is armed."""
+    least, most = scene.device.travels(scene.channels)[channel]
+    point = next(name for name, one in scene.device_points.items() if one.channel == channel)
+    springs = (one for one in scene.links.values() if point in one.between and isinstance(one, ViscoElastic | Spring))
+    stiffness = scene.device.stiffnesses(scene.channels)[channel] + sum(one.stiffness for one in springs)
+    swing_s = math.sqrt(scene.device.masses(scene.channels)[channel] / stiffness) if stiffness > 0.0 else math.inf
+    return _SHARE_OF_TRAVEL * (most - least) / min(rests_s, swing_s)
+
+
 def _pushes(scene: Scene, channel: int, duration: float) -> Excitation:
-    """Pushes that move the hand clearly, and neither beyond the device's force nor beyond its range."""
+    """Pushes that move the hand clearly, and neither beyond the device's force nor beyond its range and travel."""
     device, mock = scene.device, scene.mock_device
     ticks = math.ceil(duration * scene.rate)
     free = 0 if device.correction == "adaptive" else ticks // 2
     every = max(32, (ticks - free) // _PUSHES)
     # Until the next push even a free mass must stay in the range of its counts; a real device's is not known before.
     range_m = mock.quantum * _COUNTS if device.port is None else math.inf
-    kick = min(_KICK, 0.05 * range_m * scene.rate / max(free, every))
+    rests_s = max(free, every) / scene.rate
+    kick = min(_KICK, 0.05 * range_m / rests_s, _kick_within_travel(scene, channel, rests_s))
     impulse = device.masses(scene.channels)[channel] * kick
     limit = device.force_limit if device.port is not None else mock.force_limit
     force = min(_SHARE_OF_LIMIT * limit, impulse * scene.rate)
     at_rest = device.port is not None or (
-        mock.initial_velocity[channel] == 0.0 and mock.initial_position[channel] == 0.0
+        mock.initial_velocity[channel] == 0.0
+        and device.origins(scene.channels)[channel] in (None, mock.initial_position[channel])
     )
     longest = every // 2
     length = longest if impulse * scene.rate > longest * force else max(1, round(impulse * scene.rate / force))

@@ -79,6 +79,7 @@ def measure_impedance(
     channels = tuple(point.channel for point in scene.device_points.values())
     if not channels:
         raise UsageError("the scene has no device point: there is nothing at which an impedance could be measured")
+    travel = min(travel, *(0.5 * (most - least) for least, most in scene.device.travels(scene.channels)))
 
     def excited(channel: int, forces: Floats, count: int) -> Trace:
         trace = run(

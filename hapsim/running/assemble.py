@@ -16,6 +16,7 @@ from hapsim.loop.exchange import DEVICE_CLOCK, HOST_CLOCK, LOOP, NO_CLOCK
 from hapsim.loop.force_history import ForceHistory
 from hapsim.loop.guards.divergence import EnergyMemory
 from hapsim.loop.guards.leap import watch_for_leaps
+from hapsim.loop.guards.travel import keep_within
 from hapsim.loop.ring import Ring
 from hapsim.loop.stage import cross_fade, post
 from hapsim.loop.transport import Transport
@@ -125,6 +126,7 @@ def assemble_loop(
     loop.begin_with(compile_scene(rendering.scene))
     _set_io(loop.record.io, scene, description)
     _set_leap(loop.record.leap, scene, description)
+    _set_travel(loop.record.travel, scene, description)
     _set_control(loop.record.control, scene, duration)
     loop.excitation = excitation
     if excitation is not None:
@@ -180,6 +182,9 @@ def _set_io(io: Any, scene: Scene, description: Description) -> None:
     io.velocities = bool(scene.sensed_links)
     io.position_scale[:channels] = description.position_scale
     io.force_scale[:channels] = description.force_scale
+    for c, origin in enumerate(scene.device.origins(scene.channels)):
+        io.origin_at_arming[c] = origin is None
+        io.origin_counts[c] = round((origin or 0.0) / description.position_scale[c])
     if scene.sensed_links:
         io.velocity_scale[:channels] = description.velocity_scale
     # In whole counts, so that the rounding of a force at its limit does not go beyond it, nor a count beyond 32 bits.
@@ -187,6 +192,18 @@ def _set_io(io: Any, scene: Scene, description: Description) -> None:
     with np.errstate(over="ignore"):
         counts = np.minimum(np.floor(limit / scale * (1.0 + 1e-12)), 2.0**31 - 1.0)
     io.force_limit[:channels] = counts * scale
+
+
+def _set_travel(travel: Any, scene: Scene, description: Description) -> None:
+    if scene.device.travel is not None:
+        channels = scene.channels
+        keep_within(
+            travel,
+            limits=np.array(scene.device.travels(channels)),
+            margin=np.array(scene.device.travel_margins(channels)),
+            noise_m=scene.mock_device.noise,
+            count_m=np.array(description.position_scale[:channels]),
+        )
 
 
 def _set_leap(leap: Any, scene: Scene, description: Description) -> None:

@@ -41,8 +41,26 @@ def require_compatible(scene: Scene, name: str, description: Description) -> Non
         raise UsageError(
             f"{name}: the device cannot be run with clock: {scene.device.clock}; try another clock in the scene"
         )
+    for channel, origin in enumerate(scene.device.origins(scene.channels)):
+        if abs(origin or 0.0) >= 2**31 * description.position_scale[channel]:
+            raise UsageError(
+                f"{name}: device.origin: found {origin:g} m on channel {channel}, where no position of this device is: "
+                f"its counts end at {2**31 * description.position_scale[channel]:g} m"
+            )
     if scene.sensed_links:
         _require_velocity(scene, name, description)
+
+
+def require_known_zero(scene: Scene, name: str) -> None:
+    """DescriptionError where the scene's travel counts from a zero that a device which restarted no longer has."""
+    named = scene.device.origin is not None and not all(one is None for one in scene.device.origins(scene.channels))
+    if named and scene.device.travel is not None:
+        raise DescriptionError(
+            f"{name}: the device restarted: its position 0 is now where it powered up or homed, and device.origin and "
+            "device.travel of the scene count from where it was before. Not armed again: put the device where they "
+            "hold, and start anew; with origin: here they count from where it is armed, and without an origin from the "
+            "device's own zero (a device that homes), and it is armed again"
+        )
 
 
 def _require_numbers(name: str, description: Description) -> None:

@@ -60,6 +60,7 @@ def progress_of(loop: Loop) -> Progress:
         ticks=ticks,
         estimated_mass_kg=_estimated_masses(loop),
         slewed_ticks=int(state.slewed_ticks),
+        faded_ticks=int(state.faded_ticks),
     )
 
 
@@ -90,6 +91,7 @@ def report_of(scene: Scene, loop: Loop, ending: str) -> Report:
         stale_positions=int(state.stale_positions),
         limited_ticks=int(state.limited_ticks),
         slewed_ticks=int(state.slewed_ticks),
+        faded_ticks=int(state.faded_ticks),
         withheld_forces=int(state.withheld_forces),
         dropped_rows=int(loop.record.ring.dropped),
         parameter_changes=loop.changes,
@@ -168,9 +170,22 @@ def _what_ended(name: str, loop: Loop, trace: Trace, ending: int) -> tuple[type[
             "its force was not sent. A loose cable, a sensor or counter that jumps, or a position scale, a mass or a "
             "force_limit that is not the device's"
         )
+    if ending == endings.OUT_OF_TRAVEL:
+        return GuardError, f"{name}: {_out_of_travel(loop, ticks)}"
     if ending == endings.DIVERGING:
         return GuardError, f"{name}: {_diverging(loop, trace.report)}"
     return DeviceError, ""
+
+
+def _out_of_travel(loop: Loop, ticks: int) -> str:
+    travel, c = loop.record.travel, int(loop.record.travel.channel)
+    return (
+        f"channel {c} is out of its travel at tick {ticks}: at {travel.position:.6g} m, where device.travel goes from "
+        f"{travel.low[c]:g} to {travel.high[c]:g} m and the force fades within {travel.margin[c]:g} m outside; its "
+        "force was not sent. Something drives the device outward, or its zero is not where the scene has it: a motor "
+        "or an encoder with the wrong sign, a wrong device.origin, a device that restarted elsewhere, or limits that "
+        "are not the device's. Move it back within its travel before the next run"
+    )
 
 
 def _diverging(loop: Loop, report: Report) -> str:

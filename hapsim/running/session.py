@@ -46,6 +46,8 @@ class Session:
         self._trace: Trace | None = None
         self.grants: list[PrivilegeResult] = []
         """What the real-time set-up asked of the system, and what of it was granted."""
+        self.restarted = False
+        """Whether the device, which ran before, has powered up since: its position 0 is another."""
 
     @property
     def scene(self) -> Scene:

@@ -15,7 +15,7 @@ from hapsim.ahead.prepare import MOCK_UNITS
 from hapsim.compiling.entries import compile_for
 from hapsim.compiling.progress import Counted, on_compilation
 from hapsim.device.connection import Connection
-from hapsim.device.conversation import arm, describe, disarm, frames_rejected_by
+from hapsim.device.conversation import arm, describe, disarm, frames_rejected_by, has_restarted
 from hapsim.device.open_connection import (
     Between,
     Place,
@@ -31,10 +31,11 @@ from hapsim.loop.recorder import Recorder
 from hapsim.loop.run import run_loop
 from hapsim.loop.trace import require_writable_as_trace
 from hapsim.prediction import surely_shaken_by
+from hapsim.prediction.travel import refused_travel
 from hapsim.progress import Progress
 from hapsim.realtime import realtime as with_realtime
 from hapsim.running.assemble import Loop, assemble_loop
-from hapsim.running.compatibility import PACING, require_compatible
+from hapsim.running.compatibility import PACING, require_compatible, require_known_zero
 from hapsim.running.excitation import Excitation, PeriodicExcitation
 from hapsim.running.recorded import recorded, with_record, with_report
 from hapsim.running.report import failure_of, trace_of, with_farewell
@@ -84,6 +85,7 @@ def start(
     on_progress: Callable[[Progress], None] | None = None,
     on_warning: Callable[[str], None] | None = None,
     on_arming: Callable[[Session], None] | None = None,
+    resumes: bool = False,
 ) -> Iterator[Session]:
     """Starts `scene`, for `duration` seconds (None: until stopped); it runs while the with-block lasts.
 
@@ -105,7 +107,9 @@ def start(
       port, or where it names `energy_limit`, it always is.
     * `on_progress` hears of the compilation; `on_warning` once, in a sentence and in another thread, of a record that
       cannot be written any more; `on_arming` gets the session just before the device is armed: a `stop` from then on
-      ends the run in good order.
+      ends the run in good order;
+    * `resumes`: the device took forces before: `Session.restarted` says whether it powered up since, with another
+      zero, and where the scene counts from that the device is not armed.
 
     Raises SceneError and UsageError for what cannot be run; DeviceError where port or device fail, GuardError where a
     guard stopped the force, RecordError where the run went as asked and its record did not, these when the with-block
@@ -125,6 +129,9 @@ def start(
     ):
         description = describe(opened)
         require_compatible(scene, opened.name, description)
+        restarted = resumes and has_restarted(opened)
+        if restarted:
+            require_known_zero(scene, opened.name)
         loop = assemble_loop(scene, opened, description, excitation, duration, judges_energy)
         if unstable and loop.energy is not None:
             loop.energy.follow(unstable=surely_shaken_by(scene) is not None)
@@ -132,6 +139,7 @@ def start(
         gives_way = scene.device.clock != "lockstep" and not in_python
         recorder = Recorder(loop.ring, keep, min(math.ceil(scene.rate), _LAST_ROWS))
         session = Session(scene, loop, _ready_body(opened, loop, in_python), recorder, gives_way, unstable)
+        session.restarted = restarted
         spoken = b""
         with recorded(session, record, on_warning):
             try:
@@ -172,6 +180,8 @@ def _require_sound(scene: Scene, duration: float | None, realtime: bool) -> None
         raise UsageError(f"rate: found {scene.rate:g} Hz, which no clock keeps (1e-3 to 1e9 Hz)")
     if duration is not None and not 0 < duration * scene.rate < _MOST_TICKS:
         raise UsageError(f"duration: found {duration}, expected a finite number of seconds above 0")
+    if why := refused_travel(scene):
+        raise UsageError(why)
     if realtime:
         require_linux("--realtime", "leave it out")
 

@@ -43,6 +43,7 @@ def cross_check_issues(around: ModuleContext, per_channel: Fields, precision: ob
     if precision == "single":
         issues += _beyond_single(around)
     issues += _nothing_to_adapt_to(per_channel[("device",)])
+    issues += _margin_of_nothing(per_channel[("device",)])
     channels = _channels(around)
     if channels is not None:
         issues += _lists_of_another_length(per_channel, channels)
@@ -61,6 +62,15 @@ def _nothing_to_adapt_to(device: Mapping[str, object]) -> Iterator[Issue]:
         )
 
 
+def _margin_of_nothing(device: Mapping[str, object]) -> Iterator[Issue]:
+    if "travel_margin" in device and device["travel_margin"] is not None and device.get("travel") is None:
+        yield Issue(
+            ("device", "travel_margin"),
+            "found a margin without a travel, expected device.travel: [the least, the most] beside it; or leave it out",
+            at_key=True,
+        )
+
+
 def _channels(around: ModuleContext) -> int | None:
     """Number of channels, or None where a faulty module leaves it open."""
     kinds = around.kinds
@@ -73,12 +83,18 @@ def _channels(around: ModuleContext) -> int | None:
 def _lists_of_another_length(per_channel: Fields, channels: int) -> Iterator[Issue]:
     for path, fields in per_channel.items():
         for name, value in fields.items():
-            if name in _OTHER_LISTS:
+            if name in _OTHER_LISTS or (name == "travel" and not _is_of_lists(value)):
                 continue
             if isinstance(value, list | tuple) and len(value) != channels:
-                found = f"found {len(value)} {'number' if len(value) == 1 else 'numbers'}"
+                one = "pair" if name == "travel" else "number"
+                found = f"found {len(value)} {one}{'' if len(value) == 1 else 's'}"
                 expected = f"expected {channels}: one for each channel, up to the highest that a module holds"
-                yield Issue((*path, name), f"{found}, {expected}; or write a single number for all")
+                yield Issue((*path, name), f"{found}, {expected}; or write a single {one} for all")
+
+
+def _is_of_lists(value: object) -> bool:
+    """Whether these are the limits of several channels, rather than one pair for all."""
+    return isinstance(value, list | tuple) and isinstance(value[0], list | tuple)
 
 
 def _beyond_single(around: ModuleContext) -> Iterator[Issue]:

@@ -1,11 +1,10 @@
 """A curve of the scene file: a table of points, straight between them."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, TypeGuard
+from typing import Any
 
-from .quantity import Expectation, as_float, unexpected
+from .quantity import Expectation, as_float, is_list, unexpected
 
 #: Points, each where it stands and what the curve is there.
 Curve = tuple[tuple[float, float], ...]
@@ -39,7 +38,7 @@ class CurvePoints(Expectation):
         """The points as numbers; None stays. An error that names the point through `unexpected`."""
         if value is None:
             return None
-        if not _is_list(value) or not self.fewest <= len(value) <= MOST_POINTS:
+        if not is_list(value) or not self.fewest <= len(value) <= MOST_POINTS:
             unexpected(self.expected())
         points: list[tuple[float, float]] = []
         for index, entry in enumerate(value):
@@ -58,7 +57,7 @@ class CurvePoints(Expectation):
         return {"description": described, "anyOf": [points, {"type": "null"}]}
 
     def _point(self, entry: object, index: int) -> tuple[float, float]:
-        if not _is_list(entry) or len(entry) != 2:
+        if not is_list(entry) or len(entry) != 2:
             unexpected(f"a point [{self.along}, {self.up}], two numbers", (index,))
         x, y = self._number(entry[0], self.along, (index, 0)), self._number(entry[1], self.up, (index, 1))
         if self.above is not None and not y > self.above:
@@ -71,7 +70,3 @@ class CurvePoints(Expectation):
         if number is None or not math.isfinite(number):
             unexpected(f"a finite number ({unit})", at)
         return number
-
-
-def _is_list(value: object) -> TypeGuard[Sequence[Any]]:
-    return isinstance(value, Sequence) and not isinstance(value, str | bytes)

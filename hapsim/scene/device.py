@@ -2,13 +2,27 @@
 
 import math
 from dataclasses import replace
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, cast
 
 from pydantic import Field
 
 from .choices import CORRECTION, HOLD, SAMPLING, CorrectionName, Hold, Sampling
 from .part import Part
-from .quantity import Count, Expectation, Known, PerChannel, Quantity, Span, SpanPerChannel, per_channel, unexpected
+from .quantity import (
+    Count,
+    Expectation,
+    Interval,
+    Known,
+    Limits,
+    LimitsPerChannel,
+    PerChannel,
+    Quantity,
+    Span,
+    SpanPerChannel,
+    WordPerChannel,
+    per_channel,
+    unexpected,
+)
 
 Clock = Literal["device", "host", "lockstep"]
 
@@ -37,6 +51,23 @@ ENERGY_LIMIT = Quantity(
     above=0,
     left_out="behind a port, and in `hapsim run`, force_limit times 0.02 m; before the mock none",
 )
+TRAVEL = Interval(
+    "How far the device moves, by the scene's positions: outside the force fades to zero", "m", "no limit"
+)
+TRAVEL_MARGIN = Quantity(
+    "Width of the band outside travel in which the force fades; a run ends beyond it",
+    "m",
+    above=0,
+    left_out="a tenth of the travel",
+)
+ORIGIN = Quantity(
+    "Which of the device's positions is the scene's position 0; here: the one at arming",
+    "m",
+    per_channel=True,
+    left_out="where the device powered up or homed",
+    word="here",
+)
+_MARGIN_SHARE = 0.1  # of the travel
 
 
 class PortName(Expectation):
@@ -74,6 +105,9 @@ class Device(Part):
     slew_limit: Annotated[float | None, SLEW_LIMIT] = None
     soft_start: Annotated[float | None, SOFT_START] = None
     energy_limit: Annotated[float | None, ENERGY_LIMIT] = None
+    travel: Annotated[LimitsPerChannel | None, TRAVEL] = None
+    travel_margin: Annotated[float | None, TRAVEL_MARGIN] = None
+    origin: Annotated[WordPerChannel | None, ORIGIN] = None
     correction: CorrectionName = Field(default="none", description=CORRECTION)
 
     def masses(self, channels: int) -> tuple[float, ...]:
@@ -92,6 +126,25 @@ class Device(Part):
     def frictions(self, channels: int) -> tuple[float, ...]:
         """Viscous friction of each of ``channels`` channels, in N·s/m."""
         return per_channel(self.friction, channels)
+
+    def travels(self, channels: int) -> tuple[Limits, ...]:
+        """The least and the most position of each of ``channels`` channels, in m, as the scene counts; infinite where
+        the scene names no travel."""
+        if self.travel is None:
+            return ((-math.inf, math.inf),) * channels
+        pairs = tuple(one for one in self.travel if isinstance(one, tuple))
+        return pairs or (cast(Limits, self.travel),) * channels
+
+    def travel_margins(self, channels: int) -> tuple[float, ...]:
+        """Width of the band outside the travel of each of ``channels`` channels, in m."""
+        own = self.travel_margin
+        return tuple(_MARGIN_SHARE * (most - least) if own is None else own for least, most in self.travels(channels))
+
+    def origins(self, channels: int) -> tuple[float | None, ...]:
+        """Which position of the device is the scene's 0, on each of ``channels`` channels, in m; None: that at
+        arming."""
+        origin = self.origin if isinstance(self.origin, tuple) else (self.origin or 0.0,) * channels
+        return tuple(None if isinstance(one, str) else one for one in origin)
 
     def stiffnesses(self, channels: int) -> tuple[float, ...]:
         """Stiffness of the real spring of each of ``channels`` channels, in N/m."""

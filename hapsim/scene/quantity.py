@@ -9,7 +9,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from numbers import Integral, Real
-from typing import Any, NoReturn
+from typing import Any, NoReturn, TypeGuard
 
 from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler, GetJsonSchemaHandler, model_serializer
 from pydantic_core import PydanticCustomError, core_schema
@@ -55,6 +55,13 @@ class Known(_Mapping):
 
 #: A number of the scene file with what is known of it, or one for each channel of the device.
 SpanPerChannel = float | Span | Known | tuple[float | Span | Known, ...]
+
+#: A number or a word, or one for each channel.
+WordPerChannel = float | str | tuple[float | str, ...]
+
+#: A lower and an upper limit, or such a pair for each channel.
+Limits = tuple[float, float]
+LimitsPerChannel = Limits | tuple[Limits, ...]
 
 
 def unexpected(expected: str, at: tuple[int | str, ...] = (), found: str = "") -> NoReturn:
@@ -103,6 +110,7 @@ class Quantity(Expectation):
         left_out: what it means to leave the number out; where this is given, None is welcome in Python too.
         spans: a mapping is welcome in place of a number: ``{from: least, to: most}`` becomes a `Span`,
             ``{value: number, uncertainty: number}`` a `Known`.
+        word: a word that is welcome in place of a number.
     """
 
     description: str
@@ -113,17 +121,19 @@ class Quantity(Expectation):
     per_channel: bool = False
     left_out: str = ""
     spans: bool = False
+    word: str = ""
 
     def expected(self) -> str:
         span = f", or {_MAPPINGS}" if self.spans else ""
+        word = f", or {self.word}" if self.word else ""
         several = ", or a list with one per channel" if self.per_channel else ""
-        return self._one() + span + several
+        return self._one() + word + span + several
 
-    def check(self, value: object) -> SpanPerChannel | None:
+    def check(self, value: object) -> SpanPerChannel | WordPerChannel | None:
         """A float, or a tuple of one for each channel; a welcome None stays. An error through `unexpected`."""
         if value is None and self.left_out:
             return None
-        if self.per_channel and isinstance(value, Sequence) and not isinstance(value, str | bytes):
+        if self.per_channel and is_list(value):
             return tuple(self._entry(entry, (index,)) for index, entry in enumerate(value))
         return self._entry(value, ())
 
@@ -136,6 +146,8 @@ class Quantity(Expectation):
             for keys in (["from", "to"], ["value", "uncertainty"]):
                 both = {"type": "object", "properties": dict.fromkeys(keys, number), "required": keys}
                 kinds.append(both | {"additionalProperties": False})
+        if self.word:
+            kinds.append({"const": self.word})
         if self.per_channel:
             items = number if len(kinds) == 1 else {"anyOf": list(kinds)}
             kinds.append({"type": "array", "items": items, "minItems": 1, "maxItems": MOST_CHANNELS})
@@ -150,8 +162,8 @@ class Quantity(Expectation):
     def _one(self, kind: str = "number") -> str:
         return f"a {kind}{_bounds(self.above, self.least, self.most)} ({self.unit})"
 
-    def _entry(self, value: object, at: tuple[int | str, ...]) -> float | Span | Known:
-        if isinstance(value, Span | Known):
+    def _entry(self, value: object, at: tuple[int | str, ...]) -> Any:
+        if isinstance(value, Span | Known) or (self.word and value == self.word):
             return value
         if not self.spans or not isinstance(value, Mapping):
             return self._number(value, at)
@@ -176,6 +188,55 @@ class Quantity(Expectation):
         too_low = (self.above is not None and number <= self.above) or (self.least is not None and number < self.least)
         if too_low or (self.most is not None and number > self.most):
             unexpected(self._one() if at else self.expected(), at)
+        return number
+
+
+@dataclass(frozen=True)
+class Interval(Expectation):
+    """A lower and an upper limit in SI units, or such a pair for each channel; None is welcome in Python too.
+
+    Attributes:
+        description: what the limits are of, for the schema.
+        unit: their unit as people read it.
+        left_out: what it means to leave them out.
+    """
+
+    description: str
+    unit: str
+    left_out: str
+
+    def expected(self) -> str:
+        return f"[the least, the most] ({self.unit}), or a list of such pairs, one per channel"
+
+    def check(self, value: object) -> LimitsPerChannel | None:
+        """A pair of numbers, or a tuple of one for each channel; None stays. An error through `unexpected`."""
+        if value is None:
+            return None
+        if not is_list(value) or not value:
+            unexpected(self.expected())
+        if any(is_list(entry) for entry in value):
+            return tuple(self._pair(entry, (index,)) for index, entry in enumerate(value))
+        return self._pair(value, ())
+
+    def json_schema(self) -> dict[str, Any]:
+        """A pair, or a list of one for each channel, or ``null``."""
+        pair = {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 2}
+        pairs = {"type": "array", "items": pair, "minItems": 1, "maxItems": MOST_CHANNELS}
+        described = f"{self.description}, in {self.unit}; left out: {self.left_out}"
+        return {"description": described, "anyOf": [pair, pairs, {"type": "null"}]}
+
+    def _pair(self, value: object, at: tuple[int, ...]) -> Limits:
+        if not is_list(value) or len(value) != 2:
+            unexpected(f"[the least, the most] ({self.unit})" if at else self.expected(), at)
+        least, most = (self._number(entry, (*at, index)) for index, entry in enumerate(value))
+        if not least < most:
+            unexpected(f"the least ({least:g}) below the most ({most:g})", at)
+        return least, most
+
+    def _number(self, value: object, at: tuple[int, ...]) -> float:
+        number = as_float(value)
+        if number is None or not math.isfinite(number):
+            unexpected(f"a finite number ({self.unit})", at)
         return number
 
 
@@ -284,6 +345,11 @@ class Name(Expectation):
 def per_channel(value: PerChannel, channels: int) -> tuple[float, ...]:
     """One value for each of ``channels`` channels: a number is repeated, a tuple is taken as it is."""
     return value if isinstance(value, tuple) else (value,) * channels
+
+
+def is_list(value: object) -> TypeGuard[Sequence[Any]]:
+    """Whether the file has a list there."""
+    return isinstance(value, Sequence) and not isinstance(value, str | bytes)
 
 
 def as_float(value: object) -> float | None:

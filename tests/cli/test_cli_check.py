@@ -48,6 +48,37 @@ def test_a_spring_is_predicted_with_its_k_and_b(hapsim: Callable[..., Any], scen
     assert b == pytest.approx(-2 * 0.2 * s.real, rel=1e-6)
 
 
+def test_travel_and_origin_are_printed_and_a_band_that_is_too_narrow_is_refused(
+    hapsim: Callable[..., Any], scene_file: Callable[..., Path]
+) -> None:
+    path = scene_file("spring")
+    assert hapsim("check", path, "--json").document["travel"] == {
+        "limits_m": None,
+        "margin_m": None,
+        "origin_m": [0.0],
+    }
+    assert "Travel" not in hapsim("check", path).out
+    document = yaml.safe_load(path.read_text())
+    document["device"] |= {"travel": [-0.01, 0.11], "origin": "here"}
+    path.write_text(yaml.safe_dump(document, sort_keys=False))
+    told = hapsim("check", path).out.replace("\n", " ")
+    assert (
+        "Travel: -0.01 to 0.11 m. Outside, the force fades to zero within 0.012 m (a stiffness of up to 833.3" in told
+    )
+    assert "Origin: position 0 is where the device is when it is armed." in told
+    assert hapsim("check", path, "--json").document["travel"] == {
+        "limits_m": [[-0.01, 0.11]],
+        "margin_m": [pytest.approx(0.012)],
+        "origin_m": ["here"],
+    }
+    document["device"]["travel_margin"] = 0.0024
+    path.write_text(yaml.safe_dump(document, sort_keys=False))
+    refused = hapsim("check", path, "--json")
+    assert refused.status == 2
+    assert "fades over 0.0024 m, which is a stiffness of 4167 N/m" in refused.sentence
+    assert "renders up to 4033 N/m; expected at least 0.00248 m" in refused.sentence
+
+
 def test_an_unstable_scene_is_reported_as_such_and_is_no_failure(
     hapsim: Callable[..., Any], scene_file: Callable[..., Path]
 ) -> None:

@@ -43,7 +43,9 @@ class Bench:
         self._plugged = contextlib.ExitStack()
 
     def plug(self, scene: Scene) -> Any:
-        mock = assemble_mock(scene)
+        return self.plug_in(assemble_mock(scene))
+
+    def plug_in(self, mock: Any) -> Any:
         self.link.unlink(missing_ok=True)
         self.link.symlink_to(self._plugged.enter_context(serving(mock)))
         return mock
@@ -159,6 +161,50 @@ def test_another_device_in_its_place_is_not_armed(scene: Scene, scene_of: Callab
     assert (lifetime.failure.exit_status, lifetime.reconnections) == (2, 0)
     assert not lifetime.interruptions[0].came_back
     assert others[0].board.state == schema.IDLE
+
+
+@pytest.mark.parametrize("origin", [0.0, "here"])
+def test_a_device_that_restarted_is_not_armed_with_an_origin_that_it_has_lost(
+    scene_of: Callable[..., Scene], on_port: Any, bench: Bench, origin: Any
+) -> None:
+    scene = on_port(scene_of(device={"travel": [-0.05, 0.05], "origin": origin}), str(bench.link))
+    others: list[Any] = []
+    bench.plug(scene)
+
+    def stop() -> None:
+        bench.sessions[1].stop()
+
+    observer = bench.observer(bench.unplug, stop, on_waiting=lambda: others.append(bench.plug(scene)))
+    lifetime = keep_running(scene, observer, reconnect=True)
+    if origin == "here":
+        assert (lifetime.failure, lifetime.reconnections) == (None, 1)
+        assert bench.sentences[-1].endswith("The device restarted: its position 0 is where it powered up or homed")
+        return
+    assert lifetime.failure is not None
+    assert (lifetime.failure.exit_status, len(bench.sessions)) == (3, 1)
+    assert "the device restarted" in str(lifetime.failure)
+    assert others[0].board.state == schema.IDLE
+
+
+def test_behind_a_cable_alone_a_device_keeps_its_zero(
+    scene_of: Callable[..., Scene], on_port: Any, bench: Bench
+) -> None:
+    """The same board, plugged in again: it counts the forces of before."""
+    scene = on_port(scene_of(device={"travel": [-0.05, 0.05], "origin": 0.0}), str(bench.link))
+    mock = bench.plug(scene)
+
+    def unplug_once_it_has_forces() -> None:
+        while bench.sessions[0].progress().ticks < 5 and not bench.sessions[0].wait(1e-3):
+            pass
+        bench.unplug()
+
+    def stop() -> None:
+        bench.sessions[1].stop()
+
+    observer = bench.observer(unplug_once_it_has_forces, stop, on_waiting=lambda: bench.plug_in(mock))
+    lifetime = keep_running(scene, observer, reconnect=True)
+    assert (lifetime.failure, lifetime.reconnections) == (None, 1)
+    assert bench.sentences[-1].endswith("the scene goes on as it is now")
 
 
 def test_what_a_guard_stopped_is_not_begun_again(scene_of: Callable[..., Scene], on_port: Any, bench: Bench) -> None:

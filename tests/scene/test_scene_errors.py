@@ -18,6 +18,7 @@ FINITE = "expected a finite number > 0 (Hz)"
 DECIMALS = "; write plain decimals without a unit, such as 2000, 0.5 or 1e-9"
 MAPPINGS = "{from: the least, to: the most}, or {value: a number, uncertainty: its standard uncertainty}"
 MASS = f"expected a number > 0 (kg), or {MAPPINGS}, or a list with one per channel"
+LIMITS = "[the least, the most] (m)"
 PORT = "expected the name of a serial port, such as /dev/ttyACM0"
 TYPES = f"expected {one_of(MODULE_TYPES)}"
 NAME = "not a name, expected letters, digits, _ and -, starting with a letter or _"
@@ -98,6 +99,33 @@ def test_what_is_no_rate_is_reported_as_the_file_spells_it(only_fault: OnlyFault
             "3:16: mass: found a mapping, expected uncertainty (0.3) below value (0.2)",
         ),
         ("{mass: {from: 1, to: 1}}", "3:16: mass: found a mapping, expected from (1) below to (1)"),
+        (
+            "{mass: 1, travel: 0.1}",
+            f"3:27: travel: found 0.1, expected {LIMITS}, or a list of such pairs, one per channel",
+        ),
+        (
+            "{mass: 1, travel: [0, 1, 2]}",
+            f"3:27: travel: found a list, expected {LIMITS}, or a list of such pairs, one per channel",
+        ),
+        ("{mass: 1, travel: [0.1, 0.1]}", "3:27: travel: found a list, expected the least (0.1) below the most (0.1)"),
+        ("{mass: 1, travel: [0, x]}", "3:31: travel[1]: found 'x' (text), expected a finite number (m)"),
+        ("{mass: 1, travel: [[0, .inf]]}", "3:32: travel[0][1]: found .inf, expected a finite number (m)"),
+        ("{mass: 1, travel: [[0, 1], 2]}", f"3:36: travel[1]: found 2, expected {LIMITS}"),
+        (
+            "{mass: 1, travel: [[0, 1], [0, 1]]}",
+            "3:27: travel: found 2 pairs, expected 1: one for each channel, up to the highest that a module holds; or "
+            "write a single pair for all",
+        ),
+        ("{mass: 1, travel: [0, 1], travel_margin: 0}", "3:50: travel_margin: found 0, expected a number > 0 (m)"),
+        (
+            "{mass: 1, travel_margin: 0.01}",
+            "3:19: travel_margin: found a margin without a travel, expected device.travel: [the least, the most] "
+            "beside it; or leave it out",
+        ),
+        (
+            "{mass: 1, origin: there}",
+            "3:27: origin: found 'there' (text), expected a number (m), or here, or a list with one per channel",
+        ),
         ("3", "3:9: device: found 3, expected a mapping"),
         ("", "3:8: device: found nothing, expected a mapping"),
         ("{}", f"3:1: device: 'mass' is missing, {MASS}"),

@@ -1,0 +1,97 @@
+"""Outside the travel that a scene says its device has, the force fades; beyond a band there, the loop stops.
+
+A position x is outside by max(low - x, x - high). There the force that would leave, cut to its limit, is multiplied by
+1 - outside / margin, and zero beyond the margin: with any push of an excitation, by the position that was read. So a
+fade is no steeper than force_limit / margin (`prediction/travel.py` judges that as a stiffness), and a device that
+rests at its own stop, in the band, just feels less.
+
+Beyond the band a device that goes outward is driven by what no scene counts with: a motor with the wrong sign, or a
+zero that is not where the scene has it. It stops the loop as soon as noise and counts do not explain that it is there.
+One that is outside when it is armed is let in: until it comes within its travel, the band begins where it was armed.
+
+Who has no travel never compiles this: it is called by an address, which is 0 then.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import types
+from numpy.typing import NDArray
+
+from firmware_protocol import schema
+from hapsim.compiling.native import address_of, function_at, native, record_at
+from hapsim.loop.io_buffer import IO_BUFFER
+
+NOISE_RMS = 8.0  # of the sensor's noise, where it is known: one sample in 1e15 has more
+
+WITHIN, OUTSIDE, BEYOND = 0, 1, 2
+"""Where the device is: within its travel, outside, where the force fades, or too far."""
+
+_EACH = (schema.MAX_CHANNELS,)
+
+TRAVEL = np.dtype(
+    [
+        ("address", np.uint64),  # of all this
+        ("fade", np.uint64),  # and of what fades the force; 0: it leaves as it is
+        ("low", np.float64, _EACH),  # m, the limits; infinite: none
+        ("high", np.float64, _EACH),
+        ("margin", np.float64, _EACH),  # m, the width of the band outside them
+        ("unsure", np.float64, _EACH),  # m, by what noise and counts may be wrong
+        ("begun", np.int64),  # 1: there was a sample
+        ("armed", np.float64, _EACH),  # m, how far outside it was armed; 0 once it was within
+        ("channel", np.int64),  # which one was found beyond,
+        ("position", np.float64),  # and where, m
+    ],
+    align=True,
+)
+
+FADE = types.int64(types.uint64, types.uint64)
+call_fade = function_at(FADE)
+"""Calls `fade`, with its arguments."""
+
+_travel_at, _io_at = record_at(TRAVEL), record_at(IO_BUFFER)
+
+
+@native(FADE.return_type, *FADE.args)
+def fade(travel, io):
+    """Fades `io.force_counts`, and what an excitation has in them, on every channel that is outside: WITHIN, OUTSIDE or
+    BEYOND, the most of all channels."""
+    travel, io = _travel_at(travel), _io_at(io)
+    most = WITHIN
+    for c in range(io.channels):
+        x = io.position_counts[c] * io.position_scale[c]
+        outside = max(travel.low[c] - x, x - travel.high[c])
+        if not outside > 0.0:
+            travel.armed[c] = 0.0
+            continue
+        if travel.begun == 0:
+            travel.armed[c] = outside
+        left = max(1.0 - outside / travel.margin[c], 0.0)
+        io.force_counts[c] = np.int64(np.rint(io.force_counts[c] * left))
+        io.excitation[c] *= left
+        io.as_hand[c] *= left
+        most = max(most, OUTSIDE)
+        if outside > travel.armed[c] + travel.margin[c] + travel.unsure[c]:
+            travel.channel, travel.position, most = c, x, BEYOND
+    travel.begun = 1
+    return most
+
+
+def keep_within(
+    travel: Any,
+    *,
+    limits: NDArray[np.float64],
+    margin: NDArray[np.float64],
+    noise_m: float,
+    count_m: NDArray[np.float64],
+) -> None:
+    """Fills a TRAVEL. `limits`: (channels, 2) m; `margin`: (channels,) m; `noise_m`: rms, as far as it is known;
+    `count_m`: (channels,) m per count."""
+    channels = margin.size
+    travel.low[:], travel.high[:] = -np.inf, np.inf
+    travel.low[:channels], travel.high[:channels] = limits.T
+    travel.margin[:channels] = margin
+    travel.unsure[:channels] = NOISE_RMS * noise_m + count_m
+    travel.address, travel.fade = address_of(travel), fade.address()
