@@ -27,7 +27,11 @@ class Progress:
     limited_ticks: int = 0
     ticks: int = 0
     estimated_mass_kg: tuple[float | None, ...] = ()
-    """Where a correction adapts, for which mass the force of each channel is; None on the others."""
+    """Where a correction adapts, the mass of each channel; None on the others."""
+    estimated_mass_uncertainty_kg: tuple[float | None, ...] = ()
+    """Standard uncertainty; the whole span where nothing is known."""
+    mass_explained: tuple[float | None, ...] = ()
+    """R²: the share of the motion that the forces explain."""
     slewed_ticks: int = 0
     faded_ticks: int = 0
 

@@ -28,6 +28,8 @@ _LABELS = {
     "deadline_misses": "deadline misses",
     "limited_ticks": "ticks at the force limit",
     "estimated_mass_kg": "estimated mass  kg",
+    "estimated_mass_uncertainty_kg": "its uncertainty  kg",
+    "mass_explained": "motion explained",
 }
 _WIDEST = 25
 

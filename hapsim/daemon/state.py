@@ -53,6 +53,8 @@ class RunState:
             "deadline_misses": 0 if progress is None else progress.deadline_misses,
             "limited_ticks": 0 if progress is None else progress.limited_ticks,
             "estimated_mass_kg": () if progress is None else progress.estimated_mass_kg,
+            "estimated_mass_uncertainty_kg": () if progress is None else progress.estimated_mass_uncertainty_kg,
+            "mass_explained": () if progress is None else progress.mass_explained,
         }
 
     def _started(self, session: Session) -> None:

@@ -7,6 +7,7 @@ For which masses there is something to simulate, and that it is stable for all o
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,7 +19,7 @@ from hapsim.compiling import entry, helper
 from hapsim.compiling.memory_fence import fence
 from hapsim.compiling.native import address_of, array_at, native, record_at
 from hapsim.loop.io_buffer import IO_BUFFER
-from hapsim.loop.mass_estimate import MASS_ESTIMATE, estimate_mass, fill_mass_estimate
+from hapsim.loop.mass_estimate import MASS_ESTIMATE, estimate_mass, fill_channel, fill_mass_estimate, note_sample
 from hapsim.loop.predictor import ADD, PREDICT, PREDICTOR, keep_forces, predict_state
 
 SLEW_S, LEAST_SLEW = 0.05, 25  # s, samples: for a factor e of the mass
@@ -61,11 +62,10 @@ def predict_adaptively(predictor, io, gap, late, age):
     if predictor.begun:
         keep_forces(predictor, io, forces, gap, late, age)
     _take_posted(adaptive)
-    adaptive.estimate.seen = adaptive.estimate.seen + 1 if gap == 1 else 1
+    note_sample(adaptive.estimate, gap, late)
     for c in range(io.channels):
         if adaptive.adapts[c]:
-            now, position = adaptive.log_mass[c], io.measured[c]
-            _follow(adaptive, estimate_mass(adaptive.estimate, predictor, forces, c, position, now), c)
+            _follow(adaptive, estimate_mass(adaptive.estimate, predictor, forces, c, io.measured[c]), c)
             _set_weights(adaptive, predictor, c)
     if adaptive.left > 0:
         adaptive.left -= 1
@@ -92,9 +92,9 @@ def _take_posted(adaptive):
 
 
 @helper
-def _follow(adaptive, wanted, c):
-    """The mass that the force is for goes to what is estimated (ln kg), within the span."""
-    step = min(max(wanted, adaptive.log_least[c]), adaptive.log_most[c]) - adaptive.log_mass[c]
+def _follow(adaptive, log_mass, c):
+    """The mass that the force is for goes to the one that is estimated."""
+    step = log_mass - adaptive.log_mass[c]
     adaptive.log_mass[c] += min(max(step, -adaptive.slew), adaptive.slew)
 
 
@@ -128,6 +128,15 @@ def _set_weights(adaptive, predictor, c):
             weights[2 * c * width + i - 3] = value
 
 
+class EstimatedMass(NamedTuple):
+    """A mass in kg, its standard uncertainty in kg, the whole span where nothing is known, and R²: the share of the
+    latest motion that the forces explain."""
+
+    mass_kg: float
+    uncertainty_kg: float
+    explained: float
+
+
 class AdaptiveChannel(NamedTuple):
     """What follows the estimate on a channel: R rows, for masses in equal ratios from the least to the most, in kg."""
 
@@ -140,10 +149,10 @@ class AdaptiveChannel(NamedTuple):
     """and the position in m at which they are at rest"""
     weights: NDArray[np.float64]
     """(R, 2, 2 + lags): those of the predictor"""
-    friction: float
-    """N·s/m, of the device"""
     device_stiffness: float
     """N/m"""
+    desired_stiffness: float
+    """N/m: what the hand shall feel"""
 
 
 class Adaptation:
@@ -174,10 +183,14 @@ class Adaptation:
             record.adapts[channel] = 1
             record.log_least[channel], record.log_most[channel] = np.log(one.span)
             record.log_mass[channel] = record.log_least[channel]
-            record.estimate.log_least[channel] = record.log_least[channel]
-            record.estimate.braked[channel] = 0.5 * one.friction * period_s
-            record.estimate.sprung[channel] = one.device_stiffness * period_s**2
-            record.estimate.noise[channel] = 6.0 * count_m[channel] ** 2 / 12.0
+            fill_channel(
+                record.estimate,
+                channel,
+                one.span,
+                one.device_stiffness * period_s**2,
+                count_m[channel],
+                math.pi / period_s * math.sqrt(one.span[0] / one.desired_stiffness),
+            )
         predictor.adaptive = address_of(record)
         predictor.predict = predict_adaptively.address()
         predictor.add = add_difference.address()
@@ -187,9 +200,15 @@ class Adaptation:
         self._tables = [*self._tables[-8:], self._table(channels)]
         post_table(self.record, self._tables[-1].ctypes.data, samples)
 
-    def masses_kg(self) -> dict[int, float]:
-        """For which mass the force is now, on every channel that adapts."""
-        return {channel: float(np.exp(self.record.log_mass[channel])) for channel in self._channels}
+    def masses(self) -> dict[int, EstimatedMass]:
+        """What is known of the mass on every channel that adapts."""
+        return {channel: self._mass(channel) for channel in self._channels}
+
+    def _mass(self, channel: int) -> EstimatedMass:
+        record = self.record.estimate
+        mass, relative = float(np.exp(record.log_mass[channel])), float(record.uncertainty[channel])
+        least, most = self._channels[channel].span
+        return EstimatedMass(mass, min(relative * mass, most - least), float(record.explained[channel]))
 
     def _table(self, channels: dict[int, AdaptiveChannel]) -> NDArray[np.float64]:
         rows, lags = int(self.record.rows), int(self._predictor.lags)

@@ -65,7 +65,11 @@ class Report:
     timed_by_device: bool = False
     """Whether a timer of the device's own paced the positions: then their arrival tells its rate."""
     estimated_mass_kg: tuple[float | None, ...] = ()
-    """Where a correction adapts: for which mass the force of each channel was at the end; None on the others."""
+    """Where a correction adapts: the mass of each channel as it was estimated last; None on the others."""
+    estimated_mass_uncertainty_kg: tuple[float | None, ...] = ()
+    """Its standard uncertainty; the whole span where nothing was known."""
+    mass_explained: tuple[float | None, ...] = ()
+    """R²: the share of the latest motion that was compared which the forces explain."""
     slewed_ticks: int = 0
     """Ticks whose force was brought closer to the one before, by the slew limit or the soft start."""
     faded_ticks: int = 0
@@ -97,10 +101,13 @@ def beside_the_rows(rate: float, statistics: Statistics, report: Report) -> dict
     return {"rate": rate, "report": json.dumps(asdict(report)), **counted}
 
 
+_OF_MASSES = ("estimated_mass_kg", "estimated_mass_uncertainty_kg", "mass_explained")
+
+
 def report_from(values: dict[str, Any]) -> Report:
     """What `asdict` made of a report, after JSON. TypeError where it is none."""
     spreads = {name: Spread(**values[name]) for name in ("lateness_s", "exchange_s", "age_samples")}
-    return Report(**values | spreads | {"estimated_mass_kg": tuple(values.get("estimated_mass_kg", ()))})
+    return Report(**values | spreads | {name: tuple(values.get(name, ())) for name in _OF_MASSES})
 
 
 def as_told(report: Report, statistics: Statistics, finished: bool) -> dict[str, Any]:

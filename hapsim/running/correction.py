@@ -62,12 +62,19 @@ class LoopCorrection:
                 channels[channel] = before._replace(stiffness=constant, damping=constant, weights=weights)
         self._adaptation.follow({channel: channels[channel] for channel in self._channels}, samples)
 
-    def estimated_mass_kg(self, channels: int) -> tuple[float | None, ...]:
-        """For which mass the force of each channel is now; None where it does not adapt, none where nothing does."""
+    def masses(self, channels: int) -> dict[str, tuple[float | None, ...]]:
+        """What `Report` and `Progress` say of the masses that are estimated, by their names there: a value per channel,
+        None where none is estimated; no values where no channel has one."""
         if self._adaptation is None:
-            return ()
-        masses = self._adaptation.masses_kg()
-        return tuple(masses.get(channel) for channel in range(channels))
+            return {}
+        found = self._adaptation.masses()
+        rows = [found.get(channel, (None, None, None)) for channel in range(channels)]
+        masses, uncertainties, explained = zip(*rows, strict=True)
+        return {
+            "estimated_mass_kg": masses,
+            "estimated_mass_uncertainty_kg": uncertainties,
+            "mass_explained": explained,
+        }
 
 
 def _adaptive_channels(rendering: Rendering) -> dict[int, AdaptiveChannel]:
@@ -85,6 +92,6 @@ def _adaptive(port: Corrected, senses: bool) -> AdaptiveChannel:
         damping=np.array([one.damping - elements[0].damping for one in elements]),
         rest=port.rest,
         weights=np.array([np.hstack([one.readings, one.forces]) for one in predictors]),
-        friction=port.declared.friction,
         device_stiffness=port.declared.stiffness,
+        desired_stiffness=port.desired[0],
     )

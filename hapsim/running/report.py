@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 from firmware_protocol import schema
 from hapsim.device.conversation import fault_text
@@ -58,14 +59,14 @@ def progress_of(loop: Loop) -> Progress:
         deadline_misses=int(state.deadline_misses),
         limited_ticks=int(state.limited_ticks),
         ticks=ticks,
-        estimated_mass_kg=_estimated_masses(loop),
         slewed_ticks=int(state.slewed_ticks),
         faded_ticks=int(state.faded_ticks),
+        **_estimated_masses(loop),
     )
 
 
-def _estimated_masses(loop: Loop) -> tuple[float | None, ...]:
-    return () if loop.correction is None else loop.correction.estimated_mass_kg(loop.wire.channels)
+def _estimated_masses(loop: Loop) -> dict[str, Any]:
+    return {} if loop.correction is None else loop.correction.masses(loop.wire.channels)
 
 
 def report_of(scene: Scene, loop: Loop, ending: str) -> Report:
@@ -102,7 +103,7 @@ def report_of(scene: Scene, loop: Loop, ending: str) -> Report:
         garbage_bytes=int(decoder.garbage_bytes) + _endless_bytes(loop),
         timed_by_device=bool(loop.record.watch.judges),
         released=True if ending == endings.IN_WORDS[endings.DEVICE_STOPPED] and _says_released(loop) else None,
-        estimated_mass_kg=_estimated_masses(loop),
+        **_estimated_masses(loop),
     )
 
 
