@@ -106,9 +106,13 @@ class _Line:
         force = " ".join(f"{round(f, 3) + 0.0:+.3f}" for f in progress.force[:4])  # + 0.0: no minus before a zero
         rate = "" if progress.seen_rate_hz is None else f" · {progress.seen_rate_hz:.1f} Hz"
         limited = f" · {progress.limited_ticks} at the limit" if progress.limited_ticks else ""
+        known = zip(progress.estimated_mass_kg, progress.estimated_mass_uncertainty_kg, strict=True)
+        mass = " ".join(f"{kg:.3g} ± {unsure:.1g}" for kg, unsure in known if kg is not None)
+        mass = f" · mass {mass} kg" if mass else ""
         slewed = f" · {progress.slewed_ticks} slewed" if progress.slewed_ticks else ""
         faded = f" · {progress.faded_ticks} outside the travel" if progress.faded_ticks else ""
         self._show(
             f"running {progress.elapsed_s:.1f} s{rate} · force {force} N · "
             f"age {progress.age_samples} · misses {progress.deadline_misses}{limited}{slewed}{faded}"
+            f"age {progress.age_samples} · misses {progress.deadline_misses}{limited}{slewed}{mass}"
         )

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 
 _REFUSED_BY_DEVICE = "frames refused by the device"
+_MASS_KNOWN, _LITTLE_EXPLAINED = 0.1, 0.9  # relative uncertainty and share of the motion: a warning beyond either
 _FEW_ARE_NORMAL = " (a few at arming and disarming are normal)"
 _MANY = 10
 _FEW = 0.01
@@ -196,7 +197,7 @@ def show_report(out: Console, report: Report, reconnections: int = 0) -> None:
             table.add_row(label, f"[yellow]{count}[/yellow]{note}")
     for channel, mass in enumerate(report.estimated_mass_kg):
         if mass is not None:
-            table.add_row(f"estimated mass, channel {channel}  kg", f"{mass:.4g}")
+            table.add_row(f"estimated mass, channel {channel}  kg", _estimated_mass(report, channel))
     if report.released is False:
         table.add_row("force released", "[yellow]not confirmed[/yellow]")
     out.print()
@@ -219,6 +220,20 @@ def _of_the_wire(report: Report) -> str:
         f"{' and '.join(told)}: look at cable, baud rate and interference{held_up}. `hapsim frames PORT`, while "
         "nothing runs, shows what arrives."
     )
+
+
+def _estimated_mass(report: Report, channel: int) -> str:
+    """The mass with its uncertainty, and whether the motion told it."""
+    mass = report.estimated_mass_kg[channel] or 0.0
+    if channel >= len(report.estimated_mass_uncertainty_kg):
+        return f"{mass:.4g}"  # a record of an earlier version
+    uncertainty, explained = report.estimated_mass_uncertainty_kg[channel] or 0.0, report.mass_explained[channel] or 0.0
+    told = f"{mass:.4g} ± {uncertainty:.2g}"
+    if uncertainty > _MASS_KNOWN * mass:
+        return f"{told} [yellow](not known: no force moved the hand clearly, or others moved it more)[/yellow]"
+    if explained < _LITTLE_EXPLAINED:
+        return f"{told} [yellow](an earlier one: the forces explain {explained:.0%} of the latest motion)[/yellow]"
+    return told
 
 
 def _percent(share: float) -> str:

@@ -19,10 +19,19 @@ from hapsim.compiling import entry, helper
 from hapsim.compiling.memory_fence import fence
 from hapsim.compiling.native import address_of, array_at, native, record_at
 from hapsim.loop.io_buffer import IO_BUFFER
-from hapsim.loop.mass_estimate import MASS_ESTIMATE, estimate_mass, fill_channel, fill_mass_estimate, note_sample
+from hapsim.loop.mass_estimate import (
+    MASS_ESTIMATE,
+    estimate_mass,
+    fill_channel,
+    fill_mass_estimate,
+    note_sample,
+    span_of,
+    take_spans,
+)
 from hapsim.loop.predictor import ADD, PREDICT, PREDICTOR, keep_forces, predict_state
 
 SLEW_S, LEAST_SLEW = 0.05, 25  # s, samples: for a factor e of the mass
+_LEAST_STIFFNESS = 1e-9  # N/m: of a loop that hardly swings
 
 _EACH = (schema.MAX_CHANNELS,)
 
@@ -88,6 +97,7 @@ def _take_posted(adaptive):
         adaptive.before, adaptive.table = adaptive.table, adaptive.posted
         adaptive.samples = adaptive.left = adaptive.posted_samples
         fence()
+        take_spans(adaptive.estimate)
         adaptive.posted = np.uint64(0)
 
 
@@ -152,7 +162,7 @@ class AdaptiveChannel(NamedTuple):
     device_stiffness: float
     """N/m"""
     desired_stiffness: float
-    """N/m: what the hand shall feel"""
+    """N/m: what the hand shall feel, if it moves nothing else"""
 
 
 class Adaptation:
@@ -172,7 +182,7 @@ class Adaptation:
         before it, is in the second difference of the positions at sample n. `count_m`: m per count, each channel's."""
         self.record = record = new_record(ADAPTIVE)
         self._predictor = predictor
-        self._channels = channels
+        self._channels, self._period_s = channels, period_s
         record.rows = len(next(iter(channels.values())).stiffness)
         self._tables = [self._table(channels)]
         record.table = record.before = self._tables[0].ctypes.data
@@ -183,14 +193,8 @@ class Adaptation:
             record.adapts[channel] = 1
             record.log_least[channel], record.log_most[channel] = np.log(one.span)
             record.log_mass[channel] = record.log_least[channel]
-            fill_channel(
-                record.estimate,
-                channel,
-                one.span,
-                one.device_stiffness * period_s**2,
-                count_m[channel],
-                math.pi / period_s * math.sqrt(one.span[0] / one.desired_stiffness),
-            )
+            sprung = one.device_stiffness * period_s**2
+            fill_channel(record.estimate, channel, one.span, sprung, count_m[channel], self._span(one))
         predictor.adaptive = address_of(record)
         predictor.predict = predict_adaptively.address()
         predictor.add = add_difference.address()
@@ -198,7 +202,13 @@ class Adaptation:
     def follow(self, channels: dict[int, AdaptiveChannel], samples: int) -> None:
         """Other tables for the same channels, over so many samples, once the last have taken their place."""
         self._tables = [*self._tables[-8:], self._table(channels)]
+        for channel, one in channels.items():
+            self.record.estimate.next_span[channel] = self._span(one)
         post_table(self.record, self._tables[-1].ctypes.data, samples)
+
+    def _span(self, one: AdaptiveChannel) -> int:
+        half_period_s = math.pi * math.sqrt(one.span[0] / max(one.desired_stiffness, _LEAST_STIFFNESS))
+        return span_of(half_period_s / self._period_s)
 
     def masses(self) -> dict[int, EstimatedMass]:
         """What is known of the mass on every channel that adapts."""

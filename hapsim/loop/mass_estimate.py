@@ -1,22 +1,24 @@
-"""The mass of the temporary hybrid system, estimated while it runs, and how far that estimate can be trusted.
+"""The mass of the temporary hybrid system, estimated while it runs, with its uncertainty.
 
-What is read of a mass m that a held force f, and a hand h, push is y = x + w, with w the sensor's noise and rounding:
+A mass m that a held force f and a hand push is read as x + w, with w the noise and rounding of the sensor:
 
     y[n] - 2 y[n-1] + y[n-2] = (phi[n] + hand) / m + noise,      phi[n] = T² (sum of w_i f[n-i]) - k0 T² y[n-1]
 
-Summed twice over L samples both sides stay exact, the motion grows with L² and the noise does not. L is half the loop's
-period, at most MOST_SPAN samples. A hand pushes slowly: differences over D samples, twice, take that away. Friction,
-viscous and dry, is what a velocity with a free factor explains; the same sums hold the velocity, and what it explains is
-taken from the motion Y and from the forces P.
+Summed twice over L samples both sides stay exact; the motion grows with L², the noise does not. L is half the loop's
+period, at most MOST_SPAN samples. A hand pushes slowly: both sides are then differenced twice over D samples. The
+results are the motion Y and the forces P. Friction is what the velocity explains, by a factor that is fitted: what the
+velocity explains is subtracted from both.
 
-Noise in Y leaves sum(PP) / sum(PY) right, a hand's push that the scene answers leaves sum(PY) / sum(YY) right. The noise
-is seen in fourth differences, where no hand moves; its share is taken from sum(YY), the mass is between the two, and
-their distance is part of its uncertainty. The other parts are how far BLOCKS, stretches as long as the sums look back,
-disagree, and what the residual makes of them. Only blocks in which the forces move the mass clearly more than the noise
-count. Where the latest do not agree with the older ones, as after a grip, the latest alone are asked; where these do not
-tell either, the estimate stays.
+Noise in Y leaves sum(PP) / sum(PY) unbiased; a hand's push that the scene answers leaves sum(PY) / sum(YY) unbiased.
+Fourth differences of the positions show the noise, since no hand moves that fast. Its share is subtracted from
+sum(YY); the estimate is the geometric mean of the two ratios. Its uncertainty consists of their distance, of how far
+the blocks disagree (stretches as long as the sums look back), and of what neither forces nor noise explain.
 
-A sample whose force is not known, after lost positions or forces that were late in a row, begins everything anew.
+Only blocks count in which the forces move the mass clearly more than the noise. The estimate comes from the latest
+BLOCKS of them; after a grip these disagree, and the latest FEWEST_BLOCKS decide. While neither are certain to KNOWN,
+the last known estimate stays.
+
+After lost positions, and after forces that were late in a row, the force that acted is unknown: the sums start anew.
 """
 
 from __future__ import annotations
@@ -37,6 +39,8 @@ CLEARLY = 10.0  # the energy of the motion that the forces make of the heaviest 
 KNOWN = 0.1  # relative uncertainty from which on the force follows
 MOST_WEIGHTS = 8
 _FOURTH = 70.0  # the energy of white noise in its fourth difference, over its own
+_UNKNOWN = 0.05  # variance of ln m where all that moves it is unknown, and not noise: as much as dry friction needs
+_TINY = 1e-300
 _COLOURED = 4.0  # by how much more the sums of filtered noise vary than those of white noise of the same energy
 
 _EACH = (schema.MAX_CHANNELS,)
@@ -54,7 +58,7 @@ MASS_ESTIMATE = np.dtype(
         ("explained", np.float64, _EACH),  # R²: the share of the latest motion that the forces explain
         ("span", np.int64, _EACH),  # samples, L,
         ("slow_span", np.int64, _EACH),  # and D
-        ("noise_gain", np.float64, _EACH),  # of white noise in the position, as energy, in Y
+        ("next_span", np.int64, _EACH),  # of a scene that follows
         ("rounding", np.float64, _EACH),  # m², the mean square of the counts
         ("sprung", np.float64, _EACH),  # k0 T², kg
         ("first_lag", np.int64),  # f[n - first_lag] has the first of the weights
@@ -69,6 +73,7 @@ MASS_ESTIMATE = np.dtype(
         ("sums", np.float64, (*_EACH, _SUMS)),  # of the block that is being filled
         ("block", np.int64, _EACH),  # how many were filled
         ("blocks", np.float64, (*_EACH, BLOCKS, _SUMS)),
+        ("total", np.float64, (_SUMS,)),  # of those that are fitted
     ],
     align=True,
 )
@@ -154,7 +159,7 @@ def _close_block(estimate, c):
     """Keeps the block and estimates anew, if the forces move the mass clearly in it."""
     sums = estimate.sums[c]
     explained = sums[_AU] * sums[_AU] / sums[_UU] if sums[_UU] > 0.0 else 0.0
-    noise = max((sums[_AA] - explained) / _FOURTH, estimate.rounding[c] * sums[_COUNT]) * estimate.noise_gain[c]
+    noise = max((sums[_AA] - explained) / _FOURTH, estimate.rounding[c] * sums[_COUNT]) * _noise_gain(estimate, c)
     if sums[_PP] * math.exp(-2.0 * estimate.log_most[c]) > CLEARLY * noise:
         newest = estimate.block[c] % BLOCKS
         for i in range(_SUMS):
@@ -171,42 +176,33 @@ def _fit(estimate, c, count):
     """Estimates from the latest blocks, so many: whether the mass is known now."""
     if count < FEWEST_BLOCKS:
         return False
-    blocks, newest = estimate.blocks[c], estimate.block[c] + BLOCKS - 1
-    samples = PP = PV = VV = PY = VY = YY = AA = AU = UU = 0.0
-    for i in range(count):
-        one = blocks[(newest - i) % BLOCKS]
-        samples += one[_COUNT]
-        PP += one[_PP]
-        PV += one[_PV]
-        VV += one[_VV]
-        PY += one[_PY]
-        VY += one[_VY]
-        YY += one[_YY]
-        AA += one[_AA]
-        AU += one[_AU]
-        UU += one[_UU]
-    of_velocity = PV / VV if VV > 0.0 else 0.0
-    P, product = PP - of_velocity * PV, PY - of_velocity * VY
-    Y = YY - VY * VY / VV if VV > 0.0 else YY
+    blocks, newest, total = estimate.blocks[c], estimate.block[c] + BLOCKS - 1, estimate.total
+    for k in range(_SUMS):
+        total[k] = 0.0
+        for i in range(count):
+            total[k] += blocks[(newest - i) % BLOCKS, k]
+    samples, VV = total[_COUNT], max(total[_VV], _TINY)
+    in_P, in_Y = total[_PV] / VV, total[_VY] / VV  # of the velocity
+    P, Y = total[_PP] - in_P * total[_PV], total[_YY] - in_Y * total[_VY]
+    product = total[_PY] - in_P * total[_VY]
     estimate.explained[c] = 0.0
     if not (P > 0.0 and product > 0.0):
         return False
     inverse = product / P
     left = max(Y - inverse * product, 0.0)
     estimate.explained[c] = 1.0 - left / Y
-    white = max((AA - 2.0 * inverse * AU + inverse * inverse * UU) / _FOURTH, estimate.rounding[c] * samples)
-    noise = min(white * estimate.noise_gain[c], left)
-    greatest = (Y - noise) / product  # 1/m, where what is left beside the noise is a hand that the scene answers
-    friction = (VY - inverse * PV) / VV if VV > 0.0 else 0.0
+    white = (total[_AA] - 2.0 * inverse * total[_AU] + inverse * inverse * total[_UU]) / _FOURTH
+    noise = min(max(white, estimate.rounding[c] * samples) * _noise_gain(estimate, c), left)
     scatter = 0.0
     for i in range(count):
-        one = blocks[(newest - i) % BLOCKS]
+        one, friction = blocks[(newest - i) % BLOCKS], in_Y - inverse * in_P
         missed = one[_PY] - inverse * one[_PP] - friction * one[_PV]
-        missed -= of_velocity * (one[_VY] - inverse * one[_PV] - friction * one[_VV])
-        scatter += missed * missed
-    scatter = scatter * count / (count - 1.0) + _COLOURED * left / samples * P
-    apart = 0.5 * math.log(greatest / inverse)
-    uncertainty = math.sqrt(scatter / (product * product) + apart * apart)
+        missed -= in_P * (one[_VY] - inverse * one[_PV] - friction * one[_VV])
+        scatter += missed * missed * count / (count - 1.0)
+    scatter += _COLOURED * left / samples * P
+    # Where what is left beside the noise is a hand that the scene answers, 1/m is (Y - noise) / product.
+    apart = 0.5 * math.log((Y - noise) / (inverse * product))
+    uncertainty = math.sqrt(scatter / (product * product) + apart * apart + _UNKNOWN * (left - noise) / Y)
     log_mass = -math.log(inverse) - apart
     least, most = estimate.log_least[c], estimate.log_most[c]
     if not (uncertainty < KNOWN and least - 3.0 * uncertainty < log_mass < most + 3.0 * uncertainty):
@@ -214,6 +210,30 @@ def _fit(estimate, c, count):
     estimate.log_mass[c] = min(max(log_mass, least), most)
     estimate.uncertainty[c] = uncertainty
     return True
+
+
+@helper
+def _noise_gain(estimate, c):
+    """The energy of white noise of the position in Y, over its own: of (1, -2, 1) over L and the same over D."""
+    L, D = estimate.span[c], estimate.slow_span[c]
+    return 70.0 if L == D else 28.0 if L == 2 * D else 36.0
+
+
+@helper
+def take_spans(estimate):
+    """Begins anew with other spans, where a scene follows."""
+    for c in range(_ROW):
+        if estimate.next_span[c] != estimate.span[c]:
+            estimate.span[c] = estimate.next_span[c]
+            estimate.slow_span[c] = min(estimate.span[c], MOST_SLOW_SPAN)
+            estimate.block[c] = estimate.seen = 0
+            for i in range(_SUMS):
+                estimate.sums[c, i] = 0.0
+
+
+def span_of(half_period_samples: float) -> int:
+    """L, for a loop with this half period."""
+    return round(min(max(half_period_samples, 1.0), float(MOST_SPAN)))
 
 
 def fill_mass_estimate(record: Any, period_s: float, numerator: NDArray[np.float64], first_lag: int) -> None:
@@ -224,21 +244,14 @@ def fill_mass_estimate(record: Any, period_s: float, numerator: NDArray[np.float
 
 
 def fill_channel(
-    record: Any, channel: int, span_kg: tuple[float, float], sprung_kg: float, count_m: float, half_period: float
+    record: Any, channel: int, span_kg: tuple[float, float], sprung_kg: float, count_m: float, span: int
 ) -> None:
     """Sets up one channel, of which nothing is known yet. `sprung_kg`: k0 T² of the device; `count_m`: m per count;
-    `half_period`: of the loop, in samples."""
+    `span`: of `span_of`."""
     record.log_least[channel], record.log_most[channel] = np.log(span_kg)
     record.log_mass[channel] = record.log_least[channel]
     record.uncertainty[channel] = math.inf
     record.sprung[channel] = sprung_kg
     record.rounding[channel] = count_m**2 / 12.0
-    record.span[channel] = span = min(max(round(half_period), 1), MOST_SPAN)
-    record.slow_span[channel] = slow = min(span, MOST_SLOW_SPAN)
-    record.noise_gain[channel] = np.sum(np.convolve(_second_difference(span), _second_difference(slow)) ** 2)
-
-
-def _second_difference(over: int) -> NDArray[np.float64]:
-    taps = np.zeros(2 * over + 1)
-    taps[[0, over, 2 * over]] = 1.0, -2.0, 1.0
-    return taps
+    record.span[channel] = record.next_span[channel] = span
+    record.slow_span[channel] = min(span, MOST_SLOW_SPAN)

@@ -93,5 +93,5 @@ def _adaptive(port: Corrected, senses: bool) -> AdaptiveChannel:
         rest=port.rest,
         weights=np.array([np.hstack([one.readings, one.forces]) for one in predictors]),
         device_stiffness=port.declared.stiffness,
-        desired_stiffness=port.desired[0],
+        desired_stiffness=port.written[0] + port.declared.stiffness,
     )

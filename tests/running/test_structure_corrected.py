@@ -29,7 +29,7 @@ def test_a_link_that_is_taken_away_leaves_no_force_behind(monkeypatch: pytest.Mo
     with running(scene_with("touch"), monkeypatch) as runner:
         for _ in range(4):
             runner.go()
-        (mass,) = runner.loop.correction.estimated_mass_kg(1)
+        (mass,) = runner.loop.correction.masses(1)["estimated_mass_kg"]
         assert mass > 0.2  # so that something was added
         runner.adopt(scene_with())
         for _ in range(3):
