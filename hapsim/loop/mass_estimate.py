@@ -193,16 +193,18 @@ def _fit(estimate, c, count):
     estimate.explained[c] = 1.0 - left / Y
     white = (total[_AA] - 2.0 * inverse * total[_AU] + inverse * inverse * total[_UU]) / _FOURTH
     noise = min(max(white, estimate.rounding[c] * samples) * _noise_gain(estimate, c), left)
+    friction = in_Y - inverse * in_P  # -b0 T/m, of which the sums are right to the square
     scatter = 0.0
     for i in range(count):
-        one, friction = blocks[(newest - i) % BLOCKS], in_Y - inverse * in_P
+        one = blocks[(newest - i) % BLOCKS]
         missed = one[_PY] - inverse * one[_PP] - friction * one[_PV]
         missed -= in_P * (one[_VY] - inverse * one[_PV] - friction * one[_VV])
         scatter += missed * missed * count / (count - 1.0)
     scatter += _COLOURED * left / samples * P
     # Where what is left beside the noise is a hand that the scene answers, 1/m is (Y - noise) / product.
     apart = 0.5 * math.log((Y - noise) / (inverse * product))
-    uncertainty = math.sqrt(scatter / (product * product) + apart * apart + _UNKNOWN * (left - noise) / Y)
+    variance = scatter / (product * product) + apart * apart + 0.25 * friction**4
+    uncertainty = math.sqrt(variance + _UNKNOWN * (left - noise) / Y)
     log_mass = -math.log(inverse) - apart
     least, most = estimate.log_least[c], estimate.log_most[c]
     if not (uncertainty < KNOWN and least - 3.0 * uncertainty < log_mass < most + 3.0 * uncertainty):

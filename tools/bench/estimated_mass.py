@@ -3,7 +3,7 @@
     tools/bench/estimated_mass [--devices 100] [--first 0] [--only KIND ...] [--json FILE]
 
 Mocks in memory at 1 kHz, 0.1 to 0.4 kg, the span that is declared, on a spring and damper of 300 to 30 000 N/m, for
-three seconds, with the pushes of `hapsim measure`. Each has sensor noise (none, or up to 10 µm), counts of 1 nm to
+three seconds, pushed with 2.5 N for 8 ms every 75 ms. Each has sensor noise (none, or up to 10 µm), counts of 1 nm to
 24 µm, and in turn: nothing else, a host that stalls for 10 to 50 ms, forces that are late, dry friction, a hand that
 pushes slowly (up to 2 N below 5 Hz), a hand that knocks (up to 3 N for 5 to 25 ms). During a stall the device goes on,
 its positions wait, and the newest is answered, as behind a port.
@@ -12,6 +12,7 @@ its positions wait, and the newest is answered, as behind a port.
 from __future__ import annotations
 
 import argparse
+import ctypes
 import json
 import math
 import sys
@@ -23,12 +24,12 @@ from numpy.typing import NDArray
 
 from hapsim.device.mock import firmware
 from hapsim.errors import HapsimError
-from hapsim.measuring.measure import _pushes
-from hapsim.running import run
+from hapsim.running import Excitation, run
 from hapsim.scene import Device, DevicePoint, Ground, Initial, Mock, Scene, Span, ViscoElastic
 
 RATE, SECONDS, LEAST, MOST = 1000.0, 3.0, 0.1, 0.4
 KINDS = ("alone", "stalls", "late", "dry friction", "slow hand", "knocks")
+PUSHES = Excitation(0, 2.5, 8, 75, start=0, first=False)
 _SAMPLES = round(RATE * SECONDS)
 
 
@@ -89,7 +90,8 @@ class _Disturbed:
 
     def __init__(self, mock: Any, tried: Tried) -> None:
         self._transport, self._tried = mock, tried
-        self._mock = mock._context
+        memory = (ctypes.c_char * firmware.MOCK.itemsize).from_address(int(mock.record.context))
+        self._mock = np.frombuffer(memory, firmware.MOCK).view(np.recarray)[0]
 
     def receive(self, buffer: NDArray[np.uint8], timeout_ns: int) -> int:
         return self._transport.receive(buffer, timeout_ns)
@@ -113,7 +115,7 @@ def estimated(seed: int) -> dict[str, Any]:
         tried.scene,
         duration=SECONDS,
         transport="loopback",
-        excitation=_pushes(tried.scene, 0, SECONDS),
+        excitation=PUSHES,
         between=(lambda mock: _Disturbed(mock, tried)) if disturbed else None,
     )
     report, mock, touch = trace.report, tried.scene.mock_device, tried.scene.modules["touch"]
