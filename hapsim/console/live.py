@@ -113,6 +113,5 @@ class _Line:
         faded = f" · {progress.faded_ticks} outside the travel" if progress.faded_ticks else ""
         self._show(
             f"running {progress.elapsed_s:.1f} s{rate} · force {force} N · "
-            f"age {progress.age_samples} · misses {progress.deadline_misses}{limited}{slewed}{faded}"
-            f"age {progress.age_samples} · misses {progress.deadline_misses}{limited}{slewed}{mass}"
+            f"age {progress.age_samples} · misses {progress.deadline_misses}{limited}{slewed}{faded}{mass}"
         )
