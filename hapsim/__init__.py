@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from hapsim.prediction import predict as predict
     from hapsim.running import Session as Session
     from hapsim.running import run as run
+    from hapsim.running import sessions as sessions
     from hapsim.running import start as start
     from hapsim.scene import Scene as Scene
     from hapsim.scene import load_scene as load_scene
@@ -53,6 +54,7 @@ _HOME = {
     "parse_scene": "hapsim.scene",
     "predict": "hapsim.prediction",
     "run": "hapsim.running",
+    "sessions": "hapsim.running",
     "start": "hapsim.running",
 }
 __all__ = [
@@ -72,6 +74,7 @@ __all__ = [
     "parse_scene",
     "predict",
     "run",
+    "sessions",
     "start",
 ]
 __version__ = "0.1.0"

@@ -7,7 +7,18 @@ from hapsim.loop.trace import Report, Statistics, Trace
 from hapsim.progress import Progress
 from hapsim.running.excitation import Excitation, PeriodicExcitation
 from hapsim.running.run import run
-from hapsim.running.session import Session
+from hapsim.running.session import Session, sessions
 from hapsim.running.starting import start
 
-__all__ = ["Excitation", "PeriodicExcitation", "Progress", "Report", "Session", "Statistics", "Trace", "run", "start"]
+__all__ = [
+    "Excitation",
+    "PeriodicExcitation",
+    "Progress",
+    "Report",
+    "Session",
+    "Statistics",
+    "Trace",
+    "run",
+    "sessions",
+    "start",
+]

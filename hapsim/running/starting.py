@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, TypedDict
@@ -24,7 +25,7 @@ from hapsim.device.open_connection import (
     place_of_device,
     require_possible_here,
 )
-from hapsim.errors import UsageError
+from hapsim.errors import RunError, UsageError
 from hapsim.loop.only_linux import missing_calls, require_linux
 from hapsim.loop.portable import PortableLoop
 from hapsim.loop.recorder import Recorder
@@ -40,7 +41,7 @@ from hapsim.running.excitation import Excitation, PeriodicExcitation
 from hapsim.running.recorded import recorded, with_record, with_report
 from hapsim.running.report import failure_of, trace_of, with_farewell
 from hapsim.running.report_file import default_directory
-from hapsim.running.session import Session
+from hapsim.running.session import Session, sessions
 from hapsim.running.stability import require_startable
 from hapsim.scene import Scene
 from hapsim.stopping import note_arming
@@ -67,7 +68,6 @@ class StartOptions(TypedDict, total=False):
     on_warning: Callable[[str], None] | None
 
 
-@contextlib.contextmanager
 def start(
     scene: Scene,
     *,
@@ -86,8 +86,9 @@ def start(
     on_warning: Callable[[str], None] | None = None,
     on_arming: Callable[[Session], None] | None = None,
     resumes: bool = False,
-) -> Iterator[Session]:
-    """Starts `scene`, for `duration` seconds (None: until stopped); it runs while the with-block lasts.
+) -> Session:
+    """Starts `scene` and returns its session. It runs for `duration` seconds (None: without an end), until it is
+    stopped or closed, until its with-block is left, if it has one, and no longer than the program.
 
     * `transport`: where the device is ("auto": the scene's port, else the mock that fits the clock).
     * `keep`: False for a trace without rows, for runs without an end.
@@ -111,22 +112,25 @@ def start(
     * `resumes`: the device took forces before: `Session.restarted` says whether it powered up since, with another
       zero, and where the scene counts from that the device is not armed.
 
-    Raises SceneError and UsageError for what cannot be run; DeviceError where port or device fail, GuardError where a
-    guard stopped the force, RecordError where the run went as asked and its record did not, these when the with-block
-    is left; they carry what was recorded as their attribute `trace`.
+    Raises SceneError and UsageError for what cannot be run, and DeviceError where port or device fail. What ended the
+    run is raised when the with-block is left, or by `Session.close`: DeviceError, GuardError where a guard stopped the
+    force, RecordError where the run went as asked and its record did not. They carry what was recorded as their
+    attribute `trace`. Where a session is not closed, the sentence is printed when the program ends.
     """
     _require_sound(scene, duration, realtime)
     if record is not None:
         require_writable_as_trace(Path(record))
     if unstable is False:
         require_startable(scene)
+    place = place_of_device(scene, transport, portable=portable)
+    if place == "port":
+        _require_no_session_on(scene.device.port or "")
     tell = on_progress or (lambda _: None)
     counted = Counted(lambda name, share: tell(Progress("compiling", name, share=share)))
     in_python = portable or between is not None or bool(missing_calls())
-    with (
-        on_compilation(counted.add),
-        _open(scene, transport, portable, in_python, realtime, between, counted) as opened,
-    ):
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(on_compilation(counted.add))
+        opened = stack.enter_context(_open(scene, transport, portable, in_python, realtime, between, counted))
         description = describe(opened)
         require_compatible(scene, opened.name, description)
         restarted = resumes and has_restarted(opened)
@@ -138,35 +142,56 @@ def start(
         # Everything is compiled now: the device is armed only when the loop can answer at once.
         gives_way = scene.device.clock != "lockstep" and not in_python
         recorder = Recorder(loop.ring, keep, min(math.ceil(scene.rate), _LAST_ROWS))
-        session = Session(scene, loop, _ready_body(opened, loop, in_python), recorder, gives_way, unstable)
+        body = _ready_body(opened, loop, in_python)
+        session = Session(scene, opened.name, loop, body, recorder, gives_way, unstable)
         session.restarted = restarted
-        spoken = b""
-        with recorded(session, record, on_warning):
-            try:
-                session._begin()
-                if on_arming is not None:
-                    on_arming(session)
-                with _real_time(session) if realtime else contextlib.nullcontext():
-                    note_arming()
-                    _arm(scene, opened, description, loop)
-                    spoken = opened.take_written()
-                    session._go()
-                    yield session
-            finally:
-                try:
-                    ending = session._end()
-                    session._trace = trace_of(scene, loop, recorder, ending)
-                finally:
-                    session._join()  # whatever interrupted the first: nobody else may be on the port
-                    # The loop has disarmed already; this is for every way out that did not get so far, and to know.
-                    released = disarm(opened, loop.wire)
-            session._trace = with_farewell(session.trace, released, frames_rejected_by(opened) if released else None)
-    failure = failure_of(opened.name, scene, loop, session.trace, ending)
-    place = place_of_device(scene, transport, portable=portable)
-    failure = with_report(failure, lambda: _report_directory(reports, place), opened, session, description, spoken)
-    failure = with_record(failure, opened.name, session)
-    if failure is not None:
-        raise failure
+        stack.enter_context(recorded(session, record, on_warning))
+        held, spoken = stack.pop_all(), b""
+
+    def finish() -> RunError | None:
+        with held:
+            ending = _released(session, scene, opened, loop, recorder)
+        if not spoken:
+            return None  # never armed: whoever starts it is told why
+        failure = failure_of(opened.name, scene, loop, session.trace, ending)
+        failure = with_report(failure, lambda: _report_directory(reports, place), opened, session, description, spoken)
+        return with_record(failure, opened.name, session)
+
+    try:
+        session._begin(finish)
+        if on_arming is not None:
+            on_arming(session)
+        if realtime:
+            held.enter_context(_real_time(session))
+        note_arming()
+        _arm(scene, opened, description, loop)
+        spoken = opened.take_written()
+        session._go()
+    except BaseException:
+        session._leave()
+        raise
+    return session
+
+
+def _released(session: Session, scene: Scene, opened: Connection, loop: Loop, recorder: Recorder) -> int:
+    """How the loop ended, once the device is disarmed; the session has its trace then."""
+    try:
+        ending = session._end()
+        session._trace = trace_of(scene, loop, recorder, ending)
+    finally:
+        # The loop has disarmed already; this is for every way out that did not get so far, and to know.
+        released = disarm(opened, loop.wire)
+    session._trace = with_farewell(session.trace, released, frames_rejected_by(opened) if released else None)
+    return ending
+
+
+def _require_no_session_on(port: str) -> None:
+    for session in sessions():
+        if os.path.realpath(session.name) == os.path.realpath(port):
+            raise UsageError(
+                f"{port}: a session of this program, which runs {session.scene.path or 'a scene'}, is using the port. "
+                "Call its `close` first (`hapsim.sessions()` returns the sessions that run)"
+            )
 
 
 def _report_directory(asked: str | Path | None, place: Place) -> Path | None:

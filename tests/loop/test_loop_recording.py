@@ -171,11 +171,12 @@ def test_the_record_of_a_run_that_died_is_not_written_over(scene_of: SceneOf, tm
 @pytest.mark.parametrize("ending", ["trace", "npz"])
 def test_two_runs_never_write_to_one_record(scene_of: SceneOf, tmp_path: Path, ending: str) -> None:
     path = tmp_path / f"t.{ending}"
-    with hapsim.start(scene_of(), duration=0.05, record=path) as session:
+    with hapsim.start(scene_of(), record=path) as session:
         with pytest.raises(UsageError, match="another run writes its record there: name another file"):
             run(scene_of(), duration=0.01, record=path)
-        session.wait(60.0)
-    assert load_trace(path).sample.size == 50
+        session.stop()
+        assert session.wait(60.0)
+        assert load_trace(path).sample.size == session.trace.report.ticks
     run(scene_of(), duration=0.02, record=path)
     assert load_trace(path).sample.size == 20
 
@@ -198,21 +199,21 @@ def _cut_short(path: Path) -> None:
     ("spoil", "said"), [(_remove, "was removed"), (_replace, "was replaced"), (_cut_short, "was cut short")]
 )
 def test_a_record_that_another_program_takes_away_is_told_and_no_other_file_is_touched(
-    scene_of: SceneOf, tmp_path: Path, ending: str, spoil: Callable[[Path], None], said: str
+    scene_of: SceneOf,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    ending: str,
+    spoil: Callable[[Path], None],
+    said: str,
 ) -> None:
     path = tmp_path / f"t.{ending}"
     before = b"an older record"
     if ending == "npz":
         path.write_bytes(before)
     part = path if ending == "trace" else tmp_path / "t.npz.part"
-
-    def run_and_spoil() -> None:
-        with hapsim.start(scene_of(), duration=0.05, record=path) as session:
-            session.wait(60.0)
-            spoil(part)
-
+    monkeypatch.setattr(recording.Recording, "finish", _then(lambda: spoil(part), recording.Recording.finish))
     with pytest.raises(RecordError) as caught:
-        run_and_spoil()
+        run(scene_of(), duration=0.05, record=path)
     told = str(caught.value)
     assert f"the run ended as asked after 50 ticks, and the record is lost: {part} {said} by another program" in told
     assert caught.value.trace is not None
@@ -220,18 +221,19 @@ def test_a_record_that_another_program_takes_away_is_told_and_no_other_file_is_t
         assert path.read_bytes() == before
 
 
-def test_a_part_that_cannot_be_read_back_costs_no_older_record(scene_of: SceneOf, tmp_path: Path) -> None:
+def test_a_part_that_cannot_be_read_back_costs_no_older_record(
+    scene_of: SceneOf, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = tmp_path / "t.npz"
     path.write_bytes(b"an older record")
 
-    def run_and_spoil() -> None:
-        with hapsim.start(scene_of(), duration=0.05, record=path) as session:
-            session.wait(60.0)
-            with (tmp_path / "t.npz.part").open("r+b") as part:
-                part.write(b"no magic")
+    def spoil() -> None:
+        with (tmp_path / "t.npz.part").open("r+b") as part:
+            part.write(b"no magic")
 
+    monkeypatch.setattr(recording.Recording, "finish", _then(spoil, recording.Recording.finish))
     with pytest.raises(RecordError, match=r"not a trace that hapsim wrote"):
-        run_and_spoil()
+        run(scene_of(), duration=0.05, record=path)
     assert path.read_bytes() == b"an older record"
 
 

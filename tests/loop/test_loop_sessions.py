@@ -69,6 +69,18 @@ def test_a_device_that_goes_away_is_reported_when_the_block_is_left(scripted: An
         assert session.trace.report.ending == "device gone"
 
 
+def test_without_a_block_close_raises_what_ended_the_run_and_only_once(
+    scripted: Any, frame: Callable[..., bytes]
+) -> None:
+    with scripted([frame(0, 0), None]) as (scene, _):
+        session = hapsim.start(scene)
+        assert session.wait(30.0)
+        with pytest.raises(DeviceError, match="went away after 1 tick"):
+            session.close()
+        session.close()
+    assert session.trace.report.ending == "device gone"
+
+
 def test_parameters_are_set_by_the_names_of_the_scene(scene_of: SceneOf) -> None:
     with hapsim.start(scene_of(2, mock={"noise": 1e-4})) as session:
         session.set({"touch0": {"stiffness": 500.0}, "touch1": {"stiffness": 250.0, "damping": 0.0}}, over=0.0)

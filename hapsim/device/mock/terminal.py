@@ -53,7 +53,8 @@ def serving(mock: Any, as_hardware: bool = False) -> Iterator[str]:
         transport = _transport(near, mock)
         service = new_service(transport)
         compile_for(serve, mock, service)
-        thread = threading.Thread(target=_serve, args=(mock, service), name="mock device")
+        # A daemon: the program's end would else wait for it before it ends the session that it serves.
+        thread = threading.Thread(target=_serve, args=(mock, service), name="mock device", daemon=True)
         thread.start()
         try:
             with fifo(thread.native_id or 0) if as_hardware else contextlib.nullcontext():
