@@ -131,14 +131,18 @@ def _show_measured(
     show_assumptions(stdout(), prediction)
     hands = {point.channel: name for name, point in scene.device_points.items()}
     least, most = scene.device.mass_spans(scene.channels)[channel]
+    of_mass = "estimated" if any(measurement.trace.report.estimated_mass_kg) else "assumed"
     if least < most:
-        whose = "the estimated mass" if measurement.trace.report.estimated_mass_kg else "the middle of the span"
+        whose = "the estimated mass" if of_mass == "estimated" else "the middle of the span"
         say(
             f"k and b are those of a hand of {measurement.mass:.6g} kg, {whose} of {least:g} to {most:g} kg; they grow "
             "with the mass."
         )
+    else:
+        of_mass = "declared"
     desired = next((one for one in prediction.desired if one.channel == channel), None)
-    show_measurement(stdout(), f"{hands[channel]}, channel {channel}", felt, why, measurement, desired)
+    where = f"{hands[channel]}, channel {channel}"
+    show_measurement(stdout(), where, felt, why, measurement, desired, prediction=prediction, of_mass=of_mass)
     others = ", ".join(f"--channel {c} for {name}" for c, name in hands.items() if c != channel)
     if others:
         say(f"Other hands of this scene: {others}.")

@@ -130,7 +130,7 @@ def measurement_document(
             "measured": _measured(measurement.at_rate(seen.rate_hz)),
         }
     return measured_document(prediction, measurement.trace.report, channel, measurement.failure, on_wire) | {
-        "measured": _measured(measurement),
+        "measured": _measured(measurement) | _device_document(prediction, measurement, channel),
         "rate_seen_hz": None if seen is None else seen.rate_hz,
         "rate_seen_uncertainty_hz": None if seen is None else seen.uncertainty_hz,
         "at_rate_seen": at_seen_rate,
@@ -157,8 +157,27 @@ def failure_document(failure: HapsimError | None) -> dict[str, Any]:
 
 
 def _measured(measurement: Measurement) -> dict[str, Any]:
-    left_out = ("trace", "failure", "seen_rate")
-    return {name: value for name, value in vars(measurement).items() if name not in left_out}
+    left_out = ("trace", "failure", "seen_rate", "mass_uncertainty", "second_mode")
+    values = {name: value for name, value in vars(measurement).items() if name not in left_out}
+    return values | {"mass_kg": measurement.mass, "mass_uncertainty_kg": measurement.mass_uncertainty}
+
+
+def _device_document(prediction: Prediction, measurement: Measurement, channel: int) -> dict[str, Any]:
+    """What the measurement beside the prediction tells of the device's mass, and of a hand that gives."""
+    from hapsim.console.compared import gives, oscillation_of, probable_mass
+
+    second, is_extra = measurement.second_mode, gives(prediction, measurement)
+    mass = None if is_extra else probable_mass(felt_on(prediction, channel), measurement)
+    document = None
+    if second is not None:
+        frequency, ratio = oscillation_of(second.pole, measurement.trace.rate)
+        document = {"frequency_hz": frequency, "damping_ratio": ratio, "share": second.share, "predicted": not is_extra}
+    return {
+        "dominant": measurement.dominant and not is_extra,
+        "second_mode": document,
+        "probable_mass_kg": None if mass is None else mass.mass,
+        "probable_mass_uncertainty_kg": None if mass is None else mass.uncertainty,
+    }
 
 
 def lifetime_document(lifetime: Lifetime, grants: Sequence[PrivilegeResult] = ()) -> dict[str, Any]:

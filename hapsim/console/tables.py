@@ -10,8 +10,9 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from hapsim.console.compared import gives, is_another_device, oscillation_of, probable_mass
 from hapsim.console.prediction import number
-from hapsim.prediction import Desired, Felt, felt_at_rate
+from hapsim.prediction import Desired, Felt, Prediction, felt_at_rate
 
 if TYPE_CHECKING:
     from hapsim.loop.histogram import Spread
@@ -25,7 +26,6 @@ _MASS_KNOWN, _LITTLE_EXPLAINED = 0.1, 0.9  # relative uncertainty and share of t
 _FEW_ARE_NORMAL = " (a few at arming and disarming are normal)"
 _MANY = 10
 _FEW = 0.01
-_CLEARLY = 0.01  # of what is predicted, of b of half the critical damping
 _OFF_RATE = 0.02  # of the rate, from which a hand feels another damping
 
 
@@ -36,14 +36,18 @@ def show_measurement(
     why: str,
     measurement: Measurement,
     desired: Desired | None = None,
+    *,
+    prediction: Prediction | None = None,
+    of_mass: str = "declared",
 ) -> None:
     """Prediction beside measurement, as `hapsim measure` tells them; and beside what is desired, with a correction.
 
-    `where`: the hand in question; `why`: there is no prediction for it, in words.
+    `where`: the hand in question; `why`: there is no prediction for it, in words; `prediction`: of the whole
+    scene; `of_mass`: where the mass comes from, in a word.
     """
     out.print()
-    out.print(_side_by_side(f"What the hand feels at {escape(where)}", felt, measurement, desired))
-    _show_at_seen_rate(out, felt, measurement)
+    out.print(_side_by_side(f"What the hand feels at {escape(where)}", felt, measurement, of_mass, desired))
+    _show_at_seen_rate(out, felt, measurement, of_mass)
     if felt is None:
         out.print(
             f"This hand {why}: no single spring and damper is predicted "
@@ -68,11 +72,7 @@ def show_measurement(
             f"[yellow]{faded} of {measurement.trace.report.ticks} ticks were outside device.travel[/yellow], where the "
             "force fades: k and b hold for motions within it."
         )
-    if felt is not None and _is_another_device(felt, measurement):
-        out.print(
-            "[yellow]Measured and predicted are much further apart than the uncertainty[/yellow]: the device is not as "
-            "the scene declares it, or has dry friction. `hapsim identify` finds what it is."
-        )
+    _show_what_the_device_is(out, felt, measurement, prediction, of_mass)
     if not measurement.dominant:
         out.print(f"The motion is not that of a spring and damper: {_plainly(measurement.reason)}.")
     out.print(
@@ -81,18 +81,31 @@ def show_measurement(
     )
 
 
-def _is_another_device(felt: Felt, measurement: Measurement) -> bool:
-    """At the declared rate, and with most forces below the limit and in time."""
-    report, seen = measurement.trace.report, measurement.seen_rate
-    shaped = report.limited_ticks + report.slewed_ticks + report.faded_ticks
-    disturbed = shaped + report.deadline_misses > _FEW * report.ticks
-    if disturbed or (seen is not None and seen.differs_from(measurement.trace.rate)):
-        return False
-    pairs = [
-        (measurement.k - felt.k, measurement.k_uncertainty, felt.k),
-        (measurement.b - felt.b, measurement.b_uncertainty, math.sqrt(abs(felt.k) * measurement.mass)),
-    ]
-    return any(abs(off) > max(_MANY * uncertainty, _CLEARLY * abs(whole)) for off, uncertainty, whole in pairs)
+def _show_what_the_device_is(
+    out: Console, felt: Felt | None, measurement: Measurement, prediction: Prediction | None, of_mass: str
+) -> None:
+    """Where it is not as the scene declares it: what that may be."""
+    second, mass = measurement.second_mode, probable_mass(felt, measurement)
+    if second is not None and prediction is not None and gives(prediction, measurement):
+        frequency, ratio = oscillation_of(second.pole, measurement.trace.rate)
+        out.print(
+            f"[yellow]A second mode swings along[/yellow] at {frequency:.3g} Hz, damping ratio {ratio:.2g}, with "
+            f"{100.0 * second.share:.3g} % of the motion's energy: the hand, or a part of the device, moves against "
+            "the rest like a mass on a spring. k and b are those of the longest ringing mode, not what the hand feels."
+        )
+    elif mass is not None:
+        share = mass.factor
+        out.print(
+            f"[yellow]The mass is probably {share:.3g} times the {of_mass} one[/yellow], {mass.mass:.4g} kg: with it "
+            "the prediction has the eigenfrequency and the damping ratio that were measured, and the hand feels "
+            f"k = {share * measurement.k:.6g} N/m, b = {share * measurement.b:.6g} N·s/m. `hapsim identify --write` "
+            "measures and stores it."
+        )
+    elif felt is not None and is_another_device(felt, measurement):
+        out.print(
+            "[yellow]Measured and predicted are much further apart than the uncertainty[/yellow]: the device is not as "
+            "the scene declares it, or has dry friction. `hapsim identify` finds what it is."
+        )
 
 
 def _plainly(reason: str) -> str:
@@ -104,7 +117,7 @@ def _plainly(reason: str) -> str:
     return reason
 
 
-def _show_at_seen_rate(out: Console, felt: Felt | None, measurement: Measurement) -> None:
+def _show_at_seen_rate(out: Console, felt: Felt | None, measurement: Measurement, of_mass: str) -> None:
     """Both sides once more, where the device was seen to sample at another rate than it declares."""
     seen, declared = measurement.seen_rate, measurement.trace.rate
     if seen is None or not seen.differs_from(declared):
@@ -116,7 +129,7 @@ def _show_at_seen_rate(out: Console, felt: Felt | None, measurement: Measurement
     )
     at_seen = None if felt is None else felt_at_rate(felt, seen.rate_hz)
     title = f"What the hand feels at {rate} Hz (or this machine held the device up)"
-    out.print(_side_by_side(title, at_seen, measurement.at_rate(seen.rate_hz)))
+    out.print(_side_by_side(title, at_seen, measurement.at_rate(seen.rate_hz), of_mass))
 
 
 def _rounded(seen: SeenRate) -> tuple[str, str]:
@@ -125,7 +138,9 @@ def _rounded(seen: SeenRate) -> tuple[str, str]:
     return f"{seen.rate_hz:.{decimals}f}", f"{seen.uncertainty_hz:.{decimals}f}"
 
 
-def _side_by_side(title: str, felt: Felt | None, measurement: Measurement, desired: Desired | None = None) -> Table:
+def _side_by_side(
+    title: str, felt: Felt | None, measurement: Measurement, of_mass: str, desired: Desired | None = None
+) -> Table:
     table = Table(title=title, title_justify="left")
     for heading in (
         "",
@@ -140,8 +155,8 @@ def _side_by_side(title: str, felt: Felt | None, measurement: Measurement, desir
     rows = [
         ("k  N/m", "k", measurement.k_uncertainty),
         ("b  N·s/m", "b", measurement.b_uncertainty),
-        ("eigenfrequency  Hz", "frequency_hz", None),
-        ("damping ratio", "damping_ratio", None),
+        ("eigenfrequency  Hz", "frequency_hz", measurement.frequency_uncertainty_hz),
+        ("damping ratio", "damping_ratio", measurement.damping_ratio_uncertainty),
     ]
     for label, key, uncertainty in rows:
         predicted = math.nan if felt is None else getattr(felt, key)
@@ -152,9 +167,11 @@ def _side_by_side(title: str, felt: Felt | None, measurement: Measurement, desir
             *([number(getattr(desired, key))] if desired else []),
             number(predicted, digits),
             number(measured, digits),
-            "" if uncertainty is None else number(uncertainty, 1),
+            number(uncertainty, 1),
             f"{difference:+.1e}" if math.isfinite(difference) else "",
         )
+    unsure = of_mass if measurement.mass_uncertainty is None else number(measurement.mass_uncertainty, 1)
+    table.add_row("mass  kg", *([""] if desired else []), "", number(measurement.mass, digits), unsure, "")
     return table
 
 

@@ -17,7 +17,7 @@ from threadpoolctl import threadpool_limits
 from hapsim.errors import RunError, UsageError
 from hapsim.loop.ring import BRIDGED, LATE_FORCE, LIMITED, OFF_GRID
 from hapsim.loop.trace import Trace
-from hapsim.measuring.pair import FittedPair, dominant_pair
+from hapsim.measuring.pair import FittedPair, SecondMode, dominant_pair
 from hapsim.measuring.regression import Fit, Segment, fit
 from hapsim.measuring.seen_rate import SeenRate, seen_rate
 from hapsim.measuring.stretches import unbroken
@@ -51,7 +51,10 @@ class Measurement:
     frequency_hz: float
     """Eigenfrequency sqrt(k/m) / 2 pi."""
     damping_ratio: float
+    frequency_uncertainty_hz: float
+    damping_ratio_uncertainty: float
     k_uncertainty: float
+    """That of the mass included, where it is known."""
     b_uncertainty: float
     pole: complex
     """z-plane, the one of the pair with the larger modulus, in the upper half."""
@@ -63,6 +66,11 @@ class Measurement:
     reason: str
     """Why not."""
     mass: float
+    """kg, to which k and b belong: they grow in proportion to it. Eigenfrequency and damping ratio do not."""
+    mass_uncertainty: float | None
+    """kg; None where the mass is declared and nothing is known of it."""
+    second_mode: SecondMode | None
+    """What swings along, where the motion shows that something does."""
     order: int
     samples: int
     residual_m: float
@@ -84,18 +92,37 @@ class Measurement:
             k=self.k * share**2,
             b=self.b * share,
             frequency_hz=self.frequency_hz * share,
+            frequency_uncertainty_hz=math.hypot(
+                self.frequency_uncertainty_hz * share, self.frequency_hz * share * unsure
+            ),
             k_uncertainty=math.hypot(self.k_uncertainty * share**2, 2.0 * self.k * share**2 * unsure),
             b_uncertainty=math.hypot(self.b_uncertainty * share, self.b * share * unsure),
         )
 
 
-def identify(trace: Trace, mass: float, channel: int = 0) -> Measurement:
-    """The spring and damper that `mass` kg on `channel` felt during the trace. UsageError where nothing moves."""
+def identify(trace: Trace, mass: float, channel: int = 0, mass_uncertainty: float | None = None) -> Measurement:
+    """The spring and damper that `mass` kg on `channel` felt during the trace; `mass_uncertainty`: its standard
+    uncertainty, kg, None where it is only declared. UsageError where nothing moves."""
     with threadpool_limits(1, user_api="blas"):  # on matrices this narrow further threads cost ten times what they save
-        return _identify(trace, mass, channel)
+        return _with_mass(_identify(trace, channel), mass, mass_uncertainty)
 
 
-def _identify(trace: Trace, mass: float, channel: int) -> Measurement:
+def _with_mass(unit: Measurement, mass: float, uncertainty: float | None) -> Measurement:
+    """What was measured for 1 kg, for this mass."""
+    share = 0.0 if uncertainty is None else uncertainty / mass
+    return replace(
+        unit,
+        k=mass * unit.k,
+        b=mass * unit.b,
+        k_uncertainty=mass * math.hypot(unit.k_uncertainty, share * unit.k),
+        b_uncertainty=mass * math.hypot(unit.b_uncertainty, share * unit.b),
+        mass=mass,
+        mass_uncertainty=uncertainty,
+    )
+
+
+def _identify(trace: Trace, channel: int) -> Measurement:
+    """For a mass of 1 kg."""
     if not np.all(np.isfinite(trace.asked_force)):
         raise UsageError("the scene's force was not finite throughout: there is nothing to be identified")
     segments = _segments(trace, channel, LATE_FORCE | BRIDGED | OFF_GRID)
@@ -108,10 +135,10 @@ def _identify(trace: Trace, mass: float, channel: int) -> Measurement:
     if not fits:
         raise UsageError(_why_nothing_fits(trace, channel))
     found = [(best, dominant_pair(best, others, free)) for best, others in fits]
-    best, (pair, poles, reason) = next((entry for entry in found if entry[1][0] is not None), found[0])
+    best, (pair, poles, reason, second) = next((entry for entry in found if entry[1][0] is not None), found[0])
     if pair is not None:
-        pair = _least_claim(pair, [other for _, (other, _, _) in found if other is not None])
-    return _measurement(pair, poles, reason, best, mass, trace, channel)
+        pair = _least_claim(pair, [other for _, (other, *_) in found if other is not None])
+    return _measurement(pair, poles, reason, second, best, trace, channel)
 
 
 def _least_claim(pair: FittedPair, rivals: list[FittedPair]) -> FittedPair:
@@ -134,8 +161,8 @@ def _measurement(
     pair: FittedPair | None,
     poles: NDArray[np.complex128],
     reason: str,
+    second: SecondMode | None,
     best: Fit,
-    mass: float,
     trace: Trace,
     channel: int,
 ) -> Measurement:
@@ -144,15 +171,18 @@ def _measurement(
         k = b = k_uncertainty = b_uncertainty = pole_uncertainty = math.nan
         pole = complex(math.nan, math.nan)
     else:
-        k, b = mass * rate**2 * pair.stiffness, -mass * rate * pair.decay
-        k_uncertainty = mass * rate**2 * pair.stiffness_uncertainty
-        b_uncertainty = mass * rate * pair.decay_uncertainty
+        k, b = rate**2 * pair.stiffness, -rate * pair.decay
+        k_uncertainty, b_uncertainty = rate**2 * pair.stiffness_uncertainty, rate * pair.decay_uncertainty
         pole, pole_uncertainty = pair.poles[0], pair.poles_uncertainty[0]
+    angular = math.sqrt(k) if k > 0 else math.nan
+    share = k_uncertainty / (2.0 * angular**2)  # of the eigenfrequency, of which the ratio is b / (2 angular)
     return Measurement(
         k=k,
         b=b,
-        frequency_hz=math.sqrt(k / mass) / (2.0 * math.pi) if k > 0 else math.nan,
-        damping_ratio=b / (2.0 * math.sqrt(k * mass)) if k > 0 else math.nan,
+        frequency_hz=angular / (2.0 * math.pi),
+        damping_ratio=b / (2.0 * angular),
+        frequency_uncertainty_hz=share * angular / (2.0 * math.pi),
+        damping_ratio_uncertainty=math.hypot(b_uncertainty, share * b) / (2.0 * angular),
         k_uncertainty=k_uncertainty,
         b_uncertainty=b_uncertainty,
         pole=pole,
@@ -160,7 +190,9 @@ def _measurement(
         poles=tuple(poles.tolist()),
         dominant=pair is not None,
         reason=reason,
-        mass=mass,
+        mass=1.0,
+        mass_uncertainty=None,
+        second_mode=second,
         order=best.order,
         samples=best.rows,
         residual_m=best.residual * float(trace.position_scale[channel]),

@@ -65,7 +65,8 @@ def measure(
             raise
         failure, trace = error, error.trace
     try:
-        return replace(identify(_settled(scene, trace), _mass_of(scene, trace, channel), channel), failure=failure)
+        mass, uncertainty = _mass_of(scene, trace, channel)
+        return replace(identify(_settled(scene, trace), mass, channel, uncertainty), failure=failure)
     except UsageError as nothing:
         if failure is None:
             raise
@@ -80,11 +81,12 @@ def _settled(scene: Scene, trace: Trace) -> Trace:
     return trace.since(half)
 
 
-def _mass_of(scene: Scene, trace: Trace, channel: int) -> float:
-    """kg: the one that was estimated, or declared."""
-    estimated = trace.report.estimated_mass_kg
-    found = estimated[channel] if channel < len(estimated) else None
-    return scene.device.masses(scene.channels)[channel] if found is None else found
+def _mass_of(scene: Scene, trace: Trace, channel: int) -> tuple[float, float | None]:
+    """(kg, its standard uncertainty or None): the mass that was estimated, or declared."""
+    report, device = trace.report, scene.device
+    if channel < len(report.estimated_mass_kg) and (found := report.estimated_mass_kg[channel]) is not None:
+        return found, report.estimated_mass_uncertainty_kg[channel]
+    return device.masses(scene.channels)[channel], device.mass_uncertainties(scene.channels)[channel]
 
 
 def _kick_within_travel(scene: Scene, channel: int, rests_s: float) -> float:

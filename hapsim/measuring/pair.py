@@ -7,11 +7,21 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hapsim.measuring.regression import Fit
+
+
+class SecondMode(NamedTuple):
+    """Another conjugate pair of poles that the motion clearly has, and that lasts: a further mass swings along."""
+
+    pole: complex
+    """z-plane, in the upper half."""
+    share: float
+    """Of the energy (of the squared position, over the free motion) that this pair has of all modes."""
 
 
 @dataclass(frozen=True)
@@ -30,24 +40,25 @@ class FittedPair:
 
 def dominant_pair(
     fit: Fit, alternatives: list[Fit], motion: NDArray[np.float64]
-) -> tuple[FittedPair | None, NDArray[np.complex128], str]:
-    """(the slowest-decaying pair or None, all poles by decreasing modulus, why there is no pair).
+) -> tuple[FittedPair | None, NDArray[np.complex128], str, SecondMode | None]:
+    """(the slowest-decaying pair or None, all poles by decreasing modulus, why there is no pair, a second mode).
 
     `alternatives`: fits that might as well have been chosen; how far they lie from `fit` adds to the uncertainty.
     `motion`: the position, shape (samples,), in which a pole has to be seen in order to count.
     """
     poles = _poles(fit)
-    seen = _seen_in(motion, poles)
+    seen, energy = _seen_in(motion, poles)
     chosen = _choose(poles[seen])
+    further = _second_mode(poles[seen], energy[seen])
     if isinstance(chosen, str):
-        return None, poles[seen], chosen
+        return None, poles[seen], chosen, further
     first, second, others = chosen
     total, product = (first + second).real, (first * second).real
     spread = [_spread_of_sum_and_product(fit, total, product, np.append(others, poles[~seen]))]
     for alternative in alternatives:
         other_total, other_product = _nearest_pair(_poles(alternative), first, second)
         spread.append(np.array([[other_total - total], [other_product - product]]))
-    return _pair(total, product, np.hstack(spread)), poles[seen], ""
+    return _pair(total, product, np.hstack(spread)), poles[seen], "", further
 
 
 def _poles(fit: Fit) -> NDArray[np.complex128]:
@@ -64,13 +75,26 @@ def _nearest_pair(poles: NDArray[np.complex128], first: complex, second: complex
     return (a + b).real, (a * b).real
 
 
-def _seen_in(motion: NDArray[np.float64], poles: NDArray[np.complex128]) -> NDArray[np.bool_]:
-    """Which poles the motion has: those without which a sum of modes would fit it clearly worse.
+def _second_mode(poles: NDArray[np.complex128], energy: NDArray[np.float64]) -> SecondMode | None:
+    """Of the conjugate pairs behind the slowest pole the one with the most energy, where it lasts and that is some."""
+    others = [i for i in range(1, poles.size) if poles[i].imag > 0.0 and abs(poles[i]) >= _LASTING]
+    others = [i for i in others if abs(poles[i] - poles[0].conjugate()) > 1e-9 * abs(poles[0])]
+    if not others or not np.sum(energy) > 0.0:
+        return None
+    most = max(others, key=lambda i: float(energy[i]))
+    share = 2.0 * float(energy[most] / np.sum(energy))
+    return SecondMode(complex(poles[most]), share) if share > _SOME else None
+
+
+def _seen_in(
+    motion: NDArray[np.float64], poles: NDArray[np.complex128]
+) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
+    """(which poles the motion has: those without which a sum of modes would fit it clearly worse; the energy of each).
 
     A fit of a higher order than the motion's has poles that belong to its noise; they may lie anywhere.
     """
     if motion.size <= poles.size:
-        return np.ones(poles.size, bool)  # too short to tell
+        return np.ones(poles.size, bool), np.zeros(poles.size)  # too short to tell
     n = np.arange(min(motion.size, _LOOKED_AT))[:, None]
     # A growing mode is written backwards from its end, so that no power overflows.
     modes = np.where(np.abs(poles) > 1.0, poles, 1.0) ** (n - n[-1]) * np.where(np.abs(poles) > 1.0, 1.0, poles) ** n
@@ -79,17 +103,19 @@ def _seen_in(motion: NDArray[np.float64], poles: NDArray[np.complex128]) -> NDAr
     modes = np.column_stack([modes, np.full(n.size, 1.0 / math.sqrt(n.size))])
     q, r = np.linalg.qr(modes)
     if np.min(np.abs(np.diag(r))) < 1e-15:
-        return np.ones(poles.size, bool)
+        return np.ones(poles.size, bool), np.zeros(poles.size)
     amplitude = np.linalg.solve(r, q.conj().T @ motion[: n.size])
     left = motion[: n.size] - np.real(modes @ amplitude)
     worse = (np.abs(amplitude) ** 2 / np.sum(np.abs(np.linalg.inv(r)) ** 2, axis=1))[: poles.size]
-    return np.asarray(worse > _CLEARLY * np.mean(left**2))
+    return np.asarray(worse > _CLEARLY * np.mean(left**2)), np.abs(amplitude[: poles.size]) ** 2
 
 
 NO_SECOND_REAL_POLE = "the slowest pole is real and no second real one follows"
 
 _LOOKED_AT = 4000
 _CLEARLY = 30.0
+_LASTING = 0.7  # what loses more in a sample is gone after three: poles of delays, filters and holds
+_SOME = 1e-3
 
 
 def _choose(poles: NDArray[np.complex128]) -> tuple[complex, complex, NDArray[np.complex128]] | str:

@@ -1,0 +1,188 @@
+"""What k and b rest on: the mass, how well it is known, whether it is another one, and whether it is one at all."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+import hapsim as python_api
+from hapsim.console.compared import gives, probable_mass
+from hapsim.console.tables import show_measurement
+from hapsim.measuring.identify import identify
+from hapsim.prediction import predict, with_mass
+from hapsim.scene import Scene, parse_scene
+
+sys.path.insert(0, str(Path(__file__).parent))
+from records import held_by_a_hand
+
+SCENE = """
+version: 1
+rate: 1000
+device: {{clock: lockstep, mass: {mass}, friction: 1.0, delay: {delay}, correction: {correction}}}
+mock: {{mass: {true}, initial: {{velocity: 0.1}}, noise: {noise}, quantum: {quantum}, seed: {seed}}}
+modules:
+  hand:  {{type: device, channel: 0}}
+  wall:  {{type: ground}}
+  touch: {{type: viscoelastic, between: [hand, wall], stiffness: {K}, damping: {B}}}
+"""
+AS_DECLARED = {"mass": 0.2, "true": 0.2, "delay": 1, "correction": "none", "noise": 0, "quantum": 1e-9, "seed": 0}
+
+
+def text_of(**changed: object) -> str:
+    return SCENE.format(**AS_DECLARED | {"K": 2000, "B": 5} | changed)
+
+
+def scene_of(**changed: object) -> Scene:
+    return parse_scene(text_of(**changed))
+
+
+@pytest.fixture
+def measured(hapsim: Callable[..., Any], tmp_path: Path) -> Callable[..., Any]:
+    """Measures a scene by the command line."""
+
+    def measure(*words: str, **changed: object) -> Any:
+        path = tmp_path / "scene.yaml"
+        path.write_text(text_of(**changed), encoding="utf-8")
+        return hapsim("measure", path, *words)
+
+    return measure
+
+
+@pytest.mark.parametrize(("true", "factor", "k", "b"), [(0.3, "1.5", 2052.764, 3.01447), (0.1, "0.5", 2169.086, 3.035)])
+def test_another_mass_than_the_declared_one_is_named_with_what_the_hand_then_feels(
+    measured: Callable[..., Any], true: float, factor: str, k: float, b: float
+) -> None:
+    told = " ".join(measured(true=true).out.split())
+    assert f"The mass is probably {factor} times the declared one, {true:g} kg: with it the prediction has" in told
+    assert f"k = {k:.2f} N/m, b = {b:g} N·s/m." in told
+    assert "│ mass kg │ │ 0.2 │ declared │ │" in told
+    assert "not as the scene declares it" not in told
+    found = measured("--json", true=true).document["measured"]
+    assert found["probable_mass_kg"] == pytest.approx(true, abs=5.0 * found["probable_mass_uncertainty_kg"])
+    assert found["probable_mass_uncertainty_kg"] < 1e-6
+    assert found["k"] * true / 0.2 == pytest.approx(k, abs=6e-4)  # it is still that of the declared mass
+    assert (found["mass"], found["mass_kg"], found["mass_uncertainty_kg"]) == (0.2, 0.2, None)
+
+
+@pytest.mark.parametrize("correction", ["poles", "predictor"])
+def test_a_correction_does_not_hide_the_mass(correction: str) -> None:
+    scene = scene_of(true=0.26, correction=correction, noise=3e-7)
+    measurement = python_api.measure(scene)
+    found = probable_mass(predict(scene, with_margins=False).felt[0], measurement)
+    assert found is not None
+    assert found.mass == pytest.approx(0.26, abs=4.0 * found.uncertainty)
+    assert found.factor == pytest.approx(found.mass / 0.2)
+    assert 1e-6 < found.uncertainty < 0.002
+
+
+def test_a_device_as_declared_is_not_given_another_mass_and_a_damper_is_no_mass() -> None:
+    rng = np.random.default_rng(2026)
+    for seed in range(6):
+        scene = scene_of(
+            K=10.0 ** rng.uniform(2.5, 4.0),
+            B=10.0 ** rng.uniform(0.3, 1.0),
+            correction=str(rng.choice(["none", "poles", "predictor"])),
+            noise=rng.choice([0.0, 1e-6]),
+            quantum=10.0 ** rng.uniform(-9.0, -5.5),
+            seed=seed,
+        )
+        prediction = predict(scene, with_margins=False)
+        measurement = python_api.measure(scene)
+        assert probable_mass(prediction.felt[0], measurement) is None
+        assert not gives(prediction, measurement)
+        # Of another friction the declared mass is not to blame.
+        rubbed = scene.model_copy(update={"mock": scene.mock.model_copy(update={"friction": 1.6})})
+        assert probable_mass(prediction.felt[0], python_api.measure(rubbed)) is None
+
+
+def test_the_uncertainty_of_the_mass_is_one_of_k_and_b_but_of_no_frequency(measured: Callable[..., Any]) -> None:
+    declared = measured("--json").document["measured"]
+    known = measured("--json", mass="{value: 0.2, uncertainty: 0.001}").document["measured"]
+    assert known["mass_uncertainty_kg"] == 0.001
+    for key in ("k", "b"):
+        assert known[key] == declared[key]
+        assert known[f"{key}_uncertainty"] == pytest.approx(0.005 * known[key], rel=1e-6)
+        assert declared[f"{key}_uncertainty"] < 1e-6 * known[key]
+    for key in ("frequency_uncertainty_hz", "damping_ratio_uncertainty"):
+        assert known[key] == declared[key] > 0.0
+    assert "│ mass kg │ │ 0.2 │ 0.001 │ │" in " ".join(measured(mass="{value: 0.2, uncertainty: 0.001}").out.split())
+    # 15 % off is nothing that an uncertainty of 10 % does not cover.
+    assert measured("--json", true=0.23).document["measured"]["probable_mass_kg"] is not None
+    vague = measured("--json", true=0.23, mass="{value: 0.2, uncertainty: 0.02}").document["measured"]
+    assert vague["probable_mass_kg"] is None
+
+
+def test_an_estimated_mass_is_stated_with_its_uncertainty() -> None:
+    scene = scene_of(mass="{from: 0.1, to: 0.4}", true=0.3, correction="adaptive")
+    measurement = python_api.measure(scene)
+    report = measurement.trace.report
+    assert (measurement.mass,) == report.estimated_mass_kg
+    assert (measurement.mass_uncertainty,) == report.estimated_mass_uncertainty_kg
+    prediction = with_mass(predict(scene), 0, measurement.mass)
+    assert measurement.k == pytest.approx(prediction.felt[0].k, abs=5.0 * measurement.k_uncertainty)
+
+
+def test_the_stated_uncertainties_of_frequency_and_damping_ratio_hold() -> None:
+    off = []
+    for seed in range(8):
+        scene = scene_of(noise=1e-6, seed=seed)
+        felt, found = predict(scene, with_margins=False).felt[0], python_api.measure(scene)
+        off.append(
+            (
+                (found.frequency_hz - felt.frequency_hz) / found.frequency_uncertainty_hz,
+                (found.damping_ratio - felt.damping_ratio) / found.damping_ratio_uncertainty,
+            )
+        )
+    spread = np.sqrt(np.mean(np.square(off), axis=0))
+    assert np.all((spread > 0.4) & (spread < 1.6)), spread
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-6])
+def test_a_hand_that_gives_is_named_as_a_second_mode(noise: float) -> None:
+    scene = scene_of()
+    measurement = identify(held_by_a_hand(0.3, 3000.0, 10.0, noise), 0.2)
+    assert measurement.k == pytest.approx(634.915, abs=max(0.002, 4.0 * measurement.k_uncertainty))
+    assert measurement.second_mode is not None
+    assert 0.05 < measurement.second_mode.share < 0.1
+    assert gives(predict(scene), measurement)
+    out = Console(width=80, legacy_windows=False)
+    with out.capture() as capture:
+        show_measurement(out, "hand", predict(scene).felt[0], "", measurement, prediction=predict(scene))
+    lines = capture.get().splitlines()
+    assert max(map(len, lines)) <= 80
+    told = " ".join(" ".join(lines).split())
+    assert "A second mode swings along at 28." in told
+    assert "Hz, damping ratio 0.2" in told
+    assert "with 7.05 % of the motion's energy" in told or noise
+    assert "probably" not in told
+
+
+def test_a_second_mode_that_the_scene_has_is_none_of_the_hand_s(hapsim: Callable[..., Any], tmp_path: Path) -> None:
+    """A mass of the scene, which the hand moves by a link."""
+    text = text_of(K=800, B=0.5).replace("between: [hand, wall]", "between: [hand, ball]") + (
+        "  ball:  {type: mass, mass: 0.5}\n"
+        "  rest:  {type: viscoelastic, between: [ball, wall], stiffness: 2000, damping: 0.5}\n"
+    )
+    (tmp_path / "ball.yaml").write_text(text, encoding="utf-8")
+    found = hapsim("measure", tmp_path / "ball.yaml", "--json").document["measured"]
+    assert found["second_mode"]["predicted"] is True
+    assert found["second_mode"]["frequency_hz"] == pytest.approx(7.4, abs=0.05)
+    assert found["dominant"] is True
+    assert found["probable_mass_kg"] is None
+
+
+def test_a_disturbed_record_tells_nothing_of_the_mass() -> None:
+    scene = scene_of(true=0.3)
+    felt, measurement = predict(scene).felt[0], python_api.measure(scene)
+    assert probable_mass(felt, measurement) is not None
+    trace = measurement.trace
+    for count in ("limited_ticks", "slewed_ticks", "deadline_misses"):
+        spoilt = replace(trace, report=replace(trace.report, **{count: trace.report.ticks // 20}))
+        assert probable_mass(felt, replace(measurement, trace=spoilt)) is None
