@@ -7,7 +7,8 @@ import math
 from typing import NamedTuple
 
 from hapsim.measuring.identify import Measurement
-from hapsim.prediction import Felt, Prediction, masses_with, oscillation_at
+from hapsim.prediction import Felt, Prediction
+from hapsim.prediction.other_mass import masses_with, oscillation_at
 
 _UNSURE = 4.0  # uncertainties: what is further apart is not the same
 _MANY = 10.0

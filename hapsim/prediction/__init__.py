@@ -6,7 +6,6 @@ Public is what `__all__` names.
 from firmware_protocol.wire_time import WireTime
 from hapsim.prediction.hands import configuration_of
 from hapsim.prediction.impedance import PredictedImpedance, ZWidth, predict_impedance, z_width_of
-from hapsim.prediction.other_mass import masses_with, oscillation_at
 from hapsim.prediction.predict import (
     Desired,
     Felt,
@@ -39,8 +38,6 @@ __all__ = [
     "felt_at_rate",
     "host_silence",
     "is_surely_unstable",
-    "masses_with",
-    "oscillation_at",
     "predict",
     "predict_impedance",
     "predict_on_wire",
