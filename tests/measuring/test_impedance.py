@@ -11,8 +11,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from rich.console import Console
 
-from hapsim.console.impedance import measured_width
+from hapsim.console.impedance import measured_width, show_impedance
 from hapsim.errors import UsageError
 from hapsim.loop.ring import LATE_FORCE, UNSENT
 from hapsim.loop.trace import Trace
@@ -20,8 +21,9 @@ from hapsim.measuring.impedance import Loop, impedance_of
 from hapsim.measuring.measure_impedance import MeasuredImpedance, measure_impedance, walls_in_place
 from hapsim.measuring.multisine import lines_for, multisine
 from hapsim.measuring.spectra import Periods, periods_of
+from hapsim.prediction import predict
 from hapsim.prediction.impedance import predict_impedance, z_width_of
-from hapsim.scene import Scene, load_scene
+from hapsim.scene import Scene, Span, load_scene
 from hapsim.theory.hand.impedance import late_and_held
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -68,6 +70,47 @@ def test_of_shipped_scenes_measured_and_predicted_agree_within_the_uncertainty_a
         certain = circles.uncertainty[:, own, own] / np.abs(circles.value[:, own, own])
         assert np.median(certain) < 1e-3  # and it is no wide circle that holds them
         assert certain.max() < 1e-2
+
+
+def test_the_impedance_of_a_predictor_ends_at_its_steady_stiffness_for_whichever_mass_it_was_made() -> None:
+    """Of a mass that is not known it is made for one of the span, which is not the middle."""
+    scene = one_spring(2000.0, 15.0, friction=1.0)
+    spanned = {"mass": Span(least=0.15, most=0.3), "correction": "predictor"}
+    scene = scene.model_copy(update={"device": scene.device.model_copy(update=spanned)})
+    prediction = predict(scene, with_margins=False)
+    (port,), (desired,) = prediction.rendering.ports, prediction.desired
+    assert abs(port.made_for / port.declared.mass - 1.0) > 0.1
+    slow = np.array([1e-3])  # Hz
+    stiffness = 2j * np.pi * slow * predict_impedance(scene, slow).rendered[:, 0, 0]
+    assert abs(stiffness[0]) == pytest.approx(desired.steady_stiffness, rel=1e-6)
+
+
+def test_the_sentences_have_the_numbers_of_what_was_measured() -> None:
+    found, predicted = measured("two_hands"), predict_impedance(shipped("two_hands"), measured("two_hands").frequency)
+    out = Console(width=100_000)
+    with out.capture() as capture:
+        show_impedance(out, predicted, found, [0, 1])
+    told = capture.get()
+    for i, channel in enumerate(found.channels):
+        trace = found.traces[i]
+        force = np.max(np.abs(trace.force[:, channel] - trace.asked_force[:, channel]))
+        moved = 1e3 * np.ptp(trace.position[-round(found.period_s * trace.rate) :, channel])
+        assert (
+            f"Channel {channel} was excited with up to {force:.3g} N, which moved it by {moved:.3g} mm; "
+            f"{found.periods[i] + 1} periods of 0.5 s count."
+        ) in told
+    for kind, words in zip(KINDS, ("device's own", "rendered", "closed-loop"), strict=True):
+        apart = off_by(found, shipped("two_hands"), kind).max()
+        assert (
+            f"The {words} impedance: prediction and measurement agree within the uncertainty at all "
+            f"{found.frequency.size} frequencies, at most {apart:.2g} of it apart."
+        ) in told
+    value, radius = found.rendered.value[0, 1, 1], found.rendered.uncertainty[0, 1, 1]
+    assert f"{abs(value):.5g} ∠ {np.degrees(np.angle(value)):.1f}° │ {radius:.1g}" in " ".join(told.split())
+    late = replace(predicted, device=1.5 * predicted.device)
+    with out.capture() as capture:
+        show_impedance(out, late, found, [0])
+    assert "The device's own impedance: prediction and measurement do not agree: " in capture.get()
 
 
 def test_what_one_hand_feels_of_the_other_is_measured_as_a_matrix() -> None:

@@ -76,6 +76,19 @@ def test_the_true_rate_lies_within_the_uncertainty(a_trace: Trace, share: float)
         assert seen.differs_from(1000.0) == (share != 1.0)
 
 
+def test_of_a_short_record_on_a_slow_machine_the_rate_is_as_uncertain_as_it_looks(a_trace: Trace) -> None:
+    """Arrivals that are blurred by a whole period: they, and not the host's clock, are what is uncertain."""
+    rng, off = np.random.default_rng(12), []
+    for share in np.repeat([0.5, 1.0, 2.0], 30):
+        arrivals = (np.arange(200) + rng.uniform(size=200)) / (1000.0 * share)
+        seen = seen_rate(arriving(a_trace, arrivals, slice(200)))
+        assert seen is not None
+        off.append(abs(seen.rate_hz / (1000.0 * share) - 1.0) / (seen.uncertainty_hz / (1000.0 * share)))
+        assert 5e-4 < seen.uncertainty_hz / (1000.0 * share) < 0.02
+    assert max(off) < 1.0
+    assert 0.1 < np.median(off) < 0.5
+
+
 @pytest.mark.parametrize("share", [0.5, 0.9, 1.0])
 def test_the_earliest_arrivals_tell_it_and_the_others_do_not_blur_it(a_trace: Trace, share: float) -> None:
     """Half a millisecond late on average: the uncertainty stays that of the host's clock."""
