@@ -102,9 +102,16 @@ def _within_travel(scene: Scene, channel: int, travel: float | None) -> tuple[Sc
     from hapsim.measuring.identify_device import TRAVEL_M
 
     device = scene.device
+    if not 0 <= channel < scene.channels:
+        return scene, travel
     least, most = device.travels(scene.channels)[channel]
     here = device.origins(scene.channels)[channel] is None
     room = min(most, -least) if here else 0.5 * (most - least)
+    if here and room <= 0.0:
+        raise UsageError(
+            f"device.travel: found {least:g} to {most:g} m from where it is armed (origin: here), expected room "
+            "to both sides to push it; put it in the middle of its travel, and leave out travel and origin for this"
+        )
     if here:
         none = {"travel": None, "travel_margin": None, "origin": None}
         scene = scene.model_copy(update={"device": device.model_copy(update=none)})

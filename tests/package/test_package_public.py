@@ -36,6 +36,7 @@ INSIDE = {
     ("tools/bench/mutated_scenes.py", "hapsim.cli"): "calls the command in its own process, thousands of times",
     ("tools/bench/faults.py", "hapsim.faults"): FAULTS_IN_MEMORY,
     ("tools/bench/faults.py", "hapsim.console.faults"): FAULTS_IN_MEMORY,
+    ("tools/bench/inverted.py", "hapsim.faults"): FAULTS_IN_MEMORY,
     ("tools/bench/soak.py", "firmware_protocol"): ASKS_THE_DEVICE,
     ("tools/bench/soak.py", "hapsim.device"): ASKS_THE_DEVICE,
     ("tools/bench/start.py", "hapsim.device.mock"): PLAYS_THE_DEVICE,

@@ -20,7 +20,6 @@ from hapsim.faults import Injector, parse_script
 from hapsim.faults.in_memory import in_memory
 from hapsim.running import run
 from hapsim.scene import Scene
-from hapsim.shipped import shipped_scene
 
 INVERTED = "version: 1\nfaults:\n  - {kind: invert, direction: to_device, at: 0.0}\n"
 
@@ -51,7 +50,7 @@ def main() -> int:
         for limit in map(float, given.limits.split(",")):
             told = []
             for travel in (None, (-half, half)):
-                scene = hapsim.parse_scene(shipped_scene("first_touch.yaml"))
+                scene = hapsim.load_scene("configs/first_touch.yaml")
                 changes = {"clock": "lockstep", "mass": mass, "force_limit": limit, "travel": travel}
                 scene = scene.model_copy(update={"device": scene.device.model_copy(update=changes)})
                 far, speed, after, why = thrown(scene)
