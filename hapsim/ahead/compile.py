@@ -83,9 +83,9 @@ def _loop() -> list[_Entry | PlainNative]:
 
 def _port() -> list[PlainNative]:
     from hapsim.loop import descriptor, force_history
-    from hapsim.loop.guards import divergence, slew, travel
+    from hapsim.loop.guards import divergence, sign, slew, travel
 
-    guards = [slew.shape_force, travel.fade, divergence.observe]
+    guards = [slew.shape_force, travel.fade, divergence.observe, sign.judge]
     return [descriptor.receive, descriptor.send, force_history.keep, *guards]
 
 

@@ -61,6 +61,7 @@ def identify(
     """
     from hapsim.console.identify import before_pushing
     from hapsim.console.live import live_line
+    from hapsim.device.known_devices import is_new
     from hapsim.measuring.identify_device import SECONDS, bounds_of, identify_device
 
     loaded = load(scene, port)
@@ -87,6 +88,8 @@ def identify(
             on_progress=tell,
             stop_on_signals=True,
         )
+    if not on_mock:
+        is_new(loaded.device.port or "")  # from now on not
     _chart_residual(found, picture, data)
     _tell(scene, loaded, found, write, json)
     if not json:

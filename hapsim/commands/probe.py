@@ -39,6 +39,7 @@ def probe(
     zero is asked for. Exit status 3 where a check fails; what was not seen is no failure.
     """
     from hapsim.console.probe import judgement_document, show_judgement, step_line
+    from hapsim.device.known_devices import is_new
     from hapsim.probe import probe as judge
     from hapsim.probe import steps_of
     from hapsim.running.signals import stopping_on_signals
@@ -55,6 +56,8 @@ def probe(
 
     with step_line(stderr()) as tell, stopping_on_signals(stop):
         judgement = judge(port, baud=baud, leave=leave, steps=steps, on_step=tell, say=complain, on_wire=wires.append)
+    if any(check.name == "sign" and check.result in ("pass", "FAIL") for check in judgement.checks):
+        is_new(port)  # from now on not
     if json:
         from hapsim.console.as_json import document
 

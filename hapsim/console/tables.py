@@ -207,6 +207,7 @@ def show_report(out: Console, report: Report, reconnections: int = 0) -> None:
         ("ticks at the slew limit or in the soft start", report.slewed_ticks),
         ("ticks outside the travel, force faded", report.faded_ticks),
         ("forces withheld: position too old", report.withheld_forces),
+        ("releases to test a motor's sign", report.sign_tests),
         ("rows not recorded", report.dropped_rows + report.unrecorded_rows),
     ):
         if count:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 
 from hapsim.prediction import HostSilence, WireTime, host_silence
-from hapsim.prediction.force_bounds import force_bounds, refused_slew, run_bounds, slow_slew
+from hapsim.prediction.force_bounds import force_bounds, hidden_sign, refused_slew, run_bounds, slow_slew
 from hapsim.prediction.rounding import duration
 
 if TYPE_CHECKING:
@@ -67,6 +67,8 @@ def show_force_bounds(out: Console, scene: Scene, prediction: Prediction) -> Non
     show_travel(out, scene)
     if scene.device.port is None and scene.device.clock != "lockstep":
         out.print(_behind_a_port(scene))
+    if hidden := hidden_sign(scene, prediction):
+        out.print(hidden)
     for warning in slew_warnings(scene, prediction):
         out.print(f"[yellow]Warning[/yellow]: {warning}")
 

@@ -22,6 +22,7 @@ _SUMMED = (
     "slewed_ticks",
     "faded_ticks",
     "withheld_forces",
+    "sign_tests",
     "unrecorded_rows",
     "dropped_rows",
     "parameter_changes",

@@ -23,5 +23,7 @@ LEAPT = -6
 """A position is where no hand can have moved the device."""
 DIVERGED = -7
 """The simulated force gave the hand more energy than a passive object can hold, or swings at its limit."""
+WRONG_SIGN = -8
+"""A motor pushes the other way round than it is told."""
 OUT_OF_TRAVEL = -9
 """The device is farther outside its travel than the force reaches."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from hapsim.compiling import inlined
-from hapsim.loop.codes import BAD_FORCE, DIVERGED, FAILED, FAULT, LEAPT, OFF_RATE, TIMED_OUT
+from hapsim.loop.codes import BAD_FORCE, DIVERGED, FAILED, FAULT, LEAPT, OFF_RATE, TIMED_OUT, WRONG_SIGN
 from hapsim.loop.codes import OUT_OF_TRAVEL as TOO_FAR_OUT
 
 (
@@ -19,7 +19,8 @@ from hapsim.loop.codes import OUT_OF_TRAVEL as TOO_FAR_OUT
     DIVERGING,
     PORT_FAILED,
     OUT_OF_TRAVEL,
-) = range(12)
+    SIGN_WRONG,
+) = range(13)
 
 GOES_ON = -1
 """Nothing ends it yet."""
@@ -36,6 +37,7 @@ IN_WORDS = {
     DIVERGING: "scene diverging",
     PORT_FAILED: "port failed",
     OUT_OF_TRAVEL: "out of travel",
+    SIGN_WRONG: "sign wrong",
 }
 """As a report tells it. RING_FULL is no end: the loop goes on once the reader has made room."""
 
@@ -71,6 +73,8 @@ def ending_of(code, stop):
         return DIVERGING
     if code == TOO_FAR_OUT:
         return OUT_OF_TRAVEL
+    if code == WRONG_SIGN:
+        return SIGN_WRONG
     if code == FAILED:
         return PORT_FAILED
     return SILENT if code == TIMED_OUT else GONE

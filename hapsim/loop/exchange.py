@@ -13,13 +13,14 @@ from firmware_protocol.frames import FRAMING, write_frame
 from hapsim.compiling import inlined
 from hapsim.compiling.native import array_at
 from hapsim.cordis.tick import program_at, start
-from hapsim.loop.codes import BAD_FORCE, DIVERGED, FAULT, HEARD, LEAPT, OFF_RATE, OUT_OF_TRAVEL, TIMED_OUT
-from hapsim.loop.force_history import FORCE_HISTORY, call_keep
+from hapsim.loop.codes import BAD_FORCE, DIVERGED, FAULT, HEARD, LEAPT, OFF_RATE, OUT_OF_TRAVEL, TIMED_OUT, WRONG_SIGN
+from hapsim.loop.force_history import FORCE_HISTORY, IN_ALL, call_keep
 from hapsim.loop.guards.divergence import ENERGY, call_observe
 from hapsim.loop.guards.finite import is_finite
 from hapsim.loop.guards.force_limit import cut
 from hapsim.loop.guards.leap import LEAP, is_leap
 from hapsim.loop.guards.rate import WATCH, is_off_rate
+from hapsim.loop.guards.sign import SIGN, call_judge, release
 from hapsim.loop.guards.slew import SLEW, call_shape, hold_zero
 from hapsim.loop.guards.stale import has_expired, is_outdated
 from hapsim.loop.guards.travel import BEYOND, TRAVEL, WITHIN, call_fade
@@ -140,6 +141,7 @@ LOOP = np.dtype(
         ("slew", SLEW),
         ("history", FORCE_HISTORY),
         ("energy", ENERGY),
+        ("sign", SIGN),
         ("histograms", HISTOGRAMS),
     ],
     align=True,
@@ -150,8 +152,8 @@ LOOP = np.dtype(
 @inlined
 def take_frame(loop, decoder, now):
     """Takes the decoder's frame, which arrived at `now` (ns). A position moves the scene up to its sample, and the
-    force that answers it is worked out: HEARD; or BAD_FORCE, LEAPT, OFF_RATE, DIVERGED, OUT_OF_TRAVEL. FAULT: the
-    device has stopped.
+    force that answers it is worked out: HEARD; or BAD_FORCE, LEAPT, OFF_RATE, DIVERGED, WRONG_SIGN, OUT_OF_TRAVEL.
+    FAULT: the device has stopped.
 
     A position that comes twice, or after a newer one, is counted and passed over, as is a frame of another type:
     TIMED_OUT. The scene never goes back in time.
@@ -226,8 +228,8 @@ def _read_position(io, decoder):
 
 @inlined
 def _answer(loop, gap, late, flags, now):
-    """Makes the scene's force what is to leave, and counts the tick: (whether it is a number, DIVERGED or OUT_OF_TRAVEL
-    where the loop stops before it leaves, else 0). `flags`: of the row so far."""
+    """Makes the scene's force what is to leave, and counts the tick: (whether it is a number, DIVERGED, WRONG_SIGN or
+    OUT_OF_TRAVEL where the loop stops before it leaves, else 0). `flags`: of the row so far."""
     compact()
     state, io = loop.state, loop.io
     sound, limited = _set_force(io, loop.control, state)
@@ -235,7 +237,7 @@ def _answer(loop, gap, late, flags, now):
         state.withheld_forces += 1
         _take_force_away(io)
         limited = False  # nothing of it is sent: it was not cut
-    stops = 0
+    stops, released = 0, 0
     if sound and loop.travel.fade != 0:
         found = call_fade(loop.travel.fade, (loop.travel.address, io.address))
         if found != WITHIN:
@@ -243,12 +245,15 @@ def _answer(loop, gap, late, flags, now):
             flags |= FADED
         if found == BEYOND:
             stops = OUT_OF_TRAVEL
-    if sound and (loop.slew.shape | loop.energy.observe) != 0:
-        slewed, diverged = _by_what_was_sent(loop, gap, late, flags & WITHHELD != 0, now)
+    if loop.sign.releases != 0:
+        released = release(loop.sign, io)
+    if sound and (loop.slew.shape | loop.history.keep) != 0:
+        slewed, verdict = _by_what_was_sent(loop, gap, late, flags & WITHHELD != 0, now)
+        slewed |= released
         state.slewed_ticks += slewed
         flags |= SLEWED if slewed else 0
-        if diverged:
-            stops = DIVERGED
+        if verdict != 0:
+            stops = verdict
     state.newest_ns = now
     state.limited_ticks += limited
     push(loop.ring, state.sample, now, flags | LIMITED if limited else flags, io)
@@ -259,21 +264,24 @@ def _answer(loop, gap, late, flags, now):
 
 @inlined
 def _by_what_was_sent(loop, gap, late, withheld, now):
-    """What the forces that left before make of this one: (whether its counts changed, whether the energy is too
-    much)."""
+    """What the forces that left before make of this one: (whether its counts changed, DIVERGED, WRONG_SIGN
+    or 0)."""
     compact()
     state, slew, history, energy, io = loop.state, loop.slew, loop.history, loop.energy, loop.io
+    sign = loop.sign
     since = state.sent_ns if loop.control.clock == HOST_CLOCK else state.newest_ns
     expired = state.ticks > 0 and has_expired(state, loop.control, gap, now, since)
     happened = (np.int64(gap), np.int64(state.unanswered), np.int64(late), np.int64(expired), np.int64(withheld))
-    slewed, diverged = np.int64(0), np.int64(0)
+    slewed, diverged, wrong = np.int64(0), np.int64(0), np.int64(0)
     if slew.shape != 0:
         slewed = call_shape(slew.shape, (slew.address, io.address, *happened))
     if history.keep != 0:
         call_keep(history.keep, (history.address, io.address, *happened))
     if energy.observe != 0:
         diverged = call_observe(energy.observe, (energy.address, history.address, io.address, np.int64(gap)))
-    return slewed, diverged != 0
+    if sign.judge != 0:
+        wrong = call_judge(sign.judge, (sign.address, history.address, io.address, np.int64(gap)))
+    return slewed, WRONG_SIGN if wrong != 0 else DIVERGED if diverged != 0 else 0
 
 
 @inlined
@@ -290,8 +298,7 @@ def compose_frame(loop, disarm):
     elif control.clock == HOST_CLOCK and is_outdated(control, _held_since(state, control), loop.wait.begun_ns):
         state.withheld_forces += 1
         _take_force_away(io)
-        if loop.slew.shape != 0:
-            _leave_zero(loop.slew, io.channels)
+        _leave_zero(loop, io.channels)
         state.limited_ticks -= withhold_last(loop.ring)
     return write_frame(loop.framing, io.outbox, next_place(io.sent), kind, number, argument, io.force_counts)
 
@@ -311,11 +318,12 @@ def _held_since(state, control):
 
 
 @inlined
-def _leave_zero(slew, channels):
+def _leave_zero(loop, channels):
     """What leaves is not what was decided, but zero."""
-    hold_zero(slew, channels)
+    hold_zero(loop.slew, channels)
     for c in range(np.uint64(channels)):
-        slew.decided[c] = 0
+        loop.slew.decided[c] = 0
+        loop.history.decided[c] = loop.history.decided[np.uint64(IN_ALL) + c] = 0.0
 
 
 @inlined

@@ -83,10 +83,11 @@ def _keep_in_time(history, forces, c, decided, gap):
 
 @helper
 def _keep_column(history, forces, c, decided, gap, unsent, late, expired):
-    """Those that acted, as in predictor.py. The last one is new."""
+    """Those that acted, as in predictor.py. The last one is new. Of a sample whose position is lost, the device says
+    that its force is late: that tells nothing of the force before."""
     if history.begun:
         held = history.sent[c] if history.goes_on else 0.0
-        acted = held if unsent or late else history.decided[c]
+        acted = held if unsent or (late and gap == 1) else history.decided[c]
         if not unsent:
             history.sent[c] = history.decided[c]
         held = history.sent[c] if history.goes_on and not expired else 0.0

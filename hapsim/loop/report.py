@@ -76,6 +76,8 @@ class Report:
     """Ticks outside the device's travel, whose force faded."""
     withheld_forces: int = 0
     """Times that zero force was sent because the position was older than a force may live."""
+    sign_tests: int = 0
+    """Times that a channel's force was released for some milliseconds, to see which way its motor pushes."""
     unrecorded_rows: int = 0
     """Rows that are not in the file that was to be written while it ran: it could not be written, or not fast enough.
     The force was not affected."""

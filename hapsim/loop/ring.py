@@ -27,7 +27,8 @@ BRIDGED = 8
 OFF_GRID = 16
 """The host is the clock, and from the last position to this one passed clearly more or less than a period."""
 SLEWED = 32
-"""The force was brought closer to the one before: the slew limit, or the soft start."""
+"""The force was brought closer to the one before: the slew limit, or the soft start; or it was released, for a test
+which way a motor pushes."""
 WITHHELD = 64
 """The position was older than a force may live: zero force takes the place of what answers it, so it is not LIMITED."""
 FADED = 128

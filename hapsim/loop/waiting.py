@@ -32,7 +32,7 @@ def wait_for_go(loop):
 @inlined
 def take_those_at_hand(loop, inbox, arrived):
     """Takes every position among the bytes that have arrived: HEARD, TIMED_OUT, FAULT, BAD_FORCE, LEAPT, OFF_RATE,
-    DIVERGED, OUT_OF_TRAVEL. It asks the system for nothing."""
+    DIVERGED, WRONG_SIGN, OUT_OF_TRAVEL. It asks the system for nothing."""
     heard = TIMED_OUT
     while inbox.start < inbox.stop:
         inbox.start, found = next_frame(inbox.decoder, inbox.bytes, inbox.start, inbox.stop)
@@ -48,8 +48,9 @@ def take_newest_position(loop, begun, timeout_ns):
     """Waits for a position from `begun` (ns) on, takes all that are there and leaves the force that answers the newest.
     Every one of them moves the scene, in order, so that its velocities stay true; only the newest is answered.
 
-    Returns HEARD, or TIMED_OUT, HUNG_UP, FAILED, FAULT, BAD_FORCE, LEAPT, OFF_RATE, DIVERGED, OUT_OF_TRAVEL. Bytes
-    without end that are no position do not make the wait any longer; being told to stop makes it shorter.
+    Returns HEARD, or TIMED_OUT, HUNG_UP, FAILED, FAULT, BAD_FORCE, LEAPT, OFF_RATE, DIVERGED, WRONG_SIGN,
+    OUT_OF_TRAVEL. Bytes without end that are no position do not make the wait any longer; being told to stop makes it
+    shorter.
     """
     compact()
     inbox, last_look = inbox_at(loop.inbox), False

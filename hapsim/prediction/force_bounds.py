@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 RISE_S = 1e-3  # from zero to the force limit, or a sample period where that is longer
 SOFT_START_S = 0.05
 ENERGY_M = 0.02  # of travel at the force limit
+SIGN_RATE_HZ = 500.0  # below, the guard of the sign has too few samples
+_SIGN_PULL, _SIGN_HZ = 15.0, 5.0  # m/s² and Hz: with less, it finds only every second motor that is wrong
 ONE_PERIOD = 1.0 + 1e-12  # so that what is meant to be a whole number of counts is one
 _IN_HAND = 0.1  # of a mode's kinetic energy: what moves the hand less is not swung by its force
 
@@ -98,6 +100,24 @@ def slow_slew(scene: Scene, prediction: Prediction) -> str:
         f"{duration(0.25 / fastest)}, and one that reaches the limit asks for {math.ceil(steepest)} N/s. What is "
         "predicted is without a slew limit: with this one the force may come so late that it shakes the hand. Use a "
         "slew_limit well above that, a lower force_limit, or less stiffness."
+    )
+
+
+def hidden_sign(scene: Scene, prediction: Prediction) -> str:
+    """Why a motor that is wired the wrong way may not be found while `scene` runs: sentences; "" where it mostly is."""
+    heaviest = max(most for _, most in scene.device.mass_spans(scene.channels))
+    pull, fastest = scene.device.force_limit / heaviest, fastest_swing_hz(scene, prediction)
+    if scene.rate < SIGN_RATE_HZ:
+        why = f"it samples at less than {SIGN_RATE_HZ:g} Hz"
+    elif pull < _SIGN_PULL:
+        why = f"its force limit accelerates the mass by {pull:.2g} m/s², less than {_SIGN_PULL:g} m/s²"
+    elif 0.0 < fastest < _SIGN_HZ:
+        why = f"it swings at {fastest:.2g} Hz, below {_SIGN_HZ:g} Hz, as a hand does"
+    else:
+        return ""
+    return (
+        f"Behind a port, a motor that is wired the wrong way may not be found while this scene runs: {why}. "
+        "`hapsim probe PORT --push N` finds it before."
     )
 
 

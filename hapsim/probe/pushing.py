@@ -205,7 +205,10 @@ def _judge_sign(probing: Probing, found: Estimate, pushes: str) -> None:
     told = f"1 N makes {acceleration:.4g} m/s² (± {unsure:.2g} %), from {found.rows} samples, {pushes}"
     if found.total < 0:
         told = f"inverted: {told}"
-    look_at = "the sign of the motor's output or of the encoder's count: turn one of them round, not both"
+    look_at = (
+        "the motor and the encoder: swap the motor's two wires, or reverse the encoder if the position falls when the "
+        "hand moves the positive way; not both"
+    )
     probing.findings.judge("sign", found.total > 0, told, look_at)
 
 

@@ -16,12 +16,13 @@ from hapsim.loop.exchange import DEVICE_CLOCK, HOST_CLOCK, LOOP, NO_CLOCK
 from hapsim.loop.force_history import ForceHistory
 from hapsim.loop.guards.divergence import EnergyMemory
 from hapsim.loop.guards.leap import watch_for_leaps
+from hapsim.loop.guards.sign import judge_signs
 from hapsim.loop.guards.travel import keep_within
 from hapsim.loop.ring import Ring
 from hapsim.loop.stage import cross_fade, post
 from hapsim.loop.transport import Transport
 from hapsim.prediction.correction import rendered
-from hapsim.prediction.force_bounds import force_bounds
+from hapsim.prediction.force_bounds import SIGN_RATE_HZ, force_bounds
 from hapsim.prediction.silence import time_to_live_samples, watchdog_samples
 from hapsim.running.correction import LoopCorrection
 from hapsim.running.excitation import Excitation, PeriodicExcitation
@@ -115,9 +116,10 @@ def assemble_loop(
     excitation: Excitation | PeriodicExcitation | None = None,
     duration: float | None = None,
     judges_energy: bool = False,
+    judges_sign: bool = False,
 ) -> Loop:
     """The loop of `scene` over `connection`, for `duration` seconds (None: until stopped), not yet armed.
-    `judges_energy`: before the mock too."""
+    `judges_energy`, `judges_sign`: before the mock too."""
     rendering = rendered(scene)
     loop = Loop(connection, description, bool(scene.sensed_links), scene.device.clock == "lockstep")
     if isinstance(connection.transport, Transport):
@@ -138,7 +140,10 @@ def assemble_loop(
     bounds = force_bounds(scene, in_hand=in_hand, judges_energy=judges_energy, force_limit=limit)
     set_slew(loop.record, scene, description, bounds)
     loop.energy = energy_of(loop.record, scene, description, bounds)
-    loop.history = None if loop.energy is None else history_of(loop.record, scene)
+    if (in_hand or judges_sign) and scene.rate >= SIGN_RATE_HZ:
+        judge_signs(loop.record.sign, rate_hz=scene.rate, masses=scene.device.mass_spans(description.channels))
+    if loop.energy is not None or loop.record.sign.judge:
+        loop.history = history_of(loop.record, scene)
     loop.record.watch.judges = scene.device.clock == "device" and connection.has_timer
     return loop
 

@@ -94,6 +94,7 @@ def report_of(scene: Scene, loop: Loop, ending: str) -> Report:
         slewed_ticks=int(state.slewed_ticks),
         faded_ticks=int(state.faded_ticks),
         withheld_forces=int(state.withheld_forces),
+        sign_tests=int(loop.record.sign.tests),
         dropped_rows=int(loop.record.ring.dropped),
         parameter_changes=loop.changes,
         lateness_s=statistics.lateness.spread(),
@@ -173,6 +174,13 @@ def _what_ended(name: str, loop: Loop, trace: Trace, ending: int) -> tuple[type[
         )
     if ending == endings.OUT_OF_TRAVEL:
         return GuardError, f"{name}: {_out_of_travel(loop, ticks)}"
+    if ending == endings.SIGN_WRONG:
+        return GuardError, (
+            f"{name}: motor and position of channel {int(loop.record.sign.channel)} disagree in sign: the device "
+            f"accelerated against its force, and a release of the force confirmed it (tick {ticks}). Swap the motor's "
+            "two wires; or reverse the encoder, if the position falls when the hand moves the positive way "
+            "(hapsim/STABILITY.md)"
+        )
     if ending == endings.DIVERGING:
         return GuardError, f"{name}: {_diverging(loop, trace.report)}"
     return DeviceError, ""

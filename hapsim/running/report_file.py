@@ -10,7 +10,6 @@ scene.yaml               the scene as it ran, changes included
 from __future__ import annotations
 
 import contextlib
-import errno
 import io
 import json
 import os
@@ -25,6 +24,7 @@ from typing import Any, NamedTuple
 import yaml
 
 from firmware_protocol.description import Description, to_registers
+from hapsim.device.known_devices import state_directory
 from hapsim.errors import RunError, UsageError
 from hapsim.loop.last_bytes import KEPT
 from hapsim.loop.trace import IN_REPORT, ZIP_WITHOUT_END, Trace, is_without_end
@@ -57,13 +57,7 @@ class StopReport(NamedTuple):
 def default_directory() -> Path:
     """Where the reports of runs on a port go: $XDG_STATE_HOME/hapsim/reports, by default under ~/.local/state. OSError
     where the user has no home."""
-    state = os.environ.get("XDG_STATE_HOME", "")
-    try:
-        return (Path(state) if os.path.isabs(state) else Path.home() / ".local" / "state") / "hapsim" / "reports"
-    except RuntimeError as error:
-        raise FileNotFoundError(
-            errno.ENOENT, "this user has no home: set XDG_STATE_HOME, or name a directory"
-        ) from error
+    return state_directory() / "reports"
 
 
 def write_report(

@@ -64,6 +64,7 @@ class StartOptions(TypedDict, total=False):
     between: Between | None
     unstable: bool | None
     judges_energy: bool
+    judges_sign: bool
     on_progress: Callable[[Progress], None] | None
     on_warning: Callable[[str], None] | None
 
@@ -82,6 +83,7 @@ def start(
     between: Between | None = None,
     unstable: bool | None = None,
     judges_energy: bool = False,
+    judges_sign: bool = False,
     on_progress: Callable[[Progress], None] | None = None,
     on_warning: Callable[[str], None] | None = None,
     on_arming: Callable[[Session], None] | None = None,
@@ -106,6 +108,7 @@ def start(
       (hapsim/STABILITY.md); None starts and sets it, and `Session.adopt` refuses what is more unstable than what runs.
     * `judges_energy`: a scene that gives the hand energy is stopped before the mock too, as by `hapsim run`; behind a
       port, or where it names `energy_limit`, it always is.
+    * `judges_sign`: a motor that pushes the wrong way is stopped before the mock too; behind a port it always is.
     * `on_progress` hears of the compilation; `on_warning` once, in a sentence and in another thread, of a record that
       cannot be written any more; `on_arming` gets the session just before the device is armed: a `stop` from then on
       ends the run in good order;
@@ -136,7 +139,7 @@ def start(
         restarted = resumes and has_restarted(opened)
         if restarted:
             require_known_zero(scene, opened.name)
-        loop = assemble_loop(scene, opened, description, excitation, duration, judges_energy)
+        loop = assemble_loop(scene, opened, description, excitation, duration, judges_energy, judges_sign)
         if unstable and loop.energy is not None:
             loop.energy.follow(unstable=surely_shaken_by(scene) is not None)
         # Everything is compiled now: the device is armed only when the loop can answer at once.

@@ -61,6 +61,18 @@ def test_a_mock_in_another_process_is_measured_as_predicted(
         assert process.wait() == 0
 
 
+def test_the_first_run_at_a_port_says_that_nobody_judged_its_motor(
+    hapsim: Callable[..., Any], scene_file: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    scene = scene_file("spring")
+    with mock_of(scene) as (_, port):
+        told = [hapsim("run", scene, "--port", port, "--duration", 0.05).err for _ in range(2)]
+    assert f"First run at {port}: `hapsim probe {port} --push 0.5`" in " ".join(told[0].split())
+    assert "First run" not in told[1]
+    assert "First run" not in hapsim("run", scene, "--port", "/dev/ttyNOPE7").err
+
+
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_a_mock_takes_its_link_away_at_the_end(
     scene_file: Callable[..., Path], tmp_path: Path, number: signal.Signals

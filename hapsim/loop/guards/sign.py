@@ -1,0 +1,203 @@
+"""A motor that is wired the wrong way round: the loop stops before the hand has gone far, and names the channel.
+
+Which way a motor pushes cannot be seen in how much a device accelerates: a hand pushes harder than most motors. It can
+be seen in how the acceleration changes with the force that acted. So both, x'' and F, go through the same filter,
+
+    D / (1 - a/q)³,     D = 1 - 1/q, a = exp(-T / FILTER_S),
+
+once as the second difference of the positions, once as that of the path on which the force alone takes 1 kg. It passes
+what changes within some milliseconds: a hand's slow push does not pass, nor do single counts of an encoder. Over lost
+positions both are led along a straight line, so that the two stay comparable. Of the sums of their squares and
+products, which forget within SUMS_S, R(right) and R(wrong) are the residuals of x'' = F/m, for the best 1/m within
+RIGHT, and within WRONG with the other sign, times what the scene says of the mass, and
+
+    J = (R(right) - R(wrong)) / (R(wrong) + counts²).
+
+A hand that leans into a wall harder and harder can make J large, too, for a while. So where J is above SUSPICION for
+SUSPECT_S, and there is force that can be taken away, the force is released for RELEASE_S: a test that no hand knows
+of. Only what is summed from then on, until VERDICT_S, decides: J above SURE is a motor that is wrong. Where the other
+ratio, (R(wrong) - R(right)) / (R(right) + counts²), is above SURE for SUSPECT_S, with or without a test, the motor is
+right. Motors are not wired anew while they run: that channel is judged no more.
+
+Not seen: a motor whose force hardly changes, or that makes less of the motion than a hand does, as with soft springs,
+heavy hands and small limits. How often, and how far a hand moves: tools/bench/README.md.
+
+Who judges nothing never compiles this: it is called by an address, which is 0 then.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numba import types
+
+from firmware_protocol import schema
+from hapsim.compiling import helper, inlined
+from hapsim.compiling.native import address_of, function_at, native, record_at
+from hapsim.loop.force_history import FORCE_HISTORY, IN_ALL, acting_force
+from hapsim.loop.io_buffer import IO_BUFFER
+
+FILTER_S, SUMS_S, LEAST_SUMS_S = 0.002, 0.005, 0.007  # below the last, sums are of too little
+SUSPECT_S, RELEASE_S, VERDICT_S = 0.003, 0.012, 0.028
+SUSPICION, SURE = 1.0, 12.0
+RELEASED_FROM = 0.1  # of the force limit: with less, taking it away shows nothing
+MOST_GAP = 3  # samples; what is led past more lost positions than that says nothing
+RIGHT, WRONG = (0.4, 50.0), (0.4, 4.0)  # 1/m times the declared mass: a device alone is much lighter than in a hand
+
+_EACH = (schema.MAX_CHANNELS,)
+_STAGES = (4 * schema.MAX_CHANNELS,)
+
+SIGN = np.dtype(
+    [
+        ("address", np.uint64),  # of all this
+        ("judge", np.uint64),  # and of what judges; 0: nothing does, or no more
+        ("releases", np.int64),  # so many channels' force is released now
+        ("tests", np.int64),  # how often one was
+        ("channel", np.int64),  # the one that is wrong
+        ("pole", np.float64),  # a
+        ("forget", np.float64),  # what a sample leaves of the sums
+        ("period_squared", np.float64),  # s²
+        ("least", np.int64),  # samples in a sum,
+        ("row", np.int64),  # suspicions in a row,
+        ("release", np.int64),  # samples without force,
+        ("verdict", np.int64),  # samples from the release to the last verdict
+        ("right", np.float64, (2 * schema.MAX_CHANNELS,)),  # 1/kg: least and most of each channel
+        ("wrong", np.float64, (2 * schema.MAX_CHANNELS,)),
+        ("seen", np.int64),  # positions
+        ("position", np.float64, _EACH),  # m, the last one,
+        ("step", np.float64, _EACH),  # and m in a sample, up to there
+        ("lead", np.float64, _EACH),  # kg·m in a sample, by which 1 kg is faster at a sample than on the way to it
+        ("motion", np.float64, _STAGES),  # of the filter: three sums, and the last of them a sample before
+        ("push", np.float64, _STAGES),
+        ("kept", np.int64, _EACH),  # samples in these sums
+        ("push_push", np.float64, _EACH),
+        ("push_motion", np.float64, _EACH),
+        ("motion_motion", np.float64, _EACH),
+        ("against", np.int64, _EACH),  # samples in a row in which J is suspicious,
+        ("along", np.int64, _EACH),  # or the other ratio sure
+        ("since", np.int64, _EACH),  # samples since the release; -1: there is no test
+        ("is_right", np.int64, _EACH),
+    ],
+    align=True,
+)
+
+JUDGE = types.int64(*[types.uint64] * 3, types.int64)
+call_judge = function_at(JUDGE)
+"""Calls `judge`, with its arguments."""
+
+_sign_at, _history_at, _io_at = record_at(SIGN), record_at(FORCE_HISTORY), record_at(IO_BUFFER)
+
+
+@inlined
+def release(sign, io):
+    """Takes the force of the channels away that are tested; 1, for there are some."""
+    for c in range(np.uint64(io.channels)):
+        if 0 <= sign.since[c] < sign.release:
+            io.force_counts[c] = 0
+    return 1
+
+
+@native(JUDGE.return_type, *JUDGE.args)
+def judge(sign, history, io, gap):
+    """Whether a motor pushes the wrong way: 1, and `sign.channel` names it, or 0. A position came, `gap` samples after
+    the last; `history`: up to it."""
+    sign, history, io = _sign_at(sign), _history_at(history), _io_at(io)
+    wrong, judged = 0, 0
+    sign.releases = 0
+    for c in range(io.channels):
+        if sign.is_right[c]:
+            continue
+        judged += 1
+        _sum_up(sign, history, io, c, gap)
+        count = io.position_scale[c]
+        noise = count * count / (1.0 - sign.forget)
+        right, other = _residual(sign, c, sign.right), _residual(sign, c, sign.wrong)
+        has_enough = sign.kept[c] >= sign.least
+        against = (right - other) / (other + noise) if has_enough else 0.0
+        along = (other - right) / (right + noise) if has_enough else 0.0
+        sign.along[c] = sign.along[c] + 1 if along > SURE else 0
+        if sign.along[c] >= sign.row:
+            sign.is_right[c], sign.since[c] = 1, -1
+        elif sign.since[c] >= 0:
+            if against > SURE:
+                sign.channel, wrong = c, 1
+            sign.since[c] = sign.since[c] + gap if sign.since[c] + gap <= sign.verdict else -1
+        else:
+            sign.against[c] = sign.against[c] + 1 if against > SUSPICION else 0
+            _begin_test(sign, history, io, c)
+        sign.releases += 0 <= sign.since[c] < sign.release
+    sign.seen += 1
+    if judged == 0:
+        sign.judge = 0
+    return wrong
+
+
+@helper
+def _begin_test(sign, history, io, c):
+    """Where there is suspicion, and force to be taken away."""
+    acts = abs(acting_force(history, IN_ALL + c, 0))
+    if sign.against[c] >= sign.row and acts >= RELEASED_FROM * io.force_limit[c]:
+        sign.tests += 1
+        sign.since[c] = sign.against[c] = sign.kept[c] = 0
+
+
+@helper
+def _sum_up(sign, history, io, c, gap):
+    """How the motion changed, and what the force that acted makes of 1 kg, through the filter into the sums."""
+    position = io.position_counts[c] * io.position_scale[c]
+    step = (position - sign.position[c]) / gap
+    bend = step - sign.step[c]
+    way, lead = 0.0, sign.lead[c]
+    for before in range(gap - 1, -1, -1):
+        gained = sign.period_squared * acting_force(history, IN_ALL + c, before)
+        way += lead + 0.5 * gained
+        lead += gained
+    sign.position[c], sign.step[c], sign.lead[c] = position, step, lead - way / gap
+    if sign.seen < 2:
+        return
+    motion = _filtered(sign.motion, 4 * c, bend, sign.pole, gap)
+    push = _filtered(sign.push, 4 * c, way / gap, sign.pole, gap)
+    if sign.kept[c] == 0 or gap > MOST_GAP:
+        sign.kept[c] = 0
+        sign.push_push[c] = sign.push_motion[c] = sign.motion_motion[c] = 0.0
+    sign.kept[c] += 1
+    sign.push_push[c] = sign.forget * sign.push_push[c] + push * push
+    sign.push_motion[c] = sign.forget * sign.push_motion[c] + push * motion
+    sign.motion_motion[c] = sign.forget * sign.motion_motion[c] + motion * motion
+
+
+@helper
+def _filtered(sums, at, bend, pole, gap):
+    """What the filter makes of a path that bends at the first of so many samples, and then is straight."""
+    for i in range(gap):
+        sums[at] = pole * sums[at] + (bend if i == 0 else 0.0)
+        sums[at + 1] = pole * sums[at + 1] + sums[at]
+        sums[at + 3] = sums[at + 2]
+        sums[at + 2] = pole * sums[at + 2] + sums[at + 1]
+    return sums[at + 2] - sums[at + 3]
+
+
+@helper
+def _residual(sign, c, bounds):
+    """m², what the best 1/m within the bounds leaves of the motion."""
+    pushed, both = sign.push_push[c], sign.push_motion[c]
+    best = both / pushed if pushed > 0.0 else 0.0
+    best = min(max(best, bounds[2 * c]), bounds[2 * c + 1])
+    return sign.motion_motion[c] - 2.0 * best * both + best * best * pushed
+
+
+def judge_signs(sign: Any, *, rate_hz: float, masses: Sequence[tuple[float, float]]) -> None:
+    """Fills a SIGN. `rate_hz`: at least so high that these times are some samples; `masses`: kg, the least and the most
+    of each channel."""
+    for c, (least, most) in enumerate(masses):
+        sign.right[2 * c : 2 * c + 2] = RIGHT[0] / most, RIGHT[1] / least
+        sign.wrong[2 * c : 2 * c + 2] = -WRONG[1] / least, -WRONG[0] / most
+    sign.period_squared = rate_hz**-2
+    sign.pole, sign.forget = (math.exp(-1.0 / (one * rate_hz)) for one in (FILTER_S, SUMS_S))
+    sign.least, sign.row = round(LEAST_SUMS_S * rate_hz), round(SUSPECT_S * rate_hz)
+    sign.release, sign.verdict = round(RELEASE_S * rate_hz), round(VERDICT_S * rate_hz)
+    sign.since[:] = -1
+    sign.address, sign.judge = address_of(sign), judge.address()

@@ -1,0 +1,221 @@
+"""The guard of the sign: a motor that is wired the wrong way is stopped and named, and a right one is not."""
+
+from __future__ import annotations
+
+import random
+import sys
+from collections.abc import Callable, Container
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from firmware_protocol.records import new_record
+from hapsim.compiling.native import address_of
+from hapsim.errors import GuardError
+from hapsim.faults import Injector
+from hapsim.faults.in_memory import in_memory
+from hapsim.faults.script import parse_script
+from hapsim.loop.force_history import FORCE_HISTORY, ForceHistory, keep
+from hapsim.loop.guards.sign import RELEASE_S, SIGN, judge, judge_signs
+from hapsim.loop.io_buffer import IO_BUFFER
+from hapsim.loop.ring import SLEWED
+from hapsim.loop.trace import Trace
+from hapsim.running import run, start
+from hapsim.scene import Scene
+
+sys.path.append(str(Path(__file__).resolve().parents[2] / "tools" / "bench"))
+
+import sign as bench
+
+T, MASS = 1e-3, 0.2
+FIRM: dict[str, Any] = {"rate": 1000.0, "force_limit": 10.0, "mass": MASS}
+_INVERTED = '{"version": 1, "faults": [{"kind": "invert", "direction": "to_device", "at": 0}]}'
+
+
+def touch(**device: Any) -> Scene:
+    """first_touch in virtual time."""
+    link = {"type": "viscoelastic", "between": ["hand", "wall"], "stiffness": 2000, "damping": 5}
+    return Scene.model_validate(
+        {
+            "version": 1,
+            "rate": 1000,
+            "device": {"mass": MASS, "friction": 1.0, "clock": "lockstep", **device},
+            "mock": {"initial": {"velocity": 0.1}, "mass": MASS},
+            "modules": {"hand": {"type": "device", "channel": 0}, "wall": {"type": "ground"}, "touch": link},
+        }
+    )
+
+
+def inverted(scene: Scene, **mock: Any) -> GuardError:
+    """What ends a run whose forces have the wrong sign."""
+    scene = scene.model_copy(update={"mock": scene.mock.model_copy(update=mock) if scene.mock else None})
+    between = in_memory(Injector(parse_script(_INVERTED)), scene.period)
+    with pytest.raises(GuardError) as caught:
+        run(scene, duration=0.4, between=between, judges_sign=True)
+    return caught.value
+
+
+def trace_of(error: GuardError) -> Trace:
+    assert isinstance(error.trace, Trace)
+    return error.trace
+
+
+def test_an_inverted_motor_is_stopped_within_centimetres_and_named() -> None:
+    error = inverted(touch())
+    assert error.exit_status == 4
+    assert "motor and position of channel 0 disagree in sign" in str(error)
+    assert "Swap the motor's two wires; or reverse the encoder, if the position falls when the hand moves" in str(error)
+    trace = trace_of(error)
+    assert trace.report.ending == "sign wrong"
+    assert np.abs(trace.position).max() < 0.01
+    assert trace.report.sign_tests == 1
+
+
+@pytest.mark.parametrize("correction", ["poles", "predictor", "adaptive"])
+def test_an_inverted_motor_is_stopped_whatever_corrects_the_force(correction: str) -> None:
+    mass: Any = {"from": 0.1, "to": 0.4} if correction == "adaptive" else MASS
+    trace = trace_of(inverted(touch(correction=correction, mass=mass)))
+    assert trace.report.ending == "sign wrong"
+    assert np.abs(trace.position).max() < 0.03
+
+
+def test_an_inverted_motor_is_stopped_where_forces_come_late() -> None:
+    trace = trace_of(inverted(touch(), misses=0.3))
+    assert trace.report.deadline_misses > 3
+    assert trace.report.ending == "sign wrong"
+    assert np.abs(trace.position).max() < 0.03
+
+
+def test_a_test_of_the_sign_takes_the_force_away_no_faster_than_the_slew_limit() -> None:
+    trace = trace_of(inverted(touch(slew_limit=1000.0, energy_limit=1.0)))
+    tested = trace.flags & SLEWED > 0
+    forces = trace.force[:, 0]
+    assert np.abs(np.diff(forces)).max() <= 1.0 + 1e-9
+    first = int(np.flatnonzero(tested)[0])
+    assert tested[first:].all()
+    np.testing.assert_allclose(
+        np.abs(forces[first : first + 3]), np.maximum(abs(forces[first - 1]) - np.arange(1.0, 4.0), 0.0), atol=1e-6
+    )
+    assert not forces[first + 3 :].any()
+
+
+def test_a_motor_that_is_right_is_judged_no_more_and_its_forces_are_as_without() -> None:
+    loops: list[Any] = []
+    with start(touch(), duration=0.3, judges_sign=True, on_arming=lambda one: loops.append(one._loop)) as session:
+        session.wait()
+    assert (loops[0].record.sign.is_right[0], loops[0].record.sign.judge) == (1, 0)
+    assert session.trace.report.sign_tests == 0
+    np.testing.assert_array_equal(session.trace.force_counts, run(touch(), duration=0.3).force_counts)
+
+
+# The whole loop in simulated hands: tools/bench/sign.
+
+
+def test_most_runaways_are_stopped_within_three_centimetres() -> None:
+    found = bench.wrong(80, 5, scene=FIRM, factor=-1.0)
+    assert found["runaways"] > 50
+    assert found["of these within 3 cm"] > 0.75
+
+
+def test_no_hand_makes_a_motor_that_is_right_look_wrong() -> None:
+    found = bench.right(240, 5, scene=FIRM)
+    assert sum(found["stopped"].values()) == 0
+    assert found["tests"] > 0
+
+
+@pytest.mark.parametrize("wrong", [0, 1])
+def test_the_channel_is_named(wrong: int) -> None:
+    scene = bench.drawn_scene(random.Random(1), **FIRM, channels=2)
+    factors = (-1.0, 1.0) if wrong == 0 else (1.0, -1.0)
+    outcome = bench.Bench(scene).run(random.Random(1), "thrown", factor=factors)
+    assert (outcome.ending, outcome.channel) == ("sign wrong", wrong)
+
+
+# The guard alone, told of forces and positions.
+
+
+def judged(
+    side: float,
+    *,
+    stiffness: float = 2000.0,
+    lost: Container[int] = (),
+    late: Container[int] = (),
+    push: Callable[[int, float], float] = lambda *_: 0.0,
+    samples: int = 300,
+    velocity: float = 0.1,
+) -> tuple[int, int]:
+    """(at which sample the motor is found wrong, or -1; how often it was tested) of a mass on a spring, whose motor
+    makes `side` of a force. `lost`: positions that never arrive; `late`: forces that come too late to act; `push`: the
+    hand's, N, by sample and position (m)."""
+    record, past, io = new_record(SIGN), new_record(FORCE_HISTORY), new_record(IO_BUFFER)
+    io.channels, io.address = 1, address_of(io)
+    io.position_scale[0] = io.force_scale[0] = 1e-6
+    io.force_limit[0] = 10.0
+    history = ForceHistory(past, delay=1.0, goes_on=True)
+    judge_signs(record, rate_hz=1.0 / T, masses=[(MASS, MASS)])
+    x, v, acts, gap, in_time = 0.0, velocity, 0.0, 1, True
+    for n in range(samples):
+        answer = acts
+        if n not in lost:
+            force = 0.0 if 0 <= record.since[0] < record.release else min(max(-stiffness * x, -10.0), 10.0)
+            io.position_counts[0], io.force_counts[0] = round(x * 1e6), round(force * 1e6)
+            keep(past.address, io.address, gap, 0, int(not in_time), 0, 0)
+            if judge(record.address, past.address, io.address, gap):
+                return n, int(record.tests)
+            answer = force
+        gap = gap + 1 if n in lost else 1
+        acceleration = (side * acts + push(n, x)) / MASS
+        x, v = x + T * v + 0.5 * T * T * acceleration, v + T * acceleration
+        in_time = n not in lost and n not in late
+        acts = answer if in_time else acts
+    del history
+    return -1, int(record.tests)
+
+
+EVERY = frozenset(range(0, 300, 4))
+
+
+@pytest.mark.parametrize(
+    "fault", [{}, {"lost": EVERY}, {"late": EVERY}, {"lost": EVERY, "late": frozenset(range(2, 300, 7))}]
+)
+def test_lost_positions_and_late_forces_hide_no_wrong_motor(fault: dict[str, Any]) -> None:
+    found, _ = judged(-1.0, **fault)
+    assert 0 < found < 60
+    assert judged(1.0, **fault) == (-1, 0)
+
+
+def test_a_hand_that_swings_with_the_spring_s_own_rate_is_found_out_by_a_release() -> None:
+    """It makes of the force just what a wrong motor would, until the force is gone."""
+
+    def like_a_wrong_motor(_: int, x: float) -> float:
+        return 4000.0 * x if abs(x) < 0.01 else 0.0
+
+    found, tests = judged(1.0, push=like_a_wrong_motor, velocity=0.02)
+    assert (found, tests > 0) == (-1, True)
+
+
+def test_after_a_long_gap_the_sums_begin_anew() -> None:
+    record, past, io = new_record(SIGN), new_record(FORCE_HISTORY), new_record(IO_BUFFER)
+    io.channels, io.address = 1, address_of(io)
+    io.position_scale[0] = io.force_scale[0] = 1.0
+    history = ForceHistory(past, delay=1.0, goes_on=True)
+    judge_signs(record, rate_hz=1000.0, masses=[(MASS, MASS)])
+    kept = []
+    for gap in (1, 1, 1, 1, 2, 3, 4, 1):
+        keep(past.address, io.address, gap, 0, 0, 0, 0)
+        judge(record.address, past.address, io.address, gap)
+        kept.append(int(record.kept[0]))
+    assert kept == [0, 0, 1, 2, 3, 4, 1, 2]
+    del history
+
+
+def test_below_a_tenth_of_the_force_limit_nothing_is_tested() -> None:
+    assert judged(-1.0, velocity=1e-4, samples=60) == (-1, 0)
+
+
+def test_a_release_lasts_for_its_time_where_nothing_comes_of_it() -> None:
+    record = new_record(SIGN)
+    judge_signs(record, rate_hz=2000.0, masses=[(MASS, MASS)])
+    assert record.release == round(RELEASE_S * 2000.0) == 24

@@ -1,0 +1,335 @@
+"""The guard of the sign (hapsim/loop/guards/sign.py) in simulated hands: the compiled loop and the mock in lockstep.
+
+    tools/bench/sign [--runs 400] [--right 10000] [--rate 1000] [--seed 1] [--save FILE]
+
+A hand is a second mass on the handle, an arm that holds it and moves it, tremor, knocks, and leaning; or nobody holds a
+handle that flies. The hand's mass and stiffness, the wall, the encoder, noise and a stall are drawn. Every run lasts a
+second, with the guards of a port. How far and how fast the handle moves is counted from the first force to 0.1 m.
+
+A run is the loop that `hapsim run` runs: the mock moves its body by a function of this file, in which the hand is.
+What a run left behind in memory is put back by copying what was there after arming.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ctypes
+import json
+import math
+import random
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import types
+
+from hapsim.compiling.native import address_of, native, record_at
+from hapsim.device.connection import Connection
+from hapsim.device.conversation import arm, describe
+from hapsim.device.mock.assemble import assemble_mock
+from hapsim.device.mock.firmware import call_event, mock_at
+from hapsim.device.mock.loopback import loopback_transport
+from hapsim.device.mock.motion import BODY
+from hapsim.loop import endings
+from hapsim.loop.run import run_loop
+from hapsim.running.assemble import assemble_loop
+from hapsim.running.compatibility import PACING
+from hapsim.scene import parse_scene
+
+STEPS = 5  # of a hand, in a sample
+KNOCKS = 4
+KINDS = ("thrown", "held", "knocked", "leaning")
+FAULTS: dict[str, dict[str, Any]] = {
+    "right": {},
+    "inverted": {"factor": -1.0},
+    "10 times the force": {"factor": 10.0},
+    "a tenth of it": {"factor": 0.1},
+    "swapped channels": {"swapped": True},
+}
+FAR_M, NEAR_M = 0.05, 0.03  # a run that goes so far is a runaway; and one is stopped soon
+END_M = 0.1  # the end of travel: what comes behind it does not count
+_FIELDS = ("mass", "stiffness", "damping", "arm_stiffness", "arm_damping", "reach", "hz", "phase")
+_PUSHES = ("tremor", "tremor_hz", "lean", "lean_rate", "lean_from", "lean_until")
+
+HAND = np.dtype(
+    [(name, np.float64) for name in (*_FIELDS, *_PUSHES)]
+    + [(name, np.float64, (KNOCKS,)) for name in ("knock_at", "knock_lasts", "knock")]
+    + [("home", np.float64), ("position", np.float64), ("velocity", np.float64), ("time", np.float64)]
+    + [("other", np.uint64)]  # address of the hand whose channel has the motor that moves this one
+    + [("told", np.float64), ("least_force", np.float64), ("touched", np.int64), ("begun_at", np.float64)]
+    + [("most_m", np.float64), ("most_m_per_s", np.float64)],
+    align=True,
+)
+"""A hand on a channel, and how far and how fast its handle was since the first force."""
+
+_hand_at, _body_at = record_at(HAND), record_at(BODY)
+
+
+@native(types.void, types.uint64, types.float64, types.float64)
+def move_in_hand(body, force, h):
+    """Moves a mock's body that a hand holds. Its dry friction says where the hand is in memory."""
+    body = _body_at(body)
+    hand = _hand_at(np.uint64(body.coulomb))
+    hand.told = force
+    force = _hand_at(hand.other).told
+    if hand.touched == 0 and abs(force) > hand.least_force:
+        hand.touched, hand.begun_at = 1, body.position
+    step = h / STEPS
+    for _ in range(STEPS):
+        at = hand.position if hand.mass > 0.0 else body.position
+        speed = hand.velocity if hand.mass > 0.0 else body.velocity
+        turn = 2.0 * math.pi * hand.time
+        reach = hand.reach * (math.sin(hand.hz * turn + hand.phase) - math.sin(hand.phase))
+        push = hand.arm_stiffness * (hand.home + reach - at) - hand.arm_damping * speed
+        push += hand.tremor * math.sin(hand.tremor_hz * turn)
+        for i in range(KNOCKS):
+            since = hand.time - hand.knock_at[i]
+            if 0.0 <= since < hand.knock_lasts[i]:
+                push += hand.knock[i] * math.sin(math.pi * since / hand.knock_lasts[i])
+        if hand.lean_from < hand.time < hand.lean_until:
+            push -= min(hand.lean, hand.lean_rate * (hand.time - hand.lean_from))
+        on_handle = push
+        if hand.mass > 0.0:
+            on_handle = hand.stiffness * (at - body.position) + hand.damping * (speed - body.velocity)
+            hand.velocity += step * (push - on_handle) / hand.mass
+            hand.position += step * hand.velocity
+        body.velocity += step * (force - body.friction * body.velocity + on_handle) / body.mass
+        body.position += step * body.velocity
+        hand.time += step
+    if hand.touched and hand.most_m < END_M:
+        hand.most_m = max(hand.most_m, abs(body.position - hand.begun_at))
+        hand.most_m_per_s = max(hand.most_m_per_s, abs(body.velocity))
+
+
+@native(types.void, types.uint64, types.int64)
+def take_force_unless_stalled(mock, now):
+    """In virtual time: a force acts, or, while the host stalls, comes too late. When is in the mock's first frame under
+    way, which a wire in memory has none of."""
+    address, mock = mock, mock_at(mock)
+    n, stall = mock.board.n, mock.under_way[0]
+    if stall.number <= n < stall.argument:
+        call_event(mock.called.take_sample, (address, now))
+    else:
+        call_event(mock.called.act_on_force, (address, now))
+
+
+class Outcome(NamedTuple):
+    """What came of a run."""
+
+    kind: str
+    ending: str
+    channel: int
+    most_m: float
+    most_m_per_s: float
+    ticks: int
+    tests: int
+
+    @property
+    def is_found(self) -> bool:
+        """Whether the guard of the sign ended it."""
+        return self.ending == "sign wrong"
+
+
+def drawn_scene(chance: random.Random, *, rate: float, force_limit: float, mass: float, channels: int = 1) -> Any:
+    """A wall, or a spring to both sides, well within what is stable, before an encoder by chance."""
+    damping = chance.uniform(0.0, 8.0)
+    most = 0.7 * (damping + 1.0) * rate / 1.5 * min(1.0, mass / 0.2)
+    is_wall = chance.random() < 0.6
+    link: dict[str, Any] = {"type": "buffer" if is_wall else "viscoelastic", "damping": damping}
+    link["stiffness"] = 300.0 * (max(most, 330.0) / 300.0) ** chance.random()
+    modules: dict[str, Any] = {"wall": {"type": "ground"}}
+    for c in range(channels):
+        modules[f"hand{c}"] = {"type": "device", "channel": c}
+        modules[f"touch{c}"] = {
+            "type": "buffer" if is_wall else "viscoelastic",
+            "between": [f"hand{c}", "wall"],
+            **link,
+        }
+    device = {"clock": "lockstep", "mass": mass, "friction": 1.0, "force_limit": force_limit}
+    device |= {"slew_limit": 1e3 * force_limit, "soft_start": 0.05, "energy_limit": 0.02 * force_limit}
+    mock = {
+        "quantum": chance.choice((1e-6, chance.uniform(1e-7, 24e-6))),
+        "noise": chance.choice((0.0, chance.uniform(0.0, 5e-6))),
+        "initial": {"position": chance.uniform(0.002, 0.012) if is_wall else 0.0},
+    }
+    document = {"version": 1, "rate": rate, "device": device, "mock": mock, "modules": modules}
+    return parse_scene(json.dumps(document), "by chance")
+
+
+class Bench:
+    """A scene, armed before its mock, that can be run again and again."""
+
+    def __init__(self, scene: Any) -> None:
+        self.scene = scene
+        self._mock = mock = assemble_mock(scene)
+        mock.called.take_force = take_force_unless_stalled.address()
+        self._connection = Connection(transport=loopback_transport(mock), name="mock", close=lambda: None)
+        mock.called.move = move_in_hand.address()
+        description = describe(self._connection)
+        self._loop = assemble_loop(scene, self._connection, description, None, 1.0, True, True)
+        arm(self._connection, description, PACING["lockstep"], self._loop.watchdog_samples, False)
+        self._hands = np.zeros(scene.channels, HAND)
+        forces = self._loop.history._forces  # type: ignore[union-attr]
+        self._memory = [
+            (address_of(one), one.nbytes) for one in (self._loop.record, mock, self._connection.inbox, forces)
+        ]
+        self._after_arming = [ctypes.string_at(*one) for one in self._memory]
+
+    def run(
+        self,
+        chance: random.Random,
+        kind: str,
+        *,
+        factor: float | tuple[float, ...] = 1.0,
+        swapped: bool = False,
+        judged: bool = True,
+    ) -> Outcome:
+        """One second in a hand of this kind. `factor`: what the motor makes of a force,
+        each of them where there are several."""
+        for (address, size), before in zip(self._memory, self._after_arming, strict=True):
+            ctypes.memmove(address, before, size)
+        record, mock, channels = self._loop.record, self._mock, self.scene.channels
+        self._hands[:] = np.zeros(1, HAND)
+        for c in range(channels):
+            self._grip(c, chance, kind if c == 0 else "thrown", swapped)
+        mock.force_scale[:channels] *= factor
+        mock.force_limit[:channels] *= 100.0
+        if chance.random() < 0.3:
+            stall = mock.under_way[0]
+            stall.number = int(self.scene.rate * chance.random())
+            stall.argument = stall.number + max(2, int(self.scene.rate * chance.uniform(0.002, 0.047)))
+        record.control.go = 1
+        if not judged:
+            record.sign.judge = 0
+        ending = endings.IN_WORDS[run_loop(record)]
+        far, fast = self._hands["most_m"].max(), self._hands["most_m_per_s"].max()
+        sign = record.sign
+        return Outcome(
+            kind, ending, int(sign.channel), float(far), float(fast), int(record.state.ticks), int(sign.tests)
+        )
+
+    def _grip(self, c: int, chance: random.Random, kind: str, swapped: bool) -> None:
+        hand, body = self._hands[c], self._mock.bodies[c]
+        hand["other"] = address_of(self._hands[1 - c if swapped else c : (1 - c if swapped else c) + 1])
+        hand["least_force"] = 0.02 * self.scene.device.force_limit
+        hand["home"] = hand["position"] = float(body.position)
+        body.coulomb = float(address_of(self._hands[c : c + 1]))
+        self._mock.converters[c].state = np.uint64(chance.getrandbits(63) | 1)
+        if kind == "thrown":
+            body.velocity = -chance.uniform(0.03, 0.63)
+            return
+        for name, value in _drawn_hand(chance, kind).items():
+            hand[name] = value
+        if hand["mass"] > 0.0:  # the declared mass is that of handle and hand
+            body.mass *= chance.uniform(0.3, 1.0)
+
+
+def _drawn_hand(chance: random.Random, kind: str) -> dict[str, Any]:
+    """What a HAND has that is not 0."""
+    drawn: dict[str, Any] = {"tremor": chance.uniform(0.0, 0.5), "tremor_hz": chance.uniform(8.0, 12.0)}
+    if kind == "held" or chance.random() < 0.6:  # a second mode
+        drawn |= {"mass": 0.2 * 5.0 ** chance.random(), "stiffness": 300.0 * 10.0 ** chance.random()}
+        drawn |= {"damping": 2.0 * 10.0 ** chance.random()}
+    if chance.random() < 0.7:
+        drawn |= {"arm_stiffness": 20.0 * 25.0 ** chance.random(), "arm_damping": 2.0 * 10.0 ** chance.random()}
+        drawn |= {
+            "reach": chance.uniform(0.0, 0.05),
+            "hz": 0.3 * 15.0 ** chance.random(),
+            "phase": chance.uniform(0, 6),
+        }
+    if kind == "knocked":
+        number = chance.randint(1, KNOCKS)
+        sides = [chance.choice((-1.0, 1.0)) for _ in range(number)]
+        rest = (0.0,) * (KNOCKS - number)
+        drawn["knock_at"] = (*(chance.uniform(0.0, 0.9) for _ in sides), *rest)
+        drawn["knock_lasts"] = (*(0.001 * 15.0 ** chance.random() for _ in sides), *rest)
+        drawn["knock"] = (*(side * 5.0 * 20.0 ** chance.random() for side in sides), *rest)
+    elif kind == "leaning":
+        drawn |= {"lean": chance.uniform(5.0, 30.0), "lean_rate": 50.0 * 60.0 ** chance.random()}
+        drawn |= {"lean_from": chance.uniform(0.0, 0.3), "lean_until": chance.uniform(0.4, 1.0)}
+    return drawn
+
+
+def runs(number: int, seed: int, *, each: int = 5, scene: dict[str, Any], **how: Any) -> Iterator[Outcome]:
+    """So many runs, `each` of them on one scene; a seed draws the same scenes, hands and stalls whatever is wrong."""
+    chance = random.Random(seed)
+    for first in range(0, number, each):
+        bench = Bench(drawn_scene(chance, **scene))
+        for one in range(first, min(first + each, number)):
+            yield bench.run(random.Random(f"{seed} {one}"), KINDS[one % len(KINDS)], **how)
+
+
+def wrong(number: int, seed: int, *, scene: dict[str, Any], **how: Any) -> dict[str, Any]:
+    """Of a device with something wrong: how far and how fast its handle moves, and of the runs that go far without this
+    guard how each ends with it."""
+    before = list(runs(number, seed, scene=scene, judged=False, **how))
+    after = list(runs(number, seed, scene=scene, **how))
+    ended = [two for one, two in zip(before, after, strict=True) if one.most_m > FAR_M]
+    return {
+        "runs": number,
+        "m": _spread([one.most_m for one in after]),
+        "m/s": _spread([one.most_m_per_s for one in after]),
+        "before, m": _spread([one.most_m for one in before]),
+        "before, m/s": _spread([one.most_m_per_s for one in before]),
+        "stopped by the sign": sum(one.is_found for one in after),
+        "stopped by other guards": sum(one.ending != "done" and not one.is_found for one in after),
+        "runaways": len(ended),
+        "of these by the sign": _share(one.is_found for one in ended),
+        "of these within 3 cm": _share(one.ending != "done" and one.most_m <= NEAR_M for one in ended),
+    }
+
+
+def right(number: int, seed: int, *, scene: dict[str, Any]) -> dict[str, Any]:
+    """Of a device that is as it says: how often it is stopped, and how often its force released for a test."""
+    ended = list(runs(number, seed, scene=scene))
+    return {
+        "runs": number,
+        "stopped": {kind: sum(one.is_found for one in ended if one.kind == kind) for kind in KINDS},
+        "by other guards": sum(one.ending not in ("done", "sign wrong") for one in ended),
+        "tests": sum(one.tests for one in ended),
+    }
+
+
+def _share(hits: Any) -> float:
+    found = list(hits)
+    return sum(found) / len(found) if found else math.nan
+
+
+def _spread(values: list[float]) -> list[float]:
+    """The median, nine in ten, and the most."""
+    return [round(float(one), 4) for one in np.quantile(values, (0.5, 0.9, 1.0))] if values else []
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser("tools/bench/sign", description=__doc__)
+    parser.add_argument("--runs", type=int, default=400)
+    parser.add_argument("--right", type=int, default=10_000)
+    parser.add_argument("--rate", type=float, default=1000.0)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--save", type=Path)
+    asked = parser.parse_args()
+    found: dict[str, Any] = {}
+    print("| device | N | kg | m: median, 90 %, most | m/s | without this guard: m | m/s |", end=" ")
+    print("stopped: sign, other | runaways | of these: sign | within 3 cm |\n|" + "---|" * 11)
+    for what, how in FAULTS.items():
+        for force, mass in [(force, mass) for force in (2.5, 10.0, 40.0) for mass in (0.05, 0.2, 1.0)]:
+            scene = {"rate": asked.rate, "force_limit": force, "mass": mass, "channels": 2 if "swapped" in how else 1}
+            one = found[f"{what}, {force:g} N, {mass:g} kg"] = wrong(asked.runs, asked.seed, scene=scene, **how)
+            told = (", ".join(f"{x:.2g}" for x in one[name]) for name in ("m", "m/s", "before, m", "before, m/s"))
+            shares = (f"{one[name]:.0%}" for name in ("of these by the sign", "of these within 3 cm"))
+            stopped = f"{one['stopped by the sign']}, {one['stopped by other guards']}"
+            row = (what, f"{force:g}", f"{mass:g}", *told, stopped, str(one["runaways"]), *shares)
+            print(f"| {' | '.join(row)} |", flush=True)
+    if asked.right:
+        scene = {"rate": asked.rate, "force_limit": 10.0, "mass": 0.2}
+        one = found["false stops, 10 N, 0.2 kg"] = right(asked.right, asked.seed + 1, scene=scene)
+        print(f"\nright: {one}")
+    if asked.save:
+        asked.save.write_text(json.dumps(found, indent=1) + "\n")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
