@@ -140,9 +140,9 @@ PAIRS = ((0, 0), (0, 1), (1, 0), (1, 1))
 
 def at_places(angle: Floats) -> tuple[Complexes, Complexes]:
     """(n,) the places on the circle at these angles, z and w = z - 1."""
-    z = (1.0 + OUTSIDE) * np.exp(1j * angle)
-    w = OUTSIDE * np.exp(1j * angle) - 2.0 * np.sin(0.5 * angle) ** 2 + 1j * np.sin(angle)
-    return z, w
+    unit: Complexes = np.exp(1j * angle)
+    w = OUTSIDE * unit - 2.0 * np.sin(0.5 * angle) ** 2 + 1j * np.sin(angle)
+    return (1.0 + OUTSIDE) * unit, w
 
 
 def damper_answer(damper: DamperModel, z: Complexes, w: Complexes) -> Complexes:
