@@ -129,7 +129,8 @@ def host_clock_time_to_live() -> Story:
     s.passes(4 * PERIOD).passes(1, force=[0]).passes(50 * PERIOD)
     s.host(s.answer(1, 6, lives=0), out=s.held(2), force=[6]).registers(held=1, accepted=2)
     s.passes(PERIOD).passes(1, force=[0]).host(s.answer(2, 7, lives=255), out=s.held(3), force=[7])
-    s.passes(100 * PERIOD).passes(PERIOD, out=s.latches(3, 1), force=[0], state="latched")
+    s.host(s.answer(3, 8, lives=255), out=s.position(4), force=[8])  # late was the one after the lapse, and no other
+    s.passes(100 * PERIOD).passes(PERIOD, out=s.latches(4, 1), force=[0], state="latched")
     return s.registers(held=2)
 
 

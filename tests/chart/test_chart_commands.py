@@ -52,12 +52,16 @@ def test_every_picture_is_drawn_in_every_format(chart: Chart, scene_file: SceneF
 def test_left_out_the_picture_has_the_name_of_the_command(chart: Chart, scene_file: SceneFile) -> None:
     answer = chart("transparency", scene_file("spring"))
     assert "Picture: transparency.svg" in answer.out
-    assert Path("transparency.svg").exists()
+    left_out = Path("transparency.svg").read_bytes()
+    chart("transparency", scene_file("spring"), "--picture", "asked_for.svg")
+    assert left_out == Path("asked_for.svg").read_bytes()
 
 
 def test_a_hand_that_feels_nothing_can_be_drawn(chart: Callable[..., Any], scene_file: Callable[..., Path]) -> None:
-    chart("transparency", scene_file("nothing", friction=0.0))
-    assert Path("transparency.svg").exists()
+    answer = chart("transparency", scene_file("nothing", friction=0.0), "--picture", "of.svg", "--data", "of.csv")
+    assert "At no frequency does the wall give energy" in answer.out
+    assert Path("of.svg").read_bytes().startswith(BEGINS[".svg"])
+    assert {float(value) for value in columns_of(Path("of.csv"))["rendered_Ns_per_m"]} == {0.0}
 
 
 @pytest.mark.parametrize("only", [["--data", "numbers.csv"], ["--json"]])

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import io
+import re
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -33,10 +34,32 @@ def test_a_run_prints_one_document_with_the_keys_of_the_contract(
 
 
 def test_a_run_is_reported_as_a_table(hapsim: Callable[..., Any], scene_file: Callable[..., Path]) -> None:
-    answer = hapsim("run", scene_file("spring"), "--duration", 0.5)
+    answer = hapsim("run", scene_file("spring"), "--duration", 0.25)
     assert answer.status == 0
-    assert "virtual time" in answer.out
-    assert "500" in answer.out
+    rows = [[cell.strip() for cell in line.strip("│").split("│")] for line in answer.out.splitlines() if "│" in line]
+    assert ["ended", "done"] in rows
+    assert ["virtual time  s", "0.249"] in rows  # from the first position to the last
+    assert ["ticks", "250"] in rows
+
+
+def test_every_counter_of_a_run_has_a_row_with_its_own_number(
+    hapsim: Callable[..., Any], scene_file: Callable[..., Path], tmp_path: Path
+) -> None:
+    """Rows that were dropped or not recorded are one number; each other counter is one by itself."""
+    record = tmp_path / "trace.npz"
+    hapsim("run", scene_file("spring"), "--duration", 0.05, "--record", record, "--json")
+    report = load_trace(record).report
+    counters = [
+        field.name
+        for field in fields(report)
+        if type(getattr(report, field.name)) is int and field.name not in ("ticks", "deadline_misses")
+    ]
+    counts = {name: 100_001 << at for at, name in enumerate(counters)}
+    console = Console(record=True, width=200)
+    show_report(console, replace(report, **counts))  # type: ignore[arg-type]
+    told = console.export_text()
+    rows = counts.pop("dropped_rows") + counts.pop("unrecorded_rows")
+    assert [name for name, count in [*counts.items(), ("rows", rows)] if not re.search(rf"\b{count}\b", told)] == []
 
 
 @pytest.mark.parametrize(("count", "is_normal"), [(0, False), (2, True), (40, False)])

@@ -294,6 +294,34 @@ def test_samples_go_on_being_counted_where_numbers_begin_anew_and_where_the_host
     assert injector.samples == 5009
 
 
-def test_every_kind_is_tested_here() -> None:
-    text = Path(__file__).read_text("utf-8")
-    assert [kind for kind in KINDS if f"kind: {kind}" not in text] == []
+WITH = {
+    "delay": "seconds: 0.01",
+    "garbage": "bytes: 5",
+    "half_frame": "after_samples: 5",
+    "invert": "at: 0",
+    "leap": "metres: 0.01, at: 0",
+    "nonsense": "register: rate, what: zero",
+    "rate": "factor: 2",
+    "reboot": "seconds: 0.5, after_samples: 5",
+    "replug": "at: 0.01",
+    "silence": "at: 0.01",
+    "unplug": "at: 0.01",
+    "wrong_baud": "ratio: 0.5",
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_each_kind_changes_what_passes_and_is_counted(kind: str) -> None:
+    """A kind that is new and does nothing fails here; what it does is for a test of its own."""
+
+    def played(*faults: str) -> tuple[object, list[tuple[str, int]]]:
+        injector = injector_of(*faults)
+        passed = injector.take(described(), False, 0.0) + positions_through(injector, 30)
+        passed += injector.take(force(29, 500), True, 0.03) + injector.advance(1.0)
+        return [(one.data, one.to_device, one.due_s) for one in passed], injector.counts
+
+    before = "kind: unplug, at: 0.005" if kind == "replug" else "kind: drop, probability: 0"
+    told, counts = played(before, f"kind: {kind}, {WITH.get(kind, '')}")
+    assert told != played(before)[0] or kind == "replug"
+    assert counts[-1][0] == kind
+    assert counts[-1][1] > 0

@@ -277,6 +277,24 @@ def test_a_device_that_is_back_when_the_time_is_over_is_not_armed(
     assert len(bench.sessions) == 1
 
 
+def test_the_time_of_every_wait_counts_not_of_the_last_one_alone(
+    scene: Scene, bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two waits of 600 s, each shorter than the 1000 s: the device that is back after the second is not armed."""
+    bench.plug(scene)
+    now = [0.0]
+    monkeypatch.setattr(reconnecting, "time", SimpleNamespace(monotonic=lambda: now[0], sleep=lambda _: None))
+
+    def back_later() -> None:
+        bench.plug(scene)
+        now[0] += 600.0
+
+    observer = bench.observer(bench.unplug, bench.unplug, on_waiting=back_later)
+    lifetime = keep_running(scene, observer, reconnect=True, duration=1000.0)
+    assert "did not come back within the duration of 1000 s" in str(lifetime.failure)
+    assert (len(bench.sessions), lifetime.reconnections) == (2, 1)
+
+
 def test_a_device_that_stopped_by_itself_is_armed_anew(scripted: Any, frame: Any) -> None:
     stopped = frame_to_host(armed_format(1, velocity=False), schema.STATUS, 1, [schema.LATCHED | 99 << 8])
     sessions: list[Session] = []

@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -79,6 +80,15 @@ def test_a_coarse_encoder_takes_the_whole_leave_and_longer_pushes(new_bench: New
     checks = judged(bench, "push", leave=GENTLE)
     assert checks["sign"].result == "pass", told(checks)
     assert bench.device.largest == pytest.approx(0.5, abs=1e-6)
+
+
+@pytest.mark.parametrize("factor", [0.5, 2.0])
+def test_how_many_times_the_response_of_the_given_mass_it_is(new_bench: NewBench, factor: float) -> None:
+    """A device of 0.2 kg that is said to weigh twice as much responds twice as much as that mass would."""
+    checks = judged(new_bench(), "push", leave=replace(GENTLE, mass=0.2 * factor))
+    found = re.search(r"like (\S+) kg: (\S+) times the response of (\S+) kg", checks["mass"].found)
+    assert found is not None, told(checks)
+    assert [float(one) for one in found.groups()] == pytest.approx([0.2, factor, 0.2 * factor], rel=0.05)
 
 
 def test_a_leave_below_the_limit_does_not_ask_for_more(new_bench: NewBench) -> None:

@@ -103,7 +103,8 @@ def test_on_a_terminal_a_sentence_breaks_at_its_words_and_a_path_stays_whole() -
     assert (lines[1].startswith("      "), lines[2].strip()) == (True, path)
 
 
-def test_readers_that_do_not_read_hold_nobody_up(tmp_path: Path) -> None:
+def test_readers_that_do_not_read_hold_nobody_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(status, "_PATIENCE_S", 60.0)  # who waited for such a reader would wait for ever
     path = tmp_path / "s"
     with telling(path, lambda: json.dumps("x" * 900_000)):
         idle = [socket.socket(socket.AF_UNIX) for _ in range(5)]
