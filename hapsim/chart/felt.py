@@ -14,6 +14,8 @@ import numpy as np
 
 from hapsim.chart.hand import Hand
 from hapsim.prediction.correction import CORRECTIONS, felt_error
+from hapsim.prediction.correction.kind import Observer
+from hapsim.prediction.correction.predictor import pole_of_push
 from hapsim.theory import Configuration
 from hapsim.theory.arrays import Bools, Floats
 
@@ -169,15 +171,18 @@ def felt_by(correction: str, declared: Configuration, true: Configuration, plane
     k, b = plane.desired(declared)
     asked = (k >= declared.stiffness) & (b >= declared.friction)
     kind = CORRECTIONS.get(correction)
-    if kind is None:
-        K, B, loop = k - declared.stiffness, b - declared.friction, true
-    else:
+    K, B = k - declared.stiffness, b - declared.friction
+    if kind is not None:
         K, B = kind.seen_by_theory(declared).simulated(k, b)
-        loop = kind.closed(true, declared)  # type: ignore[assignment]
     had = asked & np.isfinite(K) & np.isfinite(B)
     error, radius = np.full(k.shape, np.inf), np.zeros(k.shape)
-    radius[had] = np.abs(loop.poles(K[had], B[had])[..., 0])
-    error[had] = felt_error(loop.equivalent(K[had], B[had]), (k[had], b[had]), true.mass)
+    poles = pole_of_push(declared, k, b)
+    for pole in np.unique(poles):
+        cells = had & (poles == pole)
+        observer = Observer(float(pole), static=k[cells] - declared.stiffness)
+        loop = true if kind is None else kind.closed(true, declared, observer)
+        radius[cells] = np.abs(loop.poles(K[cells], B[cells])[..., 0])
+        error[cells] = felt_error(loop.equivalent(K[cells], B[cells]), (k[cells], b[cells]), true.mass)
     return Felt(error, _outcome(error, radius, asked, had))
 
 

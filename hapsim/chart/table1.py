@@ -198,7 +198,8 @@ def _predicted(numeral: str, configuration: Configuration, K: float, B: float, c
         total = configuration.stiffness + K, configuration.friction + B
         span = configuration.mass, configuration.mass
         element = element_for(kind, configuration, span, total)
-        k = float(kind.closed(configuration, configuration).equivalent(element.stiffness, element.damping)[0])
+        loop = kind.closed(configuration, configuration, element.observer)
+        k = float(loop.equivalent(element.stiffness, element.damping)[0])
     frequency = math.sqrt(k / configuration.mass) / (2.0 * math.pi) if k > 0.0 else math.nan
     if not frequency < 0.5 * configuration.rate:
         raise UsageError(

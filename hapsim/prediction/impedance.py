@@ -15,7 +15,7 @@ from hapsim.prediction.linear import linear_scene
 from hapsim.scene import Scene
 from hapsim.theory import Configuration, Network, NotWorkedOutError
 from hapsim.theory.arrays import Complexes, Floats
-from hapsim.theory.correction import PredictedLoop, state_predictor
+from hapsim.theory.correction import PredictedLoop
 from hapsim.theory.hand.walls import StiffestWall, stiffest_passive, stiffest_stable
 from hapsim.theory.network.impedance import desired_impedance, loop_impedance
 
@@ -91,9 +91,9 @@ def _of_predictors(rendering: Rendering, frequency: Floats) -> Complexes:
     if scene.sensed_links or any(why_coupled(scene, linear, name) for name in names):
         return np.full_like(found, np.nan)
     for port in rendering.ports:
-        model = replace(port.declared, mass=port.made_for)
         at = names.index(port.name)
-        found[:, at, at] = PredictedLoop(port.declared, state_predictor(model)).impedance(*port.rendered, frequency)
+        loop = PredictedLoop(port.declared, rendering.predictor_of(port))
+        found[:, at, at] = loop.impedance(*port.rendered, frequency)
     return found
 
 

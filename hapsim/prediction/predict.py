@@ -129,12 +129,13 @@ def _desired_on(rendering: Rendering, port: Corrected) -> Desired:
     least, most = rendering.desired.device.mass_spans(rendering.desired.channels)[port.channel]
     errors: list[float] = []
     for mass in np.geomspace(least, most, 1 if least == most else _MASSES).tolist():
-        element, made_for = port.settled(mass)
-        if element == (0.0, 0.0):
+        one = port.settled(mass)
+        if one.stiffness == one.damping == 0.0:
             errors.append(0.0)  # the device alone
             continue
-        loop = kind.closed(replace(port.declared, mass=mass), replace(port.declared, mass=made_for))
-        errors.append(float(felt_error(loop.equivalent(*element), (k, b), mass)))
+        model = replace(port.declared, mass=one.made_for)
+        loop = kind.closed(replace(port.declared, mass=mass), model, one.observer)
+        errors.append(float(felt_error(loop.equivalent(one.stiffness, one.damping), (k, b), mass)))
     return Desired(
         name=port.name,
         channel=port.channel,
@@ -145,7 +146,7 @@ def _desired_on(rendering: Rendering, port: Corrected) -> Desired:
         error=float(np.max(errors)),
         reached=port.reached,
         remedies=None if port.reached or least < most else remedies_for(kind, port.declared, port.desired),
-        stable_masses=stable_masses(kind, port.declared, port.made_for, port.rendered),
+        stable_masses=stable_masses(kind, port.declared, port.element),
         steady_stiffness=_steady_stiffness(rendering, port),
     )
 
@@ -337,11 +338,11 @@ def with_mass(prediction: Prediction, channel: int, mass: float) -> Prediction:
     port = None if rendering is None else next((one for one in rendering.ports if one.channel == channel), None)
     if rendering is None or port is None or port.schedule is None:
         return prediction
-    element, made_for = port.settled(mass)
+    settled = port._replace(element=port.settled(mass))
     device = replace(port.declared, mass=mass)
-    predictor = rendering.predictor_of(port._replace(made_for=made_for))
+    predictor = rendering.predictor_of(settled)
     felt = tuple(
-        _felt_of_predictor(one, device, predictor, element) if one.channel == channel else one
+        _felt_of_predictor(one, device, predictor, settled.rendered) if one.channel == channel else one
         for one in prediction.felt
     )
     desired = tuple(_desired_of(one, mass) if one.channel == channel else one for one in prediction.desired)

@@ -3,16 +3,18 @@ is estimated."""
 
 from __future__ import annotations
 
+from collections.abc import Container
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from firmware_protocol.description import Description
-from hapsim.loop.adaptive import Adaptation, AdaptiveChannel
-from hapsim.loop.predictor import PredictorMemory
+from hapsim.loop.adaptive import ADDED, Adaptation, AdaptiveChannel
+from hapsim.loop.predictor import PredictorMemory, Table, numbers_of
 from hapsim.prediction.correction import Corrected, Rendering
-from hapsim.theory.correction import forces_in_second_difference, state_predictor
+from hapsim.prediction.correction.predictor import predictor_for
+from hapsim.theory.correction import StatePredictor, forces_in_second_difference
 
 
 class LoopCorrection:
@@ -20,26 +22,28 @@ class LoopCorrection:
 
     def __init__(self, loop: Any, rendering: Rendering, description: Description) -> None:
         """`loop`: LOOP, whose control is already set."""
+        self._memory: PredictorMemory | None = None
         self._adaptation: Adaptation | None = None
         predictors = rendering.predictors()
         if not predictors:
             return
         device = rendering.desired.device
+        self._adapts = frozenset(port.channel for port in rendering.ports if port.schedule is not None)
+        """Those that adapted at the beginning: no other begins to while it runs."""
+        self._lags = max(one.lags for one in predictors.values())
         self._memory = PredictorMemory(
             loop.predictor,
-            {channel: (one.readings, one.forces) for channel, one in predictors.items()},
-            channels=description.channels,
-            senses=any(one.senses for one in predictors.values()),
+            self._tables(rendering),
+            lags=self._lags,
+            readings=1 + any(one.senses for one in predictors.values()),
             goes_on=device.hold == "zoh",
             lives_samples=int(loop.control.time_to_live),
         )
-        self._channels = channels = _adaptive_channels(rendering)
-        """Those that adapted at the beginning: no other begins to while it runs."""
-        if channels:
+        if self._adapts:
             numerator, first_lag = forces_in_second_difference(rendering.ports[0].declared)
             self._adaptation = Adaptation(
                 loop.predictor,
-                channels,
+                _adaptive_channels(rendering, self._adapts),
                 period_s=rendering.desired.period,
                 numerator=numerator,
                 first_lag=first_lag,
@@ -49,18 +53,10 @@ class LoopCorrection:
     def follow(self, rendering: Rendering, samples: int) -> None:
         """Another scene before the same device, over so many samples. A channel on which nothing adapts any more has
         the predictor that its links are simulated for, and nothing comes to their force."""
-        if self._adaptation is None:
-            return
-        channels = _adaptive_channels(rendering)
-        predictors = rendering.predictors()
-        for channel, before in self._channels.items():
-            if channel not in channels:
-                constant = np.zeros_like(before.stiffness)
-                one = predictors.get(channel)
-                told = before.weights[0] if one is None else np.hstack([one.readings, one.forces])
-                weights = np.broadcast_to(told, before.weights.shape)
-                channels[channel] = before._replace(stiffness=constant, damping=constant, weights=weights)
-        self._adaptation.follow({channel: channels[channel] for channel in self._channels}, samples)
+        if self._adaptation is not None:
+            self._adaptation.follow(_adaptive_channels(rendering, self._adapts))
+        if self._memory is not None:
+            self._memory.follow(self._tables(rendering), samples)
 
     def masses(self, channels: int) -> dict[str, tuple[float | None, ...]]:
         """What `Report` and `Progress` say of the masses that are estimated, by their names there: a value per channel,
@@ -76,22 +72,34 @@ class LoopCorrection:
             "mass_explained": explained,
         }
 
+    def _tables(self, rendering: Rendering) -> dict[int, Table]:
+        tables = {channel: self._table([one]) for channel, one in rendering.predictors().items()}
+        if self._adapts:
+            tables = {channel: np.pad(table, ((0, 0), (0, ADDED))) for channel, table in tables.items()}
+        adaptive = (port for port in rendering.ports if port.channel in self._adapts and port.schedule is not None)
+        return tables | {port.channel: self._adaptive_table(port) for port in adaptive}
 
-def _adaptive_channels(rendering: Rendering) -> dict[int, AdaptiveChannel]:
-    senses = bool(rendering.desired.sensed_links)
-    return {port.channel: _adaptive(port, senses) for port in rendering.ports if port.schedule is not None}
+    def _adaptive_table(self, port: Corrected) -> Table:
+        """For each mass: the predictor's numbers, and what comes to the scene's force, which is that for the least."""
+        assert port.schedule is not None
+        elements = port.schedule.elements
+        least = elements[0]
+        dK = np.array([one.stiffness - least.stiffness for one in elements])
+        dB = np.array([one.damping - least.damping for one in elements])
+        predictors = [predictor_for(replace(port.declared, mass=one.made_for), one.observer) for one in elements]
+        return np.column_stack([self._table(predictors), dK, dB, dK * port.rest])
+
+    def _table(self, predictors: list[StatePredictor]) -> Table:
+        return np.array([numbers_of(*one, lags=self._lags) for one in predictors])
 
 
-def _adaptive(port: Corrected, senses: bool) -> AdaptiveChannel:
-    assert port.schedule is not None
-    elements, masses = port.schedule.elements, port.schedule.masses
-    predictors = [state_predictor(replace(port.declared, mass=one.made_for), senses) for one in elements]
-    return AdaptiveChannel(
-        span=(float(masses[0]), float(masses[-1])),
-        stiffness=np.array([one.stiffness - elements[0].stiffness for one in elements]),
-        damping=np.array([one.damping - elements[0].damping for one in elements]),
-        rest=port.rest,
-        weights=np.array([np.hstack([one.readings, one.forces]) for one in predictors]),
-        device_stiffness=port.declared.stiffness,
-        desired_stiffness=port.written[0] + port.declared.stiffness,
-    )
+def _adaptive_channels(rendering: Rendering, channels: Container[int]) -> dict[int, AdaptiveChannel]:
+    return {
+        port.channel: AdaptiveChannel(
+            span=(float(port.schedule.masses[0]), float(port.schedule.masses[-1])),
+            device_stiffness=port.declared.stiffness,
+            desired_stiffness=port.written[0] + port.declared.stiffness,
+        )
+        for port in rendering.ports
+        if port.channel in channels and port.schedule is not None
+    }

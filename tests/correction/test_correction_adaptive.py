@@ -16,8 +16,8 @@ from hapsim.loop.adaptive import SLEW_S
 from hapsim.measuring.identify import identify
 from hapsim.prediction.correction import CORRECTIONS, rendered
 from hapsim.prediction.correction.adaptive import schedule_for
+from hapsim.prediction.correction.predictor import predictor_for
 from hapsim.running import Excitation, Session
-from hapsim.running.correction import _adaptive
 from hapsim.scene import Device, DevicePoint, Ground, Initial, Mock, Scene, ViscoElastic
 from hapsim.theory import Configuration
 
@@ -106,27 +106,37 @@ def test_the_force_follows_the_estimate_no_faster_than_it_says(n: int) -> None:
     scene = gripped(stiffness, damping, grips=grips)
     trace = run(scene, duration=0.4)
     (port,) = rendered(scene).ports
-    channel = _adaptive(port, senses=False)
-    rows, fine = np.log(np.geomspace(LEAST, MOST, len(channel.stiffness))), np.linspace(*np.log([LEAST, MOST]), 4001)
+    elements = port.schedule.elements
+    predictors = [predictor_for(replace(port.declared, mass=one.made_for), one.observer) for one in elements]
+    K, B = (np.array([getattr(one, name) for one in elements]) for name in ("stiffness", "damping"))
+    numbers = [np.array(column) for column in zip(*predictors, strict=True)]
+    rows, last = np.log(MOST / LEAST) / (len(elements) - 1), len(elements) - 1.0
 
-    def at_every_mass(values: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.interp(fine, rows, values)
+    def at(log_mass: float, columns: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Between the rows of a table."""
+        row = min(max(log_mass / rows, 0.0), last)
+        low = min(int(row), len(elements) - 2)
+        return np.asarray(columns[low] * (1.0 - row + low) + columns[low + 1] * (row - low))
 
-    element = port.schedule.elements[0]
-    K, B = at_every_mass(channel.stiffness) + element.stiffness, at_every_mass(channel.damping) + element.damping
-    weights = np.array([[at_every_mass(channel.weights[:, i, j]) for j in range(4)] for i in range(2)])
     y, f, asked = trace.position[:, 0], trace.force[:, 0], trace.asked_force[:, 0]
     slew = 1.0 / (SLEW_S * RATE)
-    possible = fine < fine[0] + slew
-    reach = int(np.ceil(slew / (fine[1] - fine[0])))
-    for sample in range(2, y.size):
-        told = [y[sample], y[sample - 1], f[sample - 1], f[sample - 2]]
-        x, v = (np.tensordot(told, row, axes=1) for row in weights)
-        forces = -K * x - B * v
-        reached = np.convolve(possible, np.ones(2 * reach + 1), mode="same") > 0.0
-        coarse = np.abs(np.gradient(forces)) + 1e-6 * np.abs(asked).max()
-        possible = reached & (np.abs(forces - asked[sample]) <= coarse)
-        assert possible.any(), sample
+    step, reading, gains, first, ahead = numbers
+    mass, state, worst, heaviest = 0.0, np.array([y[0], 0.0, 0.0]), 0.0, 0.0
+    for sample in range(1, y.size):
+        forces = [f[sample - 1], f[sample - 2] if sample > 1 else 0.0]
+        known = np.append(state, forces)
+        off = y[sample] - at(mass, reading)[0] @ known
+        correct = np.append(at(mass, first)[:, 0], 0.0) if sample == 1 else at(mass, gains)[:, 0]
+        state = np.append(at(mass, step) @ known, state[2]) + correct * off
+        known = np.append(state, forces)
+        tried = np.clip(mass + np.linspace(-slew, slew, 33), 0.0, np.log(MOST / LEAST))
+        answers = np.array([-at(one, K) * x - at(one, B) * v for one in tried for x, v in [at(one, ahead) @ known]])
+        best = int(np.argmin(np.abs(answers - asked[sample])))
+        worst = max(worst, abs(answers[best] - asked[sample]) - np.abs(np.diff(answers)).max())
+        mass = float(tried[best])
+        heaviest = max(heaviest, mass)
+    assert worst < 1e-6 * np.abs(asked).max()
+    assert heaviest > slew
 
 
 def test_nothing_is_simulated_that_some_mass_of_the_span_makes_unstable() -> None:
@@ -142,7 +152,9 @@ def test_nothing_is_simulated_that_some_mass_of_the_span_makes_unstable() -> Non
         limited += schedule.safe < MOST
         for element in schedule.elements[::6]:
             for mass in np.geomspace(LEAST, MOST, 7):
-                loop = kind.closed(replace(declared, mass=float(mass)), replace(declared, mass=element.made_for))
+                loop = kind.closed(
+                    replace(declared, mass=float(mass)), replace(declared, mass=element.made_for), element.observer
+                )
                 assert abs(loop.poles(element.stiffness, element.damping)[0]) <= 1.0 + 1e-6
     assert 0 < limited < 12  # some are free, some are not
 
@@ -157,7 +169,7 @@ def test_a_contact_is_stable_for_every_mass_too() -> None:
     kind = CORRECTIONS["adaptive"]
     for element in beside.elements[::6]:
         for mass in (LEAST, 0.15, MOST):
-            loop = kind.closed(replace(declared, mass=mass), replace(declared, mass=element.made_for))
+            loop = kind.closed(replace(declared, mass=mass), replace(declared, mass=element.made_for), element.observer)
             pole = loop.poles(element.stiffness + contact[0], element.damping + contact[1])[0]
             assert abs(pole) <= 1.0 + 1e-6
 

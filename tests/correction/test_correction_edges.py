@@ -47,7 +47,8 @@ def test_a_damper_alone_keeps_its_damping_over_a_span(correction: str) -> None:
     kind = CORRECTIONS[correction]
     model = replace(port.declared, mass=port.made_for)
     for mass in np.geomspace(0.1, 0.4, 7):
-        k, b = kind.closed(replace(port.declared, mass=float(mass)), model).equivalent(*port.rendered)
+        loop = kind.closed(replace(port.declared, mass=float(mass)), model, port.element.observer)
+        k, b = loop.equivalent(*port.rendered)
         assert k == pytest.approx(0.0, abs=1e-3)
         assert b == pytest.approx(6.0, rel=0.05)
 

@@ -15,7 +15,7 @@ from hapsim.loop.ring import LATE_FORCE
 from hapsim.prediction import predict_impedance
 from hapsim.prediction.correction import rendered
 from hapsim.scene import Device, DevicePoint, Ground, Initial, Mock, Nonlinear, Scene, Spring, ViscoElastic
-from hapsim.theory.correction import PredictedLoop, state_predictor
+from hapsim.theory.correction import PredictedLoop
 
 MASS, FRICTION = 0.2, 1.0
 
@@ -80,7 +80,7 @@ def test_another_mass_than_the_declared_one_feels_what_is_predicted_for_it(facto
     scene = hand_on(touch(6000.0, 20.0), correction="predictor", mock={"mass": factor * MASS})
     (port,) = rendered(scene).ports
     true = replace(port.declared, mass=factor * MASS)
-    k, b = PredictedLoop(true, state_predictor(port.declared)).equivalent(*port.rendered)
+    k, b = PredictedLoop(true, rendered(scene).predictor_of(port)).equivalent(*port.rendered)
     felt = measure(scene)
     assert felt.k * factor == pytest.approx(float(k), rel=1e-5)  # it reads k and b with the declared mass
     assert felt.b * factor == pytest.approx(float(b), rel=1e-5)

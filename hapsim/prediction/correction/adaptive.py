@@ -8,16 +8,18 @@ greatest one for which that holds. ``loop/adaptive.py`` estimates, and moves bet
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
+from hapsim.prediction.correction.kind import Observer
 from hapsim.prediction.correction.lone import Element, element_for
-from hapsim.prediction.correction.predictor import PREDICTOR, predicted
+from hapsim.prediction.correction.predictor import PREDICTOR, predictor_for
 from hapsim.theory import Configuration
 from hapsim.theory.arrays import Floats
+from hapsim.theory.correction import PredictedLoop
 
 ADAPTIVE = PREDICTOR._replace(name="adaptive", adapts=True)
 
@@ -40,10 +42,11 @@ class Schedule(NamedTuple):
         made_for = min(mass, self.safe)
         at = np.log(made_for / self.masses[0])
         logs = np.log(self.masses / self.masses[0])
-        values = [[one.stiffness, one.damping, one.made_for] for one in self.elements]
-        K, B, model = (float(np.interp(at, logs, column)) for column in np.transpose(values))
+        values = [[one.stiffness, one.damping, one.made_for, *one.observer[:2]] for one in self.elements]
+        K, B, model, pole, compliance = (float(np.interp(at, logs, column)) for column in np.transpose(values))
         is_free = self.elements[0].reached
-        return Element(K, B, made_for if is_free else model, is_free and mass <= self.safe)
+        observer = self.elements[0].observer._replace(pole=pole, compliance=compliance)
+        return Element(K, B, made_for if is_free else model, is_free and mass <= self.safe, observer)
 
 
 def schedule_for(
@@ -51,26 +54,33 @@ def schedule_for(
     span: tuple[float, float],
     desired: tuple[float, float],
     touched: Sequence[tuple[float, float]] = (),
+    observed: Callable[[Configuration, Element], Observer] | None = None,
 ) -> Schedule:
     """For a hand that is to feel ``desired`` (k in N/m, b in N·s/m), whatever mass of the span it has. Where even the
     element of the least mass is not stable for all, the one that `element_for` finds for the span, for every mass.
-    ``touched``: (K, B) of contacts, each of which may come to an element, and has to leave it stable."""
+    ``touched``: (K, B) of contacts, each of which may come to an element, and has to leave it stable. ``observed``: the
+    observer that an element has in place of its own."""
     masses = np.geomspace(*span, ROWS)
     trues = [replace(declared, mass=mass) for mass in np.geomspace(*span, _TRIED).tolist()]
     found: list[Element] = []
     for mass in masses.tolist():
         model = replace(declared, mass=mass)
         element = element_for(PREDICTOR, model, (mass, mass), desired)
+        if observed is not None:
+            element = element._replace(observer=observed(model, element))
         sums = [(element.stiffness + K, element.damping + B) for K, B in [(0.0, 0.0), *touched]]
-        if not element.reached or not all(_is_stable_for(trues, model, K, B) for K, B in sums):
+        if not element.reached or not all(_is_stable_for(trues, model, element.observer, K, B) for K, B in sums):
             break
         found.append(element)
     if not found:
-        found.append(element_for(PREDICTOR, declared, span, desired))
+        element = element_for(PREDICTOR, declared, span, desired)
+        model = replace(declared, mass=element.made_for)
+        found.append(element if observed is None else element._replace(observer=observed(model, element)))
     elements = found + [found[-1]] * (ROWS - len(found))
     return Schedule(masses, tuple(elements), float(masses[len(found) - 1]))
 
 
-def _is_stable_for(trues: list[Configuration], model: Configuration, K: float, B: float) -> bool:
-    loops = (predicted(true, model) for true in trues)
+def _is_stable_for(trues: list[Configuration], model: Configuration, observer: Observer, K: float, B: float) -> bool:
+    predictor = predictor_for(model, observer)
+    loops = (PredictedLoop(true, predictor) for true in trues)
     return all(bool(np.abs(loop.poles(K, B)[..., 0]) <= 1.0 + _ON_THE_CIRCLE) for loop in loops)

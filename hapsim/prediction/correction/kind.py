@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from hapsim.scene.choices import CorrectionName, DamperScheme
 from hapsim.theory import Configuration
 from hapsim.theory.arrays import Complexes, Floats
+from hapsim.theory.correction import SLOWEST
 
 
 class ClosedLoop(Protocol):
@@ -20,6 +21,19 @@ class ClosedLoop(Protocol):
 
     def equivalent(self, K: ArrayLike, B: ArrayLike) -> tuple[Floats, Floats]:
         """The (k, b) that it feels, N/m and N·s/m; NaN where none is equivalent."""
+
+
+class Observer(NamedTuple):
+    """How a predictor follows the hand that pushes, and what it makes of the push."""
+
+    pole: float = SLOWEST
+    """Of ``state_predictor``."""
+    compliance: float = 0.0
+    """m/N: by so much of the push the scene sees the device further."""
+    static: float | Floats | None = None
+    """N/m: in place of the compliance, the stiffness that a steady push is to meet, whatever (K, B) are simulated."""
+    senses: bool = False
+    """Whether it reads velocities."""
 
 
 class CorrectionKind(NamedTuple):
@@ -34,5 +48,5 @@ class CorrectionKind(NamedTuple):
     """Whether what the force is made of follows an estimate of the mass."""
     seen_by_theory: Callable[[Configuration], Configuration]
     """The configuration whose poles the loop has where the declared mass is the true one."""
-    closed: Callable[[Configuration, Configuration], ClosedLoop]
+    closed: Callable[[Configuration, Configuration, Observer], ClosedLoop]
     """The loop of a true configuration, the first, with a correction that was made for another, the second."""

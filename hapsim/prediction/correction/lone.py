@@ -9,7 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hapsim.prediction.correction.kind import ClosedLoop, CorrectionKind
+from hapsim.prediction.correction.kind import ClosedLoop, CorrectionKind, Observer
+from hapsim.prediction.correction.predictor import observer_of
 from hapsim.theory import Configuration
 from hapsim.theory.arrays import Floats
 
@@ -34,6 +35,8 @@ class Element(NamedTuple):
     """kg: the mass that a predictor takes the hand for."""
     reached: bool
     """Whether what is felt is what is desired, for every mass that there may be."""
+    observer: Observer = Observer()
+    """Of a predictor."""
 
 
 def element_for(
@@ -46,18 +49,20 @@ def element_for(
     that takes the hand for heavier than it is loses its stability first.
     """
     least, most = span
+    spring = desired[0] - declared.stiffness
+    model = replace(declared, mass=least if kind.predicts and least < most else declared.mass)
+    observer = observer_of(model, [(desired, (0.0, 0.0))])._replace(static=spring if spring > 0.0 else None)
+    reached, masses = False, [declared.mass]
+    K, B = math.nan, math.nan
     if least == most:
         K, B = (float(value) for value in kind.seen_by_theory(declared).simulated(*desired))
-        if math.isfinite(K) and math.isfinite(B):
-            return Element(K, B, declared.mass, True)
-        loops = [kind.closed(declared, declared)]
-        K, B = _nearest(loops, [declared.mass], declared, desired)
-        return Element(K, B, declared.mass, False)
-    masses = np.geomspace(least, most, _MASSES).tolist()
-    model = replace(declared, mass=least if kind.predicts else declared.mass)
-    loops = [kind.closed(replace(declared, mass=mass), model) for mass in masses]
-    K, B = _nearest(loops, masses, declared, desired)
-    return Element(K, B, model.mass, False)
+        reached = math.isfinite(K) and math.isfinite(B)
+    else:
+        masses = np.geomspace(least, most, _MASSES).tolist()
+    if not reached:
+        loops = [kind.closed(replace(declared, mass=mass), model, observer) for mass in masses]
+        K, B = _nearest(loops, masses, declared, desired)
+    return Element(K, B, model.mass, reached, observer_of(model, [(desired, (K, B))]))
 
 
 def felt_error(

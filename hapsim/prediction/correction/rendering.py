@@ -4,21 +4,22 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import NamedTuple
 
 from hapsim.prediction.correction.adaptive import ADAPTIVE, Schedule, schedule_for
 from hapsim.prediction.correction.coupled import MOST_STATES, is_small, is_stable, match_modes
-from hapsim.prediction.correction.kind import CorrectionKind
+from hapsim.prediction.correction.kind import CorrectionKind, Observer
 from hapsim.prediction.correction.lone import Element, element_for
 from hapsim.prediction.correction.poles import POLES
 from hapsim.prediction.correction.ports import Port, ports_of, shared_out, with_modules
-from hapsim.prediction.correction.predictor import PREDICTOR
+from hapsim.prediction.correction.predictor import PREDICTOR, observer_of, predictor_for
 from hapsim.prediction.hands import configuration_of, dampers_of, why_coupled
 from hapsim.prediction.linear import linear_scene
-from hapsim.scene import Scene
+from hapsim.scene import Buffer, Scene
 from hapsim.scene.modules import Module
 from hapsim.theory import Configuration
-from hapsim.theory.correction import StatePredictor, state_predictor
+from hapsim.theory.correction import StatePredictor
 
 CORRECTIONS: dict[str, CorrectionKind] = {kind.name: kind for kind in (POLES, PREDICTOR, ADAPTIVE)}
 """By the names of `device.correction`; "none" is not among them."""
@@ -33,25 +34,33 @@ class Corrected(NamedTuple):
     """(k, b) in N/m and N·s/m, what is real included; NaN where the hand moves masses or other hands."""
     written: tuple[float, float]
     """(K, B) of the scene's linear links together."""
-    rendered: tuple[float, float]
-    """(K, B) that they are given."""
+    element: Element
+    """What they are given; of an adaptive one for the declared mass."""
     declared: Configuration
     """The device, as the scene describes it."""
-    made_for: float
-    """kg: the mass for which the force is right."""
-    reached: bool
-    """Whether the hand feels what is desired, by prediction."""
     schedule: Schedule | None = None
-    """Of an adaptive one: what is simulated for which mass. `rendered` and `made_for` are for the declared one."""
+    """Of an adaptive one: what is simulated for which mass."""
     rest: float = 0.0
     """m: where the linear links together have no force, their other ends at rest."""
 
-    def settled(self, mass: float) -> tuple[tuple[float, float], float]:
-        """((K, B), kg for which they are made) of a hand of this mass, once an estimate has settled."""
-        if self.schedule is None:
-            return self.rendered, self.made_for
-        element = self.schedule.settled(mass)
-        return (element.stiffness, element.damping), element.made_for
+    @property
+    def rendered(self) -> tuple[float, float]:
+        """(K, B) that the linear links are given."""
+        return self.element.stiffness, self.element.damping
+
+    @property
+    def made_for(self) -> float:
+        """kg: the mass for which the force is right."""
+        return self.element.made_for
+
+    @property
+    def reached(self) -> bool:
+        """Whether the hand feels what is desired, by prediction."""
+        return self.element.reached
+
+    def settled(self, mass: float) -> Element:
+        """What is simulated for a hand of this mass, once an estimate has settled."""
+        return self.element if self.schedule is None else self.schedule.settled(mass)
 
 
 @dataclass(frozen=True)
@@ -72,24 +81,23 @@ class Rendering:
 
     def predictor_of(self, port: Corrected) -> StatePredictor:
         """The one whose state this port's force answers, once an estimate of the mass has settled."""
-        return state_predictor(replace(port.declared, mass=port.made_for), bool(self.desired.sensed_links))
+        return predictor_for(replace(port.declared, mass=port.made_for), port.element.observer)
 
     def predictors(self) -> dict[int, StatePredictor]:
         """Of every channel of a device point; none where nothing is predicted."""
         if self.kind is None or not self.kind.predicts:
             return {}
-        scene = self.desired
-        channels = [point.channel for point in scene.device_points.values()]
-        # Where no link ends yet, the least mass's: what may come there while it runs is simulated for that one.
-        made_for = {channel: scene.device.mass_spans(scene.channels)[channel][0] for channel in channels}
-        for port in self.ports:
-            made_for[port.channel] = port.made_for if port.schedule is None else port.schedule.elements[0].made_for
-        return {
-            channel: state_predictor(
-                replace(configuration_of(scene, channel), mass=made_for[channel]), bool(scene.sensed_links)
-            )
-            for channel in channels
-        }
+        scene, predictors = self.desired, {}
+        ports = {port.channel: port for port in self.ports}
+        for channel in (point.channel for point in scene.device_points.values()):
+            # Where no link ends yet, the least mass's: what may come there while it runs is simulated for that one.
+            least, observer = scene.device.mass_spans(scene.channels)[channel][0], _unpushed(scene)
+            if channel in ports:
+                port = ports[channel]
+                element = port.element if port.schedule is None else port.schedule.elements[0]
+                least, observer = element.made_for, element.observer
+            predictors[channel] = predictor_for(replace(configuration_of(scene, channel), mass=least), observer)
+        return predictors
 
 
 def rendered(scene: Scene) -> Rendering:
@@ -115,6 +123,9 @@ def rendered(scene: Scene) -> Rendering:
             )
     coupled = [port for port in ports if port.name not in elements and port.linear]
     notes += _match(kind, scene, coupled, elements)
+    if kind.predicts:
+        for port in (one for one in ports if one.name in elements and one.name not in schedules):
+            elements[port.name] = _observed(kind, scene, port, elements[port.name])
     settled = dict(elements)
     for port in ports:
         if port.name in schedules:
@@ -122,9 +133,7 @@ def rendered(scene: Scene) -> Rendering:
         notes += [f"{name} is left as it is: {_WHY_LEFT}" for name in port.others]
     run, seen = (_with_elements(kind, scene, ports, given) for given in (elements, settled))
     corrected = tuple(
-        _corrected(scene, port, elements[port.name], schedules.get(port.name))
-        for port in ports
-        if port.name in elements
+        _corrected(scene, port, settled[port.name], schedules.get(port.name)) for port in ports if port.name in elements
     )
     return Rendering(scene, run, _as_seen(kind, seen), kind, corrected, tuple(notes))
 
@@ -168,7 +177,31 @@ def _schedule(scene: Scene, port: Port) -> Schedule | None:
     if len(contacts) > 1:
         contacts.append((math.fsum(K for K, _ in contacts), math.fsum(B for _, B in contacts)))
     desired = port.stiffness + declared.stiffness, port.damping + declared.friction
-    return schedule_for(declared, span, desired, contacts)
+    return schedule_for(declared, span, desired, contacts, partial(_observer, ADAPTIVE, scene, port))
+
+
+def _unpushed(scene: Scene) -> Observer:
+    """That makes nothing of a push but where the mass will be."""
+    return Observer(senses=bool(scene.sensed_links))
+
+
+def _observed(kind: CorrectionKind, scene: Scene, port: Port, element: Element) -> Element:
+    model = replace(_declared(scene, port), mass=element.made_for)
+    return element._replace(observer=_observer(kind, scene, port, model, element))
+
+
+def _observer(kind: CorrectionKind, scene: Scene, port: Port, model: Configuration, element: Element) -> Observer:
+    """Of the element and of each contact that may come to it. Beside a link of any other kind nothing is made of the
+    push: how stiff that is nobody knows."""
+    k, b = port.stiffness + model.stiffness, port.damping + model.friction
+    given = [((k, b), (element.stiffness, element.damping))]
+    changed = _contacts(kind, scene, port, element)
+    for name, contact in port.contacts.items():
+        simulated = changed.get(name, contact)
+        both = element.stiffness + simulated.stiffness, element.damping + simulated.damping
+        given.append(((k + contact.stiffness, b + contact.damping), both))
+    observer = observer_of(model, given)
+    return observer._replace(compliance=0.0 if port.others else observer.compliance, senses=bool(scene.sensed_links))
 
 
 def _declared(scene: Scene, port: Port) -> Configuration:
@@ -176,12 +209,12 @@ def _declared(scene: Scene, port: Port) -> Configuration:
     return configuration_of(scene, port.channel, damper, cutoff)
 
 
-def _contacts(kind: CorrectionKind, scene: Scene, port: Port, base: Element) -> dict[str, Module]:
+def _contacts(kind: CorrectionKind, scene: Scene, port: Port, base: Element) -> dict[str, Buffer]:
     """Each contact with what it adds, while it is touched, to the linear links; as it is where that is nothing, and
     where the links follow an estimate, of which a contact knows nothing."""
     if kind.adapts:
         return {}
-    changed: dict[str, Module] = {}
+    changed: dict[str, Buffer] = {}
     for name, contact in port.contacts.items():
         touched = _lone(kind, scene, port, (contact.stiffness, contact.damping))
         stiffness, damping = touched.stiffness - base.stiffness, touched.damping - base.damping
@@ -243,16 +276,13 @@ def _corrected(scene: Scene, port: Port, element: Element, schedule: Schedule | 
     declared = _declared(scene, port)
     k, b = port.stiffness + declared.stiffness, port.damping + declared.friction
     is_coupled = bool(why_coupled(scene, linear_scene(scene), port.name))
-    settled = element if schedule is None else schedule.settled(declared.mass)
     return Corrected(
         name=port.name,
         channel=port.channel,
         desired=(math.nan, math.nan) if is_coupled else (k, b),
         written=(port.stiffness, port.damping),
-        rendered=(settled.stiffness, settled.damping),
+        element=element,
         declared=declared,
-        made_for=settled.made_for,
-        reached=settled.reached,
         schedule=schedule,
         rest=_rest(scene, port),
     )

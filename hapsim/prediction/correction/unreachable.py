@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hapsim.prediction.correction.kind import CorrectionKind
+from hapsim.prediction.correction.lone import Element
 from hapsim.prediction.correction.predictor import PREDICTOR
 from hapsim.theory import Configuration
 
@@ -57,15 +58,16 @@ def remedies_for(kind: CorrectionKind, declared: Configuration, desired: tuple[f
     )
 
 
-def stable_masses(
-    kind: CorrectionKind, declared: Configuration, made_for: float, element: tuple[float, float]
-) -> tuple[float, float]:
-    """The least and the most mass in kg, around the one that the correction is made for, at which the loop is stable:
+def stable_masses(kind: CorrectionKind | None, declared: Configuration, element: Element) -> tuple[float, float]:
+    """The least and the most mass in kg, around the one that the element is made for, at which the loop is stable:
     0 and infinity where it is down, or up, to thirty times. NaN where it is at none."""
+    made_for = element.made_for
     model = replace(declared, mass=made_for)
 
     def is_stable(mass: float) -> bool:
-        poles = kind.closed(replace(declared, mass=mass), model).poles(*element)
+        true = replace(declared, mass=mass)
+        loop = true if kind is None else kind.closed(true, model, element.observer)
+        poles = loop.poles(element.stiffness, element.damping)
         return bool(np.abs(poles[..., 0]) <= 1.0 + _ON_THE_CIRCLE)
 
     if not is_stable(made_for):

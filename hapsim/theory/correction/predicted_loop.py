@@ -5,56 +5,42 @@ The predictor may have been made for another mass than the real one: that is wha
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hapsim.theory.arrays import Complexes, Floats
-from hapsim.theory.correction.state_predictor import StatePredictor
+from hapsim.theory.arrays import Complexes, Floats, sort_by_modulus
+from hapsim.theory.correction.state_predictor import STATES, StatePredictor
 from hapsim.theory.hand import Configuration
 from hapsim.theory.hand.impedance import late_and_held
 from hapsim.theory.hand.pair import oscillator_of_quadratic
-from hapsim.theory.hand.plant import Plant, sampled_plant
-from hapsim.theory.hand.poles import pair_of_poles, roots
+from hapsim.theory.hand.poles import pair_of_poles
+from hapsim.theory.network.device_step import device_step
+
+MOVES = 2  # numbers of the state that are the plant's: position and velocity
 
 
 class PredictedLoop(NamedTuple):
-    """A real ``plant``, and the ``predictor`` whose state (x, v) the force f = -K x - B v answers.
+    """A real ``plant``, and the ``predictor`` whose state (x, v, push) the force f = -K x - B v - g push answers.
 
-    With the plant's mass in the predictor the loop has two poles and zeros: those of the same mass without a delay.
+    With ``static`` (N/m) the share g is the one with which a steady push meets this stiffness, the device's own spring
+    beside it; without, it is 0. With the plant's mass in the predictor the loop has the two poles of the same mass
+    without a delay, those of the observer, and zeros.
     """
 
     plant: Configuration
     predictor: StatePredictor
-
-    def characteristic(self, K: ArrayLike, B: ArrayLike) -> Floats:
-        """Coefficients (..., N + 1) of the monic characteristic polynomial in z, highest power first.
-
-        With 1/G = z^lead (w² + p w + q) / numerator of the plant and f (1 + gain forces) = -gain readings.
-        K in N/m, B in N·s/m; arrays broadcast.
-        """
-        own = sampled_plant(
-            self.plant.friction / self.plant.damping_unit,
-            self.plant.stiffness / self.plant.stiffness_unit,
-            self.plant.delay,
-            self.plant.hold,
-            self.plant.sampling,
-        )
-        gain = np.stack(np.broadcast_arrays(np.asarray(K, float), np.asarray(B, float)), axis=-1)
-        answer = self._answer(own, gain)
-        free = np.convolve([1.0, own.p - 2.0, 1.0 - own.p + own.q], np.append(1.0, np.zeros(max(own.lead, 0))))
-        past = np.concatenate([np.ones((*gain.shape[:-1], 1)), gain @ self.predictor.forces], axis=-1)
-        rest = _product(past, free)
-        if own.lead < 0:
-            answer = _product(answer, np.append(1.0, np.zeros(-own.lead)))
-        size = max(rest.shape[-1], answer.shape[-1])
-        total = _padded(rest, size) + _padded(answer, size)
-        return np.asarray(total / total[..., :1])
+    static: float | Floats | None = None
 
     def poles(self, K: ArrayLike, B: ArrayLike) -> Complexes:
-        """All poles (..., N) in the z-plane, by decreasing modulus; those of the predictor's memories near zero."""
-        return roots(self.characteristic(K, B))
+        """All poles (..., N) in the z-plane, by decreasing modulus; K in N/m, B in N·s/m; arrays broadcast."""
+        moves, pushes, _ = self._open_loop()
+        answers = self._answers(K, B, len(moves))
+        finite = np.isfinite(answers).all(axis=-1, keepdims=True)
+        closed = moves - pushes[:, None] * np.where(finite, answers, 0.0)[..., None, :]
+        return np.where(finite, sort_by_modulus(np.linalg.eigvals(closed).astype(complex)), np.nan)
 
     def equivalent(self, K: ArrayLike, B: ArrayLike) -> tuple[Floats, Floats]:
         """The real (k, b), N/m and N·s/m, that the hand feels, as of ``Configuration.equivalent``."""
@@ -75,48 +61,82 @@ class PredictedLoop(NamedTuple):
         f = np.asarray(frequency, dtype=float)
         theta = 2.0 * np.pi * f * self.plant.period
         some = (theta > 0.0) & (theta < np.pi)
-        earlier = np.exp(-1j * theta[some, None] * np.arange(1.0, self.predictor.lags + 1.0))  # z^-1, z^-2, ...
-        gain = np.array([K, B])
-        (first, second), forces = gain @ self.predictor.readings, gain @ self.predictor.forces
-        answer = (first + second * earlier[:, 0]) / (1.0 + earlier @ forces)
         through = late_and_held(theta[some], self.plant.delay, self.plant.hold, self.plant.sampling)
         found = np.full(f.shape, np.nan, dtype=complex)
-        found[some] = answer * through / (2j * np.pi * f[some])
+        found[some] = self._stiffness_at(np.exp(1j * theta[some]), K, B) * through / (2j * np.pi * f[some])
         return found
 
     def steady_stiffness(self, K: float, B: float) -> float:
-        """N/m: what a steady push meets, of whose force the predictor knows nothing; the device's own spring left out.
+        """N/m: what a steady push meets, read with a velocity of 0; the device's own spring left out."""
+        return float(self._stiffness_at(np.ones(1, dtype=complex), K, B)[0].real)
 
-        The forces that the predictor knows, with which the push is in balance, make it expect the mass elsewhere.
-        """
-        gain = np.array([K, B])
-        of_position = self.predictor.readings[:, 0] if self.predictor.senses else self.predictor.readings.sum(axis=1)
-        return float(gain @ of_position / (1.0 + gain @ self.predictor.forces.sum(axis=1)))
+    def noise_gain(self, K: float, B: float) -> float:
+        """N rms of force that comes of each m rms of white noise on the positions, and of as much as that is in a
+        sample period on the velocities, while the loop is closed; infinity where it is unstable."""
+        from scipy.linalg import solve_discrete_lyapunov
 
-    def _answer(self, own: Plant, gain: Floats) -> Floats:
-        """numerator (gain readings) z^lags: what is read answers, in units of T²/m f; the second reading is that of
-        sample n - 1, or the velocity V = (w velocity / (z numerator) + offset) Y."""
-        lags = self.predictor.lags
-        first, second = np.moveaxis(gain @ self.predictor.readings, -1, 0) / self.plant.stiffness_unit
-        later, earlier = np.append(1.0, np.zeros(lags)), np.append([0.0, 1.0], np.zeros(lags - 1))
-        if not self.predictor.senses:
-            return _product(first[..., None] * later + second[..., None] * earlier, own.numerator)
-        second = second * self.plant.rate
-        moving = np.convolve(np.convolve([1.0, -1.0], own.velocity), earlier)
-        level = _product((first + second * own.offset)[..., None] * later, own.numerator)
-        size = max(level.shape[-1], moving.size)
-        return _padded(level, size) + second[..., None] * _padded(moving, size)
+        moves, pushes, reads = self._open_loop()
+        answers = self._answers(K, B, len(moves))
+        closed = moves - np.outer(pushes, answers)
+        if not np.abs(np.linalg.eigvals(closed)).max() < 1.0:
+            return math.inf
+        spread = solve_discrete_lyapunov(closed, reads @ reads.T, method="bilinear")
+        return float(np.sqrt(max(answers @ spread @ answers, 0.0)) * self.plant.stiffness_unit)
 
+    def _stiffness_at(self, z: Complexes, K: float, B: float) -> Complexes:
+        """(n,) N/m: force over the position that is read, at z."""
+        moves, pushes, reads = self._open_loop(moved=False)
+        answers = self._answers(K, B, len(moves))
+        alone = moves - np.outer(pushes, answers)
+        state = np.linalg.solve(z[:, None, None] * np.eye(len(alone)) - alone, z[:, None, None] * reads[:, :1])
+        return np.asarray(state[..., 0] @ answers * self.plant.stiffness_unit)
 
-def _product(several: Floats, one: Floats) -> Floats:
-    """Polynomials (..., n), each times one."""
-    result = np.zeros((*several.shape[:-1], several.shape[-1] + one.size - 1))
-    for i, coefficient in enumerate(one):
-        result[..., i : i + several.shape[-1]] += coefficient * several
-    return result
+    def _answers(self, K: ArrayLike, B: ArrayLike, size: int) -> Floats:
+        """(..., size): -f, in T²/m f, of the state as `_open_loop` orders it."""
+        K, B = np.broadcast_arrays(np.asarray(K, float), np.asarray(B, float))
+        gain = np.stack([K, B * self.plant.rate], axis=-1) / self.plant.stiffness_unit
+        _, _, ahead = self._normalised()
+        answers = np.zeros((*K.shape, size))
+        seen = gain @ ahead
+        answers[..., MOVES : MOVES + self.predictor.lags] = seen[..., STATES:]
+        answers[..., -STATES:] = seen[..., :STATES]
+        if self.static is not None:
+            x, v, push = self.predictor.at_rest() @ np.stack([np.ones_like(K), -self.static * np.ones_like(K)])
+            answers[..., -1] += (self.static - K * x - B * v) / push
+        return answers
 
+    def _normalised(self) -> tuple[Floats, Floats, Floats]:
+        """Step with the reading, gains and ahead of the predictor, in m, sample periods and the plant's T²/m f."""
+        one = self.predictor
+        state = np.array([1.0, self.plant.rate, self.plant.stiffness_unit])
+        columns = np.concatenate([state, np.full(one.lags, self.plant.stiffness_unit)])
+        read = state[: len(one.reading)]
+        rows = np.concatenate([state[:2], read])
+        moves = np.vstack([one.step, one.reading]) / rows[:, None] * columns
+        return moves, one.gains / state[:, None] * read, one.ahead / state[:2, None] * columns
 
-def _padded(polynomials: Floats, size: int) -> Floats:
-    """(..., size): the same with zeros for the highest powers."""
-    missing = size - polynomials.shape[-1]
-    return np.concatenate([np.zeros((*polynomials.shape[:-1], missing)), polynomials], axis=-1)
+    def _open_loop(self, moved: bool = True) -> tuple[Floats, Floats, Floats]:
+        """(N, N), (N,) and (N, R): the state at the next sample from that at sample n, from T²/m f[n], and from noise
+        on the readings. The state: position and velocity of the plant, the forces before f[n], the observer's.
+        ``moved``: whether the plant is there; where it is not, the readings are the noise."""
+        c = self.plant
+        own = device_step(c.friction / c.damping_unit, c.delay, c.hold, c.stiffness / c.stiffness_unit, c.sampling)
+        known = max(self.predictor.lags, own.forces.shape[1] - 1)
+        expects, gains, _ = self._normalised()
+        size = MOVES + 1 + known + STATES  # with f[n] as the first of the forces
+        plant, observer = np.zeros((4, size)), np.zeros((len(expects), size))
+        if moved:
+            plant[:, :MOVES], plant[:, MOVES : MOVES + own.forces.shape[1]] = own.motion, own.forces
+        observer[:, -STATES:] = expects[:, :STATES]
+        observer[:, MOVES : MOVES + self.predictor.lags] = expects[:, STATES:]
+        state = np.zeros((STATES, size))
+        state[:2], state[2, -1] = observer[:2], 1.0
+        state += gains @ (plant[2 : len(expects)] - observer[2:])
+        whole = np.zeros((size, size))
+        whole[:MOVES], whole[-STATES:] = plant[:2], state
+        whole[MOVES : MOVES + 1 + known, MOVES : MOVES + 1 + known] = np.eye(1 + known)
+        # What was f[n-1-i] is f[n-2-i] a sample later: the rows of the new state are those of the old, one further on.
+        rows = np.delete(whole, MOVES + known, axis=0)
+        reads = np.zeros((size - 1, gains.shape[1]))
+        reads[-STATES:] = gains
+        return np.delete(rows, MOVES, axis=1), rows[:, MOVES], reads

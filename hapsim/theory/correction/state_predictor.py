@@ -1,9 +1,11 @@
-"""The state that the device's mass will have when a force that is computed now begins to act on it.
+"""The state that the device's mass will have when a force that is computed now begins to act on it, and the steady push
+of the hand that holds it.
 
 Florens et al. (§6.3) ask for it: "additional speed and acceleration sensor may be used to compensate the effect of
-delay". With the mass known, no sensor is needed: two readings and the forces that are on their way tell position and
-velocity at the sample, and the same forces lead them on to the instant (n + delay) T. Nothing is filtered: of a mass
-that is the declared one the state is exact after two samples, whatever it was before.
+delay". With the mass known, no sensor is needed. An observer keeps position, velocity and push; from sample to sample
+the forces that acted lead them on, and what is read corrects them; the forces that are on their way lead them to the
+instant (n + delay) T. Of a mass that is the declared one, under no push, the state is exact from the second sample on,
+whatever it was before; a push that changes is found as the observer's poles say.
 """
 
 from __future__ import annotations
@@ -16,75 +18,113 @@ from hapsim.theory.arrays import Floats
 from hapsim.theory.hand import Configuration
 from hapsim.theory.hand.plant import sampled_plant
 from hapsim.theory.interface import HOLDS, HoldSegment, whole_and_fraction
-from hapsim.theory.network.device_step import POSITION, DeviceStep, device_step, through
+from hapsim.theory.network.device_step import DeviceStep, device_step, through
 
 READING, MEAN_VELOCITY = 2, 3  # rows of a DeviceStep
+STATES = 3  # position, velocity, push
+SLOWEST = 0.5
+"""The observer's double pole: nearer to 0 it costs noise, nearer to 1 it knows a new push later."""
 
 
 class StatePredictor(NamedTuple):
-    """Position (m) and velocity (m/s) at (n + delay) T, just before the force that answers sample n.
+    """An observer of position (m), velocity (m/s) and push (N), and what it expects.
 
-    ``readings`` (2, 2): from the position that was read at sample n, in m, and from the one of sample n - 1, in m, or,
-    where the device ``senses`` it, the velocity of sample n, in m/s.
-    ``forces`` (2, lags): from the forces f[n-1], f[n-2], ..., in N.
+    The columns (3 + lags) of ``step``, ``reading`` and ``ahead`` are the state's, and those of the forces that were
+    computed before the next sample: f[n-1], f[n-2], ... for sample n.
     """
 
-    readings: Floats
-    forces: Floats
-    senses: bool = False
+    step: Floats
+    """(2, 3 + lags): position and velocity at sample n before its reading, from the state at sample n - 1."""
+    reading: Floats
+    """(R, 3 + lags): what will be read then: a position and, where the device ``senses`` it, a velocity."""
+    gains: Floats
+    """(3, R): how a reading that is other than expected corrects the state."""
+    first: Floats
+    """(2, R): the same of position and velocity, of the second sample that is read: no push is known yet."""
+    ahead: Floats
+    """(2, 3 + lags): position and velocity at (n + delay) T, just before the force that answers sample n."""
 
     @property
     def lags(self) -> int:
         """How many past forces it knows."""
-        return int(self.forces.shape[1])
+        return int(self.ahead.shape[1]) - STATES
+
+    @property
+    def senses(self) -> bool:
+        """Whether it reads velocities."""
+        return len(self.reading) == 2
+
+    def at_rest(self) -> Floats:
+        """(3, 2): position and velocity ahead, and push, of one metre that is read and does not change, and of what
+        each N of a force that does not change brings beside it."""
+        rows = np.vstack([self.step, self.reading[:1]])
+        balance = np.vstack([np.eye(2, STATES), np.zeros(STATES)]) - rows[:, :STATES] * [[1.0], [1.0], [-1.0]]
+        force = rows[:, STATES:].sum(axis=1) * [1.0, 1.0, -1.0]
+        state = np.linalg.solve(balance, np.stack([[0.0, 0.0, 1.0], force], axis=-1))
+        ahead = self.ahead[:, :STATES] @ state
+        ahead[:, 1] += self.ahead[:, STATES:].sum(axis=1)
+        return np.vstack([ahead, state[2]])
+
+    def for_compliance(self, compliance: float) -> StatePredictor:
+        """The same, where the position ahead is further by so many metres per newton of the push."""
+        ahead = self.ahead.copy()
+        ahead[0, 2] += compliance
+        return self._replace(ahead=ahead)
 
 
-def state_predictor(model: Configuration, senses: bool = False) -> StatePredictor:
+def state_predictor(model: Configuration, senses: bool = False, pole: float = SLOWEST) -> StatePredictor:
     """The predictor of the mass that the model has, behind its hold, sampling and delay.
 
-    ``senses``: the device sends velocities, read as ``DamperModel`` says of the sensed damper.
+    ``senses``: the device sends velocities, read as ``DamperModel`` says of the sensed damper. ``pole``: of the
+    observer, in the z-plane, twice where only positions are read; its others are zeros.
     """
     own = model.friction / model.damping_unit, model.stiffness / model.stiffness_unit
     step = device_step(own[0], model.delay, model.hold, own[1], model.sampling)
-    readings, forces = _state_at_sample(step, senses)
+    pushed = device_step(own[0], 0.0, "zoh", own[1], model.sampling).forces.sum(axis=1)
+    read = [READING, MEAN_VELOCITY] if senses else [READING]
+    lags = step.forces.shape[1]
+    every = np.zeros((4, STATES + lags))
+    every[:, :2], every[:, 2], every[:, STATES:] = step.motion, pushed, step.forces
+    moves = np.vstack([every[:2, :STATES], [0.0, 0.0, 1.0]])
+    gains = (_of_velocities if senses else _of_positions)(moves, every[read, :STATES], pole)
+    before = np.array([0.5 * step.window, 1.0])  # what is unknown of a free motion at the first sample
+    first = gains[:2] if senses else (moves[:2, :2] @ before / (every[READING, :2] @ before))[:, None]
+    return _in_si(model, every[:2], every[read], gains, first, _ahead(model, own, step, pushed))
+
+
+def _ahead(model: Configuration, own: tuple[float, float], step: DeviceStep, pushed: Floats) -> Floats:
     whole, fraction = whole_and_fraction(model.delay)
-    for ahead in range(1, whole + 1):
-        # In the period that begins ahead - 1 samples after sample n, forces from n on do not act yet.
-        readings = step.motion[:2] @ readings
-        forces = step.motion[:2] @ forces
-        acting = step.forces[:2, ahead:]  # age `ahead` is f[n-1] there
+    state = np.zeros((2, STATES + step.forces.shape[1]))
+    state[0, 0] = state[1, 1] = 1.0
+    forces = state[:, STATES:]
+    for later in range(1, whole + 1):
+        # In the period that begins later - 1 samples after sample n, forces from n on do not act yet.
+        state[:] = step.motion[:2] @ state
+        state[:, 2] += pushed[:2]
+        acting = step.forces[:2, later:]  # age `later` is f[n-1] there
         forces[:, : acting.shape[1]] += acting
-    motion, made = through(_until(fraction, HOLDS[model.hold].segments(fraction)), *own)
-    readings, forces = motion @ readings, motion @ forces
+    segments = _until(fraction, HOLDS[model.hold].segments(fraction))
+    motion, made = through(segments, *own)
+    state[:] = motion @ state
+    state[:, 2] += through([HoldSegment(fraction, level=(1.0,))], *own)[1][:, 0] if segments else 0.0
     older = made[:, 1:]  # age 0 is f[n], which the last of these periods' parts ends before
     forces[:, : older.shape[1]] += older
-    return _in_si(model, readings, forces, senses)
+    return state
 
 
-def _state_at_sample(step: DeviceStep, senses: bool) -> tuple[Floats, Floats]:
-    """(2, 2) and (2, lags): position and velocity at sample n, of readings and past forces; in normalised units.
+def _of_positions(moves: Floats, read: Floats, pole: float) -> Floats:
+    """(3, 1): with which ``moves - gains read`` has its poles at (pole, pole, 0); Ackermann's formula."""
+    seen = np.vstack([read, read @ moves, read @ moves @ moves])
+    wanted = (moves - pole * np.eye(STATES)) @ (moves - pole * np.eye(STATES)) @ moves
+    return np.asarray(wanted @ np.linalg.inv(seen)[:, -1:])
 
-    What is read is a line in the state some samples before and the forces since: as many of these lines as the state
-    has numbers are solved for it.
-    """
-    steps = 1 if senses or step.window == 0.0 else 2  # the reading of sample n - 1 looks back a period further
-    lags = step.forces.shape[1] + steps - 1
-    motion, forces = np.eye(2), np.zeros((2, lags))
-    read, read_forces = np.zeros((2, 2)), np.zeros((2, lags))
-    if steps == 1 and not senses:
-        read[1] = motion[POSITION]  # at sample n - 1, from where the steps begin
-    for later in range(1, steps + 1):
-        age = steps - later  # f[n-1-age] is the newest that can act in this period
-        made = step.motion @ motion
-        made_by_force = step.motion @ forces
-        made_by_force[:, age : age + step.forces.shape[1]] += step.forces
-        row = 0 if later == steps else 1
-        read[row], read_forces[row] = made[READING], made_by_force[READING]
-        if senses:
-            read[1], read_forces[1] = made[MEAN_VELOCITY], made_by_force[MEAN_VELOCITY]
-        motion, forces = made[:2], made_by_force[:2]
-    back = np.linalg.inv(read)
-    return motion @ back, forces - motion @ back @ read_forces
+
+def _of_velocities(moves: Floats, read: Floats, pole: float) -> Floats:
+    """(3, 2): position and velocity as they are read, given the push; of what that leaves unexplained the push takes
+    the share 1 - pole."""
+    at_once = moves[:2, :2] @ np.linalg.inv(read[:, :2])
+    left = read[:, :2] @ (moves[:2, 2] - at_once @ read[:, 2]) + read[:, 2]
+    return np.vstack([at_once, (1.0 - pole) * left / (left @ left)])
 
 
 def _until(fraction: float, segments: list[HoldSegment]) -> list[HoldSegment]:
@@ -95,11 +135,20 @@ def _until(fraction: float, segments: list[HoldSegment]) -> list[HoldSegment]:
     return before
 
 
-def _in_si(model: Configuration, readings: Floats, forces: Floats, senses: bool) -> StatePredictor:
-    """From metres per sample period and T²/m f."""
-    out = np.array([[1.0], [model.rate]])
-    second = model.period if senses else 1.0
-    return StatePredictor(out * readings * [1.0, second], out * forces / model.stiffness_unit, senses)
+def _in_si(
+    model: Configuration, step: Floats, reading: Floats, gains: Floats, first: Floats, ahead: Floats
+) -> StatePredictor:
+    """From metres, sample periods and T²/m f."""
+    state = np.array([1.0, model.rate, model.stiffness_unit])  # one m, m a period and m of T²/m f
+    columns = np.concatenate([state, np.full(step.shape[1] - STATES, model.stiffness_unit)])
+    read = state[: len(reading)]
+    return StatePredictor(
+        step=state[:2, None] * step / columns,
+        reading=read[:, None] * reading / columns,
+        gains=state[:, None] * gains / read,
+        first=state[:2, None] * first / read,
+        ahead=state[:2, None] * ahead / columns,
+    )
 
 
 def forces_in_second_difference(model: Configuration) -> tuple[Floats, int]:
