@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any
 
-from hapsim.prediction import Desired, Felt, Prediction, felt_at_rate, host_silence
+from hapsim.prediction import Desired, Felt, Prediction, felt_at_rate, host_silence, robustness_of
 
 if TYPE_CHECKING:
     from hapsim.daemon.lifetime import Lifetime
@@ -211,7 +211,7 @@ def _felt(felt: Felt) -> dict[str, Any]:
     configuration = values.pop("configuration")
     values.pop("predictor")
     hand = {name: configuration[name] for name in ("mass", "friction", "delay", "hold", "sampling", "damper", "cutoff")}
-    return values | hand | {"device_stiffness": configuration["stiffness"]}
+    return values | hand | {"device_stiffness": configuration["stiffness"]} | robustness_of(felt)._asdict()
 
 
 def plain(value: Any) -> Any:

@@ -25,7 +25,6 @@ def show_correction(out: Console, prediction: Prediction) -> None:
         return
     for desired in prediction.desired:
         out.print(_reached(desired, rendering.kind.name))
-        out.print(_masses(desired))
     if prediction.coupled and prediction.desired_modes:
         out.print()
         out.print(_modes(prediction))
@@ -69,17 +68,6 @@ def _what_would(remedies: Remedies) -> str:
     if not ways:
         return "No higher rate (up to 64 times), shorter delay, real friction or predictor alone makes it reachable."
     return f"It is reached by {'; or '.join(ways)}."
-
-
-def _masses(desired: Desired) -> str:
-    least, most = desired.stable_masses
-    if math.isnan(least):
-        return "The loop is stable at no mass near the declared one."
-    if least == 0.0 and math.isinf(most):
-        return "It stays stable from a thirtieth of the mass to thirty times it."
-    low = "less than a thirtieth of the declared one" if least == 0.0 else f"{least:.3g} kg"
-    high = "more than thirty times the declared one" if math.isinf(most) else f"{most:.3g} kg"
-    return f"It stays stable for a mass from {low} to {high}."
 
 
 def _modes(prediction: Prediction) -> Table:

@@ -12,7 +12,7 @@ from rich.table import Table
 
 from hapsim.console.correction import show_correction
 from hapsim.console.wire import show_silence, show_wire, slew_warnings
-from hapsim.prediction import Desired, Felt, Prediction, correction_for
+from hapsim.prediction import Desired, Felt, Prediction, Robustness, correction_for, robustness_of
 from hapsim.prediction.rounding import between, duration, rounded_down, rounded_up
 from hapsim.theory import Mode
 
@@ -110,6 +110,7 @@ def _show_felt(out: Console, felt: Felt, margin_in_table: bool, desired: Desired
     table = Table(title=f"What the hand feels at {felt.name}", title_justify="left")
     for heading in ("", *(["desired"] if desired else []), "simulated", "felt"):
         table.add_column(heading, justify="right" if heading else "left")
+    robustness = robustness_of(felt)
     real = felt.configuration.friction
     own = f" (+ {felt.configuration.stiffness:.6g} real)" if felt.configuration.stiffness else ""
     for label, wanted, simulated, is_felt in (
@@ -117,9 +118,12 @@ def _show_felt(out: Console, felt: Felt, margin_in_table: bool, desired: Desired
         ("damping  N·s/m", "b", f"B = {felt.damping:.6g} (+ {real:.6g} real)", f"b = {number(felt.b)}"),
         ("eigenfrequency  Hz", "frequency_hz", "", number(felt.frequency_hz)),
         ("damping ratio", "damping_ratio", "", number(felt.damping_ratio)),
-        *([("steady push  N/m", "k", "", number(desired.steady_stiffness))] if desired else []),
+        ("static stiffness  N/m", "k", "", number(robustness.steady_stiffness)),
+        ("noise gain  N/m", "", "", number(robustness.noise_gain)),
+        ("stable masses  kg", "", "", _masses(robustness)),
     ):
-        table.add_row(label, *([number(getattr(desired, wanted))] if desired else []), simulated, is_felt)
+        is_desired = [number(getattr(desired, wanted)) if wanted else ""] if desired else []
+        table.add_row(label, *is_desired, simulated, is_felt)
     out.print()
     out.print(table)
     if desired is None and (name := correction_for(felt)):
@@ -130,6 +134,15 @@ def _show_felt(out: Console, felt: Felt, margin_in_table: bool, desired: Desired
     if margin := _margin(felt, margin_in_table):
         out.print(margin)
     out.print(_passivity(felt))
+
+
+def _masses(robustness: Robustness) -> str:
+    least, most = robustness.stable_masses
+    if math.isnan(least):
+        return "none"
+    if math.isinf(most):
+        return "all" if least == 0.0 else f"from {least:.3g}"
+    return f"{least:.3g} to {most:.3g}"
 
 
 def _margin(felt: Felt, in_table: bool) -> str:
@@ -155,7 +168,7 @@ def _enough_damping(felt: Felt) -> str:
 
 def _passivity(felt: Felt) -> str:
     if felt.predictor is not None:
-        return "Passivity: no condition is known where a predictor answers; another hand's mass is judged below."
+        return "Passivity: no condition is known where a predictor answers; another hand's mass is judged above."
     if felt.passive is None:
         return "Passivity: no condition is known for this hold, sampling and damper."
     if felt.passive:

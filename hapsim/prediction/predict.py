@@ -21,7 +21,7 @@ from hapsim.prediction.correction import (
 from hapsim.prediction.force_bounds import slow_slew
 from hapsim.prediction.hands import hand_of, is_lone, links_of, network_of, why_coupled
 from hapsim.prediction.linear import LinearScene, linear_scene
-from hapsim.prediction.types import Desired, Felt, LinkMargin, Prediction
+from hapsim.prediction.types import Desired, Felt, LinkMargin, Prediction, Robustness
 from hapsim.prediction.wire import wire_of, wire_time_of, with_wire_delay
 from hapsim.scene import Scene
 from hapsim.scene.choices import WITH_SENSOR
@@ -37,7 +37,7 @@ from hapsim.theory import (
     solve,
 )
 from hapsim.theory.arrays import sort_by_modulus
-from hapsim.theory.correction import PredictedLoop, StatePredictor
+from hapsim.theory.correction import PredictedLoop, StatePredictor, as_read
 from hapsim.theory.network import continuous_modes, is_large
 
 _MASSES = 9  # of a span, at which the error of a correction is looked at
@@ -84,7 +84,7 @@ def predict(scene: Scene, *, with_margins: bool = True) -> Prediction:
         wire_time=wire_time_of(scene),
         wire_of=wire_of(scene),
         assumptions=(*linear.assumptions, *([instead] if instead else [])),
-        **_desired(rendering),
+        **_desired(rendering, felt),
         by_its_scheme=not instead,
     )
 
@@ -104,26 +104,26 @@ def _require_within_numbers(scene: Scene) -> None:
             )
 
 
-def _desired(rendering: Rendering) -> dict[str, Any]:
+def _desired(rendering: Rendering, felt: tuple[Felt, ...]) -> dict[str, Any]:
     """Fields of `Prediction`."""
     if rendering.kind is None:
         return {}
-    scene = rendering.desired
-    linear = linear_scene(scene)
-    network, _ = network_of(scene, linear)
+    scene, of_point = rendering.desired, {one.name: one for one in felt}
+    network, _ = network_of(scene, linear_scene(scene))
     return {
         "rendering": rendering,
         "desired": tuple(
-            _desired_on(rendering, port)
+            _desired_on(rendering, port, of_point[port.name])
             for port in rendering.ports
-            if not why_coupled(scene, linear, port.name) and not math.isnan(port.desired[0])
+            if port.name in of_point and not math.isnan(port.desired[0])
         ),
         "desired_modes": () if is_large(network) else tuple(continuous_modes(network)),
     }
 
 
-def _desired_on(rendering: Rendering, port: Corrected) -> Desired:
+def _desired_on(rendering: Rendering, port: Corrected, felt: Felt) -> Desired:
     assert rendering.kind is not None
+    robustness = robustness_of(felt)
     kind, (k, b) = rendering.kind, port.desired
     frequency, ratio = frequency_and_ratio(port.declared.mass, k, b)
     least, most = rendering.desired.device.mass_spans(rendering.desired.channels)[port.channel]
@@ -146,8 +146,8 @@ def _desired_on(rendering: Rendering, port: Corrected) -> Desired:
         error=float(np.max(errors)),
         reached=port.reached,
         remedies=None if port.reached or least < most else remedies_for(kind, port.declared, port.desired),
-        stable_masses=stable_masses(kind, port.declared, port.element),
-        steady_stiffness=_steady_stiffness(rendering, port),
+        stable_masses=robustness.stable_masses,
+        steady_stiffness=robustness.steady_stiffness,
     )
 
 
@@ -274,12 +274,16 @@ def _felt(scene: Scene, linear: LinearScene, name: str) -> Felt:
     return _felt_of(name, scene.device_points[name].channel, *hand_of(scene, linear, name))
 
 
-def _steady_stiffness(rendering: Rendering, port: Corrected) -> float:
-    own = port.declared.stiffness
-    if rendering.kind is None or not rendering.kind.predicts:
-        return port.rendered[0] + own
-    predictor = rendering.predictor_of(port)
-    return PredictedLoop(port.declared, predictor).steady_stiffness(*port.rendered) + own
+def robustness_of(felt: Felt) -> Robustness:
+    """What a hand meets beside k and b, by this prediction."""
+    c, element = felt.configuration, (felt.stiffness, felt.damping)
+    predictor = as_read(c) if felt.predictor is None else felt.predictor
+    loop = PredictedLoop(c, predictor)
+    return Robustness(
+        steady_stiffness=loop.steady_stiffness(*element) + c.stiffness,
+        noise_gain=loop.noise_gain(*element),
+        stable_masses=stable_masses(lambda true: loop._replace(plant=true), c, element),
+    )
 
 
 def _as_made(rendering: Rendering, felt: Felt) -> Felt:

@@ -49,6 +49,18 @@ class Felt:
     """Whose state the force answers, with a correction that predicts."""
 
 
+class Robustness(NamedTuple):
+    """What a hand on one device point meets beside k and b."""
+
+    steady_stiffness: float
+    """N/m: what a steady push meets, the device's own spring included."""
+    noise_gain: float
+    """N rms of force of each m rms of white noise on the positions that are read; infinite where it is unstable."""
+    stable_masses: tuple[float, float]
+    """kg: the least and the most mass with which the loop is stable; 0 and infinity beyond thirty times the declared
+    one. NaN where it is stable with none near that."""
+
+
 class Desired(NamedTuple):
     """What the hand is to feel on one device point: the scene's stiffness and damping and the device's own; and how
     far a correction brings it there."""

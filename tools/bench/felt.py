@@ -1,16 +1,20 @@
 """Which share of what a scene may ask for the hand feels, with every correction: measured on the mock in virtual time.
 
-    tools/bench/felt [--grid 24x12] [--only CONDITION ...] [--processes N] [--json FILE] [--from FILE.json]
+    tools/bench/felt [--grid 24x12] [--only CONDITION ...] [--corrections NAME ...] [--processes N] [--json FILE]
+                     [--from FILE.json]
 
 A hand on one spring and damper, K T²/m from 1e-4 to 2 (logarithmic) and damping ratio from 0 to 1.5: the plane in
 cells, each measured at its middle. A cell is felt where the k and b that are identified from the run are off by 5 % or
-less (b: of itself, or of 0.1 sqrt(k m) where that is more); where nothing can be identified it is not. Nothing is
-predicted here. One device serves, 50 g at 1 kHz, since only K T²/m, B T/m and the delay in samples count.
+less (b: of itself, or of 0.1 sqrt(k m) where that is more); where nothing can be identified it is not. It is pressed
+where it is stable and the stiffness that a steady push meets is off by 5 % or less. Nothing is predicted here. One
+device serves, 50 g at 1 kHz, since only K T²/m, B T/m and the delay in samples count.
 
 The hand is let go from a deflection, at rest, and pushed every 32 samples: a motion that is over in three samples is
 seen sixty times. Where the identification states that it is not sure to 0.1 %, the cell is measured again, with pushes
-that follow each other otherwise; the measurement that states the least uncertainty counts. `--json` keeps every cell,
-`--from` prints the table of a kept file.
+that follow each other otherwise; the measurement that states the least uncertainty counts. The steady push is that of
+`mock.hand`, on a hand that begins where it is to end: its mean position over whole periods, two seconds later, counts.
+
+`--json` keeps every cell, `--from` prints the table of a kept file.
 """
 
 from __future__ import annotations
@@ -32,7 +36,7 @@ import hapsim
 from hapsim.errors import HapsimError
 from hapsim.prediction.correction import felt_error
 from hapsim.running import Excitation
-from hapsim.scene import Device, DevicePoint, Ground, Initial, Mock, Scene, Span, ViscoElastic
+from hapsim.scene import Device, DevicePoint, Ground, Hand, Initial, Mock, Scene, Span, ViscoElastic
 
 MASS, RATE = 0.05, 1000.0  # kg, Hz: declared
 FROM, TO, MOST_RATIO = 1e-4, 2.0, 1.5  # K T²/m; damping ratio
@@ -76,7 +80,7 @@ CONDITIONS: dict[str, dict[str, Any]] = {
 """What is other than a delay of 1 sample, a zero-order hold and no friction, on a mock as fine as can be."""
 
 
-FIELDS = ("error", "uncertainty", "stable")
+FIELDS = ("error", "uncertainty", "stable", "pressed")
 
 
 class Cell(NamedTuple):
@@ -87,6 +91,8 @@ class Cell(NamedTuple):
     uncertainty: float
     """That the identification states for it."""
     stable: bool
+    pressed: float = math.inf
+    """By how much the stiffness that a steady push meets is off; infinite where that is not known."""
 
 
 def plane(columns: int, rows: int) -> Iterator[tuple[float, float]]:
@@ -96,10 +102,11 @@ def plane(columns: int, rows: int) -> Iterator[tuple[float, float]]:
             yield FROM * (TO / FROM) ** ((i + 0.5) / columns), MOST_RATIO * (j + 0.5) / rows
 
 
-def scene_of(kappa: float, ratio: float, contender: Contender, condition: dict[str, Any]) -> Scene:
-    """A hand that is let go from a deflection, on a mock whose counts are as fine as the motion allows."""
+def scene_of(kappa: float, ratio: float, contender: Contender, condition: dict[str, Any], push: float = 0.0) -> Scene:
+    """A hand that is let go from a deflection, on a mock whose counts are as fine as the motion allows; or one that
+    pushes with so many N, from where that has to bring it."""
     k, b = desired(kappa, ratio)
-    start = min(DEFLECTED / k, FURTHEST)
+    start = push / k if push else min(DEFLECTED / k, FURTHEST)
     pushed = PUSH / (MASS * RATE) / math.sqrt(k / MASS)  # m: how far a push of one sample swings it
     quantum = ROOM * max(start, pushed) / COUNTS
     device = {"clock": "lockstep", "mass": MASS, "force_limit": FORCE_LIMIT} | contender.device
@@ -107,7 +114,12 @@ def scene_of(kappa: float, ratio: float, contender: Contender, condition: dict[s
         version=1,
         rate=RATE,
         device=Device(**(device | condition.get("device", {}))),
-        mock=Mock(**({"initial": Initial(position=start), "quantum": quantum} | condition.get("mock", {}))),
+        mock=Mock(
+            **(
+                {"initial": Initial(position=start), "quantum": quantum, "hand": Hand(force=push)}
+                | condition.get("mock", {})
+            )
+        ),
         modules={
             "hand": DevicePoint(channel=0),
             "wall": Ground(),
@@ -132,7 +144,23 @@ def measured(kappa: float, ratio: float, contender: Contender, condition: dict[s
             best = cell
         if best.uncertainty <= CERTAIN or not cell.stable:
             break
-    return best
+    return best._replace(pressed=pressed(kappa, ratio, contender, condition)) if best.stable else best
+
+
+def pressed(kappa: float, ratio: float, contender: Contender, condition: dict[str, Any]) -> float:
+    """By how much the stiffness that a steady push meets is off; infinite where the run fails."""
+    k, _ = desired(kappa, ratio)
+    push = min(DEFLECTED, FURTHEST * k)
+    try:
+        trace = hapsim.run(
+            scene_of(kappa, ratio, contender, condition, push), duration=2.0 * DURATION, transport="loopback"
+        )
+    except HapsimError:
+        return math.inf
+    period = 2.0 * math.pi / math.sqrt(kappa)  # samples
+    whole = round(max(1.0, DURATION * RATE // period) * period)
+    found = push / float(trace.position[-whole:, 0].mean())
+    return abs(found - k) / k
 
 
 def measured_once(scene: Scene, wanted: tuple[float, float], settles: float, every: int, first: int) -> Cell:
@@ -168,10 +196,10 @@ def _measure_one(task: tuple[str, str, float, float]) -> Cell:
     return measured(kappa, ratio, contender, CONDITIONS[condition])
 
 
-def measure_all(columns: int, rows: int, conditions: list[str], processes: int) -> dict[str, Any]:
-    """Every cell of every condition with every correction, as the document that is kept."""
-    tasks = [(one.name, name, *at) for name in conditions for one in CONTENDERS for at in plane(columns, rows)]
-    cells: dict[str, dict[str, list[list[Any]]]] = {name: {one.name: [] for one in CONTENDERS} for name in conditions}
+def measure_all(columns: int, rows: int, conditions: list[str], names: list[str], processes: int) -> dict[str, Any]:
+    """Every cell of every condition with some corrections, as the document that is kept."""
+    tasks = [(one, name, *at) for name in conditions for one in names for at in plane(columns, rows)]
+    cells: dict[str, dict[str, list[list[Any]]]] = {name: {one: [] for one in names} for name in conditions}
     measured(0.01, 0.5, CONTENDERS[-1], {})  # compiles what all of them need
     with ProcessPoolExecutor(processes) as pool:
         for done, (task, cell) in enumerate(zip(tasks, pool.map(_measure_one, tasks, chunksize=8), strict=True), 1):
@@ -191,17 +219,20 @@ def _kept(value: float | bool) -> float | bool | None:
 
 
 def table(document: dict[str, Any]) -> str:
-    """The shares for a page; and of the cells of each, how many are not identified to 0.1 %; of those of each
-    correction, how many were stable without it and are not with it."""
+    """The shares for a page, felt and pressed; of the cells of each correction, how many are not identified to 0.1 %,
+    and how many were stable without it and are not with it."""
     names = list(next(iter(document["cells"].values())))
     lines = [
-        "| felt within 5 % | " + " | ".join(names) + " | uncertainty, median | not sure to 0.1 % | made unstable |",
-        "|---|" + "---|" * (len(names) + 3),
+        "| within 5 % | "
+        + " | ".join(f"{name}: felt | pressed" for name in names)
+        + " | uncertainty, median | not sure to 0.1 % | made unstable |",
+        "|---|" + "---|" * (2 * len(names) + 3),
     ]
     for condition, of_contenders in document["cells"].items():
         every = {name: [_cell(row) for row in rows] for name, rows in of_contenders.items()}
-        shares = [f"{share(cells, 0.05):.3f}" for cells in every.values()]
-        spoilt = [str(made_unstable(every[NONE], cells)) for name, cells in every.items() if name != NONE]
+        shares = [f"{share(cells, what, 0.05):.3f}" for cells in every.values() for what in ("error", "pressed")]
+        corrected = [cells for name, cells in every.items() if name != NONE]
+        spoilt = [str(made_unstable(every[NONE], cells)) for cells in corrected] if NONE in every else ["?"]
         known = [cell.uncertainty for cells in every.values() for cell in cells if math.isfinite(cell.uncertainty)]
         unsure = [str(sum(cell.uncertainty > CERTAIN for cell in cells)) for cells in every.values()]
         words = [condition, *shares, f"{statistics.median(known):.0e}", ", ".join(unsure), ", ".join(spoilt)]
@@ -213,9 +244,9 @@ def _cell(row: list[Any]) -> Cell:
     return Cell(*(math.inf if value is None else value for value in row))
 
 
-def share(cells: list[Cell], within: float) -> float:
-    """Of the plane, every cell alike."""
-    return sum(cell.error <= within for cell in cells) / len(cells)
+def share(cells: list[Cell], what: str, within: float) -> float:
+    """Of the plane, every cell alike. `what`: of its FIELDS."""
+    return sum(getattr(cell, what) <= within for cell in cells) / len(cells)
 
 
 def made_unstable(without: list[Cell], corrected: list[Cell]) -> int:
@@ -229,6 +260,8 @@ def main() -> int:
     )
     parser.add_argument("--grid", default="24x12", help="cells along K T²/m and along the damping ratio")
     parser.add_argument("--only", nargs="+", choices=list(CONDITIONS), metavar="CONDITION", help="; ".join(CONDITIONS))
+    every = [one.name for one in CONTENDERS]
+    parser.add_argument("--corrections", nargs="+", choices=every, default=every, metavar="NAME", help="; ".join(every))
     parser.add_argument("--processes", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--json", type=Path, help="keep every cell")
     parser.add_argument("--from", dest="kept", type=Path, help="print the table of what --json kept")
@@ -237,7 +270,8 @@ def main() -> int:
         document = json.loads(arguments.kept.read_text(encoding="utf-8"))
     else:
         columns, rows = (int(number) for number in arguments.grid.split("x"))
-        document = measure_all(columns, rows, arguments.only or list(CONDITIONS), arguments.processes)
+        conditions = arguments.only or list(CONDITIONS)
+        document = measure_all(columns, rows, conditions, arguments.corrections, arguments.processes)
     if arguments.json:
         arguments.json.write_text(json.dumps(document, ensure_ascii=False) + "\n", encoding="utf-8")
     print(table(document))

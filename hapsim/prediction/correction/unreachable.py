@@ -12,8 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hapsim.prediction.correction.kind import CorrectionKind
-from hapsim.prediction.correction.lone import Element
+from hapsim.prediction.correction.kind import ClosedLoop, CorrectionKind
 from hapsim.prediction.correction.predictor import PREDICTOR
 from hapsim.theory import Configuration
 
@@ -58,22 +57,20 @@ def remedies_for(kind: CorrectionKind, declared: Configuration, desired: tuple[f
     )
 
 
-def stable_masses(kind: CorrectionKind | None, declared: Configuration, element: Element) -> tuple[float, float]:
-    """The least and the most mass in kg, around the one that the element is made for, at which the loop is stable:
-    0 and infinity where it is down, or up, to thirty times. NaN where it is at none."""
-    made_for = element.made_for
-    model = replace(declared, mass=made_for)
+def stable_masses(
+    loop_of: Callable[[Configuration], ClosedLoop], made_for: Configuration, element: tuple[float, float]
+) -> tuple[float, float]:
+    """The least and the most mass in kg, around the one that an element (K, B) is made for, at which the loop of a
+    configuration is stable: 0 and infinity where it is down, or up, to thirty times. NaN where it is at none."""
 
     def is_stable(mass: float) -> bool:
-        true = replace(declared, mass=mass)
-        loop = true if kind is None else kind.closed(true, model, element.observer)
-        poles = loop.poles(element.stiffness, element.damping)
+        poles = loop_of(replace(made_for, mass=mass)).poles(*element)
         return bool(np.abs(poles[..., 0]) <= 1.0 + _ON_THE_CIRCLE)
 
-    if not is_stable(made_for):
+    if not is_stable(made_for.mass):
         return math.nan, math.nan
     lighter, heavier = np.geomspace(1.0, 1.0 / _WIDEST, _STEPS), np.geomspace(1.0, _WIDEST, _STEPS)
-    found = [_last(is_stable, made_for * factors) for factors in (lighter, heavier)]
+    found = [_last(is_stable, made_for.mass * factors) for factors in (lighter, heavier)]
     return (0.0 if found[0] is None else found[0], math.inf if found[1] is None else found[1])
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from hapsim.theory.arrays import Floats
 from hapsim.theory.hand import Configuration
 from hapsim.theory.hand.plant import sampled_plant
-from hapsim.theory.interface import HOLDS, HoldSegment, whole_and_fraction
+from hapsim.theory.interface import HOLDS, HoldSegment, damper_named, whole_and_fraction
 from hapsim.theory.network.device_step import DeviceStep, device_step, through
 
 READING, MEAN_VELOCITY = 2, 3  # rows of a DeviceStep
@@ -90,6 +90,20 @@ def state_predictor(model: Configuration, senses: bool = False, pole: float = SL
     before = np.array([0.5 * step.window, 1.0])  # what is unknown of a free motion at the first sample
     first = gains[:2] if senses else (moves[:2, :2] @ before / (every[READING, :2] @ before))[:, None]
     return _in_si(model, every[:2], every[read], gains, first, _ahead(model, own, step, pushed))
+
+
+def as_read(model: Configuration) -> StatePredictor:
+    """What a link without a predictor answers, as one: the position as it is read, and the velocity that the damper
+    makes of positions. In place of the push it keeps the last difference of two positions."""
+    damper = damper_named(model.damper, model.cutoff, model.rate)
+    if damper.senses:
+        moves, gains = np.array([[1.0, 0.0, 1.0], [0.0, 1.0, 0.0]]), np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 0.0]])
+        return StatePredictor(moves, moves, gains, gains[:2], np.eye(2, STATES))
+    newest, _, oldest = (*damper.of_positions, 0.0)[:3]
+    decay = damper.of_velocities[0] if damper.of_velocities else 0.0
+    moves = np.array([[1.0, 0.0, 1.0], [0.0, decay, model.rate * (newest - oldest)]])
+    gains = np.array([[1.0], [model.rate * newest], [1.0]])
+    return StatePredictor(moves, moves[:1], gains, gains[:2], np.eye(2, STATES))
 
 
 def _ahead(model: Configuration, own: tuple[float, float], step: DeviceStep, pushed: Floats) -> Floats:

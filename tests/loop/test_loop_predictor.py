@@ -1,0 +1,99 @@
+"""The predictor of the loop beside an observer in plain Python: positions lost, forces late or expired, excitations."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from firmware_protocol.records import new_record
+from hapsim.compiling import entry
+from hapsim.compiling.native import address_of
+from hapsim.device.mock.assemble import describe_mock
+from hapsim.loop.exchange import LOOP
+from hapsim.loop.predictor import call_predict
+from hapsim.prediction.correction import rendered
+from hapsim.running.correction import LoopCorrection
+from hapsim.scene import Device, DevicePoint, Ground, Scene, ViscoElastic
+
+MASS, T, LIVES = 0.2, 1e-3, 4
+OF_VELOCITY, OF_PUSH = 7.0 / 8.0, 1.0 / 4.0  # with which the poles are 1/2 twice, and 0
+
+
+@entry
+def read(predictor, io, gap, late, age):  # type: ignore[no-untyped-def]
+    call_predict(predictor.predict, (predictor.address, io.address, gap, late, age))
+
+
+class Observer:
+    """Of a free mass behind one sample of delay and a zero-order hold; every sample a force that acted."""
+
+    def __init__(self, goes_on: bool) -> None:
+        self.x, self.v, self.push, self.samples = 0.0, 0.0, 0.0, 0
+        self.goes_on = goes_on
+        self.acted = [0.0, 0.0]
+        """N: of the last samples, the newest last"""
+        self.sent = self.before = 0.0
+
+    def moved(self, x: float, v: float, force: float) -> tuple[float, float]:
+        a = (force + self.push) / MASS
+        return x + v * T + 0.5 * a * T * T, v + a * T
+
+    def read(self, y: float, gap: int, late: bool, expired: bool) -> tuple[float, float]:
+        self.samples += 1
+        if self.samples == 1:
+            self.x = y
+            return self.ahead()
+        for sample in range(gap):
+            newest = self.acted[-1] if sample else self.before if late and gap == 1 else self.sent
+            # A device that does not go on has given the force once, in time or never.
+            given = not expired if self.goes_on else sample == 0 and not (late and gap == 1)
+            self.acted.append(newest if given else (newest if sample == 0 and not late and gap == 1 else 0.0))
+            if gap > 1 and sample == 0:
+                self.acted[-1] = newest
+            self.x, self.v = self.moved(self.x, self.v, self.acted[-2])
+        self.before = self.sent
+        off = y - self.x
+        if self.samples == 2:
+            self.x, self.v = y, self.v + off / (gap * T)
+        else:
+            self.x, self.v = y, self.v + OF_VELOCITY * off / (gap * T)
+            self.push += OF_PUSH * MASS * off / (gap * T) ** 2
+        return self.ahead()
+
+    def ahead(self) -> tuple[float, float]:
+        return self.moved(self.x, self.v, self.acted[-1])
+
+
+@pytest.mark.parametrize("hold", ["zoh"])
+@pytest.mark.parametrize("seed", range(4))
+def test_whatever_is_lost_or_late_it_is_the_observer_that_is_written_out(seed: int, hold: Any) -> None:
+    modules = {
+        "hand": DevicePoint(channel=0),
+        "wall": Ground(),
+        "table": ViscoElastic(between=("hand", "wall"), stiffness=0.0, damping=1e-9),
+    }
+    device = Device(clock="lockstep", mass=MASS, correction="predictor", hold=hold)
+    scene = Scene(version=1, rate=1.0 / T, device=device, modules=modules)
+    loop: Any = new_record(LOOP)
+    io = loop.io
+    io.address, io.channels, io.force_scale[0] = address_of(io), 1, 1e-3
+    loop.control.time_to_live = LIVES
+    kept = LoopCorrection(loop, rendered(scene), describe_mock(scene))
+    assert kept is not None
+    random = np.random.default_rng(seed)
+    observer, age = Observer(goes_on=hold == "zoh"), 1
+    for sample in range(400):
+        gap = int(random.choice([1, 1, 1, 2, 3, 7])) if sample else 1
+        late = bool(random.random() < 0.3)
+        age = min(age + 1, LIVES + 2) if late else 1
+        y = float(random.normal(scale=1e-3))
+        io.measured[0] = y
+        read(loop.predictor, io, gap, int(late), age)
+        x, v = observer.read(y, gap, late, age > LIVES)
+        assert io.measured[0] == pytest.approx(x, rel=1e-9, abs=1e-15), sample
+        assert io.velocity[0] == pytest.approx(v, rel=1e-9, abs=1e-12), sample
+        io.force_counts[0] = int(random.integers(-9000, 9000))
+        io.as_hand[0] = float(random.normal())  # an excitation: the hand's, of which the predictor knows nothing
+        observer.sent = io.force_counts[0] * 1e-3 - io.as_hand[0]
