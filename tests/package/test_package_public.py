@@ -32,7 +32,6 @@ INSIDE = {
     ("tools/bench/steadiness/in_memory.py", "hapsim.running.assemble"): TIMES_THE_EXCHANGE,
     ("tools/bench/steadiness/wakeups.py", "hapsim.doctor.wakeups"): "times the loop's sleep as it schedules itself",
     ("tools/bench/felt.py", "hapsim.prediction.correction"): "counts an error as the correction does",
-    ("tools/bench/felt_limit.py", "hapsim.theory.correction"): "closes the loop of controllers that no scene has",
     ("tools/bench/mutated_scenes.py", "hapsim.cli"): "calls the command in its own process, thousands of times",
     ("tools/bench/faults.py", "hapsim.faults"): FAULTS_IN_MEMORY,
     ("tools/bench/faults.py", "hapsim.console.faults"): FAULTS_IN_MEMORY,

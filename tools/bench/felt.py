@@ -230,7 +230,7 @@ def table(document: dict[str, Any]) -> str:
     ]
     for condition, of_contenders in document["cells"].items():
         every = {name: [_cell(row) for row in rows] for name, rows in of_contenders.items()}
-        shares = [f"{share(cells, what, 0.05):.3f}" for cells in every.values() for what in ("error", "pressed")]
+        shares = [_share(cells, of_contenders[name], what) for name, cells in every.items() for what in FIELDS[::3]]
         corrected = [cells for name, cells in every.items() if name != NONE]
         spoilt = [str(made_unstable(every[NONE], cells)) for cells in corrected] if NONE in every else ["?"]
         known = [cell.uncertainty for cells in every.values() for cell in cells if math.isfinite(cell.uncertainty)]
@@ -238,6 +238,11 @@ def table(document: dict[str, Any]) -> str:
         words = [condition, *shares, f"{statistics.median(known):.0e}", ", ".join(unsure), ", ".join(spoilt)]
         lines.append("| " + " | ".join(words) + " |")
     return "\n".join(lines)
+
+
+def _share(cells: list[Cell], rows: list[list[Any]], what: str) -> str:
+    """Nothing, where the kept rows are of a time when that was not measured."""
+    return f"{share(cells, what, 0.05):.3f}" if len(rows[0]) > FIELDS.index(what) else ""
 
 
 def _cell(row: list[Any]) -> Cell:
