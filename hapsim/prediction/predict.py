@@ -279,11 +279,12 @@ def robustness_of(felt: Felt) -> Robustness:
     c, element = felt.configuration, (felt.stiffness, felt.damping)
     predictor = as_read(c) if felt.predictor is None else felt.predictor
     loop = PredictedLoop(c, predictor)
-    return Robustness(
-        steady_stiffness=loop.steady_stiffness(*element) + c.stiffness,
-        noise_gain=loop.noise_gain(*element),
-        stable_masses=stable_masses(lambda true: loop._replace(plant=true), c, element),
-    )
+    with np.errstate(all="ignore"):  # beyond all numbers nothing is stable
+        return Robustness(
+            steady_stiffness=loop.steady_stiffness(*element) + c.stiffness,
+            noise_gain=loop.noise_gain(*element),
+            stable_masses=stable_masses(lambda true: loop._replace(plant=true), c, element),
+        )
 
 
 def _as_made(rendering: Rendering, felt: Felt) -> Felt:

@@ -75,11 +75,11 @@ class PredictedLoop(NamedTuple):
         sample period on the velocities, while the loop is closed; infinity where it is unstable."""
         from scipy.linalg import solve_discrete_lyapunov
 
+        if not self.spectral_radius(K, B) < 1.0:
+            return math.inf
         moves, pushes, reads = self._open_loop()
         answers = self._answers(K, B, len(moves))
         closed = moves - np.outer(pushes, answers)
-        if not np.abs(np.linalg.eigvals(closed)).max() < 1.0:
-            return math.inf
         spread = solve_discrete_lyapunov(closed, reads @ reads.T, method="bilinear")
         return float(np.sqrt(max(answers @ spread @ answers, 0.0)) * self.plant.stiffness_unit)
 
@@ -88,6 +88,8 @@ class PredictedLoop(NamedTuple):
         moves, pushes, reads = self._open_loop(moved=False)
         answers = self._answers(K, B, len(moves))
         alone = moves - np.outer(pushes, answers)
+        if not np.isfinite(alone).all():
+            return np.full(z.shape, np.nan, dtype=complex)
         state = np.linalg.solve(z[:, None, None] * np.eye(len(alone)) - alone, z[:, None, None] * reads[:, :1])
         return np.asarray(state[..., 0] @ answers * self.plant.stiffness_unit)
 
