@@ -27,8 +27,10 @@ from hapsim.console.sentences import say
 from hapsim.errors import UsageError
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from hapsim.measuring.identify_device import DeviceIdentification
-    from hapsim.scene import Scene
+    from hapsim.scene import Known, Scene
 
 
 def identify(
@@ -147,7 +149,7 @@ def _tell(scene: str, loaded: Scene, found: DeviceIdentification, write: bool, j
         _say_what_was_written(scene, values, write, span)
 
 
-def _say_what_was_written(scene: str, values: dict[str, str] | None, asked: bool, span: bool) -> None:
+def _say_what_was_written(scene: str, values: Mapping[str, str | Known] | None, asked: bool, span: bool) -> None:
     if values is None:
         why = "it was stopped before all was recorded" if asked else "--write writes what was found into its `device`"
         say(f"The file was not changed; {why}.")

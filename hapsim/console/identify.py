@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from hapsim.console.sentences import say
+from hapsim.scene import Known
 
 if TYPE_CHECKING:
     from hapsim.measuring.device_excitation import Bounds
@@ -52,15 +53,18 @@ def declared_of(scene: Scene, channel: int) -> dict[str, float]:
     }
 
 
-def values_to_write(found: DeviceIdentification, declared: Mapping[str, float], span: bool) -> dict[str, str]:
-    """What `--write` puts into the `device` section, as text with the digits that are known: no spring where none was
-    seen and none is declared, and nothing below 0, which no device is. `span`: the file gives a span for the mass, of
-    which one hand's says nothing."""
-    values = {}
+def values_to_write(found: DeviceIdentification, declared: Mapping[str, float], span: bool) -> dict[str, str | Known]:
+    """What `--write` puts into the `device` section, with the digits that are known, the mass with its uncertainty: no
+    spring where none was seen and none is declared, and nothing below 0, which no device is. `span`: the file gives a
+    span for the mass, of which one hand's says nothing."""
+    values: dict[str, str | Known] = {}
     for name in _IN_SCENE[1:] if span else _IN_SCENE:
         estimate: Estimate = getattr(found, name)
         seen = estimate.value > _SEEN * estimate.uncertainty
-        if name != "stiffness" or seen or declared[name] != 0.0:
+        if name == "mass":
+            uncertainty = float(f"{estimate.uncertainty:.1e}")
+            values[name] = Known(value=float(rounded(estimate.value, uncertainty)), uncertainty=uncertainty)
+        elif name != "stiffness" or seen or declared[name] != 0.0:
             values[name] = rounded(max(estimate.value, 0.0), estimate.uncertainty)
     return values
 
@@ -114,6 +118,14 @@ def _sentences(found: DeviceIdentification) -> list[str]:
         f"{cut}Read from {found.samples} samples at simulated (K, B) of {pairs}; it moved {1e3 * found.peak_m:.2g} mm "
         f"at most. The fit leaves {found.residual_m:.2g} m rms."
     ]
+    if found.hand is not None:
+        mass, stiffness, damping = (
+            rounded(one.value, one.uncertainty) for one in (found.hand.mass, found.hand.stiffness, found.hand.damping)
+        )
+        told.append(
+            f"A second mass moves with it, a hand's: {mass} kg on {stiffness} N/m and {damping} N·s/m. The values "
+            "above are the handle's. hapsim predicts one mass: what it predicts of this hand is the handle's alone."
+        )
     if found.coulomb.value > _SEEN * found.coulomb.uncertainty:
         told.append(
             f"It has dry friction, {rounded(found.coulomb.value, found.coulomb.uncertainty)} N, for which `device` has "
@@ -138,7 +150,7 @@ def _sentences(found: DeviceIdentification) -> list[str]:
 
 
 def identification_document(
-    found: DeviceIdentification, declared: Mapping[str, float], written: Mapping[str, str] | None
+    found: DeviceIdentification, declared: Mapping[str, float], written: Mapping[str, str | Known] | None
 ) -> dict[str, Any]:
     """What `hapsim identify --json` prints."""
     seen = found.seen_rate
@@ -160,5 +172,11 @@ def identification_document(
         "rate_hz": found.rate_hz,
         "rate_seen_hz": None if seen is None else seen.rate_hz,
         "rate_seen_uncertainty_hz": None if seen is None else seen.uncertainty_hz,
-        "written": None if written is None else {name: float(value) for name, value in written.items()},
+        "hand": None if found.hand is None else asdict(found.hand),
+        "noise_m": found.noise_m,
+        "written": None if written is None else {name: _number(value) for name, value in written.items()},
     }
+
+
+def _number(written: str | Known) -> float | dict[str, float]:
+    return float(written) if isinstance(written, str) else written.model_dump()

@@ -1,11 +1,9 @@
-"""The balance of forces on the device, smoothed: a linear regression, from which the fit starts, and what it leaves.
+"""The balance of forces on the device, smoothed: which force a fit lacks, and where.
 
 Multiplied by a window psi that vanishes at both ends, with its first two derivatives, and integrated by parts, the
 equation of motion holds for positions instead of accelerations (Shinbrot's modulating functions, 1957):
 
     m <psi'', x> - b0 <psi', x> + k0 <psi, x> + Fc side <psi, 1> - F0 <psi, 1> = <psi, F>
-
-Linear in all but the delay, of which a grid is tried.
 """
 
 from __future__ import annotations
@@ -24,7 +22,6 @@ Vector = NDArray[np.float64]
 
 _WINDOW = Polynomial([1.0, 0.0, -1.0]) ** 3  # (1 - s²)³ for s from -1 to 1
 LEAST_WIDTH, _LEAST_WINDOWS = 8, 20
-_DELAY_STEP = 0.25
 
 
 @dataclass(frozen=True)
@@ -49,20 +46,6 @@ class Balance:
         """(R, 5), what mass, friction, stiffness, dry friction and constant force are factors of."""
         columns = [self.acceleration, self.velocity, self.position, self.side, -np.ones_like(self.side)]
         return np.column_stack(columns)
-
-
-@dataclass(frozen=True)
-class Rough:
-    """What a balance tells of the device; mass, friction and stiffness by sample periods: m/T², b0/T, k0."""
-
-    mass: float
-    friction: float
-    stiffness: float
-    coulomb: float
-    constant: float
-    delay: float
-    left: float
-    """Share of the force that it does not explain, rms."""
 
 
 def balance_of(
@@ -123,31 +106,3 @@ def width_for(swings: list[Swing]) -> int:
     """Rows of a window: a third of a swing, and less of a short record."""
     rows = [swing.rows for swing in swings]
     return max(LEAST_WIDTH, min(int(np.median(rows)) // 3, sum(rows) // _LEAST_WINDOWS))
-
-
-def rough_fit(
-    motions: list[Motion], swings: list[Swing], count_m: float, converters: Converters, most_delay: float
-) -> Rough | None:
-    """The regression at the delay that leaves least; None where there is too little motion for it."""
-    if not swings:
-        return None
-    width, best = width_for(swings), None
-    for delay in np.arange(0.0, most_delay + 0.5 * _DELAY_STEP, _DELAY_STEP):
-        balance = balance_of(motions, swings, count_m, converters, float(delay), width)
-        found = _regress(balance, float(delay))
-        if found is not None and (best is None or found.left < best.left):
-            best = found
-    return best
-
-
-def _regress(balance: Balance, delay: float) -> Rough | None:
-    terms = balance.terms
-    size = np.linalg.norm(terms, axis=0)
-    total = float(np.linalg.norm(balance.force))
-    if terms.shape[0] < 2 * terms.shape[1] or total == 0.0 or size[0] == 0.0:
-        return None
-    scaled, *_ = np.linalg.lstsq(terms / np.where(size > 0.0, size, 1.0), balance.force, rcond=1e-10)
-    values = scaled / np.where(size > 0.0, size, 1.0)
-    left = float(np.linalg.norm(balance.force - terms @ values)) / total
-    mass, friction, stiffness, coulomb, constant = (float(value) for value in values)
-    return Rough(mass, friction, stiffness, coulomb, constant, delay, left)

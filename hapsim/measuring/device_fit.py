@@ -1,33 +1,45 @@
-"""Mass, friction, stiffness, dry friction and delay of a device, from records of its motion under known forces.
+"""Mass, friction, stiffness, dry friction and delay of a device, from records of its motion under known forces; and the
+mass that hangs on it by a spring and a damper, where that is asked for.
 
 The forces that were sent are known exactly and the positions to their rounding and noise, which is white: the most
 likely parameters are those whose motion lies closest to the positions, by least squares (output error). Each swing,
-in which the velocity keeps its sign, has an initial position and velocity of its own; these are linear, and projected
-out. The covariance is that of least squares; where what is left is not white, it is worked out swing by swing instead.
+in which the velocity keeps its sign, begins in a state of its own; this is linear, and projected out. So are mass, dry
+friction and constant force while a start is looked for. The covariance is that of least squares; where what is left is
+not white, it is worked out swing by swing instead.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
+from itertools import product
 
 import numpy as np
+from numpy.linalg import norm
 from numpy.typing import NDArray
-from scipy.linalg import solve_triangular
+from scipy.ndimage import uniform_filter1d
 from scipy.optimize import least_squares
 
-from hapsim.measuring.device_balance import Rough
 from hapsim.measuring.device_model import Converters, sampled_motion
 from hapsim.measuring.device_motion import ROUNDING, Motion, Swing
 
 Vector = NDArray[np.float64]
 
+Shape = tuple[float, ...]
+"""What a motion is not linear in, by sample periods: delay, b0 T/m, k0 T²/m; of a second mass k T²/m, c T/m, m/M."""
+
 _STEP = 1e-5  # of a parameter's scale, for differences
 _WHITE = 5.0  # standard deviations of the correlation from row to row that white noise has
 _FEW_SWINGS = 12  # with fewer their scatter does not tell a covariance
-_NAMES = 6
 _MARGIN = 4  # rows beyond the longest delay that is tried
+_SMOOTH = 9  # rows
+_LEAST_ROWS = 24
+_SINGULAR = 1e-10  # of the largest: a change of parameters that changes the motion less is not told by it
+# Beyond these no motion is worked out: gain, dry friction, constant force, delay, friction and stiffness, scaled.
+_LEAST, _MOST = (-np.inf, -np.inf, -np.inf, -1.0, -5.0, -50.0), (np.inf, np.inf, np.inf, np.inf, 1e3, 1e4)
+_MOST_OF_HAND = 1e3  # times where it begins
+_TRIES = 100
 
 
 @dataclass(frozen=True)
@@ -36,6 +48,15 @@ class Estimate:
 
     value: float
     uncertainty: float
+
+
+@dataclass(frozen=True)
+class HandFit:
+    """A second mass, on a spring and a damper: kg, N/m, N·s/m."""
+
+    mass: Estimate
+    stiffness: Estimate
+    damping: Estimate
 
 
 @dataclass(frozen=True)
@@ -49,8 +70,13 @@ class DeviceFit:
     constant_force: Estimate
     """N: gravity, or an offset of the force."""
     delay: Estimate
+    hand: HandFit | None
+    """Where one was asked for."""
+    shape: Shape
     residual_counts: float
     """rms, of the positions."""
+    unexplained: float
+    """Share of the motion, beside the free one, that the forces do not explain, rms."""
     correlation: float
     """Of what is left, from one row to the next; 0 where it is noise."""
     rows: int
@@ -77,53 +103,55 @@ class _Table:
     position: Vector
     """(S, L) counts."""
     side: Vector
-    """(S, 1)"""
-    delays: tuple[float, float]
+    """(S, L) to which the velocity is."""
+    most_delay: float
     """Beyond which no delay is tried, sample periods."""
 
 
 def fit_device(
     motions: list[Motion],
     swings: list[Swing],
-    start: Rough,
+    begins: Iterable[Shape],
     count_m: float,
     rate_hz: float,
     converters: Converters,
-) -> DeviceFit:
-    """The fit from `start` on. `count_m`: m per count."""
-    table = _table(motions, swings, start.delay + 1.0)
-    push = max(float(np.max(np.abs(motion.force))) for motion in motions)
+    most_delay: float,
+) -> DeviceFit | None:
+    """The fit, from the best of `begins` on; None where there is too little motion for one. `count_m`: m per count;
+    `most_delay`: sample periods. What the record does not tell has a huge uncertainty."""
+    if sum(swing.rows for swing in swings) < _LEAST_ROWS:
+        return None
+    table = _table(motions, swings, most_delay)
+    begin = _begin(table, begins, converters)
+    if begin is None:
+        return None
+    push = max(float(np.max(np.abs(motion.force), initial=0.0)) for motion in motions)
     typical = float(np.median([swing.rows for swing in swings]))
-    gain = 1.0 / (start.mass * count_m)  # counts per sample period squared and N
-    scale = np.array([gain, 1.0 / typical, 1.0 / typical**2, gain * push, gain * push, 1.0])
-    begin = np.array(
-        [
-            gain,
-            start.friction / start.mass,
-            start.stiffness / start.mass,
-            gain * start.coulomb,
-            gain * start.constant,
-            start.delay,
-        ]
-    )
+    gain, hand = abs(begin[0]), begin[6:]
+    scale = np.array([gain, gain * push, gain * push, 1.0, 1.0 / typical, 1.0 / typical**2, *hand])
 
     def left(scaled: Vector) -> Vector:
         return _left(table, scaled * scale, converters)[table.inside]
 
-    found = least_squares(left, begin / scale, jac="3-point", diff_step=_STEP, xtol=1e-10, ftol=1e-12, gtol=1e-12).x
+    least = np.array([*_LEAST, *(0.0 * hand)])
+    most = np.array([*_MOST[:3], most_delay, *_MOST[4:], *(_MOST_OF_HAND + 0.0 * hand)])
+    found = np.clip(begin / scale, least + _STEP, most - _STEP)
+    found = least_squares(
+        left, found, lambda at: _slopes(left, at), (least, most), xtol=1e-10, ftol=1e-12, gtol=1e-12, max_nfev=_TRIES
+    ).x
     slopes = _slopes(left, found)
-    found = found - np.linalg.lstsq(slopes, left(found), rcond=None)[0]  # to the last digit that the record has
+    refined = found - np.linalg.lstsq(slopes, left(found), rcond=_SINGULAR)[0]
+    if np.all((least < refined) & (refined < most)) and norm(left(refined)) < norm(left(found)):
+        found = refined  # to the last digit that the record has
     residual = np.zeros(table.inside.shape)
     residual[table.inside] = left(found)
-    spread, rms, correlation = _spread(table, residual, slopes)
-    values = found * scale
-    rows = int(np.count_nonzero(table.inside))
-    in_si, conversion = _in_si(values, count_m, 1.0 / rate_hz)
-    uncertainty = np.linalg.norm((conversion * scale) @ spread, axis=1)
-    mass, friction, stiffness, coulomb, constant, delay = (
-        Estimate(float(a), float(b)) for a, b in zip(in_si, uncertainty, strict=True)
-    )
-    lengths = np.sum(table.inside, axis=1)
+    spread = _spread(table, residual, slopes)
+    si = _in_si(found * scale, count_m, 1.0 / rate_hz)
+    conversion = _slopes(lambda scaled: _in_si(scaled * scale, count_m, 1.0 / rate_hz), found)
+    uncertainty = norm(conversion @ spread, axis=1)
+    estimates = [Estimate(float(a), float(b)) for a, b in zip(si, uncertainty, strict=True)]
+    mass, coulomb, constant, delay, friction, stiffness, *of_hand = estimates
+    moved = _columns(table, tuple(found[3:] * scale[3:]), converters)[..., 0]
     return DeviceFit(
         mass=mass,
         friction=friction,
@@ -131,12 +159,26 @@ def fit_device(
         coulomb=coulomb,
         constant_force=constant,
         delay=delay,
-        residual_counts=rms,
-        correlation=correlation,
-        rows=rows,
+        hand=HandFit(*of_hand) if of_hand else None,
+        shape=tuple(float(value) for value in found[3:] * scale[3:]),
+        residual_counts=_rms(table, residual, found.size),
+        unexplained=float(norm(residual) / norm(moved)),
+        correlation=_correlation(table, residual),
+        rows=int(np.count_nonzero(table.inside)),
         swings=tuple(swings),
-        residuals=tuple(residual[i, :length] for i, length in enumerate(lengths)),
+        residuals=tuple(row[inside] for row, inside in zip(residual, table.inside, strict=True)),
     )
+
+
+def hands_on(delay: float, rate_hz: float) -> list[Shape]:
+    """Where a fit of two masses may begin: modes of 3 to 130 Hz, damped little to much, the hand light to heavy."""
+    shapes: list[Shape] = []
+    for eigen, damping, ratio in product(
+        np.geomspace(20.0, 800.0, 10) / rate_hz, (0.05, 0.2, 0.6), (0.1, 0.3, 1.0, 3.0)
+    ):
+        spring, damper = eigen**2 / (1.0 + ratio), 2.0 * damping * eigen / (1.0 + ratio)
+        shapes.append((delay, 0.0, 0.0, float(spring), float(damper), ratio))
+    return shapes
 
 
 def _table(motions: list[Motion], swings: list[Swing], most_delay: float) -> _Table:
@@ -149,22 +191,44 @@ def _table(motions: list[Motion], swings: list[Swing], most_delay: float) -> _Ta
     index = np.where(inside, first[:, None] + along[None, :], pad)
     position = np.concatenate([np.pad(motion.position, pad) for motion in motions])
     force = np.concatenate([np.pad(motion.force, pad) for motion in motions])
-    side = np.array([[swing.side] for swing in swings])
-    return _Table(force, index, inside, position[index] * inside, side, (_MARGIN - pad, pad - _MARGIN))
+    going = np.sign(np.gradient(uniform_filter1d(position, _SMOOTH)))
+    side = np.where([[swing.side == 0.0] for swing in swings], going[index], [[swing.side] for swing in swings])
+    return _Table(force, index, inside, position[index] * inside, side, most_delay)
+
+
+def _columns(table: _Table, shape: Shape, converters: Converters) -> Vector:
+    """(S, L, 4) positions, and those under a unit gain, dry friction and constant force, all less the free motion that
+    fits them best."""
+    delay, friction, stiffness, *hand = shape
+    motion = sampled_motion(friction, stiffness, min(max(delay, -1.0), table.most_delay + 1.0), converters, hand)
+    newest, length = table.index - motion.whole_delay - 1, table.inside.shape[1]
+    pushed = motion.answer_to(table.force[newest], table.force[newest - 1])
+    constant = np.broadcast_to(motion.answer_at_once(np.ones(length)), pushed.shape)
+    columns = np.stack([table.position, pushed, -motion.answer_at_once(table.side), constant], axis=2)
+    columns *= table.inside[:, :, None]
+    free = motion.free(length) * table.inside[:, :, None]
+    basis, _ = np.linalg.qr(free / norm(free, axis=1, keepdims=True))
+    return np.asarray(columns - basis @ (basis.transpose(0, 2, 1) @ columns))
+
+
+def _begin(table: _Table, begins: Iterable[Shape], converters: Converters) -> Vector | None:
+    """The parameters of the shape that leaves least; None where no force explains anything."""
+    best, least = None, math.inf
+    for shape in begins:
+        columns = _columns(table, shape, converters)[table.inside]
+        size = norm(columns, axis=0)
+        size[size == 0.0] = 1.0
+        found, *_ = np.linalg.lstsq(columns[:, 1:] / size[1:], columns[:, 0], rcond=_SINGULAR)
+        left = float(norm(columns[:, 0] - columns[:, 1:] @ (found / size[1:])))
+        if left < least and found[0] != 0.0:
+            best, least = np.concatenate([found / size[1:], shape]), left
+    return best
 
 
 def _left(table: _Table, values: Vector, converters: Converters) -> Vector:
-    """(S, L) positions less the modelled ones, with the initial positions and velocities that fit them best."""
-    gain, friction, stiffness, coulomb, constant, delay = values
-    shortest, longest = table.delays
-    motion = sampled_motion(friction, stiffness, min(max(delay, shortest), longest), converters)
-    newest, length = table.index - motion.whole_delay - 1, table.inside.shape[1]
-    pushed = gain * motion.answer_to(table.force[newest], table.force[newest - 1])
-    pushed += (constant - coulomb * table.side) * motion.answer_to_constant(length)
-    left = (table.position - pushed) * table.inside
-    free = motion.free(length) * table.inside[:, :, None]
-    basis, _ = np.linalg.qr(free / np.linalg.norm(free, axis=1, keepdims=True))
-    return np.asarray(left - np.einsum("slk,sk->sl", basis, np.einsum("slk,sl->sk", basis, left)))
+    """(S, L) positions less the modelled ones."""
+    gain, coulomb, constant, *shape = values
+    return np.asarray(_columns(table, tuple(shape), converters) @ np.array([1.0, -gain, -coulomb, -constant]))
 
 
 def _slopes(left: Callable[[Vector], Vector], at: Vector) -> Vector:
@@ -173,27 +237,32 @@ def _slopes(left: Callable[[Vector], Vector], at: Vector) -> Vector:
     return np.column_stack(columns)
 
 
-def _spread(table: _Table, residual: Vector, slopes: Vector) -> tuple[Vector, float, float]:
-    """(a square root of the scaled parameters' covariance, rms of what is left, its correlation from row to row). Kept
-    so, no variance comes out negative."""
-    rows, swings = slopes.shape[0], residual.shape[0]
-    freedom = max(rows - 2 * swings - _NAMES, 1)
-    rms = math.sqrt(float(np.sum(residual**2)) / freedom)
-    correlation = _correlation(table, residual)
-    q, r = np.linalg.qr(slopes)
-    inverse = solve_triangular(r, np.eye(_NAMES))
-    spread = inverse * max(rms, ROUNDING)
-    if correlation * math.sqrt(rows) > _WHITE and swings > _FEW_SWINGS:
-        by_swing = np.zeros((swings, _NAMES))
+def _states(parameters: int) -> int:
+    return 2 if parameters == len(_LEAST) else 4
+
+
+def _rms(table: _Table, residual: Vector, parameters: int) -> float:
+    freedom = np.count_nonzero(table.inside) - _states(parameters) * residual.shape[0] - parameters
+    return math.sqrt(float(np.sum(residual**2)) / max(freedom, 1))
+
+
+def _spread(table: _Table, residual: Vector, slopes: Vector) -> Vector:
+    """A square root of the scaled parameters' covariance: kept so, no variance comes out negative."""
+    (rows, parameters), swings = slopes.shape, residual.shape[0]
+    q, size, axes = np.linalg.svd(slopes, full_matrices=False)
+    inverse = axes.T / np.maximum(size, _SINGULAR * size[0])
+    spread = np.asarray(inverse * max(_rms(table, residual, parameters), ROUNDING))
+    if _correlation(table, residual) * math.sqrt(rows) > _WHITE and swings > _FEW_SWINGS:
+        by_swing = np.zeros((swings, parameters))
         np.add.at(by_swing, np.nonzero(table.inside)[0], q * residual[table.inside][:, None])
-        scatter = inverse @ by_swing.T * math.sqrt(swings / (swings - _NAMES))
-        grown = np.linalg.norm(scatter, axis=1) / np.linalg.norm(spread, axis=1)
+        scatter = inverse @ by_swing.T * math.sqrt(swings / (swings - parameters))
+        grown = norm(scatter, axis=1) / norm(spread, axis=1)
         spread = spread * np.maximum(grown, 1.0)[:, None]
-    return spread, rms, correlation
+    return spread
 
 
 def _correlation(table: _Table, residual: Vector) -> float:
-    """Beyond what the two projected motions of each swing leave of white noise."""
+    """Beyond what the projected motions of each swing leave of white noise."""
     both = table.inside[:, 1:]
     product = np.sum(residual[:, 1:] * residual[:, :-1] * both)
     power = float(np.sum(residual**2))
@@ -202,14 +271,10 @@ def _correlation(table: _Table, residual: Vector) -> float:
     return float(product / power + taken) if power > 0.0 else 0.0
 
 
-def _in_si(values: Vector, count_m: float, period: float) -> tuple[Vector, Vector]:
-    """(mass, friction, stiffness, coulomb, constant force, delay) and their slopes by the fitted parameters."""
-    gain, friction, stiffness, coulomb, constant, delay = values
-    mass_gain = period**2 / count_m  # mass = mass_gain / gain
-    mass = mass_gain / gain
-    si = np.array(
-        [mass, friction * mass / period, stiffness * mass / period**2, coulomb / gain, constant / gain, delay]
-    )
-    slopes = np.diag([0.0, mass / period, mass / period**2, 1.0 / gain, 1.0 / gain, 1.0])
-    slopes[:5, 0] = -si[:5] / gain
-    return si, slopes
+def _in_si(values: Vector, count_m: float, period: float) -> Vector:
+    """kg, N of dry friction and constant force, samples of delay, friction and stiffness; and those of a hand."""
+    gain, coulomb, constant, delay, friction, stiffness, *hand = values
+    mass = period**2 / (count_m * gain)
+    device = [mass, coulomb / gain, constant / gain, delay, friction * mass / period, stiffness * mass / period**2]
+    of_hand = [mass / hand[2], hand[0] * mass / period**2, hand[1] * mass / period] if hand else []
+    return np.array(device + of_hand)

@@ -19,7 +19,7 @@ BINS = 12
 _LEAST_SHARE = 0.3  # of the variance of the force that is lacking: with less it goes with nothing in particular
 _QUIET = 0.25  # of the force: noise that hides nothing
 _LATER = 0.1  # sample periods: a difference of the delay
-_LOUD = 2.0  # times the noise at rest and the rounding
+LOUD = 2.0  # times the noise at rest and the rounding
 
 
 @dataclass(frozen=True)
@@ -116,7 +116,7 @@ def misfit_of(fit: DeviceFit, lacking: ForceResidual, noise_counts: float) -> st
     """In a sentence, where the model does not fit; "" where what is left is noise and rounding. `noise_counts`: of a
     position of the device at rest, rms."""
     expected = math.hypot(noise_counts, ROUNDING)
-    if fit.is_white and fit.residual_counts < _LOUD * expected:
+    if fit.is_white and fit.residual_counts < LOUD * expected:
         return ""
     size = _rms(lacking.force)
     return (

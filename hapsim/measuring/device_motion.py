@@ -19,6 +19,7 @@ ROUNDING = 1.0 / math.sqrt(12.0)  # counts: standard deviation of rounding to wh
 _CERTAIN = 6.0  # standard deviations: a velocity of which the sign is known
 _SLOW = 0.03  # of the largest velocity: what is slower may be about to turn
 _LEAST_ROWS = 8
+_REACHES = (1, 2, 4, 8, 16, 32, 64)  # rows to either side
 _APART = 0.06  # of a swing: much longer than it takes from the least velocity to twice that
 _CLEARLY = 4.0  # times the least velocity, in a swing that counts
 
@@ -35,7 +36,7 @@ class Motion:
 
 @dataclass(frozen=True)
 class Swing:
-    """Rows of a motion in which the velocity keeps its sign: `first` to `last` of them, `side` 1 or -1."""
+    """Rows `first` to `last` of a motion: the velocity keeps its sign, `side` 1 or -1; or it may not, `side` 0."""
 
     motion: int
     first: int
@@ -65,13 +66,26 @@ def motion_of(trace: Trace, channel: int, home_counts: float, most_delay: float)
 
 def swings_of(motions: list[Motion], noise_counts: float) -> list[Swing]:
     """Where the velocity is known to keep its sign, with a margin on either side. `noise_counts`: of a position, rms;
-    the rounding is added."""
+    the rounding is added. The velocity is one over so many rows that most of the record is left."""
     noise = math.hypot(noise_counts, ROUNDING)
     fastest = max((_fastest(motion) for motion in motions), default=0.0)
     if fastest == 0.0:
         return []
-    reach = max(1, math.ceil(_CERTAIN * noise / (math.sqrt(2.0) * _SLOW * fastest)))
-    return [swing for i, motion in enumerate(motions) for swing in _swings(i, motion, reach, noise, fastest)]
+    found = [
+        [swing for i, motion in enumerate(motions) for swing in _swings(i, motion, reach, noise, fastest)]
+        for reach in _REACHES
+    ]
+    return max(found, key=lambda swings: sum(swing.rows for swing in swings))
+
+
+def stretches_of(motions: list[Motion], rows: int) -> list[Swing]:
+    """All that is known of the motions, whatever the velocity, in pieces of so many rows at most."""
+    return [
+        Swing(i, begin, min(begin + rows, last), 0.0)
+        for i, motion in enumerate(motions)
+        for first, last in motion.known
+        for begin in range(first, last - _LEAST_ROWS, rows)
+    ]
 
 
 def _fastest(motion: Motion) -> float:

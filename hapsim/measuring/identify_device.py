@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
+from itertools import product
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -13,12 +14,12 @@ from hapsim.device.open_connection import TransportKind
 from hapsim.errors import GuardError, UsageError
 from hapsim.loop.endings import IN_WORDS, STOPPED
 from hapsim.loop.trace import Trace
-from hapsim.measuring.device_balance import Rough, rough_fit
+from hapsim.measuring.device_diagnosis import Pushed, why_not, why_too_far
 from hapsim.measuring.device_excitation import Bounds, Drive, Plant, drive_for, peak_per_newton, scene_of
-from hapsim.measuring.device_fit import DeviceFit, Estimate, fit_device
-from hapsim.measuring.device_misfit import ForceResidual, force_residual, misfit_of
+from hapsim.measuring.device_fit import DeviceFit, Estimate, HandFit, Shape, fit_device, hands_on
+from hapsim.measuring.device_misfit import LOUD, ForceResidual, force_residual, misfit_of
 from hapsim.measuring.device_model import Converters
-from hapsim.measuring.device_motion import Motion, motion_of, swings_of
+from hapsim.measuring.device_motion import ROUNDING, Motion, Swing, motion_of, stretches_of, swings_of
 from hapsim.measuring.seen_rate import SeenRate, seen_rate
 from hapsim.progress import Progress
 from hapsim.running import Session, run
@@ -31,14 +32,18 @@ SECONDS = 6.0
 """That are recorded for the fit, where nothing else is said."""
 _LISTEN_S, _LISTEN_TICKS = 0.1, 64
 _GENTLE_HALVES, _GENTLE_TICKS = 12, 384
-_MAY_BE_LIGHTER = 3.0  # the mass, than declared
+_MAY_BE_LIGHTER = 10.0  # the mass, than declared
 _MOVES = 0.35  # of the travel: enough for a fit
 _MEANT = 0.6  # of the travel
 _HARDLY = 0.02  # of the travel
 _A_LITTLE_HARDER, _MUCH_HARDER = 1.25, 3.0
-_SEEN_COUNTS = 200.0  # less motion tells nothing
-_MOST_ATTEMPTS, _MORE_ATTEMPTS = 24, 3
+_MOST_ATTEMPTS, _MORE_ATTEMPTS = 36, 3
 _MANY_TIMES_DECLARED, _LEAST_DELAY = 3.0, 8.0
+_HAND_LEAVES = 0.3  # of what one mass leaves: two are seen
+_UNSURE_HAND = 0.3  # of its mass: a hand that is none
+_STRETCH_S = 0.5  # a fit of two masses goes by stretches so long
+_NOISE_PEAK = 4.0  # rms: how far the noise of a record reaches
+_DELAY_STEP, _FRICTIONS, _STIFFNESSES = 2.0, (0.0, 1.0, 5.0, 20.0), (0.0, 3.0, 30.0)  # of a first fit, by swings
 _DRIVES = ((1.0, 0.5), (0.6, 1.0), (1.6, 0.7))  # pace and tightness: three simulated (K, B)
 
 
@@ -54,6 +59,10 @@ class DeviceIdentification:
     """N, dry friction."""
     constant_force: Estimate
     """N: gravity, or an offset of the force."""
+    hand: HandFit | None
+    """What moves with it, on a spring and a damper; None where one mass explains the motion."""
+    noise_m: float
+    """rms, of the positions at rest; their counts are in it."""
     channel: int
     bounds: Bounds
     """Within which it was pushed."""
@@ -122,8 +131,8 @@ def identify_device(
     with threadpool_limits(1, user_api="blas"):  # as for `identify`: small matrices
         pusher.find_home()
         rough = pusher.grow()
-        drives = pusher.record(_plant_of(rough, scene.rate), SECONDS if duration is None else duration)
-        return pusher.identified(drives)
+        drives = pusher.record(_plant_of(rough), SECONDS if duration is None else duration)
+        return pusher.identified(drives, rough.shape)
 
 
 class _Pusher:
@@ -166,7 +175,7 @@ class _Pusher:
         self._home_counts = float(np.median(counts))
         self._noise_counts = float(np.std(np.diff(counts, 2))) / math.sqrt(6.0)
 
-    def grow(self) -> Rough:
+    def grow(self) -> DeviceFit:
         """Pushes ever harder until the device moves enough for a first fit."""
         scene, bounds = self._scene, self._bounds
         declared = Plant(scene.device.masses(scene.channels)[self._channel], 0.0, 0.0, scene.device.delay)
@@ -185,16 +194,7 @@ class _Pusher:
             slope = steepest if before is None else (peak - before[1]) / (force - before[0])
             before = (force, peak) if peak > _HARDLY * bounds.travel else None
             force = min(full.force, self._harder(force, peak, slope))
-        if peak < _SEEN_COUNTS * self._count_m:
-            raise UsageError(
-                f"pushed with {force:.3g} N the device moved by {1e6 * peak:.3g} µm, which is too little to identify "
-                "anything: it is held, stuck by dry friction, or much heavier than declared. Let it move freely, or "
-                "allow more with --force"
-            )
-        motions = [self._motion(trace)]
-        swings = swings_of(motions, self._noise_counts)
-        rough = rough_fit(motions, swings, self._count_m, self._converters, self._most_delay)
-        return self._require_sound(rough)
+        return self._require_sound(self._fit([self._motion(trace)]), drive, trace)
 
     def record(self, plant: Plant, duration: float) -> tuple[Drive, ...]:
         """Records the device at several simulated (K, B), as far as it may be moved; with which ones."""
@@ -229,13 +229,12 @@ class _Pusher:
         stuck = peak < _HARDLY * self._bounds.travel
         return max(wanted, _A_LITTLE_HARDER * force) if stuck else min(wanted, _MUCH_HARDER * force)
 
-    def identified(self, drives: tuple[Drive, ...]) -> DeviceIdentification:
-        """The fit over all that was recorded."""
+    def identified(self, drives: tuple[Drive, ...], start: Shape) -> DeviceIdentification:
+        """The fit over all that was recorded, from `start` on."""
         rate, count_m = self._scene.rate, self._count_m
         motions = [self._motion(trace) for trace in self._traces]
-        swings = swings_of(motions, self._noise_counts)
-        start = self._require_sound(rough_fit(motions, swings, count_m, self._converters, self._most_delay))
-        fit = fit_device(motions, swings, start, count_m, rate, self._converters)
+        farthest = int(np.argmax([self._peak(trace) for trace in self._traces]))
+        fit = self._require_sound(self._fit(motions, start), drives[farthest], self._traces[farthest])
         lacking = force_residual(motions, fit, self._noise_counts, count_m, rate, self._converters)
         return DeviceIdentification(
             mass=fit.mass,
@@ -244,6 +243,8 @@ class _Pusher:
             delay=fit.delay,
             coulomb=fit.coulomb,
             constant_force=fit.constant_force,
+            hand=fit.hand,
+            noise_m=self._noise_counts * count_m,
             channel=self._channel,
             bounds=self._bounds,
             drives=drives,
@@ -264,30 +265,49 @@ class _Pusher:
     def _motion(self, trace: Trace) -> Motion:
         return motion_of(trace, self._channel, self._home_counts, self._most_delay)
 
-    def _require_sound(self, rough: Rough | None) -> Rough:
-        if rough is None:
-            raise UsageError(
-                "too little motion was recorded to identify the device: let it move freely, record longer, or allow "
-                "more with --force and --travel"
-            )
-        if not rough.mass > 0.0:
-            raise UsageError(
-                "the device does not move the way it is pushed: its force or its position has the wrong sign, or "
-                "something else moves it. `hapsim probe PORT --push N` tells which"
-            )
-        return rough
+    def _fit(self, motions: list[Motion], begin: Shape = ()) -> DeviceFit | None:
+        """A mass; or two, where that leaves much less. From `begin` on, if there is one."""
+        swings, floor = swings_of(motions, self._noise_counts), math.hypot(self._noise_counts, ROUNDING)
+        one = self._fit_from([begin[:3]] if begin else self._begins(swings), motions, swings)
+        if one is not None and one.residual_counts < LOUD * floor:
+            return one
+        rate = self._scene.rate
+        delay = self._scene.device.delay if one is None else one.delay.value
+        hands = [begin] if begin[3:] else hands_on(delay, rate)
+        two = self._fit_from(hands, motions, stretches_of(motions, math.ceil(_STRETCH_S * rate)))
+        if two is None or two.hand is None or two.hand.mass.uncertainty > _UNSURE_HAND * two.hand.mass.value:
+            return one
+        return two if one is None or two.residual_counts < _HAND_LEAVES * one.residual_counts else one
+
+    def _fit_from(self, begins: Iterable[Shape], motions: list[Motion], swings: list[Swing]) -> DeviceFit | None:
+        return fit_device(motions, swings, begins, self._count_m, self._scene.rate, self._converters, self._most_delay)
+
+    def _begins(self, swings: list[Swing]) -> list[Shape]:
+        """Where a first fit may begin: what a swing of so many rows could be of."""
+        rows = float(np.median([swing.rows for swing in swings])) if swings else 1.0
+        delays = np.arange(0.0, self._most_delay, _DELAY_STEP)
+        return [
+            (float(delay), friction / rows, stiffness / rows**2)
+            for delay, friction, stiffness in product(delays, _FRICTIONS, _STIFFNESSES)
+        ]
+
+    def _seen(self, drive: Drive, trace: Trace) -> Pushed:
+        declared = self._scene.device.masses(self._scene.channels)[self._channel]
+        noise_m = self._noise_counts * self._count_m
+        return Pushed(drive.force, self._peak(trace), self._bounds, declared, noise_m, self._count_m)
+
+    def _require_sound(self, fit: DeviceFit | None, drive: Drive, trace: Trace) -> DeviceFit:
+        error = why_not(fit, self._seen(drive, trace))
+        if error is not None:
+            raise error
+        assert fit is not None
+        return fit
 
     def _pushed(self, drive: Drive, duration: float) -> Trace:
         """A run under this drive. GuardError where the device moved farther than it may."""
         trace = self._run(drive, duration)
-        peak = self._peak(trace)
-        if peak > self._bounds.travel:
-            error = GuardError(
-                f"the device moved {1e3 * peak:.3g} mm from where it was found, farther than the "
-                f"{1e3 * self._bounds.travel:g} mm that it may, pushed with {drive.force:.3g} N on a simulated "
-                f"{drive.stiffness:.3g} N/m: nothing more was tried. Its mass may be much less than declared, a hand "
-                "may have moved it, or its force may have the wrong sign; --travel allows more"
-            )
+        if self._peak(trace) > self._bounds.travel:
+            error = why_too_far(self._fit([self._motion(trace)]), self._seen(drive, trace))
             error.trace = trace
             raise error
         return trace
@@ -321,10 +341,12 @@ class _Pusher:
         return trace
 
     def _peak(self, trace: Trace) -> float:
-        """m, how far from home."""
+        """m, how far from home, less what the noise alone may reach."""
         counts = trace.position_counts[:, self._channel] - self._home_counts
-        return float(np.max(np.abs(counts), initial=0.0)) * self._count_m
+        far = float(np.max(np.abs(counts), initial=0.0)) - _NOISE_PEAK * self._noise_counts
+        return max(far, 0.0) * self._count_m
 
 
-def _plant_of(rough: Rough, rate: float) -> Plant:
-    return Plant(rough.mass / rate**2, max(rough.friction / rate, 0.0), max(rough.stiffness, 0.0), rough.delay)
+def _plant_of(fit: DeviceFit) -> Plant:
+    mass = fit.mass.value + (fit.hand.mass.value if fit.hand is not None else 0.0)
+    return Plant(mass, *(max(one.value, 0.0) for one in (fit.friction, fit.stiffness, fit.delay)))

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hapsim.scene import load_scene
+from hapsim.scene import Known, load_scene
 from hapsim.shipped import shipped_scene
 
 
@@ -59,9 +59,13 @@ def test_written_it_is_what_the_scene_says(hapsim: Callable[..., Any], wrong_sce
         found = document["identified"][name]
         assert abs(found["value"] - truth) < 4.5 * found["uncertainty"] < 1e-2
     device = load_scene(wrong_scene).device
-    assert {"mass": device.mass, "friction": device.friction, "delay": device.delay} == document["written"]
-    assert device.mass == pytest.approx(0.15, rel=1e-5)
-    assert "mass: 0.15" in wrong_scene.read_text(encoding="utf-8")
+    written = document["written"]
+    assert isinstance(device.mass, Known)
+    assert {"mass": device.mass.model_dump(), "friction": device.friction, "delay": device.delay} == written
+    assert device.mass.value == pytest.approx(0.15, rel=1e-5)
+    stated = document["identified"]["mass"]["uncertainty"]
+    assert device.mass.uncertainty == pytest.approx(stated, rel=0.05)  # to two digits, and the value to the same place
+    assert re.search(r"mass: \{value: 0\.15\d*, uncertainty: \d\.\de-0\d\}", wrong_scene.read_text(encoding="utf-8"))
     assert "# kg, moving part and hand" in wrong_scene.read_text(encoding="utf-8")
 
 

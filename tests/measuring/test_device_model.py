@@ -54,4 +54,4 @@ def test_a_free_motion_and_one_under_a_constant_force_are_those_of_the_equation(
     pushed = decay * np.sin(phase) / swing
     pulled = decay * np.cos(phase) + 0.5 * FRICTION * pushed
     assert motion.free(20) == pytest.approx(np.column_stack([pulled, pushed]), abs=1e-12)
-    assert motion.answer_to_constant(20) == pytest.approx((1.0 - pulled) / STIFFNESS, abs=1e-11)
+    assert motion.answer_at_once(np.ones(20)) == pytest.approx((1.0 - pulled) / STIFFNESS, abs=1e-11)

@@ -1,0 +1,100 @@
+"""Why a device cannot be identified: each cause in a sentence, with what to do."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from hapsim.errors import DeviceError, GuardError, RunError, UsageError
+from hapsim.measuring.device_excitation import Bounds
+from hapsim.measuring.device_fit import DeviceFit
+from hapsim.measuring.device_misfit import LOUD
+from hapsim.measuring.device_motion import ROUNDING
+
+_UNSURE = 0.3  # of the mass: its uncertainty, beyond which nothing is said of it
+_UNEXPLAINED, _UNEXPLAINED_INVERTED = 0.5, 0.1  # of the motion, rms: more is not of the force
+_MUCH_LIGHTER = 0.5  # of the declared mass
+_ENOUGH = 0.25  # of the travel
+_MANY = 300.0  # times noise and rounding: a motion that they do not hide
+_MORE_TRAVEL = (1.5, 10.0)  # times the travel, where more of it would do
+
+
+@dataclass(frozen=True)
+class Pushed:
+    """What a run was, and what was seen in it."""
+
+    force: float
+    """N."""
+    peak_m: float
+    """How far it moved, from where it was found."""
+    bounds: Bounds
+    declared_mass: float
+    noise_m: float
+    """rms, at rest."""
+    count_m: float
+
+
+def why_not(fit: DeviceFit | None, pushed: Pushed) -> UsageError | RunError | None:
+    """Why this fit is none to go on from; None where it is one."""
+    unsure = math.inf if fit is None else abs(fit.mass.uncertainty / fit.mass.value)
+    floor = math.hypot(pushed.noise_m, ROUNDING * pushed.count_m)
+    if fit is not None and fit.residual_counts * pushed.count_m > LOUD * floor and fit.unexplained > _most_left(fit):
+        return _moved_by_another(fit)
+    if fit is not None and unsure < _UNSURE:
+        return GuardError(_INVERTED) if fit.mass.value < 0.0 else None
+    if pushed.peak_m < _ENOUGH * pushed.bounds.travel:
+        return UsageError(
+            f"pushed with {pushed.force:.3g} N the device moved by {1e6 * pushed.peak_m:.3g} µm, which is too little "
+            "to identify anything: it is held, stuck by dry friction, much heavier than declared, or its motor does "
+            "not push. Let it move freely, or allow more with --force"
+        )
+    if fit is None and pushed.peak_m > _MANY * floor:
+        return UsageError(
+            f"pushed with {pushed.force:.3g} N the device moved by {1e3 * pushed.peak_m:.3g} mm, but in jerks, or only "
+            "now and then: dry friction holds it, or the record is too short. Allow more with --force and --travel"
+        )
+    least, most = (factor * pushed.bounds.travel for factor in _MORE_TRAVEL)
+    travel = min(max(2.0 * unsure / _UNSURE * pushed.bounds.travel, least), most)
+    what, size = ("noise", pushed.noise_m) if pushed.noise_m > pushed.count_m else ("counts", pushed.count_m)
+    return UsageError(
+        f"the position's {what} of {1e6 * size:.3g} µm hide how the device answers within "
+        f"{1e3 * pushed.bounds.travel:g} mm to either side: nothing was identified. Allow more with --travel, "
+        f"{travel:.2g} (m) for a start"
+    )
+
+
+def why_too_far(fit: DeviceFit | None, pushed: Pushed) -> RunError:
+    """Why a device moved farther than it may."""
+    found = why_not(fit, pushed)
+    if isinstance(found, RunError):
+        return found
+    told = "A hand or another force may have moved it"
+    if fit is not None and found is None and fit.mass.value < _MUCH_LIGHTER * pushed.declared_mass:
+        told = (
+            f"It moves like {fit.mass.value:.2g} kg, where the scene declares {pushed.declared_mass:.3g} kg: correct "
+            "device.mass"
+        )
+    return GuardError(
+        f"the device moved {1e3 * pushed.peak_m:.3g} mm from where it was found, farther than the "
+        f"{1e3 * pushed.bounds.travel:g} mm that it may, pushed with {pushed.force:.3g} N: nothing more was tried. "
+        f"{told}; --travel allows more"
+    )
+
+
+def _most_left(fit: DeviceFit) -> float:
+    return _UNEXPLAINED if fit.mass.value > 0.0 else _UNEXPLAINED_INVERTED
+
+
+_INVERTED = (
+    "motor and position disagree in sign: a force to one side moves the device to the other. Swap the motor's two "
+    "wires, or reverse the encoder if the position falls when the hand moves the positive way"
+)
+
+
+def _moved_by_another(fit: DeviceFit) -> DeviceError:
+    share = max(1.0 - fit.unexplained**2, 0.0)
+    return DeviceError(
+        f"the device does not move the way it is pushed: the forces explain {share:.0%} of its motion. A hand or "
+        "another force moves it, or what is pushed is not what is measured (two channels swapped). Let it move freely, "
+        "and try again"
+    )
