@@ -12,7 +12,7 @@ from hapsim.measuring.device_misfit import LOUD
 from hapsim.measuring.device_motion import ROUNDING
 
 _UNSURE = 0.3  # of the mass: its uncertainty, beyond which nothing is said of it
-_UNEXPLAINED, _UNEXPLAINED_INVERTED = 0.5, 0.1  # of the motion, rms: more is not of the force
+_UNEXPLAINED, _UNEXPLAINED_INVERTED = 0.5, 0.001  # of the motion, rms: more is not of the force
 _MUCH_LIGHTER = 0.5  # of the declared mass
 _ENOUGH = 0.25  # of the travel
 _MANY = 300.0  # times noise and rounding: a motion that they do not hide
@@ -38,10 +38,13 @@ def why_not(fit: DeviceFit | None, pushed: Pushed) -> UsageError | RunError | No
     """Why this fit is none to go on from; None where it is one."""
     unsure = math.inf if fit is None else abs(fit.mass.uncertainty / fit.mass.value)
     floor = math.hypot(pushed.noise_m, ROUNDING * pushed.count_m)
-    if fit is not None and fit.residual_counts * pushed.count_m > LOUD * floor and fit.unexplained > _most_left(fit):
+    if fit is not None and inverted(fit, pushed) is not None:
+        return inverted(fit, pushed)
+    loud = fit is not None and fit.residual_counts * pushed.count_m > LOUD * floor
+    if fit is not None and loud and (fit.unexplained > _UNEXPLAINED or fit.mass.value < 0.0):
         return _moved_by_another(fit)
-    if fit is not None and unsure < _UNSURE:
-        return GuardError(_INVERTED) if fit.mass.value < 0.0 else None
+    if unsure < _UNSURE:
+        return None
     if pushed.peak_m < _ENOUGH * pushed.bounds.travel:
         return UsageError(
             f"pushed with {pushed.force:.3g} N the device moved by {1e6 * pushed.peak_m:.3g} µm, which is too little "
@@ -81,14 +84,17 @@ def why_too_far(fit: DeviceFit | None, pushed: Pushed) -> RunError:
     )
 
 
-def _most_left(fit: DeviceFit) -> float:
-    return _UNEXPLAINED if fit.mass.value > 0.0 else _UNEXPLAINED_INVERTED
-
-
-_INVERTED = (
-    "motor and position disagree in sign: a force to one side moves the device to the other. Swap the motor's two "
-    "wires, or reverse the encoder if the position falls when the hand moves the positive way"
-)
+def inverted(fit: DeviceFit | None, pushed: Pushed) -> GuardError | None:
+    """Says so where the force, and nothing else, moves the device the other way."""
+    floor = math.hypot(pushed.noise_m, ROUNDING * pushed.count_m)
+    if fit is None or not fit.mass.value + fit.mass.uncertainty / _UNSURE < 0.0:
+        return None
+    if fit.residual_counts * pushed.count_m > LOUD * floor and fit.unexplained > _UNEXPLAINED_INVERTED:
+        return None
+    return GuardError(
+        "motor and position disagree in sign: a force to one side moves the device to the other. Swap the motor's two "
+        "wires, or reverse the encoder if the position falls when the hand moves the positive way"
+    )
 
 
 def _moved_by_another(fit: DeviceFit) -> DeviceError:

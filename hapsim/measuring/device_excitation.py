@@ -23,6 +23,8 @@ _SLOW = 16.0  # sample periods for each of the delay and one more
 _LONGEST_HALF_S = 1.0
 _DAMPING_RATIO = 0.5
 _PUSHES = 0.8  # of the force that is allowed; the rest is the spring's
+_WITH_SPRING = 2.0  # times a push: what leaves at most
+_FADES = 0.3  # of the travel, at its ends
 _LOOKED_AT = 24  # half periods of a motion that is worked out ahead
 _GOLDEN = 0.6180339887498949  # as the loop varies its pushes
 
@@ -106,7 +108,9 @@ def peak_per_newton(plant: Plant, drive: Drive, rate_hz: float, converters: Conv
 
 def scene_of(scene: Scene, bounds: Bounds, channel: int, drive: Drive | None, home: float) -> Scene:
     """The scene's device on this spring and damper at `home` (m), or on nothing: every other channel is left free, the
-    force is limited to what is allowed, nothing is corrected by what is declared, and a mock begins at rest."""
+    force is limited to what is allowed, and fades where the device comes near the end of what it may move; nothing is
+    corrected by what is declared, and a mock begins at rest."""
+    device = scene.device.model_copy(update={"correction": "none", "force_limit": bounds.force, "travel": None})
     modules = {f"device-{point.channel}": point for point in scene.device_points.values()}
     if drive is not None:
         held = next(name for name, point in modules.items() if point.channel == channel)
@@ -118,10 +122,16 @@ def scene_of(scene: Scene, bounds: Bounds, channel: int, drive: Drive | None, ho
             "spring": spring,
         }
         modules = {**modules, **around}  # type: ignore[dict-item]
+        limits, fades = list(scene.device.travels(scene.channels)), _FADES * bounds.travel
+        least, most = limits[channel]
+        limits[channel] = max(least, home - bounds.travel + fades), min(most, home + bounds.travel - fades)
+        force = min(bounds.force, _WITH_SPRING * drive.force)
+        update = {"force_limit": force, "travel": tuple(limits), "travel_margin": fades}
+        device = device.model_copy(update=update)
     mock = scene.mock or Mock()
     return scene.model_copy(
         update={
-            "device": scene.device.model_copy(update={"force_limit": bounds.force, "correction": "none"}),
+            "device": device,
             "mock": mock.model_copy(update={"initial": Initial(position=mock.initial.position)}),
             "modules": modules,
             "scheme": "cordis",

@@ -12,9 +12,9 @@ from threadpoolctl import threadpool_limits
 
 from hapsim.device.open_connection import TransportKind
 from hapsim.errors import GuardError, UsageError
-from hapsim.loop.endings import IN_WORDS, STOPPED
+from hapsim.loop.endings import IN_WORDS, OUT_OF_TRAVEL, STOPPED
 from hapsim.loop.trace import Trace
-from hapsim.measuring.device_diagnosis import Pushed, why_not, why_too_far
+from hapsim.measuring.device_diagnosis import Pushed, inverted, why_not, why_too_far
 from hapsim.measuring.device_excitation import Bounds, Drive, Plant, drive_for, peak_per_newton, scene_of
 from hapsim.measuring.device_fit import DeviceFit, Estimate, HandFit, Shape, fit_device, hands_on
 from hapsim.measuring.device_misfit import LOUD, ForceResidual, force_residual, misfit_of
@@ -22,7 +22,7 @@ from hapsim.measuring.device_model import Converters
 from hapsim.measuring.device_motion import ROUNDING, Motion, Swing, motion_of, stretches_of, swings_of
 from hapsim.measuring.seen_rate import SeenRate, seen_rate
 from hapsim.progress import Progress
-from hapsim.running import Session, run
+from hapsim.running import run
 from hapsim.scene import Scene
 
 _SHARE_OF_LIMIT = 0.25
@@ -33,6 +33,7 @@ SECONDS = 6.0
 _LISTEN_S, _LISTEN_TICKS = 0.1, 64
 _GENTLE_HALVES, _GENTLE_TICKS = 12, 384
 _MAY_BE_LIGHTER = 10.0  # the mass, than declared
+_FIRST_MOVES, _FIRST_TRAVEL = 0.07, 0.2  # of the travel, at first: wired the wrong way it runs away
 _MOVES = 0.35  # of the travel: enough for a fit
 _MEANT = 0.6  # of the travel
 _HARDLY = 0.02  # of the travel
@@ -160,7 +161,7 @@ class _Pusher:
     def find_home(self) -> None:
         """Where the device stands at zero force, and how its positions are noisy there."""
         rate = self._scene.rate
-        trace = self._run(None, max(_LISTEN_S, _LISTEN_TICKS / rate))
+        trace = self._run(None, self._bounds, max(_LISTEN_S, _LISTEN_TICKS / rate))
         counts = trace.position_counts[:, self._channel].astype(float)
         self._count_m = float(trace.position_scale[self._channel])
         moved = float(np.ptp(counts)) * self._count_m if counts.size else 0.0
@@ -181,12 +182,17 @@ class _Pusher:
         declared = Plant(scene.device.masses(scene.channels)[self._channel], 0.0, 0.0, scene.device.delay)
         full = drive_for(declared, bounds, scene.rate, pace=1.0, tightness=0.5)
         steepest = _MAY_BE_LIGHTER * peak_per_newton(declared, full, scene.rate, self._converters)
-        force, peak = min(full.force, _MOVES * bounds.travel / steepest), 0.0
+        force, peak = min(full.force, _FIRST_MOVES * bounds.travel / steepest), 0.0
         before: tuple[float, float] | None = None
+        travel, judged = _FIRST_TRAVEL * bounds.travel, False
         for _ in range(_MOST_ATTEMPTS):
             drive = replace(full, force=force)
-            trace = self._pushed(drive, max(_GENTLE_HALVES * drive.half, _GENTLE_TICKS) / scene.rate)
-            peak = self._peak(trace)
+            trace = self._pushed(drive, max(_GENTLE_HALVES * drive.half, _GENTLE_TICKS) / scene.rate, travel)
+            peak, travel = self._peak(trace), bounds.travel
+            if not judged and peak > _HARDLY * bounds.travel:
+                judged = True
+                if error := inverted(self._fit([self._motion(trace)]), self._seen(drive, trace, bounds)):
+                    raise error
             if self._stopped:
                 raise UsageError("stopped before enough was recorded: nothing was identified")
             if peak > _MOVES * bounds.travel or force >= full.force:
@@ -291,53 +297,46 @@ class _Pusher:
             for delay, friction, stiffness in product(delays, _FRICTIONS, _STIFFNESSES)
         ]
 
-    def _seen(self, drive: Drive, trace: Trace) -> Pushed:
+    def _seen(self, drive: Drive, trace: Trace, bounds: Bounds) -> Pushed:
         declared = self._scene.device.masses(self._scene.channels)[self._channel]
         noise_m = self._noise_counts * self._count_m
-        return Pushed(drive.force, self._peak(trace), self._bounds, declared, noise_m, self._count_m)
+        return Pushed(drive.force, self._peak(trace), bounds, declared, noise_m, self._count_m)
 
     def _require_sound(self, fit: DeviceFit | None, drive: Drive, trace: Trace) -> DeviceFit:
-        error = why_not(fit, self._seen(drive, trace))
+        error = why_not(fit, self._seen(drive, trace, self._bounds))
         if error is not None:
             raise error
         assert fit is not None
         return fit
 
-    def _pushed(self, drive: Drive, duration: float) -> Trace:
-        """A run under this drive. GuardError where the device moved farther than it may."""
-        trace = self._run(drive, duration)
-        if self._peak(trace) > self._bounds.travel:
-            error = why_too_far(self._fit([self._motion(trace)]), self._seen(drive, trace))
+    def _pushed(self, drive: Drive, duration: float, travel: float | None = None) -> Trace:
+        """A run under this drive. GuardError where the device moved farther than `travel` (m; None: what it may)."""
+        bounds = self._bounds if travel is None else replace(self._bounds, travel=travel)
+        trace = self._run(drive, bounds, duration)
+        if trace.report.ending == IN_WORDS[OUT_OF_TRAVEL]:
+            error = why_too_far(self._fit([self._motion(trace)]), self._seen(drive, trace, bounds))
             error.trace = trace
             raise error
         return trace
 
-    def _run(self, drive: Drive | None, duration: float) -> Trace:
-        """A run, ended where the device is seen too far away."""
+    def _run(self, drive: Drive | None, bounds: Bounds, duration: float) -> Trace:
+        """A run, ended by the loop at the first sample that is too far away."""
         home = self._home_counts * self._count_m
-        sessions: list[Session] = []
-
-        too_far = False
-
-        def watch(progress: Progress) -> None:
-            nonlocal too_far
-            self._tell(progress)
-            if drive is None or not sessions or progress.phase != "running":
-                return
-            if abs(progress.position[self._channel] - home) > self._bounds.travel:
-                too_far = True
-                sessions[0].stop()
-
-        trace = run(
-            scene_of(self._scene, self._bounds, self._channel, drive, home),
-            duration=duration,
-            transport=self._transport,
-            excitation=None if drive is None else drive.excitation(self._channel),
-            on_progress=watch,
-            on_start=sessions.append,
-            stop_on_signals=self._signals,
-        )
-        self._stopped = trace.report.ending == IN_WORDS[STOPPED] and not too_far
+        try:
+            trace = run(
+                scene_of(self._scene, bounds, self._channel, drive, home),
+                duration=duration,
+                transport=self._transport,
+                excitation=None if drive is None else drive.excitation(self._channel),
+                on_progress=self._tell,
+                stop_on_signals=self._signals,
+                unstable=True,  # the band in which the force fades may be narrow: nothing is held there for long
+            )
+        except GuardError as error:
+            if error.trace is None or error.trace.report.ending != IN_WORDS[OUT_OF_TRAVEL]:
+                raise
+            trace = error.trace
+        self._stopped = trace.report.ending == IN_WORDS[STOPPED]
         return trace
 
     def _peak(self, trace: Trace) -> float:

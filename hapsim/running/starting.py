@@ -120,7 +120,7 @@ def start(
     force, RecordError where the run went as asked and its record did not. They carry what was recorded as their
     attribute `trace`. Where a session is not closed, the sentence is printed when the program ends.
     """
-    _require_sound(scene, duration, realtime)
+    _require_sound(scene, duration, realtime, unstable)
     if record is not None:
         require_writable_as_trace(Path(record))
     if unstable is False:
@@ -203,12 +203,12 @@ def _report_directory(asked: str | Path | None, place: Place) -> Path | None:
     return default_directory() if place == "port" else None
 
 
-def _require_sound(scene: Scene, duration: float | None, realtime: bool) -> None:
+def _require_sound(scene: Scene, duration: float | None, realtime: bool, unstable: bool | None) -> None:
     if not 1e-3 <= scene.rate <= 1e9:
         raise UsageError(f"rate: found {scene.rate:g} Hz, which no clock keeps (1e-3 to 1e9 Hz)")
     if duration is not None and not 0 < duration * scene.rate < _MOST_TICKS:
         raise UsageError(f"duration: found {duration}, expected a finite number of seconds above 0")
-    if why := refused_travel(scene):
+    if not unstable and (why := refused_travel(scene)):
         raise UsageError(why)
     if realtime:
         require_linux("--realtime", "leave it out")

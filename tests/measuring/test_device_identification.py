@@ -11,13 +11,17 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
 import hapsim
-from hapsim.errors import GuardError, UsageError
+from hapsim.errors import DeviceError, GuardError, HapsimError, UsageError
+from hapsim.loop.codes import TIMED_OUT
 from hapsim.measuring import identify_device as room
 from hapsim.measuring.device_misfit import binned
 
 sys.path.append(str(Path(__file__).resolve().parents[2] / "tools" / "bench"))
+sys.path.append(str(Path(__file__).resolve().parents[1] / "probe"))
+import device as plain
 from identification import FORCE, NAMES, SECONDS, TRAVEL, Device, errors, random_device
 
 # A few in the ordinary suite; HAPSIM_POINTS=50 takes fifty, for longer.
@@ -115,6 +119,134 @@ def test_a_device_that_moves_by_itself_is_not_pushed() -> None:
     mock = scene.mock.model_copy(update={"stiffness": 2000.0, "initial": hapsim.scene.Initial(position=0.01)})  # type: ignore[union-attr]
     with pytest.raises(GuardError, match=r"without any force the device moved by .* it was not pushed"):
         hapsim.identify_device(scene.model_copy(update={"mock": mock}))
+
+
+def mocked(**mock: Any) -> hapsim.Scene:
+    """ONE with another mock."""
+    scene = replace(ONE).scene()
+    return scene.model_copy(update={"mock": scene.mock.model_copy(update=mock)})  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize(("noise", "quantum", "seed"), [(1e-5, 1e-9, 2), (0.0, 2.4e-5, 0)])
+def test_noise_and_counts_are_uncertainty_and_the_device_stays_within_its_travel(
+    noise: float, quantum: float, seed: int
+) -> None:
+    found = hapsim.identify_device(mocked(noise=noise, quantum=quantum, seed=seed))
+    _, scaled = errors(ONE, found)
+    assert np.max(np.abs(scaled)) < 4.0
+    assert found.mass.uncertainty < 0.02 * ONE.mass
+    assert found.peak_m < 0.005
+    assert found.misfit == ""
+    assert found.noise_m == pytest.approx(noise, rel=0.2)
+
+
+def test_noise_that_hides_the_motion_is_named_with_the_travel_that_would_do() -> None:
+    scene = mocked(noise=1e-5)
+    with pytest.raises(UsageError, match=r"noise of [\d.]+ µm hide .* within 0\.1 mm .* --travel, ([\d.]+)") as caught:
+        hapsim.identify_device(scene, travel=1e-4)
+    advice = float(str(caught.value).split("--travel, ")[1].split(" ")[0])
+    assert 1.5e-4 <= advice <= 1e-3
+
+
+class OnWire:
+    """The second device, of tests/probe, in virtual time: `body` is what its motor moves. For `between`."""
+
+    def __init__(self, body: Any) -> None:
+        self._out, self._seconds = b"", 0.0
+        self._device = plain.Device(self._put, lambda: self._seconds, {"rate": 1000.0, "pacings": 7})
+        self._device.bodies = [body]
+
+    def _put(self, data: bytes) -> int:
+        self._out += data
+        return len(data)
+
+    def receive(self, buffer: np.ndarray, _timeout_ns: int) -> int:
+        taken, self._out = self._out[: buffer.size], self._out[buffer.size :]
+        buffer[: len(taken)] = np.frombuffer(taken, np.uint8)
+        return len(taken) or TIMED_OUT
+
+    def send(self, frame: bytes) -> int:
+        if self._device.state == plain.ARMED:
+            self._seconds += self._device.period
+        self._device.take(bytes(frame))
+        return 0
+
+
+class Body:
+    """0.2 kg and 1 N·s/m; with a hand, (kg, N/m, N·s/m), on it; `sign`: of its motor; `own`: N at s, that acts too."""
+
+    def __init__(self, hand: tuple[float, ...] = (), sign: float = 1.0, own: Any = None) -> None:
+        matrix = np.zeros((5, 5))
+        matrix[0, 1] = matrix[2, 3] = 1.0
+        matrix[1, 1], matrix[1, 4] = -1.0 / 0.2, 1.0 / 0.2
+        if hand:
+            mass, stiffness, damping = hand
+            pull = np.array([stiffness, damping, -stiffness, -damping])
+            matrix[1, :4] -= pull / 0.2
+            matrix[3, :4] += pull / mass
+        self._matrix, self._state, self._seconds = matrix, np.zeros(5), 0.0
+        self._step, self._sign, self._own = expm(matrix * 1e-3), sign, own or (lambda _: 0.0)
+        self.largest = 0.0
+
+    def move(self, force: float, seconds: float) -> None:
+        if seconds > 0.0:
+            assert seconds == pytest.approx(1e-3)
+            self._seconds += seconds
+            self._state[4] = self._sign * force + self._own(self._seconds)
+            self._state = self._step @ self._state
+            self.largest = max(self.largest, abs(self.x))
+
+    @property
+    def x(self) -> float:
+        return float(self._state[0])
+
+    @property
+    def v(self) -> float:
+        return float(self._state[1])
+
+
+def identified_on_wire(monkeypatch: pytest.MonkeyPatch, **body: Any) -> tuple[Any, float]:
+    """(what is found of a device in plain Python, or the error; how far it moved, m), each run from rest."""
+    as_it_is, bodies = room.run, []
+
+    def run(scene: hapsim.Scene, **options: Any) -> hapsim.Trace:
+        bodies.append(Body(**body))
+        return as_it_is(scene, between=lambda _: OnWire(bodies[-1]), **options)
+
+    monkeypatch.setattr(room, "run", run)
+    try:
+        found: Any = hapsim.identify_device(ONE.scene(), duration=2.0)
+    except HapsimError as error:
+        found = error
+    return found, max(one.largest for one in bodies)
+
+
+@pytest.mark.parametrize("hand", [(), (1.0, 2000.0, 10.0)])
+def test_a_hand_that_is_a_second_mass_is_found_beside_the_handle(
+    hand: tuple[float, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found, largest = identified_on_wire(monkeypatch, hand=hand)
+    assert largest < 0.005
+    assert found.mass.value == pytest.approx(0.2, rel=1e-4)
+    assert found.delay.value == pytest.approx(1.0, abs=1e-3)
+    assert (found.hand is not None) == bool(hand)
+    if hand:
+        values = (found.hand.mass.value, found.hand.stiffness.value, found.hand.damping.value)
+        assert values == pytest.approx(hand, rel=1e-3)
+
+
+def test_an_inverted_motor_is_named_before_it_ran_far(monkeypatch: pytest.MonkeyPatch) -> None:
+    found, largest = identified_on_wire(monkeypatch, sign=-1.0)
+    assert isinstance(found, GuardError)
+    assert "motor and position disagree in sign" in str(found)
+    assert largest < 0.005
+
+
+def test_a_force_of_another_is_named_and_not_the_sign(monkeypatch: pytest.MonkeyPatch) -> None:
+    found, _ = identified_on_wire(monkeypatch, own=lambda t: 0.3 * np.sin(2.0 * np.pi * 2.3 * t) * min(t, 1.0))
+    assert isinstance(found, DeviceError)
+    assert "the forces explain" in str(found)
+    assert "sign" not in str(found)
 
 
 def test_a_device_that_is_stuck_is_told_so() -> None:
