@@ -13,6 +13,7 @@ import pytest
 from rich.console import Console
 
 import hapsim as python_api
+from hapsim.console.as_json import measurement_document
 from hapsim.console.compared import gives, probable_mass
 from hapsim.console.tables import show_measurement
 from hapsim.measuring.identify import identify
@@ -112,6 +113,11 @@ def test_the_uncertainty_of_the_mass_is_one_of_k_and_b_but_of_no_frequency(measu
         assert declared[f"{key}_uncertainty"] < 1e-6 * known[key]
     for key in ("frequency_uncertainty_hz", "damping_ratio_uncertainty"):
         assert known[key] == declared[key] > 0.0
+    # f grows with the root of k, and the damping ratio with b over that root.
+    of_k, of_b = (declared[f"{key}_uncertainty"] / declared[key] for key in ("k", "b"))
+    assert declared["frequency_uncertainty_hz"] == pytest.approx(0.5 * of_k * declared["frequency_hz"])
+    expected = np.hypot(of_b, 0.5 * of_k) * declared["damping_ratio"]
+    assert declared["damping_ratio_uncertainty"] == pytest.approx(expected)
     assert "│ mass kg │ │ 0.2 │ 0.001 │ │" in " ".join(measured(mass="{value: 0.2, uncertainty: 0.001}").out.split())
     # 15 % off is nothing that an uncertainty of 10 % does not cover.
     assert measured("--json", true=0.23).document["measured"]["probable_mass_kg"] is not None
@@ -152,6 +158,12 @@ def test_a_hand_that_gives_is_named_as_a_second_mode(noise: float) -> None:
     assert measurement.second_mode is not None
     assert 0.05 < measurement.second_mode.share < 0.1
     assert gives(predict(scene), measurement)
+    document = measurement_document(predict(scene), measurement, 0)["measured"]
+    assert (document["dominant"], document["second_mode"]["predicted"], document["probable_mass_kg"]) == (
+        False,
+        False,
+        None,
+    )
     out = Console(width=80, legacy_windows=False)
     with out.capture() as capture:
         show_measurement(out, "hand", predict(scene).felt[0], "", measurement, prediction=predict(scene))
@@ -183,6 +195,6 @@ def test_a_disturbed_record_tells_nothing_of_the_mass() -> None:
     felt, measurement = predict(scene).felt[0], python_api.measure(scene)
     assert probable_mass(felt, measurement) is not None
     trace = measurement.trace
-    for count in ("limited_ticks", "slewed_ticks", "deadline_misses"):
+    for count in ("limited_ticks", "slewed_ticks", "faded_ticks", "deadline_misses"):
         spoilt = replace(trace, report=replace(trace.report, **{count: trace.report.ticks // 20}))
         assert probable_mass(felt, replace(measurement, trace=spoilt)) is None
