@@ -250,7 +250,7 @@ def _estimated_mass(report: Report, channel: int) -> str:
     if uncertainty > _MASS_KNOWN * mass:
         return f"{told} [yellow](not known: no force moved the hand clearly, or others moved it more)[/yellow]"
     if explained < _LITTLE_EXPLAINED:
-        return f"{told} [yellow](an earlier one: the forces explain {explained:.0%} of the latest motion)[/yellow]"
+        return f"{told} [yellow](the forces explain {_percent(explained)} of the latest motion)[/yellow]"
     return told
 
 

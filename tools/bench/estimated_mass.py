@@ -34,7 +34,8 @@ _SAMPLES = round(RATE * SECONDS)
 
 
 class Tried(NamedTuple):
-    """A device: its scene, the hand's push in N and the samples by which the host stalls, at every sample."""
+    """A device: its scene, and at every sample the hand's push in N, and for how many samples the host stalls; -1: the
+    position is lost."""
 
     kind: str
     scene: Scene
@@ -85,7 +86,7 @@ def random_device(seed: int) -> Tried:
     return Tried(kind, scene, hand, stalls)
 
 
-class _Disturbed:
+class Disturbed:
     """A mock in memory that a hand pushes, and whose host stalls."""
 
     def __init__(self, mock: Any, tried: Tried) -> None:
@@ -101,22 +102,25 @@ class _Disturbed:
         self._mock.bodies[0].push = self._tried.hand[n % self._tried.hand.size]
         code = self._transport.send(frame)
         if int(self._mock.board.n) > n:
-            for later in range(n + 1, n + 1 + int(self._tried.stalls[n % self._tried.stalls.size])):
+            stall = int(self._tried.stalls[n % self._tried.stalls.size])
+            if stall < 0:
+                self._mock.board.out = 0
+            for later in range(n + 1, n + 1 + abs(stall)):
                 self._mock.bodies[0].push = self._tried.hand[later % self._tried.hand.size]
                 firmware.take_sample(self._mock, 0)
         return int(code)
 
 
-def estimated(seed: int) -> dict[str, Any]:
+def estimated(seed: int, seconds: float = SECONDS) -> dict[str, Any]:
     """What was found of this device, and what it is."""
     tried = random_device(seed)
     disturbed = tried.kind in ("stalls", "slow hand", "knocks")
     trace = run(
         tried.scene,
-        duration=SECONDS,
+        duration=seconds,
         transport="loopback",
         excitation=PUSHES,
-        between=(lambda mock: _Disturbed(mock, tried)) if disturbed else None,
+        between=(lambda mock: Disturbed(mock, tried)) if disturbed else None,
     )
     report, mock, touch = trace.report, tried.scene.mock_device, tried.scene.modules["touch"]
     (found,), (uncertainty,), (explained,) = (
