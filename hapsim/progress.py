@@ -34,6 +34,8 @@ class Progress:
     """R²: the share of the motion that the forces explain."""
     slewed_ticks: int = 0
     faded_ticks: int = 0
+    slowed_ticks: int = 0
+    """In which a change of the scene was slowed, for want of energy."""
 
     @property
     def seen_rate_hz(self) -> float | None:

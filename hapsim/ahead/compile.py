@@ -82,11 +82,12 @@ def _loop() -> list[_Entry | PlainNative]:
 
 
 def _port() -> list[PlainNative]:
+    from hapsim.cordis import stored_energy
     from hapsim.loop import descriptor, force_history
     from hapsim.loop.guards import divergence, sign, slew, travel
 
     guards = [slew.shape_force, travel.fade, divergence.observe, sign.judge]
-    return [descriptor.receive, descriptor.send, force_history.keep, *guards]
+    return [descriptor.receive, descriptor.send, force_history.keep, stored_energy.evaluate, *guards]
 
 
 def _mock() -> list[_Entry | PlainNative]:

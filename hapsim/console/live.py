@@ -110,8 +110,9 @@ class _Line:
         mass = " ".join(f"{kg:.3g} ± {unsure:.1g}" for kg, unsure in known if kg is not None)
         mass = f" · mass {mass} kg" if mass else ""
         slewed = f" · {progress.slewed_ticks} slewed" if progress.slewed_ticks else ""
+        slowed = f" · {progress.slowed_ticks} with changes slowed" if progress.slowed_ticks else ""
         faded = f" · {progress.faded_ticks} outside the travel" if progress.faded_ticks else ""
         self._show(
             f"running {progress.elapsed_s:.1f} s{rate} · force {force} N · "
-            f"age {progress.age_samples} · misses {progress.deadline_misses}{limited}{slewed}{faded}{mass}"
+            f"age {progress.age_samples} · misses {progress.deadline_misses}{limited}{slewed}{slowed}{faded}{mass}"
         )

@@ -206,6 +206,7 @@ def show_report(out: Console, report: Report, reconnections: int = 0) -> None:
         ("ticks at the force limit", report.limited_ticks),
         ("ticks at the slew limit or in the soft start", report.slewed_ticks),
         ("ticks outside the travel, force faded", report.faded_ticks),
+        ("ticks in which changes were slowed", report.slowed_ticks),
         ("forces withheld: position too old", report.withheld_forces),
         ("releases to test a motor's sign", report.sign_tests),
         ("rows not recorded", report.dropped_rows + report.unrecorded_rows),

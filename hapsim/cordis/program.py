@@ -44,6 +44,12 @@ class Program:
         self.record = new_record(PROGRAM)
         """What compiled code sees of it. It holds addresses of what this object keeps."""
         self.parameters = LiveValues(values, self.record.parameters)
+        self.numbers = numbers_of(scene)
+        """Of each point, by its name."""
+        self.places = {(name, column): i for (_, name, column), i in places_of_values(scene).items()}
+        """Where each value that can change stands, by its module's name and its column."""
+        self.stored: Any = None
+        """Kept: what tells its energy, where that is accounted for."""
         self._kept: list[Any] = []
         hands = sorted(point.channel for point in scene.device_points.values())
         self.record.hands = len(hands)

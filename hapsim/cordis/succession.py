@@ -70,6 +70,7 @@ def take_over_from(older: Program, older_scene: Scene, program: Program, scene: 
     program.call("carry_points", [(carry_points, carried)])
     links = _common_links(older_scene, scene, points)
     program.call("carry_numbers", [*_live(older, older_scene, program, scene), *_remembered(older, program, links)])
+    program.call("place", [(part.place, part.numbers) for part in program.parts if part.place is not None])
     program.call("resume", [(part.resume, part.numbers) for part in program.parts if part.resume is not None])
 
 

@@ -11,6 +11,7 @@ from hapsim.compiling import inlined
 from hapsim.compiling.native import array_at, record_at
 from hapsim.cordis.dispatch import CALLS, call_all
 from hapsim.cordis.parameters import PARAMETERS, call_move
+from hapsim.cordis.stored_energy import call_evaluate, stored_at
 
 PROGRAM = np.dtype(
     [
@@ -91,16 +92,37 @@ def tick(program, measured, velocity, force):
 
 
 @inlined
+def set_hands(program, measured):
+    """Before `follow_parameters`, where energy is accounted for: the device points are where the hands are."""
+    _set_positions(program, program.rows[np.uint64(program.turn)], measured)
+
+
+@inlined
 def follow_parameters(program):
     """Before the tick: moves live parameters by one sample, and what they put elsewhere, which has no velocity any more
     with the sample after."""
     compact()
     parameters, moved = program.parameters, 0
     if parameters.posted != parameters.taken or parameters.left > 0:
-        moved = call_move(parameters.move, (parameters.address,))
+        turn = np.uint64(program.turn)
+        rows = (program.rows[turn], program.rows[turn - ONE if turn > 0 else np.uint64(2)])
+        moved = call_move(parameters.move, (parameters.address, *rows))
     if moved or program.settling:
         call_all(program.retarget, program.states[np.uint64(program.turn)])
         program.settling = moved
+
+
+@inlined
+def stored_energy(program, measured):
+    """J, before the tick, with the hands at `measured`; 0 where none is accounted for."""
+    if program.parameters.stored == 0:
+        return 0.0
+    set_hands(program, measured)
+    turn = np.uint64(program.turn)
+    call_all(program.place, program.states[turn])
+    rows = (program.rows[turn], program.rows[turn - ONE if turn > 0 else np.uint64(2)])
+    stored = stored_at(program.parameters.stored)
+    return call_evaluate(stored.evaluate, (stored.address, *rows, np.int64(1)))
 
 
 @inlined

@@ -21,6 +21,7 @@ _SUMMED = (
     "limited_ticks",
     "slewed_ticks",
     "faded_ticks",
+    "slowed_ticks",
     "withheld_forces",
     "sign_tests",
     "unrecorded_rows",

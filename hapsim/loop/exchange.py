@@ -12,6 +12,7 @@ from firmware_protocol.code_size import compact
 from firmware_protocol.frames import FRAMING, write_frame
 from hapsim.compiling import inlined
 from hapsim.compiling.native import array_at
+from hapsim.cordis.stored_energy import TANK
 from hapsim.cordis.tick import program_at, start
 from hapsim.loop.codes import BAD_FORCE, DIVERGED, FAULT, HEARD, LEAPT, OFF_RATE, OUT_OF_TRAVEL, TIMED_OUT, WRONG_SIGN
 from hapsim.loop.force_history import FORCE_HISTORY, IN_ALL, call_keep
@@ -142,6 +143,7 @@ LOOP = np.dtype(
         ("history", FORCE_HISTORY),
         ("energy", ENERGY),
         ("sign", SIGN),
+        ("tank", TANK),
         ("histograms", HISTOGRAMS),
     ],
     align=True,

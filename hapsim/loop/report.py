@@ -74,6 +74,8 @@ class Report:
     """Ticks whose force was brought closer to the one before, by the slew limit or the soft start."""
     faded_ticks: int = 0
     """Ticks outside the device's travel, whose force faded."""
+    slowed_ticks: int = 0
+    """Ticks in which a change of the running scene was slowed: it would have given the hand too much energy."""
     withheld_forces: int = 0
     """Times that zero force was sent because the position was older than a force may live."""
     sign_tests: int = 0

@@ -6,7 +6,8 @@ and the force in the hand goes from the one scene's to the other's along
 
     F = F_old + w(s) (F_new - F_old),     w = 3 s² - 2 s³,     s = 1/N, 2/N, ... 1
 
-over N samples: no sample adds more than 1.5/N of the difference. Then the old scene is left, and its thread may forget
+over N samples: no sample adds more than 1.5/N of the difference. A step that adds more energy than the tank has is
+shortened (cordis/stored_energy.py), and it takes longer. Then the old scene is left, and its thread may forget
 it.
 
 Who never changes a scene never compiles that: it is called by an address, which is 0 until a scene is posted.
@@ -19,10 +20,11 @@ from numba import types
 
 from firmware_protocol import schema
 from firmware_protocol.code_size import compact
-from hapsim.compiling import entry, inlined
+from hapsim.compiling import entry, helper, inlined
 from hapsim.compiling.memory_fence import fence
 from hapsim.compiling.native import array_at, function_at, native, record_at
-from hapsim.cordis.tick import follow_parameters, program_at, take_over, tick
+from hapsim.cordis.stored_energy import left_of, share_that_lasts, spend, stored_at, tank_at
+from hapsim.cordis.tick import follow_parameters, program_at, set_hands, stored_energy, take_over, tick
 from hapsim.loop.io_buffer import IO_BUFFER
 
 STAGE = np.dtype(
@@ -33,7 +35,8 @@ STAGE = np.dtype(
         ("posted", np.uint64),  # of one that shall follow; 0: none
         ("posted_samples", np.int64),  # N, for it
         ("samples", np.int64),  # N
-        ("left", np.int64),  # samples until the old scene is left
+        ("left", np.float64),  # samples until the old scene is left
+        ("weight", np.float64),  # w
         ("incoming", np.float64, (schema.MAX_CHANNELS,)),  # N, the following scene's force
         ("cross_fade", np.uint64),  # address of what moves two; 0: one scene, and none is posted
     ],
@@ -59,9 +62,7 @@ def move_scene(stage, io, samples):
                 io.velocity_bridge[c] = io.velocity_before[c] + gain * i / samples
             position, velocity = io.bridge, io.velocity_bridge
         if stage.cross_fade == 0:
-            program = program_at(stage.program)
-            follow_parameters(program)
-            tick(program, position, velocity, io.asked)
+            _move(stage.program, position, velocity, io.asked)
         else:
             at = (np.uint64(position.ctypes.data), np.uint64(velocity.ctypes.data))
             _call(stage.cross_fade, (stage.address, io.address, at[0], at[1]))
@@ -77,15 +78,14 @@ def cross_fade(stage, io, position, velocity):
         stage.next = stage.posted
         fence()
         stage.posted = np.uint64(0)
-        stage.incoming[:] = 0.0
+        stage.incoming[:], stage.weight = 0.0, 0.0
         take_over(program_at(stage.program), program_at(stage.next), position)
+    _advance(stage, position)
     for c in range(io.channels):
         io.asked[c] = 0.0  # for a channel that the old scene does not have
     _move(stage.program, position, velocity, io.asked)
     _move(stage.next, position, velocity, stage.incoming)
-    stage.left -= 1
-    s = 1.0 - stage.left / stage.samples
-    weight = s * s * (3.0 - 2.0 * s)
+    weight = stage.weight
     for c in range(io.channels):
         # At the end it is the new scene's alone, even where the old one's was no number.
         io.asked[c] = io.asked[c] + weight * (stage.incoming[c] - io.asked[c]) if stage.left > 0 else stage.incoming[c]
@@ -94,6 +94,25 @@ def cross_fade(stage, io, position, velocity):
         stage.next = np.uint64(0)
         fence()
         stage.cross_fade = np.uint64(0)
+
+
+@helper
+def _advance(stage, position):
+    """Moves the weight by a sample, or as far as the tank lasts."""
+    before = stage.weight
+    stage.left = max(stage.left - 1.0, 0.0)
+    s = 1.0 - stage.left / stage.samples
+    stage.weight = s * s * (3.0 - 2.0 * s)
+    following = program_at(stage.next)
+    if following.parameters.stored == 0:
+        return
+    added = stored_energy(following, position) - stored_energy(program_at(stage.program), position)
+    tank = tank_at(stored_at(following.parameters.stored).tank)
+    lasts = share_that_lasts(tank, (stage.weight - before) * added)
+    if lasts < 1.0:
+        stage.weight = before + lasts * (stage.weight - before)
+        stage.left = stage.samples * left_of(stage.weight)
+    spend(tank, (stage.weight - before) * added)
 
 
 @entry
@@ -109,5 +128,7 @@ def post(stage, program, samples, cross_fade):
 @inlined
 def _move(program, position, velocity, force):
     program = program_at(program)
+    if program.parameters.stored != 0:
+        set_hands(program, position)
     follow_parameters(program)
     tick(program, position, velocity, force)

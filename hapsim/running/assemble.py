@@ -11,6 +11,7 @@ from firmware_protocol.frames import armed_format, framing_of
 from firmware_protocol.records import new_record
 from hapsim.compiling.native import address_of
 from hapsim.cordis.program import Program, compile_scene
+from hapsim.cordis.stored_energy import StoredEnergy
 from hapsim.device.connection import Connection
 from hapsim.loop.exchange import DEVICE_CLOCK, HOST_CLOCK, LOOP, NO_CLOCK
 from hapsim.loop.force_history import ForceHistory
@@ -68,6 +69,12 @@ class Loop:
     def program(self) -> Program:
         """The newest scene's."""
         return self._programs[-1]
+
+    def account_for(self, program: Program, scene: Scene) -> None:
+        """The energy of live changes to `program`, of `scene`, where energy is judged."""
+        if self.energy is not None:
+            limit = float(self.record.io.force_limit[: self.wire.channels].max())
+            program.stored = StoredEnergy(program, scene, self.energy.tank, limit)
 
     def begin_with(self, program: Program) -> None:
         """The scene that is moved from the first tick on."""
@@ -144,6 +151,7 @@ def assemble_loop(
         judge_signs(loop.record.sign, rate_hz=scene.rate, masses=scene.device.mass_spans(description.channels))
     if loop.energy is not None or loop.record.sign.judge:
         loop.history = history_of(loop.record, scene)
+    loop.account_for(loop.program, rendering.scene)
     loop.record.watch.judges = scene.device.clock == "device" and connection.has_timer
     return loop
 

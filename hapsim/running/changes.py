@@ -24,7 +24,6 @@ from hapsim.prediction import surely_shaken_by
 from hapsim.prediction.correction import Rendering, rendered
 from hapsim.realtime.giving_way import Beside
 from hapsim.running.assemble import Loop
-from hapsim.running.guarding import lent_by_change
 from hapsim.running.stability import require_followable
 from hapsim.scene import Scene
 from hapsim.scene.issue import did_you_mean, one_of
@@ -95,7 +94,7 @@ class LiveScene:
         rendering = rendered(scene)
         values = parameter_values(rendering.scene)
         if not _same_values(values, parameter_values(self._run)):
-            self._tell_guard(scene, samples, self._is_judged_unstable(scene))
+            self._tell_guard(samples, self._is_judged_unstable(scene))
             self._loop.program.parameters.post(values, samples)
             self._correct_as(rendering, samples)
         self.scene, self._loop.run = scene, rendering.scene
@@ -110,8 +109,9 @@ class LiveScene:
                 raise UsageError(OVER)
             time.sleep(_GLANCE_S)
         with self._writing:
-            self._tell_guard(scene, samples, is_unstable)
+            self._tell_guard(samples, is_unstable)
             take_over_from(self._loop.program, self._run, program, run)
+            self._loop.account_for(program, run)
             program.parameters.post(parameter_values(run), samples)
             self._loop.follow_with(program, samples)
             self._correct_as(rendering, samples)
@@ -122,10 +122,9 @@ class LiveScene:
         """What is run in place of `scene`."""
         return self.scene if self._loop.run is None else self._loop.run
 
-    def _tell_guard(self, scene: Scene, samples: int, is_unstable: bool) -> None:
+    def _tell_guard(self, samples: int, is_unstable: bool) -> None:
         """Before the change acts, which takes so many samples."""
         if self._loop.energy is not None:
-            self._loop.energy.lend(lent_by_change(self.scene, scene))
             self._loop.energy.follow(unstable=is_unstable, samples=samples)
 
     def _is_judged_unstable(self, scene: Scene) -> bool:

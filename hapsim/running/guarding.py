@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_protocol.description import Description
+from hapsim.cordis.stored_energy import Tank
 from hapsim.errors import UsageError
 from hapsim.loop.force_history import ForceHistory
 from hapsim.loop.guards.divergence import CREDIT_M, FIRST_FORCE_M, LATE_M, EnergyMemory
@@ -19,7 +20,8 @@ from hapsim.prediction.force_bounds import ENERGY_M, ONE_PERIOD, ForceBounds, be
 from hapsim.scene import Scene
 from hapsim.scene.modules import Buffer, Ground, Link, MaterialPoint, Module, Nonlinear, Structure
 
-MOST_LENT_M = 10.0  # of travel at the force limit: what the guard lends, whatever a scene holds or changes by
+MOST_HELD_M = 10.0  # of travel at the force limit: what a scene has credit for at the start, whatever it holds
+REFILL_S = 10.0  # in which the tank of live changes fills
 
 
 def set_slew(loop: Any, scene: Scene, description: Description, bounds: ForceBounds) -> None:
@@ -65,8 +67,8 @@ def energy_of(loop: Any, scene: Scene, description: Description, bounds: ForceBo
         swing_limit_j=min(bounds.energy_limit, ENERGY_M * device.force_limit),
         late_limit_j=max(bounds.energy_limit, LATE_M * device.force_limit),
         credit_j=CREDIT_M * device.force_limit,
-        most_lent_j=MOST_LENT_M * device.force_limit,
         held_j=held_energy(scene.modules, device.force_limit),
+        tank=Tank(loop.tank, capacity_j=bounds.energy_limit, refill_j=bounds.energy_limit / (REFILL_S * scene.rate)),
     )
 
 
@@ -80,7 +82,7 @@ def _compliance(scene: Scene, channels: int) -> NDArray[np.float64]:
 
 
 def held_energy(modules: Mapping[str, Module], force_limit: float) -> float:
-    """J: what moving masses and stretched links hold before any hand moves, MOST_LENT_M at the limit at most: an energy
+    """J: what moving masses and stretched links hold before any hand moves, MOST_HELD_M at the limit at most: an energy
     without bounds would be a guard that waits for ever. What a link holds that ends at a device point is known with its
     first force only."""
     places = dict(_places(modules))
@@ -96,7 +98,7 @@ def held_energy(modules: Mapping[str, Module], force_limit: float) -> float:
         elif isinstance(module, Link) and all(end in places for end in module.between):
             first, second = (places[end] for end in module.between)
             total += _held_by_link(module, first - second, force_limit)
-    return _at_most_lent(total, force_limit)
+    return _at_most_held(total, force_limit)
 
 
 def _places(modules: Mapping[str, Module]) -> Iterator[tuple[str, float]]:
@@ -134,29 +136,7 @@ def _of_spring(stiffness: float, stretched: float) -> float:
     return 0.5 * stiffness * stretched * stretched
 
 
-def _at_most_lent(energy_j: float, force_limit: float) -> float:
+def _at_most_held(energy_j: float, force_limit: float) -> float:
     """What is beyond all numbers, too."""
-    most = MOST_LENT_M * force_limit
+    most = MOST_HELD_M * force_limit
     return energy_j if energy_j <= most else most
-
-
-_IN_METRES = ("position", "rest", "distance", "release")
-
-
-def lent_by_change(before: Scene, after: Scene) -> float:
-    """J: what a change of a running scene may bring a hand: by a place that moves, what the force limit does on that
-    way; by anything else in a module, FIRST_FORCE_M at the limit; and what new modules hold. All of it together
-    MOST_LENT_M at the limit at most."""
-    limit, old = after.device.force_limit, before.modules
-    lent = held_energy({name: one for name, one in after.modules.items() if name not in old}, limit)
-    for name, module in after.modules.items():
-        if module == old.get(name):
-            continue
-        moved = 0.0
-        if type(module) is type(old.get(name)):
-            keys = [key for key in type(module).model_fields if getattr(module, key) != getattr(old[name], key)]
-            if set(keys) <= set(_IN_METRES):
-                moved = sum(abs((getattr(module, key) or 0.0) - (getattr(old[name], key) or 0.0)) for key in keys)
-        lent += limit * (moved or FIRST_FORCE_M)
-    lent += limit * FIRST_FORCE_M * (old.keys() - after.modules.keys() != set())
-    return _at_most_lent(lent, limit)

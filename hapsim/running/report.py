@@ -61,6 +61,7 @@ def progress_of(loop: Loop) -> Progress:
         ticks=ticks,
         slewed_ticks=int(state.slewed_ticks),
         faded_ticks=int(state.faded_ticks),
+        slowed_ticks=int(loop.record.tank.slowed_ticks),
         **_estimated_masses(loop),
     )
 
@@ -93,6 +94,7 @@ def report_of(scene: Scene, loop: Loop, ending: str) -> Report:
         limited_ticks=int(state.limited_ticks),
         slewed_ticks=int(state.slewed_ticks),
         faded_ticks=int(state.faded_ticks),
+        slowed_ticks=int(loop.record.tank.slowed_ticks),
         withheld_forces=int(state.withheld_forces),
         sign_tests=int(loop.record.sign.tests),
         dropped_rows=int(loop.record.ring.dropped),

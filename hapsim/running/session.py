@@ -93,7 +93,8 @@ class Session:
         "wall": {"position": 0.01}}`, in the scene's names and units.
 
         They are led there within `over` seconds (0: at once), no value by more than 1.5/N of its way in one of the N
-        samples. A set that comes during another's ramp retargets it: all values arrive when its own do. UsageError
+        samples. A set that comes during another's ramp retargets it: all values arrive when its own do. Where the
+        energy is judged, one that would give the hand too much is slowed, with all its values in step. UsageError
         where a name, a key or a value is wrong, or what is asked for cannot change while the scene runs, or with
         `start(unstable=False)` the scene is predicted unstable by it; nothing has changed then.
         """

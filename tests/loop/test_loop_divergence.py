@@ -16,6 +16,7 @@ import pytest
 from firmware_protocol import schema
 from firmware_protocol.records import new_record
 from hapsim.compiling import entry
+from hapsim.cordis.stored_energy import TANK, Tank
 from hapsim.errors import DeviceError, GuardError
 from hapsim.loop.force_history import FORCE_HISTORY, ForceHistory, call_keep
 from hapsim.loop.guards.divergence import (
@@ -31,7 +32,7 @@ from hapsim.loop.guards.divergence import (
 )
 from hapsim.loop.io_buffer import IO_BUFFER
 from hapsim.running import Excitation, PeriodicExcitation, run, start
-from hapsim.running.guarding import MOST_LENT_M, held_energy, lent_by_change
+from hapsim.running.guarding import MOST_HELD_M, held_energy
 from hapsim.scene import Scene, parse_scene
 
 sys.path.append(str(Path(__file__).resolve().parents[2] / "tools" / "bench"))
@@ -173,42 +174,10 @@ def test_what_an_excitation_gives_the_hand_is_the_hand_s(periodic: bool) -> None
     assert run(scene, duration=0.6, excitation=pushes).report.ending == "done"
 
 
-def test_what_a_change_of_the_scene_brings_is_lent() -> None:
-    """A wall that moves by half a metre takes the hand along; a guard that did not know would stop it."""
-    scene = wall(200.0, clock="device", friction=2.0, velocity=0.0, energy_limit=0.02)
-    still = scene.model_copy(update={"mock": None})
-    with start(still) as session:
-        session.set({"wall": {"position": 0.2}}, over=0.01)
-        session.wait(0.4)
-        session.stop()
-    assert session.trace.report.ending == "stopped"
-    assert np.ptp(session.trace.position) > 0.1
-
-
 def changed(scene: Scene, **modules: dict[str, Any]) -> Scene:
     document = scene.model_dump(mode="json", exclude_none=True)
     document["modules"] |= modules
     return parse_scene(json.dumps(document))
-
-
-def test_a_change_lends_its_way_at_the_force_limit_or_a_tenth_of_a_metre_and_what_it_brings() -> None:
-    scene = wall(100.0)
-    assert lent_by_change(scene, scene) == 0.0
-    assert lent_by_change(scene, changed(scene, wall={"type": "ground", "position": -0.5})) == pytest.approx(5.0)
-    stiffer = {"type": "spring", "between": ["hand", "wall"], "stiffness": 101.0}
-    assert lent_by_change(scene, changed(scene, touch=stiffer)) == pytest.approx(1.0)
-    thrown = {"type": "mass", "mass": 0.5, "velocity": 4.0}
-    assert lent_by_change(scene, changed(scene, ball=thrown)) == pytest.approx(1.0 + 4.0)
-
-
-@pytest.mark.parametrize("away", [1e6, 1e308, -1e308])
-def test_a_change_lends_no_more_than_ten_metres_at_the_force_limit(away: float) -> None:
-    """However far: a guard that lent what has no end would never trip again."""
-    scene = changed(wall(100.0), wall={"type": "ground", "position": -away})
-    there = changed(scene, wall={"type": "ground", "position": away})
-    assert lent_by_change(scene, there) == MOST_LENT_M * 10.0
-    thrown = {"type": "mass", "mass": 0.5, "velocity": away}
-    assert lent_by_change(scene, changed(scene, ball=thrown)) == MOST_LENT_M * 10.0
 
 
 @pytest.mark.parametrize("far", [1e3, 1e200])
@@ -218,10 +187,10 @@ def test_what_a_scene_holds_is_lent_up_to_ten_metres_at_the_force_limit(far: flo
         {"type": "cell", "mass": 0.1, "stiffness": 500.0, "rest": -far, "position": far},
         {"type": "string", "masses": 3, "mass": 0.01, "stiffness": 1000.0, "pluck": {"at": 1, "by": far}},
     ):
-        assert held_energy(changed(wall(), heavy=module).modules, 10.0) == MOST_LENT_M * 10.0
+        assert held_energy(changed(wall(), heavy=module).modules, 10.0) == MOST_HELD_M * 10.0
     tied = {"type": "spring", "between": ["wall", "ball"], "stiffness": 2000.0}
     ball = {"type": "mass", "mass": 0.5, "position": far}
-    assert held_energy(changed(wall(), ball=ball, tied=tied).modules, 10.0) == MOST_LENT_M * 10.0
+    assert held_energy(changed(wall(), ball=ball, tied=tied).modules, 10.0) == MOST_HELD_M * 10.0
 
 
 def test_what_a_scene_holds_at_arming_is_known() -> None:
@@ -283,7 +252,6 @@ def judge(
     delay: float,
     limit: float = 1e9,
     energy: float = 1e12,
-    lent: tuple[float, ...] = (),
     unstable: bool = False,
     gap: int = 1,
     late: bool = False,
@@ -291,6 +259,7 @@ def judge(
     """(the sample at which it trips, the most energy that the scene's account has, why, by which account). Counts are
     of 1 m and 1 N."""
     record, history, io = new_record(ENERGY), new_record(FORCE_HISTORY), new_record(IO_BUFFER)
+    tank = new_record(TANK)
     io.channels, io.address = 1, io.__array_interface__["data"][0]
     io.position_scale[0] = io.force_scale[0] = 1.0
     io.force_limit[0] = limit
@@ -303,12 +272,10 @@ def judge(
         swing_limit_j=energy,
         late_limit_j=energy,
         credit_j=1e15,
-        most_lent_j=2e16 - 1e15,
+        tank=Tank(tank, capacity_j=0.0, refill_j=0.0),
         held_j=0.0,
     )
     kept.follow(unstable=unstable)
-    for one in lent:
-        kept.lend(one)
     forces = ForceHistory(history, delay=delay, goes_on=True)
     told = np.asarray(positions, np.int64), stiffness, damping, limit, gap, int(late)
     row, most = first_trip(record, history, io, *told)
@@ -371,15 +338,6 @@ def test_a_swing_that_dies_away_is_none() -> None:
     time = np.arange(20_000) * T
     positions = np.rint(1e7 * np.exp(-0.5 * time) * np.sin(2.0 * np.pi * 15.0 * time))
     assert judge(positions, stiffness=1.0, friction=1e4, delay=1.0, limit=2e6)[0] == -1
-
-
-def test_all_that_is_lent_has_an_end() -> None:
-    """A spring of negative stiffness gives its hand 5e17 J: two loans and the hand's credit are as much as there is."""
-    away = np.arange(0, 1_000_000_000, 1_000_000)
-    pushed: dict[str, Any] = {"stiffness": -1.0, "friction": 0.0, "delay": 0.0, "energy": 1e17}
-    trips = [judge(away, **pushed, lent=(1e16,) * number) for number in (0, 1, 2, 1000)]
-    assert [why for _, _, why, _ in trips] == [GIVEN] * 4
-    assert trips[0][0] < trips[1][0] < trips[2][0] == trips[3][0]
 
 
 def test_on_a_scene_that_is_predicted_unstable_a_swing_below_the_limit_counts() -> None:

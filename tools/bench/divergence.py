@@ -263,10 +263,17 @@ def main() -> int:
     parser.add_argument("--scenes", type=int, default=200)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--stalls", action="store_true")
+    parser.add_argument("--seconds", type=float, default=60.0, help="at most, each")
     arguments = parser.parse_args()
     seeds = range(arguments.scenes) if arguments.stalls else [None] * arguments.scenes
-    unstable = [judged(*one) for one in zip(unstable_scenes(arguments.scenes, arguments.seed), seeds, strict=True)]
-    passive = [judged(*one) for one in zip(passive_scenes(arguments.scenes, arguments.seed), seeds, strict=True)]
+    drawn = [list(scenes(arguments.scenes, arguments.seed)) for scenes in (unstable_scenes, passive_scenes)]
+    unstable, passive = (
+        [
+            judged(one._replace(duration=min(one.duration, arguments.seconds)), seed)
+            for one, seed in zip(those, seeds, strict=True)
+        ]
+        for those in drawn
+    )
     print("| unstable | scenes | ended: energy, swing, shaking | after, s: median, most | most energy over its bound |")
     print("|---|---|---|---|---|")
     for kind in sorted({one.drawn.kind for one in unstable}):

@@ -21,9 +21,14 @@ for a whole delay and a spring (`theory/hand/passivity.py`), shown here sample b
 limit is a spring whose stiffness is smaller there, and two channels are two sums.
 
 What the hand gave is its credit, but no more than a scene could hold: S stays above -`credit`. At arming S is minus
-what the scene holds then, and every change of it while it runs lends as much as that may bring (running/guarding.py);
-with what is lent S stays above -`most_credit`. The guard trips where S is above `limit`: from rest no hand is given
-more than `limit` and what the scene held, and between two changes never more than `limit` and `most_credit`.
+what the scene holds then (running/guarding.py). Where K changes while it runs, the first term is
+
+    -K[n-1] x[n-1] dx[n] = -(K[n] x[n]²/2 - K[n-1] x[n-1]²/2) + (K[n] - K[n-1]) x[n]²/2 + K[n-1]/2 dx[n]²,
+
+and the middle of it is what the change adds: it is taken off S when the change acts, with its sign, for all modules
+alike (cordis/stored_energy.py), and bounded by a tank there. The guard trips where S is above `limit`: from rest no
+hand is given more than `limit`, what the scene held, and what the tank let through. Behind a delay of d samples the
+change acts where the hand is d samples later; that is not counted.
 
 **Two accounts.** The proof holds for forces in time at whatever positions. So the account SCENE counts those
 (force_history.py). A force that is late gives energy too, but that is the host's fault, and a hand that knocks now and
@@ -70,6 +75,7 @@ from numpy.typing import NDArray
 from firmware_protocol import schema
 from hapsim.compiling import helper
 from hapsim.compiling.native import address_of, function_at, native, record_at
+from hapsim.cordis.stored_energy import Tank, tank_at
 from hapsim.loop.force_history import FORCE_HISTORY, IN_TIME, OF_SCENE, acting_force
 from hapsim.loop.guards.force_limit import cut
 from hapsim.loop.io_buffer import IO_BUFFER
@@ -99,9 +105,8 @@ ENERGY = np.dtype(
         ("limit", np.float64, _ACCOUNTS),  # J
         ("swing_limit", np.float64, _ACCOUNTS),  # J, of the work over episodes
         ("credit", np.float64),  # J
-        ("most_credit", np.float64),  # J, with all that is lent
-        ("lent", np.float64),  # J, in all: written by another thread,
-        ("taken", np.float64),  # and taken
+        ("tank", np.uint64),  # address of the TANK of live changes
+        ("taken", np.float64),  # J, of what these spent
         ("compliance", np.float64, _EACH),  # m/N, of what is linked to each device point; 0: not known
         ("begun", np.int64),  # 1: there was a sample
         ("given", np.float64, _ACCOUNTS),  # S, J; before the first sample minus what the scene holds
@@ -152,15 +157,17 @@ def observe(energy, history, io, gap):
     energy.gap += gap
     goes_on = energy.gap <= energy.most_gap
     energy.gap = 0 if begins else energy.gap
+    tank = tank_at(energy.tank)
+    added, energy.taken = tank.spent - energy.taken, tank.spent
+    tank.level = min(tank.capacity, tank.level + gap * tank.refill)
     for account in range(2):
         work, lost = _energy_of(energy, history, io, account, gap) if has_begun else (0.0, 0.0)
-        _take_account(energy, account, work - lost)
+        _take_account(energy, account, work - lost, added)
         _count_swing(energy, account, work, lost, begins, goes_on)
         if energy.why == 0 and energy.given[account] > energy.limit[account]:
             energy.why, energy.account = GIVEN, account
         elif energy.why == 0 and _has_swung(energy, account):
             energy.why, energy.account = SWINGING, account
-    energy.taken = energy.lent
     for c in range(io.channels):
         energy.position[c] = io.position_counts[c] * io.position_scale[c]
     if energy.why == 0 and energy.shakes >= SHAKES:
@@ -200,11 +207,12 @@ def _energy_of(energy, history, io, account, gap):
 
 
 @helper
-def _take_account(energy, account, gained):
-    """S, with what was lent meanwhile: a hand's credit is no larger than `credit`, but for that."""
+def _take_account(energy, account, gained, added):
+    """S: a hand's credit is no larger than `credit`, but for what changes `added`. What they take away the scene had
+    stored, so that S does not rise above 0 by that: a hand's credit may have been cut."""
     before = energy.given[account]
     given = max(before + gained, min(before, -energy.credit))
-    energy.given[account] = max(given - (energy.lent - energy.taken), -energy.most_credit)
+    energy.given[account] = given - added if added >= 0.0 else min(given - added, max(given, 0.0))
 
 
 @helper
@@ -287,19 +295,20 @@ class EnergyMemory:
         swing_limit_j: float,
         late_limit_j: float,
         credit_j: float,
-        most_lent_j: float,
         held_j: float,
+        tank: Tank,
     ) -> None:
         """`friction`: (channels,) N·s/m; `compliance`: (channels,) m/N, 0 where it is not known; `limit_j`: of what is
         given; `swing_limit_j`: of the work of a swing at the limit; `late_limit_j`: of both, of forces that are late;
-        `credit_j`: of a hand, `most_lent_j` beside it of the scene; `held_j`: what that holds at the start."""
+        `credit_j`: of a hand; `held_j`: what the scene holds at the start; `tank`: of its changes."""
         self._record = record
         record.address = address_of(record)
         record.braked[: friction.size] = friction * rate_hz
         record.compliance[: compliance.size] = compliance
         record.limit[:], record.swing_limit[:] = (limit_j, late_limit_j), (swing_limit_j, late_limit_j)
         record.given[:] = -held_j
-        record.credit, record.most_credit = credit_j, credit_j + most_lent_j
+        record.credit, record.tank = credit_j, tank.address
+        self.tank = tank
         record.most_gap = max(GAP_SAMPLES, round(GAP_S * rate_hz))
         record.most_turn = round(SHAKE_S * rate_hz)
         record.least_peak[:] = math.inf
@@ -317,7 +326,3 @@ class EnergyMemory:
     def is_unstable(self) -> bool:
         """Whether the scene is taken for one that is predicted unstable."""
         return bool(self._record.elapsed < self._record.unstable_until)
-
-    def lend(self, energy_j: float) -> None:
-        """What a change of the scene may bring, J: one thread may lend at a time."""
-        self._record.lent += energy_j

@@ -1,0 +1,236 @@
+"""Live changes add to a running scene what they say they add, and never more than the tank has."""
+
+from __future__ import annotations
+
+import io
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from firmware_protocol.records import new_record
+from hapsim.console.live import live_line
+from hapsim.cordis.offline import follow_parameters, start
+from hapsim.cordis.program import Program, compile_scene, parameter_values, positions_of
+from hapsim.cordis.stored_energy import TANK, StoredEnergy, Tank, evaluate
+from hapsim.progress import Progress
+from hapsim.running.session import Session
+from hapsim.scene import Scene, parse_scene
+
+sys.path.append(str(Path(__file__).resolve().parents[2] / "tools" / "bench"))
+
+from changes import Outcome, changed_while_it_runs, dragged, pumped, spring
+from divergence import passive_scenes
+
+LIMIT, REFILL = 0.2, 0.02  # J, J/s: by default, of 10 N
+
+
+def within_the_tank(outcome: Outcome) -> bool:
+    return outcome.spent <= LIMIT + REFILL * outcome.position.size * 1e-3 + 1e-9
+
+
+def test_a_modulation_that_pumps_is_slowed_and_ends_no_run() -> None:
+    outcome, given = pumped(0.65, 3.0)
+    assert outcome.ending == "done"
+    assert outcome.slowed > 0
+    assert within_the_tank(outcome)
+    assert given < 0.4
+
+
+def test_what_nothing_links_to_a_hand_adds_nothing() -> None:
+    cell = {"type": "cell", "mass": 0.1, "stiffness": 50.0, "rest": 0.0, "position": 0.2}
+    pinned = {"type": "spring", "between": ["cell", "wall"], "stiffness": 100.0}
+
+    def act(session: Session, sample: int) -> None:
+        session.set({"cell": {"stiffness": 50.0 + sample}, "pinned": {"stiffness": 100.0 + sample}}, over=0.0)
+
+    outcome = changed_while_it_runs(spring(cell=cell, pinned=pinned), 0.1, act)
+    assert (outcome.ending, outcome.spent, outcome.slowed) == ("done", 0.0, 0)
+
+
+def test_a_change_acts_at_the_next_sample_and_one_without_energy_left_holds_up_no_stop() -> None:
+    """A wall that shall be half a metre away at once."""
+    ticks, wall = [], []
+
+    def act(session: Session, sample: int) -> None:
+        if sample == 50:
+            session.set({"wall": {"position": 0.5}}, over=0.0)
+        if sample == 150:
+            wall.append(float(session._loop.program.parameters.values[0]))
+            session.stop()
+        if sample in (50, 150):
+            ticks.append(int(session._loop.state.ticks))
+
+    outcome = changed_while_it_runs(spring(velocity=0.0), 10.0, act)
+    assert outcome.ending == "stopped"
+    assert 0.0 < wall[0] < 0.4
+    assert not outcome.asked[: ticks[0]].any()
+    assert outcome.asked[ticks[0]] > 1.0
+    assert outcome.position.size <= ticks[1] + 2
+    assert within_the_tank(outcome)
+
+
+def test_the_parameters_of_a_slowed_change_stay_in_step() -> None:
+    seen = []
+
+    def act(session: Session, sample: int) -> None:
+        if sample == 50:
+            session.set({"wall": {"position": 0.5}, "touch": {"stiffness": 600.0}}, over=0.01)
+        seen.append(session._loop.program.parameters.values.copy())
+
+    changed_while_it_runs(spring(velocity=0.0), 0.3, act)
+    wall, stiffness = (np.array(seen)[:, :2]).T
+    share = wall / 0.5
+    assert 0.05 < share[-1] < 0.95
+    assert (np.diff(share) >= 0.0).all()
+    assert stiffness == pytest.approx(400.0 + share * 200.0)
+
+
+@pytest.mark.parametrize("adopts", [False, True])
+def test_no_slider_and_no_adoption_stops_a_run_on_a_passive_scene(adopts: bool) -> None:
+    for number, drawn in enumerate(passive_scenes(3, seed=9)):
+        assert dragged(drawn.scene, 25, number, adopts).ending == "done"
+
+
+def test_an_adopted_scene_is_slowed_where_it_has_too_much_energy() -> None:
+    """A mass of 1 kg half a metre away, on a spring to the hand: 12.5 J."""
+    ball: dict[str, Any] = {"type": "mass", "mass": 1.0, "position": 0.5}
+    loaded = spring(ball=ball, tied={"type": "spring", "between": ["hand", "ball"], "stiffness": 100.0})
+
+    def act(session: Session, sample: int) -> None:
+        if sample == 50:
+            session.adopt(loaded, 0.01)
+
+    outcome = changed_while_it_runs(spring(velocity=0.0), 1.0, act)
+    assert outcome.ending == "done"
+    assert outcome.slowed > 100
+    assert within_the_tank(outcome)
+
+
+def test_the_live_line_tells_of_changes_that_are_slowed() -> None:
+    screen = io.StringIO()
+    with live_line(Console(file=screen, width=200)) as tell:
+        tell(Progress("running", slowed_ticks=7))
+    assert "7 with changes slowed" in screen.getvalue()
+
+
+# The energy alone, of programs that no loop runs.
+
+
+def accounted(scene: Scene, hand: float) -> tuple[Program, Any]:
+    """Its program with the hand at rest at 0 and then, when a change comes, elsewhere, and its TANK."""
+    program, tank = compile_scene(scene), new_record(TANK)
+    program.stored = StoredEnergy(program, scene, Tank(tank, capacity_j=1e9, refill_j=0.0), scene.device.force_limit)
+    start(program, np.zeros(1))
+    positions_of(program)[0][0] = hand
+    return program, tank
+
+
+def linked(**modules: Any) -> Scene:
+    document = json.loads(spring().model_dump_json(exclude_none=True))
+    del document["modules"]["touch"]
+    document["device"]["force_limit"] = 1000.0
+    document["modules"] |= modules
+    return parse_scene(json.dumps(document))
+
+
+X = 0.03
+BETWEEN = {"between": ["hand", "wall"]}
+FRICTION = BETWEEN | {"type": "friction", "force": 4.0, "stiffness": 100.0}
+CELL = {"cell": {"type": "cell", "mass": 0.1, "stiffness": 50.0}}
+TIED = CELL | {"tied": {"type": "spring", "between": ["hand", "cell"], "stiffness": 10.0}}
+
+
+@pytest.mark.parametrize(
+    ("modules", "change", "added"),
+    [
+        ({"a": BETWEEN | {"type": "spring", "stiffness": 100.0}}, {"a": {"stiffness": 300.0}}, 100.0 * X**2),
+        ({"a": BETWEEN | {"type": "spring", "stiffness": 300.0}}, {"a": {"stiffness": 100.0}}, -100.0 * X**2),
+        (
+            {"a": BETWEEN | {"type": "viscoelastic", "stiffness": 100.0, "damping": 1.0}},
+            {"wall": {"position": 0.01}},
+            50.0 * (0.02**2 - X**2),
+        ),
+        (
+            {"a": BETWEEN | {"type": "buffer", "stiffness": 100.0, "distance": 0.0}},
+            {"a": {"distance": 0.05}},
+            50.0 * 0.02**2,
+        ),
+        ({"a": BETWEEN | {"type": "buffer", "stiffness": 100.0}}, {"a": {"stiffness": 900.0}}, 0.0),
+        (
+            {"a": {"type": "buffer", "between": ["wall", "hand"], "stiffness": 100.0}},
+            {"a": {"stiffness": 300.0}},
+            100.0 * X**2,
+        ),
+        (
+            {"a": BETWEEN | {"type": "plectrum", "stiffness": 100.0, "release": 0.1}},
+            {"a": {"stiffness": 300.0}},
+            100.0 * X**2,
+        ),
+        ({"a": FRICTION}, {"a": {"stiffness": 120.0}}, 10.0 * X**2),
+        (TIED, {"cell": {"rest": 0.02}}, 25.0 * 0.02**2),
+        (TIED, {"tied": {"stiffness": 20.0}}, 5.0 * X**2),
+        (
+            CELL | {"a": BETWEEN | {"type": "damper", "damping": 1.0}},
+            {"a": {"damping": 2.0}, "cell": {"rest": 1.0}},
+            0.0,
+        ),
+    ],
+)
+def test_a_change_adds_what_mechanics_says(
+    modules: dict[str, Any], change: dict[str, dict[str, float]], added: float
+) -> None:
+    scene = linked(**modules)
+    program, tank = accounted(scene, X)
+    document = json.loads(scene.model_dump_json(exclude_none=True))
+    for name, values in change.items():
+        document["modules"][name] |= values
+    for samples in (5, 1):
+        program.parameters.post(parameter_values(parse_scene(json.dumps(document))), samples)
+        for _ in range(samples):
+            follow_parameters(program)
+    assert float(tank.spent) == pytest.approx(added, abs=1e-12)
+    assert float(tank.level) == pytest.approx(1e9 - max(added, 0.0))
+
+
+def stored_of(program: Program, moving: int = 0) -> float:
+    here, before = positions_of(program)
+    return float(evaluate(program.record.parameters.stored, here.ctypes.data, before.ctypes.data, moving))
+
+
+def test_of_a_spring_at_a_hand_no_more_counts_than_the_force_limit_gives_back() -> None:
+    scene = spring(2000.0)  # N/m, and 10 N
+    program, _ = accounted(scene, X)
+    way = np.linspace(0.0, X, 100_001)
+    work = np.sum(np.minimum(2000.0 * 0.5 * (way[1:] + way[:-1]), 10.0) * np.diff(way))
+    assert stored_of(program) == pytest.approx(work, rel=1e-6)
+
+
+@pytest.mark.parametrize("precision", ["double", "single"])
+def test_a_stiff_string_stores_what_its_stretch_and_its_bending_do(precision: str) -> None:
+    gut = {"type": "string", "masses": 5, "mass": 0.01, "stiffness": 30.0, "bending": 7.0, "position": 0.1}
+    bow = {"type": "spring", "between": ["hand", "gut.2"], "stiffness": 11.0}
+    scene = linked(gut=gut, bow=bow).model_copy(update={"precision": precision})
+    program, _ = accounted(scene, X)
+    here, before = positions_of(program)
+    places = [program.numbers[f"gut.{i}"] for i in range(5)]
+    here[places] = x = 0.1 + np.random.default_rng(1).uniform(-0.02, 0.02, 5)
+    before[places] = x - 0.001
+    ends = np.concatenate([[0.1], x, [0.1]])
+    stored = 15.0 * np.sum(np.diff(ends) ** 2) + 3.5 * np.sum(np.diff(ends, 2) ** 2) + 5.5 * (X - x[2]) ** 2
+    assert stored_of(program) == pytest.approx(stored, rel=1e-6)
+    assert stored_of(program, moving=1) == pytest.approx(stored + 5 * 0.5 * 0.01 * 1.0**2, rel=1e-5)
+
+
+def test_a_curve_stores_the_area_below_it() -> None:
+    curve = [[-0.01, -2.0], [0.0, 0.0], [0.02, 1.0], [0.05, 5.0]]
+    scene = linked(a=BETWEEN | {"type": "nonlinear", "force_over_distance": curve})
+    for hand in (0.0, 0.013, X, 0.07, -0.005, -0.03):
+        way = np.linspace(0.0, hand, 100_001)
+        tension = np.interp(way, *np.array(curve).T)
+        program, _ = accounted(scene, hand)
+        assert stored_of(program) == pytest.approx(np.sum(0.5 * (tension[1:] + tension[:-1]) * np.diff(way)), abs=1e-9)
