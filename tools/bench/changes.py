@@ -71,7 +71,7 @@ def changed_while_it_runs(
     sessions: list[Session] = []
 
     def tick(sample: int) -> None:
-        if sessions and not sessions[0].wait(0.0):
+        if sessions and not sessions[0]._over.is_set():
             act(sessions[0], sample)
 
     options = {"judges_energy": True, "duration": duration, "on_start": sessions.append} | options
