@@ -144,7 +144,7 @@ def measured(kappa: float, ratio: float, contender: Contender, condition: dict[s
             best = cell
         if best.uncertainty <= CERTAIN or not cell.stable:
             break
-    return best._replace(pressed=pressed(kappa, ratio, contender, condition)) if best.stable else best
+    return Cell(*best[:3], pressed=pressed(kappa, ratio, contender, condition)) if best.stable else best
 
 
 def pressed(kappa: float, ratio: float, contender: Contender, condition: dict[str, Any]) -> float:
