@@ -22,8 +22,7 @@ from numpy.typing import NDArray
 
 from hapsim.errors import GuardError
 from hapsim.loop.transport import PythonTransport
-from hapsim.running import run
-from hapsim.running.session import Session
+from hapsim.running import Session, run
 from hapsim.scene import Scene, parse_scene
 
 K, MASS = 400.0, 0.2

@@ -30,8 +30,7 @@ from firmware_protocol import schema
 from hapsim.errors import DeviceError, GuardError
 from hapsim.loop.guards.divergence import LATE
 from hapsim.loop.transport import PythonTransport
-from hapsim.running import PeriodicExcitation, run
-from hapsim.running.session import Session
+from hapsim.running import PeriodicExcitation, Session, run
 from hapsim.scene import Scene, parse_scene
 from hapsim.theory import Configuration
 
