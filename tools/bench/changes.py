@@ -10,6 +10,7 @@ scenes, and scenes adopted again and again, while a hand knocks: none may be sto
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import random
 import sys
@@ -20,7 +21,7 @@ import numpy as np
 from divergence import knocks, passive_scenes
 from numpy.typing import NDArray
 
-from hapsim.errors import GuardError
+from hapsim.errors import GuardError, UsageError
 from hapsim.loop.transport import PythonTransport
 from hapsim.running import Session, run
 from hapsim.scene import Scene, parse_scene
@@ -142,7 +143,8 @@ def dragged(scene: Scene, drags: int, seed: int, adopts: bool = False) -> Outcom
             document["modules"] = {name: modules[name].model_dump(exclude_none=True) for name in modules} | extra
             for name, values in changes.items():
                 document["modules"][name] |= values
-            session.adopt(parse_scene(json.dumps(document)), over)
+            with contextlib.suppress(UsageError):  # of one that is predicted unstable
+                session.adopt(parse_scene(json.dumps(document)), over)
 
     duration = drags * every / scene.rate
     return changed_while_it_runs(scene, duration, act, excitation=knocks(scene, duration, seed))
