@@ -31,6 +31,10 @@ INSIDE = {
     ("tools/bench/steadiness/in_memory.py", "hapsim.loop"): TIMES_THE_EXCHANGE,
     ("tools/bench/steadiness/in_memory.py", "hapsim.running.assemble"): TIMES_THE_EXCHANGE,
     ("tools/bench/steadiness/wakeups.py", "hapsim.doctor.wakeups"): "times the loop's sleep as it schedules itself",
+    (
+        "tools/bench/estimated_mass.py",
+        "hapsim.device.mock.firmware",
+    ): "pushes the mock, and goes on while its host stalls",
     ("tools/bench/felt.py", "hapsim.prediction.correction"): "counts an error as the correction does",
     ("tools/bench/mutated_scenes.py", "hapsim.cli"): "calls the command in its own process, thousands of times",
     ("tools/bench/changes.py", "hapsim.loop"): FAULTS_IN_MEMORY,
