@@ -179,7 +179,7 @@ def test_another_spring_comes_without_a_step() -> None:
     pushes = Excitation(0, 5.0, 4, 100, start=0, first=True)
 
     def change(session: Session) -> None:
-        session.set({"touch": {"stiffness": 6000.0, "damping": 15.0}}, over=0.2)
+        session.set({"touch": {"stiffness": 6000.0, "damping": 15.0}}, over=0.3)
 
     scene = gripped(3000.0, 10.0, mass=0.2)
     with start(scene, duration=2.0, excitation=pushes, on_arming=change) as session:
@@ -190,8 +190,7 @@ def test_another_spring_comes_without_a_step() -> None:
     felt = identify(trace.since(1200), 0.2, 0)
     assert felt.k == pytest.approx(6000.0, rel=2e-3)
     assert felt.b == pytest.approx(16.0, rel=1e-2)
-    # From sample to sample the force changes hardly more than where it is the stiffer spring's from the beginning: most
-    # at a push, which comes just when the ramp ends. At once the spring would come with 2.4 N.
+    # From sample to sample the force changes no more than where it is the stiffer spring's from the beginning.
     unchanged = run(gripped(6000.0, 15.0, mass=0.2), duration=2.0, excitation=pushes)
     steps = [np.abs(np.diff(one.asked_force[3:, 0])).max() for one in (trace, unchanged)]
-    assert steps[0] <= 1.05 * steps[1]
+    assert steps[0] <= steps[1]
