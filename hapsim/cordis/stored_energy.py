@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numba import types
@@ -32,9 +32,6 @@ from hapsim.compiling import helper, inlined
 from hapsim.compiling.native import address_of, array_at, function_at, native, record_at
 from hapsim.scene import Buffer, Friction, Ground, Nonlinear, Plectrum, Scene
 from hapsim.scene.modules import Link, MaterialPoint, Structure
-
-if TYPE_CHECKING:
-    from hapsim.cordis.program import Program
 
 SPRING, CONTACT, BRISTLE, GRIP, CURVE = range(5)
 
@@ -130,7 +127,7 @@ def _springs_hold(stored, position, array):
 @helper
 def _curve_holds(address, d):
     """Straight between its points, level beyond the ends."""
-    n = int(_doubles_at(address, 1)[0])
+    n = np.int64(_doubles_at(address, 1)[0])
     points = _doubles_at(address, 1 + 3 * n)[1:]
     i = 0
     while i < n - 1 and d > points[i + 1]:
@@ -187,8 +184,9 @@ class Tank:
 class StoredEnergy:
     """What tells the energy of a program, and keeps what that needs: in the PARAMETERS of the program from then on."""
 
-    def __init__(self, program: Program, scene: Scene, tank: Tank, force_limit: float) -> None:
-        """`force_limit`: N, of the hands."""
+    def __init__(self, program: Any, scene: Scene, tank: Tank, force_limit: float) -> None:
+        """`program`: a Program, which is not imported here: the loop would be compiled anew with every module.
+        `force_limit`: N, of the hands."""
         self._program, self._scene, self._force_limit = program, scene, force_limit
         self._number, self._place = program.numbers, program.places
         self._memory = {
