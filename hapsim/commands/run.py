@@ -73,7 +73,6 @@ def run(
     from hapsim.daemon.notify import Notifier
     from hapsim.daemon.reconnecting import keep_running, together
     from hapsim.daemon.state import RunState
-    from hapsim.device.known_devices import is_new
     from hapsim.running.signals import undisturbed
 
     _choose_log(log)
@@ -87,13 +86,6 @@ def run(
         error_console, scene if watch else None, lambda changed: predict_and_warn(as_played(changed, kind))
     )
     serves = loaded.device.port if kind == "auto" else None
-    if serves is not None and is_new(serves):
-        complain(
-            f"First run at {serves}: `hapsim probe {serves} --push 0.5`, or `hapsim identify`, tells whether its motor "
-            "pushes the right way. Hold it loosely until then.",
-            "new device",
-            "info",
-        )
     state = RunState(os.path.abspath(scene), serves, loaded.rate)
     with notifier.told_of_failures(), _telling(state, status, serves, portable), live_line(error_console) as tell:
         lifetime = keep_running(

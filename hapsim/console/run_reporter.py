@@ -69,11 +69,23 @@ class RunReporter:
         from hapsim.progress import Progress
 
         return Observer(
+            arming=lambda: self._meet(port),
             started=self.started,
             running=lambda progress: self._running(progress, tell),
             waiting=lambda: tell(Progress("waiting", port)),
             tell=lambda event, sentence: self._say(event, sentence, "info" if event == "reconnected" else "warning"),
         )
+
+    def _meet(self, port: str) -> None:
+        """Says of a device that answers for the first time what it has not shown yet. `port`: empty for the mock."""
+        from hapsim.device.known_devices import is_new
+
+        if port and is_new(port):
+            self._say(
+                "new device",
+                f"First run at {port}: `hapsim probe {port} --push 0.5`, or `hapsim identify`, judges whether its "
+                "motor pushes the right way. Hold it loosely until then.",
+            )
 
     def _running(self, progress: Progress, tell: Callable[[Progress], None]) -> None:
         """Shows it; and says, once for each arming, where the device was armed outside its travel."""

@@ -128,7 +128,7 @@ def _springs_hold(stored, position, array):
 def _curve_holds(address, d):
     """Straight between its points, level beyond the ends."""
     n = np.int64(_doubles_at(address, 1)[0])
-    points = _doubles_at(address, 1 + 3 * n)[1:]
+    points = _doubles_at(address, _REACH)[1:]
     i = 0
     while i < n - 1 and d > points[i + 1]:
         i += 1

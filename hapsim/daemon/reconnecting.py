@@ -40,6 +40,8 @@ _LONG_S = 10.0  # a session that lasted so long begins with the first pause agai
 class Observer:
     """Who wants to know what becomes of a run, and is called in its thread."""
 
+    arming: Callable[[], None] = lambda: None
+    """The device has described itself, and is armed next."""
     started: Callable[[Session], None] = lambda _: None
     """The device is armed."""
     running: Callable[[Progress], None] = lambda _: None
@@ -256,6 +258,7 @@ class _Keeper:
     def _arming(self, session: Session) -> None:
         if self._stopped:  # and whoever was interrupted there has passed it over
             raise KeyboardInterrupt
+        self._observer.arming()
         self._session, self._state = session, "running"
 
     def _add(self, trace: Trace) -> None:
