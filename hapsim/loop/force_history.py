@@ -117,8 +117,8 @@ class ForceHistory:
         a force until the next one."""
         whole = math.floor(delay)
         rows = 2 << (whole + 3).bit_length()
-        self._forces = np.zeros((rows, _COLUMNS))
-        record.address, record.forces = address_of(record), address_of(self._forces)
+        self.forces = np.zeros((rows, _COLUMNS))
+        record.address, record.forces = address_of(record), address_of(self.forces)
         record.mask, record.goes_on = rows - 1, goes_on
         record.lag, record.share = whole + 1, delay - whole
         record.keep = keep.address()

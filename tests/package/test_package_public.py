@@ -19,6 +19,7 @@ ADDS_PEERS = "adds C, Faust, MuJoCo and SciPy to what `hapsim chart speed-accura
 TIMES_THE_EXCHANGE = "times the compiled exchange itself, on a transport in memory of its own"
 PLAYS_THE_DEVICE = "plays the device itself, to see when a run arms it"
 FAULTS_IN_MEMORY = "puts the faults between the loop and the mock in memory, where no command does"
+RUNS_AGAIN = "runs a loop and its mock again in the same memory, with a hand of its own on the mock's body"
 ASKS_THE_DEVICE = "asks the device for its own counters once the run is over"
 INSIDE = {
     ("tools/bench/speed/", "hapsim.speed_accuracy"): ADDS_PEERS,
@@ -43,12 +44,23 @@ INSIDE = {
     ("tools/bench/faults.py", "hapsim.faults"): FAULTS_IN_MEMORY,
     ("tools/bench/faults.py", "hapsim.console.faults"): FAULTS_IN_MEMORY,
     ("tools/bench/inverted.py", "hapsim.faults"): FAULTS_IN_MEMORY,
+    ("tools/bench/sign.py", "hapsim.compiling"): RUNS_AGAIN,
+    ("tools/bench/sign.py", "hapsim.device"): RUNS_AGAIN,
+    ("tools/bench/sign.py", "hapsim.loop"): RUNS_AGAIN,
+    ("tools/bench/sign.py", "hapsim.running"): RUNS_AGAIN,
     ("tools/bench/soak.py", "firmware_protocol"): ASKS_THE_DEVICE,
     ("tools/bench/soak.py", "hapsim.device"): ASKS_THE_DEVICE,
     ("tools/bench/start.py", "hapsim.device.mock"): PLAYS_THE_DEVICE,
     ("tools/bench/start.py", "firmware_protocol"): PLAYS_THE_DEVICE,
 }
 """(where, what of the inside it uses on purpose): why."""
+
+UNDERSCORED = {
+    ("tools/bench/changes.py", "_loop"): "reads the tank of the loop, and whether a program is being replaced",
+    ("tools/bench/changes.py", "_over"): "changes nothing in a session whose loop is over",
+    ("tools/bench/divergence.py", "_loop"): "reads the account of the guard of the energy",
+}
+"""(where, what attribute with an underscore it reaches for on purpose): why."""
 
 
 def programs() -> dict[str, str]:
@@ -113,15 +125,15 @@ def test_the_search_for_private_names_finds_them() -> None:
 
 
 def test_no_attribute_with_an_underscore_is_reached_for() -> None:
-    """But one's own."""
-    reached = [
-        f"{where}: {ast.unparse(node)}"
+    """But one's own, and what every named tuple has."""
+    reached = {
+        (where, node.attr)
         for where, text in programs().items()
         for node in ast.walk(ast.parse(text))
-        if isinstance(node, ast.Attribute) and re.match(r"_[a-z]", node.attr)
+        if isinstance(node, ast.Attribute) and re.match(r"_[a-z]", node.attr) and node.attr != "_replace"
         if not (isinstance(node.value, ast.Name) and node.value.id in ("self", "cls"))
-    ]
-    assert reached == []
+    }
+    assert reached == set(UNDERSCORED)
 
 
 @pytest.mark.parametrize("room", PUBLIC_ROOMS)

@@ -110,7 +110,7 @@ def test_a_sound_device_passes_every_check_that_can_be_seen_of_it(name: str, req
 
 # The step that is looked at; how the line begins that tells the failure; which fault it names; where it says to look.
 BROKEN = {
-    "sign": ("push", "sign (§ 6)", "inverted: 1 N makes -", "the sign of the motor's output or of the encoder's"),
+    "sign": ("push", "sign (§ 6)", "inverted: 1 N makes -", "swap the motor's two wires, or reverse the encoder"),
     "scale": ("push", "mass (§ 5)", "as if positions were", "position_scale (an encoder's edges counted once, twice"),
     "rate": ("arming", "rate_kept (§ 6)", "% from register 4 (1000 Hz)", "the sample timer's divider"),
     "transmitter": ("blocked", "tick_goes_on (§ 8)", "the device went away here", "a tick that died or waits for room"),

@@ -171,7 +171,7 @@ class Bench:
         self._loop = assemble_loop(scene, self._connection, description, None, 1.0, True, True)
         arm(self._connection, description, PACING["lockstep"], self._loop.watchdog_samples, False)
         self._hands = np.zeros(scene.channels, HAND)
-        forces = self._loop.history._forces  # type: ignore[union-attr]
+        forces = self._loop.history.forces  # type: ignore[union-attr]
         self._memory = [
             (address_of(one), one.nbytes) for one in (self._loop.record, mock, self._connection.inbox, forces)
         ]
