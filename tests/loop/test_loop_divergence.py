@@ -311,6 +311,16 @@ def test_nor_where_forces_are_late_or_positions_lost(gap: int, late: bool) -> No
     assert trip[2:] == (GIVEN, LATE)
 
 
+@pytest.mark.parametrize("delay", [0.0, 1.37])
+def test_over_lost_positions_it_counts_what_there_is_along_the_line(delay: float) -> None:
+    """As much as if every position of the line had come, but for a peak that is missed."""
+    known = 3 * np.rint(1e6 * np.sin(2.0 * np.pi * np.arange(1000) / 30))
+    line = np.interp(np.arange(2998) / 3.0, np.arange(1000), known)
+    told: dict[str, Any] = {"stiffness": 1000.0, "friction": 0.1, "delay": delay, "limit": 1e12, "energy": 1e20}
+    lost, all_there = (judge(positions, **told, gap=gap)[1] for positions, gap in ((known, 3), (line, 1)))
+    assert lost == pytest.approx(all_there, rel=2e-3)
+
+
 @pytest.mark.parametrize(("delay", "period"), [(0.0, 2), (1.0, 6), (2.0, 10)])
 def test_with_less_a_hand_that_shakes_is_given_energy(delay: float, period: int) -> None:
     """Without delay at half the rate, and with it where the force is most behind: of too little friction by a tenth."""

@@ -27,6 +27,7 @@ from changes import Outcome, changed_while_it_runs, dragged, pumped, spring
 from divergence import passive_scenes
 
 LIMIT, REFILL = 0.2, 0.02  # J, J/s: by default, of 10 N
+CAPACITY, TAKEN = 1.0, 0.03  # J, of the tanks of programs that no loop runs
 
 
 def within_the_tank(outcome: Outcome) -> bool:
@@ -124,7 +125,7 @@ def test_the_live_line_tells_of_changes_that_are_slowed() -> None:
 def accounted(scene: Scene, hand: float) -> tuple[Program, Any]:
     """Its program with the hand at rest at 0 and then, when a change comes, elsewhere, and its TANK."""
     program, tank = compile_scene(scene), new_record(TANK)
-    program.stored = StoredEnergy(program, scene, Tank(tank, capacity_j=1e9, refill_j=0.0), scene.device.force_limit)
+    program.stored = StoredEnergy(program, scene, Tank(tank, capacity_j=CAPACITY, refill_j=0.0), scene.device.force_limit)
     start(program, np.zeros(1))
     positions_of(program)[0][0] = hand
     return program, tank
@@ -186,6 +187,7 @@ def test_a_change_adds_what_mechanics_says(
 ) -> None:
     scene = linked(**modules)
     program, tank = accounted(scene, X)
+    tank.level = CAPACITY - TAKEN
     document = json.loads(scene.model_dump_json(exclude_none=True))
     for name, values in change.items():
         document["modules"][name] |= values
@@ -194,7 +196,7 @@ def test_a_change_adds_what_mechanics_says(
         for _ in range(samples):
             follow_parameters(program)
     assert float(tank.spent) == pytest.approx(added, abs=1e-12)
-    assert float(tank.level) == pytest.approx(1e9 - max(added, 0.0))
+    assert float(tank.level) == pytest.approx(CAPACITY - max(TAKEN + added, 0.0), abs=1e-12)
 
 
 def stored_of(program: Program, moving: int = 0) -> float:
