@@ -75,6 +75,16 @@ def test_no_passive_object_is_blamed_for_a_host_that_stalls_while_a_hand_knocks(
     assert outcome.ending == "done" or outcome.is_late
 
 
+@pytest.mark.parametrize("stalls", [False, True])
+def test_a_spring_just_within_passivity_is_not_blamed_for_knocks_and_stalls(stalls: bool) -> None:
+    """With all the friction that it needs and none to spare: what is gained from crossing to crossing has to be read at
+    one place."""
+    scene = wall(666.0, delay=1.0)
+    between = {"between": lambda device: Stalling(device, seed=1)} if stalls else {}
+    pushes = knocks(scene, 20.0, seed=1)
+    assert run(scene, duration=3.0, judges_energy=True, excitation=pushes, **between).report.ending == "done"
+
+
 def test_what_late_forces_gave_is_told_as_theirs() -> None:
     """Just within passivity in time, and stalled for a quarter of it."""
     scene = wall(600.0)

@@ -125,7 +125,8 @@ def test_the_live_line_tells_of_changes_that_are_slowed() -> None:
 def accounted(scene: Scene, hand: float) -> tuple[Program, Any]:
     """Its program with the hand at rest at 0 and then, when a change comes, elsewhere, and its TANK."""
     program, tank = compile_scene(scene), new_record(TANK)
-    program.stored = StoredEnergy(program, scene, Tank(tank, capacity_j=CAPACITY, refill_j=0.0), scene.device.force_limit)
+    kept = Tank(tank, capacity_j=CAPACITY, refill_j=0.0)
+    program.stored = StoredEnergy(program, scene, kept, scene.device.force_limit)
     start(program, np.zeros(1))
     positions_of(program)[0][0] = hand
     return program, tank

@@ -42,8 +42,10 @@ force is cut, each to another side or after a sample without, and each beginning
 of the one before, if over these episodes the force did no less work than friction took, and more than `swing_limit`:
 no more than `limit`, and no more than that is where a scene names none, so that one that means to give energy is
 found where it swings at the limit, too. The sums are begun anew where it did less: between two crossings of the limit
-at one place a spring holds the same, so that what is gained between them comes of the sampling and of nothing else. A
-hand that presses on, knocks, or shakes a passive object loses energy from episode to episode.
+at one place a spring holds the same, so that what is gained between them comes of the sampling and of nothing else.
+So an episode begins where the scene's own force is cut, whatever an excitation adds, and not behind lost positions,
+far beyond the limit; what a change adds is no gain. A hand that presses on, knocks, or shakes a passive object loses
+energy from episode to episode.
 
 **Shaking at the limit.** A scene whose own masses diverge, or a damper that is too much for the rate, throws the force
 from limit to limit so fast that the hand hardly moves, and gets no energy at all. So the guard trips, too, after SHAKES
@@ -152,7 +154,7 @@ def observe(energy, history, io, gap):
         energy.elapsed += gap
     else:
         _begin(energy, io)
-    begins = _begins_episode(energy, io)
+    begins = _begins_episode(energy, io) and gap == 1
     _follow_turns(energy, io, gap)
     energy.gap += gap
     goes_on = energy.gap <= energy.most_gap
@@ -163,7 +165,7 @@ def observe(energy, history, io, gap):
     for account in range(2):
         work, lost = _energy_of(energy, history, io, account, gap) if has_begun else (0.0, 0.0)
         _take_account(energy, account, work - lost, added)
-        _count_swing(energy, account, work, lost, begins, goes_on)
+        _count_swing(energy, account, work, lost + added, begins, goes_on)
         if energy.why == 0 and energy.given[account] > energy.limit[account]:
             energy.why, energy.account = GIVEN, account
         elif energy.why == 0 and _has_swung(energy, account):
@@ -235,7 +237,7 @@ def _begins_episode(energy, io):
     begins = False
     from_on = LOW if _is_unstable(energy) else 1.0
     for c in range(io.channels):
-        side = _side_of(io.asked[c] + io.excitation[c], from_on * io.force_limit[c])
+        side = _side_of(io.asked[c], from_on * io.force_limit[c])
         begins = begins or (side != 0 and side != energy.side[c])
         energy.side[c] = side
     return begins
