@@ -298,9 +298,8 @@ class _Pusher:
         ]
 
     def _seen(self, drive: Drive, trace: Trace, bounds: Bounds) -> Pushed:
-        declared = self._scene.device.masses(self._scene.channels)[self._channel]
         noise_m = self._noise_counts * self._count_m
-        return Pushed(drive.force, self._peak(trace), bounds, declared, noise_m, self._count_m)
+        return Pushed(drive.force, self._peak(trace), bounds, noise_m, self._count_m)
 
     def _require_sound(self, fit: DeviceFit | None, drive: Drive, trace: Trace) -> DeviceFit:
         error = why_not(fit, self._seen(drive, trace, self._bounds))

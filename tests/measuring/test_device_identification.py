@@ -109,9 +109,16 @@ def test_the_device_stays_within_force_and_travel() -> None:
 
 
 def test_a_device_that_moves_too_far_is_left_alone() -> None:
-    """It breaks away from a dry friction that is large for so small a travel."""
-    with pytest.raises(GuardError, match=r"farther than the 0\.2 mm that it may, .* nothing more was"):
+    """It breaks away from a dry friction that is large for so small a travel, and no hand is blamed for it."""
+    with pytest.raises(
+        GuardError, match=r"farther than the 0\.2 mm that it may, .* nothing more was .* Dry friction may"
+    ):
         hapsim.identify_device(replace(ONE, coulomb=1.5).scene(), force=5.0, travel=2e-4)
+
+
+def test_a_device_that_moves_in_jerks_is_told_so() -> None:
+    with pytest.raises(UsageError, match=r"moved by 0\.19 mm, but in jerks, .* dry friction holds it"):
+        hapsim.identify_device(replace(ONE, coulomb=0.5).scene(), force=1.0, travel=2e-4)
 
 
 def test_a_device_that_moves_by_itself_is_not_pushed() -> None:

@@ -43,6 +43,7 @@ INSIDE = {
     ("tools/bench/divergence.py", "firmware_protocol"): FAULTS_IN_MEMORY,
     ("tools/bench/faults.py", "hapsim.faults"): FAULTS_IN_MEMORY,
     ("tools/bench/faults.py", "hapsim.console.faults"): FAULTS_IN_MEMORY,
+    ("tools/bench/identification.py", "hapsim.measuring"): "sees every run, to tell how far any of them went",
     ("tools/bench/inverted.py", "hapsim.faults"): FAULTS_IN_MEMORY,
     ("tools/bench/sign.py", "hapsim.compiling"): RUNS_AGAIN,
     ("tools/bench/sign.py", "hapsim.device"): RUNS_AGAIN,
