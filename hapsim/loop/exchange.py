@@ -283,6 +283,8 @@ def _by_what_was_sent(loop, gap, late, withheld, now):
         diverged = call_observe(energy.observe, (energy.address, history.address, io.address, np.int64(gap)))
     if sign.judge != 0:
         wrong = call_judge(sign.judge, (sign.address, history.address, io.address, np.int64(gap)))
+        if (sign.judge | energy.observe) == 0:  # all channels are right: nobody asks any more which force acted
+            history.keep = 0
     return slewed, WRONG_SIGN if wrong != 0 else DIVERGED if diverged != 0 else 0
 
 

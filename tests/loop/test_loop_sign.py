@@ -106,6 +106,7 @@ def test_a_motor_that_is_right_is_judged_no_more_and_its_forces_are_as_without()
     with start(touch(), duration=0.3, judges_sign=True, on_arming=lambda one: loops.append(one._loop)) as session:
         session.wait()
     assert (loops[0].record.sign.is_right[0], loops[0].record.sign.judge) == (1, 0)
+    assert loops[0].record.history.keep == 0
     assert session.trace.report.sign_tests == 0
     np.testing.assert_array_equal(session.trace.force_counts, run(touch(), duration=0.3).force_counts)
 
