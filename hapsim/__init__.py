@@ -18,8 +18,6 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from hapsim.loop.trace import Trace as Trace
-    from hapsim.loop.trace import load_trace as load_trace
     from hapsim.measuring.identify import Measurement as Measurement
     from hapsim.measuring.identify import identify as identify
     from hapsim.measuring.identify_device import DeviceIdentification as DeviceIdentification
@@ -29,6 +27,8 @@ if TYPE_CHECKING:
     from hapsim.measuring.measure_impedance import measure_impedance as measure_impedance
     from hapsim.prediction import Prediction as Prediction
     from hapsim.prediction import predict as predict
+    from hapsim.recording.trace import Trace as Trace
+    from hapsim.recording.trace import load_trace as load_trace
     from hapsim.running import Session as Session
     from hapsim.running import run as run
     from hapsim.running import sessions as sessions
@@ -44,11 +44,11 @@ _HOME = {
     "Prediction": "hapsim.prediction",
     "Scene": "hapsim.scene",
     "Session": "hapsim.running",
-    "Trace": "hapsim.loop.trace",
+    "Trace": "hapsim.recording.trace",
     "identify": "hapsim.measuring.identify",
     "identify_device": "hapsim.measuring.identify_device",
     "load_scene": "hapsim.scene",
-    "load_trace": "hapsim.loop.trace",
+    "load_trace": "hapsim.recording.trace",
     "measure": "hapsim.measuring.measure",
     "measure_impedance": "hapsim.measuring.measure_impedance",
     "parse_scene": "hapsim.scene",

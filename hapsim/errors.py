@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from hapsim.loop.trace import Trace
+    from hapsim.recording.trace import Trace
 
 __all__ = [
     "DescriptionError",

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapsim.chart.figure import figure_to
-from hapsim.console.identify import rounded
 from hapsim.measuring.device_misfit import BINS, binned
 from hapsim.measuring.identify_device import DeviceIdentification
+from hapsim.number_format import rounded
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

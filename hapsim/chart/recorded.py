@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from hapsim.chart.figure import figure_to
 from hapsim.loop.ring import BRIDGED, LATE_FORCE, LIMITED, UNSENT, WITHHELD
-from hapsim.loop.trace import Trace
+from hapsim.recording.trace import Trace
 
 _STRETCHES = 2000  # of more rows than that, the least and the greatest of each stretch are drawn: no peak is lost
 _MARKED = (

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from hapsim.chart.figure import save_figure
 from hapsim.chart.hand import described
-from hapsim.loop.trace import Trace
 from hapsim.prediction import Felt
+from hapsim.recording.trace import Trace
 
 _PUSH = 1e-6  # N beyond what the scene asks: a push, not the rounding of the force
 _DECAYS = 6.0  # time constants that are worth drawing

@@ -18,7 +18,7 @@ from hapsim.doctor.machine import Machine
 from hapsim.doctor.system_files import Tree
 
 if TYPE_CHECKING:
-    from hapsim.realtime import PrivilegeResult
+    from hapsim.loop.realtime import PrivilegeResult
 
 _LATE_S = 0.5e-3  # a wake-up that much late is half a period at 1 kHz; a real-time kernel stays far below
 _BUSY_SHARE = 0.2  # of the cores, kept busy by others

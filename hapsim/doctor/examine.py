@@ -25,7 +25,7 @@ from hapsim.running.compatibility import require_compatible
 from hapsim.scene import Scene, parse_scene
 
 if TYPE_CHECKING:
-    from hapsim.realtime import PrivilegeResult
+    from hapsim.loop.realtime import PrivilegeResult
 
 RATES_HZ = (1000.0, 2000.0, 4000.0, 10000.0)
 _SHIPPED = "first_touch.yaml"
@@ -218,7 +218,7 @@ def _named(trial: Trial) -> str:
 
 
 def _shipped() -> Scene:
-    from hapsim.shipped import shipped_scene
+    from hapsim.scene.shipped import shipped_scene
 
     return parse_scene(shipped_scene(_SHIPPED), _SHIPPED)
 

@@ -14,7 +14,7 @@ from hapsim.progress import Progress
 from hapsim.scene import Clock, Scene
 
 if TYPE_CHECKING:
-    from hapsim.loop.trace import Report, Trace
+    from hapsim.recording.trace import Report, Trace
 
 Run = Callable[..., "Trace"]
 """hapsim.run, or what stands for it in a test."""

@@ -16,7 +16,7 @@ from hapsim.loop.grid import GRID, sleep_on_grid
 from hapsim.loop.histogram import Histogram, histogram_of
 
 if TYPE_CHECKING:
-    from hapsim.realtime import PrivilegeResult
+    from hapsim.loop.realtime import PrivilegeResult
 
 _LOOK_S = 0.05
 _SLOWEST_HZ, _FASTEST_HZ = 1.0, 1e5
@@ -111,13 +111,13 @@ def _lay(grid: Any, count: int) -> None:
 @contextlib.contextmanager
 def _punctual(realtime: bool) -> Iterator[list[PrivilegeResult]]:
     """While open, this thread wakes up as punctually as it may: at the least without the kernel's slack of 50 µs."""
-    from hapsim.realtime.slack import no_timer_slack
+    from hapsim.loop.realtime.slack import no_timer_slack
 
     no_timer_slack()
     if not realtime:
         yield []
         return
-    from hapsim.realtime import realtime as in_real_time
+    from hapsim.loop.realtime import realtime as in_real_time
 
     with in_real_time(threading.get_native_id()) as grants:
         yield list(grants)

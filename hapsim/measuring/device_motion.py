@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapsim.loop.ring import BRIDGED, LATE_FORCE, OFF_GRID
-from hapsim.loop.trace import Trace
 from hapsim.measuring.stretches import unbroken
+from hapsim.recording.trace import Trace
 
 Vector = NDArray[np.float64]
 

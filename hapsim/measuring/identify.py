@@ -16,11 +16,11 @@ from threadpoolctl import threadpool_limits
 
 from hapsim.errors import RunError, UsageError
 from hapsim.loop.ring import BRIDGED, LATE_FORCE, LIMITED, OFF_GRID
-from hapsim.loop.trace import Trace
 from hapsim.measuring.pair import FittedPair, SecondMode, dominant_pair
 from hapsim.measuring.regression import Fit, Segment, fit
 from hapsim.measuring.seen_rate import SeenRate, seen_rate
 from hapsim.measuring.stretches import unbroken
+from hapsim.recording.trace import Trace
 
 _ROUNDING = 1.0 / math.sqrt(12.0)  # standard deviation of rounding to whole counts
 _MOST_ROWS = 6000

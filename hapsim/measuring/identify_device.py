@@ -13,7 +13,6 @@ from threadpoolctl import threadpool_limits
 from hapsim.device.open_connection import TransportKind
 from hapsim.errors import GuardError, UsageError
 from hapsim.loop.endings import IN_WORDS, OUT_OF_TRAVEL, STOPPED
-from hapsim.loop.trace import Trace
 from hapsim.measuring.device_diagnosis import Pushed, inverted, why_not, why_too_far
 from hapsim.measuring.device_excitation import Bounds, Drive, Plant, drive_for, peak_per_newton, scene_of
 from hapsim.measuring.device_fit import DeviceFit, Estimate, HandFit, Shape, fit_device, hands_on
@@ -22,6 +21,7 @@ from hapsim.measuring.device_model import Converters
 from hapsim.measuring.device_motion import ROUNDING, Motion, Swing, motion_of, stretches_of, swings_of
 from hapsim.measuring.seen_rate import SeenRate, seen_rate
 from hapsim.progress import Progress
+from hapsim.recording.trace import Trace
 from hapsim.running import run
 from hapsim.scene import Scene
 

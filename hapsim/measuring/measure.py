@@ -8,9 +8,9 @@ from dataclasses import replace
 
 from hapsim.device.open_connection import TransportKind
 from hapsim.errors import DeviceError, UsageError
-from hapsim.loop.trace import Trace
 from hapsim.measuring.identify import Measurement, identify
 from hapsim.progress import Progress
+from hapsim.recording.trace import Trace
 from hapsim.running import Excitation, run
 from hapsim.scene import Scene, Spring, ViscoElastic
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hapsim.loop.trace import Report, Trace
+from hapsim.recording.trace import Report, Trace
 
 _STRETCHES, _LEAST_STRETCHES, _LEAST_ROWS = 40, 10, 8
 _CONFIDENCE = 0.999

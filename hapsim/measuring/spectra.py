@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapsim.loop.ring import LATE_FORCE, LIMITED, UNSENT
-from hapsim.loop.trace import Trace
 from hapsim.measuring.multisine import Lines
+from hapsim.recording.trace import Trace
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]

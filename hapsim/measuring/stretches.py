@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from hapsim.loop.ring import LATE_FORCE, UNSENT
-from hapsim.loop.trace import Trace
+from hapsim.recording.trace import Trace
 
 _ALWAYS = 0.99  # of all samples: what is late so often is late by the wire's nature
 

@@ -11,7 +11,7 @@ import math
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, NamedTuple
 
-from hapsim.prediction.rounding import duration, rounded_up
+from hapsim.number_format import duration, rounded_up
 from hapsim.scene import Scene
 
 if TYPE_CHECKING:

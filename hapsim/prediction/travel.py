@@ -14,8 +14,8 @@ import math
 from dataclasses import replace
 from typing import Any
 
+from hapsim.number_format import rounded_up
 from hapsim.prediction.hands import configuration_of
-from hapsim.prediction.rounding import rounded_up
 from hapsim.scene import Scene
 
 HAND_DAMPING = 5.0

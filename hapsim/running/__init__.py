@@ -3,8 +3,8 @@
 Public is what `__all__` names: a run, and what it tells.
 """
 
-from hapsim.loop.trace import Report, Statistics, Trace
 from hapsim.progress import Progress
+from hapsim.recording.trace import Report, Statistics, Trace
 from hapsim.running.excitation import Excitation, PeriodicExcitation
 from hapsim.running.run import run
 from hapsim.running.session import Session, sessions

@@ -20,9 +20,9 @@ from hapsim.cordis.program import compile_scene, fixed_modules, parameter_values
 from hapsim.cordis.schemes import without_matrices
 from hapsim.cordis.succession import take_over_from
 from hapsim.errors import UsageError
+from hapsim.loop.realtime.giving_way import Beside
 from hapsim.prediction import surely_shaken_by
 from hapsim.prediction.correction import Rendering, rendered
-from hapsim.realtime.giving_way import Beside
 from hapsim.running.assemble import Loop
 from hapsim.running.stability import require_followable
 from hapsim.scene import Scene

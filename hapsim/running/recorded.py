@@ -13,10 +13,10 @@ from hapsim.device.connection import Connection
 from hapsim.errors import RecordError, RunError
 from hapsim.loop import endings
 from hapsim.loop.last_bytes import in_order
-from hapsim.loop.recording import Recording
-from hapsim.loop.stream import Head
+from hapsim.recording.recording import Recording
+from hapsim.recording.report_file import WireBytes, write_report
+from hapsim.recording.stream import Head
 from hapsim.running.report import report_of, statistics_of, trace_of
-from hapsim.running.report_file import WireBytes, write_report
 from hapsim.running.session import Session
 
 

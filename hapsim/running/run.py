@@ -6,8 +6,8 @@ import contextlib
 from collections.abc import Callable
 from typing import Unpack
 
-from hapsim.loop.trace import Trace
 from hapsim.progress import Progress
+from hapsim.recording.trace import Trace
 from hapsim.running.session import Session
 from hapsim.running.signals import stopping_on_signals
 from hapsim.running.starting import StartOptions, start

@@ -15,11 +15,11 @@ from typing import Any, Self
 
 from hapsim.errors import HapsimError, UsageError
 from hapsim.loop import endings
-from hapsim.loop.recorder import Recorder
-from hapsim.loop.trace import Statistics, Trace
+from hapsim.loop.realtime import PrivilegeResult
+from hapsim.loop.realtime.slack import no_timer_slack
 from hapsim.progress import Progress
-from hapsim.realtime import PrivilegeResult
-from hapsim.realtime.slack import no_timer_slack
+from hapsim.recording.recorder import Recorder
+from hapsim.recording.trace import Statistics, Trace
 from hapsim.running.assemble import Loop
 from hapsim.running.changes import OVER, LiveScene
 from hapsim.running.report import progress_of, statistics_of
@@ -60,7 +60,7 @@ class Session:
         """What its device is called: the port."""
         self._over, self._done = threading.Event(), threading.Event()  # the loop; all that comes after it, too
         self.gives_way = gives_way
-        """Whether work beside the loop gives way to it (hapsim.realtime.giving_way)."""
+        """Whether work beside the loop gives way to it (hapsim.loop.realtime.giving_way)."""
         self._live = LiveScene(scene, loop, self._over.is_set, gives_way, unstable)
         self._ending: int | None = None
         self._thread = threading.Thread(target=self._work, name="haptic loop", daemon=True)

@@ -6,8 +6,8 @@ What was not worked out, or is at the very limit, is no reason to refuse: `hapsi
 from __future__ import annotations
 
 from hapsim.errors import UsageError
+from hapsim.number_format import between, rounded_down
 from hapsim.prediction import Prediction, is_surely_unstable, surely_shaken_by
-from hapsim.prediction.rounding import between, rounded_down
 from hapsim.scene import Scene
 
 

@@ -11,8 +11,6 @@ from pathlib import Path
 from typing import Any, TypedDict
 
 from firmware_protocol.description import Description
-from hapsim.ahead.compile import compile_ahead
-from hapsim.ahead.prepare import MOCK_UNITS
 from hapsim.compiling.entries import compile_for
 from hapsim.compiling.progress import Counted, on_compilation
 from hapsim.device.connection import Connection
@@ -28,19 +26,21 @@ from hapsim.device.open_connection import (
 from hapsim.errors import RunError, UsageError
 from hapsim.loop.only_linux import missing_calls, require_linux
 from hapsim.loop.portable import PortableLoop
-from hapsim.loop.recorder import Recorder
+from hapsim.loop.realtime import realtime as with_realtime
 from hapsim.loop.run import run_loop
-from hapsim.loop.trace import require_writable_as_trace
 from hapsim.prediction import surely_shaken_by
 from hapsim.prediction.travel import refused_travel
 from hapsim.progress import Progress
-from hapsim.realtime import realtime as with_realtime
+from hapsim.recording.recorder import Recorder
+from hapsim.recording.report_file import default_directory
+from hapsim.recording.trace import require_writable_as_trace
 from hapsim.running.assemble import Loop, assemble_loop
 from hapsim.running.compatibility import PACING, require_compatible, require_known_zero
+from hapsim.running.compile_ahead import compile_ahead
 from hapsim.running.excitation import Excitation, PeriodicExcitation
+from hapsim.running.prepare import MOCK_UNITS
 from hapsim.running.recorded import recorded, with_record, with_report
 from hapsim.running.report import failure_of, trace_of, with_farewell
-from hapsim.running.report_file import default_directory
 from hapsim.running.session import Session, sessions
 from hapsim.running.stability import require_startable
 from hapsim.scene import Scene
@@ -98,7 +98,7 @@ def start(
       before a crash is read by `load_trace`.
     * `reports`: the directory for the report file of a run that a guard, a fault of the device or a lost device ends;
       None: a default one where the device is on a port, no file for the mock in this process.
-    * `realtime`: asks the system for what makes a loop steady, see hapsim.realtime; `Session.grants` says what was
+    * `realtime`: asks the system for what makes a loop steady, see hapsim.loop.realtime; `Session.grants` says what was
       granted.
     * `portable`: the loop in plain Python over pyserial; off Linux that loop runs with the mock in memory too.
     * `between`: what loop and device speak through, made of the transport to the device; the loop is then the one in

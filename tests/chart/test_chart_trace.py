@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from hapsim.chart import recorded
-from hapsim.loop import stream, streamed_trace
 from hapsim.loop.ring import LATE_FORCE, LIMITED, UNSENT, WITHHELD
-from hapsim.loop.trace import Trace
+from hapsim.recording import stream, streamed_trace
+from hapsim.recording.trace import Trace
 from hapsim.running import run
 from hapsim.scene import load_scene
 

@@ -207,7 +207,7 @@ def test_an_interrupt_while_numpy_is_loaded_is_told_without_it(hapsim: Hapsim, m
     """It cannot be loaded a second time."""
 
     def interrupt(*_: object, **__: object) -> None:
-        monkeypatch.setitem(sys.modules, "hapsim.console.as_json", None)
+        monkeypatch.setitem(sys.modules, "hapsim.cli.as_json", None)
         os.kill(os.getpid(), signal.SIGINT)
 
     monkeypatch.setattr("hapsim.scene.load_scene", interrupt)

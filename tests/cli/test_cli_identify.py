@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from hapsim.scene import Known, load_scene
-from hapsim.shipped import shipped_scene
+from hapsim.scene.shipped import shipped_scene
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import yaml
 
-from hapsim.loop.trace import load_trace
+from hapsim.recording.trace import load_trace
 
 ANOTHER_SYSTEM = Path(__file__).with_name("another_system.py")
 SceneFile = Callable[..., Path]

@@ -12,11 +12,11 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from hapsim.console.live import live_line
-from hapsim.console.tables import show_report
-from hapsim.loop.trace import load_trace
+from hapsim.cli.live import live_line
+from hapsim.cli.tables import show_report
 from hapsim.progress import Progress
-from hapsim.shipped import shipped_scene
+from hapsim.recording.trace import load_trace
+from hapsim.scene.shipped import shipped_scene
 
 RAN = {"rate_hz", "ticks", "deadline_misses", "lost_frames", "crc_errors"}
 FELT = {"k", "b", "frequency_hz", "damping_ratio"}

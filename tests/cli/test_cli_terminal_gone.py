@@ -16,10 +16,10 @@ from typing import Any
 import pytest
 
 from firmware_protocol import schema
-from hapsim.console.standard_streams import standing_streams
+from hapsim.cli.standard_streams import standing_streams
 from hapsim.device.mock.assemble import assemble_mock
 from hapsim.device.mock.terminal import serving
-from hapsim.loop.trace import load_trace
+from hapsim.recording.trace import load_trace
 from hapsim.scene import load_scene
 
 HAPSIM = [sys.executable, "-m", "hapsim"]
@@ -74,7 +74,7 @@ def test_a_run_ends_as_it_would_where_nobody_reads_it(
 
 
 def test_a_reader_that_reads_no_more_holds_nobody_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("hapsim.console.standard_streams._PATIENCE_S", 0.0)
+    monkeypatch.setattr("hapsim.cli.standard_streams._PATIENCE_S", 0.0)
     read, write = os.pipe()
     os.set_blocking(write, False)
     with open(write, "w", encoding="utf-8", buffering=1) as full, contextlib.suppress(BlockingIOError):
@@ -97,7 +97,7 @@ def test_a_run_without_standard_streams_gives_their_numbers_to_nobody(
     program = (
         "import os, sys\n"
         "from hapsim import cli\n"
-        "from hapsim.console.standard_streams import standing_streams\n"
+        "from hapsim.cli.standard_streams import standing_streams\n"
         "with standing_streams():\n"
         "    assert os.open(os.devnull, os.O_RDONLY) > 2\n"
         "    print(1, file=sys.stderr)\n"

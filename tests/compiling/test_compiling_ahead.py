@@ -13,18 +13,18 @@ from typing import Any
 
 import pytest
 
-from hapsim.ahead import compile as ahead
-from hapsim.ahead.compile import UNITS, Unit, compile_ahead
 from hapsim.compiling.progress import Counted
 from hapsim.progress import Progress
+from hapsim.running import compile_ahead as ahead
 from hapsim.running import run
+from hapsim.running.compile_ahead import UNITS, Unit, compile_ahead
 from hapsim.scene import Scene, parse_scene
-from hapsim.shipped import shipped_scene
+from hapsim.scene.shipped import shipped_scene
 
 NAMES = ("loop", "port", "mock")
 
 AFTERWARDS = """
-from hapsim.ahead.compile import UNITS, main
+from hapsim.running.compile_ahead import UNITS, main
 print([name for name, unit in UNITS.items() if unit.is_kept()])
 main(["mock"])
 """
@@ -39,7 +39,7 @@ def test_the_second_process_tells_what_it_compiles_and_leaves_it_where_the_first
         assert done.returncode == 0, done.stderr[-2000:]
         return done.stdout
 
-    told = call("-m", "hapsim.ahead.compile", "mock").splitlines()
+    told = call("-m", "hapsim.running.compile_ahead", "mock").splitlines()
     assert {"firmware._take_bytes", "firmware._take_sample", "motion.move_gliding", "serve"} <= set(told)
     assert all(line.replace("_", "").replace(".", "").isalnum() for line in told)
     assert call("-c", AFTERWARDS) == "['mock']\n"  # and it compiles nothing any more
@@ -102,7 +102,7 @@ def test_what_the_second_process_tells_is_counted_with_the_rest(
     compile_ahead(NAMES, Counted(lambda name, share: told.append((name, share))))
     expected = sum(UNITS[name].functions for name in NAMES)  # type: ignore[index]
     assert told == [("_take_bytes", 1 / expected), ("serve", 2 / expected)]
-    assert (tmp_path / "words").read_text(encoding="utf-8") == "-P -m hapsim.ahead.compile mock\n"
+    assert (tmp_path / "words").read_text(encoding="utf-8") == "-P -m hapsim.running.compile_ahead mock\n"
     assert len(started) == 1
     require_over(started)
 

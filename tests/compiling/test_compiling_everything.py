@@ -11,16 +11,15 @@ from typing import Any, get_args
 
 import pytest
 
-from hapsim import shipped
-from hapsim.ahead import prepare as preparing
-from hapsim.ahead.every_module import scenes_with_every_module
-from hapsim.ahead.prepare import Prepared, prepare
 from hapsim.compiling.progress import on_compilation
 from hapsim.cordis.program import compile_scene
 from hapsim.cordis.registry import PART_TYPES
 from hapsim.prediction.linear import linear_scene
+from hapsim.running import prepare as preparing
 from hapsim.running import run
-from hapsim.scene import SchemeName, parse_scene
+from hapsim.running.every_module import scenes_with_every_module
+from hapsim.running.prepare import Prepared, prepare
+from hapsim.scene import SchemeName, parse_scene, shipped
 from hapsim.scene.modules import MODULE_TYPES
 
 SCENE = "configs/first_touch.yaml"

@@ -15,7 +15,7 @@ import pytest
 # A native function and an entry, both quick to compile, and what numba compiled of them.
 SCRIPT = """
 import numpy as np
-from hapsim.ahead.compile import UNITS
+from hapsim.running.compile_ahead import UNITS
 from hapsim.compiling.progress import on_compilation
 from hapsim.cordis import parameters
 from firmware_protocol.records import new_record

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from hapsim.ahead.every_module import scenes_with_every_module
 from hapsim.cordis.offline import start, tick
 from hapsim.cordis.program import compile_scene, positions_of
 from hapsim.cordis.registry import PART_TYPES
 from hapsim.cordis.schemes import SCHEMES
 from hapsim.prediction.hands import network_of
 from hapsim.prediction.linear import linear_of, linear_scene
+from hapsim.running.every_module import scenes_with_every_module
 from hapsim.scene import DamperScheme, Link, Scene, ViscoElastic, parse_scene
 from hapsim.scene.choices import WITH_CUTOFF, WITH_SENSOR
 from hapsim.theory import Network, solve

@@ -14,11 +14,11 @@ import pytest
 from rich.console import Console
 
 from hapsim import run
-from hapsim.console.live import _Line
-from hapsim.console.tables import show_report
-from hapsim.loop.report import Report
+from hapsim.cli.live import _Line
+from hapsim.cli.tables import show_report
 from hapsim.measuring.measure import measure
 from hapsim.progress import Progress
+from hapsim.recording.report import Report
 from hapsim.running import PeriodicExcitation
 from hapsim.scene import Device, DevicePoint, Ground, Mock, Scene, Span, ViscoElastic
 

@@ -13,7 +13,7 @@ from hapsim.doctor.advice import EVERY_ADVICE, Advice, Situation, advice_on
 from hapsim.doctor.load import Load
 from hapsim.doctor.machine import Machine
 from hapsim.doctor.system_files import Tree
-from hapsim.realtime import PrivilegeResult
+from hapsim.loop.realtime import PrivilegeResult
 
 SOUND = Machine("P", 4, 4, "6.12", True, ("performance",), "tsc", "", False, "")
 FTDI = "/sys/bus/usb-serial/devices/ttyUSB0/latency_timer"

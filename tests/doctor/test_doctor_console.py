@@ -15,9 +15,9 @@ import pytest
 from rich.console import Console
 
 from hapsim.chart.steadiness import columns, draw_steadiness, steadiness
-from hapsim.console.as_json import document
-from hapsim.console.doctor import examination_document, examination_line, show_examination
-from hapsim.console.histogram import histogram_lines, histogram_rows
+from hapsim.cli.as_json import document
+from hapsim.cli.doctor_table import examination_document, examination_line, show_examination
+from hapsim.cli.histogram import histogram_lines, histogram_rows
 from hapsim.doctor import words
 from hapsim.doctor.advice import Advice
 from hapsim.doctor.examine import Examination
@@ -27,7 +27,7 @@ from hapsim.doctor.machine import Machine
 from hapsim.doctor.step import Step
 from hapsim.doctor.verdict import verdict_on
 from hapsim.loop.histogram import Histogram
-from hapsim.realtime import PrivilegeResult
+from hapsim.loop.realtime import PrivilegeResult
 
 Counted = Callable[[dict[float, int]], Histogram]
 MACHINE = Machine("Some [bold] Processor", 2, 4, "6.12", False, ("powersave",), "tsc", "QEMU", True, "3")

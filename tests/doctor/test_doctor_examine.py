@@ -9,15 +9,15 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from hapsim.console.doctor import examination_document, show_examination
+from hapsim.cli.doctor_table import examination_document, show_examination
 from hapsim.doctor import examine as examination_module
 from hapsim.doctor.examine import Examination, examine
 from hapsim.doctor.step import Step
 from hapsim.doctor.system_files import Tree
 from hapsim.errors import DeviceError, UsageError
 from hapsim.loop.histogram import Histogram
+from hapsim.loop.realtime import PrivilegeResult
 from hapsim.progress import Progress
-from hapsim.realtime import PrivilegeResult
 from hapsim.scene import Scene, load_scene, parse_scene
 
 GRANT = PrivilegeResult("SCHED_FIFO", True, "priority 80")

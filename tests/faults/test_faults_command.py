@@ -17,10 +17,10 @@ from rich.console import Console
 sys.path.insert(0, str(Path(__file__).parent))
 from wire_session import injector_of, positions_through
 
-from hapsim.console.faults import faults_document, show_faults
+from hapsim.bringup.faults import KINDS
+from hapsim.bringup.faults.passing import PassingTimes
+from hapsim.cli.faults_table import faults_document, show_faults
 from hapsim.errors import DeviceError
-from hapsim.faults import KINDS
-from hapsim.faults.passing import PassingTimes
 
 SCENE = """\
 version: 1
@@ -164,6 +164,6 @@ def test_a_link_that_was_left_over_is_gone_before_the_mock_has_a_port(
     def start(_scene: str) -> None:
         raise DeviceError("still there" if name.is_symlink() else "free")
 
-    monkeypatch.setattr("hapsim.commands.faults._mock", start)
+    monkeypatch.setattr("hapsim.cli.faults._mock", start)
     answer = hapsim("faults", "noisy_wire", "--scene", scene, "--path", name, "--json")
     assert answer.document["error"] == "free"

@@ -13,11 +13,11 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parent))
 from wire_session import injector_of
 
+from hapsim.bringup.faults import Injector
+from hapsim.bringup.faults.in_memory import in_memory
 from hapsim.errors import DeviceError, GuardError, HapsimError
-from hapsim.faults import Injector
-from hapsim.faults.in_memory import in_memory
 from hapsim.loop.codes import HUNG_UP, TIMED_OUT
-from hapsim.loop.trace import Trace
+from hapsim.recording.trace import Trace
 from hapsim.running import run
 from hapsim.scene import Scene
 

@@ -19,15 +19,15 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parent))
 from wire_session import force, injector_of, position
 
-from hapsim.console.faults import passing_on
+from hapsim.bringup.faults import Injector
+from hapsim.bringup.faults import relay as relay_module
+from hapsim.bringup.faults.passing import PassingTimes
+from hapsim.bringup.faults.relay import Relay
+from hapsim.cli.faults_table import passing_on
 from hapsim.device.mock.assemble import assemble_mock
 from hapsim.device.mock.terminal import serving
 from hapsim.device.serial_port import raw_port
 from hapsim.errors import DeviceError, UsageError
-from hapsim.faults import Injector
-from hapsim.faults import relay as relay_module
-from hapsim.faults.passing import PassingTimes
-from hapsim.faults.relay import Relay
 from hapsim.running import run
 from hapsim.scene import Scene
 

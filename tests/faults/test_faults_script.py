@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
+from hapsim.bringup.faults import KINDS, load_script, parse_script
 from hapsim.errors import UsageError
-from hapsim.faults import KINDS, load_script, parse_script
-from hapsim.shipped import shipped_script, shipped_scripts
+from hapsim.scene.shipped import shipped_script, shipped_scripts
 
 ALL = ", ".join([*KINDS][:-1]) + f" or {[*KINDS][-1]}"
 

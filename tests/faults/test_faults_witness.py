@@ -13,7 +13,7 @@ from wire_session import ARMED, described, force, injector_of, position, positio
 
 from firmware_protocol import schema
 from firmware_protocol.frames import SETUP, frame_to_device, frame_to_host
-from hapsim.faults import Injector
+from hapsim.bringup.faults import Injector
 
 DISARM = frame_to_device(ARMED, schema.DISARM, 0, 0, [0])
 

@@ -8,7 +8,7 @@ from firmware_protocol import schema
 from firmware_protocol.decoder import Frame, frames_in, new_decoder
 from firmware_protocol.description import Description, to_registers
 from firmware_protocol.frames import SETUP, Format, armed_format, frame_to_device, frame_to_host
-from hapsim.faults import Injector, Passed, parse_script
+from hapsim.bringup.faults import Injector, Passed, parse_script
 
 ARMED = armed_format(1)
 PERIOD_S = 0.001

@@ -19,10 +19,10 @@ from typing import Any
 import pytest
 
 from firmware_protocol import schema
+from hapsim.bringup.probe.wire import Heard, Wire
 from hapsim.device.conversation import arm, describe, disarm, read_register
 from hapsim.device.serial_port import open_serial_port
 from hapsim.errors import DeviceError
-from hapsim.probe.wire import Heard, Wire
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 SWINGING = Path(__file__).parents[2] / "tools" / "bench" / "swinging.yaml"

@@ -23,8 +23,8 @@ from firmware_protocol import schema
 from hapsim.device.conversation import arm, describe, disarm, read_register
 from hapsim.device.serial_port import open_serial_port
 from hapsim.errors import DeviceError
-from hapsim.loop.trace import load_trace
-from hapsim.running.report_file import read_report
+from hapsim.recording.report_file import read_report
+from hapsim.recording.trace import load_trace
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="ports of Linux, and its signals")
 

@@ -19,7 +19,6 @@ from firmware_protocol import schema
 from firmware_protocol.decoder import Frame, frames_in, new_decoder, use_format
 from firmware_protocol.description import Description, to_registers
 from firmware_protocol.frames import SETUP, armed_format, frame_to_host
-from hapsim.ahead.compile import UNITS
 from hapsim.device.connection import Connection
 from hapsim.device.mock.assemble import assemble_mock
 from hapsim.device.mock.terminal import serving
@@ -27,6 +26,7 @@ from hapsim.loop.descriptor import descriptor_transport
 from hapsim.loop.portable import _take_and_compose
 from hapsim.running import assemble
 from hapsim.running.assemble import Loop, assemble_loop
+from hapsim.running.compile_ahead import UNITS
 from hapsim.scene import Scene, parse_scene
 
 POSITION_SCALE, FORCE_SCALE = 1e-6, 1e-3

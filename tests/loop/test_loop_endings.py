@@ -25,8 +25,8 @@ from hapsim.compiling import entry
 from hapsim.errors import DeviceError
 from hapsim.loop.endings import DONE, GOES_ON, RING_FULL, STOPPED, told_to_end
 from hapsim.loop.ring import UNSENT
-from hapsim.loop.trace import load_trace
 from hapsim.progress import Progress
+from hapsim.recording.trace import load_trace
 from hapsim.running import run, starting
 from hapsim.running.assemble import Loop
 from hapsim.scene import Scene

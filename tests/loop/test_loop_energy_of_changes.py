@@ -13,7 +13,7 @@ import pytest
 from rich.console import Console
 
 from firmware_protocol.records import new_record
-from hapsim.console.live import live_line
+from hapsim.cli.live import live_line
 from hapsim.cordis.offline import follow_parameters, start
 from hapsim.cordis.program import Program, compile_scene, parameter_values, positions_of
 from hapsim.cordis.stored_energy import TANK, StoredEnergy, Tank, evaluate

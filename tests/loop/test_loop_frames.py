@@ -12,7 +12,7 @@ from firmware_protocol import schema
 from firmware_protocol.frames import armed_format, frame_to_host
 from hapsim.errors import DeviceError
 from hapsim.loop.ring import BRIDGED, LATE_FORCE, UNSENT
-from hapsim.loop.trace import Trace
+from hapsim.recording.trace import Trace
 from hapsim.running import PeriodicExcitation, run
 
 Scripted = Callable[..., Any]

@@ -18,7 +18,7 @@ from hapsim.loop import endings
 from hapsim.loop.codes import FAULT
 from hapsim.loop.guards.divergence import GIVEN, SWINGING
 from hapsim.loop.histogram import note
-from hapsim.loop.recorder import Recorder
+from hapsim.recording.recorder import Recorder
 from hapsim.running import run
 from hapsim.running.assemble import Loop
 from hapsim.running.report import failure_of, trace_of

@@ -142,7 +142,7 @@ def two_hands(scene_of: SceneOf, share: float) -> Scene:
     return scene.model_copy(update={"modules": modules})
 
 
-def share_felt(trace: hapsim.loop.trace.Trace, channel: int, least: float) -> NDArray[np.float64]:
+def share_felt(trace: hapsim.recording.trace.Trace, channel: int, least: float) -> NDArray[np.float64]:
     """The share of `two_hands` that explains each tick's force; NaN where the hand hardly feels it."""
     d = trace.position[1:, channel]
     g = np.diff(trace.position[:, channel]) / T

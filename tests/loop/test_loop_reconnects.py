@@ -18,14 +18,13 @@ import pytest
 
 from firmware_protocol import schema
 from firmware_protocol.frames import armed_format, frame_to_host
-from hapsim.daemon import reconnecting
-from hapsim.daemon.reconnecting import LOST, Observer, keep_running, record_of
 from hapsim.device.conversation import describe
 from hapsim.device.mock.assemble import assemble_mock
 from hapsim.device.mock.terminal import serving
 from hapsim.errors import DeviceError, GuardError
-from hapsim.loop.trace import load_trace
-from hapsim.running import Session, starting
+from hapsim.recording.trace import load_trace
+from hapsim.running import Session, reconnecting, starting
+from hapsim.running.reconnecting import LOST, Observer, keep_running, record_of
 from hapsim.scene import Scene
 
 SOFTER = {"touch0": {"stiffness": 500.0}}

@@ -16,9 +16,9 @@ import yaml
 
 import hapsim
 from hapsim.errors import RecordError, UsageError
-from hapsim.loop import recording, stream, streamed_trace
-from hapsim.loop.stream import ROWS
-from hapsim.loop.trace import Trace, load_trace
+from hapsim.recording import recording, stream, streamed_trace
+from hapsim.recording.stream import ROWS
+from hapsim.recording.trace import Trace, load_trace
 from hapsim.running import run
 from hapsim.scene import Scene
 

@@ -16,13 +16,14 @@ import pytest
 from firmware_protocol import schema
 from firmware_protocol.decoder import Frame
 from firmware_protocol.records import new_record
-from hapsim.device.capture import Capture, Decoded
+from hapsim.bringup.capture import Capture, Decoded
 from hapsim.errors import DeviceError, RunError
 from hapsim.loop.inbox import AT_ONCE
 from hapsim.loop.last_bytes import KEPT, LAST_BYTES, in_order, next_place
-from hapsim.loop.trace import load_trace
-from hapsim.running import Session, report_file, run, start
-from hapsim.running.report_file import FRAMES, last_frames, read_report
+from hapsim.recording import report_file
+from hapsim.recording.report_file import FRAMES, last_frames, read_report
+from hapsim.recording.trace import load_trace
+from hapsim.running import Session, run, start
 from hapsim.scene import Scene, load_scene
 
 SceneOf = Callable[..., Scene]

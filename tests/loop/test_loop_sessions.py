@@ -12,7 +12,7 @@ import pytest
 
 import hapsim
 from hapsim.errors import DeviceError, UsageError
-from hapsim.loop.recorder import Recorder
+from hapsim.recording.recorder import Recorder
 from hapsim.running import Session, run
 from hapsim.running import session as session_module
 from hapsim.scene import Scene

@@ -12,16 +12,16 @@ import numpy as np
 import pytest
 
 from firmware_protocol.records import new_record
+from hapsim.bringup.faults import Injector
+from hapsim.bringup.faults.in_memory import in_memory
+from hapsim.bringup.faults.script import parse_script
 from hapsim.compiling.native import address_of
 from hapsim.errors import GuardError
-from hapsim.faults import Injector
-from hapsim.faults.in_memory import in_memory
-from hapsim.faults.script import parse_script
 from hapsim.loop.force_history import FORCE_HISTORY, ForceHistory, keep
 from hapsim.loop.guards.sign import RELEASE_S, SIGN, judge, judge_signs
 from hapsim.loop.io_buffer import IO_BUFFER
 from hapsim.loop.ring import SLEWED
-from hapsim.loop.trace import Trace
+from hapsim.recording.trace import Trace
 from hapsim.running import run, start
 from hapsim.scene import Scene
 

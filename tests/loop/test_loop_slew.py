@@ -14,8 +14,8 @@ import pytest
 from firmware_protocol import schema
 from hapsim.errors import DeviceError, UsageError
 from hapsim.loop.ring import LATE_FORCE, SLEWED
-from hapsim.loop.trace import Trace
 from hapsim.prediction.force_bounds import force_bounds
+from hapsim.recording.trace import Trace
 from hapsim.running import Excitation, run
 from hapsim.running.assemble import Loop
 from hapsim.scene import Scene

@@ -17,9 +17,9 @@ import pytest
 
 from hapsim.errors import UsageError
 from hapsim.loop.histogram import Histogram
-from hapsim.loop.trace import Trace, load_trace, require_writable_as_trace
+from hapsim.recording.report_file import is_report, read_report
+from hapsim.recording.trace import Trace, load_trace, require_writable_as_trace
 from hapsim.running import run
-from hapsim.running.report_file import is_report, read_report
 from hapsim.scene import Scene
 
 

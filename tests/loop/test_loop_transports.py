@@ -22,8 +22,8 @@ from hapsim.loop.codes import FAILED, HUNG_UP, TIMED_OUT
 from hapsim.loop.descriptor import descriptor_transport
 from hapsim.loop.portable import PortableTransport
 from hapsim.loop.ring import UNSENT
-from hapsim.loop.trace import Trace
 from hapsim.loop.transport import Transport
+from hapsim.recording.trace import Trace
 from hapsim.running import Excitation, PeriodicExcitation, run
 from hapsim.scene import Scene
 

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from hapsim.errors import DescriptionError, GuardError, UsageError
 from hapsim.loop.codes import HEARD, OUT_OF_TRAVEL
 from hapsim.loop.ring import FADED, LIMITED
-from hapsim.loop.trace import Trace
 from hapsim.measuring.measure import _pushes
 from hapsim.prediction.travel import HAND_DAMPING, fade_stiffness, refused_travel
+from hapsim.recording.trace import Trace
 from hapsim.running import Excitation, run
 from hapsim.running.compatibility import require_known_zero
 from hapsim.scene import Scene

@@ -9,7 +9,7 @@ from scipy.linalg import expm
 
 from firmware_protocol.records import new_record
 from hapsim.loop.histogram import HISTOGRAM, histogram_of
-from hapsim.loop.trace import Report, Statistics, Trace
+from hapsim.recording.trace import Report, Statistics, Trace
 
 QUANTUM = 1e-9
 

@@ -13,8 +13,8 @@ import pytest
 import hapsim
 from hapsim.errors import UsageError
 from hapsim.loop.ring import BRIDGED, LATE_FORCE, OFF_GRID, UNSENT
-from hapsim.loop.trace import Trace
 from hapsim.measuring.identify import identify
+from hapsim.recording.trace import Trace
 from hapsim.running import run
 
 sys.path.insert(0, str(Path(__file__).parent))

@@ -13,16 +13,16 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from hapsim.console.impedance import measured_width, show_impedance
+from hapsim.cli.impedance import measured_width, show_impedance
 from hapsim.errors import UsageError
 from hapsim.loop.ring import LATE_FORCE, UNSENT
-from hapsim.loop.trace import Trace
 from hapsim.measuring.impedance import Loop, impedance_of
 from hapsim.measuring.measure_impedance import MeasuredImpedance, measure_impedance, walls_in_place
 from hapsim.measuring.multisine import lines_for, multisine
 from hapsim.measuring.spectra import Periods, periods_of
 from hapsim.prediction import predict
 from hapsim.prediction.impedance import predict_impedance, z_width_of
+from hapsim.recording.trace import Trace
 from hapsim.scene import Scene, Span, load_scene
 from hapsim.theory.hand.impedance import late_and_held
 

@@ -13,9 +13,9 @@ import pytest
 from rich.console import Console
 
 import hapsim as python_api
-from hapsim.console.as_json import measurement_document
-from hapsim.console.compared import gives, probable_mass
-from hapsim.console.tables import show_measurement
+from hapsim.cli.as_json import measurement_document
+from hapsim.cli.compared import gives, probable_mass
+from hapsim.cli.tables import show_measurement
 from hapsim.measuring.identify import identify
 from hapsim.prediction import predict, with_mass
 from hapsim.scene import Scene, parse_scene

@@ -12,16 +12,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hapsim.console.as_json import measurement_document
+from hapsim.cli.as_json import measurement_document
 from hapsim.device.connection import Connection
 from hapsim.device.mock.assemble import assemble_mock
 from hapsim.device.mock.loopback import loopback_transport
 from hapsim.device.mock.terminal import serving
-from hapsim.loop.trace import Trace
 from hapsim.measuring.identify import identify
 from hapsim.measuring.pair import NO_SECOND_REAL_POLE
 from hapsim.measuring.seen_rate import seen_rate
 from hapsim.prediction import felt_at_rate, predict
+from hapsim.recording.trace import Trace
 from hapsim.running import run, starting
 from hapsim.scene import Scene, parse_scene
 
@@ -181,7 +181,7 @@ def test_in_virtual_time_no_rate_is_seen(hapsim: Callable[..., Any], tmp_path: P
 def test_the_text_names_the_rate_that_was_seen(a_trace: Trace) -> None:
     from rich.console import Console
 
-    from hapsim.console.tables import show_measurement
+    from hapsim.cli.tables import show_measurement
 
     arrivals = np.arange(2048) / 900.0
     measurement = identify(arriving(a_trace, arrivals), 0.2)
@@ -203,7 +203,7 @@ def test_the_text_names_the_rate_that_was_seen(a_trace: Trace) -> None:
 def test_why_there_is_no_spring_and_damper_is_told_plainly(a_trace: Trace, reason: str, told: str) -> None:
     from rich.console import Console
 
-    from hapsim.console.tables import show_measurement
+    from hapsim.cli.tables import show_measurement
 
     measurement = replace(identify(a_trace, 0.2), dominant=False, reason=reason)
     console = Console(record=True, width=200)

@@ -13,19 +13,16 @@ ROOT = Path(__file__).resolve().parents[2]
 
 #: From those that stand on nothing to those that stand on all: a room imports itself, and rooms of lines above its own.
 ORDER = (
-    ("hapsim", "hapsim.errors", "hapsim.progress", "hapsim.stopping", "firmware_protocol"),
-    ("hapsim.shipped", "hapsim.theory", "hapsim.scene", "hapsim.compiling", "hapsim.realtime"),
+    ("hapsim", "hapsim.errors", "hapsim.number_format", "hapsim.progress", "hapsim.stopping", "firmware_protocol"),
+    ("hapsim.theory", "hapsim.scene", "hapsim.compiling"),
     ("hapsim.prediction", "hapsim.cordis"),
     ("hapsim.loop",),
     ("hapsim.device",),
-    ("hapsim.ahead",),
-    ("hapsim.running",),
-    ("hapsim.measuring", "hapsim.doctor", "hapsim.probe", "hapsim.faults", "hapsim.daemon"),
+    ("hapsim.recording",),
+    ("hapsim.running", "hapsim.bringup"),
+    ("hapsim.measuring", "hapsim.doctor"),
     ("hapsim.speed_accuracy",),
-    ("hapsim.console",),
     ("hapsim.chart",),
-    ("hapsim.commands",),
-    ("hapsim.command_line",),
     ("hapsim.cli",),
     ("hapsim.__main__",),
 )

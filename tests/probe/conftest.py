@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from hapsim.bringup.probe.wire import Clock, Wire
 from hapsim.device.connection import Connection
 from hapsim.loop.codes import HUNG_UP, TIMED_OUT
-from hapsim.probe.wire import Clock, Wire
 
 SCRIPT = Path(__file__).with_name("device.py")
 _ROOM = 20_480  # bytes that wait for the host, as on a pseudo-terminal

@@ -18,10 +18,10 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from hapsim.console.probe import show_judgement
+from hapsim.bringup.probe import STEPS, Check, Judgement, Leave, probe, steps_of
+from hapsim.cli.probe_table import show_judgement
 from hapsim.device.mock.assemble import assemble_mock
 from hapsim.device.mock.terminal import serving
-from hapsim.probe import STEPS, Check, Judgement, Leave, probe, steps_of
 from hapsim.scene import Scene
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="pseudo-terminals of Linux")

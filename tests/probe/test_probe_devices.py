@@ -14,8 +14,8 @@ from typing import Any
 
 import pytest
 
-from hapsim.probe import CHECKS, STEPS, Check, Leave, judge, probe, steps_of
-from hapsim.probe.checks import SECTIONS
+from hapsim.bringup.probe import CHECKS, STEPS, Check, Leave, judge, probe, steps_of
+from hapsim.bringup.probe.checks import SECTIONS
 
 PROTOCOL = Path(__file__).resolve().parents[2] / "firmware_protocol" / "PROTOCOL.md"
 NewBench = Callable[..., Any]

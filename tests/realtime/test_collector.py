@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from hapsim.realtime.collector import frozen
+from hapsim.loop.realtime.collector import frozen
 
 
 class Ring:

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from hapsim.realtime import power
-from hapsim.realtime.power import awake
+from hapsim.loop.realtime import power
+from hapsim.loop.realtime.power import awake
 
 
 @pytest.fixture

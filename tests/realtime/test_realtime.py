@@ -13,18 +13,18 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-import hapsim.realtime as room
-from hapsim.realtime import PrivilegeResult, no_timer_slack, realtime
-from hapsim.realtime.collector import frozen
-from hapsim.realtime.memory import locked
-from hapsim.realtime.power import awake
-from hapsim.realtime.privilege import Measure, measure
-from hapsim.realtime.processor import pinned
-from hapsim.realtime.scheduling import fifo
+import hapsim.loop.realtime as room
+from hapsim.loop.realtime import PrivilegeResult, no_timer_slack, realtime
+from hapsim.loop.realtime.collector import frozen
+from hapsim.loop.realtime.memory import locked
+from hapsim.loop.realtime.power import awake
+from hapsim.loop.realtime.privilege import Measure, measure
+from hapsim.loop.realtime.processor import pinned
+from hapsim.loop.realtime.scheduling import fifo
 
 # What each measure that can be refused is refused by.
 CALLS = {
-    "memory locked": (locked, "hapsim.realtime.c_library.call"),
+    "memory locked": (locked, "hapsim.loop.realtime.c_library.call"),
     "power saving off": (awake, "os.open"),
     "one processor": (pinned, "os.sched_setaffinity"),
     "SCHED_FIFO": (fifo, "os.sched_setscheduler"),
@@ -63,7 +63,7 @@ def test_what_no_system_should_answer_is_a_denial_too(
 
 
 def test_a_c_library_without_the_call_is_a_denial(thread_id: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("hapsim.realtime.c_library.ctypes.CDLL", lambda *_, **__: object())
+    monkeypatch.setattr("hapsim.loop.realtime.c_library.ctypes.CDLL", lambda *_, **__: object())
     with locked(thread_id) as grant:
         assert "does not have the call" in grant.detail
     assert not no_timer_slack().granted
@@ -73,7 +73,7 @@ def test_where_advice_cannot_be_had_the_denial_is_told_without(
     thread_id: int, refuse: Callable[[str, int], None]
 ) -> None:
     refuse("resource.getrlimit", errno.EPERM)
-    refuse("hapsim.realtime.c_library.call", errno.ENOMEM)
+    refuse("hapsim.loop.realtime.c_library.call", errno.ENOMEM)
     with locked(thread_id) as grant:
         assert grant.detail == f"it was refused ({os.strerror(errno.ENOMEM)})"
 
@@ -104,7 +104,7 @@ def test_elsewhere_each_measure_says_that_only_linux_has_it(thread_id: int, monk
 WHOLE = """
 import contextlib, gc, os, pwd, resource, sys, threading
 from pathlib import Path
-from hapsim.realtime import realtime
+from hapsim.loop.realtime import realtime
 
 if sys.argv[1] == "nobody":
     with contextlib.suppress(PermissionError):  # whoever this is, is nobody already
@@ -231,7 +231,7 @@ def test_a_thread_that_has_ended_is_said_to_have_and_the_rest_goes_on(
 
 def test_a_thread_may_end_before_the_undoing() -> None:
     script = (
-        "import threading; from hapsim.realtime import realtime\n"
+        "import threading; from hapsim.loop.realtime import realtime\n"
         "end = threading.Event(); thread = threading.Thread(target=end.wait, daemon=True)\n"
         "thread.start()\n"
         "with realtime(thread.native_id): end.set(); thread.join()\n"

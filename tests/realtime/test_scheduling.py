@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 import pytest
 
-from hapsim.realtime.scheduling import PRIORITY, fifo
+from hapsim.loop.realtime.scheduling import PRIORITY, fifo
 
 Policy = tuple[int, int]
 

@@ -10,7 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from hapsim.realtime import PrivilegeResult, c_library, no_timer_slack
+from hapsim.loop.realtime import PrivilegeResult, c_library, no_timer_slack
 
 PR_SET_TIMERSLACK = 29
 PR_GET_TIMERSLACK = 30
@@ -59,7 +59,7 @@ def test_a_kernel_that_keeps_its_slack_is_not_believed(monkeypatch: pytest.Monke
 
 def test_whatever_the_error_is_it_is_denied_with_a_sentence(refuse: Callable[[str, int], None]) -> None:
     for number in errno.errorcode:
-        refuse("hapsim.realtime.c_library.call", number)
+        refuse("hapsim.loop.realtime.c_library.call", number)
         grant = no_timer_slack()
         assert not grant.granted
         assert os.strerror(number) in grant.detail or number in (errno.ESRCH, errno.ENOSYS)

@@ -17,10 +17,10 @@ from typing import Any
 
 import pytest
 
-from hapsim.daemon.notify import Notifier
-from hapsim.daemon.unit import closed_to_service, unit_for
 from hapsim.errors import UsageError
 from hapsim.progress import Progress
+from hapsim.running.notify import Notifier
+from hapsim.running.unit import closed_to_service, unit_for
 
 SCENE = """
 version: 1

@@ -17,13 +17,12 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from hapsim.console.as_json import document
-from hapsim.console.status import show_status
-from hapsim.daemon import status
-from hapsim.daemon.state import RunState
-from hapsim.daemon.status import ask, path_for, sockets, telling
+from hapsim.cli.as_json import document
+from hapsim.cli.status_table import show_status
 from hapsim.errors import UsageError
-from hapsim.running import start
+from hapsim.running import start, status
+from hapsim.running.state import RunState
+from hapsim.running.status import ask, path_for, sockets, telling
 from hapsim.scene import parse_scene
 
 SCENE = """
@@ -219,7 +218,9 @@ def test_a_directory_that_others_may_enter_is_none_for_it(folder: Path) -> None:
 def test_the_command_finds_the_one_that_runs(
     folder: Path, hapsim: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("hapsim.realtime.giving_way.leave_unfinished", lambda _: None)  # both sides are this process
+    monkeypatch.setattr(
+        "hapsim.loop.realtime.giving_way.leave_unfinished", lambda _: None
+    )  # both sides are this process
     assert "no running hapsim was found" in hapsim("status", "--json").sentence
     with telling(path_for("/dev/ttyACM0"), lambda: '{"ticks": 5, "force_n": [0.5, null]}'):
         left = socket.socket(socket.AF_UNIX)

@@ -10,7 +10,7 @@ import pytest
 from hapsim.errors import UsageError
 from hapsim.scene import Known, load_scene, parse_scene
 from hapsim.scene.rewrite import device_rewritten, rewrite_device
-from hapsim.shipped import shipped_scene
+from hapsim.scene.shipped import shipped_scene
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 VALUES = {"mass": "0.21345", "friction": "0.98", "delay": "1.0213"}

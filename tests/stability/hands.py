@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from hapsim.errors import DeviceError
-from hapsim.loop.trace import Trace
+from hapsim.recording.trace import Trace
 from hapsim.running import run
 from hapsim.scene import Scene, parse_scene
 

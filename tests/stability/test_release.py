@@ -14,7 +14,7 @@ import pytest
 from scipy.optimize import brentq
 
 from hapsim import predict
-from hapsim.loop.trace import Trace
+from hapsim.recording.trace import Trace
 from hapsim.theory import Configuration
 
 sys.path.insert(0, str(Path(__file__).parent))

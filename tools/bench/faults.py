@@ -127,11 +127,11 @@ def script_of(case: str) -> str:
 def in_memory(case: str) -> dict[str, Any]:
     """One run in this process: what `hapsim run` and `hapsim faults` would print of it."""
     import hapsim
-    from hapsim.console.faults import faults_document
+    from hapsim.bringup.faults import Injector, parse_script
+    from hapsim.bringup.faults.in_memory import in_memory as between_of
+    from hapsim.bringup.faults.passing import PassingTimes
+    from hapsim.cli.faults_table import faults_document
     from hapsim.errors import HapsimError
-    from hapsim.faults import Injector, parse_script
-    from hapsim.faults.in_memory import in_memory as between_of
-    from hapsim.faults.passing import PassingTimes
 
     scene = hapsim.parse_scene(SCENE.format(clock="lockstep"))
     injector = Injector(parse_script(script_of(case)))

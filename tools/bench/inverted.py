@@ -15,9 +15,9 @@ import sys
 import numpy as np
 
 import hapsim
+from hapsim.bringup.faults import Injector, parse_script
+from hapsim.bringup.faults.in_memory import in_memory
 from hapsim.errors import RunError
-from hapsim.faults import Injector, parse_script
-from hapsim.faults.in_memory import in_memory
 from hapsim.running import run
 from hapsim.scene import Scene
 

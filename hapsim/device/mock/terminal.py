@@ -18,9 +18,9 @@ from hapsim.device.mock.serve import new_service, serve
 from hapsim.device.mock.transmitter import transmitter_transport
 from hapsim.errors import DeviceError
 from hapsim.loop.only_linux import require_linux
+from hapsim.loop.realtime.scheduling import fifo
+from hapsim.loop.realtime.slack import no_timer_slack
 from hapsim.loop.transport import Transport
-from hapsim.realtime.scheduling import fifo
-from hapsim.realtime.slack import no_timer_slack
 
 
 def require_pseudo_terminal() -> None:

@@ -1,0 +1,1 @@
+"""For whoever writes firmware: judge it, disturb its wire, decode its frames."""

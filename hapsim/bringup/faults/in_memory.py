@@ -1,0 +1,94 @@
+"""The faults around a transport in memory, in virtual time: for the mock that answers within `send`.
+
+Time goes by the device's samples, one period each, and by what the host waits. Where something is held up, and the host
+waits, time goes to where that is due: nobody else would bring it on.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable, Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hapsim.bringup.faults.injector import Injector, Passed
+from hapsim.loop.codes import HUNG_UP, TIMED_OUT
+from hapsim.loop.transport import PythonTransport
+
+_ROOM = 8192
+
+
+def in_memory(injector: Injector, period_s: float) -> Callable[[PythonTransport], InMemory]:
+    """What to put between a loop and its device in memory: `hapsim.running.start(scene, between=…)`. `period_s`: of the
+    device's samples."""
+    return lambda device: InMemory(device, injector, period_s)
+
+
+class InMemory:
+    """A `PythonTransport` with faults in it."""
+
+    def __init__(self, device: PythonTransport, injector: Injector, period_s: float) -> None:
+        self._device, self._injector, self._period_s = device, injector, period_s
+        self._queued: dict[bool, deque[Passed]] = {False: deque(), True: deque()}
+        self._now_s = 0.0
+        self._buffer = np.zeros(_ROOM, np.uint8)
+
+    def receive(self, buffer: NDArray[np.uint8], timeout_ns: int) -> int:
+        """What there is for the host; else TIMED_OUT, after so long, or HUNG_UP."""
+        until_s = self._now_s + max(timeout_ns, 0) * 1e-9
+        while True:
+            self._queue(self._injector.advance(self._now_s))
+            code = self._bring_on()
+            if not self._injector.plugged:
+                return HUNG_UP
+            if taken := self._take_due(buffer):
+                return taken
+            if code < 0:
+                return code
+            next_s = min(
+                [self._injector.next_s(self._now_s), *(queue[0].due_s for queue in self._queued.values() if queue)]
+            )
+            if next_s > until_s:
+                break
+            self._now_s = max(self._now_s, next_s)
+        self._now_s = max(self._now_s, until_s)
+        time.sleep(max(timeout_ns, 0) * 1e-9)  # the host waits by its own clock
+        return TIMED_OUT
+
+    def send(self, frame: bytes) -> int:
+        """0, or HUNG_UP."""
+        self._queue(self._injector.take(frame, True, self._now_s))
+        self._bring_on()
+        return 0 if self._injector.plugged else HUNG_UP
+
+    def _queue(self, passed: Iterable[Passed]) -> None:
+        for one in passed:
+            self._queued[one.to_device].append(one)
+
+    def _bring_on(self) -> int:
+        """Everything that is due to the device, and everything that it says to it. 0, or the device's code."""
+        while True:
+            waiting = self._queued[True]
+            while waiting and waiting[0].due_s <= self._now_s:
+                if (code := self._device.send(waiting.popleft().data)) < 0:
+                    return code
+            count = self._device.receive(self._buffer, 0)
+            if count <= 0:
+                return count
+            before = self._injector.samples
+            self._queue(self._injector.take(self._buffer[:count].tobytes(), False, self._now_s))
+            self._now_s += (self._injector.samples - before) * self._period_s
+
+    def _take_due(self, buffer: NDArray[np.uint8]) -> int:
+        """Bytes for the host that are due, as many as there is room for."""
+        queue, count = self._queued[False], 0
+        while queue and queue[0].due_s <= self._now_s and count < buffer.size:
+            first = queue.popleft()
+            fits = first.data[: buffer.size - count]
+            buffer[count : count + len(fits)] = np.frombuffer(fits, np.uint8)
+            count += len(fits)
+            if len(fits) < len(first.data):
+                queue.appendleft(first._replace(data=first.data[len(fits) :]))
+        return count

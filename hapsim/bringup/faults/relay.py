@@ -1,0 +1,208 @@
+"""The faults between a pseudo-terminal and a port: what a host opens, and what a device is behind.
+
+One thread waits for both in the kernel and passes on what comes, in a fraction of a millisecond. When the device is
+unplugged, by the script, the pseudo-terminal goes away, so that whoever has it open is hung up; when it is plugged in
+again there is a new one, under the name that `path` gives it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+import select
+import time
+from collections import deque
+from collections.abc import Callable
+from pathlib import Path
+
+from hapsim.bringup.faults.injector import Injector, Passed
+from hapsim.bringup.faults.passing import PassingTimes
+from hapsim.device.port_name import free_name, give_name, take_name
+from hapsim.errors import DeviceError, UsageError
+
+_PIECE = 1 << 16
+_LONGEST_WAIT_S = 1.0
+_TELL_S = 0.5
+_MOST_WAITING = 1 << 20  # bytes that a device does not take are kept up to here
+
+
+class Relay:
+    """Passes bytes both ways until it is told to stop, or the device goes away."""
+
+    def __init__(self, device: int, injector: Injector, path: Path | None = None) -> None:
+        """`device`: the descriptor of its port, not blocking; `path`: a name for the pseudo-terminal, a link."""
+        self._device, self._injector, self._path = device, injector, path
+        self._host: _PseudoTerminal | None = None
+        self._held_up: dict[bool, deque[Passed]] = {False: deque(), True: deque()}
+        self._to_write = b""  # that the device has not taken yet
+        self._told, self._tell = os.pipe()
+        self.unread_bytes = 0
+        """Of the device, that no host fetched."""
+        self.passing = PassingTimes()
+        """From when a piece was read, or was due where a fault held it up, until it was written; of the pieces that the
+        other side took at once."""
+
+    def __enter__(self) -> Relay:
+        self._host = _PseudoTerminal(self._path)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._hang_up()
+        for end in (self._told, self._tell):
+            os.close(end)
+
+    @property
+    def name(self) -> str:
+        """The port that a host opens. DeviceError while it is unplugged."""
+        if self._host is None:
+            raise DeviceError("the port is unplugged, by the script")
+        return self._host.name
+
+    def stop(self) -> None:
+        """Ends `run`; may be called from a signal's handler and from any thread."""
+        with contextlib.suppress(OSError):
+            os.write(self._tell, b".")
+
+    def run(self, duration_s: float | None = None, tell: Callable[[], None] = lambda: None) -> bool:
+        """Passes on until told to stop, or for so long: True. False where the device went away. `tell`: called now and
+        then."""
+        ends_s = None if duration_s is None else time.monotonic() + duration_s
+        told_s = -math.inf
+        while True:
+            now_s = time.monotonic()
+            self._keep(self._injector.advance(now_s))
+            self._plug()
+            self._send_due(now_s)
+            if now_s - told_s >= _TELL_S:
+                told_s = now_s
+                tell()
+            if ends_s is not None and now_s >= ends_s:
+                return True
+            ready, writable = self._wait(now_s, ends_s)
+            if self._told in ready:
+                return True
+            if self._device in ready and not self._read_device():
+                return False
+            if writable and not self._write_device():
+                return False
+            if self._host is not None and self._host.near in ready:
+                self._read_host()
+
+    def _wait(self, now_s: float, ends_s: float | None) -> tuple[list[int], bool]:
+        """(what there is to be read, whether the device takes bytes that wait for it)"""
+        due = [queue[0].due_s for queue in self._held_up.values() if queue]
+        until_s = min([self._injector.next_s(now_s), *due, *([] if ends_s is None else [ends_s])])
+        ends = [self._told, self._device, *([] if self._host is None else [self._host.near])]
+        ready, writable, _ = select.select(
+            ends, [self._device] if self._to_write else [], [], min(max(until_s - now_s, 0.0), _LONGEST_WAIT_S)
+        )
+        return ready, bool(writable)
+
+    def _read_device(self) -> bool:
+        """Takes what the device says; False where it is gone."""
+        try:
+            data = os.read(self._device, _PIECE)
+        except BlockingIOError:
+            return True
+        except OSError:
+            return False
+        if not data:
+            return False
+        now_s = time.monotonic()
+        self._keep(self._injector.take(data, False, now_s))
+        self._send_due(now_s)
+        return True
+
+    def _read_host(self) -> None:
+        assert self._host is not None
+        try:
+            data = os.read(self._host.near, _PIECE)
+        except OSError:
+            return
+        now_s = time.monotonic()
+        self._keep(self._injector.take(data, True, now_s))
+        self._send_due(now_s)
+
+    def _keep(self, passed: list[Passed]) -> None:
+        for one in passed:
+            self._held_up[one.to_device].append(one)
+
+    def _send_due(self, now_s: float) -> None:
+        for to_device, queue in self._held_up.items():
+            due: list[Passed] = []
+            while queue and queue[0].due_s <= now_s:
+                due.append(queue.popleft())
+            if due and self._write(to_device, b"".join(one.data for one in due)):
+                written_s = time.monotonic()
+                for one in due:
+                    self.passing.note(written_s - one.due_s)
+
+    def _write(self, to_device: bool, data: bytes) -> bool:
+        """Whether all of it was taken at once."""
+        if not to_device:
+            return self._write_host(data)
+        self._to_write = (self._to_write + data)[-_MOST_WAITING:]
+        return self._write_device() and not self._to_write
+
+    def _write_device(self) -> bool:
+        """Writes what the device takes; False where it is gone."""
+        try:
+            self._to_write = self._to_write[os.write(self._device, self._to_write) :]
+        except BlockingIOError:
+            return True
+        except OSError:
+            self._to_write = b""
+            return False
+        return True
+
+    def _write_host(self, data: bytes) -> bool:
+        """Whether all of it fits: a host that does not read loses the rest, as behind any driver."""
+        written = 0
+        if self._host is not None:
+            with contextlib.suppress(OSError):
+                written = os.write(self._host.near, data)
+        self.unread_bytes += len(data) - written
+        return written == len(data)
+
+    def _plug(self) -> None:
+        """Has the pseudo-terminal be there, or not, as the script says."""
+        if self._injector.plugged and self._host is None:
+            self._host = _PseudoTerminal(self._path)
+        elif not self._injector.plugged:
+            self._hang_up()
+
+    def _hang_up(self) -> None:
+        if self._host is not None:
+            self._host.close()
+            self._host = None
+
+
+class _PseudoTerminal:
+    """What the host opens: raw before anybody can, and open at its far end too, so that no close reads as a hang-up."""
+
+    def __init__(self, path: Path | None) -> None:
+        import tty
+
+        free_name(path)
+        try:
+            self.near, self._far = os.openpty()
+        except OSError as error:
+            raise DeviceError(f"no pseudo-terminal is to be had: {error}") from error
+        for end in (self.near, self._far):
+            tty.setraw(end)
+            os.set_blocking(end, False)
+        self._link, self._port = path, os.ttyname(self._far)
+        self.name = self._port if path is None else str(path)
+        if path is not None:
+            try:
+                give_name(path, self._port)
+            except UsageError:
+                self.close()
+                raise
+
+    def close(self) -> None:
+        if self._link is not None:
+            take_name(self._link, self._port)
+        for end in (self.near, self._far):
+            os.close(end)

@@ -1,1 +1,0 @@
-"""The daemon's life around its runs: a device that comes and goes, the service manager, and who asks how it is."""

@@ -1,0 +1,45 @@
+"""Numbers in sentences and tables: rounded to the side that keeps a statement true, or to their uncertainty."""
+
+from __future__ import annotations
+
+import math
+from decimal import ROUND_CEILING, ROUND_FLOOR, Decimal
+
+
+def rounded_down(value: float, digits: int = 4) -> str:
+    """To so many digits, never above it."""
+    return _rounded(value, digits, ROUND_FLOOR)
+
+
+def rounded_up(value: float, digits: int = 4) -> str:
+    """To so many digits, never below it."""
+    return _rounded(value, digits, ROUND_CEILING)
+
+
+def between(least: float, most: float, to: str = " to ") -> str:
+    """A range, its ends rounded inward: with four digits, or as many as it takes for the lower one to stay below."""
+    for digits in range(4, 17):
+        low, high = rounded_up(least, digits), rounded_down(most, digits)
+        if float(low) <= float(high):
+            return f"{low}{to}{high}"
+    return f"{least!r}{to}{most!r}"
+
+
+def duration(seconds: float) -> str:
+    """In ms, or in s from a second on."""
+    return f"{seconds:.4g} s" if seconds >= 1.0 else f"{seconds * 1e3:.4g} ms"
+
+
+def rounded(value: float, uncertainty: float) -> str:
+    """A value to the second digit of its uncertainty."""
+    if not (math.isfinite(value) and math.isfinite(uncertainty) and uncertainty > 0.0):
+        return f"{value:g}"
+    decimals = min(max(1 - math.floor(math.log10(uncertainty)), 0), 15)
+    return f"{round(value, decimals) + 0.0:.{decimals}f}"  # + 0.0: no minus before a zero
+
+
+def _rounded(value: float, digits: int, direction: str) -> str:
+    if value == 0.0 or not math.isfinite(value):
+        return f"{value:g}"
+    exact = Decimal(value)
+    return f"{float(exact.quantize(Decimal(1).scaleb(exact.adjusted() - digits + 1), direction)):.{digits}g}"

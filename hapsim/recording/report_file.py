@@ -1,0 +1,171 @@
+"""What a run leaves that a guard, a fault of the device or a lost device ended: a zip of plain members.
+
+report.json              the sentence, the report's numbers, what the device said of itself
+frames_from_device.bin   the last hundred frames and what stood between them, as on the wire
+frames_to_device.bin     the same the other way; the last of them may not have left
+trace.npz                the last second, as `hapsim.load_trace` reads it
+scene.yaml               the scene as it ran, changes included
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import os
+import re
+import zipfile
+from collections.abc import Mapping
+from dataclasses import asdict
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import yaml
+
+from firmware_protocol.description import Description, to_registers
+from hapsim.device.known_devices import state_directory
+from hapsim.errors import RunError, UsageError
+from hapsim.loop.last_bytes import KEPT
+from hapsim.recording.trace import IN_REPORT, ZIP_WITHOUT_END, Trace, is_without_end
+from hapsim.scene import Scene
+
+NEWEST = 20
+"""So many stay in a directory; older ones are removed."""
+FRAMES = 100
+"""So many are kept each way."""
+
+_NAME = re.compile(r"\d{8}T\d{6}Z_.*\.zip")
+_ABOUT, _FROM_DEVICE, _TO_DEVICE, _SCENE = "report.json", "frames_from_device.bin", "frames_to_device.bin", "scene.yaml"
+
+
+class WireBytes(NamedTuple):
+    """What was on the wire, each way."""
+
+    from_device: bytes
+    to_device: bytes
+
+
+class StopReport(NamedTuple):
+    """A report file, read; its trace is `load_trace`'s."""
+
+    about: dict[str, Any]
+    """report.json"""
+    wire: WireBytes
+
+
+def default_directory() -> Path:
+    """Where the reports of runs on a port go: $XDG_STATE_HOME/hapsim/reports, by default under ~/.local/state. OSError
+    where the user has no home."""
+    return state_directory() / "reports"
+
+
+def write_report(
+    directory: Path, name: str, failure: RunError, trace: Trace, scene: Scene, description: Description, wire: WireBytes
+) -> Path:
+    """Writes the report of a run that ended in `failure`, and removes all but the NEWEST: its path. `name`: what a user
+    calls the port; `trace`: its last second. OSError where it cannot be written."""
+    now = datetime.now(UTC)
+    about = {
+        "sentence": str(failure),
+        "exit_status": failure.exit_status,
+        "port": name,
+        "when": now.isoformat(),
+        "report": asdict(trace.report),
+        "registers": {number: int(value) & 0xFFFFFFFF for number, value in enumerate(to_registers(description))},
+    }
+    rows = io.BytesIO()
+    trace.write_npz(rows)
+    directory.mkdir(parents=True, exist_ok=True)
+    path = _free_name(directory, _name_of(now, name, trace.report.ending))
+    members: Mapping[str, str | bytes] = {
+        _ABOUT: json.dumps(about, indent=2),
+        _FROM_DEVICE: last_frames(wire.from_device),
+        _TO_DEVICE: last_frames(wire.to_device),
+        IN_REPORT: rows.getvalue(),
+        _SCENE: yaml.safe_dump(scene.model_dump(mode="json", exclude_none=True), sort_keys=False),
+    }
+    _write(path, members)
+    _remove_older(directory)
+    return path
+
+
+def is_report(path: Path) -> bool:
+    """Whether the file is one. OSError where it cannot be read, UsageError where it is another zip, a damaged one, or
+    one that was cut short."""
+    if is_without_end(path):
+        raise UsageError(f"{path}: {ZIP_WITHOUT_END}")
+    if not zipfile.is_zipfile(path):
+        return False
+    try:
+        with zipfile.ZipFile(path) as file:
+            missing = {_ABOUT, _FROM_DEVICE, _TO_DEVICE} - set(file.namelist())
+    except Exception as error:  # zipfile raises what it likes of a damaged file
+        raise UsageError(f"{path}: a damaged zip ({error})") from error
+    if missing:
+        raise UsageError(
+            f"{path}: found a zip file without {min(missing)}, expected a report file of hapsim or raw bytes of the "
+            "wire; what a .npz has recorded, `hapsim chart trace` draws"
+        )
+    return True
+
+
+def read_report(path: Path) -> StopReport:
+    """UsageError where it is none."""
+    try:
+        with zipfile.ZipFile(path) as file:
+            wire = WireBytes(file.read(_FROM_DEVICE), file.read(_TO_DEVICE))
+            about = json.loads(file.read(_ABOUT))
+        missing = {"sentence", "port", "when", "registers"} - set(about)
+        if missing:
+            raise ValueError(f"{_ABOUT} has no {sorted(missing)[0]}")
+        return StopReport(about, wire)
+    except Exception as error:  # zipfile and zlib raise what they like of a damaged file
+        raise UsageError(f"{path}: not a report of hapsim ({error})") from error
+
+
+def last_frames(data: bytes) -> bytes:
+    """The last FRAMES stretches that end in a delimiter, and what follows them. Of more bytes than are kept, the
+    beginning may be within a frame."""
+    first = 0 if len(data) < KEPT else data.find(b"\0") + 1
+    at = len(data)
+    for _ in range(FRAMES + 1):
+        at = data.rfind(b"\0", first, at)
+        if at < 0:
+            return data[first:]
+    return data[at + 1 :]
+
+
+def _name_of(when: datetime, port: str, ending: str) -> str:
+    words = (port.removeprefix("/dev/"), "not released" if ending in ("done", "stopped") else ending)
+    port, ending = (re.sub(r"[^A-Za-z0-9.]+", "-", word).strip("-") for word in words)
+    return f"{when:%Y%m%dT%H%M%SZ}_{port[-40:]}_{ending}"
+
+
+def _free_name(directory: Path, name: str) -> Path:
+    path, number = directory / f"{name}.zip", 1
+    while path.exists():
+        number += 1
+        path = directory / f"{name}_{number}.zip"
+    return path
+
+
+def _write(path: Path, members: Mapping[str, str | bytes]) -> None:
+    """Under its name it is whole, or not there."""
+    unfinished = path.with_suffix(f".{os.getpid()}")
+    try:
+        with zipfile.ZipFile(unfinished, "w", zipfile.ZIP_DEFLATED) as file:
+            for name, content in members.items():
+                file.writestr(name, content)
+        os.replace(unfinished, path)
+    except OSError:
+        with contextlib.suppress(OSError):
+            unfinished.unlink()
+        raise
+
+
+def _remove_older(directory: Path) -> None:
+    ours = sorted(path for path in directory.iterdir() if _NAME.fullmatch(path.name))
+    for path in ours[:-NEWEST]:
+        with contextlib.suppress(OSError):
+            path.unlink()

@@ -1,0 +1,193 @@
+"""A unix socket at which a daemon tells how it is doing: one document to everybody who connects, then it hangs up.
+
+Nothing of a reader is read, and none is waited for: what the kernel does not take at once is dropped. The socket is its
+owner's alone, by its mode and that of its directory.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import re
+import select
+import socket
+import stat
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from hapsim.errors import UsageError
+from hapsim.loop.realtime.giving_way import Beside
+
+AUTO = "auto"
+"""In place of a path: where `hapsim status` looks."""
+
+_ENDING = ".sock"
+_PAUSE_S = 0.01  # after each answer: however many ask, the processor is somebody else's
+_PATIENCE_S = 2.0
+_LONGEST = 1 << 20
+
+
+@contextlib.contextmanager
+def telling(path: Path, document: Callable[[], str], gives_way: bool = True) -> Iterator[None]:
+    """While open, whoever connects to `path` gets what `document` returns. UsageError where that cannot be; a socket
+    that nobody listens at any more is replaced. `gives_way`: whether the thread that answers gives way to others."""
+    listening = _listen(path)
+    ours = path.lstat()
+    asked_to_stop, stop = socket.socketpair()
+    try:
+        work = Beside(lambda: _serve(listening, asked_to_stop, document), gives_way)
+        try:
+            yield
+        finally:
+            stop.send(b".")
+            with contextlib.suppress(Exception):  # what it tells of a run is no reason to fail it
+                work.result()
+    finally:
+        for one in (listening, asked_to_stop, stop):
+            one.close()
+        with contextlib.suppress(OSError):
+            if os.path.samestat(path.lstat(), ours):  # and not another's, who took it away
+                path.unlink()
+
+
+def path_for(port: str | None) -> Path:
+    """Where a daemon on this port tells it by default; the directory is there, and its owner's alone. UsageError where
+    it belongs to somebody else."""
+    folder = _folders()[0]
+    try:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        status = folder.lstat()
+    except OSError as error:
+        raise UsageError(f"--status: {folder} cannot be made: {error.strerror}; name a path") from error
+    if not stat.S_ISDIR(status.st_mode) or status.st_uid != os.geteuid() or status.st_mode & 0o077:
+        raise UsageError(
+            f"--status: {folder} is not a directory of this user's alone (mode 0700): found mode "
+            f"{stat.S_IMODE(status.st_mode):04o}, owner {status.st_uid}; name a path, or remove it"
+        )
+    return folder / (_name(port) + _ENDING)
+
+
+def sockets(port: str | None = None) -> list[Path]:
+    """Every socket at which a daemon may be, by default: of any port, or of this one. What is in a directory of another
+    user's is passed over: who can make that in a directory for all could tell this user anything."""
+    name = "*" if port is None else _name(port)
+    found = [
+        path
+        for folder in filter(_is_trusted, _folders())
+        for pattern in (name, f"*/{name}")
+        for path in _glob(folder, pattern)
+    ]
+    return list(dict.fromkeys(found))
+
+
+def answers(path: Path) -> bool:
+    """Whether a daemon is there: one that was killed leaves a socket at which nobody is."""
+    with _unix_socket() as connection:
+        connection.settimeout(_PATIENCE_S)
+        return connection.connect_ex(str(path)) in (0, errno.EAGAIN)  # EAGAIN: others ask already, more than it takes
+
+
+def ask(path: Path) -> str:
+    """What the daemon at `path` tells. UsageError where nobody answers."""
+    with _unix_socket() as connection:
+        connection.settimeout(_PATIENCE_S)
+        try:
+            connection.connect(str(path))
+            give_up = time.monotonic() + _PATIENCE_S
+            told = b""
+            while (part := connection.recv(1 << 16)) and len(told) < _LONGEST:
+                told += part
+                if time.monotonic() > give_up:
+                    raise TimeoutError("timed out: it does not come to an end")
+        except OSError as error:
+            raise UsageError(f"{path}: no hapsim answers there ({error.strerror or error})") from error
+    return told.decode("utf-8", "replace")
+
+
+def _folders() -> list[Path]:
+    """Of a service, of a login, of the system; the first is where a socket is made."""
+    given = [Path(folder) for folder in os.environ.get("RUNTIME_DIRECTORY", "").split(":") if folder]
+    login = os.environ.get("XDG_RUNTIME_DIR")
+    own = Path(login) / "hapsim" if login else Path(tempfile.gettempdir()) / f"hapsim-{os.geteuid()}"
+    return [*given, own, Path("/run/hapsim")]
+
+
+def _is_trusted(folder: Path) -> bool:
+    """Whether it is this user's, or the system's."""
+    try:
+        return folder.stat().st_uid in (os.geteuid(), 0)
+    except OSError:
+        return False
+
+
+def _glob(folder: Path, pattern: str) -> list[Path]:
+    try:
+        return sorted(path for path in folder.glob(pattern + _ENDING) if path.is_socket())
+    except OSError:
+        return []
+
+
+def _name(port: str | None) -> str:
+    return re.sub(r"[^\w.-]", "_", Path(port).name) if port else "mock"
+
+
+def _listen(path: Path) -> socket.socket:
+    listening = _unix_socket()
+    try:
+        _make_room(path)
+        before = os.umask(0o177)
+        try:
+            listening.bind(str(path))
+        finally:
+            os.umask(before)
+        listening.listen(8)
+        listening.setblocking(False)
+    except OSError as error:
+        listening.close()
+        raise UsageError(f"--status {path}: no socket can be made there: {error.strerror or error}") from error
+    except UsageError:
+        listening.close()
+        raise
+    return listening
+
+
+def _make_room(path: Path) -> None:
+    """A socket of a daemon that was killed is taken away; nothing else is."""
+    try:
+        status = path.lstat()
+    except FileNotFoundError:
+        return
+    if not stat.S_ISSOCK(status.st_mode):
+        raise UsageError(f"--status {path}: there is a file that is no socket; it was not touched")
+    if answers(path):
+        raise UsageError(f"--status {path}: another hapsim tells its status there; name another path")
+    path.unlink()
+
+
+def _unix_socket() -> socket.socket:
+    if not hasattr(socket, "AF_UNIX"):
+        raise UsageError("--status and `hapsim status` take unix sockets, which this system does not have")
+    return socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+
+
+def _serve(listening: socket.socket, asked_to_stop: socket.socket, document: Callable[[], str]) -> None:
+    while True:
+        ready, _, _ = select.select([listening, asked_to_stop], [], [])
+        if asked_to_stop in ready:
+            return
+        with contextlib.suppress(OSError):  # gone again, or it does not take it
+            connection, _ = listening.accept()
+            with connection:
+                connection.setblocking(False)
+                connection.send(_told(document))
+        time.sleep(_PAUSE_S)
+
+
+def _told(document: Callable[[], str]) -> bytes:
+    try:
+        return document().encode("utf-8", "replace")
+    except Exception as error:  # a status that cannot be told is no reason to tell none ever after
+        return f'{{"error": "the status cannot be told: {type(error).__name__}"}}'.encode()
