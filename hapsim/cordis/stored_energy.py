@@ -15,7 +15,7 @@ dw (H_new - H_old), with kinetic energy. A module that no chain of links connect
 a change takes away is put back, and it fills with a constant power. Where it has too little, the change goes on only as
 far as it lasts: all its parameters together, which so are slowed. What takes energy away is never slowed. So changes
 give a hand no more than what the tank holds and that power, whatever friction there is. `spent` is what they added:
-the guard of the energy takes it as the scene's own (loop/guards/divergence.py).
+the energy guard counts it as the scene's own, and counts swings anew after a change (loop/guards/divergence.py).
 """
 
 from __future__ import annotations
@@ -73,6 +73,7 @@ TANK = np.dtype(
         ("refill", np.float64),  # J a sample
         ("spent", np.float64),  # J, added by changes, all in all
         ("slowed_ticks", np.int64),  # samples in which a change was slowed
+        ("changed_ticks", np.int64),  # samples in which parameters changed or one scene faded into another
     ],
     align=True,
 )
@@ -164,7 +165,8 @@ def left_of(share):
 
 @inlined
 def spend(tank, work):
-    """Takes what was added; what is no number is not counted."""
+    """Subtracts the energy that a change added in this sample; ignores NaN and infinity."""
+    tank.changed_ticks += 1
     if abs(work) < np.inf:
         tank.level = min(tank.capacity, tank.level - work)
         tank.spent += work

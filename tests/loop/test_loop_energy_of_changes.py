@@ -17,6 +17,7 @@ from hapsim.cli.live import live_line
 from hapsim.cordis.offline import follow_parameters, start
 from hapsim.cordis.program import Program, compile_scene, parameter_values, positions_of
 from hapsim.cordis.stored_energy import TANK, StoredEnergy, Tank, evaluate
+from hapsim.loop.guards.divergence import SWINGS
 from hapsim.progress import Progress
 from hapsim.running.session import Session
 from hapsim.scene import Scene, parse_scene
@@ -95,6 +96,21 @@ def test_the_parameters_of_a_slowed_change_stay_in_step() -> None:
 def test_no_slider_and_no_adoption_stops_a_run_on_a_passive_scene(adopts: bool) -> None:
     for number, drawn in enumerate(passive_scenes(3, seed=9)):
         assert dragged(drawn.scene, 25, number, adopts).ending == "done"
+
+
+def test_a_stiffness_that_moves_the_crossing_of_the_limit_is_no_swing() -> None:
+    """5 N/m while the force first reaches its limit of 0.28 N, at 56 mm; 40 N/m from then on, at 7 mm."""
+    document = json.loads(spring(5.0, friction=0.06, velocity=0.3).model_dump_json(exclude_none=True))
+    document["device"] |= {"friction": 0.06, "force_limit": 0.28}
+
+    def act(session: Session, sample: int) -> None:
+        if sample == 630:  # the hand passes the wall
+            session.set({"touch": {"stiffness": 40.0}}, over=0.0)
+
+    outcome = changed_while_it_runs(parse_scene(json.dumps(document)), 6.0, act)
+    assert (outcome.ending, outcome.why) == ("done", "")
+    cut = np.abs(outcome.asked) > 0.28
+    assert np.count_nonzero(np.diff(cut.astype(int)) == 1) >= SWINGS
 
 
 def test_an_adopted_scene_is_slowed_where_it_has_too_much_energy() -> None:

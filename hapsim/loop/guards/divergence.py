@@ -45,7 +45,9 @@ found where it swings at the limit, too. The sums are begun anew where it did le
 at one place a spring holds the same, so that what is gained between them comes of the sampling and of nothing else.
 So an episode begins where the scene's own force is cut, whatever an excitation adds, and not behind lost positions,
 far beyond the limit; what a change adds is no gain. A hand that presses on, knocks, or shakes a passive object loses
-energy from episode to episode.
+energy from episode to episode. The count begins anew when a parameter of the scene changes: a change of stiffness
+moves the crossing of the limit, so that two crossings no longer hold the same energy. An unstable scene that is being
+dragged is still bounded by S.
 
 **Shaking at the limit.** A scene whose own masses diverge, or a damper that is too much for the rate, throws the force
 from limit to limit so fast that the hand hardly moves, and gets no energy at all. So the guard trips, too, after SHAKES
@@ -109,6 +111,7 @@ ENERGY = np.dtype(
         ("credit", np.float64),  # J
         ("tank", np.uint64),  # address of the TANK of live changes
         ("taken", np.float64),  # J, of what these spent
+        ("changed_ticks", np.int64),  # of that TANK, at the last sample
         ("compliance", np.float64, _EACH),  # m/N, of what is linked to each device point; 0: not known
         ("begun", np.int64),  # 1: there was a sample
         ("given", np.float64, _ACCOUNTS),  # S, J; before the first sample minus what the scene holds
@@ -162,6 +165,9 @@ def observe(energy, history, io, gap):
     tank = tank_at(energy.tank)
     added, energy.taken = tank.spent - energy.taken, tank.spent
     tank.level = min(tank.capacity, tank.level + gap * tank.refill)
+    if energy.changed_ticks != tank.changed_ticks:
+        energy.changed_ticks = tank.changed_ticks
+        _restart_swing_count(energy)
     for account in range(2):
         work, lost = _energy_of(energy, history, io, account, gap) if has_begun else (0.0, 0.0)
         _take_account(energy, account, work - lost, added)
@@ -224,11 +230,18 @@ def _count_swing(energy, account, work, lost, begins, goes_on):
     energy.gained[account] += work - lost
     if begins:
         least = -NEARLY * energy.work[account] if _is_unstable(energy) else 0.0
-        if goes_on and energy.gained[account] >= least:
+        if goes_on and energy.swings[account] > 0 and energy.gained[account] >= least:
             energy.swings[account] += 1
         else:
             energy.swings[account] = 1
             energy.work[account] = energy.gained[account] = 0.0
+
+
+@helper
+def _restart_swing_count(energy):
+    for account in range(2):
+        energy.swings[account] = 0
+        energy.work[account] = energy.gained[account] = 0.0
 
 
 @helper
