@@ -18,13 +18,14 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from hapsim.measuring.identify import Measurement as Measurement
-    from hapsim.measuring.identify import identify as identify
     from hapsim.measuring.identify_device import DeviceIdentification as DeviceIdentification
     from hapsim.measuring.identify_device import identify_device as identify_device
     from hapsim.measuring.measure import measure as measure
     from hapsim.measuring.measure_impedance import MeasuredImpedance as MeasuredImpedance
     from hapsim.measuring.measure_impedance import measure_impedance as measure_impedance
+    from hapsim.measuring.measure_trace import Measurement as Measurement
+    from hapsim.measuring.measure_trace import identify as identify  # the former name of measure_trace
+    from hapsim.measuring.measure_trace import measure_trace as measure_trace
     from hapsim.prediction import Prediction as Prediction
     from hapsim.prediction import predict as predict
     from hapsim.recording.trace import Trace as Trace
@@ -40,17 +41,18 @@ if TYPE_CHECKING:
 _HOME = {
     "DeviceIdentification": "hapsim.measuring.identify_device",
     "MeasuredImpedance": "hapsim.measuring.measure_impedance",
-    "Measurement": "hapsim.measuring.identify",
+    "Measurement": "hapsim.measuring.measure_trace",
     "Prediction": "hapsim.prediction",
     "Scene": "hapsim.scene",
     "Session": "hapsim.running",
     "Trace": "hapsim.recording.trace",
-    "identify": "hapsim.measuring.identify",
+    "identify": "hapsim.measuring.measure_trace",
     "identify_device": "hapsim.measuring.identify_device",
     "load_scene": "hapsim.scene",
     "load_trace": "hapsim.recording.trace",
     "measure": "hapsim.measuring.measure",
     "measure_impedance": "hapsim.measuring.measure_impedance",
+    "measure_trace": "hapsim.measuring.measure_trace",
     "parse_scene": "hapsim.scene",
     "predict": "hapsim.prediction",
     "run": "hapsim.running",
@@ -71,6 +73,7 @@ __all__ = [
     "load_trace",
     "measure",
     "measure_impedance",
+    "measure_trace",
     "parse_scene",
     "predict",
     "run",

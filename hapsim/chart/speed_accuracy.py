@@ -9,9 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from hapsim.chart.figure import figure_to
 from hapsim.doctor import words
-from hapsim.speed_accuracy.compared import Object
-from hapsim.speed_accuracy.front import fronts
-from hapsim.speed_accuracy.rows import Row
+from hapsim.speed_accuracy.results import Object, Row, fronts
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -17,7 +17,7 @@ from hapsim.chart.hand import Hand
 from hapsim.errors import UsageError
 from hapsim.measuring.measure import measure
 from hapsim.prediction.correction import CORRECTIONS
-from hapsim.prediction.correction.lone import element_for
+from hapsim.prediction.correction.element import element_for
 from hapsim.progress import Progress
 from hapsim.scene import Device, DevicePoint, Ground, Initial, Mock, Scene, ViscoElastic
 from hapsim.theory import Configuration

@@ -13,7 +13,7 @@ from hapsim.prediction import Desired, Felt, Prediction, felt_at_rate, host_sile
 if TYPE_CHECKING:
     from hapsim.errors import HapsimError, RunError
     from hapsim.loop.realtime import PrivilegeResult
-    from hapsim.measuring.identify import Measurement
+    from hapsim.measuring.measure_trace import Measurement
     from hapsim.recording.trace import Report
     from hapsim.running.lifetime import Lifetime
 

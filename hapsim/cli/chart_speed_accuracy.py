@@ -47,12 +47,8 @@ def speed_accuracy(
     """Draw what a simulated second costs against how far it is from the continuous object: objects, schemes, rates."""
     from hapsim.chart.speed_accuracy import draw_speed_accuracy
     from hapsim.cli.live import live_words
-    from hapsim.speed_accuracy.compare import RATES, compare
-    from hapsim.speed_accuracy.front import fronts
-    from hapsim.speed_accuracy.methods import schemes_named
-    from hapsim.speed_accuracy.objects import objects_named
-    from hapsim.speed_accuracy.rows import columns, peers_in
-    from hapsim.speed_accuracy.verdict import verdict
+    from hapsim.speed_accuracy.comparison import RATES, compare, objects_named
+    from hapsim.speed_accuracy.results import columns, fronts, peers_in, schemes_named, verdict
 
     chosen, by = objects_named(names(objects)), schemes_named(names(schemes))
     at = _rates(numbers("--rates", rates)) or RATES

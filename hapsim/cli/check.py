@@ -25,8 +25,7 @@ def check(
     """Predict, without running: stable or not, what the hand will feel, every mode, what the wire costs."""
     from hapsim.cli.wire import show_force_bounds, slew_warnings
     from hapsim.prediction import predict, predict_on_wire, warnings_about
-    from hapsim.prediction.force_bounds import run_bounds
-    from hapsim.prediction.travel import refused_travel, travel_document
+    from hapsim.prediction.force_bounds import refused_travel, run_bounds, travel_document
 
     loaded = load(scene)
     if why := refused_travel(loaded):

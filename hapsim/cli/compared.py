@@ -6,7 +6,7 @@ import cmath
 import math
 from typing import NamedTuple
 
-from hapsim.measuring.identify import Measurement
+from hapsim.measuring.measure_trace import Measurement
 from hapsim.prediction import Felt, Prediction
 from hapsim.prediction.other_mass import masses_with, oscillation_at
 

@@ -16,8 +16,8 @@ from hapsim.prediction import Desired, Felt, Prediction, felt_at_rate
 
 if TYPE_CHECKING:
     from hapsim.loop.histogram import Spread
-    from hapsim.measuring.identify import Measurement
-    from hapsim.measuring.seen_rate import SeenRate
+    from hapsim.measuring.measure_trace import Measurement
+    from hapsim.measuring.trace_quality import SeenRate
     from hapsim.recording.trace import Report
 
 
@@ -110,7 +110,7 @@ def _show_what_the_device_is(
 
 def _plainly(reason: str) -> str:
     """Why there is no pair of poles, for who does not think in poles; `Measurement.reason` keeps it precise."""
-    from hapsim.measuring.pair import NO_SECOND_REAL_POLE
+    from hapsim.measuring.pole_pair import NO_SECOND_REAL_POLE
 
     if reason == NO_SECOND_REAL_POLE:
         return "the hand creeps back without swinging, in a way that no single spring and damper does"
@@ -261,7 +261,7 @@ def _percent(share: float) -> str:
 
 def _off_rate(report: Report) -> str:
     """Beside the rate that was kept: that it is another than was asked for, where that is sure."""
-    from hapsim.measuring.seen_rate import kept_rate
+    from hapsim.measuring.trace_quality import kept_rate
 
     asked, kept = report.nominal_rate_hz, kept_rate(report)
     if kept is None or not kept.differs_from(asked) or abs(kept.rate_hz / asked - 1.0) < _OFF_RATE:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapsim.loop.ring import BRIDGED, LATE_FORCE, OFF_GRID
-from hapsim.measuring.stretches import unbroken
+from hapsim.measuring.trace_quality import unbroken
 from hapsim.recording.trace import Trace
 
 Vector = NDArray[np.float64]

@@ -19,7 +19,7 @@ from hapsim.measuring.device_fit import DeviceFit, Estimate, HandFit, Shape, fit
 from hapsim.measuring.device_misfit import LOUD, ForceResidual, force_residual, misfit_of
 from hapsim.measuring.device_model import Converters
 from hapsim.measuring.device_motion import ROUNDING, Motion, Swing, motion_of, stretches_of, swings_of
-from hapsim.measuring.seen_rate import SeenRate, seen_rate
+from hapsim.measuring.trace_quality import SeenRate, seen_rate
 from hapsim.progress import Progress
 from hapsim.recording.trace import Trace
 from hapsim.running import run

@@ -29,7 +29,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hapsim.errors import UsageError
-from hapsim.measuring.spectra import Complexes, Floats, Periods
+from hapsim.measuring.multisine import Complexes, Floats, Periods
 
 CONFIDENCE = 0.999
 """That the true values lie within their circles, at all frequencies and of all channels together."""

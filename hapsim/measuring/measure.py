@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from hapsim.device.open_connection import TransportKind
 from hapsim.errors import DeviceError, UsageError
-from hapsim.measuring.identify import Measurement, identify
+from hapsim.measuring.measure_trace import Measurement, measure_trace
 from hapsim.progress import Progress
 from hapsim.recording.trace import Trace
 from hapsim.running import Excitation, run
@@ -66,7 +66,7 @@ def measure(
         failure, trace = error, error.trace
     try:
         mass, uncertainty = _mass_of(scene, trace, channel)
-        return replace(identify(_settled(scene, trace), mass, channel, uncertainty), failure=failure)
+        return replace(measure_trace(_settled(scene, trace), mass, channel, uncertainty), failure=failure)
     except UsageError as nothing:
         if failure is None:
             raise

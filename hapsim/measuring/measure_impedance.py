@@ -12,9 +12,8 @@ import numpy as np
 from hapsim.device.open_connection import TransportKind
 from hapsim.errors import UsageError
 from hapsim.measuring.impedance import LEAST_PERIODS, Impedance, Loop, impedance_of, settling
-from hapsim.measuring.multisine import Lines, lines_for, multisine
-from hapsim.measuring.seen_rate import SeenRate, seen_rate
-from hapsim.measuring.spectra import Floats, Periods, periods_of
+from hapsim.measuring.multisine import Floats, Lines, Periods, lines_for, multisine, periods_of
+from hapsim.measuring.trace_quality import SeenRate, seen_rate
 from hapsim.progress import Progress
 from hapsim.recording.trace import Trace
 from hapsim.running import PeriodicExcitation, run

@@ -1,9 +1,4 @@
-"""A periodic multisine: which frequencies it excites, how strongly each, and its forces over one period.
-
-Random phases, of many draws those with the lowest peak (Pintelon and Schoukens, *System Identification: A Frequency
-Domain Approach*, 2012, §5.3). A whole number of periods of every frequency fits in one period of the multisine, so that
-nothing leaks from one into another, and what differs from period to period is noise.
-"""
+"""A periodic multisine, and the periods of a trace that it excited, frequency by frequency."""
 
 from __future__ import annotations
 
@@ -12,6 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+
+from hapsim.loop.ring import LATE_FORCE, LIMITED, UNSENT
+from hapsim.recording.trace import Trace
 
 Floats = NDArray[np.float64]
 
@@ -65,3 +63,118 @@ def multisine(lines: Lines, amplitude: Floats, peak: float) -> Floats:
         if highest < least:
             best, least = wave, highest
     return best * min(1.0, peak / least) if least > 0.0 else best
+
+
+Complexes = NDArray[np.complex128]
+
+_ALWAYS = 0.99  # of all samples: what is late so often is late by the wire's nature
+_FEWEST_CHANGES = 8.0  # fewer would make a circle wider than 0.7 counts, the most that rounding does to an amplitude
+_OPERATIONS = 10.0  # roundings of a double between a position and the scene's force
+
+
+class Periods(NamedTuple):
+    """P pairs of whole periods, each overlapping the next by one; n frequencies, C channels: amplitudes (P, n, C), m
+    and N, and what is not seen in their scatter: complex variances (C,) of one pair's amplitudes, m² and N²."""
+
+    position: Complexes
+    scene: Complexes
+    """What the scene's modules asked for."""
+    force: Complexes
+    """All that acted, by the loop's count of samples: the scene's, the excitation's, cut and rounded."""
+    rounded_position: Floats
+    rounded_scene: Floats
+    by_position: bool
+    """Whether the scene's forces come of the recorded positions alone: then their rounding is no error of the ratio."""
+    limited: int
+    """Samples whose force was cut to its limit."""
+    lost: int
+    """Periods that were left out: samples are missing."""
+
+    def after(self, settled: int) -> Periods:
+        """Those from number `settled` on."""
+        return self._replace(position=self.position[settled:], scene=self.scene[settled:], force=self.force[settled:])
+
+    def on(self, channels: list[int]) -> Periods:
+        """Those of some channels, in this order."""
+        return self._replace(
+            position=self.position[..., channels],
+            scene=self.scene[..., channels],
+            force=self.force[..., channels],
+            rounded_position=self.rounded_position[channels],
+            rounded_scene=self.rounded_scene[channels],
+        )
+
+
+def periods_of(trace: Trace, lines: Lines, *, impulse: bool, senses: bool) -> Periods:
+    """The whole periods of a trace. `impulse`: a force that is not renewed in time ends, in place of being held.
+    `senses`: the scene's forces come of velocities too, whose rounding no trace records: how large it is show the
+    frequencies that nothing excites."""
+    acted = _acting_force(trace, impulse)
+    position, scene = trace.position - np.mean(trace.position, axis=0), trace.asked_force
+    number, rows_in = np.unique(trace.sample // lines.samples, return_counts=True)
+    begins = np.concatenate([[0], np.cumsum(rows_in)])
+    whole = rows_in == lines.samples
+    pairs = begins[:-2][whole[:-1] & whole[1:] & (np.diff(number) == 1)] if number.size > 1 else begins[:0]
+    stacked = [
+        np.array([_amplitudes(signal[i : i + 2 * lines.samples], lines) for i in pairs]).reshape(
+            -1, lines.bins.size, position.shape[1]
+        )
+        for signal in (position, scene, acted)
+    ]
+    share = 4.0 / lines.samples  # of a white error's variance, in an amplitude
+    rounded = 4.0 / np.clip(_changes(trace, lines), _FEWEST_CHANGES, lines.samples)
+    computed = share * (_OPERATIONS * np.finfo(float).eps * np.max(np.abs(scene), axis=0, initial=0.0)) ** 2
+    if senses:
+        computed = computed + _beside(scene, pairs[pairs.size // 2 :], lines)
+    return Periods(
+        stacked[0],
+        stacked[1],
+        stacked[2],
+        rounded * trace.position_scale**2 / 12.0,
+        computed,
+        not senses,
+        int(np.count_nonzero(trace.flags & LIMITED)),
+        int(np.count_nonzero(rows_in[1:-1] != lines.samples)) + _gaps(number),
+    )
+
+
+def _changes(trace: Trace, lines: Lines) -> Floats:
+    """(C,) how often the count changes in a period: as many of the roundings are independent of each other. Where a
+    channel hardly moves, they follow its motion, and lie where that lies: at the frequencies that are excited."""
+    later = trace.position_counts[trace.sample.size // 2 :]
+    return np.asarray(np.mean(np.diff(later, axis=0) != 0, axis=0) * lines.samples)
+
+
+def _beside(signal: Floats, begins: NDArray[np.intp], lines: Lines) -> Floats:
+    """(C,) complex variance of the mean period's amplitudes at the frequencies that are not excited."""
+    if begins.size == 0:
+        return np.zeros(signal.shape[1])
+    mean = np.mean([signal[first : first + lines.samples] for first in begins], axis=0)
+    others = np.setdiff1d(np.arange(1, (lines.samples + 1) // 2), lines.bins)
+    return np.asarray(np.mean(np.abs(np.fft.rfft(mean, axis=0)[others] * (2.0 / lines.samples)) ** 2, axis=0))
+
+
+def _gaps(number: NDArray[np.int64]) -> int:
+    """Periods of which nothing was recorded at all."""
+    return int(number[-1] - number[0] + 1 - number.size) if number.size else 0
+
+
+def _acting_force(trace: Trace, impulse: bool) -> Floats:
+    """(N, C): the force that acted in place of each row's: where that came too late, or never left, the one before."""
+    flags = trace.flags
+    late = flags & LATE_FORCE != 0
+    missed = flags & UNSENT != 0
+    if late.size and float(np.mean(late)) <= _ALWAYS:
+        missed[:-1] |= late[1:] & (np.diff(trace.sample) == 1)
+    force = trace.force
+    if impulse:
+        return np.where(missed[:, None], 0.0, force)
+    row = np.maximum.accumulate(np.where(missed, 0, np.arange(missed.size)))
+    return np.asarray(force[row])
+
+
+def _amplitudes(signal: Floats, lines: Lines) -> Complexes:
+    """(n, C) of two periods (2 samples, C), by a window of Hann: it is zero one period's frequency away from each, so
+    that what is periodic is separated exactly, and it begins and ends softly, so that what dies away hardly leaks."""
+    window = 1.0 - np.cos(np.pi * np.arange(2 * lines.samples) / lines.samples)
+    return np.asarray(np.fft.rfft(signal * window[:, None], axis=0)[2 * lines.bins] / lines.samples)

@@ -4,8 +4,8 @@ Public is what `__all__` names.
 """
 
 from firmware_protocol.wire_time import WireTime
-from hapsim.prediction.hands import configuration_of
 from hapsim.prediction.impedance import PredictedImpedance, ZWidth, predict_impedance, z_width_of
+from hapsim.prediction.linear import configuration_of
 from hapsim.prediction.predict import (
     Desired,
     Felt,
@@ -23,7 +23,7 @@ from hapsim.prediction.predict import (
     warnings_about,
     with_mass,
 )
-from hapsim.prediction.silence import HostSilence, host_silence
+from hapsim.prediction.timing import HostSilence, host_silence
 
 __all__ = [
     "Desired",

@@ -1,9 +1,4 @@
-"""What bounds the force beside its limit: how fast it changes, how it begins, how much energy it gives.
-
-Where a hand may hold the device, behind a port, each has a value when the scene names none. Before the mock, and in
-virtual time, there is no hand, and every prediction is of a force that nothing shapes: there each holds where the scene
-names it.
-"""
+"""What bounds the force beside its limit: slew, soft start, energy and travel."""
 
 from __future__ import annotations
 
@@ -16,6 +11,10 @@ from hapsim.scene import Scene
 
 if TYPE_CHECKING:
     from hapsim.prediction.types import Prediction
+from dataclasses import replace
+from typing import Any
+
+from hapsim.prediction.linear import configuration_of
 
 RISE_S = 1e-3  # from zero to the force limit, or a sample period where that is longer
 SOFT_START_S = 0.05
@@ -132,3 +131,45 @@ def fastest_swing_hz(scene: Scene, prediction: Prediction) -> float:
         if mode.damping_ratio < 1.0 and float(mode.participation[held].sum()) > _IN_HAND
     ]
     return max((one for one in [*hands, *modes] if 0.0 < one < 0.5 * prediction.rate), default=0.0)
+
+
+HAND_DAMPING = 5.0
+"""N·s/m, of a light grip (0.5 kg and 300 N/m beside it; a firm one has 20)."""
+
+
+def refused_travel(scene: Scene) -> str:
+    """Where the force fades over too short a way for the loop: a sentence without a full stop; "" where not."""
+    device = scene.device
+    if device.travel is None:
+        return ""
+    for channel, margin in enumerate(device.travel_margins(scene.channels)):
+        stable = fade_stiffness(scene, channel)
+        if not device.force_limit <= stable * margin:
+            where = f" on channel {channel}" if scene.channels > 1 else ""
+            return (
+                f"device.travel_margin: the force of up to {device.force_limit:g} N fades over {margin:g} m{where}, "
+                f"which is a stiffness of {device.force_limit / margin:.4g} N/m and shakes the hand: with no damper "
+                f"but the hand's {HAND_DAMPING:g} N·s/m and the device's friction this loop renders up to "
+                f"{stable:.4g} N/m; expected at least {rounded_up(device.force_limit / stable)} m, or a lower "
+                "device.force_limit"
+            )
+    return ""
+
+
+def fade_stiffness(scene: Scene, channel: int) -> float:
+    """N/m: up to which stiffness the loop of a channel is stable, held by a hand and without a simulated damper, for
+    the least mass that the scene declares."""
+    loop = configuration_of(scene, channel)
+    least, _ = scene.device.mass_spans(scene.channels)[channel]
+    _, most = replace(loop, mass=least, friction=loop.friction + HAND_DAMPING).stable_stiffness(0.0)
+    return float(most) if math.isfinite(most) else 0.0
+
+
+def travel_document(scene: Scene) -> dict[str, Any]:
+    """Limits, margin and origin of every channel, in m: None where there is none, "here" for the position at arming."""
+    device, channels = scene.device, scene.channels
+    return {
+        "limits_m": None if device.travel is None else device.travels(channels),
+        "margin_m": None if device.travel is None else device.travel_margins(channels),
+        "origin_m": ["here" if origin is None else origin for origin in device.origins(channels)],
+    }

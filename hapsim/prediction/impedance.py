@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hapsim.prediction.correction import Rendering, rendered
-from hapsim.prediction.hands import configuration_of, network_of, why_coupled
-from hapsim.prediction.linear import linear_scene
+from hapsim.prediction.linear import configuration_of, linear_scene, network_of, why_coupled
 from hapsim.scene import Scene
 from hapsim.theory import Configuration, Network, NotWorkedOutError
 from hapsim.theory.arrays import Complexes, Floats

@@ -19,10 +19,9 @@ from hapsim.prediction.correction import (
     stable_masses,
 )
 from hapsim.prediction.force_bounds import slow_slew
-from hapsim.prediction.hands import hand_of, is_lone, links_of, network_of, why_coupled
-from hapsim.prediction.linear import LinearScene, linear_scene
+from hapsim.prediction.linear import LinearScene, hand_of, is_lone, linear_scene, links_of, network_of, why_coupled
+from hapsim.prediction.timing import wire_of, wire_time_of, with_wire_delay
 from hapsim.prediction.types import Desired, Felt, LinkMargin, Prediction, Robustness
-from hapsim.prediction.wire import wire_of, wire_time_of, with_wire_delay
 from hapsim.scene import Scene
 from hapsim.scene.choices import WITH_SENSOR
 from hapsim.theory import (

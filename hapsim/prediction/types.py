@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from firmware_protocol.wire_time import WireTime
 from hapsim.prediction.correction import Remedies, Rendering
-from hapsim.prediction.wire import WireOf
+from hapsim.prediction.timing import WireOf
 from hapsim.theory import Configuration, Mode
 from hapsim.theory.correction import StatePredictor
 from hapsim.theory.network import ContinuousMode

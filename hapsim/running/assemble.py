@@ -24,7 +24,7 @@ from hapsim.loop.stage import cross_fade, post
 from hapsim.loop.transport import Transport
 from hapsim.prediction.correction import rendered
 from hapsim.prediction.force_bounds import SIGN_RATE_HZ, force_bounds
-from hapsim.prediction.silence import time_to_live_samples, watchdog_samples
+from hapsim.prediction.timing import time_to_live_samples, watchdog_samples
 from hapsim.running.correction import LoopCorrection
 from hapsim.running.excitation import Excitation, PeriodicExcitation
 from hapsim.running.guarding import energy_of, history_of, set_slew

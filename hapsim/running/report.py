@@ -13,7 +13,7 @@ from hapsim.loop.exchange import DEVICE_CLOCK, HOST_CLOCK
 from hapsim.loop.guards.divergence import GIVEN, LATE, SHAKING, SWINGING
 from hapsim.loop.guards.slew import NO_LIMIT
 from hapsim.loop.histogram import histogram_of
-from hapsim.prediction.silence import host_silence
+from hapsim.prediction.timing import host_silence
 from hapsim.progress import Progress
 from hapsim.recording.recorder import Recorder
 from hapsim.recording.trace import Report, Statistics, Trace

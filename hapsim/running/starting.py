@@ -29,7 +29,7 @@ from hapsim.loop.portable import PortableLoop
 from hapsim.loop.realtime import realtime as with_realtime
 from hapsim.loop.run import run_loop
 from hapsim.prediction import surely_shaken_by
-from hapsim.prediction.travel import refused_travel
+from hapsim.prediction.force_bounds import refused_travel
 from hapsim.progress import Progress
 from hapsim.recording.recorder import Recorder
 from hapsim.recording.report_file import default_directory

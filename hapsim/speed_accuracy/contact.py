@@ -26,8 +26,7 @@ from scipy.optimize import brentq
 from hapsim.cordis.offline import start, ticks_watched
 from hapsim.cordis.program import compile_scene, numbers_of
 from hapsim.scene import Buffer, Device, DevicePoint, Ground, Mass, Scene
-from hapsim.speed_accuracy.compared import Found
-from hapsim.speed_accuracy.methods import schemes
+from hapsim.speed_accuracy.results import Found, schemes
 
 MASS = 0.02  # kg
 STIFFNESS, DAMPING = 8000.0, 0.85  # N/m, N·s/m

@@ -1,9 +1,9 @@
-"""What a simulated second of a scene costs: compiled ticks in a compiled loop, with what a correction does around each,
-in rounds in which all take turns."""
+"""What a simulated second of a scene costs in processor time."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -16,7 +16,46 @@ from hapsim.prediction.correction import rendered
 from hapsim.running.correction import LoopCorrection
 from hapsim.scene import Scene
 from hapsim.speed_accuracy.strings import hand_motion
-from hapsim.speed_accuracy.timing import Timed
+
+ROUND_S = 0.15
+_WARM = 0.2  # of a round
+
+
+class Timed:
+    """A simulation that is timed in rounds of about `round_s`, each of as many samples.
+
+    `advance`: simulates so many samples. It is called until it has run warm.
+    """
+
+    def __init__(self, advance: Callable[[int], object], rate: float, round_s: float = ROUND_S) -> None:
+        self._advance, self._rate = advance, rate
+        self._samples = _samples_for(advance, round_s)
+
+    def round(self) -> float:
+        """Seconds of processor time for each second that is simulated at `rate` Hz, this time."""
+        return _took(self._advance, self._samples) * self._rate / self._samples
+
+
+def cost_of(advance: Callable[[int], object], rate: float, rounds: int, round_s: float = ROUND_S) -> list[float]:
+    """Seconds of processor time for each second that is simulated at `rate` Hz, one for each round."""
+    timed = Timed(advance, rate, round_s)
+    return [timed.round() for _ in range(rounds)]
+
+
+def _samples_for(advance: Callable[[int], object], round_s: float) -> int:
+    samples = 1
+    advance(samples)  # the first may compile
+    while (took := _took(advance, samples)) < _WARM * round_s:
+        samples *= 4 if took < 0.25 * _WARM * round_s else 2
+    return max(1, round(samples * round_s / took))
+
+
+def _took(advance: Callable[[int], object], samples: int) -> float:
+    """Of the thread that asks, so that what shows progress beside it is not counted."""
+    begin = time.thread_time()
+    advance(samples)
+    return time.thread_time() - begin
+
 
 _BLOCK = 1024  # samples of the hand's motion that are ready: few enough to stay in the nearest cache
 _ROUND_S = 0.02

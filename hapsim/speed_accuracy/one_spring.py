@@ -15,7 +15,7 @@ from hapsim.prediction import predict
 from hapsim.scene import Device, DevicePoint, Ground, Initial, Mock, Scene, ViscoElastic
 from hapsim.scene.choices import CorrectionName
 from hapsim.scene.quantity import Span
-from hapsim.speed_accuracy.compared import Found
+from hapsim.speed_accuracy.results import Found
 
 MASS, FRICTION = 0.2, 1.0
 STIFFNESS, DAMPING = 2000.0, 5.0

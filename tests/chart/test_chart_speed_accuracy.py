@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 
 from hapsim.chart.speed_accuracy import draw_speed_accuracy
-from hapsim.speed_accuracy.objects import OBJECTS, objects_named
-from hapsim.speed_accuracy.rows import OURS, Row
+from hapsim.speed_accuracy.comparison import OBJECTS, objects_named
+from hapsim.speed_accuracy.results import OURS, Row
 
 Chart = Callable[..., Any]
 SCHEMES = ("cordis", "exact")

@@ -235,7 +235,7 @@ def test_what_is_stopped_after_a_run_does_not_say_that_nothing_was_armed(
     def interrupt(*_: object, **__: object) -> None:
         os.kill(os.getpid(), signal.SIGTERM)
 
-    monkeypatch.setattr("hapsim.measuring.measure.identify", interrupt)
+    monkeypatch.setattr("hapsim.measuring.measure.measure_trace", interrupt)
     answer = hapsim("measure", scene_file("spring"), "--json")
     assert (answer.status, "while no run was under way" in answer.sentence) == (130, True)
 

@@ -13,8 +13,7 @@ from hapsim.cordis.offline import start, tick
 from hapsim.cordis.program import compile_scene, positions_of
 from hapsim.cordis.registry import PART_TYPES
 from hapsim.cordis.schemes import SCHEMES
-from hapsim.prediction.hands import network_of
-from hapsim.prediction.linear import linear_of, linear_scene
+from hapsim.prediction.linear import linear_of, linear_scene, network_of
 from hapsim.running.every_module import scenes_with_every_module
 from hapsim.scene import DamperScheme, Link, Scene, ViscoElastic, parse_scene
 from hapsim.scene.choices import WITH_CUTOFF, WITH_SENSOR

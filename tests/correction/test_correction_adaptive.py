@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from hapsim import run, start
 from hapsim.loop.adaptive import SLEW_S
-from hapsim.measuring.identify import identify
+from hapsim.measuring.measure_trace import measure_trace
 from hapsim.prediction.correction import CORRECTIONS, rendered
 from hapsim.prediction.correction.adaptive import schedule_for
 from hapsim.prediction.correction.predictor import predictor_for
@@ -44,7 +44,7 @@ def test_once_settled_the_hand_feels_what_the_scene_says(mass: float) -> None:
     pushes = Excitation(0, 5.0, 4, 100, start=0, first=True)
     trace = run(scene, duration=4.0, excitation=pushes)
     assert trace.report.estimated_mass_kg[0] == pytest.approx(mass, rel=2e-3)
-    felt = identify(trace.since(2000), mass, 0)
+    felt = measure_trace(trace.since(2000), mass, 0)
     assert felt.k == pytest.approx(5000.0, rel=2e-3)
     assert felt.b == pytest.approx(21.0, rel=5e-3)
 
@@ -187,7 +187,7 @@ def test_another_spring_comes_without_a_step() -> None:
     trace = session.trace
     assert trace.report.parameter_changes == 1
     assert trace.report.estimated_mass_kg[0] == pytest.approx(0.2, rel=5e-3)
-    felt = identify(trace.since(1200), 0.2, 0)
+    felt = measure_trace(trace.since(1200), 0.2, 0)
     assert felt.k == pytest.approx(6000.0, rel=2e-3)
     assert felt.b == pytest.approx(16.0, rel=1e-2)
     # From sample to sample the force changes no more than where it is the stiffer spring's from the beginning.

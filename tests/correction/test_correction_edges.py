@@ -11,7 +11,7 @@ import pytest
 
 from hapsim import predict
 from hapsim.prediction.correction import CORRECTIONS, rendered
-from hapsim.prediction.correction.lone import element_for
+from hapsim.prediction.correction.element import element_for
 from hapsim.scene import Scene, parse_scene
 from hapsim.theory import Configuration
 

@@ -13,7 +13,7 @@ from hapsim.errors import DescriptionError, GuardError, UsageError
 from hapsim.loop.codes import HEARD, OUT_OF_TRAVEL
 from hapsim.loop.ring import FADED, LIMITED
 from hapsim.measuring.measure import _pushes
-from hapsim.prediction.travel import HAND_DAMPING, fade_stiffness, refused_travel
+from hapsim.prediction.force_bounds import HAND_DAMPING, fade_stiffness, refused_travel
 from hapsim.recording.trace import Trace
 from hapsim.running import Excitation, run
 from hapsim.running.compatibility import require_known_zero

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import hapsim
-from hapsim.measuring.identify import Measurement, identify
+from hapsim.measuring.measure_trace import Measurement, measure_trace
 from hapsim.running import run
 from hapsim.theory import Configuration
 
@@ -63,7 +63,7 @@ def measured_in_memory(configuration: Configuration, k: float, stiffness: float,
         quantum=1e-12,
         force_limit=float(max(1e-3, 2.0 * (abs(stiffness) * 1e-3 + abs(damping) * velocity))),
     )
-    return identify(run(scene, duration=4.0), MASS)
+    return measure_trace(run(scene, duration=4.0), MASS)
 
 
 def test_at_a_picometre_every_pole_lies_within_four_of_the_uncertainties_stated(figures: Any) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hapsim.measuring.identify import identify
+from hapsim.measuring.measure_trace import measure_trace
 from hapsim.running import run
 from hapsim.theory import Configuration
 from hapsim.theory.interface import DAMPERS, HOLDS, SAMPLINGS, WITH_CUTOFF
@@ -67,7 +67,7 @@ def test_what_is_measured_is_what_is_predicted(damper: str, spring: float, figur
             quantum=1e-12,
             force_limit=float(max(1e-3, 2.0 * (K * 1e-3 + B * velocity))),
         )
-        measured = identify(run(scene, duration=4.0), MASS)
+        measured = measure_trace(run(scene, duration=4.0), MASS)
         assert measured.dominant, (c, K, B, measured.reason)
         pole = c.dominant_poles(K, B)[0]
         assert abs(measured.pole - pole) < min(4.0 * measured.pole_uncertainty, 1e-7), (c, K, B)

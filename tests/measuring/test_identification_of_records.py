@@ -13,7 +13,7 @@ import pytest
 import hapsim
 from hapsim.errors import UsageError
 from hapsim.loop.ring import BRIDGED, LATE_FORCE, OFF_GRID, UNSENT
-from hapsim.measuring.identify import identify
+from hapsim.measuring.measure_trace import measure_trace
 from hapsim.recording.trace import Trace
 from hapsim.running import run
 
@@ -54,22 +54,22 @@ def test_a_known_oscillation_is_read_off_without_any_simulator(ratio: float) -> 
     position = np.rint(motion / QUANTUM) * QUANTUM
     # The law is linear in the two newest positions, as a scene's is; which one it is does not matter.
     asked = -3000.0 * position - 2000.0 * np.diff(position, prepend=position[:1])
-    measured = identify(trace_of(motion, asked), mass)
+    measured = measure_trace(trace_of(motion, asked), mass)
     assert measured.dominant
     assert measured.k == pytest.approx(mass * frequency**2, rel=1e-4)
     assert measured.b == pytest.approx(2 * ratio * mass * frequency, rel=1e-4)
 
 
 def test_a_wall_away_from_zero_makes_no_difference() -> None:
-    here = identify(run(one_spring(2000.0, 5.0, friction=1.0), duration=1.0), 0.2)
-    there = identify(run(one_spring(2000.0, 5.0, friction=1.0, ground=0.0123), duration=1.0), 0.2)
+    here = measure_trace(run(one_spring(2000.0, 5.0, friction=1.0), duration=1.0), 0.2)
+    there = measure_trace(run(one_spring(2000.0, 5.0, friction=1.0, ground=0.0123), duration=1.0), 0.2)
     assert there.k == pytest.approx(here.k, rel=1e-6)
     assert there.b == pytest.approx(here.b, rel=1e-5)
 
 
 def test_late_and_lost_samples_are_stepped_over() -> None:
     trace = run(one_spring(2000.0, 5.0, friction=1.0), duration=1.0)
-    whole = identify(trace, 0.2)
+    whole = measure_trace(trace, 0.2)
     flags = trace.flags.copy()
     flags[[120, 260]] |= LATE_FORCE
     kept = np.ones(flags.size, bool)
@@ -84,7 +84,7 @@ def test_late_and_lost_samples_are_stepped_over() -> None:
         force_counts=trace.force_counts[kept],
         asked_force=trace.asked_force[kept],
     )
-    measured = identify(broken, 0.2)
+    measured = measure_trace(broken, 0.2)
     assert abs(measured.k - whole.k) < 4 * (measured.k_uncertainty + whole.k_uncertainty)
     assert abs(measured.b - whole.b) < 4 * (measured.b_uncertainty + whole.b_uncertainty)
 
@@ -94,7 +94,7 @@ def test_a_late_force_that_is_not_flagged_would_have_shown() -> None:
     trace = run(one_spring(2000.0, 5.0, friction=1.0), duration=1.0)
     counts = trace.position_counts.copy()
     counts[200:] += 5000
-    assert identify(replace(trace, position_counts=counts), 0.2).residual_m > 10 * QUANTUM
+    assert measure_trace(replace(trace, position_counts=counts), 0.2).residual_m > 10 * QUANTUM
 
 
 BLOWS = (120, 260)  # the samples from which on they show
@@ -121,18 +121,18 @@ def test_what_happens_around_a_flagged_sample_is_left_out(flag: int, before: int
     flags = trace.flags.copy()
     flags[np.array(BLOWS) - before] |= flag
     felt = hapsim.predict(one_spring(2000.0, 5.0, friction=1.0)).felt[0]
-    measured = identify(replace(trace, flags=flags), 0.2)
+    measured = measure_trace(replace(trace, flags=flags), 0.2)
     assert measured.residual_m < QUANTUM
     assert abs(measured.k - felt.k) < 4 * measured.k_uncertainty
     assert abs(measured.b - felt.b) < 4 * measured.b_uncertainty
-    assert identify(trace, 0.2).residual_m > 1000 * QUANTUM
+    assert measure_trace(trace, 0.2).residual_m > 1000 * QUANTUM
 
 
 def test_where_all_samples_are_off_the_grid_they_are_used_and_late_forces_still_left_out() -> None:
     trace = struck_again(run(one_spring(2000.0, 5.0, friction=1.0), duration=1.0))
     flags = trace.flags | OFF_GRID
     flags[list(BLOWS)] |= LATE_FORCE
-    measured = identify(replace(trace, flags=flags), 0.2)
+    measured = measure_trace(replace(trace, flags=flags), 0.2)
     assert measured.residual_m < QUANTUM
     assert measured.samples > 500
 
@@ -157,7 +157,7 @@ def test_a_hand_that_starts_at_rest_is_pushed() -> None:
 
 def test_a_hand_that_does_not_move_is_said_to_have_shown_nothing() -> None:
     with pytest.raises(UsageError, match="too little motion"):
-        identify(run(one_spring(2000.0, 5.0, velocity=0.0), duration=0.5), 0.2)
+        measure_trace(run(one_spring(2000.0, 5.0, velocity=0.0), duration=0.5), 0.2)
 
 
 def test_a_channel_without_a_hand_is_refused() -> None:

@@ -18,8 +18,7 @@ from hapsim.errors import UsageError
 from hapsim.loop.ring import LATE_FORCE, UNSENT
 from hapsim.measuring.impedance import Loop, impedance_of
 from hapsim.measuring.measure_impedance import MeasuredImpedance, measure_impedance, walls_in_place
-from hapsim.measuring.multisine import lines_for, multisine
-from hapsim.measuring.spectra import Periods, periods_of
+from hapsim.measuring.multisine import Periods, lines_for, multisine, periods_of
 from hapsim.prediction import predict
 from hapsim.prediction.impedance import predict_impedance, z_width_of
 from hapsim.recording.trace import Trace

@@ -12,8 +12,7 @@ import pytest
 from hapsim.measuring import impedance
 from hapsim.measuring.impedance import Loop, impedance_of
 from hapsim.measuring.measure_impedance import measure_impedance
-from hapsim.measuring.multisine import lines_for
-from hapsim.measuring.spectra import Periods, periods_of
+from hapsim.measuring.multisine import Periods, lines_for, periods_of
 from hapsim.prediction.impedance import predict_impedance
 from hapsim.scene import parse_scene
 

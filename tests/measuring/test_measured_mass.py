@@ -16,7 +16,7 @@ import hapsim as python_api
 from hapsim.cli.as_json import measurement_document
 from hapsim.cli.compared import gives, probable_mass
 from hapsim.cli.tables import show_measurement
-from hapsim.measuring.identify import identify
+from hapsim.measuring.measure_trace import measure_trace
 from hapsim.prediction import predict, with_mass
 from hapsim.scene import Scene, parse_scene
 
@@ -153,7 +153,7 @@ def test_the_stated_uncertainties_of_frequency_and_damping_ratio_hold() -> None:
 @pytest.mark.parametrize("noise", [0.0, 1e-6])
 def test_a_hand_that_gives_is_named_as_a_second_mode(noise: float) -> None:
     scene = scene_of()
-    measurement = identify(held_by_a_hand(0.3, 3000.0, 10.0, noise), 0.2)
+    measurement = measure_trace(held_by_a_hand(0.3, 3000.0, 10.0, noise), 0.2)
     assert measurement.k == pytest.approx(634.915, abs=max(0.002, 4.0 * measurement.k_uncertainty))
     assert measurement.second_mode is not None
     assert 0.05 < measurement.second_mode.share < 0.1

@@ -17,9 +17,9 @@ from hapsim.device.connection import Connection
 from hapsim.device.mock.assemble import assemble_mock
 from hapsim.device.mock.loopback import loopback_transport
 from hapsim.device.mock.terminal import serving
-from hapsim.measuring.identify import identify
-from hapsim.measuring.pair import NO_SECOND_REAL_POLE
-from hapsim.measuring.seen_rate import seen_rate
+from hapsim.measuring.measure_trace import measure_trace
+from hapsim.measuring.pole_pair import NO_SECOND_REAL_POLE
+from hapsim.measuring.trace_quality import seen_rate
 from hapsim.prediction import felt_at_rate, predict
 from hapsim.recording.trace import Trace
 from hapsim.running import run, starting
@@ -132,7 +132,7 @@ def test_what_was_felt_at_the_seen_rate_is_what_is_predicted_for_it(
         yield Connection(loopback_transport(mistaken_mock(scene, share)), "slow", close=lambda: None)
 
     monkeypatch.setattr(starting, "open_connection", slow)
-    measured = identify(run(scene, duration=1.0), 0.2).at_rate(1000.0 * share)
+    measured = measure_trace(run(scene, duration=1.0), 0.2).at_rate(1000.0 * share)
     (declared,) = predict(scene).felt
     felt = felt_at_rate(declared, 1000.0 * share)
     for key in ("k", "b", "frequency_hz", "damping_ratio"):
@@ -156,7 +156,7 @@ def test_of_a_port_a_rate_is_seen() -> None:
 
 @pytest.mark.parametrize("share", [0.9, 1.0])
 def test_the_document_has_both_sides_for_the_rate_that_was_seen(a_trace: Trace, share: float) -> None:
-    measurement = identify(arriving(a_trace, np.arange(2048) / (1000.0 * share)), 0.2)
+    measurement = measure_trace(arriving(a_trace, np.arange(2048) / (1000.0 * share)), 0.2)
     document = measurement_document(predict(scene_of()), measurement, 0)
     assert (document["rate_hz"], document["nominal_rate_hz"]) == (1000.0, 1000.0)
     assert document["rate_seen_hz"] == pytest.approx(1000.0 * share, abs=document["rate_seen_uncertainty_hz"])
@@ -184,7 +184,7 @@ def test_the_text_names_the_rate_that_was_seen(a_trace: Trace) -> None:
     from hapsim.cli.tables import show_measurement
 
     arrivals = np.arange(2048) / 900.0
-    measurement = identify(arriving(a_trace, arrivals), 0.2)
+    measurement = measure_trace(arriving(a_trace, arrivals), 0.2)
     console = Console(record=True, width=200)
     show_measurement(console, "hand", predict(scene_of()).felt[0], "", measurement)
     told = console.export_text()
@@ -205,7 +205,7 @@ def test_why_there_is_no_spring_and_damper_is_told_plainly(a_trace: Trace, reaso
 
     from hapsim.cli.tables import show_measurement
 
-    measurement = replace(identify(a_trace, 0.2), dominant=False, reason=reason)
+    measurement = replace(measure_trace(a_trace, 0.2), dominant=False, reason=reason)
     console = Console(record=True, width=200)
     show_measurement(console, "hand", None, "moves a mass", measurement)
     assert f"The motion is not that of a spring and damper: {told}." in console.export_text()
@@ -217,8 +217,8 @@ def test_a_hand_whose_forces_are_late_now_and_then_is_not_told_that_it_did_not_m
 
     late = np.where(np.arange(2048) % 2, LATE_FORCE, 0).astype(np.uint8)
     with pytest.raises(UsageError, match="of 2048 samples 1024 had their force too late") as caught:
-        identify(replace(a_trace, flags=late), 0.2)
+        measure_trace(replace(a_trace, flags=late), 0.2)
     assert "the hand moved by 0.00" in str(caught.value)
     assert "too little motion" not in str(caught.value)
     with pytest.raises(UsageError, match="too little motion"):
-        identify(replace(a_trace, position_counts=0 * a_trace.position_counts), 0.2)
+        measure_trace(replace(a_trace, position_counts=0 * a_trace.position_counts), 0.2)

@@ -9,10 +9,18 @@ from pathlib import Path
 import pytest
 
 from hapsim.errors import UsageError
-from hapsim.speed_accuracy.front import cheapest_within, front_of, fronts
-from hapsim.speed_accuracy.objects import objects_named
-from hapsim.speed_accuracy.rows import OURS, Row, columns, peers_in, row_of_document
-from hapsim.speed_accuracy.verdict import verdict
+from hapsim.speed_accuracy.comparison import objects_named
+from hapsim.speed_accuracy.results import (
+    OURS,
+    Row,
+    cheapest_within,
+    columns,
+    front_of,
+    fronts,
+    peers_in,
+    row_of_document,
+    verdict,
+)
 
 
 def row(cost: float, error: float, method: str = "cordis", whose: str = OURS, name: str = "string-10") -> Row:

@@ -23,7 +23,7 @@ from hapsim.device.mock.loopback import loopback_transport
 from hapsim.device.mock.terminal import serving
 from hapsim.errors import GuardError
 from hapsim.loop.guards.rate import MOST_OFF, WATCH, WINDOW_NS, WINDOW_SAMPLES, WINDOWS, is_off_rate
-from hapsim.measuring.identify import identify
+from hapsim.measuring.measure_trace import measure_trace
 from hapsim.running import run, starting
 from hapsim.scene import Scene
 from hapsim.theory import Configuration
@@ -65,7 +65,7 @@ def at_half_the_rate(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_what_is_felt_is_the_theory_with_the_true_rate_and_twice_the_damping(K: float, B: float, figures: Any) -> None:
     trace = run(scene_of(K, B), duration=0.4)
     assert trace.report.rate_hz == trace.report.nominal_rate_hz  # virtual time cannot know
-    found = identify(trace, MASS)
+    found = measure_trace(trace, MASS)
     true = Configuration(mass=MASS, rate=0.5 * RATE, friction=FRICTION, delay=1.0)
     # What is identified counts in declared periods: a frequency twice too high, k four times and b twice.
     k, b = true.equivalent(K, 2.0 * B)

@@ -172,7 +172,7 @@ def measured_once(scene: Scene, wanted: tuple[float, float], settles: float, eve
     except HapsimError:
         return Cell(math.inf, math.inf, stable=False)
     try:
-        found = hapsim.identify(trace.since(settling), mass)
+        found = hapsim.measure_trace(trace.since(settling), mass)
     except HapsimError:
         return Cell(math.inf, math.inf, stable=stays(trace))
     k, b = wanted

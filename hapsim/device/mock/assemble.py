@@ -16,7 +16,7 @@ from firmware_protocol.wire_time import BITS_PER_BYTE, WireTime, wire_time
 from hapsim.device.mock.firmware import MOCK, MOST_LATE
 from hapsim.device.mock.sampler import set_timing
 from hapsim.errors import UsageError
-from hapsim.prediction.silence import time_to_live_samples
+from hapsim.prediction.timing import time_to_live_samples
 from hapsim.scene import Scene
 
 

@@ -2,8 +2,8 @@
 
 A position x is outside by max(low - x, x - high). There the force that would leave, cut to its limit, is multiplied by
 1 - outside / margin, and zero beyond the margin: with any push of an excitation, by the position that was read. So a
-fade is no steeper than force_limit / margin (`prediction/travel.py` judges that as a stiffness), and a device that
-rests at its own stop, in the band, just feels less.
+fade is no steeper than force_limit / margin (`prediction/force_bounds.py` judges that as a stiffness). A device that
+rests at its own stop, in the band, feels less.
 
 Beyond the band a device that goes outward is driven by what no scene counts with: a motor with the wrong sign, or a
 zero that is not where the scene has it. It stops the loop as soon as noise and counts do not explain that it is there.

@@ -14,8 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hapsim.prediction.correction.element import Element, element_for
 from hapsim.prediction.correction.kind import Observer
-from hapsim.prediction.correction.lone import Element, element_for
 from hapsim.prediction.correction.predictor import PREDICTOR, predictor_for
 from hapsim.theory import Configuration
 from hapsim.theory.arrays import Floats

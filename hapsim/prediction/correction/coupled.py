@@ -12,9 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hapsim.prediction.correction.ports import Port, shared_out, with_modules
-from hapsim.prediction.hands import network_of
-from hapsim.prediction.linear import linear_scene
+from hapsim.prediction.correction.kind import Port, shared_out, with_modules
+from hapsim.prediction.linear import linear_scene, network_of
 from hapsim.scene import Scene
 from hapsim.scene.choices import DamperScheme
 from hapsim.theory import Network

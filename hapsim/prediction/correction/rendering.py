@@ -9,13 +9,11 @@ from typing import NamedTuple
 
 from hapsim.prediction.correction.adaptive import ADAPTIVE, Schedule, schedule_for
 from hapsim.prediction.correction.coupled import MOST_STATES, is_small, is_stable, match_modes
-from hapsim.prediction.correction.kind import CorrectionKind, Observer
-from hapsim.prediction.correction.lone import Element, element_for
+from hapsim.prediction.correction.element import Element, element_for
+from hapsim.prediction.correction.kind import CorrectionKind, Observer, Port, ports_of, shared_out, with_modules
 from hapsim.prediction.correction.poles import POLES
-from hapsim.prediction.correction.ports import Port, ports_of, shared_out, with_modules
 from hapsim.prediction.correction.predictor import PREDICTOR, observer_of, predictor_for
-from hapsim.prediction.hands import configuration_of, dampers_of, why_coupled
-from hapsim.prediction.linear import linear_scene
+from hapsim.prediction.linear import configuration_of, dampers_of, linear_scene, why_coupled
 from hapsim.scene import Buffer, Scene
 from hapsim.scene.modules import Module
 from hapsim.theory import Configuration

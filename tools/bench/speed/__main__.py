@@ -28,11 +28,9 @@ from steadiness.machine import awake, describe_machine, processor_time
 from hapsim.chart.figure import require_writable, save_rows
 from hapsim.chart.speed_accuracy import draw_speed_accuracy
 from hapsim.errors import HapsimError, UsageError
-from hapsim.speed_accuracy.compare import RATES, Comparison
-from hapsim.speed_accuracy.front import fronts
-from hapsim.speed_accuracy.objects import objects_named
-from hapsim.speed_accuracy.ringing_string import RingingString
-from hapsim.speed_accuracy.rows import Row, columns
+from hapsim.speed_accuracy.comparison import RATES, Comparison, objects_named
+from hapsim.speed_accuracy.results import Row, columns, fronts
+from hapsim.speed_accuracy.strings import RingingString
 from speed.first_tick import cold_and_warm
 from speed.peer_rows import PeerRows
 from speed.ratios import Ratios

@@ -24,8 +24,7 @@ def first_tick() -> dict[str, float]:
 
     from hapsim.cordis.offline import ticks
     from hapsim.cordis.program import compile_scene
-    from hapsim.speed_accuracy.ringing_string import scene_of
-    from hapsim.speed_accuracy.strings import StringOfMasses, hand_link
+    from hapsim.speed_accuracy.strings import StringOfMasses, hand_link, scene_of
 
     string = StringOfMasses.tuned(1000)
     times = [time.perf_counter()]

@@ -10,10 +10,7 @@ from typing import Any
 from steadiness.record import spread
 
 from hapsim.errors import UsageError
-from hapsim.speed_accuracy.compared import Object
-from hapsim.speed_accuracy.front import fronts
-from hapsim.speed_accuracy.rows import Row, row_of_document
-from hapsim.speed_accuracy.verdict import verdict
+from hapsim.speed_accuracy.results import Object, Row, fronts, row_of_document, verdict
 from speed.contenders import OURS
 from speed.ratios import ratios_of
 

@@ -1,19 +1,34 @@
-"""At which rate a device sampled, as far as its positions' arrival on the host's clock tells.
-
-A position arrives when it was sampled, and then something later: never earlier. So the earliest arrivals tell the
-period, and the others nothing (Moon, Skelly and Towsley, *Estimation and removal of clock skew from network delay
-measurements*, 1999, for two clocks over a network). Of each of some forty stretches of a record the earliest arrival is
-taken, and through these a line by the median of all slopes between two of them (Theil and Sen), which a stretch in
-which the host was held up throughout does not bend.
-"""
+"""What a trace says of its own samples: which of them are usable, and at which rate the device took them."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
+from hapsim.loop.ring import LATE_FORCE, UNSENT
 from hapsim.recording.trace import Report, Trace
+
+_ALWAYS = 0.99  # of all samples: what is late so often is late by the wire's nature
+
+
+def unbroken(trace: Trace, spoilt: int) -> Iterator[tuple[int, int]]:
+    """Index ranges without a gap: no sample missing or with a `spoilt` flag, each force sent."""
+    flags = trace.flags ^ _usual_flags(trace)
+    broken = (np.diff(trace.sample, prepend=trace.sample[:1] - 1) != 1) | (flags & spoilt != 0)
+    broken[1:] |= flags[:-1] & UNSENT != 0
+    starts = np.flatnonzero(broken | (np.arange(broken.size) == 0))
+    for first, last in zip(starts, np.append(starts[1:], broken.size), strict=True):
+        yield int(first), int(last)
+
+
+def _usual_flags(trace: Trace) -> int:
+    """LATE_FORCE where every force was late, as over a slow wire: that is a delay like any other, and a record like any
+    other. What is out of the common is then a force in time."""
+    late = trace.flags & LATE_FORCE != 0
+    return LATE_FORCE if late.size and float(np.mean(late)) > _ALWAYS else 0
+
 
 _STRETCHES, _LEAST_STRETCHES, _LEAST_ROWS = 40, 10, 8
 _CONFIDENCE = 0.999

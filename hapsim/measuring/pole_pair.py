@@ -1,7 +1,4 @@
-"""The pair of poles that moves the hand, out of a fitted polynomial, with its uncertainty.
-
-All is written in the pair's sum and product, which stay well-behaved where two poles meet; the poles themselves do not.
-"""
+"""The pair of poles that moves the hand, out of a fitted polynomial, with its uncertainty."""
 
 from __future__ import annotations
 

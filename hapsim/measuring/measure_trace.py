@@ -1,8 +1,4 @@
-"""Identification: what spring and damper the hand felt, read from what was recorded and from nothing else.
-
-It never sees a prediction, nor the scene's stiffness and damping: only the positions and forces on the wire, the
-sample period, and the mass to which the answer refers.
-"""
+"""measure_trace: the spring and damper that a hand felt, read from what was recorded and from nothing else."""
 
 from __future__ import annotations
 
@@ -16,10 +12,9 @@ from threadpoolctl import threadpool_limits
 
 from hapsim.errors import RunError, UsageError
 from hapsim.loop.ring import BRIDGED, LATE_FORCE, LIMITED, OFF_GRID
-from hapsim.measuring.pair import FittedPair, SecondMode, dominant_pair
+from hapsim.measuring.pole_pair import FittedPair, SecondMode, dominant_pair
 from hapsim.measuring.regression import Fit, Segment, fit
-from hapsim.measuring.seen_rate import SeenRate, seen_rate
-from hapsim.measuring.stretches import unbroken
+from hapsim.measuring.trace_quality import SeenRate, seen_rate, unbroken
 from hapsim.recording.trace import Trace
 
 _ROUNDING = 1.0 / math.sqrt(12.0)  # standard deviation of rounding to whole counts
@@ -100,11 +95,14 @@ class Measurement:
         )
 
 
-def identify(trace: Trace, mass: float, channel: int = 0, mass_uncertainty: float | None = None) -> Measurement:
+def measure_trace(trace: Trace, mass: float, channel: int = 0, mass_uncertainty: float | None = None) -> Measurement:
     """The spring and damper that `mass` kg on `channel` felt during the trace; `mass_uncertainty`: its standard
     uncertainty, kg, None where it is only declared. UsageError where nothing moves."""
     with threadpool_limits(1, user_api="blas"):  # on matrices this narrow further threads cost ten times what they save
         return _with_mass(_identify(trace, channel), mass, mass_uncertainty)
+
+
+identify = measure_trace  # its name until 0.2
 
 
 def _with_mass(unit: Measurement, mass: float, uncertainty: float | None) -> Measurement:

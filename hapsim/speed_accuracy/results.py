@@ -1,0 +1,213 @@
+"""What a comparison consists of and gives: objects, rows, the front, a verdict."""
+
+from __future__ import annotations
+
+import json
+import math
+import statistics
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, Protocol
+
+from hapsim.cordis.schemes import SCHEMES
+from hapsim.errors import UsageError
+from hapsim.scene import Scene
+
+
+@dataclass(frozen=True)
+class Found:
+    """What came of a run: how far each quantity is off, relative to the continuous object, with its sign.
+
+    `why_not`: in words, where there is none.
+    """
+
+    errors: dict[str, float]
+    why_not: str = ""
+
+
+class Object(Protocol):
+    """Something with a closed form in continuous time, that hapsim simulates."""
+
+    name: str
+    """As the command's option has it."""
+    title: str
+    """As a picture has it."""
+    quantities: tuple[str, ...]
+    """What can be off."""
+
+    def methods(self) -> tuple[str, ...]:
+        """By what it is simulated."""
+
+    def scene(self, method: str, precision: str, rate: float) -> Scene:
+        """What is timed: rate in Hz."""
+
+    def found(self, method: str, precision: str, rate: float) -> Found:
+        """Runs it."""
+
+
+PRECISIONS = ("double", "single")
+
+
+def schemes() -> tuple[str, ...]:
+    """The schemes for simulated masses."""
+    return tuple(SCHEMES)
+
+
+def schemes_named(names: Iterable[str]) -> list[str]:
+    """Those of these names, in their own order; none where there is no name. UsageError for another name."""
+    wanted = set(names)
+    for name in sorted(wanted - SCHEMES.keys()):
+        raise UsageError(f"--scheme: found '{name}', expected one of {', '.join(SCHEMES)}")
+    return [name for name in SCHEMES if name in wanted]
+
+
+OURS = "hapsim"
+
+
+@dataclass(frozen=True)
+class Row:
+    """One quantity of one object, simulated by one method in one precision at one rate."""
+
+    object: str
+    whose: str
+    """`OURS`, or the peer's name."""
+    method: str
+    precision: str
+    rate_hz: float
+    quantity: str
+    error: float
+    """Relative to the continuous object, with its sign; NaN where there is none."""
+    costs: tuple[float, ...] = ()
+    """Seconds of processor time for a simulated second, one for each round; none where there is no error."""
+    note: str = ""
+    """Why there is no error, or what else there is to say."""
+
+    @property
+    def cost(self) -> float:
+        """The median; NaN where nothing was timed."""
+        return statistics.median(self.costs) if self.costs else math.nan
+
+    @property
+    def off(self) -> float:
+        """The error without its sign."""
+        return abs(self.error)
+
+    @property
+    def good(self) -> bool:
+        """Whether it has a place in a picture."""
+        return math.isfinite(self.error) and math.isfinite(self.cost)
+
+    @property
+    def ours(self) -> bool:
+        return self.whose == OURS
+
+    def as_document(self) -> dict[str, Any]:
+        """For JSON: what there is not is null."""
+        error = self.error if math.isfinite(self.error) else None
+        return asdict(self) | {"error": error, "costs": list(self.costs)}
+
+
+def row_of_document(document: Any) -> Row:
+    """The reverse of `Row.as_document`. Raises TypeError or ValueError where it is none."""
+    row = Row(**document)
+    error = math.nan if row.error is None else float(row.error)
+    return replace(row, error=error, rate_hz=float(row.rate_hz), costs=tuple(float(cost) for cost in row.costs))
+
+
+def peers_in(path: Path, objects: Iterable[str]) -> list[Row]:
+    """The rows of others than hapsim that a file holds for these objects. UsageError where it holds no rows."""
+    try:
+        rows = [row_of_document(row) for row in json.loads(path.read_text(encoding="utf-8"))["rows"]]
+    except OSError as error:
+        raise UsageError(f"--with: {path} cannot be read: {error.strerror}") from None
+    except (ValueError, TypeError, KeyError):
+        raise UsageError(
+            f"--with: {path}: expected a JSON document with 'rows', as tools/bench/schemes or --json write it"
+        ) from None
+    wanted = set(objects)
+    return [row for row in rows if not row.ours and row.object in wanted]
+
+
+def columns(rows: Sequence[Row], front: Iterable[Row]) -> dict[str, list[Any]]:
+    """Every number, by the names that a data file uses: a row a row."""
+    chosen = set(front)
+    return {
+        "object": [row.object for row in rows],
+        "whose": [row.whose for row in rows],
+        "method": [row.method for row in rows],
+        "precision": [row.precision for row in rows],
+        "rate_Hz": [row.rate_hz for row in rows],
+        "quantity": [row.quantity for row in rows],
+        "error": [row.error for row in rows],
+        "cost_s_per_s": [row.cost for row in rows],
+        "cost_least": [min(row.costs, default=math.nan) for row in rows],
+        "cost_most": [max(row.costs, default=math.nan) for row in rows],
+        "rounds": [len(row.costs) for row in rows],
+        "on_front": [row in chosen for row in rows],
+        "note": [row.note for row in rows],
+    }
+
+
+def front_of(rows: Iterable[Row]) -> list[Row]:
+    """Of rows of one quantity of one object, from the cheapest to the most accurate; rows without a place are left
+    out. Of rows that cost the same and are as far off, the first."""
+    chosen: list[Row] = []
+    for row in sorted((row for row in rows if row.good), key=lambda row: (row.cost, row.off)):
+        if not chosen or row.off < chosen[-1].off:
+            chosen.append(row)
+    return chosen
+
+
+def fronts(rows: Iterable[Row]) -> dict[tuple[str, str], list[Row]]:
+    """(object, quantity) -> its front, hapsim's own rows only."""
+    groups: dict[tuple[str, str], list[Row]] = {}
+    for row in rows:
+        if row.ours:
+            groups.setdefault((row.object, row.quantity), []).append(row)
+    return {group: front_of(members) for group, members in groups.items()}
+
+
+def cheapest_within(rows: Iterable[Row], error: float) -> Row | None:
+    """hapsim's own row that costs least among those that are within `error` and faster than real time."""
+    able = [row for row in rows if row.ours and row.good and row.off <= error and row.cost < 1.0]
+    return min(able, key=lambda row: row.cost, default=None)
+
+
+WITHIN = 1e-3
+
+
+def verdict(one: Object, rows: Sequence[Row]) -> str:
+    """For a person; `rows` of all objects."""
+    mine = [row for row in rows if row.object == one.name]
+    parts = [_of_quantity(quantity, [row for row in mine if row.quantity == quantity]) for quantity in one.quantities]
+    lost = _lost(mine)
+    return f"{one.title[0].upper()}{one.title[1:]}: {'; '.join(parts)}{lost}."
+
+
+def _of_quantity(quantity: str, rows: Sequence[Row]) -> str:
+    front = [row for members in fronts(rows).values() for row in members]
+    if not front:
+        return f"{quantity}: nothing that could be timed"
+    precisions: dict[str, dict[str, None]] = {}
+    for row in front:
+        precisions.setdefault(row.method, {})[row.precision] = None
+    names = [f"{method} ({', '.join(sorted(lengths))})" for method, lengths in precisions.items()]
+    best = cheapest_within(rows, WITHIN)
+    if best is None:
+        advice = f"none within {WITHIN:g} in real time"
+    else:
+        advice = (
+            f"cheapest within {WITHIN:g} in real time: {best.method}, {best.precision}, at {best.rate_hz:g} Hz "
+            f"({best.cost:.2g} s a second, off by {best.error:+.1e})"
+        )
+    return f"{quantity}: on the front {', '.join(names)}; {advice}"
+
+
+def _lost(rows: Sequence[Row]) -> str:
+    """How many cases have no place, by the reason."""
+    reasons: dict[str, set[tuple[str, str, float]]] = {}
+    for row in rows:
+        if row.ours and not row.good and row.note:
+            reasons.setdefault(row.note.split(":", 1)[0], set()).add((row.method, row.precision, row.rate_hz))
+    return "".join(f"; {len(cases)} left out ({reason})" for reason, cases in reasons.items())
