@@ -130,7 +130,7 @@ def _script(names: list[str]) -> Script:
 def _device(port: str | None, scene: str | None, baud: int) -> Iterator[int]:
     """The descriptor of the device's port."""
     from hapsim.device.serial_port import raw_port
-    from hapsim.loop.only_linux import require_linux
+    from hapsim.loop.system import require_linux
 
     require_linux(
         "faults on a pseudo-terminal", "a transport in memory takes them there (hapsim.bringup.faults.in_memory)"

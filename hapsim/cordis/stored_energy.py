@@ -15,7 +15,7 @@ dw (H_new - H_old), with kinetic energy. A module that no chain of links connect
 a change takes away is put back, and it fills with a constant power. Where it has too little, the change goes on only as
 far as it lasts: all its parameters together, which so are slowed. What takes energy away is never slowed. So changes
 give a hand no more than what the tank holds and that power, whatever friction there is. `spent` is what they added:
-the energy guard counts it as the scene's own, and counts swings anew after a change (loop/guards/divergence.py).
+the energy guard counts it as the scene's own, and counts swings anew after a change (loop/guards/energy_guard.py).
 """
 
 from __future__ import annotations

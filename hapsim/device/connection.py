@@ -15,7 +15,7 @@ from typing import Any
 from firmware_protocol.decoder import begin_decoding, next_frame, use_format
 from firmware_protocol.frames import SETUP, Format
 from firmware_protocol.records import new_record
-from hapsim.loop.inbox import INBOX, fetch_in_python
+from hapsim.loop.buffers import INBOX, fetch_in_python
 from hapsim.loop.transport import PythonTransport
 
 _REMEMBERED = 128  # frames of the conversation, for a report
@@ -68,7 +68,7 @@ class Connection:
 
     def next_frame(self, timeout_s: float) -> tuple[bool, int]:
         """Waits for a frame, outside of the loop: (True, 0) when there is one in the decoder, else (False, 0 or HUNG_UP
-        or FAILED of hapsim.loop.codes)."""
+        or FAILED of hapsim.loop.endings)."""
         give_up = time.monotonic() + timeout_s
         while not self._frame_is_waiting():
             left = max(give_up - time.monotonic(), 0.0)

@@ -13,7 +13,7 @@ from firmware_protocol.description import Description, from_registers, registers
 from firmware_protocol.frames import SETUP, Format, armed_format, frame_to_device
 from hapsim.device.connection import Connection
 from hapsim.errors import DescriptionError, DeviceError
-from hapsim.loop.codes import FAILED, HUNG_UP
+from hapsim.loop.endings import FAILED, HUNG_UP
 
 _ANSWER_S = 0.25  # how long one answer is waited for
 _TRIES = 12  # together three seconds: a board that the opening of its port resets needs them

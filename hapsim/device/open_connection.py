@@ -9,7 +9,7 @@ from typing import Literal
 from hapsim.device.connection import Connection
 from hapsim.device.serial_port import open_portable_port, open_serial_port
 from hapsim.errors import UsageError
-from hapsim.loop.only_linux import require_linux
+from hapsim.loop.system import require_linux
 from hapsim.loop.transport import PythonTransport
 from hapsim.scene import Scene
 

@@ -17,7 +17,7 @@ from hapsim.device.connection import Connection
 from hapsim.device.port_holder import who_holds
 from hapsim.device.port_name import leads_to
 from hapsim.errors import DeviceError
-from hapsim.loop.descriptor import descriptor_transport
+from hapsim.loop.transport import descriptor_transport
 
 _PSEUDO_TERMINALS = range(136, 144)  # major numbers, Linux's Documentation/admin-guide/devices.txt
 _WRITE_TIMEOUT_S = 1.0  # of the portable loop, whose own interpreter may be held up for a tenth of a second

@@ -12,7 +12,7 @@ from hapsim.compiling.entries import compile_for
 from hapsim.compiling.progress import on_compilation
 from hapsim.doctor.step import Tell
 from hapsim.errors import HapsimError, UsageError
-from hapsim.loop.grid import GRID, sleep_on_grid
+from hapsim.loop.clocks import GRID, sleep_on_grid
 from hapsim.loop.histogram import Histogram, histogram_of
 
 if TYPE_CHECKING:
@@ -111,7 +111,7 @@ def _lay(grid: Any, count: int) -> None:
 @contextlib.contextmanager
 def _punctual(realtime: bool) -> Iterator[list[PrivilegeResult]]:
     """While open, this thread wakes up as punctually as it may: at the least without the kernel's slack of 50 µs."""
-    from hapsim.loop.realtime.slack import no_timer_slack
+    from hapsim.loop.realtime.scheduling import no_timer_slack
 
     no_timer_slack()
     if not realtime:

@@ -18,7 +18,7 @@ from firmware_protocol import schema
 from firmware_protocol.records import new_record
 from hapsim.compiling import helper
 from hapsim.compiling.native import address_of, array_at, native, record_at
-from hapsim.loop.io_buffer import IO_BUFFER
+from hapsim.loop.buffers import IO_BUFFER
 from hapsim.loop.mass_estimate import (
     MASS_ESTIMATE,
     estimate_mass,

@@ -1,80 +1,77 @@
-"""Why a loop returned."""
+"""What a wait for a position comes to, and why a loop ends: one set of numbers, each passed on as it is.
+
+Where bytes are read a positive number is their count.
+"""
 
 from __future__ import annotations
 
 from hapsim.compiling import inlined
-from hapsim.loop.codes import BAD_FORCE, DIVERGED, FAILED, FAULT, LEAPT, OFF_RATE, TIMED_OUT, WRONG_SIGN
-from hapsim.loop.codes import OUT_OF_TRAVEL as TOO_FAR_OUT
 
-(
-    DONE,
-    STOPPED,
-    RING_FULL,
-    SILENT,
-    GONE,
-    NOT_FINITE,
-    DEVICE_STOPPED,
-    WRONG_RATE,
-    POSITION_LEAPT,
-    DIVERGING,
-    PORT_FAILED,
-    OUT_OF_TRAVEL,
-    SIGN_WRONG,
-) = range(13)
-
-GOES_ON = -1
-"""Nothing ends it yet."""
+HEARD = 1
+"""A position was taken."""
+RUNNING = 1
+"""Nothing ends the loop yet."""
+TIMED_OUT = 0
+"""Nothing came, or nothing among the bytes was a position."""
+HUNG_UP = -1
+"""The other side of the port is gone."""
+FAILED = -2
+"""The system refused, and a retry will not help."""
+DEVICE_STOPPED = -3
+"""The device said that it stopped."""
+NOT_FINITE = -4
+"""The scene's force is not a number."""
+WRONG_RATE = -5
+"""The device does not sample at the rate that it declares."""
+POSITION_LEAPT = -6
+"""A position is where no hand can have moved the device."""
+ENERGY_EXCEEDED = -7
+"""The energy guard tripped: the scene gives the hand more energy than a passive object, or swings at the limit."""
+WRONG_SIGN = -8
+"""A motor pushes the wrong way."""
+OUT_OF_TRAVEL = -9
+"""The device is farther outside its travel than the force reaches."""
+SILENT = -10
+"""The device has sent no position for too long."""
+DONE = -11
+STOPPED = -12
+RING_FULL = -13
+"""The reader has to make room. The device stays armed, and the loop is called again."""
 
 IN_WORDS = {
     DONE: "done",
     STOPPED: "stopped",
     SILENT: "device silent",
-    GONE: "device gone",
+    HUNG_UP: "device gone",
     NOT_FINITE: "force not finite",
     DEVICE_STOPPED: "device stopped",
     WRONG_RATE: "wrong rate",
     POSITION_LEAPT: "position leapt",
-    DIVERGING: "scene diverging",
-    PORT_FAILED: "port failed",
+    ENERGY_EXCEEDED: "scene diverging",
+    FAILED: "port failed",
     OUT_OF_TRAVEL: "out of travel",
-    SIGN_WRONG: "sign wrong",
+    WRONG_SIGN: "sign wrong",
 }
-"""As a report tells it. RING_FULL is no end: the loop goes on once the reader has made room."""
+"""The `ending` of a report."""
 
 
 @inlined
-def told_to_end(loop):
-    """Why the loop ends before its next exchange: GOES_ON, or STOPPED, DONE, RING_FULL."""
+def ending_before_exchange(loop):
+    """RUNNING, or why the loop ends before its next exchange: STOPPED, DONE, RING_FULL."""
     if loop.control.stop:
         return STOPPED
     state, control = loop.state, loop.control
-    # Samples that passed, answered or lost; or where they come too slowly, the time on the host's clock.
+    # Samples that passed, answered or lost; where they come too slowly, the time on the host's clock.
     if 0 <= control.samples <= state.ticks + state.lost_frames or state.newest_ns - state.first_ns > control.lasts_ns:
         return DONE
     # With a margin, for positions that arrive several at once.
     ring = loop.ring
-    return RING_FULL if ring.waits and ring.head - ring.tail > ring.capacity // 2 else GOES_ON
+    return RING_FULL if ring.waits and ring.head - ring.tail > ring.capacity // 2 else RUNNING
 
 
 @inlined
 def ending_of(code, stop):
-    """Why the loop ends, after a wait for a position that ended in `code`; `stop`: somebody stopped it."""
-    if stop != 0 and code == TIMED_OUT:
-        return STOPPED
-    if code == FAULT:
-        return DEVICE_STOPPED
-    if code == BAD_FORCE:
-        return NOT_FINITE
-    if code == OFF_RATE:
-        return WRONG_RATE
-    if code == LEAPT:
-        return POSITION_LEAPT
-    if code == DIVERGED:
-        return DIVERGING
-    if code == TOO_FAR_OUT:
-        return OUT_OF_TRAVEL
-    if code == WRONG_SIGN:
-        return SIGN_WRONG
-    if code == FAILED:
-        return PORT_FAILED
-    return SILENT if code == TIMED_OUT else GONE
+    """Why the loop ends after a wait for a position that came to `code`. `stop`: another thread stopped the loop."""
+    if code != TIMED_OUT:
+        return code
+    return STOPPED if stop != 0 else SILENT

@@ -1,6 +1,6 @@
 """One exchange: positions in, the scene moved, the guarded force out. Shared by every loop.
 
-No system call is made here: whoever waits (waiting.py in the kernel, portable.py in Python) brings bytes and time.
+No system call is made here: the caller (run.py in the kernel, portable.py in Python) brings bytes and time.
 """
 
 from __future__ import annotations
@@ -14,11 +14,22 @@ from hapsim.compiling import inlined
 from hapsim.compiling.native import array_at
 from hapsim.cordis.stored_energy import TANK
 from hapsim.cordis.tick import program_at, start
-from hapsim.loop.codes import BAD_FORCE, DIVERGED, FAULT, HEARD, LEAPT, OFF_RATE, OUT_OF_TRAVEL, TIMED_OUT, WRONG_SIGN
+from hapsim.loop.buffers import IO_BUFFER, next_place
+from hapsim.loop.crossfade import SCENE_SLOT, move_scene
+from hapsim.loop.endings import (
+    DEVICE_STOPPED,
+    ENERGY_EXCEEDED,
+    HEARD,
+    NOT_FINITE,
+    OUT_OF_TRAVEL,
+    POSITION_LEAPT,
+    TIMED_OUT,
+    WRONG_RATE,
+    WRONG_SIGN,
+)
 from hapsim.loop.force_history import FORCE_HISTORY, IN_ALL, call_keep
-from hapsim.loop.guards.divergence import ENERGY, call_observe
-from hapsim.loop.guards.finite import is_finite
-from hapsim.loop.guards.force_limit import cut
+from hapsim.loop.guards.energy_guard import ENERGY_GUARD, call_judge_energy
+from hapsim.loop.guards.force_limit import clip, is_finite
 from hapsim.loop.guards.leap import LEAP, is_leap
 from hapsim.loop.guards.rate import WATCH, is_off_rate
 from hapsim.loop.guards.sign import SIGN, call_judge, release
@@ -26,8 +37,6 @@ from hapsim.loop.guards.slew import SLEW, call_shape, hold_zero
 from hapsim.loop.guards.stale import has_expired, is_outdated
 from hapsim.loop.guards.travel import BEYOND, TRAVEL, WITHIN, call_fade
 from hapsim.loop.histogram import HISTOGRAM, note
-from hapsim.loop.io_buffer import IO_BUFFER
-from hapsim.loop.last_bytes import next_place
 from hapsim.loop.predictor import PREDICTOR, call_add, call_predict
 from hapsim.loop.ring import (
     BRIDGED,
@@ -44,7 +53,6 @@ from hapsim.loop.ring import (
     push,
     withhold_last,
 )
-from hapsim.loop.stage import STAGE, move_scene
 
 _MODULUS_MASK = schema.SAMPLE_MODULUS - 1  # it is a power of two
 
@@ -130,7 +138,7 @@ LOOP = np.dtype(
         ("inbox", np.uint64),  # address of an INBOX
         ("framing", FRAMING),  # of the frames to the device
         ("predictor", PREDICTOR),
-        ("stage", STAGE),
+        ("slot", SCENE_SLOT),
         ("ring", RING),
         ("io", IO_BUFFER),
         ("control", CONTROL),
@@ -141,7 +149,7 @@ LOOP = np.dtype(
         ("travel", TRAVEL),
         ("slew", SLEW),
         ("history", FORCE_HISTORY),
-        ("energy", ENERGY),
+        ("energy_guard", ENERGY_GUARD),
         ("sign", SIGN),
         ("tank", TANK),
         ("histograms", HISTOGRAMS),
@@ -154,8 +162,7 @@ LOOP = np.dtype(
 @inlined
 def take_frame(loop, decoder, now):
     """Takes the decoder's frame, which arrived at `now` (ns). A position moves the scene up to its sample, and the
-    force that answers it is worked out: HEARD; or BAD_FORCE, LEAPT, OFF_RATE, DIVERGED, WRONG_SIGN, OUT_OF_TRAVEL.
-    FAULT: the device has stopped.
+    force that answers it is worked out: HEARD, or a code of endings.py that ends the loop.
 
     A position that comes twice, or after a newer one, is counted and passed over, as is a frame of another type:
     TIMED_OUT. The scene never goes back in time.
@@ -166,7 +173,7 @@ def take_frame(loop, decoder, now):
         state.fault = (decoder.counts[0] >> 8) & 0xFF
         state.device_state = decoder.counts[0] & 0xFF
         state.stopped_ns = now
-        return FAULT
+        return DEVICE_STOPPED
     gap = (decoder.number - state.sample) & _MODULUS_MASK if state.ticks > 0 else 1
     if decoder.type not in (schema.POSITION, schema.POSITION_HELD):
         return TIMED_OUT
@@ -181,7 +188,7 @@ def take_frame(loop, decoder, now):
         _take_origin(io, decoder)
     _read_position(io, decoder)
     if state.ticks == 0:
-        start(program_at(loop.stage.program), io.measured)
+        start(program_at(loop.slot.program), io.measured)
         state.sample = decoder.number - 1
         state.first_ns = state.due_ns = now
     leapt = is_leap(loop.leap, io, state, gap, now, control.period_ns)
@@ -194,18 +201,18 @@ def take_frame(loop, decoder, now):
     predictor = loop.predictor
     if predictor.predict != 0:
         call_predict(predictor.predict, (predictor.address, io.address, gap, np.int64(late), state.age))
-    move_scene(loop.stage, io, gap)
+    move_scene(loop.slot, io, gap)
     if predictor.add != 0:
         call_add(predictor.add, (predictor.address, io.address))
     state.sample += gap
     sound, stops = _answer(loop, gap, late, flags, now)
     if not sound:
-        return BAD_FORCE
+        return NOT_FINITE
     if leapt:
-        return LEAPT
+        return POSITION_LEAPT
     if stops != 0:
         return stops
-    return OFF_RATE if is_off_rate(loop.watch, state.sample, now, control.period_ns) else HEARD
+    return WRONG_RATE if is_off_rate(loop.watch, state.sample, now, control.period_ns) else HEARD
 
 
 @inlined
@@ -230,8 +237,8 @@ def _read_position(io, decoder):
 
 @inlined
 def _answer(loop, gap, late, flags, now):
-    """Makes the scene's force what is to leave, and counts the tick: (whether it is a number, DIVERGED, WRONG_SIGN or
-    OUT_OF_TRAVEL where the loop stops before it leaves, else 0). `flags`: of the row so far."""
+    """Makes the scene's force what is to leave, and counts the tick: (whether it is a number, the code of the guard
+    that stops the loop before it leaves, else 0). `flags`: of the row so far."""
     compact()
     state, io = loop.state, loop.io
     sound, limited = _set_force(io, loop.control, state)
@@ -250,7 +257,7 @@ def _answer(loop, gap, late, flags, now):
     if loop.sign.releases != 0:
         released = release(loop.sign, io)
     if sound and (loop.slew.shape | loop.history.keep) != 0:
-        slewed, verdict = _by_what_was_sent(loop, gap, late, flags & WITHHELD != 0, now)
+        slewed, verdict = _apply_sent_force_guards(loop, gap, late, flags & WITHHELD != 0, now)
         slewed |= released
         state.slewed_ticks += slewed
         flags |= SLEWED if slewed else 0
@@ -265,27 +272,27 @@ def _answer(loop, gap, late, flags, now):
 
 
 @inlined
-def _by_what_was_sent(loop, gap, late, withheld, now):
-    """What the forces that left before make of this one: (whether its counts changed, DIVERGED, WRONG_SIGN
-    or 0)."""
+def _apply_sent_force_guards(loop, gap, late, withheld, now):
+    """Applies the guards that compare this force with those that left before: (whether its counts changed,
+    ENERGY_EXCEEDED, WRONG_SIGN or 0)."""
     compact()
-    state, slew, history, energy, io = loop.state, loop.slew, loop.history, loop.energy, loop.io
-    sign = loop.sign
+    state, io, slew, history = loop.state, loop.io, loop.slew, loop.history
+    energy, sign = loop.energy_guard, loop.sign
     since = state.sent_ns if loop.control.clock == HOST_CLOCK else state.newest_ns
     expired = state.ticks > 0 and has_expired(state, loop.control, gap, now, since)
     happened = (np.int64(gap), np.int64(state.unanswered), np.int64(late), np.int64(expired), np.int64(withheld))
-    slewed, diverged, wrong = np.int64(0), np.int64(0), np.int64(0)
+    slewed, exceeded, wrong = np.int64(0), np.int64(0), np.int64(0)
     if slew.shape != 0:
         slewed = call_shape(slew.shape, (slew.address, io.address, *happened))
     if history.keep != 0:
         call_keep(history.keep, (history.address, io.address, *happened))
-    if energy.observe != 0:
-        diverged = call_observe(energy.observe, (energy.address, history.address, io.address, np.int64(gap)))
+    if energy.judge != 0:
+        exceeded = call_judge_energy(energy.judge, (energy.address, history.address, io.address, np.int64(gap)))
     if sign.judge != 0:
         wrong = call_judge(sign.judge, (sign.address, history.address, io.address, np.int64(gap)))
-        if (sign.judge | energy.observe) == 0:  # all channels are right: nobody asks any more which force acted
+        if (sign.judge | energy.judge) == 0:  # all channels are right: nobody asks any more which force acted
             history.keep = 0
-    return slewed, WRONG_SIGN if wrong != 0 else DIVERGED if diverged != 0 else 0
+    return slewed, WRONG_SIGN if wrong != 0 else ENERGY_EXCEEDED if exceeded != 0 else 0
 
 
 @inlined
@@ -406,10 +413,10 @@ def _set_force(io, control, state):
     for c in range(np.uint64(io.channels)):
         wanted = io.asked[c] + excitation if c == np.uint64(control.pulse_channel) else io.asked[c]
         sound = sound and is_finite(wanted)
-        force = cut(wanted, io.force_limit[c])
+        force = clip(wanted, io.force_limit[c])
         limited = limited or force != wanted
         counts = np.rint(force / io.force_scale[c])
-        io.force_counts[c] = np.int64(cut(counts, 2147483647.0))
+        io.force_counts[c] = np.int64(clip(counts, 2147483647.0))
     if not sound:
         _take_force_away(io)
         return False, False

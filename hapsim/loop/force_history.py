@@ -22,8 +22,8 @@ from numba import types
 from firmware_protocol import schema
 from hapsim.compiling import helper, inlined
 from hapsim.compiling.native import address_of, array_at, function_at, native, record_at
-from hapsim.loop.guards.force_limit import cut
-from hapsim.loop.io_buffer import IO_BUFFER
+from hapsim.loop.buffers import IO_BUFFER
+from hapsim.loop.guards.force_limit import clip
 
 OF_SCENE, IN_ALL, IN_TIME = 0, schema.MAX_CHANNELS, 2 * schema.MAX_CHANNELS
 """Where the columns begin of the scene's part of a force, of all of it, and of the scene's part in time."""
@@ -63,8 +63,8 @@ def keep(history, io, gap, unsent, late, expired, withheld):
     forces = _doubles_at(history.forces, (history.mask + 1) * _COLUMNS)
     for c in range(io.channels):
         in_all = io.force_counts[c] * io.force_scale[c]
-        alone = cut(io.asked[c], io.force_limit[c])
-        of_scene = in_all - cut(io.asked[c] + io.excitation[c], io.force_limit[c]) + alone
+        alone = clip(io.asked[c], io.force_limit[c])
+        of_scene = in_all - clip(io.asked[c] + io.excitation[c], io.force_limit[c]) + alone
         _keep_in_time(history, forces, c, alone if withheld else of_scene, gap)
         _keep_column(history, forces, OF_SCENE + c, 0.0 if withheld else of_scene, gap, unsent, late, expired)
         _keep_column(history, forces, IN_ALL + c, in_all, gap, unsent, late, expired)

@@ -15,15 +15,12 @@ from numpy.typing import NDArray
 
 from hapsim.compiling import entry
 from hapsim.compiling.entries import compile_for
-from hapsim.loop.codes import FAILED, HEARD, HUNG_UP, TIMED_OUT
-from hapsim.loop.endings import GOES_ON, RING_FULL, ending_of
+from hapsim.loop.buffers import fetch_in_python, inbox_at, put_bytes
+from hapsim.loop.clocks import may_ask_again, plan_by_device, plan_by_host
+from hapsim.loop.endings import FAILED, HEARD, HUNG_UP, RING_FULL, RUNNING, TIMED_OUT, ending_of
 from hapsim.loop.exchange import HOST_CLOCK, compose_frame, flush_unsent, on_force_sent
-from hapsim.loop.inbox import fetch_in_python, inbox_at
-from hapsim.loop.last_bytes import put
-from hapsim.loop.paced_by_device import plan_by_device
-from hapsim.loop.paced_by_host import is_patient, plan_by_host
+from hapsim.loop.run import SLICE_NS, take_received_frames
 from hapsim.loop.transport import PythonTransport
-from hapsim.loop.waiting import SLICE_NS, take_those_at_hand
 
 
 class PortableTransport:
@@ -36,7 +33,7 @@ class PortableTransport:
         self._full: type[OSError] = SerialTimeoutException
 
     def receive(self, buffer: NDArray[np.uint8], timeout_ns: int) -> int:
-        """Waits for bytes, and takes all that are there: their count, or a code of codes.py."""
+        """Waits for bytes, and takes all that are there: their count, or a code of endings.py."""
         try:
             self._serial.timeout = max(timeout_ns, 0) * 1e-9
             data = self._serial.read(1)
@@ -61,7 +58,7 @@ class PortableTransport:
 @entry
 def _take_and_compose(loop, now):
     """(what the bytes at hand come to, where the force's frame in the outbox ends), in one call from Python."""
-    code = take_those_at_hand(loop, inbox_at(loop.inbox), now)
+    code = take_received_frames(loop, inbox_at(loop.inbox), now)
     return code, compose_frame(loop, False) if code == HEARD else 0
 
 
@@ -116,13 +113,13 @@ class PortableLoop:
         while not control["go"] and not control["stop"]:
             time.sleep(1e-4)
         loop.state.sent_ns = loop.state.tick_ns = time.monotonic_ns()
-        by_host, ending = control["clock"] == HOST_CLOCK, GOES_ON
-        while ending == GOES_ON:
+        by_host, ending = control["clock"] == HOST_CLOCK, RUNNING
+        while ending == RUNNING:
             ending = int(plan_by_host(loop) if by_host else _plan_by_device(loop))
-            if ending != GOES_ON:
+            if ending != RUNNING:
                 break
             code = self._take_newest_position(int(wait["begun_ns"]), int(wait["for_ns"]))
-            if code != HEARD and not (by_host and code == TIMED_OUT and is_patient(loop)):
+            if code != HEARD and not (by_host and code == TIMED_OUT and may_ask_again(loop)):
                 ending = int(ending_of(code, control["stop"]))
             elif wait["answers"]:
                 if by_host and loop.state.unanswered:
@@ -130,14 +127,14 @@ class PortableLoop:
                 if by_host:
                     self._frame = self._composed(_compose_again(loop))  # by now the position may be too old
                 code = self._send(self._frame)
-                ending = GOES_ON if code == 0 else int(ending_of(code, 0))
+                ending = RUNNING if code == 0 else int(ending_of(code, 0))
                 _on_force_sent(loop, time.monotonic_ns())
         if ending != RING_FULL:
             self._send(self._composed(_compose_last(loop)))
         return ending
 
     def _take_newest_position(self, begun: int, timeout_ns: int) -> int:
-        """As in waiting.py."""
+        """As in run.py."""
         now, give_up, last_look = begun, begun + timeout_ns, False
         while True:
             code, stop = _take_and_compose(self._loop, now)
@@ -157,5 +154,5 @@ class PortableLoop:
 
     def _send(self, frame: bytes) -> int:
         """The same frame may be sent again."""
-        put(self._loop.io.sent, self._loop.io.outbox, frame)
+        put_bytes(self._loop.io.sent, self._loop.io.outbox, frame)
         return self._transport.send(frame)

@@ -20,10 +20,12 @@ from numba import types
 from numpy.typing import NDArray
 
 from firmware_protocol import schema
+from firmware_protocol.records import new_record
 from hapsim.compiling import entry, helper
 from hapsim.compiling.memory_fence import fence
 from hapsim.compiling.native import address_of, array_at, function_at, native, record_at
-from hapsim.loop.io_buffer import IO_BUFFER
+from hapsim.cordis.tick import tick
+from hapsim.loop.buffers import IO_BUFFER
 
 POSITION, VELOCITY, PUSH, STATES = 0, 1, 2, 3
 
@@ -266,3 +268,33 @@ def post_table(predictor, table, samples):
     predictor.posted_samples = samples
     fence()
     predictor.posted = np.uint64(table)
+
+
+_OFFLINE = np.dtype([("predictor", PREDICTOR), ("io", IO_BUFFER)], align=True)
+
+
+class CorrectedTicks:
+    """A program behind a predictor, without a device: to time its ticks. The correction fills `record`."""
+
+    def __init__(self, program: Any, channels: int) -> None:
+        """`program`: a Program."""
+        self._program = program
+        self.record: Any = new_record(_OFFLINE)
+        self.record.io.address = address_of(self.record.io)
+        self.record.io.channels = channels
+
+    def ticks(self, measured: NDArray[np.float64], samples: int) -> None:
+        """So many samples, each with the next of the hands' positions (rows, channels), in m, over and over."""
+        _ticks(self.record.predictor, self.record.io, self._program.record, measured, samples)
+
+
+@entry
+def _ticks(predictor, io, program, measured, samples):
+    for n in range(samples):
+        row = n % measured.shape[0]
+        for c in range(io.channels):
+            io.measured[c] = measured[row, c]
+        call_predict(predictor.predict, (predictor.address, io.address, 1, 0, 1))
+        tick(program, io.measured, io.velocity, io.asked)
+        if predictor.add != 0:
+            call_add(predictor.add, (predictor.address, io.address))

@@ -1,44 +1,112 @@
-"""The compiled loop, without the GIL: one function, compiled once, for every scene, device, transport and clock."""
+"""The compiled loop, without the GIL: one function, compiled once, for every scene, device, transport and clock.
+
+Between two exchanges it waits in the kernel and never spins: the bytes of a terminal pass through a kernel worker of
+ordinary priority, which a spinning loop starves.
+"""
 
 from __future__ import annotations
 
-from hapsim.compiling import entry
-from hapsim.loop.codes import HEARD, TIMED_OUT
+from firmware_protocol.code_size import compact
+from firmware_protocol.decoder import next_frame
+from hapsim.compiling import entry, inlined
+from hapsim.loop.buffers import AT_ONCE, inbox_at, next_place
+from hapsim.loop.clocks import SLICE_NS, may_ask_again, plan_by_device, plan_by_host
 from hapsim.loop.denormals import flush_denormals, restore
-from hapsim.loop.endings import GOES_ON, RING_FULL, ending_of
-from hapsim.loop.exchange import HOST_CLOCK
-from hapsim.loop.paced_by_device import plan_by_device
-from hapsim.loop.paced_by_host import is_patient, plan_by_host
-from hapsim.loop.system import now_ns
-from hapsim.loop.waiting import send_frame, take_newest_position, wait_for_go
+from hapsim.loop.endings import HEARD, RING_FULL, RUNNING, TIMED_OUT, ending_of
+from hapsim.loop.exchange import HOST_CLOCK, compose_frame, flush_unsent, on_force_sent, take_frame
+from hapsim.loop.system import now_ns, sleep_until
+from hapsim.loop.transport import receive_at, send_from
+
+_ARMED_CHECK_NS = 50_000
 
 
 @entry
 def run_loop(loop):
-    """Exchanges until something ends it; returns what did, one of endings.py. RING_FULL alone leaves the device armed.
+    """Exchanges until something ends the loop; returns which of endings.py. RING_FULL alone leaves the device armed.
 
-    `loop`: LOOP of exchange.py. Each time around, a clock says what is waited for and whether it is answered; whatever
-    ends it, the last frame disarms the device. Position and force have one place each: they are most of the code.
+    `loop`: LOOP of exchange.py. Each time around, a clock plans what is awaited and whether it is answered; whatever
+    ends the loop, the last frame disarms the device. Position and force have one place each: they are most of the code.
     """
     mode = flush_denormals()
-    wait_for_go(loop)
+    _wait_until_armed(loop)
     loop.state.sent_ns = loop.state.tick_ns = now_ns(loop.io.scratch)
     by_host, wait = loop.control.clock == HOST_CLOCK, loop.wait
-    ending, released = GOES_ON, False
+    ending, released = RUNNING, False
     while not released and ending != RING_FULL:
-        if ending == GOES_ON:
+        if ending == RUNNING:
             ending = plan_by_host(loop) if by_host else plan_by_device(loop)
-        if ending == GOES_ON:
-            code = take_newest_position(loop, wait.begun_ns, wait.for_ns)
-            if code != HEARD and not (by_host and code == TIMED_OUT and is_patient(loop)):
+        if ending == RUNNING:
+            code = _take_newest_position(loop, wait.begun_ns, wait.for_ns)
+            if code != HEARD and not (by_host and code == TIMED_OUT and may_ask_again(loop)):
                 ending = ending_of(code, loop.control.stop)
-        if ending == RING_FULL or (ending == GOES_ON and not wait.answers):
+        if ending == RING_FULL or (ending == RUNNING and not wait.answers):
             continue
-        released = ending != GOES_ON
+        released = ending != RUNNING
         if by_host and loop.state.unanswered:
             loop.state.tick_ns = wait.begun_ns  # else the same position is asked for again, and awaited since then
-        code = send_frame(loop, released)
+        code = _send_frame(loop, released)
         if code != 0 and not released:
             ending = ending_of(code, 0)
     restore(mode)
     return ending
+
+
+@inlined
+def _wait_until_armed(loop):
+    """Waits until the device is armed, or the loop is to stop. It waits in here so that the loop needs Python no more
+    once it is armed: whatever holds Python up at that moment makes no first force late."""
+    while not loop.control.go and not loop.control.stop:
+        sleep_until(now_ns(loop.io.scratch) + _ARMED_CHECK_NS, loop.io.scratch)
+
+
+@inlined
+def take_received_frames(loop, inbox, arrived):
+    """Takes every frame among the bytes that have arrived: HEARD, TIMED_OUT, or one of endings.py that ends the loop.
+    It makes no system call."""
+    heard = TIMED_OUT
+    while inbox.start < inbox.stop:
+        inbox.start, found = next_frame(inbox.decoder, inbox.bytes, inbox.start, inbox.stop)
+        code = take_frame(loop, inbox.decoder, arrived) if found else TIMED_OUT
+        if code < TIMED_OUT:
+            return code
+        heard |= code
+    return heard
+
+
+@inlined
+def _take_newest_position(loop, begun, timeout_ns):
+    """Waits for a position from `begun` (ns) on, takes all that are there and leaves the force that answers the newest.
+    Every one of them moves the scene, in order, so that its velocities stay true; only the newest is answered.
+
+    Returns HEARD, TIMED_OUT, or one of endings.py that ends the loop. Endless bytes without a position do not make the
+    wait any longer; a stop makes it shorter.
+    """
+    compact()
+    inbox, last_look = inbox_at(loop.inbox), False
+    arrived, give_up = begun, begun + timeout_ns
+    while True:
+        code = take_received_frames(loop, inbox, arrived)  # at first what the frame before has left
+        if code != TIMED_OUT or last_look:
+            return code
+        last_look = arrived >= give_up or loop.control.stop != 0
+        left = give_up - arrived
+        inbox.start = inbox.stop = at = next_place(inbox.last)
+        count = receive_at(inbox.transport, inbox.bytes, at, AT_ONCE, left if left < SLICE_NS else SLICE_NS)
+        arrived = now_ns(loop.io.scratch)
+        if count < 0:
+            return count
+        inbox.stop = inbox.last.at = at + count
+
+
+@inlined
+def _send_frame(loop, disarm):
+    """Sends the force that answers the newest position; to `disarm`, zero force, the last frame of every loop whatever
+    ended it: 0, or HUNG_UP or FAILED."""
+    io, stop = loop.io, compose_frame(loop, disarm)
+    code = send_from(inbox_at(loop.inbox).transport, io.outbox, io.sent.at, stop)
+    io.sent.at = stop
+    if disarm:
+        flush_unsent(loop)
+    else:
+        on_force_sent(loop, now_ns(loop.io.scratch))
+    return code

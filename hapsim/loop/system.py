@@ -1,18 +1,21 @@
-"""The few system calls of the loop, callable from compiled code: clock, sleep, wait, read, write (Linux, 64 bit).
+"""What the loop asks of the system, callable from compiled code: clock, sleep, wait, read, write (Linux, 64 bit).
 
-Everything that leans on `numba.types.ExternalFunction` is here: it is internal to numba, but unlike a ctypes pointer
-it lets the compiled code be kept on disk. Structures are int64 or int32 arrays laid out as the C library's.
+`numba.types.ExternalFunction` is internal to numba and used in this file alone. Unlike a ctypes pointer it lets the
+compiled code be kept on disk. Structures are int64 or int32 arrays laid out as the C library's.
 """
 
 from __future__ import annotations
 
+import ctypes
+import sys
 import time
 
 import numpy as np
 from numba import types
 
 from hapsim.compiling import inlined, overload
-from hapsim.loop.codes import FAILED, HUNG_UP, TIMED_OUT
+from hapsim.errors import UsageError
+from hapsim.loop.endings import FAILED, HUNG_UP, TIMED_OUT
 
 SCRATCH = ("scratch", np.int64, (4,))
 """A field of a record: where the system calls put their structures, so that nothing is allocated."""
@@ -34,6 +37,22 @@ _errno_location = types.ExternalFunction("__errno_location", types.CPointer(type
 
 CALLS = tuple(call.symbol for call in (_clock_gettime, _clock_nanosleep, _ppoll, _read, _write, _errno_location))
 """Their names in the C library."""
+
+
+def missing_calls() -> list[str]:
+    """Those of CALLS that this system's C library does not have. Compiling a call that is missing ends the process."""
+    try:
+        library = ctypes.CDLL(None)
+    except (OSError, TypeError):  # Windows has no such library
+        return list(CALLS)
+    return [name for name in CALLS if not hasattr(library, name)]
+
+
+def require_linux(what: str, instead: str) -> None:
+    """UsageError where a call is missing. `what`: what takes Linux; `instead`: what there is elsewhere."""
+    missing = missing_calls()
+    if missing:
+        raise UsageError(f"{what} takes Linux; this system ({sys.platform}) has no {', '.join(missing)}: {instead}")
 
 
 def now_ns(scratch):  # noqa: ARG001
@@ -84,7 +103,7 @@ def _wait(descriptor, events, timeout_ns, scratch):
 
 @inlined
 def read_some(descriptor, buffer, timeout_ns, scratch):
-    """Reads what is there into a buffer within `timeout_ns`: the count, or a code of codes.py."""
+    """Reads what is there into a buffer within `timeout_ns`: the count, or a code of endings.py."""
     seen = _wait(descriptor, _POLLIN, timeout_ns, scratch)
     if seen <= 0:
         return seen

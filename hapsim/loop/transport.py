@@ -1,8 +1,7 @@
 """A transport: the code that moves bytes between the loop and a device, behind addresses.
 
-The loop knows no transport. It calls two functions by their addresses and hands each the address of what the transport
-works on, its context. A transport is a file with both: `descriptor.py` (anything with a file descriptor) and, in the
-device room, the mock's loopback.
+The loop calls two functions by their addresses and hands each the address of what the transport works on, its context.
+Here is the transport over a file descriptor, a serial port or a pseudo-terminal; the mock's are in `device/mock`.
 """
 
 from __future__ import annotations
@@ -15,7 +14,8 @@ from numpy.typing import NDArray
 
 from firmware_protocol.records import new_record
 from hapsim.compiling import inlined
-from hapsim.compiling.native import PlainNative, address_of, function_at, native
+from hapsim.compiling.native import PlainNative, address_of, array_at, function_at, native, record_at
+from hapsim.loop.system import SCRATCH, read_some, write_all
 
 TRANSPORT = np.dtype([("receive", np.uint64), ("send", np.uint64), ("context", np.uint64)], align=True)
 
@@ -25,12 +25,13 @@ _SEND = types.int64(types.uint64, types.uint64, types.int64)
 _call_receive, _call_send = function_at(_RECEIVE), function_at(_SEND)
 
 receiver = native(_RECEIVE.return_type, *_RECEIVE.args)
-"""Makes a transport's function of one (context, buffer, room, timeout_ns): the bytes that have arrived, into `buffer`,
-which has `room` for so many: their count, or TIMED_OUT, HUNG_UP, FAILED of codes.py. Context and buffer are addresses.
-"""
+"""Decorates a transport's receiving function (context, buffer, room, timeout_ns): it puts bytes that have arrived into
+`buffer`, `room` of them at most, and returns their count, or TIMED_OUT, HUNG_UP, FAILED of endings.py. Context and
+buffer are addresses."""
 
 sender = native(_SEND.return_type, *_SEND.args)
-"""And of one (context, buffer, stop): sends the first `stop` bytes at `buffer`: 0, or HUNG_UP or FAILED."""
+"""Decorates its sending function (context, buffer, stop): it sends the first `stop` bytes at `buffer`, and returns 0,
+HUNG_UP or FAILED."""
 
 
 @inlined
@@ -64,10 +65,10 @@ class PythonTransport(Protocol):
     """What moves bytes, as Python calls it."""
 
     def receive(self, buffer: NDArray[np.uint8], timeout_ns: int) -> int:
-        """Bytes that have arrived, into a buffer: their count, or a code of codes.py."""
+        """Bytes that have arrived, into a buffer: their count, or a code of endings.py."""
 
     def send(self, frame: bytes) -> int:
-        """0, or a code of codes.py."""
+        """0, or a code of endings.py."""
 
 
 class Transport:
@@ -82,10 +83,36 @@ class Transport:
         self.record.context = address_of(context)
 
     def receive(self, buffer: NDArray[np.uint8], timeout_ns: int) -> int:
-        """The count of bytes that have arrived, or a code of codes.py."""
+        """The count of bytes that have arrived, or a code of endings.py."""
         return int(self._receive(int(self.record.context), buffer.ctypes.data, buffer.size, timeout_ns))
 
     def send(self, frame: bytes) -> int:
         """0, or HUNG_UP or FAILED."""
         data = np.frombuffer(frame, np.uint8)
         return int(self._send(int(self.record.context), data.ctypes.data, data.size))
+
+
+_SEND_TIMEOUT_NS = 100_000_000  # a port that takes nothing for this long is no port
+
+_DESCRIPTOR = np.dtype([("number", np.int64), SCRATCH], align=True)
+
+_descriptor_at, _bytes_at = record_at(_DESCRIPTOR), array_at(np.uint8)
+
+
+@receiver
+def receive_from_descriptor(context, buffer, room, timeout_ns):
+    port = _descriptor_at(context)
+    return read_some(port.number, _bytes_at(buffer, room), timeout_ns, port.scratch)
+
+
+@sender
+def send_to_descriptor(context, buffer, stop):
+    port = _descriptor_at(context)
+    return write_all(port.number, _bytes_at(buffer, stop), stop, _SEND_TIMEOUT_NS, port.scratch)
+
+
+def descriptor_transport(number: int) -> Transport:
+    """A transport over an open, raw, non-blocking descriptor, which stays the caller's to close."""
+    context = new_record(_DESCRIPTOR)
+    context.number = number
+    return Transport(receive_from_descriptor, send_to_descriptor, context)

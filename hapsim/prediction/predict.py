@@ -250,7 +250,7 @@ def warnings_about(scene: Scene, prediction: Prediction) -> list[str]:
     elif is_surely_unstable(prediction):
         warnings.append(
             f"the scene is predicted unstable: the hand will be shaken, with up to the force limit of {limit:g} N, "
-            "until the guard of the energy or of the swing at the limit ends the run (hapsim/STABILITY.md tells what "
+            "until the energy guard or of the swing at the limit ends the run (hapsim/STABILITY.md tells what "
             "they find). `hapsim check` tells by how much the stiffness has to go down."
         )
     slow = slow_slew(scene, prediction)

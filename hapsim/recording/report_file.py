@@ -26,7 +26,7 @@ import yaml
 from firmware_protocol.description import Description, to_registers
 from hapsim.device.known_devices import state_directory
 from hapsim.errors import RunError, UsageError
-from hapsim.loop.last_bytes import KEPT
+from hapsim.loop.buffers import KEPT
 from hapsim.recording.trace import IN_REPORT, ZIP_WITHOUT_END, Trace, is_without_end
 from hapsim.scene import Scene
 

@@ -13,21 +13,21 @@ from hapsim.compiling.native import address_of
 from hapsim.cordis.program import Program, compile_scene
 from hapsim.cordis.stored_energy import StoredEnergy
 from hapsim.device.connection import Connection
+from hapsim.loop.crossfade import cross_fade, post
 from hapsim.loop.exchange import DEVICE_CLOCK, HOST_CLOCK, LOOP, NO_CLOCK
 from hapsim.loop.force_history import ForceHistory
-from hapsim.loop.guards.divergence import EnergyMemory
+from hapsim.loop.guards.energy_guard import EnergyGuard
 from hapsim.loop.guards.leap import watch_for_leaps
 from hapsim.loop.guards.sign import judge_signs
 from hapsim.loop.guards.travel import keep_within
 from hapsim.loop.ring import Ring
-from hapsim.loop.stage import cross_fade, post
 from hapsim.loop.transport import Transport
 from hapsim.prediction.correction import rendered
 from hapsim.prediction.force_bounds import SIGN_RATE_HZ, force_bounds
 from hapsim.prediction.timing import time_to_live_samples, watchdog_samples
 from hapsim.running.correction import LoopCorrection
 from hapsim.running.excitation import Excitation, PeriodicExcitation
-from hapsim.running.guarding import energy_of, history_of, set_slew
+from hapsim.running.guarding import energy_guard_of, history_of, set_slew
 from hapsim.scene import Scene
 
 _RING_ROWS = 1 << 16
@@ -47,7 +47,7 @@ class Loop:
         """The format that an armed device speaks."""
         self.ring = Ring(self.record.ring, description.channels, _RING_ROWS, waits=virtual_time)
         self.record.inbox = address_of(self.inbox)
-        self.record.stage.address = address_of(self.record.stage)
+        self.record.slot.address = address_of(self.record.slot)
         self.record.io.address = address_of(self.record.io)
         self.record.framing = framing_of(self.wire, to_device=True)
         self.watchdog_samples = 0
@@ -60,7 +60,7 @@ class Loop:
         """Kept: the forces of a periodic one are read at each sample."""
         self.history: ForceHistory | None = None
         """Which forces acted; None where no guard asks."""
-        self.energy: EnergyMemory | None = None
+        self.energy_guard: EnergyGuard | None = None
         """What judges the energy that the scene gives the hand; None where nothing does."""
         self._programs: list[Program] = []
         self._changes_before = 0
@@ -72,14 +72,14 @@ class Loop:
 
     def account_for(self, program: Program, scene: Scene) -> None:
         """The energy of live changes to `program`, of `scene`, where energy is judged."""
-        if self.energy is not None:
+        if self.energy_guard is not None:
             limit = float(self.record.io.force_limit[: self.wire.channels].max())
-            program.stored = StoredEnergy(program, scene, self.energy.tank, limit)
+            program.stored = StoredEnergy(program, scene, self.energy_guard.tank, limit)
 
     def begin_with(self, program: Program) -> None:
         """The scene that is moved from the first tick on."""
         self._programs = [program]
-        self.record.stage.program = program.address
+        self.record.slot.program = program.address
 
     def follow_with(self, program: Program, samples: int) -> None:
         """The scene that follows the one that is moved now, over so many samples: prepared by `take_over_from`, and
@@ -88,12 +88,12 @@ class Loop:
             raise ValueError("the scene before is not yet left")
         self._forget_what_was_left()
         self._programs.append(program)
-        post(self.record.stage, program.address, samples, cross_fade.address())
+        post(self.record.slot, program.address, samples, cross_fade.address())
 
     @property
     def is_replacing(self) -> bool:
         """Whether a scene was posted, and the one before is not yet left."""
-        return len(self._programs) > 1 and bool(self.record.stage.cross_fade)
+        return len(self._programs) > 1 and bool(self.record.slot.cross_fade)
 
     @property
     def changes(self) -> int:
@@ -146,10 +146,10 @@ def assemble_loop(
     in_hand = connection.in_hand and scene.device.clock != "lockstep"  # no hand lives in virtual time
     bounds = force_bounds(scene, in_hand=in_hand, judges_energy=judges_energy, force_limit=limit)
     set_slew(loop.record, scene, description, bounds)
-    loop.energy = energy_of(loop.record, scene, description, bounds)
+    loop.energy_guard = energy_guard_of(loop.record, scene, description, bounds)
     if (in_hand or judges_sign) and scene.rate >= SIGN_RATE_HZ:
         judge_signs(loop.record.sign, rate_hz=scene.rate, masses=scene.device.mass_spans(description.channels))
-    if loop.energy is not None or loop.record.sign.judge:
+    if loop.energy_guard is not None or loop.record.sign.judge:
         loop.history = history_of(loop.record, scene)
     loop.account_for(loop.program, rendering.scene)
     loop.record.watch.judges = scene.device.clock == "device" and connection.has_timer

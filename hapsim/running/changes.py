@@ -124,12 +124,12 @@ class LiveScene:
 
     def _tell_guard(self, samples: int, is_unstable: bool) -> None:
         """Before the change acts, which takes so many samples."""
-        if self._loop.energy is not None:
-            self._loop.energy.follow(unstable=is_unstable, samples=samples)
+        if self._loop.energy_guard is not None:
+            self._loop.energy_guard.follow(unstable=is_unstable, samples=samples)
 
     def _is_judged_unstable(self, scene: Scene) -> bool:
         """Whether it is predicted unstable, where such a scene may run and its energy is judged."""
-        return bool(self._unstable) and self._loop.energy is not None and surely_shaken_by(scene) is not None
+        return bool(self._unstable) and self._loop.energy_guard is not None and surely_shaken_by(scene) is not None
 
     def _correct_as(self, rendering: Rendering, samples: int) -> None:
         if self._loop.correction is not None:

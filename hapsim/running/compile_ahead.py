@@ -83,11 +83,17 @@ def _loop() -> list[_Entry | PlainNative]:
 
 def _port() -> list[PlainNative]:
     from hapsim.cordis import stored_energy
-    from hapsim.loop import descriptor, force_history
-    from hapsim.loop.guards import divergence, sign, slew, travel
+    from hapsim.loop import force_history, transport
+    from hapsim.loop.guards import energy_guard, sign, slew, travel
 
-    guards = [slew.shape_force, travel.fade, divergence.observe, sign.judge]
-    return [descriptor.receive, descriptor.send, force_history.keep, stored_energy.evaluate, *guards]
+    guards = [slew.shape_force, travel.fade, energy_guard.judge_energy, sign.judge]
+    return [
+        transport.receive_from_descriptor,
+        transport.send_to_descriptor,
+        force_history.keep,
+        stored_energy.evaluate,
+        *guards,
+    ]
 
 
 def _mock() -> list[_Entry | PlainNative]:
@@ -125,13 +131,13 @@ def _changes() -> list[_Entry | PlainNative]:
     import numpy as np
 
     from hapsim.cordis import parameters
-    from hapsim.loop import stage
+    from hapsim.loop import crossfade
 
     return [
         parameters.move,
-        stage.cross_fade,
+        crossfade.cross_fade,
         _Entry(parameters.post, (new_record(parameters.PARAMETERS), np.zeros(0), 1)),
-        _Entry(stage.post, (new_record(stage.STAGE), 0, 1, 0)),
+        _Entry(crossfade.post, (new_record(crossfade.SCENE_SLOT), 0, 1, 0)),
     ]
 
 

@@ -14,7 +14,7 @@ from firmware_protocol.description import Description
 from hapsim.cordis.stored_energy import Tank
 from hapsim.errors import UsageError
 from hapsim.loop.force_history import ForceHistory
-from hapsim.loop.guards.divergence import CREDIT_M, FIRST_FORCE_M, LATE_M, EnergyMemory
+from hapsim.loop.guards.energy_guard import CREDIT_M, FIRST_FORCE_M, LATE_M, EnergyGuard
 from hapsim.loop.guards.slew import limit_slew
 from hapsim.prediction.force_bounds import ENERGY_M, ONE_PERIOD, ForceBounds, below_a_count
 from hapsim.scene import Scene
@@ -53,13 +53,13 @@ def history_of(loop: Any, scene: Scene) -> ForceHistory:
     return ForceHistory(loop.history, delay=device.delay + shift, goes_on=device.hold == "zoh")
 
 
-def energy_of(loop: Any, scene: Scene, description: Description, bounds: ForceBounds) -> EnergyMemory | None:
-    """What judges the energy that the scene gives, in the ENERGY of `loop`, LOOP; None where nothing does."""
+def energy_guard_of(loop: Any, scene: Scene, description: Description, bounds: ForceBounds) -> EnergyGuard | None:
+    """What judges the energy that the scene gives, in the ENERGY_GUARD of `loop`, LOOP; None where nothing does."""
     if not math.isfinite(bounds.energy_limit):
         return None
     device = scene.device
-    return EnergyMemory(
-        loop.energy,
+    return EnergyGuard(
+        loop.energy_guard,
         rate_hz=scene.rate,
         friction=np.array(device.frictions(scene.channels)),
         compliance=_compliance(scene, description.channels),

@@ -12,7 +12,7 @@ from hapsim.compiling.progress import Counted, on_compilation
 from hapsim.cordis.program import compile_scene
 from hapsim.device.mock.assemble import assemble_mock
 from hapsim.device.open_connection import Place, place_of_device
-from hapsim.loop.only_linux import missing_calls
+from hapsim.loop.system import missing_calls
 from hapsim.prediction.timing import wire_of
 from hapsim.progress import Progress
 from hapsim.running.compile_ahead import UNITS, compile_ahead

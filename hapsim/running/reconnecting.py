@@ -26,9 +26,7 @@ from hapsim.running.signals import stopping_on_signals
 from hapsim.running.starting import start
 from hapsim.scene import Scene
 
-LOST = tuple(
-    endings.IN_WORDS[one] for one in (endings.SILENT, endings.GONE, endings.PORT_FAILED, endings.DEVICE_STOPPED)
-)
+LOST = tuple(endings.IN_WORDS[one] for one in (endings.SILENT, endings.HUNG_UP, endings.FAILED, endings.DEVICE_STOPPED))
 """Endings after which a device may come back, as a report tells them."""
 
 _GLANCE_S = 0.05  # a signal or the end of the time is noticed so soon while nothing runs

@@ -12,7 +12,7 @@ from firmware_protocol.description import Description
 from hapsim.device.connection import Connection
 from hapsim.errors import RecordError, RunError
 from hapsim.loop import endings
-from hapsim.loop.last_bytes import in_order
+from hapsim.loop.buffers import last_bytes
 from hapsim.recording.recording import Recording
 from hapsim.recording.report_file import WireBytes, write_report
 from hapsim.recording.stream import Head
@@ -83,8 +83,8 @@ def with_report(
     loop = session._loop
     io, inbox = loop.record.io, loop.inbox
     wire = WireBytes(
-        from_device=in_order(inbox.last, inbox.bytes),
-        to_device=spoken + in_order(io.sent, io.outbox) + opened.take_written(),
+        from_device=last_bytes(inbox.last, inbox.bytes),
+        to_device=spoken + last_bytes(io.sent, io.outbox) + opened.take_written(),
     )
     last = replace(session.trace, **session._recorder.last_rows())
     try:

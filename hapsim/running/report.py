@@ -10,7 +10,7 @@ from hapsim.device.conversation import fault_text
 from hapsim.errors import DeviceError, GuardError, RunError
 from hapsim.loop import endings
 from hapsim.loop.exchange import DEVICE_CLOCK, HOST_CLOCK
-from hapsim.loop.guards.divergence import GIVEN, LATE, SHAKING, SWINGING
+from hapsim.loop.guards.energy_guard import GIVEN, LATE, SHAKING, SWINGING
 from hapsim.loop.guards.slew import NO_LIMIT
 from hapsim.loop.histogram import histogram_of
 from hapsim.prediction.timing import host_silence
@@ -145,9 +145,9 @@ def _what_ended(name: str, loop: Loop, trace: Trace, ending: int) -> tuple[type[
     ticks = trace.report.ticks
     if ending == endings.SILENT:
         return DeviceError, f"{name}: {_silence(loop, trace.report)}"
-    if ending == endings.GONE:
+    if ending == endings.HUNG_UP:
         return DeviceError, f"{name}: the device went away after {ticks} ticks (unplugged, or its port was closed)"
-    if ending == endings.PORT_FAILED:
+    if ending == endings.FAILED:
         return DeviceError, (
             f"{name}: the port failed after {ticks} ticks: it took no bytes for 0.1 s, or the system refused to read it"
         )
@@ -176,14 +176,14 @@ def _what_ended(name: str, loop: Loop, trace: Trace, ending: int) -> tuple[type[
         )
     if ending == endings.OUT_OF_TRAVEL:
         return GuardError, f"{name}: {_out_of_travel(loop, ticks)}"
-    if ending == endings.SIGN_WRONG:
+    if ending == endings.WRONG_SIGN:
         return GuardError, (
             f"{name}: motor and position of channel {int(loop.record.sign.channel)} disagree in sign: the device "
             f"accelerated against its force, and a release of the force confirmed it (tick {ticks}). Swap the motor's "
             "two wires; or reverse the encoder, if the position falls when the hand moves the positive way "
             "(hapsim/STABILITY.md)"
         )
-    if ending == endings.DIVERGING:
+    if ending == endings.ENERGY_EXCEEDED:
         return GuardError, f"{name}: {_diverging(loop, trace.report)}"
     return DeviceError, ""
 
@@ -200,8 +200,8 @@ def _out_of_travel(loop: Loop, ticks: int) -> str:
 
 
 def _diverging(loop: Loop, report: Report) -> str:
-    energy, ticks = loop.record.energy, report.ticks
-    is_unstable = loop.energy is not None and loop.energy.is_unstable
+    energy, ticks = loop.record.energy_guard, report.ticks
+    is_unstable = loop.energy_guard is not None and loop.energy_guard.is_unstable
     account = int(energy.account)
     what_to_do = _held_back(loop, report) + _what_ends_it(is_unstable, int(energy.why))
     if account == LATE:

@@ -16,7 +16,7 @@ from typing import Any, Self
 from hapsim.errors import HapsimError, UsageError
 from hapsim.loop import endings
 from hapsim.loop.realtime import PrivilegeResult
-from hapsim.loop.realtime.slack import no_timer_slack
+from hapsim.loop.realtime.scheduling import no_timer_slack
 from hapsim.progress import Progress
 from hapsim.recording.recorder import Recorder
 from hapsim.recording.trace import Statistics, Trace

@@ -40,7 +40,7 @@ def why_not_armed(path: str, scene: Scene, prediction: Prediction) -> str:
         f"{path}: not armed: the scene is predicted unstable (spectral radius {prediction.spectral_radius:.6g}, stable "
         f"below 1){grows}.{_what_is_stable(prediction)} `hapsim check` tells more; with --unstable it runs all the "
         f"same, and the hand is shaken with up to the force limit of {scene.device.force_limit:g} N until the "
-        "guard of the energy ends the run, or that of the swing at the limit (hapsim/STABILITY.md tells what they find)"
+        "energy guard ends the run, or that of the swing at the limit (hapsim/STABILITY.md tells what they find)"
     )
 
 

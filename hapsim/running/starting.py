@@ -24,10 +24,10 @@ from hapsim.device.open_connection import (
     require_possible_here,
 )
 from hapsim.errors import RunError, UsageError
-from hapsim.loop.only_linux import missing_calls, require_linux
 from hapsim.loop.portable import PortableLoop
 from hapsim.loop.realtime import realtime as with_realtime
 from hapsim.loop.run import run_loop
+from hapsim.loop.system import missing_calls, require_linux
 from hapsim.prediction import surely_shaken_by
 from hapsim.prediction.force_bounds import refused_travel
 from hapsim.progress import Progress
@@ -104,7 +104,7 @@ def start(
     * `between`: what loop and device speak through, made of the transport to the device; the loop is then the one in
       Python.
     * `unstable`: whether a scene that is surely predicted unstable may run: False refuses it, at the start and as a
-      change (`Session.set`, `Session.adopt`), True takes it, and the guard of the energy looks closer
+      change (`Session.set`, `Session.adopt`), True takes it, and the energy guard looks closer
       (hapsim/STABILITY.md); None starts and sets it, and `Session.adopt` refuses what is more unstable than what runs.
     * `judges_energy`: a scene that gives the hand energy is stopped before the mock too, as by `hapsim run`; behind a
       port, or where it names `energy_limit`, it always is.
@@ -140,8 +140,8 @@ def start(
         if restarted:
             require_known_zero(scene, opened.name)
         loop = assemble_loop(scene, opened, description, excitation, duration, judges_energy, judges_sign)
-        if unstable and loop.energy is not None:
-            loop.energy.follow(unstable=surely_shaken_by(scene) is not None)
+        if unstable and loop.energy_guard is not None:
+            loop.energy_guard.follow(unstable=surely_shaken_by(scene) is not None)
         # Everything is compiled now: the device is armed only when the loop can answer at once.
         gives_way = scene.device.clock != "lockstep" and not in_python
         recorder = Recorder(loop.ring, keep, min(math.ceil(scene.rate), _LAST_ROWS))

@@ -11,7 +11,7 @@ import numpy as np
 from hapsim.cordis.offline import start, ticks
 from hapsim.cordis.program import compile_scene
 from hapsim.device.mock.assemble import describe_mock
-from hapsim.loop.offline import CorrectedTicks
+from hapsim.loop.predictor import CorrectedTicks
 from hapsim.prediction.correction import rendered
 from hapsim.running.correction import LoopCorrection
 from hapsim.scene import Scene

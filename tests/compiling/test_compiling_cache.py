@@ -24,7 +24,7 @@ RUN, SERVE, DECODER = "hapsim/loop/run.py", "hapsim/device/mock/serve.py", "firm
 MASS, SPRING, PLECTRUM, STRING, MEMBRANE = (
     f"hapsim/cordis/modules/{name}.py" for name in ("mass", "spring", "plectrum", "string", "membrane")
 )
-DESCRIPTOR, GRID = "hapsim/loop/descriptor.py", "hapsim/loop/grid.py"
+DESCRIPTOR, GRID = "hapsim/loop/transport.py", "hapsim/loop/clocks.py"
 KEPT = (RUN, SERVE, DECODER, MASS, SPRING, PLECTRUM, STRING, MEMBRANE, DESCRIPTOR, GRID)
 
 
@@ -95,7 +95,7 @@ def test_an_edit_outside_the_rooms_keeps_all_machine_code(copy: Path) -> None:
         ("hapsim/cordis/simd/stencil.py", {STRING, MEMBRANE}),
         ("hapsim/cordis/modules/mass.py", {MASS, STRING, MEMBRANE}),
         ("hapsim/cordis/registry.py", set()),
-        ("hapsim/loop/histogram.py", {RUN, GRID}),
+        ("hapsim/loop/histogram.py", {RUN, SERVE, GRID}),
         ("firmware_protocol/crc.py", {RUN, SERVE, DECODER}),
         ("hapsim/device/mock/firmware.py", {SERVE}),
         ("hapsim/compiling/native.py", set(KEPT) - {DECODER, GRID}),

@@ -34,7 +34,7 @@ def test_what_is_looked_for_is_found(every_compiled: list[Any]) -> None:
         ("entry", "run.py", "run_loop"),
         ("entry", "serve.py", "serve"),
         ("native", "spring.py", "add_forces"),
-        ("native", "stage.py", "cross_fade"),
+        ("native", "crossfade.py", "cross_fade"),
         ("piece", "crc.py", "crc_of"),
         ("piece", "string.py", "coefficient_terms"),
         ("overload", "stencil.py", "_choose_update"),

@@ -15,7 +15,7 @@ from hapsim.device.conversation import arm, describe, disarm, read_register
 from hapsim.device.mock.assemble import assemble_mock, describe_mock
 from hapsim.device.mock.firmware import INPUT_BYTES
 from hapsim.device.mock.loopback import loopback_transport, outbox_of
-from hapsim.loop.codes import FAILED, TIMED_OUT
+from hapsim.loop.endings import FAILED, TIMED_OUT
 
 New = Callable[..., Any]
 

@@ -22,7 +22,7 @@ from hapsim.device.mock.assemble import assemble_mock
 from hapsim.device.mock.firmware import prepare
 from hapsim.device.mock.serve import new_service, serve
 from hapsim.device.mock.terminal import serving
-from hapsim.loop.descriptor import descriptor_transport
+from hapsim.loop.transport import descriptor_transport
 
 DEVICE, HOST, LOCKSTEP = schema.PACED_BY_DEVICE, schema.PACED_BY_HOST, schema.LOCKSTEP
 PATIENCE_S = 60.0

@@ -11,7 +11,7 @@ import pytest
 from firmware_protocol.records import new_record
 from hapsim.doctor.wakeups import wake_up_latency
 from hapsim.errors import UsageError
-from hapsim.loop.grid import GRID, sleep_on_grid
+from hapsim.loop.clocks import GRID, sleep_on_grid
 from hapsim.loop.histogram import histogram_of
 
 SECOND = 1_000_000_000

@@ -16,7 +16,7 @@ from wire_session import injector_of
 from hapsim.bringup.faults import Injector
 from hapsim.bringup.faults.in_memory import in_memory
 from hapsim.errors import DeviceError, GuardError, HapsimError
-from hapsim.loop.codes import HUNG_UP, TIMED_OUT
+from hapsim.loop.endings import HUNG_UP, TIMED_OUT
 from hapsim.recording.trace import Trace
 from hapsim.running import run
 from hapsim.scene import Scene

@@ -22,8 +22,8 @@ from firmware_protocol.frames import SETUP, armed_format, frame_to_host
 from hapsim.device.connection import Connection
 from hapsim.device.mock.assemble import assemble_mock
 from hapsim.device.mock.terminal import serving
-from hapsim.loop.descriptor import descriptor_transport
 from hapsim.loop.portable import _take_and_compose
+from hapsim.loop.transport import descriptor_transport
 from hapsim.running import assemble
 from hapsim.running.assemble import Loop, assemble_loop
 from hapsim.running.compile_ahead import UNITS
@@ -276,7 +276,7 @@ def assembled() -> Callable[..., Loop]:
 @pytest.fixture
 def arrive() -> Callable[[Loop, bytes, int], int]:
     """Has an assembled loop take these bytes as if they had arrived at a time of the test's own (ns); returns what the
-    loop makes of them, a code of hapsim.loop.codes."""
+    loop makes of them, a code of hapsim.loop.endings."""
 
     def take(loop: Loop, data: bytes, now: int) -> int:
         loop.inbox.bytes[: len(data)] = np.frombuffer(data, np.uint8)

@@ -15,7 +15,7 @@ from firmware_protocol import schema
 from firmware_protocol.decoder import frames_in, new_decoder
 from firmware_protocol.frames import armed_format
 from hapsim.loop import endings
-from hapsim.loop.codes import HUNG_UP
+from hapsim.loop.endings import HUNG_UP
 from hapsim.loop.portable import PortableLoop
 from hapsim.running.assemble import Loop
 from hapsim.scene import Scene
@@ -125,7 +125,7 @@ def test_of_damaged_and_random_bytes_nothing_is_answered_and_the_next_positions_
     stream = DamagedStream(channels, frame, seed=channels)
     loop = assembled(scene_of(channels))
     ending, accepted = run_on(loop, stream)
-    assert ending == endings.GONE  # by nothing that a byte said, but by the end
+    assert ending == endings.HUNG_UP  # by nothing that a byte said, but by the end
     assert not {sample for sample, counts in accepted.items() if stream.sound.get(sample) != counts}  # forged
     missed = set(stream.sound) - set(accepted)
     assert missed <= stream.first_after_damage

@@ -23,7 +23,7 @@ from firmware_protocol import schema
 from firmware_protocol.frames import armed_format, frame_to_host
 from hapsim.compiling import entry
 from hapsim.errors import DeviceError
-from hapsim.loop.endings import DONE, GOES_ON, RING_FULL, STOPPED, told_to_end
+from hapsim.loop.endings import DONE, RING_FULL, RUNNING, STOPPED, ending_before_exchange
 from hapsim.loop.ring import UNSENT
 from hapsim.progress import Progress
 from hapsim.recording.trace import load_trace
@@ -72,19 +72,19 @@ def test_a_stop_between_two_ticks_ends_a_run_by_the_hosts_clock_before_the_next(
 
 @entry
 def told_in_compiled_code(loop):
-    """`told_to_end` as the compiled loops have it."""
-    return told_to_end(loop)
+    """`ending_before_exchange` as the compiled loops have it."""
+    return ending_before_exchange(loop)
 
 
 @pytest.mark.parametrize(
     ("stop", "ticks", "unread", "waits", "ending"),
     [
-        (0, -1, 0, 1, GOES_ON),
-        (0, 8, 0, 1, GOES_ON),
+        (0, -1, 0, 1, RUNNING),
+        (0, 8, 0, 1, RUNNING),
         (0, 7, 0, 1, DONE),
         (1, 7, 0, 1, STOPPED),
         (0, -1, 65536, 1, RING_FULL),
-        (0, -1, 65536, 0, GOES_ON),
+        (0, -1, 65536, 0, RUNNING),
     ],
 )
 def test_what_ends_a_loop_is_the_same_in_compiled_code_and_in_python(
@@ -100,7 +100,7 @@ def test_what_ends_a_loop_is_the_same_in_compiled_code_and_in_python(
     loop.control.stop, loop.control.samples, loop.state.ticks = stop, ticks, 7
     loop.control.lasts_ns = 10**9
     loop.record.ring.head, loop.record.ring.waits = unread, waits
-    assert told_in_compiled_code(loop.record) == told_to_end(loop.record) == ending
+    assert told_in_compiled_code(loop.record) == ending_before_exchange(loop.record) == ending
 
 
 @pytest.mark.parametrize("clock", CLOCKS)

@@ -17,7 +17,7 @@ from hapsim.cli.live import live_line
 from hapsim.cordis.offline import follow_parameters, start
 from hapsim.cordis.program import Program, compile_scene, parameter_values, positions_of
 from hapsim.cordis.stored_energy import TANK, StoredEnergy, Tank, evaluate
-from hapsim.loop.guards.divergence import SWINGS
+from hapsim.loop.guards.energy_guard import SWINGS
 from hapsim.progress import Progress
 from hapsim.running.session import Session
 from hapsim.scene import Scene, parse_scene
@@ -25,7 +25,7 @@ from hapsim.scene import Scene, parse_scene
 sys.path.append(str(Path(__file__).resolve().parents[2] / "tools" / "bench"))
 
 from changes import Outcome, changed_while_it_runs, dragged, pumped, spring
-from divergence import passive_scenes
+from energy_guard import passive_scenes
 
 LIMIT, REFILL = 0.2, 0.02  # J, J/s: by default, of 10 N
 CAPACITY, TAKEN = 1.0, 0.03  # J, of the tanks of programs that no loop runs

@@ -12,8 +12,7 @@ import pytest
 from firmware_protocol import schema
 from hapsim.compiling import entry
 from hapsim.errors import GuardError, UsageError
-from hapsim.loop.guards.finite import is_finite
-from hapsim.loop.guards.force_limit import cut
+from hapsim.loop.guards.force_limit import clip, is_finite
 from hapsim.loop.ring import LIMITED
 from hapsim.running import Excitation, run
 from hapsim.scene import Scene, parse_scene
@@ -99,7 +98,7 @@ def test_a_mass_of_the_scene_that_diverges_stops_the_loop_once_the_hand_would_fe
 @entry
 def guarded(force, limit):
     """The guards as the loop has them woven in."""
-    return is_finite(force), cut(force, limit)
+    return is_finite(force), clip(force, limit)
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])

@@ -13,8 +13,7 @@ from firmware_protocol import schema
 from firmware_protocol.decoder import Frame, frames_in, new_decoder
 from firmware_protocol.records import new_record
 from hapsim.compiling.native import array_at, record_at
-from hapsim.loop.codes import HEARD, TIMED_OUT
-from hapsim.loop.endings import DONE
+from hapsim.loop.endings import DONE, HEARD, TIMED_OUT
 from hapsim.loop.histogram import histogram_of
 from hapsim.loop.portable import PortableLoop, _compose_last
 from hapsim.loop.ring import OFF_GRID, UNSENT

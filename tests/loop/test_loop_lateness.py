@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from hapsim.loop.codes import HEARD, TIMED_OUT
+from hapsim.loop.endings import HEARD, TIMED_OUT
 from hapsim.loop.histogram import histogram_of
 from hapsim.running.assemble import Loop
 

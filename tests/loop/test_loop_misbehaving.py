@@ -15,8 +15,8 @@ from firmware_protocol.frames import armed_format, frame_to_host
 from hapsim.device import conversation
 from hapsim.errors import DeviceError, GuardError
 from hapsim.loop import endings
-from hapsim.loop.codes import FAULT
-from hapsim.loop.guards.divergence import GIVEN, SWINGING
+from hapsim.loop.endings import DEVICE_STOPPED
+from hapsim.loop.guards.energy_guard import GIVEN, SWINGING
 from hapsim.loop.histogram import note
 from hapsim.recording.recorder import Recorder
 from hapsim.running import run
@@ -172,7 +172,7 @@ def test_a_watchdog_is_the_hosts_fault_only_where_it_had_a_position(
         loop.state.sent_ns = stopped_ns  # the force that waited left before the STATUS was read
         note(loop.record.histograms.lateness, held_ms * 10**6)
     loop.inbox.decoder.crc_errors = refused
-    assert arrive(loop, status(schema.LATCHED, schema.HOST_QUIET), stopped_ns) == FAULT
+    assert arrive(loop, status(schema.LATCHED, schema.HOST_QUIET), stopped_ns) == DEVICE_STOPPED
     trace = trace_of(scene, loop, Recorder(loop.ring, True), endings.DEVICE_STOPPED)
     sentence = str(failure_of("test", scene, loop, trace, endings.DEVICE_STOPPED))
     assert told in sentence
@@ -189,7 +189,7 @@ def test_what_is_above_a_limit_is_told_in_as_many_digits_as_it_takes_to_differ(
 ) -> None:
     scene = scene_of()
     loop = assembled(scene)
-    energy, leap = loop.record.energy, loop.record.leap
+    energy, leap = loop.record.energy_guard, loop.record.leap
     energy.work = energy.given = leap.leapt_m = found
     energy.swing_limit = energy.limit = leap.bound_m = 0.2
 
@@ -197,10 +197,12 @@ def test_what_is_above_a_limit_is_told_in_as_many_digits_as_it_takes_to_differ(
         return str(failure_of("test", scene, loop, trace_of(scene, loop, Recorder(loop.ring, True), ending), ending))
 
     energy.why = SWINGING
-    assert f"gave the hand {told[0]} J over these, above the limit of {told[1]} J and" in sentence(endings.DIVERGING)
+    assert f"gave the hand {told[0]} J over these, above the limit of {told[1]} J and" in sentence(
+        endings.ENERGY_EXCEEDED
+    )
     energy.why = GIVEN
     assert f"had given the hand {told[0]} J that it had not got from it, above its limit of {told[1]} J;" in sentence(
-        endings.DIVERGING
+        endings.ENERGY_EXCEEDED
     )
     leapt = sentence(endings.POSITION_LEAPT)
     assert f"{told[0]} m away from where its motion led, where no hand gets farther than {told[1]} m" in leapt

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numba
 import pytest
 
-from hapsim.loop.pacing import next_point
+from hapsim.loop.clocks import next_point
 
 DUE, PERIOD = 1_000_000, 500
 

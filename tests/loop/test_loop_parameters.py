@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 import hapsim
 from hapsim.compiling import entry
 from hapsim.cordis.program import parameter_values
-from hapsim.loop.stage import move_scene
+from hapsim.loop.crossfade import move_scene
 from hapsim.running.assemble import Loop
 from hapsim.running.changes import LiveScene
 from hapsim.scene import Scene
@@ -26,7 +26,7 @@ RNG = np.random.default_rng(4)
 @entry
 def one_sample(loop):
     """The loop's own way from one sample to the next, without a device."""
-    move_scene(loop.stage, loop.io, 1)
+    move_scene(loop.slot, loop.io, 1)
 
 
 def forces_at(loop: Loop, positions: Iterable[float]) -> NDArray[np.float64]:

@@ -18,8 +18,7 @@ from firmware_protocol.decoder import Frame
 from firmware_protocol.records import new_record
 from hapsim.bringup.capture import Capture, Decoded
 from hapsim.errors import DeviceError, RunError
-from hapsim.loop.inbox import AT_ONCE
-from hapsim.loop.last_bytes import KEPT, LAST_BYTES, in_order, next_place
+from hapsim.loop.buffers import AT_ONCE, KEPT, LAST_BYTES, last_bytes, next_place
 from hapsim.recording import report_file
 from hapsim.recording.report_file import FRAMES, last_frames, read_report
 from hapsim.recording.trace import load_trace
@@ -216,7 +215,7 @@ def test_what_is_kept_is_the_end_of_what_came() -> None:
         buffer[at : at + len(piece)] = np.frombuffer(piece, np.uint8)
         last.at = at + len(piece)
         came += piece
-        kept = in_order(last, buffer)
+        kept = last_bytes(last, buffer)
         assert came.endswith(kept)
         assert len(kept) >= min(KEPT, len(came))
 

@@ -10,7 +10,7 @@ import pytest
 
 from firmware_protocol.records import new_record
 from hapsim.compiling import entry
-from hapsim.loop.io_buffer import IO_BUFFER
+from hapsim.loop.buffers import IO_BUFFER
 from hapsim.loop.ring import BRIDGED, RING, UNSENT, Ring, mark_last, publish, push
 
 CHANNELS, CAPACITY = 2, 4

@@ -15,7 +15,7 @@ import serial
 
 from hapsim.device.serial_port import open_serial_port, serial_ports
 from hapsim.errors import DeviceError
-from hapsim.loop.codes import HUNG_UP, TIMED_OUT
+from hapsim.loop.endings import HUNG_UP, TIMED_OUT
 
 BAUD = 2_000_000
 

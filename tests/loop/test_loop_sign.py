@@ -17,9 +17,9 @@ from hapsim.bringup.faults.in_memory import in_memory
 from hapsim.bringup.faults.script import parse_script
 from hapsim.compiling.native import address_of
 from hapsim.errors import GuardError
+from hapsim.loop.buffers import IO_BUFFER
 from hapsim.loop.force_history import FORCE_HISTORY, ForceHistory, keep
 from hapsim.loop.guards.sign import RELEASE_S, SIGN, judge, judge_signs
-from hapsim.loop.io_buffer import IO_BUFFER
 from hapsim.loop.ring import SLEWED
 from hapsim.recording.trace import Trace
 from hapsim.running import run, start

@@ -10,7 +10,7 @@ import pytest
 from firmware_protocol import schema
 from firmware_protocol.decoder import frames_in, new_decoder
 from firmware_protocol.frames import armed_format
-from hapsim.loop.codes import HEARD
+from hapsim.loop.endings import HEARD
 from hapsim.loop.portable import _compose_again
 from hapsim.loop.ring import LIMITED, OFF_GRID, SLEWED, WITHHELD
 from hapsim.running.assemble import Loop

@@ -18,11 +18,10 @@ from firmware_protocol.frames import SETUP, frame_to_device, frame_to_host
 from hapsim.device.mock.assemble import assemble_mock
 from hapsim.device.mock.firmware import INPUT_BYTES
 from hapsim.device.mock.loopback import loopback_transport
-from hapsim.loop.codes import FAILED, HUNG_UP, TIMED_OUT
-from hapsim.loop.descriptor import descriptor_transport
+from hapsim.loop.endings import FAILED, HUNG_UP, TIMED_OUT
 from hapsim.loop.portable import PortableTransport
 from hapsim.loop.ring import UNSENT
-from hapsim.loop.transport import Transport
+from hapsim.loop.transport import Transport, descriptor_transport
 from hapsim.recording.trace import Trace
 from hapsim.running import Excitation, PeriodicExcitation, run
 from hapsim.scene import Scene

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from hapsim.errors import DescriptionError, GuardError, UsageError
-from hapsim.loop.codes import HEARD, OUT_OF_TRAVEL
+from hapsim.loop.endings import HEARD, OUT_OF_TRAVEL
 from hapsim.loop.ring import FADED, LIMITED
 from hapsim.measuring.measure import _pushes
 from hapsim.prediction.force_bounds import HAND_DAMPING, fade_stiffness, refused_travel

@@ -15,7 +15,7 @@ from scipy.linalg import expm
 
 import hapsim
 from hapsim.errors import DeviceError, GuardError, HapsimError, UsageError
-from hapsim.loop.codes import TIMED_OUT
+from hapsim.loop.endings import TIMED_OUT
 from hapsim.measuring import identify_device as room
 from hapsim.measuring.device_misfit import binned
 

@@ -39,8 +39,8 @@ INSIDE = {
     ("tools/bench/felt.py", "hapsim.prediction.correction"): "counts an error as the correction does",
     ("tools/bench/mutated_scenes.py", "hapsim.cli"): "calls the command in its own process, thousands of times",
     ("tools/bench/changes.py", "hapsim.loop"): FAULTS_IN_MEMORY,
-    ("tools/bench/divergence.py", "hapsim.loop"): FAULTS_IN_MEMORY,
-    ("tools/bench/divergence.py", "firmware_protocol"): FAULTS_IN_MEMORY,
+    ("tools/bench/energy_guard.py", "hapsim.loop"): FAULTS_IN_MEMORY,
+    ("tools/bench/energy_guard.py", "firmware_protocol"): FAULTS_IN_MEMORY,
     ("tools/bench/faults.py", "hapsim.bringup.faults"): FAULTS_IN_MEMORY,
     ("tools/bench/faults.py", "hapsim.cli.faults_table"): FAULTS_IN_MEMORY,
     ("tools/bench/identification.py", "hapsim.measuring"): "sees every run, to tell how far any of them went",
@@ -59,7 +59,7 @@ INSIDE = {
 UNDERSCORED = {
     ("tools/bench/changes.py", "_loop"): "reads the tank of the loop, and whether a program is being replaced",
     ("tools/bench/changes.py", "_over"): "changes nothing in a session whose loop is over",
-    ("tools/bench/divergence.py", "_loop"): "reads the account of the guard of the energy",
+    ("tools/bench/energy_guard.py", "_loop"): "reads the account of the energy guard",
 }
 """(where, what attribute with an underscore it reaches for on purpose): why."""
 

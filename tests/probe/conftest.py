@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from hapsim.bringup.probe.wire import Clock, Wire
 from hapsim.device.connection import Connection
-from hapsim.loop.codes import HUNG_UP, TIMED_OUT
+from hapsim.loop.endings import HUNG_UP, TIMED_OUT
 
 SCRIPT = Path(__file__).with_name("device.py")
 _ROOM = 20_480  # bytes that wait for the host, as on a pseudo-terminal

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from hapsim.loop.realtime.collector import frozen
+from hapsim.loop.realtime.memory import collector_frozen as frozen
 
 
 class Ring:

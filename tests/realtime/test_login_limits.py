@@ -6,7 +6,7 @@ import pwd
 
 import pytest
 
-from hapsim.loop.realtime.login_limits import login_limit
+from hapsim.loop.realtime.privilege import login_limit
 
 
 def test_the_line_names_the_user_who_reads_it(monkeypatch: pytest.MonkeyPatch) -> None:

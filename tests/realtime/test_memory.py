@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from hapsim.loop.realtime import c_library, memory
-from hapsim.loop.realtime.memory import locked
+from hapsim.loop.realtime import memory, privilege
+from hapsim.loop.realtime.memory import memory_locked as locked
 
 STATUS = "Name:\tVmLck: 1 kB\nVmSize:\t  350000 kB\nVmLck:\t  125000 kB\n"
 
@@ -27,7 +27,7 @@ def calls(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[tuple[object,
         made.append(words)
         return 0
 
-    monkeypatch.setattr(c_library, "call", call)
+    monkeypatch.setattr(privilege, "call_c", call)
     return made
 
 
@@ -54,7 +54,7 @@ def test_who_is_refused_reads_how_much_was_wanted_what_is_allowed_and_what_it_ta
     number: int, root: bool, refuse: Callable[[str, int], None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(resource, "getrlimit", lambda _: (65_536, 65_536))
-    refuse("hapsim.loop.realtime.c_library.call", number)
+    refuse("hapsim.loop.realtime.privilege.call_c", number)
     with locked(1) as grant:
         pass
     for words in ("358 MB", "0.0655 MB", os.strerror(number)):
@@ -67,7 +67,7 @@ def test_without_a_limit_no_limit_is_blamed(
     refuse: Callable[[str, int], None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(resource, "getrlimit", lambda _: (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
-    refuse("hapsim.loop.realtime.c_library.call", errno.ENOMEM)
+    refuse("hapsim.loop.realtime.privilege.call_c", errno.ENOMEM)
     with locked(1) as grant:
         assert "free some memory" in grant.detail
         assert "limits.d" not in grant.detail
@@ -75,5 +75,5 @@ def test_without_a_limit_no_limit_is_blamed(
 
 def test_a_call_of_the_c_library_that_fails_raises_its_error() -> None:
     with pytest.raises(OSError, match="prctl") as caught:
-        c_library.call("prctl", 0x7FFFFFFF)
+        privilege.call_c("prctl", 0x7FFFFFFF)
     assert caught.value.errno == errno.EINVAL

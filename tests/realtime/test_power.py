@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from hapsim.loop.realtime import power
-from hapsim.loop.realtime.power import awake
+from hapsim.loop.realtime import scheduling as power
+from hapsim.loop.realtime.scheduling import idle_states_off as awake
 
 
 @pytest.fixture

@@ -15,16 +15,16 @@ import pytest
 
 import hapsim.loop.realtime as room
 from hapsim.loop.realtime import PrivilegeResult, no_timer_slack, realtime
-from hapsim.loop.realtime.collector import frozen
-from hapsim.loop.realtime.memory import locked
-from hapsim.loop.realtime.power import awake
+from hapsim.loop.realtime.memory import collector_frozen as frozen
+from hapsim.loop.realtime.memory import memory_locked as locked
 from hapsim.loop.realtime.privilege import Measure, measure
-from hapsim.loop.realtime.processor import pinned
-from hapsim.loop.realtime.scheduling import fifo
+from hapsim.loop.realtime.scheduling import idle_states_off as awake
+from hapsim.loop.realtime.scheduling import pinned
+from hapsim.loop.realtime.scheduling import scheduled_fifo as fifo
 
 # What each measure that can be refused is refused by.
 CALLS = {
-    "memory locked": (locked, "hapsim.loop.realtime.c_library.call"),
+    "memory locked": (locked, "hapsim.loop.realtime.privilege.call_c"),
     "power saving off": (awake, "os.open"),
     "one processor": (pinned, "os.sched_setaffinity"),
     "SCHED_FIFO": (fifo, "os.sched_setscheduler"),
@@ -63,7 +63,7 @@ def test_what_no_system_should_answer_is_a_denial_too(
 
 
 def test_a_c_library_without_the_call_is_a_denial(thread_id: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("hapsim.loop.realtime.c_library.ctypes.CDLL", lambda *_, **__: object())
+    monkeypatch.setattr("hapsim.loop.realtime.privilege.ctypes.CDLL", lambda *_, **__: object())
     with locked(thread_id) as grant:
         assert "does not have the call" in grant.detail
     assert not no_timer_slack().granted
@@ -73,7 +73,7 @@ def test_where_advice_cannot_be_had_the_denial_is_told_without(
     thread_id: int, refuse: Callable[[str, int], None]
 ) -> None:
     refuse("resource.getrlimit", errno.EPERM)
-    refuse("hapsim.loop.realtime.c_library.call", errno.ENOMEM)
+    refuse("hapsim.loop.realtime.privilege.call_c", errno.ENOMEM)
     with locked(thread_id) as grant:
         assert grant.detail == f"it was refused ({os.strerror(errno.ENOMEM)})"
 

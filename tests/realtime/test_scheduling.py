@@ -8,7 +8,8 @@ from collections.abc import Callable
 
 import pytest
 
-from hapsim.loop.realtime.scheduling import PRIORITY, fifo
+from hapsim.loop.realtime.scheduling import PRIORITY
+from hapsim.loop.realtime.scheduling import scheduled_fifo as fifo
 
 Policy = tuple[int, int]
 

@@ -9,9 +9,9 @@ import pytest
 
 from firmware_protocol.records import new_record
 from hapsim.compiling import entry
+from hapsim.loop.buffers import IO_BUFFER
 from hapsim.loop.exchange import STATE
 from hapsim.loop.guards.leap import HAND_M_PER_S, HAND_N, LEAP, SENSOR_M, is_leap, watch_for_leaps
-from hapsim.loop.io_buffer import IO_BUFFER
 
 
 @entry

@@ -18,7 +18,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
-from divergence import knocks, passive_scenes
+from energy_guard import knocks, passive_scenes
 from numpy.typing import NDArray
 
 from hapsim.errors import GuardError, UsageError
@@ -67,7 +67,7 @@ class Outcome(NamedTuple):
 def changed_while_it_runs(
     scene: Scene, duration: float, act: Callable[[Session, int], None], **options: Any
 ) -> Outcome:
-    """Runs it with the guard of the energy; `act`: called before each sample, with the session and the sample."""
+    """Runs it with the energy guard; `act`: called before each sample, with the session and the sample."""
     sessions: list[Session] = []
 
     def tick(sample: int) -> None:

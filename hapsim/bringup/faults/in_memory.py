@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapsim.bringup.faults.injector import Injector, Passed
-from hapsim.loop.codes import HUNG_UP, TIMED_OUT
+from hapsim.loop.endings import HUNG_UP, TIMED_OUT
 from hapsim.loop.transport import PythonTransport
 
 _ROOM = 8192

@@ -17,7 +17,7 @@ from firmware_protocol.decoder import frames_in, new_decoder
 from firmware_protocol.frames import SETUP, Format, armed_format, frame_to_device
 from hapsim.device.connection import Connection
 from hapsim.errors import DeviceError
-from hapsim.loop.codes import FAILED, HUNG_UP
+from hapsim.loop.endings import FAILED, HUNG_UP
 
 SET_UP, ARMED, WITH_VELOCITIES = "set-up", "armed", "armed with velocities"
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from hapsim.compiling.native import array_at
 from hapsim.device.mock.firmware import INPUT_BYTES, call_take_bytes, mock_at, prepare
-from hapsim.loop.codes import FAILED, TIMED_OUT
+from hapsim.loop.endings import FAILED, TIMED_OUT
 from hapsim.loop.transport import Transport, receiver, sender
 
 _bytes_at = array_at(np.uint8)

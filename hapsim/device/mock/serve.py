@@ -10,7 +10,7 @@ from firmware_protocol import schema
 from firmware_protocol.records import new_record
 from hapsim.compiling import entry, inlined
 from hapsim.device.mock.firmware import INPUT_BYTES, call_event, call_take_bytes
-from hapsim.loop.pacing import next_point
+from hapsim.loop.clocks import next_point
 from hapsim.loop.system import SCRATCH, now_ns, sleep_until
 from hapsim.loop.transport import TRANSPORT, receive, send
 

@@ -17,9 +17,8 @@ from hapsim.device.mock.firmware import prepare
 from hapsim.device.mock.serve import new_service, serve
 from hapsim.device.mock.transmitter import transmitter_transport
 from hapsim.errors import DeviceError
-from hapsim.loop.only_linux import require_linux
-from hapsim.loop.realtime.scheduling import fifo
-from hapsim.loop.realtime.slack import no_timer_slack
+from hapsim.loop.realtime.scheduling import no_timer_slack, scheduled_fifo
+from hapsim.loop.system import require_linux
 from hapsim.loop.transport import Transport
 
 
@@ -57,7 +56,7 @@ def serving(mock: Any, as_hardware: bool = False) -> Iterator[str]:
         thread = threading.Thread(target=_serve, args=(mock, service), name="mock device", daemon=True)
         thread.start()
         try:
-            with fifo(thread.native_id or 0) if as_hardware else contextlib.nullcontext():
+            with scheduled_fifo(thread.native_id or 0) if as_hardware else contextlib.nullcontext():
                 yield os.ttyname(far)
         finally:
             service.stop = 1

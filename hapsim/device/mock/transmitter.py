@@ -11,7 +11,7 @@ import numpy as np
 from firmware_protocol.frames import ROOM
 from firmware_protocol.records import new_record
 from hapsim.compiling.native import array_at, record_at
-from hapsim.loop.codes import FAILED
+from hapsim.loop.endings import FAILED
 from hapsim.loop.system import SCRATCH, read_some, write_some
 from hapsim.loop.transport import Transport, receiver, sender
 

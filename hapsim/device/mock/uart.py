@@ -18,7 +18,7 @@ from firmware_protocol.records import new_record
 from hapsim.compiling import helper, inlined
 from hapsim.compiling.native import address_of, array_at, record_at
 from hapsim.device.mock.firmware import INPUT_BYTES, mock_at
-from hapsim.loop.codes import FAILED, TIMED_OUT
+from hapsim.loop.endings import FAILED, TIMED_OUT
 from hapsim.loop.system import SCRATCH, now_ns, read_some, write_some
 from hapsim.loop.transport import Transport, receiver, sender
 

@@ -37,8 +37,8 @@ from numba import types
 from firmware_protocol import schema
 from hapsim.compiling import helper, inlined
 from hapsim.compiling.native import address_of, function_at, native, record_at
+from hapsim.loop.buffers import IO_BUFFER
 from hapsim.loop.force_history import FORCE_HISTORY, IN_ALL, acting_force
-from hapsim.loop.io_buffer import IO_BUFFER
 
 FILTER_S, SUMS_S, LEAST_SUMS_S = 0.002, 0.005, 0.007  # below the last, sums are of too little
 SUSPECT_S, RELEASE_S, VERDICT_S = 0.003, 0.012, 0.028

@@ -39,8 +39,8 @@ from numpy.typing import NDArray
 from firmware_protocol import schema
 from hapsim.compiling import helper, inlined
 from hapsim.compiling.native import address_of, function_at, native, record_at
-from hapsim.loop.guards.force_limit import cut
-from hapsim.loop.io_buffer import IO_BUFFER
+from hapsim.loop.buffers import IO_BUFFER
+from hapsim.loop.guards.force_limit import clip
 
 LATE = 4  # forces, on a wire on which every one is late, of which the device may hold one
 NO_LIMIT = 1 << 40  # counts: farther than 32 bits go
@@ -95,7 +95,7 @@ def shape_force(slew, io, gap, unsent, late, expired, withheld):
     changed = 0
     for c in range(io.channels):
         if slew.begun == 0:
-            slew.first[c] = cut(io.asked[c], io.force_limit[c]) / io.force_scale[c]
+            slew.first[c] = clip(io.asked[c], io.force_limit[c]) / io.force_scale[c]
         counts = io.force_counts[c]
         taken_off = np.int64(np.rint(slew.first[c] * left))
         if taken_off != 0:

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from firmware_protocol import schema
 from hapsim.compiling.native import address_of, function_at, native, record_at
-from hapsim.loop.io_buffer import IO_BUFFER
+from hapsim.loop.buffers import IO_BUFFER
 
 NOISE_RMS = 8.0  # of the sensor's noise, where it is known: one sample in 1e15 has more
 

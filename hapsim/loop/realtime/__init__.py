@@ -1,8 +1,8 @@
-"""What `hapsim run --realtime` asks of the system: one measure a file, each reported as granted or denied.
+"""What `hapsim run --realtime` asks of the system; each measure is reported as granted or denied.
 
-Nothing is guessed from the kernel's name or from limits: the system call is made and its error read. A measure that is
-denied costs a sentence, never the run. To add one: write it as a file beside these and name it in `_MEASURES`.
-`no_timer_slack` is no part of them: it needs no privilege and serves every run.
+The system call is made and its error read: nothing is guessed from the kernel's name or from limits. A measure that is
+denied costs a sentence, never the run. To add one: write it in `memory.py` or `scheduling.py`, name it in `_MEASURES`.
+`no_timer_slack` is not among them: it needs no privilege and serves every run.
 """
 
 from __future__ import annotations
@@ -11,20 +11,16 @@ import contextlib
 import threading
 from collections.abc import Iterator
 
-from hapsim.loop.realtime.collector import frozen
-from hapsim.loop.realtime.memory import locked
-from hapsim.loop.realtime.power import awake
+from hapsim.loop.realtime.memory import collector_frozen, memory_locked
 from hapsim.loop.realtime.privilege import Measure, PrivilegeResult
-from hapsim.loop.realtime.processor import pinned
-from hapsim.loop.realtime.scheduling import fifo
-from hapsim.loop.realtime.slack import no_timer_slack
+from hapsim.loop.realtime.scheduling import idle_states_off, no_timer_slack, pinned, scheduled_fifo
 
 __all__ = ["PrivilegeResult", "no_timer_slack", "realtime"]
 
-# What is collected need not be locked, and the thread is put before all others only when the rest is in place.
-_HELD = threading.Lock()  # by one at a time: two that undo in another order than they began would leave neither
+# Garbage is collected before memory is locked; the thread goes before all others once the rest is in place.
+_MEASURES: tuple[Measure, ...] = (collector_frozen, memory_locked, idle_states_off, pinned, scheduled_fifo)
 
-_MEASURES: tuple[Measure, ...] = (frozen, locked, awake, pinned, fifo)
+_HELD = threading.Lock()  # by one at a time: two that undo in another order than they began would leave neither
 
 
 @contextlib.contextmanager
@@ -37,11 +33,8 @@ def realtime(thread_id: int) -> Iterator[list[PrivilegeResult]]:
     have ended) is passed over. Raises nothing for what is denied. Of two loops in one process the second is denied it.
     """
     if not _HELD.acquire(blocking=False):
-        yield [
-            PrivilegeResult(
-                "real time", False, "another loop of this process has it, and gives it back for all when it ends"
-            )
-        ]
+        why = "another loop of this process has it, and gives it back for all when it ends"
+        yield [PrivilegeResult("real time", False, why)]
         return
     try:
         with contextlib.ExitStack() as held:

@@ -1,26 +1,50 @@
-"""All memory of the process locked and read in, so that no page fault waits for a disk within a tick.
+"""Memory that keeps the loop waiting for nothing: no search for garbage, and no page fault.
 
-What there is is locked (MCL_CURRENT), not what is still to come (MCL_FUTURE): the loop allocates nothing, while the
-rest of the process does. Each further thread would lock its whole stack and heap, 74 MB, and beyond the limit an
-allocation would fail in the middle of a run.
+A search for garbage takes tens of milliseconds, in which no other Python runs. A page that is not in memory may wait
+for a disk. What is mapped is locked (MCL_CURRENT), not what is still to come (MCL_FUTURE): the loop allocates nothing,
+while each further thread would lock its whole stack and heap, 74 MB, and beyond the limit an allocation would fail in
+the middle of a run.
 """
 
 from __future__ import annotations
 
 import errno
+import gc
 import re
 from collections.abc import Callable
 from pathlib import Path
 
-from hapsim.loop.realtime import c_library
-from hapsim.loop.realtime.login_limits import is_root, login_limit
-from hapsim.loop.realtime.privilege import measure
+from hapsim.loop.realtime import privilege
+from hapsim.loop.realtime.privilege import is_root, login_limit, measure
 
 _MCL_CURRENT = 1
 _STATUS = Path("/proc/self/status")
 
 
-def _advise(error: OSError) -> str:
+def _collector_advice(error: OSError) -> str:
+    return f"the garbage collector failed ({error.strerror})"
+
+
+@measure("garbage collector frozen", _collector_advice, everywhere=True)
+def collector_frozen(_thread_id: int) -> tuple[str, Callable[[], object]]:
+    """Collects once, then sets what is left aside and switches collecting off. References still free what they hold."""
+    was_enabled, was_frozen = gc.isenabled(), gc.get_freeze_count() > 0
+    gc.collect()
+    # Thawing knows no share: what somebody froze before stays as it is, and nothing is added to it.
+    if not was_frozen:
+        gc.freeze()
+    gc.disable()
+
+    def undo() -> None:
+        if not was_frozen:
+            gc.unfreeze()
+        if was_enabled:
+            gc.enable()
+
+    return f"{gc.get_freeze_count()} objects set aside, no collection", undo
+
+
+def _lock_advice(error: OSError) -> str:
     import resource
 
     refused = f"locking {_megabytes('VmSize')} was refused ({error.strerror})"
@@ -36,12 +60,12 @@ def _advise(error: OSError) -> str:
     return f"{refused}: the limit is {limit / 1e6:.3g} MB; it takes {takes}"
 
 
-@measure("memory locked", _advise)
-def locked(_thread_id: int) -> tuple[str, Callable[[], object]]:
+@measure("memory locked", _lock_advice)
+def memory_locked(_thread_id: int) -> tuple[str, Callable[[], object]]:
     """Locks and reads in what the process has mapped. Locks do not add up: undoing unlocks what was locked before it
     too, as munlockall(2) does."""
-    c_library.call("mlockall", _MCL_CURRENT)
-    return _megabytes("VmLck"), lambda: c_library.call("munlockall")
+    privilege.call_c("mlockall", _MCL_CURRENT)
+    return _megabytes("VmLck"), lambda: privilege.call_c("munlockall")
 
 
 def _megabytes(field: str) -> str:

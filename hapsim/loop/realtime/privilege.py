@@ -1,9 +1,11 @@
-"""What came of asking the system for something, and how asking becomes a measure that is undone."""
+"""A measure: a privilege that is requested from the system, reported as granted or denied, and given back."""
 
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import errno
+import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
@@ -20,30 +22,30 @@ class PrivilegeResult:
     """What people call it: ``SCHED_FIFO``."""
     granted: bool
     detail: str
-    """Got: what exactly (``priority 80``). Denied: why, and what to do about it, without a full stop."""
+    """Granted: what exactly (``priority 80``). Denied: why, and what to do about it, without a full stop."""
 
 
 Measure = Callable[[int], AbstractContextManager[PrivilegeResult]]
-"""Asks for something for the process and its thread with this native id, and gives it back on leaving."""
+"""Requests something for the process and its thread with this native id, and gives it back on leaving."""
 
-Ask = Callable[[int], tuple[str, Callable[[], object]]]
-"""The asking alone: returns what exactly was granted and what undoes it, or raises OSError."""
+Request = Callable[[int], tuple[str, Callable[[], object]]]
+"""The request alone: returns what exactly was granted and what undoes it, or raises OSError."""
 
 
-def measure(name: str, advise: Callable[[OSError], str], *, everywhere: bool = False) -> Callable[[Ask], Measure]:
-    """Makes a measure called `name` of a function that asks. `advise`: the sentence about an error that the call met.
+def measure(name: str, advise: Callable[[OSError], str], *, everywhere: bool = False) -> Callable[[Request], Measure]:
+    """Makes a measure called `name` of a function that requests. `advise`: the sentence about an error of the call.
     `everywhere`: not only on Linux.
 
-    The measure raises for no error of the system, neither in asking nor in undoing.
+    The measure raises for no error of the system, neither in requesting nor in undoing.
     """
 
-    def _make(ask: Ask) -> Measure:
+    def _make(request: Request) -> Measure:
         @contextlib.contextmanager
         def _held(thread_id: int) -> Iterator[PrivilegeResult]:
             if sys.platform != "linux" and not everywhere:
                 answer, undo = PrivilegeResult(name, False, ONLY_LINUX), _nothing
             else:
-                answer, undo = _asked(name, ask, advise, thread_id)
+                answer, undo = _requested(name, request, advise, thread_id)
             try:
                 yield answer
             finally:
@@ -57,7 +59,7 @@ def measure(name: str, advise: Callable[[OSError], str], *, everywhere: bool = F
 
 
 def denied(name: str, error: OSError, advise: Callable[[OSError], str]) -> PrivilegeResult:
-    """The refusal of `name` in words: `advise` has to know only the errors that are the measure's own."""
+    """The refusal of `name` in words. `advise` has to know only the errors that are the measure's own."""
     if error.errno == errno.ESRCH:
         return PrivilegeResult(name, False, "the loop's thread is not there: it has ended already")
     if error.errno == errno.ENOSYS:
@@ -68,11 +70,11 @@ def denied(name: str, error: OSError, advise: Callable[[OSError], str]) -> Privi
         return PrivilegeResult(name, False, f"it was refused ({error.strerror or error})")
 
 
-def _asked(
-    name: str, ask: Ask, advise: Callable[[OSError], str], thread_id: int
+def _requested(
+    name: str, request: Request, advise: Callable[[OSError], str], thread_id: int
 ) -> tuple[PrivilegeResult, Callable[[], object]]:
     try:
-        detail, undo = ask(thread_id)
+        detail, undo = request(thread_id)
     except OSError as error:
         return denied(name, error, advise), _nothing
     except AttributeError as missing:
@@ -85,3 +87,37 @@ def _asked(
 
 def _nothing() -> None:
     """There is nothing to be undone."""
+
+
+def call_c(name: str, *arguments: int) -> int:
+    """The result of the C library's function `name`, which Python's standard library does not offer. Raises OSError
+    with its errno where that is -1, with ENOSYS where there is no such function."""
+    library = ctypes.CDLL(None, use_errno=True)
+    function = getattr(library, name, None)
+    if function is None:
+        raise OSError(errno.ENOSYS, os.strerror(errno.ENOSYS), name)
+    # prctl takes any number of arguments and reads each of them as an unsigned long.
+    result = int(function(*map(ctypes.c_ulong, arguments)))
+    if result == -1:
+        number = ctypes.get_errno()
+        raise OSError(number, os.strerror(number), name)
+    return result
+
+
+def is_root() -> bool:
+    """Whether the user is root already. Decides what is advised, never what is tried."""
+    return os.geteuid() == 0
+
+
+def login_limit(item: str, value: str) -> str:
+    """What raises this user's limit on `item`, as in limits.conf(5), to be said after "it takes"."""
+    return f"the line '{_user()} - {item} {value}' in /etc/security/limits.d/hapsim.conf and a new login"
+
+
+def _user() -> str:
+    import pwd
+
+    try:
+        return pwd.getpwuid(os.getuid()).pw_name
+    except KeyError:  # a user of a container need not be in its list
+        return "*"

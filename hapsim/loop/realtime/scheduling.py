@@ -1,19 +1,35 @@
-"""The loop's thread before all others: SCHED_FIFO. Safe, because the loop sleeps in the kernel and never spins."""
+"""When the loop's thread runs: before all others, on a processor of its own that does not sleep, woken on time.
+
+Where SCHED_FIFO is denied, another thread on the same processor makes the loop wait for its whole time slice, some
+milliseconds; where it is granted, the loop makes the other one wait. So the process's other threads leave the loop's
+processor, if there is anywhere to go. SCHED_FIFO is safe because the loop sleeps in the kernel and never spins.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import errno
 import os
+import struct
+import sys
 from collections.abc import Callable
+from pathlib import Path
 
-from hapsim.loop.realtime.login_limits import is_root, login_limit
-from hapsim.loop.realtime.privilege import measure
+from hapsim.loop.realtime import privilege
+from hapsim.loop.realtime.privilege import ONLY_LINUX, PrivilegeResult, denied, is_root, login_limit, measure
 
 PRIORITY = 80
 """Above 50, where the kernel's interrupt threads stand: a loop that blocks holds none of them up, and is not held up by
 those of a disk. Below 99, where the kernel's own watchdogs and migrations stand."""
 
+_DEVICE = "/dev/cpu_dma_latency"
+_ISOLATED = Path("/sys/devices/system/cpu/isolated")
+_THREADS = Path("/proc/self/task")
+_SLACK, _PR_SET_TIMERSLACK, _PR_GET_TIMERSLACK = "timer slack", 29, 30
+_LEAST_SLACK_NS = 1  # 0 would mean the default
 
-def _advise(error: OSError) -> str:
+
+def _fifo_advice(error: OSError) -> str:
     if not isinstance(error, PermissionError):
         return f"priority {PRIORITY} was refused ({error.strerror})"
     if is_root():
@@ -28,8 +44,8 @@ def _login_limit() -> str:
     return login_limit("rtprio", str(PRIORITY))
 
 
-@measure("SCHED_FIFO", _advise)
-def fifo(thread_id: int) -> tuple[str, Callable[[], object]]:
+@measure("SCHED_FIFO", _fifo_advice)
+def scheduled_fifo(thread_id: int) -> tuple[str, Callable[[], object]]:
     """SCHED_FIFO for the thread, at PRIORITY or at the highest that is granted below it; never lower than it was."""
     policy, parameters = os.sched_getscheduler(thread_id), os.sched_getparam(thread_id)
     # Whoever may not drop this flag is refused everything that comes without it.
@@ -51,3 +67,123 @@ def _highest(thread_id: int, policy: int, most: int) -> int:
         return priority
     os.sched_setscheduler(thread_id, policy, os.sched_param(1))
     return 1
+
+
+def _pin_advice(error: OSError) -> str:
+    return (
+        f"no single CPU could be chosen ({error.strerror}): `taskset -c 1 hapsim run …` chooses one from outside, and "
+        "a control group (cpuset.cpus) or a container may forbid it"
+    )
+
+
+@measure("one processor", _pin_advice)
+def pinned(thread_id: int) -> tuple[str, Callable[[], object]]:
+    """The thread on one CPU: one that is isolated from the scheduler, else the last that is allowed. The process's
+    other threads leave it where they may run elsewhere; one that is started meanwhile runs where its starter does."""
+    allowed = os.sched_getaffinity(thread_id)
+    cpu, detail = _pin(thread_id, allowed)
+    moved = _clear(cpu)
+
+    def undo() -> None:
+        _set_each(moved)
+        _set_each({thread_id: allowed})
+
+    if moved:
+        detail += f"; {len(moved)} other thread{'s' if len(moved) > 1 else ''} moved off it"
+    return detail, undo
+
+
+def _pin(thread_id: int, allowed: set[int]) -> tuple[int, str]:
+    """The CPU that the thread is on now, and the same in words."""
+    isolated = _isolated()
+    # An isolated one is as a rule not among the allowed: that is what keeps everybody else off it.
+    for cpu in sorted(isolated, key=lambda cpu: (cpu in allowed, cpu), reverse=True):
+        with contextlib.suppress(OSError):
+            os.sched_setaffinity(thread_id, {cpu})
+            return cpu, f"CPU {cpu}, isolated from the scheduler"
+    # CPU 0 serves most interrupts, so the last one.
+    cpu = max(allowed)
+    os.sched_setaffinity(thread_id, {cpu})
+    return cpu, f"CPU {cpu}" if len(allowed) > 1 else f"CPU {cpu}, the only one allowed: there was nothing to choose"
+
+
+def _isolated() -> set[int]:
+    """The CPUs that the kernel keeps its scheduler off, as in ``2-3,6``."""
+    try:
+        ranges = [part.split("-") for part in _ISOLATED.read_text(encoding="utf-8").strip().split(",") if part]
+        return {cpu for ends in ranges for cpu in range(int(ends[0]), int(ends[-1]) + 1)}
+    except (OSError, ValueError):  # not told, or not in numbers
+        return set()
+
+
+def _clear(cpu: int) -> dict[int, set[int]]:
+    """Moves the threads of the process off `cpu`, but for those that may run nowhere else, as the one just pinned to
+    it; which ones, and where they were allowed before."""
+    moved = {}
+    for thread in _threads():
+        with contextlib.suppress(OSError):  # it has ended, or has nowhere else to go
+            before = os.sched_getaffinity(thread)
+            if cpu in before:
+                os.sched_setaffinity(thread, before - {cpu})
+                moved[thread] = before
+    return moved
+
+
+def _threads() -> list[int]:
+    try:
+        return [int(thread) for thread in os.listdir(_THREADS)]
+    except OSError:
+        return []
+
+
+def _set_each(affinities: dict[int, set[int]]) -> None:
+    for thread, cpus in affinities.items():
+        with contextlib.suppress(OSError):  # it has ended
+            os.sched_setaffinity(thread, cpus)
+
+
+def _idle_advice(error: OSError) -> str:
+    if error.errno == errno.ENOENT:
+        return f"there is no {_DEVICE}; a container needs --device={_DEVICE}, a kernel CONFIG_CPU_IDLE"
+    if not isinstance(error, PermissionError):
+        return f"{_DEVICE} failed ({error.strerror})"
+    if is_root():
+        return f"{_DEVICE} was refused to root ({error.strerror}): a container needs --device={_DEVICE}"
+    return (
+        f"{_DEVICE} may not be written ({error.strerror}): it takes a udev rule that gives it to a group of yours "
+        '(KERNEL=="cpu_dma_latency", GROUP="…", MODE="0660" in /etc/udev/rules.d/hapsim.rules), or root'
+    )
+
+
+@measure("power saving off", _idle_advice)
+def idle_states_off(_thread_id: int) -> tuple[str, Callable[[], object]]:
+    """Asks for a wake-up latency of 0 µs. The kernel keeps to it for as long as the file is open."""
+    descriptor = os.open(_DEVICE, os.O_WRONLY)
+    try:
+        os.write(descriptor, struct.pack("=i", 0))
+    except OSError:
+        os.close(descriptor)
+        raise
+    return "0 µs of wake-up latency asked of every processor", lambda: os.close(descriptor)
+
+
+def no_timer_slack() -> PrivilegeResult:
+    """Takes the timer slack from the thread that calls this, for the rest of its life: its sleeps end on time, where
+    ordinary threads wake up to 50 µs late to save power. Needs no privilege; a thread
+    under SCHED_FIFO has none anyway. Raises nothing for what is denied."""
+    if sys.platform != "linux":
+        return PrivilegeResult(_SLACK, False, ONLY_LINUX)
+    try:
+        privilege.call_c("prctl", _PR_SET_TIMERSLACK, _LEAST_SLACK_NS, 0, 0, 0)
+        slack_ns = privilege.call_c("prctl", _PR_GET_TIMERSLACK, 0, 0, 0, 0)
+    except OSError as error:
+        return denied(_SLACK, error, _slack_advice)
+    if slack_ns > _LEAST_SLACK_NS:
+        return PrivilegeResult(
+            _SLACK, False, f"{_LEAST_SLACK_NS} ns was asked for and {slack_ns} ns is kept: another kernel may do it"
+        )
+    return PrivilegeResult(_SLACK, True, f"{slack_ns} ns")
+
+
+def _slack_advice(error: OSError) -> str:
+    return f"prctl was refused ({error.strerror}): a container or sandbox forbids it"

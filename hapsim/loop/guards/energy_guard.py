@@ -80,9 +80,9 @@ from firmware_protocol import schema
 from hapsim.compiling import helper
 from hapsim.compiling.native import address_of, function_at, native, record_at
 from hapsim.cordis.stored_energy import Tank, tank_at
+from hapsim.loop.buffers import IO_BUFFER
 from hapsim.loop.force_history import FORCE_HISTORY, IN_TIME, OF_SCENE, acting_force
-from hapsim.loop.guards.force_limit import cut
-from hapsim.loop.io_buffer import IO_BUFFER
+from hapsim.loop.guards.force_limit import clip
 
 CREDIT_M = 0.25  # of travel at the force limit: what a scene could hold
 FIRST_FORCE_M = 0.1  # of travel of the first force: what a link holds at least that is stretched at arming
@@ -101,10 +101,10 @@ SCENE, LATE = 0, 1
 LATE_M, LATE_SWINGS = 0.1, 64  # of travel at the force limit: what late forces may give; and how often they may swing
 _EACH, _ACCOUNTS = (schema.MAX_CHANNELS,), (2,)
 
-ENERGY = np.dtype(
+ENERGY_GUARD = np.dtype(
     [
         ("address", np.uint64),  # of all this
-        ("observe", np.uint64),  # and of what observes; 0: nothing is judged
+        ("judge", np.uint64),  # and of what judges; 0: nothing does
         ("braked", np.float64, _EACH),  # b0/T, N/m
         ("limit", np.float64, _ACCOUNTS),  # J
         ("swing_limit", np.float64, _ACCOUNTS),  # J, of the work over episodes
@@ -140,15 +140,15 @@ ENERGY = np.dtype(
     align=True,
 )
 
-OBSERVE = types.int64(*[types.uint64] * 3, types.int64)
-call_observe = function_at(OBSERVE)
-"""Calls `observe`, with its arguments."""
+JUDGE_ENERGY = types.int64(*[types.uint64] * 3, types.int64)
+call_judge_energy = function_at(JUDGE_ENERGY)
+"""Calls `judge_energy`, with its arguments."""
 
-_energy_at, _history_at, _io_at = record_at(ENERGY), record_at(FORCE_HISTORY), record_at(IO_BUFFER)
+_energy_at, _history_at, _io_at = record_at(ENERGY_GUARD), record_at(FORCE_HISTORY), record_at(IO_BUFFER)
 
 
-@native(OBSERVE.return_type, *OBSERVE.args)
-def observe(energy, history, io, gap):
+@native(JUDGE_ENERGY.return_type, *JUDGE_ENERGY.args)
+def judge_energy(energy, history, io, gap):
     """Adds the energy of the last `gap` samples; why the loop has to stop, or 0. `history` and `io`: with the force
     that answers this sample."""
     energy, history, io = _energy_at(energy), _history_at(history), _io_at(io)
@@ -193,7 +193,7 @@ def _has_swung(energy, account):
 def _begin(energy, io):
     energy.begun = 1
     for c in range(io.channels):
-        first = abs(cut(io.asked[c], io.force_limit[c]))
+        first = abs(clip(io.asked[c], io.force_limit[c]))
         held = first * min(max(0.5 * first * energy.compliance[c], FIRST_FORCE_M), CREDIT_M)
         for account in range(2):
             energy.given[account] -= held
@@ -296,8 +296,8 @@ def _count_turn(energy, c, limit):
     energy.shakes = max(energy.shakes, energy.turns[c])
 
 
-class EnergyMemory:
-    """Fills an ENERGY."""
+class EnergyGuard:
+    """Fills an ENERGY_GUARD."""
 
     def __init__(
         self,
@@ -327,7 +327,7 @@ class EnergyMemory:
         record.most_gap = max(GAP_SAMPLES, round(GAP_S * rate_hz))
         record.most_turn = round(SHAKE_S * rate_hz)
         record.least_peak[:] = math.inf
-        record.observe = observe.address()
+        record.judge = judge_energy.address()
 
     def follow(self, unstable: bool, samples: int = 0) -> None:
         """Whether the scene, as it will be in so many samples, is predicted unstable, and runs because that was asked

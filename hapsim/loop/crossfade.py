@@ -1,16 +1,16 @@
-"""Which scene the loop moves: one; or, for a while after its structure was changed, two.
+"""Which scene the loop moves: one; or two, for a while after its structure was changed.
 
 Another thread posts the program of the new scene. Between two samples the loop takes it: what both scenes have goes on
-from where it is (the program's own list `take_over` says what that is), both are moved by the same hands from then on,
-and the force in the hand goes from the one scene's to the other's along
+from where it is (the program's list `take_over`), the same hands move both from then on, and the force in the hand goes
+from the old scene's to the new one's along
 
     F = F_old + w(s) (F_new - F_old),     w = 3 s² - 2 s³,     s = 1/N, 2/N, ... 1
 
 over N samples: no sample adds more than 1.5/N of the difference. A step that adds more energy than the tank has is
-shortened (cordis/stored_energy.py), and it takes longer. Then the old scene is left, and its thread may forget
-it.
+shortened (cordis/stored_energy.py), and the crossfade takes longer. At its end the old scene is dropped, and its thread
+may forget it.
 
-Who never changes a scene never compiles that: it is called by an address, which is 0 until a scene is posted.
+A scene that never changes its structure never compiles the crossfade: its address is 0 until a scene is posted.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from hapsim.compiling.memory_fence import fence
 from hapsim.compiling.native import array_at, function_at, native, record_at
 from hapsim.cordis.stored_energy import left_of, share_that_lasts, spend, stored_at, tank_at
 from hapsim.cordis.tick import follow_parameters, program_at, set_hands, stored_energy, take_over, tick
-from hapsim.loop.io_buffer import IO_BUFFER
+from hapsim.loop.buffers import IO_BUFFER
 
-STAGE = np.dtype(
+SCENE_SLOT = np.dtype(
     [
         ("address", np.uint64),  # of all this
         ("program", np.uint64),  # and of the one that is moved
@@ -35,7 +35,7 @@ STAGE = np.dtype(
         ("posted", np.uint64),  # of one that shall follow; 0: none
         ("posted_samples", np.int64),  # N, for it
         ("samples", np.int64),  # N
-        ("left", np.float64),  # samples until the old scene is left
+        ("left", np.float64),  # samples until the old scene is dropped
         ("weight", np.float64),  # w
         ("incoming", np.float64, (schema.MAX_CHANNELS,)),  # N, the following scene's force
         ("cross_fade", np.uint64),  # address of what moves two; 0: one scene, and none is posted
@@ -45,11 +45,11 @@ STAGE = np.dtype(
 
 _CROSS_FADE = types.void(types.uint64, types.uint64, types.uint64, types.uint64)
 _call = function_at(_CROSS_FADE)
-_stage_at, _io_at, _doubles_at = record_at(STAGE), record_at(IO_BUFFER), array_at(np.float64)
+_slot_at, _io_at, _doubles_at = record_at(SCENE_SLOT), record_at(IO_BUFFER), array_at(np.float64)
 
 
 @inlined
-def move_scene(stage, io, samples):
+def move_scene(slot, io, samples):
     """Moves the scene by `samples`; the force in each hand is then in `io.asked`. The hands go along a straight line
     from the last position to this one, and their velocities along one of their own."""
     compact()
@@ -61,68 +61,68 @@ def move_scene(stage, io, samples):
                 io.bridge[c] = io.before[c] + rise * i / samples
                 io.velocity_bridge[c] = io.velocity_before[c] + gain * i / samples
             position, velocity = io.bridge, io.velocity_bridge
-        if stage.cross_fade == 0:
-            _move(stage.program, position, velocity, io.asked)
+        if slot.cross_fade == 0:
+            _move(slot.program, position, velocity, io.asked)
         else:
             at = (np.uint64(position.ctypes.data), np.uint64(velocity.ctypes.data))
-            _call(stage.cross_fade, (stage.address, io.address, at[0], at[1]))
+            _call(slot.cross_fade, (slot.address, io.address, at[0], at[1]))
 
 
 @native(_CROSS_FADE.return_type, *_CROSS_FADE.args)
-def cross_fade(stage, io, position, velocity):
+def cross_fade(slot, io, position, velocity):
     """Moves both scenes by a sample, once the posted one is taken."""
-    stage, io = _stage_at(stage), _io_at(io)
+    slot, io = _slot_at(slot), _io_at(io)
     position, velocity = _doubles_at(position, io.channels), _doubles_at(velocity, io.channels)
-    if stage.posted != 0 and stage.next == 0:
-        stage.samples = stage.left = stage.posted_samples
-        stage.next = stage.posted
+    if slot.posted != 0 and slot.next == 0:
+        slot.samples = slot.left = slot.posted_samples
+        slot.next = slot.posted
         fence()
-        stage.posted = np.uint64(0)
-        stage.incoming[:], stage.weight = 0.0, 0.0
-        take_over(program_at(stage.program), program_at(stage.next), position)
-    _advance(stage, position)
+        slot.posted = np.uint64(0)
+        slot.incoming[:], slot.weight = 0.0, 0.0
+        take_over(program_at(slot.program), program_at(slot.next), position)
+    _advance(slot, position)
     for c in range(io.channels):
         io.asked[c] = 0.0  # for a channel that the old scene does not have
-    _move(stage.program, position, velocity, io.asked)
-    _move(stage.next, position, velocity, stage.incoming)
-    weight = stage.weight
+    _move(slot.program, position, velocity, io.asked)
+    _move(slot.next, position, velocity, slot.incoming)
+    weight = slot.weight
     for c in range(io.channels):
         # At the end it is the new scene's alone, even where the old one's was no number.
-        io.asked[c] = io.asked[c] + weight * (stage.incoming[c] - io.asked[c]) if stage.left > 0 else stage.incoming[c]
-    if stage.left == 0:
-        stage.program = stage.next
-        stage.next = np.uint64(0)
+        io.asked[c] = io.asked[c] + weight * (slot.incoming[c] - io.asked[c]) if slot.left > 0 else slot.incoming[c]
+    if slot.left == 0:
+        slot.program = slot.next
+        slot.next = np.uint64(0)
         fence()
-        stage.cross_fade = np.uint64(0)
+        slot.cross_fade = np.uint64(0)
 
 
 @helper
-def _advance(stage, position):
+def _advance(slot, position):
     """Moves the weight by a sample, or as far as the tank lasts."""
-    before = stage.weight
-    stage.left = max(stage.left - 1.0, 0.0)
-    s = 1.0 - stage.left / stage.samples
-    stage.weight = s * s * (3.0 - 2.0 * s)
-    following = program_at(stage.next)
+    before = slot.weight
+    slot.left = max(slot.left - 1.0, 0.0)
+    s = 1.0 - slot.left / slot.samples
+    slot.weight = s * s * (3.0 - 2.0 * s)
+    following = program_at(slot.next)
     if following.parameters.stored == 0:
         return
-    added = stored_energy(following, position) - stored_energy(program_at(stage.program), position)
+    added = stored_energy(following, position) - stored_energy(program_at(slot.program), position)
     tank = tank_at(stored_at(following.parameters.stored).tank)
-    lasts = share_that_lasts(tank, (stage.weight - before) * added)
+    lasts = share_that_lasts(tank, (slot.weight - before) * added)
     if lasts < 1.0:
-        stage.weight = before + lasts * (stage.weight - before)
-        stage.left = stage.samples * left_of(stage.weight)
-    spend(tank, (stage.weight - before) * added)
+        slot.weight = before + lasts * (slot.weight - before)
+        slot.left = slot.samples * left_of(slot.weight)
+    spend(tank, (slot.weight - before) * added)
 
 
 @entry
-def post(stage, program, samples, cross_fade):
+def post(slot, program, samples, cross_fade):
     """Has the program at this address follow the one that is moved now, over so many samples (>= 1). Nothing may be
-    posted that is not yet left. `cross_fade`: the address of the function of that name."""
-    stage.posted_samples = samples
-    stage.posted = np.uint64(program)
+    posted before the last crossfade has ended. `cross_fade`: the address of the function of that name."""
+    slot.posted_samples = samples
+    slot.posted = np.uint64(program)
     fence()
-    stage.cross_fade = np.uint64(cross_fade)
+    slot.cross_fade = np.uint64(cross_fade)
 
 
 @inlined

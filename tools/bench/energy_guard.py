@@ -1,6 +1,6 @@
-"""The guard of the energy (hapsim/loop/guards/divergence.py) before scenes by chance, in virtual time.
+"""The energy guard (hapsim/loop/guards/energy_guard.py) before scenes by chance, in virtual time.
 
-    tools/bench/divergence [--scenes 200] [--seed 1] [--stalls]
+    tools/bench/energy_guard [--scenes 200] [--seed 1] [--stalls]
 
 Unstable scenes, of a spectral radius of 1.002 and more: every one has to be ended, before the hand had more energy than
 the limit and what it began with. Passive ones, by hands that flick at up to 2 m/s, into walls, beyond the force limit
@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 import hapsim
 from firmware_protocol import schema
 from hapsim.errors import DeviceError, GuardError
-from hapsim.loop.guards.divergence import LATE
+from hapsim.loop.guards.energy_guard import LATE
 from hapsim.loop.transport import PythonTransport
 from hapsim.running import PeriodicExcitation, Session, run
 from hapsim.scene import Scene, parse_scene
@@ -61,7 +61,7 @@ class Outcome(NamedTuple):
     why: str
     after_s: float
     account: int
-    """Of divergence.py, by whose limit it was ended."""
+    """Of energy_guard.py, by whose limit it was ended."""
     most_energy: float
     """J, kinetic, of the hand at any time."""
     bound: float
@@ -242,7 +242,7 @@ def judged(drawn: Drawn, stalls: int | None = None) -> Outcome:
     # What the last forces do before they end: of the sample in which it is found, and of the delay.
     steps = np.abs(np.diff(trace.position[:, 0]))
     bound += (2.0 + device.delay) * device.force_limit * float(np.max(steps, initial=0.0))
-    account = int(sessions[0]._loop.record.energy.account)
+    account = int(sessions[0]._loop.record.energy_guard.account)
     return Outcome(drawn, trace.report.ending, why, trace.report.duration_s, account, _most_energy(drawn, trace), bound)
 
 
@@ -258,7 +258,7 @@ def _most_energy(drawn: Drawn, trace: Any) -> float:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser("tools/bench/divergence", description=__doc__)
+    parser = argparse.ArgumentParser("tools/bench/energy_guard", description=__doc__)
     parser.add_argument("--scenes", type=int, default=200)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--stalls", action="store_true")

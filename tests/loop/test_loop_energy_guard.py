@@ -1,4 +1,4 @@
-"""The guard of the energy: what no passive object does ends the run, and nothing that one does."""
+"""The energy guard: what no passive object does ends the run, and nothing that one does."""
 
 from __future__ import annotations
 
@@ -18,26 +18,26 @@ from firmware_protocol.records import new_record
 from hapsim.compiling import entry
 from hapsim.cordis.stored_energy import TANK, Tank
 from hapsim.errors import DeviceError, GuardError
+from hapsim.loop.buffers import IO_BUFFER
 from hapsim.loop.force_history import FORCE_HISTORY, ForceHistory, call_keep
-from hapsim.loop.guards.divergence import (
-    ENERGY,
+from hapsim.loop.guards.energy_guard import (
+    ENERGY_GUARD,
     GIVEN,
     LATE,
     SCENE,
     SHAKES,
     SHAKING,
     SWINGING,
-    EnergyMemory,
-    call_observe,
+    EnergyGuard,
+    call_judge_energy,
 )
-from hapsim.loop.io_buffer import IO_BUFFER
 from hapsim.running import Excitation, PeriodicExcitation, run, start
 from hapsim.running.guarding import MOST_HELD_M, held_energy
 from hapsim.scene import Scene, parse_scene
 
 sys.path.append(str(Path(__file__).resolve().parents[2] / "tools" / "bench"))
 
-from divergence import Drawn, Stalling, judged, knocks, passive_scenes, unstable_scenes
+from energy_guard import Drawn, Stalling, judged, knocks, passive_scenes, unstable_scenes
 
 Served = Callable[[Scene], contextlib.AbstractContextManager[tuple[Scene, Any]]]
 
@@ -161,8 +161,8 @@ def test_it_is_the_default_before_a_port_but_in_virtual_time(served: Served, clo
     limits = []
 
     def note(session: Any) -> None:
-        energy = session._loop.record.energy
-        limits.append(float(energy.limit[SCENE]) if energy.observe else None)
+        energy = session._loop.record.energy_guard
+        limits.append(float(energy.limit[SCENE]) if energy.judge else None)
         session.stop()
 
     with (
@@ -227,7 +227,7 @@ def test_what_it_counts_is_the_energy_of_the_hand(hold: str, sampling: str) -> N
         sessions: list[Any] = []
         x = run(scene, duration=(samples + 1) * T).position[:, 0]
         run(scene, duration=samples * T, on_start=sessions.append)
-        counted.append(float(sessions[0]._loop.record.energy.given[SCENE]))
+        counted.append(float(sessions[0]._loop.record.energy_guard.given[SCENE]))
         kinetic.append(0.5 * 0.2 * ((x[samples] - x[samples - 2]) / (2.0 * T)) ** 2)
     assert np.diff(counted) == pytest.approx(np.diff(kinetic), rel=0.03)
 
@@ -247,7 +247,7 @@ def first_trip(energy, history, io, positions, stiffness, damping, limit, gap, l
         io.asked[0] = asked
         io.force_counts[0] = max(min(asked, limit), -limit)
         call_keep(history.keep, (history.address, io.address, gap, 0, late, 0, 0))
-        if call_observe(energy.observe, (energy.address, history.address, io.address, gap)) != 0:
+        if call_judge_energy(energy.judge, (energy.address, history.address, io.address, gap)) != 0:
             return n, most
         most = max(most, energy.given[0])
     return -1, most
@@ -268,12 +268,12 @@ def judge(
 ) -> tuple[int, float, int, int]:
     """(the sample at which it trips, the most energy that the scene's account has, why, by which account). Counts are
     of 1 m and 1 N."""
-    record, history, io = new_record(ENERGY), new_record(FORCE_HISTORY), new_record(IO_BUFFER)
+    record, history, io = new_record(ENERGY_GUARD), new_record(FORCE_HISTORY), new_record(IO_BUFFER)
     tank = new_record(TANK)
     io.channels, io.address = 1, io.__array_interface__["data"][0]
     io.position_scale[0] = io.force_scale[0] = 1.0
     io.force_limit[0] = limit
-    kept = EnergyMemory(
+    kept = EnergyGuard(
         record,
         rate_hz=1.0 / T,
         friction=np.array([friction]),
@@ -409,7 +409,7 @@ def test_what_a_change_makes_unstable_is_judged_so_too() -> None:
         for stiffness, over in ((1000.0, 0.0), (10_000.0, 0.0), (1000.0, 3600.0), (1000.0, 0.0)):
             session.set({"touch": {"stiffness": stiffness + 1.0 - over / 3600.0}}, over=over)
             session.wait(0.05)
-            assert session._loop.energy is not None
-            judged_as.append(session._loop.energy.is_unstable)
+            assert session._loop.energy_guard is not None
+            judged_as.append(session._loop.energy_guard.is_unstable)
         session.stop()
     assert judged_as == [False, True, True, False]

@@ -1,0 +1,106 @@
+"""Who keeps the time of a loop: the device, whose positions are awaited, or the host, by a grid of its own.
+
+By the host's clock each tick sends the force and with it asks for the next position.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hapsim.compiling import entry, inlined
+from hapsim.loop.endings import RUNNING, STOPPED, ending_before_exchange
+from hapsim.loop.histogram import HISTOGRAM, note
+from hapsim.loop.system import SCRATCH, now_ns, sleep_until
+
+SLICE_NS = 100_000_000
+"""The longest wait without a look at whether the loop is to stop."""
+
+
+@inlined
+def next_point(due, now, period):
+    """(the point of the grid after `due`, 1 where this one was missed else 0); ns, `now` the time at which it was kept.
+
+    The grid is absolute, so that lateness does not add up. A point that was kept a whole period late or more is missed,
+    and the grid starts anew from there: catching up would be a burst.
+    """
+    following = due + period
+    if now < following:
+        return following, 0
+    return now + period, 1
+
+
+@inlined
+def plan_by_device(loop):
+    """Plans the next wait where the device is the clock, in real or virtual time: RUNNING, or why the loop ends."""
+    loop.wait.begun_ns = loop.state.sent_ns
+    loop.wait.for_ns = loop.control.silence_ns
+    loop.wait.answers = 1
+    return ending_before_exchange(loop)
+
+
+@inlined
+def plan_by_host(loop):
+    """Plans the next wait where the host is the clock: RUNNING, or why the loop ends.
+
+    A tick has two waits. When it is due, the loop looks whether a position came after the tick before was over, and
+    answers it: answered in its turn, every later force would be a sample older than need be. Then the loop waits for
+    the position that this asked for, until the next tick is due. The first position comes without being asked for.
+    """
+    wait, state, control = loop.wait, loop.state, loop.control
+    if state.ticks == 0:
+        wait.begun_ns, wait.for_ns, wait.answers = state.sent_ns, control.silence_ns, 0
+        return RUNNING
+    if wait.answers:
+        wait.begun_ns, wait.for_ns, wait.answers = state.sent_ns, wait.due_ns - state.sent_ns, 0
+        return RUNNING
+    ending = ending_before_exchange(loop)
+    if ending != RUNNING:
+        return ending
+    woken = now_ns(loop.io.scratch)
+    if wait.due_ns == 0:
+        wait.due_ns = woken + control.period_ns
+    while woken < wait.due_ns and not control.stop:
+        slice_ends = woken + SLICE_NS
+        sleep_until(wait.due_ns if wait.due_ns < slice_ends else slice_ends, loop.io.scratch)
+        woken = now_ns(loop.io.scratch)
+    if control.stop:
+        return STOPPED  # it woke up for that, not for an exchange
+    note(loop.histograms.lateness, woken - wait.due_ns)
+    wait.begun_ns, wait.for_ns, wait.answers = woken, 0, 1
+    wait.due_ns, missed = next_point(wait.due_ns, woken, control.period_ns)
+    state.deadline_misses += missed
+    return RUNNING
+
+
+@inlined
+def may_ask_again(loop):
+    """Whether the host asks again for a position that did not come: unless the device has been quiet for too long."""
+    return loop.state.ticks > 0 and loop.state.sent_ns - loop.state.newest_ns < loop.control.silence_ns
+
+
+GRID = np.dtype(
+    [
+        ("stop", np.int64),  # set by another thread, looked at after each wake-up
+        ("due_ns", np.int64),  # the next point of the grid
+        ("end_ns", np.int64),  # the last one
+        ("period_ns", np.int64),
+        ("wakeups", np.int64),
+        ("restarts", np.int64),  # how often the grid started anew, a whole period late
+        ("lateness", HISTOGRAM),  # ns
+        SCRATCH,
+    ],
+    align=True,
+)
+"""A grid without a loop: how late does the machine wake up?"""
+
+
+@entry
+def sleep_on_grid(grid):
+    """Sleeps to every point of a GRID and counts the wake-up latencies, in ns."""
+    while grid.due_ns <= grid.end_ns and not grid.stop:
+        sleep_until(grid.due_ns, grid.scratch)
+        now = now_ns(grid.scratch)
+        note(grid.lateness, now - grid.due_ns)
+        grid.wakeups += 1
+        grid.due_ns, missed = next_point(grid.due_ns, now, grid.period_ns)
+        grid.restarts += missed
