@@ -12,9 +12,7 @@ from hapsim.scene import Buffer, Damper, Friction, Nonlinear, Plectrum, Scene, S
 from hapsim.scene.modules import Link, MaterialPoint
 from hapsim.theory import Configuration, Network
 from hapsim.theory.interface import damper_named
-from hapsim.theory.links.friction import friction
-from hapsim.theory.links.linear import Linear, buffer, damper, plectrum, spring, viscoelastic
-from hapsim.theory.links.nonlinear import nonlinear
+from hapsim.theory.links import Linear, buffer, damper, friction, nonlinear, plectrum, spring, viscoelastic
 from hapsim.theory.schemes import SCHEMES, LinkNature
 
 

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 Bools = NDArray[np.bool_]
+Indices = NDArray[np.intp]
 
 
 def sort_by_modulus(values: Complexes) -> Complexes:

@@ -19,7 +19,7 @@ from hapsim.cordis.schemes import SCHEMES
 from hapsim.prediction import linear, predict
 from hapsim.scene import Mass, Scene
 from hapsim.scene.modules import MODULE_TYPES
-from hapsim.theory.links.linear import Linear
+from hapsim.theory.links import Linear
 
 RATE = 1000.0
 K, B = 900.0, 0.7

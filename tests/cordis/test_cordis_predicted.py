@@ -20,8 +20,7 @@ from hapsim.scene.choices import WITH_CUTOFF, WITH_SENSOR
 from hapsim.theory import Network, solve
 from hapsim.theory.interface import damper_named
 from hapsim.theory.network.layout import Layout, layout_of
-from hapsim.theory.network.links import inner_links, remembers_nothing
-from hapsim.theory.network.network import BACKWARD
+from hapsim.theory.network.network import BACKWARD, inner_links, remembers_nothing
 from hapsim.theory.network.state import channel_steps, transition
 from hapsim.theory.schemes import SCHEMES as THEORY
 

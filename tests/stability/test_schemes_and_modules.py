@@ -20,8 +20,7 @@ from hapsim.cordis.offline import start
 from hapsim.cordis.program import compile_scene
 from hapsim.cordis.tick import tick
 from hapsim.scene import Scene, parse_scene
-from hapsim.theory.schemes import SCHEMES
-from hapsim.theory.schemes.scheme import at_every_instant
+from hapsim.theory.schemes import SCHEMES, at_every_instant
 
 RATE = 1000.0
 T = 1.0 / RATE

@@ -8,8 +8,7 @@ import pytest
 from hapsim.prediction import predict
 from hapsim.prediction.linear import linear_scene
 from hapsim.scene import parse_scene
-from hapsim.theory.links.friction import describing_function
-from hapsim.theory.links.nonlinear import nonlinear, sector, slope_at
+from hapsim.theory.links import describing_function, nonlinear, sector, slope_at
 
 CURVE = ((-0.03, 3.0), (-0.01, -2.0), (0.0, 0.0), (0.01, 5.0), (0.02, 4.0))
 

@@ -11,12 +11,13 @@ import pytest
 from hapsim.theory import Network, NotWorkedOutError, margins_of, solve
 from hapsim.theory.interface import damper_named
 from hapsim.theory.network import is_large, transition
-from hapsim.theory.network.operators import operator_of
-from hapsim.theory.schemes import SCHEMES, SchemeModel
-from hapsim.theory.schemes.scheme import (
+from hapsim.theory.network.transitions import operator_of
+from hapsim.theory.schemes import (
+    SCHEMES,
     Advance,
     Implicit,
     Polynomial,
+    SchemeModel,
     always_stable,
     at_every_instant,
     in_a_matrix,

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from hapsim.theory.hand.factors import quadratic_factors, roots_of_factors
-from hapsim.theory.hand.pair import PolePair, oscillator_of_quadratic
+from hapsim.theory.hand.pole_pair import PolePair, oscillator_of_quadratic
 from hapsim.theory.hand.poles import all_within
-from hapsim.theory.hand.response import response_to_a_blow
+from hapsim.theory.hand.sampled_plant import response_to_a_blow
 
 
 @pytest.mark.parametrize("damping", [0.0, 1e-15, 1e-6, 0.3, 2.0, 40.0, 500.0])

@@ -11,7 +11,7 @@ import pytest
 
 from hapsim.theory import Network
 from hapsim.theory.network import is_large, solve
-from hapsim.theory.network.rigid import poles_at_rest
+from hapsim.theory.network.rest_poles import poles_at_rest
 
 RATE, M, BENDING = 1000.0, 0.001, 50.0
 Link = tuple[int, int, float, float]

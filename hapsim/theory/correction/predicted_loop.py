@@ -15,7 +15,7 @@ from hapsim.theory.arrays import Complexes, Floats, sort_by_modulus
 from hapsim.theory.correction.state_predictor import STATES, StatePredictor
 from hapsim.theory.hand import Configuration
 from hapsim.theory.hand.impedance import late_and_held
-from hapsim.theory.hand.pair import oscillator_of_quadratic
+from hapsim.theory.hand.pole_pair import oscillator_of_quadratic
 from hapsim.theory.hand.poles import pair_of_poles
 from hapsim.theory.network.device_step import device_step
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from hapsim.theory.arrays import Floats
 from hapsim.theory.hand import Configuration
-from hapsim.theory.hand.plant import sampled_plant
+from hapsim.theory.hand.sampled_plant import sampled_plant
 from hapsim.theory.interface import HOLDS, HoldSegment, damper_named, whole_and_fraction
 from hapsim.theory.network.device_step import DeviceStep, device_step, through
 

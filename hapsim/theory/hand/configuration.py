@@ -11,16 +11,15 @@ from numpy.typing import ArrayLike, NDArray
 from hapsim.theory import checks
 from hapsim.theory.arrays import Bools, Complexes, Floats
 from hapsim.theory.hand.blocks import quietly_in_blocks
-from hapsim.theory.hand.fold import double_pole
 from hapsim.theory.hand.impedance import damper_gain, late_and_held
-from hapsim.theory.hand.inverse_map import element_of_oscillator, is_attainable, leads
+from hapsim.theory.hand.inverse_map import double_pole, element_of_oscillator, is_attainable, leads
 from hapsim.theory.hand.limits import Undamped, stable_interval, undamped_curve
 from hapsim.theory.hand.loop_equation import LoopEquation, characteristic, loop_equation
-from hapsim.theory.hand.pair import PolePair, oscillator_of_quadratic
 from hapsim.theory.hand.passivity import Wall, needed_friction
-from hapsim.theory.hand.plant import sampled_plant
+from hapsim.theory.hand.pole_pair import PolePair, oscillator_of_quadratic
 from hapsim.theory.hand.poles import MOST_BY_FACTORS, Leading, all_poles, all_within, leading
 from hapsim.theory.hand.reasons import OWN_ABOVE_NYQUIST, why_not_attained, why_not_dominant
+from hapsim.theory.hand.sampled_plant import sampled_plant
 from hapsim.theory.interface import HOLDS, SAMPLINGS, damper_named
 
 _quietly = np.errstate(all="ignore")  # what is out of range becomes NaN

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hapsim.theory.arrays import Bools, Floats
-from hapsim.theory.hand.pair import roots_of_quadratic
+from hapsim.theory.hand.pole_pair import roots_of_quadratic
 from hapsim.theory.hand.quartic import guess_of_slow_factor
 
 MOST_STEPS = 14

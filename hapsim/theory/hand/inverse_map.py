@@ -9,8 +9,10 @@ import numpy as np
 
 from hapsim.theory.arrays import Bools, Floats
 from hapsim.theory.hand.loop_equation import LoopEquation, characteristic, element_on_pair
-from hapsim.theory.hand.pair import LinearOnPair, PolePair, change_of_quadratic, pair_of_oscillator
-from hapsim.theory.hand.poles import all_within, without_pair
+from hapsim.theory.hand.pole_pair import LinearOnPair, PolePair, change_of_quadratic, pair_of_oscillator
+from hapsim.theory.hand.poles import all_within, roots, without_pair
+
+FASTEST = 10.0  # decay in a sample period, above which the double pole is lost in the rounding of the others
 
 
 def element_of_oscillator(
@@ -78,3 +80,26 @@ def leads(equation: LoopEquation, stiffness: Floats, damping: Floats, pair: Pole
     """Whether every further pole of the loop decays faster than both of the pair."""
     others = without_pair(characteristic(equation, stiffness, damping), pair)
     return all_within(others, pair.smaller_modulus)
+
+
+def double_pole(equation: LoopEquation, decay: Floats) -> tuple[Floats, Floats, Floats]:
+    """(K T²/m, B T/m, decay of the slower pole) where the pole exp(-decay) is double and one further pole is slower.
+
+    There the map (K, B) -> (k, b) folds: two poles meet, and its Jacobian vanishes. Strongly damped hands reach it: the
+    next pole of the loop passes the faster of their two real poles, and beyond it no spring and damper is equivalent. A
+    double real pole belongs to a critically damped oscillator, so the curve is the paper's Figure 4 for that one.
+
+    NaN where none is, or more than one, or where it is not positive: then the dominant pair is not the one that folds.
+    """
+    plant = equation.plant
+    oscillator = (2.0 * decay, decay**2)
+    more = (2.0 * decay - plant.damping, decay**2 - plant.stiffness)
+    kappa, beta, w = element_of_oscillator(equation, oscillator, more)
+    if equation.degree < 3:
+        return (np.full_like(decay, np.nan),) * 3
+    others = roots(np.stack(without_pair(characteristic(equation, kappa, beta), w), axis=-1))
+    slowest, modulus = others[..., 0], np.exp(-decay)
+    next_one = np.abs(others[..., 1]) if others.shape[-1] > 1 else np.zeros_like(decay)
+    leads = (decay < FASTEST) & (slowest.imag == 0.0) & (slowest.real > modulus) & (next_one < modulus)
+    slow_decay = -np.log(np.where(leads, slowest.real, np.nan))
+    return np.where(leads, kappa, np.nan), np.where(leads, beta, np.nan), slow_decay

@@ -1,6 +1,6 @@
 """The characteristic equation of the closed loop: linear in stiffness and damping (Florens et al., §6).
 
-In kappa = K T²/m, beta = B T/m and w = z - 1, with the plant of ``plant.py`` and a damper's velocity v/y,
+In kappa = K T²/m, beta = B T/m and w = z - 1, with the plant of ``sampled_plant.py`` and a damper's velocity v/y,
 
     (kappa + beta v/y) numerator(z) + z^lead (w² + p w + q) = 0,
 
@@ -18,15 +18,15 @@ from typing import NamedTuple
 import numpy as np
 
 from hapsim.theory.arrays import Floats
-from hapsim.theory.hand.pair import LinearOnPair, total
-from hapsim.theory.hand.plant import Plant
+from hapsim.theory.hand.pole_pair import LinearOnPair, total
+from hapsim.theory.hand.sampled_plant import SampledPlant
 from hapsim.theory.interface import DamperModel
 
 
 class LoopEquation(NamedTuple):
     """A plant behind a damper's readings. ``lift`` is the power of z by which fractions were cleared."""
 
-    plant: Plant
+    plant: SampledPlant
     damper: DamperModel
     lift: int
 
@@ -36,7 +36,7 @@ class LoopEquation(NamedTuple):
         return self.plant.lead + self.damper.delays + self.lift + len(self.damper.denominator) + 1
 
 
-def loop_equation(plant: Plant, damper: DamperModel) -> LoopEquation:
+def loop_equation(plant: SampledPlant, damper: DamperModel) -> LoopEquation:
     """The equation of this plant and damper."""
     return LoopEquation(plant, damper, max(0, -plant.lead - damper.delays))
 
@@ -127,7 +127,7 @@ def equation_on_pair(equation: LoopEquation, kappa: Floats, beta: Floats, w: Lin
     return total(terms)
 
 
-def _excess(plant: Plant, swung: float, velocity_at_rest: float) -> float:
+def _excess(plant: SampledPlant, swung: float, velocity_at_rest: float) -> float:
     """p rest(1) - b0 T/m velocity(1), which is nothing where a slow mass knows nothing of the sampling.
 
     A spring does, and a sensor that reads between two blows.

@@ -16,7 +16,7 @@ import numpy as np
 from hapsim.theory.arrays import Bools, Complexes, Floats, sort_by_modulus
 from hapsim.theory.hand.factors import Roots, divided, in_z, quadratic_factors, roots_of_factors, slow_factor
 from hapsim.theory.hand.loop_equation import LoopEquation, characteristic, characteristic_in_w, equation_on_pair
-from hapsim.theory.hand.pair import PolePair
+from hapsim.theory.hand.pole_pair import PolePair
 
 POLISH_STEPS = 8
 POLISH_DONE = 1e-11  # relative size of a step

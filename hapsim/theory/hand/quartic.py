@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from hapsim.theory.arrays import Floats
-from hapsim.theory.hand.pair import PolePair
+from hapsim.theory.hand.pole_pair import PolePair
 
 SLOW = 1e-3  # roots so close to w = 0 are those of the three lowest terms, to as good a guess as any
 

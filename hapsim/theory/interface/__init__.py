@@ -2,8 +2,7 @@
 
 from hapsim.theory.interface.dampers import DAMPERS, WITH_CUTOFF, DamperModel, damper_named
 from hapsim.theory.interface.holds import HOLDS, Hold, HoldSegment
-from hapsim.theory.interface.samplings import SAMPLINGS, Sampling
-from hapsim.theory.interface.terms import Term, product, whole_and_fraction
+from hapsim.theory.interface.samplings import SAMPLINGS, Sampling, Term, product, whole_and_fraction
 
 __all__ = [
     "DAMPERS",

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NamedTuple
 
-from hapsim.theory.interface.terms import Term
+from hapsim.theory.interface.samplings import Term
 
 
 class HoldSegment(NamedTuple):

@@ -1,18 +1,44 @@
-"""The samplings: how a motion becomes a number. A new one is an entry here, and its window in the mock."""
+"""The samplings: how a motion becomes a number; and the terms in which holds and samplings are written.
+
+A new sampling is an entry here, and its window in the mock.
+
+Each hold, sampling and damper is described twice, and different code reads the two descriptions on purpose: its
+transfer function the characteristic equation (``sampled_plant.py``, ``loop_equation.py``), its behaviour in time the
+state space (``device_step.py``, ``state.py``). That the two agree is a test of both.
+"""
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
-from hapsim.theory.interface.terms import Term
+
+class Term(NamedTuple):
+    """One term ``weight · exp(-lag s) / s^integrations`` of a transfer function, time in sample periods."""
+
+    weight: float
+    lag: float
+    integrations: int
+
+
+def product(one: tuple[Term, ...], other: tuple[Term, ...]) -> tuple[Term, ...]:
+    """The terms of two transfer functions in series."""
+    return tuple(Term(a.weight * b.weight, a.lag + b.lag, a.integrations + b.integrations) for a in one for b in other)
+
+
+def whole_and_fraction(delay: float) -> tuple[int, float]:
+    """A delay in sample periods as whole samples and the fraction of one, 0 <= fraction < 1."""
+    whole = math.floor(delay)
+    return whole, delay - whole
 
 
 class Sampling(NamedTuple):
-    """How a motion becomes a number: its terms, and how long the window is over which it is the mean.
+    """How a motion becomes a number.
 
     Attributes:
-        terms: of the transfer function from the position to what is read.
-        window: sample periods, 0 to 1, that end with the sample; 0 where the position is read at the sample.
+        terms: of the transfer function from the position to the reading.
+        window: sample periods, 0 to 1, that end with the sample, over which the reading is the mean; 0 where the
+            position is read at the sample.
     """
 
     terms: tuple[Term, ...]

@@ -4,8 +4,7 @@ from hapsim.theory.network.continuous import ContinuousMode, continuous_modes
 from hapsim.theory.network.margin import Margin, Margins, margins_of
 from hapsim.theory.network.margin_ranges import Stabilizing
 from hapsim.theory.network.modes import Mode, Solution, poles_of
-from hapsim.theory.network.network import Network
-from hapsim.theory.network.reasons import NotWorkedOutError
+from hapsim.theory.network.network import Network, NotWorkedOutError
 from hapsim.theory.network.solve import solve
 from hapsim.theory.network.state import LARGE, is_large, state_size, transition
 

@@ -1,7 +1,7 @@
 """One device channel over one sample period, exactly: the real mass, moved by the hold from sample to sample.
 
 Lengths in metres, times in sample periods, forces as T²/m f. By the matrix exponential, so that nothing is
-shared with the transforms of ``plant.py``, against which it is a check.
+shared with the transforms of ``sampled_plant.py``, against which it is a check.
 """
 
 from __future__ import annotations

@@ -14,13 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapsim.theory.arrays import Floats
-from hapsim.theory.network.linear_algebra import Solve, factorised
-from hapsim.theory.network.links import inner_links
-from hapsim.theory.network.moved import Moved
-from hapsim.theory.network.network import Network
-from hapsim.theory.network.parts import part_of_each
-from hapsim.theory.network.reasons import NotWorkedOutError
-from hapsim.theory.network.triplets import Indices, Parts, Triplets, dense, sparse
+from hapsim.theory.network.mass_rates import MassRates
+from hapsim.theory.network.network import Network, NotWorkedOutError, inner_links, part_of_each
+from hapsim.theory.network.sparse import Indices, Solve, TripletBuilder, Triplets, dense, factorised, sparse
 from hapsim.theory.schemes import SCHEMES
 
 MOST_MASSES = 2500  # that hang together: their modes take some seconds
@@ -66,26 +62,26 @@ class Modal:
         return all(np.isfinite(part).all() for part in (self._alone.data, self._columns, self._rows))
 
 
-def modal_operator(network: Network, entries: Triplets, moved: Moved, size: int) -> Modal:
+def modal_operator(network: Network, entries: Triplets, system: MassRates, size: int) -> Modal:
     """The transition; ``entries`` of the channels and of what dampers remember, out of the state as it otherwise is."""
     shape, stiffness, damping = _modes(network)
-    masses, channels = moved.masses, network.channel_mass.size
-    held_size = moved.size - 2 * masses
-    held = moved.start.some(moved.start.row >= 2 * masses)
+    masses, channels = system.masses, network.channel_mass.size
+    held_size = system.size - 2 * masses
+    held = system.start.some(system.start.row >= 2 * masses)
     held = held._replace(row=held.row - 2 * masses)
-    into = moved.rates.some(moved.rates.column >= 2 * masses)
+    into = system.rates.some(system.rates.column >= 2 * masses)
     pulled = np.empty(held_size, np.intp)
     pulled[into.column - 2 * masses] = into.row - masses
     # What is read of the masses: each a row of W, x and x - w as they stand in the state.
     of_masses = np.zeros(size, bool)
-    of_masses[moved.now] = of_masses[moved.before] = True
+    of_masses[system.now] = of_masses[system.before] = True
     read = np.unique(np.concatenate([t.column[of_masses[t.column]] for t in (entries, held)]))
     if (read.size + held_size) * size > MOST_NUMBERS:
         raise NotWorkedOutError(f"{read.size + held_size} numbers join its {masses} masses with what is outside")
     number = np.full(size, -1)
     number[read] = np.arange(read.size)
     readings = np.zeros((read.size, size))
-    for slots in (moved.now, moved.before):
+    for slots in (system.now, system.before):
         here = number[slots] >= 0
         readings[np.ix_(number[slots[here]], slots)] = shape[here]
     pulls = dense(held.some(~of_masses[held.column]), (held_size, size))
@@ -93,21 +89,21 @@ def modal_operator(network: Network, entries: Triplets, moved: Moved, size: int)
     pulls += dense(read_pulls._replace(column=number[read_pulls.column]), (held_size, read.size)) @ readings
 
     flow = _flows(network.scheme, stiffness, damping)
-    alone = Parts()
+    alone = TripletBuilder()
     own = entries.some(~of_masses[entries.column])
     alone.add(*own)
-    _add_modes(alone, flow, moved.now, moved.before)
+    _add_modes(alone, flow, system.now, system.before)
     columns = np.zeros((size, read.size + held_size))
     from_read = entries.some(of_masses[entries.column])
     columns[:, : read.size] = dense(from_read._replace(column=number[from_read.column]), (size, read.size))
     pushed = shape[pulled].T * network.point_mass[pulled]  # g of T²/m F: S' F
-    columns[moved.now, read.size :] = flow[:, 0, 2, None] * pushed
-    columns[moved.before, read.size :] = (flow[:, 0, 2] - flow[:, 1, 2])[:, None] * pushed
+    columns[system.now, read.size :] = flow[:, 0, 2, None] * pushed
+    columns[system.before, read.size :] = (flow[:, 0, 2] - flow[:, 1, 2])[:, None] * pushed
     now = slice(channels, channels + masses)
     return Modal(sparse(alone.joined(), (size, size)), columns, np.concatenate([readings, pulls]), shape, now)
 
 
-def _add_modes(alone: Parts, flow: Floats, now: Indices, before: Indices) -> None:
+def _add_modes(alone: TripletBuilder, flow: Floats, now: Indices, before: Indices) -> None:
     """q' and q' - p' out of q and q - p."""
     for row, gain in ((now, flow[:, 0]), (before, flow[:, 0] - flow[:, 1])):
         alone.add(row, now, gain[:, 0] + gain[:, 1])
@@ -173,7 +169,7 @@ def _is_diagonal(matrix: Floats, size: float) -> bool:
 
 def _matrix(ends: Indices, of_links: Floats, points: int) -> Floats:
     """(points, points): the sum of k e e' over links, e their two ends; a ground is the last."""
-    parts = Parts()
+    parts = TripletBuilder()
     for row in (0, 1):
         for column in (0, 1):
             parts.add(ends[:, row], ends[:, column], of_links if row == column else -of_links)

@@ -28,12 +28,11 @@ from hapsim.theory.arrays import Complexes, Floats
 from hapsim.theory.hand.impedance import late_and_held
 from hapsim.theory.interface import DamperModel
 from hapsim.theory.network.layout import layout_of
-from hapsim.theory.network.linear_algebra import factorised
-from hapsim.theory.network.links import acting_links, is_centred
 from hapsim.theory.network.margin_response import PAIRS, channel_answer, damper_answer
-from hapsim.theory.network.network import Network
-from hapsim.theory.network.operators import operator_of
+from hapsim.theory.network.network import Network, acting_links, is_centred
+from hapsim.theory.network.sparse import factorised
 from hapsim.theory.network.state import channel_steps, is_large, transition
+from hapsim.theory.network.transitions import operator_of
 
 
 class LoopImpedance(NamedTuple):

@@ -8,9 +8,8 @@ import numpy as np
 
 from hapsim.theory.interface import SAMPLINGS, DamperModel
 from hapsim.theory.network.device_step import DeviceStep
-from hapsim.theory.network.links import acting_links
-from hapsim.theory.network.network import Network
-from hapsim.theory.network.triplets import Indices
+from hapsim.theory.network.network import Network, acting_links
+from hapsim.theory.network.sparse import Indices
 
 
 class Layout(NamedTuple):

@@ -16,15 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapsim.theory.arrays import Bools, Complexes, Floats
-from hapsim.theory.network.linear_algebra import one_thread
-from hapsim.theory.network.links import is_centred
 from hapsim.theory.network.margin_angles import AFFORDABLE, angles_about, angles_for_links
 from hapsim.theory.network.margin_modal import ModalResponse, NotModalError
 from hapsim.theory.network.margin_poles import LIMIT, Range, Varied, by_poles, largest_below
 from hapsim.theory.network.margin_ranges import Stabilizing, by_poles_agree, stable_ranges
 from hapsim.theory.network.margin_response import Response, TooLargeError
-from hapsim.theory.network.network import Network
+from hapsim.theory.network.network import Network, is_centred
 from hapsim.theory.network.solve import solve
+from hapsim.theory.network.sparse import one_thread
 from hapsim.theory.network.state import is_large, state_size
 
 AnyResponse = Response | ModalResponse

@@ -15,17 +15,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hapsim.theory.arrays import Complexes, Floats
+from hapsim.theory.arrays import Complexes, Floats, Indices
 from hapsim.theory.interface import DAMPERS, DamperModel
-from hapsim.theory.network.links import acting_links
 from hapsim.theory.network.margin_response import AT_ONCE, PAIRS, Answer, at_places, channel_answer, damper_answer
-from hapsim.theory.network.network import Network
-from hapsim.theory.network.parts import part_of_each
+from hapsim.theory.network.network import Network, acting_links, part_of_each
 from hapsim.theory.network.state import channel_steps
-
-Indices = NDArray[np.intp]
 
 MOST_MASSES = 2000  # of a part: its modes take a few seconds
 MOST_ANGLES = 50_000  # for the hands' links

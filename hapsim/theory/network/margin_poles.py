@@ -11,9 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 from hapsim.theory.arrays import Floats
-from hapsim.theory.network.links import acting_links, touches_channel
 from hapsim.theory.network.modes import settled
-from hapsim.theory.network.network import Network
+from hapsim.theory.network.network import Network, acting_links, touches_channel
 from hapsim.theory.network.state import state_size, transition
 
 BESIDE = 1e-3  # the poles are looked at this far below and above a factor

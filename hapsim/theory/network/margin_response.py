@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from hapsim.theory.arrays import Complexes, Floats
 from hapsim.theory.interface import DamperModel
 from hapsim.theory.network.device_step import DeviceStep
-from hapsim.theory.network.links import acting_links
-from hapsim.theory.network.network import Network
+from hapsim.theory.network.network import Network, acting_links
 from hapsim.theory.network.sparse_elimination import Pattern, eliminate, invert
 from hapsim.theory.network.state import channel_steps
 

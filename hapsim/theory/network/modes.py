@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from hapsim.theory.arrays import Complexes, Floats, sort_by_modulus
 from hapsim.theory.network.network import Network
-from hapsim.theory.network.rigid import poles_at_rest
+from hapsim.theory.network.rest_poles import poles_at_rest
 from hapsim.theory.network.state import transition
 
 NO_MOTION = 1e-12  # a pole of smaller modulus is a memory that empties, not a motion

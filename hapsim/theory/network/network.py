@@ -4,17 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hapsim.theory import checks
-from hapsim.theory.arrays import Floats
+from hapsim.theory.arrays import Bools, Floats, Indices
 from hapsim.theory.interface import DAMPERS, HOLDS, SAMPLINGS, DamperModel
-from hapsim.theory.schemes import SCHEMES
+from hapsim.theory.schemes import SCHEMES, LinkNature
 
 BACKWARD = DAMPERS["backward"](0.0)
+
+
+class NotWorkedOutError(Exception):
+    """The poles of this scene are not worked out for its scheme; the words say why, and follow a colon."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,8 +27,8 @@ class Network:
     """Device channels, masses and links that run together at one rate.
 
     Points are numbered: 0 to C - 1 the device channels, C to C + M - 1 the simulated masses, -1 a ground. A
-    simulated mass moves by the scheme; by CORDIS's it is m/T² (x[n+1] - 2 x[n] + x[n-1]) = F[n], and what the others
-    do stands in ``moved.py``. A link's force on its first end is -K (xa - xb)[n] - (B/T) (va - vb)[n], the opposite on
+    simulated mass moves by the scheme; by CORDIS's it is m/T² (x[n+1] - 2 x[n] + x[n-1]) = F[n]; for the others
+    see ``mass_rates.py``. A link's force on its first end is -K (xa - xb)[n] - (B/T) (va - vb)[n], the opposite on
     its second; its damper makes v, in metres per sample period, of x (``DamperModel``). A channel's x[n] is its
     measured sample; the sum of its links' forces acts on its real mass from (n + delay) T on, by the hold. The mass
     itself moves in continuous time, exactly: m x'' + b0 x' + k0 x = F (Florens et al., §6 and Figure 5).
@@ -48,7 +53,7 @@ class Network:
         margin_links: of how many links, the first, margins are worked out; left out: of all.
         scheme: what moves the masses, one of ``theory.schemes``.
         outside: (L,) which links have under a scheme that works links into its matrix no part in that, whatever they
-            join (``moved.py``); left out: none.
+            join (``mass_rates.py``); left out: none.
 
     Raises:
         ValueError: an argument is out of its range or its shape does not fit; the sentence says which.
@@ -96,3 +101,61 @@ class Network:
                 raise ValueError(f"{name} has {len(checked[name])} elements, but there are {len(ends)} links.")
         for name, value in checked.items():
             object.__setattr__(self, name, value)
+
+
+def is_centred(network: Network) -> bool:
+    """Whether the masses move by CORDIS's scheme, or there is none."""
+    return SCHEMES[network.scheme].advance is None or network.point_mass.size == 0
+
+
+def acting_links(network: Network) -> Indices:
+    """The links that join two different points, or a point and a ground."""
+    return np.flatnonzero(network.ends[:, 0] != network.ends[:, 1])
+
+
+def inner_links(network: Network) -> Indices:
+    """The links that act and that the scheme asks between two samples; of CORDIS's scheme none."""
+    advance = SCHEMES[network.scheme].advance
+    if advance is None or is_centred(network):
+        return np.zeros(0, np.intp)
+    links = np.setdiff1d(acting_links(network), np.flatnonzero(network.outside))
+    at_channel = touches_channel(network, links)
+    asked = zip(links.tolist(), at_channel.tolist(), strict=True)
+    natures = (_nature(network.damper[link], at) for link, at in asked)
+    return links[np.fromiter(map(advance.inside, natures), bool, links.size)]
+
+
+def outside_links(network: Network) -> Indices:
+    """The links that act, and whose force is that of the sample."""
+    return np.setdiff1d(acting_links(network), inner_links(network))
+
+
+def touches_channel(network: Network, links: Indices) -> Bools:
+    """(n,) which of these links end at a channel."""
+    ends = network.ends[links]
+    return np.any((ends >= 0) & (ends < network.channel_mass.size), axis=1)
+
+
+@lru_cache(64)
+def _nature(damper: DamperModel, at_channel: bool) -> LinkNature:
+    return LinkNature(damper == BACKWARD, remembers_nothing(damper), at_channel)
+
+
+def remembers_nothing(damper: DamperModel) -> bool:
+    """Whether its velocity is one of the newest two positions, or sensed."""
+    return len(damper.of_positions) <= 2 and not damper.of_velocities
+
+
+def part_of_each(ends: Indices, points: int) -> Indices:
+    """(points,): the same number for the points that links, (L, 2) ends, join, a ground (-1) joining none."""
+    parent = list(range(points))
+
+    def part(point: int) -> int:
+        while parent[point] != point:
+            parent[point] = parent[parent[point]]
+            point = parent[point]
+        return point
+
+    for a, b in ends[(ends >= 0).all(axis=1)].tolist():
+        parent[part(a)] = part(b)
+    return np.array([part(point) for point in range(points)], dtype=np.intp)

@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 from hapsim.theory.arrays import Bools, Complexes, Floats
 from hapsim.theory.interface import DamperModel
 from hapsim.theory.network.layout import damping_links
-from hapsim.theory.network.links import acting_links, is_centred
 from hapsim.theory.network.margin_response import channel_answer, damper_answer
-from hapsim.theory.network.network import Network
+from hapsim.theory.network.network import Network, acting_links, is_centred
 from hapsim.theory.network.state import channel_steps
 
 STEPS = 5

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from hapsim.theory.network.large_modes import some_modes
 from hapsim.theory.network.modes import Solution, all_modes
 from hapsim.theory.network.network import Network
-from hapsim.theory.network.sparse_modes import some_modes
 from hapsim.theory.network.state import is_large
 
 

@@ -15,9 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hapsim.theory.arrays import Complexes
-
-Indices = NDArray[np.intp]
+from hapsim.theory.arrays import Complexes, Indices
 
 TOGETHER = 2  # neighbours: points of so many or fewer are eliminated in one round, every other one of a string
 

@@ -16,10 +16,9 @@ import numpy as np
 from hapsim.theory.arrays import Floats
 from hapsim.theory.network.device_step import DeviceStep, device_step
 from hapsim.theory.network.layout import Layout, Memory, layout_of
-from hapsim.theory.network.links import acting_links, is_centred, outside_links
-from hapsim.theory.network.moved import Moved, advanced, moved_masses
-from hapsim.theory.network.network import Network
-from hapsim.theory.network.triplets import Indices, Parts, Triplets, dense, sparse
+from hapsim.theory.network.mass_rates import MassRates, advanced, mass_rates
+from hapsim.theory.network.network import Network, acting_links, is_centred, outside_links
+from hapsim.theory.network.sparse import Indices, TripletBuilder, Triplets, dense, sparse
 
 
 def channel_steps(network: Network) -> list[DeviceStep]:
@@ -54,26 +53,26 @@ def transition(network: Network) -> Any:
 
     An array; of a large scene by CORDIS's scheme a sparse one, of scipy, by compressed columns.
     """
-    entries, moved, size = transition_parts(network)
-    if size > LARGE and moved is None:
+    entries, system, size = transition_parts(network)
+    if size > LARGE and system is None:
         return sparse(entries, (size, size))
     matrix = dense(entries, (size, size))
-    if moved is not None:
-        matrix[moved.now], matrix[moved.before] = advanced(network, moved, size)
+    if system is not None:
+        matrix[system.now], matrix[system.before] = advanced(network, system, size)
     return matrix
 
 
 @_quietly
-def transition_parts(network: Network) -> tuple[Triplets, Moved | None, int]:
+def transition_parts(network: Network) -> tuple[Triplets, MassRates | None, int]:
     """Its entries, what another scheme than CORDIS's makes of the masses, whose rows are then empty, and its size."""
     steps = channel_steps(network)
     layout = layout_of(network, steps)
     channels, points = network.channel_mass.size, layout.now.stop
-    parts = Parts()
+    parts = TripletBuilder()
     pull = _pulls(network, layout, parts)
     force = _on_points(network, layout, pull)
     centred = is_centred(network)
-    moved = None if centred else moved_masses(network, layout, _held(network, layout, pull))
+    system = None if centred else mass_rates(network, layout, _held(network, layout, pull))
 
     free = force.row >= channels
     if centred:
@@ -92,10 +91,12 @@ def transition_parts(network: Network) -> tuple[Triplets, Moved | None, int]:
         parts.add(held[1:], held[:-1], 1.0)
     for channel, step in enumerate(steps):
         _move_channel(layout, channel, step, force, held[:, channel], parts)
-    return parts.joined(), moved, layout.size
+    return parts.joined(), system, layout.size
 
 
-def _move_channel(layout: Layout, channel: int, step: DeviceStep, force: Triplets, held: Indices, parts: Parts) -> None:
+def _move_channel(
+    layout: Layout, channel: int, step: DeviceStep, force: Triplets, held: Indices, parts: TripletBuilder
+) -> None:
     """The rows of one channel: its true position, its velocity, and what is read of them."""
     position, velocity = layout.position.start + channel, layout.velocity.start + channel
     rows = [(position, step.motion[0], step.forces[0]), (velocity, step.motion[1], step.forces[1])]
@@ -111,9 +112,9 @@ def _move_channel(layout: Layout, channel: int, step: DeviceStep, force: Triplet
         parts.add(row, held, forces[1:])
 
 
-def _pulls(network: Network, layout: Layout, parts: Parts) -> Triplets:
+def _pulls(network: Network, layout: Layout, parts: TripletBuilder) -> Triplets:
     """The forces on the links' (L) first ends, N per metre of state; into ``parts`` goes what the dampers remember."""
-    pull = Parts()
+    pull = TripletBuilder()
     acting = acting_links(network)
     _add_difference(pull, acting, network.ends[acting], 0, -network.stiffness[acting])
     for memory in layout.memories:
@@ -133,7 +134,7 @@ def _held(network: Network, layout: Layout, pull: Triplets) -> Triplets:
 def _on_points(network: Network, layout: Layout, pull: Triplets) -> Triplets:
     """The forces T²/m F on the points (C + M) from the state, of the links' pulls."""
     link, column, value = pull
-    force = Parts()
+    force = TripletBuilder()
     for end, sign in ((0, 1.0), (1, -1.0)):
         point = network.ends[link, end]
         met = point >= 0
@@ -143,11 +144,11 @@ def _on_points(network: Network, layout: Layout, pull: Triplets) -> Triplets:
     return summed._replace(value=summed.value / (mass[summed.row] * network.rate**2))
 
 
-def _velocities(network: Network, layout: Layout, memory: Memory, parts: Parts) -> Triplets:
+def _velocities(network: Network, layout: Layout, memory: Memory, parts: TripletBuilder) -> Triplets:
     """(links of the memory, N): the velocities v[n], m per sample period; into ``parts`` goes what is remembered."""
     damper, ends = memory.damper, network.ends[memory.links]
     number = np.arange(len(ends))
-    out = Parts()
+    out = TripletBuilder()
     filtered = ends
     if damper.senses:
         senses = (ends >= 0) & (ends < network.channel_mass.size)
@@ -173,7 +174,7 @@ def _velocities(network: Network, layout: Layout, memory: Memory, parts: Parts) 
     return velocity
 
 
-def _add_difference(parts: Parts, row: Indices, ends: Indices, start: int, value: Floats) -> None:
+def _add_difference(parts: TripletBuilder, row: Indices, ends: Indices, start: int, value: Floats) -> None:
     """``value`` times first end minus second end, of the positions whose part of the state begins at ``start``."""
     for end, sign in ((0, 1.0), (1, -1.0)):
         met = ends[:, end] >= 0

@@ -1,15 +1,18 @@
-"""A matrix as its entries: triplets (row, column, value)."""
+"""Sparse matrices: their entries as triplets (row, column, value), their inverse, and on how many threads."""
 
 from __future__ import annotations
 
+import warnings
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hapsim.theory.arrays import Bools, Floats
+from hapsim.theory.arrays import Bools, Floats, Indices
 
-Indices = NDArray[np.intp]
+Solve = Callable[[NDArray], NDArray]
 
 
 class Triplets(NamedTuple):
@@ -30,8 +33,8 @@ class Triplets(NamedTuple):
         return Triplets(self.row[which], self.column[which], self.value[which])
 
 
-class Parts:
-    """Triplets as they come."""
+class TripletBuilder:
+    """Collects entries, a block at a time."""
 
     def __init__(self) -> None:
         self._parts: list[tuple[Indices, Indices, Floats]] = []
@@ -59,3 +62,30 @@ def sparse(entries: Triplets, shape: tuple[int, int]) -> Any:
     import scipy.sparse
 
     return scipy.sparse.csc_matrix((entries.value, (entries.row, entries.column)), shape)
+
+
+def factorised(matrix: Any, **how: Any) -> Solve | None:
+    """x -> matrix^-1 x; None where there is no inverse. ``how``: as for scipy's ``splu``."""
+    from scipy.sparse import linalg
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            solve: Solve = linalg.splu(matrix.tocsc(), **how).solve
+        except RuntimeError:
+            return None
+    return solve
+
+
+def one_thread(where: bool = True) -> AbstractContextManager[Any]:
+    """One alone, while this is entered: further ones wait for each other, and longer where others run.
+
+    ``where``: False leaves them as they are, and spares the import of scipy.
+    """
+    if not where:
+        return nullcontext()
+    import scipy.linalg  # noqa: F401  # it brings a BLAS of its own, which is limited only once it is there
+    from threadpoolctl import threadpool_limits
+
+    limits: AbstractContextManager[Any] = threadpool_limits(1, user_api="blas")
+    return limits

@@ -21,14 +21,15 @@ from typing import NamedTuple
 import numpy as np
 
 from hapsim.theory.arrays import Floats
-from hapsim.theory.hand.pair import quadratic_of_oscillator
-from hapsim.theory.hand.response import AREA, POSITION, TRIPLE_AREA, VELOCITY, response_to_a_blow
+from hapsim.theory.hand.pole_pair import quadratic_of_oscillator
 from hapsim.theory.interface import HOLDS, SAMPLINGS, Term, product, whole_and_fraction
 
 NOTHING = 1e-13  # of the largest coefficient: the rounding of what is zero
+VELOCITY, POSITION, AREA, DOUBLE_AREA, TRIPLE_AREA = range(5)
+TAYLOR_TERMS = 20  # where friction and spring turn the motion by less than a half: beyond rounding
 
 
-class Plant(NamedTuple):
+class SampledPlant(NamedTuple):
     """``damping`` is b0 T/m, ``stiffness`` k0 T²/m; polynomials in powers of z, highest first."""
 
     damping: float
@@ -41,7 +42,7 @@ class Plant(NamedTuple):
     offset: float
 
 
-def sampled_plant(damping: float, stiffness: float, delay: float, hold: str, sampling: str) -> Plant:
+def sampled_plant(damping: float, stiffness: float, delay: float, hold: str, sampling: str) -> SampledPlant:
     """The plant of a normalised real friction b0 T/m and spring k0 T²/m, and a delay in sample periods."""
     whole, fraction = whole_and_fraction(delay)
     terms = product(HOLDS[hold].terms, SAMPLINGS[sampling].terms)
@@ -57,7 +58,7 @@ def sampled_plant(damping: float, stiffness: float, delay: float, hold: str, sam
     numerator = np.convolve(outputs[0], free)[:count]
     offset = _reading_at_rest(damping, stiffness, _ripple(terms, fraction))
     velocity = _over_w(np.convolve(outputs[1], free)[: count + 1] - offset * np.append(numerator, 0.0))
-    return Plant(damping, stiffness, p, q, numerator, whole + count - 2, velocity, offset)
+    return SampledPlant(damping, stiffness, p, q, numerator, whole + count - 2, velocity, offset)
 
 
 def _readings(terms: tuple[Term, ...], damping: float, stiffness: float, times: Floats) -> Floats:
@@ -123,3 +124,22 @@ def _over_w(polynomial: Floats) -> Floats:
     sums = np.cumsum(polynomial)[:-1]
     sums[np.abs(sums) < NOTHING * np.abs(sums).max()] = 0.0
     return np.asarray(sums)
+
+
+def response_to_a_blow(damping: float, stiffness: float, time: float) -> Floats:
+    """(5,): velocity, position and its three integrals, ``time`` >= 0 after a unit blow on the mass at rest.
+
+    By the Taylor series of the chain velocity, position and its three integrals, halved until it converges at once and
+    then doubled: one code for no friction, hardly any, a spring, critical damping and beyond.
+
+    ``damping``: b0 T/m. ``stiffness``: k0 T²/m.
+    """
+    chain = np.diag(np.ones(4), -1)
+    chain[VELOCITY, [VELOCITY, POSITION]] = -damping, -stiffness
+    turn = time * max(damping, math.sqrt(stiffness))
+    halvings = max(0, math.ceil(math.log2(2.0 * turn))) if turn > 0.0 else 0
+    scaled = chain * (time / 2.0**halvings)
+    flow = np.eye(5)
+    for n in reversed(range(1, TAYLOR_TERMS + 1)):
+        flow = np.eye(5) + scaled @ flow / n
+    return np.asarray(np.linalg.matrix_power(flow, 2**halvings)[:, VELOCITY])

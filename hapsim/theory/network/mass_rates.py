@@ -1,7 +1,7 @@
 """What another scheme than CORDIS's makes of the simulated masses, from sample to sample.
 
-A scheme moves M x'' + B x' + K x = f over a sample period: K and B of the links that are inside (``links.py``), f that
-of the others at the sample. Under rk4 a channel that a link inside touches goes on meanwhile as it went in the last
+A scheme moves M x'' + B x' + K x = f over a sample period: K and B of the links inside (``inner_links``), f that of
+the others at the sample. Under rk4 a channel that a link inside touches goes on meanwhile as it went in the last
 sample period, and the velocity that it senses stays as it is. Links feel of a mass, as its velocity times T, the step
 w = T v that the scheme gives it: so the state's "position before" of a mass is x - w.
 """
@@ -14,13 +14,12 @@ import numpy as np
 
 from hapsim.theory.arrays import Floats
 from hapsim.theory.network.layout import Layout
-from hapsim.theory.network.links import inner_links, touches_channel
-from hapsim.theory.network.network import Network
-from hapsim.theory.network.triplets import Indices, Parts, Triplets, dense
+from hapsim.theory.network.network import Network, inner_links, touches_channel
+from hapsim.theory.network.sparse import Indices, TripletBuilder, Triplets, dense
 from hapsim.theory.schemes import SCHEMES
 
 
-class Moved(NamedTuple):
+class MassRates(NamedTuple):
     """What a scheme advances: z = (x, w, u), of M masses the positions and steps, m, and what else pulls them.
 
     ``rates`` (N, N): T times the rates of change of z out of z, by entries. ``start`` (N, size): z at the sample out of
@@ -38,7 +37,7 @@ class Moved(NamedTuple):
         return self.now.size
 
 
-def moved_masses(network: Network, layout: Layout, held: Triplets) -> Moved:
+def mass_rates(network: Network, layout: Layout, held: Triplets) -> MassRates:
     """What the scheme advances; ``held``: the forces T²/m F on points (C + M) from outside, out of the state."""
     channels, masses = network.channel_mass.size, network.point_mass.size
     now = np.arange(channels, channels + masses)
@@ -46,7 +45,7 @@ def moved_masses(network: Network, layout: Layout, held: Triplets) -> Moved:
     held = held.some(held.row >= channels)
     pulled = np.unique(held.row)
     asked = channels if touches_channel(network, inner_links(network)).any() else 0
-    rates, start = Parts(), Parts()
+    rates, start = TripletBuilder(), TripletBuilder()
     own, steps = np.arange(masses), masses + np.arange(masses)
     rates.add(own, steps, 1.0)
     start.add(own, now, 1.0)
@@ -57,15 +56,15 @@ def moved_masses(network: Network, layout: Layout, held: Triplets) -> Moved:
     first = 2 * masses + 3 * asked
     rates.add(masses + pulled - channels, first + np.arange(pulled.size), 1.0)
     start.add(first + np.searchsorted(pulled, held.row), held.column, held.value)
-    return Moved(rates.joined(), start.joined(), now, before, first + pulled.size)
+    return MassRates(rates.joined(), start.joined(), now, before, first + pulled.size)
 
 
-def _add_step(start: Parts, row: Indices, now: Indices, before: Indices) -> None:
+def _add_step(start: TripletBuilder, row: Indices, now: Indices, before: Indices) -> None:
     start.add(row, now, 1.0)
     start.add(row, before, -1.0)
 
 
-def _add_channels(layout: Layout, rates: Parts, start: Parts, first: int, channels: int) -> None:
+def _add_channels(layout: Layout, rates: TripletBuilder, start: TripletBuilder, first: int, channels: int) -> None:
     """Each channel's position, its way in a sample period, and the velocity that it senses."""
     own = np.arange(channels)
     position, way, sensed = first + own, first + channels + own, first + 2 * channels + own
@@ -77,7 +76,7 @@ def _add_channels(layout: Layout, rates: Parts, start: Parts, first: int, channe
     start.add(sensed[slot >= 0], slot[slot >= 0], 1.0)
 
 
-def _add_links(network: Network, rates: Parts, masses: int, asked: int) -> None:
+def _add_links(network: Network, rates: TripletBuilder, masses: int, asked: int) -> None:
     """What the links that are inside do to the masses' steps."""
     links, channels = inner_links(network), network.channel_mass.size
     ends = network.ends[links]
@@ -98,13 +97,13 @@ def _add_links(network: Network, rates: Parts, masses: int, asked: int) -> None:
             rates.add(row[met], step[met], direction * damping[met])
 
 
-def advanced(network: Network, moved: Moved, size: int) -> tuple[Floats, Floats]:
+def advanced(network: Network, system: MassRates, size: int) -> tuple[Floats, Floats]:
     """The rows (M, size) of the masses' positions at the next sample and of their x - w there, out of the state."""
     advance = SCHEMES[network.scheme].advance
     assert advance is not None
-    masses = moved.masses
-    rates = dense(moved.rates, (moved.size, moved.size))
-    start = dense(moved.start, (moved.size, size))
+    masses = system.masses
+    rates = dense(system.rates, (system.size, system.size))
+    start = dense(system.start, (system.size, size))
     # Steps in units of the fastest motion, so that no part of the rates dwarfs the others.
     pace = np.abs(rates[masses : 2 * masses, :masses]).sum(axis=1).max(initial=0.0)
     unit = max(1.0, float(np.sqrt(pace)))

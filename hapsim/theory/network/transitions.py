@@ -11,13 +11,11 @@ from typing import Any, Protocol, assert_never
 import numpy as np
 from numpy.typing import NDArray
 
-from hapsim.theory.network.linear_algebra import Solve, factorised
-from hapsim.theory.network.moved import Moved
+from hapsim.theory.network.mass_rates import MassRates
 from hapsim.theory.network.network import Network
+from hapsim.theory.network.sparse import Solve, factorised, sparse
 from hapsim.theory.network.state import transition_parts
-from hapsim.theory.network.triplets import sparse
-from hapsim.theory.schemes import SCHEMES
-from hapsim.theory.schemes.scheme import Advance, ByModes, Implicit, Polynomial
+from hapsim.theory.schemes import SCHEMES, Advance, ByModes, Implicit, Polynomial
 
 
 class Operator(Protocol):
@@ -96,50 +94,50 @@ def operator_of(network: Network) -> Operator:
     Raises:
         NotWorkedOutError: by modes, of a scene whose modes damping joins, or that has too many masses.
     """
-    entries, moved, size = transition_parts(network)
+    entries, system, size = transition_parts(network)
     points = network.channel_mass.size + network.point_mass.size
     advance = SCHEMES[network.scheme].advance
-    if advance is None or moved is None:
+    if advance is None or system is None:
         return Explicit(sparse(entries, (size, size)), points, size)
     match advance.large:
         case ByModes():
             from hapsim.theory.network.exact_modes import modal_operator
 
-            return modal_operator(network, entries, moved, size)
+            return modal_operator(network, entries, system, size)
         case Polynomial():
-            matrix = sparse(entries, (size, size)) + _placed(moved, size) @ _advanced(advance, moved, size)
+            matrix = sparse(entries, (size, size)) + _placed(system, size) @ _advanced(advance, system, size)
             return Explicit(matrix.tocsc(), points, max(size, matrix.nnz // 4))
         case Implicit(share):
-            return _two_sided(sparse(entries, (size, size)), moved, size, points, share)
+            return _two_sided(sparse(entries, (size, size)), system, size, points, share)
         case other:
             assert_never(other)
 
 
-def _advanced(advance: Advance, moved: Moved, size: int) -> Any:
+def _advanced(advance: Advance, system: MassRates, size: int) -> Any:
     """Sparse (2 M, size): the masses' next positions and steps, by a scheme that is a polynomial of the rates."""
-    rates = sparse(moved.rates, (moved.size, moved.size))
-    return advance(rates, sparse(moved.start, (moved.size, size))).tocsr()[: 2 * moved.masses]
+    rates = sparse(system.rates, (system.size, system.size))
+    return advance(rates, sparse(system.start, (system.size, size))).tocsr()[: 2 * system.masses]
 
 
-def _placed(moved: Moved, size: int) -> Any:
+def _placed(system: MassRates, size: int) -> Any:
     """Sparse (size, 2 M): where positions and steps go in the state, x and x - w."""
     from scipy.sparse import csc_matrix
 
-    own = np.arange(moved.masses)
-    rows = np.concatenate([moved.now, moved.before, moved.before])
-    columns = np.concatenate([own, own, moved.masses + own])
+    own = np.arange(system.masses)
+    rows = np.concatenate([system.now, system.before, system.before])
+    columns = np.concatenate([own, own, system.masses + own])
     values = np.concatenate([np.ones(2 * own.size), -np.ones(own.size)])
     return csc_matrix((values, (rows, columns)), (size, 2 * own.size))
 
 
-def _two_sided(matrix: Any, moved: Moved, size: int, points: int, share: float) -> TwoSided:
+def _two_sided(matrix: Any, system: MassRates, size: int, points: int, share: float) -> TwoSided:
     """(1 - share Z) z' = (1 + (1 - share) Z) z in the masses' rows, with what pulls from outside held."""
     from scipy.sparse import csc_matrix
 
-    own = 2 * moved.masses
-    rates = sparse(moved.rates, (moved.size, moved.size)).tocsr()[:own]
-    start = sparse(moved.start, (moved.size, size)).tocsr()
-    rows = np.concatenate([moved.now, moved.before])
+    own = 2 * system.masses
+    rates = sparse(system.rates, (system.size, system.size)).tocsr()[:own]
+    start = sparse(system.start, (system.size, size)).tocsr()
+    rows = np.concatenate([system.now, system.before])
     place = csc_matrix((np.ones(own), (rows, np.arange(own))), (size, own))
     others = np.ones(size)
     others[rows] = 0.0

@@ -14,6 +14,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from hapsim.theory.arrays import Bools, Complexes, Floats
 
@@ -207,3 +208,23 @@ def oscillator_of_quadratic(p: Floats, q: Floats) -> tuple[Floats, Floats]:
     kappa = np.where(swings, swinging, np.log1p(near) * np.log1p(far))
     good = swings | ((near > -1.0) & (far > -1.0))
     return np.where(good, sigma, np.nan), np.where(good, kappa, np.nan)
+
+
+def frequency_and_ratio(mass: ArrayLike, k: ArrayLike, b: ArrayLike) -> tuple[Floats, Floats]:
+    """Eigenfrequency and damping ratio of a real mass, spring and damper (Florens et al., §5).
+
+    Args:
+        mass: kg, > 0.
+        k: stiffness, N/m. Arrays broadcast.
+        b: damping, N·s/m.
+
+    Returns:
+        The undamped eigenfrequency sqrt(k/m)/(2 pi) in Hz and the damping ratio b/(2 sqrt(k m)), 1 where
+        critically damped. Both are NaN where k is negative; without a spring the frequency is 0 and the ratio
+        NaN.
+    """
+    mass, k, b = np.broadcast_arrays(*(np.asarray(value, dtype=float) for value in (mass, k, b)))
+    with np.errstate(all="ignore"):
+        frequency = np.sqrt(k / mass) / (2.0 * np.pi)
+        ratio = np.where(k == 0.0, np.nan, b / (2.0 * np.sqrt(k * mass)))
+    return frequency[()], ratio[()]

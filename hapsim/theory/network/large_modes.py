@@ -1,6 +1,6 @@
 """Some of the poles of a large scene, by shift-inverted Arnoldi iterations on its sparse transition.
 
-No dense matrix of the state's size is ever formed (``operators.py``).
+No dense matrix of the state's size is ever formed (``transitions.py``).
 """
 
 from __future__ import annotations
@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapsim.theory.arrays import Complexes, sort_by_modulus
-from hapsim.theory.network.linear_algebra import one_thread
 from hapsim.theory.network.modes import NO_MOTION, SAME_AS_REST, Solution, all_modes, modes_of, not_finite
 from hapsim.theory.network.network import Network
-from hapsim.theory.network.operators import Explicit, Operator, operator_of
 from hapsim.theory.network.rayleigh import at_rest, refined
-from hapsim.theory.network.rigid import poles_at_rest
+from hapsim.theory.network.rest_poles import poles_at_rest
+from hapsim.theory.network.sparse import one_thread
 from hapsim.theory.network.state import is_large
+from hapsim.theory.network.transitions import Explicit, Operator, operator_of
 from hapsim.theory.schemes import SCHEMES
 
 BESIDE = 1e-6  # a shift stands this far beside 1, where a free motion's pole would make it singular

@@ -1,0 +1,149 @@
+"""The rigid motions of a scene: those that stretch, or bend, nothing that would pull back.
+
+Where z = 1 + s T with s small, a motion x e^(s t) of the points meets M s² + B s + K: M the masses, B the sums of the
+links' dampings and the channels' frictions, K those of the springs. A motion n with K n = 0 rests wherever it is: one
+pole at 1. Where nothing brakes it either, n' B n = 0, it continues at constant velocity: a second pole at 1, and with
+positive masses there is no third. The device's delay changes nothing of this: there is no force to be late.
+
+In a scene whose springs all have positive stiffness, each part that neither a ground nor a held channel is tied to has
+one such motion, the translation of the whole part. A spring of negative stiffness, of which bending consists, allows
+others, such as the tilt of a free bar; in the parts that contain one they are counted.
+
+A long bar's slowest bending is softer than its stiffness by the fourth power of its length, so that no tolerance tells
+it from a rigid motion. The count is therefore exact: each floating-point number, an integer times a power of two, is
+taken as it is, in the integers modulo a prime. `scipy.linalg.null_space` rounds: it leaves a free bar of 100 masses
+whose stiffnesses span twelve decades 18 poles at 1 in place of 4.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable, Sequence
+from functools import cache
+
+import numpy as np
+
+from hapsim.theory.arrays import Bools, Floats, Indices
+from hapsim.theory.network.network import Network, part_of_each
+
+MOST_WORK = 10_000_000  # multiplications for a part of the scene: some seconds
+PRIME = 10**18 + 9
+Row = dict[int, int]  # column: element, without zeros
+
+
+class TooMuchWorkError(Exception):
+    """The elimination takes more multiplications than MOST_WORK."""
+
+
+def poles_at_rest(network: Network) -> int:
+    """How many poles are 1 by the structure of the scene alone."""
+    springs = network.stiffness != 0.0
+    brakes = springs | (network.damping != 0.0)
+    tied = _at_points(network, network.channel_stiffness) > 0.0
+    braked = tied | (_at_points(network, network.channel_friction) > 0.0)
+    negative = (network.stiffness < 0.0) | (network.damping < 0.0)
+    count = 0
+    if negative.any():
+        for points, links in _parts_with(network, negative, brakes):
+            try:
+                count += _counted(network, points, links)
+            except TooMuchWorkError:  # then at least the translation
+                continue
+            tied[points] = braked[points] = True
+    return count + _free_parts(network, springs, tied) + _free_parts(network, brakes, braked)
+
+
+def _at_points(network: Network, of_channels: Floats) -> Floats:
+    """(C + M,): the channels' own, and 0 for the masses."""
+    return np.concatenate([of_channels, np.zeros(network.point_mass.size)])
+
+
+def _free_parts(network: Network, links: Bools, held: Bools) -> int:
+    """How many parts, joined by these links, neither reach a ground nor one of the points that are held."""
+    part = part_of_each(network.ends[links], held.size)
+    ends = network.ends[links]
+    grounded = ends[(ends == -1).any(axis=1)].max(axis=1, initial=-1)
+    stays = np.concatenate([part[held], part[grounded[grounded >= 0]]])
+    return np.setdiff1d(part, stays).size
+
+
+def _parts_with(network: Network, some: Bools, links: Bools) -> list[tuple[Indices, Indices]]:
+    """The points and the links of each part, joined by ``links``, that contains one of ``some``."""
+    part = part_of_each(network.ends[links], network.channel_mass.size + network.point_mass.size)
+    acting = np.flatnonzero(links & (network.ends[:, 0] != network.ends[:, 1]))
+    own = part[network.ends[acting].max(axis=1)]
+    return [(np.flatnonzero(part == number), acting[own == number]) for number in np.unique(own[some[acting]])]
+
+
+def _counted(network: Network, points: Indices, links: Indices) -> int:
+    """The poles at 1 of one part: the dimension of K's null space, and of what no damper brakes in it."""
+    place = {point: i for i, point in enumerate(points.tolist())}
+    ends = [[place.get(end, -1) for end in pair] for pair in network.ends[links].tolist()]
+    stiffness = _matrix(ends, network.stiffness[links], _at_points(network, network.channel_stiffness)[points])
+    damping = _matrix(ends, network.damping[links], _at_points(network, network.channel_friction)[points])
+    rigid = null_space(stiffness, points.size)
+    braked = [[sum(v * motion[i] for i, v in row.items()) % PRIME for row in damping] for motion in rigid]
+    form = [[sum(a * f for a, f in zip(motion, force, strict=True)) % PRIME for force in braked] for motion in rigid]
+    return 2 * len(rigid) - rank(form)
+
+
+def _matrix(ends: list[list[int]], of_links: Floats, of_points: Floats) -> list[Row]:
+    """The rows of sum k e e' over the links, e their two ends, and of the points' own on the diagonal."""
+    exact = cache(residue)
+    rows: list[Row] = [defaultdict(int, {i: exact(own)} if own else {}) for i, own in enumerate(of_points.tolist())]
+    for pair, value in zip(ends, of_links.tolist(), strict=True):
+        for a, b in (pair, pair[::-1]):
+            if a >= 0:
+                rows[a][a] += exact(value)
+                if b >= 0:
+                    rows[a][b] -= exact(value)
+    return [{column: value % PRIME for column, value in row.items() if value % PRIME} for row in rows]
+
+
+def residue(value: float) -> int:
+    """A finite number modulo the prime, exactly."""
+    numerator, power_of_two = value.as_integer_ratio()
+    return numerator * pow(power_of_two, -1, PRIME) % PRIME
+
+
+def null_space(rows: Iterable[Row], columns: int) -> list[list[int]]:
+    """A basis of the vectors (columns,), modulo the prime, that all rows map to zero.
+
+    Raises:
+        TooMuchWorkError: after ``MOST_WORK`` multiplications.
+    """
+    echelon = _echelon(rows)
+    basis = []
+    for free in (column for column in range(columns) if column not in echelon):
+        vector = [0] * columns
+        vector[free] = 1
+        for first in sorted(echelon, reverse=True):
+            vector[first] = -sum(value * vector[column] for column, value in echelon[first].items()) % PRIME
+        basis.append(vector)
+    return basis
+
+
+def rank(matrix: Sequence[Sequence[int]]) -> int:
+    """The rank of a small matrix of residues."""
+    return len(_echelon({i: value for i, value in enumerate(row) if value} for row in matrix))
+
+
+def _echelon(rows: Iterable[Row]) -> dict[int, Row]:
+    """Rows that span the same space, each by its first column, where it has a one."""
+    echelon: dict[int, Row] = {}
+    work = 0
+    for given in rows:
+        row = dict(given)
+        while row and (first := min(row)) in echelon:
+            work += len(row) + len(echelon[first])
+            if work > MOST_WORK:
+                raise TooMuchWorkError
+            factor = row[first]
+            for column, value in echelon[first].items():
+                row[column] = (row.get(column, 0) - factor * value) % PRIME
+                if not row[column]:
+                    del row[column]
+        if row:
+            inverse = pow(row[first], -1, PRIME)
+            echelon[first] = {column: value * inverse % PRIME for column, value in row.items()}
+    return echelon
