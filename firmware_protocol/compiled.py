@@ -25,7 +25,9 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numba
-from numba.extending import overload, register_jitable
+import numpy as np
+from numba import types
+from numba.extending import lower_builtin, overload, register_jitable, type_callable
 
 from firmware_protocol.code_cache import directory_for, numba_cache_in
 
@@ -94,3 +96,46 @@ class Compiler:
 _compiler = Compiler(Path(__file__).resolve().parent)
 entry, inlined, helper = _compiler.entry, _compiler.inlined, _compiler.helper
 """For functions of this package."""
+
+ONE = np.uint64(1)
+"""For the indices of hot loops: a signed index may count from the end, and compiled code checks that at every access.
+Signed and unsigned must not be mixed: numba makes a floating-point number of the two."""
+
+
+def new_record(dtype: np.dtype[np.void]) -> Any:
+    """A record of zeros: a numpy scalar of a structured type, which compiled code and Python read and write by name.
+
+    It keeps its own memory, which stays where it is. Compiled code gets one pointer, whatever the record holds; records
+    hold records, and arrays of a fixed length.
+    """
+    return np.zeros(1, dtype).view(np.recarray)[0]
+
+
+# What a compiled function calls at its beginning to keep the compiler from inlining it everywhere, or from turning a
+# loop over channels into a dozen loops: of the loop's eighty functions that made 16 MB of intermediate code.
+
+
+def out_of_line() -> None:
+    """Has the function called and not inlined: it is rarely needed, or called from several places."""
+
+
+def compact() -> None:
+    """Has the loops of the function compiled as written: they are short."""
+
+
+def _means(function: Callable[[], None], *attributes: str) -> None:
+    """Makes a call of `function` in compiled code give these attributes of LLVM to the function that it stands in."""
+
+    @type_callable(function)
+    def typed(_context: Any) -> Any:
+        return lambda: types.none
+
+    @lower_builtin(function)
+    def lower(context: Any, builder: Any, _signature: Any, _arguments: Any) -> Any:
+        for attribute in attributes:
+            builder.function.attributes.add(attribute)
+        return context.get_dummy_value()
+
+
+_means(out_of_line, "noinline", "optsize")
+_means(compact, "optsize")

@@ -12,13 +12,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from firmware_protocol import schema
-from firmware_protocol.cobs import unstuff
-from firmware_protocol.code_size import out_of_line
-from firmware_protocol.compiled import entry, helper, inlined
-from firmware_protocol.crc import crc_of
+from firmware_protocol.compiled import ONE, entry, helper, inlined, new_record, out_of_line
+from firmware_protocol.encoding import crc_of, unstuff
 from firmware_protocol.frames import FRAMING, ROOM, Format, framing_of
-from firmware_protocol.records import new_record
-from firmware_protocol.unsigned import ONE
 
 DECODER = np.dtype(
     [

@@ -14,11 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_protocol import schema
-from firmware_protocol.cobs import stuff
-from firmware_protocol.compiled import inlined
-from firmware_protocol.crc import crc_of
-from firmware_protocol.records import new_record
-from firmware_protocol.unsigned import ONE
+from firmware_protocol.compiled import ONE, inlined, new_record
+from firmware_protocol.encoding import crc_of, stuff
 
 Integers = Sequence[int] | NDArray[np.int64]
 

@@ -12,9 +12,8 @@ from typing import Any
 import numpy as np
 
 from firmware_protocol import schema
-from firmware_protocol.cobs import stuff
-from firmware_protocol.crc import crc16_dnp, crc32_c, crc_of
 from firmware_protocol.decoder import frames_in, new_decoder, use_format
+from firmware_protocol.encoding import crc16_dnp, crc32_c, crc_of, stuff
 from firmware_protocol.frames import (
     SETUP,
     Format,

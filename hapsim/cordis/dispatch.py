@@ -13,8 +13,7 @@ import numpy as np
 from numba.core import types
 from numpy.typing import NDArray
 
-from firmware_protocol.code_size import compact
-from firmware_protocol.unsigned import ONE
+from firmware_protocol.compiled import ONE, compact
 from hapsim.compiling import inlined
 from hapsim.compiling.native import Behind, NativeFunction, array_at, function_at
 from hapsim.cordis.tick_state import Column

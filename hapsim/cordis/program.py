@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from firmware_protocol.records import new_record
+from firmware_protocol.compiled import new_record
 from hapsim.compiling.native import Behind, NativeFunction, address_of
 from hapsim.cordis.build_context import BuildContext, Layout, PartType
 from hapsim.cordis.dispatch import Part, calls_of

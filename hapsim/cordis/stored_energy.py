@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 from numba import types
 
-from firmware_protocol.records import new_record
+from firmware_protocol.compiled import new_record
 from hapsim.compiling import helper, inlined
 from hapsim.compiling.native import address_of, array_at, function_at, native, record_at
 from hapsim.scene import Buffer, Friction, Ground, Nonlinear, Plectrum, Scene

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from firmware_protocol import schema
-from firmware_protocol.code_size import compact
-from firmware_protocol.unsigned import ONE
+from firmware_protocol.compiled import ONE, compact
 from hapsim.compiling import inlined
 from hapsim.compiling.native import array_at, record_at
 from hapsim.cordis.dispatch import CALLS, call_all

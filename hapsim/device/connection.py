@@ -12,9 +12,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
+from firmware_protocol.compiled import new_record
 from firmware_protocol.decoder import begin_decoding, next_frame, use_format
 from firmware_protocol.frames import SETUP, Format
-from firmware_protocol.records import new_record
 from hapsim.loop.buffers import INBOX, fetch_in_python
 from hapsim.loop.transport import PythonTransport
 

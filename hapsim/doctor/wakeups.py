@@ -7,7 +7,7 @@ import threading
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any
 
-from firmware_protocol.records import new_record
+from firmware_protocol.compiled import new_record
 from hapsim.compiling.entries import compile_for
 from hapsim.compiling.progress import on_compilation
 from hapsim.doctor.step import Tell

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_protocol import schema
-from firmware_protocol.records import new_record
+from firmware_protocol.compiled import new_record
 from hapsim.compiling import helper
 from hapsim.compiling.native import address_of, array_at, native, record_at
 from hapsim.loop.buffers import IO_BUFFER

@@ -19,7 +19,7 @@ import numpy as np
 from numba import types
 
 from firmware_protocol import schema
-from firmware_protocol.code_size import compact
+from firmware_protocol.compiled import compact
 from hapsim.compiling import entry, helper, inlined
 from hapsim.compiling.memory_fence import fence
 from hapsim.compiling.native import array_at, function_at, native, record_at

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from firmware_protocol import schema
-from firmware_protocol.code_size import compact
+from firmware_protocol.compiled import compact
 from firmware_protocol.frames import FRAMING, write_frame
 from hapsim.compiling import inlined
 from hapsim.compiling.native import array_at

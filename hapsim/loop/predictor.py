@@ -20,7 +20,7 @@ from numba import types
 from numpy.typing import NDArray
 
 from firmware_protocol import schema
-from firmware_protocol.records import new_record
+from firmware_protocol.compiled import new_record
 from hapsim.compiling import entry, helper
 from hapsim.compiling.memory_fence import fence
 from hapsim.compiling.native import address_of, array_at, function_at, native, record_at

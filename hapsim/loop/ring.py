@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_protocol.code_size import compact
+from firmware_protocol.compiled import compact
 from hapsim.compiling import inlined
 from hapsim.compiling.memory_fence import fence
 from hapsim.compiling.native import array_at

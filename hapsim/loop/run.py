@@ -6,7 +6,7 @@ ordinary priority, which a spinning loop starves.
 
 from __future__ import annotations
 
-from firmware_protocol.code_size import compact
+from firmware_protocol.compiled import compact
 from firmware_protocol.decoder import next_frame
 from hapsim.compiling import entry, inlined
 from hapsim.loop.buffers import AT_ONCE, inbox_at, next_place

@@ -12,7 +12,7 @@ import numpy as np
 from numba import types
 from numpy.typing import NDArray
 
-from firmware_protocol.records import new_record
+from firmware_protocol.compiled import new_record
 from hapsim.compiling import inlined
 from hapsim.compiling.native import PlainNative, address_of, array_at, function_at, native, record_at
 from hapsim.loop.system import SCRATCH, read_some, write_all

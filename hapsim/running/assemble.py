@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from firmware_protocol.compiled import new_record
 from firmware_protocol.description import Description
 from firmware_protocol.frames import armed_format, framing_of
-from firmware_protocol.records import new_record
 from hapsim.compiling.native import address_of
 from hapsim.cordis.program import Program, compile_scene
 from hapsim.cordis.stored_energy import StoredEnergy

@@ -15,7 +15,7 @@ import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, NamedTuple
 
-from firmware_protocol.records import new_record
+from firmware_protocol.compiled import new_record
 from hapsim.compiling.entries import compile_for, is_kept
 from hapsim.compiling.native import PlainNative
 from hapsim.compiling.progress import Counted, on_compilation

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numba.core import types
 
-from firmware_protocol.records import new_record
+from firmware_protocol.compiled import new_record
 from hapsim.compiling import entry
 from hapsim.compiling.native import (
     Behind,

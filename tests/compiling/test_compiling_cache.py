@@ -96,7 +96,7 @@ def test_an_edit_outside_the_rooms_keeps_all_machine_code(copy: Path) -> None:
         ("hapsim/cordis/modules/mass.py", {MASS, STRING, MEMBRANE}),
         ("hapsim/cordis/registry.py", set()),
         ("hapsim/loop/histogram.py", {RUN, SERVE, GRID}),
-        ("firmware_protocol/crc.py", {RUN, SERVE, DECODER}),
+        ("firmware_protocol/encoding.py", {RUN, SERVE, DECODER}),
         ("hapsim/device/mock/firmware.py", {SERVE}),
         ("hapsim/compiling/native.py", set(KEPT) - {DECODER, GRID}),
         ("firmware_protocol/compiled.py", set(KEPT)),

@@ -7,8 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from firmware_protocol.code_size import compact, out_of_line
-from firmware_protocol.unsigned import ONE
+from firmware_protocol.compiled import ONE, compact, out_of_line
 from hapsim.compiling import entry, helper, inlined
 from hapsim.compiling.memory_fence import fence
 

@@ -18,7 +18,7 @@ import numpy as np
 from hapsim.running.compile_ahead import UNITS
 from hapsim.compiling.progress import on_compilation
 from hapsim.cordis import parameters
-from firmware_protocol.records import new_record
+from firmware_protocol.compiled import new_record
 names = []
 with on_compilation(names.append):
     parameters.move.address()

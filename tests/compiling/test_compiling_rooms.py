@@ -35,15 +35,15 @@ def test_what_is_looked_for_is_found(every_compiled: list[Any]) -> None:
         ("entry", "serve.py", "serve"),
         ("native", "spring.py", "add_forces"),
         ("native", "crossfade.py", "cross_fade"),
-        ("piece", "crc.py", "crc_of"),
+        ("piece", "encoding.py", "crc_of"),
         ("piece", "string.py", "coefficient_terms"),
         ("overload", "stencil.py", "_choose_update"),
         ("overload", "system.py", "_compiled_now_ns"),
         ("intrinsic", "native.py", "value_of"),
-        ("lowering", "code_size.py", "_means.<locals>.lower"),
+        ("lowering", "compiled.py", "_means.<locals>.lower"),
     } <= found
     (run_loop,) = (one for one in every_compiled if one.name == "run_loop")
-    assert {PROTOCOL / "crc.py", HAPSIM / "cordis" / "tick.py", HAPSIM / "loop" / "system.py"} <= run_loop.reached
+    assert {PROTOCOL / "encoding.py", HAPSIM / "cordis" / "tick.py", HAPSIM / "loop" / "system.py"} <= run_loop.reached
 
 
 def test_no_compiled_function_of_the_packages_stands_outside_the_rooms(every_compiled: list[Any]) -> None:
@@ -144,5 +144,5 @@ def test_all_that_numba_compiles_for_a_function_is_looked_at(tmp_path: Path) -> 
     found = [(Path(root).resolve(), Path(file).resolve()) for root, file in json.loads(done.stdout)]
     ours = [(root, file) for root, file in found if is_in(file, (HAPSIM, PROTOCOL))]
     names = {(root.stem, file.stem) for root, file in ours}
-    assert {("string", "stencil"), ("membrane", "string"), ("plectrum", "link"), ("decoder", "crc")} <= names
+    assert {("string", "stencil"), ("membrane", "string"), ("plectrum", "link"), ("decoder", "encoding")} <= names
     assert [(root, file) for root, file in ours if file not in sources_of(root)] == []

@@ -13,7 +13,7 @@ from typing import Any
 
 import mpmath as mp
 
-from firmware_protocol.records import new_record
+from firmware_protocol.compiled import new_record
 from hapsim.compiling import entry
 from hapsim.device.mock import sampler
 from hapsim.device.mock.sampler import CONVERTER

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from firmware_protocol import schema
-from firmware_protocol.records import new_record
+from firmware_protocol.compiled import new_record
 from hapsim.device.mock.assemble import assemble_mock
 from hapsim.device.mock.terminal import serving
 from hapsim.device.mock.uart import UART, arrived, next_due_ns, put_on_wire, take_off_wire

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from firmware_protocol.records import new_record
+from firmware_protocol.compiled import new_record
 from hapsim.doctor.system_files import Tree
 from hapsim.loop.histogram import HISTOGRAM, Histogram, histogram_of
 

@@ -14,7 +14,7 @@ import pytest
 import firmware_protocol
 from firmware_protocol import schema
 from firmware_protocol.description import to_registers
-from firmware_protocol.story import LIMIT, STATES
+from firmware_protocol.sessions import LIMIT, STATES
 from hapsim.device.mock.assemble import assemble_mock, describe_mock
 from hapsim.device.mock.firmware import OUTBOX_BYTES, look_at_watchdog, prepare, take_bytes, take_sample
 from hapsim.scene import Scene

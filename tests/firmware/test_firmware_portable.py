@@ -13,8 +13,8 @@ from typing import Any
 import pytest
 
 import firmware_protocol
-from firmware_protocol.document import porting_blocks
-from firmware_protocol.make_vectors import PORTING, porting_text
+from firmware_protocol.make_vectors import PORTING, porting_blocks, porting_text
+from firmware_protocol.sessions import DEVICES, steps_of
 
 FIRMWARE = Path(firmware_protocol.__file__).parent / "firmware"
 
@@ -114,10 +114,7 @@ def test_a_state_machine_that_is_broken_on_purpose_fails_a_session(name: str, ha
 
 
 def _outcomes(harness: Any, core: Path) -> list[str]:
-    from firmware_protocol.story import DEVICES, Story
-
-    s = Story("7", "an armed device latches").arms(watchdog=2)
-    s.host(s.answer(0, 5, lives=9))
-    lines = [f"bytes {step['bytes']}" for step in s.steps] + ["tick"] * 4
+    steps = steps_of("plain", [{"arm": {"watchdog": 2}}, {"host": ["force 0 5 argument=9"]}])
+    lines = [f"bytes {step['bytes']}" for step in steps] + ["tick"] * 4
     outcomes: list[str] = harness({"name": "plain"} | DEVICES["plain"], core)(lines)
     return outcomes

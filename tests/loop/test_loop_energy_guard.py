@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from firmware_protocol import schema
-from firmware_protocol.records import new_record
+from firmware_protocol.compiled import new_record
 from hapsim.compiling import entry
 from hapsim.cordis.stored_energy import TANK, Tank
 from hapsim.errors import DeviceError, GuardError

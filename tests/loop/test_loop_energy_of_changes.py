@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from firmware_protocol.records import new_record
+from firmware_protocol.compiled import new_record
 from hapsim.cli.live import live_line
 from hapsim.cordis.offline import follow_parameters, start
 from hapsim.cordis.program import Program, compile_scene, parameter_values, positions_of

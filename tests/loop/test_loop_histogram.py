@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_protocol.records import new_record
+from firmware_protocol.compiled import new_record
 from hapsim.loop.histogram import HISTOGRAM, Histogram, histogram_of, note
 
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from firmware_protocol import schema
+from firmware_protocol.compiled import new_record
 from firmware_protocol.decoder import Frame, frames_in, new_decoder
-from firmware_protocol.records import new_record
 from hapsim.compiling.native import array_at, record_at
 from hapsim.loop.endings import DONE, HEARD, TIMED_OUT
 from hapsim.loop.histogram import histogram_of

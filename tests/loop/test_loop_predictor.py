@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from firmware_protocol.records import new_record
+from firmware_protocol.compiled import new_record
 from hapsim.compiling import entry
 from hapsim.compiling.native import address_of
 from hapsim.device.mock.assemble import describe_mock

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 from firmware_protocol import schema
+from firmware_protocol.compiled import new_record
 from firmware_protocol.decoder import Frame
-from firmware_protocol.records import new_record
 from hapsim.bringup.capture import Capture, Decoded
 from hapsim.errors import DeviceError, RunError
 from hapsim.loop.buffers import AT_ONCE, KEPT, LAST_BYTES, last_bytes, next_place

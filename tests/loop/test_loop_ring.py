@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from firmware_protocol.records import new_record
+from firmware_protocol.compiled import new_record
 from hapsim.compiling import entry
 from hapsim.loop.buffers import IO_BUFFER
 from hapsim.loop.ring import BRIDGED, RING, UNSENT, Ring, mark_last, publish, push

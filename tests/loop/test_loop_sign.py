@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from firmware_protocol.records import new_record
+from firmware_protocol.compiled import new_record
 from hapsim.bringup.faults import Injector
 from hapsim.bringup.faults.in_memory import in_memory
 from hapsim.bringup.faults.script import parse_script

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.linalg import expm
 
-from firmware_protocol.records import new_record
+from firmware_protocol.compiled import new_record
 from hapsim.loop.histogram import HISTOGRAM, histogram_of
 from hapsim.recording.trace import Report, Statistics, Trace
 

@@ -9,8 +9,7 @@ import pytest
 from cobs import cobs
 
 from firmware_protocol import schema
-from firmware_protocol.document import blocks, with_blocks
-from firmware_protocol.make_vectors import DOCUMENT, document_text
+from firmware_protocol.make_vectors import DOCUMENT, blocks, document_text, with_blocks
 from firmware_protocol.vectors import TO_DEVICE, TO_HOST, TYPES
 
 NAMES = {name.upper() for name in TO_DEVICE | TO_HOST}

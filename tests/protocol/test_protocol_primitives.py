@@ -11,7 +11,7 @@ from cobs import cobs
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from firmware_protocol.crc import crc16_dnp, crc32_c
+from firmware_protocol.encoding import crc16_dnp, crc32_c
 
 LONGEST_BODY = 253
 bodies = st.one_of(

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from firmware_protocol.records import new_record
+from firmware_protocol.compiled import new_record
 from hapsim.compiling import entry
 from hapsim.loop.buffers import IO_BUFFER
 from hapsim.loop.exchange import STATE

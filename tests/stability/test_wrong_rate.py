@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from firmware_protocol.records import new_record
+from firmware_protocol.compiled import new_record
 from hapsim.compiling import entry
 from hapsim.device.connection import Connection
 from hapsim.device.mock.assemble import assemble_mock

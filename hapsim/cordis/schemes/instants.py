@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from firmware_protocol.records import new_record
+from firmware_protocol.compiled import new_record
 from hapsim.compiling import inlined
 from hapsim.compiling.native import Behind, NativeFunction, value_of
 from hapsim.cordis.build_context import BuildContext

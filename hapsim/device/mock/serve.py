@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from firmware_protocol import schema
-from firmware_protocol.records import new_record
+from firmware_protocol.compiled import new_record
 from hapsim.compiling import entry, inlined
 from hapsim.device.mock.firmware import INPUT_BYTES, call_event, call_take_bytes
 from hapsim.loop.clocks import next_point

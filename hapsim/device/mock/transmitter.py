@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from firmware_protocol.compiled import new_record
 from firmware_protocol.frames import ROOM
-from firmware_protocol.records import new_record
 from hapsim.compiling.native import array_at, record_at
 from hapsim.loop.endings import FAILED
 from hapsim.loop.system import SCRATCH, read_some, write_some

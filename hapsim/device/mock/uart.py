@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from firmware_protocol import schema
-from firmware_protocol.records import new_record
+from firmware_protocol.compiled import new_record
 from hapsim.compiling import helper, inlined
 from hapsim.compiling.native import address_of, array_at, record_at
 from hapsim.device.mock.firmware import INPUT_BYTES, mock_at

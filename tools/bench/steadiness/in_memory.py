@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 import hapsim
 from firmware_protocol import schema
+from firmware_protocol.compiled import new_record
 from firmware_protocol.frames import armed_format, frame_to_host
-from firmware_protocol.records import new_record
 from hapsim.compiling.entries import compile_for
 from hapsim.compiling.native import array_at, record_at
 from hapsim.device.connection import Connection

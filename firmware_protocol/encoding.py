@@ -1,11 +1,12 @@
-"""The two checks of the protocol, compiled: CRC-16/DNP and CRC-32C, table-driven, reflected (a UART sends the least
-significant bit first, so bursts on the wire are bursts in the check).
+"""What makes bytes safe on the wire, compiled: byte stuffing and two checks.
 
-Why these two: Koopman's tables give polynomial 0x3D65 distance 6 up to 135 bits of data and CRC-32C distance 6 up to
-655 bytes; every frame stays within.
+Consistent Overhead Byte Stuffing (Cheshire and Baker, 1999) works in place on bodies of at most 253 bytes. There the
+overhead is exactly one byte, so a frame's length says nothing of its content.
 
-Up to eight bytes are looked up at once, each in the table of its distance from the end: looked up one after the other,
-each would wait for the one before.
+The checks are CRC-16/DNP and CRC-32C, reflected: a UART sends the least significant bit first, so bursts on the wire
+are bursts in the check. Koopman's tables give polynomial 0x3D65 distance 6 up to 135 bits of data, and CRC-32C distance
+6 up to 655 bytes. Every frame stays within. Up to eight bytes are looked up at once, each in the table of its distance
+from the end: looked up one after the other, each would wait for the one before.
 """
 
 from __future__ import annotations
@@ -13,12 +14,41 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_protocol.compiled import inlined
-from firmware_protocol.unsigned import ONE
+from firmware_protocol.compiled import ONE, inlined
 
 _AT_ONCE = np.uint64(8)  # bytes
 _CRC_BYTES = np.uint64(4)  # of the register; CRC-16 uses half of it
 _BYTE_BITS = np.uint64(8)
+
+
+@inlined
+def stuff(buffer, start, stop):
+    """Encodes the body that stands in buffer[start + 1 : stop]; buffer[start] is the room for the first code."""
+    last, end = np.uint64(start), np.uint64(stop)
+    at = last + ONE
+    while at < end:
+        if buffer[at] == 0:
+            buffer[last] = at - last
+            last = at
+        at += ONE
+    buffer[last] = end - last
+
+
+@inlined
+def unstuff(buffer, start, stop):
+    """Decodes buffer[start:stop]; the body is then buffer[start + 1 : stop]. False where the codes do not add up."""
+    begun, end = np.uint64(start), np.uint64(stop)
+    at = begun
+    while True:
+        code = np.uint64(buffer[at])
+        following = at + code
+        if code == 0 or following > end:
+            return False
+        if at > begun:
+            buffer[at] = 0
+        if following == end:
+            return True
+        at = following
 
 
 def _tables(reflected_polynomial: int) -> NDArray[np.uint32]:
