@@ -126,6 +126,12 @@ def test_no_hand_makes_a_motor_that_is_right_look_wrong() -> None:
     assert found["tests"] > 0
 
 
+def test_no_mechanical_stop_makes_a_motor_that_is_right_look_wrong() -> None:
+    found = bench.right(80, 5, scene=FIRM, kinds=bench.AT_STOP)
+    assert sum(found["stopped"].values()) == 0
+    assert found["tests"] > 0
+
+
 @pytest.mark.parametrize("wrong", [0, 1])
 def test_the_channel_is_named(wrong: int) -> None:
     scene = bench.drawn_scene(random.Random(1), **FIRM, channels=2)

@@ -1,9 +1,9 @@
 """The guard of the sign (hapsim/loop/guards/sign.py) in simulated hands: the compiled loop and the mock in lockstep.
 
-    tools/bench/sign [--runs 400] [--right 10000] [--rate 1000] [--seed 1] [--save FILE]
+    tools/bench/sign [--runs 400] [--right 10000] [--at-stop 4000] [--rate 1000] [--seed 1] [--save FILE]
 
 A hand is a second mass on the handle, an arm that holds it and moves it, tremor, knocks, and leaning; or nobody holds a
-handle that flies. The hand's mass and stiffness, the wall, the encoder, noise and a stall are drawn. Every run lasts a
+handle that flies. A hand can also lean on a mechanical stop, just behind the wall. The hand's mass and stiffness, the wall, the encoder, noise and a stall are drawn. Every run lasts a
 second, with the guards of a port. How far and how fast the handle moves is counted from the first force to 0.1 m.
 
 A run is the loop that `hapsim run` runs: the mock moves its body by a function of this file, in which the hand is.
@@ -41,6 +41,7 @@ from hapsim.scene import parse_scene
 STEPS = 5  # of a hand, in a sample
 KNOCKS = 4
 KINDS = ("thrown", "held", "knocked", "leaning")
+AT_STOP = ("thrown at a stop", "held at a stop", "knocked at a stop", "leaning at a stop")
 FAULTS: dict[str, dict[str, Any]] = {
     "right": {},
     "inverted": {"factor": -1.0},
@@ -52,9 +53,10 @@ FAR_M, NEAR_M = 0.05, 0.03  # a run that goes so far is a runaway; and one is st
 END_M = 0.1  # the end of travel: what comes behind it does not count
 _FIELDS = ("mass", "stiffness", "damping", "arm_stiffness", "arm_damping", "reach", "hz", "phase")
 _PUSHES = ("tremor", "tremor_hz", "lean", "lean_rate", "lean_from", "lean_until")
+_STOP = ("stop_behind", "stop_stiffness", "stop_damping")  # m from the origin, N/m (0: there is none), N·s/m
 
 HAND = np.dtype(
-    [(name, np.float64) for name in (*_FIELDS, *_PUSHES)]
+    [(name, np.float64) for name in (*_FIELDS, *_PUSHES, *_STOP)]
     + [(name, np.float64, (KNOCKS,)) for name in ("knock_at", "knock_lasts", "knock")]
     + [("home", np.float64), ("position", np.float64), ("velocity", np.float64), ("time", np.float64)]
     + [("other", np.uint64)]  # address of the hand whose channel has the motor that moves this one
@@ -95,6 +97,9 @@ def move_in_hand(body, force, h):
             on_handle = hand.stiffness * (at - body.position) + hand.damping * (speed - body.velocity)
             hand.velocity += step * (push - on_handle) / hand.mass
             hand.position += step * hand.velocity
+        into_stop = -hand.stop_behind - body.position
+        if hand.stop_stiffness > 0.0 and into_stop > 0.0:
+            on_handle += max(hand.stop_stiffness * into_stop - hand.stop_damping * body.velocity, 0.0)
         body.velocity += step * (force - body.friction * body.velocity + on_handle) / body.mass
         body.position += step * body.velocity
         hand.time += step
@@ -216,6 +221,11 @@ class Bench:
         hand["least_force"] = 0.02 * self.scene.device.force_limit
         hand["home"] = hand["position"] = float(body.position)
         body.coulomb = float(address_of(self._hands[c : c + 1]))
+        if kind in AT_STOP:
+            kind = kind.removesuffix(" at a stop")
+            hand["stop_behind"] = chance.uniform(0.0, 0.004)
+            hand["stop_stiffness"] = 2e3 * 20.0 ** chance.random() * min(1.0, float(body.mass) / 0.2)
+            hand["stop_damping"] = 0.3 * chance.random() * 2.0 * math.sqrt(hand["stop_stiffness"] * body.mass)
         self._mock.converters[c].state = np.uint64(chance.getrandbits(63) | 1)
         if kind == "thrown":
             body.velocity = -chance.uniform(0.03, 0.63)
@@ -252,13 +262,15 @@ def _drawn_hand(chance: random.Random, kind: str) -> dict[str, Any]:
     return drawn
 
 
-def runs(number: int, seed: int, *, each: int = 5, scene: dict[str, Any], **how: Any) -> Iterator[Outcome]:
+def runs(
+    number: int, seed: int, *, each: int = 5, scene: dict[str, Any], kinds: tuple[str, ...] = KINDS, **how: Any
+) -> Iterator[Outcome]:
     """So many runs, `each` of them on one scene; a seed draws the same scenes, hands and stalls whatever is wrong."""
     chance = random.Random(seed)
     for first in range(0, number, each):
         bench = Bench(drawn_scene(chance, **scene))
         for one in range(first, min(first + each, number)):
-            yield bench.run(random.Random(f"{seed} {one}"), KINDS[one % len(KINDS)], **how)
+            yield bench.run(random.Random(f"{seed} {one}"), kinds[one % len(kinds)], **how)
 
 
 def wrong(number: int, seed: int, *, scene: dict[str, Any], **how: Any) -> dict[str, Any]:
@@ -281,12 +293,12 @@ def wrong(number: int, seed: int, *, scene: dict[str, Any], **how: Any) -> dict[
     }
 
 
-def right(number: int, seed: int, *, scene: dict[str, Any]) -> dict[str, Any]:
+def right(number: int, seed: int, *, scene: dict[str, Any], kinds: tuple[str, ...] = KINDS) -> dict[str, Any]:
     """Of a device that is as it says: how often it is stopped, and how often its force released for a test."""
-    ended = list(runs(number, seed, scene=scene))
+    ended = list(runs(number, seed, scene=scene, kinds=kinds))
     return {
         "runs": number,
-        "stopped": {kind: sum(one.is_found for one in ended if one.kind == kind) for kind in KINDS},
+        "stopped": {kind: sum(one.is_found for one in ended if one.kind == kind) for kind in kinds},
         "by other guards": sum(one.ending not in ("done", "sign wrong") for one in ended),
         "tests": sum(one.tests for one in ended),
     }
@@ -306,6 +318,7 @@ def main() -> int:
     parser = argparse.ArgumentParser("tools/bench/sign", description=__doc__)
     parser.add_argument("--runs", type=int, default=400)
     parser.add_argument("--right", type=int, default=10_000)
+    parser.add_argument("--at-stop", type=int, default=4000)
     parser.add_argument("--rate", type=float, default=1000.0)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--save", type=Path)
@@ -326,6 +339,12 @@ def main() -> int:
         scene = {"rate": asked.rate, "force_limit": 10.0, "mass": 0.2}
         one = found["false stops, 10 N, 0.2 kg"] = right(asked.right, asked.seed + 1, scene=scene)
         print(f"\nright: {one}")
+    if asked.at_stop:
+        for rate, mass in ((1000.0, 0.2), (1000.0, 0.05), (5000.0, 0.2)):
+            scene = {"rate": rate, "force_limit": 10.0, "mass": mass}
+            name = f"false stops at a mechanical stop, 10 N, {mass:g} kg, {rate:g} Hz"
+            one = found[name] = right(asked.at_stop, asked.seed + 2, scene=scene, kinds=AT_STOP)
+            print(f"\n{name}: {one}", flush=True)
     if asked.save:
         asked.save.write_text(json.dumps(found, indent=1) + "\n")
     return 0
