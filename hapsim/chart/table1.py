@@ -237,7 +237,7 @@ def _scene_of(coupling: Coupling) -> Scene:
             friction=c.friction,
             stiffness=c.stiffness,
             delay=c.delay,
-            hold=c.hold,  # type: ignore[arg-type]
+            hold=c.hold,
             sampling=c.sampling,  # type: ignore[arg-type]
             force_limit=limit,
             correction=coupling.correction,

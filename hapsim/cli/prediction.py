@@ -12,6 +12,7 @@ from rich.table import Table
 
 from hapsim.cli.correction import show_correction
 from hapsim.cli.wire import show_silence, show_wire, slew_warnings
+from hapsim.holds import HOLDS
 from hapsim.number_format import between, duration, rounded_down, rounded_up
 from hapsim.prediction import Desired, Felt, Prediction, Robustness, correction_for, robustness_of
 from hapsim.theory import Mode
@@ -77,7 +78,7 @@ def _predicted_for(scene: Scene) -> str:
     late = (
         f"{device.delay:g} {samples} ({duration(device.delay * scene.period)}) of delay" if device.delay else "no delay"
     )
-    hold = {"zoh": "zero-order hold", "impulse": "impulse hold"}[device.hold]
+    hold = HOLDS[device.hold].label
     averaged = ", averaged positions" if device.sampling == "average" else ""
     return f"for a hand of {who}, {late}, {hold}{averaged}"
 

@@ -91,16 +91,16 @@ def peak_per_newton(plant: Plant, drive: Drive, rate_hz: float, converters: Conv
         plant.friction * rate_hz / per_sample, plant.stiffness / per_sample, plant.delay, converters
     )
     count = _LOOKED_AT * drive.half
-    gone = motion.whole_delay + 2
+    gone = motion.whole_delay + len(motion.gains)
     forces, state, before, now, peak = np.zeros(count + gone), np.zeros(2), 0.0, 0.0, 0.0
     for n in range(count):
         push, number = 1.0, n // drive.half
         push -= 0.5 * ((number * _GOLDEN) % 1.0)
         spring = drive.stiffness * now + drive.damping * rate_hz * (now - before)
         forces[n + gone] = ((-push if number & 1 else push) - spring) / per_sample
-        newer, older = forces[n + gone - motion.whole_delay], forces[n + gone - motion.whole_delay - 1]
-        seen = float(motion.row @ state) + motion.seen_newer * newer + motion.seen_older * older
-        state = motion.step @ state + motion.newer * newer + motion.older * older
+        acting = forces[n + gone - motion.whole_delay - np.arange(len(motion.gains))]
+        seen = float(motion.row @ state) + float(acting @ motion.seen)
+        state = motion.step @ state + acting @ motion.gains
         before, now = now, seen
         peak = max(peak, abs(seen))
     return peak

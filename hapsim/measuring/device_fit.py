@@ -202,7 +202,7 @@ def _columns(table: _Table, shape: Shape, converters: Converters) -> Vector:
     delay, friction, stiffness, *hand = shape
     motion = sampled_motion(friction, stiffness, min(max(delay, -1.0), table.most_delay + 1.0), converters, hand)
     newest, length = table.index - motion.whole_delay - 1, table.inside.shape[1]
-    pushed = motion.answer_to(table.force[newest], table.force[newest - 1])
+    pushed = motion.answer_to([table.force[newest - age] for age in range(len(motion.gains))])
     constant = np.broadcast_to(motion.answer_at_once(np.ones(length)), pushed.shape)
     columns = np.stack([table.position, pushed, -motion.answer_at_once(table.side), constant], axis=2)
     columns *= table.inside[:, :, None]

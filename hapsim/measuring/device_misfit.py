@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 
@@ -9,6 +10,7 @@ import numpy as np
 from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 
+from hapsim.holds import HOLDS
 from hapsim.measuring.device_fit import DeviceFit
 from hapsim.measuring.device_model import Converters
 from hapsim.measuring.device_motion import ROUNDING, Motion, Swing
@@ -82,12 +84,18 @@ def balance_of(
 def _force_weights(hold: str, delay: float, width: int) -> tuple[int, Vector]:
     """(w, weights of the forces from w rows before the window on): how much of each acts within it."""
     whole = math.ceil(delay) + 1
-    acts = np.arange(width + whole) - whole + delay  # in rows of the window, when each begins to act
-    scaled = (np.stack([acts, acts + 1.0]) - 0.5 * (width - 1)) / (0.5 * width)
-    if hold == "impulse":
-        return whole, np.asarray(np.where(np.abs(scaled[0]) < 1.0, _WINDOW(scaled[0]), 0.0))
-    begin, end = (0.5 * width * _WINDOW.integ()(np.clip(edge, -1.0, 1.0)) for edge in scaled)
-    return whole, np.asarray(end - begin)
+    half = 0.5 * width
+    acts = np.arange(width + whole) - whole + delay - 0.5 * (width - 1)  # rows from the middle, when each begins to act
+    weights, begin = np.zeros(acts.size), 0.0
+    for duration, impulse, level, slope in HOLDS[hold].pieces(0.0):
+        for age, (strikes, pushes, grows) in enumerate(itertools.zip_longest(impulse, level, slope, fillvalue=0.0)):
+            since = (acts + begin + age) / half  # where this piece of each force begins
+            window, edges = _WINDOW(since), np.clip([since, since + duration / half], -1.0, 1.0)
+            weights += np.where(np.abs(since) < 1.0, strikes * window, 0.0)
+            weights += half * (pushes - grows * half * since) * np.diff(_WINDOW.integ()(edges), axis=0)[0]
+            weights += half**2 * grows * np.diff((_WINDOW * Polynomial([0.0, 1.0])).integ()(edges), axis=0)[0]
+        begin += duration
+    return whole, weights
 
 
 def _around(force: Vector, begin: int, rows: int) -> Vector:

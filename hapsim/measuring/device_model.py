@@ -20,6 +20,8 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 from scipy.signal import lfilter
 
+from hapsim.holds import HOLDS
+
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
@@ -36,8 +38,8 @@ class Converters:
 class SampledMotion:
     """One sample of the motion, and what is measured at its end, in sample periods:
 
-    state[n + 1] = step state[n] + newer f[n - D] + older f[n - D - 1], and
-    y[n + 1] = row state[n] + seen_newer f[n - D] + seen_older f[n - D - 1],
+    state[n + 1] = step state[n] + sum over ages of gains[age] f[n - D - age], and
+    y[n + 1] = row state[n] + sum over ages of seen[age] f[n - D - age],
 
     the state being position and velocity of each mass, f force per mass; `steady` and `seen_steady` the same for a
     constant force.
@@ -45,17 +47,16 @@ class SampledMotion:
 
     whole_delay: int
     step: Matrix
-    newer: Vector
-    older: Vector
+    gains: tuple[Vector, ...]
     steady: Vector
     row: Vector
-    seen_newer: float
-    seen_older: float
+    seen: tuple[float, ...]
     seen_steady: float
 
-    def answer_to(self, newer: Vector, older: Vector) -> Vector:
-        """Positions along the last axis, the first one sample after rest at 0, under f[n - D] and f[n - D - 1]."""
-        return self._filtered(newer, self.newer, self.seen_newer) + self._filtered(older, self.older, self.seen_older)
+    def answer_to(self, forces: Sequence[Vector]) -> Vector:
+        """Positions along the last axis, the first one sample after rest at 0, under f[n - D - age] for each age."""
+        filtered = (self._filtered(*each) for each in zip(forces, self.gains, self.seen, strict=True))
+        return np.asarray(sum(filtered))
 
     def answer_at_once(self, force: Vector) -> Vector:
         """Positions along the last axis under forces that each act for one sample, the first one sample after rest."""
@@ -86,30 +87,30 @@ def sampled_motion(
     whole = math.floor(delay)
     part = delay - whole
     states = 4 if hand else 2
-    state, force, area = slice(states), states, states + 1
-    matrix = np.zeros((states + 2, states + 2))
-    matrix[0, 1] = matrix[1, force] = matrix[area, 0] = 1.0
+    state, force, area, slope = slice(states), states, states + 1, states + 2
+    matrix = np.zeros((states + 3, states + 3))
+    matrix[0, 1] = matrix[1, force] = matrix[area, 0] = matrix[force, slope] = 1.0
     matrix[1, :2] = -stiffness, -friction
     if hand:
         spring, damper, ratio = hand
         pull = np.array([spring, damper, -spring, -damper])
         matrix[1, state] -= pull
         matrix[2, 3], matrix[3, state] = 1.0, ratio * pull
-    before, after, through = expm(matrix * part), expm(matrix * (1.0 - part)), expm(matrix)
-    if converters.hold == "zoh":  # the older force until the change, the newer one after it
-        newer, older = after[:, force], after[:, state] @ before[state, force]
-        older[area] += before[area, force]
-    else:  # all of the newer one at the change
-        newer, older = after[:, 1].copy(), np.zeros(states + 2)
+    through = expm(matrix)
+    pieces = [piece for piece in HOLDS[converters.hold].pieces(part) if piece.duration > 0.0]
+    gains = np.zeros((states + 3, max(len(weights) for _, *each in pieces for weights in each)))
+    for duration, impulse, level, grows in pieces:
+        gains[1, : len(impulse)] += impulse
+        gains[[force, slope]] = 0.0
+        gains[force, : len(level)], gains[slope, : len(grows)] = level, grows
+        gains = expm(matrix * duration) @ gains
     seen = area if converters.sampling == "average" else 0
     return SampledMotion(
         whole_delay=whole,
         step=through[state, state],
-        newer=newer[state],
-        older=older[state],
+        gains=tuple(gains[state].T),
         steady=through[state, force],
         row=through[seen, state],
-        seen_newer=float(newer[seen]),
-        seen_older=float(older[seen]),
+        seen=tuple(gains[seen].tolist()),
         seen_steady=float(through[seen, force]),
     )

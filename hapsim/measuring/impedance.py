@@ -21,6 +21,7 @@ every period, which no mean makes smaller.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -29,6 +30,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hapsim.errors import UsageError
+from hapsim.holds import Hold
 from hapsim.measuring.multisine import Complexes, Floats, Periods
 
 CONFIDENCE = 0.999
@@ -69,17 +71,30 @@ class Loop:
     """Hz."""
     delay: float
     """Sample periods."""
-    impulse: bool
-    """Whether a force strikes once, in place of being held."""
+    hold: Hold
+    """What the device makes of a force."""
     averaged: bool
     """Whether a reading is the mean over the sample period before it."""
 
     def over_velocity(self, frequency: Floats) -> Complexes:
         """(n,) by what a computed force over a position that is read becomes one that acts, over the velocity."""
         angle = 2.0 * np.pi * frequency / self.rate
-        window = np.exp(-0.5j * angle) * np.sinc(0.5 * angle / np.pi)
-        windows = (not self.impulse) + self.averaged
-        return np.asarray(window**windows * np.exp(-1j * self.delay * angle) / (2j * np.pi * frequency))
+        through = _response(self.hold, angle) * np.exp(-1j * self.delay * angle) / (2j * np.pi * frequency)
+        mean = np.exp(-0.5j * angle) * np.sinc(0.5 * angle / np.pi) if self.averaged else 1.0
+        return np.asarray(through * mean)
+
+
+def _response(hold: Hold, angle: Floats) -> Complexes:
+    """(n,) what a hold makes of forces that turn by so many radians a sample, summed over its pieces in time."""
+    nodes, weights = np.polynomial.legendre.leggauss(16)  # to rounding, up to half the sample rate
+    response, begin = np.zeros(angle.size, complex), 0.0
+    for duration, impulse, level, slope in hold.pieces(0.0):
+        times, shares = 0.5 * duration * (nodes + 1.0), 0.5 * duration * weights
+        for age, (strikes, pushes, grows) in enumerate(itertools.zip_longest(impulse, level, slope, fillvalue=0.0)):
+            turned = np.exp(-1j * np.multiply.outer(angle, begin + age + times)) @ (shares * (pushes + grows * times))
+            response += strikes * np.exp(-1j * angle * (begin + age)) + turned
+        begin += duration
+    return response
 
 
 def impedance_of(loop: Loop, frequency: Floats, experiments: Sequence[Periods]) -> Impedance:

@@ -105,11 +105,11 @@ class Periods(NamedTuple):
         )
 
 
-def periods_of(trace: Trace, lines: Lines, *, impulse: bool, senses: bool) -> Periods:
-    """The whole periods of a trace. `impulse`: a force that is not renewed in time ends, in place of being held.
-    `senses`: the scene's forces come of velocities too, whose rounding no trace records: how large it is show the
-    frequencies that nothing excites."""
-    acted = _acting_force(trace, impulse)
+def periods_of(trace: Trace, lines: Lines, *, keeps_last_force: bool, senses: bool) -> Periods:
+    """The whole periods of a trace. `keeps_last_force`: a force that is not renewed in time goes on, in place of
+    ending. `senses`: the scene's forces come of velocities too, whose rounding no trace records: how large it is show
+    the frequencies that nothing excites."""
+    acted = _acting_force(trace, keeps_last_force)
     position, scene = trace.position - np.mean(trace.position, axis=0), trace.asked_force
     number, rows_in = np.unique(trace.sample // lines.samples, return_counts=True)
     begins = np.concatenate([[0], np.cumsum(rows_in)])
@@ -159,7 +159,7 @@ def _gaps(number: NDArray[np.int64]) -> int:
     return int(number[-1] - number[0] + 1 - number.size) if number.size else 0
 
 
-def _acting_force(trace: Trace, impulse: bool) -> Floats:
+def _acting_force(trace: Trace, keeps_last_force: bool) -> Floats:
     """(N, C): the force that acted in place of each row's: where that came too late, or never left, the one before."""
     flags = trace.flags
     late = flags & LATE_FORCE != 0
@@ -167,7 +167,7 @@ def _acting_force(trace: Trace, impulse: bool) -> Floats:
     if late.size and float(np.mean(late)) <= _ALWAYS:
         missed[:-1] |= late[1:] & (np.diff(trace.sample) == 1)
     force = trace.force
-    if impulse:
+    if not keeps_last_force:
         return np.where(missed[:, None], 0.0, force)
     row = np.maximum.accumulate(np.where(missed, 0, np.arange(missed.size)))
     return np.asarray(force[row])

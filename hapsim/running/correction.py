@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from firmware_protocol.description import Description
+from hapsim.holds import HOLDS
 from hapsim.loop.adaptive import ADDED, Adaptation, AdaptiveChannel
 from hapsim.loop.predictor import PredictorMemory, Table, numbers_of
 from hapsim.prediction.correction import Corrected, Rendering
@@ -36,7 +37,7 @@ class LoopCorrection:
             self._tables(rendering),
             lags=self._lags,
             readings=1 + any(one.senses for one in predictors.values()),
-            goes_on=device.hold == "zoh",
+            goes_on=HOLDS[device.hold].keeps_last_force,
             lives_samples=int(loop.control.time_to_live),
         )
         if self._adapts:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from firmware_protocol.description import Description
 from hapsim.cordis.stored_energy import Tank
 from hapsim.errors import UsageError
+from hapsim.holds import HOLDS
 from hapsim.loop.force_history import ForceHistory
 from hapsim.loop.guards.energy_guard import CREDIT_M, FIRST_FORCE_M, LATE_M, EnergyGuard
 from hapsim.loop.guards.slew import limit_slew
@@ -48,9 +49,10 @@ def set_slew(loop: Any, scene: Scene, description: Description, bounds: ForceBou
 def history_of(loop: Any, scene: Scene) -> ForceHistory:
     """Which forces acted, in the FORCE_HISTORY of `loop`, LOOP."""
     device = scene.device
-    # The mean instant of a position that is averaged is half a sample earlier; that of an impulse's motion, too.
-    shift = (0.5 if device.sampling == "average" else 0.0) - (0.5 if device.hold == "impulse" else 0.0)
-    return ForceHistory(loop.history, delay=device.delay + shift, goes_on=device.hold == "zoh")
+    hold = HOLDS[device.hold]
+    # The mean instant of a position that is averaged is half a sample earlier.
+    shift = (0.5 if device.sampling == "average" else 0.0) + hold.mean_delay - 0.5
+    return ForceHistory(loop.history, delay=device.delay + shift, goes_on=hold.keeps_last_force)
 
 
 def energy_guard_of(loop: Any, scene: Scene, description: Description, bounds: ForceBounds) -> EnergyGuard | None:

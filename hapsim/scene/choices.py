@@ -2,13 +2,20 @@
 here.
 
 What each of them is stands under the same name in `hapsim.theory`, and in what runs it: `hapsim/device/mock`,
-`hapsim/cordis`. Nothing is imported here, so that a help text that lists names costs nothing.
+`hapsim/cordis`; holds are declared in `hapsim/holds.py`. Nothing heavy is imported here, so that a help text that
+lists names costs nothing.
 """
 
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
-Hold = Literal["zoh", "impulse"]
-HOLD = "How the device keeps a force until the next one: level (zoh), or given all at once (impulse)"
+from hapsim.holds import HOLDS
+
+if TYPE_CHECKING:
+    Hold = str
+else:
+    Hold = Literal[tuple(HOLDS)]
+_HOLDS = "; ".join(f"{hold.meaning} ({name})" for name, hold in HOLDS.items())
+HOLD = f"What the device makes of the forces that it receives: {_HOLDS}"
 
 Sampling = Literal["ideal", "average"]
 SAMPLING = "How the device reads its position: at the instant (ideal), or as the mean over the period (average)"

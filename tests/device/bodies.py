@@ -29,7 +29,7 @@ def body_of(
     stiffness: float = 0.0,
     push: float = 0.0,
 ) -> np.record:
-    fields = (mass, friction, stiffness, coulomb, push, position, velocity, 0.0)
+    fields = (mass, friction, stiffness, coulomb, push, 0.0, position, velocity, 0.0)
     body: np.record = np.array([fields], BODY).view(np.recarray)[0]
     return body
 

@@ -20,7 +20,7 @@ from hapsim.device.mock.sampler import CONVERTER
 
 T = 1e-3
 DELAYS = [0.0, 0.37, 1.0, 1.5, 2.0]
-CASES = list(itertools.product(("zoh", "impulse"), ("ideal", "average"), DELAYS, (0.0, 60.0)))
+CASES = list(itertools.product(("zoh", "impulse", "ramp"), ("ideal", "average"), DELAYS, (0.0, 60.0)))
 
 
 @entry
@@ -58,27 +58,40 @@ class Coasting:
     v: mp.mpf
     force: mp.mpf
     travel: mp.mpf
+    slope: Any = 0
 
     def coast(self, t: mp.mpf) -> None:
+        force, slope = self.force, self.slope
+        self.force += slope * t
         if self.b == 0:
-            a = self.force / self.m
-            self.travel += self.x * t + self.v * t**2 / 2 + a * t**3 / 6
-            self.x += self.v * t + a * t**2 / 2
-            self.v += a * t
+            a, grows = force / self.m, slope / self.m
+            self.travel += self.x * t + self.v * t**2 / 2 + a * t**3 / 6 + grows * t**4 / 24
+            self.x += self.v * t + a * t**2 / 2 + grows * t**3 / 6
+            self.v += a * t + grows * t**2 / 2
             return
-        rate, final = mp.mpf(self.b) / self.m, self.force / self.b
+        rate, grows = mp.mpf(self.b) / self.m, slope / self.b
+        final = force / self.b - grows / rate
         gone = (1 - mp.exp(-rate * t)) / rate
-        self.travel += self.x * t + final * t**2 / 2 + (self.v - final) * (t - gone) / rate
-        self.x += final * t + (self.v - final) * gone
-        self.v = final + (self.v - final) * mp.exp(-rate * t)
+        self.travel += self.x * t + final * t**2 / 2 + grows * t**3 / 6 + (self.v - final) * (t - gone) / rate
+        self.x += final * t + grows * t**2 / 2 + (self.v - final) * gone
+        self.v = final + grows * t + (self.v - final) * mp.exp(-rate * t)
 
 
-def _act(mass: Coasting, force: Any) -> None:
-    mass.force = mp.mpf(force)
+def _act(mass: Coasting, force: Any, slope: Any = 0) -> None:
+    mass.force, mass.slope = mp.mpf(force), mp.mpf(slope)
 
 
 def _blow(mass: Coasting, force: Any) -> None:
     mass.v += force * mp.mpf(T) / mass.m
+
+
+def _ramp(mass: Coasting, begin: Any, end: Any) -> None:
+    _act(mass, begin, (mp.mpf(end) - begin) / mp.mpf(T))
+
+
+def _blow_and_act(mass: Coasting, force: Any) -> None:
+    _blow(mass, force * mp.mpf("0.4"))
+    _act(mass, force * mp.mpf("0.6"))
 
 
 Event = Callable[[Coasting, Sequence[float], int], None]
@@ -87,6 +100,10 @@ Event = Callable[[Coasting, Sequence[float], int], None]
 EVENTS: dict[str, list[tuple[float, Event]]] = {
     "zoh": [(0.0, lambda mass, c, n: _act(mass, c[n]))],
     "impulse": [(0.0, lambda mass, c, n: _blow(mass, c[n]))],
+    "ramp": [(0.0, lambda mass, c, n: _ramp(mass, c[n - 1] if n else 0, c[n]))],
+    "straight": [(0.0, lambda mass, c, n: _ramp(mass, c[n], 2 * mp.mpf(c[n]) - (c[n - 1] if n else 0)))],
+    "sawtooth": [(0.0, lambda mass, c, n: _ramp(mass, mp.mpf(3) * c[n] / 2, mp.mpf(c[n]) / 2))],
+    "blow and level": [(0.0, lambda mass, c, n: _blow_and_act(mass, mp.mpf(c[n])))],
     "mean of two": [(0.0, lambda mass, c, n: _act(mass, (mp.mpf(c[n]) + (c[n - 1] if n else 0)) / 2))],
     "half as long": [(0.0, lambda mass, c, n: _act(mass, 2 * c[n])), (0.5, lambda mass, _c, _n: _act(mass, 0))],
     "two blows": [

@@ -17,9 +17,11 @@ from hypothesis import strategies as st
 from firmware_protocol import schema
 from hapsim.device.mock import sampler
 from hapsim.device.mock.motion import move_of
-from hapsim.device.mock.sampler import HOLDS, SAMPLINGS, MockHold, Piece
+from hapsim.device.mock.sampler import SAMPLINGS
+from hapsim.holds import HOLDS
 
 sys.path.insert(0, str(Path(__file__).parent))
+sys.path.insert(0, str(Path(__file__).parents[1]))
 from bodies import body_of
 from converters import (
     CASES,
@@ -34,27 +36,7 @@ from converters import (
     sample_velocity,
     to_counts,
 )
-
-#: Holds that hapsim does not ship, of what an entry can say.
-OTHERS = {
-    "mean of two": MockHold(lambda phi: [Piece(phi, (0.0, 0.5, 0.5)), Piece(1.0 - phi, (0.5, 0.5))], goes_on=True),
-    "half as long": MockHold(
-        lambda phi: (
-            [Piece(phi), Piece(0.5, (2.0,)), Piece(0.5 - phi)]
-            if phi < 0.5
-            else [Piece(phi - 0.5, (0.0, 2.0)), Piece(0.5), Piece(1.0 - phi, (2.0,))]
-        ),
-        goes_on=False,
-    ),
-    "two blows": MockHold(
-        lambda phi: (
-            [Piece(phi), Piece(0.5, blow=(0.25,)), Piece(0.5 - phi, blow=(0.75,))]
-            if phi < 0.5
-            else [Piece(phi - 0.5), Piece(0.5, blow=(0.0, 0.75)), Piece(1.0 - phi, blow=(0.25,))]
-        ),
-        goes_on=False,
-    ),
-}
+from unshipped_holds import UNSHIPPED
 
 
 def measured_by_the_mock(hold: str, sampling: str, delay: float, body: Any, commands: Sequence[float]) -> list[float]:
@@ -90,11 +72,11 @@ def test_the_measured_positions_are_those_of_an_event_by_event_simulation(
 
 @pytest.mark.parametrize("delay", DELAYS)
 @pytest.mark.parametrize("sampling", WINDOWS)
-@pytest.mark.parametrize("hold", HOLDS | OTHERS)
+@pytest.mark.parametrize("hold", HOLDS | UNSHIPPED)
 def test_holds_and_samplings_are_what_their_entries_say(
     hold: str, sampling: str, delay: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(HOLDS, hold, (HOLDS | OTHERS)[hold])
+    monkeypatch.setitem(HOLDS, hold, (HOLDS | UNSHIPPED)[hold])
     monkeypatch.setitem(SAMPLINGS, sampling, WINDOWS[sampling])
     commands = np.random.default_rng(7).uniform(-30.0, 30.0, 60)
     positions, velocities = read_by_the_mock(
@@ -106,7 +88,7 @@ def test_holds_and_samplings_are_what_their_entries_say(
 
 
 @settings(max_examples=60, deadline=None, derandomize=True)
-@given(st.sampled_from(["zoh", "impulse"]), st.sampled_from(["ideal", "average"]), st.floats(0.0, 7.0))
+@given(st.sampled_from(list(HOLDS)), st.sampled_from(["ideal", "average"]), st.floats(0.0, 7.0))
 @example("zoh", "ideal", math.nextafter(1.0, 0.0))
 @example("impulse", "average", math.nextafter(1.0, 2.0))
 @example("zoh", "average", 5e-324)
@@ -117,7 +99,7 @@ def test_any_delay_is_as_an_event_by_event_simulation_has_it(hold: str, sampling
     np.testing.assert_allclose(measured, expected, atol=1e-17)
 
 
-@pytest.mark.parametrize("hold", ["zoh", "impulse"])
+@pytest.mark.parametrize("hold", HOLDS)
 @pytest.mark.parametrize(("delay", "first"), [(0.0, 0), (0.37, 0), (0.999, 0), (1.0, 1), (1.5, 1), (2.0, 2), (3.01, 3)])
 def test_a_command_is_first_seen_in_the_sample_in_which_its_delay_ends(hold: str, delay: float, first: int) -> None:
     measured = np.array(measured_by_the_mock(hold, "ideal", delay, body_of(1.0), [1.0, *[0.0] * 6]))
@@ -126,17 +108,17 @@ def test_a_command_is_first_seen_in_the_sample_in_which_its_delay_ends(hold: str
 
 
 def test_nothing_acts_before_the_first_command_whatever_the_delay() -> None:
-    for hold, delay in itertools.product(("zoh", "impulse"), (0.0, 0.5, 3.0, 9.25)):
+    for hold, delay in itertools.product(HOLDS, (0.0, 0.5, 3.0, 9.25)):
         assert measured_by_the_mock(hold, "ideal", delay, body_of(1.0, position=0.125), [0.0] * 12) == [0.125] * 12
 
 
-def test_both_holds_give_the_same_momentum() -> None:
+def test_all_holds_give_the_same_momentum() -> None:
     speeds = []
-    for hold in ("zoh", "impulse"):
+    for hold in HOLDS:
         body = body_of(0.2)
         measured_by_the_mock(hold, "ideal", 1.5, body, [1.0, 2.0, -0.5, 0.0, 0.0, 0.0])
         speeds.append(body["velocity"])
-    assert speeds == pytest.approx([2.5 * T / 0.2] * 2, rel=1e-14)
+    assert speeds == pytest.approx([2.5 * T / 0.2] * len(HOLDS), rel=1e-14)
 
 
 @pytest.mark.parametrize("delay", [1.0, 1.25, 1.5])

@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+from hapsim.holds import HOLDS
 from hapsim.measuring.device_model import Converters, sampled_motion
 
 FRICTION, STIFFNESS, STEPS = 0.03, 0.02, 1000
@@ -21,7 +22,9 @@ def stepped(force: np.ndarray, delay: float, converters: Converters) -> np.ndarr
         for i in range(STEPS):
             since = n + i / STEPS - delay
             number = math.floor(since + 1e-9)
-            acts = force[number] if number >= 0 else 0.0
+            acts, last = (force[i] if i >= 0 else 0.0 for i in (number, number - 1))
+            if converters.hold == "ramp":
+                acts = last + (acts - last) * (since + 0.5 / STEPS - number)
             if converters.hold == "impulse":
                 if number >= 0 and abs(since - number) < 0.5 / STEPS:
                     v += acts
@@ -33,7 +36,7 @@ def stepped(force: np.ndarray, delay: float, converters: Converters) -> np.ndarr
     return np.array(seen)
 
 
-@pytest.mark.parametrize("hold", ["zoh", "impulse"])
+@pytest.mark.parametrize("hold", HOLDS)
 @pytest.mark.parametrize("sampling", ["ideal", "average"])
 @pytest.mark.parametrize("delay", [0.0, 0.37, 1.0, 2.6])
 def test_the_answer_to_a_record_of_forces_is_that_of_the_equation(hold: str, sampling: str, delay: float) -> None:
@@ -41,9 +44,10 @@ def test_the_answer_to_a_record_of_forces_is_that_of_the_equation(hold: str, sam
     converters = Converters(hold, sampling)
     motion = sampled_motion(FRICTION, STIFFNESS, delay, converters)
     before = np.concatenate([np.zeros(5), force])
-    newer, older = (before[5 - late : before.size - late] for late in (motion.whole_delay, motion.whole_delay + 1))
+    lates = range(motion.whole_delay, motion.whole_delay + len(motion.gains))
+    forces = [before[5 - late : before.size - late] for late in lates]
     expected = stepped(force, delay, converters)
-    assert np.max(np.abs(motion.answer_to(newer, older) - expected)) < 1e-5 * np.max(np.abs(expected))
+    assert np.max(np.abs(motion.answer_to(forces) - expected)) < 1e-5 * np.max(np.abs(expected))
 
 
 def test_a_free_motion_and_one_under_a_constant_force_are_those_of_the_equation() -> None:

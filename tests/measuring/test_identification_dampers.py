@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from hapsim.holds import HOLDS
 from hapsim.measuring.measure_trace import measure_trace
 from hapsim.running import run
 from hapsim.theory import Configuration
-from hapsim.theory.interface import DAMPERS, HOLDS, SAMPLINGS, WITH_CUTOFF
+from hapsim.theory.interface import DAMPERS, SAMPLINGS, WITH_CUTOFF
 
 sys.path.insert(0, str(Path(__file__).parent))
 from scenes import one_spring

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from hapsim.holds import HOLDS
 from hapsim.measuring import impedance
 from hapsim.measuring.impedance import Loop, impedance_of
 from hapsim.measuring.measure_impedance import measure_impedance
@@ -20,7 +21,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from records import trace_of
 
 LINES = lines_for(1000.0)
-LOOP = Loop(1000.0, 0.0, impulse=False, averaged=False)
+LOOP = Loop(1000.0, 0.0, HOLDS["zoh"], averaged=False)
 STIFFNESS = 700.0  # N/m: all that this device has
 
 
@@ -31,7 +32,7 @@ def noisy_periods(seed: int) -> Periods:
     pulled[LINES.bins] = np.exp(2j * np.pi * rng.random(LINES.bins.size))
     force = np.tile(20.0 * np.fft.irfft(pulled, LINES.samples), 14)
     trace = trace_of(force / STIFFNESS + 1e-6 * rng.normal(size=force.size), force)
-    return periods_of(trace, LINES, impulse=False, senses=False)
+    return periods_of(trace, LINES, keeps_last_force=True, senses=False)
 
 
 def test_as_many_values_lie_outside_their_circles_as_the_confidence_says(

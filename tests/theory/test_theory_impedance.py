@@ -7,9 +7,10 @@ import itertools
 import numpy as np
 import pytest
 
+from hapsim.holds import HOLDS
 from hapsim.theory import Configuration, Network
 from hapsim.theory.hand.walls import stiffest_passive, stiffest_stable
-from hapsim.theory.interface import DAMPERS, HOLDS, SAMPLINGS, damper_named
+from hapsim.theory.interface import DAMPERS, SAMPLINGS, damper_named
 from hapsim.theory.network import impedance
 from hapsim.theory.network.impedance import desired_impedance, loop_impedance
 from hapsim.theory.network.state import channel_steps, transition

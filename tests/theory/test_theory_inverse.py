@@ -11,11 +11,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from hapsim.holds import HOLDS
 from hapsim.theory import Configuration
 
 MASS, RATE = 0.2, 1000.0
 UNIT = MASS * RATE**2
-HOLDS = ("zoh", "impulse")
 SAMPLINGS = ("ideal", "average")
 DELAYS = (0.0, 0.37, 1.0, 1.5, 2.0)
 
@@ -26,7 +26,7 @@ CONFIGURATIONS = st.builds(
     rate=st.floats(100.0, 50e3),
     friction=st.one_of(st.just(0.0), st.floats(1e-6, 10.0)),
     delay=st.one_of(st.integers(0, 4), st.floats(0.0, 6.0)),
-    hold=st.sampled_from(HOLDS),
+    hold=st.sampled_from(list(HOLDS)),
     sampling=st.sampled_from(SAMPLINGS),
 )
 DAMPERS = {"backward": None, "centred": None, "filtered": 90.0, "sensed": None}

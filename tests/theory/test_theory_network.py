@@ -7,8 +7,9 @@ import itertools
 import numpy as np
 import pytest
 
+from hapsim.holds import HOLDS
 from hapsim.theory import Configuration, Network
-from hapsim.theory.interface import HOLDS, SAMPLINGS
+from hapsim.theory.interface import SAMPLINGS
 from hapsim.theory.network import solve, transition
 
 RATE = 1000.0
@@ -51,8 +52,11 @@ def test_one_channel_on_one_link_has_the_poles_of_a_ths(hold: str, sampling: str
             K, B = 10.0 ** rng.uniform(0.0, 6.0), rng.choice([-1, 1]) * 10.0 ** rng.uniform(-2.0, 3.0)
             network = Network(RATE, [0.3], [friction], delay, hold, sampling, [], [[0, -1]], [K], [B])
             solution = solve(network)
-            left = unmatched(solution.poles, c.poles(K, B), 1e-10)
-            assert np.abs(left).max(initial=0.0) < 1e-10
+            expected = c.poles(K, B)
+            left = unmatched(solution.poles, expected[np.abs(expected) > 0.05], 1e-10)
+            # Of those that are gone within two samples up to four crowd at 0, and have fewer digits.
+            left = unmatched(left, expected[np.abs(expected) <= 0.05], 1e-8)
+            assert np.abs(left).max(initial=0.0) < 1e-8
             assert solution.spectral_radius == pytest.approx(c.spectral_radius(K, B), rel=1e-10)
 
 

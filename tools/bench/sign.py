@@ -3,8 +3,9 @@
     tools/bench/sign [--runs 400] [--right 10000] [--at-stop 4000] [--rate 1000] [--seed 1] [--save FILE]
 
 A hand is a second mass on the handle, an arm that holds it and moves it, tremor, knocks, and leaning; or nobody holds a
-handle that flies. A hand can also lean on a mechanical stop, just behind the wall. The hand's mass and stiffness, the wall, the encoder, noise and a stall are drawn. Every run lasts a
-second, with the guards of a port. How far and how fast the handle moves is counted from the first force to 0.1 m.
+handle that flies. A hand can also lean on a mechanical stop, just behind the wall. The hand's mass and stiffness, the
+wall, the encoder, noise and a stall are drawn. Every run lasts a second, with the guards of a port. How far and how
+fast the handle moves is counted from the first force to 0.1 m.
 
 A run is the loop that `hapsim run` runs: the mock moves its body by a function of this file, in which the hand is.
 What a run left behind in memory is put back by copying what was there after arming.

@@ -261,7 +261,7 @@ def _decide_command(mock):
     mock.registers[schema.REG_HELD] += 1
     if board.heard == board.n:
         return False
-    lives = board.n <= board.expires and mock.converters[0].goes_on
+    lives = board.n <= board.expires and mock.converters[0].keeps_last_force
     for c in range(mock.channels):
         mock.commands[row, c] = mock.commands[before, c] if lives else 0.0
     return False

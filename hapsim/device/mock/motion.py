@@ -1,11 +1,13 @@
-"""The mock's mass in continuous time, moved in closed form over any interval of constant force.
+"""The mock's mass in continuous time, moved in closed form over any interval in which the force is level or a ramp.
 
-    m x'' + b0 x' + k0 x = F + P - Fc sign(x')
+    m x'' + b0 x' + k0 x = F + s t + P - Fc sign(x')
 
-F is commanded; P, the hand's push, is constant. b0 and k0 are those of the device and of the hand together.
+F and its slope s are commanded; P, the hand's push, is constant. b0 and k0 are those of the device and of the hand
+together.
 
 No step method: whatever the interval, position, velocity and the integral of the position are exact to rounding. With
 Coulomb friction the instant at which the mass comes to rest has a closed form too; it then sticks, or sets off again.
+Only a ramp under Coulomb friction is replaced by `_SLICES` level forces.
 
 The spring's rest position is x = 0. Without a spring, k0 = 0, the mass moves by formulas of its own.
 
@@ -31,6 +33,7 @@ BODY = np.dtype(
         ("stiffness", np.float64),  # N/m, >= 0: a real spring to x = 0
         ("coulomb", np.float64),  # N
         ("push", np.float64),  # N, of the hand
+        ("slope", np.float64),  # N/s, of the commanded force
         ("position", np.float64),  # m
         ("velocity", np.float64),  # m/s
         ("area", np.float64),  # m·s, integral of the position since it was last set to zero
@@ -39,35 +42,38 @@ BODY = np.dtype(
 
 _SERIES_END = 4.0  # of b0 h/m and of k0 h²/m: up to here by series, beyond it by exponentials that no longer cancel
 _MAX_STOPS = 1000  # within one interval
+_SLICES = 16  # of a ramp under Coulomb friction
 
 
 @helper
 def _phi(u):
-    """phi1, phi2, phi3 of u >= 0: phi1 = (1 - exp(-u))/u, phi2 = (1 - phi1)/u, phi3 = (1/2 - phi2)/u.
+    """phi1 to phi4 of u >= 0: phi1 = (1 - exp(-u))/u and phi[n + 1] = (1/n! - phi[n])/u.
 
-    For small u by the series of phi3, upwards from which the others follow without cancellation.
+    For small u by the series of phi4, upwards from which the others follow without cancellation.
     """
     if u > 1.0:
         phi1 = -math.expm1(-u) / u
         phi2 = (1.0 - phi1) / u
-        return phi1, phi2, (0.5 - phi2) / u
-    phi3 = 0.0
+        phi3 = (0.5 - phi2) / u
+        return phi1, phi2, phi3, (1.0 / 6.0 - phi3) / u
+    phi4 = 0.0
     for j in range(18, 0, -1):
-        phi3 = (1.0 - phi3 * u) / (j + 2)
-    phi3 *= 0.5
+        phi4 = (1.0 - phi4 * u) / (j + 3)
+    phi4 /= 6.0
+    phi3 = 1.0 / 6.0 - u * phi4
     phi2 = 0.5 - u * phi3
-    return 1.0 - u * phi2, phi2, phi3
+    return 1.0 - u * phi2, phi2, phi3, phi4
 
 
 @helper
 def _glide(body, force, h):
-    """Moves under a constant total force, without Coulomb friction."""
-    phi1, phi2, phi3 = _phi(body.friction / body.mass * h)
-    push = force / body.mass
+    """Moves under a total force that begins with `force` and has the body's slope, without Coulomb friction."""
+    phi1, phi2, phi3, phi4 = _phi(body.friction / body.mass * h)
+    push, ramp = force / body.mass, h * body.slope / body.mass
     v = body.velocity
-    body.area += h * (body.position + h * (phi2 * v + h * phi3 * push))
-    body.position += h * (phi1 * v + h * phi2 * push)
-    body.velocity = v + h * phi1 * (push - body.friction / body.mass * v)
+    body.area += h * (body.position + h * (phi2 * v + h * (phi3 * push + phi4 * ramp)))
+    body.position += h * (phi1 * v + h * (phi2 * push + phi3 * ramp))
+    body.velocity = v + h * (phi1 * (push - body.friction / body.mass * v) + phi2 * ramp)
 
 
 @helper
@@ -105,10 +111,10 @@ def _move_free(body, force, h):
 
 @helper
 def _spring_phi(u, w):
-    """phi1, phi2, phi3 of u = b0 h/m and w = k0 h²/m.
+    """phi1 to phi4 of u = b0 h/m and w = k0 h²/m.
 
-    z'' + (b0/m) z' + (k0/m) z = 0 from z = 0, z' = 1 reaches z = h phi1; its integral is h² phi2, that one's integral
-    is h³ phi3. Integrating the equation of motion gives phi[n] = 1/n! - u phi[n+1] - w phi[n+2]. For w = 0 they are
+    z'' + (b0/m) z' + (k0/m) z = 0 from z = 0, z' = 1 reaches z = h phi1; its integrals are h² phi2, h³ phi3 and
+    h⁴ phi4. Integrating the equation of motion gives phi[n] = 1/n! - u phi[n+1] - w phi[n+2]. For w = 0 they are
     those of `_phi`.
     """
     if u <= _SERIES_END and w <= _SERIES_END:
@@ -128,9 +134,9 @@ def _phi_by_series(u, w):
     nearer, farther = 0.0, 0.0
     for n in range(22 if u + w <= 1.0 else 42, 2, -1):
         nearer, farther = 1.0 - (u * nearer + w * farther / (n + 2)) / (n + 1), nearer
-    phi3 = nearer / 6.0
-    phi2 = 0.5 - u * phi3 - w * farther / 24.0
-    return 1.0 - u * phi2 - w * phi3, phi2, phi3
+    phi3, phi4 = nearer / 6.0, farther / 24.0
+    phi2 = 0.5 - u * phi3 - w * phi4
+    return 1.0 - u * phi2 - w * phi3, phi2, phi3, phi4
 
 
 @helper
@@ -141,10 +147,11 @@ def _phi_of_two_rates(u, w, root):
     """
     fast = 0.5 * u + root
     slow = w / fast
-    fast1, fast2, _ = _phi(fast)
-    slow1, slow2, _ = _phi(slow)
+    fast1, fast2, fast3, _ = _phi(fast)
+    slow1, slow2, slow3, _ = _phi(slow)
     apart = 2.0 * root
-    return (math.exp(-slow) - math.exp(-fast)) / apart, (slow1 - fast1) / apart, (slow2 - fast2) / apart
+    phi1 = (math.exp(-slow) - math.exp(-fast)) / apart
+    return phi1, (slow1 - fast1) / apart, (slow2 - fast2) / apart, (slow3 - fast3) / apart
 
 
 @helper
@@ -160,24 +167,26 @@ def _phi_of_a_swing(u, w, discriminant):
         cosine = decay * 0.5 * (1.0 + math.exp(-2.0 * root))
         sine = decay * (-math.expm1(-2.0 * root) / (2.0 * root) if root > 0.0 else 1.0)
     phi2 = (1.0 - cosine - 0.5 * u * sine) / w
-    return sine, phi2, (1.0 - sine - u * phi2) / w
+    phi3 = (1.0 - sine - u * phi2) / w
+    return sine, phi2, phi3, (0.5 - phi2 - u * phi3) / w
 
 
 @helper
 def _swing(body, force, h):
-    """Moves on the spring under a constant further force, without Coulomb friction.
+    """Moves on the spring under a further force that begins with `force` and has the body's slope, without Coulomb
+    friction.
 
     The displacement z = x - x(0) obeys m z'' + b0 z' + k0 z = F - k0 x(0): small intervals add small amounts, and a
     mass at rest where the spring holds the force stays there.
     """
     damped = body.friction / body.mass
     sprung = body.stiffness / body.mass
-    phi1, phi2, phi3 = _spring_phi(damped * h, sprung * h * h)
-    push = (force - body.stiffness * body.position) / body.mass
+    phi1, phi2, phi3, phi4 = _spring_phi(damped * h, sprung * h * h)
+    push, ramp = (force - body.stiffness * body.position) / body.mass, h * body.slope / body.mass
     v = body.velocity
-    body.area += h * (body.position + h * (phi2 * v + h * phi3 * push))
-    body.position += h * (phi1 * v + h * phi2 * push)
-    body.velocity = v + h * (phi1 * (push - damped * v) - h * phi2 * sprung * v)
+    body.area += h * (body.position + h * (phi2 * v + h * (phi3 * push + phi4 * ramp)))
+    body.position += h * (phi1 * v + h * (phi2 * push + phi3 * ramp))
+    body.velocity = v + h * (phi1 * (push - damped * v) + phi2 * ramp - h * phi2 * sprung * v)
 
 
 @helper
@@ -242,7 +251,8 @@ _body_at, _call = record_at(BODY), function_at(_MOVE)
 
 @inlined
 def move(how, body, force, h):
-    """Moves the body for `h` seconds under a constant `force` in N and its hand's push. `how`: from `move_of`."""
+    """Moves the body for `h` seconds under a force that begins with `force`, in N, and has the body's slope, and under
+    its hand's push. `how`: from `move_of`."""
     _call(how, (address_in_memory(body), force, h))
 
 
@@ -253,22 +263,38 @@ def move_gliding(body, force, h):
     _glide(body, force + body.push, h)
 
 
+@helper
+def _slices_of_ramp(body):
+    """How many level forces replace the body's ramp, whose slope is then 0: more than 1 under Coulomb friction only."""
+    if body.slope == 0.0 or body.coulomb == 0.0:
+        return 1
+    body.slope = 0.0
+    return _SLICES
+
+
 @native(_MOVE.return_type, *_MOVE.args)
 def move_free(body, force, h):
     """Without a spring."""
     body = _body_at(body)
-    _move_free(body, force + body.push, h)
+    slope, slices = body.slope, _slices_of_ramp(body)
+    for i in range(slices):
+        level = force + body.push + (slope - body.slope) * h * (i + 0.5) / slices
+        _move_free(body, level, h / slices)
+    body.slope = slope
 
 
 @native(_MOVE.return_type, *_MOVE.args)
 def move_on_spring(body, force, h):
     """With or without either."""
     body = _body_at(body)
-    force += body.push
-    if body.stiffness == 0.0:
-        _move_free(body, force, h)
-    else:
-        _move_on_spring(body, force, h)
+    slope, slices = body.slope, _slices_of_ramp(body)
+    for i in range(slices):
+        level = force + body.push + (slope - body.slope) * h * (i + 0.5) / slices
+        if body.stiffness == 0.0:
+            _move_free(body, level, h / slices)
+        else:
+            _move_on_spring(body, level, h / slices)
+    body.slope = slope
 
 
 def move_of(bodies: NDArray[np.void]) -> int:

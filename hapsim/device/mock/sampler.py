@@ -7,41 +7,17 @@ what c[n-D-1] and those before it leave for its first phi T, and c[n-D] with the
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from hapsim.compiling import helper
 from hapsim.device.mock.motion import move, strike
+from hapsim.holds import HOLDS, Piece
 
 MOST_PIECES, MOST_AGES = 6, 4
-
-
-class Piece(NamedTuple):
-    """A part of a sample. Weights of commands, the first that of c[n-D], the next that of c[n-D-1], and so on."""
-
-    lasts: float
-    """sample periods"""
-    force: tuple[float, ...] = ()
-    """of the force that acts throughout"""
-    blow: tuple[float, ...] = ()
-    """of the impulse at the beginning, in sample periods"""
-
-
-class MockHold(NamedTuple):
-    """What becomes of a command: the pieces of a sample, from phi, and whether it goes on where no force comes."""
-
-    pieces: Callable[[float], list[Piece]]
-    goes_on: bool
-
-
-HOLDS = {
-    "zoh": MockHold(lambda phi: [Piece(phi, force=(0.0, 1.0)), Piece(1.0 - phi, force=(1.0,))], goes_on=True),
-    "impulse": MockHold(lambda phi: [Piece(phi), Piece(1.0 - phi, blow=(1.0,))], goes_on=False),
-}
-"""By a scene's names for what becomes of a force: it acts until the next one, or is given at once as an impulse."""
 
 SAMPLINGS = {"ideal": 0.0, "average": 1.0}
 """By a scene's names for what is measured, the window, in sample periods that end with the sample, over which it is the
@@ -49,9 +25,10 @@ mean of the position; 0: the position at the instant."""
 
 PIECE = np.dtype(
     [
-        ("lasts", np.float64),
-        ("force", np.float64, (MOST_AGES,)),
-        ("blow", np.float64, (MOST_AGES,)),
+        ("duration", np.float64),  # of a Piece of a hold, as are its weights
+        ("impulse", np.float64, (MOST_AGES,)),
+        ("level", np.float64, (MOST_AGES,)),
+        ("slope", np.float64, (MOST_AGES,)),
         ("opens", np.int64),  # whether the window opens with it
     ],
     align=True,
@@ -64,7 +41,7 @@ CONVERTER = np.dtype(
         ("pieces", PIECE, (MOST_PIECES,)),
         ("pieces_in_use", np.int64),
         ("ages", np.int64),  # how many commands they weigh
-        ("goes_on", np.int64),
+        ("keeps_last_force", np.int64),
         ("window", np.float64),  # of SAMPLINGS
         ("quantum", np.float64),  # m per count
         ("velocity_quantum", np.float64),  # (m/s) per count; 0: the device senses no velocity
@@ -81,12 +58,13 @@ def set_timing(converter: Any, hold: str, sampling: str, delay: float) -> int:
     of commands that takes."""
     whole, window = math.floor(delay), SAMPLINGS[sampling]
     opens, pieces = _split(HOLDS[hold].pieces(delay - whole), 1.0 - window)
-    converter.whole_delay, converter.goes_on, converter.window = whole, HOLDS[hold].goes_on, window
+    converter.whole_delay, converter.keeps_last_force, converter.window = whole, HOLDS[hold].keeps_last_force, window
     converter.pieces_in_use = len(pieces)
-    converter.ages = max(len(weights) for piece in pieces for weights in (piece.force, piece.blow))
-    for record, piece in zip(converter.pieces[: len(pieces)], pieces, strict=True):
-        record.lasts = piece.lasts
-        record.force[: len(piece.force)], record.blow[: len(piece.blow)] = piece.force, piece.blow
+    converter.ages = max(len(weights) for _, *each in pieces for weights in each)
+    for record, (duration, *each) in zip(converter.pieces[: len(pieces)], pieces, strict=True):
+        record.duration = duration
+        for of_record, weights in zip((record.impulse, record.level, record.slope), each, strict=True):
+            of_record[: len(weights)] = weights
     converter.pieces["opens"] = np.arange(MOST_PIECES) == opens
     return whole + max(2, int(converter.ages))
 
@@ -98,12 +76,14 @@ def _split(pieces: list[Piece], at: float) -> tuple[int, list[Piece]]:
     after: list[Piece] = []
     begin = 0.0
     for piece in pieces:
-        first = min(max(at - begin, 0.0), piece.lasts)
+        first = min(max(at - begin, 0.0), piece.duration)
         if first > 0.0:
-            before.append(piece._replace(lasts=first))
-        if piece.lasts > first:
-            after.append(Piece(piece.lasts - first, piece.force, piece.blow if first == 0.0 else ()))
-        begin += piece.lasts
+            before.append(piece._replace(duration=first))
+        if piece.duration > first:
+            grown = itertools.zip_longest(piece.level, piece.slope, fillvalue=0.0)
+            level = tuple(level + first * slope for level, slope in grown)
+            after.append(Piece(piece.duration - first, piece.impulse if first == 0.0 else (), level, piece.slope))
+        begin += piece.duration
     return len(before), before + after
 
 
@@ -114,18 +94,21 @@ def advance_body(how, body, converter, commands, depth, channel, n, h):
     newest, gone = n - converter.whole_delay, 0.0
     for i in range(converter.pieces_in_use):
         piece = converter.pieces[i]
-        force, blow = 0.0, 0.0
+        force, impulse, slope = 0.0, 0.0, 0.0
         for age in range(converter.ages):
             command = commands[(newest - age) % depth, channel]
-            force += piece.force[age] * command
-            blow += piece.blow[age] * command
+            force += piece.level[age] * command
+            impulse += piece.impulse[age] * command
+            slope += piece.slope[age] * command
         if piece.opens:
             body.area, converter.before = 0.0, body.position
-        if blow != 0.0:
-            strike(body, blow * converter.period)
-        lasts = piece.lasts * h if i + 1 < converter.pieces_in_use else h - gone
-        move(how, body, force, lasts)
-        gone += lasts
+        if impulse != 0.0:
+            strike(body, impulse * converter.period)
+        duration = piece.duration * h if i + 1 < converter.pieces_in_use else h - gone
+        body.slope = slope / converter.period
+        move(how, body, force, duration)
+        gone += duration
+    body.slope = 0.0
 
 
 @helper

@@ -14,10 +14,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hapsim.holds import Piece
 from hapsim.theory.arrays import Floats
 from hapsim.theory.hand import Configuration
 from hapsim.theory.hand.sampled_plant import sampled_plant
-from hapsim.theory.interface import HOLDS, HoldSegment, damper_named, whole_and_fraction
+from hapsim.theory.interface import damper_named, hold_segments, whole_and_fraction
 from hapsim.theory.network.device_step import DeviceStep, device_step, through
 
 READING, MEAN_VELOCITY = 2, 3  # rows of a DeviceStep
@@ -117,10 +118,10 @@ def _ahead(model: Configuration, own: tuple[float, float], step: DeviceStep, pus
         state[:, 2] += pushed[:2]
         acting = step.forces[:2, later:]  # age `later` is f[n-1] there
         forces[:, : acting.shape[1]] += acting
-    segments = _until(fraction, HOLDS[model.hold].segments(fraction))
+    segments = _until(fraction, hold_segments(model.hold, fraction))
     motion, made = through(segments, *own)
     state[:] = motion @ state
-    state[:, 2] += through([HoldSegment(fraction, level=(1.0,))], *own)[1][:, 0] if segments else 0.0
+    state[:, 2] += through([Piece(fraction, level=(1.0,))], *own)[1][:, 0] if segments else 0.0
     older = made[:, 1:]  # age 0 is f[n], which the last of these periods' parts ends before
     forces[:, : older.shape[1]] += older
     return state
@@ -141,9 +142,9 @@ def _of_velocities(moves: Floats, read: Floats, pole: float) -> Floats:
     return np.vstack([at_once, (1.0 - pole) * left / (left @ left)])
 
 
-def _until(fraction: float, segments: list[HoldSegment]) -> list[HoldSegment]:
+def _until(fraction: float, segments: list[Piece]) -> list[Piece]:
     """The segments of a hold before a new force comes, ``fraction`` of a sample period into it."""
-    before: list[HoldSegment] = []
+    before: list[Piece] = []
     while segments and sum(segment.duration for segment in before) < fraction:
         before.append(segments.pop(0))
     return before

@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hapsim.holds import HOLDS
 from hapsim.theory import checks
 from hapsim.theory.arrays import Bools, Complexes, Floats
 from hapsim.theory.hand.blocks import quietly_in_blocks
@@ -20,7 +21,7 @@ from hapsim.theory.hand.pole_pair import PolePair, oscillator_of_quadratic
 from hapsim.theory.hand.poles import MOST_BY_FACTORS, Leading, all_poles, all_within, leading
 from hapsim.theory.hand.reasons import OWN_ABOVE_NYQUIST, why_not_attained, why_not_dominant
 from hapsim.theory.hand.sampled_plant import sampled_plant
-from hapsim.theory.interface import HOLDS, SAMPLINGS, damper_named
+from hapsim.theory.interface import SAMPLINGS, damper_named, hold_lag
 
 _quietly = np.errstate(all="ignore")  # what is out of range becomes NaN
 
@@ -43,7 +44,7 @@ class Configuration:
         rate: sample rate, Hz, > 0.
         friction: real viscous friction b0, N·s/m, >= 0.
         delay: from the sampling of a position to the change of the force that answers it, periods, >= 0.
-        hold: "zoh", a force lasts until the next; or "impulse", it strikes once, with the impulse f T.
+        hold: a name of ``hapsim.holds.HOLDS``: what the device makes of the forces that it receives.
         sampling: "ideal", the position at the sample; or "average", its mean over the last sample period.
         stiffness: real spring k0 of the device, N/m, >= 0.
         damper: where the simulated damper's velocity comes from: "backward", the difference of the last two
@@ -202,7 +203,7 @@ class Configuration:
             ValueError: the hold is not "zoh", the sampling not "ideal" or the damper "sensed": the condition is
                 not derived. (A velocity that is sampled passes every image of a motion: no friction suffices.)
         """
-        if self.hold != "zoh" or self.sampling != "ideal" or self._equation.damper.senses:
+        if HOLDS[self.hold].terms != HOLDS["zoh"].terms or self.sampling != "ideal" or self._equation.damper.senses:
             raise ValueError(
                 "The passivity condition is derived for the zero-order hold with ideal sampling and a damper that "
                 f"differentiates positions only, not for hold {self.hold!r} with sampling {self.sampling!r} and the "
@@ -249,7 +250,7 @@ class Configuration:
         T/2 is the zero-order hold's mean delay; averaged sampling adds as much, the impulse hold has none. It
         promises too much as B grows: a line to draw, not a limit to trust. Infinite where nothing is late.
         """
-        lag = self.delay + HOLDS[self.hold].lag + SAMPLINGS[self.sampling].lag
+        lag = self.delay + hold_lag(self.hold) + SAMPLINGS[self.sampling].lag
         return ((self.friction + np.asarray(B, dtype=float)) / (lag * self.period))[()]
 
     @_quietly

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import math
+from typing import Any
+
 import numpy as np
 
+from hapsim.holds import HOLDS, Term
 from hapsim.theory.arrays import Complexes, Floats
-from hapsim.theory.interface import HOLDS, SAMPLINGS, DamperModel, Term
+from hapsim.theory.interface import SAMPLINGS, DamperModel
 
 
 def late_and_held(theta: Floats, delay: float, hold: str, sampling: str) -> Complexes:
@@ -29,6 +33,23 @@ def velocity_read(damper: DamperModel, theta: Floats) -> Complexes:
 
 
 def _through(terms: tuple[Term, ...], theta: Floats) -> Complexes:
-    """A transfer function at s = j theta."""
-    s = 1j * theta
-    return np.asarray(sum(weight * np.exp(-lag * s) / s**integrations for weight, lag, integrations in terms))
+    """A transfer function at s = j theta, theta not 0.
+
+    All that the terms have of 1/s, 1/s², … cancels between them. So each is taken without it: exp(-lag s)/s^p less the
+    first p powers is (-lag)^p times the remainder of the exponential series, which has all its digits at small theta.
+    """
+    through = np.zeros(theta.shape, complex)
+    for weight, lag, power in terms:
+        through += weight * (-lag) ** power * _remainder(power, -1j * lag * theta)
+    return through
+
+
+def _remainder(power: int, z: Any) -> Complexes:
+    """sum of z^k / (k + power)!: the exponential series of z from z^power on, divided by it."""
+    near, series = np.where(np.abs(z) < 1.0, z, 0.0), np.zeros_like(z)
+    for k in reversed(range(20)):
+        series = series * near + 1.0 / math.factorial(k + power)
+    far, found = np.where(np.abs(z) < 1.0, 1.0, z), np.exp(z)
+    for k in range(power):
+        found = (found - 1.0 / math.factorial(k)) / far
+    return np.where(np.abs(z) < 1.0, series, found)

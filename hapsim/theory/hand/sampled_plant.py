@@ -20,9 +20,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hapsim.holds import HOLDS, Term
 from hapsim.theory.arrays import Floats
 from hapsim.theory.hand.pole_pair import quadratic_of_oscillator
-from hapsim.theory.interface import HOLDS, SAMPLINGS, Term, product, whole_and_fraction
+from hapsim.theory.interface import SAMPLINGS, product, whole_and_fraction
 
 NOTHING = 1e-13  # of the largest coefficient: the rounding of what is zero
 VELOCITY, POSITION, AREA, DOUBLE_AREA, TRIPLE_AREA = range(5)

@@ -1,20 +1,18 @@
 """The holds, samplings and dampers there are, by the names that a scene file uses; and how a delay is split."""
 
 from hapsim.theory.interface.dampers import DAMPERS, WITH_CUTOFF, DamperModel, damper_named
-from hapsim.theory.interface.holds import HOLDS, Hold, HoldSegment
-from hapsim.theory.interface.samplings import SAMPLINGS, Sampling, Term, product, whole_and_fraction
+from hapsim.theory.interface.holds import hold_lag, hold_segments
+from hapsim.theory.interface.samplings import SAMPLINGS, Sampling, product, whole_and_fraction
 
 __all__ = [
     "DAMPERS",
-    "HOLDS",
     "SAMPLINGS",
     "WITH_CUTOFF",
     "DamperModel",
-    "Hold",
-    "HoldSegment",
     "Sampling",
-    "Term",
     "damper_named",
+    "hold_lag",
+    "hold_segments",
     "product",
     "whole_and_fraction",
 ]

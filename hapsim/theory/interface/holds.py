@@ -1,71 +1,55 @@
-"""The holds: how a computed force becomes a force in time. A new one is an entry here, and its pieces in the mock
-(`hapsim/device/mock/sampler.py`)."""
+"""The holds as the theory sees them: all of it follows from their transfer functions (`hapsim/holds.py`)."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import NamedTuple
+import itertools
+import math
 
-from hapsim.theory.interface.samplings import Term
+from hapsim.holds import HOLDS, Piece, Term
+
+ROUNDING = 1e-12  # sample periods
 
 
-class HoldSegment(NamedTuple):
-    """A part of one sample period, at whose beginning alone the force jumps or strikes.
+def hold_lag(hold: str) -> float:
+    """The mean delay of a hold in sample periods: how much later a slow motion meets its force."""
+    return -math.fsum(
+        weight * (-lag) ** (integrations + 1) / math.factorial(integrations + 1)
+        for weight, lag, integrations in HOLDS[hold].terms
+    )
 
-    The force is made of the computed forces by weights: the first is that of the newest one whose delay is over before
-    the end of the period, the next that of the one before it, and so on; what is left out is 0.
 
-    Attributes:
-        duration: in sample periods.
-        kick: weights of the impulse at the beginning, in sample periods.
-        level: weights of the force at the beginning.
-        slope: weights of what the force grows by in a sample period.
+def hold_segments(hold: str, fraction: float) -> list[Piece]:
+    """One sample period of a hold in time, worked out from its transfer function.
+
+    A new force acts from ``fraction`` of the period on, 0 <= fraction < 1. The durations add up to 1.
     """
-
-    duration: float
-    kick: tuple[float, ...] = ()
-    level: tuple[float, ...] = ()
-    slope: tuple[float, ...] = ()
-
-
-class Hold(NamedTuple):
-    """How a computed force becomes a force in time: its terms, and what it does in one sample period.
-
-    ``segments`` is given the fraction of a sample period, 0 <= fraction < 1, by which a new force comes after
-    a sample; their durations add up to 1. The mean of the force is that of the computed forces, so that a slow
-    motion meets the stiffness that is simulated.
-    """
-
-    terms: tuple[Term, ...]
-    segments: Callable[[float], list[HoldSegment]]
-
-    @property
-    def lag(self) -> float:
-        """Its mean delay in sample periods, what it costs a slow motion: the first moment of what one force does."""
-        lag, begin = 0.0, 0.0
-        for duration, kick, level, slope in self.segments(0.0):
-            for age, weight in enumerate(kick):
-                lag += weight * (age + begin)
-            for age, weight in enumerate(level):
-                lag += weight * duration * (age + begin + duration / 2.0)
-            for age, weight in enumerate(slope):
-                lag += weight * duration**2 * ((age + begin) / 2.0 + duration / 3.0)
-            begin += duration
-        return lag
+    terms = HOLDS[hold].terms
+    changes = ((fraction + term.lag) % 1.0 for term in terms)
+    ends = [0.0, *sorted({round(change, 12): change for change in changes if change > ROUNDING}.values()), 1.0]
+    ages = range(math.floor(fraction + max(term.lag for term in terms)) + 1)
+    return [
+        Piece(end - begin, *(_weights(terms, order, begin, [fraction - age for age in ages]) for order in range(3)))
+        for begin, end in itertools.pairwise(ends)
+    ]
 
 
-def _held(fraction: float) -> list[HoldSegment]:
-    return [HoldSegment(fraction, level=(0.0, 1.0)), HoldSegment(1.0 - fraction, level=(1.0,))]
+def _weights(terms: tuple[Term, ...], order: int, time: float, starts: list[float]) -> tuple[float, ...]:
+    """What forces that act from ``starts`` on, by age, contribute at ``time``; nothing is written of those that are
+    over."""
+    weights = [_weight(terms, order, time, start) for start in starts]
+    while weights and abs(weights[-1]) < ROUNDING:
+        weights.pop()
+    return tuple(weights)
 
 
-def _struck(fraction: float) -> list[HoldSegment]:
-    return [HoldSegment(fraction), HoldSegment(1.0 - fraction, kick=(1.0,))]
-
-
-ZERO_ORDER_HOLD = Hold(terms=(Term(1.0, 0.0, 1), Term(-1.0, 1.0, 1)), segments=_held)
-"""Each computed force acts, constant, until the next one (Florens et al., §6.2)."""
-
-IMPULSE = Hold(terms=(Term(1.0, 0.0, 0),), segments=_struck)
-"""Each computed force f strikes once, with the impulse f T (Florens et al., §6.1-6.3)."""
-
-HOLDS: dict[str, Hold] = {"zoh": ZERO_ORDER_HOLD, "impulse": IMPULSE}
+def _weight(terms: tuple[Term, ...], order: int, time: float, start: float) -> float:
+    """What one force that acts from ``start`` on contributes at ``time``: its impulse, level or slope, by ``order``."""
+    weight = 0.0
+    for term in terms:
+        since = time - (start + term.lag)
+        if order == 0 and term.integrations == 0:
+            weight += term.weight if abs(since) < ROUNDING else 0.0
+        elif 0 < order <= term.integrations and since > -ROUNDING:
+            power = term.integrations - order
+            weight += term.weight * max(since, 0.0) ** power / math.factorial(power)
+    return weight

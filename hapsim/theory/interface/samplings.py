@@ -1,8 +1,6 @@
-"""The samplings: how a motion becomes a number; and the terms in which holds and samplings are written.
+"""The samplings: how a motion becomes a number. A new one is an entry here, and its window in the mock.
 
-A new sampling is an entry here, and its window in the mock.
-
-Each hold, sampling and damper is described twice, and different code reads the two descriptions on purpose: its
+Each sampling and damper is described twice, and different code reads the two descriptions on purpose: its
 transfer function the characteristic equation (``sampled_plant.py``, ``loop_equation.py``), its behaviour in time the
 state space (``device_step.py``, ``state.py``). That the two agree is a test of both.
 """
@@ -12,13 +10,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-
-class Term(NamedTuple):
-    """One term ``weight · exp(-lag s) / s^integrations`` of a transfer function, time in sample periods."""
-
-    weight: float
-    lag: float
-    integrations: int
+from hapsim.holds import Term
 
 
 def product(one: tuple[Term, ...], other: tuple[Term, ...]) -> tuple[Term, ...]:

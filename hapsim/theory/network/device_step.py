@@ -11,8 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hapsim.holds import Piece
 from hapsim.theory.arrays import Floats
-from hapsim.theory.interface import HOLDS, SAMPLINGS, HoldSegment, whole_and_fraction
+from hapsim.theory.interface import SAMPLINGS, hold_segments, whole_and_fraction
 
 POSITION, VELOCITY, FORCE, TRAVEL, SLOPE = range(5)  # TRAVEL: the position's integral over the period
 TAYLOR_TERMS = 18  # for a norm of a half: beyond rounding
@@ -35,7 +36,7 @@ def device_step(damping: float, delay: float, hold: str, stiffness: float = 0.0,
     """The step of a mass with the normalised friction b0 T/m and own spring k0 T²/m, and a delay in sample periods."""
     whole, fraction = whole_and_fraction(delay)
     window = SAMPLINGS[sampling].window
-    segments = _opened([segment for segment in HOLDS[hold].segments(fraction) if segment.duration > 0.0], 1.0 - window)
+    segments = _opened(hold_segments(hold, fraction), 1.0 - window)
     ages = max(len(weights) for _, (_, *made) in segments for weights in made)
     forces = np.zeros((5, whole + ages))
     motion = np.eye(5)[:, [POSITION, VELOCITY]]
@@ -58,7 +59,7 @@ def device_step(damping: float, delay: float, hold: str, stiffness: float = 0.0,
     return DeviceStep(np.vstack([motion[rows], read[0]]), np.vstack([forces[rows], read[1]]), window)
 
 
-def through(segments: list[HoldSegment], damping: float, stiffness: float) -> tuple[Floats, Floats]:
+def through(segments: list[Piece], damping: float, stiffness: float) -> tuple[Floats, Floats]:
     """(2, 2) and (2, ages): position and velocity after some segments of a hold, from those before and the forces."""
     ages = max((len(weights) for _, *made in segments for weights in made), default=0)
     motion, forces = np.eye(5)[:, [POSITION, VELOCITY]], np.zeros((5, ages))
@@ -72,7 +73,7 @@ def through(segments: list[HoldSegment], damping: float, stiffness: float) -> tu
     return motion[:2], forces[:2]
 
 
-def _opened(segments: list[HoldSegment], at: float) -> list[tuple[bool, HoldSegment]]:
+def _opened(segments: list[Piece], at: float) -> list[tuple[bool, Piece]]:
     """The segments, one of which begins ``at`` sample periods into the period: where the window of the reading opens,
     which is said beside it."""
     begin, found = 0.0, []
@@ -82,7 +83,7 @@ def _opened(segments: list[HoldSegment], at: float) -> list[tuple[bool, HoldSegm
             level = np.zeros(max(len(segment.level), len(segment.slope)))
             level[: len(segment.level)] = segment.level
             level[: len(segment.slope)] += first * np.array(segment.slope)
-            rest = HoldSegment(segment.duration - first, level=tuple(level.tolist()), slope=segment.slope)
+            rest = Piece(segment.duration - first, level=tuple(level.tolist()), slope=segment.slope)
             found += [(False, segment._replace(duration=first)), (True, rest)]
         else:
             found.append((first <= 0.0 and not any(opens for opens, _ in found), segment))

@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hapsim.holds import HOLDS
 from hapsim.theory import checks
 from hapsim.theory.arrays import Bools, Floats, Indices
-from hapsim.theory.interface import DAMPERS, HOLDS, SAMPLINGS, DamperModel
+from hapsim.theory.interface import DAMPERS, SAMPLINGS, DamperModel
 from hapsim.theory.schemes import SCHEMES, LinkNature
 
 BACKWARD = DAMPERS["backward"](0.0)
@@ -43,7 +44,7 @@ class Network:
         channel_friction: (C,) real viscous frictions b0, N·s/m, >= 0.
         delay: sample periods from the sampling of a position to the change of the force that answers it, >=
             0.
-        hold: "zoh" or "impulse". sampling: "ideal" or "average". As for ``Configuration``.
+        hold: a name of HOLDS. sampling: "ideal" or "average". As for ``Configuration``.
         point_mass: (M,) simulated masses, kg, > 0.
         ends: (L, 2) the two points that each link joins.
         stiffness: (L,) K in N/m.
