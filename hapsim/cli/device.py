@@ -20,7 +20,7 @@ def mock(
 ) -> None:
     """Serve the scene's mock device on a pseudo-terminal of its own; print its path; serve until told to stop."""
     from hapsim.cli.live import live_line
-    from hapsim.device.mock.command import serve_until_stopped
+    from hapsim.device.mock.terminal import serve_until_stopped
 
     loaded = load(scene)
     with live_line(stderr()) as tell:

@@ -22,14 +22,15 @@ _FAREWELL_S, _FAREWELLS = 0.1, 4  # how long, and how often, a device is waited 
 
 
 def describe(connection: Connection) -> Description:
-    """Asks the device what it is. DeviceError where nothing answers, or something that does not speak version 1."""
+    """Returns the device's description of itself. DeviceError where nothing answers, or not in version 1."""
     registers = np.zeros(schema.REGISTERS, np.int64)
-    registers[schema.REG_VERSION] = _first_answer(connection)
-    registers[schema.REG_SCHEMA] = _ask(connection, schema.REG_SCHEMA)
-    registers[schema.REG_CHANNELS] = _ask(connection, schema.REG_CHANNELS)
+    # A device that stays quiet may still be armed, by a host that died.
+    registers[schema.REG_VERSION] = _ask(connection, schema.REG_VERSION, _TRIES, disarm_in_every_format())
+    registers[schema.REG_SCHEMA] = read_register(connection, schema.REG_SCHEMA)
+    registers[schema.REG_CHANNELS] = read_register(connection, schema.REG_CHANNELS)
     _require_same_language(connection, registers)
     for number in registers_of_a_description(int(registers[schema.REG_CHANNELS])):
-        registers[number] = _ask(connection, number)
+        registers[number] = read_register(connection, number)
     return from_registers(registers)
 
 
@@ -50,10 +51,10 @@ def arm(
     argument = pacing | (schema.WITH_VELOCITY if velocity else 0)
     schema_word = np.array([schema.SCHEMA_HASH], np.uint32).astype(np.int32).astype(np.int64)
     frame = frame_to_device(SETUP, schema.ARM, watchdog_samples, argument, schema_word)
-    passed_over: list[int] = []
-    answer = _exchange(connection, frame, schema.STATUS, 0, fits=_answers_arming, passed_over=passed_over)
+    connection.decoder.type = 0
+    answer = _exchange(connection, frame, schema.STATUS, 0, fits=_answers_arming)
     if answer is None:
-        raise DeviceError(f"{connection.name}: {_never_armed(passed_over)}{_refused(connection)}")
+        raise DeviceError(f"{connection.name}: {_never_armed(connection.decoder)}{_refused(connection)}")
     state, fault = answer & 0xFF, answer >> 8 & 0xFF
     if state != schema.ARMED:
         raise DeviceError(f"{connection.name}: the device does not arm: {fault_text(fault)}")
@@ -69,17 +70,15 @@ def _answers_arming(word: int) -> bool:
     return word & 0xFF == schema.ARMED or word >> 8 & 0xFF not in of_before
 
 
-def _never_armed(words: list[int]) -> str:
-    waited = f"within {_TRIES_TO_ASK * _ANSWER_S:.2g} s"
-    if not words:
-        return (
-            f"the device described itself, but did not answer ARM {waited}: its firmware has to answer it with a "
-            "STATUS (PROTOCOL.md, section 7)"
-        )
-    state, fault = words[-1] & 0xFF, words[-1] >> 8 & 0xFF
+def _never_armed(decoder: Any) -> str:
+    """The error where no STATUS answered ARM, or none that `_answers_arming`."""
+    said = "it did not answer ARM"
+    if decoder.type == schema.STATUS:
+        word = int(decoder.counts[0])
+        said = f"it answered ARM with state {word & 0xFF} and fault {word >> 8 & 0xFF}"
     return (
-        f"the device described itself, but did not arm {waited}: to ARM it answered state {state} and fault {fault}, "
-        "which is neither armed (state 1) nor a reason why not (PROTOCOL.md, sections 4 and 7)"
+        f"the device described itself, but {said} within {_TRIES_TO_ASK * _ANSWER_S:.2g} s: its firmware has to answer "
+        "with a STATUS that says armed (state 1) or why not (PROTOCOL.md, sections 4 and 7)"
     )
 
 
@@ -92,32 +91,30 @@ def _refused(connection: Connection) -> str:
 
 
 def disarm(connection: Connection, wire: Format) -> bool:
-    """Tells the device to release: zero force, at once. Whether it said that it did, with a STATUS idle or latched; a
-    dead port is no error here. At first it listens: the loop has told the device so already."""
+    """Has the device release: zero force, at once. Returns whether it confirmed that with a STATUS idle or latched.
+
+    A dead port is no error here. It listens first: the loop has sent DISARM already. A device that has released (a
+    fault, its watchdog) listens to the set-up format, one that has not to its own.
+    """
     connection.use_format(SETUP)
+    both = [_disarm_frame(wire), _disarm_frame(SETUP)]
     try:
-        if _answer(connection, schema.STATUS, None, _FAREWELL_S, _says_released) is not None:
-            return True
+        return any(_is_released(connection, frame) for frame in [b"", *both * _FAREWELLS])
     except DeviceError:
         return False
-    frames = [
-        frame_to_device(wire, schema.DISARM, 0, 0, np.zeros(wire.channels, np.int64)),
-        frame_to_device(SETUP, schema.DISARM, 0, 0, np.zeros(1, np.int64)),
-    ]
-    # A device that already released (a fault, its watchdog) listens to the set-up format; one that did not, to its own.
-    for _ in range(_FAREWELLS):
-        for frame in frames:
-            try:
-                _send(connection, frame)
-                if _answer(connection, schema.STATUS, None, _FAREWELL_S, _says_released) is not None:
-                    return True
-            except DeviceError:
-                return False
-    return False
 
 
-def _says_released(word: int) -> bool:
-    return word & 0xFF in (schema.IDLE, schema.LATCHED)
+def _is_released(connection: Connection, frame: bytes) -> bool:
+    """Sends a frame, if there is one, and waits for the STATUS of a device that is not armed."""
+    if frame:
+        _send(connection, frame)
+    released = (schema.IDLE, schema.LATCHED)
+    status = _answer(connection, schema.STATUS, None, _FAREWELL_S, lambda word: word & 0xFF in released)
+    return status is not None
+
+
+def _disarm_frame(wire: Format) -> bytes:
+    return frame_to_device(wire, schema.DISARM, 0, 0, np.zeros(wire.channels, np.int64))
 
 
 def frames_rejected_by(connection: Connection) -> int | None:
@@ -136,11 +133,9 @@ def has_restarted(connection: Connection) -> bool:
 
 
 def disarm_in_every_format() -> bytes:
-    """What releases a device that somebody else armed, however many channels it has, with velocities or without."""
+    """What releases a device that another host armed, however many channels it has, with velocities or without."""
     every = range(1, schema.MAX_CHANNELS + 1)
-    formats = [armed_format(channels, velocity) for channels in every for velocity in (False, True)]
-    frames = [frame_to_device(wire, schema.DISARM, 0, 0, np.zeros(wire.channels, np.int64)) for wire in formats]
-    return b"".join(frames)
+    return b"".join(_disarm_frame(armed_format(n, velocity)) for n in every for velocity in (False, True))
 
 
 def fault_text(fault: int) -> str:
@@ -166,11 +161,6 @@ def _require_same_language(connection: Connection, registers: Any) -> None:
         raise DescriptionError(
             f"{connection.name}: the device says it has {channels} channels, where 1 to {schema.MAX_CHANNELS} can be"
         )
-
-
-def _first_answer(connection: Connection) -> int:
-    """The version. Where the device stays quiet it may still be armed, by a host that died: it is disarmed."""
-    return _ask(connection, schema.REG_VERSION, _TRIES, disarm_in_every_format())
 
 
 def _ask(connection: Connection, register: int, tries: int = _TRIES_TO_ASK, when_quiet: bytes = b"") -> int:
@@ -199,15 +189,14 @@ def _exchange(
     tries: int = _TRIES_TO_ASK,
     when_quiet: bytes = b"",
     fits: Callable[[int], bool] = lambda _word: True,
-    passed_over: list[int] | None = None,
 ) -> int | None:
-    """Sends a frame until something that `fits` answers, `when_quiet` before the third time; the answer's word, or
-    None. `passed_over` gets the words that did not fit."""
+    """Sends a frame until an answer `fits`, and `when_quiet` before the third time. Returns the answer's word, or
+    None."""
     for attempt in range(tries):
         if attempt == 2 and when_quiet:
             _send(connection, when_quiet)
         _send(connection, frame)
-        answer = _answer(connection, kind, number, _ANSWER_S, fits, passed_over)
+        answer = _answer(connection, kind, number, _ANSWER_S, fits)
         if answer is not None:
             return answer
     return None
@@ -226,9 +215,8 @@ def _answer(
     number: int | None,
     timeout_s: float,
     fits: Callable[[int], bool] = lambda _word: True,
-    passed_over: list[int] | None = None,
 ) -> int | None:
-    """The first word of the next frame of this kind and number (None: any) that `fits`; None where none comes."""
+    """Returns the first word that `fits` of a frame of this kind and number (None: any); None where none comes."""
     deadline = time.monotonic() + timeout_s
     while (left := deadline - time.monotonic()) > 0:
         found, code = connection.next_frame(left)
@@ -240,6 +228,4 @@ def _answer(
             word = int(connection.decoder.counts[0]) & 0xFFFFFFFF
             if fits(word):
                 return word
-            if passed_over is not None:
-                passed_over.append(word)
     return None

@@ -1,7 +1,7 @@
 """A name of the user's choice for a pseudo-terminal: a symbolic link, which a program that is killed leaves behind.
 
-The link is judged before this process opens a pseudo-terminal: the system gives the number of one that is gone to the
-next, and to a link that was left over its own new port would look like somebody else's.
+Call `free_name` before opening a pseudo-terminal: the system gives the number of one that is gone to the next, and a
+link that was left over would then seem to lead to a port that is in use.
 """
 
 from __future__ import annotations
@@ -16,33 +16,18 @@ _PSEUDO_TERMINAL = re.compile(r"/dev/pts/\d+")
 
 
 def free_name(name: Path | None) -> None:
-    """Takes a link away that leads to a pseudo-terminal which is gone. UsageError where the name is taken otherwise."""
+    """Removes a link that leads to a pseudo-terminal which is gone. UsageError where the name is taken otherwise."""
     if name is None or not os.path.lexists(name):
         return
-    why = _why_taken(name)
-    if why:
-        raise UsageError(f"{name}: cannot be made a name of the port: it is {why}")
+    link = leads_to(name)
+    if link is None:
+        raise UsageError(f"{name}: found a file, a directory or a device, expected a free name for the port")
+    if os.path.exists(name) or not _PSEUDO_TERMINAL.fullmatch(link):
+        raise UsageError(f"{name}: found a link to {link}, expected a free name for the port; remove an unused link")
     try:
         name.unlink()
     except OSError as error:
-        raise _not_made(name, error) from error
-
-
-def _why_taken(name: Path) -> str:
-    """What is there, and what to do; "" for a link that was left over."""
-    link = leads_to(name)
-    if link is None and not name.is_file():
-        return f"{'a directory' if name.is_dir() else 'a device'}; choose another name"
-    if link is None:
-        return "a file, not a link of hapsim: choose another name, or remove it"
-    of_a_terminal = _PSEUDO_TERMINAL.fullmatch(link) is not None
-    if os.path.exists(name):
-        there = "which a running program has open" if of_a_terminal else "which is there"
-    elif of_a_terminal:
-        return ""
-    else:
-        there = "which is not there, but is no port of hapsim's"
-    return f"a link to {link}, {there}: choose another name, or remove the link"
+        raise _cannot_link(name, error) from error
 
 
 def give_name(name: Path, port: str) -> None:
@@ -51,23 +36,22 @@ def give_name(name: Path, port: str) -> None:
     try:
         name.symlink_to(port)
     except OSError as error:
-        raise _not_made(name, error) from error
+        raise _cannot_link(name, error) from error
 
 
 def take_name(name: Path, port: str) -> None:
-    """Takes the link away, if it still leads to `port`."""
+    """Removes the link, if it still leads to `port`."""
     if leads_to(name) == port:
         name.unlink(missing_ok=True)
 
 
 def leads_to(name: str | Path) -> str | None:
-    """What a symbolic link leads to; None where there is no link."""
+    """Returns what a symbolic link leads to; None where there is no link."""
     try:
         return os.readlink(name)
     except (OSError, ValueError):
         return None
 
 
-def _not_made(name: Path, error: OSError) -> UsageError:
-    remedy = "choose another name, in a directory that is there and that you may write in"
-    return UsageError(f"{name}: cannot be made a name of the port: {error.strerror}; {remedy}")
+def _cannot_link(name: Path, error: OSError) -> UsageError:
+    return UsageError(f"{name}: this link cannot be made: {error.strerror}; choose a name in a directory of yours")

@@ -14,29 +14,21 @@ from pathlib import Path
 from typing import Any
 
 from hapsim.device.connection import Connection
-from hapsim.device.port_holder import who_holds
 from hapsim.device.port_name import leads_to
 from hapsim.errors import DeviceError
-from hapsim.loop.transport import descriptor_transport
+from hapsim.loop.transport import PythonTransport, descriptor_transport
 
 _PSEUDO_TERMINALS = range(136, 144)  # major numbers, Linux's Documentation/admin-guide/devices.txt
+_PROC = Path("/proc")
+_LONGEST = 120  # characters of a command line that a sentence quotes
 _WRITE_TIMEOUT_S = 1.0  # of the portable loop, whose own interpreter may be held up for a tenth of a second
 
 
 def open_serial_port(path: str, baud: int) -> Connection:
     """Opens a port at `baud` bit/s for the compiled loop. DeviceError, with what to do, where that fails."""
     port = _open(path, baud)
-    descriptor = port.fileno()
-    _make_raw(descriptor)
-    return Connection(
-        transport=descriptor_transport(descriptor),
-        name=path,
-        close=port.close,
-        baud=baud,
-        note=_low_latency(port),
-        has_timer=True,
-        in_hand=True,
-    )
+    _make_raw(port.fileno())
+    return _connection(port, descriptor_transport(port.fileno()))
 
 
 def open_portable_port(path: str, baud: int) -> Connection:
@@ -44,15 +36,13 @@ def open_portable_port(path: str, baud: int) -> Connection:
     from hapsim.loop.portable import PortableTransport
 
     port = _open(path, baud)
-    return Connection(
-        transport=PortableTransport(port),
-        name=path,
-        close=port.close,
-        baud=baud,
-        note=_low_latency(port),
-        has_timer=True,
-        in_hand=True,
-    )
+    return _connection(port, PortableTransport(port))
+
+
+def _connection(port: Any, transport: PythonTransport) -> Connection:
+    note = _low_latency(port)
+    name, baud = port.port, port.baudrate
+    return Connection(transport, name, port.close, baud=baud, note=note, has_timer=True, in_hand=True)
 
 
 @contextlib.contextmanager
@@ -93,14 +83,10 @@ def _make_raw(descriptor: int) -> None:
     attributes[6][termios.VMIN] = 1
     attributes[6][termios.VTIME] = 0
     termios.tcsetattr(descriptor, termios.TCSANOW, attributes)
-    if _is_pseudo_terminal(descriptor):
+    if os.major(os.fstat(descriptor).st_rdev) in _PSEUDO_TERMINALS:
         return  # its other side keeps it open, and with it what the next line sets: nobody but root could open it again
     with contextlib.suppress(OSError):
         fcntl.ioctl(descriptor, termios.TIOCEXCL)
-
-
-def _is_pseudo_terminal(descriptor: int) -> bool:
-    return os.major(os.fstat(descriptor).st_rdev) in _PSEUDO_TERMINALS
 
 
 def _low_latency(port: object) -> str:
@@ -136,3 +122,49 @@ def _why_not(path: str, baud: int, error: Exception) -> str:
             return f"{path}: not a serial port, but a {'file' if Path(path).is_file() else 'directory'}"
         return f"{path}: not a serial port, or one that cannot be set to {baud} baud"
     return f"{path}: cannot be opened: {text}"
+
+
+def who_holds(path: str) -> str:
+    """Returns the processes that hold `path`, in words that follow a colon; "" where none was seen.
+
+    Linux tells everybody who took a lock, and tells of one's own processes, or root of all, what they have open.
+    """
+    try:
+        port = os.stat(path)
+    except (OSError, ValueError):
+        return ""
+    locking = [pid for pid in _locking(port) if (_PROC / str(pid)).exists()]
+    if locking:
+        return " and ".join(f"{_named(pid)} holds its lock" for pid in locking)
+    return " and ".join(f"{_named(pid)} has it open" for pid in _opening(os.path.realpath(path)))
+
+
+def _locking(port: os.stat_result) -> list[int]:
+    """Who took a lock on this very file, by the kernel's list: `1: FLOCK  ADVISORY  WRITE 2461 00:1a:3 0 EOF`."""
+    where = f"{os.major(port.st_dev):02x}:{os.minor(port.st_dev):02x}:{port.st_ino}"
+    with contextlib.suppress(OSError):
+        lines = map(str.split, (_PROC / "locks").read_text("ascii", "replace").splitlines())
+        return [int(words[4]) for words in lines if words[1:2] == ["FLOCK"] and words[5:6] == [where]]
+    return []
+
+
+def _opening(port: str) -> list[int]:
+    """Those that may be looked at, and have this file open by whatever name."""
+    found = []
+    with contextlib.suppress(OSError):
+        for process in sorted(int(name) for name in os.listdir(_PROC) if name.isdigit()):
+            with contextlib.suppress(OSError):  # another user's, or it has ended
+                if any(os.readlink(one) == port for one in (_PROC / str(process) / "fd").iterdir()):
+                    found.append(process)
+    return found
+
+
+def _named(process: int) -> str:
+    if process == os.getpid():
+        return f"this process itself (PID {process})"
+    command = ""
+    with contextlib.suppress(OSError):
+        command = (_PROC / str(process) / "cmdline").read_text("utf-8", "replace").rstrip("\0").replace("\0", " ")
+    command = "".join(one if one.isprintable() else "?" for one in command)
+    command = f"{command[:_LONGEST]}…" if len(command) > _LONGEST else command
+    return f"PID {process} ({command})" if command else f"PID {process}"

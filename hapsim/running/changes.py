@@ -28,8 +28,7 @@ from hapsim.running.stability import require_followable
 from hapsim.scene import Scene
 from hapsim.scene.issue import did_you_mean, one_of
 from hapsim.scene.modules import Module, ModuleContext
-from hapsim.scene.part import Part
-from hapsim.scene.table import Table
+from hapsim.scene.part import Part, Table
 
 OVER = "the run is over: nothing can be changed any more"
 

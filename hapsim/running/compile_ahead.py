@@ -100,10 +100,10 @@ def _mock() -> list[_Entry | PlainNative]:
     from hapsim.device.mock.firmware import FUNCTIONS, MOCK
     from hapsim.device.mock.motion import move_gliding
     from hapsim.device.mock.serve import SERVICE, serve
-    from hapsim.device.mock.transmitter import receive, send
+    from hapsim.device.mock.wire import receive_at_once, send_at_once
 
     serving = _Entry(serve, (new_record(MOCK), new_record(SERVICE)))
-    return [*FUNCTIONS.values(), move_gliding, receive, send, serving]
+    return [*FUNCTIONS.values(), move_gliding, receive_at_once, send_at_once, serving]
 
 
 def _loopback() -> list[PlainNative]:
@@ -121,10 +121,10 @@ def _motion() -> list[PlainNative]:
 
 
 def _wire() -> list[PlainNative]:
-    from hapsim.device.mock import uart
-    from hapsim.device.mock.late_force import take_late_force
+    from hapsim.device.mock.firmware import take_late_force
+    from hapsim.device.mock.wire import receive_in_time, send_in_time
 
-    return [take_late_force, uart.receive, uart.send]
+    return [take_late_force, receive_in_time, send_in_time]
 
 
 def _changes() -> list[_Entry | PlainNative]:

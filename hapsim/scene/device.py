@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import replace
-from typing import Annotated, Any, Literal, cast
+from typing import Annotated, Literal, cast
 
 from pydantic import Field
 
@@ -10,7 +10,6 @@ from .choices import CORRECTION, HOLD, SAMPLING, CorrectionName, Hold, Sampling
 from .part import Part
 from .quantity import (
     Count,
-    Expectation,
     Interval,
     Known,
     Limits,
@@ -19,9 +18,9 @@ from .quantity import (
     Quantity,
     Span,
     SpanPerChannel,
+    Text,
     WordPerChannel,
     per_channel,
-    unexpected,
 )
 
 Clock = Literal["device", "host", "lockstep"]
@@ -70,26 +69,15 @@ ORIGIN = Quantity(
 _MARGIN_SHARE = 0.1  # of the travel
 
 
-class PortName(Expectation):
-    """A serial port by the name that the system has for it; in Python None: the embedded mock."""
-
-    def expected(self) -> str:
-        return "the name of a serial port, such as /dev/ttyACM0"
-
-    def check(self, value: object) -> str | None:
-        if value is not None and (not isinstance(value, str) or not value):
-            unexpected(self.expected())
-        return value
-
-    def json_schema(self) -> dict[str, Any]:
-        description = "Serial port, such as /dev/ttyACM0; left out: the embedded mock"
-        return {"description": description, "anyOf": [{"type": "string", "minLength": 1}, {"type": "null"}]}
+PORT = Text(
+    "Serial port, such as /dev/ttyACM0", "the name of a serial port, such as /dev/ttyACM0", ".+", "the embedded mock"
+)
 
 
 class Device(Part):
     """The device that the hand holds, and the link to it. SI units."""
 
-    port: Annotated[str | None, PortName()] = None
+    port: Annotated[str | None, PORT] = None
     baud: Annotated[int, Count("Speed of the serial link", 1, 100_000_000, "bit/s")] = 2_000_000
     clock: Clock = Field(
         default="device",

@@ -8,13 +8,12 @@ from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
 from .device import Device
-from .document import Document
 from .issue import Issue, Path, did_you_mean, nearest, one_of, quote
 from .mock import Hand, Initial, Mock
 from .modules import MODULE_TYPES
 from .quantity import UNEXPECTED, Expectation
 from .scene import ACROSS, Scene
-from .syntax import space_hint
+from .yaml_document import Document, space_hint
 
 
 @dataclass(frozen=True)

@@ -7,11 +7,11 @@ from pydantic import ValidationError
 from hapsim.errors import SceneError
 
 from .cross_checks import cross_check_issues
-from .document import Document
 from .error_messages import findings_of
 from .issue import Issue
 from .partial_validation import sound_fields, sound_modules
 from .scene import VERSION, Scene
+from .yaml_document import Document
 from .yaml_file import YamlFile
 
 _FILE = YamlFile(SceneError, "a scene in YAML", "found nothing, expected a scene; `hapsim new` writes a first one")

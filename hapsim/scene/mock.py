@@ -7,10 +7,9 @@ from typing import Annotated
 from pydantic import Field
 
 from .choices import HOLD, SAMPLING, Hold, Sampling
-from .curve import Curve, CurvePoints
 from .device import DELAY, FRICTION, MASS, STIFFNESS, Device
 from .part import Part
-from .quantity import Count, PerChannel, Quantity, per_channel
+from .quantity import Count, Curve, CurvePoints, PerChannel, Quantity, per_channel
 
 AS_DEVICE = "as `device` says"
 

@@ -1,7 +1,7 @@
-"""What a value of the scene file may be, said once: the check, the words of an error and the JSON schema.
+"""What a value of the scene file may be, declared once: the check, the words of an error and the JSON schema.
 
-Each class here stands in a field's ``Annotated[...]``. The words are ours rather than pydantic's, so that a
-person who never heard of pydantic can act on them.
+An instance of each class here stands in a field's ``Annotated[...]``. The words are ours rather than pydantic's, so
+that a person who never heard of pydantic can act on them.
 """
 
 import math
@@ -18,11 +18,12 @@ from pydantic_core import PydanticCustomError, core_schema
 UNEXPECTED = "unexpected"
 
 MOST_CHANNELS = 16
+LEAST_POINTS, MOST_POINTS = 2, 1000  # of a curve
 
 _MAPPINGS = "{from: the least, to: the most}, or {value: a number, uncertainty: its standard uncertainty}"
 
-#: A number of the scene file, or one for each channel of the device.
-PerChannel = float | tuple[float, ...]
+#: Keys and indices that lead from a value to an entry within it.
+_At = tuple[int | str, ...]
 
 
 class _Mapping(BaseModel):
@@ -31,7 +32,7 @@ class _Mapping(BaseModel):
     model_config = ConfigDict(frozen=True)
 
     def __str__(self) -> str:
-        """As a scene's file spells it, in braces."""
+        """Returns the mapping in braces, as a scene's file spells it."""
         return "{" + ", ".join(f"{key}: {value!r}" for key, value in self.model_dump().items()) + "}"
 
 
@@ -53,20 +54,26 @@ class Known(_Mapping):
     uncertainty: float
 
 
-#: A number of the scene file with what is known of it, or one for each channel of the device.
+#: A number of the scene file, or one for each channel of the device; with what is known of it; or a word.
+PerChannel = float | tuple[float, ...]
 SpanPerChannel = float | Span | Known | tuple[float | Span | Known, ...]
-
-#: A number or a word, or one for each channel.
 WordPerChannel = float | str | tuple[float | str, ...]
 
 #: A lower and an upper limit, or such a pair for each channel.
 Limits = tuple[float, float]
 LimitsPerChannel = Limits | tuple[Limits, ...]
 
+#: A curve: points by ascending x, straight between them.
+Curve = tuple[tuple[float, float], ...]
 
-def unexpected(expected: str, at: tuple[int | str, ...] = (), found: str = "") -> NoReturn:
-    """Say that a value, or the entry ``at`` within it, is not what was ``expected``; ``found``: what it is, in place of
-    what the file spells there.
+
+def unexpected(expected: str, at: _At = (), found: str = "") -> NoReturn:
+    """Reports that a value, or the entry ``at`` within it, is not what was ``expected``.
+
+    Args:
+        expected: the words that follow "expected".
+        at: leads to the entry.
+        found: what stands there; left out: what the file spells there.
 
     Raises:
         PydanticCustomError: always; inside a pydantic validation it becomes one of the collected faults.
@@ -75,27 +82,45 @@ def unexpected(expected: str, at: tuple[int | str, ...] = (), found: str = "") -
 
 
 class Expectation:
-    """What one field expects. An instance stands in ``Annotated[type, ...]``, where pydantic finds it."""
+    """What one field expects.
+
+    Attributes:
+        description: what the value is, for the schema.
+        unit: its unit as people read it, such as ``N·s/m``.
+        left_out: what it means to leave the value out; where this is given, None is accepted in Python too.
+    """
+
+    description: str
+    unit: str = ""
+    left_out: str = ""
 
     def expected(self) -> str:
-        """The words that follow "expected" in an error."""
+        """Returns the words that follow "expected" in an error."""
         raise NotImplementedError
 
-    def check(self, value: object) -> object:
-        """The value in its final type, or an error through `unexpected`."""
+    def check(self, value: Any) -> Any:
+        """Returns the value in its final type; an error through `unexpected`."""
         raise NotImplementedError
 
-    def json_schema(self) -> dict[str, Any]:
-        """The JSON schema of the value, description and unit included."""
+    def schemas(self) -> list[dict[str, Any]]:
+        """Returns the JSON schemas of the value, of which any may hold."""
         raise NotImplementedError
 
     def __get_pydantic_core_schema__(self, _source: object, _handler: GetCoreSchemaHandler) -> core_schema.CoreSchema:
-        return core_schema.no_info_plain_validator_function(self.check)
+        def checked(value: object) -> object:
+            return None if value is None and self.left_out else self.check(value)
+
+        return core_schema.no_info_plain_validator_function(checked)
 
     def __get_pydantic_json_schema__(
         self, _schema: core_schema.CoreSchema, _handler: GetJsonSchemaHandler
     ) -> dict[str, Any]:
-        return self.json_schema()
+        described = self.description + (f", in {self.unit}" if self.unit else "")
+        schemas = self.schemas()
+        if self.left_out:
+            described += f"; left out: {self.left_out}"
+            schemas.append({"type": "null"})
+        return {"description": described} | (schemas[0] if len(schemas) == 1 else {"anyOf": schemas})
 
 
 @dataclass(frozen=True)
@@ -103,14 +128,11 @@ class Quantity(Expectation):
     """A finite number in SI units, within bounds.
 
     Attributes:
-        description: what the number is, for the schema.
-        unit: its unit as people read it, such as ``N·s/m``.
         above, least, most: the bounds; ``above`` is exclusive.
-        per_channel: a list with one number for each channel is welcome too, and becomes a tuple.
-        left_out: what it means to leave the number out; where this is given, None is welcome in Python too.
-        spans: a mapping is welcome in place of a number: ``{from: least, to: most}`` becomes a `Span`,
+        per_channel: a list with one number for each channel is accepted too, and becomes a tuple.
+        spans: a mapping is accepted in place of a number: ``{from: least, to: most}`` becomes a `Span`,
             ``{value: number, uncertainty: number}`` a `Known`.
-        word: a word that is welcome in place of a number.
+        word: a word that is accepted in place of a number.
     """
 
     description: str
@@ -124,82 +146,68 @@ class Quantity(Expectation):
     word: str = ""
 
     def expected(self) -> str:
-        span = f", or {_MAPPINGS}" if self.spans else ""
-        word = f", or {self.word}" if self.word else ""
-        several = ", or a list with one per channel" if self.per_channel else ""
-        return self._one() + word + span + several
+        several = "a list with one per channel" if self.per_channel else ""
+        return ", or ".join(filter(None, (self._number(), self.word, _MAPPINGS if self.spans else "", several)))
 
-    def check(self, value: object) -> SpanPerChannel | WordPerChannel | None:
-        """A float, or a tuple of one for each channel; a welcome None stays. An error through `unexpected`."""
-        if value is None and self.left_out:
-            return None
+    def check(self, value: Any) -> Any:
+        """Returns a float, a `Span`, a `Known` or the word, or a tuple of one for each channel."""
         if self.per_channel and is_list(value):
             return tuple(self._entry(entry, (index,)) for index, entry in enumerate(value))
         return self._entry(value, ())
 
-    def json_schema(self) -> dict[str, Any]:
-        """A number within the bounds, or a list of one for each channel, or ``null``."""
+    def schemas(self) -> list[dict[str, Any]]:
         bounds = {"exclusiveMinimum": self.above, "minimum": self.least, "maximum": self.most}
         number = {"type": "number"} | {key: bound for key, bound in bounds.items() if bound is not None}
         kinds: list[dict[str, Any]] = [number]
-        if self.spans:
-            for keys in (["from", "to"], ["value", "uncertainty"]):
-                both = {"type": "object", "properties": dict.fromkeys(keys, number), "required": keys}
-                kinds.append(both | {"additionalProperties": False})
+        for keys in (["from", "to"], ["value", "uncertainty"]) if self.spans else ():
+            both = {"type": "object", "properties": dict.fromkeys(keys, number), "required": keys}
+            kinds.append(both | {"additionalProperties": False})
         if self.word:
             kinds.append({"const": self.word})
         if self.per_channel:
             items = number if len(kinds) == 1 else {"anyOf": list(kinds)}
-            kinds.append({"type": "array", "items": items, "minItems": 1, "maxItems": MOST_CHANNELS})
-        if self.left_out:
-            kinds.append({"type": "null"})
-        return {"description": self._described()} | (number if len(kinds) == 1 else {"anyOf": kinds})
+            kinds.append(_list_schema(items, 1, MOST_CHANNELS))
+        return kinds
 
-    def _described(self) -> str:
-        left_out = f"; left out: {self.left_out}" if self.left_out else ""
-        return f"{self.description}, in {self.unit}{left_out}"
+    def _number(self, kind: str = "number") -> str:
+        bounds = f" > {self.above:g}" if self.above is not None else ""
+        if self.least is not None:
+            bounds = f" >= {self.least:g}" if self.most is None else f" from {self.least:g} to {self.most:g}"
+        return f"a {kind}{bounds} ({self.unit})"
 
-    def _one(self, kind: str = "number") -> str:
-        return f"a {kind}{_bounds(self.above, self.least, self.most)} ({self.unit})"
-
-    def _entry(self, value: object, at: tuple[int | str, ...]) -> Any:
+    def _entry(self, value: object, at: _At) -> Any:
         if isinstance(value, Span | Known) or (self.word and value == self.word):
             return value
         if not self.spans or not isinstance(value, Mapping):
-            return self._number(value, at)
-        if set(value) == {"from", "to"}:
-            least, most = (self._number(value[key], (*at, key)) for key in ("from", "to"))
-            if least >= most:
-                unexpected(f"from ({least:g}) below to ({most:g})", at)
-            return Span(least=least, most=most)
-        if set(value) == {"value", "uncertainty"}:
-            number, uncertainty = (self._number(value[key], (*at, key)) for key in ("value", "uncertainty"))
-            if uncertainty >= number:
-                unexpected(f"uncertainty ({uncertainty:g}) below value ({number:g})", at)
-            return Known(value=number, uncertainty=uncertainty)
+            return self._checked(value, at)
+        numbers = {key: self._checked(value[key], (*at, key)) for key in value} if _is_spelt(value) else {}
+        match numbers:
+            case {"from": least, "to": most}:
+                if least >= most:
+                    unexpected(f"from ({least:g}) below to ({most:g})", at)
+                return Span(least=least, most=most)
+            case {"value": number, "uncertainty": uncertainty}:
+                if uncertainty >= number:
+                    unexpected(f"uncertainty ({uncertainty:g}) below value ({number:g})", at)
+                return Known(value=number, uncertainty=uncertainty)
         unexpected(_MAPPINGS, at)
 
-    def _number(self, value: object, at: tuple[int | str, ...]) -> float:
-        number = as_float(value)
-        if number is None:
-            unexpected(self._one() if at else self.expected(), at)
-        if not math.isfinite(number):
-            unexpected(self._one("finite number"), at)
+    def _checked(self, value: object, at: _At) -> float:
+        words = self._number() if at else self.expected()
+        number = finite_number(value, words, self._number("finite number"), at)
         too_low = (self.above is not None and number <= self.above) or (self.least is not None and number < self.least)
         if too_low or (self.most is not None and number > self.most):
-            unexpected(self._one() if at else self.expected(), at)
+            unexpected(words, at)
         return number
+
+
+def _is_spelt(value: Mapping[Any, object]) -> bool:
+    return set(value) in ({"from", "to"}, {"value", "uncertainty"})
 
 
 @dataclass(frozen=True)
 class Interval(Expectation):
-    """A lower and an upper limit in SI units, or such a pair for each channel; None is welcome in Python too.
-
-    Attributes:
-        description: what the limits are of, for the schema.
-        unit: their unit as people read it.
-        left_out: what it means to leave them out.
-    """
+    """A lower and an upper limit in SI units, or such a pair for each channel."""
 
     description: str
     unit: str
@@ -208,48 +216,78 @@ class Interval(Expectation):
     def expected(self) -> str:
         return f"[the least, the most] ({self.unit}), or a list of such pairs, one per channel"
 
-    def check(self, value: object) -> LimitsPerChannel | None:
-        """A pair of numbers, or a tuple of one for each channel; None stays. An error through `unexpected`."""
-        if value is None:
-            return None
+    def check(self, value: Any) -> LimitsPerChannel:
         if not is_list(value) or not value:
             unexpected(self.expected())
         if any(is_list(entry) for entry in value):
             return tuple(self._pair(entry, (index,)) for index, entry in enumerate(value))
         return self._pair(value, ())
 
-    def json_schema(self) -> dict[str, Any]:
-        """A pair, or a list of one for each channel, or ``null``."""
-        pair = {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 2}
-        pairs = {"type": "array", "items": pair, "minItems": 1, "maxItems": MOST_CHANNELS}
-        described = f"{self.description}, in {self.unit}; left out: {self.left_out}"
-        return {"description": described, "anyOf": [pair, pairs, {"type": "null"}]}
+    def schemas(self) -> list[dict[str, Any]]:
+        pair = _list_schema({"type": "number"}, 2, 2)
+        return [pair, _list_schema(pair, 1, MOST_CHANNELS)]
 
     def _pair(self, value: object, at: tuple[int, ...]) -> Limits:
         if not is_list(value) or len(value) != 2:
             unexpected(f"[the least, the most] ({self.unit})" if at else self.expected(), at)
-        least, most = (self._number(entry, (*at, index)) for index, entry in enumerate(value))
+        words = f"a finite number ({self.unit})"
+        least, most = (finite_number(entry, words, words, (*at, index)) for index, entry in enumerate(value))
         if not least < most:
             unexpected(f"the least ({least:g}) below the most ({most:g})", at)
         return least, most
 
-    def _number(self, value: object, at: tuple[int, ...]) -> float:
-        number = as_float(value)
-        if number is None or not math.isfinite(number):
-            unexpected(f"a finite number ({self.unit})", at)
-        return number
+
+@dataclass(frozen=True)
+class CurvePoints(Expectation):
+    """A list of points [x, y], by ascending x.
+
+    Attributes:
+        along, up: units of x and y as people read them.
+        fewest: how many points there are at least.
+        above: what every y is greater than.
+    """
+
+    description: str
+    along: str
+    up: str
+    left_out: str
+    fewest: int = LEAST_POINTS
+    above: float | None = None
+
+    @property
+    def unit(self) -> str:  # type: ignore[override]
+        return f"points [{self.along}, {self.up}]"
+
+    def expected(self) -> str:
+        return f"a list of {self.fewest} to {MOST_POINTS} {self.unit}"
+
+    def check(self, value: Any) -> Curve:
+        if not is_list(value) or not self.fewest <= len(value) <= MOST_POINTS:
+            unexpected(self.expected())
+        points: list[tuple[float, float]] = []
+        for index, entry in enumerate(value):
+            points.append(self._point(entry, index))
+            if index and not points[index - 1][0] < points[index][0]:
+                before = f"{points[index - 1][0]:.15g}"
+                unexpected(f"a number > {before} ({self.along}): the points stand in ascending order", (index, 0))
+        return tuple(points)
+
+    def schemas(self) -> list[dict[str, Any]]:
+        return [_list_schema(_list_schema({"type": "number"}, 2, 2), self.fewest, MOST_POINTS)]
+
+    def _point(self, entry: object, index: int) -> tuple[float, float]:
+        if not is_list(entry) or len(entry) != 2:
+            unexpected(f"a point [{self.along}, {self.up}], two numbers", (index,))
+        words = [f"a finite number ({unit})" for unit in (self.along, self.up)]
+        x, y = (finite_number(entry[axis], words[axis], words[axis], (index, axis)) for axis in (0, 1))
+        if self.above is not None and not y > self.above:
+            unexpected(f"a number > {self.above:g} ({self.up})", (index, 1))
+        return x, y
 
 
 @dataclass(frozen=True)
 class Count(Expectation):
-    """A whole number within bounds, written without a decimal point.
-
-    Attributes:
-        description: what is counted, for the schema.
-        least, most: the bounds, both inclusive.
-        unit: the unit as people read it, or nothing for a bare number.
-        left_out: what it means to leave the number out; where this is given, None is welcome in Python too.
-    """
+    """A whole number from `least` to `most`, written without a decimal point."""
 
     description: str
     least: int
@@ -258,113 +296,118 @@ class Count(Expectation):
     left_out: str = ""
 
     def expected(self) -> str:
-        unit = f" ({self.unit})" if self.unit else ""
-        return f"a whole number from {self.least} to {self.most}{unit}"
+        return f"a whole number from {self.least} to {self.most}" + (f" ({self.unit})" if self.unit else "")
 
-    def check(self, value: object) -> int | None:
-        """A whole number within the bounds, or an error through `unexpected`."""
-        if value is None and self.left_out:
-            return None
-        if isinstance(value, bool) or not isinstance(value, Integral):
+    def check(self, value: Any) -> int:
+        if isinstance(value, bool) or not isinstance(value, Integral) or not self.least <= int(value) <= self.most:
             unexpected(self.expected())
-        number = int(value)
-        if not self.least <= number <= self.most:
-            unexpected(self.expected())
-        return number
+        return int(value)
 
-    def json_schema(self) -> dict[str, Any]:
-        """A whole number within the bounds."""
-        description = f"{self.description}, in {self.unit}" if self.unit else self.description
-        number = {"type": "integer", "minimum": self.least, "maximum": self.most}
-        if not self.left_out:
-            return number | {"description": description}
-        return {"description": f"{description}; left out: {self.left_out}", "anyOf": [number, {"type": "null"}]}
+    def schemas(self) -> list[dict[str, Any]]:
+        return [{"type": "integer", "minimum": self.least, "maximum": self.most}]
 
 
 @dataclass(frozen=True)
 class Words(Expectation):
-    """A list of words, each one of a few.
+    """A list of `count` words.
 
     Attributes:
-        description: what they say, for the schema.
-        words: which there are.
-        count: how many the list has.
+        words: which there are; empty: any text.
+        entry, several: what an error calls one of them, and all of them.
     """
 
     description: str
     words: tuple[str, ...]
     count: int
+    entry: str = ""
+    several: str = ""
 
     def expected(self) -> str:
-        return f"a list of {self.count} words, each {' or '.join(self.words)}"
+        return self.several or f"a list of {self.count} words, each {' or '.join(self.words)}"
 
-    def check(self, value: object) -> tuple[str, ...]:
-        """The words, or an error through `unexpected`, for the first that is none of them."""
+    def check(self, value: Any) -> tuple[str, ...]:
         if not isinstance(value, list | tuple) or len(value) != self.count:
             unexpected(self.expected())
         for index, word in enumerate(value):
-            if word not in self.words:
-                unexpected(" or ".join(self.words), (index,))
+            if not isinstance(word, str) or (self.words and word not in self.words):
+                unexpected(self.entry or " or ".join(self.words), (index,))
         return tuple(value)
 
-    def json_schema(self) -> dict[str, Any]:
-        """A list of so many words."""
-        return {
-            "description": self.description,
-            "type": "array",
-            "items": {"enum": list(self.words)},
-            "minItems": self.count,
-            "maxItems": self.count,
-        }
+    def schemas(self) -> list[dict[str, Any]]:
+        return [_list_schema({"enum": list(self.words)} if self.words else {"type": "string"}, self.count, self.count)]
 
 
 @dataclass(frozen=True)
-class Name(Expectation):
-    """The name of a module: letters, digits, ``_`` and ``-``, starting with a letter or ``_``."""
+class Text(Expectation):
+    """A text of a regular expression `pattern`, called `wanted` in an error."""
 
-    PATTERN = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
-    WORDS = "letters, digits, _ and -, starting with a letter or _"
+    description: str
+    wanted: str
+    pattern: str
+    left_out: str = ""
 
     def expected(self) -> str:
-        return self.WORDS
+        return self.wanted
 
-    def check(self, value: object) -> str:
-        if not isinstance(value, str) or not self.PATTERN.fullmatch(value):
+    def check(self, value: Any) -> str:
+        if not isinstance(value, str) or not re.fullmatch(self.pattern, value):
+            unexpected(self.wanted)
+        return value
+
+    def schemas(self) -> list[dict[str, Any]]:
+        return [{"type": "string", "pattern": f"^{self.pattern}$"}]
+
+
+_NAME = "letters, digits, _ and -, starting with a letter or _"
+NAME = Text(f"A name: {_NAME}", _NAME, "[A-Za-z_][A-Za-z0-9_-]*")
+"""The name of a module."""
+
+
+@dataclass(frozen=True)
+class Version(Expectation):
+    """The number of the format that this hapsim reads. `format`: what it calls the format."""
+
+    number: int
+    format: str
+
+    @property
+    def description(self) -> str:  # type: ignore[override]
+        return f"Version of the {self.format} format"
+
+    def expected(self) -> str:
+        return f"{self.number}: this hapsim reads version {self.number} of the {self.format} format"
+
+    def check(self, value: Any) -> int:
+        if type(value) is not int or value != self.number:
             unexpected(self.expected())
         return value
 
-    def json_schema(self) -> dict[str, Any]:
-        """A text of this pattern."""
-        return {
-            "type": "string",
-            "pattern": f"^{self.PATTERN.pattern}$",
-            "description": f"A name: {self.WORDS}",
-        }
+    def schemas(self) -> list[dict[str, Any]]:
+        return [{"const": self.number, "type": "integer"}]
 
 
 def per_channel(value: PerChannel, channels: int) -> tuple[float, ...]:
-    """One value for each of ``channels`` channels: a number is repeated, a tuple is taken as it is."""
+    """Returns one value for each of ``channels`` channels: a number is repeated, a tuple is taken as it is."""
     return value if isinstance(value, tuple) else (value,) * channels
 
 
 def is_list(value: object) -> TypeGuard[Sequence[Any]]:
-    """Whether the file has a list there."""
+    """Returns whether the file has a list there."""
     return isinstance(value, Sequence) and not isinstance(value, str | bytes)
 
 
-def as_float(value: object) -> float | None:
-    """The number that a value of the file is, or nothing."""
+def finite_number(value: object, number: str, finite: str, at: _At) -> float:
+    """Returns the number that a value of the file is; `number` or `finite` through `unexpected` where it is none."""
     if isinstance(value, bool) or not isinstance(value, Real):
-        return None
+        unexpected(number, at)
     try:
-        return float(value)
-    except OverflowError:
-        return math.inf  # an integer beyond every float
+        result = float(value)
+    except OverflowError:  # an integer beyond every float
+        result = math.inf
+    if not math.isfinite(result):
+        unexpected(finite, at)
+    return result
 
 
-def _bounds(above: float | None, least: float | None, most: float | None) -> str:
-    if most is not None and least is not None:
-        return f" from {least:g} to {most:g}"
-    if above is not None:
-        return f" > {above:g}"
-    return f" >= {least:g}" if least is not None else ""
+def _list_schema(items: dict[str, Any], least: int, most: int) -> dict[str, Any]:
+    return {"type": "array", "items": items, "minItems": least, "maxItems": most}

@@ -19,7 +19,7 @@ from hapsim.errors import SceneError, UsageError
 from .load import parse_scene
 from .quantity import Known, per_channel
 from .scene import Scene
-from .syntax import compose
+from .yaml_document import compose
 
 _PER_CHANNEL = ("mass", "friction", "stiffness")
 

@@ -24,9 +24,8 @@ from .modules import (
     TypedModule,
     ViscoElastic,
 )
-from .part import Part
-from .quantity import Expectation, Name, Quantity, unexpected
-from .table import Table
+from .part import Part, Table
+from .quantity import NAME, Quantity, Version
 
 VERSION = 1
 
@@ -36,28 +35,13 @@ ACROSS = "across"
 M = TypeVar("M", bound=Module)
 
 
-class Version(Expectation):
-    """The number of the scene format: the one that this hapsim reads."""
-
-    def expected(self) -> str:
-        return f"{VERSION}: this hapsim reads version {VERSION} of the scene format"
-
-    def check(self, value: object) -> int:
-        if not isinstance(value, int) or isinstance(value, bool) or value != VERSION:
-            unexpected(self.expected())
-        return value
-
-    def json_schema(self) -> dict[str, Any]:
-        return {"const": VERSION, "type": "integer", "description": "Version of the scene format"}
-
-
 def _written(modules: Mapping[str, Module], info: SerializationInfo) -> dict[str, Any]:
     """Without None where that is asked for: a file takes none."""
     return {name: module.model_dump(exclude_none=info.exclude_none) for name, module in modules.items()}
 
 
 ModulesByName = Annotated[
-    Mapping[Annotated[str, Name()], TypedModule],
+    Mapping[Annotated[str, NAME], TypedModule],
     AfterValidator(Table),
     PlainSerializer(_written),
     Field(
@@ -83,7 +67,7 @@ class Scene(Part):
         pydantic.ValidationError: made in Python from parts that do not fit.
     """
 
-    version: Annotated[int, Version()]
+    version: Annotated[int, Version(VERSION, "scene")]
     rate: Annotated[float, Quantity("Rate of the simulation: one over the sample period", "Hz", above=0)]
     device: Device = Field(description="What stands on the other side of the wire")
     mock: Mock | None = Field(

@@ -2,6 +2,7 @@
 
 import codecs
 import os
+import re
 from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass
@@ -9,10 +10,9 @@ from pathlib import Path as FilePath
 
 from hapsim.errors import UsageError
 
-from .document import Document
 from .issue import Issue, LocatedIssue, Path, Place, nearest, quote
-from .quantity import Name
-from .syntax import YamlSyntaxError, compose, place_in
+from .quantity import NAME
+from .yaml_document import Document, YamlSyntaxError, compose, place_in
 
 
 @dataclass(frozen=True)
@@ -118,5 +118,5 @@ def _label(path: Path) -> str:
     if last is None:
         return ""
     key = str(path[last])
-    name = key if Name.PATTERN.fullmatch(key) and len(key) <= 60 else quote(key)
+    name = key if re.fullmatch(NAME.pattern, key) and len(key) <= 60 else quote(key)
     return name + "".join(f"[{step}]" for step in path[last + 1 :])

@@ -24,7 +24,7 @@ import yaml
 
 from firmware_protocol.schema import SCHEMA_HASH, VERSION
 from hapsim import __version__
-from hapsim.device.mock import command as serving_command
+from hapsim.device.mock import terminal as serving_command
 from hapsim.scene import load_scene
 
 HAPSIM = [sys.executable, "-m", "hapsim"]
@@ -100,7 +100,7 @@ def test_a_link_whose_name_is_taken_is_status_2_and_left_alone(
         for number, handler in before.items():
             signal.signal(number, handler)
     assert answer.status == 2
-    assert f"{taken}: cannot be made a name of the port: it is a file, not a link of hapsim" in answer.sentence
+    assert f"{taken}: found a file, a directory or a device, expected a free name" in answer.sentence
     assert taken.read_text(encoding="utf-8") == "mine"
 
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from hapsim.device.mock.transmitter import transmitter_transport
+from hapsim.device.mock.wire import transmitter_transport
 from hapsim.loop.endings import FAILED
 
 FRAMES = [bytes([1 + n % 255]) * (7 + n % 13) + b"\0" for n in range(20000)]

@@ -11,8 +11,7 @@ import pytest
 from firmware_protocol import schema
 from firmware_protocol.compiled import new_record
 from hapsim.device.mock.assemble import assemble_mock
-from hapsim.device.mock.terminal import serving
-from hapsim.device.mock.uart import UART, arrived, next_due_ns, put_on_wire, take_off_wire
+from hapsim.device.mock.wire import UART, arrived, next_due_ns, put_on_wire, take_off_wire
 from hapsim.errors import UsageError
 from hapsim.running import run
 
@@ -141,9 +140,3 @@ def test_paced_by_the_device_over_a_pseudo_terminal_a_turnaround_of_more_than_a_
     scene = new_scene(rate=50.0, device={"clock": "device"}, mock={"turnaround": 0.05})
     report = run(scene, duration=0.5, transport="terminal").report
     assert report.deadline_misses >= report.ticks - 1 - report.lost_frames
-
-
-def test_a_mock_without_a_wire_is_served_without_one(new_scene: New, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(__import__("sys").modules, "hapsim.device.mock.uart", None)  # importing it fails
-    with serving(assemble_mock(new_scene())):
-        pass

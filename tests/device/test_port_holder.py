@@ -13,9 +13,8 @@ from pathlib import Path
 
 import pytest
 
-from hapsim.device import port_holder
-from hapsim.device.port_holder import who_holds
-from hapsim.device.serial_port import open_serial_port
+from hapsim.device import serial_port
+from hapsim.device.serial_port import open_serial_port, who_holds
 from hapsim.errors import DeviceError
 
 HOLDS = """
@@ -87,9 +86,9 @@ def test_who_waits_for_a_lock_or_has_died_holds_no_port(
     for number in (7, 8):
         (tmp_path / str(number)).mkdir()
     (tmp_path / "7" / "cmdline").write_bytes(b"hapsim\0run\0my\xffscene.yaml\0")
-    monkeypatch.setattr(port_holder, "_PROC", tmp_path)
+    monkeypatch.setattr(serial_port, "_PROC", tmp_path)
     assert who_holds(port) == "PID 7 (hapsim run my\N{REPLACEMENT CHARACTER}scene.yaml) holds its lock"
-    monkeypatch.setattr(port_holder, "_PROC", tmp_path / "nowhere")
+    monkeypatch.setattr(serial_port, "_PROC", tmp_path / "nowhere")
     assert who_holds(port) == ""
     assert who_holds(str(tmp_path / "nowhere")) == ""
 

@@ -109,7 +109,7 @@ def test_a_refusal_that_no_version_names_is_a_refusal_with_its_number(scripted: 
 def test_a_device_that_answers_all_but_arm_is_told_so(scripted: Scripted) -> None:
     with scripted(ignores_arm=True) as (scene, _), pytest.raises(DeviceError) as caught:
         run(scene, duration=0.01)
-    assert "described itself, but did not answer ARM within 0.08 s" in str(caught.value)
+    assert "described itself, but it did not answer ARM within 0.08 s" in str(caught.value)
     assert "powered" not in str(caught.value)
 
 

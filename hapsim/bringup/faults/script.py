@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from typing import Annotated, Any
+from typing import Annotated
 
 from pydantic import Field, ValidationError
 
@@ -11,25 +11,10 @@ from hapsim.bringup.faults.kinds import KINDS, TypedFault
 from hapsim.errors import UsageError
 from hapsim.scene.error_messages import Layout, findings_of
 from hapsim.scene.part import Part
-from hapsim.scene.quantity import Count, Expectation, unexpected
+from hapsim.scene.quantity import Count, Version
 from hapsim.scene.yaml_file import YamlFile
 
 VERSION = 1
-
-
-class ScriptVersion(Expectation):
-    """The number of the script format: the one that this hapsim reads."""
-
-    def expected(self) -> str:
-        return f"{VERSION}: this hapsim reads version {VERSION} of the script format"
-
-    def check(self, value: object) -> int:
-        if not isinstance(value, int) or isinstance(value, bool) or value != VERSION:
-            unexpected(self.expected())
-        return value
-
-    def json_schema(self) -> dict[str, Any]:
-        return {"const": VERSION, "type": "integer"}
 
 
 class Script(Part):
@@ -41,7 +26,7 @@ class Script(Part):
         faults: which, in the order of the file.
     """
 
-    version: Annotated[int, ScriptVersion()]
+    version: Annotated[int, Version(VERSION, "script")]
     seed: Annotated[int, Count("Seed of what is left to chance", 0, 2**32 - 1)] = 0
     faults: list[TypedFault] = Field(min_length=1)
 

@@ -13,7 +13,7 @@ from firmware_protocol.decoder import begin_decoding
 from firmware_protocol.description import Description, to_registers
 from firmware_protocol.frames import SETUP, armed_format, framing_of
 from firmware_protocol.wire_time import BITS_PER_BYTE, WireTime, wire_time
-from hapsim.device.mock.firmware import MOCK, MOST_LATE
+from hapsim.device.mock.firmware import MOCK, MOST_LATE, take_late_force
 from hapsim.device.mock.sampler import set_timing
 from hapsim.errors import UsageError
 from hapsim.prediction.timing import time_to_live_samples
@@ -94,8 +94,6 @@ def _set_wire(mock: Any, scene: Scene) -> None:
     mock.chance.share = device.misses if scene.device.clock == "lockstep" else 0.0
     mock.chance.seed = np.random.SeedSequence((device.seed, 1)).generate_state(1, np.uint64)[0] | np.uint64(1)
     if mock.late_samples or mock.chance.share:
-        from hapsim.device.mock.late_force import take_late_force
-
         mock.called.take_force = take_late_force.address()
     mock.byte_ns = BITS_PER_BYTE * 1e9 / device.baud if device.baud else 0.0
     mock.turnaround_ns = device.turnaround * 1e9

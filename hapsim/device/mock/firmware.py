@@ -29,6 +29,7 @@ from hapsim.device.mock.sampler import (
     sample,
     sample_velocity,
     to_counts,
+    uniform,
 )
 
 OUTBOX_BYTES = 65536
@@ -245,6 +246,33 @@ def _take_force(mock, now):
     if board.pacing != schema.PACED_BY_DEVICE:
         call_event(mock.called.take_sample, (mock.address, now))
         board.lives = (mock.decoder.argument + 1) * mock.converters[0].period
+
+
+@native(types.void, types.uint64, types.int64)
+def take_late_force(mock, now):
+    """In virtual time, over a wire that takes longer than a sample: a force is sent, and the one that was sent so many
+    samples before arrives. Where none does, the sample ends without."""
+    address, mock = mock, mock_at(mock)
+    board, decoder = mock.board, mock.decoder
+    if board.pacing == schema.LOCKSTEP:
+        n = board.n
+        _copy_force(decoder, mock.under_way[n % (MOST_LATE + 1)])
+        missed = mock.chance.share > 0.0 and uniform(mock.chance) <= mock.chance.share
+        if n >= mock.late_samples and not missed:
+            _copy_force(mock.under_way[(n - mock.late_samples) % (MOST_LATE + 1)], decoder)
+            call_event(mock.called.act_on_force, (address, now))
+        if board.n == n and board.state == schema.ARMED:
+            call_event(mock.called.take_sample, (address, now))
+    else:
+        call_event(mock.called.act_on_force, (address, now))
+
+
+@inlined
+def _copy_force(source, target):
+    target.number = source.number
+    target.argument = source.argument
+    for c in range(schema.MAX_CHANNELS):
+        target.counts[c] = source.counts[c]
 
 
 @helper

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from hapsim.scene import Buffer, Damper, Scene, Spring, ViscoElastic
 from hapsim.scene.choices import CorrectionName, DamperScheme
 from hapsim.scene.modules import Link, Module
-from hapsim.scene.table import Table
+from hapsim.scene.part import Table
 from hapsim.theory import Configuration
 from hapsim.theory.arrays import Complexes, Floats
 from hapsim.theory.correction import SLOWEST

@@ -1,26 +1,17 @@
-"""The modules that a scene can hold. A new one is a file here and a line in `AnyModule`."""
+"""The modules that a scene can hold. A new one is a class here and a line in `AnyModule`."""
 
 from typing import Annotated, get_args
 
 from pydantic import Field
 
-from .buffer import Buffer
-from .cell import Cell
-from .damper import Damper
-from .device_point import DevicePoint
-from .friction import Friction
-from .ground import Ground
+from .linear_links import Damper, Spring, ViscoElastic
 from .link import Link
-from .mass import Mass
-from .material_point import Held, MaterialPoint
 from .membrane import Membrane
 from .module import Module, ModuleContext
-from .nonlinear import Nonlinear
-from .plectrum import Plectrum
-from .spring import Spring
+from .nonlinear_links import Buffer, Friction, Nonlinear, Plectrum
+from .points import Cell, DevicePoint, Ground, Held, Mass, MaterialPoint
 from .string import Pluck, String
 from .structure import Elements, Structure
-from .viscoelastic import ViscoElastic
 
 AnyModule = (
     DevicePoint

@@ -1,40 +1,20 @@
 """What every link is: an element between two points."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, ClassVar
 
 from ..issue import Issue, did_you_mean, quote
-from ..quantity import Expectation, unexpected
+from ..quantity import Words
 from .module import Check, Module, ModuleContext
 from .structure import Structure
 
-
-@dataclass(frozen=True)
-class Ends(Expectation):
-    """The names of the two modules that a link joins."""
-
-    def expected(self) -> str:
-        return "the names of two modules, such as [hand, wall]"
-
-    def check(self, value: object) -> tuple[str, str]:
-        """Two names; whether modules are called so is for `Link.issues`. An error through `unexpected`."""
-        if not isinstance(value, list | tuple) or len(value) != 2:
-            unexpected(self.expected())
-        for index, name in enumerate(value):
-            if not isinstance(name, str):
-                unexpected("the name of a module", (index,))
-        return value[0], value[1]
-
-    def json_schema(self) -> dict[str, Any]:
-        """A list of two names."""
-        return {
-            "description": "The two modules that it joins, by name",
-            "type": "array",
-            "items": {"type": "string"},
-            "minItems": 2,
-            "maxItems": 2,
-        }
+ENDS = Words(
+    "The two modules that it joins, by name",
+    (),
+    2,
+    entry="the name of a module",
+    several="the names of two modules, such as [hand, wall]",
+)
 
 
 class Link(Module):
@@ -42,7 +22,7 @@ class Link(Module):
 
     is_point: ClassVar[bool] = False
     can_move: ClassVar[bool] = False
-    between: Annotated[tuple[str, str], Ends()]
+    between: Annotated[tuple[str, str], ENDS]
 
     def checks(self) -> list[Check]:
         return [Check(("between",), self._ends_fit)]

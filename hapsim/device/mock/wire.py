@@ -1,10 +1,12 @@
-"""A UART between the mock and its pseudo-terminal, in real time: a byte is there when its last bit would be.
+"""The mock's end of its pseudo-terminal: a transmitter whose bytes take no time, and a UART.
 
-A frame of the mock is written to the terminal at the time of its last byte; the host's bytes count from their own
-times on, and none that is due after the deadline of a `receive` is handed on by it: that deadline is the mock's tick.
-What the system takes to wake up, some 0.1 ms, comes on top: a host's byte goes on the wire when it is read here.
+Neither waits for room, as no device's tick may. The transmitter ends a frame that was begun before anything else, as
+soon as there is room, and drops what finds none, frame by frame and whole (PROTOCOL.md, section 8).
 
-In virtual time (lockstep) bytes take no time here: the mock's own firmware counts it, in samples.
+On the UART, in real time, a byte is there when its last bit would be. A frame of the mock is written to the terminal at
+the time of its last byte. The host's bytes count from their own times on, and `receive_in_time` hands on none that is
+due after its deadline, the mock's tick. The wake-up latency of the system, some 0.1 ms, comes on top. In virtual time
+(lockstep) bytes take no time here: the mock's firmware counts it, in samples.
 """
 
 from __future__ import annotations
@@ -15,12 +17,63 @@ import numpy as np
 
 from firmware_protocol import schema
 from firmware_protocol.compiled import new_record
+from firmware_protocol.frames import ROOM
 from hapsim.compiling import helper, inlined
 from hapsim.compiling.native import address_of, array_at, record_at
 from hapsim.device.mock.firmware import INPUT_BYTES, mock_at
 from hapsim.loop.endings import FAILED, TIMED_OUT
 from hapsim.loop.system import SCRATCH, now_ns, read_some, write_some
 from hapsim.loop.transport import Transport, receiver, sender
+
+_TRANSMITTER = np.dtype(
+    [
+        ("number", np.int64),  # of the descriptor
+        ("first", np.int64),  # of what was begun and is to be ended: unsent[first:stop]
+        ("stop", np.int64),
+        ("unsent", np.uint8, ROOM),
+        SCRATCH,
+    ],
+    align=True,
+)
+
+_transmitter_at, _bytes_at = record_at(_TRANSMITTER), array_at(np.uint8)
+
+
+@receiver
+def receive_at_once(context, buffer, room, timeout_ns):
+    port = _transmitter_at(context)
+    return read_some(port.number, _bytes_at(buffer, room), timeout_ns, port.scratch)
+
+
+@sender
+def send_at_once(context, buffer, stop):
+    """FAILED where something was dropped. Of no bytes at all: what was begun is ended, if it can be."""
+    port = _transmitter_at(context)
+    if port.first < port.stop:
+        sent = write_some(port.number, port.unsent, port.first, port.stop)
+        port.first += sent if sent > 0 else 0
+        if port.first < port.stop:
+            return FAILED
+    data = _bytes_at(buffer, stop)
+    at = write_some(port.number, data, 0, stop)
+    if at < 0:
+        return at
+    if at == stop:
+        return 0
+    port.first = port.stop = 0
+    while at > 0 and data[at - 1] != 0:
+        port.unsent[port.stop] = data[at]
+        port.stop += 1
+        at += 1
+    return FAILED
+
+
+def transmitter_transport(number: int) -> Transport:
+    """A transport over an open, raw, non-blocking descriptor, which stays the caller's to close."""
+    context = new_record(_TRANSMITTER)
+    context.number = number
+    return Transport(receive_at_once, send_at_once, context)
+
 
 _ROOM = 2 * INPUT_BYTES  # bytes on their way in one direction
 
@@ -47,7 +100,7 @@ UART = np.dtype(
 )
 """Both directions of the wire, and what is on it."""
 
-_uart_at, _bytes_at = record_at(UART), array_at(np.uint8)
+_uart_at = record_at(UART)
 
 
 @inlined
@@ -110,7 +163,7 @@ def take_off_wire(way, count):
 
 
 @receiver
-def receive(context, buffer, room, timeout_ns):
+def receive_in_time(context, buffer, room, timeout_ns):
     uart, buffer = _uart_at(context), _bytes_at(buffer, room)
     now = now_ns(uart.scratch)
     deadline = now + timeout_ns
@@ -140,7 +193,7 @@ def receive(context, buffer, room, timeout_ns):
 
 
 @sender
-def send(context, buffer, stop):
+def send_in_time(context, buffer, stop):
     """FAILED where it found no room, and was dropped whole."""
     uart = _uart_at(context)
     if stop > _ROOM - uart.outgoing.waiting:
@@ -157,4 +210,4 @@ def uart_transport(number: int, mock: Any) -> Transport:
     context = new_record(UART)
     context.number = number
     context.mock = address_of(mock)
-    return Transport(receive, send, context)
+    return Transport(receive_in_time, send_in_time, context)

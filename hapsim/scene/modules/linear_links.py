@@ -1,4 +1,4 @@
-"""The visco-elastic link: a spring and a damper in parallel."""
+"""The linear links: CORDIS's RES (spring), FRO (damper) and both in parallel."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -9,11 +9,29 @@ from pydantic import Field
 from ..choices import DAMPER, WITH_CUTOFF, WITH_SENSOR, DamperScheme
 from ..issue import Issue, one_of, quote
 from ..quantity import Quantity
-from .device_point import DevicePoint
 from .link import Link
 from .module import Check, ModuleContext
+from .points import DevicePoint
 
 CUTOFF = Quantity(f"Cutoff of the {one_of(WITH_CUTOFF)} damper", "Hz", above=0)
+
+
+class Spring(Link):
+    """A spring between two points, at rest where the two coincide."""
+
+    live: ClassVar[tuple[str, ...]] = ("stiffness",)
+
+    type: Literal["spring"] = Field(default="spring", description="A spring")
+    stiffness: Annotated[float, Quantity("Stiffness", "N/m", least=0)]
+
+
+class Damper(Link):
+    """A viscous damper between two points: it holds nothing where it is, and slows what moves."""
+
+    live: ClassVar[tuple[str, ...]] = ("damping",)
+
+    type: Literal["damper"] = Field(default="damper", description="A viscous damper")
+    damping: Annotated[float, Quantity("Viscosity", "N·s/m", least=0)]
 
 
 class ViscoElastic(Link):

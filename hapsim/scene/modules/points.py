@@ -1,0 +1,100 @@
+"""The points that links join: the device point, the ground, CORDIS's MAS (mass) and CEL (cell)."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Iterator
+from typing import Annotated, ClassVar, Literal, NamedTuple
+
+from pydantic import Field
+
+from ..issue import Issue, quote
+from ..quantity import MOST_CHANNELS, Count, Quantity
+from .module import Check, Module, ModuleContext
+
+
+class DevicePoint(Module):
+    """The point of the scene that the hand holds: one channel of the device."""
+
+    type: Literal["device"] = Field(default="device", description="A point that the hand holds")
+    channel: Annotated[int, Count("Channel of the device, counted from 0", 0, MOST_CHANNELS - 1)]
+
+    def checks(self) -> list[Check]:
+        return [Check(("channel",), self._is_alone_on_its_channel)]
+
+    def _is_alone_on_its_channel(self, name: str, around: ModuleContext) -> Iterator[Issue]:
+        points = {other: one for other, one in around.modules.items() if isinstance(one, DevicePoint)}
+        for other, point in points.items():
+            if other == name:
+                return
+            if around.knows(other, "channel") and point.channel == self.channel:
+                sentence = f"found {self.channel}, which {quote(other)} has already; expected a channel of its own"
+                yield Issue(("modules", name, "channel"), sentence)
+                return
+
+
+class Ground(Module):
+    """A fixed point."""
+
+    can_move: ClassVar[bool] = False
+    live: ClassVar[tuple[str, ...]] = ("position",)
+
+    type: Literal["ground"] = Field(default="ground", description="A fixed point")
+    position: Annotated[float, Quantity("Where it is", "m")] = 0.0
+
+
+class Held(NamedTuple):
+    """A spring and a damper from a point to where it rests: N/m, N·s/m, m."""
+
+    stiffness: float
+    damping: float
+    rest: float
+
+
+class MaterialPoint(Module):
+    """A point with a mass at a place of its own, which forces move."""
+
+    #: It pulls itself by a force of its own that is more than `held_by` says, or another: it has a part of the program
+    #: under every scheme, and the linear theory asks for a line of its own.
+    pulls_itself: ClassVar[bool] = False
+    initial: ClassVar[tuple[str, ...]] = ("position", "velocity")
+
+    mass: Annotated[float, Quantity("Mass", "kg", above=0)]
+
+    @abstractmethod
+    def start(self) -> tuple[float, float]:
+        """Returns position and velocity at the start, m and m/s."""
+
+    def held_by(self) -> Held | None:
+        """Returns the spring and the damper of its own; None where it has none."""
+        return None
+
+
+class Mass(MaterialPoint):
+    """A simulated material point."""
+
+    type: Literal["mass"] = Field(default="mass", description="A material point")
+    position: Annotated[float, Quantity("Position at the start", "m")] = 0.0
+    velocity: Annotated[float, Quantity("Velocity at the start", "m/s")] = 0.0
+
+    def start(self) -> tuple[float, float]:
+        return self.position, self.velocity
+
+
+class Cell(MaterialPoint):
+    """A material point on a spring and a damper of its own, which hold it to a fixed point."""
+
+    live: ClassVar[tuple[str, ...]] = ("stiffness", "damping", "rest")
+
+    type: Literal["cell"] = Field(default="cell", description="A material point that is held where it rests")
+    stiffness: Annotated[float, Quantity("Stiffness of the spring that holds it", "N/m", least=0)]
+    damping: Annotated[float, Quantity("Viscosity of the damper that holds it", "N·s/m", least=0)] = 0.0
+    rest: Annotated[float, Quantity("Where it rests", "m")] = 0.0
+    position: Annotated[float | None, Quantity("Position at the start", "m", left_out="where it rests")] = None
+    velocity: Annotated[float, Quantity("Velocity at the start", "m/s")] = 0.0
+
+    def start(self) -> tuple[float, float]:
+        return self.rest if self.position is None else self.position, self.velocity
+
+    def held_by(self) -> Held:
+        return Held(self.stiffness, self.damping, self.rest)
