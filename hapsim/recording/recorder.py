@@ -1,25 +1,42 @@
-"""The ring's reader: gathers rows outside of the loop, for a trace in memory, for a file, for the last second."""
+"""What becomes of the rows that leave the loop: they are kept for a trace in memory, or written to a file meanwhile.
+
+A thread of its own writes the file, and nobody waits for it: neither the loop nor whoever empties its ring. A disk that
+is slow for a while costs memory, up to a bound; one that is full costs the rest of the record, and nothing of the
+force.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import itertools
+import os
 import threading
+import time
 from collections import deque
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hapsim.errors import UsageError
 from hapsim.loop.ring import Ring, RingRows
-from hapsim.recording.recording import Recording
-from hapsim.recording.report import Report, Statistics
-from hapsim.recording.stream import ROWS
-from hapsim.recording.streamed_trace import as_rows
-from hapsim.recording.trace import Trace
+from hapsim.recording.run_report import Report, Statistics, summary_document
+from hapsim.recording.stream import ROWS, Head, StreamWriter
+from hapsim.recording.trace import Trace, as_rows, convert
+
+_WRITE_S = 0.25  # how often what has gathered is written: a process that is killed loses no more
+_SUMMARY_S = 1.0  # how often the report so far is written, and the system puts all of it on the disk
+_MOST_BYTES = 1 << 26  # that wait to be written
+_PATIENCE_S = 5.0  # in virtual time, where waiting for the disk holds up nobody's hand
+_AT_ONCE_BYTES = 1 << 22  # so many are written before their time
 
 
 class Recorder:
-    """Collects what the ring holds. `keep`: False frees the rows without keeping them, but for the last `recent` ones
-    or a few more."""
+    """The ring's reader. `keep`: False frees the rows without keeping them, but for the last `recent` ones or a few
+    more."""
 
     def __init__(self, ring: Ring, keep: bool, recent: int = 1) -> None:
         self._ring = ring
@@ -27,25 +44,24 @@ class Recorder:
         self._recent = recent
         self._lock = threading.Lock()
         self._nothing = ring.drain()
-        self._parts: list[RingRows] = []
+        self._kept: list[RingRows] = []
         self._last: deque[RingRows] = deque()
-        self.recording: Recording | None = None
+        self.file: RecordFile | None = None
         """The file that is written meanwhile, if any."""
 
     def collect(self) -> None:
         """Takes what is in the ring now; from any thread."""
         with self._lock:
-            part = self._ring.drain()
-            if not part.sample.size:
+            rows = self._ring.drain()
+            if not rows.sample.size:
                 return
             if self._keep:
-                self._parts.append(part)
-            self._last.append(part)
+                self._kept.append(rows)
+            self._last.append(rows)
             while sum(one.sample.size for one in self._last) - self._last[0].sample.size >= self._recent:
                 self._last.popleft()
-            if self.recording is not None:
-                rows = as_rows(part, part.position.shape[1])
-                self.recording.put(rows, patient=bool(self._ring.record.waits))
+            if self.file is not None:
+                self.file.put(as_rows(rows, rows.position.shape[1]), patient=bool(self._ring.record.waits))
 
     def trace(
         self,
@@ -56,15 +72,10 @@ class Recorder:
         report: Report,
     ) -> Trace:
         """Everything kept, as one trace."""
-        rows = _joined([self._nothing, *self._parts])
+        columns = dict(zip(ROWS, _joined([self._nothing, *self._kept]), strict=True))
         return Trace(
-            rate=rate,
-            sample=rows.sample,
-            time_ns=rows.time_ns,
-            flags=rows.flags,
-            position_counts=rows.position,
-            force_counts=rows.force,
-            asked_force=rows.asked,
+            rate,
+            **columns,
             position_scale=position_scale,
             force_scale=force_scale,
             statistics=statistics,
@@ -73,9 +84,165 @@ class Recorder:
 
     def last_rows(self) -> dict[str, Any]:
         """The columns of the `recent` rows that came last, by their names in a trace."""
-        rows: tuple[NDArray[Any], ...] = _joined([self._nothing, *self._last])
-        return {name: column[-self._recent :] for name, column in zip(ROWS, rows, strict=True)}
+        columns = zip(ROWS, _joined([self._nothing, *self._last]), strict=True)
+        return {name: column[-self._recent :] for name, column in columns}
 
 
-def _joined(parts: list[RingRows]) -> RingRows:
-    return RingRows(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+def _joined(pieces: list[RingRows]) -> list[NDArray[Any]]:
+    """The columns, in the order of ROWS."""
+    return [np.concatenate(column) for column in zip(*pieces, strict=True)]
+
+
+class RecordFile:
+    """A record that is being written. `path`: .trace, which is a stream itself; or .npz or .csv, beside which the
+    stream is FILE.part until the run has ended."""
+
+    def __init__(
+        self,
+        path: Path,
+        head: Head,
+        report_so_far: Callable[[], tuple[Report, Statistics]],
+        on_warning: Callable[[str], None],
+    ) -> None:
+        """`on_warning` hears of a disk that fails, in the writing thread. UsageError where no file can be begun."""
+        self._path, self._on_warning = path, on_warning
+        self._summary = lambda: summary_document(*report_so_far(), False)
+        self._failure = ""  # why rows are missing, or the file that was asked for
+        self._is_broken = False
+        self._taken = 0
+        try:
+            self._part, descriptor = _open_free(path)
+            self._writer = StreamWriter(descriptor, head, self._summary())
+        except OSError as error:
+            raise UsageError(f"{path}: the trace cannot be written: {_in_words(error)}") from error
+        self._waiting: list[NDArray[Any]] = []
+        self._waiting_bytes = 0
+        self._changed = threading.Condition()
+        self._ends = False
+        self._thread = threading.Thread(target=self._write_all, name="record", daemon=True)
+        self._thread.start()
+
+    def put(self, rows: NDArray[Any], patient: bool = False) -> None:
+        """Takes rows to be written. `patient`: waits for the disk where too many wait already."""
+        with self._changed:
+            if patient:
+                self._changed.wait_for(lambda: self._waiting_bytes < _MOST_BYTES, _PATIENCE_S)
+            self._taken += rows.size
+            if self._is_broken:
+                return
+            if self._waiting_bytes >= _MOST_BYTES:
+                self._warn("the disk is slower than the run")
+                return
+            self._waiting.append(rows)
+            self._waiting_bytes += rows.nbytes
+            if self._waiting_bytes > _AT_ONCE_BYTES:
+                self._changed.notify_all()
+
+    def finish(self, report: Report, statistics: Statistics) -> Report:
+        """The run is over: writes what waits, the report and the histograms, and the file that was asked for. Returns
+        the report, with the count of rows that were not written."""
+        with self._changed:
+            self._ends = True
+            self._changed.notify_all()
+        self._thread.join()
+        report = replace(report, unrecorded_rows=self._unrecorded)
+        try:
+            self._writer.write_summary(summary_document(report, statistics, True))
+            if self._part != self._path:
+                self._convert()
+        except Exception as error:  # of the disk; or of what another program made of the stream
+            self._failure = self._failure or _in_words(error)
+        self._writer.close()
+        return report
+
+    @property
+    def problem(self) -> str:
+        """How the record, once it is finished, is not as it was asked for, as a sentence; "" where it is."""
+        if not self._failure:
+            return ""
+        missing = f"{self._unrecorded} rows are missing" if self._unrecorded else "no row is missing"
+        place = self._part if self._part.exists() else self._path
+        return f"the record is not what was asked for ({self._failure}): {missing}, what was written is in {place}"
+
+    def _convert(self) -> None:
+        """Under its own name the file is whole, or what was there before stays."""
+        whole = self._part.with_name(f"{self._part.name}.whole")
+        try:
+            convert(self._part, whole, self._path.suffix)
+            os.replace(whole, self._path)
+        finally:
+            whole.unlink(missing_ok=True)
+        self._part.unlink()
+
+    @property
+    def _unrecorded(self) -> int:
+        return self._taken - self._writer.written
+
+    def _warn(self, why: str) -> None:
+        """Says that rows are missing, the first time."""
+        if not self._failure:
+            self._failure = why
+            with contextlib.suppress(Exception):  # a failure to show the warning does not end the record
+                self._on_warning(
+                    f"{self._part}: from here on rows are missing from the record ({why}). The run goes on; what was "
+                    "written stays"
+                )
+
+    def _write_all(self) -> None:
+        last_summary = time.monotonic()
+        ends = False
+        while not ends:
+            with self._changed:
+                self._changed.wait_for(lambda: self._ends or self._waiting_bytes > _AT_ONCE_BYTES, _WRITE_S)
+                waiting, self._waiting, ends = self._waiting, [], self._ends
+            try:
+                if waiting and not self._is_broken:
+                    self._writer.write_rows(np.concatenate(waiting))
+                if time.monotonic() - last_summary >= _SUMMARY_S and not self._is_broken:
+                    self._writer.write_summary(self._summary())
+                    last_summary = time.monotonic()
+            except Exception as error:  # of the disk; or a defect, which must not end in rows without end in memory
+                self._is_broken = True
+                self._warn(_in_words(error))
+            with self._changed:
+                self._waiting_bytes = sum(rows.nbytes for rows in self._waiting)
+                self._changed.notify_all()
+
+
+def _open_free(path: Path) -> tuple[Path, int]:
+    """The file of the stream and its descriptor, empty and locked for this run. A part that a run left when it died
+    stays: the next is FILE.part2. UsageError where another run writes there."""
+    for number in itertools.count(1):
+        part = path
+        if path.suffix != ".trace":
+            part = path.with_name(f"{path.name}.part{number if number > 1 else ''}")
+        descriptor = os.open(part, os.O_WRONLY | os.O_CREAT | getattr(os, "O_BINARY", 0), 0o666)
+        try:
+            _lock(descriptor, part)
+            if os.fstat(descriptor).st_size == 0:
+                return part, descriptor
+            if part == path:
+                os.ftruncate(descriptor, 0)
+                return part, descriptor
+        except BaseException:
+            os.close(descriptor)
+            raise
+        os.close(descriptor)
+    raise AssertionError
+
+
+def _lock(descriptor: int, path: Path) -> None:
+    """Locks the file until the descriptor is closed. UsageError where another run has; a file system without locks
+    gives none."""
+    try:
+        import fcntl
+
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError as error:
+        raise UsageError(f"{path}: another run writes its record there: name another file") from error
+    except (ImportError, OSError):  # not a Unix
+        return
+
+
+def _in_words(error: Exception) -> str:
+    return (isinstance(error, OSError) and error.strerror) or str(error) or type(error).__name__

@@ -15,7 +15,6 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import stat
 import struct
 import zlib
 from collections.abc import Iterator
@@ -35,7 +34,6 @@ MOST_ROWS = 1 << 15
 _CHUNK = struct.Struct("<4sIII")
 _HEAD, _ROWS, _TOLD = b"HEAD", b"ROWS", b"TOLD"
 _MOST_BYTES = 1 << 26  # of a chunk; one that says it is longer is damaged
-
 
 ROWS = ("sample", "time_ns", "flags", "position_counts", "force_counts", "asked_force")
 """The columns of a trace that have a row for each tick, by their names there."""
@@ -77,64 +75,43 @@ class Head(NamedTuple):
 class StreamWriter:
     """Writes chunks, each in one go: a file that ends within one is cut there by whoever reads it."""
 
-    def __init__(self, descriptor: int, head: Head, told: dict[str, Any]) -> None:
-        """`descriptor`: of an empty file, which becomes this object's to close; `told`: before there are rows. OSError
-        where nothing can be written."""
+    def __init__(self, descriptor: int, head: Head, summary: dict[str, Any]) -> None:
+        """`descriptor`: of an empty file, which becomes this object's to close; `summary`: report and histograms before
+        there are rows. OSError where nothing can be written."""
         self.written = 0
         """Rows so far."""
         self._descriptor = descriptor
         self._end = 0
-        self._was_cut_short = False
         try:
             self._write(MAGIC)
-            whole = {"version": VERSION, "channels": head.channels, **head._asdict(), "told": told}
-            self._chunk(_HEAD, 0, _as_json(whole))
+            whole = {"version": VERSION, "channels": head.channels, **head._asdict(), "told": summary}
+            self._write_chunk(_HEAD, 0, json.dumps(whole).encode())
         except OSError:
             os.close(descriptor)
             raise
 
-    def rows(self, rows: NDArray[Any]) -> None:
-        """Rows of `row_type`. OSError where not all of them could be written: then none of this call's last chunk
-        are."""
+    def write_rows(self, rows: NDArray[Any]) -> None:
+        """Writes rows of `row_type`. OSError where not all could be written: then none of the last chunk are."""
         for first in range(0, len(rows), MOST_ROWS):
             piece = rows[first : first + MOST_ROWS]
-            self._chunk(_ROWS, len(piece), piece.tobytes())
+            self._write_chunk(_ROWS, len(piece), piece.tobytes())
             self.written += len(piece)
 
-    def tell(self, told: dict[str, Any]) -> None:
-        """The report and the histograms so far. OSError where it could not be written."""
-        self._chunk(_TOLD, 0, _as_json(told))
-
-    def keep(self) -> None:
-        """Has the system put on the disk what was written. OSError where it cannot."""
-        with contextlib.suppress(ValueError):
-            os.fsync(self._descriptor)
-
-    def what_became_of(self, path: Path) -> str:
-        """What another program did to the file that was opened as `path`, as a participle; "" where it is there."""
-        written = os.fstat(self._descriptor)
-        try:
-            there = path.stat()
-        except OSError:
-            return "was removed"
-        if (there.st_dev, there.st_ino) != (written.st_dev, written.st_ino):
-            return "was replaced"
-        return "was cut short" if self._was_cut_short or self._is_too_short() else ""
-
-    def _is_too_short(self) -> bool:
-        written = os.fstat(self._descriptor)
-        return stat.S_ISREG(written.st_mode) and written.st_size < self._end
+    def write_summary(self, summary: dict[str, Any]) -> None:
+        """Writes the report and the histograms so far, and has the system put the file on the disk. OSError where it
+        cannot."""
+        self._write_chunk(_TOLD, 0, json.dumps(summary).encode())
+        os.fsync(self._descriptor)
 
     def close(self) -> None:
         os.close(self._descriptor)
 
-    def _chunk(self, kind: bytes, count: int, payload: bytes) -> None:
+    def _write_chunk(self, kind: bytes, count: int, payload: bytes) -> None:
         check = zlib.crc32(payload, zlib.crc32(kind + struct.pack("<II", count, len(payload))))
         self._write(_CHUNK.pack(kind, count, len(payload), check) + payload)
 
     def _write(self, data: bytes) -> None:
-        """All of it, or else the file is as long as before. In one that another program cut short it leaves a hole."""
-        self._was_cut_short = self._was_cut_short or self._is_too_short()
+        """All of it, or else the file is as long as before."""
         left = memoryview(data)
         try:
             while left:
@@ -166,34 +143,28 @@ class StreamReader:
                 "newer hapsim"
             )
         self.head = Head(**{name: head[name] for name in Head._fields})
-        self.told: dict[str, Any] = head["told"]
-        """The last that is known of the report and the histograms, once the rows were read."""
+        self.summary: dict[str, Any] = head["told"]
+        """The last report and histograms in the file, once the rows were read."""
         self.is_finished = False
-        """Whether it was the run's end, and nothing follows it."""
-        self.unread_bytes = 0
-        """Behind the last whole chunk: a torn end, or what is damaged and all that follows it."""
-        self.damaged_at: int | None = None
-        """The byte from which on it cannot be read, where that is not just a chunk of which the end is missing."""
+        """Whether the run came to its end and nothing of its record is missing, once the rows were read."""
 
     def rows(self) -> Iterator[NDArray[Any]]:
-        """Its rows, chunk by chunk; then `told`, `is_finished`, `unread_bytes` and `damaged_at` are known."""
-        told, good, kind = b"", self._begin, b""
+        """The rows of every whole chunk up to the first that is not."""
+        kind, of = b"", row_type(self.head.channels)
         with self._path.open("rb") as stream:
             stream.seek(self._begin)
+            end = self._begin
             while chunk := _next_chunk(stream):
                 kind, count, payload = chunk
                 if kind == _ROWS:
-                    of = row_type(self.head.channels)
                     if len(payload) != count * of.itemsize:
                         break
                     yield np.frombuffer(payload, of)
                 elif kind == _TOLD:
-                    told = payload
-                good = stream.tell()
-            self.unread_bytes = os.fstat(stream.fileno()).st_size - good
-            self.damaged_at = good if _is_damaged(stream, good, row_type(self.head.channels).itemsize) else None
-        self.told = json.loads(told) if told else self.told
-        self.is_finished = bool(self.told["finished"]) and kind == _TOLD and self.unread_bytes == 0
+                    self.summary = json.loads(payload)
+                end = stream.tell()
+            is_all = end == os.fstat(stream.fileno()).st_size
+        self.is_finished = bool(self.summary["finished"]) and kind == _TOLD and is_all
 
     def count(self) -> int:
         """How many rows there are."""
@@ -218,23 +189,3 @@ def _next_chunk(stream: BinaryIO) -> tuple[bytes, int, bytes] | None:
     if len(payload) < size or zlib.crc32(payload, zlib.crc32(head[:12])) != check:
         return None
     return kind, count, payload
-
-
-def _is_damaged(stream: BinaryIO, at: int, row_bytes: int) -> bool:
-    """Whether what is there from byte `at` on is more than the beginning of a chunk, and yet none. A whole one was
-    written meanwhile."""
-    stream.seek(at)
-    head = stream.read(_CHUNK.size)
-    if len(head) < _CHUNK.size:
-        return not any(kind.startswith(head[: len(kind)]) for kind in (_ROWS, _TOLD))
-    kind, count, size, _ = _CHUNK.unpack(head)
-    fits = size == count * row_bytes if kind == _ROWS else kind == _TOLD and count == 0
-    if not fits or size > _MOST_BYTES:
-        return True
-    is_all_there = os.fstat(stream.fileno()).st_size >= at + _CHUNK.size + size
-    stream.seek(at)
-    return is_all_there and _next_chunk(stream) is None
-
-
-def _as_json(value: dict[str, Any]) -> bytes:
-    return json.dumps(value).encode()

@@ -6,21 +6,31 @@ import io
 import json
 import os
 import zipfile
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
+from numpy.lib import format as npy
 from numpy.typing import NDArray
 
 from hapsim.errors import UsageError
 from hapsim.loop.histogram import Histogram
-from hapsim.recording.report import COUNTED, Report, Statistics, as_told, beside_the_rows, report_from
-from hapsim.recording.stream import ROWS, Head, is_stream
-from hapsim.recording.streamed_trace import load_stream, save_stream, write_csv
+from hapsim.loop.ring import LATE_FORCE, LIMITED
+from hapsim.recording.run_report import (
+    NOT_FINISHED,
+    Report,
+    Statistics,
+    read_summary,
+    report_from,
+    summary_document,
+)
+from hapsim.recording.stream import ROWS, Head, StreamReader, StreamWriter, is_stream, row_type
 
 IN_REPORT = "trace.npz"
 """A trace's name in a report file."""
+_COUNTED = "counted_"  # before the name of a histogram in a .npz
 
 
 @dataclass(frozen=True, repr=False)
@@ -73,23 +83,98 @@ class Trace:
         """Writes a .npz or a .trace (every array as it is) or a .csv (SI units). UsageError where it cannot."""
         path = Path(path)
         require_writable_as_trace(path)
-        head = Head(self.rate, self.position_scale.tolist(), self.force_scale.tolist())
-        columns = {name: getattr(self, name) for name in ROWS}
         try:
-            if path.suffix == ".csv":
-                with path.open("w", encoding="utf-8") as file:
-                    write_csv(file, head, [columns])
-            elif path.suffix == ".trace":
-                save_stream(path, head, columns, as_told(self.report, self.statistics, True))
-            else:
+            if path.suffix == ".npz":
                 self.write_npz(path)
+            elif path.suffix == ".csv":
+                _write_csv(path, self._head, [self._rows])
+            else:
+                self._write_stream(path)
         except OSError as error:
             raise UsageError(f"{path}: the trace cannot be written: {error.strerror or error}") from error
 
     def write_npz(self, file: Path | BinaryIO) -> None:
         """OSError where it cannot be written."""
-        arrays: dict[str, Any] = {name: getattr(self, name) for name in (*ROWS, "position_scale", "force_scale")}
-        np.savez_compressed(file, **arrays, **beside_the_rows(self.rate, self.statistics, self.report))
+        rows = self._rows
+        _write_npz(file, self._head, lambda: [rows], len(rows), summary_document(self.report, self.statistics, True))
+
+    def _write_stream(self, path: Path) -> None:
+        summary = summary_document(self.report, self.statistics, True)
+        flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC | getattr(os, "O_BINARY", 0)
+        writer = StreamWriter(os.open(path, flags, 0o666), self._head, summary)
+        try:
+            writer.write_rows(self._rows)
+            writer.write_summary(summary)
+        finally:
+            writer.close()
+
+    @property
+    def _head(self) -> Head:
+        return Head(self.rate, self.position_scale.tolist(), self.force_scale.tolist())
+
+    @property
+    def _rows(self) -> NDArray[Any]:
+        return as_rows([getattr(self, name) for name in ROWS], self.position_scale.size)
+
+
+def as_rows(columns: Sequence[NDArray[Any]], channels: int) -> NDArray[Any]:
+    """Rows of a stream out of a trace's columns, in the order of ROWS."""
+    rows = np.empty(len(columns[0]), row_type(channels))
+    for name, column in zip(ROWS, columns, strict=True):
+        rows[name] = column
+    return rows
+
+
+def convert(stream: Path, file: Path, ending: str) -> None:
+    """Writes a stream as a .npz or .csv, with no more than a chunk of its rows in memory. OSError where it cannot be
+    written, UsageError where `stream` is none."""
+    reader = StreamReader(stream)
+    if ending == ".csv":
+        _write_csv(file, reader.head, reader.rows())
+    else:
+        _write_npz(file, reader.head, reader.rows, reader.count(), reader.summary)
+
+
+def _write_csv(file: Path, head: Head, pieces: Iterable[NDArray[Any]]) -> None:
+    """Writes rows as a table, in SI units."""
+    each = range(head.channels)
+    names = [f"{what}[{c}]" for what in ("position_m", "force_N", "asked_force_N") for c in each]
+    formats = ["%d", "%d", "%d"] + ["%.12g"] * (3 * head.channels)
+    with file.open("w", encoding="utf-8") as table:
+        table.write(",".join(["sample", "time_ns", "flags", *names]) + "\n")
+        for rows in pieces:
+            position = rows["position_counts"] * np.array(head.position_scale)
+            force = rows["force_counts"] * np.array(head.force_scale)
+            columns = [rows["sample"], rows["time_ns"], rows["flags"], position, force, rows["asked_force"]]
+            np.savetxt(table, np.column_stack(columns), fmt=formats, delimiter=",")
+
+
+def _write_npz(
+    file: Path | BinaryIO,
+    head: Head,
+    pieces: Callable[[], Iterable[NDArray[Any]]],
+    count: int,
+    summary: dict[str, Any],
+) -> None:
+    """Column by column, so that each is written as it is read: `count` rows."""
+    _, statistics = read_summary(summary)
+    small = {
+        "position_scale": head.position_scale,
+        "force_scale": head.force_scale,
+        "rate": head.rate_hz,
+        "report": json.dumps(summary["report"]),
+    } | {f"{_COUNTED}{name}": histogram.as_row() for name, histogram in vars(statistics).items()}
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+        for name in ROWS:
+            column = row_type(head.channels)[name]
+            about = {"descr": npy.dtype_to_descr(column.base), "fortran_order": False, "shape": (count, *column.shape)}
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                npy.write_array_header_1_0(member, about)
+                for rows in pieces():
+                    member.write(rows[name].tobytes())
+        for name, value in small.items():
+            with archive.open(f"{name}.npy", "w") as member:
+                npy.write_array(member, np.asanyarray(value), allow_pickle=False)
 
 
 def require_writable_as_trace(path: Path) -> None:
@@ -128,7 +213,7 @@ def load_trace(path: str | Path) -> Trace:
         raise UsageError(f"{path}: not a trace that hapsim wrote: found a directory, expected {_EXPECTED}")
     try:
         if is_stream(path):
-            trace = Trace(**load_stream(path))
+            trace = _load_stream(path)
         else:
             with path.open("rb") as stream:
                 trace = _load_npz(_within_report(stream))
@@ -182,12 +267,10 @@ def is_without_end(path: Path) -> bool:
 
 def _within_report(stream: BinaryIO) -> BinaryIO:
     """The .npz in a report file; any other file as it is."""
-    if not zipfile.is_zipfile(stream):
-        stream.seek(0)
-        return stream
-    with zipfile.ZipFile(stream) as file:
-        if IN_REPORT in file.namelist():
-            return io.BytesIO(file.read(IN_REPORT))
+    if zipfile.is_zipfile(stream):
+        with zipfile.ZipFile(stream) as file:
+            if IN_REPORT in file.namelist():
+                return io.BytesIO(file.read(IN_REPORT))
     stream.seek(0)
     return stream
 
@@ -195,7 +278,43 @@ def _within_report(stream: BinaryIO) -> BinaryIO:
 def _load_npz(stream: BinaryIO) -> Trace:
     with np.load(stream) as file:
         arrays = {name: file[name] for name in file.files if name not in ("rate", "report")}
-        counted = {name: arrays.pop(name) for name in list(arrays) if name.startswith(COUNTED)}
-        statistics = Statistics(**{name[len(COUNTED) :]: Histogram.from_row(row) for name, row in counted.items()})
+        counted = {name: arrays.pop(name) for name in list(arrays) if name.startswith(_COUNTED)}
+        statistics = Statistics(**{name[len(_COUNTED) :]: Histogram.from_row(row) for name, row in counted.items()})
         report = report_from(json.loads(str(file["report"])))
         return Trace(rate=float(file["rate"]), statistics=statistics, report=report, **arrays)
+
+
+def _load_stream(path: Path) -> Trace:
+    """Of one that was cut off, everything up to there. KeyError, TypeError or ValueError where it is no trace's."""
+    reader = StreamReader(path)
+    rows = np.concatenate([np.empty(0, row_type(reader.head.channels)), *reader.rows()])
+    report, statistics = read_summary(reader.summary)
+    return Trace(
+        rate=reader.head.rate_hz,
+        **{name: np.ascontiguousarray(rows[name]) for name in ROWS},
+        position_scale=np.array(reader.head.position_scale),
+        force_scale=np.array(reader.head.force_scale),
+        statistics=statistics,
+        report=report if reader.is_finished else _report_of_rows(report, rows),
+    )
+
+
+def _report_of_rows(report: Report, rows: NDArray[Any]) -> Report:
+    """The report of a record that does not come to its end: counted from the rows as far as they say, the rest as it
+    was written last, a second before or two."""
+    ticks, elapsed = rows.size, 0.0
+    if ticks:
+        by_clock = float(rows["time_ns"][-1] - rows["time_ns"][0]) * 1e-9
+        by_count = float(rows["sample"][-1] - rows["sample"][0]) / report.nominal_rate_hz
+        elapsed = by_count if report.virtual_time else by_clock
+    return replace(
+        report,
+        ending=f"{NOT_FINISHED}: the record stops after {ticks} ticks",
+        ticks=ticks,
+        duration_s=elapsed,
+        rate_hz=(ticks - 1) / elapsed if elapsed > 0 else 0.0,
+        deadline_misses=int(np.count_nonzero(rows["flags"] & LATE_FORCE)),
+        limited_ticks=int(np.count_nonzero(rows["flags"] & LIMITED)),
+        released=None,
+        rejected_by_device=None,
+    )

@@ -13,7 +13,7 @@ from hapsim.device.connection import Connection
 from hapsim.errors import RecordError, RunError
 from hapsim.loop import endings
 from hapsim.loop.buffers import last_bytes
-from hapsim.recording.recording import Recording
+from hapsim.recording.recorder import RecordFile
 from hapsim.recording.report_file import WireBytes, write_report
 from hapsim.recording.stream import Head
 from hapsim.running.report import report_of, statistics_of, trace_of
@@ -35,28 +35,28 @@ def recorded(session: Session, path: str | Path | None, on_warning: Callable[[st
         scene=scene.path or "",
         begun=datetime.now(UTC).isoformat(),
     )
-    recording = Recording(
+    file = RecordFile(
         Path(path),
         head,
         lambda: (report_of(scene, loop, "running"), statistics_of(loop)),
         on_warning or (lambda _: None),
     )
-    session._recorder.recording = recording
+    session._recorder.file = file
     try:
         yield
     finally:
         trace = session._trace or trace_of(scene, loop, session._recorder, endings.STOPPED)
-        session._trace = replace(trace, report=recording.finish(trace.report, trace.statistics))
+        session._trace = replace(trace, report=file.finish(trace.report, trace.statistics))
 
 
 def with_record(failure: RunError | None, name: str, session: Session) -> RunError | None:
     """The error of a run, or None, with what became of its record where that is not as it was asked for."""
-    recording, trace = session._recorder.recording, session.trace
-    if recording is None or not recording.sentence:
+    file, trace = session._recorder.file, session.trace
+    if file is None or not file.problem:
         return failure
     if failure is not None:
-        return _with_more(failure, f". And {recording.sentence}")
-    told = RecordError(f"{name}: the run ended as asked after {trace.report.ticks} ticks, and {recording.sentence}")
+        return _with_more(failure, f". And {file.problem}")
+    told = RecordError(f"{name}: the run ended as asked after {trace.report.ticks} ticks, and {file.problem}")
     told.trace = trace
     return told
 

@@ -169,7 +169,7 @@ class Session:
         try:
             try:
                 while not self._over.wait(_COLLECT_S):
-                    if not self._loop.record.ring.waits or self._recorder.recording is not None:
+                    if not self._loop.record.ring.waits or self._recorder.file is not None:
                         self._recorder.collect()
             finally:
                 self._failure = self._finish()

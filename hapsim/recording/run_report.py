@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -13,8 +12,8 @@ from hapsim.loop.histogram import Histogram, Spread
 COUNTED = "counted_"
 """Before the name of a histogram in a .npz."""
 
-NOT_FINISHED, DAMAGED = "not finished", "damaged"
-"""How the `ending` begins of a record that does not tell how its run ended."""
+NOT_FINISHED = "not finished"
+"""How the `ending` begins of a record that does not say how its run ended."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +86,7 @@ class Report:
     @property
     def knows_ticks(self) -> bool:
         """Whether `ticks` are the run's; else they are those that could be read of its record."""
-        return not self.ending.startswith((NOT_FINISHED, DAMAGED))
+        return not self.ending.startswith(NOT_FINISHED)
 
 
 @dataclass(frozen=True)
@@ -99,12 +98,6 @@ class Statistics:
     age: Histogram
 
 
-def beside_the_rows(rate: float, statistics: Statistics, report: Report) -> dict[str, Any]:
-    """What else is in a .npz, by name."""
-    counted = {f"{COUNTED}{name}": histogram.as_row() for name, histogram in vars(statistics).items()}
-    return {"rate": rate, "report": json.dumps(asdict(report)), **counted}
-
-
 _OF_MASSES = ("estimated_mass_kg", "estimated_mass_uncertainty_kg", "mass_explained")
 
 
@@ -114,8 +107,8 @@ def report_from(values: dict[str, Any]) -> Report:
     return Report(**values | spreads | {name: tuple(values.get(name, ())) for name in _OF_MASSES})
 
 
-def as_told(report: Report, statistics: Statistics, finished: bool) -> dict[str, Any]:
-    """What a stream tells of a run beside its rows, for JSON."""
+def summary_document(report: Report, statistics: Statistics, finished: bool) -> dict[str, Any]:
+    """What a stream holds of a run beside its rows, for JSON: of each histogram the bins in which there is a count."""
     return {
         "finished": finished,
         "report": asdict(report),
@@ -123,14 +116,13 @@ def as_told(report: Report, statistics: Statistics, finished: bool) -> dict[str,
     }
 
 
-def from_told(told: dict[str, Any]) -> tuple[Report, Statistics]:
-    """What `as_told` made a document of. KeyError, TypeError or ValueError where it is none."""
-    histograms = {name: _whole(one) for name, one in told["histograms"].items()}
-    return report_from(told["report"]), Statistics(**histograms)
+def read_summary(document: dict[str, Any]) -> tuple[Report, Statistics]:
+    """What `summary_document` made a document of. KeyError, TypeError or ValueError where it is none."""
+    histograms = {name: _whole(one) for name, one in document["histograms"].items()}
+    return report_from(document["report"]), Statistics(**histograms)
 
 
 def _sparse(histogram: Histogram) -> dict[str, Any]:
-    """The bins in which something was counted."""
     bins = np.flatnonzero(histogram.counts)
     counted = [bins.tolist(), histogram.counts[bins].tolist()]
     return {"unit": histogram.unit, "maximum": histogram.maximum, "bins": histogram.counts.size, "counted": counted}
