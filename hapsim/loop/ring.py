@@ -6,7 +6,7 @@ costs nothing, the loop returns instead so that the reader can make room, and no
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,15 +54,23 @@ _SAMPLE, _TIME, _FLAGS, _VALUES = 0, 1, 2, 3  # words of a row; then C each of p
 _words_at = array_at(np.int64)
 
 
-class RingRows(NamedTuple):
-    """Rows copied out of a ring: R of them."""
+ROWS = ("sample", "time_ns", "flags", "position_counts", "force_counts", "asked_force")
+"""The columns of a row for each tick, by their names in a trace."""
 
-    sample: NDArray[np.int64]
-    time_ns: NDArray[np.int64]
-    flags: NDArray[np.uint8]
-    position: NDArray[np.int32]
-    force: NDArray[np.int32]
-    asked: NDArray[np.float64]
+
+def row_type(channels: int) -> np.dtype[Any]:
+    """A row as its reader gets it, and as it is in files: little-endian, without gaps."""
+    each = (channels,)
+    return np.dtype(
+        [
+            ("sample", "<i8"),
+            ("time_ns", "<i8"),
+            ("flags", "u1"),
+            ("position_counts", "<i4", each),
+            ("force_counts", "<i4", each),
+            ("asked_force", "<f8", each),
+        ]
+    )
 
 
 class Ring:
@@ -80,20 +88,16 @@ class Ring:
         self.record.channels = channels
         self.record.waits = waits
 
-    def drain(self) -> RingRows:
-        """Copies out and frees every published row."""
+    def drain(self) -> NDArray[Any]:
+        """Copies out and frees every published row: an array of `row_type`."""
         tail, head = int(self.record.tail), int(self.record.head)
         taken = self._rows[np.arange(tail, head) & (len(self._rows) - 1)]
         self.record.tail = head
-        position, force, asked = np.split(taken[:, _VALUES:], 3, axis=1)
-        return RingRows(
-            sample=taken[:, _SAMPLE].copy(),
-            time_ns=taken[:, _TIME].copy(),
-            flags=taken[:, _FLAGS].astype(np.uint8),
-            position=position.astype(np.int32),
-            force=force.astype(np.int32),
-            asked=np.ascontiguousarray(asked).view(np.float64),
-        )
+        rows = np.empty(len(taken), row_type(int(self.record.channels)))
+        rows["sample"], rows["time_ns"], rows["flags"] = taken[:, :_VALUES].T
+        rows["position_counts"], rows["force_counts"], asked = np.split(taken[:, _VALUES:], 3, axis=1)
+        rows["asked_force"] = np.ascontiguousarray(asked).view(np.float64)
+        return rows
 
 
 @inlined

@@ -15,7 +15,7 @@ from hapsim.loop.denormals import flush_denormals, restore
 from hapsim.loop.endings import HEARD, RING_FULL, RUNNING, TIMED_OUT, ending_of
 from hapsim.loop.exchange import HOST_CLOCK, compose_frame, flush_unsent, on_force_sent, take_frame
 from hapsim.loop.system import now_ns, sleep_until
-from hapsim.loop.transport import receive_at, send_from
+from hapsim.loop.transport import receive, send
 
 _ARMED_CHECK_NS = 50_000
 
@@ -91,7 +91,7 @@ def _take_newest_position(loop, begun, timeout_ns):
         last_look = arrived >= give_up or loop.control.stop != 0
         left = give_up - arrived
         inbox.start = inbox.stop = at = next_place(inbox.last)
-        count = receive_at(inbox.transport, inbox.bytes, at, AT_ONCE, left if left < SLICE_NS else SLICE_NS)
+        count = receive(inbox.transport, inbox.bytes, at, AT_ONCE, left if left < SLICE_NS else SLICE_NS)
         arrived = now_ns(loop.io.scratch)
         if count < 0:
             return count
@@ -103,7 +103,7 @@ def _send_frame(loop, disarm):
     """Sends the force that answers the newest position; to `disarm`, zero force, the last frame of every loop whatever
     ended it: 0, or HUNG_UP or FAILED."""
     io, stop = loop.io, compose_frame(loop, disarm)
-    code = send_from(inbox_at(loop.inbox).transport, io.outbox, io.sent.at, stop)
+    code = send(inbox_at(loop.inbox).transport, io.outbox, io.sent.at, stop)
     io.sent.at = stop
     if disarm:
         flush_unsent(loop)

@@ -35,30 +35,17 @@ HUNG_UP or FAILED."""
 
 
 @inlined
-def receive(transport, buffer, timeout_ns):
-    """Bytes that have arrived, into a buffer."""
-    arguments = (transport.context, np.uint64(buffer.ctypes.data), np.int64(buffer.size), np.int64(timeout_ns))
-    return _call_receive(transport.receive, arguments)
-
-
-@inlined
-def receive_at(transport, buffer, at, room, timeout_ns):
-    """Bytes that have arrived, `room` of them at most, into buffer[at:]."""
+def receive(transport, buffer, at, room, timeout_ns):
+    """Receives into buffer[at:], `room` bytes at most: their count, or TIMED_OUT, HUNG_UP, FAILED."""
     address = np.uint64(buffer.ctypes.data) + np.uint64(at)
     return _call_receive(transport.receive, (transport.context, address, np.int64(room), np.int64(timeout_ns)))
 
 
 @inlined
-def send_from(transport, buffer, start, stop):
-    """Sends buffer[start:stop]."""
+def send(transport, buffer, start, stop):
+    """Sends buffer[start:stop]: 0, HUNG_UP or FAILED."""
     address = np.uint64(buffer.ctypes.data) + np.uint64(start)
     return _call_send(transport.send, (transport.context, address, np.int64(stop - start)))
-
-
-@inlined
-def send(transport, buffer, stop):
-    """Sends buffer[:stop]."""
-    return _call_send(transport.send, (transport.context, np.uint64(buffer.ctypes.data), np.int64(stop)))
 
 
 class PythonTransport(Protocol):

@@ -22,10 +22,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapsim.errors import UsageError
-from hapsim.loop.ring import Ring, RingRows
+from hapsim.loop.ring import Ring
 from hapsim.recording.run_report import Report, Statistics, summary_document
-from hapsim.recording.stream import ROWS, Head, StreamWriter
-from hapsim.recording.trace import Trace, as_rows, convert
+from hapsim.recording.stream import Head, StreamWriter
+from hapsim.recording.trace import convert
 
 _WRITE_S = 0.25  # how often what has gathered is written: a process that is killed loses no more
 _SUMMARY_S = 1.0  # how often the report so far is written, and the system puts all of it on the disk
@@ -39,13 +39,10 @@ class Recorder:
     more."""
 
     def __init__(self, ring: Ring, keep: bool, recent: int = 1) -> None:
-        self._ring = ring
-        self._keep = keep
-        self._recent = recent
+        self._ring, self._keep, self._recent = ring, keep, recent
         self._lock = threading.Lock()
-        self._nothing = ring.drain()
-        self._kept: list[RingRows] = []
-        self._last: deque[RingRows] = deque()
+        self._kept: list[NDArray[Any]] = []
+        self._last = deque([ring.drain()])
         self.file: RecordFile | None = None
         """The file that is written meanwhile, if any."""
 
@@ -53,44 +50,23 @@ class Recorder:
         """Takes what is in the ring now; from any thread."""
         with self._lock:
             rows = self._ring.drain()
-            if not rows.sample.size:
+            if not rows.size:
                 return
             if self._keep:
                 self._kept.append(rows)
             self._last.append(rows)
-            while sum(one.sample.size for one in self._last) - self._last[0].sample.size >= self._recent:
+            while sum(one.size for one in self._last) - self._last[0].size >= self._recent:
                 self._last.popleft()
             if self.file is not None:
-                self.file.put(as_rows(rows, rows.position.shape[1]), patient=bool(self._ring.record.waits))
+                self.file.put(rows, patient=bool(self._ring.record.waits))
 
-    def trace(
-        self,
-        rate: float,
-        position_scale: NDArray[np.float64],
-        force_scale: NDArray[np.float64],
-        statistics: Statistics,
-        report: Report,
-    ) -> Trace:
-        """Everything kept, as one trace."""
-        columns = dict(zip(ROWS, _joined([self._nothing, *self._kept]), strict=True))
-        return Trace(
-            rate,
-            **columns,
-            position_scale=position_scale,
-            force_scale=force_scale,
-            statistics=statistics,
-            report=report,
-        )
+    def rows(self) -> NDArray[Any]:
+        """Everything kept."""
+        return np.concatenate([self._last[0][:0], *self._kept])
 
-    def last_rows(self) -> dict[str, Any]:
-        """The columns of the `recent` rows that came last, by their names in a trace."""
-        columns = zip(ROWS, _joined([self._nothing, *self._last]), strict=True)
-        return {name: column[-self._recent :] for name, column in columns}
-
-
-def _joined(pieces: list[RingRows]) -> list[NDArray[Any]]:
-    """The columns, in the order of ROWS."""
-    return [np.concatenate(column) for column in zip(*pieces, strict=True)]
+    def last_rows(self) -> NDArray[Any]:
+        """The `recent` rows that came last."""
+        return np.concatenate(self._last)[-self._recent :]
 
 
 class RecordFile:

@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapsim.errors import UsageError
+from hapsim.loop.ring import row_type
 
 MAGIC = b"hapsim trace\r\n\x1a\n"
 VERSION = 1
@@ -34,24 +35,6 @@ MOST_ROWS = 1 << 15
 _CHUNK = struct.Struct("<4sIII")
 _HEAD, _ROWS, _TOLD = b"HEAD", b"ROWS", b"TOLD"
 _MOST_BYTES = 1 << 26  # of a chunk; one that says it is longer is damaged
-
-ROWS = ("sample", "time_ns", "flags", "position_counts", "force_counts", "asked_force")
-"""The columns of a trace that have a row for each tick, by their names there."""
-
-
-def row_type(channels: int) -> np.dtype[Any]:
-    """A row as it is in the file: little-endian, without gaps."""
-    each = (channels,)
-    return np.dtype(
-        [
-            ("sample", "<i8"),
-            ("time_ns", "<i8"),
-            ("flags", "u1"),
-            ("position_counts", "<i4", each),
-            ("force_counts", "<i4", each),
-            ("asked_force", "<f8", each),
-        ]
-    )
 
 
 class Head(NamedTuple):

@@ -6,7 +6,7 @@ import io
 import json
 import os
 import zipfile
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from hapsim.errors import UsageError
 from hapsim.loop.histogram import Histogram
-from hapsim.loop.ring import LATE_FORCE, LIMITED
+from hapsim.loop.ring import LATE_FORCE, LIMITED, ROWS, row_type
 from hapsim.recording.run_report import (
     NOT_FINISHED,
     Report,
@@ -26,7 +26,7 @@ from hapsim.recording.run_report import (
     report_from,
     summary_document,
 )
-from hapsim.recording.stream import ROWS, Head, StreamReader, StreamWriter, is_stream, row_type
+from hapsim.recording.stream import Head, StreamReader, StreamWriter, is_stream
 
 IN_REPORT = "trace.npz"
 """A trace's name in a report file."""
@@ -114,15 +114,15 @@ class Trace:
 
     @property
     def _rows(self) -> NDArray[Any]:
-        return as_rows([getattr(self, name) for name in ROWS], self.position_scale.size)
+        rows = np.empty(self.sample.size, row_type(self.position_scale.size))
+        for name in ROWS:
+            rows[name] = getattr(self, name)
+        return rows
 
 
-def as_rows(columns: Sequence[NDArray[Any]], channels: int) -> NDArray[Any]:
-    """Rows of a stream out of a trace's columns, in the order of ROWS."""
-    rows = np.empty(len(columns[0]), row_type(channels))
-    for name, column in zip(ROWS, columns, strict=True):
-        rows[name] = column
-    return rows
+def columns_of(rows: NDArray[Any]) -> dict[str, Any]:
+    """The columns of rows of `row_type`, by their names in a trace."""
+    return {name: np.ascontiguousarray(rows[name]) for name in ROWS}
 
 
 def convert(stream: Path, file: Path, ending: str) -> None:
@@ -217,7 +217,6 @@ def load_trace(path: str | Path) -> Trace:
         else:
             with path.open("rb") as stream:
                 trace = _load_npz(_within_report(stream))
-        _require_consistent(trace)
     except UsageError:
         raise
     except PermissionError as error:
@@ -237,22 +236,6 @@ def _why_none(path: Path, error: Exception) -> str:
     if is_without_end(path):
         return ZIP_WITHOUT_END
     return "it is neither a .npz nor a stream of rows" if "pickle" in str(error) else str(error)
-
-
-def _require_consistent(trace: Trace) -> None:
-    """ValueError where no run has such rows, or no device such numbers."""
-    rows, channels = trace.sample.size, trace.position_scale.size
-    for name in ROWS:
-        column = getattr(trace, name)
-        expected = (rows,) if name in ("sample", "time_ns", "flags") else (rows, channels)
-        if column.shape != expected:
-            raise ValueError(f"{name}: found {column.shape}, expected {expected}")
-        if column.dtype.kind not in ("f" if name == "asked_force" else "iu"):
-            raise ValueError(f"{name}: found {column.dtype}")
-    for name in ("rate", "position_scale", "force_scale"):
-        value = np.asarray(getattr(trace, name))
-        if value.shape not in ((), (channels,)) or not np.all(np.isfinite(value) & (value > 0)):
-            raise ValueError(f"{name}: found {value.tolist()}, expected numbers above 0, one for each channel")
 
 
 ZIP_WITHOUT_END = "a zip file that was cut short, or damaged at its end: get a whole copy of it"
@@ -291,7 +274,7 @@ def _load_stream(path: Path) -> Trace:
     report, statistics = read_summary(reader.summary)
     return Trace(
         rate=reader.head.rate_hz,
-        **{name: np.ascontiguousarray(rows[name]) for name in ROWS},
+        **columns_of(rows),
         position_scale=np.array(reader.head.position_scale),
         force_scale=np.array(reader.head.force_scale),
         statistics=statistics,

@@ -16,6 +16,7 @@ from hapsim.loop.buffers import last_bytes
 from hapsim.recording.recorder import RecordFile
 from hapsim.recording.report_file import WireBytes, write_report
 from hapsim.recording.stream import Head
+from hapsim.recording.trace import columns_of
 from hapsim.running.report import report_of, statistics_of, trace_of
 from hapsim.running.session import Session
 
@@ -86,7 +87,7 @@ def with_report(
         from_device=last_bytes(inbox.last, inbox.bytes),
         to_device=spoken + last_bytes(io.sent, io.outbox) + opened.take_written(),
     )
-    last = replace(session.trace, **session._recorder.last_rows())
+    last = replace(session.trace, **columns_of(session._recorder.last_rows()))
     try:
         path = write_report(where, opened.name, failure, last, session.scene, description, wire)
     except Exception as error:  # of the disk; or a defect, which must not hide what ended the run

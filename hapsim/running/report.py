@@ -16,7 +16,7 @@ from hapsim.loop.histogram import histogram_of
 from hapsim.prediction.timing import host_silence
 from hapsim.progress import Progress
 from hapsim.recording.recorder import Recorder
-from hapsim.recording.trace import Report, Statistics, Trace
+from hapsim.recording.trace import Report, Statistics, Trace, columns_of
 from hapsim.running.assemble import Loop
 from hapsim.scene import Scene
 
@@ -25,12 +25,13 @@ _MUCH_SLEWED = 0.1  # of all ticks
 
 def trace_of(scene: Scene, loop: Loop, recorder: Recorder, ending: int) -> Trace:
     """Everything that was recorded of a loop that has ended."""
-    return recorder.trace(
+    return Trace(
         scene.rate,
-        loop.record.io.position_scale[: loop.wire.channels].copy(),
-        loop.record.io.force_scale[: loop.wire.channels].copy(),
-        statistics_of(loop),
-        report_of(scene, loop, endings.IN_WORDS[ending]),
+        **columns_of(recorder.rows()),
+        position_scale=loop.record.io.position_scale[: loop.wire.channels].copy(),
+        force_scale=loop.record.io.force_scale[: loop.wire.channels].copy(),
+        statistics=statistics_of(loop),
+        report=report_of(scene, loop, endings.IN_WORDS[ending]),
     )
 
 

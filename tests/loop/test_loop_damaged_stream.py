@@ -110,7 +110,7 @@ def run_on(loop: Loop, stream: DamagedStream) -> tuple[int, dict[int, tuple[int,
     return ending, {
         int(sample): tuple(counts)
         for part in rows
-        for sample, counts in zip(part.sample, part.position.tolist(), strict=True)
+        for sample, counts in zip(part["sample"], part["position_counts"].tolist(), strict=True)
     }
 
 

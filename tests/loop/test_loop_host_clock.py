@@ -104,7 +104,7 @@ def test_a_position_that_came_after_its_tick_is_answered_and_leaves_no_lag(play:
     # The tick that asked for position 1 is over before it comes, so at the next tick it waits in the port.
     loop, forces = play([(0, False, frame(0, 0)), (1, True, frame(1, 5)), (2, False, frame(2, 5))], 3)
     assert [force.number for force in forces] == [0, 1]
-    assert loop.ring.drain().sample.tolist() == [0, 1, 2]
+    assert loop.ring.drain()["sample"].tolist() == [0, 1, 2]
 
 
 def test_a_position_that_does_not_come_is_asked_for_again(play: Play, frame: FrameOf) -> None:
@@ -124,7 +124,7 @@ def test_a_position_that_came_after_its_tick_is_measured_from_when_it_was_asked_
 def test_a_position_that_a_newer_one_replaces_between_two_ticks_was_never_answered(play: Play, frame: FrameOf) -> None:
     loop, forces = play([(0, False, frame(0, 0)), (0, False, frame(1, 1) + frame(2, 2))], 3)
     assert [force.number for force in forces] == [2]
-    assert (loop.ring.drain().flags & UNSENT).tolist() == [UNSENT, UNSENT, 0]
+    assert (loop.ring.drain()["flags"] & UNSENT).tolist() == [UNSENT, UNSENT, 0]
     assert loop.state.stale_positions == 2
 
 
@@ -140,4 +140,4 @@ def test_a_sample_that_took_clearly_more_or_less_than_a_period_is_marked(
         assert arrive(loop, frame(number, number), now) == HEARD
     _compose_last(loop.record)  # which shows the reader what there is
     marked = [0, 0, 0, OFF_GRID, 0, OFF_GRID, OFF_GRID, OFF_GRID, 0]
-    assert (loop.ring.drain().flags & OFF_GRID).tolist() == marked
+    assert (loop.ring.drain()["flags"] & OFF_GRID).tolist() == marked

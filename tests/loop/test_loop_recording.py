@@ -16,8 +16,8 @@ import yaml
 
 import hapsim
 from hapsim.errors import RecordError, UsageError
+from hapsim.loop.ring import ROWS
 from hapsim.recording import recorder, stream
-from hapsim.recording.stream import ROWS
 from hapsim.recording.trace import Trace, load_trace
 from hapsim.running import run
 from hapsim.scene import Scene

@@ -56,12 +56,12 @@ def write(ring: Ring) -> Callable[..., None]:
 def require_rows(rows: Any, samples: list[int]) -> None:
     """Every number of each row is that of its sample."""
     s, sides = np.array(samples, np.int64), np.array([1, -1])
-    assert rows.sample.tolist() == samples
-    assert rows.time_ns.tolist() == (1000 * s).tolist()
-    assert rows.flags.tolist() == [BRIDGED if sample % 2 else 0 for sample in samples]
-    np.testing.assert_array_equal(rows.position, s[:, None] * sides)
-    np.testing.assert_array_equal(rows.force, 10 * s[:, None] * sides)
-    np.testing.assert_array_equal(rows.asked, 0.1 * s[:, None] * sides)
+    assert rows["sample"].tolist() == samples
+    assert rows["time_ns"].tolist() == (1000 * s).tolist()
+    assert rows["flags"].tolist() == [BRIDGED if sample % 2 else 0 for sample in samples]
+    np.testing.assert_array_equal(rows["position_counts"], s[:, None] * sides)
+    np.testing.assert_array_equal(rows["force_counts"], 10 * s[:, None] * sides)
+    np.testing.assert_array_equal(rows["asked_force"], 0.1 * s[:, None] * sides)
 
 
 def test_where_it_is_full_rows_are_dropped_and_counted_and_the_reader_gets_the_ones_before(
@@ -100,19 +100,19 @@ def test_a_row_is_seen_once_it_is_published_and_carries_what_was_marked_until_th
     for sample in (1, 2):
         push_row(ring.record, sample, 0, io)
         mark_row(ring.record, UNSENT)
-        assert ring.drain().sample.size == 0
+        assert ring.drain().size == 0
     push_row(ring.record, 3, 0, io)
     publish_rows(ring.record)
     mark_row(ring.record, UNSENT)  # too late: it is the reader's
-    assert ring.drain().flags.tolist() == [UNSENT, UNSENT, 0]
+    assert ring.drain()["flags"].tolist() == [UNSENT, UNSENT, 0]
 
 
 def test_rows_that_are_not_published_yet_take_up_room(ring: Ring, write: Callable[..., None]) -> None:
     io = new_record(IO_BUFFER)
     for sample in range(5):
         push_row(ring.record, sample, 0, io)
-    assert (ring.record.dropped, ring.drain().sample.size) == (1, 0)
+    assert (ring.record.dropped, ring.drain().size) == (1, 0)
     publish_rows(ring.record)
-    assert ring.drain().sample.tolist() == [0, 1, 2, 3]
+    assert ring.drain()["sample"].tolist() == [0, 1, 2, 3]
     write(5)
     require_rows(ring.drain(), [5])

@@ -44,7 +44,7 @@ def last_row(loop: Loop) -> tuple[int, int]:
     loop.record.ring.head += loop.record.ring.unpublished
     loop.record.ring.unpublished = 0
     rows = loop.ring.drain()
-    return int(rows.flags[-1]), int(rows.force[-1, 0])
+    return int(rows["flags"][-1]), int(rows["force_counts"][-1, 0])
 
 
 def last_flags(loop: Loop) -> int:

@@ -22,7 +22,6 @@ from hapsim.cordis.succession import take_over_from
 from hapsim.device.conversation import arm, describe, disarm
 from hapsim.device.open_connection import open_connection
 from hapsim.loop import endings
-from hapsim.loop.ring import RingRows
 from hapsim.loop.run import run_loop
 from hapsim.running import assemble
 from hapsim.running.assemble import Loop, assemble_loop
@@ -58,14 +57,14 @@ class Runner:
     def __init__(self, scene: Scene, loop: Loop) -> None:
         self.loop, self.live = loop, LiveScene(scene, loop)
         self.changes = [Change(0, scene)]
-        self._parts: list[RingRows] = []
+        self._parts: list[np.ndarray] = []
         self.rows = 0
 
     def go(self) -> None:
         """65 ticks."""
         assert run_loop(self.loop.record) == endings.RING_FULL
         self._parts.append(self.loop.ring.drain())
-        self.rows += self._parts[-1].sample.size
+        self.rows += self._parts[-1].size
 
     def adopt(self, scene: Scene, over: float = OVER) -> None:
         self.live.adopt(scene, over)
@@ -73,18 +72,18 @@ class Runner:
 
     @property
     def sample(self) -> np.ndarray:
-        return np.concatenate([part.sample for part in self._parts])
+        return np.concatenate([part["sample"] for part in self._parts])
 
     @property
     def position(self) -> np.ndarray:
         """(N, channels) m."""
-        counts = np.concatenate([part.position for part in self._parts])
+        counts = np.concatenate([part["position_counts"] for part in self._parts])
         return counts * self.loop.record.io.position_scale[: counts.shape[1]]
 
     @property
     def asked(self) -> np.ndarray:
         """(N, channels) N."""
-        return np.concatenate([part.asked for part in self._parts])
+        return np.concatenate([part["asked_force"] for part in self._parts])
 
 
 @contextlib.contextmanager

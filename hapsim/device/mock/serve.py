@@ -44,7 +44,9 @@ def serve(mock, service):
     ticking = False
     while not service.stop:
         wait = due - now_ns(service.scratch) if ticking else _IDLE_WAIT_NS
-        count = receive(service.transport, service.input, wait if wait < _IDLE_WAIT_NS else _IDLE_WAIT_NS)
+        count = receive(
+            service.transport, service.input, 0, service.input.size, wait if wait < _IDLE_WAIT_NS else _IDLE_WAIT_NS
+        )
         now = now_ns(service.scratch)
         if count > 0:
             call_take_bytes(mock.called.take_bytes, (mock.address, np.uint64(service.input.ctypes.data), count, now))
@@ -66,6 +68,6 @@ def serve(mock, service):
 @inlined
 def _send_outbox(mock, service):
     """Whatever happens it is empty then. With nothing in it, what the transport had begun is ended."""
-    if send(service.transport, mock.outbox, mock.board.out) != 0 and mock.board.out > 0:
+    if send(service.transport, mock.outbox, 0, mock.board.out) != 0 and mock.board.out > 0:
         service.lost_answers += 1
     mock.board.out = 0

@@ -1,70 +1,64 @@
-"""A scene that gives the hand energy, which no object does: the loop stops before that is more than a hand can bear.
+"""The energy guard: it stops the loop before a scene gives the hand more energy than any passive object could.
 
-**The energy.** Time-domain passivity (Hannaford and Ryu, IEEE Trans. Robotics and Automation 18(1), 2002): what the
-simulated force gave the hand, summed over channels and samples,
+**The energy.** Time-domain passivity (Hannaford and Ryu, IEEE Trans. Robotics and Automation 18(1), 2002). What the
+simulated force gave the hand, summed over channels and samples, is
 
     S += f dx - b0 dx² / T,     dx = x[n] - x[n-1],
 
-f the force that acted from sample n-1 to n: with a delay of d samples the one that answers sample n-1-d, the two
-neighbours of a fraction of a sample by its weights; b0 the device's friction as the scene declares it, which takes at
-least b0 dx²/T of it. A force that an excitation adds is the hand's, and so is what the limit cuts because of it.
+f the force that acted from sample n-1 to n: with a delay of d samples the one that answers sample n-1-d, for a fraction
+of a sample its two neighbours by their weights. b0 is the friction that the scene declares, which takes at least
+b0 dx²/T of it. What an excitation adds is the hand's, and so is what the limit clips because of it.
 
-For a spring K and a backward damper B this never exceeds what the spring holds at the beginning, whatever the
-positions are, quantised ones too, where b0 >= K T (1/2 + d) + |B|. Without delay, the spring held at x[n-1] gives
+For a spring K and a backward damper B, S never exceeds what the spring holds at the beginning, for any positions,
+quantised ones too, if b0 >= K T (1/2 + d) + |B|. Without delay, the spring held at x[n-1] gives
 
     -K x[n-1] dx[n] = -K/2 (x[n]² - x[n-1]²) + K/2 dx[n]²,
 
-a difference of stored energies and K T/2 · dx²/T. Of each further sample of delay K dx[n-j] dx[n] comes to that, at
-most K/2 (dx[n-j]² + dx[n]²): summed K T · dx²/T at most, and of a fraction its share. The damper, however late, gives
--B/T dx[m] dx[n], summed at most |B| dx²/T. What friction takes is no less than all of it. That is Colgate's condition
-for a whole delay and a spring (`theory/hand/passivity.py`), shown here sample by sample. A force that is cut at its
-limit is a spring whose stiffness is smaller there, and two channels are two sums.
+a difference of stored energies and K T/2 · dx²/T. Each further sample of delay adds K dx[n-j] dx[n], at most
+K/2 (dx[n-j]² + dx[n]²): summed, at most K T · dx²/T, and of a fraction its share. The damper, however late, gives
+-B/T dx[m] dx[n], summed at most |B| dx²/T. Friction takes no less than all of it. That is Colgate's condition for a
+whole delay and a spring (`theory/hand/passivity.py`), shown here sample by sample. A force that is clipped is a spring
+with a smaller stiffness there; two channels are two sums.
 
 What the hand gave is its credit, but no more than a scene could hold: S stays above -`credit`. At arming S is minus
 what the scene holds then (running/guarding.py). Where K changes while it runs, the first term is
 
     -K[n-1] x[n-1] dx[n] = -(K[n] x[n]²/2 - K[n-1] x[n-1]²/2) + (K[n] - K[n-1]) x[n]²/2 + K[n-1]/2 dx[n]²,
 
-and the middle of it is what the change adds: it is taken off S when the change acts, with its sign, for all modules
-alike (cordis/stored_energy.py), and bounded by a tank there. The guard trips where S is above `limit`: from rest no
-hand is given more than `limit`, what the scene held, and what the tank let through. Behind a delay of d samples the
-change acts where the hand is d samples later; that is not counted.
+and its middle is what the change adds: it is subtracted from S when the change acts, with its sign, for all modules
+alike (cordis/stored_energy.py), and bounded by a tank there. The guard trips where S is above `limit`. Behind a delay
+of d samples a change acts where the hand is d samples later; that is not counted.
 
-**Two accounts.** The proof holds for forces in time at whatever positions. So the account SCENE counts those
-(force_history.py). A force that is late gives energy too, but that is the host's fault, and a hand that knocks now and
-then while the host stalls is no reason to stop. The account LATE counts the forces that acted, as far as the device
-tells. It is judged in the same way, by limits of its own: a larger `limit`, LATE_SWINGS episodes. While no force is
-late both are the same.
+**Two accounts.** The proof holds for forces in time at any positions, and the account SCENE counts those
+(force_history.py). A late force gives energy too, but that is the host's fault, and a hand that knocks now and then
+while the host stalls is no reason to stop. The account LATE counts the forces that acted, as far as the device reports
+them, with limits of its own: a larger `limit`, and LATE_SWINGS episodes.
 
-**Swinging at the limit.** Where the limit cuts the force and friction takes all that it gives, the swing is of
-constant size and S stays where it is, for ever. So the guard trips also after SWINGS episodes in a row in which the
-force is cut, each to another side or after a sample without, and each beginning within GAP_S (GAP_SAMPLES at least)
-of the one before, if over these episodes the force did no less work than friction took, and more than `swing_limit`:
-no more than `limit`, and no more than that is where a scene names none, so that one that means to give energy is
-found where it swings at the limit, too. The sums are begun anew where it did less: between two crossings of the limit
-at one place a spring holds the same, so that what is gained between them comes of the sampling and of nothing else.
-So an episode begins where the scene's own force is cut, whatever an excitation adds, and not behind lost positions,
-far beyond the limit; what a change adds is no gain. A hand that presses on, knocks, or shakes a passive object loses
-energy from episode to episode. The count begins anew when a parameter of the scene changes: a change of stiffness
-moves the crossing of the limit, so that two crossings no longer hold the same energy. An unstable scene that is being
-dragged is still bounded by S.
+**Swinging at the limit.** Where the limit clips the force and friction takes all that it gives, the swing keeps its
+size and S stays where it is. So the guard also trips after SWINGS episodes in a row, each beginning within GAP_S
+(GAP_SAMPLES at least) of the one before, if over them the force did no less work than friction took and more than
+`swing_limit`. An episode begins where the scene's own force, without an excitation, reaches the limit on another side
+or after a sample within it, but not behind lost positions, far beyond the limit. The sums begin anew where the force
+did less work than friction took: between two crossings of the limit at one place a spring holds the same, so what is
+gained between them comes of the sampling alone. They begin anew, too, when a parameter of the scene changes: that moves
+the crossing of the limit. A hand that presses on, knocks or shakes a passive object loses energy from episode to
+episode.
 
-**Shaking at the limit.** A scene whose own masses diverge, or a damper that is too much for the rate, throws the force
-from limit to limit so fast that the hand hardly moves, and gets no energy at all. So the guard trips, too, after SHAKES
-turns in a row of one channel's force from one limit to the other, if the scene asks in none for less than in those
-before, and each turn is one of these:
+**Shaking at the limit.** A simulated mass that diverges, or a damper that is too large for the rate, throws the force
+from limit to limit so fast that the hand hardly moves and gets no energy. So the guard trips, too, after SHAKES turns
+in a row of one channel's force from one limit to the other, if the scene asks for no less from turn to turn, and each
+is
 
-* within SHAKE_SAMPLES of the one before: so fast a swing the friction that makes an object passive ends at once;
+* within SHAKE_SAMPLES of the one before: the friction that makes an object passive ends so fast a swing at once;
 * within SHAKE_S, the scene asking for SHAKE_OVER times the limit: no hand shakes at 10 Hz and more, and a mass that
   swings so on a passive object comes to rest, and asks for less from turn to turn;
-* within GAP_S, the scene asking for FAR_OVER times the limit: no hand has stretched anything so far.
+* or within GAP_S, the scene asking for FAR_OVER times the limit: no hand has stretched anything so far.
 
-**A scene that is predicted unstable** and runs all the same, because its user asked for that, is no passive object, and
-no hand has to be told from its swings. There episodes are counted from LOW of the limit on, so that a contact is found
-that shakes loose before its force reaches the limit, and friction may take more than the work by NEARLY of that; and
-every turn from limit to limit within GAP_S is shaking, for whatever the scene asks.
+**A scene that is predicted unstable** and runs because its user asked for that is no passive object. There episodes
+count from LOW of the limit on, so that a contact is found that bounces below the limit; friction may take more than the
+work by NEARLY of it; and every turn from limit to limit within GAP_S is shaking.
 
-Who judges nothing never compiles this: it is called by an address, which is 0 then.
+A scene without this guard never compiles it: its address is 0 then.
 """
 
 from __future__ import annotations
@@ -90,7 +84,7 @@ SWINGS, GAP_S, GAP_SAMPLES = 16, 0.5, 3
 SHAKES, SHAKE_SAMPLES, SHAKE_S, SHAKE_OVER, FAR_OVER = 64, 6, 0.05, 1.5, 100.0
 LOW, NEARLY = 0.02, 0.01
 _FOREVER = 1 << 62
-_LESS = 0.999  # of what was asked for: a sample need not fall on the peak
+_SAME_PEAK = 0.999  # of what was asked for: a sample need not fall on the peak
 
 GIVEN, SWINGING, SHAKING = 1, 2, 3
 """Why it tripped: the energy, the swing at the limit, or that it shakes there."""
@@ -130,10 +124,7 @@ ENERGY_GUARD = np.dtype(
         ("turns", np.int64, _EACH),  # and how often in a row
         ("shakes", np.int64),  # the most of these
         ("elapsed", np.int64),  # samples since the first
-        (
-            "unstable_until",
-            np.int64,
-        ),  # the sample up to which the scene is predicted unstable; written by another thread
+        ("unstable_until", np.int64),  # sample; before it the scene is predicted unstable; another thread writes it
         ("why", np.int64),  # GIVEN, SWINGING, SHAKING
         ("account", np.int64),  # SCENE, LATE
     ],
@@ -160,7 +151,7 @@ def judge_energy(energy, history, io, gap):
     begins = _begins_episode(energy, io) and gap == 1
     _follow_turns(energy, io, gap)
     energy.gap += gap
-    goes_on = energy.gap <= energy.most_gap
+    follows = energy.gap <= energy.most_gap
     energy.gap = 0 if begins else energy.gap
     tank = tank_at(energy.tank)
     added, energy.taken = tank.spent - energy.taken, tank.spent
@@ -171,22 +162,18 @@ def judge_energy(energy, history, io, gap):
     for account in range(2):
         work, lost = _energy_of(energy, history, io, account, gap) if has_begun else (0.0, 0.0)
         _take_account(energy, account, work - lost, added)
-        _count_swing(energy, account, work, lost + added, begins, goes_on)
+        _count_swing(energy, account, work, lost + added, begins, follows)
         if energy.why == 0 and energy.given[account] > energy.limit[account]:
             energy.why, energy.account = GIVEN, account
-        elif energy.why == 0 and _has_swung(energy, account):
+        most = SWINGS if account == SCENE else LATE_SWINGS
+        has_swung = energy.swings[account] >= most and energy.work[account] > energy.swing_limit[account]
+        if energy.why == 0 and has_swung:
             energy.why, energy.account = SWINGING, account
     for c in range(io.channels):
         energy.position[c] = io.position_counts[c] * io.position_scale[c]
     if energy.why == 0 and energy.shakes >= SHAKES:
         energy.why = SHAKING
     return energy.why
-
-
-@helper
-def _has_swung(energy, account):
-    most = SWINGS if account == SCENE else LATE_SWINGS
-    return energy.swings[account] >= most and energy.work[account] > energy.swing_limit[account]
 
 
 @helper
@@ -224,13 +211,13 @@ def _take_account(energy, account, gained, added):
 
 
 @helper
-def _count_swing(energy, account, work, lost, begins, goes_on):
+def _count_swing(energy, account, work, lost, begins, follows):
     """Adds to the sums over the episodes of swinging at the limit; `begins`: one does with this sample."""
     energy.work[account] += work
     energy.gained[account] += work - lost
     if begins:
         least = -NEARLY * energy.work[account] if _is_unstable(energy) else 0.0
-        if goes_on and energy.swings[account] > 0 and energy.gained[account] >= least:
+        if follows and energy.swings[account] > 0 and energy.gained[account] >= least:
             energy.swings[account] += 1
         else:
             energy.swings[account] = 1
@@ -288,7 +275,7 @@ def _count_turn(energy, c, limit):
         energy.turns[c] = energy.turns[c] + 1 if turn <= energy.most_gap else 0
     elif turn > energy.most_gap or peak < over * limit:
         energy.turns[c], energy.least_peak[c] = 0, math.inf
-    elif peak < _LESS * energy.least_peak[c]:
+    elif peak < _SAME_PEAK * energy.least_peak[c]:
         energy.turns[c], energy.least_peak[c] = 1, peak
     else:
         energy.turns[c] += 1
