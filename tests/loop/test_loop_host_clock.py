@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import numba
 import numpy as np
 import pytest
 
@@ -13,6 +14,7 @@ from firmware_protocol import schema
 from firmware_protocol.compiled import new_record
 from firmware_protocol.decoder import Frame, frames_in, new_decoder
 from hapsim.compiling.native import array_at, record_at
+from hapsim.loop.clocks import next_point
 from hapsim.loop.endings import DONE, HEARD, TIMED_OUT
 from hapsim.loop.histogram import histogram_of
 from hapsim.loop.portable import PortableLoop, _compose_last
@@ -141,3 +143,25 @@ def test_a_sample_that_took_clearly_more_or_less_than_a_period_is_marked(
     _compose_last(loop.record)  # which shows the reader what there is
     marked = [0, 0, 0, OFF_GRID, 0, OFF_GRID, OFF_GRID, OFF_GRID, 0]
     assert (loop.ring.drain()["flags"] & OFF_GRID).tolist() == marked
+
+
+DUE, PERIOD = 1_000_000, 500
+
+
+@pytest.mark.parametrize("rule", [next_point, numba.njit(next_point)], ids=["python", "compiled"])
+@pytest.mark.parametrize(
+    ("late", "point", "missed"),
+    [
+        (-100, DUE + PERIOD, 0),
+        (0, DUE + PERIOD, 0),
+        (PERIOD - 1, DUE + PERIOD, 0),  # late, and the next point stays where it was
+        (PERIOD, DUE + 2 * PERIOD, 1),
+        (PERIOD + 1, DUE + 2 * PERIOD + 1, 1),  # the grid starts anew
+        (10**9, DUE + 10**9 + PERIOD, 1),  # one miss, and no burst
+    ],
+)
+def test_a_point_kept_less_than_a_period_late_leaves_the_grid_and_a_later_one_starts_it_anew(
+    rule: object, late: int, point: int, missed: int
+) -> None:
+    assert callable(rule)
+    assert rule(DUE, DUE + late, PERIOD) == (point, missed)

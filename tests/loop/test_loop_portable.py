@@ -60,14 +60,6 @@ def test_a_device_that_hangs_up_is_gone(scripted: Any, frame: FrameOf) -> None:
         assert caught.value.trace.sample.tolist() == [0, 1]
 
 
-def test_a_silent_device_is_reported_and_released(scripted: Any, frame: FrameOf) -> None:
-    with scripted([frame(0, 0)]) as (scene, device):
-        paced = scene.model_copy(update={"device": scene.device.model_copy(update={"clock": "device"})})
-        with pytest.raises(DeviceError, match="silent"):
-            run(paced, portable=True)
-        assert device.disarmed >= 1
-
-
 def test_memory_is_no_port_for_it(scene_of: SceneOf) -> None:
     with pytest.raises(UsageError, match="portable loop"):
         run(scene_of(), duration=0.1, transport="loopback", portable=True)

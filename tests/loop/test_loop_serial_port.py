@@ -6,7 +6,7 @@ import contextlib
 import errno
 import os
 import tty
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -53,26 +53,17 @@ def test_a_link_to_a_port_that_is_gone_is_told_as_what_it_is(tmp_path: Path) -> 
     assert "a link to /dev/pts/99999, which is gone: was the program that made it stopped? Ports found: " in told
 
 
-def test_a_regular_file_is_no_serial_port(tmp_path: Path) -> None:
-    file = tmp_path / "file"
-    file.write_text("not a port", encoding="utf-8")
-    assert refusal(str(file)) == f"{file}: not a serial port, but a file"
-    assert file.read_text(encoding="utf-8") == "not a port"
-
-
-def test_a_directory_is_no_serial_port(tmp_path: Path) -> None:
-    assert refusal(str(tmp_path)) == f"{tmp_path}: not a serial port, but a directory"
+@pytest.mark.parametrize(
+    ("make", "told"), [(Path.touch, ", but a file"), (Path.mkdir, ", but a directory"), (os.mkfifo, "")]
+)
+def test_what_is_no_terminal_is_no_serial_port(tmp_path: Path, make: Callable[[Path], object], told: str) -> None:
+    make(tmp_path / "there")
+    assert f"{tmp_path / 'there'}: not a serial port{told}" in refusal(str(tmp_path / "there"))
 
 
 @pytest.mark.parametrize("path", ["/dev/null", "/dev/zero", "/dev/full"])
 def test_a_device_that_is_no_terminal_is_no_serial_port(path: str) -> None:
     assert refusal(path) == f"{path}: not a serial port, or one that cannot be set to {BAUD} baud"
-
-
-def test_a_pipe_is_no_serial_port(tmp_path: Path) -> None:
-    pipe = tmp_path / "pipe"
-    os.mkfifo(pipe)
-    assert "not a serial port" in refusal(str(pipe))
 
 
 def test_a_port_that_is_in_use_is_reported_as_such(terminal: tuple[int, str]) -> None:

@@ -1,0 +1,339 @@
+"""Each measure alone: what it requests, what it reports, and that it leaves everything as it was."""
+
+from __future__ import annotations
+
+import errno
+import gc
+import os
+import pwd
+import resource
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+
+from hapsim.loop.realtime import PrivilegeResult, memory, no_timer_slack, privilege, scheduling
+from hapsim.loop.realtime.memory import collector_frozen, memory_locked
+from hapsim.loop.realtime.privilege import login_limit
+from hapsim.loop.realtime.scheduling import PRIORITY, idle_states_off, scheduled_fifo
+
+# The garbage collector.
+
+
+class Ring:
+    """Refers to itself, so that only the collector finds it."""
+
+    def __init__(self, freed: list[bool]) -> None:
+        self.itself, self.freed = self, freed
+
+    def __del__(self) -> None:
+        self.freed.append(True)
+
+
+@pytest.fixture
+def _as_it_was() -> Iterator[None]:
+    yield
+    gc.unfreeze()
+    gc.enable()
+
+
+@pytest.mark.usefixtures("_as_it_was")
+@pytest.mark.parametrize("enabled", [True, False])
+@pytest.mark.parametrize("was_frozen", [True, False])
+def test_nothing_is_collected_while_it_lasts_and_afterwards_all_is_as_it_was(enabled: bool, was_frozen: bool) -> None:
+    if was_frozen:
+        gc.freeze()
+    if not enabled:
+        gc.disable()
+    before = gc.get_freeze_count()
+    made_since: list[list[int]] = [[] for _ in range(1000)]
+    with collector_frozen(1) as grant:
+        assert not gc.isenabled()
+        assert gc.get_freeze_count() > 0
+    assert grant.granted
+    assert gc.isenabled() is enabled
+    assert (gc.get_freeze_count() > 0) is was_frozen
+    assert gc.get_freeze_count() < before + len(made_since), "nothing was added to what somebody else set aside"
+
+
+@pytest.mark.usefixtures("_as_it_was")
+def test_garbage_is_collected_before_the_rest_is_set_aside() -> None:
+    gc.disable()
+    freed: list[bool] = []
+    Ring(freed)
+    assert not freed
+    with collector_frozen(1):
+        assert freed == [True]
+
+
+# The limits that are set at login.
+
+
+def test_the_line_names_the_user_who_reads_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    entry = pwd.struct_passwd(("ada", "x", 1000, 1000, "", "/home/ada", "/bin/sh"))
+    monkeypatch.setattr(pwd, "getpwuid", lambda _: entry)
+    assert "'ada - rtprio 80' in /etc/security/limits.d/" in login_limit("rtprio", "80")
+
+
+def test_a_user_without_a_name_is_advised_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    def unknown(_number: int) -> pwd.struct_passwd:
+        raise KeyError("getpwuid(): uid not found")
+
+    monkeypatch.setattr(pwd, "getpwuid", unknown)
+    assert "'* - rtprio 80'" in login_limit("rtprio", "80")
+
+
+# Memory. For real it is locked in a process of its own, in test_realtime.
+
+
+STATUS = "Name:\tVmLck: 1 kB\nVmSize:\t  350000 kB\nVmLck:\t  125000 kB\n"
+
+
+@pytest.fixture
+def calls(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[tuple[object, ...]]:
+    """What is called in a C library that grants everything, and in a process that spans 358.4 MB."""
+    (tmp_path / "status").write_text(STATUS, encoding="utf-8")
+    monkeypatch.setattr(memory, "_STATUS", tmp_path / "status")
+    made: list[tuple[object, ...]] = []
+
+    def call(*words: object) -> int:
+        made.append(words)
+        return 0
+
+    monkeypatch.setattr(privilege, "call_c", call)
+    return made
+
+
+@pytest.mark.parametrize(("is_told", "detail"), [(True, "128 MB"), (False, "all memory")])
+def test_what_there_is_is_locked_not_what_comes_later(
+    calls: list[tuple[object, ...]], tmp_path: Path, is_told: bool, detail: str
+) -> None:
+    if not is_told:
+        (tmp_path / "status").unlink()
+    with memory_locked(1) as grant:
+        assert calls == [("mlockall", 1)], "MCL_CURRENT alone"
+    assert calls[1:] == [("munlockall",)]
+    assert (grant.granted, grant.detail) == (True, detail)
+
+
+@pytest.mark.usefixtures("calls")
+@pytest.mark.parametrize("number", [errno.ENOMEM, errno.EPERM])
+def test_who_is_refused_reads_how_much_was_wanted_what_is_allowed_and_what_it_takes(
+    number: int, root: bool, refuse: Callable[[str, int], None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(resource, "getrlimit", lambda _: (65_536, 65_536))
+    refuse("hapsim.loop.realtime.privilege.call_c", number)
+    with memory_locked(1) as grant:
+        pass
+    for words in ("358 MB", "0.0655 MB", os.strerror(number)):
+        assert words in grant.detail
+    assert ("limits.d" in grant.detail, "--cap-add" in grant.detail) == (not root, root)
+
+
+@pytest.mark.usefixtures("calls")
+def test_without_a_limit_no_limit_is_blamed(
+    refuse: Callable[[str, int], None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(resource, "getrlimit", lambda _: (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
+    refuse("hapsim.loop.realtime.privilege.call_c", errno.ENOMEM)
+    with memory_locked(1) as grant:
+        assert "free some memory" in grant.detail
+        assert "limits.d" not in grant.detail
+
+
+def test_a_call_of_the_c_library_that_fails_raises_its_error() -> None:
+    with pytest.raises(OSError, match="prctl") as caught:
+        privilege.call_c("prctl", 0x7FFFFFFF)
+    assert caught.value.errno == errno.EINVAL
+
+
+# CPU idle states, off for as long as the device file is open.
+
+
+@pytest.fixture
+def device(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A file in the device's place, which anybody may write."""
+    path = tmp_path / "cpu_dma_latency"
+    path.touch()
+    monkeypatch.setattr(scheduling, "_DEVICE", str(path))
+    return path
+
+
+def open_files() -> list[str]:
+    """The files that this process has open now."""
+    files = Path("/proc/self/fd")
+    return [os.path.realpath(files / name) for name in os.listdir(files)]
+
+
+def test_zero_is_written_and_the_file_held_open_while_it_lasts(device: Path) -> None:
+    with idle_states_off(1) as grant:
+        assert device.read_bytes() == bytes(4)
+        assert str(device) in open_files()
+    assert grant.granted
+    assert str(device) not in open_files()
+
+
+@pytest.mark.usefixtures("root")
+def test_a_file_that_takes_nothing_is_closed_again(device: Path, refuse: Callable[[str, int], None]) -> None:
+    refuse("os.write", errno.EIO)
+    with idle_states_off(1) as grant:
+        assert str(device) not in open_files()
+    assert not grant.granted
+    assert grant.detail == f"{device} failed ({os.strerror(errno.EIO)})"
+
+
+def test_a_system_without_the_device_says_so(device: Path) -> None:
+    device.unlink()
+    with idle_states_off(1) as grant:
+        assert f"there is no {device}" in grant.detail
+    assert not grant.granted
+
+
+@pytest.mark.parametrize("number", [errno.EACCES, errno.EPERM])
+def test_who_may_not_write_it_reads_what_it_takes(number: int, root: bool, refuse: Callable[[str, int], None]) -> None:
+    refuse("os.open", number)
+    with idle_states_off(1) as grant:
+        pass
+    assert not grant.granted
+    assert os.strerror(number) in grant.detail
+    assert ("udev" in grant.detail, "container" in grant.detail) == (not root, root)
+
+
+# The loop's thread before all others.
+
+
+Policy = tuple[int, int]
+
+
+class Scheduler:
+    """A system with one thread, which grants priorities up to `most`."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, most: int, now: Policy = (os.SCHED_OTHER, 0)) -> None:
+        self.most, self.now = most, now
+        monkeypatch.setattr(os, "sched_getscheduler", lambda _: self.now[0])
+        monkeypatch.setattr(os, "sched_getparam", lambda _: os.sched_param(self.now[1]))
+        monkeypatch.setattr(os, "sched_setscheduler", self.set)
+
+    def set(self, _thread_id: int, policy: int, parameters: os.sched_param) -> None:
+        dropped_flag = self.now[0] & os.SCHED_RESET_ON_FORK & ~policy
+        if parameters.sched_priority > self.most or dropped_flag:
+            raise PermissionError(errno.EPERM, os.strerror(errno.EPERM))
+        self.now = policy, parameters.sched_priority
+
+
+def test_the_thread_is_scheduled_first_while_it_lasts_and_as_before_afterwards(thread_id: int) -> None:
+    before = os.sched_getscheduler(thread_id), os.sched_getparam(thread_id).sched_priority
+    with scheduled_fifo(thread_id) as grant:
+        inside = os.sched_getscheduler(thread_id), os.sched_getparam(thread_id).sched_priority
+        assert os.sched_getscheduler(0) == before[0], "this thread is not the loop's"
+    assert (inside == (os.SCHED_FIFO, PRIORITY)) is (grant.granted and grant.detail == f"priority {PRIORITY}")
+    assert (os.sched_getscheduler(thread_id), os.sched_getparam(thread_id).sched_priority) == before
+
+
+@pytest.mark.parametrize(
+    ("most", "before", "priority", "more"),
+    [
+        (99, (os.SCHED_OTHER, 0), PRIORITY, ""),
+        (PRIORITY - 1, (os.SCHED_OTHER, 0), PRIORITY - 1, f"rtprio {PRIORITY}"),
+        (10, (os.SCHED_OTHER, 0), 10, f"rtprio {PRIORITY}"),
+        (2, (os.SCHED_OTHER, 0), 2, f"rtprio {PRIORITY}"),
+        (1, (os.SCHED_OTHER, 0), 1, f"rtprio {PRIORITY}"),
+        (99, (os.SCHED_FIFO, 95), 95, ""),  # one that stands higher already is not lowered
+    ],
+)
+def test_the_highest_priority_that_is_granted_is_taken_and_reported(
+    most: int, before: Policy, priority: int, more: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    system = Scheduler(monkeypatch, most, before)
+    with scheduled_fifo(1) as grant:
+        assert system.now == (os.SCHED_FIFO, priority)
+    assert grant.granted
+    assert grant.detail.startswith(f"priority {priority}")
+    assert more in grant.detail
+    assert bool(more) == ("," in grant.detail)
+    assert system.now == before
+
+
+def test_a_flag_that_may_not_be_dropped_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = (os.SCHED_OTHER | os.SCHED_RESET_ON_FORK, 0)
+    system = Scheduler(monkeypatch, most=99, now=before)
+    with scheduled_fifo(1) as grant:
+        assert system.now == (os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, PRIORITY)
+    assert grant.granted
+    assert system.now == before
+
+
+def test_who_is_refused_reads_what_it_takes(root: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    system = Scheduler(monkeypatch, most=0)
+    with scheduled_fifo(1) as grant:
+        assert system.now == (os.SCHED_OTHER, 0)
+    assert not grant.granted
+    assert os.strerror(errno.EPERM) in grant.detail
+    assert ("limits.d" in grant.detail, "--cap-add" in grant.detail) == (not root, root)
+
+
+@pytest.mark.usefixtures("root")
+def test_an_error_that_no_right_would_cure_is_named_without_advice(
+    thread_id: int, refuse: Callable[[str, int], None]
+) -> None:
+    refuse("os.sched_setscheduler", errno.EINVAL)
+    with scheduled_fifo(thread_id) as grant:
+        assert grant.detail == f"priority {PRIORITY} was refused ({os.strerror(errno.EINVAL)})"
+
+
+# Timer slack, which goes without any privilege.
+
+
+PR_SET_TIMERSLACK = 29
+PR_GET_TIMERSLACK = 30
+
+
+def slack_ns() -> int:
+    """Of the thread that calls this, as the kernel has it."""
+    return privilege.call_c("prctl", PR_GET_TIMERSLACK, 0, 0, 0, 0)
+
+
+def test_the_thread_that_asks_has_no_slack_and_the_others_keep_theirs() -> None:
+    before = slack_ns()
+
+    def ask() -> tuple[PrivilegeResult, int, int]:
+        return no_timer_slack(), slack_ns(), threading.get_native_id()
+
+    with ThreadPoolExecutor(1) as pool:
+        grant, inside, thread_id = pool.submit(ask).result()
+    assert thread_id != threading.get_native_id()
+    assert grant.granted is (inside <= 1)
+    if grant.granted:
+        assert grant == PrivilegeResult("timer slack", True, f"{inside} ns")
+    assert slack_ns() == before
+
+
+def test_where_all_is_granted_the_least_there_is_was_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    thread = {"slack": 50_000}
+
+    def prctl(_name: str, option: int, value: int, *_rest: int) -> int:
+        if option == PR_GET_TIMERSLACK:
+            return thread["slack"]
+        assert option == PR_SET_TIMERSLACK
+        thread["slack"] = value or 50_000
+        return 0
+
+    monkeypatch.setattr(privilege, "call_c", prctl)
+    assert no_timer_slack() == PrivilegeResult("timer slack", True, "1 ns")
+
+
+def test_a_kernel_that_keeps_its_slack_is_not_believed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(privilege, "call_c", lambda _name, option, *_: 50_000 if option == PR_GET_TIMERSLACK else 0)
+    grant = no_timer_slack()
+    assert not grant.granted
+    assert "50000 ns" in grant.detail
+
+
+def test_whatever_the_error_is_it_is_denied_with_a_sentence(refuse: Callable[[str, int], None]) -> None:
+    for number in errno.errorcode:
+        refuse("hapsim.loop.realtime.privilege.call_c", number)
+        grant = no_timer_slack()
+        assert not grant.granted
+        assert os.strerror(number) in grant.detail or number in (errno.ESRCH, errno.ENOSYS)
