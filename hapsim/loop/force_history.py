@@ -37,7 +37,7 @@ FORCE_HISTORY = np.dtype(
         ("forces", np.uint64),  # address of (rows, 3 MAX_CHANNELS): N, those of the last samples
         ("mask", np.int64),  # rows - 1, and rows is a power of two
         ("newest", np.int64),  # the row of the last sample
-        ("goes_on", np.int64),  # 1: the device keeps a force until the next one comes
+        ("keeps_last_force", np.int64),  # 1: the device keeps a force until the next one comes
         ("lag", np.int64),  # the force from sample n-1 to n is in the row that is so many before that of n,
         ("share", np.float64),  # but for this share, in which it is the one before
         ("begun", np.int64),  # 1: there was a sample
@@ -86,11 +86,11 @@ def _keep_column(history, forces, c, decided, gap, unsent, late, expired):
     """Those that acted, as in predictor.py. The last one is new. Of a sample whose position is lost, the device says
     that its force is late: that tells nothing of the force before."""
     if history.begun:
-        held = history.sent[c] if history.goes_on else 0.0
+        held = history.sent[c] if history.keeps_last_force else 0.0
         acted = held if unsent or (late and gap == 1) else history.decided[c]
         if not unsent:
             history.sent[c] = history.decided[c]
-        held = history.sent[c] if history.goes_on and not expired else 0.0
+        held = history.sent[c] if history.keeps_last_force and not expired else 0.0
         forces[history.newest * _COLUMNS + c] = 0.0 if expired else acted
         for i in range(1, gap):
             forces[((history.newest + i) & history.mask) * _COLUMNS + c] = held
@@ -112,13 +112,13 @@ def acting_force(history, column, before):
 class ForceHistory:
     """Fills a FORCE_HISTORY, and keeps what it points to."""
 
-    def __init__(self, record: Any, *, delay: float, goes_on: bool) -> None:
-        """`delay`: samples from the position's mean instant to the force's, -1/2 or more; `goes_on`: the device holds
-        a force until the next one."""
+    def __init__(self, record: Any, *, delay: float, keeps_last_force: bool) -> None:
+        """`delay`: samples from the position's mean instant to the force's, -1/2 or more; `keeps_last_force`: the
+        device holds a force until the next one."""
         whole = math.floor(delay)
         rows = 2 << (whole + 3).bit_length()
         self.forces = np.zeros((rows, _COLUMNS))
         record.address, record.forces = address_of(record), address_of(self.forces)
-        record.mask, record.goes_on = rows - 1, goes_on
+        record.mask, record.keeps_last_force = rows - 1, keeps_last_force
         record.lag, record.share = whole + 1, delay - whole
         record.keep = keep.address()

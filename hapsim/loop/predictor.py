@@ -37,7 +37,7 @@ PREDICTOR = np.dtype(
         ("adaptive", np.uint64),  # address of an ADAPTIVE, for these two
         ("lags", np.int64),  # so many past forces count
         ("readings", np.int64),  # 2: the velocity is read too
-        ("goes_on", np.int64),  # 1: the device keeps a force until the next one comes,
+        ("keeps_last_force", np.int64),  # 1: the device keeps a force until the next one comes,
         ("lives", np.int64),  # for so many samples at most
         ("width", np.int64),  # numbers of a channel, as `numbers_of` orders them
         ("numbers", np.uint64),  # address of (channels, width): as they are now
@@ -113,7 +113,7 @@ def _keep_forces(predictor, io, forces, sample, late, age):
     before = predictor.newest * _ROW
     predictor.newest = (predictor.newest + 1) & predictor.mask
     row = predictor.newest * _ROW
-    acts = (predictor.goes_on and age <= predictor.lives) or (sample == 0 and not late)
+    acts = (predictor.keeps_last_force and age <= predictor.lives) or (sample == 0 and not late)
     for c in range(io.channels):
         known, in_all = _sent(io, c)
         if sample > 0:
@@ -221,7 +221,14 @@ class PredictorMemory:
     """Fills a PREDICTOR, and keeps what it points to."""
 
     def __init__(
-        self, record: Any, tables: Mapping[int, Table], *, lags: int, readings: int, goes_on: bool, lives_samples: int
+        self,
+        record: Any,
+        tables: Mapping[int, Table],
+        *,
+        lags: int,
+        readings: int,
+        keeps_last_force: bool,
+        lives_samples: int,
     ) -> None:
         """`tables`: of each channel that is predicted, (R, width): for R masses, or one, what `numbers_of` makes, and
         what else the force is made of. The other channels get what is read."""
@@ -230,7 +237,7 @@ class PredictorMemory:
         self._forces = np.zeros((history, 2, schema.MAX_CHANNELS))
         record.address = address_of(record)
         record.lags, record.mask, record.readings = lags, history - 1, readings
-        record.goes_on, record.lives = goes_on, lives_samples
+        record.keeps_last_force, record.lives = keeps_last_force, lives_samples
         record.rows = max(len(table) for table in tables.values())
         record.width = next(iter(tables.values())).shape[1]
         self._tables = [self._table(tables)]

@@ -37,7 +37,7 @@ class LoopCorrection:
             self._tables(rendering),
             lags=self._lags,
             readings=1 + any(one.senses for one in predictors.values()),
-            goes_on=HOLDS[device.hold].keeps_last_force,
+            keeps_last_force=HOLDS[device.hold].keeps_last_force,
             lives_samples=int(loop.control.time_to_live),
         )
         if self._adapts:

@@ -52,7 +52,7 @@ def history_of(loop: Any, scene: Scene) -> ForceHistory:
     hold = HOLDS[device.hold]
     # The mean instant of a position that is averaged is half a sample earlier.
     shift = (0.5 if device.sampling == "average" else 0.0) + hold.mean_delay - 0.5
-    return ForceHistory(loop.history, delay=device.delay + shift, goes_on=hold.keeps_last_force)
+    return ForceHistory(loop.history, delay=device.delay + shift, keeps_last_force=hold.keeps_last_force)
 
 
 def energy_guard_of(loop: Any, scene: Scene, description: Description, bounds: ForceBounds) -> EnergyGuard | None:

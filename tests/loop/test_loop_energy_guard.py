@@ -286,7 +286,7 @@ def judge(
         held_j=0.0,
     )
     kept.follow(unstable=unstable)
-    forces = ForceHistory(history, delay=delay, goes_on=True)
+    forces = ForceHistory(history, delay=delay, keeps_last_force=True)
     told = np.asarray(positions, np.int64), stiffness, damping, limit, gap, int(late)
     row, most = first_trip(record, history, io, *told)
     del kept, forces

@@ -29,9 +29,9 @@ def read(predictor, io, gap, late, age):  # type: ignore[no-untyped-def]
 class Observer:
     """Of a free mass behind one sample of delay and a zero-order hold; every sample a force that acted."""
 
-    def __init__(self, goes_on: bool) -> None:
+    def __init__(self, keeps_last_force: bool) -> None:
         self.x, self.v, self.push, self.samples = 0.0, 0.0, 0.0, 0
-        self.goes_on = goes_on
+        self.keeps_last_force = keeps_last_force
         self.acted = [0.0, 0.0]
         """N: of the last samples, the newest last"""
         self.sent = self.before = 0.0
@@ -48,7 +48,7 @@ class Observer:
         for sample in range(gap):
             newest = self.acted[-1] if sample else self.before if late and gap == 1 else self.sent
             # A device that does not go on has given the force once, in time or never.
-            given = not expired if self.goes_on else sample == 0 and not (late and gap == 1)
+            given = not expired if self.keeps_last_force else sample == 0 and not (late and gap == 1)
             self.acted.append(newest if given else (newest if sample == 0 and not late and gap == 1 else 0.0))
             if gap > 1 and sample == 0:
                 self.acted[-1] = newest
@@ -83,7 +83,7 @@ def test_whatever_is_lost_or_late_it_is_the_observer_that_is_written_out(seed: i
     kept = LoopCorrection(loop, rendered(scene), describe_mock(scene))
     assert kept is not None
     random = np.random.default_rng(seed)
-    observer, age = Observer(goes_on=hold == "zoh"), 1
+    observer, age = Observer(keeps_last_force=hold == "zoh"), 1
     for sample in range(400):
         gap = int(random.choice([1, 1, 1, 2, 3, 7])) if sample else 1
         late = bool(random.random() < 0.3)

@@ -160,7 +160,7 @@ def judged(
     io.channels, io.address = 1, address_of(io)
     io.position_scale[0] = io.force_scale[0] = 1e-6
     io.force_limit[0] = 10.0
-    history = ForceHistory(past, delay=1.0, goes_on=True)
+    history = ForceHistory(past, delay=1.0, keeps_last_force=True)
     judge_signs(record, rate_hz=1.0 / T, masses=[(MASS, MASS)])
     x, v, acts, gap, in_time = 0.0, velocity, 0.0, 1, True
     for n in range(samples):
@@ -207,7 +207,7 @@ def test_after_a_long_gap_the_sums_begin_anew() -> None:
     record, past, io = new_record(SIGN), new_record(FORCE_HISTORY), new_record(IO_BUFFER)
     io.channels, io.address = 1, address_of(io)
     io.position_scale[0] = io.force_scale[0] = 1.0
-    history = ForceHistory(past, delay=1.0, goes_on=True)
+    history = ForceHistory(past, delay=1.0, keeps_last_force=True)
     judge_signs(record, rate_hz=1000.0, masses=[(MASS, MASS)])
     kept = []
     for gap in (1, 1, 1, 1, 2, 3, 4, 1):
