@@ -43,3 +43,28 @@ def _rounded(value: float, digits: int, direction: str) -> str:
         return f"{value:g}"
     exact = Decimal(value)
     return f"{float(exact.quantize(Decimal(1).scaleb(exact.adjusted() - digits + 1), direction)):.{digits}g}"
+
+
+def number(value: float, digits: int = 6) -> str:
+    """A value to so many digits; a dash for none."""
+    return f"{value + 0.0:.{digits}g}" if math.isfinite(value) else "–"  # + 0.0: no minus before a zero
+
+
+def percent(share: float, digits: int = 2) -> str:
+    """A share or a relative difference in percent: 0.0312 is 3.1 %."""
+    return f"{100.0 * share:.{digits}g} %"
+
+
+def relative_difference(value: float, reference: float) -> str:
+    """How far a value is from its reference, in percent: +75 %, -0.0031 %; "" without a reference."""
+    if not reference or not math.isfinite(value / reference):
+        return ""
+    off = 100.0 * (value / reference - 1.0)
+    if abs(off) < 1e-4:
+        return "< 0.0001 %"
+    return f"{off:+.{max(1 - math.floor(math.log10(abs(off))), 0)}f} %"
+
+
+def plural(count: int, noun: str) -> str:
+    """A count with its noun: 1 function, 2 functions."""
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"

@@ -1,13 +1,19 @@
-"""What `hapsim` calls: from here on signals are heard, before the command line and all that it takes are loaded."""
+"""What `hapsim` calls. It handles signals first; the command line and all that it takes are loaded afterwards."""
 
 from __future__ import annotations
 
-from hapsim.stopping import heard_from_the_start
+import sys
+
+from hapsim.stopping import end_interrupted, stops_as_interrupts
 
 
 def main() -> None:
-    """The command line: every failure is a sentence and an exit status, and with --json a document of both."""
-    with heard_from_the_start() as from_now_on_by_exception:
-        from hapsim.cli.command_line import run_command
+    """Runs the command line and exits. Every failure is a sentence and an exit status, with --json a document too."""
+    with stops_as_interrupts():
+        try:
+            from hapsim.cli.command_line import run_command
 
-        run_command(from_now_on_by_exception)
+            status = run_command()
+        except KeyboardInterrupt:  # while the command line was loaded
+            status = end_interrupted()
+    sys.exit(status)

@@ -1,104 +1,146 @@
-"""What the commands `hapsim chart …` share: the options that describe a hand, where picture and numbers go, and what is
-said of hands."""
+"""What the commands `hapsim chart …` share: the options that describe a hand, and where picture and numbers go."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 import typer
 
-from hapsim.cli.arguments import stdout
-from hapsim.cli.sentences import say
+from hapsim.cli.as_json import document
+from hapsim.cli.options import Json, say_written
+from hapsim.cli.output import say, stdout
 from hapsim.errors import UsageError
-from hapsim.scene import choices
+from hapsim.number_format import number
+from hapsim.scene import choices, load_scene
 from hapsim.scene.issue import one_of
 
 if TYPE_CHECKING:
     from hapsim.chart.hand import Hand
-    from hapsim.scene.choices import CorrectionName
 
-SceneFile = Annotated[str, typer.Argument(metavar="SCENE", help="A scene in YAML.")]
-MaybeScene = Annotated[
-    str | None, typer.Argument(metavar="[SCENE]", help="A scene in YAML; left out: a hand as the options describe it.")
-]
-Channel = Annotated[int | None, typer.Option(help="The channel whose hand it is; left out: the first.")]
-Rate = Annotated[float | None, typer.Option(metavar="HZ", help="Sample rate, Hz.")]
-Friction = Annotated[float | None, typer.Option(metavar="B0", help="Real friction of the device, N·s/m.")]
-Stiffness = Annotated[float | None, typer.Option(metavar="K0", help="Real spring of the device, N/m.")]
-Delay = Annotated[float | None, typer.Option(metavar="N", help="Delay, sample periods.")]
-Hold = Annotated[str | None, typer.Option(metavar="KIND", help=one_of(get_args(choices.Hold)) + ".")]
-Sampling = Annotated[str | None, typer.Option(metavar="KIND", help=one_of(get_args(choices.Sampling)) + ".")]
-Damper = Annotated[str | None, typer.Option(metavar="KIND", help=one_of(get_args(choices.DamperScheme)) + ".")]
-Cutoff = Annotated[
-    float | None, typer.Option(metavar="HZ", help=f"Cutoff of the {one_of(choices.WITH_CUTOFF)} damper, Hz.")
-]
-SimulatedK = Annotated[
-    float | None, typer.Option("--simulated-stiffness", metavar="K", help="The stiffness K that is simulated, N/m.")
-]
-SimulatedB = Annotated[
-    float | None, typer.Option("--simulated-damping", metavar="B", help="The damping B that is simulated, N·s/m.")
-]
-Picture = Annotated[
-    Path | None,
-    typer.Option(
-        metavar="FILE",
-        help="Where to draw: .svg, .png, .pdf; left out: the command's name with .svg, here, unless only --data or "
-        "--json is asked for.",
-    ),
-]
-Data = Annotated[Path | None, typer.Option(metavar="FILE", help="Write the numbers that are drawn: .csv.")]
+Channel = Annotated[int | None, typer.Option(help="Channel of the hand [default: the first]")]
 
 
-def writable(picture: Path | None, data: Path | None, json: bool, otherwise: str) -> Path | None:
-    """Where the picture goes; UsageError where it or its numbers cannot be written."""
-    from hapsim.chart.figure import require_writable
-
-    if picture is None and data is None and not json:
-        picture = Path(otherwise)
-    require_writable(picture)
-    require_writable(data, (".csv",))
-    return picture
+def _kind(choice: Any) -> Any:
+    return typer.Option(metavar="KIND", help=f"One of {', '.join(get_args(choice))}.")
 
 
-def in_paper_units(
-    masses: list[float], rate: float | None, described_by_options: bool
-) -> tuple[list[float], float | None]:
-    """Mass and rate are 1 in the paper's units where nothing says otherwise."""
-    if len(masses) > 1:
-        raise UsageError("--normalised: the unit of the axes holds for one mass only, found several; leave it out")
-    if not described_by_options:
-        return masses, rate
-    return masses or [1.0], 1.0 if rate is None else rate
+@dataclass
+class HandOptions:
+    """The hand that a chart is drawn for: of a scene, or described by options, which take precedence."""
 
+    scene: Annotated[
+        str | None,
+        typer.Argument(metavar="[SCENE]", help="A scene in YAML [default: a hand described by the options]"),
+    ] = None
+    channel: Channel = None
+    rate: Annotated[float | None, typer.Option(metavar="HZ", help="Sample rate, Hz.")] = None
+    friction: Annotated[float | None, typer.Option(metavar="B0", help="Friction of the device, N·s/m.")] = None
+    stiffness: Annotated[float | None, typer.Option(metavar="K0", help="Spring of the device, N/m.")] = None
+    delay: Annotated[float | None, typer.Option(metavar="N", help="Delay, sample periods.")] = None
+    hold: Annotated[str | None, _kind(choices.Hold)] = None
+    sampling: Annotated[str | None, _kind(choices.Sampling)] = None
+    damper: Annotated[str | None, _kind(choices.DamperScheme)] = None
+    cutoff: Annotated[
+        float | None, typer.Option(metavar="HZ", help=f"Cutoff of the {one_of(choices.WITH_CUTOFF)} damper, Hz.")
+    ] = None
 
-def loop_options(context: typer.Context, **more: Any) -> dict[str, Any]:
-    """The options that describe hand, device and loop, of those that were given; a command only has to declare them."""
-    names = ("friction", "stiffness", "delay", "hold", "sampling", "damper", "cutoff")
-    options = more | {name: context.params[name] for name in names}
-    return {name: value for name, value in options.items() if value is not None}
+    def hands(
+        self,
+        mass: float | None,
+        simulated: tuple[float | None, float | None] = (None, None),
+        *,
+        as_written: bool = False,
+    ) -> tuple[Hand, list[Hand]]:
+        """Returns the hand, with the K and B `simulated` for it, and the other hands of the scene.
 
+        `mass`: kg; None: the scene's. `as_written`: without the scene's correction.
+        """
+        from hapsim.chart.hand import hand_of_options
 
-def hands_asked_for(
-    scene: str | None,
-    channel: int | None,
-    given: dict[str, Any],
-    stiffness: float | None = None,
-    damping: float | None = None,
-    *,
-    as_written: bool = False,
-) -> tuple[Hand, list[Hand]]:
-    """The hand that is asked for, with what is simulated for it, and the other hands of the scene.
-
-    ``as_written``: without the scene's correction, on the device that it describes.
-    """
-    from hapsim.chart.hand import hand_of_options, hands_of_scene
-    from hapsim.scene import load_scene
-
-    if scene is None:
-        if channel is not None:
+        names = ("rate", "friction", "stiffness", "delay", "hold", "sampling", "damper", "cutoff")
+        options = {"mass": mass} | {name: getattr(self, name) for name in names}
+        given = {name: value for name, value in options.items() if value is not None}
+        if self.scene is not None:
+            hand, others = hands_of(self.scene, self.channel, given, as_written=as_written)
+            return hand.with_simulated(*simulated), others
+        if self.channel is not None:
             raise UsageError("--channel: without a SCENE there is one hand only")
-        return hand_of_options(given).with_simulated(stiffness, damping), []
+        return hand_of_options(given).with_simulated(*simulated), []
+
+    def normalised(self, masses: list[float]) -> tuple[HandOptions, list[float]]:
+        """Returns the options and masses in the paper's units: mass and rate are 1 where nothing gives them."""
+        if len(masses) > 1:
+            raise UsageError("--normalised: the unit of the axes holds for one mass only, found several; leave it out")
+        if self.scene is not None:
+            return self, masses
+        return replace(self, rate=1.0 if self.rate is None else self.rate), masses or [1.0]
+
+
+@dataclass
+class SimulatedOptions:
+    """The spring and damper that are simulated, where not those of the scene."""
+
+    simulated_stiffness: Annotated[
+        float | None, typer.Option(metavar="K", help="Simulated stiffness K, N/m [default: the scene's]")
+    ] = None
+    simulated_damping: Annotated[
+        float | None, typer.Option(metavar="B", help="Simulated damping B, N·s/m [default: the scene's]")
+    ] = None
+
+    @property
+    def pair(self) -> tuple[float | None, float | None]:
+        """(K in N/m, B in N·s/m)."""
+        return self.simulated_stiffness, self.simulated_damping
+
+
+@dataclass
+class ChartOutput:
+    """Where a chart goes: a picture, its numbers, a JSON document."""
+
+    picture: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Picture: .svg, .png or .pdf [default: the command's name with .svg, unless --data or --json is "
+            "given]",
+        ),
+    ] = None
+    data: Annotated[Path | None, typer.Option(metavar="FILE.csv", help="Write the numbers of the picture.")] = None
+    json: Json = False
+
+    def require_writable(self, otherwise: str) -> None:
+        """Chooses the picture's default name. Raises UsageError where it or its numbers cannot be written."""
+        from hapsim.chart.figure import require_writable
+
+        if self.picture is None and self.data is None and not self.json:
+            self.picture = Path(otherwise)
+        require_writable(self.picture)
+        require_writable(self.data, (".csv",))
+
+    def save_rows(self, columns: dict[str, list[Any]]) -> None:
+        """Writes the numbers, if they are asked for; `columns` by their headings."""
+        from hapsim.chart.figure import save_rows
+
+        if self.data is not None:
+            save_rows(columns, self.data)
+
+    def close(self, summary: dict[str, Any]) -> None:
+        """Prints the document, or which files were written."""
+        if self.json:
+            files = {name: None if path is None else str(path) for name, path in vars(self).items() if name != "json"}
+            print(document(summary | files))
+        else:
+            say_written(self.picture, self.data)
+
+
+def hands_of(
+    scene: str, channel: int | None, given: dict[str, Any], *, as_written: bool = False
+) -> tuple[Hand, list[Hand]]:
+    """Returns the hand on `channel` of a scene (None: the first), changed by options, and the scene's other hands."""
+    from hapsim.chart.hand import hands_of_scene
+
     loaded = load_scene(scene)
     if as_written:
         loaded = loaded.model_copy(update={"device": loaded.device.model_copy(update={"correction": "none"})})
@@ -109,37 +151,11 @@ def hands_asked_for(
         raise UsageError(
             f"--channel {channel}: no hand there whose links all end on grounds; such hands are on: {known}"
         )
-    return chosen.with_simulated(stiffness, damping), [hand for hand in hands if hand is not chosen]
+    return chosen, [hand for hand in hands if hand is not chosen]
 
 
-def correction_asked_for(given: str | None, scene: str | None) -> CorrectionName:
-    """By the option, or by what the scene of a file says; "none" without either."""
-    from hapsim.scene import load_scene
-
-    known = get_args(choices.CorrectionName)
-    if given is None:
-        return "none" if scene is None else load_scene(scene).device.correction
-    if given not in known:
-        raise UsageError(f"--correction: found '{given}', expected {one_of(known)}")
-    return given  # type: ignore[return-value]
-
-
-def save_rows(columns: dict[str, list[Any]], path: Path | None) -> None:
-    from hapsim.chart.figure import save_rows
-
-    if path is not None:
-        save_rows(columns, path)
-
-
-def print_json(summary: dict[str, Any], picture: Path | None, data: Path | None) -> None:
-    from hapsim.cli.as_json import document
-
-    files = {"picture": picture, "data": data}
-    print(document(summary | {name: None if path is None else str(path) for name, path in files.items()}))
-
-
-def tell_of_hands(drawn: list[Hand], others: list[Hand]) -> None:
-    """What is simulated and felt of what is drawn, and where the others are."""
+def print_hands(drawn: list[Hand], others: list[Hand]) -> None:
+    """Prints what is simulated and felt of the hands drawn, and how to draw the others."""
     for hand in drawn:
         if hand.is_simulated:
             stdout().print(_felt_sentence(hand))
@@ -148,24 +164,20 @@ def tell_of_hands(drawn: list[Hand], others: list[Hand]) -> None:
 
 
 def _felt_sentence(hand: Hand) -> str:
-    """What is simulated and felt, and how far each may go, in a sentence."""
+    """Returns what is simulated and felt, and for which K and B the loop is stable."""
     known = hand.summary()
     who = f"{hand.name} of {known['mass']:g} kg"
     who = who if known["stable"] else f"UNSTABLE: {who}"
     felt = (
         f"{who}: K = {known['stiffness']:g} N/m, B = {known['damping']:g} N·s/m is felt as "
-        f"k = {known['k']:.6g} N/m, b = {known['b']:.6g} N·s/m"
+        f"k = {number(known['k'])} N/m, b = {number(known['b'])} N·s/m"
         if known["dominant"]
         else f"{who}: no spring and damper is equivalent"
     )
     ends = []
-    for name, unit, other in (("stiffness", "N/m", "B"), ("damping", "N·s/m", "K")):
+    for name, which, unit, other in (("stiffness", "K", "N/m", "B"), ("damping", "B", "N·s/m", "K")):
         low, high = known[f"stable_{name}"]
-        if high > 0.0:  # nobody writes a negative one
-            which = "K" if other == "B" else "B"
-            ends.append(f"for {which} from {_not_below_zero(low, high):.4g} to {high:.4g} {unit} at this {other}")
+        if high > 0.0:
+            low = low if low > 1e-12 * high else 0.0  # a negative K or B is no use to anybody
+            ends.append(f"for {which} from {low:.4g} to {high:.4g} {unit} at this {other}")
     return f"{felt}; stable {' and '.join(ends)}." if ends else f"{felt}; not stable with this K or B."
-
-
-def _not_below_zero(low: float, high: float) -> float:
-    return low if low > 1e-12 * high else 0.0

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated
 
 import typer
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
 
-from hapsim.cli.arguments import Json, SceneFile, complain, load, stderr, stdout
+from hapsim.cli.options import Json, SceneFile, load
+from hapsim.cli.output import complain, stderr, stdout
 
 
 def mock(
@@ -40,7 +45,6 @@ def ports(json: Json = False) -> None:
     if not found:
         complain("No serial port was found. `hapsim mock SCENE` serves a device without hardware.")
         return
-    from hapsim.cli.tables import show_ports
 
     show_ports(stdout(), found)
 
@@ -53,3 +57,19 @@ def _announce_json(path: str) -> None:
     from hapsim.cli.as_json import document
 
     print(document({"port": path}), flush=True)
+
+
+_NOT_KNOWN = "n/a"  # as pyserial says it
+
+
+def show_ports(out: Console, ports: Iterable[Mapping[str, str]]) -> None:
+    """What `hapsim ports` lists: where each port is, what it says of itself, and by what the system knows it."""
+    table = Table(title="Serial ports", title_justify="left")
+    table.add_column("port", overflow="fold", no_wrap=True)
+    table.add_column("description", overflow="fold")
+    table.add_column("hardware", overflow="fold")
+    for port in ports:
+        table.add_row(
+            *(escape(port[key] if port[key] != _NOT_KNOWN else "") for key in ("port", "description", "hardware"))
+        )
+    out.print(table)

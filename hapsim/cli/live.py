@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 from rich.status import Status
 
-from hapsim.cli.log import JsonLog, json_log
+from hapsim.cli.output import JsonLog, json_log
 
 if TYPE_CHECKING:
     from hapsim.progress import Progress

@@ -1,21 +1,32 @@
-"""What comes before a first run: `hapsim new`, `hapsim schema`, `hapsim compile`."""
+"""`hapsim new`, `schema`, `compile` and `service`: what comes before a run."""
 
 from __future__ import annotations
 
+import json as json_text
 import shlex
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hapsim.cli.arguments import Json, load, stderr
-from hapsim.cli.sentences import say
+from hapsim.cli.as_json import document
+from hapsim.cli.live import live_line
+from hapsim.cli.options import Json, Port, SceneFile, load
+from hapsim.cli.output import complain, say, stderr
 from hapsim.errors import UsageError
+from hapsim.prediction import predict
+from hapsim.running.prepare import prepare
+from hapsim.running.stability import why_not_armed
+from hapsim.running.unit import closed_to_service, unit_for, unit_name
+from hapsim.scene import scene_schema
+from hapsim.scene.shipped import shipped_scene
+
+if TYPE_CHECKING:
+    from hapsim.scene import Scene
 
 
 def new(path: Annotated[Path, typer.Argument(help="Where to write it.")] = Path("scene.yaml")) -> None:
     """Write a first scene to begin from."""
-    from hapsim.scene.shipped import shipped_scene
 
     if path.exists():
         raise UsageError(f"{path}: there is a file already, and it stays as it is; name another")
@@ -29,9 +40,6 @@ def new(path: Annotated[Path, typer.Argument(help="Where to write it.")] = Path(
 
 def schema() -> None:
     """Print the scene's JSON schema, for editors that complete and check YAML."""
-    import json as json_text
-
-    from hapsim.scene import scene_schema
 
     print(json_text.dumps(scene_schema(), indent=2))
 
@@ -43,15 +51,11 @@ def compile_(
     json: Json = False,
 ) -> None:
     """Compile now what would be compiled at a first start; it is kept, and nothing is armed or moved."""
-    from hapsim.cli.live import live_line
-    from hapsim.running.prepare import prepare
 
     loaded = [load(path) for path in scenes or ()]
     with live_line(stderr()) as tell:
         prepared = prepare(loaded, tell)
     if json:
-        from hapsim.cli.as_json import document
-
         kept = None if prepared.directory is None else str(prepared.directory)
         print(document({"functions": prepared.functions, "seconds": prepared.seconds, "directory": kept}))
     elif prepared.directory is None:
@@ -60,3 +64,39 @@ def compile_(
         say(f"Compiled {prepared.functions} functions in {prepared.seconds:.1f} s; kept in {prepared.directory}")
     else:
         say(f"Nothing to compile: everything is kept in {prepared.directory}")
+
+
+def service(
+    scene: SceneFile,
+    port: Port = None,
+    user: Annotated[bool, typer.Option("--user", help="For your own service manager, which grants less.")] = False,
+    watch: Annotated[bool, typer.Option("--watch", help="Follow the scene's file, as `run --watch` does.")] = False,
+    json: Json = False,
+) -> None:
+    """Print a systemd unit that runs SCENE, waits for its device, and tells the service manager how it goes."""
+
+    loaded = load(scene, port)
+    on = loaded.device.port
+    if on is None:
+        raise UsageError(f"{scene}: a service drives a device: found no port, expected --port, or one in the scene")
+    text, name = unit_for(scene, on, of_user=user, watch=watch), unit_name(on)
+    _warn_of_refusal(scene, loaded)
+    closed = "" if user else closed_to_service(scene)
+    if closed:
+        complain(closed, "service", "warning")
+    if json:
+        print(document({"name": name, "unit": text}))
+        return
+    print(text, end="")
+    folder, control = ("~/.config/systemd/user", "systemctl --user") if user else ("/etc/systemd/system", "systemctl")
+    complain(f"Save it as {folder}/{name}, then `{control} daemon-reload` and `{control} enable --now {name}`.")
+
+
+def _warn_of_refusal(path: str, scene: Scene) -> None:
+    """Where `hapsim run` would refuse the scene of this file, for it is surely predicted unstable."""
+
+    why = why_not_armed(path, scene, predict(scene, with_margins=False))
+    if why:
+        complain(
+            f"`hapsim run` will refuse this scene, and the service ends with status 2. {why}", "service", "warning"
+        )

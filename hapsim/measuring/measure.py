@@ -28,6 +28,7 @@ def measure(
     *,
     channel: int = 0,
     duration: float | None = None,
+    push: float | None = None,
     transport: TransportKind = "auto",
     on_progress: Callable[[Progress], None] | None = None,
     stop_on_signals: bool = False,
@@ -35,9 +36,9 @@ def measure(
     """Rings the hand on `channel` and identifies what it feels.
 
     For half of the time it rings down once, from the mock's initial state or from a push where the device is at rest;
-    then pushes follow, so that a motion which dies out in a few samples is seen many times. `duration`: seconds. A
-    correction that adapts is pushed all the time, and what it does in the second half is identified, with the mass that
-    it has found.
+    then pushes follow, so that a motion which dies out in a few samples is seen many times. `duration`: seconds.
+    `push`: the largest force of a push in N [default: a quarter of the force limit]. A correction that adapts is pushed
+    all the time, and what it does in the second half is identified, with the mass that it has found.
 
     Raises what `hapsim.running.run` raises, and UsageError where too little moves to identify anything. Where the
     device fails, or stops by itself, and was recorded for long enough to identify something, the measurement is
@@ -48,6 +49,8 @@ def measure(
         raise UsageError(f"channel {channel}: the scene has nothing there; its device points are on: {known}")
     if duration is not None and not 0 < duration < math.inf:
         raise UsageError(f"duration: found {duration}, expected a finite number of seconds above 0")
+    if push is not None and not 0 < push < math.inf:
+        raise UsageError(f"push: found {push:g}, expected a finite number of newton above 0")
     if duration is None:
         duration = min(max(_SECONDS, _LEAST_TICKS / scene.rate), _MOST_TICKS / scene.rate)
     failure: DeviceError | None = None
@@ -56,7 +59,7 @@ def measure(
             scene,
             duration=duration,
             transport=transport,
-            excitation=_pushes(scene, channel, duration),
+            excitation=_pushes(scene, channel, duration, push),
             on_progress=on_progress,
             stop_on_signals=stop_on_signals,
         )
@@ -100,7 +103,7 @@ def _kick_within_travel(scene: Scene, channel: int, rests_s: float) -> float:
     return _SHARE_OF_TRAVEL * (most - least) / min(rests_s, swing_s)
 
 
-def _pushes(scene: Scene, channel: int, duration: float) -> Excitation:
+def _pushes(scene: Scene, channel: int, duration: float, push: float | None) -> Excitation:
     """Pushes that move the hand clearly, and neither beyond the device's force nor beyond its range and travel."""
     device, mock = scene.device, scene.mock_device
     ticks = math.ceil(duration * scene.rate)
@@ -112,7 +115,8 @@ def _pushes(scene: Scene, channel: int, duration: float) -> Excitation:
     kick = min(_KICK, 0.05 * range_m / rests_s, _kick_within_travel(scene, channel, rests_s))
     impulse = device.masses(scene.channels)[channel] * kick
     limit = device.force_limit if device.port is not None else mock.force_limit
-    force = min(_SHARE_OF_LIMIT * limit, impulse * scene.rate)
+    most = _SHARE_OF_LIMIT * limit if push is None else min(push, limit)
+    force = min(most, impulse * scene.rate)
     at_rest = device.port is not None or (
         mock.initial_velocity[channel] == 0.0
         and device.origins(scene.channels)[channel] in (None, mock.initial_position[channel])

@@ -59,6 +59,7 @@ def measure_impedance(
     *,
     duration: float | None = None,
     travel: float = TRAVEL_M,
+    push: float | None = None,
     transport: TransportKind = "auto",
     on_progress: Callable[[Progress], None] | None = None,
     stop_on_signals: bool = False,
@@ -66,9 +67,9 @@ def measure_impedance(
     """The driving-point impedances of `scene` at its device points, from 2 Hz to close below the Nyquist frequency.
 
     Each channel in turn is excited by a multisine that is added to the scene's force: softly at first, which tells how
-    far each frequency moves it, then so that it moves by about `travel` (m) at most, with at most a quarter of the
-    force limit. `duration`: seconds of each channel's second excitation. Where something in the scene is not linear,
-    the impedance is that about the motion to which it was excited.
+    far each frequency moves it, then so that it moves by about `travel` (m) at most, with at most `push` N (None: a
+    quarter of the force limit). `duration`: seconds of each channel's second excitation. Where something in the scene
+    is not linear, the impedance is that about the motion to which it was excited.
 
     Raises what `hapsim.running.run` raises, and UsageError where too little moves, or too little was recorded.
     """
@@ -76,6 +77,9 @@ def measure_impedance(
     periods = _whole_periods(duration, lines)
     if not 0 < travel < math.inf:
         raise UsageError(f"travel: found {travel}, expected a finite number of metres above 0")
+    if push is not None and not 0 < push < math.inf:
+        raise UsageError(f"push: found {push:g}, expected a finite number of newton above 0")
+    most = SHARE_OF_LIMIT * _force_limit(scene) if push is None else min(push, _force_limit(scene))
     channels = tuple(point.channel for point in scene.device_points.values())
     if not channels:
         raise UsageError("the scene has no device point: there is nothing at which an impedance could be measured")
@@ -96,9 +100,9 @@ def measure_impedance(
 
     traces, experiments, peaks, moved = [], [], [], []
     for channel in channels:
-        soft = _soft_forces(scene, lines, channel, travel)
+        soft = _soft_forces(scene, lines, channel, travel, most)
         answer = _periods(excited(channel, soft, _SOFT_PERIODS), lines, scene)
-        forces = _forces(scene, lines, answer, channels.index(channel), travel)
+        forces = _forces(lines, answer, channels.index(channel), travel, most)
         peaks.append(float(np.max(np.abs(forces))))
         trace = excited(channel, forces, periods)
         moved.append(_travel(trace, lines, channel, peaks[-1]))
@@ -153,15 +157,14 @@ def _force_limit(scene: Scene) -> float:
     return limit if scene.device.port is not None else min(limit, scene.mock_device.force_limit)
 
 
-def _soft_forces(scene: Scene, lines: Lines, channel: int, travel: float) -> Floats:
+def _soft_forces(scene: Scene, lines: Lines, channel: int, travel: float, most: float) -> Floats:
     """By what the device's mass alone would do: what holds it is not known yet."""
     inertia = scene.device.masses(scene.channels)[channel] * (2.0 * np.pi * lines.frequency) ** 2
-    most = SHARE_OF_LIMIT * _force_limit(scene)
     amplitude = np.minimum(lines.each(most), lines.each(0.5 * travel) * inertia)
     return multisine(lines, _SOFT * amplitude, _SOFT * most)
 
 
-def _forces(scene: Scene, lines: Lines, answer: Periods, excited: int, travel: float) -> Floats:
+def _forces(lines: Lines, answer: Periods, excited: int, travel: float, most: float) -> Floats:
     """As strong at each frequency as the travel, and the force, allow: from what the soft excitation moved."""
     if answer.position.shape[0] == 0:
         raise UsageError(
@@ -171,7 +174,6 @@ def _forces(scene: Scene, lines: Lines, answer: Periods, excited: int, travel: f
     last = answer.after(max(0, answer.position.shape[0] - 3))
     force = np.abs(np.mean(last.force - last.scene, axis=0)[:, excited])
     position = np.max(np.abs(np.mean(last.position, axis=0)), axis=1)
-    most = SHARE_OF_LIMIT * _force_limit(scene)
     with np.errstate(divide="ignore"):
         amplitude = np.minimum(lines.each(most), lines.each(0.5 * travel) * force / position)
     return multisine(lines, amplitude, most)

@@ -22,9 +22,9 @@ from hapsim.recording.trace import Trace
 from hapsim.running.lifetime import Interruption, Lifetime, Run, lifetime_of
 from hapsim.running.run import follow
 from hapsim.running.session import Session
-from hapsim.running.signals import stopping_on_signals
 from hapsim.running.starting import start
 from hapsim.scene import Scene
+from hapsim.stopping import stopping_on_signals
 
 LOST = tuple(endings.IN_WORDS[one] for one in (endings.SILENT, endings.HUNG_UP, endings.FAILED, endings.DEVICE_STOPPED))
 """Endings after which a device may come back, as a report tells them."""

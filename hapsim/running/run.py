@@ -9,9 +9,9 @@ from typing import Unpack
 from hapsim.progress import Progress
 from hapsim.recording.trace import Trace
 from hapsim.running.session import Session
-from hapsim.running.signals import stopping_on_signals
 from hapsim.running.starting import StartOptions, start
 from hapsim.scene import Scene
+from hapsim.stopping import stopping_on_signals
 
 _LOOK_S = 0.05  # how often the live line looks at the loop
 

@@ -23,8 +23,8 @@ from hapsim.recording.trace import Statistics, Trace
 from hapsim.running.assemble import Loop
 from hapsim.running.changes import OVER, LiveScene
 from hapsim.running.report import progress_of, statistics_of
-from hapsim.running.signals import undisturbed
 from hapsim.scene import Scene
+from hapsim.stopping import undisturbed
 
 _COLLECT_S = 0.05  # how often the recorder empties the ring, which holds 65536 rows
 _SIZING = threading.Lock()

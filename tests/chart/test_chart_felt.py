@@ -150,7 +150,7 @@ def test_people_read_a_table_and_the_limit(chart: Chart, scene_file: SceneFile) 
     answer = chart("felt", scene_file("spring"))
     assert answer.status == 0
     assert "predictor" in answer.out
-    assert "Any controller: 100.0 % at most" in answer.out
+    assert "Limit of any controller: 100 %" in answer.out
     assert Path("felt.svg").exists()
 
 

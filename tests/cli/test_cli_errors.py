@@ -7,7 +7,6 @@ import os
 import signal
 import subprocess
 import sys
-import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -117,7 +116,7 @@ def test_a_defect_of_ours_is_status_1_and_can_be_traced(
     def fail(_scene: object) -> None:
         raise ZeroDivisionError("of ours")
 
-    monkeypatch.setattr("hapsim.prediction.predict", fail)
+    monkeypatch.setattr("hapsim.cli.check.predict", fail)
     answer = hapsim("check", scene_file("spring"))
     assert answer.status == 1
     assert "a defect of hapsim itself: ZeroDivisionError: of ours" in answer.err
@@ -166,53 +165,6 @@ def test_a_signal_while_the_command_is_loaded_is_told_like_a_later_one(number: i
     ended = subprocess.run(words, capture_output=True, text=True, check=False)
     assert (ended.returncode, ended.stderr) == (130, "hapsim: stopped before anything was armed\n")
     assert json.loads(ended.stdout) == {"error": ended.stderr.strip(), "exit_status": 130}
-
-
-def test_an_interrupt_of_code_that_was_made_in_python_is_status_130_too(tmp_path: Path) -> None:
-    """As of a namedtuple while a module is loaded: left alone, `python -m` ends itself by SIGINT."""
-    (tmp_path / "stopped.py").write_text(
-        "import hapsim.scene\nfrom hapsim.cli import main\n"
-        "hapsim.scene.load_scene = lambda path: exec('import os; os.kill(os.getpid(), 2)')\nmain()\n",
-        encoding="utf-8",
-    )
-    path = os.pathsep.join([str(tmp_path), *filter(None, sys.path)])
-    ended = subprocess.run(
-        [sys.executable, "-m", "stopped", "check", "configs/first_touch.yaml", "--json"],
-        capture_output=True,
-        text=True,
-        check=False,
-        env=os.environ | {"PYTHONPATH": path},
-    )
-    assert (ended.returncode, ended.stderr) == (130, "hapsim: stopped before anything was armed\n")
-
-
-def test_an_interrupt_that_a_callback_drops_comes_again(hapsim: Hapsim, monkeypatch: pytest.MonkeyPatch) -> None:
-    """As of a weak reference while a module is loaded: Python prints a traceback, and goes on."""
-
-    def interrupt(*_: object, **__: object) -> None:
-        class Mortal:
-            def __del__(self) -> None:
-                os.kill(os.getpid(), signal.SIGINT)
-
-        mortal = Mortal()
-        del mortal
-        threading.Event().wait(60.0)
-
-    monkeypatch.setattr("hapsim.scene.load_scene", interrupt)
-    answer = hapsim("run", "configs/first_touch.yaml", "--json")
-    assert (answer.status, answer.sentence) == (130, "hapsim: stopped before anything was armed\n")
-
-
-def test_an_interrupt_while_numpy_is_loaded_is_told_without_it(hapsim: Hapsim, monkeypatch: pytest.MonkeyPatch) -> None:
-    """It cannot be loaded a second time."""
-
-    def interrupt(*_: object, **__: object) -> None:
-        monkeypatch.setitem(sys.modules, "hapsim.cli.as_json", None)
-        os.kill(os.getpid(), signal.SIGINT)
-
-    monkeypatch.setattr("hapsim.scene.load_scene", interrupt)
-    answer = hapsim("run", "configs/first_touch.yaml", "--json")
-    assert (answer.status, answer.sentence) == (130, "hapsim: stopped before anything was armed\n")
 
 
 def test_a_library_that_makes_another_failure_of_an_interrupt_is_not_believed(

@@ -182,7 +182,7 @@ def terminal() -> Iterator[tuple[int, str]]:
 def test_a_port_is_listened_to_until_an_interrupt_and_nothing_is_sent(
     hapsim: Hapsim, terminal: tuple[int, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from hapsim.cli import frames_table as frames
+    from hapsim.cli import frames
 
     near, path = terminal
     heard = threading.Event()

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from hapsim.cli.log import JsonLog
+from hapsim.cli.output import JsonLog
 
 KEYS = {"time", "level", "event", "message", "fields"}
 

@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from hapsim.cli.sentences import fitted
+from hapsim.cli.output import fitted
 
 COLUMNS = 80
 SENTENCE = "found 'stiffnes', expected one of damping, stiffness, damper, cutoff; did you mean 'stiffness'?"

@@ -13,7 +13,7 @@ import pytest
 from rich.console import Console
 
 from hapsim.cli.live import live_line
-from hapsim.cli.tables import show_report
+from hapsim.cli.run_report import show_report
 from hapsim.progress import Progress
 from hapsim.recording.trace import load_trace
 from hapsim.scene.shipped import shipped_scene

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import errno
 import fcntl
 import os
@@ -16,7 +15,6 @@ from typing import Any
 import pytest
 
 from firmware_protocol import schema
-from hapsim.cli.standard_streams import standing_streams
 from hapsim.device.mock.assemble import assemble_mock
 from hapsim.device.mock.terminal import serving
 from hapsim.recording.trace import load_trace
@@ -73,22 +71,6 @@ def test_a_run_ends_as_it_would_where_nobody_reads_it(
     assert "defect" not in answer.err + answer.out
 
 
-def test_a_reader_that_reads_no_more_holds_nobody_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("hapsim.cli.standard_streams._PATIENCE_S", 0.0)
-    read, write = os.pipe()
-    os.set_blocking(write, False)
-    with open(write, "w", encoding="utf-8", buffering=1) as full, contextlib.suppress(BlockingIOError):
-        monkeypatch.setattr(sys, "stderr", full)
-        while True:
-            os.write(write, bytes(4096))
-            os.set_blocking(write, True)
-            with standing_streams():
-                print("heard", file=sys.stderr, flush=True)  # does not return where it waits for the reader
-            os.set_blocking(write, False)
-    monkeypatch.undo()
-    os.close(read)
-
-
 def test_a_run_without_standard_streams_gives_their_numbers_to_nobody(
     scene_file: Callable[..., Path], tmp_path: Path
 ) -> None:
@@ -97,7 +79,7 @@ def test_a_run_without_standard_streams_gives_their_numbers_to_nobody(
     program = (
         "import os, sys\n"
         "from hapsim import cli\n"
-        "from hapsim.cli.standard_streams import standing_streams\n"
+        "from hapsim.cli.streams import standing_streams\n"
         "with standing_streams():\n"
         "    assert os.open(os.devnull, os.O_RDONLY) > 2\n"
         "    print(1, file=sys.stderr)\n"

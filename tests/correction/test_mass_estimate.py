@@ -15,7 +15,7 @@ from rich.console import Console
 
 from hapsim import run
 from hapsim.cli.live import _Line
-from hapsim.cli.tables import show_report
+from hapsim.cli.run_report import show_report
 from hapsim.measuring.measure import measure
 from hapsim.progress import Progress
 from hapsim.recording.run_report import Report

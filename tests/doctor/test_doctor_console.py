@@ -16,7 +16,7 @@ from rich.console import Console
 
 from hapsim.chart.steadiness import columns, draw_steadiness, steadiness
 from hapsim.cli.as_json import document
-from hapsim.cli.doctor_table import examination_document, examination_line, show_examination
+from hapsim.cli.doctor import examination_document, examination_line, show_examination
 from hapsim.cli.histogram import histogram_lines, histogram_rows
 from hapsim.doctor import words
 from hapsim.doctor.advice import Advice

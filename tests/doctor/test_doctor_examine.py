@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from hapsim.cli.doctor_table import examination_document, show_examination
+from hapsim.cli.doctor import examination_document, show_examination
 from hapsim.doctor import examine as examination_module
 from hapsim.doctor.examine import Examination, examine
 from hapsim.doctor.step import Step

@@ -19,7 +19,7 @@ from wire_session import injector_of, positions_through
 
 from hapsim.bringup.faults import KINDS
 from hapsim.bringup.faults.passing import PassingTimes
-from hapsim.cli.faults_table import faults_document, show_faults
+from hapsim.cli.faults import faults_document, show_faults
 from hapsim.errors import DeviceError
 
 SCENE = """\

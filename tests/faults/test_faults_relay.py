@@ -23,7 +23,7 @@ from hapsim.bringup.faults import Injector
 from hapsim.bringup.faults import relay as relay_module
 from hapsim.bringup.faults.passing import PassingTimes
 from hapsim.bringup.faults.relay import Relay
-from hapsim.cli.faults_table import passing_on
+from hapsim.cli.faults import passing_on
 from hapsim.device.mock.assemble import assemble_mock
 from hapsim.device.mock.terminal import serving
 from hapsim.device.serial_port import raw_port

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from hapsim.cli.impedance import measured_width, show_impedance
+from hapsim.cli.measure_impedance import measured_width, show_impedance
 from hapsim.errors import UsageError
 from hapsim.holds import HOLDS
 from hapsim.loop.ring import LATE_FORCE, UNSENT

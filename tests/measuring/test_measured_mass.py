@@ -13,9 +13,7 @@ import pytest
 from rich.console import Console
 
 import hapsim as python_api
-from hapsim.cli.as_json import measurement_document
-from hapsim.cli.compared import gives, probable_mass
-from hapsim.cli.tables import show_measurement
+from hapsim.cli.measure import gives, measurement_document, probable_mass, show_measurement
 from hapsim.measuring.measure_trace import measure_trace
 from hapsim.prediction import predict, with_mass
 from hapsim.scene import Scene, parse_scene

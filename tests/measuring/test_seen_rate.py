@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hapsim.cli.as_json import measurement_document
+from hapsim.cli.measure import measurement_document
 from hapsim.device.connection import Connection
 from hapsim.device.mock.assemble import assemble_mock
 from hapsim.device.mock.loopback import loopback_transport
@@ -181,7 +181,7 @@ def test_in_virtual_time_no_rate_is_seen(hapsim: Callable[..., Any], tmp_path: P
 def test_the_text_names_the_rate_that_was_seen(a_trace: Trace) -> None:
     from rich.console import Console
 
-    from hapsim.cli.tables import show_measurement
+    from hapsim.cli.measure import show_measurement
 
     arrivals = np.arange(2048) / 900.0
     measurement = measure_trace(arriving(a_trace, arrivals), 0.2)
@@ -203,7 +203,7 @@ def test_the_text_names_the_rate_that_was_seen(a_trace: Trace) -> None:
 def test_why_there_is_no_spring_and_damper_is_told_plainly(a_trace: Trace, reason: str, told: str) -> None:
     from rich.console import Console
 
-    from hapsim.cli.tables import show_measurement
+    from hapsim.cli.measure import show_measurement
 
     measurement = replace(measure_trace(a_trace, 0.2), dominant=False, reason=reason)
     console = Console(record=True, width=200)

@@ -42,7 +42,7 @@ INSIDE = {
     ("tools/bench/energy_guard.py", "hapsim.loop"): FAULTS_IN_MEMORY,
     ("tools/bench/energy_guard.py", "firmware_protocol"): FAULTS_IN_MEMORY,
     ("tools/bench/faults.py", "hapsim.bringup.faults"): FAULTS_IN_MEMORY,
-    ("tools/bench/faults.py", "hapsim.cli.faults_table"): FAULTS_IN_MEMORY,
+    ("tools/bench/faults.py", "hapsim.cli.faults"): FAULTS_IN_MEMORY,
     ("tools/bench/identification.py", "hapsim.measuring"): "sees every run, to tell how far any of them went",
     ("tools/bench/inverted.py", "hapsim.bringup.faults"): FAULTS_IN_MEMORY,
     ("tools/bench/sign.py", "hapsim.compiling"): RUNS_AGAIN,

@@ -19,7 +19,7 @@ import pytest
 from rich.console import Console
 
 from hapsim.bringup.probe import STEPS, Check, Judgement, Leave, probe, steps_of
-from hapsim.cli.probe_table import show_judgement
+from hapsim.cli.probe import show_judgement
 from hapsim.device.mock.assemble import assemble_mock
 from hapsim.device.mock.terminal import serving
 from hapsim.scene import Scene

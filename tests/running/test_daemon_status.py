@@ -18,7 +18,7 @@ import pytest
 from rich.console import Console
 
 from hapsim.cli.as_json import document
-from hapsim.cli.status_table import show_status
+from hapsim.cli.status import show_status
 from hapsim.errors import UsageError
 from hapsim.running import start, status
 from hapsim.running.state import RunState
