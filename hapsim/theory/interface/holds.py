@@ -24,8 +24,11 @@ def hold_segments(hold: str, fraction: float) -> list[Piece]:
     A new force acts from ``fraction`` of the period on, 0 <= fraction < 1. The durations add up to 1.
     """
     terms = HOLDS[hold].terms
-    changes = ((fraction + term.lag) % 1.0 for term in terms)
-    ends = [0.0, *sorted({round(change, 12): change for change in changes if change > ROUNDING}.values()), 1.0]
+    ends = [0.0, 1.0]
+    for change in (fraction, *((fraction + term.lag) % 1.0 for term in terms)):
+        if min(abs(change - end) for end in ends) > ROUNDING:
+            ends.append(change)
+    ends.sort()
     ages = range(math.floor(fraction + max(term.lag for term in terms)) + 1)
     return [
         Piece(end - begin, *(_weights(terms, order, begin, [fraction - age for age in ages]) for order in range(3)))
