@@ -1,7 +1,7 @@
 """What the modules of one type do in a tick: actions, each compiled by itself and called by its address.
 
-A tick knows no module. It goes through lists of calls, and whatever stands there is done: a type of module that a scene
-lacks costs it nothing, one that it has is compiled once, whatever stands beside it in any scene.
+A tick knows no module. It goes through lists of calls and makes them. A type of module that a scene lacks costs
+nothing; one that it has is compiled once, whatever other modules the scene has.
 """
 
 from __future__ import annotations
@@ -16,7 +16,27 @@ from numpy.typing import NDArray
 from firmware_protocol.compiled import ONE, compact
 from hapsim.compiling import inlined
 from hapsim.compiling.native import Behind, NativeFunction, array_at, function_at
-from hapsim.cordis.tick_state import Column
+
+Column = NDArray[np.floating[Any]]
+"""Numbers in the scene's precision: one for each point, or for each module of a type."""
+
+
+class TickState(NamedTuple):
+    """N points at sample n. Positions in m, force in N, shape (N,); the arrays are the program's, not copies.
+
+    A program has three of them: its three rows of positions take turns, so that no sample is ever copied.
+    """
+
+    position: Column
+    """x[n]"""
+    previous: Column
+    """x[n-1]"""
+    following: Column
+    """x[n+1], to be written."""
+    force: Column
+    """Added up during a tick. Whatever uses a force sets it to zero; nothing uses a ground's."""
+    velocity: NDArray[np.float64]
+    """(H,) m/s, of the H device points, which come first: what the device senses, 0 where it does not."""
 
 
 def action(function: Callable[[Any, Any], None]) -> NativeFunction:

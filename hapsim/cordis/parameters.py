@@ -24,8 +24,17 @@ from numba import types
 from hapsim.compiling import entry, helper
 from hapsim.compiling.memory_fence import fence
 from hapsim.compiling.native import address_of, array_at, function_at, native, record_at
-from hapsim.cordis.stored_energy import call_evaluate, left_of, share_that_lasts, spend, stored_at, tank_at
-from hapsim.cordis.tick_state import Column
+from hapsim.cordis.dispatch import Column
+from hapsim.cordis.stored_energy import (
+    call_evaluate,
+    left_of,
+    number_at,
+    put_number,
+    share_that_lasts,
+    spend,
+    stored_at,
+    tank_at,
+)
 
 PARAMETERS = np.dtype(
     [
@@ -34,6 +43,7 @@ PARAMETERS = np.dtype(
         ("count", np.int64),  # P
         ("single", np.int64),  # 1: `now` has numbers of single precision
         ("now", np.uint64),  # addresses of P numbers each: what the tick works with, in the program's units,
+        ("following", np.uint64),  # what it will work with,
         ("ramps", np.uint64),  # and four rows behind one another: posted, incoming, origin, target
         ("posted", np.int64),  # counts up by two a set; odd while one is being written
         ("taken", np.int64),  # `posted` of the set that was taken last
@@ -54,12 +64,13 @@ class LiveValues:
     def __init__(self, values: Column, record: Any) -> None:
         self.values = values
         """The tick's own numbers, not a copy."""
+        self._following = values.copy()
         self._ramps = np.tile(values.astype(np.float64), (4, 1))
         self.record = record
         record.address = address_of(record)
         record.count = values.size
         record.single = values.dtype == np.float32
-        record.now = values.ctypes.data
+        record.now, record.following = values.ctypes.data, self._following.ctypes.data
         record.ramps = self._ramps.ctypes.data
 
     def post(self, values: Column, samples: int) -> None:
@@ -68,7 +79,7 @@ class LiveValues:
         post(self.record, values.astype(np.float64), samples)
 
 
-_doubles_at, _singles_at, _parameters_at = array_at(np.float64), array_at(np.float32), record_at(PARAMETERS)
+_doubles_at, _parameters_at = array_at(np.float64), record_at(PARAMETERS)
 call_move = function_at(types.int64(*[types.uint64] * 3))
 """Calls `move`, with its arguments: whether any moved."""
 
@@ -105,9 +116,8 @@ def move(parameters, position, previous):
         samples = parameters.posted_samples
         fence()
         if parameters.posted == number:
-            doubles, singles = _doubles_at(parameters.now, count), _singles_at(parameters.now, count)
             for i in range(count):
-                origin[i] = singles[i] if parameters.single else doubles[i]
+                origin[i] = number_at(parameters.now, i, parameters.single)
                 target[i] = incoming[i]
             parameters.taken = number
             parameters.sets += 1
@@ -119,34 +129,29 @@ def move(parameters, position, previous):
     parameters.left = max(parameters.left - 1.0, 0.0)
     s = 1.0 - parameters.left / parameters.samples
     parameters.share = s * s * (3.0 - 2.0 * s)
-    if parameters.stored == 0:
-        _set_values(parameters, origin, target)
-        return 1
-    stored = stored_at(parameters.stored)
-    tank = tank_at(stored.tank)
-    arguments = (stored.address, position, previous, np.int64(0))
-    held = call_evaluate(stored.evaluate, arguments)
-    _set_values(parameters, origin, target)
-    work = call_evaluate(stored.evaluate, arguments) - held
-    lasts = share_that_lasts(tank, work)
-    if lasts < 1.0:
-        parameters.share = before + lasts * (parameters.share - before)
-        parameters.left = parameters.samples * left_of(parameters.share)
-        _set_values(parameters, origin, target)
-        work = call_evaluate(stored.evaluate, arguments) - held
-    spend(tank, work)
+    _lead(parameters, origin, target)
+    if parameters.stored != 0:
+        stored = stored_at(parameters.stored)
+        tank = tank_at(stored.tank)
+        change = (stored.address, position, previous, parameters.following - parameters.now)
+        work = call_evaluate(stored.evaluate, change)
+        lasts = share_that_lasts(tank, work)
+        if lasts < 1.0:
+            parameters.share = before + lasts * (parameters.share - before)
+            parameters.left = parameters.samples * left_of(parameters.share)
+            _lead(parameters, origin, target)
+            work = call_evaluate(stored.evaluate, change)
+        spend(tank, work)
+    for i in range(count):
+        put_number(parameters.now, i, parameters.single, number_at(parameters.following, i, parameters.single))
     return 1
 
 
 @helper
-def _set_values(parameters, origin, target):
-    count = parameters.count
-    doubles, singles = _doubles_at(parameters.now, count), _singles_at(parameters.now, count)
-    for i in range(count):
+def _lead(parameters, origin, target):
+    """Works out the values that follow, at the share of the way that is behind them then."""
+    for i in range(parameters.count):
         value = target[i]  # to the last digit
         if parameters.left > 0:
             value = origin[i] + parameters.share * (target[i] - origin[i])
-        if parameters.single:
-            singles[i] = value
-        else:
-            doubles[i] = value
+        put_number(parameters.following, i, parameters.single, value)

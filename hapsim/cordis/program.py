@@ -10,22 +10,20 @@ scene runs (stiffness, damping, rest positions) stands together in one array, of
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
 
 from firmware_protocol.compiled import new_record
 from hapsim.compiling.native import Behind, NativeFunction, address_of
-from hapsim.cordis.build_context import BuildContext, Layout, PartType
-from hapsim.cordis.dispatch import Part, calls_of
+from hapsim.cordis.build_context import BuildContext, Layout, PartType, Taken, live_values
+from hapsim.cordis.dispatch import Column, Part, TickState, calls_of
 from hapsim.cordis.parameters import LiveValues
 from hapsim.cordis.registry import PART_TYPES
 from hapsim.cordis.schemes import SCHEMES
-from hapsim.cordis.schemes.scheme import Taken
-from hapsim.cordis.simd.lanes import aligned, padded
+from hapsim.cordis.simd import aligned, padded
 from hapsim.cordis.tick import PROGRAM
-from hapsim.cordis.tick_state import Column, TickState
 from hapsim.errors import UsageError
 from hapsim.scene import Scene
 from hapsim.scene.cross_checks import MOST_SINGLE
@@ -46,8 +44,7 @@ class Program:
         self.parameters = LiveValues(values, self.record.parameters)
         self.numbers = numbers_of(scene)
         """Of each point, by its name."""
-        self.places = {(name, column): i for (_, name, column), i in places_of_values(scene).items()}
-        """Where each value that can change stands, by its module's name and its column."""
+        self.places = places_of_values(scene)
         self.stored: Any = None
         """Kept: what tells its energy, where that is accounted for."""
         self._kept: list[Any] = []
@@ -61,30 +58,25 @@ class Program:
         self.record.velocity = state.velocity.ctypes.data
         self._states = [Behind(_state_at(rows, turn, state.force, state.velocity)) for turn in range(3)]
         self.record.states = [one.address for one in self._states]
-        self._set_calls()
+        for name in ("initialize", "retarget", "add_forces", "integrate"):
+            self.call_all_of(name)
 
     @property
     def address(self) -> int:
         """Where compiled code finds it. Good for as long as this object is there."""
         return address_of(self.record)
 
-    def call(self, name: str, actions: Sequence[tuple[NativeFunction, Any]]) -> None:
+    def call(self, name: str, actions: Iterable[tuple[NativeFunction, Any]]) -> None:
         """Fills one of the lists of calls in PROGRAM with actions, compiled where they are not yet, each with the
         numbers that it works on: before the first tick."""
-        self._fill(name, [(act, Behind(numbers)) for act, numbers in actions])
+        behind = [(act, Behind(numbers)) for act, numbers in actions]
+        pairs = calls_of(behind, self._states[0])
+        self.record[name].pairs, self.record[name].count = pairs.ctypes.data, len(pairs)
+        self._kept.append((behind, pairs))
 
-    def _set_calls(self) -> None:
-        """Every action of every part."""
-        numbers = [Behind(part.numbers) for part in self.parts]
-        for name in ("initialize", "retarget", "add_forces", "integrate"):
-            actions = [(getattr(part, name), behind) for part, behind in zip(self.parts, numbers, strict=True)]
-            self._fill(name, [(act, behind) for act, behind in actions if act is not None])
-
-    def _fill(self, name: str, actions: Sequence[tuple[NativeFunction, Behind]]) -> None:
-        pairs = calls_of(actions, self._states[0])
-        calls = self.record[name]
-        calls.pairs, calls.count = pairs.ctypes.data, len(pairs)
-        self._kept.append((actions, pairs))
+    def call_all_of(self, name: str) -> None:
+        """Fills a list with the actions of this name of all parts."""
+        self.call(name, [(getattr(part, name), part.numbers) for part in self.parts if getattr(part, name) is not None])
 
 
 def compile_scene(scene: Scene, values: Column | None = None) -> Program:
@@ -134,23 +126,24 @@ def parameter_values(scene: Scene) -> Column:
     Raises:
         UsageError: the scene's precision does not hold one.
     """
-    columns = [column for kind, modules in _by_type(scene) for column in _columns(kind, modules, scene.rate)]
+    rows = [[live_values(one, scene.rate) for one in modules.values()] for _, modules in _by_type(scene)]
     with np.errstate(over="ignore"):
-        values = np.array([value for column in columns for value in column], np.float64).astype(real_of(scene))
+        values = np.array([value for row in rows for column in zip(*row, strict=True) for value in column], np.float64)
+        values = values.astype(real_of(scene))
     _require_finite(scene, [values])
     return values
 
 
-def places_of_values(scene: Scene) -> dict[tuple[Any, str, int], int]:
-    """Where each value that can be changed stands in `parameter_values`: by what gives it, the name of its module, and
-    its column."""
-    keys = [
-        (kind.live, name, column)
-        for kind, modules in _by_type(scene)
-        for column in range(len(_columns(kind, modules, scene.rate)))
-        for name in modules
-    ]
+def places_of_values(scene: Scene) -> dict[tuple[str, str], int]:
+    """Where each value that can be changed stands in `parameter_values`: by the name of its module, and its field."""
+    keys = [(name, field) for _, modules in _by_type(scene) for field in _fields(modules) for name in modules]
     return {key: i for i, key in enumerate(keys)}
+
+
+def _fields(modules: Mapping[str, Any]) -> tuple[str, ...]:
+    """What can be changed of modules of one type."""
+    live: tuple[str, ...] = next(iter(modules.values())).live
+    return live
 
 
 def fixed_modules(scene: Scene) -> frozenset[str]:
@@ -177,27 +170,24 @@ def numbers_of(scene: Scene) -> dict[str, int]:
     return dict(_numbers(scene)[0])
 
 
-def _columns(kind: PartType, modules: Any, rate: float) -> list[list[float]]:
-    return kind.live(list(modules.values()), rate)
-
-
-def _by_type(scene: Scene) -> Iterator[tuple[PartType, Any]]:
-    """The types that the scene has, each with its modules, without those that are in its scheme's matrices."""
+def _by_type(scene: Scene, live: bool = True) -> Iterator[tuple[PartType, Mapping[str, Any]]]:
+    """The types that the scene has, each with its modules, without those that are in its scheme's matrices; `live`:
+    only types that have live values."""
     fixed = fixed_modules(scene)
     for kind in PART_TYPES:
         modules = {name: one for name, one in kind.select(scene).items() if name not in fixed}
-        if modules:
+        if modules and (kind.is_live or not live):
             yield kind, modules
 
 
 def _taken(scene: Scene, values: Column) -> Iterator[Taken]:
-    """The same with their columns of the parameters."""
+    """All types with their columns of the parameters."""
     begin = 0
-    for kind, modules in _by_type(scene):
+    for kind, modules in _by_type(scene, live=False):
         columns = []
-        for column in _columns(kind, modules, scene.rate):
-            columns.append(values[begin : begin + len(column)])
-            begin += len(column)
+        for _ in _fields(modules) if kind.is_live else ():
+            columns.append(values[begin : begin + len(modules)])
+            begin += len(modules)
         yield Taken(kind, modules, columns)
 
 

@@ -30,8 +30,9 @@ from numba import types
 from firmware_protocol.compiled import new_record
 from hapsim.compiling import helper, inlined
 from hapsim.compiling.native import address_of, array_at, function_at, native, record_at
+from hapsim.cordis.build_context import live_shares, masses_of
 from hapsim.scene import Buffer, Friction, Ground, Nonlinear, Plectrum, Scene
-from hapsim.scene.modules import Link, MaterialPoint, Structure
+from hapsim.scene.modules import Link
 
 SPRING, CONTACT, BRISTLE, GRIP, CURVE = range(5)
 
@@ -40,7 +41,7 @@ _SPRING = np.dtype(
         ("kind", np.int64),
         ("ends", np.int64, (2,)),  # numbers of points,
         ("at", np.uint64, (2,)),  # or, where not 0, addresses of where they stand
-        ("stiffness", np.uint64),  # address of K, N/m
+        ("stiffness", np.uint64),  # address of K, N/m; of a curve's points
         ("share", np.float64),  # of that
         ("offset", np.uint64),  # address of the distance at which it is not stretched; 0: none
         ("most", np.float64),  # N, beyond which no hand feels it
@@ -57,6 +58,7 @@ STORED = np.dtype(
         ("single", np.int64),  # 1: numbers of single precision
         ("springs", np.uint64),  # address of them,
         ("count", np.int64),  # and how many
+        ("live", np.uint64, (2,)),  # where the live values begin and end
         ("points", np.uint64),  # addresses of the numbers of points with a mass,
         ("masses", np.uint64),  # and of m/(2 T²), N/m
         ("mass_count", np.int64),
@@ -78,74 +80,95 @@ TANK = np.dtype(
     align=True,
 )
 
-EVALUATE = types.float64(*[types.uint64] * 3, types.int64)
+EVALUATE = types.float64(*[types.uint64] * 4)
 call_evaluate = function_at(EVALUATE)
 """Calls `evaluate`, with its arguments."""
 
 tank_at, stored_at = record_at(TANK), record_at(STORED)
-_springs_at, _points_at, _masses_at = array_at(_SPRING), array_at(np.int64), array_at(np.float64)
+_springs_at, _points_at = array_at(_SPRING), array_at(np.int64)
 _doubles_at, _singles_at = array_at(np.float64), array_at(np.float32)
-_REACH = 1 << 40
+
+
+@inlined
+def number_at(address, i, single):
+    """Number i of those at an address."""
+    if single:
+        return np.float64(_singles_at(address, i + 1)[np.uint64(i)])
+    return _doubles_at(address, i + 1)[np.uint64(i)]
+
+
+@inlined
+def put_number(address, i, single, number):
+    """Puts a number there."""
+    if single:
+        _singles_at(address, i + 1)[np.uint64(i)] = number
+    else:
+        _doubles_at(address, i + 1)[np.uint64(i)] = number
 
 
 @native(EVALUATE.return_type, *EVALUATE.args)
-def evaluate(stored, position, previous, moving):
-    """J, of the springs; `moving`: and of the masses. `position` and `previous`: addresses of rows."""
+def evaluate(stored, position, previous, way):
+    """J that springs and masses hold, for `way` = 0; else what the springs hold more with the live values that are
+    `way` bytes further on. `position` and `previous`: addresses of rows."""
     stored = stored_at(stored)
-    if stored.single:
-        here, before = _singles_at(position, _REACH), _singles_at(previous, _REACH)
-        return _springs_hold(stored, here, _singles_at) + _masses_hold(stored, here, before, moving)
-    here, before = _doubles_at(position, _REACH), _doubles_at(previous, _REACH)
-    return _springs_hold(stored, here, _doubles_at) + _masses_hold(stored, here, before, moving)
+    springs, total = _springs_at(stored.springs, stored.count), 0.0
+    for i in range(stored.count):
+        total += _spring_holds(stored, springs[i], position, way)
+        if way != 0:
+            total -= _spring_holds(stored, springs[i], position, np.uint64(0))
+    count = stored.mass_count if way == 0 else 0
+    points, masses = _points_at(stored.points, count), _doubles_at(stored.masses, count)
+    for i in range(count):
+        p = np.intp(points[i])
+        step = number_at(position, p, stored.single) - number_at(previous, p, stored.single)
+        total += masses[i] * step * step
+    return total
 
 
 @helper
-def _springs_hold(stored, position, array):
-    springs, total = _springs_at(stored.springs, stored.count), 0.0
-    for i in range(stored.count):
-        spring = springs[i]
-        first = array(spring.at[0], 1)[0] if spring.at[0] else position[np.uint64(spring.ends[0])]
-        second = array(spring.at[1], 1)[0] if spring.at[1] else position[np.uint64(spring.ends[1])]
-        d = np.float64(first) - np.float64(second)
-        if spring.offset:
-            d -= array(spring.offset, 1)[0]
-        if spring.kind == CURVE:
-            total += _curve_holds(spring.stiffness, d)
-            continue
-        stiffness = spring.share * array(spring.stiffness, 1)[0]
-        side = array(spring.side, 1)[0] if spring.side else 0.0
-        if (spring.kind == CONTACT and d > 0.0) or (spring.kind == GRIP and side * d > 0.0):
-            continue
-        if spring.kind == BRISTLE and side != 0.0:
-            d = array(spring.force, 1)[0] / stiffness
-        if stiffness * abs(d) > spring.most:
-            total += spring.most * (abs(d) - 0.5 * spring.most / stiffness)
-        else:
-            total += 0.5 * stiffness * d * d
-    return total
+def _spring_holds(stored, spring, position, way):
+    d = _end(stored, spring, position, way, 0) - _end(stored, spring, position, way, 1)
+    if spring.offset:
+        d -= _value(stored, spring.offset, way)
+    if spring.kind == CURVE:
+        return _curve_holds(spring.stiffness, d)
+    stiffness = spring.share * _value(stored, spring.stiffness, way)
+    side = number_at(spring.side, 0, stored.single) if spring.side else 0.0
+    if (spring.kind == CONTACT and d > 0.0) or (spring.kind == GRIP and side * d > 0.0):
+        return 0.0
+    if spring.kind == BRISTLE and side != 0.0:
+        d = _value(stored, spring.force, way) / stiffness
+    if stiffness * abs(d) > spring.most:
+        return spring.most * (abs(d) - 0.5 * spring.most / stiffness)
+    return 0.5 * stiffness * d * d
+
+
+@inlined
+def _end(stored, spring, position, way, end):
+    if spring.at[end]:
+        return _value(stored, spring.at[end], way)
+    return number_at(position, spring.ends[end], stored.single)
+
+
+@helper
+def _value(stored, address, way):
+    """A live value, `way` bytes further on, or a constant."""
+    if address >= stored.live[0] and address < stored.live[1]:
+        address += way
+    return number_at(address, 0, stored.single)
 
 
 @helper
 def _curve_holds(address, d):
     """Straight between its points, level beyond the ends."""
-    n = np.int64(_doubles_at(address, 1)[0])
-    points = _doubles_at(address, _REACH)[1:]
+    n = int(_doubles_at(address, 1)[0])
+    points = _doubles_at(address, 1 + 3 * n)[1:]
     i = 0
     while i < n - 1 and d > points[i + 1]:
         i += 1
     way = d - points[i]
     slope = (points[n + i + 1] - points[n + i]) / (points[i + 1] - points[i]) if way > 0 and i < n - 1 else 0.0
     return points[2 * n + i] + way * (points[n + i] + 0.5 * slope * way)
-
-
-@helper
-def _masses_hold(stored, position, previous, moving):
-    count, total = stored.mass_count if moving else 0, 0.0
-    points, masses = _points_at(stored.points, count), _masses_at(stored.masses, count)
-    for i in range(count):
-        way = np.float64(position[np.uint64(points[i])]) - np.float64(previous[np.uint64(points[i])])
-        total += masses[i] * way * way
-    return total
 
 
 @inlined
@@ -190,98 +213,88 @@ class StoredEnergy:
         """`program`: a Program, which is not imported here: the loop would be compiled anew with every module.
         `force_limit`: N, of the hands."""
         self._program, self._scene, self._force_limit = program, scene, force_limit
-        self._number, self._place = program.numbers, program.places
-        self._memory = {
-            name: [column[i : i + 1] for column in part.memory.columns]
-            for part in program.parts
-            if part.memory is not None
-            for i, name in enumerate(part.memory.modules)
-        }
-        self._constants: list[Any] = []
+        self._kept: list[Any] = []
         connected = _connected(scene)
-        links = [self._of_link(name, link) for name, link in scene.links.items() if connected & {*_nodes(scene, link)}]
-        cells = [self._of_point(name, point) for name, point in scene.material_points.items() if name in connected]
-        alone = [one for one in (*links, *cells) if one is not None]
-        structures = [
-            row for name, one in scene.structures.items() if name in connected for row in self._of_structure(name, one)
-        ]
-        self._springs = np.array([*alone, *structures], _SPRING)
-        masses = [one for name in connected for one in self._masses_of(name)]
-        self._points = np.array([number for number, _ in masses], np.int64)
-        self._masses = np.array([0.5 * mass * scene.rate**2 for _, mass in masses], np.float64)
+        springs = [*self._links(connected), *self._points(connected), *self._structures(connected)]
+        masses = [(name, mass) for name, mass in masses_of(scene) if _module(scene, name) in connected]
+        values = program.parameters.values
         record = self._record = new_record(STORED)
         record.address, record.evaluate, record.tank = address_of(record), evaluate.address(), tank.address
-        record.single = program.rows.dtype == np.float32
-        record.springs, record.points, record.masses = map(address_of, (self._springs, self._points, self._masses))
-        record.count, record.mass_count = len(self._springs), len(masses)
+        record.single = values.dtype == np.float32
+        record.live = values.ctypes.data, values.ctypes.data + values.nbytes
+        record.springs, record.count = self._keep(springs, _SPRING), len(springs)
+        record.points = self._keep([program.numbers[name] for name, _ in masses], np.int64)
+        record.masses = self._keep([0.5 * mass * scene.rate**2 for _, mass in masses], np.float64)
+        record.mass_count = len(masses)
         program.record.parameters.stored = record.address
 
-    def _constant(self, values: Any, dtype: Any = None) -> int:
-        self._constants.append(np.atleast_1d(np.asarray(values, dtype or self._program.rows.dtype)))
-        return address_of(self._constants[-1])
+    def _keep(self, values: Any, dtype: Any = None) -> int:
+        """The address of constants; `dtype`: the scene's precision unless given."""
+        self._kept.append(np.atleast_1d(np.asarray(values, dtype or self._program.rows.dtype)))
+        return address_of(self._kept[-1])
 
-    def _live(self, name: str, column: int, otherwise: float) -> int:
-        """The address of a value that may change, or of a constant where it may not."""
-        place = self._place.get((name, column))
+    def _live(self, name: str, field: str) -> int:
+        """The address of a module's value that may change, or of a constant where it may not."""
+        place = self._program.places.get((name, field))
         if place is None:
-            return self._constant(otherwise)
+            return self._keep(getattr(self._scene.modules[name], field))
         return address_of(self._program.parameters.values[place : place + 1])
 
-    def _ends(self, link: Link) -> tuple[list[int], list[int]]:
-        grounds = self._scene.grounds
-        at = [self._live(end, 0, grounds[end].position) if end in grounds else 0 for end in link.between]
-        return [self._number[end] for end in link.between], at
+    def _remembered(self, name: str) -> list[int]:
+        """The addresses of what a module remembers."""
+        memories = [part.memory for part in self._program.parts if part.memory and name in part.memory.modules]
+        return [address_of(column[memory.modules.index(name) :]) for memory in memories for column in memory.columns]
 
-    def _of_link(self, name: str, link: Link) -> tuple[Any, ...] | None:
-        numbers, at = self._ends(link)
-        most = self._force_limit if any(end in self._scene.device_points for end in link.between) else np.inf
-        memory = [address_of(one) for one in self._memory.get(name, ())]
-        if isinstance(link, Nonlinear):
-            if link.force_over_distance is None:
-                return None
-            return CURVE, numbers, at, self._constant(_potential(link.force_over_distance), float), 1.0, 0, most, 0, 0
-        if isinstance(link, Friction):
-            stiffness, force = self._live(name, 2, link.stiffness), self._live(name, 0, link.force)
-            return BRISTLE, numbers, at, stiffness, 1.0, memory[0], most, memory[1], force
-        if not hasattr(link, "stiffness"):
-            return None
-        offset = self._live(name, 2, link.distance) if isinstance(link, Buffer) else 0
-        kind = CONTACT if isinstance(link, Buffer) else GRIP if isinstance(link, Plectrum) else SPRING
-        side = memory[0] if isinstance(link, Plectrum) else 0
-        return kind, numbers, at, self._live(name, 0, link.stiffness), 1.0, offset, most, side, 0
+    def _links(self, connected: frozenset[str]) -> Iterator[tuple[Any, ...]]:
+        scene = self._scene
+        for name, link in scene.links.items():
+            if not connected & {*_nodes(scene, link)}:
+                continue
+            ends = [self._program.numbers[end] for end in link.between]
+            at = [self._live(end, "position") if end in scene.grounds else 0 for end in link.between]
+            most = self._force_limit if any(end in scene.device_points for end in link.between) else np.inf
+            if isinstance(link, Nonlinear):
+                if link.force_over_distance is not None:
+                    curve = self._keep(_potential(link.force_over_distance), np.float64)
+                    yield CURVE, ends, at, curve, 1.0, 0, most, 0, 0
+            elif isinstance(link, Friction):
+                anchor, sliding = self._remembered(name)
+                stiffness, force = self._live(name, "stiffness"), self._live(name, "force")
+                yield BRISTLE, ends, at, stiffness, 1.0, anchor, most, sliding, force
+            elif hasattr(link, "stiffness"):
+                kind = CONTACT if isinstance(link, Buffer) else GRIP if isinstance(link, Plectrum) else SPRING
+                offset = self._live(name, "distance") if kind == CONTACT else 0
+                side = self._remembered(name)[0] if kind == GRIP else 0
+                yield kind, ends, at, self._live(name, "stiffness"), 1.0, offset, most, side, 0
 
-    def _of_point(self, name: str, point: MaterialPoint) -> tuple[Any, ...] | None:
-        held = point.held_by()
-        if held is None:
-            return None
-        at = [0, self._live(name, 2, held.rest)]
-        return SPRING, [self._number[name], 0], at, self._live(name, 0, held.stiffness), 1.0, 0, np.inf, 0, 0
+    def _points(self, connected: frozenset[str]) -> Iterator[tuple[Any, ...]]:
+        for name, point in self._scene.material_points.items():
+            if name in connected and point.held_by() is not None:
+                at = [0, self._live(name, "rest")]
+                ends = [self._program.numbers[name], 0]
+                yield SPRING, ends, at, self._live(name, "stiffness"), 1.0, 0, np.inf, 0, 0
 
-    def _of_structure(self, name: str, structure: Any) -> Iterator[tuple[Any, ...]]:
-        numbers = [self._number[f"{name}.{place}"] for place in structure.point_names()]
-        rest, live = self._constant(structure.position), self._live(name, 0, structure.stiffness)
-        plain = {"damping": 0.0, "friction": 0.0}
-        kinds = [(live, structure.model_copy(update=plain | {"stiffness": 1.0, "bending": 0.0}))]
-        if getattr(structure, "bending", 0.0):
-            kinds.append((self._constant(1.0), structure.model_copy(update=plain | {"stiffness": 0.0})))
-        for stiffness, one in kinds:
-            for first, second, share, _ in one.elements().links:
-                ends = [numbers[first], numbers[second] if second >= 0 else 0]
-                if share:
-                    yield SPRING, ends, [0, 0 if second >= 0 else rest], stiffness, share, 0, np.inf, 0, 0
+    def _structures(self, connected: frozenset[str]) -> Iterator[tuple[Any, ...]]:
+        structures: dict[str, Any] = {name: one for name, one in self._scene.structures.items() if name in connected}
+        for name, structure in structures.items():
+            numbers = [self._program.numbers[f"{name}.{place}"] for place in structure.point_names()]
+            rest, one = self._keep(structure.position), self._keep(1.0)
+            for field, unit, _ in live_shares(structure, self._scene.rate):
+                stiffness = one if field is None else self._live(name, field)
+                for first, second, share, _ in unit.elements().links:
+                    ends = [numbers[first], numbers[second] if second >= 0 else 0]
+                    if share:
+                        yield SPRING, ends, [0, 0 if second >= 0 else rest], stiffness, share, 0, np.inf, 0, 0
 
-    def _masses_of(self, name: str) -> Iterator[tuple[int, float]]:
-        module = self._scene.modules[name]
-        if isinstance(module, Structure):
-            points = zip(module.point_names(), module.elements().masses, strict=True)
-            yield from ((self._number[f"{name}.{place}"], mass) for place, mass in points)
-        elif isinstance(module, MaterialPoint):
-            yield self._number[name], module.mass
+
+def _module(scene: Scene, point: str) -> str:
+    """The module that a point is of."""
+    return point if point in scene.modules else point.partition(".")[0]
 
 
 def _nodes(scene: Scene, link: Link) -> list[str]:
     """The modules at its ends that can move: a structure is one."""
-    names = [end if end in scene.modules else end.partition(".")[0] for end in link.between]
+    names = [_module(scene, end) for end in link.between]
     return [name for name in names if not isinstance(scene.modules[name], Ground)]
 
 

@@ -8,16 +8,15 @@ as a mass a cell.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hapsim.compiling.native import value_of
-from hapsim.cordis.dispatch import NativeFunction, action
-from hapsim.cordis.program import Program, numbers_of, places_of_values
-from hapsim.cordis.tick_state import Column
+from hapsim.compiling.native import NativeFunction, value_of
+from hapsim.cordis.dispatch import Column, action
+from hapsim.cordis.program import Program
 from hapsim.scene import Ground, Scene
 from hapsim.scene.modules import MaterialPoint, Structure
 
@@ -63,27 +62,43 @@ def carry_numbers(numbers, _state):
 def take_over_from(older: Program, older_scene: Scene, program: Program, scene: Scene) -> None:
     """Prepares `program`, of `scene`, to follow `older`: what `hapsim.cordis.tick.take_over` calls."""
     points = _common_points(older_scene, scene)
-    older.call("place", [(part.place, part.numbers) for part in older.parts if part.place is not None])
-    there, here = _points_of(older_scene), _points_of(scene)
-    taken, placed = _pairs((there[name], here[name]) for name in points)
-    carried = CarriedPoints(older.record, older.rows, taken, placed)
-    program.call("carry_points", [(carry_points, carried)])
-    links = _common_links(older_scene, scene, points)
-    program.call("carry_numbers", [*_live(older, older_scene, program, scene), *_remembered(older, program, links)])
-    program.call("place", [(part.place, part.numbers) for part in program.parts if part.place is not None])
-    program.call("resume", [(part.resume, part.numbers) for part in program.parts if part.resume is not None])
+    same_type = {
+        name
+        for name in older_scene.modules.keys() & scene.modules.keys()
+        if type(older_scene.modules[name]) is type(scene.modules[name])
+    }
+    before, after = _ends(older_scene), _ends(scene)
+    links = {name for name in same_type if before[name] == after[name] and points.issuperset(after[name])}
+    older.call_all_of("place")
+    here, there = _by_hand(scene, program.numbers), _by_hand(older_scene, older.numbers)
+    taken, placed = _in_order(there, here, points)
+    program.call("carry_points", [(carry_points, CarriedPoints(older.record, older.rows, taken, placed))])
+    program.call("carry_numbers", [*_live(older, program, same_type), *_remembered(older, program, links)])
+    program.call_all_of("place")
+    program.call_all_of("resume")
 
 
-def _points_of(scene: Scene) -> dict[str, int]:
-    """The number of each point by its name; of a hand, by its channel: that is what makes it the same hand."""
-    hands = {name: f"channel {hand.channel}" for name, hand in scene.device_points.items()}
-    return {hands.get(name, name): number for name, number in numbers_of(scene).items()}
+def _hands(scene: Scene) -> dict[str, str]:
+    """What each hand is called here: its channel makes it the same hand, whatever its name."""
+    return {name: f"channel {hand.channel}" for name, hand in scene.device_points.items()}
 
 
-def _common_points(older: Scene, scene: Scene) -> frozenset[str]:
-    """The points of both scenes that are the same, by the names of `_points_of`."""
-    hands = [{f"channel {hand.channel}" for hand in one.device_points.values()} for one in (older, scene)]
-    same = hands[0] & hands[1]
+def _by_hand(scene: Scene, numbers: Mapping[str, int]) -> dict[str, int]:
+    """The number of each point by its name, of a hand by that of `_hands`."""
+    hands = _hands(scene)
+    return {hands.get(name, name): number for name, number in numbers.items()}
+
+
+def _ends(scene: Scene) -> dict[str, list[str]]:
+    """The points at the ends of each link, by the names of `_hands`; any other module has itself."""
+    hands = _hands(scene)
+    own = {name: [name] for name in scene.modules}
+    return own | {name: [hands.get(end, end) for end in link.between] for name, link in scene.links.items()}
+
+
+def _common_points(older: Scene, scene: Scene) -> set[str]:
+    """The points of both scenes that are the same, by the names of `_hands`."""
+    same = {*_hands(older).values()} & {*_hands(scene).values()}
     for name in older.modules.keys() & scene.modules.keys():
         before, after = older.modules[name], scene.modules[name]
         if (
@@ -94,55 +109,35 @@ def _common_points(older: Scene, scene: Scene) -> frozenset[str]:
             same |= {f"{name}.{place}" for place in before.point_names()}
         elif any(isinstance(before, kind) and isinstance(after, kind) for kind in (Ground, MaterialPoint)):
             same.add(name)
-    return frozenset(same)
+    return same
 
 
-def _common_links(older: Scene, scene: Scene, points: frozenset[str]) -> frozenset[str]:
-    """The modules that remember the same: of the same type, and with the same points at their ends."""
-    before, after = _ends(older), _ends(scene)
-    return frozenset(
-        name
-        for name, ends in after.items()
-        if ends == before.get(name)
-        and type(older.modules[name]) is type(scene.modules[name])
-        and points.issuperset(ends)
-    )
-
-
-def _ends(scene: Scene) -> dict[str, list[str]]:
-    """The points at the ends of each link, by the names of `_points_of`; any other module has itself."""
-    hands = {name: f"channel {hand.channel}" for name, hand in scene.device_points.items()}
-    own = {name: [name] for name in scene.modules}
-    return own | {name: [hands.get(end, end) for end in link.between] for name, link in scene.links.items()}
-
-
-def _live(older: Program, older_scene: Scene, program: Program, scene: Scene) -> Iterable[tuple[NativeFunction, Any]]:
+def _live(older: Program, program: Program, names: set[str]) -> Iterator[tuple[NativeFunction, Any]]:
     """Live parameters, from where they are now, wherever a change has brought them."""
-    there, here = places_of_values(older_scene), places_of_values(scene)
-    taken, placed = _pairs((there[key], here[key]) for key in there.keys() & here.keys())
+    keys = [key for key in program.places if key[0] in names]
+    taken, placed = _in_order(older.places, program.places, keys)
     if taken.size:
         yield carry_numbers, CarriedNumbers(older.parameters.values, taken, program.parameters.values, placed)
 
 
-def _remembered(older: Program, program: Program, links: frozenset[str]) -> Iterable[tuple[NativeFunction, Any]]:
+def _remembered(older: Program, program: Program, links: set[str]) -> Iterator[tuple[NativeFunction, Any]]:
     """What links remember: after `initialize`, which has them begin anew."""
-    memories = {type(part.numbers): part.memory for part in older.parts if part.memory is not None}
+    memories = {part.add_forces: part.memory for part in older.parts if part.memory is not None}
     for part in program.parts:
-        before = memories.get(type(part.numbers))
-        if part.memory is None or before is None:
+        before, after = memories.get(part.add_forces), part.memory
+        if before is None or after is None:
             continue
-        there, here = _indices(before.modules), _indices(part.memory.modules)
-        taken, placed = _pairs((there[name], here[name]) for name in links & there.keys() & here.keys())
+        there, here = ({name: i for i, name in enumerate(memory.modules)} for memory in (before, after))
+        taken, placed = _in_order(there, here, links)
         if taken.size:
-            for source, target in zip(before.columns, part.memory.columns, strict=True):
+            for source, target in zip(before.columns, after.columns, strict=True):
                 yield carry_numbers, CarriedNumbers(source, taken, target, placed)
 
 
-def _indices(names: Iterable[str]) -> Mapping[str, int]:
-    return {name: i for i, name in enumerate(names)}
-
-
-def _pairs(pairs: Iterable[tuple[int, int]]) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
-    """Both sides, in the order of memory."""
-    taken, placed = np.array(sorted(pairs), np.uint32).reshape(-1, 2).T
+def _in_order(
+    there: Mapping[Any, int], here: Mapping[Any, int], keys: Iterable[Any]
+) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
+    """Where those keys that both have stand in each, in the order of memory."""
+    pairs = sorted((there[key], here[key]) for key in keys if key in there and key in here)
+    taken, placed = np.array(pairs, np.uint32).reshape(-1, 2).T
     return np.ascontiguousarray(taken), np.ascontiguousarray(placed)

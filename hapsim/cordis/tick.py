@@ -10,7 +10,7 @@ from hapsim.compiling import inlined
 from hapsim.compiling.native import array_at, record_at
 from hapsim.cordis.dispatch import CALLS, call_all
 from hapsim.cordis.parameters import PARAMETERS, call_move
-from hapsim.cordis.stored_energy import call_evaluate, stored_at
+from hapsim.cordis.stored_energy import call_evaluate, number_at, put_number, stored_at
 
 PROGRAM = np.dtype(
     [
@@ -39,7 +39,7 @@ PROGRAM = np.dtype(
 """A scene as compiled code has it."""
 
 program_at = record_at(PROGRAM)
-_doubles_at, _singles_at = array_at(np.float64), array_at(np.float32)
+_doubles_at = array_at(np.float64)
 
 
 @inlined
@@ -47,10 +47,8 @@ def start(program, measured):
     """Puts the device points where the hands are, at rest, so that the first tick feels no jump. `measured`: m, one
     value per channel of the device."""
     compact()
-    turn = np.uint64(program.turn)
-    _set_positions(program, program.rows[turn], measured)
-    _set_positions(program, program.rows[turn - ONE if turn > 0 else np.uint64(2)], measured)
-    call_all(program.initialize, program.states[turn])
+    _set_at_rest(program, measured)
+    call_all(program.initialize, program.states[np.uint64(program.turn)])
 
 
 @inlined
@@ -58,12 +56,10 @@ def take_over(older, program, measured):
     """Instead of `start`, for a program that follows another in a running loop: what both have goes on from where the
     older one has it, and hands that are new begin at rest."""
     call_all(older.place, older.states[np.uint64(older.turn)])
-    turn = np.uint64(program.turn)
-    state, row = program.states[turn], program.rows[turn]
-    _set_positions(program, row, measured)
-    _set_positions(program, program.rows[turn - ONE if turn > 0 else np.uint64(2)], measured)
+    state = program.states[np.uint64(program.turn)]
+    _set_at_rest(program, measured)
     call_all(program.carry_points, state)
-    _set_positions(program, row, measured)
+    set_hands(program, measured)
     call_all(program.initialize, state)
     call_all(program.carry_numbers, state)
     call_all(program.resume, state)
@@ -91,6 +87,20 @@ def tick(program, measured, velocity, force):
 
 
 @inlined
+def _rows(program):
+    """The addresses of the positions at this sample and at the one before."""
+    turn = np.uint64(program.turn)
+    return program.rows[turn], program.rows[turn - ONE if turn > 0 else np.uint64(2)]
+
+
+@inlined
+def _set_at_rest(program, measured):
+    here, before = _rows(program)
+    _set_positions(program, here, measured)
+    _set_positions(program, before, measured)
+
+
+@inlined
 def set_hands(program, measured):
     """Before `follow_parameters`, where energy is accounted for: the device points are where the hands are."""
     _set_positions(program, program.rows[np.uint64(program.turn)], measured)
@@ -103,9 +113,7 @@ def follow_parameters(program):
     compact()
     parameters, moved = program.parameters, 0
     if parameters.posted != parameters.taken or parameters.left > 0:
-        turn = np.uint64(program.turn)
-        rows = (program.rows[turn], program.rows[turn - ONE if turn > 0 else np.uint64(2)])
-        moved = call_move(parameters.move, (parameters.address, *rows))
+        moved = call_move(parameters.move, (parameters.address, *_rows(program)))
     if moved or program.settling:
         call_all(program.retarget, program.states[np.uint64(program.turn)])
         program.settling = moved
@@ -117,39 +125,22 @@ def stored_energy(program, measured):
     if program.parameters.stored == 0:
         return 0.0
     set_hands(program, measured)
-    turn = np.uint64(program.turn)
-    call_all(program.place, program.states[turn])
-    rows = (program.rows[turn], program.rows[turn - ONE if turn > 0 else np.uint64(2)])
+    call_all(program.place, program.states[np.uint64(program.turn)])
     stored = stored_at(program.parameters.stored)
-    return call_evaluate(stored.evaluate, (stored.address, *rows, np.int64(1)))
+    return call_evaluate(stored.evaluate, (stored.address, *_rows(program), np.uint64(0)))
 
 
 @inlined
 def _set_positions(program, row, measured):
     compact()
-    hands = np.uint64(program.hands)
-    if program.single:
-        singles = _singles_at(row, program.hands)
-        for h in range(hands):
-            singles[h] = measured[program.channel[h]]
-    else:
-        doubles = _doubles_at(row, program.hands)
-        for h in range(hands):
-            doubles[h] = measured[program.channel[h]]
+    for h in range(program.hands):
+        put_number(row, h, program.single, measured[program.channel[np.uint64(h)]])
 
 
 @inlined
 def _read_forces(program, force):
     """The force on each device point, which is used up."""
     compact()
-    hands = np.uint64(program.hands)
-    if program.single:
-        singles = _singles_at(program.force, program.hands)
-        for h in range(hands):
-            force[program.channel[h]] = singles[h]
-            singles[h] = 0.0
-    else:
-        doubles = _doubles_at(program.force, program.hands)
-        for h in range(hands):
-            force[program.channel[h]] = doubles[h]
-            doubles[h] = 0.0
+    for h in range(program.hands):
+        force[program.channel[np.uint64(h)]] = number_at(program.force, h, program.single)
+        put_number(program.force, h, program.single, 0.0)

@@ -21,11 +21,11 @@ ROOMS = [room.relative_to(REPOSITORY) for room in COMPILED_ROOMS]
 
 #: Entries and actions, by file: what has machine code of its own.
 RUN, SERVE, DECODER = "hapsim/loop/run.py", "hapsim/device/mock/serve.py", "firmware_protocol/decoder.py"
-MASS, SPRING, PLECTRUM, STRING, MEMBRANE = (
-    f"hapsim/cordis/modules/{name}.py" for name in ("mass", "spring", "plectrum", "string", "membrane")
+POINTS, VISCOELASTIC, PLECTRUM, STRING, MEMBRANE = (
+    f"hapsim/cordis/modules/{name}.py" for name in ("points", "viscoelastic", "plectrum", "string", "membrane")
 )
 DESCRIPTOR, GRID = "hapsim/loop/transport.py", "hapsim/loop/clocks.py"
-KEPT = (RUN, SERVE, DECODER, MASS, SPRING, PLECTRUM, STRING, MEMBRANE, DESCRIPTOR, GRID)
+KEPT = (RUN, SERVE, DECODER, POINTS, VISCOELASTIC, PLECTRUM, STRING, MEMBRANE, DESCRIPTOR, GRID)
 
 
 @pytest.fixture
@@ -88,12 +88,11 @@ def test_an_edit_outside_the_rooms_keeps_all_machine_code(copy: Path) -> None:
 @pytest.mark.parametrize(
     ("edited", "changed"),
     [
-        ("hapsim/cordis/modules/spring.py", {SPRING}),
-        ("hapsim/cordis/modules/viscoelastic.py", {PLECTRUM}),
-        ("hapsim/cordis/modules/link.py", {SPRING, PLECTRUM}),
-        ("hapsim/cordis/modules/string.py", {STRING, MEMBRANE}),  # a membrane numbers its neighbours as a string does
-        ("hapsim/cordis/simd/stencil.py", {STRING, MEMBRANE}),
-        ("hapsim/cordis/modules/mass.py", {MASS, STRING, MEMBRANE}),
+        ("hapsim/cordis/modules/viscoelastic.py", {VISCOELASTIC}),
+        ("hapsim/cordis/modules/link.py", {VISCOELASTIC, PLECTRUM}),
+        ("hapsim/cordis/modules/string.py", {STRING}),
+        ("hapsim/cordis/modules/structure.py", {STRING, MEMBRANE}),
+        ("hapsim/cordis/modules/points.py", {POINTS}),
         ("hapsim/cordis/registry.py", set()),
         ("hapsim/loop/histogram.py", {RUN, SERVE, GRID}),
         ("firmware_protocol/encoding.py", {RUN, SERVE, DECODER}),
@@ -107,11 +106,11 @@ def test_an_edit_starts_afresh_what_contains_it_and_nothing_else(copy: Path, edi
 
 
 def test_going_back_finds_what_was_kept_before(copy: Path) -> None:
-    spring = copy / SPRING
-    text, first = spring.read_bytes(), directories(copy)
-    append(spring)
+    edited = copy / VISCOELASTIC
+    text, first = edited.read_bytes(), directories(copy)
+    append(edited)
     assert directories(copy) != first
-    spring.write_bytes(text)
+    edited.write_bytes(text)
     assert directories(copy) == first
 
 

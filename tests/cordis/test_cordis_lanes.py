@@ -7,7 +7,7 @@ import pytest
 
 from hapsim.compiling import entry
 from hapsim.cordis.program import compile_scene, numbers_of
-from hapsim.cordis.simd.lanes import BYTES, WIDEST, add_to_one, aligned, padded, put_one
+from hapsim.cordis.simd import BYTES, WIDEST, add_to_one, aligned, padded, put_one
 from hapsim.scene import Scene
 
 

@@ -120,7 +120,9 @@ def test_a_scene_of_every_type_has_the_calls_of_all_and_each_with_numbers_of_its
     program = compile_scene(with_types(list(MODULES)))
     for each, calls in calls_in(program).items():
         expected = sum(each in lists for _, lists in MODULES.values()) + (each == "integrate")
-        assert len(calls) == expected == len(set(calls[:, 0].tolist())) == len(set(calls[:, 1].tolist()))
+        # Springs, dampers and visco-elastic links are one function; so are the borders of both kinds of string.
+        shared = {"add_forces": 2, "initialize": 1}.get(each, 0)
+        assert len(calls) == expected == len(set(calls[:, 0].tolist())) + shared == len(set(calls[:, 1].tolist()))
     assert len(program.parts) == len(PART_TYPES)
 
 
@@ -142,7 +144,7 @@ def doublers(present: bool) -> PartType:
     def build(_modules: Any, _columns: Any, context: Any) -> Part:
         return Part(Doublers(np.uint64(context.state.force.size)), add_forces=double)
 
-    return PartType(lambda _scene: {"doubler": None} if present else {}, build)
+    return PartType(lambda _scene: {"doubler": None} if present else {}, build, is_live=False)
 
 
 def test_a_type_of_module_more_changes_nothing_in_a_scene_without_it(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -187,4 +189,4 @@ def test_what_is_compiled_for_a_scene_is_what_its_types_do_and_once(tmp_path: Pa
     command = [sys.executable, "-c", COMPILED, documents]
     done = subprocess.run(command, capture_output=True, text=True, check=True, env=environment)
     told = [json.loads(line) for line in done.stdout.splitlines()]
-    assert told == [["mass.integrate"], ["ground.retarget", "spring.add_forces"], [], ["buffer.add_forces"]]
+    assert told == [["points.integrate"], ["points.retarget", "viscoelastic.add_forces"], [], ["buffer.add_forces"]]

@@ -15,7 +15,7 @@ from scipy.linalg import expm
 from hapsim.cordis.offline import start, tick
 from hapsim.cordis.program import compile_scene, numbers_of, positions_of
 from hapsim.cordis.schemes import SCHEMES, force_expansion
-from hapsim.cordis.schemes.exact_dense import ExactDense
+from hapsim.cordis.schemes.exact import ExactDense
 from hapsim.cordis.schemes.exact_modes import ExactModes
 from hapsim.cordis.schemes.force_expansion import StringForces, WeightedLinks
 from hapsim.cordis.schemes.midpoint import Midpoint

@@ -10,13 +10,12 @@ pulls: a damper would hold back what leaves.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from hapsim.compiling.native import value_of
 from hapsim.cordis.build_context import BuildContext, PartType, all_of
-from hapsim.cordis.dispatch import Part, action
+from hapsim.cordis.dispatch import Column, Part, action
 from hapsim.cordis.modules.link import Ends, count, ends_of, pull_ends, stretch
-from hapsim.cordis.tick_state import Column
 from hapsim.scene import Buffer
 
 
@@ -42,23 +41,13 @@ def add_forces(group, state):
                 pull_ends(group.ends, i, tension, state.force)
 
 
-def _live(buffers: Sequence[Buffer], rate: float) -> list[list[float]]:
-    """K, B/T, and the distance."""
-    return [
-        [one.stiffness for one in buffers],
-        [one.damping * rate for one in buffers],
-        [one.distance for one in buffers],
-    ]
-
-
-def _build(buffers: Mapping[str, Buffer], columns: Sequence[Column], context: BuildContext) -> Part:
+def _build(buffers: Mapping[str, Any], columns: Sequence[Column], context: BuildContext) -> Part:
     return Part(Buffers(ends_of(buffers, context), *columns), add_forces=add_forces)
 
 
 BUFFER = PartType(
     all_of(Buffer),
     _build,
-    _live,
     name="buffers",
     compiled_as="gathered through unsigned indices; one comparison each",
     memoryless=True,

@@ -21,9 +21,8 @@ import numpy as np
 
 from hapsim.compiling.native import value_of
 from hapsim.cordis.build_context import BuildContext, PartType, all_of
-from hapsim.cordis.dispatch import Memory, Part, action
+from hapsim.cordis.dispatch import Column, Memory, Part, action
 from hapsim.cordis.modules.link import Ends, count, ends_of, pull_ends, stretch
-from hapsim.cordis.tick_state import Column
 from hapsim.scene import Friction
 
 
@@ -69,19 +68,9 @@ def add_forces(group, state):
         pull_ends(group.ends, i, tension, state.force)
 
 
-def _live(links: Sequence[Friction], rate: float) -> list[list[float]]:
-    """Force while it slides, force at which it breaks away, K, B/T."""
-    return [
-        [one.force for one in links],
-        [one.break_away for one in links],
-        [one.stiffness for one in links],
-        [one.damping * rate for one in links],
-    ]
-
-
 def _build(links: Mapping[str, Friction], columns: Sequence[Column], context: BuildContext) -> Part:
-    force, static, stiffness, damping = columns
     anchor, sliding = np.zeros((2, len(links)), context.real)
+    force, static, stiffness, damping = columns
     numbers = Frictions(ends_of(links, context), force, static, stiffness, damping, anchor, sliding)
     memory = Memory(tuple(links), (anchor, sliding))
     return Part(numbers, initialize=initialize, add_forces=add_forces, memory=memory)
@@ -90,7 +79,6 @@ def _build(links: Mapping[str, Friction], columns: Sequence[Column], context: Bu
 FRICTION = PartType(
     all_of(Friction),
     _build,
-    _live,
     name="friction links",
     compiled_as="gathered through unsigned indices; an anchor and a direction each",
 )

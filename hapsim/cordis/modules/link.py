@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from hapsim.compiling import inlined
 from hapsim.cordis.build_context import BuildContext
+from hapsim.cordis.dispatch import Column
 
 
 class Ends(NamedTuple):
@@ -24,6 +25,14 @@ class Ends(NamedTuple):
 
     first: NDArray[np.uint32]
     second: NDArray[np.uint32]
+
+
+class Links(NamedTuple):
+    """L visco-elastic links: K in N/m, B/T in N/m; shape (L,)."""
+
+    ends: Ends
+    stiffness: Column
+    damping_per_sample: Column
 
 
 def ends_of(links: Mapping[str, Any], context: BuildContext) -> Ends:
@@ -50,3 +59,9 @@ def pull_ends(ends, i, tension, force):
     """Pulls link i's ends towards each other by `tension` N."""
     force[ends.first[i]] -= tension
     force[ends.second[i]] += tension
+
+
+@inlined
+def pull_link(links, i, d, growth, force):
+    """Adds link i's force: stretched by `d`, by `growth` more than a sample before, in m."""
+    pull_ends(links.ends, i, links.stiffness[i] * d + links.damping_per_sample[i] * growth, force)

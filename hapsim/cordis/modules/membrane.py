@@ -20,13 +20,20 @@ from numpy.typing import NDArray
 from hapsim.compiling import fma, inlined
 from hapsim.compiling.native import value_of
 from hapsim.cordis.build_context import BuildContext, PartType, all_of
-from hapsim.cordis.dispatch import Part, action
-from hapsim.cordis.modules.loaded_points import LoadedPoints, loaded_points_of, push_loaded_points
-from hapsim.cordis.modules.mass import mobility_of
-from hapsim.cordis.modules.string import coefficient_terms, live_structures, place_terms
-from hapsim.cordis.simd.lanes import fetch, padded, put, put_one, shift_lanes, width_of
-from hapsim.cordis.simd.stencil import StencilKernel, stencil_kernel, sweep
-from hapsim.cordis.tick_state import Column
+from hapsim.cordis.dispatch import Column, Part, action
+from hapsim.cordis.modules.structure import (
+    LoadedPoints,
+    StencilKernel,
+    coefficient_terms,
+    loaded_points_of,
+    neighbours,
+    neighbours_before,
+    place_terms,
+    push_loaded_points,
+    stencil_kernel,
+    sweep,
+)
+from hapsim.cordis.simd import fetch, padded, put, put_one, width_of
 from hapsim.scene import Membrane
 
 
@@ -56,18 +63,18 @@ class MembraneStep(NamedTuple):
 
 
 def _build(membranes: Mapping[str, Membrane], columns: Sequence[Column], context: BuildContext) -> Part:
-    stiffness, damping_per_sample, friction_per_sample = columns
     ones = membranes.values()
+    stiffness, damping, friction = columns
     numbers = Membranes(
         np.array([context.number[f"{name}.0.0"] for name in membranes], np.uint64),
         np.array([_pitch(one) for one in ones], np.uint64),
         np.array([one.rows for one in ones], np.uint64),
         np.array([one.columns for one in ones], np.uint64),
         np.array([[edge == "free" for edge in one.edges] for one in ones]),
-        mobility_of([one.mass for one in ones], context),
+        context.mobility([one.mass for one in ones]),
         stiffness,
-        damping_per_sample,
-        friction_per_sample,
+        damping,
+        friction,
         loaded_points_of(membranes, context),
     )
     return Part(numbers, initialize=initialize, integrate=integrate)
@@ -87,8 +94,7 @@ def _layout(membrane: Membrane) -> tuple[Sequence[int], int]:
 MEMBRANE = PartType(
     all_of(Membrane),
     _build,
-    live_structures,
-    _layout,
+    layout=_layout,
     name="membranes",
     compiled_as="a stencil over contiguous memory, row by row, many masses at once",
     moves_points=True,
@@ -117,7 +123,7 @@ def integrate(membranes, state):
         )
         for row in range(membranes.rows[s]):
             first = membranes.first[s] + row * membranes.pitch[s]
-            sweep(step, state.position, state.previous, state.following, first, membranes.columns[s])
+            sweep(step, state, first, membranes.columns[s])
     push_loaded_points(membranes.loaded, state)
 
 
@@ -153,9 +159,8 @@ def _update_by_coefficients(step, rows, here, terms):
     a, b, e, pitch = step
     real = rows[0].dtype.type
     now, old = real(2) - real(4) * (a + b) - e, real(1) - real(4) * b - e
-    sides = shift_lanes(terms, 0, -1) + shift_lanes(terms, 0, 1)
     return (now * x - old * before) + (
-        sides + ((a + b) * _upright(rows[0], here, pitch) - b * _upright(rows[1], here, pitch))
+        neighbours(terms) + ((a + b) * _upright(rows[0], here, pitch) - b * _upright(rows[1], here, pitch))
     )
 
 
@@ -165,10 +170,8 @@ def _update_by_differences(step, rows, here, terms):
     a, b, e, pitch = step
     four = rows[0].dtype.type(4)
     way = x - before
-    pull = ((shift_lanes(terms, 0, -1) + shift_lanes(terms, 0, 1)) + _upright(rows[0], here, pitch)) - four * x
-    pull_before = (
-        (shift_lanes(terms, 1, -1) + shift_lanes(terms, 1, 1)) + _upright(rows[1], here, pitch)
-    ) - four * before
+    pull = (neighbours(terms) + _upright(rows[0], here, pitch)) - four * x
+    pull_before = (neighbours_before(terms) + _upright(rows[1], here, pitch)) - four * before
     return x + (((way - e * way) + (a + b) * pull) - b * pull_before)
 
 

@@ -17,9 +17,8 @@ from numpy.typing import NDArray
 from hapsim.compiling import inlined
 from hapsim.compiling.native import value_of
 from hapsim.cordis.build_context import BuildContext, PartType
-from hapsim.cordis.dispatch import Part, action
+from hapsim.cordis.dispatch import Column, Part, action
 from hapsim.cordis.modules.link import Ends, count, ends_of, pull_ends, stretch
-from hapsim.cordis.tick_state import Column
 from hapsim.scene import Nonlinear, Scene
 
 

@@ -16,10 +16,8 @@ import numpy as np
 
 from hapsim.compiling.native import value_of
 from hapsim.cordis.build_context import BuildContext, PartType, all_of
-from hapsim.cordis.dispatch import Memory, Part, action
-from hapsim.cordis.modules.link import count, ends_of, stretch
-from hapsim.cordis.modules.viscoelastic import Links, pull_link
-from hapsim.cordis.tick_state import Column
+from hapsim.cordis.dispatch import Column, Memory, Part, action
+from hapsim.cordis.modules.link import Links, count, ends_of, pull_link, stretch
 from hapsim.scene import Plectrum
 
 
@@ -46,15 +44,6 @@ def add_forces(group, state):
                 pull_link(group.links, i, d, d - stretch(ends, i, state.previous), state.force)
 
 
-def _live(plectra: Sequence[Plectrum], rate: float) -> list[list[float]]:
-    """K, B/T, and the distance at which they release."""
-    return [
-        [one.stiffness for one in plectra],
-        [one.damping * rate for one in plectra],
-        [one.release for one in plectra],
-    ]
-
-
 def _build(plectra: Mapping[str, Plectrum], columns: Sequence[Column], context: BuildContext) -> Part:
     stiffness, damping, release = columns
     links = Links(ends_of(plectra, context), stiffness, damping)
@@ -65,7 +54,6 @@ def _build(plectra: Mapping[str, Plectrum], columns: Sequence[Column], context: 
 PLECTRUM = PartType(
     all_of(Plectrum),
     _build,
-    _live,
     name="plectra",
     compiled_as="gathered through unsigned indices; a grip each",
 )

@@ -7,12 +7,14 @@ at once. What differs is where the masses are at n + 1.
 
 from __future__ import annotations
 
-from hapsim.cordis.schemes.centred import CORDIS
+from hapsim.cordis.build_context import Scheme, nothing_inside
 from hapsim.cordis.schemes.exact import EXACT
 from hapsim.cordis.schemes.midpoint import MIDPOINT
 from hapsim.cordis.schemes.rk4 import RK4
-from hapsim.cordis.schemes.scheme import Scheme, nothing_inside
 from hapsim.cordis.schemes.semi_implicit import SEMI_IMPLICIT
+
+CORDIS = Scheme(lambda _scene, context, taken: tuple(one.build(context) for one in taken))
+"""CORDIS's own: every type of module moves its points itself (`modules/points.py`, `modules/string.py`)."""
 
 SCHEMES: dict[str, Scheme] = {
     "cordis": CORDIS,

@@ -19,9 +19,8 @@ from numpy.typing import NDArray
 from hapsim.compiling import fma, reassociated
 from hapsim.compiling.native import value_of
 from hapsim.cordis.build_context import BuildContext
-from hapsim.cordis.dispatch import Part, action
+from hapsim.cordis.dispatch import Column, Part, action
 from hapsim.cordis.schemes.linear_subsystem import LinearSubsystem, Ties, add_tie_forces, require_finite
-from hapsim.cordis.tick_state import Column
 
 Reals = NDArray[np.float64]
 

@@ -7,7 +7,6 @@ others at zero.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,13 +14,10 @@ from numpy.typing import NDArray
 
 from hapsim.compiling import fma
 from hapsim.compiling.native import value_of
-from hapsim.cordis.build_context import BuildContext, PartType
-from hapsim.cordis.dispatch import Part, action
+from hapsim.cordis.build_context import BuildContext, Taken, live_shares, masses_of
+from hapsim.cordis.dispatch import Column, Part, action
 from hapsim.cordis.modules.link import Ends, pull_ends, stretch
-from hapsim.cordis.modules.mass import mobility_of
-from hapsim.cordis.modules.string import STRING, StringRows, free_ends, rows_of
-from hapsim.cordis.schemes.scheme import Taken
-from hapsim.cordis.tick_state import Column
+from hapsim.cordis.modules.string import STRING, StringRows, place_borders, rows_of
 from hapsim.scene import Scene
 
 _ONE = np.uint64(1)
@@ -67,17 +63,8 @@ def mobility_of_all(scene: Scene, context: BuildContext) -> Column:
     start = first_moved(scene)
     mobility = np.zeros(context.state.force.size - start, context.real)
     for name, mass in masses_of(scene):
-        mobility[context.number[name] - start] = mobility_of(mass, context)
+        mobility[context.number[name] - start] = context.mobility(mass)
     return mobility
-
-
-def masses_of(scene: Scene) -> Iterator[tuple[str, float]]:
-    """Every point that the scene moves, with its mass in kg."""
-    for name, mass in scene.material_points.items():
-        yield name, mass.mass
-    for name, structure in scene.structures.items():
-        for place, kilograms in zip(structure.point_names(), structure.elements().masses, strict=True):
-            yield f"{name}.{place}", kilograms
 
 
 def expanded_forces(taken: Taken, context: BuildContext) -> tuple[Part, ...]:
@@ -92,33 +79,18 @@ def expanded_forces(taken: Taken, context: BuildContext) -> tuple[Part, ...]:
 
 def weighted_links_of(taken: Taken, context: BuildContext) -> tuple[Part, ...]:
     """The links inside structures of any kind."""
-    lists: dict[tuple[int, bool], list[Any]] = {}
+    lists: dict[tuple[str | None, bool], list[Any]] = {}
+    values: dict[str | None, Column] = {None: np.ones(len(taken.modules), context.real)}
     for owner, (name, structure) in enumerate(taken.modules.items()):
+        values |= zip(structure.live, taken.columns, strict=True)
         places = [context.number[f"{name}.{place}"] for place in structure.point_names()]
-        for column, unit, weight in _units(taken.kind, structure, context.rate):
+        for field, unit, weight in live_shares(structure, context.rate):
             for first, second, k, z in unit.elements().links:
                 if k or z:
                     weights = (owner, k / weight, z * context.rate / weight)
                     second_end = structure.position if second < 0 else places[second]
-                    lists.setdefault((column, second < 0), []).append((places[first], second_end, *weights))
-    ones = np.ones(len(taken.modules), context.real)
-    values = [*taken.columns, ones]
-    return tuple(_part(entries, at_rest, values[column], context) for (column, at_rest), entries in lists.items())
-
-
-def _units(kind: PartType, structure: Any, rate: float) -> Iterator[tuple[int, Any, float]]:
-    """The structure with one of its live values at 1 and all else at 0: which column that is, and what stands there.
-
-    Last what cannot change, with all live values at 0: a column after the last one, of ones.
-    """
-    fixed = {"bending": 0.0} if "bending" in type(structure).model_fields else {}
-    for live in structure.live:
-        unit = structure.model_copy(update=fixed | {key: float(key == live) for key in structure.live})
-        weights = [column[0] for column in kind.live([unit], rate)]
-        (column,) = np.flatnonzero(weights)
-        yield int(column), unit, weights[column]
-    if fixed:
-        yield len(kind.live([structure], rate)), structure.model_copy(update=dict.fromkeys(structure.live, 0.0)), 1.0
+                    lists.setdefault((field, second < 0), []).append((places[first], second_end, *weights))
+    return tuple(_part(entries, at_rest, values[field], context) for (field, at_rest), entries in lists.items())
 
 
 def _part(entries: list[Any], at_rest: bool, value: Column, context: BuildContext) -> Part:
@@ -137,10 +109,10 @@ def add_string_forces(strings, state):
     """Adds the forces of all links and frictions of every string."""
     strings, state = value_of(strings), value_of(state)
     rows = strings.rows
-    for s in range(np.uint64(rows.border.size)):
-        free_ends(rows, s, state.position)
-        free_ends(rows, s, state.previous)
-        first, size = rows.border[s], rows.masses[s] + np.uint64(2)
+    for s in range(np.uint64(rows.first.size)):
+        place_borders(rows, s, state.position)
+        place_borders(rows, s, state.previous)
+        first, size = rows.first[s] - _ONE, rows.masses[s] + np.uint64(2)
         _add_string_forces(
             state.position[first : first + size],
             state.previous[first : first + size],

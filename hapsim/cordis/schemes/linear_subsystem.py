@@ -14,12 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapsim.compiling import inlined
-from hapsim.cordis.build_context import BuildContext
-from hapsim.cordis.dispatch import Part
+from hapsim.cordis.build_context import BuildContext, Taken, masses_of
+from hapsim.cordis.dispatch import Column, Part
 from hapsim.cordis.registry import PART_TYPES
-from hapsim.cordis.schemes.force_expansion import masses_of
-from hapsim.cordis.schemes.scheme import Taken
-from hapsim.cordis.tick_state import Column
 from hapsim.errors import UsageError
 from hapsim.scene import Scene
 
@@ -32,14 +29,6 @@ class InnerLinks(NamedTuple):
     ends: NDArray[np.intp]
     stiffness: NDArray[np.float64]
     damping: NDArray[np.float64]
-
-
-class MatrixLink(NamedTuple):
-    """A link that is inside, as its matrix has it: N/m, N·s/m."""
-
-    between: tuple[str, str]
-    stiffness: float
-    damping: float
 
 
 class Ties(NamedTuple):
@@ -92,23 +81,22 @@ class LinearSubsystem(NamedTuple):
         return (spread.T @ diags_array(values) @ spread).tocsr()
 
 
-def inner_links(scene: Scene) -> dict[str, MatrixLink]:
-    """The scene's links that are inside."""
-    hands = scene.device_points
-    return {
-        name: MatrixLink(link.between, *kind.in_a_matrix(link))
-        for kind in PART_TYPES
-        if kind.in_a_matrix is not None
-        for name, link in kind.select(scene).items()
-        if not any(end in hands for end in link.between)
-    }
+def _inner_links(scene: Scene) -> dict[str, Any]:
+    """The scene's links that are inside, by name."""
+    matrix_links = [link for kind in PART_TYPES if kind.in_a_matrix for link in kind.select(scene).items()]
+    return {name: link for name, link in matrix_links if not any(end in scene.device_points for end in link.between)}
+
+
+def stiffness_and_damping(link: Any) -> tuple[float, float]:
+    """K in N/m and B in N·s/m of a link that is inside."""
+    return getattr(link, "stiffness", 0.0), getattr(link, "damping", 0.0)
 
 
 def inside(scene: Scene) -> frozenset[str]:
     """The modules that the inner system is made of, by name; without those points that pull themselves, of which it has
     no more than the mass."""
     points = [name for name, point in scene.material_points.items() if not point.pulls_itself]
-    return frozenset([*points, *scene.structures, *inner_links(scene)])
+    return frozenset([*points, *scene.structures, *_inner_links(scene)])
 
 
 def external_parts(context: BuildContext, taken: Sequence[Taken]) -> tuple[Part, ...]:
@@ -123,11 +111,7 @@ def linear_subsystem(scene: Scene, context: BuildContext) -> LinearSubsystem | N
         return None
     point = np.array(sorted(mass), np.uint32)
     place = {int(number): i for i, number in enumerate(point)}
-    joins = [
-        *_structure_links(scene, context, place),
-        *_own_links(scene, context, place),
-        *_scene_links(scene, context, place),
-    ]
+    joins = list(_joins(scene, context, place))
     ends = np.array([(first, second) for first, second, *_ in joins], np.intp).reshape(-1, 2)
     stiffness, damping = (np.array([join[column] for join in joins], np.float64) for column in (2, 3))
     position = context.state.position[point].astype(np.float64)
@@ -138,8 +122,8 @@ def linear_subsystem(scene: Scene, context: BuildContext) -> LinearSubsystem | N
             force[first] += k * rest
     for name, one in scene.material_points.items():
         velocity[place[context.number[name]]] = one.start()[1]  # to the last digit, whatever the rows' precision
-    ties = _ties(scene, context)
-    outer = {end for name, link in scene.links.items() if name not in inside(scene) for end in link.between}
+    ties, held = _ties(scene, context), inside(scene)
+    outer = {end for name, link in scene.links.items() if name not in held for end in link.between}
     outer |= {name for name, point in scene.material_points.items() if point.pulls_itself}
     loaded = {context.number[end] for end in outer} | {int(p) for p in ties.point}
     return LinearSubsystem(
@@ -160,44 +144,36 @@ def require_finite(*arrays: Any) -> None:
         raise UsageError("a stiffness, a damping or one over a mass is too large for the scene's scheme: try cordis")
 
 
-_Join = tuple[int, int, float, float, float]  # first place, second, N/m, N·s/m, m where the second stays
-
-
-def _structure_links(scene: Scene, context: BuildContext, place: Mapping[int, int]) -> Iterator[_Join]:
+def _joins(
+    scene: Scene, context: BuildContext, place: Mapping[int, int]
+) -> Iterator[tuple[int, int, float, float, float]]:
+    """The links inside: first place, second or STAYS, N/m, N·s/m, and where the second stays, m. The place of a ground
+    is a force from outside, so here it is 0."""
     structures: Mapping[str, Any] = scene.structures
     for name, structure in structures.items():
         places = [place[context.number[f"{name}.{each}"]] for each in structure.point_names()]
         for first, second, k, z in structure.elements().links:
             yield places[first], STAYS if second < 0 else places[second], k, z, structure.position
-
-
-def _own_links(scene: Scene, context: BuildContext, place: Mapping[int, int]) -> Iterator[_Join]:
     for name, point in scene.material_points.items():
         held = point.held_by()
         if held is not None:
             yield place[context.number[name]], STAYS, *held
-
-
-def _scene_links(scene: Scene, context: BuildContext, place: Mapping[int, int]) -> Iterator[_Join]:
-    """Those of the scene's own links; the place of a ground is a force from outside, so here it is 0."""
-    for link in inner_links(scene).values():
+    for link in _inner_links(scene).values():
         first, second = (place.get(context.number[end], STAYS) for end in link.between)
         if first == STAYS:
             first, second = second, first
-        yield first, second, link.stiffness, link.damping, 0.0
+        yield first, second, *stiffness_and_damping(link), 0.0
 
 
 def _ties(scene: Scene, context: BuildContext) -> Ties:
-    tied = [
-        (context.number[end], context.number[ground], link.stiffness, link.damping * context.rate)
-        for link in inner_links(scene).values()
-        for end, ground in (link.between, link.between[::-1])
-        if ground in scene.grounds
-    ]
-    point, ground, stiffness, damping = np.array(tied, np.float64).reshape(-1, 4).T
-    return Ties(
-        point.astype(np.uint32), ground.astype(np.uint32), stiffness.astype(context.real), damping.astype(context.real)
-    )
+    tied = []
+    for link in _inner_links(scene).values():
+        stiffness, damping = stiffness_and_damping(link)
+        for end, ground in (link.between, link.between[::-1]):
+            if ground in scene.grounds:
+                tied.append((context.number[end], context.number[ground], stiffness, damping * context.rate))
+    point, ground, k, b = np.array(tied, np.float64).reshape(-1, 4).T
+    return Ties(point.astype(np.uint32), ground.astype(np.uint32), context.column(k), context.column(b))
 
 
 @inlined

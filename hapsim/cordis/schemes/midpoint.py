@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 
 from hapsim.compiling import fma
 from hapsim.compiling.native import value_of
-from hapsim.cordis.build_context import BuildContext
-from hapsim.cordis.dispatch import Part, action
+from hapsim.cordis.build_context import BuildContext, Scheme, Taken
+from hapsim.cordis.dispatch import Column, Part, action
 from hapsim.cordis.schemes.linear_subsystem import (
     LinearSubsystem,
     Ties,
@@ -32,8 +32,6 @@ from hapsim.cordis.schemes.linear_subsystem import (
     linear_subsystem,
     require_finite,
 )
-from hapsim.cordis.schemes.scheme import Scheme, Taken
-from hapsim.cordis.tick_state import Column
 from hapsim.errors import UsageError
 from hapsim.scene import Scene
 

@@ -6,59 +6,95 @@ With the step w = T v and c = (T²/m) F(x, w), where F is asked at
 
     x[n+1] = x + w + (c1 + c2 + c3)/6,           w[n+1] = w + (c1 + 2 c2 + 2 c3 + c4)/6
 
-Which links are asked at all four, and where device points and grounds are meanwhile, stands in `instants.py`.
+Every link that remembers nothing is asked at each instant. Those that do are asked once, at the sample, and their force
+is held. Device points and grounds go on during the period as they went in the last. The force in the hand is that of
+the sample.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from hapsim.compiling import fma
-from hapsim.compiling.native import value_of
-from hapsim.cordis.build_context import BuildContext
-from hapsim.cordis.dispatch import Part, action
-from hapsim.cordis.schemes.instants import Instants, add_forces_at, instants_of
-from hapsim.cordis.schemes.scheme import Scheme, Taken
-from hapsim.cordis.tick_state import Column
+from firmware_protocol.compiled import new_record
+from hapsim.compiling import fma, inlined
+from hapsim.compiling.native import Behind, value_of
+from hapsim.cordis.build_context import BuildContext, Scheme, Taken
+from hapsim.cordis.dispatch import CALLS, Column, Part, TickState, action, call_all, calls_of
+from hapsim.cordis.schemes.force_expansion import expanded_forces, first_moved, mobility_of_all
 from hapsim.scene import Scene
 
 
-class RungeKutta(NamedTuple):
-    """c1, c2, c3 in m, of the points that the scheme moves; shape (n,)."""
+class KeptForce(NamedTuple):
+    """The force at the sample of the links that remember: N, shape (N,)."""
 
-    instants: Instants
+    force: Column
+
+
+class RungeKutta(NamedTuple):
+    """The points from number `start` on: their T²/m in m/N, and c1, c2, c3 in m; shape (n,)."""
+
+    start: np.uint64
+    mobility: Column
     change: tuple[Column, Column, Column]
+    kept: KeptForce
+    at: TickState
+    """All points at an instant between two samples,"""
+    at_address: np.uint64
+    """behind this address too, for"""
+    links: Any
+    """the calls that are made at every instant: CALLS."""
+
+
+@action
+def keep_force(kept, state):
+    """Keeps what has been added up so far, by the links that remember."""
+    kept, state = value_of(kept), value_of(state)
+    for p in range(np.uint64(kept.force.size)):
+        kept.force[p] = state.force[p]
 
 
 @action
 def integrate(points, state):
     """Moves every point by one sample."""
     points, state = value_of(points), value_of(state)
-    instants = points.instants
-    start, instant = instants.start, instants.at
+    start, instant, mobility = points.start, points.at, points.mobility
     x, before = state.position[start:], state.previous[start:]
     y, y_before = instant.position[start:], instant.previous[start:]
-    force, mobility = instant.force[start:], instants.mobility
+    force = instant.force[start:]
     c1, c2, c3 = points.change
     quarter, half, one = x.dtype.type(0.25), x.dtype.type(0.5), x.dtype.type(1)
     _change(mobility, state.force[start:], c1)
     _go(x, before, half, c1, x.dtype.type(0), y)
     _go_before(x, before, y, half, c1, y_before)
-    add_forces_at(instants, state, half)
+    _add_forces_at(points, state, half)
     _change(mobility, force, c2)
     _go(x, before, half, c1, quarter, y)
     _go_before(x, before, y, half, c2, y_before)
-    add_forces_at(instants, state, half)
+    _add_forces_at(points, state, half)
     _change(mobility, force, c3)
     _go(x, before, one, c2, half, y)
     _go_before(x, before, y, one, c3, y_before)
-    add_forces_at(instants, state, one)
+    _add_forces_at(points, state, one)
     _finish(mobility, force, x, before, points.change, state.following[start:])
     for i in range(np.uint64(c1.size)):
         state.force[start + i] = x.dtype.type(0)
+
+
+@inlined
+def _add_forces_at(points, state, share):
+    """The forces at an instant, which is this share of a sample period after the sample; the scheme has put its points
+    where they are then."""
+    at = points.at
+    for p in range(points.start):
+        way = state.position[p] - state.previous[p]
+        at.position[p] = state.position[p] + share * way
+        at.previous[p] = at.position[p] - way
+    for p in range(np.uint64(points.kept.force.size)):
+        at.force[p] = points.kept.force[p]
+    call_all(points.links, points.at_address)
 
 
 # One loop for each array that is written: more at once the compiler does not take for apart from each other, and then
@@ -99,10 +135,26 @@ def _finish(mobility, force, x, before, change, following):
 
 
 def _parts(scene: Scene, context: BuildContext, taken: Sequence[Taken]) -> tuple[Part, ...]:
-    instants = instants_of(scene, context, taken)
-    mobility = instants.numbers.mobility
+    once: list[Part] = []
+    always: list[Part] = []
+    for one in taken:
+        if one.kind.moves_points:
+            always += expanded_forces(one, context)
+        else:
+            part = one.build(context)
+            (always if one.kind.memoryless or part.add_forces is None else once).append(part)
+    size, mobility = context.state.force.size, mobility_of_all(scene, context)
+    position, previous, force, kept = np.zeros((4, size), context.real)
+    at = Behind(TickState(position, previous, position, force, context.state.velocity))
+    asked = [(part.add_forces, Behind(part.numbers)) for part in always if part.add_forces is not None]
+    calls, pairs = new_record(CALLS), calls_of(asked, at)
+    calls.pairs, calls.count = pairs.ctypes.data, len(pairs)
     change = (np.zeros_like(mobility), np.zeros_like(mobility), np.zeros_like(mobility))
-    return instants.parts(integrate, RungeKutta(instants.numbers, change))
+    numbers = RungeKutta(
+        np.uint64(first_moved(scene)), mobility, change, KeptForce(kept), at.value, np.uint64(at.address), calls
+    )
+    keeping = [Part(numbers.kept, add_forces=keep_force)] if once else []
+    return (*once, *keeping, *always, Part(numbers, integrate=integrate, kept=(at, asked, pairs)))
 
 
 RK4 = Scheme(_parts)

@@ -17,11 +17,9 @@ import numpy as np
 
 from hapsim.compiling import fma
 from hapsim.compiling.native import value_of
-from hapsim.cordis.build_context import BuildContext
-from hapsim.cordis.dispatch import Part, action
+from hapsim.cordis.build_context import BuildContext, Scheme, Taken
+from hapsim.cordis.dispatch import Column, Part, action
 from hapsim.cordis.schemes.force_expansion import expanded_forces, first_moved, mobility_of_all
-from hapsim.cordis.schemes.scheme import Scheme, Taken
-from hapsim.cordis.tick_state import Column
 from hapsim.scene import Scene
 
 

@@ -1,1 +1,0 @@
-"""Many masses at once: SIMD lanes, and stencils that go through a structure in them."""
