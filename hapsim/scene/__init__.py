@@ -1,9 +1,8 @@
 """The scene file: YAML -> `Scene`, errors with file:line:column, and a JSON schema for editors.
 
-`load_scene` goes through four steps: `syntax` composes YAML nodes, `document` reads values from them and
-remembers their places, pydantic checks each part, `cross_checks` checks the parts against each other; `error_messages`
-words what pydantic finds. Nothing is imported before it is asked for, so that naming this room costs nothing. Public is
-what `__all__` names.
+`load_scene` goes through three steps: `yaml_document` reads values and their places, pydantic checks each part,
+`cross_checks` checks the parts against each other. `error_messages` words what pydantic finds. Nothing is imported
+before it is asked for, so that importing this package costs nothing. Public is what `__all__` names.
 """
 
 from importlib import import_module
@@ -12,21 +11,19 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from .choices import WITH_CUTOFF, DamperScheme, Hold, Sampling, SchemeName
     from .device import Clock, Device
-    from .load import load_scene, parse_scene
+    from .load import load_scene, parse_scene, scene_schema
     from .mock import Hand, Initial, Mock, MockDevice
     from .modules import *  # noqa: F403
     from .quantity import Known, Span
     from .scene import VERSION, Scene
-    from .schema import scene_schema
 
 _EXPORTS = {
     "choices": ("WITH_CUTOFF", "DamperScheme", "Hold", "Sampling", "SchemeName"),
     "device": ("Clock", "Device"),
-    "load": ("load_scene", "parse_scene"),
+    "load": ("load_scene", "parse_scene", "scene_schema"),
     "mock": ("Hand", "Initial", "Mock", "MockDevice"),
     "quantity": ("Known", "Span"),
     "scene": ("VERSION", "Scene"),
-    "schema": ("scene_schema",),
 }
 _HOMES = {name: home for home, names in _EXPORTS.items() for name in names}
 

@@ -56,14 +56,15 @@ _SCENE = Layout(
 
 
 def findings_of(error: ValidationError, document: Document, layout: Layout = _SCENE) -> list[Issue]:
-    """The faults within single parts; those between parts are left to `cross_check_issues`.
+    """Returns the faults within single parts; those between parts are left to `cross_check_issues`.
 
     A missing key is not mentioned where an unknown key beside it looks like that key misspelt.
     """
-    details = [_Detail(raw, layout) for raw in error.errors(include_url=False) if raw["type"] != ACROSS]
+    raws = [raw for raw in error.errors(include_url=False) if raw["type"] != ACROSS]
+    details = [_Detail(raw, document, layout) for raw in raws]
     misspelt = {detail.meant() for detail in details if detail.kind == "extra_forbidden"}
     return [
-        detail.issue(document)
+        detail.issue()
         for detail in details
         if not (detail.kind == "missing" and (*detail.place, detail.key) in misspelt)
     ]
@@ -78,55 +79,53 @@ class _Detail:
         path: the way through the file, which does not have pydantic's mark for the type of a module.
     """
 
-    def __init__(self, raw: Any, layout: Layout) -> None:
-        self._layout = layout
+    def __init__(self, raw: Any, document: Document, layout: Layout) -> None:
+        self._document, self._layout = document, layout
         self.kind: str = raw["type"]
         self.context: dict[str, Any] = raw.get("ctx", {})
         location: Path = raw["loc"]
         self.place, self.key = location[:-1], str(location[-1]) if location else ""
         self.path = location[:2] + location[3:] if location[:1] == (layout.collection,) else location
 
-    def issue(self, document: Document) -> Issue:
-        """The error in our words."""
-        issue = self._issue(document)
-        if issue.path == self.path and not issue.at_key and self._is_emptied(document):
+    def issue(self) -> Issue:
+        """Returns the error in our words."""
+        issue = self._issue()
+        if issue.path == self.path and not issue.at_key and self._is_emptied():
             return replace(issue, sentence=f"{issue.sentence}; leave the key out for the default")
         return issue
 
-    def _is_emptied(self, document: Document) -> bool:
-        """Whether nothing stands behind a key that may be left out."""
-        in_part = self.place in self._layout.parts or len(self.place) > 2
-        field = _fields_of(self._part()).get(self.key) if in_part else None
-        return field is not None and not field.is_required() and document.value(self.path) is None
-
-    def _issue(self, document: Document) -> Issue:
-        match self.kind:
-            case "union_tag_not_found":
-                return _no_tag(self.path, self._layout, document)
-            case "union_tag_invalid":
-                return _wrong_word((*self.path, self._layout.tag), self._layout.tagged, document)
-            case "literal_error":
-                return _wrong_word(self.path, self._words(), document)
-            case "missing" | "extra_forbidden":
-                return self._about_key()
-        if self.kind == UNEXPECTED and self.key == "[key]":  # pydantic's mark for a key of `modules`
-            return Issue(self.path, f"not a name, expected {self.context['expected']}", True)
-        return self._about_value(document)
-
-    def _about_key(self) -> Issue:
-        if self.kind == "missing":
-            return Issue(self.path[:-1], f"{quote(self.key)} is missing, expected {self._wanted()}", True)
-        keys = self._known_keys()
-        hint = space_hint(self.key) or did_you_mean(self.key, keys)
-        return Issue(self.path, f"unknown key, expected {one_of(keys)}{hint}", True)
-
     def meant(self) -> Path:
-        """Where the key would stand that an unknown key seems to mean."""
-        near = nearest(self.key.partition(":")[0], self._known_keys())
+        """Returns where the key would stand that an unknown key seems to mean."""
+        near = nearest(self.key.partition(":")[0], self._fields())
         return (*self.place, near) if near else ()
 
-    def _about_value(self, document: Document) -> Issue:
-        path = self.path
+    def _is_emptied(self) -> bool:
+        """Whether nothing stands behind a key that may be left out."""
+        in_part = self.place in self._layout.parts or len(self.place) > 2
+        field = self._fields().get(self.key) if in_part else None
+        return field is not None and not field.is_required() and self._document.value(self.path) is None
+
+    def _issue(self) -> Issue:
+        match self.kind:
+            case "union_tag_not_found":
+                return self._no_tag()
+            case "union_tag_invalid":
+                return self._wrong_word((*self.path, self._layout.tag), self._layout.tagged)
+            case "literal_error":
+                return self._wrong_word(self.path, self._words())
+            case "missing":
+                sentence = f"{quote(self.key)} is missing, expected {self._wanted()}"
+                return Issue(self.path[:-1], sentence, at_key=True)
+            case "extra_forbidden":
+                keys = list(self._fields())
+                hint = space_hint(self.key) or did_you_mean(self.key, keys)
+                return Issue(self.path, f"unknown key, expected {one_of(keys)}{hint}", at_key=True)
+        if self.kind == UNEXPECTED and self.key == "[key]":  # pydantic's mark for a key of `modules`
+            return Issue(self.path, f"not a name, expected {self.context['expected']}", at_key=True)
+        return self._about_value()
+
+    def _about_value(self) -> Issue:
+        path, document = self.path, self._document
         if self.kind == UNEXPECTED:
             path += tuple(self.context["at"])
             expected = self.context["expected"]
@@ -137,21 +136,31 @@ class _Detail:
         found = self.context.get("found") or document.found(path)
         return Issue(path, f"found {found}, expected {expected}{hint}")
 
-    def _part(self) -> type[BaseModel]:
-        """The class of the part that holds the value."""
-        if self.place in self._layout.parts:
-            return self._layout.parts[self.place]
-        part: type[BaseModel] = self._layout.tagged[str(self.place[2])]
-        for key in self.place[3:]:
-            part = _part_in(_fields_of(part)[str(key)].annotation)
-        return part
+    def _no_tag(self) -> Issue:
+        tag = self._layout.tag
+        near = nearest(tag, self._document.keys(self.path))
+        hint = f"; is {quote(near)} meant to be '{tag}'?" if near else ""
+        return Issue(self.path, f"'{tag}' is missing, expected {one_of(self._layout.tagged)}{hint}", at_key=True)
 
-    def _known_keys(self) -> list[str]:
-        return list(_fields_of(self._part()))
+    def _wrong_word(self, path: Path, words: Iterable[str]) -> Issue:
+        value = self._document.value(path)
+        hint = did_you_mean(value, words) if isinstance(value, str) else ""
+        return Issue(path, f"found {self._document.found(path)}, expected {one_of(words)}{hint}")
+
+    def _fields(self) -> dict[str, FieldInfo]:
+        """The fields of the part that holds the value, by their keys in the file."""
+        if self.place in self._layout.parts:
+            return _fields_of(self._layout.parts[self.place])
+        fields = _fields_of(self._layout.tagged[str(self.place[2])])
+        for key in self.place[3:]:
+            annotation = fields[str(key)].annotation  # a part, or that part ``| None``
+            options = get_args(annotation) or (annotation,)
+            fields = _fields_of(next(one for one in options if isinstance(one, type) and issubclass(one, BaseModel)))
+        return fields
 
     def _wanted(self) -> str:
         """What a missing key is to hold."""
-        wishes = [item for item in _fields_of(self._part())[self.key].metadata if isinstance(item, Expectation)]
+        wishes = [item for item in self._fields()[self.key].metadata if isinstance(item, Expectation)]
         if wishes:
             return wishes[0].expected()
         words = self._words()
@@ -159,29 +168,10 @@ class _Detail:
 
     def _words(self) -> list[str]:
         """The words that a field takes, from ``Literal[...]`` or ``Literal[...] | None``."""
-        annotation = _fields_of(self._part())[self.key].annotation
+        annotation = self._fields()[self.key].annotation
         options = [word for option in get_args(annotation) for word in get_args(option) or (option,)]
         return [word for word in options if isinstance(word, str)]
 
 
 def _fields_of(part: type[BaseModel]) -> dict[str, FieldInfo]:
-    """The fields of a part, by their keys in the file."""
     return {field.alias or name: field for name, field in part.model_fields.items()}
-
-
-def _part_in(annotation: Any) -> type[BaseModel]:
-    """The part that a field holds, from its class or from that class ``| None``."""
-    options = get_args(annotation) or (annotation,)
-    return next(option for option in options if isinstance(option, type) and issubclass(option, BaseModel))
-
-
-def _no_tag(path: Path, layout: Layout, document: Document) -> Issue:
-    near = nearest(layout.tag, document.keys(path))
-    hint = f"; is {quote(near)} meant to be '{layout.tag}'?" if near else ""
-    return Issue(path, f"'{layout.tag}' is missing, expected {one_of(layout.tagged)}{hint}", True)
-
-
-def _wrong_word(path: Path, words: Iterable[str], document: Document) -> Issue:
-    value = document.value(path)
-    hint = did_you_mean(value, words) if isinstance(value, str) else ""
-    return Issue(path, f"found {document.found(path)}, expected {one_of(words)}{hint}")

@@ -1,15 +1,18 @@
-"""Scene files -> `Scene`, or a `SceneError` that holds every fault of the file."""
+"""Scene files -> `Scene`, or a `SceneError` that holds every fault of the file; and their JSON schema for editors."""
 
 import os
+from collections.abc import Iterable
+from functools import cache
+from typing import Any
 
-from pydantic import ValidationError
+from pydantic import TypeAdapter, ValidationError
 
 from hapsim.errors import SceneError
 
-from .cross_checks import cross_check_issues
+from .cross_checks import PER_CHANNEL_PARTS, cross_check_issues
 from .error_messages import findings_of
-from .issue import Issue
-from .partial_validation import sound_fields, sound_modules
+from .issue import Issue, Path
+from .modules import MODULE_TYPES, Module, ModuleContext
 from .scene import VERSION, Scene
 from .yaml_document import Document
 from .yaml_file import YamlFile
@@ -58,5 +61,75 @@ def _validate(document: Document) -> tuple[Scene | None, list[Issue]]:
         if type(other_version) is int and other_version != VERSION:
             # Another format: what else seems wrong may be right in it.
             return None, [issue for issue in issues if issue.path == ("version",)]
-        around = sound_modules(data.get("modules"))
-        return None, issues + cross_check_issues(around, sound_fields(data, issues), data.get("precision"))
+        around = _sound_modules(data.get("modules"))
+        return None, issues + cross_check_issues(around, _sound_fields(data, issues), data.get("precision"))
+
+
+# What is sound in a scene that has faults, so that the checks across its parts reach as far as they can.
+
+
+def _sound_modules(modules: object) -> ModuleContext:
+    """What can be known of the modules while some of them are faulty."""
+    if not isinstance(modules, dict):
+        return ModuleContext({}, {"": None})
+    types = {name: module.get("type") if isinstance(module, dict) else None for name, module in modules.items()}
+    kinds = {name: MODULE_TYPES.get(kind) if isinstance(kind, str) else None for name, kind in types.items()}
+    both = {name: _sound_part(kind, modules[name]) for name, kind in kinds.items() if kind is not None}
+    faulty = {name: wrong for name, (_, wrong) in both.items() if wrong}
+    return ModuleContext({name: module for name, (module, _) in both.items()}, kinds, faulty)
+
+
+def _sound_part(kind: type[Module], data: Any) -> tuple[Module, frozenset[str]]:
+    """The module with its sound fields, and which of its fields are not."""
+    try:
+        return kind.model_validate(data), frozenset()
+    except ValidationError as error:
+        faulty = frozenset(str(detail["loc"][0]) for detail in error.errors(include_url=False))
+        sound = [field for field in kind.model_fields if field in data and field not in faulty]
+        values = {field: _adapter(kind, field).validate_python(data[field]) for field in sound}
+        return kind.model_construct(None, **values), faulty
+
+
+@cache
+def _adapter(kind: type[Module], field: str) -> TypeAdapter[Any]:
+    return TypeAdapter(kind.model_fields[field].rebuild_annotation())
+
+
+def _sound_fields(data: dict[str, Any], issues: Iterable[Issue]) -> dict[Path, dict[str, object]]:
+    """The fields of the device and the mock that nothing was found in."""
+    faulty = {issue.path[:length] for issue in issues for length in range(len(issue.path) + 1)}
+    sound: dict[Path, dict[str, object]] = {}
+    for path in PER_CHANNEL_PARTS:
+        part: Any = data
+        for step in path:
+            part = part.get(step) if isinstance(part, dict) else None
+        fields = part if isinstance(part, dict) else {}
+        sound[path] = {name: value for name, value in fields.items() if (*path, name) not in faulty}
+    return sound
+
+
+def scene_schema() -> dict[str, Any]:
+    """The JSON schema (draft 2020-12) of a scene file.
+
+    It holds what one value by itself has to be, with units and defaults. What takes more than one value, such
+    as a name that has to exist, only `parse_scene` checks.
+    """
+    described = Scene.model_json_schema() | {
+        "title": f"hapsim scene, version {VERSION}",
+        "description": "A scene for hapsim: the device that the hand holds, and what it feels. SI units.",
+    }
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **_without_null(described)}
+
+
+def _without_null(schema: Any) -> Any:
+    """The schema of the file, which takes no ``null``: a None of Python is there a key that is left out."""
+    if isinstance(schema, list):
+        return [_without_null(entry) for entry in schema if entry != {"type": "null"}]
+    if not isinstance(schema, dict):
+        return schema
+    kept = {key: _without_null(value) for key, value in schema.items() if (key, value) != ("default", None)}
+    choices = kept.get("anyOf", ())
+    if len(choices) != 1:
+        return kept
+    del kept["anyOf"]
+    return choices[0] | kept

@@ -84,28 +84,8 @@ class Mock(Part):
 
 @dataclass(frozen=True)
 class MockDevice:
-    """The mock as it is to be simulated: nothing left open, one value per channel where channels may differ.
-
-    Attributes:
-        mass: moving part and hand, kg, per channel.
-        friction: viscous friction, N·s/m, per channel.
-        stiffness: the device's own spring, N/m, per channel.
-        delay: from sampling the position to the force's change, in sample periods.
-        hold, sampling: as in `Device`.
-        initial_position: m, per channel.
-        initial_velocity: m/s, per channel.
-        force_limit: what it never exceeds, N.
-        coulomb: dry friction, N.
-        quantum: step of the position on the wire, m per count.
-        noise: noise of the position sensor, m rms.
-        seed: seed of that noise.
-        baud: speed of its UART, bit/s; None where bytes take no time.
-        turnaround: what it takes before a position's first byte and after a force's last, together, s.
-        misses: share of the forces that come too late.
-        grips: (s, kg): from when on every channel has which mass.
-        force_quantum: step of the force on the wire, N per count; None where its 32 bits reach to the force limit.
-        hand: a number, or one per channel, each.
-    """
+    """The mock as it is to be simulated: nothing left open, one value per channel where channels may differ. SI units,
+    as in `Device` and `Mock`. `force_limit`: what it never exceeds, N; `baud`: None where bytes take no time."""
 
     mass: tuple[float, ...]
     friction: tuple[float, ...]
@@ -138,8 +118,12 @@ class MockDevice:
         return len(self.mass)
 
 
+#: The fields that a `Mock` says alone.
+_OF_MOCK = ("coulomb", "quantum", "noise", "seed", "baud", "turnaround", "misses", "force_quantum", "hand")
+
+
 def resolve(device: Device, mock: Mock | None, channels: int) -> MockDevice:
-    """The mock of ``channels`` channels that ``mock`` describes, with ``device`` where it is silent."""
+    """Returns the mock of ``channels`` channels that ``mock`` describes, with ``device`` where it is silent."""
     mock = mock or Mock()
     return MockDevice(
         mass=device.masses(channels) if mock.mass is None else per_channel(mock.mass, channels),
@@ -151,14 +135,6 @@ def resolve(device: Device, mock: Mock | None, channels: int) -> MockDevice:
         initial_position=per_channel(mock.initial.position, channels),
         initial_velocity=per_channel(mock.initial.velocity, channels),
         force_limit=min(device.force_limit, MOST_FORCE),
-        coulomb=mock.coulomb,
-        quantum=mock.quantum,
-        noise=mock.noise,
-        seed=mock.seed,
-        baud=mock.baud,
-        turnaround=mock.turnaround,
-        misses=mock.misses,
         grips=mock.grips or (),
-        force_quantum=mock.force_quantum,
-        hand=mock.hand,
+        **{name: getattr(mock, name) for name in _OF_MOCK},
     )
