@@ -125,8 +125,7 @@ def test_where_a_stream_is_cut_makes_no_difference(new_host: New, stream: list[b
     assert (whole.commanded == parts.commanded).all()
 
 
-@pytest.mark.parametrize("channels", [1, 3, 4, 16])
-@pytest.mark.parametrize("zeros", [0.004, 0.1])
+@pytest.mark.parametrize(("channels", "zeros"), [(1, 0.1), (4, 0.004), (16, 0.1)])
 def test_a_flood_of_random_bytes_is_survived(new_host: New, channels: int, zeros: float) -> None:
     host = new_host(channels)
     random = np.random.default_rng(channels)
@@ -139,8 +138,8 @@ def test_a_flood_of_random_bytes_is_survived(new_host: New, channels: int, zeros
     assert_like_new(new_host, host, channels=channels)
 
 
-@pytest.mark.parametrize("channels", [1, 3, 4, 16])
-@pytest.mark.parametrize("beyond", [1.0, 100.0])  # how far the scale of the forces reaches beyond the limit
+# `beyond`: how far the scale of the forces reaches beyond the limit
+@pytest.mark.parametrize(("channels", "beyond"), [(1, 100.0), (4, 1.0), (16, 100.0)])
 def test_a_flood_of_random_frames_is_survived(new_host: New, channels: int, beyond: float) -> None:
     host = new_host(channels, device={"delay": 2.5})
     host.mock.force_scale[:] *= beyond

@@ -68,10 +68,6 @@ def test_answers_can_be_fetched_in_pieces_of_any_size(new_host: New, room: int) 
     assert [frame.number for frame in host.read(np.frombuffer(data, np.uint8))] == [0, *range(21)]
 
 
-def test_nothing_comes_by_waiting(new_host: New) -> None:
-    assert loopback_transport(new_host().mock).receive(np.zeros(10, np.uint8), 10**18) == TIMED_OUT
-
-
 def test_more_than_the_mock_takes_at_once_is_refused_whole(new_host: New) -> None:
     host = new_host()
     transport = loopback_transport(host.mock)

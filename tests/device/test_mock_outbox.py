@@ -37,7 +37,7 @@ def worst_inputs(host: Any) -> dict[str, bytes]:
 
 
 @pytest.mark.parametrize("start", [0.0, 5.0])  # 5 m is out of scale: each arming is answered twice, once at length
-@pytest.mark.parametrize("channels", [1, 3, 4, 16])
+@pytest.mark.parametrize("channels", [1, 16])
 def test_the_answers_to_the_worst_input_fit_the_outbox(new_host: New, channels: int, start: float) -> None:
     longest = schema.frame_bytes(schema.MAX_CHANNELS, to_device=False, velocity=True)
     for name, frame in worst_inputs(new_host(channels)).items():

@@ -17,7 +17,7 @@ import pytest
 import serial
 
 from firmware_protocol import schema
-from firmware_protocol.frames import SETUP, armed_format, frame_to_device
+from firmware_protocol.frames import SETUP, frame_to_device
 from hapsim.device.mock.assemble import assemble_mock
 from hapsim.device.mock.firmware import prepare
 from hapsim.device.mock.serve import new_service, serve
@@ -166,33 +166,6 @@ def test_paced_by_the_device_positions_come_by_themselves_until_the_watchdog_lat
         assert client.register(schema.REG_FAULT) == schema.HOST_QUIET
 
 
-def test_paced_by_the_host_a_silent_host_is_latched_too(new_scene: New, open_client: Callable[..., Client]) -> None:
-    with serving(assemble_mock(new_scene())) as path:
-        client = open_client(path)
-        assert client.ask(client.host.arm_frame(HOST, watchdog=2)).state == schema.ARMED
-        assert client.read().type == schema.POSITION
-        status = client.read()
-        assert (status.state, status.fault) == (schema.LATCHED, schema.HOST_QUIET)
-
-
-def test_paced_by_the_device_each_answered_sample_is_a_position(
-    new_scene: New, open_client: Callable[..., Client]
-) -> None:
-    with serving(assemble_mock(new_scene(rate=50.0))) as path:
-        client = open_client(path)
-        client.ask(client.host.arm_frame(DEVICE, watchdog=2000))
-        numbers = []
-        for _ in range(12):
-            position = client.read()
-            numbers.append(position.number)
-            client.write(client.host.force_frame(position.number, time_to_live=255))
-        assert numbers == list(range(12))
-        client.write(client.host.disarm_frame())
-        while client.read().type != schema.STATUS:
-            pass
-        assert client.register(schema.REG_ACCEPTED) + client.register(schema.REG_EXPIRED) == 12
-
-
 def test_a_flood_that_nobody_reads_the_answers_to_is_survived(
     new_scene: New, new_host: New, open_client: Callable[..., Client]
 ) -> None:
@@ -287,19 +260,3 @@ def test_a_terminal_that_hangs_up_is_waited_at_until_the_mock_is_asked_to_stop(n
         service.stop = 1
         thread.join(PATIENCE_S)
         assert not thread.is_alive()
-
-
-def test_bytes_are_taken_one_by_one_as_well_as_all_at_once(new_scene: New, new_host: New) -> None:
-    host = new_host(16)
-    wire = armed_format(16)
-    with served(assemble_mock(new_scene(16))) as (far, _, _):
-        far.sendall(host.arm_frame())
-        for n in range(3):
-            for byte in frame_to_device(wire, schema.FORCE, n, 20, np.arange(16)):
-                far.sendall(bytes([byte]))
-        data = b""
-        while data.count(b"\0") < 5:
-            data += far.recv(4096)
-    heard = host.read(np.frombuffer(data, np.uint8))
-    assert [frame.type for frame in heard] == [schema.STATUS, *[schema.POSITION] * 4]
-    assert [frame.number for frame in heard[1:]] == [0, 1, 2, 3]

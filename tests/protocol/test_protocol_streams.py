@@ -33,31 +33,6 @@ def counters(decoder: Any) -> dict[str, int]:
 
 
 @pytest.mark.parametrize(("name", "kind"), EVERY_FORMAT_AND_DIRECTION)
-def test_a_frame_split_at_any_byte_is_read_once_its_delimiter_is_there(name: str, kind: str) -> None:
-    data, expected = some(name, kind, 300)
-    for at in range(len(data)):
-        decoder = new(name, kind)
-        assert frames_in(decoder, data[:at]) == []
-        assert frames_in(decoder, data[at:]) == [expected]
-
-
-@pytest.mark.parametrize(("name", "kind"), EVERY_FORMAT_AND_DIRECTION)
-def test_a_frame_is_read_byte_by_byte(name: str, kind: str) -> None:
-    decoder = new(name, kind)
-    data, expected = some(name, kind, 4095)
-    read = [frames_in(decoder, bytes([byte])) for byte in data]
-    assert read == [[]] * (len(data) - 1) + [[expected]]
-
-
-@pytest.mark.parametrize(("name", "kind"), EVERY_FORMAT_AND_DIRECTION)
-def test_many_frames_in_one_read_all_come_out_in_order(name: str, kind: str) -> None:
-    sent = [some(name, kind, number) for number in range(200)]
-    decoder = new(name, kind)
-    assert frames_in(decoder, b"".join(data for data, _ in sent)) == [expected for _, expected in sent]
-    assert counters(decoder) == dict.fromkeys(COUNTERS, 0) | {"accepted": 200}
-
-
-@pytest.mark.parametrize(("name", "kind"), EVERY_FORMAT_AND_DIRECTION)
 def test_after_garbage_of_every_length_around_the_memory_s_size_the_next_frame_is_accepted(
     name: str, kind: str
 ) -> None:
@@ -73,13 +48,6 @@ def test_after_garbage_of_every_length_around_the_memory_s_size_the_next_frame_i
 def test_after_any_bytes_the_next_whole_frame_is_accepted(where: tuple[str, str], garbage: bytes, number: int) -> None:
     data, expected = some(*where, number)
     assert frames_in(new(*where), garbage + data)[-1] == expected
-
-
-@pytest.mark.parametrize(("name", "kind"), EVERY_FORMAT_AND_DIRECTION)
-def test_a_lost_delimiter_costs_one_frame(name: str, kind: str) -> None:
-    (first, _), (second, expected) = some(name, kind, 1), some(name, kind, 2)
-    for glue in (b"", b"\x01", b"\x80", b"\xff"):
-        assert frames_in(new(name, kind), first[:-1] + glue + second) == [expected]
 
 
 @pytest.mark.parametrize(("name", "kind"), EVERY_FORMAT_AND_DIRECTION)
@@ -104,12 +72,6 @@ def test_disarm_said_in_every_format_is_heard_once_by_a_device_in_any_of_them(ch
     assert frames_in(new_decoder(SETUP, to_device=True), sent) == [Frame(schema.DISARM, 0, 0, (0,))]
 
 
-def test_delimiters_alone_are_no_error() -> None:
-    decoder = new("armed_1", "force")
-    assert frames_in(decoder, b"\0" * 1000) == []
-    assert counters(decoder) == dict.fromkeys(COUNTERS, 0)
-
-
 @pytest.mark.parametrize("later", sorted(FORMATS))
 @pytest.mark.parametrize("earlier", sorted(FORMATS))
 def test_a_frame_begun_in_one_format_is_forgotten_in_the_next_and_counters_go_on(earlier: str, later: str) -> None:
@@ -119,14 +81,6 @@ def test_a_frame_begun_in_one_format_is_forgotten_in_the_next_and_counters_go_on
     use_format(decoder, FORMATS[later])
     assert frames_in(decoder, data) == [second]
     assert counters(decoder) == dict.fromkeys(COUNTERS, 0) | {"accepted": 2}
-
-
-def test_a_decoder_taken_through_formats_reads_as_a_new_one_does() -> None:
-    used = new("armed_16", "position")
-    for name in [*FORMATS, *reversed(FORMATS), "armed_16", "armed_1", "velocity_16", "armed_16"]:
-        use_format(used, FORMATS[name])
-        data, expected = some(name, "position", 9)
-        assert frames_in(used, b"\xff" * 300 + data + data[:7]) == [expected]
 
 
 @st.composite
