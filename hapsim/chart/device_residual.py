@@ -31,7 +31,7 @@ def residual_columns(found: DeviceIdentification) -> dict[str, Vector]:
     rows = int(starts[-1])
     run = np.repeat(np.arange(len(motions)), np.diff(starts))
     left, velocity, force = (np.full(rows, np.nan) for _ in range(3))
-    for swing, error in zip(found.fit.swings, found.fit.residuals, strict=True):
+    for swing, error in zip(found.swings, found.residuals, strict=True):
         first = starts[swing.motion] + swing.first
         left[first : first + swing.rows] = error * found.count_m
     window = starts[lacking.motion] + lacking.row

@@ -42,8 +42,8 @@ def speed_accuracy(
     The error is the distance from the continuous object.
     """
     from hapsim.chart.speed_accuracy import draw_speed_accuracy
-    from hapsim.speed_accuracy.comparison import RATES, compare, objects_named
-    from hapsim.speed_accuracy.results import columns, fronts, peers_in, schemes_named, verdict
+    from hapsim.speed_accuracy.comparison import RATES, compare, objects_named, schemes_named
+    from hapsim.speed_accuracy.results import columns, fronts, peers_in, verdict
 
     chosen, by = objects_named(names(objects)), schemes_named(names(schemes))
     at = _above_zero(numbers("--rates", rates)) or RATES

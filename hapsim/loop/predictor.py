@@ -277,7 +277,8 @@ def post_table(predictor, table, samples):
     predictor.posted = np.uint64(table)
 
 
-_OFFLINE = np.dtype([("predictor", PREDICTOR), ("io", IO_BUFFER)], align=True)
+_CONTROL = np.dtype([("time_to_live", np.int64)])  # what a correction reads of the loop's
+_OFFLINE = np.dtype([("predictor", PREDICTOR), ("io", IO_BUFFER), ("control", _CONTROL)], align=True)
 
 
 class CorrectedTicks:

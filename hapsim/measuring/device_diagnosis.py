@@ -9,7 +9,7 @@ from hapsim.errors import DeviceError, GuardError, RunError, UsageError
 from hapsim.measuring.device_excitation import Bounds
 from hapsim.measuring.device_fit import DeviceFit
 from hapsim.measuring.device_misfit import LOUD
-from hapsim.measuring.device_motion import ROUNDING
+from hapsim.measuring.trace_quality import ROUNDING
 
 _UNSURE = 0.3  # of the mass: its uncertainty, beyond which nothing is said of it
 _UNEXPLAINED, _UNEXPLAINED_INVERTED = 0.5, 0.001  # of the motion, rms: more is not of the force
@@ -31,16 +31,21 @@ class Pushed:
     """rms, at rest."""
     count_m: float
 
+    @property
+    def floor(self) -> float:
+        """m rms, of noise and rounding."""
+        return math.hypot(self.noise_m, ROUNDING * self.count_m)
+
+    def is_loud(self, fit: DeviceFit) -> bool:
+        """Whether the fit leaves more than noise and rounding."""
+        return fit.residual_counts * self.count_m > LOUD * self.floor
+
 
 def why_not(fit: DeviceFit | None, pushed: Pushed) -> UsageError | RunError | None:
     """Why this fit is none to go on from; None where it is one."""
+    if fit is not None and (error := inverted(fit, pushed) or _moved_by_another(fit, pushed)):
+        return error
     unsure = math.inf if fit is None else abs(fit.mass.uncertainty / fit.mass.value)
-    floor = math.hypot(pushed.noise_m, ROUNDING * pushed.count_m)
-    if fit is not None and inverted(fit, pushed) is not None:
-        return inverted(fit, pushed)
-    loud = fit is not None and fit.residual_counts * pushed.count_m > LOUD * floor
-    if fit is not None and loud and (fit.unexplained > _UNEXPLAINED or fit.mass.value < 0.0):
-        return _moved_by_another(fit)
     if unsure < _UNSURE:
         return None
     if pushed.peak_m < _ENOUGH * pushed.bounds.travel:
@@ -49,7 +54,7 @@ def why_not(fit: DeviceFit | None, pushed: Pushed) -> UsageError | RunError | No
             "to identify anything: it is held, stuck by dry friction, much heavier than declared, or its motor does "
             "not push. Let it move freely, or allow more with --force"
         )
-    if fit is None and pushed.peak_m > _MANY * floor:
+    if fit is None and pushed.peak_m > _MANY * pushed.floor:
         return UsageError(
             f"pushed with {pushed.force:.3g} N the device moved by {1e3 * pushed.peak_m:.3g} mm, but in jerks, or only "
             "now and then: dry friction holds it, or the record is too short. Allow more with --force and --travel"
@@ -78,11 +83,10 @@ def why_too_far(fit: DeviceFit | None, pushed: Pushed) -> RunError:
 
 
 def inverted(fit: DeviceFit | None, pushed: Pushed) -> GuardError | None:
-    """Says so where the force, and nothing else, moves the device the other way."""
-    floor = math.hypot(pushed.noise_m, ROUNDING * pushed.count_m)
+    """The error where the force, and nothing else, moves the device the other way; None where it does not."""
     if fit is None or not fit.mass.value + fit.mass.uncertainty / _UNSURE < 0.0:
         return None
-    if fit.residual_counts * pushed.count_m > LOUD * floor and fit.unexplained > _UNEXPLAINED_INVERTED:
+    if pushed.is_loud(fit) and fit.unexplained > _UNEXPLAINED_INVERTED:
         return None
     return GuardError(
         "motor and position disagree in sign: a force to one side moves the device to the other. Swap the motor's two "
@@ -90,7 +94,9 @@ def inverted(fit: DeviceFit | None, pushed: Pushed) -> GuardError | None:
     )
 
 
-def _moved_by_another(fit: DeviceFit) -> DeviceError:
+def _moved_by_another(fit: DeviceFit, pushed: Pushed) -> DeviceError | None:
+    if not pushed.is_loud(fit) or not (fit.unexplained > _UNEXPLAINED or fit.mass.value < 0.0):
+        return None
     share = max(1.0 - fit.unexplained**2, 0.0)
     return DeviceError(
         f"the device does not move the way it is pushed: the forces explain {share:.0%} of its motion. A hand or "

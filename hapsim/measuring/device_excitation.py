@@ -11,12 +11,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from hapsim.measuring.device_model import Converters, sampled_motion
+from hapsim.measuring.converters import Converters
+from hapsim.measuring.device_model import sampled_motion
 from hapsim.running.excitation import Excitation
-from hapsim.scene import DevicePoint, Ground, Initial, Mock, Scene, ViscoElastic
+from hapsim.scene import Ground, Initial, Mock, Scene, ViscoElastic
 
 _LEAST_HALF = 32
 _SLOW = 16.0  # sample periods for each of the delay and one more
@@ -42,8 +44,7 @@ class Bounds:
         return _PUSHES * self.force
 
 
-@dataclass(frozen=True)
-class Plant:
+class Plant(NamedTuple):
     """What is taken for the device, SI units, delay in sample periods."""
 
     mass: float
@@ -76,65 +77,53 @@ def drive_for(plant: Plant, bounds: Bounds, rate_hz: float, *, pace: float, tigh
     longest = max(shortest, math.floor(_LONGEST_HALF_S * rate_hz))
     half = min(max(shortest, math.ceil(pace * crossing)), longest)
     eigen = tightness * rate_hz / half  # rad/s
-    return Drive(
-        stiffness=plant.mass * eigen**2,
-        damping=2.0 * _DAMPING_RATIO * plant.mass * eigen,
-        force=bounds.push,
-        half=half,
-    )
+    return Drive(plant.mass * eigen**2, 2.0 * _DAMPING_RATIO * plant.mass * eigen, bounds.push, half)
 
 
 def peak_per_newton(plant: Plant, drive: Drive, rate_hz: float, converters: Converters) -> float:
-    """How far the plant gets under these pushes, m for each newton of them: with dry friction it would be less."""
+    """How far the plant gets under these pushes, m for each newton of them; with dry friction it would be less."""
     per_sample = rate_hz * plant.mass * rate_hz
-    motion = sampled_motion(
-        plant.friction * rate_hz / per_sample, plant.stiffness / per_sample, plant.delay, converters
-    )
-    count = _LOOKED_AT * drive.half
-    gone = motion.whole_delay + len(motion.gains)
+    friction, stiffness = plant.friction * rate_hz / per_sample, plant.stiffness / per_sample
+    motion = sampled_motion(friction, stiffness, plant.delay, converters)
+    gains, ages = np.array(motion.gains), np.arange(len(motion.gains))
+    count, gone = _LOOKED_AT * drive.half, motion.whole_delay + ages.size
     forces, state, before, now, peak = np.zeros(count + gone), np.zeros(2), 0.0, 0.0, 0.0
     for n in range(count):
-        push, number = 1.0, n // drive.half
-        push -= 0.5 * ((number * _GOLDEN) % 1.0)
+        number = n // drive.half
+        push = (-1.0) ** number * (1.0 - 0.5 * ((number * _GOLDEN) % 1.0))
         spring = drive.stiffness * now + drive.damping * rate_hz * (now - before)
-        forces[n + gone] = ((-push if number & 1 else push) - spring) / per_sample
-        acting = forces[n + gone - motion.whole_delay - np.arange(len(motion.gains))]
-        seen = float(motion.row @ state) + float(acting @ motion.seen)
-        state = motion.step @ state + acting @ motion.gains
-        before, now = now, seen
-        peak = max(peak, abs(seen))
+        forces[n + gone] = (push - spring) / per_sample
+        acting = forces[n + gone - motion.whole_delay - ages]
+        seen = motion.row @ state + acting @ gains[:, motion.seen]
+        state = motion.step @ state + acting @ gains[:, :2]
+        before, now = now, float(seen)
+        peak = max(peak, abs(now))
     return peak
 
 
 def scene_of(scene: Scene, bounds: Bounds, channel: int, drive: Drive | None, home: float) -> Scene:
-    """The scene's device on this spring and damper at `home` (m), or on nothing: every other channel is left free, the
-    force is limited to what is allowed, and fades where the device comes near the end of what it may move; nothing is
-    corrected by what is declared, and a mock begins at rest."""
-    device = scene.device.model_copy(update={"correction": "none", "force_limit": bounds.force, "travel": None})
-    modules = {f"device-{point.channel}": point for point in scene.device_points.values()}
+    """The scene's device on this spring and damper at `home` (m), or on nothing.
+
+    Every other channel is free. The force is limited to what is allowed, and fades where the device comes near the end
+    of what it may move; nothing is corrected by what is declared, and a mock begins at rest.
+    """
+    device: dict[str, Any] = {"correction": "none", "force_limit": bounds.force, "travel": None}
+    modules: dict[str, Any] = {f"device-{point.channel}": point for point in scene.device_points.values()}
     if drive is not None:
-        held = next(name for name, point in modules.items() if point.channel == channel)
-        spring = ViscoElastic(
-            type="viscoelastic", between=(held, "home"), stiffness=drive.stiffness, damping=drive.damping
-        )
-        around: dict[str, DevicePoint | Ground | ViscoElastic] = {
-            "home": Ground(type="ground", position=home),
-            "spring": spring,
-        }
-        modules = {**modules, **around}  # type: ignore[dict-item]
+        ends, K, B = (f"device-{channel}", "home"), drive.stiffness, drive.damping
+        modules["home"] = Ground(type="ground", position=home)
+        modules["spring"] = ViscoElastic(type="viscoelastic", between=ends, stiffness=K, damping=B)
         limits, fades = list(scene.device.travels(scene.channels)), _FADES * bounds.travel
         least, most = limits[channel]
         limits[channel] = max(least, home - bounds.travel + fades), min(most, home + bounds.travel - fades)
-        force = min(bounds.force, _WITH_SPRING * drive.force)
-        update = {"force_limit": force, "travel": tuple(limits), "travel_margin": fades}
-        device = device.model_copy(update=update)
+        device |= {"travel": tuple(limits), "travel_margin": fades}
+        device["force_limit"] = min(bounds.force, _WITH_SPRING * drive.force)
     mock = scene.mock or Mock()
-    return scene.model_copy(
-        update={
-            "device": device,
-            "mock": mock.model_copy(update={"initial": Initial(position=mock.initial.position)}),
-            "modules": modules,
-            "scheme": "cordis",
-            "precision": "double",
-        }
-    )
+    changed = {
+        "device": scene.device.model_copy(update=device),
+        "mock": mock.model_copy(update={"initial": Initial(position=mock.initial.position)}),
+        "modules": modules,
+        "scheme": "cordis",
+        "precision": "double",
+    }
+    return scene.model_copy(update=changed)

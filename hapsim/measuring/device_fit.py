@@ -1,11 +1,10 @@
-"""Mass, friction, stiffness, dry friction and delay of a device, from records of its motion under known forces; and the
-mass that hangs on it by a spring and a damper, where that is asked for.
+"""Mass, friction, stiffness, dry friction and delay of a device, from records of its motion under known forces; and a
+second mass that hangs on it by a spring and a damper, where asked for.
 
-The forces that were sent are known exactly and the positions to their rounding and noise, which is white: the most
-likely parameters are those whose motion lies closest to the positions, by least squares (output error). Each swing,
-in which the velocity keeps its sign, begins in a state of its own; this is linear, and projected out. So are mass, dry
-friction and constant force while a start is looked for. The covariance is that of least squares; where what is left is
-not white, it is worked out swing by swing instead.
+The forces that were sent are known exactly, and the positions to their rounding and noise, which is white. So the most
+likely parameters are those whose motion lies closest to the positions (output error, least squares). Each swing, in
+which the velocity keeps its sign, begins in a state of its own; this is linear, and projected out. The covariance is
+that of least squares; where what is left is not white, it is worked out swing by swing instead.
 """
 
 from __future__ import annotations
@@ -21,8 +20,10 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 from scipy.optimize import least_squares
 
-from hapsim.measuring.device_model import Converters, sampled_motion
-from hapsim.measuring.device_motion import ROUNDING, Motion, Swing
+from hapsim.measuring.converters import Converters
+from hapsim.measuring.device_model import sampled_motion
+from hapsim.measuring.device_motion import Motion, Swing
+from hapsim.measuring.trace_quality import ROUNDING
 
 Vector = NDArray[np.float64]
 
@@ -59,19 +60,22 @@ class HandFit:
     damping: Estimate
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class DeviceFit:
     """What was found, in SI units; the delay in sample periods."""
 
     mass: Estimate
     friction: Estimate
     stiffness: Estimate
+    delay: Estimate
     coulomb: Estimate
+    """N, dry friction."""
     constant_force: Estimate
     """N: gravity, or an offset of the force."""
-    delay: Estimate
     hand: HandFit | None
-    """Where one was asked for."""
+    """What moves with it, on a spring and a damper; None where one mass explains the motion."""
+    samples: int
+    """That the fit used: those of which the velocity keeps its sign."""
     shape: Shape
     residual_counts: float
     """rms, of the positions."""
@@ -79,33 +83,14 @@ class DeviceFit:
     """Share of the motion, beside the free one, that the forces do not explain, rms."""
     correlation: float
     """Of what is left, from one row to the next; 0 where it is noise."""
-    rows: int
-    swings: tuple[Swing, ...] = field(repr=False)
-    residuals: tuple[Vector, ...] = field(repr=False)
+    swings: tuple[Swing, ...] = field(repr=False, compare=False)
+    residuals: tuple[Vector, ...] = field(repr=False, compare=False)
     """What is left in each swing, counts."""
 
     @property
     def is_white(self) -> bool:
         """Whether what is left is noise."""
-        return self.correlation * math.sqrt(self.rows) < _WHITE
-
-
-@dataclass(frozen=True)
-class _Table:
-    """The swings side by side, padded to the longest."""
-
-    force: Vector
-    """N, of all motions laid end to end, each between zeros: no force acted before."""
-    index: NDArray[np.int64]
-    """(S, L) where each row is among them."""
-    inside: NDArray[np.bool_]
-    """(S, L)"""
-    position: Vector
-    """(S, L) counts."""
-    side: Vector
-    """(S, L) to which the velocity is."""
-    most_delay: float
-    """Beyond which no delay is tried, sample periods."""
+        return self.correlation * math.sqrt(self.samples) < _WHITE
 
 
 def fit_device(
@@ -121,8 +106,8 @@ def fit_device(
     `most_delay`: sample periods. What the record does not tell has a huge uncertainty."""
     if sum(swing.rows for swing in swings) < _LEAST_ROWS:
         return None
-    table = _table(motions, swings, most_delay)
-    begin = _begin(table, begins, converters)
+    table = _Table(motions, swings, most_delay, converters)
+    begin = table.begin(begins)
     if begin is None:
         return None
     push = max(float(np.max(np.abs(motion.force), initial=0.0)) for motion in motions)
@@ -131,18 +116,9 @@ def fit_device(
     scale = np.array([gain, gain * push, gain * push, 1.0, 1.0 / typical, 1.0 / typical**2, *hand])
 
     def left(scaled: Vector) -> Vector:
-        return _left(table, scaled * scale, converters)[table.inside]
+        return table.left(scaled * scale)
 
-    least = np.array([*_LEAST, *(0.0 * hand)])
-    most = np.array([*_MOST[:3], most_delay, *_MOST[4:], *(_MOST_OF_HAND + 0.0 * hand)])
-    found = np.clip(begin / scale, least + _STEP, most - _STEP)
-    found = least_squares(
-        left, found, lambda at: _slopes(left, at), (least, most), xtol=1e-10, ftol=1e-12, gtol=1e-12, max_nfev=_TRIES
-    ).x
-    slopes = _slopes(left, found)
-    refined = found - np.linalg.lstsq(slopes, left(found), rcond=_SINGULAR)[0]
-    if np.all((least < refined) & (refined < most)) and norm(left(refined)) < norm(left(found)):
-        found = refined  # to the last digit that the record has
+    found, slopes = _least_squares(left, begin / scale, most_delay)
     residual = np.zeros(table.inside.shape)
     residual[table.inside] = left(found)
     spread = _spread(table, residual, slopes)
@@ -151,23 +127,39 @@ def fit_device(
     uncertainty = norm(conversion @ spread, axis=1)
     estimates = [Estimate(float(a), float(b)) for a, b in zip(si, uncertainty, strict=True)]
     mass, coulomb, constant, delay, friction, stiffness, *of_hand = estimates
-    moved = _columns(table, tuple(found[3:] * scale[3:]), converters)[..., 0]
+    shape = tuple(float(value) for value in found[3:] * scale[3:])
     return DeviceFit(
         mass=mass,
         friction=friction,
         stiffness=stiffness,
+        delay=delay,
         coulomb=coulomb,
         constant_force=constant,
-        delay=delay,
         hand=HandFit(*of_hand) if of_hand else None,
-        shape=tuple(float(value) for value in found[3:] * scale[3:]),
+        samples=int(np.count_nonzero(table.inside)),
+        shape=shape,
         residual_counts=_rms(table, residual, found.size),
-        unexplained=float(norm(residual) / norm(moved)),
+        unexplained=float(norm(residual) / norm(table.columns(shape)[..., 0])),
         correlation=_correlation(table, residual),
-        rows=int(np.count_nonzero(table.inside)),
         swings=tuple(swings),
         residuals=tuple(row[inside] for row, inside in zip(residual, table.inside, strict=True)),
     )
+
+
+def _least_squares(left: Callable[[Vector], Vector], begin: Vector, most_delay: float) -> tuple[Vector, Vector]:
+    """(the scaled parameters that leave least, the slopes there), to the last digit that the record has."""
+    hand = begin[6:]
+    least = np.array([*_LEAST, *(0.0 * hand)])
+    most = np.array([*_MOST[:3], most_delay, *_MOST[4:], *(_MOST_OF_HAND + 0.0 * hand)])
+    found = np.clip(begin, least + _STEP, most - _STEP)
+    found = least_squares(
+        left, found, lambda at: _slopes(left, at), (least, most), xtol=1e-10, ftol=1e-12, gtol=1e-12, max_nfev=_TRIES
+    ).x
+    slopes = _slopes(left, found)
+    refined = found - np.linalg.lstsq(slopes, left(found), rcond=_SINGULAR)[0]
+    if np.all((least < refined) & (refined < most)) and norm(left(refined)) < norm(left(found)):
+        found = refined
+    return found, slopes
 
 
 def hands_on(delay: float, rate_hz: float) -> list[Shape]:
@@ -181,54 +173,59 @@ def hands_on(delay: float, rate_hz: float) -> list[Shape]:
     return shapes
 
 
-def _table(motions: list[Motion], swings: list[Swing], most_delay: float) -> _Table:
-    pad = math.ceil(most_delay) + _MARGIN
-    starts = np.cumsum([pad, *(motion.position.size + 2 * pad for motion in motions)])
-    lengths = np.array([swing.rows for swing in swings])
-    along = np.arange(int(np.max(lengths)))
-    inside = along[None, :] < lengths[:, None]
-    first = np.array([starts[swing.motion] + swing.first for swing in swings])
-    index = np.where(inside, first[:, None] + along[None, :], pad)
-    position = np.concatenate([np.pad(motion.position, pad) for motion in motions])
-    force = np.concatenate([np.pad(motion.force, pad) for motion in motions])
-    going = np.sign(np.gradient(uniform_filter1d(position, _SMOOTH)))
-    side = np.where([[swing.side == 0.0] for swing in swings], going[index], [[swing.side] for swing in swings])
-    return _Table(force, index, inside, position[index] * inside, side, most_delay)
+class _Table:
+    """The swings side by side, padded to the longest: S rows of L."""
 
+    def __init__(self, motions: list[Motion], swings: list[Swing], most_delay: float, converters: Converters) -> None:
+        pad = math.ceil(most_delay) + _MARGIN
+        starts = np.cumsum([pad, *(motion.position.size + 2 * pad for motion in motions)])
+        lengths = np.array([swing.rows for swing in swings])
+        along = np.arange(int(np.max(lengths)))
+        self.inside = along[None, :] < lengths[:, None]
+        first = np.array([starts[swing.motion] + swing.first for swing in swings])
+        self._index = np.where(self.inside, first[:, None] + along[None, :], pad)
+        # All motions laid end to end, each between zeros: no force acted before.
+        self._force = np.concatenate([np.pad(motion.force, pad) for motion in motions])
+        position = np.concatenate([np.pad(motion.position, pad) for motion in motions])
+        self._position = position[self._index] * self.inside
+        going = np.sign(np.gradient(uniform_filter1d(position, _SMOOTH)))[self._index]
+        side = np.array([[swing.side] for swing in swings])
+        self._side = np.where(side == 0.0, going, side)
+        self._most_delay, self._converters = most_delay, converters
 
-def _columns(table: _Table, shape: Shape, converters: Converters) -> Vector:
-    """(S, L, 4) positions, and those under a unit gain, dry friction and constant force, all less the free motion that
-    fits them best."""
-    delay, friction, stiffness, *hand = shape
-    motion = sampled_motion(friction, stiffness, min(max(delay, -1.0), table.most_delay + 1.0), converters, hand)
-    newest, length = table.index - motion.whole_delay - 1, table.inside.shape[1]
-    pushed = motion.answer_to([table.force[newest - age] for age in range(len(motion.gains))])
-    constant = np.broadcast_to(motion.answer_at_once(np.ones(length)), pushed.shape)
-    columns = np.stack([table.position, pushed, -motion.answer_at_once(table.side), constant], axis=2)
-    columns *= table.inside[:, :, None]
-    free = motion.free(length) * table.inside[:, :, None]
-    basis, _ = np.linalg.qr(free / norm(free, axis=1, keepdims=True))
-    return np.asarray(columns - basis @ (basis.transpose(0, 2, 1) @ columns))
+    def columns(self, shape: Shape) -> Vector:
+        """(S, L, 4) positions, and those under a unit gain, dry friction and constant force, all less the free motion
+        that fits them best."""
+        delay, friction, stiffness, *hand = shape
+        delay = min(max(delay, -1.0), self._most_delay + 1.0)
+        motion = sampled_motion(friction, stiffness, delay, self._converters, hand)
+        newest, length = self._index - motion.whole_delay - 1, self.inside.shape[1]
+        pushed = motion.answer_to([self._force[newest - age] for age in range(len(motion.gains))])
+        constant = np.broadcast_to(motion.answer_at_once(np.ones(length)), pushed.shape)
+        columns = np.stack([self._position, pushed, -motion.answer_at_once(self._side), constant], axis=2)
+        columns *= self.inside[:, :, None]
+        free = motion.free(length) * self.inside[:, :, None]
+        basis, _ = np.linalg.qr(free / norm(free, axis=1, keepdims=True))
+        return np.asarray(columns - basis @ (basis.transpose(0, 2, 1) @ columns))
 
+    def begin(self, begins: Iterable[Shape]) -> Vector | None:
+        """The parameters of the shape that leaves least; None where no force explains anything."""
+        best, least = None, math.inf
+        for shape in begins:
+            columns = self.columns(shape)[self.inside]
+            size = norm(columns, axis=0)
+            size[size == 0.0] = 1.0
+            found, *_ = np.linalg.lstsq(columns[:, 1:] / size[1:], columns[:, 0], rcond=_SINGULAR)
+            left = float(norm(columns[:, 0] - columns[:, 1:] @ (found / size[1:])))
+            if left < least and found[0] != 0.0:
+                best, least = np.concatenate([found / size[1:], shape]), left
+        return best
 
-def _begin(table: _Table, begins: Iterable[Shape], converters: Converters) -> Vector | None:
-    """The parameters of the shape that leaves least; None where no force explains anything."""
-    best, least = None, math.inf
-    for shape in begins:
-        columns = _columns(table, shape, converters)[table.inside]
-        size = norm(columns, axis=0)
-        size[size == 0.0] = 1.0
-        found, *_ = np.linalg.lstsq(columns[:, 1:] / size[1:], columns[:, 0], rcond=_SINGULAR)
-        left = float(norm(columns[:, 0] - columns[:, 1:] @ (found / size[1:])))
-        if left < least and found[0] != 0.0:
-            best, least = np.concatenate([found / size[1:], shape]), left
-    return best
-
-
-def _left(table: _Table, values: Vector, converters: Converters) -> Vector:
-    """(S, L) positions less the modelled ones."""
-    gain, coulomb, constant, *shape = values
-    return np.asarray(_columns(table, tuple(shape), converters) @ np.array([1.0, -gain, -coulomb, -constant]))
+    def left(self, values: Vector) -> Vector:
+        """Positions less the modelled ones, row after row."""
+        gain, coulomb, constant, *shape = values
+        columns = self.columns(tuple(shape))[self.inside]
+        return np.asarray(columns @ np.array([1.0, -gain, -coulomb, -constant]))
 
 
 def _slopes(left: Callable[[Vector], Vector], at: Vector) -> Vector:
@@ -237,12 +234,9 @@ def _slopes(left: Callable[[Vector], Vector], at: Vector) -> Vector:
     return np.column_stack(columns)
 
 
-def _states(parameters: int) -> int:
-    return 2 if parameters == len(_LEAST) else 4
-
-
 def _rms(table: _Table, residual: Vector, parameters: int) -> float:
-    freedom = np.count_nonzero(table.inside) - _states(parameters) * residual.shape[0] - parameters
+    states = 2 if parameters == len(_LEAST) else 4  # in which each swing begins
+    freedom = np.count_nonzero(table.inside) - states * residual.shape[0] - parameters
     return math.sqrt(float(np.sum(residual**2)) / max(freedom, 1))
 
 

@@ -1,8 +1,14 @@
-"""Where the model of a device does not fit: with the position, with the velocity, or at the reversals."""
+"""Where the model of a device does not fit: with the position, with the velocity, or at the reversals.
+
+By a smoothed balance of forces. Multiplied by a window psi that vanishes at both ends, with its first two derivatives,
+and integrated by parts, the equation of motion holds for positions instead of accelerations (Shinbrot's modulating
+functions, 1957):
+
+    m <psi'', x> - b0 <psi', x> + k0 <psi, x> + Fc side <psi, 1> - F0 <psi, 1> = <psi, F>
+"""
 
 from __future__ import annotations
 
-import itertools
 import math
 from dataclasses import dataclass
 
@@ -10,112 +16,21 @@ import numpy as np
 from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 
-from hapsim.holds import HOLDS
+from hapsim.measuring.converters import Converters
 from hapsim.measuring.device_fit import DeviceFit
-from hapsim.measuring.device_model import Converters
-from hapsim.measuring.device_motion import ROUNDING, Motion, Swing
+from hapsim.measuring.device_motion import Motion
+from hapsim.measuring.trace_quality import ROUNDING
 
 Vector = NDArray[np.float64]
-
-_WINDOW = Polynomial([1.0, 0.0, -1.0]) ** 3  # (1 - s²)³ for s from -1 to 1
-LEAST_WIDTH, _LEAST_WINDOWS = 8, 20
-
-
-@dataclass(frozen=True)
-class Balance:
-    """Forces at the middle of R windows. Acceleration, velocity and position in m and sample periods, (R,)."""
-
-    swing: NDArray[np.int64]
-    """Index of the swing that each window lies in."""
-    row: NDArray[np.int64]
-    """Of its motion, at the middle of the window."""
-    acceleration: Vector
-    velocity: Vector
-    position: Vector
-    side: Vector
-    force: Vector
-    """N, at the delay that was asked for."""
-    noise_gain: float
-    """rms of an acceleration that white noise of 1 m rms makes."""
-
-    @property
-    def terms(self) -> NDArray[np.float64]:
-        """(R, 5), what mass, friction, stiffness, dry friction and constant force are factors of."""
-        columns = [self.acceleration, self.velocity, self.position, self.side, -np.ones_like(self.side)]
-        return np.column_stack(columns)
-
-
-def balance_of(
-    motions: list[Motion], swings: list[Swing], count_m: float, converters: Converters, delay: float, width: int
-) -> Balance:
-    """Windows of `width` rows, half overlapping, inside of the swings. `count_m`: m per count."""
-    half = 0.5 * width
-    at = (np.arange(width) - 0.5 * (width - 1)) / half
-    window, first, second = (p(at) for p in (_WINDOW, _WINDOW.deriv(), _WINDOW.deriv(2)))
-    unit = float(np.sum(window))
-    # The sums of the derivatives vanish exactly, so that a position may be counted from anywhere.
-    first, second = first - np.mean(first), second - np.mean(second)
-    second /= float(second @ (at * half) ** 2) / (2.0 * unit)
-    first /= -float(first @ (at * half)) / unit
-    late = delay + (0.5 if converters.sampling == "average" else 0.0)
-    whole, weights = _force_weights(converters.hold, late, width)
-    rows: list[tuple[float, ...]] = []
-    for number, swing in enumerate(swings):
-        motion = motions[swing.motion]
-        for begin in range(swing.first, swing.last - width + 1, max(1, width // 2)):
-            y = motion.position[begin : begin + width] * count_m
-            push = _around(motion.force, begin - whole, weights.size) @ weights
-            values = np.array([second @ y, -(first @ y), window @ y, push]) / unit
-            rows.append((number, begin + width // 2, swing.side, *values))
-    table = np.array(rows).reshape(-1, 7)
-    number_of, row, side, acceleration, velocity, position, force = table.T
-    return Balance(
-        swing=number_of.astype(np.int64),
-        row=row.astype(np.int64),
-        acceleration=acceleration,
-        velocity=velocity,
-        position=position,
-        side=side,
-        force=force,
-        noise_gain=float(np.linalg.norm(second)) / unit,
-    )
-
-
-def _force_weights(hold: str, delay: float, width: int) -> tuple[int, Vector]:
-    """(w, weights of the forces from w rows before the window on): how much of each acts within it."""
-    whole = math.ceil(delay) + 1
-    half = 0.5 * width
-    acts = np.arange(width + whole) - whole + delay - 0.5 * (width - 1)  # rows from the middle, when each begins to act
-    weights, begin = np.zeros(acts.size), 0.0
-    for duration, impulse, level, slope in HOLDS[hold].pieces(0.0):
-        for age, (strikes, pushes, grows) in enumerate(itertools.zip_longest(impulse, level, slope, fillvalue=0.0)):
-            since = (acts + begin + age) / half  # where this piece of each force begins
-            window, edges = _WINDOW(since), np.clip([since, since + duration / half], -1.0, 1.0)
-            weights += np.where(np.abs(since) < 1.0, strikes * window, 0.0)
-            weights += half * (pushes - grows * half * since) * np.diff(_WINDOW.integ()(edges), axis=0)[0]
-            weights += half**2 * grows * np.diff((_WINDOW * Polynomial([0.0, 1.0])).integ()(edges), axis=0)[0]
-        begin += duration
-    return whole, weights
-
-
-def _around(force: Vector, begin: int, rows: int) -> Vector:
-    """Forces from row `begin` on, which may lie before the record: then none acted."""
-    if begin >= 0:
-        return force[begin : begin + rows]
-    return np.concatenate([np.zeros(-begin), force[: rows + begin]])
-
-
-def width_for(swings: list[Swing]) -> int:
-    """Rows of a window: a third of a swing, and less of a short record."""
-    rows = [swing.rows for swing in swings]
-    return max(LEAST_WIDTH, min(int(np.median(rows)) // 3, sum(rows) // _LEAST_WINDOWS))
-
+Matrix = NDArray[np.float64]
 
 BINS = 12
+LOUD = 2.0  # times the noise at rest and the rounding
+_WINDOW = Polynomial([1.0, 0.0, -1.0]) ** 3  # (1 - s²)³ for s from -1 to 1
+_LEAST_WIDTH, _LEAST_WINDOWS = 8, 20
 _LEAST_SHARE = 0.3  # of the variance of the force that is lacking: with less it goes with nothing in particular
 _QUIET = 0.25  # of the force: noise that hides nothing
 _LATER = 0.1  # sample periods: a difference of the delay
-LOUD = 2.0  # times the noise at rest and the rounding
 
 
 @dataclass(frozen=True)
@@ -125,7 +40,7 @@ class ForceResidual:
     motion: NDArray[np.int64]
     """Which run of the record."""
     row: NDArray[np.int64]
-    """Of that run."""
+    """Of that run, at the middle of the window."""
     position: Vector
     """m from where the device was found."""
     velocity: Vector
@@ -133,7 +48,7 @@ class ForceResidual:
     """Share of its swing that has passed, 0 at one reversal to 1 at the next."""
     force: Vector
     """N that acted beside the modelled ones, whatever the model's parameters."""
-    modelled: NDArray[np.float64]
+    modelled: Matrix
     """(R, 6) forces that the parameters are factors of, the last by the delay."""
     noise: float
     """N rms that noise and rounding of the positions make of it."""
@@ -146,11 +61,13 @@ def force_residual(
 ) -> ForceResidual:
     """Of the swings of a fit, in windows as short as noise allows, a third of a swing at most. `noise_counts`: of a
     position of the device at rest, rms; `count_m`: m per count."""
-    width = width_for(list(fit.swings))
-    found = _in_windows(motions, fit, noise_counts, count_m, rate_hz, converters, width)
-    while width >= 2 * LEAST_WIDTH:
+    noise = math.hypot(noise_counts, ROUNDING) * count_m
+    rows = [swing.rows for swing in fit.swings]
+    width = max(_LEAST_WIDTH, min(int(np.median(rows)) // 3, sum(rows) // _LEAST_WINDOWS))
+    found = _in_windows(motions, fit, noise, count_m, rate_hz, converters, width)
+    while width >= 2 * _LEAST_WIDTH:
         width //= 2
-        finer = _in_windows(motions, fit, noise_counts, count_m, rate_hz, converters, width)
+        finer = _in_windows(motions, fit, noise, count_m, rate_hz, converters, width)
         if not finer.noise < _QUIET * _rms(finer.force):
             break
         found = finer
@@ -160,36 +77,93 @@ def force_residual(
 def _in_windows(
     motions: list[Motion],
     fit: DeviceFit,
-    noise_counts: float,
+    noise: float,
     count_m: float,
     rate_hz: float,
     converters: Converters,
     width: int,
 ) -> ForceResidual:
-    swings, delay = list(fit.swings), fit.delay.value
-    balance = balance_of(motions, swings, count_m, converters, delay, width)
+    """In windows of `width` rows, half overlapping, inside of the swings. `noise`: m rms of a position."""
+    swings = np.array(
+        [
+            (swing.motion, begin, swing.side, (begin + width // 2 - swing.first) / swing.rows)
+            for swing in fit.swings
+            for begin in range(swing.first, swing.last - width + 1, max(1, width // 2))
+        ]
+    ).reshape(-1, 4)
+    motion, begin, side = swings[:, 0].astype(np.int64), swings[:, 1].astype(np.int64), swings[:, 2]
+    kernels = _kernels(width)
+    moved = count_m * _weighted([one.position for one in motions], motion, begin, kernels)
     # What is left moves like the device under the force that is lacking, and under no other.
-    left = balance_of(_what_is_left(motions, fit), swings, count_m, converters, delay, width)
+    left = [np.zeros_like(one.position) for one in motions]
+    for swing, error in zip(fit.swings, fit.residuals, strict=True):
+        left[swing.motion][swing.first : swing.last] = error
     inertia = fit.mass.value * rate_hz**2
-    lacking = inertia * left.acceleration + fit.friction.value * rate_hz * left.velocity
-    later = balance_of(motions, swings, count_m, converters, delay + _LATER, width)
-    modelled = np.column_stack([balance.terms, later.force - balance.force])
-    first = np.array([swings[i].first for i in balance.swing])
-    rows = np.array([swings[i].rows for i in balance.swing])
+    lacking = (
+        count_m
+        * _weighted(left, motion, begin, kernels)
+        @ np.array([inertia, fit.friction.value * rate_hz, fit.stiffness.value])
+    )
+    late = fit.delay.value + (0.5 if converters.averages else 0.0)
+    sent, later = (_force_in(motions, motion, begin, one, converters, width) for one in (late, late + _LATER))
+    modelled = np.column_stack([moved, side, -np.ones_like(side), later - sent])
     return ForceResidual(
-        motion=np.array([swings[i].motion for i in balance.swing], dtype=np.int64),
-        row=balance.row,
-        position=balance.position,
-        velocity=balance.velocity * rate_hz,
-        in_swing=(balance.row - first) / rows,
-        force=_beside(modelled, lacking + fit.stiffness.value * left.position),
+        motion=motion,
+        row=begin + width // 2,
+        position=moved[:, 2],
+        velocity=moved[:, 1] * rate_hz,
+        in_swing=swings[:, 3],
+        force=_beside(modelled, lacking),
         modelled=modelled,
-        noise=balance.noise_gain * math.hypot(noise_counts, ROUNDING) * count_m * inertia,
-        typical_force=_rms(balance.force),
+        noise=float(np.linalg.norm(kernels[0])) * noise * inertia,
+        typical_force=_rms(sent),
     )
 
 
-def _beside(explaining: NDArray[np.float64], force: Vector) -> Vector:
+def _kernels(width: int) -> Matrix:
+    """(3, width): by what `width` positions become their acceleration, velocity (in sample periods) and mean."""
+    half = 0.5 * width
+    at = (np.arange(width) - 0.5 * (width - 1)) / half
+    window, first, second = (p(at) for p in (_WINDOW, _WINDOW.deriv(), _WINDOW.deriv(2)))
+    unit = float(np.sum(window))
+    # The sums of the derivatives vanish exactly, so that a position may be counted from anywhere.
+    first, second = first - np.mean(first), second - np.mean(second)
+    second *= 2.0 / float(second @ (at * half) ** 2)
+    first /= float(first @ (at * half))
+    return np.stack([second, first, window / unit])
+
+
+def _weighted(signals: list[Vector], motion: NDArray[np.int64], begin: NDArray[np.int64], kernels: Matrix) -> Matrix:
+    """(R, kernels): each window's weighted sums."""
+    width = kernels.shape[1]
+    rows = [kernels @ signals[i][j : j + width] for i, j in zip(motion, begin, strict=True)]
+    return np.array(rows).reshape(-1, kernels.shape[0])
+
+
+def _force_in(
+    motions: list[Motion],
+    motion: NDArray[np.int64],
+    begin: NDArray[np.int64],
+    delay: float,
+    converters: Converters,
+    width: int,
+) -> Vector:
+    """(R,) N: the mean force in each window, of forces that act `delay` rows late; before a record none acted."""
+    before, half = math.ceil(delay) + 1, 0.5 * width
+    acts = np.arange(width + before) - before + delay - 0.5 * (width - 1)  # rows from the middle: where each begins
+    weights = np.zeros(acts.size)
+    for later, duration, impulse, level, slope in converters.pieces_of_one_force():
+        since = (acts + later) / half
+        edges = np.clip([since, since + duration / half], -1.0, 1.0)
+        weights += np.where(np.abs(since) < 1.0, impulse * _WINDOW(since), 0.0)
+        weights += half * (level - slope * half * since) * np.diff(_WINDOW.integ()(edges), axis=0)[0]
+        weights += half**2 * slope * np.diff((_WINDOW * Polynomial([0.0, 1.0])).integ()(edges), axis=0)[0]
+    unit = float(np.sum(_WINDOW((np.arange(width) - 0.5 * (width - 1)) / half)))
+    padded = [np.pad(one.force, (before, 0)) for one in motions]
+    return _weighted(padded, motion, begin, weights[None, :] / unit)[:, 0]
+
+
+def _beside(explaining: Matrix, force: Vector) -> Vector:
     """What no combination of the columns explains."""
     size = np.linalg.norm(explaining, axis=0)
     q, _ = np.linalg.qr(explaining[:, size > 0.0] / size[size > 0.0])
@@ -200,24 +174,15 @@ def _rms(values: Vector) -> float:
     return math.sqrt(float(np.mean(values**2)))
 
 
-def _what_is_left(motions: list[Motion], fit: DeviceFit) -> list[Motion]:
-    """The motions less the modelled ones, in the swings; no force."""
-    empty = [np.zeros_like(motion.position) for motion in motions]
-    for swing, error in zip(fit.swings, fit.residuals, strict=True):
-        empty[swing.motion][swing.first : swing.last] = error
-    return [Motion(left, np.zeros_like(left), motion.known) for left, motion in zip(empty, motions, strict=True)]
-
-
 def misfit_of(fit: DeviceFit, lacking: ForceResidual, noise_counts: float) -> str:
     """In a sentence, where the model does not fit; "" where what is left is noise and rounding. `noise_counts`: of a
     position of the device at rest, rms."""
     expected = math.hypot(noise_counts, ROUNDING)
     if fit.is_white and fit.residual_counts < LOUD * expected:
         return ""
-    size = _rms(lacking.force)
     return (
         f"the model does not fit: it leaves {fit.residual_counts:.3g} counts rms of the positions, where rounding and "
-        f"noise explain {expected:.2g}. The force that it lacks, {size:.2g} N rms beside pushes of "
+        f"noise explain {expected:.2g}. The force that it lacks, {_rms(lacking.force):.2g} N rms beside pushes of "
         f"{lacking.typical_force:.2g} N rms, {_where(lacking)}."
     )
 

@@ -2,18 +2,18 @@
 
     m x'' + b0 x' + k0 x = F(t) + F0 - Fc sign(x') - k (x - y) - c (x' - y'),    M y'' = k (x - y) + c (x' - y')
 
-The second mass M at y, on a spring and a damper, is what a hand may be that does not hold the first one firmly.
-In sample periods and forces per mass, with A = b0 T/m, W = k0 T²/m and the delay D + phi in sample periods, force n
-acts from n + D + phi on, as the device's hold says. Between two changes of the force the motion is the exponential of
-the equation's matrix; over samples it is a recurrence, so that a whole record is one linear filter.
-Where the velocity keeps its sign dry friction is a constant force, and the motion is linear in all but A, W and delay.
+The second mass M at y, on a spring and a damper, is a hand that does not hold the first one firmly. In sample periods
+and forces per mass, with A = b0 T/m, W = k0 T²/m and the delay D + phi, force n acts from n + D + phi on, as the
+device's hold says. Between two changes of the force the motion is the exponential of the equation's matrix; over
+samples it is a recurrence, so that a whole record is one linear filter. Where the velocity keeps its sign dry friction
+is a constant force, and the motion is linear in all but A, W and delay.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,60 +21,52 @@ from scipy.linalg import expm
 from scipy.signal import lfilter
 
 from hapsim.holds import HOLDS
+from hapsim.measuring.converters import Converters
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class Converters:
-    """How the device holds a force and measures its position, by the scene's names."""
-
-    hold: str
-    sampling: str
-
-
-@dataclass(frozen=True)
-class SampledMotion:
+class SampledMotion(NamedTuple):
     """One sample of the motion, and what is measured at its end, in sample periods:
 
     state[n + 1] = step state[n] + sum over ages of gains[age] f[n - D - age], and
-    y[n + 1] = row state[n] + sum over ages of seen[age] f[n - D - age],
+    y[n + 1] = row state[n] + sum over ages of gains[age][seen] f[n - D - age],
 
-    the state being position and velocity of each mass, f force per mass; `steady` and `seen_steady` the same for a
-    constant force.
+    the state being position and velocity of each mass, f force per mass. Behind the state each gain has the part of the
+    position's mean; `steady` is the gain of a constant force.
     """
 
     whole_delay: int
     step: Matrix
+    row: Vector
+    seen: int
     gains: tuple[Vector, ...]
     steady: Vector
-    row: Vector
-    seen: tuple[float, ...]
-    seen_steady: float
 
     def answer_to(self, forces: Sequence[Vector]) -> Vector:
         """Positions along the last axis, the first one sample after rest at 0, under f[n - D - age] for each age."""
-        filtered = (self._filtered(*each) for each in zip(forces, self.gains, self.seen, strict=True))
-        return np.asarray(sum(filtered))
+        return np.asarray(sum(self._acting(force, gain) for force, gain in zip(forces, self.gains, strict=True)))
 
     def answer_at_once(self, force: Vector) -> Vector:
         """Positions along the last axis under forces that each act for one sample, the first one sample after rest."""
-        return self._filtered(force, self.steady, self.seen_steady)
+        return self._acting(force, self.steady)
 
     def free(self, samples: int) -> Matrix:
         """(samples, states) positions without a force, from each unit state on, the first one sample after it."""
-        start = np.zeros(samples)
-        start[0] = 1.0
+        start = np.eye(1, samples)[0]
         return np.column_stack([self._filtered(start, unit, 0.0, ahead=1) for unit in np.eye(self.row.size)])
+
+    def _acting(self, force: Vector, gain: Vector) -> Vector:
+        return self._filtered(force, gain, float(gain[self.seen]))
 
     def _filtered(self, force: Vector, gain: Vector, seen: float, ahead: int = 0) -> Vector:
         """y[n + 1] = [row (zI - step)^-1 gain + seen] force[n], as one filter; `ahead`: so many samples sooner."""
         denominator = np.poly(self.step)
-        markov = [seen]
+        markov, state = [seen], gain[: self.row.size]
         for _ in range(self.row.size):
-            markov.append(float(self.row @ gain))
-            gain = self.step @ gain
+            markov.append(float(self.row @ state))
+            state = self.step @ state
         numerator = np.convolve(denominator, markov)[: denominator.size]
         return np.asarray(lfilter(numerator[ahead:], denominator, force))
 
@@ -104,13 +96,5 @@ def sampled_motion(
         gains[[force, slope]] = 0.0
         gains[force, : len(level)], gains[slope, : len(grows)] = level, grows
         gains = expm(matrix * duration) @ gains
-    seen = area if converters.sampling == "average" else 0
-    return SampledMotion(
-        whole_delay=whole,
-        step=through[state, state],
-        gains=tuple(gains[state].T),
-        steady=through[state, force],
-        row=through[seen, state],
-        seen=tuple(gains[seen].tolist()),
-        seen_steady=float(through[seen, force]),
-    )
+    seen = area if converters.averages else 0
+    return SampledMotion(whole, through[state, state], through[seen, state], seen, tuple(gains.T), through[:, force])

@@ -1,21 +1,21 @@
-"""What a record shows of the device: positions, the forces that were really sent, and where it moved to one side."""
+"""What a record shows of the device: positions, the forces that were sent, and where it moved to one side."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hapsim.loop.ring import BRIDGED, LATE_FORCE, OFF_GRID
-from hapsim.measuring.trace_quality import unbroken
+from hapsim.measuring.trace_quality import ROUNDING, unbroken
 from hapsim.recording.trace import Trace
 
 Vector = NDArray[np.float64]
 
-ROUNDING = 1.0 / math.sqrt(12.0)  # counts: standard deviation of rounding to whole ones
 _CERTAIN = 6.0  # standard deviations: a velocity of which the sign is known
 _SLOW = 0.03  # of the largest velocity: what is slower may be about to turn
 _LEAST_ROWS = 8
@@ -34,8 +34,7 @@ class Motion:
     """Index ranges in which every force that acts was recorded."""
 
 
-@dataclass(frozen=True)
-class Swing:
+class Swing(NamedTuple):
     """Rows `first` to `last` of a motion: the velocity keeps its sign, `side` 1 or -1; or it may not, `side` 0."""
 
     motion: int
@@ -57,18 +56,17 @@ def motion_of(trace: Trace, channel: int, home_counts: float, most_delay: float)
         begin = first + lead if first > 0 else first  # before the first row no force acted
         if last - begin >= _LEAST_ROWS:
             known.append((begin, last))
-    return Motion(
-        trace.position_counts[:, channel].astype(np.float64) - home_counts,
-        trace.force_counts[:, channel].astype(np.float64) * float(trace.force_scale[channel]),
-        tuple(known),
-    )
+    position = trace.position_counts[:, channel].astype(np.float64) - home_counts
+    force = trace.force_counts[:, channel].astype(np.float64) * float(trace.force_scale[channel])
+    return Motion(position, force, tuple(known))
 
 
 def swings_of(motions: list[Motion], noise_counts: float) -> list[Swing]:
     """Where the velocity is known to keep its sign, with a margin on either side. `noise_counts`: of a position, rms;
     the rounding is added. The velocity is one over so many rows that most of the record is left."""
     noise = math.hypot(noise_counts, ROUNDING)
-    fastest = max((_fastest(motion) for motion in motions), default=0.0)
+    speeds = [np.abs(_velocity(motion.position[first:last], 2)) for motion in motions for first, last in motion.known]
+    fastest = max((float(np.quantile(speed, 0.99)) for speed in speeds if speed.size), default=0.0)
     if fastest == 0.0:
         return []
     found = [
@@ -78,7 +76,7 @@ def swings_of(motions: list[Motion], noise_counts: float) -> list[Swing]:
     return max(found, key=lambda swings: sum(swing.rows for swing in swings))
 
 
-def stretches_of(motions: list[Motion], rows: int) -> list[Swing]:
+def pieces_of(motions: list[Motion], rows: int) -> list[Swing]:
     """All that is known of the motions, whatever the velocity, in pieces of so many rows at most."""
     return [
         Swing(i, begin, min(begin + rows, last), 0.0)
@@ -88,13 +86,7 @@ def stretches_of(motions: list[Motion], rows: int) -> list[Swing]:
     ]
 
 
-def _fastest(motion: Motion) -> float:
-    """Counts per sample; of short steps the rounding is left out."""
-    steps = [np.abs(velocity(motion.position[first:last], 2)) for first, last in motion.known]
-    return max((float(np.quantile(step, 0.99)) for step in steps if step.size), default=0.0)
-
-
-def velocity(position: Vector, reach: int) -> Vector:
+def _velocity(position: Vector, reach: int) -> Vector:
     """Counts per sample from `reach` rows on either side; so many rows are missing at either end."""
     return (position[2 * reach :] - position[: -2 * reach]) / (2.0 * reach)
 
@@ -102,7 +94,7 @@ def velocity(position: Vector, reach: int) -> Vector:
 def _swings(number: int, motion: Motion, reach: int, noise: float, fastest: float) -> Iterator[Swing]:
     least = max(_CERTAIN * noise / (math.sqrt(2.0) * reach), _SLOW * fastest)
     for first, last in motion.known:
-        speed = velocity(motion.position[first:last], reach)
+        speed = _velocity(motion.position[first:last], reach)
         for side in (1.0, -1.0):
             moves = side * speed > least
             edges = np.flatnonzero(np.diff(moves.astype(np.int8), prepend=0, append=0))

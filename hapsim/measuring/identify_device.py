@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import product
 
 import numpy as np
@@ -13,23 +14,24 @@ from threadpoolctl import threadpool_limits
 from hapsim.device.open_connection import TransportKind
 from hapsim.errors import GuardError, UsageError
 from hapsim.loop.endings import IN_WORDS, OUT_OF_TRAVEL, STOPPED
+from hapsim.measuring.converters import Converters
 from hapsim.measuring.device_diagnosis import Pushed, inverted, why_not, why_too_far
 from hapsim.measuring.device_excitation import Bounds, Drive, Plant, drive_for, peak_per_newton, scene_of
-from hapsim.measuring.device_fit import DeviceFit, Estimate, HandFit, Shape, fit_device, hands_on
+from hapsim.measuring.device_fit import DeviceFit, Shape, fit_device, hands_on
 from hapsim.measuring.device_misfit import LOUD, ForceResidual, force_residual, misfit_of
-from hapsim.measuring.device_model import Converters
-from hapsim.measuring.device_motion import ROUNDING, Motion, Swing, motion_of, stretches_of, swings_of
-from hapsim.measuring.trace_quality import SeenRate, seen_rate
+from hapsim.measuring.device_motion import Motion, Swing, motion_of, pieces_of, swings_of
+from hapsim.measuring.trace_quality import ROUNDING, SeenRate, seen_rate
 from hapsim.progress import Progress
 from hapsim.recording.trace import Trace
 from hapsim.running import run
 from hapsim.scene import Scene
 
-_SHARE_OF_LIMIT = 0.25
 TRAVEL_M = 0.005
-"""To either side of where the device is found, where nothing else is said."""
+"""Default travel to either side of where the device is found."""
 SECONDS = 6.0
-"""That are recorded for the fit, where nothing else is said."""
+"""Default duration of what is recorded for the fit."""
+
+_SHARE_OF_LIMIT = 0.25
 _LISTEN_S, _LISTEN_TICKS = 0.1, 64
 _GENTLE_HALVES, _GENTLE_TICKS = 12, 384
 _MAY_BE_LIGHTER = 10.0  # the mass, than declared
@@ -42,26 +44,16 @@ _MOST_ATTEMPTS, _MORE_ATTEMPTS = 36, 3
 _MANY_TIMES_DECLARED, _LEAST_DELAY = 3.0, 8.0
 _HAND_LEAVES = 0.3  # of what one mass leaves: two are seen
 _UNSURE_HAND = 0.3  # of its mass: a hand that is none
-_STRETCH_S = 0.5  # a fit of two masses goes by stretches so long
+_PIECE_S = 0.5  # a fit of two masses goes by pieces so long
 _NOISE_PEAK = 4.0  # rms: how far the noise of a record reaches
 _DELAY_STEP, _FRICTIONS, _STIFFNESSES = 2.0, (0.0, 1.0, 5.0, 20.0), (0.0, 3.0, 30.0)  # of a first fit, by swings
 _DRIVES = ((1.0, 0.5), (0.6, 1.0), (1.6, 0.7))  # pace and tightness: three simulated (K, B)
 
 
-@dataclass(frozen=True)
-class DeviceIdentification:
-    """What was found of a device on one channel. SI units, the delay in sample periods."""
+@dataclass(frozen=True, kw_only=True)
+class DeviceIdentification(DeviceFit):
+    """What was found of a device on one channel, beside the values of `DeviceFit`. SI units."""
 
-    mass: Estimate
-    friction: Estimate
-    stiffness: Estimate
-    delay: Estimate
-    coulomb: Estimate
-    """N, dry friction."""
-    constant_force: Estimate
-    """N: gravity, or an offset of the force."""
-    hand: HandFit | None
-    """What moves with it, on a spring and a damper; None where one mass explains the motion."""
     noise_m: float
     """rms, of the positions at rest; their counts are in it."""
     channel: int
@@ -74,25 +66,25 @@ class DeviceIdentification:
     rate_hz: float
     count_m: float
     """m per count of the position."""
-    samples: int
-    """That the fit used: those of which the velocity keeps its sign."""
-    residual_m: float
-    """rms, of the positions: their rounding and noise where all is well."""
     misfit: str
     """A sentence that says where the model does not fit; "" where it does."""
     stopped: bool
     """Whether a signal ended it before all was recorded; the values are of what was."""
     seen_rate: SeenRate | None
     """At which rate the device sampled, as its positions arrived; None where that does not tell."""
-    fit: DeviceFit = field(repr=False, compare=False)
     motions: tuple[Motion, ...] = field(repr=False, compare=False)
     force_residual: ForceResidual = field(repr=False, compare=False)
     traces: tuple[Trace, ...] = field(repr=False, compare=False)
 
+    @property
+    def residual_m(self) -> float:
+        """rms, of the positions: their rounding and noise where all is well."""
+        return self.residual_counts * self.count_m
+
 
 def bounds_of(scene: Scene, force: float | None = None, travel: float | None = None) -> Bounds:
-    """What the device may be given: a quarter of the scene's force limit, and 5 mm to either side, where nothing else
-    is said. UsageError where more than the limit is asked for."""
+    """What the device may be given; defaults: a quarter of the scene's force limit, and 5 mm to either side.
+    UsageError where more than the limit is asked for."""
     limit = min(scene.device.force_limit, scene.mock_device.force_limit if scene.device.port is None else math.inf)
     if force is not None and not 0.0 < force <= limit:
         raise UsageError(f"force: found {force:g} N, expected above 0 N, and at most the force_limit, {limit:g} N")
@@ -114,11 +106,10 @@ def identify_device(
 ) -> DeviceIdentification:
     """Pushes the device of `scene` on `channel`, whatever the scene simulates, and identifies what it is.
 
-    `force`: N, at most, to either side (left out: a quarter of the scene's force_limit); `travel`: m, at most, from
-    where it is found (left out: 0.005); `duration`: seconds that are recorded for the fit, beside a few seconds that
+    `force`: N, at most, to either side [default: a quarter of the scene's force_limit]. `travel`: m, at most, from
+    where it is found [default: 0.005]. `duration`: seconds that are recorded for the fit, beside a few seconds that
     find out how hard to push. It begins with a fraction of the force that the declared mass would need, and pushes
-    harder as it learns how far the device gets. Mass, friction and delay may be declared wrong by a
-    factor of three.
+    harder as it learns how far the device gets. Mass, friction and delay may be declared wrong by a factor of three.
 
     Raises what `hapsim.running.run` raises, GuardError where the device moved farther than `travel`, and UsageError
     where too little moves to identify anything, or what moves does not answer to the force.
@@ -128,28 +119,26 @@ def identify_device(
         raise UsageError(f"channel {channel}: the scene has nothing there; its device points are on: {known}")
     if duration is not None and not 0 < duration < math.inf:
         raise UsageError(f"duration: found {duration}, expected a finite number of seconds above 0")
-    pusher = _Pusher(scene, channel, bounds_of(scene, force, travel), transport, on_progress, stop_on_signals)
-    with threadpool_limits(1, user_api="blas"):  # as for `identify`: small matrices
+    run_scene = partial(
+        run,
+        transport=transport,
+        on_progress=on_progress,
+        stop_on_signals=stop_on_signals,
+        unstable=True,  # the band in which the force fades may be narrow: nothing is held there for long
+    )
+    pusher = _Pusher(scene, channel, bounds_of(scene, force, travel), run_scene)
+    with threadpool_limits(1, user_api="blas"):  # on matrices this narrow further threads cost more than they save
         pusher.find_home()
         rough = pusher.grow()
-        drives = pusher.record(_plant_of(rough), SECONDS if duration is None else duration)
+        drives = pusher.record(rough, SECONDS if duration is None else duration)
         return pusher.identified(drives, rough.shape)
 
 
 class _Pusher:
     """A device that is pushed within bounds, run after run, and what was recorded of it."""
 
-    def __init__(
-        self,
-        scene: Scene,
-        channel: int,
-        bounds: Bounds,
-        transport: TransportKind,
-        on_progress: Callable[[Progress], None] | None,
-        stop_on_signals: bool,
-    ) -> None:
-        self._scene, self._channel, self._bounds = scene, channel, bounds
-        self._transport, self._tell, self._signals = transport, on_progress or (lambda _: None), stop_on_signals
+    def __init__(self, scene: Scene, channel: int, bounds: Bounds, run_scene: Callable[..., Trace]) -> None:
+        self._scene, self._channel, self._bounds, self._run_scene = scene, channel, bounds, run_scene
         self._converters = Converters(scene.device.hold, scene.device.sampling)
         self._most_delay = max(_LEAST_DELAY, _MANY_TIMES_DECLARED * scene.device.delay + 1.0)
         self._home_counts = self._noise_counts = 0.0
@@ -202,8 +191,10 @@ class _Pusher:
             force = min(full.force, self._harder(force, peak, slope))
         return self._require_sound(self._fit([self._motion(trace)]), drive, trace)
 
-    def record(self, plant: Plant, duration: float) -> tuple[Drive, ...]:
+    def record(self, rough: DeviceFit, duration: float) -> tuple[Drive, ...]:
         """Records the device at several simulated (K, B), as far as it may be moved; with which ones."""
+        mass = rough.mass.value + (rough.hand.mass.value if rough.hand is not None else 0.0)
+        plant = Plant(mass, *(max(one.value, 0.0) for one in (rough.friction, rough.stiffness, rough.delay)))
         drives = []
         for pace, tightness in _DRIVES:
             drive = drive_for(plant, self._bounds, self._scene.rate, pace=pace, tightness=tightness)
@@ -243,13 +234,7 @@ class _Pusher:
         fit = self._require_sound(self._fit(motions, start), drives[farthest], self._traces[farthest])
         lacking = force_residual(motions, fit, self._noise_counts, count_m, rate, self._converters)
         return DeviceIdentification(
-            mass=fit.mass,
-            friction=fit.friction,
-            stiffness=fit.stiffness,
-            delay=fit.delay,
-            coulomb=fit.coulomb,
-            constant_force=fit.constant_force,
-            hand=fit.hand,
+            **vars(fit),
             noise_m=self._noise_counts * count_m,
             channel=self._channel,
             bounds=self._bounds,
@@ -257,12 +242,9 @@ class _Pusher:
             peak_m=max(self._peak(trace) for trace in self._traces),
             rate_hz=rate,
             count_m=count_m,
-            samples=fit.rows,
-            residual_m=fit.residual_counts * count_m,
             misfit=misfit_of(fit, lacking, self._noise_counts),
             stopped=self._stopped,
             seen_rate=seen_rate(max(self._traces, key=lambda trace: trace.sample.size)),
-            fit=fit,
             motions=tuple(motions),
             force_residual=lacking,
             traces=tuple(self._traces),
@@ -274,19 +256,24 @@ class _Pusher:
     def _fit(self, motions: list[Motion], begin: Shape = ()) -> DeviceFit | None:
         """A mass; or two, where that leaves much less. From `begin` on, if there is one."""
         swings, floor = swings_of(motions, self._noise_counts), math.hypot(self._noise_counts, ROUNDING)
-        one = self._fit_from([begin[:3]] if begin else self._begins(swings), motions, swings)
+        fit = partial(
+            fit_device,
+            motions,
+            count_m=self._count_m,
+            rate_hz=self._scene.rate,
+            converters=self._converters,
+            most_delay=self._most_delay,
+        )
+        one = fit(swings=swings, begins=[begin[:3]] if begin else self._begins(swings))
         if one is not None and one.residual_counts < LOUD * floor:
             return one
         rate = self._scene.rate
         delay = self._scene.device.delay if one is None else one.delay.value
         hands = [begin] if begin[3:] else hands_on(delay, rate)
-        two = self._fit_from(hands, motions, stretches_of(motions, math.ceil(_STRETCH_S * rate)))
+        two = fit(swings=pieces_of(motions, math.ceil(_PIECE_S * rate)), begins=hands)
         if two is None or two.hand is None or two.hand.mass.uncertainty > _UNSURE_HAND * two.hand.mass.value:
             return one
         return two if one is None or two.residual_counts < _HAND_LEAVES * one.residual_counts else one
-
-    def _fit_from(self, begins: Iterable[Shape], motions: list[Motion], swings: list[Swing]) -> DeviceFit | None:
-        return fit_device(motions, swings, begins, self._count_m, self._scene.rate, self._converters, self._most_delay)
 
     def _begins(self, swings: list[Swing]) -> list[Shape]:
         """Where a first fit may begin: what a swing of so many rows could be of."""
@@ -322,14 +309,10 @@ class _Pusher:
         """A run, ended by the loop at the first sample that is too far away."""
         home = self._home_counts * self._count_m
         try:
-            trace = run(
+            trace = self._run_scene(
                 scene_of(self._scene, bounds, self._channel, drive, home),
                 duration=duration,
-                transport=self._transport,
                 excitation=None if drive is None else drive.excitation(self._channel),
-                on_progress=self._tell,
-                stop_on_signals=self._signals,
-                unstable=True,  # the band in which the force fades may be narrow: nothing is held there for long
             )
         except GuardError as error:
             if error.trace is None or error.trace.report.ending != IN_WORDS[OUT_OF_TRAVEL]:
@@ -343,8 +326,3 @@ class _Pusher:
         counts = trace.position_counts[:, self._channel] - self._home_counts
         far = float(np.max(np.abs(counts), initial=0.0)) - _NOISE_PEAK * self._noise_counts
         return max(far, 0.0) * self._count_m
-
-
-def _plant_of(fit: DeviceFit) -> Plant:
-    mass = fit.mass.value + (fit.hand.mass.value if fit.hand is not None else 0.0)
-    return Plant(mass, *(max(one.value, 0.0) for one in (fit.friction, fit.stiffness, fit.delay)))

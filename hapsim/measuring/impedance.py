@@ -21,7 +21,6 @@ every period, which no mean makes smaller.
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -30,7 +29,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hapsim.errors import UsageError
-from hapsim.holds import Hold
+from hapsim.measuring.converters import Converters
 from hapsim.measuring.multisine import Complexes, Floats, Periods
 
 CONFIDENCE = 0.999
@@ -63,42 +62,12 @@ class Impedance:
     """How many pairs of periods, each overlapping the next, count of each experiment."""
 
 
-@dataclass(frozen=True)
-class Loop:
-    """What a device declares of itself, by which a computed force becomes one that acts on its mass."""
-
-    rate: float
-    """Hz."""
-    delay: float
-    """Sample periods."""
-    hold: Hold
-    """What the device makes of a force."""
-    averaged: bool
-    """Whether a reading is the mean over the sample period before it."""
-
-    def over_velocity(self, frequency: Floats) -> Complexes:
-        """(n,) by what a computed force over a position that is read becomes one that acts, over the velocity."""
-        angle = 2.0 * np.pi * frequency / self.rate
-        through = _response(self.hold, angle) * np.exp(-1j * self.delay * angle) / (2j * np.pi * frequency)
-        mean = np.exp(-0.5j * angle) * np.sinc(0.5 * angle / np.pi) if self.averaged else 1.0
-        return np.asarray(through * mean)
-
-
-def _response(hold: Hold, angle: Floats) -> Complexes:
-    """(n,) what a hold makes of forces that turn by so many radians a sample, summed over its pieces in time."""
-    nodes, weights = np.polynomial.legendre.leggauss(16)  # to rounding, up to half the sample rate
-    response, begin = np.zeros(angle.size, complex), 0.0
-    for duration, impulse, level, slope in hold.pieces(0.0):
-        times, shares = 0.5 * duration * (nodes + 1.0), 0.5 * duration * weights
-        for age, (strikes, pushes, grows) in enumerate(itertools.zip_longest(impulse, level, slope, fillvalue=0.0)):
-            turned = np.exp(-1j * np.multiply.outer(angle, begin + age + times)) @ (shares * (pushes + grows * times))
-            response += strikes * np.exp(-1j * angle * (begin + age)) + turned
-        begin += duration
-    return response
-
-
-def impedance_of(loop: Loop, frequency: Floats, experiments: Sequence[Periods]) -> Impedance:
+def impedance_of(
+    experiments: Sequence[Periods], frequency: Floats, rate: float, delay: float, converters: Converters
+) -> Impedance:
     """The impedances from one experiment for each channel, the excitation on the first channel first.
+
+    `rate` in Hz and `delay` in samples are what the device declares, by which a computed force becomes one that acts.
 
     Raises:
         UsageError: too few periods, or motions that do not tell the channels apart.
@@ -112,7 +81,8 @@ def impedance_of(loop: Loop, frequency: Floats, experiments: Sequence[Periods]) 
         inverse = np.linalg.inv(position)
     except np.linalg.LinAlgError:
         raise UsageError("the excitations did not move every channel: there is nothing to be measured") from None
-    through = loop.over_velocity(frequency)[:, None, None]
+    late = converters.response(frequency, rate, delay)
+    through = (late / (2j * np.pi * frequency))[:, None, None]
     device, rendered = force @ inverse, -scene @ inverse
     closed_loop = device + rendered
     # What a rounding of the positions does to the scene's force is the scene's doing, and no error of what it renders.

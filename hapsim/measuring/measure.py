@@ -92,28 +92,16 @@ def _mass_of(scene: Scene, trace: Trace, channel: int) -> tuple[float, float | N
     return device.masses(scene.channels)[channel], device.mass_uncertainties(scene.channels)[channel]
 
 
-def _kick_within_travel(scene: Scene, channel: int, rests_s: float) -> float:
-    """m/s, with which the hand goes through no more than _SHARE_OF_TRAVEL of device.travel before a spring that always
-    holds it takes it back, or else the next push. Where it rests within that is not known before it is armed."""
-    least, most = scene.device.travels(scene.channels)[channel]
-    point = next(name for name, one in scene.device_points.items() if one.channel == channel)
-    springs = (one for one in scene.links.values() if point in one.between and isinstance(one, ViscoElastic | Spring))
-    stiffness = scene.device.stiffnesses(scene.channels)[channel] + sum(one.stiffness for one in springs)
-    swing_s = math.sqrt(scene.device.masses(scene.channels)[channel] / stiffness) if stiffness > 0.0 else math.inf
-    return _SHARE_OF_TRAVEL * (most - least) / min(rests_s, swing_s)
-
-
 def _pushes(scene: Scene, channel: int, duration: float, push: float | None) -> Excitation:
     """Pushes that move the hand clearly, and neither beyond the device's force nor beyond its range and travel."""
     device, mock = scene.device, scene.mock_device
-    ticks = math.ceil(duration * scene.rate)
+    mass, ticks = device.masses(scene.channels)[channel], math.ceil(duration * scene.rate)
     free = 0 if device.correction == "adaptive" else ticks // 2
     every = max(32, (ticks - free) // _PUSHES)
+    rests_s = max(free, every) / scene.rate
     # Until the next push even a free mass must stay in the range of its counts; a real device's is not known before.
     range_m = mock.quantum * _COUNTS if device.port is None else math.inf
-    rests_s = max(free, every) / scene.rate
-    kick = min(_KICK, 0.05 * range_m / rests_s, _kick_within_travel(scene, channel, rests_s))
-    impulse = device.masses(scene.channels)[channel] * kick
+    impulse = mass * min(_KICK, 0.05 * range_m / rests_s, _kick_within_travel(scene, channel, rests_s))
     limit = device.force_limit if device.port is not None else mock.force_limit
     most = _SHARE_OF_LIMIT * limit if push is None else min(push, limit)
     force = min(most, impulse * scene.rate)
@@ -124,3 +112,14 @@ def _pushes(scene: Scene, channel: int, duration: float, push: float | None) -> 
     longest = every // 2
     length = longest if impulse * scene.rate > longest * force else max(1, round(impulse * scene.rate / force))
     return Excitation(channel, force, length, every, start=free, first=at_rest)
+
+
+def _kick_within_travel(scene: Scene, channel: int, rests_s: float) -> float:
+    """m/s, with which the hand goes through no more than _SHARE_OF_TRAVEL of device.travel before a spring that always
+    holds it takes it back, or else the next push. Where it rests within that is not known before it is armed."""
+    least, most = scene.device.travels(scene.channels)[channel]
+    point = next(name for name, one in scene.device_points.items() if one.channel == channel)
+    springs = (one for one in scene.links.values() if point in one.between and isinstance(one, ViscoElastic | Spring))
+    stiffness = scene.device.stiffnesses(scene.channels)[channel] + sum(one.stiffness for one in springs)
+    swing_s = math.sqrt(scene.device.masses(scene.channels)[channel] / stiffness) if stiffness > 0.0 else math.inf
+    return _SHARE_OF_TRAVEL * (most - least) / min(rests_s, swing_s)

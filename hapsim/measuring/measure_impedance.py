@@ -11,8 +11,8 @@ import numpy as np
 
 from hapsim.device.open_connection import TransportKind
 from hapsim.errors import UsageError
-from hapsim.holds import HOLDS
-from hapsim.measuring.impedance import LEAST_PERIODS, Impedance, Loop, impedance_of, settling
+from hapsim.measuring.converters import Converters
+from hapsim.measuring.impedance import LEAST_PERIODS, Impedance, impedance_of, settling
 from hapsim.measuring.multisine import Floats, Lines, Periods, lines_for, multisine, periods_of
 from hapsim.measuring.trace_quality import SeenRate, seen_rate
 from hapsim.progress import Progress
@@ -112,8 +112,8 @@ def measure_impedance(
             experiment = _periods(trace, lines, scene)
         traces.append(trace)
         experiments.append(experiment)
-    loop = Loop(scene.rate, scene.device.delay, HOLDS[scene.device.hold], scene.device.sampling == "average")
-    found = impedance_of(loop, lines.frequency, experiments)
+    converters = Converters(scene.device.hold, scene.device.sampling)
+    found = impedance_of(experiments, lines.frequency, scene.rate, scene.device.delay, converters)
     return MeasuredImpedance(
         **vars(found),
         channels=channels,
@@ -147,8 +147,8 @@ def _periods(trace: Trace, lines: Lines, scene: Scene) -> Periods:
     channels = [point.channel for point in scene.device_points.values()]
     if not np.all(np.isfinite(trace.asked_force)):
         raise UsageError("the scene's force was not finite throughout: there is nothing to be measured")
-    keeps_last_force, senses = HOLDS[scene.device.hold].keeps_last_force, bool(scene.sensed_links)
-    return periods_of(trace, lines, keeps_last_force=keeps_last_force, senses=senses).on(channels)
+    converters = Converters(scene.device.hold, scene.device.sampling)
+    return periods_of(trace, lines, converters, senses=bool(scene.sensed_links)).on(channels)
 
 
 def _force_limit(scene: Scene) -> float:

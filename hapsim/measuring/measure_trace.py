@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,10 +15,9 @@ from hapsim.errors import RunError, UsageError
 from hapsim.loop.ring import BRIDGED, LATE_FORCE, LIMITED, OFF_GRID
 from hapsim.measuring.pole_pair import FittedPair, SecondMode, dominant_pair
 from hapsim.measuring.regression import Fit, Segment, fit
-from hapsim.measuring.trace_quality import SeenRate, seen_rate, unbroken
+from hapsim.measuring.trace_quality import ROUNDING, SeenRate, seen_rate, unbroken
 from hapsim.recording.trace import Trace
 
-_ROUNDING = 1.0 / math.sqrt(12.0)  # standard deviation of rounding to whole counts
 _MOST_ROWS = 6000
 _FAINT_COUNTS = 40.0  # a smaller position, or a smaller step from one sample to the next, and the rounding is no
 _SLOW_COUNTS = 8.0  # longer like noise: it follows the motion
@@ -96,100 +96,25 @@ class Measurement:
 
 
 def measure_trace(trace: Trace, mass: float, channel: int = 0, mass_uncertainty: float | None = None) -> Measurement:
-    """The spring and damper that `mass` kg on `channel` felt during the trace; `mass_uncertainty`: its standard
-    uncertainty, kg, None where it is only declared. UsageError where nothing moves."""
+    """The spring and damper that `mass` kg on `channel` felt during the trace.
+
+    `mass_uncertainty`: its standard uncertainty, kg; None where it is only declared. Raises UsageError where nothing
+    moves.
+    """
     with threadpool_limits(1, user_api="blas"):  # on matrices this narrow further threads cost ten times what they save
-        return _with_mass(_identify(trace, channel), mass, mass_uncertainty)
-
-
-identify = measure_trace  # its name until 0.2
-
-
-def _with_mass(unit: Measurement, mass: float, uncertainty: float | None) -> Measurement:
-    """What was measured for 1 kg, for this mass."""
-    share = 0.0 if uncertainty is None else uncertainty / mass
-    return replace(
-        unit,
-        k=mass * unit.k,
-        b=mass * unit.b,
-        k_uncertainty=mass * math.hypot(unit.k_uncertainty, share * unit.k),
-        b_uncertainty=mass * math.hypot(unit.b_uncertainty, share * unit.b),
-        mass=mass,
-        mass_uncertainty=uncertainty,
-    )
-
-
-def _identify(trace: Trace, channel: int) -> Measurement:
-    """For a mass of 1 kg."""
-    if not np.all(np.isfinite(trace.asked_force)):
-        raise UsageError("the scene's force was not finite throughout: there is nothing to be identified")
-    segments = _segments(trace, channel, LATE_FORCE | BRIDGED | OFF_GRID)
-    fits = _fits(segments)
-    if not fits:
-        # A host that is seldom on time leaves too little between two deadline misses: then better rough than nothing.
-        segments = _segments(trace, channel, LATE_FORCE | BRIDGED)
-        fits = _fits(segments)
-    free = _longest_free_motion(segments)
-    if not fits:
-        raise UsageError(_why_nothing_fits(trace, channel))
-    found = [(best, dominant_pair(best, others, free)) for best, others in fits]
-    best, (pair, poles, reason, second) = next((entry for entry in found if entry[1][0] is not None), found[0])
+        segments, fits = _fitted(trace, channel)
+        free = _longest_free_motion(segments)
+        found = [(best, *dominant_pair(best, others, free)) for best, others in fits]
+    best, pair, poles, reason, second = next((entry for entry in found if entry[1] is not None), found[0])
     if pair is not None:
-        pair = _least_claim(pair, [other for _, (other, *_) in found if other is not None])
-    return _measurement(pair, poles, reason, second, best, trace, channel)
-
-
-def _least_claim(pair: FittedPair, rivals: list[FittedPair]) -> FittedPair:
-    """The pair of the best fit, with the largest uncertainties that the fits beside it state: the record does not tell
-    them apart. A rival that is far less certain took the noise for a pole and is none."""
-    level = _FAR_OFF * pair.poles_uncertainty[0]
-    equals = [pair, *(rival for rival in rivals if rival.poles_uncertainty[0] <= level)]
-    return replace(
-        pair,
-        poles_uncertainty=(
-            max(equal.poles_uncertainty[0] for equal in equals),
-            max(equal.poles_uncertainty[1] for equal in equals),
-        ),
-        decay_uncertainty=max(equal.decay_uncertainty for equal in equals),
-        stiffness_uncertainty=max(equal.stiffness_uncertainty for equal in equals),
-    )
-
-
-def _measurement(
-    pair: FittedPair | None,
-    poles: NDArray[np.complex128],
-    reason: str,
-    second: SecondMode | None,
-    best: Fit,
-    trace: Trace,
-    channel: int,
-) -> Measurement:
-    rate = trace.rate
-    if pair is None:
-        k = b = k_uncertainty = b_uncertainty = pole_uncertainty = math.nan
-        pole = complex(math.nan, math.nan)
-    else:
-        k, b = rate**2 * pair.stiffness, -rate * pair.decay
-        k_uncertainty, b_uncertainty = rate**2 * pair.stiffness_uncertainty, rate * pair.decay_uncertainty
-        pole, pole_uncertainty = pair.poles[0], pair.poles_uncertainty[0]
-    angular = math.sqrt(k) if k > 0 else math.nan
-    share = k_uncertainty / (2.0 * angular**2)  # of the eigenfrequency, of which the ratio is b / (2 angular)
+        pair = _with_rivals(pair, [other for _, other, *_ in found if other is not None])
     return Measurement(
-        k=k,
-        b=b,
-        frequency_hz=angular / (2.0 * math.pi),
-        damping_ratio=b / (2.0 * angular),
-        frequency_uncertainty_hz=share * angular / (2.0 * math.pi),
-        damping_ratio_uncertainty=math.hypot(b_uncertainty, share * b) / (2.0 * angular),
-        k_uncertainty=k_uncertainty,
-        b_uncertainty=b_uncertainty,
-        pole=pole,
-        pole_uncertainty=pole_uncertainty,
+        **_felt(pair, trace.rate, mass, mass_uncertainty),
         poles=tuple(poles.tolist()),
         dominant=pair is not None,
         reason=reason,
-        mass=1.0,
-        mass_uncertainty=None,
+        mass=mass,
+        mass_uncertainty=mass_uncertainty,
         second_mode=second,
         order=best.order,
         samples=best.rows,
@@ -197,6 +122,52 @@ def _measurement(
         trace=trace,
         seen_rate=seen_rate(trace),
     )
+
+
+identify = measure_trace  # its former name, still public
+
+
+def _fitted(trace: Trace, channel: int) -> tuple[list[Segment], list[tuple[Fit, list[Fit]]]]:
+    """The usable segments, and the fits that they speak for, as `_fits` gives them. UsageError where there is none."""
+    if not np.all(np.isfinite(trace.asked_force)):
+        raise UsageError("the scene's force was not finite throughout: there is nothing to be identified")
+    # A host that is seldom on time leaves too little between two deadline misses: then better rough than nothing.
+    for spoilt in (LATE_FORCE | BRIDGED | OFF_GRID, LATE_FORCE | BRIDGED):
+        segments = _segments(trace, channel, spoilt)
+        if fits := _fits(segments):
+            return segments, fits
+    raise UsageError(_why_nothing_fits(trace, channel))
+
+
+def _with_rivals(pair: FittedPair, others: list[FittedPair]) -> FittedPair:
+    """The pair of the best fit, with the largest uncertainties that the fits beside it state: the record does not tell
+    them apart. A rival that is far less certain took the noise for a pole and is none."""
+    equals = [pair, *(one for one in others if one.pole_uncertainty <= _FAR_OFF * pair.pole_uncertainty)]
+    names = ("pole_uncertainty", "decay_uncertainty", "stiffness_uncertainty")
+    return pair._replace(**{name: max(getattr(one, name) for one in equals) for name in names})
+
+
+def _felt(pair: FittedPair | None, rate: float, mass: float, mass_uncertainty: float | None) -> dict[str, Any]:
+    """Fields of `Measurement`: what a mass of so many kg felt; NaN without a pair."""
+    if pair is None:
+        pair = FittedPair(complex(math.nan, math.nan), *(5 * [math.nan]))
+    share = 0.0 if mass_uncertainty is None else mass_uncertainty / mass
+    k, b = rate**2 * pair.stiffness, -rate * pair.decay  # of 1 kg
+    k_uncertainty, b_uncertainty = rate**2 * pair.stiffness_uncertainty, rate * pair.decay_uncertainty
+    angular = math.sqrt(k) if k > 0 else math.nan
+    off = k_uncertainty / (2.0 * angular**2)  # of the eigenfrequency, of which the ratio is b / (2 angular)
+    return {
+        "k": mass * k,
+        "b": mass * b,
+        "frequency_hz": angular / (2.0 * math.pi),
+        "damping_ratio": b / (2.0 * angular),
+        "frequency_uncertainty_hz": off * angular / (2.0 * math.pi),
+        "damping_ratio_uncertainty": math.hypot(b_uncertainty, off * b) / (2.0 * angular),
+        "k_uncertainty": mass * math.hypot(k_uncertainty, share * k),
+        "b_uncertainty": mass * math.hypot(b_uncertainty, share * b),
+        "pole": pair.pole,
+        "pole_uncertainty": pair.pole_uncertainty,
+    }
 
 
 def _why_nothing_fits(trace: Trace, channel: int) -> str:
@@ -216,18 +187,21 @@ def _why_nothing_fits(trace: Trace, channel: int) -> str:
 
 
 def _segments(trace: Trace, channel: int, spoilt: int) -> list[Segment]:
-    """Runs of consecutive samples without a `spoilt` flag, counted from where the scene asks for no force."""
+    """Runs of consecutive samples without a `spoilt` flag, counted from where the scene asks for no force: as many as
+    make up the rows that a regression needs."""
     position = trace.position_counts[:, channel].astype(float)
     asked = trace.asked_force[:, channel]
     surplus = trace.force_counts[:, channel] * trace.force_scale[channel] - asked
-    following = np.diff(trace.sample) == 1
-    rest, known = _rest(position, asked, following & (trace.flags[1:] & BRIDGED == 0))
-    found = [
-        Segment(position[first:last] - rest, surplus[first:last], known)
-        for whole in unbroken(trace, spoilt)
-        for first, last in _loud(position - rest, *whole)
-    ]
-    return _first_rows(found)
+    following = (np.diff(trace.sample) == 1) & (trace.flags[1:] & BRIDGED == 0)
+    rest, known = _rest(position, asked, following)
+    found, rows = [], 0
+    for whole in unbroken(trace, spoilt):
+        for first, last in _loud(position - rest, *whole):
+            end = min(last, first + _MOST_ROWS - rows)
+            if end > first:
+                found.append(Segment(position[first:end] - rest, surplus[first:end], known))
+                rows += end - first
+    return found
 
 
 def _longest_free_motion(segments: list[Segment]) -> NDArray[np.float64]:
@@ -244,18 +218,6 @@ def _longest_free_motion(segments: list[Segment]) -> NDArray[np.float64]:
         if stretch.size > best.size:
             best = stretch
     return best
-
-
-def _first_rows(segments: list[Segment]) -> list[Segment]:
-    """As many segments as make up the rows that a regression needs, in order."""
-    kept, rows = [], 0
-    for segment in segments:
-        if rows >= _MOST_ROWS:
-            break
-        most = _MOST_ROWS - rows
-        kept.append(Segment(segment.position[:most], segment.surplus[:most], segment.rest_known))
-        rows += segment.position.size
-    return kept
 
 
 def _loud(y: NDArray[np.float64], first: int, last: int) -> Iterator[tuple[int, int]]:
@@ -318,19 +280,15 @@ def _fits(segments: list[Segment]) -> list[tuple[Fit, list[Fit]]]:
     with_surplus = any(np.any(segment.surplus) for segment in segments)
 
     def attempt(order: int, drift: float) -> list[Fit]:
-        found = fit(segments, order, drift, with_surplus, _ROUNDING)
+        found = fit(segments, order, drift, with_surplus, ROUNDING)
         return [] if found is None else [found]
 
     profile = [found for drift in _DRIFTS for found in attempt(6, drift)]
     profile = profile or [found for drift in _DRIFTS for found in attempt(3, drift)]
     if not profile:
         return []
-    profile.sort(key=_criterion)
+    profile.sort(key=lambda one: one.criterion)
     drifts = [found.drift for found in profile if found.criterion < profile[0].criterion + _UNDECIDED]
     orders = [found for order in range(2, _MOST_ORDER) for found in attempt(order, drifts[0])]
-    order = min(orders, key=_criterion).order
+    order = min(orders, key=lambda one: one.criterion).order
     return [(found, attempt(order + 1, drift)) for drift in drifts for found in attempt(order, drift)]
-
-
-def _criterion(found: Fit) -> float:
-    return found.criterion

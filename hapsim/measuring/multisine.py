@@ -1,4 +1,9 @@
-"""A periodic multisine, and the periods of a trace that it excited, frequency by frequency."""
+"""A periodic multisine, and the periods of a trace that it excited, frequency by frequency.
+
+Random phases, of many draws those with the lowest peak (Pintelon and Schoukens, *System Identification: A Frequency
+Domain Approach*, 2012, §5.3). A whole number of periods of every frequency fits in one period of the multisine, so that
+nothing leaks from one into another, and what differs from period to period is noise.
+"""
 
 from __future__ import annotations
 
@@ -9,9 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapsim.loop.ring import LATE_FORCE, LIMITED, UNSENT
+from hapsim.measuring.converters import Converters
+from hapsim.measuring.trace_quality import is_always_late
 from hapsim.recording.trace import Trace
 
 Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
 
 _PERIOD_S = 0.5
 _LEAST_SAMPLES, _MOST_SAMPLES = 256, 1 << 15
@@ -20,6 +28,8 @@ _BELOW_NYQUIST = 0.9
 _DRAWS = 64
 _SEED = 20040927
 _CREST = 2.5  # peak over effective value that a good draw has, about
+_FEWEST_CHANGES = 8.0  # fewer would make a circle wider than 0.7 counts, the most that rounding does to an amplitude
+_OPERATIONS = 10.0  # roundings of a double between a position and the scene's force
 
 
 class Lines(NamedTuple):
@@ -53,23 +63,13 @@ def lines_for(rate: float) -> Lines:
 def multisine(lines: Lines, amplitude: Floats, peak: float) -> Floats:
     """(samples,) N: one period with these amplitudes (n,), made smaller throughout where its peak is above ``peak``."""
     rng = np.random.default_rng(_SEED)
-    best, least = np.zeros(lines.samples), math.inf
-    for _ in range(_DRAWS):
-        spectrum = np.zeros(lines.samples // 2 + 1, dtype=complex)
-        turned = np.exp(2j * np.pi * rng.random(lines.bins.size))
-        spectrum[lines.bins] = 0.5 * lines.samples * amplitude * turned
-        wave = np.fft.irfft(spectrum, lines.samples)
-        highest = float(np.max(np.abs(wave)))
-        if highest < least:
-            best, least = wave, highest
-    return best * min(1.0, peak / least) if least > 0.0 else best
-
-
-Complexes = NDArray[np.complex128]
-
-_ALWAYS = 0.99  # of all samples: what is late so often is late by the wire's nature
-_FEWEST_CHANGES = 8.0  # fewer would make a circle wider than 0.7 counts, the most that rounding does to an amplitude
-_OPERATIONS = 10.0  # roundings of a double between a position and the scene's force
+    spectra = np.zeros((_DRAWS, lines.samples // 2 + 1), dtype=complex)
+    turned = np.exp(2j * np.pi * rng.random((_DRAWS, lines.bins.size)))
+    spectra[:, lines.bins] = 0.5 * lines.samples * amplitude * turned
+    waves = np.fft.irfft(spectra, lines.samples)
+    highest = np.max(np.abs(waves), axis=1)
+    best = int(np.argmin(highest))
+    return np.asarray(waves[best] * min(1.0, peak / max(float(highest[best]), 1e-300)))
 
 
 class Periods(NamedTuple):
@@ -96,45 +96,40 @@ class Periods(NamedTuple):
 
     def on(self, channels: list[int]) -> Periods:
         """Those of some channels, in this order."""
-        return self._replace(
-            position=self.position[..., channels],
-            scene=self.scene[..., channels],
-            force=self.force[..., channels],
-            rounded_position=self.rounded_position[channels],
-            rounded_scene=self.rounded_scene[channels],
-        )
+        names = ("position", "scene", "force", "rounded_position", "rounded_scene")
+        return self._replace(**{name: getattr(self, name)[..., channels] for name in names})
 
 
-def periods_of(trace: Trace, lines: Lines, *, keeps_last_force: bool, senses: bool) -> Periods:
-    """The whole periods of a trace. `keeps_last_force`: a force that is not renewed in time goes on, in place of
-    ending. `senses`: the scene's forces come of velocities too, whose rounding no trace records: how large it is show
-    the frequencies that nothing excites."""
-    acted = _acting_force(trace, keeps_last_force)
+def periods_of(trace: Trace, lines: Lines, converters: Converters, *, senses: bool) -> Periods:
+    """The whole periods of a trace. `senses`: the scene's forces come of velocities too, whose rounding no trace
+    records; the frequencies that nothing excites show how large it is."""
     position, scene = trace.position - np.mean(trace.position, axis=0), trace.asked_force
     number, rows_in = np.unique(trace.sample // lines.samples, return_counts=True)
     begins = np.concatenate([[0], np.cumsum(rows_in)])
     whole = rows_in == lines.samples
     pairs = begins[:-2][whole[:-1] & whole[1:] & (np.diff(number) == 1)] if number.size > 1 else begins[:0]
-    stacked = [
+    amplitudes = (
         np.array([_amplitudes(signal[i : i + 2 * lines.samples], lines) for i in pairs]).reshape(
             -1, lines.bins.size, position.shape[1]
         )
-        for signal in (position, scene, acted)
-    ]
+        for signal in (position, scene, _acting_force(trace, converters))
+    )
     share = 4.0 / lines.samples  # of a white error's variance, in an amplitude
     rounded = 4.0 / np.clip(_changes(trace, lines), _FEWEST_CHANGES, lines.samples)
     computed = share * (_OPERATIONS * np.finfo(float).eps * np.max(np.abs(scene), axis=0, initial=0.0)) ** 2
     if senses:
         computed = computed + _beside(scene, pairs[pairs.size // 2 :], lines)
+    missing = int(number[-1] - number[0] + 1 - number.size) if number.size else 0  # nothing was recorded of them
+    of_position, of_scene, of_force = amplitudes
     return Periods(
-        stacked[0],
-        stacked[1],
-        stacked[2],
-        rounded * trace.position_scale**2 / 12.0,
-        computed,
-        not senses,
-        int(np.count_nonzero(trace.flags & LIMITED)),
-        int(np.count_nonzero(rows_in[1:-1] != lines.samples)) + _gaps(number),
+        of_position,
+        of_scene,
+        of_force,
+        rounded_position=rounded * trace.position_scale**2 / 12.0,
+        rounded_scene=computed,
+        by_position=not senses,
+        limited=int(np.count_nonzero(trace.flags & LIMITED)),
+        lost=int(np.count_nonzero(rows_in[1:-1] != lines.samples)) + missing,
     )
 
 
@@ -154,23 +149,15 @@ def _beside(signal: Floats, begins: NDArray[np.intp], lines: Lines) -> Floats:
     return np.asarray(np.mean(np.abs(np.fft.rfft(mean, axis=0)[others] * (2.0 / lines.samples)) ** 2, axis=0))
 
 
-def _gaps(number: NDArray[np.int64]) -> int:
-    """Periods of which nothing was recorded at all."""
-    return int(number[-1] - number[0] + 1 - number.size) if number.size else 0
-
-
-def _acting_force(trace: Trace, keeps_last_force: bool) -> Floats:
+def _acting_force(trace: Trace, converters: Converters) -> Floats:
     """(N, C): the force that acted in place of each row's: where that came too late, or never left, the one before."""
-    flags = trace.flags
-    late = flags & LATE_FORCE != 0
-    missed = flags & UNSENT != 0
-    if late.size and float(np.mean(late)) <= _ALWAYS:
-        missed[:-1] |= late[1:] & (np.diff(trace.sample) == 1)
-    force = trace.force
-    if not keeps_last_force:
-        return np.where(missed[:, None], 0.0, force)
+    missed = trace.flags & UNSENT != 0
+    if not is_always_late(trace):
+        missed[:-1] |= (trace.flags[1:] & LATE_FORCE != 0) & (np.diff(trace.sample) == 1)
+    if not converters.keeps_last_force:
+        return np.where(missed[:, None], 0.0, trace.force)
     row = np.maximum.accumulate(np.where(missed, 0, np.arange(missed.size)))
-    return np.asarray(force[row])
+    return np.asarray(trace.force[row])
 
 
 def _amplitudes(signal: Floats, lines: Lines) -> Complexes:

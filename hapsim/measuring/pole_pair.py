@@ -3,13 +3,22 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hapsim.measuring.regression import Fit
+
+Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+
+NO_SECOND_REAL_POLE = "the slowest pole is real and no second real one follows"
+
+_LOOKED_AT = 4000  # samples of the motion
+_CLEARLY = 30.0  # times the variance of what is left: a pole without which the motion fits clearly worse
+_LASTING = 0.7  # what loses more in a sample is gone after three: poles of delays, filters and holds
+_SOME = 1e-3  # of the energy
 
 
 class SecondMode(NamedTuple):
@@ -21,23 +30,24 @@ class SecondMode(NamedTuple):
     """Of the energy (of the squared position, over the free motion) that this pair has of all modes."""
 
 
-@dataclass(frozen=True)
-class FittedPair:
-    """Two poles in the z-plane, their standard uncertainties (of the distance in the plane), and what follows."""
+class FittedPair(NamedTuple):
+    """Two poles in the z-plane and what follows from them, with standard uncertainties."""
 
-    poles: tuple[complex, complex]
-    poles_uncertainty: tuple[float, float]
+    pole: complex
+    """The one with the larger modulus, in the upper half."""
+    pole_uncertainty: float
+    """Of the distance in the plane."""
     decay: float
     """s1 + s2 times the sample period: minus the sum of both decays."""
+    decay_uncertainty: float
     stiffness: float
     """s1 s2 times the sample period squared."""
-    decay_uncertainty: float
     stiffness_uncertainty: float
 
 
 def dominant_pair(
-    fit: Fit, alternatives: list[Fit], motion: NDArray[np.float64]
-) -> tuple[FittedPair | None, NDArray[np.complex128], str, SecondMode | None]:
+    fit: Fit, alternatives: list[Fit], motion: Floats
+) -> tuple[FittedPair | None, Complexes, str, SecondMode | None]:
     """(the slowest-decaying pair or None, all poles by decreasing modulus, why there is no pair, a second mode).
 
     `alternatives`: fits that might as well have been chosen; how far they lie from `fit` adds to the uncertainty.
@@ -58,12 +68,12 @@ def dominant_pair(
     return _pair(total, product, np.hstack(spread)), poles[seen], "", further
 
 
-def _poles(fit: Fit) -> NDArray[np.complex128]:
+def _poles(fit: Fit) -> Complexes:
     poles = np.roots(fit.polynomial).astype(complex)
     return poles[np.argsort(-np.abs(poles), kind="stable")]
 
 
-def _nearest_pair(poles: NDArray[np.complex128], first: complex, second: complex) -> tuple[float, float]:
+def _nearest_pair(poles: Complexes, first: complex, second: complex) -> tuple[float, float]:
     """Sum and product of the two poles that take the places of `first` and `second`."""
     nearest = poles[np.argsort(np.minimum(np.abs(poles - first), np.abs(poles - second)))]
     a, b = nearest[0], nearest[1]
@@ -72,7 +82,7 @@ def _nearest_pair(poles: NDArray[np.complex128], first: complex, second: complex
     return (a + b).real, (a * b).real
 
 
-def _second_mode(poles: NDArray[np.complex128], energy: NDArray[np.float64]) -> SecondMode | None:
+def _second_mode(poles: Complexes, energy: Floats) -> SecondMode | None:
     """Of the conjugate pairs behind the slowest pole the one with the most energy, where it lasts and that is some."""
     others = [i for i in range(1, poles.size) if poles[i].imag > 0.0 and abs(poles[i]) >= _LASTING]
     others = [i for i in others if abs(poles[i] - poles[0].conjugate()) > 1e-9 * abs(poles[0])]
@@ -83,9 +93,7 @@ def _second_mode(poles: NDArray[np.complex128], energy: NDArray[np.float64]) -> 
     return SecondMode(complex(poles[most]), share) if share > _SOME else None
 
 
-def _seen_in(
-    motion: NDArray[np.float64], poles: NDArray[np.complex128]
-) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
+def _seen_in(motion: Floats, poles: Complexes) -> tuple[NDArray[np.bool_], Floats]:
     """(which poles the motion has: those without which a sum of modes would fit it clearly worse; the energy of each).
 
     A fit of a higher order than the motion's has poles that belong to its noise; they may lie anywhere.
@@ -107,15 +115,7 @@ def _seen_in(
     return np.asarray(worse > _CLEARLY * np.mean(left**2)), np.abs(amplitude[: poles.size]) ** 2
 
 
-NO_SECOND_REAL_POLE = "the slowest pole is real and no second real one follows"
-
-_LOOKED_AT = 4000
-_CLEARLY = 30.0
-_LASTING = 0.7  # what loses more in a sample is gone after three: poles of delays, filters and holds
-_SOME = 1e-3
-
-
-def _choose(poles: NDArray[np.complex128]) -> tuple[complex, complex, NDArray[np.complex128]] | str:
+def _choose(poles: Complexes) -> tuple[complex, complex, Complexes] | str:
     """The two slowest poles, where they are a conjugate pair or both real and positive."""
     if poles.size < 2:
         return "the motion has fewer than two poles"
@@ -129,9 +129,7 @@ def _choose(poles: NDArray[np.complex128]) -> tuple[complex, complex, NDArray[np
     return poles[0], poles[1], poles[2:]
 
 
-def _spread_of_sum_and_product(
-    fit: Fit, total: float, product: float, rest: NDArray[np.complex128]
-) -> NDArray[np.float64]:
+def _spread_of_sum_and_product(fit: Fit, total: float, product: float, rest: Complexes) -> Floats:
     """To first order: A = Q R, so dA = R dQ + Q dR, a linear system for dQ (and dR) with dA's coefficients known."""
     order = fit.order
     quadratic = np.array([1.0, -total, product])
@@ -145,33 +143,25 @@ def _spread_of_sum_and_product(
     return np.asarray(sensitivity @ fit.spread)
 
 
-def _pair(total: float, product: float, spread: NDArray[np.float64]) -> FittedPair:
+def _pair(total: float, product: float, spread: Floats) -> FittedPair:
+    """The pair with this sum and product, of which `spread` (2, n) is a square root of the covariance."""
     bend = total**2 / 4.0 - product  # squared half distance of the poles: its sign tells real from complex
     bend_slope = np.array([total / 2.0, -1.0])
     half = np.sqrt(complex(bend))
-    poles = (total / 2.0 + half, total / 2.0 - half)
-    uncertainty = tuple(_pole_uncertainty(sign, bend, bend_slope, spread) for sign in (1.0, -1.0))
-    decay, stiffness, slopes = _decay_and_stiffness(total, product)
-    reach = np.linalg.norm(slopes @ spread, axis=1)
-    return FittedPair(poles, (uncertainty[0], uncertainty[1]), decay, stiffness, float(reach[0]), float(reach[1]))
-
-
-def _pole_uncertainty(sign: float, bend: float, bend_slope: NDArray[np.float64], spread: NDArray[np.float64]) -> float:
-    """Linear where the poles are well apart.
-
-    Where they may have met, the square root is anything but linear: a quarter of how far it reaches when the bend is
-    off by four standard uncertainties, so that four of the value stated cover what four of the bend's do.
-    """
     bend_uncertainty = float(np.linalg.norm(bend_slope @ spread))
-    half = np.sqrt(complex(bend))
     if abs(bend) > 40.0 * bend_uncertainty:
-        slope = np.array([0.5, 0.0]) + sign * bend_slope / (2.0 * half)
-        return float(np.linalg.norm(slope @ spread))
-    reach = max(abs(np.sqrt(complex(bend + side * bend_uncertainty)) - half) for side in (-4.0, 4.0)) / 4.0
-    return math.hypot(0.5 * float(np.linalg.norm(spread[0])), reach)
+        uncertainty = float(np.linalg.norm((np.array([0.5, 0.0]) + bend_slope / (2.0 * half)) @ spread))
+    else:
+        # Where the poles may have met, the square root is anything but linear: a quarter of how far it reaches when
+        # the bend is off by four uncertainties, so that four of the value stated cover what four of the bend's do.
+        reach = max(abs(np.sqrt(complex(bend + side * bend_uncertainty)) - half) for side in (-4.0, 4.0)) / 4.0
+        uncertainty = math.hypot(0.5 * float(np.linalg.norm(spread[0])), reach)
+    decay, stiffness, slopes = _decay_and_stiffness(total, product)
+    off_decay, off_stiffness = (float(one) for one in np.linalg.norm(slopes @ spread, axis=1))
+    return FittedPair(complex(total / 2.0 + half), uncertainty, decay, off_decay, stiffness, off_stiffness)
 
 
-def _decay_and_stiffness(total: float, product: float) -> tuple[float, float, NDArray[np.float64]]:
+def _decay_and_stiffness(total: float, product: float) -> tuple[float, float, Floats]:
     """(s1 + s2) T, s1 s2 T² and their slopes by sum and product, smooth where the poles meet.
 
     With mu² the product and cosine c = sum / (2 mu): s1 s2 T² = ln(mu)² + angle², where cos(angle) = c.
@@ -189,10 +179,5 @@ def _decay_and_stiffness(total: float, product: float) -> tuple[float, float, ND
         angle = math.acosh(cosine)
         angle_squared, slope = -(angle**2), -2.0 * angle / math.sqrt(cosine**2 - 1.0)
     cosine_slope = np.array([1.0 / (2.0 * mu), -cosine / (2.0 * product)])
-    slopes = np.array(
-        [
-            [0.0, 1.0 / product],
-            slope * cosine_slope + np.array([0.0, logarithm / product]),
-        ]
-    )
+    slopes = np.array([[0.0, 1.0 / product], slope * cosine_slope + np.array([0.0, logarithm / product])])
     return 2.0 * logarithm, logarithm**2 + angle_squared, slopes

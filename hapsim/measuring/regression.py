@@ -1,16 +1,16 @@
 """Closed-loop poles from a record of positions and forces, by one linear regression.
 
-The hand's mass answers to force alone, so between position y, force f and the rounding e of the position stands
+The hand's mass answers to force alone, so position y, force f and the rounding e of the position obey
 
     A(q) y[n] = N(q) d[n] + C(q) e[n],      C(q) = (1 - 1/q)(1 - p/q)
 
-A: the closed loop's characteristic polynomial, whose roots are sought; d: what the recorded force has beyond the linear
-law of the scene (its rounding, cuts at the limit, an excitation); C: the open loop's, because e goes round the loop
-like the position itself and is carried on by a mass that drifts (pole 1) and slows down (pole p). Divided by C, that is
-y doubly summed, the equation's error is e itself: white, so ordinary least squares is the maximum-likelihood estimate
-and its covariance is honest. Only C's pole p is searched for; order and p are chosen by what the residuals say.
+A is the closed loop's characteristic polynomial, whose roots are sought. d is what the recorded force has beyond the
+linear law of the scene: its rounding, cuts at the limit, an excitation. C is the open loop's polynomial, for e goes
+round the loop like the position itself, carried on by a mass that drifts (pole 1) and slows down (pole p). Divided by
+C, the equation has y doubly summed and the white error e: least squares is then the maximum-likelihood estimate, with
+an honest covariance. Only p is searched for; the residuals choose order and p.
 
-Written with C split off, A = C + (1/q) G(q), nothing cancels: the regressors are sums and differences of y.
+With C split off, A = C + (1/q) G(q), nothing cancels: the regressors are sums and differences of y.
 """
 
 from __future__ import annotations
@@ -20,10 +20,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_triangular
-from scipy.signal import lfilter
 
 Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
 
 _MARGIN = 2.0  # rows per unknown below which a regression says nothing
 
@@ -35,7 +34,7 @@ class Segment:
     position: Vector
     surplus: Vector
     rest_known: bool = True
-    """False where the position may be counted from elsewhere than rest: a constant force then stays in the record."""
+    """False where the position may not be counted from rest: a constant force then stays in the record."""
 
 
 @dataclass(frozen=True)
@@ -46,8 +45,8 @@ class Fit:
     drift: float
     """p, the open loop's second pole."""
     g: Vector
-    spread: NDArray[np.float64]
-    """A square root of g's covariance: covariance = spread @ spread.T. Kept so, no variance comes out negative."""
+    spread: Matrix
+    """A square root of g's covariance, spread @ spread.T: no variance comes out negative."""
     residual: float
     """Standard deviation of the equation's error, in counts."""
     rows: int
@@ -60,14 +59,20 @@ class Fit:
         return np.append(_open_loop(self.drift), np.zeros(self.order - 2)) + np.append(0.0, self.g @ self.directions)
 
     @property
-    def directions(self) -> NDArray[np.float64]:
-        """What one unit of each g adds to the polynomial below its leading term, shape (order, order)."""
-        return _directions(self.order, self.drift)
+    def directions(self) -> Matrix:
+        """Row i: what a unit of g[i] adds to the polynomial below its leading term, shape (order, order)."""
+        rows, polynomial = np.zeros((self.order, self.order)), np.array([1.0])
+        for i in range(self.order):
+            rows[i, : polynomial.size] = polynomial
+            polynomial = _open_loop(self.drift) if i == 1 else np.convolve(polynomial, [1.0, -1.0])
+        return rows
 
 
 def fit(segments: list[Segment], order: int, drift: float, with_surplus: bool, floor: float) -> Fit | None:
-    """Least squares for one order and one p. `floor`: the least error that rounding leaves, in counts. None where the
-    record is too short for so many unknowns."""
+    """The least-squares fit for one order and one p; None where the record is too short for so many unknowns.
+
+    `floor`: the least error that rounding leaves, in counts.
+    """
     blocks = [(*_rows(segment, order, drift, with_surplus), segment.rest_known) for segment in segments]
     blocks = [block for block in blocks if block[1].size > 0]
     unknowns = order * (2 if with_surplus else 1)
@@ -84,10 +89,10 @@ def fit(segments: list[Segment], order: int, drift: float, with_surplus: bool, f
     q, r = np.linalg.qr(matrix / scale)
     if np.min(np.abs(np.diag(r))) < 1e-14:
         return None
-    solution = solve_triangular(r, q.T @ target) / scale
+    solution = np.linalg.solve(r, q.T @ target) / scale
     error = target - matrix @ solution
     variance = float(error @ error) / (count - total)
-    half = solve_triangular(r, np.eye(unknowns)) / scale[:, None]
+    half = np.linalg.inv(r) / scale[:, None]
     return Fit(
         order,
         drift,
@@ -103,27 +108,25 @@ def _open_loop(drift: float) -> Vector:
     return np.array([1.0, -1.0 - drift, drift])
 
 
-def _directions(order: int, drift: float) -> NDArray[np.float64]:
-    """Row i: the polynomial of basis function i of `_basis`, in powers 0 to order - 1 of 1/q."""
-    rows = np.zeros((order, order))
-    step = np.array([1.0, -1.0])
-    polynomial = np.array([1.0])
-    for i in range(order):
-        rows[i, : polynomial.size] = polynomial
-        polynomial = _open_loop(drift) if i == 1 else np.convolve(polynomial, step)
-    return rows
+def _slowed(x: Vector, drift: float) -> Vector:
+    """y[n] = p y[n-1] + x[n]: a running sum of 2, 4, 8, ... terms until it holds all."""
+    y, reach = x.copy(), 1
+    while reach < y.size:
+        y[reach:] += drift**reach * y[:-reach].copy()
+        reach *= 2
+    return y
 
 
-def _basis(x: Vector, order: int, drift: float) -> NDArray[np.float64]:
+def _basis(x: Vector, order: int, drift: float) -> Matrix:
     """x doubly summed, summed, x, its first difference, …: shape (samples, order)."""
-    slowed = lfilter([1.0], [1.0, -drift], x)
+    slowed = _slowed(x, drift)
     columns = [np.cumsum(slowed), slowed, x]
     while len(columns) < order:
         columns.append(np.diff(columns[-1], prepend=0.0))
     return np.column_stack(columns[:order])
 
 
-def _rows(segment: Segment, order: int, drift: float, with_surplus: bool) -> tuple[NDArray[np.float64], Vector]:
+def _rows(segment: Segment, order: int, drift: float, with_surplus: bool) -> tuple[Matrix, Vector]:
     """Regressors and target of one segment: y[n] from everything up to n - 1, once the start has passed."""
     y = segment.position
     columns = _basis(y, order, drift)
@@ -133,11 +136,9 @@ def _rows(segment: Segment, order: int, drift: float, with_surplus: bool) -> tup
     return columns[begin - 1 : -1], y[begin:]
 
 
-def _without_free_motion(
-    rows: NDArray[np.float64], target: Vector, drift: float, rest_known: bool
-) -> tuple[NDArray[np.float64], Vector]:
-    """Projects the drifting and slowing mass, alpha + beta p^n (alpha + beta n where p = 1), out of rows and target;
-    and what a constant force adds to it, where rest is not known."""
+def _without_free_motion(rows: Matrix, target: Vector, drift: float, rest_known: bool) -> tuple[Matrix, Vector]:
+    """Rows and target less the drifting and slowing mass, alpha + beta p^n (alpha + beta n where p = 1); and less what
+    a constant force adds to it, where rest is not known."""
     n = np.arange(target.size, dtype=float)
     slowing = drift < 1.0 - 1e-12
     motions = [np.ones_like(n), drift**n if slowing else n]

@@ -1,38 +1,48 @@
-"""What a trace says of its own samples: which of them are usable, and at which rate the device took them."""
+"""What a trace says of its own samples: which of them are usable, and at which rate the device took them.
+
+A position arrives after it was sampled, never before. So the earliest arrivals tell the sample period, and the others
+nothing (Moon, Skelly and Towsley, *Estimation and removal of clock skew from network delay measurements*, 1999). The
+earliest arrival of each of some forty stretches is taken, and through these the line with the median of all slopes
+between two of them (Theil and Sen): a stretch in which the host was held up throughout does not bend it.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from statistics import NormalDist
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hapsim.loop.ring import LATE_FORCE, UNSENT
 from hapsim.recording.trace import Report, Trace
 
-_ALWAYS = 0.99  # of all samples: what is late so often is late by the wire's nature
+ROUNDING = 1.0 / math.sqrt(12.0)
+"""Counts: standard deviation of rounding to whole ones."""
+
+_ALWAYS = 0.99  # of all samples: a force that is late so often is late by the wire's nature
+_STRETCHES, _LEAST_STRETCHES, _LEAST_ROWS = 40, 10, 8
+_CONFIDENCE = 0.999
+_CLOCK = 1e-4  # the host's own clock, and how it is led to the true time, is right to this share
+
+
+def is_always_late(trace: Trace) -> bool:
+    """Whether every force was late, as over a slow wire: that is a delay like any other."""
+    late = trace.flags & LATE_FORCE != 0
+    return bool(late.size) and float(np.mean(late)) > _ALWAYS
 
 
 def unbroken(trace: Trace, spoilt: int) -> Iterator[tuple[int, int]]:
-    """Index ranges without a gap: no sample missing or with a `spoilt` flag, each force sent."""
-    flags = trace.flags ^ _usual_flags(trace)
+    """Index ranges without a gap: no sample missing or with a `spoilt` flag, each force sent. Where every force is
+    late, one in time is out of the common."""
+    flags = trace.flags ^ (LATE_FORCE if is_always_late(trace) else 0)
     broken = (np.diff(trace.sample, prepend=trace.sample[:1] - 1) != 1) | (flags & spoilt != 0)
     broken[1:] |= flags[:-1] & UNSENT != 0
     starts = np.flatnonzero(broken | (np.arange(broken.size) == 0))
     for first, last in zip(starts, np.append(starts[1:], broken.size), strict=True):
         yield int(first), int(last)
-
-
-def _usual_flags(trace: Trace) -> int:
-    """LATE_FORCE where every force was late, as over a slow wire: that is a delay like any other, and a record like any
-    other. What is out of the common is then a force in time."""
-    late = trace.flags & LATE_FORCE != 0
-    return LATE_FORCE if late.size and float(np.mean(late)) > _ALWAYS else 0
-
-
-_STRETCHES, _LEAST_STRETCHES, _LEAST_ROWS = 40, 10, 8
-_CONFIDENCE = 0.999
-_CLOCK = 1e-4  # the host's own clock, and how it is led to the true time, is right to this share
 
 
 @dataclass(frozen=True)
@@ -49,22 +59,18 @@ class SeenRate:
 
 
 def seen_rate(trace: Trace) -> SeenRate | None:
-    """The rate at which the device sampled; None where the device's own timer did not pace the positions (in virtual
-    time, by the host's clock, on a mock in this process), or too few came to tell."""
-    from scipy.stats import theilslopes
-
-    if not trace.report.timed_by_device:
-        return None
+    """The rate at which the device sampled; None where its own timer did not pace the positions (in virtual time, by
+    the host's clock, on a mock in this process), or too few came to tell."""
     stretches = min(_STRETCHES, trace.sample.size // _LEAST_ROWS)
-    if stretches < _LEAST_STRETCHES:
+    if not trace.report.timed_by_device or stretches < _LEAST_STRETCHES:
         return None
     number = (trace.sample - trace.sample[0]).astype(float)
     late = (trace.time_ns - trace.time_ns[0]) * 1e-9 - number / trace.rate
-    slope, low, high = 0.0, 0.0, 0.0
+    slope = low = high = 0.0
     for _ in range(3):  # which arrival is a stretch's earliest depends on the rate itself
         on_grid = late - slope * number
         earliest = [int(part[np.argmin(on_grid[part])]) for part in np.array_split(np.arange(number.size), stretches)]
-        slope, _, low, high = theilslopes(late[earliest], number[earliest], _CONFIDENCE)
+        slope, low, high = median_slope(number[earliest], late[earliest])
     period = 1.0 / trace.rate + slope
     if not period > 0.0:
         return None
@@ -72,9 +78,19 @@ def seen_rate(trace: Trace) -> SeenRate | None:
     return SeenRate(float(1.0 / period), float(np.hypot(spread, _CLOCK / period)))
 
 
+def median_slope(x: NDArray[np.float64], y: NDArray[np.float64]) -> tuple[float, float, float]:
+    """(median of the slopes between all two points, and the bounds that hold the true one with 99.9 %): Sen, 1968."""
+    first, second = np.triu_indices(x.size, 1)
+    slopes = np.sort((y[second] - y[first]) / (x[second] - x[first]))
+    sigma = math.sqrt(x.size * (x.size - 1) * (2 * x.size + 5) / 18.0)
+    reach = NormalDist().inv_cdf(0.5 + 0.5 * _CONFIDENCE) * sigma
+    low, high = round(0.5 * (slopes.size - reach)) - 1, round(0.5 * (slopes.size + reach))
+    return float(np.median(slopes)), float(slopes[max(low, 0)]), float(slopes[min(high, slopes.size - 1)])
+
+
 def kept_rate(report: Report) -> SeenRate | None:
-    """The rate of the samples that a run took, without the arrival of each: from the first to the newest, of which
-    either may have come later than it ought to by as much as the latest of all. None of a run of less than two."""
+    """The rate of the samples that a run took, without the arrival of each: from the first to the newest, either of
+    which may have come too late by as much as the latest of all. None of a run of less than two."""
     if not (report.duration_s > 0.0 and report.rate_hz > 0.0):
         return None
     if report.virtual_time:

@@ -25,8 +25,9 @@ from scipy.optimize import brentq
 
 from hapsim.cordis.offline import start, ticks_watched
 from hapsim.cordis.program import compile_scene, numbers_of
+from hapsim.cordis.schemes import SCHEMES
 from hapsim.scene import Buffer, Device, DevicePoint, Ground, Mass, Scene
-from hapsim.speed_accuracy.results import Found, schemes
+from hapsim.speed_accuracy.results import Found
 
 MASS = 0.02  # kg
 STIFFNESS, DAMPING = 8000.0, 0.85  # N/m, N·s/m
@@ -45,7 +46,7 @@ class Contact:
     quantities: tuple[str, ...] = ("k", "b")
 
     def methods(self) -> tuple[str, ...]:
-        return schemes()
+        return tuple(SCHEMES)
 
     def scene(self, method: str, precision: str, rate: float) -> Scene:
         """A mass so heavy that the buffer is touched in every sample, which is the dearer of its two cases."""

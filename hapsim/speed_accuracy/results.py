@@ -8,22 +8,21 @@ import statistics
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
-from hapsim.cordis.schemes import SCHEMES
 from hapsim.errors import UsageError
 from hapsim.scene import Scene
 
+OURS = "hapsim"
+WITHIN = 1e-3
 
-@dataclass(frozen=True)
-class Found:
-    """What came of a run: how far each quantity is off, relative to the continuous object, with its sign.
 
-    `why_not`: in words, where there is none.
-    """
+class Found(NamedTuple):
+    """What came of a run: how far each quantity is off, relative to the continuous object, with its sign."""
 
     errors: dict[str, float]
     why_not: str = ""
+    """In words, where there is none."""
 
 
 class Object(Protocol):
@@ -44,25 +43,6 @@ class Object(Protocol):
 
     def found(self, method: str, precision: str, rate: float) -> Found:
         """Runs it."""
-
-
-PRECISIONS = ("double", "single")
-
-
-def schemes() -> tuple[str, ...]:
-    """The schemes for simulated masses."""
-    return tuple(SCHEMES)
-
-
-def schemes_named(names: Iterable[str]) -> list[str]:
-    """Those of these names, in their own order; none where there is no name. UsageError for another name."""
-    wanted = set(names)
-    for name in sorted(wanted - SCHEMES.keys()):
-        raise UsageError(f"--scheme: found '{name}', expected one of {', '.join(SCHEMES)}")
-    return [name for name in SCHEMES if name in wanted]
-
-
-OURS = "hapsim"
 
 
 @dataclass(frozen=True)
@@ -132,15 +112,9 @@ def peers_in(path: Path, objects: Iterable[str]) -> list[Row]:
 def columns(rows: Sequence[Row], front: Iterable[Row]) -> dict[str, list[Any]]:
     """Every number, by the names that a data file uses: a row a row."""
     chosen = set(front)
-    return {
-        "object": [row.object for row in rows],
-        "whose": [row.whose for row in rows],
-        "method": [row.method for row in rows],
-        "precision": [row.precision for row in rows],
-        "rate_Hz": [row.rate_hz for row in rows],
-        "quantity": [row.quantity for row in rows],
-        "error": [row.error for row in rows],
-        "cost_s_per_s": [row.cost for row in rows],
+    given = {name: name for name in ("object", "whose", "method", "precision", "rate_Hz", "quantity", "error")}
+    attributes = given | {"rate_Hz": "rate_hz", "cost_s_per_s": "cost"}
+    return {name: [getattr(row, attribute) for row in rows] for name, attribute in attributes.items()} | {
         "cost_least": [min(row.costs, default=math.nan) for row in rows],
         "cost_most": [max(row.costs, default=math.nan) for row in rows],
         "rounds": [len(row.costs) for row in rows],
@@ -150,8 +124,11 @@ def columns(rows: Sequence[Row], front: Iterable[Row]) -> dict[str, list[Any]]:
 
 
 def front_of(rows: Iterable[Row]) -> list[Row]:
-    """Of rows of one quantity of one object, from the cheapest to the most accurate; rows without a place are left
-    out. Of rows that cost the same and are as far off, the first."""
+    """The rows that no other beats in cost and in error at once, from the cheapest to the most accurate.
+
+    Of one quantity of one object; rows without a place are left out. Of rows that cost the same and are as far off, the
+    first.
+    """
     chosen: list[Row] = []
     for row in sorted((row for row in rows if row.good), key=lambda row: (row.cost, row.off)):
         if not chosen or row.off < chosen[-1].off:
@@ -174,14 +151,15 @@ def cheapest_within(rows: Iterable[Row], error: float) -> Row | None:
     return min(able, key=lambda row: row.cost, default=None)
 
 
-WITHIN = 1e-3
-
-
 def verdict(one: Object, rows: Sequence[Row]) -> str:
-    """For a person; `rows` of all objects."""
+    """One sentence for an object, of the rows of all: what is on the front, and what to take."""
     mine = [row for row in rows if row.object == one.name]
     parts = [_of_quantity(quantity, [row for row in mine if row.quantity == quantity]) for quantity in one.quantities]
-    lost = _lost(mine)
+    reasons: dict[str, set[tuple[str, str, float]]] = {}
+    for row in mine:
+        if row.ours and not row.good and row.note:
+            reasons.setdefault(row.note.split(":", 1)[0], set()).add((row.method, row.precision, row.rate_hz))
+    lost = "".join(f"; {len(cases)} left out ({reason})" for reason, cases in reasons.items())
     return f"{one.title[0].upper()}{one.title[1:]}: {'; '.join(parts)}{lost}."
 
 
@@ -189,25 +167,15 @@ def _of_quantity(quantity: str, rows: Sequence[Row]) -> str:
     front = [row for members in fronts(rows).values() for row in members]
     if not front:
         return f"{quantity}: nothing that could be timed"
-    precisions: dict[str, dict[str, None]] = {}
+    precisions: dict[str, set[str]] = {}
     for row in front:
-        precisions.setdefault(row.method, {})[row.precision] = None
+        precisions.setdefault(row.method, set()).add(row.precision)
     names = [f"{method} ({', '.join(sorted(lengths))})" for method, lengths in precisions.items()]
     best = cheapest_within(rows, WITHIN)
-    if best is None:
-        advice = f"none within {WITHIN:g} in real time"
-    else:
+    advice = f"none within {WITHIN:g} in real time"
+    if best is not None:
         advice = (
             f"cheapest within {WITHIN:g} in real time: {best.method}, {best.precision}, at {best.rate_hz:g} Hz "
             f"({best.cost:.2g} s a second, off by {best.error:+.1e})"
         )
     return f"{quantity}: on the front {', '.join(names)}; {advice}"
-
-
-def _lost(rows: Sequence[Row]) -> str:
-    """How many cases have no place, by the reason."""
-    reasons: dict[str, set[tuple[str, str, float]]] = {}
-    for row in rows:
-        if row.ours and not row.good and row.note:
-            reasons.setdefault(row.note.split(":", 1)[0], set()).add((row.method, row.precision, row.rate_hz))
-    return "".join(f"; {len(cases)} left out ({reason})" for reason, cases in reasons.items())

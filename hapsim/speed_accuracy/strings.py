@@ -1,22 +1,24 @@
-"""A string of masses with a hand on one of them: where its first modes ring."""
+"""The string that is rung: equal masses and visco-elastic links, fixed at both ends; where it rings in truth, and where
+a simulation of it does. It imports numpy alone, for peers without hapsim's packages."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.fft import dst
 
-from hapsim.cordis.offline import start, ticks_watched
-from hapsim.cordis.program import Program, compile_scene, numbers_of
-from hapsim.cordis.schemes.exact_modes import ExactModes
-from hapsim.scene import Device, DevicePoint, Scene, String, ViscoElastic
-from hapsim.speed_accuracy.results import Found, schemes
+Vector = NDArray[np.float64]
+
+# (shape, samples) -> the motion along that shape, sample by sample, once the string was released in it at rest.
+Record = Callable[[Vector, int], Vector]
+
+STEADY = 1.0 + 1e-9  # the largest modulus of a pole that counts as stable: the fit's own error stays below
+_PERIODS = 2.0
+_LEAST_SAMPLES = 64
+_POINTS_PER_PERIOD = 16.0
 
 
 @dataclass(frozen=True)
@@ -25,16 +27,17 @@ class StringOfMasses:
 
     m x_i'' = K (x_{i-1} - 2 x_i + x_{i+1}) + B (v_{i-1} - 2 v_i + v_{i+1}), in continuous time; with bending, and u_i
     for x_{i-1} - 2 x_i + x_{i+1} (0 at the ends), S (u_{i-1} - 2 u_i + u_{i+1}) is subtracted.
-
-    `masses`: N. `mass`: of each, in kg. `stiffness`, `damping`: of each link, K in N/m and B in N·s/m. `bending`: S in
-    N/m.
     """
 
     masses: int
     mass: float
+    """Of each, kg."""
     stiffness: float
+    """Of each link, K in N/m."""
     damping: float
+    """Of each link, B in N·s/m."""
     bending: float = 0.0
+    """S in N/m."""
 
     @classmethod
     def tuned(
@@ -59,15 +62,17 @@ class StringOfMasses:
         square = 4.0 * math.sin(math.pi * mode / (2.0 * (self.masses + 1))) ** 2
         return math.sqrt((self.stiffness + self.bending * square) * square / self.mass) / (2.0 * math.pi)
 
-    def shape(self, mode: int) -> NDArray[np.float64]:
+    def shape(self, mode: int) -> Vector:
         """The masses' displacements in mode 1 to N, 1 at the most, shape (N,)."""
-        along = np.arange(1, self.masses + 1) / (self.masses + 1)
-        return np.asarray(np.sin(math.pi * mode * along))
+        return np.asarray(np.sin(math.pi * mode * self._along))
 
-    def plucked(self) -> NDArray[np.float64]:
+    def plucked(self) -> Vector:
         """The masses' displacements in m when the string is lifted by 1 mm at a third of its length, shape (N,)."""
-        along = np.arange(1, self.masses + 1) / (self.masses + 1)
-        return np.asarray(1e-3 * np.minimum(3.0 * along, 1.5 * (1.0 - along)))
+        return np.asarray(1e-3 * np.minimum(3.0 * self._along, 1.5 * (1.0 - self._along)))
+
+    @property
+    def _along(self) -> Vector:
+        return np.arange(1, self.masses + 1) / (self.masses + 1)
 
 
 def held_mass(string: StringOfMasses) -> int:
@@ -81,20 +86,9 @@ def hand_link(string: StringOfMasses) -> tuple[float, float]:
     return 0.01 * string.stiffness, 0.01 * string.damping
 
 
-def hand_motion(samples: int, rate: float) -> NDArray[np.float64]:
+def hand_motion(samples: int, rate: float) -> Vector:
     """A hand that moves by 1 mm, twice a second; m, shape (samples,)."""
     return np.asarray(1e-3 * np.sin(4.0 * np.pi * np.arange(samples) / rate))
-
-
-# (shape, samples) -> the motion along that shape, sample by sample, once the string was released in it at rest.
-Record = Callable[[NDArray[np.float64], int], NDArray[np.float64]]
-
-STEADY = 1.0 + 1e-9  # the largest modulus of a pole that counts as stable: the fit's own error stays below
-STEADY_IN_SINGLE = 1.0 + 1e-4
-
-_PERIODS = 2.0
-_LEAST_SAMPLES = 64
-_POINTS_PER_PERIOD = 16.0
 
 
 def frequencies_of(
@@ -110,12 +104,14 @@ def frequencies_of(
     `explicit`: the scheme may be unstable, which its highest mode tells: that one is the first to be. `steady`:
     the largest modulus of a pole that counts as stable.
     """
-    if explicit and not _stable(record, string, steady):
-        return [math.nan for _ in modes]
+    if explicit:
+        with np.errstate(all="ignore"):
+            if not np.all(np.abs(poles(record(string.shape(string.masses), _LEAST_SAMPLES), 1)) <= steady):
+                return [math.nan for _ in modes]
     return [_frequency(record, string, rate, mode) for mode in modes]
 
 
-def project(rows: NDArray[np.float64], shape: NDArray[np.float64]) -> NDArray[np.float64]:
+def project(rows: Vector, shape: Vector) -> Vector:
     """How much of `shape` (N,) is in each of the displacements `rows` (..., N)."""
     return np.asarray(rows @ shape / (shape @ shape))
 
@@ -131,112 +127,24 @@ def _frequency(record: Record, string: StringOfMasses, rate: float, mode: int) -
     return float(math.sqrt(abs(exponents[0] * exponents[1])) / (2.0 * math.pi))
 
 
-def _stable(record: Record, string: StringOfMasses, steady: float) -> bool:
-    with np.errstate(all="ignore"):
-        pair = poles(record(string.shape(string.masses), _LEAST_SAMPLES), 1)
-        return bool(np.all(np.abs(pair) <= steady))
-
-
-def poles(motion: NDArray[np.float64], stride: int) -> NDArray[np.complex128]:
+def poles(motion: Vector, stride: int) -> NDArray[np.complex128]:
     """The pole pair, to the power of `stride`, of the recurrence q[n+s] = c1 q[n] + c2 q[n-s] that fits `motion` best.
 
     Least squares on the second difference, α q[n] + β (q[n] - q[n-s]): slow motion would leave c1 and c2 hardly other
     than 2 and -1. With w = z - 1 the poles solve w² - (α + β) w - α = 0. NaN where the motion is not finite, or there
     is none.
     """
+    nothing = np.full(2, complex(math.nan, math.nan))
     if not np.all(np.isfinite(motion)) or np.max(np.abs(motion)) > 1e150:
-        return np.full(2, complex(math.nan, math.nan))
+        return nothing
     now = motion[stride:-stride]
     growth = now - motion[: -2 * stride]
     bend = (motion[2 * stride :] - now) - growth
     columns = np.stack([now, growth], axis=1)
     scale = np.linalg.norm(columns, axis=0)
     if not np.all(scale > 0.0):
-        return np.full(2, complex(math.nan, math.nan))
+        return nothing
     alpha, beta = np.linalg.lstsq(columns / scale, bend, rcond=None)[0] / scale
     half = (alpha + beta) / 2.0
     root = np.sqrt(complex(half * half + alpha))
     return np.array([1.0 + half + root, 1.0 + half - root])
-
-
-class _Kept(NamedTuple):
-    """Where a program keeps a string: at the beginning of the row whose turn it is; `amounts`, there, of the shape."""
-
-    rows: list[NDArray[np.floating]]
-    amounts: NDArray[np.float64]
-
-
-def record(scene: Scene, string: StringOfMasses, shape: NDArray[np.float64], samples: int) -> NDArray[np.float64]:
-    """The motion along `shape` (N,), sample by sample, once the scene's string was released in it; shape (samples,)."""
-    program = compile_scene(scene)
-    kept = _kept(program, scene, shape)
-    for row in kept.rows:
-        row[: string.masses] = kept.amounts
-    start(program, np.zeros(scene.channels))
-    watched = np.empty(samples)
-    ticks_watched(program, kept.rows, kept.amounts / (kept.amounts @ kept.amounts), watched)
-    return watched
-
-
-def _kept(program: Program, scene: Scene, shape: NDArray[np.float64]) -> _Kept:
-    """As positions of its masses; or, by the exact scheme, as how much there is of each of its modes: sines, all of one
-    norm, the slowest first."""
-    for part in program.parts:
-        if isinstance(part.numbers, ExactModes):
-            return _Kept(3 * [part.numbers.position], dst(shape, type=1) / (shape.size + 1))
-    first = numbers_of(scene)["string.0"]
-    return _Kept([row[first:] for row in program.rows], shape)
-
-
-MODES = (1, 2, 3, 4, 5)
-
-
-class RingingString:
-    """A `string` and how it is called."""
-
-    quantities: tuple[str, ...] = ("frequency",)
-
-    def __init__(self, name: str, title: str, string: StringOfMasses) -> None:
-        self.name, self.title, self.string = name, title, string
-
-    def methods(self) -> tuple[str, ...]:
-        return schemes()
-
-    def scene(self, method: str, precision: str, rate: float) -> Scene:
-        return scene_of(self.string, method, precision, rate, *hand_link(self.string))
-
-    def found(self, method: str, precision: str, rate: float) -> Found:
-        """Rings it in some of its modes: the frequency that is furthest off, relative."""
-        steady = STEADY if precision == "double" else STEADY_IN_SINGLE
-        ring = partial(record, scene_of(self.string, method, precision, rate), self.string)
-        rung = frequencies_of(ring, self.string, rate, MODES, steady=steady)
-        errors = [frequency / self.string.frequency(mode) - 1.0 for mode, frequency in zip(MODES, rung, strict=True)]
-        if not all(math.isfinite(error) for error in errors):
-            return Found({}, "unstable")
-        return Found({"frequency": max(errors, key=abs)})
-
-
-def scene_of(
-    string: StringOfMasses, method: str, precision: str, rate: float, stiffness: float = 0.0, damping: float = 0.0
-) -> Scene:
-    """The string as a scene; the hand's link in N/m and N·s/m."""
-    return Scene(
-        version=1,
-        scheme=method,  # type: ignore[arg-type]
-        precision=precision,  # type: ignore[arg-type]
-        rate=rate,
-        device=Device(clock="lockstep", mass=0.2),
-        modules={
-            "hand": DevicePoint(channel=0),
-            "string": String(
-                masses=string.masses,
-                mass=string.mass,
-                stiffness=string.stiffness,
-                damping=string.damping,
-                bending=string.bending,
-            ),
-            "touch": ViscoElastic(
-                between=("hand", f"string.{held_mass(string)}"), stiffness=stiffness, damping=damping
-            ),
-        },
-    )

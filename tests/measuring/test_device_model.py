@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from hapsim.holds import HOLDS
-from hapsim.measuring.device_model import Converters, sampled_motion
+from hapsim.measuring.converters import Converters
+from hapsim.measuring.device_model import sampled_motion
 
 FRICTION, STIFFNESS, STEPS = 0.03, 0.02, 1000
 

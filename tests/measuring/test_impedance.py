@@ -17,7 +17,8 @@ from hapsim.cli.measure_impedance import measured_width, show_impedance
 from hapsim.errors import UsageError
 from hapsim.holds import HOLDS
 from hapsim.loop.ring import LATE_FORCE, UNSENT
-from hapsim.measuring.impedance import Loop, impedance_of
+from hapsim.measuring.converters import Converters
+from hapsim.measuring.impedance import impedance_of
 from hapsim.measuring.measure_impedance import MeasuredImpedance, measure_impedance, walls_in_place
 from hapsim.measuring.multisine import Periods, lines_for, multisine, periods_of
 from hapsim.prediction import predict
@@ -187,7 +188,7 @@ def test_each_element_of_a_matrix_has_an_uncertainty_of_its_own() -> None:
         force = position @ ratio.T
         force = force + noise * (rng.normal(size=force.shape) + 1j * rng.normal(size=force.shape))
         experiments.append(Periods(position, 0.0 * force, force, none, none + 1e-30, True, 0, 0))
-    found = impedance_of(Loop(1000.0, 0.0, HOLDS["impulse"], False), frequency, experiments)
+    found = impedance_of(experiments, frequency, 1000.0, 0.0, Converters("impulse", "ideal"))
     true = ratio / (2j * np.pi * frequency[:, None, None])
     off = np.abs(found.device.value - true) / found.device.uncertainty
     typical = np.median(off, axis=0)
@@ -207,11 +208,9 @@ def test_a_device_that_is_later_than_it_declares_does_not_look_like_its_mass() -
 def test_an_instant_of_the_hold_and_the_delay_are_those_of_the_theory() -> None:
     f = np.geomspace(1.0, 480.0, 30)
     theta = 2.0 * np.pi * f / 1000.0
-    for hold, averaged, delay in itertools.product(HOLDS, (False, True), (0.0, 0.4, 1.0, 2.0)):
-        sampling = "average" if averaged else "ideal"
-        expected = late_and_held(theta, delay, hold, sampling) / (2j * np.pi * f)
-        found = Loop(1000.0, delay, HOLDS[hold], averaged).over_velocity(f)
-        np.testing.assert_allclose(found, expected, rtol=1e-12)
+    for hold, sampling, delay in itertools.product(HOLDS, ("ideal", "average"), (0.0, 0.4, 1.0, 2.0)):
+        found = Converters(hold, sampling).response(f, 1000.0, delay)
+        np.testing.assert_allclose(found, late_and_held(theta, delay, hold, sampling), rtol=1e-12)
 
 
 def test_impulses_averages_and_fractions_of_a_delay_agree_too() -> None:
@@ -228,7 +227,7 @@ class TestRecords:
 
     def spectra(self, **changed: Any) -> Any:
         trace = replace(measured("first_touch").traces[0], **changed)
-        return periods_of(trace, self.lines, keeps_last_force=True, senses=False)
+        return periods_of(trace, self.lines, Converters("zoh", "ideal"), senses=False)
 
     def test_a_period_with_a_lost_position_is_left_out_and_counted(self) -> None:
         trace = measured("first_touch").traces[0]

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hapsim.holds import HOLDS
 from hapsim.measuring import impedance
-from hapsim.measuring.impedance import Loop, impedance_of
+from hapsim.measuring.converters import Converters
+from hapsim.measuring.impedance import impedance_of
 from hapsim.measuring.measure_impedance import measure_impedance
 from hapsim.measuring.multisine import Periods, lines_for, periods_of
 from hapsim.prediction.impedance import predict_impedance
@@ -21,7 +21,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from records import trace_of
 
 LINES = lines_for(1000.0)
-LOOP = Loop(1000.0, 0.0, HOLDS["zoh"], averaged=False)
+CONVERTERS = Converters("zoh", "ideal")
 STIFFNESS = 700.0  # N/m: all that this device has
 
 
@@ -32,7 +32,7 @@ def noisy_periods(seed: int) -> Periods:
     pulled[LINES.bins] = np.exp(2j * np.pi * rng.random(LINES.bins.size))
     force = np.tile(20.0 * np.fft.irfft(pulled, LINES.samples), 14)
     trace = trace_of(force / STIFFNESS + 1e-6 * rng.normal(size=force.size), force)
-    return periods_of(trace, LINES, keeps_last_force=True, senses=False)
+    return periods_of(trace, LINES, CONVERTERS, senses=False)
 
 
 def test_as_many_values_lie_outside_their_circles_as_the_confidence_says(
@@ -45,8 +45,9 @@ def test_as_many_values_lie_outside_their_circles_as_the_confidence_says(
     shares = {}
     for outside in (0.1, 0.01):
         monkeypatch.setattr(impedance, "CONFIDENCE", 1.0 - outside * size)
-        found = [impedance_of(LOOP, LINES.frequency, [one]).device for one in experiments]
-        true = STIFFNESS * LOOP.over_velocity(LINES.frequency)[:, None, None]
+        found = [impedance_of([one], LINES.frequency, 1000.0, 0.0, CONVERTERS).device for one in experiments]
+        late = CONVERTERS.response(LINES.frequency, 1000.0, 0.0)
+        true = (STIFFNESS * late / (2j * np.pi * LINES.frequency))[:, None, None]
         missed = [np.abs(one.value - true) > one.uncertainty for one in found]
         shares[outside] = float(np.mean(missed)) / outside
     figures.most("impedance values outside circles drawn for 10 %, of these", shares[0.1])

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from hapsim.speed_accuracy.comparison import OBJECTS, SHARP
-from hapsim.speed_accuracy.strings import MODES, RingingString, StringOfMasses, frequencies_of, poles
+from hapsim.speed_accuracy.ringing_string import MODES, RingingString
+from hapsim.speed_accuracy.strings import StringOfMasses, frequencies_of, poles
 
 STRING = StringOfMasses.tuned(10, damping_ratio=0.0)
 OBJECT = RingingString("string", "a string", STRING)

@@ -14,8 +14,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from hapsim.speed_accuracy.cost import cost_of
 from hapsim.speed_accuracy.strings import StringOfMasses, frequencies_of, project
+from hapsim.speed_accuracy.timing import cost_of
 
 _OFF = (
     *("constraint", "equality", "frictionloss", "limit", "contact", "warmstart", "filterparent", "midphase"),
