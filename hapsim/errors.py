@@ -5,10 +5,7 @@ The message of every one of them is a sentence for the user: where, what was fou
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from hapsim.recording.trace import Trace
+from typing import Any
 
 __all__ = [
     "DescriptionError",
@@ -39,9 +36,10 @@ class SceneError(UsageError):
 
 
 class RunError(HapsimError):
-    """A run ended before it was meant to. `trace` holds what was recorded until then, if anything was."""
+    """A run ended before it was meant to."""
 
-    trace: Trace | None = None
+    trace: Any = None
+    """The hapsim.recording.trace.Trace of what was recorded until then; None where nothing was."""
 
 
 class DeviceError(RunError):

@@ -15,8 +15,8 @@ from hapsim.cli.options import Json, Port, SceneFile, load
 from hapsim.cli.output import complain, say, stderr
 from hapsim.errors import UsageError
 from hapsim.prediction import predict
-from hapsim.running.prepare import prepare
-from hapsim.running.stability import why_not_armed
+from hapsim.running.compile_ahead import prepare
+from hapsim.running.requirements import why_not_armed
 from hapsim.running.unit import closed_to_service, unit_for, unit_name
 from hapsim.scene import scene_schema
 from hapsim.scene.shipped import shipped_scene

@@ -33,7 +33,7 @@ from hapsim.prediction.force_bounds import refused_slew
 from hapsim.progress import Progress
 from hapsim.running.notify import Notifier
 from hapsim.running.reconnecting import Observer, keep_running, together
-from hapsim.running.stability import why_not_armed
+from hapsim.running.requirements import why_not_armed
 from hapsim.running.state import RunState
 from hapsim.running.status import AUTO, path_for, telling
 from hapsim.running.watch import WatchedFile

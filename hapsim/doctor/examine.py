@@ -21,7 +21,7 @@ from hapsim.doctor.wakeups import require_measurable, wake_up_latency
 from hapsim.errors import UsageError
 from hapsim.loop.histogram import Histogram
 from hapsim.loop.system import require_linux
-from hapsim.running.compatibility import require_compatible
+from hapsim.running.requirements import require_compatible
 from hapsim.scene import Scene, parse_scene
 
 if TYPE_CHECKING:

@@ -17,7 +17,7 @@ import numpy as np
 
 from hapsim.measuring.converters import Converters
 from hapsim.measuring.device_model import sampled_motion
-from hapsim.running.excitation import Excitation
+from hapsim.running.options import Excitation
 from hapsim.scene import Ground, Initial, Mock, Scene, ViscoElastic
 
 _LEAST_HALF = 32

@@ -25,6 +25,7 @@ from hapsim.progress import Progress
 from hapsim.recording.trace import Trace
 from hapsim.running import run
 from hapsim.scene import Scene
+from hapsim.scene.load import SceneSource, as_scene
 
 TRAVEL_M = 0.005
 """Default travel to either side of where the device is found."""
@@ -94,7 +95,7 @@ def bounds_of(scene: Scene, force: float | None = None, travel: float | None = N
 
 
 def identify_device(
-    scene: Scene,
+    scene: SceneSource,
     *,
     channel: int = 0,
     force: float | None = None,
@@ -114,6 +115,7 @@ def identify_device(
     Raises what `hapsim.running.run` raises, GuardError where the device moved farther than `travel`, and UsageError
     where too little moves to identify anything, or what moves does not answer to the force.
     """
+    scene = as_scene(scene)
     if channel not in {point.channel for point in scene.device_points.values()}:
         known = ", ".join(str(point.channel) for point in scene.device_points.values())
         raise UsageError(f"channel {channel}: the scene has nothing there; its device points are on: {known}")

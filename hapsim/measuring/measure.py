@@ -13,6 +13,7 @@ from hapsim.progress import Progress
 from hapsim.recording.trace import Trace
 from hapsim.running import Excitation, run
 from hapsim.scene import Scene, Spring, ViscoElastic
+from hapsim.scene.load import SceneSource, as_scene
 
 _SECONDS = 2.0
 _LEAST_TICKS, _MOST_TICKS = 2048, 20000
@@ -24,7 +25,7 @@ _LEAST_ROWS = 32
 
 
 def measure(
-    scene: Scene,
+    scene: SceneSource,
     *,
     channel: int = 0,
     duration: float | None = None,
@@ -44,6 +45,7 @@ def measure(
     device fails, or stops by itself, and was recorded for long enough to identify something, the measurement is
     returned with the error as its `failure`.
     """
+    scene = as_scene(scene)
     if channel not in {point.channel for point in scene.device_points.values()}:
         known = ", ".join(str(point.channel) for point in scene.device_points.values())
         raise UsageError(f"channel {channel}: the scene has nothing there; its device points are on: {known}")

@@ -19,6 +19,7 @@ from hapsim.progress import Progress
 from hapsim.recording.trace import Trace
 from hapsim.running import PeriodicExcitation, run
 from hapsim.scene import Ground, Scene, ViscoElastic
+from hapsim.scene.load import SceneSource, as_scene
 
 SHARE_OF_LIMIT = 0.25
 """Of the force limit, that an excitation's peak has at most."""
@@ -55,7 +56,7 @@ class MeasuredImpedance(Impedance):
 
 
 def measure_impedance(
-    scene: Scene,
+    scene: SceneSource,
     *,
     duration: float | None = None,
     travel: float = TRAVEL_M,
@@ -73,6 +74,7 @@ def measure_impedance(
 
     Raises what `hapsim.running.run` raises, and UsageError where too little moves, or too little was recorded.
     """
+    scene = as_scene(scene)
     lines = lines_for(scene.rate)
     periods = _whole_periods(duration, lines)
     if not 0 < travel < math.inf:

@@ -24,6 +24,7 @@ from hapsim.prediction.timing import wire_of, wire_time_of, with_wire_delay
 from hapsim.prediction.types import Desired, Felt, LinkMargin, Prediction, Robustness
 from hapsim.scene import Scene
 from hapsim.scene.choices import WITH_SENSOR
+from hapsim.scene.load import SceneSource, as_scene
 from hapsim.theory import (
     Configuration,
     Margins,
@@ -45,11 +46,13 @@ _SURELY = 1.0 + 1e-9  # what grows by more in a sample is not at the limit
 _MOST = 1e60  # of b0 T/m and k0 T²/m: their fourth powers are numbers, too
 
 
-def predict(scene: Scene, *, with_margins: bool = True) -> Prediction:
+def predict(scene: SceneSource, *, with_margins: bool = True) -> Prediction:
     """What the hand will feel in `scene`, whether the whole of it is stable, and whether the wire is fast enough.
 
-    `with_margins`: also each link's gain margin, which for a large scene takes longer than the rest.
+    `scene`: a Scene, or the path of a scene file. `with_margins`: also each link's gain margin, which for a large scene
+    takes longer than the rest.
     """
+    scene = as_scene(scene)
     _require_within_numbers(scene)
     rendering = rendered(scene)
     as_seen = rendering.seen

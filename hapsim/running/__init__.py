@@ -1,14 +1,13 @@
-"""Running a scene: open the port, describe, arm, loop, disarm; every way out tells the device to release.
+"""Running a scene: open the port, describe, arm, loop, disarm. Every way out tells the device to release its force.
 
-Public is what `__all__` names: a run, and what it tells.
+Public is what `__all__` names.
 """
 
 from hapsim.progress import Progress
 from hapsim.recording.trace import Report, Statistics, Trace
-from hapsim.running.excitation import Excitation, PeriodicExcitation
-from hapsim.running.run import run
+from hapsim.running.options import Excitation, PeriodicExcitation
+from hapsim.running.run import run, start
 from hapsim.running.session import Session, sessions
-from hapsim.running.starting import start
 
 __all__ = [
     "Excitation",

@@ -1,4 +1,4 @@
-"""Scene, connection and description -> Loop: everything that the loop works on, allocated once and touched once."""
+"""Assembles a loop for a scene and a device: all the memory that it works on, allocated once and touched once."""
 
 from __future__ import annotations
 
@@ -22,12 +22,13 @@ from hapsim.loop.guards.sign import judge_signs
 from hapsim.loop.guards.travel import keep_within
 from hapsim.loop.ring import Ring
 from hapsim.loop.transport import Transport
+from hapsim.prediction import surely_shaken_by
 from hapsim.prediction.correction import rendered
 from hapsim.prediction.force_bounds import SIGN_RATE_HZ, force_bounds
 from hapsim.prediction.timing import time_to_live_samples, watchdog_samples
 from hapsim.running.correction import LoopCorrection
-from hapsim.running.excitation import Excitation, PeriodicExcitation
-from hapsim.running.guarding import energy_guard_of, history_of, set_slew
+from hapsim.running.guard_setup import energy_guard_of, history_of, set_slew
+from hapsim.running.options import Excitation, PeriodicExcitation, RunOptions
 from hapsim.scene import Scene
 
 _RING_ROWS = 1 << 16
@@ -36,7 +37,7 @@ _FOREVER_NS = 1 << 62
 _GRACE_NS = 50_000_000  # by which a run may be late at its end before the clock ends it
 
 
-class Loop:
+class LoopMemory:
     """A loop that is ready to run, and all that has to stay in memory while it does."""
 
     def __init__(self, connection: Connection, description: Description, velocity: bool, virtual_time: bool) -> None:
@@ -52,60 +53,55 @@ class Loop:
         self.record.framing = framing_of(self.wire, to_device=True)
         self.watchdog_samples = 0
         """After how many samples without a force the device releases."""
-        self.run: Scene | None = None
-        """What is run in place of the newest scene, so that the hand feels that."""
+        self.rendered_scene: Scene
+        """The scene that the loop moves: the newest one, corrected so that the hand feels what that says."""
         self.correction: LoopCorrection | None = None
-        """What the loop does beside moving the scene, so that the hand feels it."""
+        """The rest of the correction: predictors and the estimate of the mass."""
         self.excitation: Excitation | PeriodicExcitation | None = None
-        """Kept: the forces of a periodic one are read at each sample."""
+        """Kept here because the loop reads the forces of a periodic one at each sample."""
         self.history: ForceHistory | None = None
-        """Which forces acted; None where no guard asks."""
+        """The forces that acted; None where no guard needs them."""
         self.energy_guard: EnergyGuard | None = None
-        """What judges the energy that the scene gives the hand; None where nothing does."""
+        """The energy guard; None where it is off."""
         self._programs: list[Program] = []
         self._changes_before = 0
 
     @property
     def program(self) -> Program:
-        """The newest scene's."""
+        """The program of the newest scene."""
         return self._programs[-1]
 
     def account_for(self, program: Program, scene: Scene) -> None:
-        """The energy of live changes to `program`, of `scene`, where energy is judged."""
+        """Accounts for the energy of live changes to `program`, of `scene`, where the energy guard is on."""
         if self.energy_guard is not None:
             limit = float(self.record.io.force_limit[: self.wire.channels].max())
             program.stored = StoredEnergy(program, scene, self.energy_guard.tank, limit)
 
     def begin_with(self, program: Program) -> None:
-        """The scene that is moved from the first tick on."""
+        """Sets the program that the loop moves from the first tick on."""
         self._programs = [program]
         self.record.slot.program = program.address
 
     def follow_with(self, program: Program, samples: int) -> None:
-        """The scene that follows the one that is moved now, over so many samples: prepared by `take_over_from`, and
-        not before the last one has followed."""
+        """Crossfades to `program` over so many samples. `take_over_from` has prepared it, and the crossfade before is
+        over."""
         if self.is_replacing:
-            raise ValueError("the scene before is not yet left")
-        self._forget_what_was_left()
+            raise ValueError("the crossfade before is not over")
+        for left in self._programs[:-1]:
+            self._changes_before += int(left.record.parameters.sets)
+        self._programs = self._programs[-1:]
         self._programs.append(program)
         post(self.record.slot, program.address, samples, cross_fade.address())
 
     @property
     def is_replacing(self) -> bool:
-        """Whether a scene was posted, and the one before is not yet left."""
+        """Whether a crossfade to another scene goes on."""
         return len(self._programs) > 1 and bool(self.record.slot.cross_fade)
 
     @property
     def changes(self) -> int:
-        """Sets of live parameters that were taken."""
+        """How many sets of live parameters the loop has taken."""
         return self._changes_before + sum(int(program.record.parameters.sets) for program in self._programs)
-
-    def _forget_what_was_left(self) -> None:
-        for program in self._programs[:-1]:
-            self._changes_before += int(program.record.parameters.sets)
-        self._programs = self._programs[-1:]
-
-    # Names that everybody asks for.
 
     @property
     def control(self) -> Any:
@@ -117,43 +113,47 @@ class Loop:
 
 
 def assemble_loop(
-    scene: Scene,
-    connection: Connection,
-    description: Description,
-    excitation: Excitation | PeriodicExcitation | None = None,
-    duration: float | None = None,
-    judges_energy: bool = False,
-    judges_sign: bool = False,
-) -> Loop:
-    """The loop of `scene` over `connection`, for `duration` seconds (None: until stopped), not yet armed.
-    `judges_energy`, `judges_sign`: before the mock too."""
+    scene: Scene, connection: Connection, description: Description, options: RunOptions | None = None
+) -> LoopMemory:
+    """Returns the loop of `scene` over `connection`, not yet armed. Of `options` it takes `duration`, `excitation`,
+    `judges_energy`, `judges_sign` and `unstable`."""
+    options = options or RunOptions()
     rendering = rendered(scene)
-    loop = Loop(connection, description, bool(scene.sensed_links), scene.device.clock == "lockstep")
+    loop = LoopMemory(connection, description, bool(scene.sensed_links), scene.device.clock == "lockstep")
     if isinstance(connection.transport, Transport):
         loop.inbox.transport = connection.transport.record
-    loop.run = rendering.scene
+    loop.rendered_scene = rendering.scene
     loop.begin_with(compile_scene(rendering.scene))
     _set_io(loop.record.io, scene, description)
     _set_leap(loop.record.leap, scene, description)
     _set_travel(loop.record.travel, scene, description)
-    _set_control(loop.record.control, scene, duration)
-    loop.excitation = excitation
-    if excitation is not None:
-        _set_excitation(loop.record.control, excitation)
+    _set_control(loop.record.control, scene, options.duration)
+    loop.excitation = options.excitation
+    if options.excitation is not None:
+        _set_excitation(loop.record.control, options.excitation)
     loop.correction = LoopCorrection(loop.record, rendering, description)
     loop.watchdog_samples = watchdog_samples(scene.rate, description.max_watchdog_samples)
-    limit = float(loop.record.io.force_limit[: description.channels].max())
-    in_hand = connection.in_hand and scene.device.clock != "lockstep"  # no hand lives in virtual time
-    bounds = force_bounds(scene, in_hand=in_hand, judges_energy=judges_energy, force_limit=limit)
-    set_slew(loop.record, scene, description, bounds)
-    loop.energy_guard = energy_guard_of(loop.record, scene, description, bounds)
-    if (in_hand or judges_sign) and scene.rate >= SIGN_RATE_HZ:
-        judge_signs(loop.record.sign, rate_hz=scene.rate, masses=scene.device.mass_spans(description.channels))
-    if loop.energy_guard is not None or loop.record.sign.judge:
-        loop.history = history_of(loop.record, scene)
+    _set_guards(loop, scene, connection, description, options)
     loop.account_for(loop.program, rendering.scene)
     loop.record.watch.judges = scene.device.clock == "device" and connection.has_timer
     return loop
+
+
+def _set_guards(
+    loop: LoopMemory, scene: Scene, connection: Connection, description: Description, options: RunOptions
+) -> None:
+    """Sets the slew limit, the energy guard and the sign guard."""
+    limit = float(loop.record.io.force_limit[: description.channels].max())
+    in_hand = connection.in_hand and scene.device.clock != "lockstep"  # no hand lives in virtual time
+    bounds = force_bounds(scene, in_hand=in_hand, judges_energy=options.judges_energy, force_limit=limit)
+    set_slew(loop.record, scene, description, bounds)
+    loop.energy_guard = energy_guard_of(loop.record, scene, description, bounds)
+    if options.unstable and loop.energy_guard is not None:
+        loop.energy_guard.follow(unstable=surely_shaken_by(scene) is not None)
+    if (in_hand or options.judges_sign) and scene.rate >= SIGN_RATE_HZ:
+        judge_signs(loop.record.sign, rate_hz=scene.rate, masses=scene.device.mass_spans(description.channels))
+    if loop.energy_guard is not None or loop.record.sign.judge:
+        loop.history = history_of(loop.record, scene)
 
 
 def _set_control(control: Any, scene: Scene, duration: float | None) -> None:
@@ -172,7 +172,7 @@ def _set_control(control: Any, scene: Scene, duration: float | None) -> None:
 
 
 def _stale_ns(scene: Scene, control: Any) -> int:
-    """How old a position may be that a force answers. In virtual time no time passes."""
+    """Returns the age (ns) from which on no force answers a position. In virtual time no time passes."""
     return _FOREVER_NS if scene.device.clock == "lockstep" else (int(control.time_to_live) + 1) * int(control.period_ns)
 
 
@@ -220,7 +220,7 @@ def _set_travel(travel: Any, scene: Scene, description: Description) -> None:
 
 
 def _set_leap(leap: Any, scene: Scene, description: Description) -> None:
-    """By the scene's device and, where the mock differs from it, by whichever lets a position go farther."""
+    """Sets the leap guard by the scene's device or, where the mock lets a position go farther, by the mock."""
     device, mock, channels = scene.device, scene.mock_device, scene.channels
     watch_for_leaps(
         leap,

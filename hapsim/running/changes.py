@@ -1,7 +1,7 @@
-"""Changing a scene while it runs: what may change, and what is wrong with a change that may not.
+"""Changing a scene while it runs.
 
-Where nothing but live parameters differs they are led to their new values. Anything else in the list of modules makes
-another program, compiled here beside the running loop, which takes over from the one before.
+Where only live parameters differ, they ramp to their new values. Any other difference in the modules makes another
+program, compiled here beside the running loop, which takes over from the one before.
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from hapsim.cordis.program import compile_scene, fixed_modules, parameter_values
@@ -23,8 +22,8 @@ from hapsim.errors import UsageError
 from hapsim.loop.realtime.giving_way import Beside
 from hapsim.prediction import surely_shaken_by
 from hapsim.prediction.correction import Rendering, rendered
-from hapsim.running.assemble import Loop
-from hapsim.running.stability import require_followable
+from hapsim.running.assemble import LoopMemory
+from hapsim.running.requirements import require_not_less_stable
 from hapsim.scene import Scene
 from hapsim.scene.issue import did_you_mean, one_of
 from hapsim.scene.modules import Module, ModuleContext
@@ -35,7 +34,7 @@ OVER = "the run is over: nothing can be changed any more"
 _EXAMPLE = '{"touch": {"stiffness": 500.0}}'
 _LONGEST = 2.0**40  # samples
 _GLANCE_S = 1e-3
-_HOW_IT_BEGAN = ("mock", "initial")
+_INITIAL_STATE = ("mock", "initial")
 
 
 class LiveScene:
@@ -44,100 +43,103 @@ class LiveScene:
     def __init__(
         self,
         scene: Scene,
-        loop: Loop,
+        loop: LoopMemory,
         is_over: Callable[[], bool] = lambda: False,
         gives_way: bool = False,
         unstable: bool | None = None,
     ) -> None:
-        """`is_over`: whether the loop has ended, so that nobody has to be waited for any more. `gives_way`: whether
-        what is prepared beside the loop gives way to it. `unstable`: as of `start`."""
+        """`is_over`: whether the loop has ended. `gives_way`: whether preparations give way to the loop. `unstable`: as
+        of `start`."""
         self.scene = scene
         """With every change that was posted."""
         self._loop, self._is_over, self._gives_way, self._unstable = loop, is_over, gives_way, unstable
         self._replacing, self._writing = threading.Lock(), threading.Lock()
 
     def set(self, changes: Mapping[str, Mapping[str, float]], over: float) -> None:
-        """Changes some live parameters; UsageError, and nothing is changed, where a name, a key or a value is wrong."""
-        if self._gives_way and self._unstable is not None:  # a prediction takes time, of a large scene seconds
-            Beside(lambda: self._set(changes, over)).result()
-        else:
-            self._set(changes, over)
+        """Changes some live parameters. Raises UsageError, and changes nothing, where a name, a key or a value is
+        wrong."""
 
-    def _set(self, changes: Mapping[str, Mapping[str, float]], over: float) -> None:
-        with self._writing:
-            scene = _changed(self.scene, changes)
-            if self._unstable is False:
-                require_followable(self.scene, scene)
-            self._lead_to(scene, over)
+        def change() -> None:
+            with self._writing:
+                scene = _changed(self.scene, changes)
+                if self._unstable is False:
+                    require_not_less_stable(self.scene, scene)
+                self._ramp_to(scene, over)
+
+        if self._unstable is None:
+            change()
+        else:  # a prediction takes time, of a large scene seconds
+            self._beside_loop(change)
 
     def adopt(self, scene: Scene, over: float) -> None:
-        """Changes to `scene`, whatever its modules are; UsageError, and nothing is changed, where that cannot be."""
+        """Changes to `scene`, whatever its modules are. Raises UsageError, and changes nothing, where that cannot
+        be."""
         samples = _samples(scene, over)
+
+        def change() -> None:
+            with self._replacing:
+                self._require_possible(scene)
+                if differs_in_live_parameters_alone(self.scene, scene):
+                    with self._writing:
+                        self._ramp_to(scene, over)
+                elif scene != self.scene:
+                    self._replace(scene, samples)
+
+        self._beside_loop(change)
+
+    def _beside_loop(self, work: Callable[[], None]) -> None:
         if self._gives_way:
-            Beside(lambda: self._adopt(scene, over, samples)).result()
+            Beside(work).result()
         else:
-            self._adopt(scene, over, samples)
+            work()
 
-    def _adopt(self, scene: Scene, over: float, samples: int) -> None:
-        with self._replacing:
-            self._require_possible(scene)
-            if differs_in_live_parameters_alone(self.scene, scene):
-                with self._writing:
-                    self._lead_to(scene, over)
-            elif scene != self.scene:
-                self._replace(scene, samples)
-
-    def _lead_to(self, scene: Scene, over: float) -> None:
-        """Nothing is posted where nothing differs."""
+    def _ramp_to(self, scene: Scene, over: float) -> None:
+        """Posts the values of `scene`, where any of them differs."""
         samples = _samples(scene, over)
         rendering = rendered(scene)
-        values = parameter_values(rendering.scene)
-        if not _same_values(values, parameter_values(self._run)):
-            self._tell_guard(samples, self._is_judged_unstable(scene))
+        values, now = parameter_values(rendering.scene), parameter_values(self._loop.rendered_scene)
+        if not np.array_equal(values, now):
+            self._announce(samples, self._is_shaken_by(scene))
             self._loop.program.parameters.post(values, samples)
             self._correct_as(rendering, samples)
-        self.scene, self._loop.run = scene, rendering.scene
+        self.scene, self._loop.rendered_scene = scene, rendering.scene
 
     def _replace(self, scene: Scene, samples: int) -> None:
-        """Live parameters may be set meanwhile; nobody but the last lines holds them up."""
+        """Compiles the program of `scene` and crossfades to it. Live parameters may be set meanwhile: only the last
+        lines hold the lock."""
         rendering = rendered(scene)
-        run = rendering.scene
-        program, is_unstable = compile_scene(run), self._is_judged_unstable(scene)
+        after = rendering.scene
+        program, is_shaken = compile_scene(after), self._is_shaken_by(scene)
         while self._loop.is_replacing:
             if self._is_over():
                 raise UsageError(OVER)
             time.sleep(_GLANCE_S)
         with self._writing:
-            self._tell_guard(samples, is_unstable)
-            take_over_from(self._loop.program, self._run, program, run)
-            self._loop.account_for(program, run)
-            program.parameters.post(parameter_values(run), samples)
+            self._announce(samples, is_shaken)
+            take_over_from(self._loop.program, self._loop.rendered_scene, program, after)
+            self._loop.account_for(program, after)
+            program.parameters.post(parameter_values(after), samples)
             self._loop.follow_with(program, samples)
             self._correct_as(rendering, samples)
-            self.scene, self._loop.run = scene, run
+            self.scene, self._loop.rendered_scene = scene, after
 
-    @property
-    def _run(self) -> Scene:
-        """What is run in place of `scene`."""
-        return self.scene if self._loop.run is None else self._loop.run
-
-    def _tell_guard(self, samples: int, is_unstable: bool) -> None:
-        """Before the change acts, which takes so many samples."""
-        if self._loop.energy_guard is not None:
-            self._loop.energy_guard.follow(unstable=is_unstable, samples=samples)
-
-    def _is_judged_unstable(self, scene: Scene) -> bool:
-        """Whether it is predicted unstable, where such a scene may run and its energy is judged."""
+    def _is_shaken_by(self, scene: Scene) -> bool:
+        """Whether the scene is predicted unstable, where such a scene may run and the energy guard is on."""
         return bool(self._unstable) and self._loop.energy_guard is not None and surely_shaken_by(scene) is not None
+
+    def _announce(self, samples: int, is_shaken: bool) -> None:
+        """Tells the energy guard, before a change acts, whether the scene will be one that is predicted unstable."""
+        if self._loop.energy_guard is not None:
+            self._loop.energy_guard.follow(unstable=is_shaken, samples=samples)
 
     def _correct_as(self, rendering: Rendering, samples: int) -> None:
         if self._loop.correction is not None:
             self._loop.correction.follow(rendering, samples)
 
     def _require_possible(self, scene: Scene) -> None:
-        stays = what_stays(self.scene, scene)
-        if stays:
-            raise UsageError(f"{stays} cannot change while the scene runs: stop it and start it anew")
+        fixed = first_fixed_difference(self.scene, scene)
+        if fixed:
+            raise UsageError(f"{fixed} cannot change while the scene runs: stop it and start it anew")
         io = self._loop.record.io
         if scene.channels > io.channels:
             raise UsageError(f"the device has {io.channels} channel(s), the scene uses {scene.channels}")
@@ -147,11 +149,12 @@ class LiveScene:
                 "when it was armed: stop the scene and start it anew, or write damper: backward"
             )
         if not self._unstable:
-            require_followable(self.scene, scene)
+            require_not_less_stable(self.scene, scene)
 
 
-def what_stays(now: Scene, wanted: Scene) -> str:
-    """The first thing in which two scenes differ that stays as it is while one runs; empty where there is none."""
+def first_fixed_difference(now: Scene, wanted: Scene) -> str:
+    """Returns the first key in which two scenes differ and which cannot change while one runs; "" where there is
+    none."""
     if now.rate != wanted.rate:
         return "rate"
     for part in ("device", "mock"):
@@ -159,14 +162,14 @@ def what_stays(now: Scene, wanted: Scene) -> str:
         if type(before) is not type(after):
             return part
         for key in type(before).model_fields if before is not None else ():
-            if (part, key) != _HOW_IT_BEGAN and not _agree(getattr(before, key), getattr(after, key)):
+            if (part, key) != _INITIAL_STATE and not _agree(getattr(before, key), getattr(after, key)):
                 return f"{part}.{key}"
     return ""
 
 
 def _agree(before: Any, after: Any) -> bool:
-    """Whether two values of a device mean the same. Of lists, which have a value for each channel, and of one value for
-    all, those channels count that both have."""
+    """Whether two values of a device mean the same. A list has a value per channel; one value stands for all channels.
+    Only channels that both have count."""
     if isinstance(before, Part) and type(before) is type(after):
         return all(_agree(getattr(before, key), getattr(after, key)) for key in type(before).model_fields)
     channels = [len(one) for one in (before, after) if isinstance(one, tuple | list)]
@@ -178,7 +181,7 @@ def _agree(before: Any, after: Any) -> bool:
 
 def differs_in_live_parameters_alone(now: Scene, wanted: Scene) -> bool:
     """Whether one becomes the other by nothing but parameters that may change while it runs."""
-    if what_stays(now, wanted) or (now.precision, now.scheme) != (wanted.precision, wanted.scheme):
+    if first_fixed_difference(now, wanted) or (now.precision, now.scheme) != (wanted.precision, wanted.scheme):
         return False
     fixed = fixed_modules(now)
     return list(now.modules) == list(wanted.modules) and all(
@@ -192,12 +195,8 @@ def _same_but_for_live(before: Module, after: Module) -> bool:
     return all(getattr(before, key) == getattr(after, key) for key in keys)
 
 
-def _same_values(one: NDArray[Any], other: NDArray[Any]) -> bool:
-    return one.shape == other.shape and bool(np.array_equal(one, other))
-
-
 def _samples(scene: Scene, over: float) -> int:
-    """In how many samples a change is led to the hand, 1 or more."""
+    """Returns the duration of a ramp of `over` seconds in samples, at least 1."""
     sound = isinstance(over, int | float) and math.isfinite(over) and over >= 0
     samples = math.ceil(over * scene.rate) if sound else -1
     if not 0 <= samples <= _LONGEST:
@@ -206,7 +205,7 @@ def _samples(scene: Scene, over: float) -> int:
 
 
 def _changed(scene: Scene, changes: Mapping[str, Mapping[str, float]]) -> Scene:
-    """The scene with some values changed, checked as a scene file's values are."""
+    """Returns the scene with some values changed, checked as a scene file's values are."""
     modules: dict[str, Module] = dict(scene.modules)
     if not isinstance(changes, Mapping) or not all(isinstance(values, Mapping) for values in changes.values()):
         raise UsageError(f"found {changes!r}, expected the names of modules, each with what changes: {_EXAMPLE}")
@@ -216,7 +215,8 @@ def _changed(scene: Scene, changes: Mapping[str, Mapping[str, float]]) -> Scene:
             raise UsageError(f"found '{name}', expected the name of a module{did_you_mean(str(name), modules)}")
         if name in fixed and modules[name].live:
             raise UsageError(
-                f"{name}: nothing of it can change while the scene runs, because it {_in_a_matrix(scene)}; "
+                f"{name}: nothing of it can change while the scene runs, because it is in the matrix that scheme: "
+                f"{scene.scheme} makes once; "
                 f"under scheme: {one_of(without_matrices())} it can"
             )
         modules[name] = _module_with(name, modules[name], values)
@@ -225,10 +225,6 @@ def _changed(scene: Scene, changes: Mapping[str, Mapping[str, float]]) -> Scene:
         for issue in modules[name].issues(name, around):
             raise UsageError(f"{name}.{issue.path[-1]}: {issue.sentence}")
     return scene.model_copy(update={"modules": Table(modules)})
-
-
-def _in_a_matrix(scene: Scene) -> str:
-    return f"is in the matrix that scheme: {scene.scheme} makes once"
 
 
 def _module_with(name: str, module: Module, values: Mapping[str, float]) -> Module:

@@ -1,8 +1,8 @@
-"""What can be compiled before a run needs it, in two processes side by side.
+"""Compiling before a run needs it: in `start`, and by `hapsim compile`. Half of it goes to a second process.
 
-A run needs the loop and, where the device is a mock in this process, that; neither knows the other. Beside them there
-is what scenes are made of. `python -m hapsim.running.compile_ahead mock` is the second process: it prints the name of
-each function as it begins, and leaves what it compiled where the first finds it.
+A run needs the loop and, where the device is a mock in this process, the mock; neither knows the other. Scenes are
+made of module types on top of that. `python -m hapsim.running.compile_ahead mock` is the second process: it prints the
+name of each function as its compilation begins, and leaves the machine code where the first process finds it.
 """
 
 from __future__ import annotations
@@ -12,13 +12,25 @@ import os
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from itertools import cycle
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple, get_args
+
+import numpy as np
 
 from firmware_protocol.compiled import new_record
-from hapsim.compiling.entries import compile_for, is_kept
+from hapsim.compiling.entries import compile_for, directory_of_kept_code, is_kept
 from hapsim.compiling.native import PlainNative
 from hapsim.compiling.progress import Counted, on_compilation
+from hapsim.loop.system import missing_calls
+from hapsim.progress import Progress
+
+if TYPE_CHECKING:
+    from hapsim.device.open_connection import Place
+    from hapsim.scene import Scene
 
 
 class _Entry(NamedTuple):
@@ -35,15 +47,14 @@ class _Entry(NamedTuple):
 
 
 class _Modules(NamedTuple):
-    """Every type of module there is, by every scheme, in one precision."""
+    """Every module type under every scheme, in one precision."""
 
     precision: str
 
     def address(self) -> None:
-        """Compiles them, or loads them, by asking each for its address."""
+        """Compiles or loads them."""
         from hapsim.cordis.program import compile_scene
         from hapsim.cordis.succession import take_over_from
-        from hapsim.running.every_module import scenes_with_every_module
 
         for scene in scenes_with_every_module(self.precision):
             program, following = compile_scene(scene), compile_scene(scene)
@@ -53,19 +64,19 @@ class _Modules(NamedTuple):
         return False  # it takes longer to find out than to load them
 
 
-class Unit(NamedTuple):
-    """What is compiled together."""
+class CompileUnit(NamedTuple):
+    """Functions that are compiled together."""
 
     functions: int
-    """How many there are to compile, as far as one can tell without compiling them."""
+    """Their estimated number, for the progress display."""
     parts: Callable[[], Sequence[_Entry | _Modules | PlainNative]]
-    beside: bool = False
+    in_second_process: bool = False
     """Whether the second process compiles it: half of what most runs need."""
     calls_system: bool = False
-    """Whether it can be only where the system has what the loop calls."""
+    """Whether it exists only where the system has what the loop calls."""
 
     def compile(self) -> None:
-        """Or loads."""
+        """Compiles or loads it."""
         for part in self.parts():
             part.address()
 
@@ -128,8 +139,6 @@ def _wire() -> list[PlainNative]:
 
 
 def _changes() -> list[_Entry | PlainNative]:
-    import numpy as np
-
     from hapsim.cordis import parameters
     from hapsim.loop import crossfade
 
@@ -148,41 +157,44 @@ def _portable() -> list[_Entry]:
     return [_Entry(*entry) for entry in portable.entries_for(new_record(LOOP))]
 
 
-UNITS: dict[str, Unit] = {
-    "loop": Unit(48, _loop, calls_system=True),
-    "port": Unit(15, _port, calls_system=True),
-    "mock": Unit(45, _mock, beside=True, calls_system=True),
-    "loopback": Unit(39, _loopback, beside=True),
-    "motion": Unit(12, _motion, beside=True),
-    "wire": Unit(14, _wire, beside=True, calls_system=True),
-    "changes": Unit(8, _changes),
-    "portable": Unit(40, _portable, beside=True),
-    "modules": Unit(130, lambda: [_Modules("double")]),
-    "modules in single precision": Unit(124, lambda: [_Modules("single")], beside=True),
+UNITS: dict[str, CompileUnit] = {
+    "loop": CompileUnit(48, _loop, calls_system=True),
+    "port": CompileUnit(15, _port, calls_system=True),
+    "mock": CompileUnit(45, _mock, in_second_process=True, calls_system=True),
+    "loopback": CompileUnit(39, _loopback, in_second_process=True),
+    "motion": CompileUnit(12, _motion, in_second_process=True),
+    "wire": CompileUnit(14, _wire, in_second_process=True, calls_system=True),
+    "changes": CompileUnit(8, _changes),
+    "portable": CompileUnit(40, _portable, in_second_process=True),
+    "modules": CompileUnit(130, lambda: [_Modules("double")]),
+    "modules in single precision": CompileUnit(124, lambda: [_Modules("single")], in_second_process=True),
 }
-"""What there is to compile ahead, by name."""
+"""What can be compiled ahead, by name."""
+
+MOCK_UNITS: dict[Place, tuple[str, ...]] = {"port": (), "terminal": ("port", "mock"), "loopback": ("loopback",)}
+"""The units that a device takes beside the loop, by where it is."""
 
 
 def compile_ahead(names: Iterable[str], counted: Counted, then: Callable[[], None] = lambda: None) -> None:
-    """Compiles these units, or loads them; `counted` hears of what is compiled beside, and what to expect. `then`: more
-    to be compiled here, before the process beside is waited for."""
+    """Compiles these units, or loads them. `counted` learns what to expect and what the second process compiles.
+    `then`: compiles more here, before the second process is waited for."""
     missing = [name for name in names if not UNITS[name].is_kept()]
     counted.expect(sum(UNITS[name].functions for name in missing))
-    beside = [name for name in missing if UNITS[name].beside]
-    with _beside(beside if len(beside) < len(missing) else [], counted.add) as finished:
+    second = [name for name in missing if UNITS[name].in_second_process]
+    with _second_process(second if len(second) < len(missing) else [], counted.add) as wait:
         for name in missing:
-            if not UNITS[name].beside:
+            if not UNITS[name].in_second_process:
                 UNITS[name].compile()
         then()
-        finished()
+        wait()
         for name in names:
             UNITS[name].compile()
 
 
 @contextlib.contextmanager
-def _beside(names: Sequence[str], heard: Callable[[str], None]) -> Iterator[Callable[[], None]]:
-    """Compiles units in a process of its own while open, where there is a second processor; what is given waits for
-    it. Should it fail, nothing is lost: whoever needs the units compiles them."""
+def _second_process(names: Sequence[str], heard: Callable[[str], None]) -> Iterator[Callable[[], None]]:
+    """Compiles units in another process while open, where there is a second processor; yields what waits for it. If it
+    fails, nothing is lost: whoever needs the units compiles them."""
     process = _start_compiling(names) if names and (os.cpu_count() or 1) > 1 else None
     if process is None:
         yield lambda: None
@@ -193,7 +205,7 @@ def _beside(names: Sequence[str], heard: Callable[[str], None]) -> Iterator[Call
             for line in process.stdout or ():
                 heard(line.strip())
 
-        listener = threading.Thread(target=listen, name="compiling beside")
+        listener = threading.Thread(target=listen, name="second process")
         listener.start()
         try:
             yield listener.join
@@ -203,8 +215,8 @@ def _beside(names: Sequence[str], heard: Callable[[str], None]) -> Iterator[Call
 
 
 def _start_compiling(names: Sequence[str]) -> subprocess.Popen[str] | None:
-    """The process; None where Python cannot be started a second time, as when it stands inside another program."""
-    # What stands beside a user's scenes is no module of ours: -P keeps it out, and the paths are this process's own.
+    """The process; None where Python cannot be started a second time, as when it is embedded in another program."""
+    # -P keeps files beside a user's scenes from being imported as ours; the paths are this process's own.
     command = [sys.executable or "", "-P", "-m", "hapsim.running.compile_ahead", *names]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
     streams: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
@@ -215,10 +227,96 @@ def _start_compiling(names: Sequence[str]) -> subprocess.Popen[str] | None:
 
 
 def main(names: list[str]) -> None:
-    """The process beside."""
+    """The second process."""
     with on_compilation(lambda name: print(name, flush=True)):
         for name in names:
             UNITS[name].compile()
+
+
+# hapsim compile
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """The result of `prepare`."""
+
+    functions: int
+    seconds: float
+    directory: Path | None
+    """Where machine code is kept; None where nothing can be written, so that nothing was gained."""
+
+
+def prepare(scenes: Sequence[Scene] = (), on_progress: Callable[[Progress], None] = lambda _: None) -> Prepared:
+    """Compiles what `scenes` need to run, to be measured, and to be changed while they run; without scenes, what any
+    scene could need. Afterwards nothing is compiled at their start."""
+    from hapsim.device.open_connection import place_of_device
+    from hapsim.prediction.timing import wire_of
+
+    places = {place_of_device(scene) for scene in scenes}
+    names = {"loop", "port", "changes"}.union(*(MOCK_UNITS[place] for place in places)) if scenes else set(UNITS)
+    if any(wire_of(scene) == "mock" for scene in scenes):
+        names.add("wire")
+    if missing_calls():
+        names = {name for name in names if not UNITS[name].calls_system} | {"portable"}
+    begun = time.monotonic()
+    counted = Counted(lambda name, share: on_progress(Progress("compiling", name, share=share)))
+    with on_compilation(counted.add):
+        compile_ahead([name for name in UNITS if name in names], counted, lambda: _compile_scenes(scenes))
+    return Prepared(counted.functions, time.monotonic() - begun, directory_of_kept_code())
+
+
+def _compile_scenes(scenes: Sequence[Scene]) -> None:
+    from hapsim.cordis.program import compile_scene
+    from hapsim.device.mock.assemble import assemble_mock
+    from hapsim.device.open_connection import place_of_device
+
+    for scene in scenes:
+        compile_scene(scene)
+        if place_of_device(scene) != "port":
+            assemble_mock(scene)  # the motion of its bodies
+
+
+_EVERY_MODULE = """\
+version: 1
+rate: 1000
+precision: {precision}
+scheme: {scheme}
+device: {{mass: 1}}
+modules:
+  hand: {{type: device, channel: 0}}
+  wall: {{type: ground}}
+  ball: {{type: mass, mass: 1}}
+  bell: {{type: cell, mass: 1, stiffness: 1, damping: {damping}}}
+  gut: {{type: string, masses: 2, mass: 1, stiffness: 1}}
+  bar: {{type: string, masses: 3, mass: 1, stiffness: 1, bending: 1}}
+  skin: {{type: membrane, rows: 2, columns: 2, mass: 1, stiffness: 1}}
+  spring: {{type: spring, between: [ball, wall], stiffness: 1}}
+  damper: {{type: damper, between: [bell, hand], damping: 1}}
+  buffer: {{type: buffer, between: [hand, wall], stiffness: 1}}
+  curve: {{type: nonlinear, between: [hand, wall], force_over_distance: [[0, 0], [1, 1]],
+           force_over_velocity: [[0, 0], [1, 1]]}}
+  rub: {{type: friction, between: [hand, wall], force: 1, stiffness: 1}}
+  pick: {{type: plectrum, between: [hand, ball], stiffness: 1, release: 1}}
+"""
+_HELD = ("ball", "gut.0", "bar.0", "skin.0.0")
+
+
+def scenes_with_every_module(precision: str) -> Iterator[Scene]:
+    """Yields two scenes with every module type for each scheme. In one of them damping couples the modes, which the
+    exact scheme then moves as one matrix."""
+    from hapsim.scene import DamperScheme, SchemeName, parse_scene
+    from hapsim.scene.choices import WITH_CUTOFF
+
+    links = []  # the first of them hold a point of each kind that can be held
+    for damper, held in zip(get_args(DamperScheme), cycle(_HELD), strict=False):
+        cutoff = ", cutoff: 10" if damper in WITH_CUTOFF else ""
+        links.append(
+            f"  {damper}: {{type: viscoelastic, between: [hand, {held}], stiffness: 1, damper: {damper}{cutoff}}}\n"
+        )
+    for scheme in get_args(SchemeName):
+        for damping in (0, 1):
+            text = _EVERY_MODULE.format(precision=precision, scheme=scheme, damping=damping)
+            yield parse_scene(text + "".join(links), "every module")
 
 
 if __name__ == "__main__":

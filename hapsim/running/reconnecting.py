@@ -20,9 +20,8 @@ from hapsim.loop import endings
 from hapsim.progress import Progress
 from hapsim.recording.trace import Trace
 from hapsim.running.lifetime import Interruption, Lifetime, Run, lifetime_of
-from hapsim.running.run import follow
+from hapsim.running.run import follow, start
 from hapsim.running.session import Session
-from hapsim.running.starting import start
 from hapsim.scene import Scene
 from hapsim.stopping import stopping_on_signals
 

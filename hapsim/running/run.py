@@ -1,33 +1,93 @@
-"""A run from beginning to end, for those who want its trace."""
+"""Starting a scene, and running one from beginning to end."""
 
 from __future__ import annotations
 
 import contextlib
+import inspect
 from collections.abc import Callable
-from typing import Unpack
+from typing import Any, Concatenate, ParamSpec
 
 from hapsim.progress import Progress
 from hapsim.recording.trace import Trace
+from hapsim.running.options import RunOptions
 from hapsim.running.session import Session
-from hapsim.running.starting import StartOptions, start
-from hapsim.scene import Scene
+from hapsim.scene.load import SceneSource, as_scene
 from hapsim.stopping import stopping_on_signals
 
 _LOOK_S = 0.05  # how often the live line looks at the loop
+_Keywords = ParamSpec("_Keywords")
+
+
+def _with_keywords_of(
+    options: Callable[_Keywords, RunOptions],
+) -> Callable[[Callable[..., Session]], Callable[Concatenate[SceneSource, _Keywords], Session]]:
+    """Declares a function's keywords for type checkers and for `help`: they are those of `options`."""
+
+    def declared(function: Callable[..., Session]) -> Callable[Concatenate[SceneSource, _Keywords], Session]:
+        signature = inspect.signature(function)
+        scene = signature.parameters["scene"]
+        keywords = inspect.signature(options).parameters.values()
+        function.__signature__ = signature.replace(parameters=[scene, *keywords])  # type: ignore[attr-defined]
+        return function
+
+    return declared
+
+
+@_with_keywords_of(RunOptions)
+def start(scene: SceneSource, **options: Any) -> Session:
+    """Starts `scene`, a Scene or the path of a scene file, and returns its session.
+
+    The session runs for `duration` seconds (default: until interrupted), until it is stopped or closed, until its
+    with-block is left, and no longer than the program.
+
+    * `transport`: where the device is ("auto": the scene's port, else the mock that fits the clock).
+    * `excitation`: a force that is added to the scene's (`Excitation`, `PeriodicExcitation`).
+    * `keep`: False returns a trace without rows, for runs without an end.
+    * `record`: a .trace, .npz or .csv file that is written while the scene runs. Memory use does not grow, and
+      `load_trace` reads what was written before a crash.
+    * `reports`: the directory for the report file of a run that a guard, a device fault or a lost device ended.
+      Default: a directory of the user's where the device is on a port; no file for the mock.
+    * `realtime`: requests real-time privileges (hapsim.loop.realtime); `Session.grants` lists what was granted.
+    * `portable`: runs the loop in plain Python over pyserial. Off Linux, this loop also runs the mock in memory.
+    * `between`: wraps the transport to the device. The loop then runs in Python.
+    * `unstable`: whether a scene that is certainly predicted unstable may run. False rejects it at the start and as a
+      change (`Session.set`, `Session.adopt`). True accepts it, and the energy guard applies stricter rules
+      (hapsim/STABILITY.md). None accepts it at the start and in `set`; `adopt` rejects what is less stable than the
+      running scene.
+    * `judges_energy`: enables the energy guard for the mock, as `hapsim run` does. Behind a port, and for scenes that
+      name `energy_limit`, it is always enabled.
+    * `judges_sign`: stops a motor that pushes the wrong way for the mock, too. Behind a port it always does.
+    * `on_progress`: called during compilation.
+    * `on_warning`: called once, from another thread, with a sentence if the record can no longer be written.
+    * `on_arming`: called with the session just before the device is armed. From then on `stop` ends the run cleanly.
+    * `resumes`: the device took forces before. `Session.restarted` then tells whether it powered up since, so that
+      its zero has changed; where the scene counts from that zero, the device is not armed.
+
+    Raises SceneError and UsageError for what cannot run, and DeviceError if the port or the device fails. What ends
+    the run later is raised when the with-block is left, or by `Session.close`: DeviceError, GuardError where a guard
+    stopped the force, RecordError where the run went as asked but its record did not. Their attribute `trace` holds
+    what was recorded. If a session is never closed, the message is printed when the program ends.
+    """
+    record = RunOptions(**options)  # first: an unknown keyword is a TypeError, whatever the scene
+    session = Session(as_scene(scene), record)
+    session.begin()
+    return session
 
 
 def run(
-    scene: Scene,
+    scene: SceneSource,
     *,
     on_start: Callable[[Session], None] | None = None,
     stop_on_signals: bool = False,
-    **options: Unpack[StartOptions],
+    **options: Any,
 ) -> Trace:
-    """Runs `scene` until it ends and returns what happened.
+    """Runs `scene`, a Scene or the path of a scene file, until it ends, and returns its trace.
 
-    `on_start`: called once it runs; `stop_on_signals`: SIGINT, SIGTERM and SIGHUP end the run in good order (main
-    thread only). `options`: as of `start`; `on_progress` is called now and then while it runs, too. The errors as
-    `start`.
+    * `on_start`: called with the session once the scene runs.
+    * `stop_on_signals`: SIGINT, SIGTERM and SIGHUP end the run cleanly (main thread only).
+    * `options`: as of `start`. `on_progress` is also called while the scene runs.
+
+    Raises what `start` and `Session.close` raise.
     """
     tell = options.get("on_progress") or (lambda _: None)
     running: list[Session] = []
@@ -40,7 +100,7 @@ def run(
         running[0].stop()
 
     def arming(session: Session) -> None:
-        if stopped:  # and whoever was interrupted there has passed it over
+        if stopped:  # a callback swallowed the interrupt
             raise KeyboardInterrupt
         running.append(session)
 
@@ -55,7 +115,7 @@ def run(
 
 
 def follow(session: Session, tell: Callable[[Progress], None]) -> None:
-    """Waits until the session has ended, and tells now and then how it is doing."""
+    """Waits until the session has ended, and reports its progress meanwhile."""
     while not session.wait(_LOOK_S):
         tell(session.progress())
     tell(session.progress())

@@ -1,36 +1,68 @@
-"""A scene while it runs: watched, changed, stopped; and stopped with the program that started it.
+"""A session: one scene on one device, from opening its port to closing it. Read `Session` from top to bottom.
 
-The interpreter waits for threads that are no daemons before it calls the handlers of `atexit`: it would wait forever
-for a loop that nobody stops. It does not wait for daemons, and compiled code must not run while its memory is freed. So
-the threads are daemons, and a handler of `atexit`, which is called before numba's own, stops and joins them.
+`__init__` opens the device and assembles the loop; `begin` arms the device; two threads run the loop and collect its
+rows; `_finish` disarms the device, closes the record and says how the run ended.
+
+Both threads are daemons: before the interpreter calls the handlers of `atexit` it waits for all other threads, which
+would be forever for a loop that nobody stops. Compiled code must not run while its memory is freed, so a handler of
+`atexit`, which runs before numba's own, stops and joins them.
 """
 
 from __future__ import annotations
 
 import atexit
+import contextlib
+import math
+import os
 import sys
 import threading
 from collections.abc import Callable, Mapping
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
 from typing import Any, Self
 
-from hapsim.errors import HapsimError, UsageError
+from hapsim.compiling.entries import compile_for
+from hapsim.compiling.progress import Counted, on_compilation
+from hapsim.device.connection import Connection
+from hapsim.device.conversation import arm, describe, disarm, frames_rejected_by, has_restarted
+from hapsim.device.open_connection import open_connection, place_of_device, require_possible_here
+from hapsim.errors import HapsimError, RunError, UsageError
 from hapsim.loop import endings
-from hapsim.loop.realtime import PrivilegeResult
+from hapsim.loop.buffers import last_bytes
+from hapsim.loop.portable import PortableLoop
+from hapsim.loop.realtime import PrivilegeResult, realtime
 from hapsim.loop.realtime.scheduling import no_timer_slack
+from hapsim.loop.run import run_loop
+from hapsim.loop.system import missing_calls
 from hapsim.progress import Progress
-from hapsim.recording.recorder import Recorder
-from hapsim.recording.trace import Statistics, Trace
-from hapsim.running.assemble import Loop
+from hapsim.recording.recorder import Recorder, RecordFile
+from hapsim.recording.report_file import WireBytes, default_directory, write_report
+from hapsim.recording.stream import Head
+from hapsim.recording.trace import Statistics, Trace, columns_of
+from hapsim.running.assemble import assemble_loop
 from hapsim.running.changes import OVER, LiveScene
-from hapsim.running.report import progress_of, statistics_of
+from hapsim.running.compile_ahead import MOCK_UNITS, compile_ahead
+from hapsim.running.options import RunOptions
+from hapsim.running.outcome import (
+    failure_of,
+    progress_of,
+    record_failure,
+    report_of,
+    statistics_of,
+    trace_of,
+    with_sentence,
+)
+from hapsim.running.requirements import PACING, require_compatible, require_known_zero, require_runnable
 from hapsim.scene import Scene
-from hapsim.stopping import undisturbed
+from hapsim.stopping import note_arming, undisturbed
 
 _COLLECT_S = 0.05  # how often the recorder empties the ring, which holds 65536 rows
+_LAST_ROWS = 1 << 16  # of the last second, at most
 _SIZING = threading.Lock()
 _STACK_BYTES = 1 << 20  # of the loop's thread: little is needed, and all of it is locked in memory
 _open: list[Session] = []
-"""Those that run, and those whose failure nobody was told yet."""
+"""The sessions that run, and those whose failure was not raised yet."""
 
 
 def sessions() -> list[Session]:
@@ -45,32 +77,36 @@ class Session:
     disarmed, and its port is free again.
     """
 
-    def __init__(
-        self,
-        scene: Scene,
-        name: str,
-        loop: Loop,
-        body: Callable[[Any], int],
-        recorder: Recorder,
-        gives_way: bool,
-        unstable: bool | None = None,
-    ) -> None:
-        self._loop, self._body, self._recorder = loop, body, recorder
-        self.name = name
-        """What its device is called: the port."""
-        self._over, self._done = threading.Event(), threading.Event()  # the loop; all that comes after it, too
-        self.gives_way = gives_way
+    def __init__(self, scene: Scene, options: RunOptions) -> None:
+        """Opens the device, compiles and assembles the loop. Nothing is armed."""
+        require_runnable(scene, options)
+        self._options = options
+        self._place = place_of_device(scene, options.transport, portable=options.portable)
+        if self._place == "port":
+            _require_free(scene.device.port or "")
+        self._in_python = options.portable or options.between is not None or bool(missing_calls())
+        self.gives_way = scene.device.clock != "lockstep" and not self._in_python
         """Whether work beside the loop gives way to it (hapsim.loop.realtime.giving_way)."""
-        self._live = LiveScene(scene, loop, self._over.is_set, gives_way, unstable)
+        self._over, self._done = threading.Event(), threading.Event()  # the loop; all that comes after it, too
         self._ending: int | None = None
-        self._thread = threading.Thread(target=self._work, name="haptic loop", daemon=True)
-        self._reader = threading.Thread(target=self._read_and_finish, name="telemetry", daemon=True)
         self._failure: BaseException | None = None
         self._trace: Trace | None = None
+        self._sent_before = b""  # what the device was sent until it was armed
         self.grants: list[PrivilegeResult] = []
-        """What the real-time set-up asked of the system, and what of it was granted."""
-        self.restarted = False
-        """Whether the device, which ran before, has powered up since: its position 0 is another."""
+        """What the real-time set-up requested of the system, each granted or denied."""
+        with contextlib.ExitStack() as stack:
+            self._connection = self._open_device(scene, stack)
+            self._loop = assemble_loop(scene, self._connection, self._description, options)
+            self._live = LiveScene(scene, self._loop, self._over.is_set, self.gives_way, options.unstable)
+            self._body = self._compiled_body()
+            last_rows = min(math.ceil(scene.rate), _LAST_ROWS)
+            self._recorder = Recorder(self._loop.ring, options.keep, last_rows)
+            if options.record is not None:
+                self._recorder.file = self._begun_record(scene, Path(options.record))
+                stack.callback(self._finish_record)
+            self._resources = stack.pop_all()
+        self._thread = threading.Thread(target=self._run_loop, name="haptic loop", daemon=True)
+        self._reader = threading.Thread(target=self._collect_and_finish, name="telemetry", daemon=True)
 
     def __enter__(self) -> Self:
         return self
@@ -84,54 +120,60 @@ class Session:
         return f"<Session: {self.scene.path or 'a scene'} on {self.name}, {'over' if self._over.is_set() else 'runs'}>"
 
     @property
+    def name(self) -> str:
+        """The name of its device: the port."""
+        return self._connection.name
+
+    @property
     def scene(self) -> Scene:
         """The scene as it is now, with every change that was made."""
         return self._live.scene
 
     def set(self, changes: Mapping[str, Mapping[str, float]], over: float = 0.02) -> None:
-        """Changes parameters between two samples, all or nothing: `{"touch": {"stiffness": 500.0, "damping": 2.0},
+        """Changes parameters between two samples, all or none: `{"touch": {"stiffness": 500.0, "damping": 2.0},
         "wall": {"position": 0.01}}`, in the scene's names and units.
 
-        They are led there within `over` seconds (0: at once), no value by more than 1.5/N of its way in one of the N
-        samples. A set that comes during another's ramp retargets it: all values arrive when its own do. Where the
-        energy is judged, one that would give the hand too much is slowed, with all its values in step. UsageError
-        where a name, a key or a value is wrong, or what is asked for cannot change while the scene runs, or with
-        `start(unstable=False)` the scene is predicted unstable by it; nothing has changed then.
+        The values ramp to their targets within `over` seconds (0: at once); no value moves by more than 1.5/N of its
+        way in one of the N samples. A `set` during another's ramp retargets it: all values arrive together. Where the
+        energy guard is on, a change that would give the hand too much energy is slowed, with all its values in step.
+
+        Raises UsageError, and changes nothing, where a name, a key or a value is wrong, where the parameter cannot
+        change while the scene runs, or, with `start(unstable=False)`, where the scene is then predicted unstable.
         """
         self._require_running()
         self._live.set(changes, over)
 
     def adopt(self, scene: Scene, over: float = 0.02) -> None:
-        """Changes to `scene`. Where it differs in nothing but live parameters, as `set` does; otherwise its modules are
-        compiled beside the running loop, which then moves both scenes for `over` seconds, and leads the force in the
-        hand from the one's to the other's: in one of the N samples by no more than 1.5/N of what is between them.
+        """Changes to `scene`. Where only live parameters differ, this is `set`. Otherwise its modules are compiled
+        beside the running loop, which then moves both scenes for `over` seconds and crossfades the force, by no more
+        than 1.5/N of the difference in one of the N samples.
 
         What both have under one name and of one type goes on from where it is: points with their velocities, live
-        parameters, what links remember. UsageError, and nothing is changed, where the rate, the device or the mock
+        parameters, the memory of links. Raises UsageError, and changes nothing, where the rate, the device or the mock
         differ, where the device has too few channels or was not asked for the velocities that are needed, where the
-        scene is predicted unstable (but with `start(unstable=True)`), or has too much for its scheme.
+        scene is predicted unstable (except with `start(unstable=True)`), or has too much for its scheme.
         """
         self._require_running()
         self._live.adopt(scene, over)
 
     def progress(self) -> Progress:
-        """How it is doing."""
+        """Returns the state of the loop now."""
         return progress_of(self._loop)
 
     def statistics(self) -> Statistics:
-        """Lateness, exchange time and age of the force, of every tick so far."""
+        """Returns lateness, exchange time and age of the force of all ticks so far."""
         return statistics_of(self._loop)
 
     def stop(self) -> None:
-        """Ends it in good order; returns at once."""
+        """Ends the run cleanly; returns at once."""
         self._loop.control.stop = 1
 
     def wait(self, timeout: float | None = None) -> bool:
-        """Returns whether it has ended, and its device is disarmed; waits for that for at most `timeout` seconds."""
+        """Waits for at most `timeout` seconds. Returns whether the run has ended and its device is disarmed."""
         return self._done.wait(timeout)
 
     def close(self) -> None:
-        """Ends it in good order, and returns when its device is disarmed, its record is whole and its port is free.
+        """Ends the run cleanly. Returns when the device is disarmed, the record is whole and the port is free.
 
         Raises what ended the run before, as `start` describes, the first time that it is called.
         """
@@ -152,7 +194,91 @@ class Session:
         if self._over.is_set():
             raise UsageError(OVER)
 
-    def _work(self) -> None:
+    # Opening
+
+    def _open_device(self, scene: Scene, stack: contextlib.ExitStack) -> Connection:
+        """Opens the device and asks what it is. What loop and mock need is compiled; the mock's part first, because
+        then it has to answer."""
+        options = self._options
+        tell = options.on_progress or (lambda _: None)
+        counted = Counted(lambda name, share: tell(Progress("compiling", name, share=share)))
+        stack.enter_context(on_compilation(counted.add))
+        require_possible_here(self._place, portable=options.portable or options.between is not None)
+        loop = () if self._in_python else ("loop",)
+        if self._place != "port":
+            compile_ahead((*loop, *MOCK_UNITS[self._place]), counted)
+        connection = stack.enter_context(
+            open_connection(
+                scene,
+                options.transport,
+                portable=options.portable,
+                realtime=options.realtime,
+                between=options.between,
+            )
+        )
+        if loop:
+            compile_ahead((*loop, "port"), counted)
+        self._description = describe(connection)
+        require_compatible(scene, connection.name, self._description)
+        self.restarted = options.resumes and has_restarted(connection)
+        """Whether the device, which ran before, has powered up since: its position 0 is another."""
+        if self.restarted:
+            require_known_zero(scene, connection.name)
+        return connection
+
+    def _compiled_body(self) -> Callable[[Any], int]:
+        """Returns the function that runs the loop, compiled: once the device is armed, the loop answers at once."""
+        if self._in_python:
+            return PortableLoop(self._loop.record, self._loop.inbox, self._connection.transport).run
+        compile_for(run_loop, self._loop.record)
+        return run_loop
+
+    def _begun_record(self, scene: Scene, path: Path) -> RecordFile:
+        loop = self._loop
+        used = slice(loop.wire.channels)
+        head = Head(
+            rate_hz=scene.rate,
+            position_scale=loop.record.io.position_scale[used].tolist(),
+            force_scale=loop.record.io.force_scale[used].tolist(),
+            scene=scene.path or "",
+            begun=datetime.now(UTC).isoformat(),
+        )
+        return RecordFile(
+            path, head, lambda: (report_of(scene, loop, "running"), statistics_of(loop)), self._options.on_warning
+        )
+
+    # Running
+
+    def begin(self) -> None:
+        """Arms the device and starts the loop. If this fails, everything is released."""
+        scene, loop = self.scene, self._loop
+        try:
+            self._start_loop_thread()
+            self._options.on_arming(self)
+            if self._options.realtime:
+                self.grants = self._resources.enter_context(realtime(self._thread.native_id or 0))
+            note_arming()
+            velocity = bool(scene.sensed_links)
+            arm(self._connection, self._description, PACING[scene.device.clock], loop.watchdog_samples, velocity)
+            self._sent_before = self._connection.take_written()
+            self._reader.start()
+            loop.control.go = 1
+        except BaseException:
+            self._leave()
+            raise
+
+    def _start_loop_thread(self) -> None:
+        """Starts the thread of the loop, which waits for `control.go`."""
+        self._loop.control.go = 0
+        _open.append(self)
+        with _SIZING:  # the stack size is the whole process's
+            stack = threading.stack_size(_STACK_BYTES)
+            try:
+                self._thread.start()
+            finally:
+                threading.stack_size(stack)
+
+    def _run_loop(self) -> None:
         no_timer_slack()
         try:
             ending = self._body(self._loop.record)
@@ -163,9 +289,8 @@ class Session:
         finally:
             self._over.set()
 
-    def _read_and_finish(self) -> None:
-        """Empties the ring while the loop runs. Then it does all that is left to do, in this thread, where no Ctrl-C of
-        an impatient user interrupts it."""
+    def _collect_and_finish(self) -> None:
+        """Empties the ring while the loop runs, then finishes, in this thread, where no Ctrl-C interrupts it."""
         try:
             try:
                 while not self._over.wait(_COLLECT_S):
@@ -179,26 +304,46 @@ class Session:
             _open.remove(self)
         self._done.set()
 
-    def _begin(self, finish: Callable[[], BaseException | None]) -> None:
-        """Starts the threads; the loop waits for `_go`. `finish`: releases all that was opened once the loop has ended,
-        and returns the error of the run."""
-        self._finish = finish
-        self._loop.control.go = 0
-        _open.append(self)
-        with _SIZING:  # the size is the whole process's: another session must not take ours for what it was before
-            stack = threading.stack_size(_STACK_BYTES)
-            try:
-                self._thread.start()
-            finally:
-                threading.stack_size(stack)
+    # Ending
 
-    def _go(self) -> None:
-        """The device is armed: the loop begins."""
-        self._reader.start()
-        self._loop.control.go = 1
+    def _leave(self) -> BaseException | None:
+        """Ends the run, waits until everything is released, and returns what was not yet raised of how it ended."""
+        self.stop()
+        if self._thread.ident is None:
+            self._over.set()
+        if self._reader.ident is None:  # the device was not armed
+            self._collect_and_finish()
+        self._done.wait()
+        failure, self._failure = self._failure, None
+        if failure is not None:
+            _open.remove(self)
+        return failure
 
-    def _end(self) -> int:
-        """The loop's ending, once its thread has ended."""
+    def _finish(self) -> RunError | None:
+        """Disarms the device, releases everything, and returns the error of a run that did not end as asked."""
+        with self._resources:
+            ending = self._end_and_disarm()
+        if not self._sent_before:
+            return None  # never armed: `begin` raises why
+        failure = failure_of(self.name, self.scene, self._loop, self.trace, ending)
+        if failure is not None:
+            failure = self._with_report(failure)
+        return record_failure(failure, self.name, self._recorder.file, self.trace)
+
+    def _end_and_disarm(self) -> int:
+        """Returns how the loop ended, once the device is disarmed and the session has its trace."""
+        try:
+            ending = self._loop_ending()
+            self._trace = trace_of(self.scene, self._loop, self._recorder, ending)
+        finally:
+            # The loop has disarmed already. This covers every way out that did not get so far, and asks for the result.
+            released = disarm(self._connection, self._loop.wire)
+        rejected = frames_rejected_by(self._connection) if released else None
+        said = released or bool(self.trace.report.released)
+        self._trace = replace(self.trace, report=replace(self.trace.report, released=said, rejected_by_device=rejected))
+        return ending
+
+    def _loop_ending(self) -> int:
         self.stop()
         if self._thread.ident is not None:
             self._thread.join()
@@ -207,27 +352,47 @@ class Session:
             raise HapsimError("the compiled loop ended with an exception, which is a defect of hapsim")
         return endings.STOPPED if self._ending is None else self._ending
 
-    def _leave(self) -> BaseException | None:
-        """Ends it, and waits until everything is released; what nobody was told of how it ended."""
-        self.stop()
-        if self._thread.ident is None:
-            self._over.set()
-        if self._reader.ident is None:  # the device was not armed
-            self._read_and_finish()
-        self._done.wait()
-        failure, self._failure = self._failure, None
-        if failure is not None:
-            _open.remove(self)
-        return failure
+    def _finish_record(self) -> None:
+        file = self._recorder.file
+        assert file is not None
+        trace = self._trace or trace_of(self.scene, self._loop, self._recorder, endings.STOPPED)
+        self._trace = replace(trace, report=file.finish(trace.report, trace.statistics))
 
-    @property
-    def _thread_id(self) -> int:
-        return self._thread.native_id or 0
+    def _with_report(self, failure: RunError) -> RunError:
+        """Writes the report file of a run that ended in `failure`. Returns the failure with the path of that file, or
+        with why there is none."""
+        directory = self._options.reports
+        if directory is None and self._place != "port":
+            return failure
+        io, inbox = self._loop.record.io, self._loop.inbox
+        wire = WireBytes(
+            from_device=last_bytes(inbox.last, inbox.bytes),
+            to_device=self._sent_before + last_bytes(io.sent, io.outbox) + self._connection.take_written(),
+        )
+        last = replace(self.trace, **columns_of(self._recorder.last_rows()))
+        where = ""
+        try:
+            directory = default_directory() if directory is None else Path(directory)
+            where = f" in {directory}"
+            path = write_report(directory, self.name, failure, last, self.scene, self._description, wire)
+        except Exception as error:  # of the disk; or a defect, which must not hide what ended the run
+            why = getattr(error, "strerror", None) or error
+            return with_sentence(failure, f". No report of it could be written{where}: {why}")
+        return with_sentence(failure, f". The last frames and the last second are in {path} (`hapsim frames` reads it)")
+
+
+def _require_free(port: str) -> None:
+    for session in sessions():
+        if os.path.realpath(session.name) == os.path.realpath(port):
+            raise UsageError(
+                f"{port}: a session of this program, which runs {session.scene.path or 'a scene'}, is using the port. "
+                "Call its `close` first (`hapsim.sessions()` returns the sessions that run)"
+            )
 
 
 @atexit.register
 def _end_with_the_program() -> None:
-    """Ends what runs, and prints what ended a session that nobody closed."""
+    """Ends the sessions that run, and prints what ended a session that nobody closed."""
     if not _open:
         return
     with undisturbed():

@@ -20,6 +20,15 @@ from .yaml_file import YamlFile
 _FILE = YamlFile(SceneError, "a scene in YAML", "found nothing, expected a scene; `hapsim new` writes a first one")
 
 
+SceneSource = Scene | str | os.PathLike[str]
+"""A scene, or the path of its file."""
+
+
+def as_scene(source: SceneSource) -> Scene:
+    """Returns a scene as it is, and loads that of a path. Raises SceneError as `load_scene`."""
+    return source if isinstance(source, Scene) else load_scene(source)
+
+
 def load_scene(path: str | os.PathLike[str]) -> Scene:
     """The scene of a file.
 

@@ -17,8 +17,7 @@ from hapsim.cordis.registry import PART_TYPES
 from hapsim.prediction.linear import linear_scene
 from hapsim.running import prepare as preparing
 from hapsim.running import run
-from hapsim.running.every_module import scenes_with_every_module
-from hapsim.running.prepare import Prepared, prepare
+from hapsim.running.compile_ahead import Prepared, prepare, scenes_with_every_module
 from hapsim.scene import SchemeName, parse_scene, shipped
 from hapsim.scene.modules import MODULE_TYPES
 

@@ -15,7 +15,7 @@ from hapsim.cordis.registry import PART_TYPES
 from hapsim.cordis.schemes import SCHEMES
 from hapsim.cordis.schemes.linear_subsystem import stiffness_and_damping
 from hapsim.prediction.linear import linear_of, linear_scene, network_of
-from hapsim.running.every_module import scenes_with_every_module
+from hapsim.running.compile_ahead import scenes_with_every_module
 from hapsim.scene import DamperScheme, Link, Scene, ViscoElastic, parse_scene
 from hapsim.scene.choices import WITH_CUTOFF, WITH_SENSOR
 from hapsim.theory import Network, solve

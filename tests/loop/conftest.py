@@ -25,7 +25,7 @@ from hapsim.device.mock.terminal import serving
 from hapsim.loop.portable import _take_and_compose
 from hapsim.loop.transport import descriptor_transport
 from hapsim.running import assemble
-from hapsim.running.assemble import Loop, assemble_loop
+from hapsim.running.assemble import LoopMemory, assemble_loop
 from hapsim.running.compile_ahead import UNITS
 from hapsim.scene import Scene, parse_scene
 
@@ -257,11 +257,11 @@ def frame() -> Callable[..., bytes]:
 
 
 @pytest.fixture
-def assembled() -> Callable[..., Loop]:
+def assembled() -> Callable[..., LoopMemory]:
     """A loop over a port's descriptor, armed; for loops that nobody listens to any descriptor does."""
     open_ones = []
 
-    def assembled_loop(scene: Scene, descriptor: int = 0, **differences: Any) -> Loop:
+    def assembled_loop(scene: Scene, descriptor: int = 0, **differences: Any) -> LoopMemory:
         c = scene.channels
         description = Description("test", 1000.0, 0b111, 200, (1e-6,) * c, (1e-3,) * c, (10.0,) * c)
         connection = Connection(transport=descriptor_transport(descriptor), name="test", close=lambda: None)
@@ -274,11 +274,11 @@ def assembled() -> Callable[..., Loop]:
 
 
 @pytest.fixture
-def arrive() -> Callable[[Loop, bytes, int], int]:
+def arrive() -> Callable[[LoopMemory, bytes, int], int]:
     """Has an assembled loop take these bytes as if they had arrived at a time of the test's own (ns); returns what the
     loop makes of them, a code of hapsim.loop.endings."""
 
-    def take(loop: Loop, data: bytes, now: int) -> int:
+    def take(loop: LoopMemory, data: bytes, now: int) -> int:
         loop.inbox.bytes[: len(data)] = np.frombuffer(data, np.uint8)
         loop.inbox.start, loop.inbox.stop = 0, len(data)
         code, _ = _take_and_compose(loop.record, now)

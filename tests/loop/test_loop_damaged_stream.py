@@ -17,7 +17,7 @@ from firmware_protocol.frames import armed_format
 from hapsim.loop import endings
 from hapsim.loop.endings import HUNG_UP
 from hapsim.loop.portable import PortableLoop
-from hapsim.running.assemble import Loop
+from hapsim.running.assemble import LoopMemory
 from hapsim.scene import Scene
 
 # Damaged bytes in each format; HAPSIM_POINTS=50 makes it ten millions in all.
@@ -100,7 +100,7 @@ class DamagedStream:
         return tuple(round(500 * np.sin(0.01 * sample + c)) for c in range(self._channels))
 
 
-def run_on(loop: Loop, stream: DamagedStream) -> tuple[int, dict[int, tuple[int, ...]]]:
+def run_on(loop: LoopMemory, stream: DamagedStream) -> tuple[int, dict[int, tuple[int, ...]]]:
     """How it ended, and the counts of every position that was taken, by its sample."""
     portable, rows = PortableLoop(loop.record, loop.inbox, stream), []
     ending = endings.RING_FULL
@@ -118,7 +118,7 @@ def run_on(loop: Loop, stream: DamagedStream) -> tuple[int, dict[int, tuple[int,
 def test_of_damaged_and_random_bytes_nothing_is_answered_and_the_next_positions_are(
     channels: int,
     scene_of: Callable[..., Scene],
-    assembled: Callable[..., Loop],
+    assembled: Callable[..., LoopMemory],
     frame: Callable[..., bytes],
     figures: Any,
 ) -> None:

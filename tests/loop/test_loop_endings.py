@@ -27,8 +27,9 @@ from hapsim.loop.endings import DONE, RING_FULL, RUNNING, STOPPED, ending_before
 from hapsim.loop.ring import UNSENT
 from hapsim.progress import Progress
 from hapsim.recording.trace import load_trace
-from hapsim.running import run, starting
-from hapsim.running.assemble import Loop
+from hapsim.running import run
+from hapsim.running import session as session_module
+from hapsim.running.assemble import LoopMemory
 from hapsim.scene import Scene
 
 Served = Callable[[Scene], contextlib.AbstractContextManager[tuple[Scene, Any]]]
@@ -88,7 +89,7 @@ def told_in_compiled_code(loop):
     ],
 )
 def test_what_ends_a_loop_is_the_same_in_compiled_code_and_in_python(
-    assembled: Callable[..., Loop],
+    assembled: Callable[..., LoopMemory],
     scene_of: Callable[..., Scene],
     stop: int,
     ticks: int,
@@ -165,13 +166,13 @@ def test_a_signal_while_the_device_is_being_armed_ends_the_run_in_good_order(
     scene_of: Callable[..., Scene], served: Served, monkeypatch: pytest.MonkeyPatch, clock: str
 ) -> None:
     """Neither too early to be a run's end, nor too late to be heard."""
-    armed = starting.arm
+    armed = session_module.arm
 
     def arm_and_interrupt(*arguments: Any) -> None:
         armed(*arguments)
         os.kill(os.getpid(), signal.SIGINT)
 
-    monkeypatch.setattr(starting, "arm", arm_and_interrupt)
+    monkeypatch.setattr(session_module, "arm", arm_and_interrupt)
     with served(scene_of(device={"clock": clock})) as (scene, mock):
         trace = run(scene, duration=5.0, stop_on_signals=True)
         require_released(mock)

@@ -32,7 +32,7 @@ from hapsim.loop.guards.energy_guard import (
     call_judge_energy,
 )
 from hapsim.running import Excitation, PeriodicExcitation, run, start
-from hapsim.running.guarding import MOST_HELD_M, held_energy
+from hapsim.running.guard_setup import MOST_HELD_M, held_energy
 from hapsim.scene import Scene, parse_scene
 
 sys.path.append(str(Path(__file__).resolve().parents[2] / "tools" / "bench"))

@@ -21,7 +21,7 @@ from hapsim.loop.portable import PortableLoop, _compose_last
 from hapsim.loop.ring import OFF_GRID, UNSENT
 from hapsim.loop.run import run_loop
 from hapsim.loop.transport import Transport, receiver, sender
-from hapsim.running.assemble import Loop
+from hapsim.running.assemble import LoopMemory
 
 FrameOf = Callable[..., bytes]
 RATE = 500.0
@@ -70,16 +70,16 @@ def note_frame(context, buffer, stop):
     return 0
 
 
-Play = Callable[..., tuple[Loop, list[Frame]]]
+Play = Callable[..., tuple[LoopMemory, list[Frame]]]
 Item = tuple[int, bool, bytes]
 """Bytes of the device: after how many frames of the host they come, and whether too late for the tick before."""
 
 
 @pytest.fixture(params=["compiled", "portable"])
-def play(request: pytest.FixtureRequest, assembled: Callable[..., Loop], scene_of: Callable[..., Any]) -> Play:
+def play(request: pytest.FixtureRequest, assembled: Callable[..., LoopMemory], scene_of: Callable[..., Any]) -> Play:
     """Runs a loop by the host's clock until it has taken so many positions; it, and the frames that it sent."""
 
-    def run(script: Sequence[Item], ticks: int) -> tuple[Loop, list[Frame]]:
+    def run(script: Sequence[Item], ticks: int) -> tuple[LoopMemory, list[Frame]]:
         loop = assembled(scene_of(rate=RATE, device={"clock": "host"}))
         record = new_record(SCRIPT)
         record.items = len(script)
@@ -131,7 +131,7 @@ def test_a_position_that_a_newer_one_replaces_between_two_ticks_was_never_answer
 
 
 def test_a_sample_that_took_clearly_more_or_less_than_a_period_is_marked(
-    assembled: Callable[..., Loop], scene_of: Callable[..., Any], arrive: Callable[..., int], frame: FrameOf
+    assembled: Callable[..., LoopMemory], scene_of: Callable[..., Any], arrive: Callable[..., int], frame: FrameOf
 ) -> None:
     loop = assembled(scene_of(rate=RATE, device={"clock": "host"}))
     period, now = int(loop.control.period_ns), 10**9

@@ -9,7 +9,7 @@ import pytest
 
 from hapsim.loop.endings import HEARD, TIMED_OUT
 from hapsim.loop.histogram import histogram_of
-from hapsim.running.assemble import Loop
+from hapsim.running.assemble import LoopMemory
 
 FrameOf = Callable[..., bytes]
 BEGIN, PERIOD = 5_000_000_000, 1_000_000  # ns
@@ -18,7 +18,7 @@ BEGIN, PERIOD = 5_000_000_000, 1_000_000  # ns
 class Timed:
     """A loop whose positions arrive when the test says."""
 
-    def __init__(self, loop: Loop, arrive: Callable[..., int], frame: FrameOf) -> None:
+    def __init__(self, loop: LoopMemory, arrive: Callable[..., int], frame: FrameOf) -> None:
         self.loop, self._arrive, self._frame = loop, arrive, frame
 
     def hear(self, number: int, at: float, code: int = HEARD) -> None:
@@ -41,7 +41,7 @@ class Timed:
 
 @pytest.fixture
 def timed(
-    assembled: Callable[..., Loop], scene_of: Callable[..., Any], arrive: Callable[..., int], frame: FrameOf
+    assembled: Callable[..., LoopMemory], scene_of: Callable[..., Any], arrive: Callable[..., int], frame: FrameOf
 ) -> Callable[[str], Timed]:
     """A loop at 1 kHz by this clock, which nobody has told anything yet."""
     return lambda clock: Timed(assembled(scene_of(device={"clock": clock})), arrive, frame)

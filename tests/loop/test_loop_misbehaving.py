@@ -20,8 +20,8 @@ from hapsim.loop.guards.energy_guard import GIVEN, SWINGING
 from hapsim.loop.histogram import note
 from hapsim.recording.recorder import Recorder
 from hapsim.running import run
-from hapsim.running.assemble import Loop
-from hapsim.running.report import failure_of, trace_of
+from hapsim.running.assemble import LoopMemory
+from hapsim.running.outcome import failure_of, trace_of
 from hapsim.scene import Scene
 
 Scripted = Callable[..., Any]
@@ -148,7 +148,7 @@ def test_a_device_without_a_watchdog_is_never_armed(scripted: Scripted) -> None:
     ],
 )
 def test_a_watchdog_is_the_hosts_fault_only_where_it_had_a_position(
-    assembled: Callable[..., Loop],
+    assembled: Callable[..., LoopMemory],
     arrive: Callable[..., int],
     scene_of: SceneOf,
     frame: FrameOf,
@@ -185,7 +185,7 @@ def test_a_watchdog_is_the_hosts_fault_only_where_it_had_a_position(
     [(0.25, ("0.25", "0.2")), (0.20049, ("0.2005", "0.2")), (np.nextafter(0.2, 1.0), ("0.20000000000000004", "0.2"))],
 )
 def test_what_is_above_a_limit_is_told_in_as_many_digits_as_it_takes_to_differ(
-    assembled: Callable[..., Loop], scene_of: SceneOf, found: float, told: tuple[str, str]
+    assembled: Callable[..., LoopMemory], scene_of: SceneOf, found: float, told: tuple[str, str]
 ) -> None:
     scene = scene_of()
     loop = assembled(scene)

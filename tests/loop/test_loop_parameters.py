@@ -13,12 +13,12 @@ import hapsim
 from hapsim.compiling import entry
 from hapsim.cordis.program import parameter_values
 from hapsim.loop.crossfade import move_scene
-from hapsim.running.assemble import Loop
+from hapsim.running.assemble import LoopMemory
 from hapsim.running.changes import LiveScene
 from hapsim.scene import Scene
 
 SceneOf = Callable[..., Scene]
-Assembled = Callable[[Scene], Loop]
+Assembled = Callable[[Scene], LoopMemory]
 T = 1e-3
 RNG = np.random.default_rng(4)
 
@@ -29,7 +29,7 @@ def one_sample(loop):
     move_scene(loop.slot, loop.io, 1)
 
 
-def forces_at(loop: Loop, positions: Iterable[float]) -> NDArray[np.float64]:
+def forces_at(loop: LoopMemory, positions: Iterable[float]) -> NDArray[np.float64]:
     """The force on the first hand while it goes through `positions`."""
     forces = []
     for position in positions:

@@ -23,7 +23,8 @@ from hapsim.device.mock.assemble import assemble_mock
 from hapsim.device.mock.terminal import serving
 from hapsim.errors import DeviceError, GuardError
 from hapsim.recording.trace import load_trace
-from hapsim.running import Session, reconnecting, starting
+from hapsim.running import Session, reconnecting
+from hapsim.running import session as session_module
 from hapsim.running.reconnecting import LOST, Observer, keep_running, record_of
 from hapsim.scene import Scene
 
@@ -138,7 +139,7 @@ def test_a_port_that_is_back_and_does_not_answer_is_tried_again(
             raise DeviceError("no answer")
         return describe(connection)
 
-    monkeypatch.setattr(starting, "describe", answers_at_last)
+    monkeypatch.setattr(session_module, "describe", answers_at_last)
 
     def stop() -> None:
         bench.sessions[1].stop()
@@ -234,7 +235,7 @@ def test_a_signal_ends_the_next_handshake(scene: Scene, bench: Bench, monkeypatc
 
     def unplug() -> None:
         bench.unplug()
-        monkeypatch.setattr(starting, "describe", lambda _: os.kill(os.getpid(), signal.SIGTERM))
+        monkeypatch.setattr(session_module, "describe", lambda _: os.kill(os.getpid(), signal.SIGTERM))
 
     observer = bench.observer(unplug, on_waiting=lambda: mocks.append(bench.plug(scene)))
     lifetime = keep_running(scene, observer, reconnect=True)

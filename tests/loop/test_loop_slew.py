@@ -17,7 +17,7 @@ from hapsim.loop.ring import LATE_FORCE, SLEWED
 from hapsim.prediction.force_bounds import force_bounds
 from hapsim.recording.trace import Trace
 from hapsim.running import Excitation, run
-from hapsim.running.assemble import Loop
+from hapsim.running.assemble import LoopMemory
 from hapsim.scene import Scene
 
 Served = Callable[[Scene], contextlib.AbstractContextManager[tuple[Scene, Any]]]
@@ -82,7 +82,9 @@ def test_where_the_first_force_is_zero_a_soft_start_changes_nothing(scene_of: Ca
 class Host:
     """A loop that is told what arrives, and whose forces leave or do not."""
 
-    def __init__(self, loop: Loop, arrive: Callable[[Loop, bytes, int], int], frame: Callable[..., bytes]) -> None:
+    def __init__(
+        self, loop: LoopMemory, arrive: Callable[[LoopMemory, bytes, int], int], frame: Callable[..., bytes]
+    ) -> None:
         self.loop, self._arrive, self._frame = loop, arrive, frame
         self.sent: list[int] = []
 
@@ -98,8 +100,8 @@ class Host:
 
 @pytest.fixture
 def host(
-    assembled: Callable[..., Loop],
-    arrive: Callable[[Loop, bytes, int], int],
+    assembled: Callable[..., LoopMemory],
+    arrive: Callable[[LoopMemory, bytes, int], int],
     frame: Callable[..., bytes],
     scene_of: Callable[..., Scene],
 ) -> Callable[..., Host]:
@@ -256,7 +258,9 @@ def test_behind_a_port_the_first_force_is_soft_but_in_virtual_time(
     assert (trace.force_counts[0, 0] == 0) == bool(trace.flags[0] & SLEWED) == (clock != "lockstep")
 
 
-def test_a_step_of_less_than_a_count_is_refused(scene_of: Callable[..., Scene], assembled: Callable[..., Loop]) -> None:
+def test_a_step_of_less_than_a_count_is_refused(
+    scene_of: Callable[..., Scene], assembled: Callable[..., LoopMemory]
+) -> None:
     with pytest.raises(UsageError, match=r"slew_limit: found 0.9 N/s, .* expected at least 1 N/s"):
         assembled(scene_of(device=limited_to(0, slew_limit=0.9)))
 

@@ -13,22 +13,22 @@ from firmware_protocol.frames import armed_format
 from hapsim.loop.endings import HEARD
 from hapsim.loop.portable import _compose_again
 from hapsim.loop.ring import LIMITED, OFF_GRID, SLEWED, WITHHELD
-from hapsim.running.assemble import Loop
+from hapsim.running.assemble import LoopMemory
 from hapsim.scene import Scene
 
 MS = 1_000_000
 START = 10**9
 FAR = -5000  # um: 5 N, 5000 counts
 
-Assembled = Callable[..., Loop]
-Arrive = Callable[[Loop, bytes, int], int]
+Assembled = Callable[..., LoopMemory]
+Arrive = Callable[[LoopMemory, bytes, int], int]
 
 
-def loop_with(assembled: Assembled, scene_of: Callable[..., Scene], clock: str, **device: Any) -> Loop:
+def loop_with(assembled: Assembled, scene_of: Callable[..., Scene], clock: str, **device: Any) -> LoopMemory:
     return assembled(scene_of(damping=0.0, device={"clock": clock, **device}))
 
 
-def leaves(loop: Loop, now: int) -> list[int]:
+def leaves(loop: LoopMemory, now: int) -> list[int]:
     """The force that leaves at a tick of the host at `now` (ns), by the bytes of its frame."""
     loop.record.wait.begun_ns = now
     stop = int(_compose_again(loop.record))
@@ -39,7 +39,7 @@ def leaves(loop: Loop, now: int) -> list[int]:
     return list(force.counts)
 
 
-def last_row(loop: Loop) -> tuple[int, int]:
+def last_row(loop: LoopMemory) -> tuple[int, int]:
     """(flags, counts of the force) of the newest row."""
     loop.record.ring.head += loop.record.ring.unpublished
     loop.record.ring.unpublished = 0
@@ -47,7 +47,7 @@ def last_row(loop: Loop) -> tuple[int, int]:
     return int(rows["flags"][-1]), int(rows["force_counts"][-1, 0])
 
 
-def last_flags(loop: Loop) -> int:
+def last_flags(loop: LoopMemory) -> int:
     return last_row(loop)[0]
 
 

@@ -16,7 +16,7 @@ from hapsim.measuring.measure import _pushes
 from hapsim.prediction.force_bounds import HAND_DAMPING, fade_stiffness, refused_travel
 from hapsim.recording.trace import Trace
 from hapsim.running import Excitation, run
-from hapsim.running.compatibility import require_known_zero
+from hapsim.running.requirements import require_known_zero
 from hapsim.scene import Scene
 
 LIMIT, MARGIN = 0.003, 0.01
@@ -208,7 +208,7 @@ def test_the_band_that_is_accepted_does_not_shake_a_hand(scene_of: SceneOf, shar
 def unjudged(scene: Scene) -> Trace:
     """A run that no prediction refuses."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("hapsim.running.starting.refused_travel", lambda _: "")
+        patch.setattr("hapsim.running.requirements.refused_travel", lambda _: "")
         return run(scene, duration=0.5)
 
 

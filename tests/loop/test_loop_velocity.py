@@ -17,7 +17,8 @@ from hapsim.errors import DeviceError, UsageError
 from hapsim.loop.endings import DONE
 from hapsim.loop.run import run_loop
 from hapsim.running import run
-from hapsim.running.assemble import Loop, assemble_loop
+from hapsim.running.assemble import LoopMemory, assemble_loop
+from hapsim.running.options import RunOptions
 from hapsim.scene import DamperScheme, Scene, parse_scene
 from hapsim.scene.issue import one_of
 
@@ -27,11 +28,11 @@ SceneOf = Callable[..., Scene]
 SCALE = 1e-3  # (m/s) per count of the scripted device
 
 
-def looped(scene: Scene, ticks: int) -> Loop:
+def looped(scene: Scene, ticks: int) -> LoopMemory:
     """The loop as it stands after so many ticks."""
     with open_connection(scene) as connection:
         description = describe(connection)
-        loop = assemble_loop(scene, connection, description, None, ticks / scene.rate)
+        loop = assemble_loop(scene, connection, description, RunOptions(duration=ticks / scene.rate))
         velocity = bool(scene.sensed_links)
         assert arm(connection, description, schema.LOCKSTEP, 100, velocity) == loop.wire
         assert run_loop(loop.record) == DONE

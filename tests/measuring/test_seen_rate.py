@@ -22,7 +22,8 @@ from hapsim.measuring.pole_pair import NO_SECOND_REAL_POLE
 from hapsim.measuring.trace_quality import seen_rate
 from hapsim.prediction import felt_at_rate, predict
 from hapsim.recording.trace import Trace
-from hapsim.running import run, starting
+from hapsim.running import run
+from hapsim.running import session as session_module
 from hapsim.scene import Scene, parse_scene
 
 SCENE = {
@@ -131,7 +132,7 @@ def test_what_was_felt_at_the_seen_rate_is_what_is_predicted_for_it(
     def slow(scene: Scene, *_: Any, **__: Any) -> Iterator[Connection]:
         yield Connection(loopback_transport(mistaken_mock(scene, share)), "slow", close=lambda: None)
 
-    monkeypatch.setattr(starting, "open_connection", slow)
+    monkeypatch.setattr(session_module, "open_connection", slow)
     measured = measure_trace(run(scene, duration=1.0), 0.2).at_rate(1000.0 * share)
     (declared,) = predict(scene).felt
     felt = felt_at_rate(declared, 1000.0 * share)

@@ -31,6 +31,7 @@ INSIDE = {
     ("tools/bench/steadiness/in_memory.py", "hapsim.device"): TIMES_THE_EXCHANGE,
     ("tools/bench/steadiness/in_memory.py", "hapsim.loop"): TIMES_THE_EXCHANGE,
     ("tools/bench/steadiness/in_memory.py", "hapsim.running.assemble"): TIMES_THE_EXCHANGE,
+    ("tools/bench/steadiness/in_memory.py", "hapsim.running.options"): TIMES_THE_EXCHANGE,
     ("tools/bench/steadiness/wakeups.py", "hapsim.doctor.wakeups"): "times the loop's sleep as it schedules itself",
     (
         "tools/bench/estimated_mass.py",

@@ -24,7 +24,7 @@ from hapsim.device.open_connection import open_connection
 from hapsim.loop import endings
 from hapsim.loop.run import run_loop
 from hapsim.running import assemble
-from hapsim.running.assemble import Loop, assemble_loop
+from hapsim.running.assemble import LoopMemory, assemble_loop
 from hapsim.running.changes import LiveScene, differs_in_live_parameters_alone
 from hapsim.scene import Scene
 
@@ -54,7 +54,7 @@ class Change(NamedTuple):
 class Runner:
     """A loop that comes back every 65 ticks, all of them recorded."""
 
-    def __init__(self, scene: Scene, loop: Loop) -> None:
+    def __init__(self, scene: Scene, loop: LoopMemory) -> None:
         self.loop, self.live = loop, LiveScene(scene, loop)
         self.changes = [Change(0, scene)]
         self._parts: list[np.ndarray] = []

@@ -24,7 +24,8 @@ from hapsim.device.mock.terminal import serving
 from hapsim.errors import GuardError
 from hapsim.loop.guards.rate import MOST_OFF, WATCH, WINDOW_NS, WINDOW_SAMPLES, WINDOWS, is_off_rate
 from hapsim.measuring.measure_trace import measure_trace
-from hapsim.running import run, starting
+from hapsim.running import run
+from hapsim.running import session as session_module
 from hapsim.scene import Scene
 from hapsim.theory import Configuration
 
@@ -57,7 +58,7 @@ def at_half_the_rate(monkeypatch: pytest.MonkeyPatch) -> None:
     def half(scene: Scene, *_: Any, **__: Any) -> Iterator[Connection]:
         yield Connection(loopback_transport(mistaken_mock(scene, 0.5)), "half", close=lambda: None)
 
-    monkeypatch.setattr(starting, "open_connection", half)
+    monkeypatch.setattr(session_module, "open_connection", half)
 
 
 @pytest.mark.usefixtures("at_half_the_rate")

@@ -36,7 +36,8 @@ from hapsim.device.mock.motion import BODY
 from hapsim.loop import endings
 from hapsim.loop.run import run_loop
 from hapsim.running.assemble import assemble_loop
-from hapsim.running.compatibility import PACING
+from hapsim.running.options import RunOptions
+from hapsim.running.requirements import PACING
 from hapsim.scene import parse_scene
 
 STEPS = 5  # of a hand, in a sample
@@ -174,7 +175,8 @@ class Bench:
         self._connection = Connection(transport=loopback_transport(mock), name="mock", close=lambda: None)
         mock.called.move = move_in_hand.address()
         description = describe(self._connection)
-        self._loop = assemble_loop(scene, self._connection, description, None, 1.0, True, True)
+        options = RunOptions(duration=1.0, judges_energy=True, judges_sign=True)
+        self._loop = assemble_loop(scene, self._connection, description, options)
         arm(self._connection, description, PACING["lockstep"], self._loop.watchdog_samples, False)
         self._hands = np.zeros(scene.channels, HAND)
         forces = self._loop.history.forces  # type: ignore[union-attr]

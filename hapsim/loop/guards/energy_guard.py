@@ -21,7 +21,7 @@ whole delay and a spring (`theory/hand/passivity.py`), shown here sample by samp
 with a smaller stiffness there; two channels are two sums.
 
 What the hand gave is its credit, but no more than a scene could hold: S stays above -`credit`. At arming S is minus
-what the scene holds then (running/guarding.py). Where K changes while it runs, the first term is
+what the scene holds then (running/guard_setup.py). Where K changes while it runs, the first term is
 
     -K[n-1] x[n-1] dx[n] = -(K[n] x[n]²/2 - K[n-1] x[n-1]²/2) + (K[n] - K[n-1]) x[n]²/2 + K[n-1]/2 dx[n]²,
 

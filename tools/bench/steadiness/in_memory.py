@@ -24,6 +24,7 @@ from hapsim.loop import endings
 from hapsim.loop.run import run_loop
 from hapsim.loop.transport import Transport, receiver, sender
 from hapsim.running.assemble import assemble_loop
+from hapsim.running.options import RunOptions
 from steadiness.mock import FIRST_TOUCH
 
 _FRAMES = 4096
@@ -70,7 +71,7 @@ def measure_in_memory(exchanges: int, amplitude: float) -> dict[str, Any]:
     memory = new_record(MEMORY)
     memory.frames[:] = _frames(amplitude)
     connection = Connection(transport=Transport(receive, send, memory), name="memory", close=lambda: None)
-    loop = assemble_loop(scene, connection, describe_mock(scene), None, exchanges / scene.rate)
+    loop = assemble_loop(scene, connection, describe_mock(scene), RunOptions(duration=exchanges / scene.rate))
     connection.use_format(loop.wire)
     loop.control.period_ns = 0  # so that every position is a little late, and lateness is counted like any number
     loop.record.ring.waits = 1

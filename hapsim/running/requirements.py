@@ -1,7 +1,12 @@
-"""Whether a scene and the device that answers go together."""
+"""What has to hold before a scene runs: the options, the device that answers, the predicted stability.
+
+A scene that is predicted unstable shakes the hand with all the force there is, so it runs only on request. A stability
+that was not worked out, or is marginal, is no reason to refuse (`hapsim.prediction.surely_shaken_by`).
+"""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import get_args
 
 import numpy as np
@@ -9,16 +14,80 @@ import numpy as np
 from firmware_protocol import schema
 from firmware_protocol.description import Description
 from hapsim.errors import DescriptionError, UsageError
+from hapsim.loop.system import require_linux
+from hapsim.number_format import between, rounded_down
+from hapsim.prediction import Prediction, is_surely_unstable, surely_shaken_by
+from hapsim.prediction.force_bounds import refused_travel
+from hapsim.recording.trace import require_writable_as_trace
+from hapsim.running.options import RunOptions
 from hapsim.scene import DamperScheme, Scene
 from hapsim.scene.choices import WITH_SENSOR
 from hapsim.scene.issue import one_of
+
+_MOST_TICKS = 2.0**62
 
 PACING = {
     "device": schema.PACED_BY_DEVICE,
     "host": schema.PACED_BY_HOST,
     "lockstep": schema.LOCKSTEP,
 }
-"""How a scene's clock is called on the wire."""
+"""The code of a scene's clock on the wire."""
+
+
+def require_runnable(scene: Scene, options: RunOptions) -> None:
+    """Raises UsageError where the scene cannot run with these options, before anything is opened."""
+    if not 1e-3 <= scene.rate <= 1e9:
+        raise UsageError(f"rate: found {scene.rate:g} Hz, which no clock keeps (1e-3 to 1e9 Hz)")
+    if options.duration is not None and not 0 < options.duration * scene.rate < _MOST_TICKS:
+        raise UsageError(f"duration: found {options.duration}, expected a finite number of seconds above 0")
+    if not options.unstable and (why := refused_travel(scene)):
+        raise UsageError(why)
+    if options.realtime:
+        require_linux("--realtime", "leave it out")
+    if options.record is not None:
+        require_writable_as_trace(Path(options.record))
+    shaken = surely_shaken_by(scene) if options.unstable is False else None
+    if shaken is not None:
+        raise UsageError(f"not armed: the scene is predicted unstable: {shaken.sentence}")
+
+
+def require_not_less_stable(before: Scene, scene: Scene) -> None:
+    """Raises UsageError where `scene` is certainly unstable, and more so than `before`, which runs: an unstable scene
+    may be made less so."""
+    shaken = surely_shaken_by(scene)
+    if shaken is None:
+        return
+    now = surely_shaken_by(before)
+    if now is None or shaken.growth > now.growth:
+        raise UsageError(f"the scene is predicted unstable: {shaken.sentence}")
+
+
+def why_not_armed(path: str, scene: Scene, prediction: Prediction) -> str:
+    """Returns why `scene`, of the file `path`, is not armed given its prediction, and what to do; "" where it may be
+    armed."""
+    if not is_surely_unstable(prediction):
+        return ""
+    shaken = surely_shaken_by(scene)
+    grows = "" if shaken is None else f": {shaken.sentence}"
+    return (
+        f"{path}: not armed: the scene is predicted unstable (spectral radius {prediction.spectral_radius:.6g}, stable "
+        f"below 1){grows}.{_stable_alternatives(prediction)} `hapsim check` tells more; with --unstable it runs all "
+        f"the same, and the hand is shaken with up to the force limit of {scene.device.force_limit:g} N until the "
+        "energy guard ends the run (hapsim/STABILITY.md tells what it finds)"
+    )
+
+
+def _stable_alternatives(prediction: Prediction) -> str:
+    """Returns a sentence: with how much of its stiffness, or with which damping, each hand that is a system of its own
+    would be stable."""
+    ways = []
+    for one in prediction.felt:
+        least, most = one.stable_damping
+        if 0.0 < one.stiffness_factor < 1.0:
+            ways.append(f"{one.name} with less than {rounded_down(one.stiffness_factor)} of its stiffness")
+        if not one.stable and least < most:
+            ways.append(f"{one.name} with a damping between {between(max(least, 0.0), most, ' and ')} N·s/m")
+    return f" Stable by itself: {'; or '.join(ways)}." if ways else ""
 
 
 def require_compatible(scene: Scene, name: str, description: Description) -> None:

@@ -1,5 +1,4 @@
-"""What the guards that remember take from a scene and its device: how fast the force may change, how it begins, and
-how much energy a passive object could give."""
+"""Sets up the slew limit, the force history and the energy guard of a loop, from its scene and its device."""
 
 from __future__ import annotations
 
@@ -21,12 +20,12 @@ from hapsim.prediction.force_bounds import ENERGY_M, ONE_PERIOD, ForceBounds, be
 from hapsim.scene import Scene
 from hapsim.scene.modules import Buffer, Ground, Link, MaterialPoint, Module, Nonlinear, Structure
 
-MOST_HELD_M = 10.0  # of travel at the force limit: what a scene has credit for at the start, whatever it holds
-REFILL_S = 10.0  # in which the tank of live changes fills
+MOST_HELD_M = 10.0  # of travel at the force limit: the most energy that a scene counts as stored at the start
+REFILL_S = 10.0  # the tank of live changes fills within this time
 
 
 def set_slew(loop: Any, scene: Scene, description: Description, bounds: ForceBounds) -> None:
-    """Fills the SLEW of `loop`, LOOP. UsageError where a step would be less than a count of the device's force."""
+    """Fills the SLEW of `loop`, a LOOP. Raises UsageError where a step would be less than a count of the force."""
     steps = None
     if math.isfinite(bounds.slew_limit):
         scale = np.array(description.force_scale)
@@ -47,7 +46,7 @@ def set_slew(loop: Any, scene: Scene, description: Description, bounds: ForceBou
 
 
 def history_of(loop: Any, scene: Scene) -> ForceHistory:
-    """Which forces acted, in the FORCE_HISTORY of `loop`, LOOP."""
+    """Returns the history of the forces that acted, in the FORCE_HISTORY of `loop`, a LOOP."""
     device = scene.device
     hold = HOLDS[device.hold]
     # The mean instant of a position that is averaged is half a sample earlier.
@@ -56,7 +55,7 @@ def history_of(loop: Any, scene: Scene) -> ForceHistory:
 
 
 def energy_guard_of(loop: Any, scene: Scene, description: Description, bounds: ForceBounds) -> EnergyGuard | None:
-    """What judges the energy that the scene gives, in the ENERGY_GUARD of `loop`, LOOP; None where nothing does."""
+    """Returns the energy guard of a scene, in the ENERGY of `loop`, a LOOP; None where it is off."""
     if not math.isfinite(bounds.energy_limit):
         return None
     device = scene.device
@@ -84,10 +83,11 @@ def _compliance(scene: Scene, channels: int) -> NDArray[np.float64]:
 
 
 def held_energy(modules: Mapping[str, Module], force_limit: float) -> float:
-    """J: what moving masses and stretched links hold before any hand moves, MOST_HELD_M at the limit at most: an energy
-    without bounds would be a guard that waits for ever. What a link holds that ends at a device point is known with its
-    first force only."""
-    places = dict(_places(modules))
+    """Returns the energy (J) that moving masses and stretched links store before any hand moves.
+
+    It is at most MOST_HELD_M at the force limit: the guard would wait for ever for an energy without bounds. What a
+    link at a device point stores is known with its first force only."""
+    places = dict(_initial_places(modules))
     total = 0.0
     for module in modules.values():
         if isinstance(module, MaterialPoint):
@@ -100,11 +100,12 @@ def held_energy(modules: Mapping[str, Module], force_limit: float) -> float:
         elif isinstance(module, Link) and all(end in places for end in module.between):
             first, second = (places[end] for end in module.between)
             total += _held_by_link(module, first - second, force_limit)
-    return _at_most_held(total, force_limit)
+    most = MOST_HELD_M * force_limit
+    return total if total <= most else most  # also where the total is NaN
 
 
-def _places(modules: Mapping[str, Module]) -> Iterator[tuple[str, float]]:
-    """Where every point begins that no hand holds."""
+def _initial_places(modules: Mapping[str, Module]) -> Iterator[tuple[str, float]]:
+    """Yields the initial position (m) of every point that no hand holds."""
     for name, module in modules.items():
         if isinstance(module, Ground):
             yield name, module.position
@@ -136,9 +137,3 @@ def _held_by_link(link: Link, apart: float, force_limit: float) -> float:
 
 def _of_spring(stiffness: float, stretched: float) -> float:
     return 0.5 * stiffness * stretched * stretched
-
-
-def _at_most_held(energy_j: float, force_limit: float) -> float:
-    """What is beyond all numbers, too."""
-    most = MOST_HELD_M * force_limit
-    return energy_j if energy_j <= most else most

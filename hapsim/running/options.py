@@ -1,0 +1,75 @@
+"""How a session runs: its options, and the forces that may be added to the scene's."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hapsim.progress import Progress
+
+if TYPE_CHECKING:  # measuring has an Excitation without a device or a loop
+    from hapsim.device.open_connection import Between, TransportKind
+    from hapsim.running.session import Session
+
+
+@dataclass(frozen=True)
+class Excitation:
+    """Pushes on one channel, each of `ticks` samples, every `every` samples from sample `start` on.
+
+    Their sign alternates, and their sizes range from `force` (N) down to half of it, each different. They pass the
+    guards like any force. `first`: one push at the very beginning, too."""
+
+    channel: int
+    force: float
+    ticks: int
+    every: int
+    start: int
+    first: bool
+
+
+@dataclass(frozen=True, eq=False)
+class PeriodicExcitation:
+    """A periodic force on one channel: (N,) forces in N, one per sample.
+
+    Sample n, by the device's count, has `forces[n % N]`, whether or not positions were lost. The forces pass the
+    guards like any force."""
+
+    channel: int
+    forces: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        forces = np.ascontiguousarray(self.forces, dtype=np.float64)
+        if forces.ndim != 1 or forces.size == 0 or not np.all(np.isfinite(forces)):
+            raise ValueError(f"forces: found shape {forces.shape}, expected finite numbers in one row")
+        object.__setattr__(self, "forces", forces)
+
+
+def _ignore(_: object) -> None:
+    pass
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunOptions:
+    """The options of a session: the keyword parameters of `start`, which describes them."""
+
+    duration: float | None = None
+    transport: TransportKind = "auto"
+    excitation: Excitation | PeriodicExcitation | None = None
+    keep: bool = True
+    record: str | Path | None = None
+    reports: str | Path | None = None
+    realtime: bool = False
+    portable: bool = False
+    between: Between | None = None
+    unstable: bool | None = None
+    judges_energy: bool = False
+    judges_sign: bool = False
+    on_progress: Callable[[Progress], None] | None = None
+    on_warning: Callable[[str], None] = _ignore
+    on_arming: Callable[[Session], None] = _ignore
+    resumes: bool = False
