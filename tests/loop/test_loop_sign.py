@@ -203,18 +203,21 @@ def test_a_hand_that_swings_with_the_spring_s_own_rate_is_found_out_by_a_release
     assert (found, tests > 0) == (-1, True)
 
 
-def test_after_a_long_gap_the_sums_begin_anew() -> None:
+def test_after_a_long_gap_the_sums_begin_anew_and_lost_positions_count_as_time() -> None:
     record, past, io = new_record(SIGN), new_record(FORCE_HISTORY), new_record(IO_BUFFER)
     io.channels, io.address = 1, address_of(io)
     io.position_scale[0] = io.force_scale[0] = 1.0
     history = ForceHistory(past, delay=1.0, keeps_last_force=True)
     judge_signs(record, rate_hz=1000.0, masses=[(MASS, MASS)])
-    kept = []
+    kept, since = [], []
+    record.since[0] = 0  # a test has just begun
     for gap in (1, 1, 1, 1, 2, 3, 4, 1):
         keep(past.address, io.address, gap, 0, 0, 0, 0)
         judge(record.address, past.address, io.address, gap)
         kept.append(int(record.kept[0]))
+        since.append(int(record.since[0]))
     assert kept == [0, 0, 1, 2, 3, 4, 1, 2]
+    assert since == [1, 2, 3, 4, 6, 9, 13, 14]
     del history
 
 
