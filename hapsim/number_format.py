@@ -68,3 +68,10 @@ def relative_difference(value: float, reference: float) -> str:
 def plural(count: int, noun: str) -> str:
     """A count with its noun: 1 function, 2 functions."""
     return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+
+
+def short(value: float) -> str:
+    """Returns a number for a picture: four digits, and every digit before the point below a million."""
+    digits = 4 if abs(value) < 1e4 else 5 if abs(value) < 1e5 else 6 if abs(value) < 1e6 else 4
+    words = f"{value:.{digits}g}"
+    return words.replace("e+0", "e").replace("e+", "e").replace("e-0", "e-").replace("-", "−")

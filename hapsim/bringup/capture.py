@@ -1,8 +1,7 @@
-"""Decoding a capture of the wire: raw bytes, of one direction or of both after each other, in whatever format they are.
+"""Decodes a capture of the wire: raw bytes of one direction, or of both, in any format.
 
-Between two delimiters stands a frame or something that is refused. Its length and its check tell which format it is in
-and who sent it: every format is tried, those that the capture has spoken in before first. Nothing has to be known
-beforehand, and what is kept does not grow with the capture.
+Between two delimiters is a frame, or bytes that are refused. Length and check tell the format and the sender: every
+format is tried, those that were heard before first. What is kept does not grow with the capture.
 """
 
 from __future__ import annotations
@@ -56,14 +55,34 @@ REASONS = {
 """Why bytes are refused, in words."""
 
 
+class Registers(dict[int, int]):
+    """What a device said of itself: unsigned words, by number."""
+
+    def note(self, frame: Frame) -> None:
+        """Takes in a DESCRIPTION; any other frame says nothing here."""
+        if frame.type == schema.DESCRIPTION:
+            self[frame.number] = frame.counts[0] & 0xFFFFFFFF
+
+    def scale(self, which: int, channel: int) -> float | None:
+        """Returns a scale by its place among the channel's registers; None if the device did not describe it."""
+        return self.number(schema.REG_CHANNEL + channel * schema.CHANNEL_WORDS + which)
+
+    def number(self, register: int) -> float | None:
+        """Returns an f64 in two registers; None if one of them is missing."""
+        if register not in self or register + 1 not in self:
+            return None
+        value: float = struct.unpack("<d", struct.pack("<II", self[register], self[register + 1]))[0]
+        return value
+
+
 class Capture:
     """Reads a capture piece by piece. `counters`: what was found so far, by name; `registers`: what the device said of
-    itself, unsigned, by number."""
+    itself."""
 
     def __init__(self, senders: Sequence[bool] = (True, False)) -> None:
         """`senders`: whose frames to look for, True for the host's."""
         self.counters: Counter[str] = Counter()
-        self.registers: dict[int, int] = {}
+        self.registers = Registers()
         self._by_length: dict[int, list[tuple[Format, bool, Any]]] = {}
         for wire in _EVERY:
             for from_host in senders:
@@ -76,7 +95,7 @@ class Capture:
         self._offset = 0  # of its first byte
 
     def feed(self, data: bytes) -> Iterator[Decoded | Refused]:
-        """What ends in the next piece of the capture."""
+        """Yields what ends in the next piece of the capture."""
         self.counters["bytes"] += len(data)
         at = 0
         while (delimiter := data.find(b"\0", at)) >= 0:
@@ -89,31 +108,17 @@ class Capture:
         self._remember(data[at:])
 
     def finish(self) -> Iterator[Refused]:
-        """What the capture ends within."""
+        """Yields the bytes that the capture ends within."""
         if self._length:
             yield self._refuse(self._offset, self._length, "unfinished", self._tail)
         self._tail, self._length = b"", 0
-
-    def scale(self, which: int, channel: int) -> float | None:
-        """A scale that the device described, by its place among the channel's registers; None where it did not."""
-        at = schema.REG_CHANNEL + channel * schema.CHANNEL_WORDS + which
-        return self.number(at)
-
-    def number(self, register: int) -> float | None:
-        """An f64 in two registers; None where the capture has not both."""
-        if register not in self.registers or register + 1 not in self.registers:
-            return None
-        value: float = struct.unpack("<d", struct.pack("<II", self.registers[register], self.registers[register + 1]))[
-            0
-        ]
-        return value
 
     def _remember(self, data: bytes) -> None:
         self._length += len(data)
         self._tail = (self._tail + data[-KEPT:])[-KEPT:]
 
     def _judge(self) -> Iterator[Decoded | Refused]:
-        """What stands between two delimiters: a frame, or one behind garbage, in a format that was heard before."""
+        """Yields what is between two delimiters: a frame, or one behind garbage, in a format that was heard before."""
         found, reason = self._read(self._tail, self._length)
         if found is None and self._length > _SHORTEST:
             for length in sorted({frame_bytes(*known) - 1 for known in self._known}, reverse=True):
@@ -129,7 +134,7 @@ class Capture:
         yield found
 
     def _read(self, data: bytes, length: int, known_only: bool = False) -> tuple[Decoded | None, str]:
-        """The frame that these bytes are as a whole, or why they are none."""
+        """Returns the frame that these bytes are as a whole, or why they are none."""
         candidates = self._by_length.get(length, []) if len(data) == length else []
         if not candidates:
             return None, "short" if length < _SHORTEST else "garbage"
@@ -154,5 +159,4 @@ class Capture:
         key = (found.wire, found.from_host)
         self._known[key] = self._known.get(key, 0) + 1
         self.counters["from the host" if found.from_host else "from the device"] += 1
-        if found.frame.type == schema.DESCRIPTION:
-            self.registers[found.frame.number] = found.frame.counts[0] & 0xFFFFFFFF
+        self.registers.note(found.frame)

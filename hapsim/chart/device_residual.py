@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hapsim.chart.figure import figure_to
+from hapsim.chart import style
+from hapsim.chart.figure import figure_to, legend_below
 from hapsim.measuring.device_misfit import BINS, binned
 from hapsim.measuring.identify_device import DeviceIdentification
 from hapsim.number_format import rounded
@@ -18,14 +19,12 @@ if TYPE_CHECKING:
 
 Vector = NDArray[np.float64]
 
-_POINTS = "0.6"
-_MEANS = "tab:red"
 _MOST_POINTS = 20000  # of a picture; its data have all
 
 
 def residual_columns(found: DeviceIdentification) -> dict[str, Vector]:
-    """Row by row what the fit used: the run, its time, the position, what is left of it; and in the rows in the middle
-    of a window (nan elsewhere) the velocity and the force that the model lacks there."""
+    """Returns the rows that the fit used: run, time, position, position residual; and in the rows in the middle of a
+    window (NaN elsewhere) the velocity and the force that the model lacks there."""
     motions, lacking = found.motions, found.force_residual
     starts = np.cumsum([0, *(motion.position.size for motion in motions)])
     rows = int(starts[-1])
@@ -49,62 +48,59 @@ def residual_columns(found: DeviceIdentification) -> dict[str, Vector]:
 
 
 def draw_device_residual(found: DeviceIdentification, path: Path) -> None:
-    """Draws it; the ending of `path` chooses SVG, PNG or PDF."""
-    columns, lacking = residual_columns(found), found.force_residual
+    """Draws it to a file: .svg, .png or .pdf."""
+    lacking = found.force_residual
     with figure_to(path, 9.0, 6.4) as figure:
         panels = figure.subplot_mosaic([["time", "time"], ["velocity", "position"]])
-        _over_time(panels["time"], columns, found)
-        unit, name = _force_unit(lacking.force)
-        _over(panels["velocity"], lacking.velocity, lacking.force * unit, lacking.noise * unit)
-        _over(panels["position"], 1e3 * lacking.position, lacking.force * unit, lacking.noise * unit)
+        _draw_over_time(panels["time"], found)
+        size = float(np.max(np.abs(lacking.force), initial=0.0))
+        unit, name = (1.0, "N") if size > 0.5 else (1e3, "mN") if size > 5e-4 else (1e6, "µN")
+        _draw_forces(panels["velocity"], lacking.velocity, lacking.force * unit, lacking.noise * unit)
+        _draw_forces(panels["position"], 1e3 * lacking.position, lacking.force * unit, lacking.noise * unit)
         panels["velocity"].set_xlabel("velocity (m/s)")
         panels["position"].set_xlabel("position from where it was found (mm)")
         panels["velocity"].set_ylabel(f"force beside the model ({name})")
         panels["position"].sharey(panels["velocity"])
-        legend = panels["velocity"].get_legend_handles_labels()
-        figure.legend(*legend, loc="outside lower center", ncols=3, frameon=False)
+        legend_below(figure, 3)
         figure.suptitle(_title(found), fontsize=9)
 
 
-def _over_time(axes: Axes, columns: dict[str, Vector], found: DeviceIdentification) -> None:
-    """Each run behind the one before."""
-    lasts = [motion.position.size / found.rate_hz for motion in found.motions]
-    begins = np.cumsum([0.0, *lasts])
+def _draw_over_time(axes: Axes, found: DeviceIdentification) -> None:
+    """Draws the position residuals, each run behind the one before."""
+    columns = residual_columns(found)
+    begins = np.cumsum([0.0, *(motion.position.size / found.rate_hz for motion in found.motions)])
     time = columns["time_s"] + begins[columns["run"].astype(int)]
     some = slice(None, None, max(1, time.size // _MOST_POINTS))
     unit, name = (1e6, "µm") if found.residual_m > 2e-8 else (1e9, "nm")
-    axes.plot(time[some], unit * columns["position_residual_m"][some], ".", ms=1.5, color=_POINTS, rasterized=True)
-    axes.axhline(0.0, color="black", linewidth=0.5)
+    axes.plot(time[some], unit * columns["position_residual_m"][some], markersize=1.5, **style.RESIDUAL)
+    axes.axhline(0.0, **style.ZERO_LINE)
     axes.set_xlim(0.0, float(begins[-1]))
     top = axes.get_ylim()[1]
     for begin, drive in zip(begins, found.drives, strict=False):
-        axes.axvline(float(begin), color="black", linewidth=0.5, linestyle=":")
-        label = f" K = {drive.stiffness:.3g} N/m, B = {drive.damping:.2g} N·s/m"
-        axes.annotate(label, (float(begin), top), ha="left", va="bottom", fontsize=8)
+        axes.axvline(float(begin), linestyle=":", **style.ZERO_LINE)
+        words = f" K = {drive.stiffness:.3g} N/m, B = {drive.damping:.2g} N·s/m"
+        axes.annotate(words, (float(begin), top), ha="left", va="bottom", fontsize=8)
     axes.set_xlabel("time (s), the runs one after the other")
     axes.set_ylabel(f"position beside the model ({name})")
 
 
-def _over(axes: Axes, along: Vector, force: Vector, noise: float) -> None:
-    axes.plot(along, force, ".", ms=2.5, color=_POINTS, label="a window each")
+def _draw_forces(axes: Axes, along: Vector, force: Vector, noise: float) -> None:
+    """Draws the force that the model lacks in each window, and its mean over the velocity or the position."""
+    axes.plot(along, force, markersize=2.5, label="a window each", **style.RESIDUAL)
     axes.axhspan(-2.0 * noise, 2.0 * noise, color="0.9", zorder=0, label="95 % of noise and rounding")
     if force.size >= 4 * BINS:
         _, middles, means = binned(along, force)
-        axes.plot(middles, means, "o-", ms=4, lw=1.4, color=_MEANS, label="mean over a twelfth of them")
-    axes.axhline(0.0, color="black", linewidth=0.5)
-
-
-def _force_unit(force: Vector) -> tuple[float, str]:
-    size = float(np.max(np.abs(force), initial=0.0))
-    return (1.0, "N") if size > 0.5 else (1e3, "mN") if size > 5e-4 else (1e6, "µN")
+        axes.plot(middles, means, label="mean over a twelfth of them", **style.MEAN)
+    axes.axhline(0.0, **style.ZERO_LINE)
 
 
 def _title(found: DeviceIdentification) -> str:
-    def told(name: str, unit: str) -> str:
+    def with_uncertainty(name: str, unit: str) -> str:
         estimate: Any = getattr(found, name)
         return f"{rounded(estimate.value, estimate.uncertainty)} ± {estimate.uncertainty:.1g} {unit}"
 
     return (
-        f"mass {told('mass', 'kg')}, friction {told('friction', 'N·s/m')}, stiffness {told('stiffness', 'N/m')},\n"
-        f"delay {told('delay', 'samples')}, dry friction {told('coulomb', 'N')}"
+        f"mass {with_uncertainty('mass', 'kg')}, friction {with_uncertainty('friction', 'N·s/m')}, "
+        f"stiffness {with_uncertainty('stiffness', 'N/m')},\n"
+        f"delay {with_uncertainty('delay', 'samples')}, dry friction {with_uncertainty('coulomb', 'N')}"
     )

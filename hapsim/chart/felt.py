@@ -1,23 +1,29 @@
-"""What a hand feels of what a scene asks for, with every correction: the plane of desired stiffness and damping ratio.
+"""Which part of what a scene may ask for is felt, with each correction: the plane of desired stiffness and damping.
 
-Worked out by theory alone. The desired K T²/m has a logarithmic axis, the desired damping ratio a linear one, and every
-point of that plane counts alike.
+By theory alone. The desired K T²/m has a logarithmic axis, the desired damping ratio a linear one, and every point of
+that plane counts alike. Below: the share that is felt, over the true mass and over the delay.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from enum import IntEnum
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hapsim.chart import style
+from hapsim.chart.figure import figure_to, legend_below
 from hapsim.chart.hand import Hand
 from hapsim.prediction.correction import CORRECTIONS, felt_error
 from hapsim.prediction.correction.kind import Observer
 from hapsim.prediction.correction.predictor import pole_of_push
 from hapsim.theory import Configuration
 from hapsim.theory.arrays import Bools, Floats
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 DRAWN = ("none", "poles", "predictor")
 """Of `device.correction`; an adaptive one that knows its mass is a predictor."""
@@ -31,6 +37,7 @@ _CLOSE = np.array([1.005, 1.01, 1.02, 1.03, 1.045, 1.065, 1.1, 1.15, 1.22, 1.3, 
 _MASSES = np.concatenate([1.0 / _CLOSE[::-1], [1.0], _CLOSE])
 _DELAYS = np.linspace(0.0, 3.0, 13)
 _ON_THE_CIRCLE = 1e-9
+_BOX: Any = {"facecolor": "white", "edgecolor": "none", "alpha": 0.88, "pad": 2.0}
 _COLUMNS = (
     "panel",
     "correction",
@@ -44,45 +51,67 @@ _COLUMNS = (
 
 
 class Outcome(IntEnum):
-    """What becomes of a desired (k, b)."""
+    """The result for a desired (k, b)."""
 
     WITHIN_1 = 0
     WITHIN_5 = 1
     WITHIN_10 = 2
     FURTHER_OFF = 3
     OUT_OF_REACH = 4
-    """No (K, B) is felt so: what comes nearest is simulated. It counts as further off than 10 %."""
+    """No (K, B) is felt so; hapsim simulates the nearest. It counts as further off than 10 %."""
     UNSTABLE = 5
     NOT_ASKED = 6
     """The device itself has more friction, or more of a spring. It does not count."""
 
 
+_WORDS = {
+    Outcome.WITHIN_1: "within 1 %",
+    Outcome.WITHIN_5: "within 5 %",
+    Outcome.WITHIN_10: "within 10 %",
+    Outcome.FURTHER_OFF: "further off",
+    Outcome.OUT_OF_REACH: "out of reach",
+    Outcome.UNSTABLE: "unstable",
+    Outcome.NOT_ASKED: "less than the device's own",
+}
+
+
 @dataclass(frozen=True)
-class Plane:
+class DesiredPlane:
     """What is asked for: the middles of equal cells."""
 
     kappa: Floats
-    """(n,): K T²/m, what is real included."""
+    """(n,): K T²/m, the device's own included."""
     ratio: Floats
-    """(m,): damping ratio, what is real included."""
+    """(m,): damping ratio, the device's own included."""
 
     def desired(self, configuration: Configuration) -> tuple[Floats, Floats]:
-        """(k, b), (n, m), in N/m and N·s/m."""
+        """Returns (k, b), (n, m), in N/m and N·s/m."""
         k = self.kappa[:, None] * configuration.stiffness_unit + 0.0 * self.ratio
         return k, 2.0 * self.ratio * np.sqrt(k * configuration.mass)
 
+    def asked(self, configuration: Configuration) -> Bools:
+        """Returns (n, m): where a scene on this device can ask for it, by adding a spring and a damper."""
+        k, b = self.desired(configuration)
+        return (k >= configuration.stiffness) & (b >= configuration.friction)
+
+
+def desired_plane(columns: int, rows: int) -> DesiredPlane:
+    """Returns the plane that is drawn, in so many cells."""
+    along = (np.arange(columns) + 0.5) / columns
+    return DesiredPlane(_LEAST * (_MOST / _LEAST) ** along, _MOST_RATIO * (np.arange(rows) + 0.5) / rows)
+
 
 @dataclass(frozen=True)
-class Felt:
+class FeltPlane:
     """What one correction makes of a plane."""
 
     error: Floats
-    """(n, m): as of ``felt_error``; infinite where no spring and damper is equivalent, or none is had."""
+    """(n, m): as of ``felt_error``; infinite if no spring and damper is equivalent, or none can be simulated."""
     outcome: Any
     """(n, m), of Outcome."""
 
     def share(self, within: float) -> float:
-        """The part of what can be asked for that is felt within so much."""
+        """Returns the part of what can be asked for that is felt within this error; NaN if nothing can."""
         asked = self.outcome != Outcome.NOT_ASKED
         return float(np.mean(self.error[asked] <= within)) if asked.any() else float("nan")
 
@@ -92,8 +121,8 @@ class FeltChart:
     """The picture's numbers; corrections by their names."""
 
     hand: Hand
-    plane: Plane
-    felt: dict[str, Felt]
+    plane: DesiredPlane
+    felt: dict[str, FeltPlane]
     mass_ratio: Floats
     """True mass over the declared one."""
     against_mass: dict[str, Floats]
@@ -106,13 +135,13 @@ class FeltChart:
 
     @property
     def operating_point(self) -> tuple[float, float] | None:
-        """(K T²/m, damping ratio) of what the scene asks for; None where it asks for no spring."""
+        """(K T²/m, damping ratio) of what the scene asks for; None if it asks for no spring."""
         c = self.hand.configuration
         k, b = self.hand.stiffness + c.stiffness, self.hand.damping + c.friction
         return (k / c.stiffness_unit, b / (2.0 * np.sqrt(k * c.mass))) if k > 0.0 else None
 
     def columns(self) -> dict[str, list[Any]]:
-        """What is drawn, by the names that a data file uses: a row a number."""
+        """Returns what is drawn, by the names that a data file uses: a row for each number."""
         rows: list[tuple[Any, ...]] = []
         blank = ""
         for name, felt in self.felt.items():
@@ -127,14 +156,12 @@ class FeltChart:
         return dict(zip(_COLUMNS, map(list, zip(*rows, strict=True)), strict=True))
 
     def summary(self) -> dict[str, Any]:
-        """What a script would want to know."""
+        """Returns what scripts read."""
+        shares = {name: {f"{within:g}": felt.share(within) for within in WITHIN} for name, felt in self.felt.items()}
+        lost = {name: float(np.mean(felt.outcome == Outcome.OUT_OF_REACH)) for name, felt in self.felt.items()}
         return {
-            "share": {
-                name: {f"{within:g}": felt.share(within) for within in WITHIN} for name, felt in self.felt.items()
-            },
-            "out_of_reach": {
-                name: float(np.mean(felt.outcome == Outcome.OUT_OF_REACH)) for name, felt in self.felt.items()
-            },
+            "share": shares,
+            "out_of_reach": lost,
             "limit": self.limit,
             "against_mass": {"mass_ratio": self.mass_ratio, **self.against_mass},
             "against_delay": {"delay_samples": self.delay, **self.against_delay},
@@ -142,34 +169,31 @@ class FeltChart:
 
 
 def felt_chart(hand: Hand) -> FeltChart:
-    """What a hand feels of the plane, and how that share goes with its true mass and with the delay."""
+    """Returns what the hand feels of the plane, and how that share depends on its true mass and on the delay."""
     declared = hand.configuration
-    plane, coarse = _plane(*_POINTS), _plane(*_POINTS_OF_A_SHARE)
-    true = [replace(declared, mass=declared.mass * ratio) for ratio in _MASSES]
-    late = [replace(declared, delay=delay) for delay in _DELAYS]
+    plane, coarse = desired_plane(*_POINTS), desired_plane(*_POINTS_OF_A_SHARE)
+    of_masses = [(declared, replace(declared, mass=declared.mass * ratio)) for ratio in _MASSES]
+    of_delays = [(late, late) for late in (replace(declared, delay=delay) for delay in _DELAYS)]
+
+    def shares(name: str, cases: list[tuple[Configuration, Configuration]]) -> Floats:
+        return np.array([felt_by(name, *case, coarse).share(OF_SHARES) for case in cases])
+
     return FeltChart(
         hand=hand,
         plane=plane,
         felt={name: felt_by(name, declared, declared, plane) for name in DRAWN},
         mass_ratio=_MASSES,
-        against_mass={
-            name: np.array([felt_by(name, declared, one, coarse).share(OF_SHARES) for one in true]) for name in DRAWN
-        },
+        against_mass={name: shares(name, of_masses) for name in DRAWN},
         delay=_DELAYS,
-        against_delay={
-            name: np.array([felt_by(name, one, one, coarse).share(OF_SHARES) for one in late]) for name in DRAWN
-        },
+        against_delay={name: shares(name, of_delays) for name in DRAWN},
         limit=limit_of(declared, plane),
     )
 
 
-def felt_by(correction: str, declared: Configuration, true: Configuration, plane: Plane) -> Felt:
-    """What a device that is ``declared``, and has another mass in truth, makes of the plane with a correction.
-
-    The plane is that of the declared mass.
-    """
+def felt_by(correction: str, declared: Configuration, true: Configuration, plane: DesiredPlane) -> FeltPlane:
+    """Returns what a correction makes of the plane of the ``declared`` mass, on a device that has the ``true`` one."""
     k, b = plane.desired(declared)
-    asked = (k >= declared.stiffness) & (b >= declared.friction)
+    asked = plane.asked(declared)
     kind = CORRECTIONS.get(correction)
     K, B = k - declared.stiffness, b - declared.friction
     if kind is not None:
@@ -183,26 +207,91 @@ def felt_by(correction: str, declared: Configuration, true: Configuration, plane
         loop = true if kind is None else kind.closed(true, declared, observer)
         radius[cells] = np.abs(loop.poles(K[cells], B[cells])[..., 0])
         error[cells] = felt_error(loop.equivalent(K[cells], B[cells]), (k[cells], b[cells]), true.mass)
-    return Felt(error, _outcome(error, radius, asked, had))
-
-
-def _outcome(error: Floats, radius: Floats, asked: Bools, had: Bools) -> Any:
-    within = np.searchsorted(WITHIN, error)
     conditions = [~asked, ~had, radius > 1.0 + _ON_THE_CIRCLE]
-    return np.select(conditions, [Outcome.NOT_ASKED, Outcome.OUT_OF_REACH, Outcome.UNSTABLE], within)
+    outcomes = [Outcome.NOT_ASKED, Outcome.OUT_OF_REACH, Outcome.UNSTABLE]
+    return FeltPlane(error, np.select(conditions, outcomes, np.searchsorted(WITHIN, error)))
 
 
-def _plane(columns: int, rows: int) -> Plane:
-    along = (np.arange(columns) + 0.5) / columns
-    return Plane(_LEAST * (_MOST / _LEAST) ** along, _MOST_RATIO * (np.arange(rows) + 0.5) / rows)
+def limit_of(declared: Configuration, plane: DesiredPlane) -> float:
+    """Returns the share of the plane that any controller could have felt.
 
-
-def limit_of(declared: Configuration, plane: Plane) -> float:
-    """The share of the plane that any controller could have felt.
-
-    A motion that swings at half the rate or above looks like a slower one in its samples: nobody can tell them
-    apart, so nobody can have it felt."""
+    A motion that swings at half the rate or above looks like a slower one in its samples, so nobody can have it felt.
+    """
     k, b = plane.desired(declared)
-    asked = (k >= declared.stiffness) & (b >= declared.friction)
+    asked = plane.asked(declared)
     swing = np.sqrt(np.maximum(k / declared.mass - (0.5 * b / declared.mass) ** 2, 0.0))
     return float(np.mean(swing[asked] < np.pi * declared.rate)) if asked.any() else float("nan")
+
+
+def draw_felt(chart: FeltChart, title: str, path: Path) -> None:
+    """Draws it to a file: .svg, .png or .pdf."""
+    with figure_to(path, 7.4, 5.8) as figure:
+        figure.suptitle(f"Is what is desired felt?   {title}", fontsize=9)
+        above, below = np.asarray(figure.subfigures(2, 1, height_ratios=[1.26, 1.0])).tolist()
+        panels = above.subplots(1, len(chart.felt), sharex=True, sharey=True)
+        for axes, (name, felt) in zip(panels, chart.felt.items(), strict=True):
+            _draw_plane(axes, chart, name, felt)
+        panels[0].set_ylabel("desired damping ratio")
+        _add_legend_of_outcomes(above, chart)
+        left, right = below.subplots(1, 2, sharey=True)
+        _draw_shares(left, chart.mass_ratio, chart.against_mass, "true mass / declared mass")
+        _draw_shares(right, chart.delay, chart.against_delay, "delay  (samples)")
+        right.axhline(100.0 * chart.limit, color="0.4", linewidth=0.8, zorder=0.9)
+        words = f"any controller: {100.0 * chart.limit:.0f} % at most,\nwhat swings below half the rate"
+        place: Any = {"xy": (0.97, 100.0 * chart.limit), "xycoords": right.get_yaxis_transform()}
+        right.annotate(words, **place, xytext=(0, -5), textcoords="offset points", va="top", ha="right", fontsize=8.5)
+        left.set_xscale("log", base=2)
+        left.set_xticks([0.5, 0.7, 1.0, 1.4, 2.0], ["0.5", "0.7", "1", "1.4", "2"])
+        left.set_ylabel(f"share felt within {100.0 * OF_SHARES:.0f} %")
+        legend_below(below, 4, handles=left.get_lines())
+
+
+def _draw_plane(axes: Axes, chart: FeltChart, name: str, felt: FeltPlane) -> None:
+    from matplotlib.colors import ListedColormap
+
+    plane = chart.plane
+    limits: Any = {"vmin": -0.5, "vmax": len(style.OUTCOMES) - 0.5}
+    colours = ListedColormap(style.OUTCOMES)
+    axes.set_xscale("log")
+    axes.pcolormesh(plane.kappa, plane.ratio, felt.outcome.T, cmap=colours, rasterized=True, linewidth=0, **limits)
+    for outcome, hatch in style.OUTCOME_HATCHES.items():
+        here = (felt.outcome == Outcome[outcome]).T.astype(float)
+        if here.any() and min(here.shape) > 1:
+            drawn = axes.contourf(plane.kappa, plane.ratio, here, levels=[0.5, 1.5], colors="none", hatches=[hatch])
+            drawn.set_edgecolor(style.HATCH)
+            drawn.set_linewidth(0.0)
+    axes.set_xlim(_LEAST, _MOST)
+    axes.set_ylim(0.0, _MOST_RATIO)
+    axes.set_title(f"correction: {name}")
+    axes.set_xlabel("desired $K\\,T^2/m$")
+    shares = "\n".join(f"{100.0 * felt.share(within):.0f} % within {100.0 * within:.0f} %" for within in WITHIN)
+    axes.text(0.965, 0.96, shares, transform=axes.transAxes, va="top", ha="right", fontsize=8.5, bbox=_BOX, zorder=6)
+    point = chart.operating_point
+    if point is not None and _LEAST <= point[0] <= _MOST and point[1] <= _MOST_RATIO:
+        axes.plot(*point, **style.OPERATING_POINT | {"markersize": 6})
+
+
+def _add_legend_of_outcomes(figure: Any, chart: FeltChart) -> None:
+    from matplotlib.patches import Patch
+
+    shown = {int(outcome) for felt in chart.felt.values() for outcome in np.unique(felt.outcome)}
+    handles = []
+    for outcome, words in _WORDS.items():
+        hatch, colour = style.OUTCOME_HATCHES.get(outcome.name), style.OUTCOMES[outcome]
+        if outcome in shown:
+            handles.append(Patch(facecolor=colour, edgecolor=style.HATCH, linewidth=0.5, hatch=hatch, label=words))
+    # Two rows where one would be wider than the figure.
+    legend_below(figure, 4 if len(handles) > 5 else len(handles), handles=handles)
+
+
+def _draw_shares(axes: Axes, x: Any, shares: dict[str, Any], label: str) -> None:
+    for name, share in shares.items():
+        axes.plot(
+            x, 100.0 * share, label=name, markersize=3.8, linewidth=1.3, markevery=0.09, **style.CORRECTIONS[name]
+        )
+    axes.set_xlabel(label)
+    axes.set_xlim(x[0], x[-1])
+    axes.set_ylim(0.0, 108.0)
+    axes.yaxis.set_major_formatter("{x:.0f} %")
+    axes.grid(color="0.9", linewidth=0.6)
+    axes.set_axisbelow(True)

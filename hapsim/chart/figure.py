@@ -1,4 +1,4 @@
-"""What every picture shares: how it looks, where it is written, and its numbers."""
+"""What every picture shares: fonts, sizes, the file it is written to, and the file of its numbers."""
 
 from __future__ import annotations
 
@@ -9,29 +9,30 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from hapsim.errors import UsageError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_PICTURES = (".svg", ".png", ".pdf")
 _DOTS_PER_INCH = 150
-_LOOK: Any = {
+_FONTS: Any = {
     "font.size": 9,
     "axes.labelsize": 10,
     "axes.titlesize": 10,
+    "figure.titlesize": 10,
     "legend.fontsize": 9,
+    "legend.frameon": False,
     "axes.linewidth": 0.8,
     "hatch.linewidth": 0.5,
     "pdf.fonttype": 42,
+    "svg.hashsalt": "hapsim",  # names in an SVG are random without it
 }
-_NAMES_IN_SVG: Any = {"svg.hashsalt": "hapsim"}  # otherwise they are drawn by lot
+_METADATA: dict[str, Any] = {".png": {"Software": None}, ".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
+"""Without them, the same data give the same bytes."""
 
 
-def require_writable(path: Path | None, endings: tuple[str, ...] = _PICTURES) -> None:
-    """UsageError where a picture or its data could not be written there: better before the run than after it."""
+def require_writable(path: Path | None, endings: tuple[str, ...] = (".svg", ".png", ".pdf")) -> None:
+    """Raises UsageError if a picture or its data cannot be written to `path`. Call it before the run."""
     if path is None:
         return
     if path.suffix not in endings:
@@ -45,35 +46,30 @@ def require_writable(path: Path | None, endings: tuple[str, ...] = _PICTURES) ->
 
 @contextmanager
 def figure_to(path: Path, width: float, height: float) -> Iterator[Figure]:
-    """A figure of so many inches to draw on; it is written to `path` at the end."""
+    """Yields a figure of this size in inches, and writes it to `path` at the end: .svg, .png or .pdf."""
     import matplotlib as mpl
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    with mpl.rc_context(_LOOK):
+    with mpl.rc_context(_FONTS):
         figure = Figure(figsize=(width, height), dpi=_DOTS_PER_INCH, layout="constrained")
-        FigureCanvasAgg(figure)  # by which texts are measured
+        FigureCanvasAgg(figure)  # measures texts
         yield figure
-        save_figure(figure, path)
+        figure.savefig(path, dpi=_DOTS_PER_INCH, metadata=_METADATA[path.suffix])
 
 
-def save_figure(figure: Figure, path: Path) -> None:
-    """Writes a figure; the same data give the same bytes."""
-    import matplotlib as mpl
-
-    metadata: dict[str, Any] = {".png": {"Software": None}, ".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
-    with mpl.rc_context(_NAMES_IN_SVG):
-        figure.savefig(path, dpi=_DOTS_PER_INCH, metadata=metadata[path.suffix])
-
-
-def save_columns(columns: dict[str, Any], path: Path) -> None:
-    """Writes a picture's numbers as CSV, a column a quantity."""
-    table = np.column_stack(list(columns.values()))
-    np.savetxt(path, table, delimiter=",", header=",".join(columns), comments="", fmt="%.12g")
+def legend_below(figure: Any, columns: int, **options: Any) -> None:
+    """Adds one legend for all panels below the figure, in so many columns."""
+    if "handles" not in options:
+        named: dict[str, Any] = {}
+        for axes in figure.axes:
+            named |= {label: handle for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)}
+        options |= {"handles": list(named.values()), "labels": list(named)}
+    figure.legend(loc="outside lower center", ncols=columns, **({"columnspacing": 1.5} | options))
 
 
 def save_rows(columns: Mapping[str, Iterable[Any]], path: Path) -> None:
-    """Writes a picture's numbers as CSV, names among them; every digit of a number, and nan where a line is broken."""
+    """Writes a picture's numbers as CSV, with every digit; nan stands where a line is broken."""
     with path.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream, lineterminator="\n")
         writer.writerow(columns)

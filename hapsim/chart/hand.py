@@ -1,4 +1,4 @@
-"""The hand of which a picture is drawn: a hand of a scene, or one that the command line describes."""
+"""The hand that a picture is drawn for: one of a scene, or one that options describe."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from hapsim.chart.round_numbers import short
 from hapsim.errors import UsageError
+from hapsim.number_format import short
 from hapsim.prediction import predict
 from hapsim.scene import Scene
 from hapsim.theory import Configuration, frequency_and_ratio
@@ -20,52 +20,55 @@ class Hand:
 
     name: str
     channel: int | None
-    """None where it stands in no scene."""
+    """None without a scene."""
     configuration: Configuration
     stiffness: float
-    """K, N/m, simulated; NaN where none is."""
+    """Simulated K, N/m; NaN if none is."""
     damping: float
-    """B, N·s/m, simulated; NaN where none is."""
+    """Simulated B, N·s/m; NaN if none is."""
     masses: tuple[float, ...] = ()
-    """kg: the least, the middle and the most that the hand may have, where the scene knows no more."""
+    """kg: the least, the middle and the largest, if the scene gives a span."""
+    corrected: tuple[float, float] | None = None
+    """The scene's stiffness and damping, N/m and N·s/m, if a correction simulates others."""
 
     @property
     def is_simulated(self) -> bool:
         """Whether there is an operating point."""
         return math.isfinite(self.stiffness) and math.isfinite(self.damping)
 
+    @property
+    def desired(self) -> tuple[float, float]:
+        """The scene's stiffness and damping, N/m and N·s/m, without the device's own."""
+        return self.corrected or (self.stiffness, self.damping)
+
     def with_mass(self, mass: float) -> Hand:
-        """The same with another mass, kg."""
+        """Returns the same hand with another mass, kg."""
         return replace(self, configuration=replace(self.configuration, mass=mass))
 
     def with_simulated(self, stiffness: float | None, damping: float | None) -> Hand:
-        """The same with another K, N/m, or B, N·s/m, simulated for it; a spring alone has no damping."""
+        """Returns the same hand with another simulated K, N/m, or B, N·s/m; a spring alone has no damping."""
         if stiffness is None and damping is None:
             return self
         for name, value in (("stiffness", stiffness), ("damping", damping)):
             if value is not None and not math.isfinite(value):
                 raise UsageError(f"--simulated-{name}: found {value:g}, expected a finite number")
         K, B = (self.stiffness, self.damping) if self.is_simulated else (0.0, 0.0)
-        return replace(self, stiffness=K if stiffness is None else stiffness, damping=B if damping is None else damping)
+        K, B = K if stiffness is None else stiffness, B if damping is None else damping
+        return replace(self, stiffness=K, damping=B, corrected=None)
 
     def felt(self) -> tuple[float, float]:
-        """(k, b) in N/m and N·s/m; NaN where no spring and damper is equivalent."""
+        """Returns (k, b) in N/m and N·s/m; NaN if no spring and damper is equivalent."""
         k, b = self.configuration.equivalent(self.stiffness, self.damping)
         return float(k) + 0.0, float(b) + 0.0  # no -0
 
     def eigenfrequency(self) -> float:
-        """sqrt(k/m)/2 pi, Hz, of what is felt; NaN where there is none."""
+        """Returns sqrt(k/m)/2 pi, Hz, of what is felt; NaN if there is none."""
         k, b = self.felt()
         return float(frequency_and_ratio(self.configuration.mass, k, b)[0]) if k > 0 else math.nan
 
     def summary(self) -> dict[str, Any]:
-        """What a script would want to know of it, SI units."""
-        c = self.configuration
-        k, b = self.felt()
-        limits = {
-            "stable_stiffness": c.stable_stiffness(self.damping),
-            "stable_damping": c.stable_damping(self.stiffness),
-        }
+        """Returns what scripts read, in SI units."""
+        c, (k, b) = self.configuration, self.felt()
         return {
             "name": self.name,
             "channel": self.channel,
@@ -78,68 +81,63 @@ class Hand:
             "frequency_hz": self.eigenfrequency(),
             "dominant": math.isfinite(k) and math.isfinite(b),
             "stable": bool(c.is_stable(self.stiffness, self.damping)) if self.is_simulated else None,
-            **{name: [float(end) for end in ends] for name, ends in limits.items()},
+            "stable_stiffness": [float(end) for end in c.stable_stiffness(self.damping)],
+            "stable_damping": [float(end) for end in c.stable_damping(self.stiffness)],
         }
 
 
 def described(configuration: Configuration, *, mass: bool = True, normalised: bool = False) -> str:
-    """One line for a title: what is simulated with, in SI units or the paper's. `mass`: whether it is named."""
+    """Returns a configuration in one line for a title, in SI units or the paper's. `mass`: whether to name it."""
     c = configuration
-    parts = []
-    if not normalised:
-        parts += ([f"$m$ = {short(c.mass)} kg"] if mass else []) + [f"{short(c.rate)} Hz"]
+    parts = [] if normalised else [f"{short(c.rate)} Hz"]
+    if mass and not normalised:
+        parts.insert(0, f"$m$ = {short(c.mass)} kg")
     parts += [f"{c.hold} hold", f"delay {c.delay:g}"]
     if c.sampling != "ideal":
         parts.append(f"sampling: {c.sampling}")
     if c.damper != "backward":
         parts.append(f"damper: {c.damper}" + (f", {c.cutoff:g} Hz" if c.cutoff else ""))
-    real = {
-        "b_0": (c.friction, "N·s/m", "T/m", c.damping_unit),
-        "k_0": (c.stiffness, "N/m", "T^2/m", c.stiffness_unit),
-    }
-    for symbol, (value, unit, normal, one) in real.items():
+    for symbol, value, unit, normal, one in (
+        ("b_0", c.friction, "N·s/m", "T/m", c.damping_unit),
+        ("k_0", c.stiffness, "N/m", "T^2/m", c.stiffness_unit),
+    ):
         if value:
-            words = (
-                f"${symbol} {normal}$ = {short(value / one)}" if normalised else f"${symbol}$ = {short(value)} {unit}"
-            )
-            parts.append(words)
+            si = f"${symbol}$ = {short(value)} {unit}"
+            parts.append(f"${symbol} {normal}$ = {short(value / one)}" if normalised else si)
     return ", ".join(parts)
 
 
 def hands_of_scene(scene: Scene, given: Mapping[str, Any]) -> list[Hand]:
-    """The lone hands of a scene, in its order; `given`: fields of a Configuration that are to be other than it says."""
+    """Returns a scene's hands whose links all end on grounds, in its order.
+
+    `given`: fields of a Configuration that replace the scene's. Raises UsageError if there is no such hand, or if the
+    scene's correction is one that these pictures do not show.
+    """
     prediction = predict(scene, with_margins=False)
     if any(one.predictor is not None for one in prediction.felt):
         raise UsageError(
             f"device.correction: found {scene.device.correction}, of which this picture does not show the loop; "
             "expected none or poles. `hapsim chart felt` and `hapsim measure --impedance` show what a predictor does"
         )
-    felt = prediction.felt
-    if not felt:
+    if not prediction.felt:
         why = "; ".join(f"{name} {words}" for name, words in prediction.coupled.items())
         raise UsageError(
             f"a hand is drawn that is a spring and damper's alone, but {why}. `hapsim check` lists the whole's modes"
         )
-    spans = scene.device.mass_spans(scene.channels)
-    return [
-        Hand(
-            one.name,
-            one.channel,
-            configured(one.configuration, given),
-            one.stiffness,
-            one.damping,
-            _masses(*spans[one.channel]),
-        )
-        for one in felt
-    ]
-
-
-def _masses(least: float, most: float) -> tuple[float, ...]:
-    return (least, math.sqrt(least * most), most) if least < most else ()
+    spans, desired = scene.device.mass_spans(scene.channels), {one.channel: one for one in prediction.desired}
+    hands = []
+    for one in prediction.felt:
+        (least, most), c = spans[one.channel], one.configuration
+        masses = (least, math.sqrt(least * most), most) if least < most else ()
+        wanted = desired.get(one.channel)
+        corrected = (wanted.k - c.stiffness, wanted.b - c.friction) if wanted else None
+        configuration = configured(c, given)
+        hands.append(Hand(one.name, one.channel, configuration, one.stiffness, one.damping, masses, corrected))
+    return hands
 
 
 def hand_of_options(given: Mapping[str, Any]) -> Hand:
-    """A hand that stands in no scene; `given`: fields of a Configuration."""
+    """Returns a hand without a scene. `given`: fields of a Configuration."""
     for name in ("mass", "rate"):
         if name not in given:
             raise UsageError(f"--{name} is missing: without a SCENE, --mass and --rate describe the hand")
@@ -147,13 +145,11 @@ def hand_of_options(given: Mapping[str, Any]) -> Hand:
 
 
 def configured(configuration: Configuration | None, given: Mapping[str, Any]) -> Configuration:
-    """A Configuration with some fields given; UsageError where they do not fit."""
+    """Returns a Configuration with some fields given; raises UsageError if they do not fit."""
     try:
-        return Configuration(**given) if configuration is None else replace(configuration, **_complete(given))
+        if configuration is None:
+            return Configuration(**given)
+        # Another damper has another cutoff, or none.
+        return replace(configuration, **(({"cutoff": None} if "damper" in given else {}) | dict(given)))
     except ValueError as error:
         raise UsageError(f"--{error}") from None
-
-
-def _complete(given: Mapping[str, Any]) -> dict[str, Any]:
-    """Another damper has another cutoff, or none."""
-    return ({"cutoff": None} if "damper" in given else {}) | dict(given)

@@ -1,65 +1,145 @@
-"""The measured driving-point impedance over the predicted curve and the desired one (Florens et al., Figure 2)."""
+"""Impedances over frequency: the panels of every such picture, and the one of a measurement: measured over predicted
+and desired (Florens et al., Figure 2)."""
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from hapsim.chart.figure import figure_to
-from hapsim.chart.impedance_panels import (
-    Curves,
-    Measured,
-    draw_frequencies,
-    draw_grid,
-    draw_phases,
-    draw_sizes,
-)
+from hapsim.chart import style
+from hapsim.chart.figure import figure_to, legend_below
 from hapsim.prediction.impedance import PredictedImpedance, predict_impedance
-from hapsim.theory.arrays import Floats
+from hapsim.theory.arrays import Complexes, Floats
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
     from hapsim.measuring.measure_impedance import MeasuredImpedance
     from hapsim.scene import Scene
 
 _POINTS = 400
-_LABELS = ("desired", "predicted", "measured, 99.9 % for all together")
 _MOST_IN_A_MATRIX = 6
 
 
+class Measured(NamedTuple):
+    """What was measured at frequencies (n,) in Hz, N·s/m, with the radii of its circles. ``predicted`` (n,), at the
+    same frequencies, tells on which turn a phase is drawn."""
+
+    frequency: Floats
+    value: Complexes
+    uncertainty: Floats
+    predicted: Complexes
+
+
+class Curves(NamedTuple):
+    """One impedance at frequencies (n,) in Hz, N·s/m."""
+
+    frequency: Floats
+    desired: Complexes
+    rendered: Complexes
+    measured: Measured | None = None
+
+
+def phase(impedance: Complexes) -> Floats:
+    """Returns degrees, followed from the lowest frequency on: the phase of a late force goes on turning."""
+    return np.asarray(np.degrees(np.unwrap(np.angle(impedance))))
+
+
+def draw_sizes(axes: Axes, curves: Curves) -> None:
+    """Draws the size, on a logarithmic scale unless all of it is zero."""
+    sizes = np.abs(curves.desired), np.abs(curves.rendered)
+    predicted = "rendered" if curves.measured is None else "predicted"
+    axes.plot(curves.frequency, sizes[0], label="desired", **style.DESIRED)
+    axes.plot(curves.frequency, sizes[1], label=predicted, **style.RENDERED)
+    some = np.concatenate(sizes)
+    some = some[some > 0.0]
+    if some.size:
+        axes.set_yscale("log")
+    if curves.measured is not None:
+        found = curves.measured
+        label = "measured, 99.9 % for all together"
+        axes.errorbar(found.frequency, np.abs(found.value), found.uncertainty, label=label, **style.MEASURED)
+        if some.size:  # a circle that reaches down to 0 would squeeze all else
+            axes.set_ylim(0.5 * float(np.min(some)), 2.0 * float(np.max(some)))
+
+
+def draw_phases(axes: Axes, curves: Curves) -> None:
+    """Draws the phase, with the band in which the impedance is passive."""
+    desired, rendered = phase(curves.desired), phase(curves.rendered)
+    axes.plot(curves.frequency, desired, **style.DESIRED)
+    axes.plot(curves.frequency, rendered, **style.RENDERED)
+    if curves.measured is not None:
+        found = curves.measured
+        along = np.interp(found.frequency, curves.frequency, rendered)
+        expected = np.degrees(np.angle(found.predicted))
+        turn = 360.0 * np.round((along - expected) / 360.0)
+        at = turn + expected + np.degrees(np.angle(found.value / found.predicted))
+        radius = np.degrees(np.arcsin(np.minimum(1.0, found.uncertainty / np.abs(found.value))))
+        axes.errorbar(found.frequency, at, radius, **style.MEASURED)
+    _mark_passive_band(axes, np.concatenate([desired, rendered]))
+
+
+def _mark_passive_band(axes: Axes, phases: Floats) -> None:
+    """Shades what lies outside of -90 to 90 degrees, where the scene gives the hand energy."""
+    from matplotlib.ticker import MultipleLocator
+
+    low = 45.0 * math.floor(min(-90.0, float(np.min(phases))) / 45.0 - 0.2)
+    high = 45.0 * math.ceil(max(0.0, float(np.max(phases))) / 45.0 + 0.2)
+    span = high - low
+    axes.yaxis.set_major_locator(MultipleLocator(45.0 if span <= 270.0 else 90.0 if span <= 900.0 else 360.0))
+    # A phase that goes on turning comes back into the band, a turn further down.
+    for centre in 360.0 * np.arange(math.floor((low + 90.0) / 360.0), 2):
+        ends = max(low, centre - 270.0), min(high, centre - 90.0)
+        axes.axhspan(*ends, label="outside of −90° to 90°: the scene gives energy", **style.NOT_PASSIVE)
+    axes.set_ylim(low, high)
+
+
+def set_frequencies(axes: Axes, low: float, high: float) -> None:
+    """Sets the axis that the panels share, in Hz."""
+    axes.set_xlabel("frequency  (Hz)")
+    axes.set_xscale("log")
+    axes.xaxis.set_major_formatter("{x:g}")
+    axes.xaxis.set_minor_formatter("")
+    axes.set_xlim(low, high)
+
+
+def draw_grid(axes: Axes) -> None:
+    """Draws faint lines at the major ticks."""
+    axes.grid(which="major", color="0.88", linewidth=0.6)
+
+
 def columns(predicted: PredictedImpedance, measured: MeasuredImpedance) -> dict[str, list[Any]]:
-    """Every number, long: a row for each frequency and each pair of device points, forces before velocities."""
-    n, channels = predicted.frequency.size, range(len(predicted.names))
-    at = [(k, i, j) for k in range(n) for i in channels for j in channels]
+    """Returns every number, a row for each frequency and each pair of device points, forces before velocities."""
+    at = list(np.ndindex(*predicted.desired.shape))
     found: dict[str, list[Any]] = {
         "frequency_Hz": [predicted.frequency[k] for k, _, _ in at],
         "force_at": [predicted.names[i] for _, i, _ in at],
         "velocity_at": [predicted.names[j] for _, _, j in at],
     }
 
-    def add(name: str, values: Any) -> None:
-        found[f"{name}_re_Ns_per_m"] = [values[one].real for one in at]
-        found[f"{name}_im_Ns_per_m"] = [values[one].imag for one in at]
+    def add(name: str, values: Complexes) -> None:
+        found[f"{name}_re_Ns_per_m"] = values.real.ravel().tolist()
+        found[f"{name}_im_Ns_per_m"] = values.imag.ravel().tolist()
 
     add("desired", predicted.desired)
     for name in ("device", "rendered", "closed_loop"):
         circles = getattr(measured, name)
         add(f"{name}_predicted", getattr(predicted, name))
         add(f"{name}_measured", circles.value)
-        found[f"{name}_uncertainty_Ns_per_m"] = [circles.uncertainty[one] for one in at]
+        found[f"{name}_uncertainty_Ns_per_m"] = circles.uncertainty.ravel().tolist()
     return found
 
 
 def draw_impedance(
     scene: Scene, predicted: PredictedImpedance, measured: MeasuredImpedance, place: int | None, path: Path
 ) -> None:
-    """Draws it: of the device point at ``place`` size and phase, rendered and in the closed loop; where that is None
-    and there are several, the sizes of the whole matrix, rendered. The ending of `path` chooses SVG, PNG or PDF."""
-    at = np.geomspace(predicted.frequency[0], predicted.frequency[-1], _POINTS)
-    dense = predict_impedance(scene, at)
-    count = len(predicted.names)
-    if place is None and 1 < count <= _MOST_IN_A_MATRIX:
+    """Draws size and phase at the device point at ``place``, rendered and in the closed loop; without a ``place``, for
+    several device points, the sizes of the whole rendered matrix. The ending of `path` is .svg, .png or .pdf."""
+    dense = predict_impedance(scene, np.geomspace(predicted.frequency[0], predicted.frequency[-1], _POINTS))
+    if place is None and 1 < len(predicted.names) <= _MOST_IN_A_MATRIX:
         _draw_matrix(dense, predicted, measured, path)
     else:
         _draw_one(dense, predicted, measured, place or 0, path)
@@ -68,23 +148,21 @@ def draw_impedance(
 def _draw_one(
     dense: PredictedImpedance, predicted: PredictedImpedance, measured: MeasuredImpedance, i: int, path: Path
 ) -> None:
+    titles = {"rendered": "rendered by the scene", "closed_loop": "closed loop, the device with it"}
     with figure_to(path, 9.5, 5.8) as figure:
         panels = figure.subplots(2, 2, sharex=True, height_ratios=[1.15, 1.0])
         figure.suptitle(f"Impedance at {predicted.names[i]}, channel {measured.channels[i]}")
-        for side, (name, title) in enumerate(
-            (("rendered", "rendered by the scene"), ("closed_loop", "closed loop, the device with it"))
-        ):
+        for (name, title), (upper, lower) in zip(titles.items(), panels.T, strict=True):
             curves = _curves(name, dense, predicted, measured, (i, i))
-            upper, lower = panels[0, side], panels[1, side]
             upper.set_title(title)
-            draw_sizes(upper, curves, _LABELS if side == 0 else ("", "", ""))
+            draw_sizes(upper, curves)
             draw_phases(lower, curves)
-            draw_frequencies(lower, 0.9 * float(dense.frequency[0]), 1.1 * float(dense.frequency[-1]))
-            for axes in (upper, lower):
-                draw_grid(axes)
+            set_frequencies(lower, 0.9 * float(dense.frequency[0]), 1.1 * float(dense.frequency[-1]))
+            draw_grid(upper)
+            draw_grid(lower)
         panels[0, 0].set_ylabel("|force / velocity|  (N·s/m)")
         panels[1, 0].set_ylabel("phase  (degrees)")
-        _legend(figure)
+        legend_below(figure, 2, handlelength=2.6)
 
 
 def _draw_matrix(
@@ -96,21 +174,12 @@ def _draw_matrix(
         figure.suptitle("Rendered impedance  (N·s/m)")
         for i, j in np.ndindex(len(names), len(names)):
             axes: Any = panels[i, j]
-            curves = _curves("rendered", dense, predicted, measured, (i, j))
             axes.set_title(f"force at {names[i]}, velocity at {names[j]}")
-            draw_sizes(axes, curves, _LABELS if (i, j) == (0, 0) else ("", "", ""))
+            draw_sizes(axes, _curves("rendered", dense, predicted, measured, (i, j)))
             draw_grid(axes)
-            if i == len(names) - 1:
-                draw_frequencies(axes, 0.9 * float(dense.frequency[0]), 1.1 * float(dense.frequency[-1]))
-        _legend(figure)
-
-
-def _legend(figure: Any) -> None:
-    style: dict[str, Any] = {"ncols": 2, "frameon": False, "handlelength": 2.6, "columnspacing": 1.5}
-    handles: dict[str, Any] = {}
-    for axes in figure.axes:
-        handles |= {label: handle for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)}
-    figure.legend(handles.values(), handles.keys(), loc="outside lower center", **style)
+        for axes in panels[-1]:
+            set_frequencies(axes, 0.9 * float(dense.frequency[0]), 1.1 * float(dense.frequency[-1]))
+        legend_below(figure, 2, handlelength=2.6)
 
 
 def _curves(
@@ -123,6 +192,7 @@ def _curves(
     here = (slice(None), *at)
     desired = dense.desired[here] + (dense.ideal_device[here] if name == "closed_loop" else 0.0)
     circles = getattr(measured, name)
-    uncertainty: Floats = circles.uncertainty[here]
-    found = Measured(predicted.frequency, circles.value[here], uncertainty, getattr(predicted, name)[here])
+    found = Measured(
+        predicted.frequency, circles.value[here], circles.uncertainty[here], getattr(predicted, name)[here]
+    )
     return Curves(dense.frequency, desired, getattr(dense, name)[here], found)

@@ -12,10 +12,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hapsim.chart.figure import figure_to
+from hapsim.chart import style
+from hapsim.chart.figure import figure_to, legend_below
 from hapsim.chart.hand import Hand
 from hapsim.errors import UsageError
 from hapsim.measuring.measure import measure
+from hapsim.number_format import short
 from hapsim.prediction.correction import CORRECTIONS
 from hapsim.prediction.correction.element import element_for
 from hapsim.progress import Progress
@@ -31,7 +33,8 @@ _FLICK = 0.1  # m/s
 _ROOM = 16.0  # range of the position counts, over how far the flick swings the mass
 _COUNTS = 2.0**31
 _SWINGS = 20.0
-_NOTHING = 1e-9  # per cent: rounding
+_NOTHING = 1e-6  # per cent: rounding, and the identification's own error
+_LEAST_SPAN = 0.02  # per cent: less is not magnified
 _LEAST_TICKS, _MOST_TICKS = 2048, 20000
 _WORDS = {
     "I": "a real spring $k$",
@@ -40,7 +43,7 @@ _WORDS = {
     "IV": "two simulated springs, $2K$",
     "V": "one of each, $k$ and $K$",
 }
-#: What each would swing as if the two kinds of spring were one.
+#: The real springs that each would equal if both kinds of spring were one.
 _REAL = {"I": "I", "II": "I", "III": "III", "IV": "III", "V": "III"}
 
 
@@ -81,15 +84,15 @@ class Table1:
     """The simulated spring that swings the mass as the real one does, N/m."""
 
     def relative(self, numeral: str) -> float:
-        """Predicted frequency over that of I."""
+        """Returns the predicted frequency over that of I."""
         return self.couplings[numeral].predicted_hz / self.couplings["I"].predicted_hz
 
     def error(self, numeral: str) -> float:
-        """Predicted frequency over that of real springs alone, less 1: what the interface adds."""
+        """Returns the predicted frequency over that of real springs alone, less 1: what the interface adds."""
         return self.couplings[numeral].predicted_hz / self.couplings[_REAL[numeral]].predicted_hz - 1.0
 
     def columns(self) -> dict[str, list[Any]]:
-        """What is drawn, by the names that a data file uses: a row a coupling."""
+        """Returns what is drawn, by the names that a data file uses: a row for each coupling."""
         every = self.couplings.values()
         return {
             "coupling": [one.numeral for one in every],
@@ -113,21 +116,19 @@ def table1(
     correction: CorrectionName = "none",
     on_progress: Callable[[Progress], None] | None = None,
 ) -> Table1:
-    """The five couplings of one hand, each predicted and each run on the mock.
+    """Returns the five couplings of one hand, each predicted and each run on the mock.
 
     Args:
-        hand: gives the mass, the rate and the spring: its K, or where none is simulated its device's own spring k;
-            where both are there, the device's is left out.
-        as_scene: with the hold, the delay, the sampling and the damping that the hand has; the real spring then comes
-            with the real damper that the hand feels. Otherwise as the paper supposes: a force impulse at once, ideal
-            sampling, no damping.
+        hand: gives the mass, the rate and the spring: its simulated K, or if it has none its device's own spring.
+        as_scene: with the hand's hold, delay, sampling and damping; the real spring then comes with the real damper
+            that the hand feels. Otherwise as the paper supposes: a force impulse at once, ideal sampling, no damping.
         correction: with one, nothing is tuned: K is to be felt as a real spring k = K is, alone or beside others.
 
     Raises:
         UsageError: there is no spring, or one of the couplings has no frequency below half the rate.
         DeviceError: the mock failed.
     """
-    configuration, K, B, k, b = _tuned(hand, as_scene) if correction == "none" else _as_written(hand, as_scene)
+    configuration, K, B, k, b = _springs(hand, as_scene, corrected=correction != "none")
     b0 = configuration.friction
     if 2.0 * b - b0 < 0.0:
         raise UsageError(
@@ -142,53 +143,36 @@ def table1(
         "V": (k, b, K, B),
     }
     planned = {
-        numeral: _predicted(
-            numeral, replace(configuration, stiffness=k_real, friction=b_real), K_there, B_there, correction
-        )
-        for numeral, (k_real, b_real, K_there, B_there) in built.items()
+        numeral: _predicted(numeral, replace(configuration, stiffness=k, friction=b), K, B, correction)
+        for numeral, (k, b, K, B) in built.items()
     }
     return Table1({numeral: _measured(one, on_progress) for numeral, one in planned.items()}, configuration, k, K)
 
 
-def _tuned(hand: Hand, as_scene: bool) -> tuple[Configuration, float, float, float, float]:
-    """(configuration without springs, K, B, k, b) with which couplings I and II swing alike."""
-    own = hand.configuration
-    configuration, damping = _loop(hand, as_scene)
-    if hand.stiffness > 0.0:
-        K, B = hand.stiffness, damping
-        k, b = (float(value) for value in configuration.equivalent(K, B))
-    elif own.stiffness > 0.0:
-        k, b = own.stiffness, configuration.friction + damping
-        K, B = (float(value) for value in configuration.simulated(k, b))
+def _springs(hand: Hand, as_scene: bool, corrected: bool) -> tuple[Configuration, float, float, float, float]:
+    """Returns (configuration without springs, K, B, k, b) with which couplings I and II swing alike. In a corrected
+    loop the real spring and damper are those that the scene asks for."""
+    own, damping = hand.configuration, hand.damping if as_scene else 0.0
+    loop = replace(own, stiffness=0.0) if as_scene else Configuration(own.mass, own.rate, delay=0.0, hold="impulse")
+    simulated = hand.stiffness > 0.0
+    K = k = hand.stiffness if simulated else own.stiffness
+    if not K > 0.0:
+        raise UsageError(
+            f"{hand.name}: found no spring, expected a link with a stiffness above 0, or one of the device"
+        )
+    B, b = damping, loop.friction + damping
+    if corrected:
+        return loop, K, B, k, b
+    if simulated:
+        k, b = (float(value) for value in loop.equivalent(K, B))
     else:
-        raise _no_spring(hand)
+        K, B = (float(value) for value in loop.simulated(k, b))
     if not (math.isfinite(k) and math.isfinite(K)):
         raise UsageError(
             f"{hand.name}: no real and simulated spring swing alike here; K is {hand.stiffness:g} N/m, m/T² is "
             f"{own.stiffness_unit:g} N/m"
         )
-    return configuration, K, B, k, b if as_scene else 0.0
-
-
-def _as_written(hand: Hand, as_scene: bool) -> tuple[Configuration, float, float, float, float]:
-    """The same for a corrected loop: the real spring and damper are those that the scene asks for."""
-    configuration, damping = _loop(hand, as_scene)
-    K = hand.stiffness if hand.stiffness > 0.0 else hand.configuration.stiffness
-    if not K > 0.0:
-        raise _no_spring(hand)
-    return configuration, K, damping, K, configuration.friction + damping
-
-
-def _loop(hand: Hand, as_scene: bool) -> tuple[Configuration, float]:
-    """(what all couplings have in common, without springs; the simulated damping)"""
-    own = hand.configuration
-    if as_scene:
-        return replace(own, stiffness=0.0), hand.damping
-    return Configuration(own.mass, own.rate, delay=0.0, hold="impulse"), 0.0
-
-
-def _no_spring(hand: Hand) -> UsageError:
-    return UsageError(f"{hand.name}: found no spring, expected a link with a stiffness above 0, or one of the device")
+    return loop, K, B, k, b if as_scene else 0.0
 
 
 def _predicted(numeral: str, configuration: Configuration, K: float, B: float, correction: CorrectionName) -> Coupling:
@@ -211,7 +195,7 @@ def _predicted(numeral: str, configuration: Configuration, K: float, B: float, c
 
 
 def _measured(coupling: Coupling, on_progress: Callable[[Progress], None] | None) -> Coupling:
-    """Measured on the mock, in virtual time."""
+    """Measures a coupling on the mock, in virtual time."""
     rate = coupling.configuration.rate
     ticks = min(max(_LEAST_TICKS, _SWINGS * rate / coupling.predicted_hz), _MOST_TICKS)
     found = measure(_scene_of(coupling), duration=ticks / rate, on_progress=on_progress)
@@ -222,7 +206,7 @@ def _measured(coupling: Coupling, on_progress: Callable[[Progress], None] | None
 
 
 def _scene_of(coupling: Coupling) -> Scene:
-    """The scene of one coupling, on a mock as fine as its numbers are."""
+    """Returns the scene of one coupling, on a mock with counts fine enough for its numbers."""
     c = coupling.configuration
     swing = _FLICK / (2.0 * math.pi * coupling.predicted_hz)
     quantum = _ROOM * swing / _COUNTS
@@ -258,56 +242,52 @@ def _scene_of(coupling: Coupling) -> Scene:
 
 
 def draw_table1(data: Table1, title: str, path: Path) -> None:
-    """Draws it. The ending of `path` chooses SVG, PNG or PDF."""
-    with figure_to(path, 6.5, 3.5) as figure:
+    """Draws it to a file: .svg, .png or .pdf."""
+    with figure_to(path, 6.9, 3.7) as figure:
         left, right = figure.subplots(1, 2, sharey=True, width_ratios=[1.25, 1.0])
-        figure.suptitle(title, fontsize=10)
-        _draw_frequencies(left, data)
+        figure.suptitle(title.replace("; ", "\n"), fontsize=9)  # in one line it is wider than the figure
+        every = data.couplings.values()
+        first = data.couplings["I"].predicted_hz
+        _draw_bars(left, [(one.predicted_hz / first, one.measured_hz / first) for one in every])
+        left.set_yticks(range(len(data.couplings)), [f"{numeral}  {_WORDS[numeral]}" for numeral in data.couplings])
+        left.invert_yaxis()
+        left.set_xlim(0.0, 2.1 * max(one.predicted_hz / first for one in every))
+        left.set_xlabel("frequency, relative to I")
+        for row, one in enumerate(every):
+            _write(left, one.predicted_hz / first, row, f"{one.predicted_hz / first:.5f}\n{_difference(one.off_by)}")
         _draw_errors(right, data)
-        figure.legend(loc="outside lower center", ncols=3, frameon=False, columnspacing=1.5)
-
-
-def _draw_frequencies(axes: Axes, data: Table1) -> None:
-    first = data.couplings["I"].predicted_hz
-    rows = range(len(data.couplings))
-    predicted = [one.predicted_hz / first for one in data.couplings.values()]
-    _draw_bars(axes, predicted, [one.measured_hz / first for one in data.couplings.values()], labelled=True)
-    axes.set_yticks(rows, [f"{numeral}  {_WORDS[numeral]}" for numeral in data.couplings])
-    axes.invert_yaxis()
-    axes.set_xlim(0.0, 2.1 * max(predicted))
-    axes.set_xticks([0.5 * i for i in range(round(2.0 * max(predicted)) + 1)])
-    axes.set_xlabel("frequency, relative to I")
-    for row, one in zip(rows, data.couplings.values(), strict=True):
-        words = f"{one.predicted_hz / first:.5f}\n{_difference(one.off_by)}"
-        axes.annotate(words, (predicted[row], row), (9, 0), textcoords="offset points", va="center", fontsize=9)
+        legend_below(figure, 3)
 
 
 def _draw_errors(axes: Axes, data: Table1) -> None:
-    errors = [100.0 * data.error(numeral) for numeral in data.couplings]
-    measured = [
-        100.0 * (one.measured_hz / data.couplings[_REAL[numeral]].measured_hz - 1.0)
-        for numeral, one in data.couplings.items()
-    ]
-    _draw_bars(axes, errors, measured, labelled=False)
+    """Draws how far each coupling is beyond real springs alone, in percent; rounding errors are no bars."""
+    errors = []
+    for numeral, one in data.couplings.items():
+        measured = one.measured_hz / data.couplings[_REAL[numeral]].measured_hz - 1.0
+        errors.append((100.0 * data.error(numeral), 100.0 * measured))
+    _draw_bars(axes, errors)
     axes.axvline(0.0, color="black", linewidth=0.8)
-    low, high = min(errors), max(errors)
-    room = 0.8 * (high - low) or 1.0  # for the numbers beside the bars
-    axes.set_xlim(low - (room if low < -_NOTHING else 0.1 * room), high + room)
+    low, high = min(0.0, *(error for error, _ in errors)), max(0.0, *(error for error, _ in errors))
+    span = max(high - low, _LEAST_SPAN)
+    axes.set_xlim(low - (0.8 if low < -_NOTHING else 0.1) * span, high + 0.8 * span)
     axes.set_xlabel("beyond real springs  (%)")
-    for row, error in enumerate(errors):
-        side = 1 if error > -_NOTHING else -1
-        style: dict[str, Any] = {"va": "center", "ha": "left" if side > 0 else "right", "fontsize": 9}
-        words = f"{error:+.3g}" if abs(error) > _NOTHING else "0"
-        axes.annotate(words, (error, row), (9 * side, 0), textcoords="offset points", **style)
+    for row, (error, _) in enumerate(errors):
+        _write(axes, error, row, f"{error:+.3g}" if abs(error) > _NOTHING else "0", left=error < -_NOTHING)
 
 
-def _draw_bars(axes: Axes, predicted: list[float], measured: list[float], *, labelled: bool) -> None:
-    rows = range(len(predicted))
-    style = {"height": 0.55, "facecolor": "0.85", "edgecolor": "0.4", "linewidth": 0.6}
-    axes.barh(rows, predicted, label="predicted" if labelled else "", **style)  # type: ignore[arg-type]
-    axes.plot(measured, rows, "d", color="black", markersize=5, label="measured on the mock" if labelled else "")
+def _draw_bars(axes: Axes, values: list[tuple[float, float]]) -> None:
+    """Draws (predicted, measured) of each coupling, a row each."""
+    rows = range(len(values))
+    axes.barh(rows, [predicted for predicted, _ in values], label="predicted", **style.BAR)
+    axes.plot([measured for _, measured in values], rows, label="measured on the mock", **style.MEASURED_BAR)
+
+
+def _write(axes: Axes, x: float, row: int, words: str, *, left: bool = False) -> None:
+    """Writes beside the end of a bar."""
+    look: dict[str, Any] = {"textcoords": "offset points", "va": "center", "ha": "right" if left else "left"}
+    axes.annotate(words, (x, row), (-9 if left else 9, 0), fontsize=9, **look)
 
 
 def _difference(off_by: float) -> str:
-    """How far the measurement is from the prediction."""
-    return f"off by {off_by:+.0e}".replace("e-0", "e-").replace("-", "−") if math.isfinite(off_by) else "not measured"
+    """Returns how far the measurement is from the prediction, relative."""
+    return f"off by {short(float(f'{off_by:.0e}'))}" if math.isfinite(off_by) else "not measured"

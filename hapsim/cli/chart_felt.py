@@ -28,8 +28,7 @@ def felt(
 
     Options of the hand take precedence over the scene's values (configs/README.md has an example).
     """
-    from hapsim.chart.felt import felt_chart
-    from hapsim.chart.felt_picture import draw_felt
+    from hapsim.chart.felt import draw_felt, felt_chart
     from hapsim.chart.hand import described
 
     output.require_writable("felt.svg")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_args
@@ -119,7 +120,7 @@ class ChartOutput:
         require_writable(self.picture)
         require_writable(self.data, (".csv",))
 
-    def save_rows(self, columns: dict[str, list[Any]]) -> None:
+    def save_rows(self, columns: Mapping[str, Iterable[Any]]) -> None:
         """Writes the numbers, if they are asked for; `columns` by their headings."""
         from hapsim.chart.figure import save_rows
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -12,8 +12,7 @@ from hapsim.errors import UsageError
 
 if TYPE_CHECKING:
     from hapsim.chart.hand import Hand
-    from hapsim.chart.scale import Scale
-    from hapsim.chart.view import View
+    from hapsim.chart.plane_axes import Scale, View
 
 
 def plane(
@@ -45,8 +44,7 @@ def plane(
 
     These are Figures 7, 8 and 9 of the paper. Options of the hand take precedence over the scene's values.
     """
-    from hapsim.chart.scale import scale_of
-    from hapsim.chart.view import view_of
+    from hapsim.chart.plane_axes import scale_of, view_of
 
     output.require_writable("plane.svg")
     masses = numbers("--mass", mass)
@@ -88,13 +86,12 @@ def _draw_plane(
     drawn: list[Hand], several_masses: bool, view: View, scale: Scale, normalised: bool, output: ChartOutput
 ) -> None:
     """Draws the plane, or a family of curves per mass, and writes the numbers."""
-    from hapsim.chart.family import draw_family, family
     from hapsim.chart.hand import described
     from hapsim.chart.plane import draw_plane
     from hapsim.chart.plane import plane as plane_of
 
-    chart: Any = family(drawn, view, scale) if several_masses else plane_of(drawn, view, scale)
+    chart = plane_of(drawn, view, scale)
     output.save_rows(chart.columns())
     if output.picture is not None:
         title = described(drawn[0].configuration, mass=not several_masses, normalised=normalised)
-        (draw_family if several_masses else draw_plane)(chart, title, output.picture)
+        draw_plane(chart, title, output.picture)

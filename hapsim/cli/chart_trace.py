@@ -30,8 +30,7 @@ def trace(
 
     It marks the forces that were late, clipped, withheld or never sent.
     """
-    from hapsim.chart.figure import save_columns
-    from hapsim.chart.recorded import columns_of, draw_trace, seconds_of
+    from hapsim.chart.trace import columns_of, draw_trace, seconds_of
 
     if last is not None and not 0 < last < float("inf"):
         raise UsageError(f"--last: found {last:g}, expected a finite number of seconds above 0")
@@ -43,7 +42,7 @@ def trace(
         time = seconds_of(recorded)
         recorded = recorded.since(int((time < time[-1] - last).sum()))
     if output.data is not None:
-        save_columns(columns_of(recorded), output.data)
+        output.save_rows(columns_of(recorded))
     about = f"{file.name}: {_about(recorded)}"
     if output.picture is not None:
         draw_trace(recorded, about, output.picture)

@@ -22,7 +22,6 @@ def transparency(
 
     This is Figure 2 of the paper. Options of the hand take precedence over the scene's values.
     """
-    from hapsim.chart.figure import save_columns
     from hapsim.chart.hand import described
     from hapsim.chart.transparency import draw_transparency
     from hapsim.chart.transparency import transparency as transparency_of
@@ -32,8 +31,7 @@ def transparency(
     if not chosen.is_simulated:
         raise UsageError("--simulated-stiffness is missing: without a SCENE, it says what is simulated")
     chart = transparency_of(chosen)
-    if output.data is not None:
-        save_columns(chart.columns(), output.data)
+    output.save_rows(chart.columns())
     if output.picture is not None:
         pair = f"K = {chosen.stiffness:.6g} N/m, B = {chosen.damping:.6g} N·s/m"
         draw_transparency(chart, f"{pair}; {described(chosen.configuration)}", output.picture)

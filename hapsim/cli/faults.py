@@ -15,8 +15,7 @@ from rich.console import Console
 from rich.table import Table
 
 from hapsim.bringup.faults import KINDS, Injector, load_script, parse_script
-from hapsim.bringup.faults.passing import PassingTimes
-from hapsim.bringup.faults.relay import Relay
+from hapsim.bringup.faults.relay import PassingTimes, Relay
 from hapsim.cli.as_json import document
 from hapsim.cli.live import live_line, live_words
 from hapsim.cli.options import Baud, Json, load, seconds
@@ -164,14 +163,14 @@ def show_kinds(out: Console, scripts: Sequence[str]) -> None:
     """Every kind of fault with its sentence."""
     table = Table("kind", "what happens", title="Faults", title_justify="left")
     for kind, fault in KINDS.items():
-        table.add_row(kind, fault.told)
+        table.add_row(kind, fault.__doc__)
     out.print(table)
     out.print(f"Scripts that ship: {', '.join(scripts)}.")
 
 
 def kinds_document(scripts: Sequence[str]) -> dict[str, Any]:
     """The same for JSON."""
-    return {"kinds": {kind: fault.told for kind, fault in KINDS.items()}, "scripts": list(scripts)}
+    return {"kinds": {kind: fault.__doc__ for kind, fault in KINDS.items()}, "scripts": list(scripts)}
 
 
 def passing_on(injector: Injector) -> str:

@@ -336,7 +336,7 @@ def _meaning(capture: Capture, found: Decoded) -> dict[str, Any]:
 
 
 def _scaled(capture: Capture, which: int, counts: tuple[int, ...]) -> list[float | None]:
-    scales = [capture.scale(which, channel) for channel in range(len(counts))]
+    scales = [capture.registers.scale(which, channel) for channel in range(len(counts))]
     return [None if scale is None else scale * count for scale, count in zip(scales, counts, strict=True)]
 
 

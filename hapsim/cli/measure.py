@@ -203,12 +203,12 @@ def _show_measured(
 
 
 def _chart_ring_down(felt: Any, measurement: Any, picture: Path | None, data: Path | None) -> None:
-    from hapsim.chart.figure import save_columns
+    from hapsim.chart.figure import save_rows
     from hapsim.chart.ring_down import draw_ring_down, ring_down
 
     drawn = ring_down(measurement.trace, felt)
     if data is not None:
-        save_columns(drawn.columns(), data)
+        save_rows(drawn.columns(), data)
     if picture is not None:
         draw_ring_down(drawn, felt, (measurement.k, measurement.b), picture)
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from hapsim import measure
-from hapsim.chart.felt import DRAWN, Outcome, Plane, felt_by, felt_chart, limit_of
+from hapsim.chart.felt import DRAWN, DesiredPlane, Outcome, felt_by, felt_chart, limit_of
 from hapsim.chart.hand import Hand
 from hapsim.scene import Device, DevicePoint, Ground, Initial, Mock, Scene, ViscoElastic
 from hapsim.theory import Configuration
@@ -21,7 +21,7 @@ from hapsim.theory import Configuration
 Chart = Callable[..., Any]
 SceneFile = Callable[..., Path]
 DEVICE = Configuration(mass=1.0, rate=1.0)
-SMALL = Plane(np.array([0.001, 0.02, 0.7]), np.array([0.05, 0.6, 1.4]))
+SMALL = DesiredPlane(np.array([0.001, 0.02, 0.7]), np.array([0.05, 0.6, 1.4]))
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +62,7 @@ def test_a_predictor_that_knows_the_mass_has_the_whole_plane(device: dict[str, A
 def test_the_error_is_the_one_that_is_measured(correction: Any, mass: float, delay: float) -> None:
     """At two points, on the mock."""
     declared = Configuration(mass=0.2, rate=1000.0, delay=delay)
-    plane = Plane(np.array([0.002]), np.array([0.03, 0.3]))
+    plane = DesiredPlane(np.array([0.002]), np.array([0.03, 0.3]))
     felt = felt_by(correction, declared, replace(declared, mass=0.2 * mass), plane)
     k, b = plane.desired(declared)
     for i in range(2):
@@ -114,7 +114,7 @@ def test_no_controller_has_what_swings_at_half_the_rate_or_faster() -> None:
     chart = felt_chart(Hand("hand", None, slow, math.nan, math.nan))
     assert chart.limit == 1.0
     assert chart.felt["predictor"].share(0.05) == 1.0
-    fast = Plane(np.array([1.0, 20.0]), np.array([0.1, 0.9]))  # 20 swings at 4.4 and at 1.9 rad a sample
+    fast = DesiredPlane(np.array([1.0, 20.0]), np.array([0.1, 0.9]))  # 20 swings at 4.4 and at 1.9 rad a sample
     assert limit_of(DEVICE, fast) == 0.75
     assert felt_by("predictor", DEVICE, DEVICE, fast).share(0.05) <= 0.75
 

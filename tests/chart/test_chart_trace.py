@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hapsim.chart import recorded
+from hapsim.chart import trace as trace_chart
 from hapsim.loop.ring import LATE_FORCE, LIMITED, UNSENT, WITHHELD
 from hapsim.recording import stream
 from hapsim.recording.trace import Trace
@@ -45,8 +45,8 @@ def _arrived_s(trace: Trace) -> Any:
 
 def test_a_last_second_is_drawn_over_the_time_since_arming_and_the_axis_says_so(trace: Trace, tmp_path: Path) -> None:
     last = trace.since(1500)
-    np.testing.assert_allclose(recorded.seconds_of(last), last.sample / 1000.0)
-    recorded.draw_trace(last, "the last", tmp_path / "p.svg")
+    np.testing.assert_allclose(trace_chart.seconds_of(last), last.sample / 1000.0)
+    trace_chart.draw_trace(last, "the last", tmp_path / "p.svg")
     assert "time since arming (s): sample number / 1000 Hz" in (tmp_path / "p.svg").read_text("utf-8")
 
 
@@ -56,7 +56,7 @@ def test_a_withheld_force_is_marked_as_such_and_not_as_one_at_its_limit(trace: T
     flags[20:23] = LIMITED
     flags[30:32] = UNSENT | WITHHELD
     flags[40] = WITHHELD | LATE_FORCE
-    marked = recorded.marked_rows(replace(trace, flags=flags))
+    marked = trace_chart.marked_rows(replace(trace, flags=flags))
     assert {what: rows.tolist() for what, rows in marked.items()} == {
         "late": [40],
         "never sent": [30, 31],
@@ -64,7 +64,7 @@ def test_a_withheld_force_is_marked_as_such_and_not_as_one_at_its_limit(trace: T
         "at its limit": [20, 21, 22],
         "positions lost before": [],
     }
-    recorded.draw_trace(replace(trace, flags=flags), "t", tmp_path / "p.svg")
+    trace_chart.draw_trace(replace(trace, flags=flags), "t", tmp_path / "p.svg")
     picture = (tmp_path / "p.svg").read_text("utf-8")
     assert "withheld, zero sent: 9" in picture
     assert "at its limit: 3" in picture
@@ -107,6 +107,6 @@ def test_what_cannot_be_drawn_is_status_2(chart: Chart, trace: Trace, tmp_path: 
 def test_no_peak_is_lost_where_not_every_row_is_drawn() -> None:
     values = np.zeros(1_000_000)
     values[[123_456, 777_777]] = 1.0, -1.0
-    drawn = recorded._least_and_greatest(values)
+    drawn = trace_chart._least_and_greatest(values)
     assert {123_456, 777_777} <= set(drawn.tolist())
     assert drawn.size <= 4000

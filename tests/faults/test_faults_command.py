@@ -18,7 +18,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from wire_session import injector_of, positions_through
 
 from hapsim.bringup.faults import KINDS
-from hapsim.bringup.faults.passing import PassingTimes
+from hapsim.bringup.faults.relay import PassingTimes
 from hapsim.cli.faults import faults_document, show_faults
 from hapsim.errors import DeviceError
 
@@ -52,7 +52,7 @@ def test_every_kind_is_listed_with_its_sentence_within_80_columns(
     assert max(map(len, answer.out.splitlines())) <= 80
     document = hapsim("faults", "--list", "--json").document
     assert document == {
-        "kinds": {kind: fault.told for kind, fault in KINDS.items()},
+        "kinds": {kind: fault.__doc__ for kind, fault in KINDS.items()},
         "scripts": ["bad_device", "loose_plug", "noisy_wire"],
     }
     assert all(kind in answer.out for kind in KINDS)

@@ -28,7 +28,7 @@ from firmware_protocol import schema
 from firmware_protocol.description import from_registers
 from firmware_protocol.frames import SETUP, frame_to_device, frame_to_host
 from hapsim.bringup.faults import KINDS, Injector, parse_script
-from hapsim.bringup.faults.noise import misread
+from hapsim.bringup.faults.wire_faults import misread
 
 STREAM = b"".join(position(number) for number in range(300))
 MANY = ("kind: drop, probability: 0.1", "kind: corrupt, probability: 0.2, bits: 3", "kind: reorder, probability: 0.1")

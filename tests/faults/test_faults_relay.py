@@ -21,8 +21,7 @@ from wire_session import force, injector_of, position
 
 from hapsim.bringup.faults import Injector
 from hapsim.bringup.faults import relay as relay_module
-from hapsim.bringup.faults.passing import PassingTimes
-from hapsim.bringup.faults.relay import Relay
+from hapsim.bringup.faults.relay import PassingTimes, Relay
 from hapsim.cli.faults import passing_on
 from hapsim.device.mock.assemble import assemble_mock
 from hapsim.device.mock.terminal import serving

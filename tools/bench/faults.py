@@ -129,7 +129,7 @@ def in_memory(case: str) -> dict[str, Any]:
     import hapsim
     from hapsim.bringup.faults import Injector, parse_script
     from hapsim.bringup.faults.in_memory import in_memory as between_of
-    from hapsim.bringup.faults.passing import PassingTimes
+    from hapsim.bringup.faults.relay import PassingTimes
     from hapsim.cli.faults import faults_document
     from hapsim.errors import HapsimError
 

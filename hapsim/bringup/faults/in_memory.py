@@ -1,7 +1,7 @@
-"""The faults around a transport in memory, in virtual time: for the mock that answers within `send`.
+"""Faults around a transport in memory, in virtual time: for the mock that answers within `send`.
 
 Time goes by the device's samples, one period each, and by what the host waits. Where something is held up, and the host
-waits, time goes to where that is due: nobody else would bring it on.
+waits, time jumps to where that is due.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ _ROOM = 8192
 
 
 def in_memory(injector: Injector, period_s: float) -> Callable[[PythonTransport], InMemory]:
-    """What to put between a loop and its device in memory: `hapsim.running.start(scene, between=…)`. `period_s`: of the
-    device's samples."""
+    """Returns a wrapper of the transport, for `hapsim.running.start(scene, between=…)`. `period_s`: of the device's
+    samples."""
     return lambda device: InMemory(device, injector, period_s)
 
 
@@ -36,7 +36,7 @@ class InMemory:
         self._buffer = np.zeros(_ROOM, np.uint8)
 
     def receive(self, buffer: NDArray[np.uint8], timeout_ns: int) -> int:
-        """What there is for the host; else TIMED_OUT, after so long, or HUNG_UP."""
+        """Returns how many bytes there are for the host; TIMED_OUT after the timeout, HUNG_UP while unplugged."""
         until_s = self._now_s + max(timeout_ns, 0) * 1e-9
         while True:
             self._queue(self._injector.advance(self._now_s))
@@ -47,18 +47,16 @@ class InMemory:
                 return taken
             if code < 0:
                 return code
-            next_s = min(
-                [self._injector.next_s(self._now_s), *(queue[0].due_s for queue in self._queued.values() if queue)]
-            )
+            due = [queue[0].due_s for queue in self._queued.values() if queue]
+            next_s = min([self._injector.next_s(self._now_s), *due])
             if next_s > until_s:
-                break
+                self._now_s = max(self._now_s, until_s)
+                time.sleep(max(timeout_ns, 0) * 1e-9)  # the host waits by its own clock
+                return TIMED_OUT
             self._now_s = max(self._now_s, next_s)
-        self._now_s = max(self._now_s, until_s)
-        time.sleep(max(timeout_ns, 0) * 1e-9)  # the host waits by its own clock
-        return TIMED_OUT
 
     def send(self, frame: bytes) -> int:
-        """0, or HUNG_UP."""
+        """Returns 0, or HUNG_UP."""
         self._queue(self._injector.take(frame, True, self._now_s))
         self._bring_on()
         return 0 if self._injector.plugged else HUNG_UP
@@ -68,7 +66,7 @@ class InMemory:
             self._queued[one.to_device].append(one)
 
     def _bring_on(self) -> int:
-        """Everything that is due to the device, and everything that it says to it. 0, or the device's code."""
+        """Gives the device everything that is due, and takes everything that it answers. Returns 0, or its code."""
         while True:
             waiting = self._queued[True]
             while waiting and waiting[0].due_s <= self._now_s:
@@ -82,7 +80,7 @@ class InMemory:
             self._now_s += (self._injector.samples - before) * self._period_s
 
     def _take_due(self, buffer: NDArray[np.uint8]) -> int:
-        """Bytes for the host that are due, as many as there is room for."""
+        """Fills the buffer with bytes for the host that are due; returns how many."""
         queue, count = self._queued[False], 0
         while queue and queue[0].due_s <= self._now_s and count < buffer.size:
             first = queue.popleft()

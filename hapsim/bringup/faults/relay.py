@@ -1,8 +1,8 @@
-"""The faults between a pseudo-terminal and a port: what a host opens, and what a device is behind.
+"""Faults between a pseudo-terminal, which a host opens, and the port of a device.
 
-One thread waits for both in the kernel and passes on what comes, in a fraction of a millisecond. When the device is
-unplugged, by the script, the pseudo-terminal goes away, so that whoever has it open is hung up; when it is plugged in
-again there is a new one, under the name that `path` gives it.
+One thread waits for both in the kernel and passes on what comes, in a fraction of a millisecond. When the script
+unplugs the device, the pseudo-terminal goes away, so that a host is hung up; when it is plugged in again there is a new
+one, under the name that `path` gives it.
 """
 
 from __future__ import annotations
@@ -12,19 +12,43 @@ import math
 import os
 import select
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable
 from pathlib import Path
 
 from hapsim.bringup.faults.injector import Injector, Passed
-from hapsim.bringup.faults.passing import PassingTimes
 from hapsim.device.port_name import free_name, give_name, take_name
 from hapsim.errors import DeviceError, UsageError
 
 _PIECE = 1 << 16
 _LONGEST_WAIT_S = 1.0
 _TELL_S = 0.5
-_MOST_WAITING = 1 << 20  # bytes that a device does not take are kept up to here
+_MOST_WAITING = 1 << 20  # bytes kept for a device that does not take them
+
+
+class PassingTimes:
+    """How long pieces took to be passed on, counted in whole µs, so that hours take no more memory than seconds."""
+
+    def __init__(self) -> None:
+        self._times_us: Counter[int] = Counter()
+
+    def note(self, seconds: float) -> None:
+        """Counts one more piece."""
+        self._times_us[max(round(1e6 * seconds), 0)] += 1
+
+    @property
+    def count(self) -> int:
+        """Pieces."""
+        return self._times_us.total()
+
+    def quantile_s(self, share: float) -> float | None:
+        """Returns what this share of the pieces, 0 to 1, took at most, s; None if there were none."""
+        left = math.ceil(share * self.count)
+        for time_us in sorted(self._times_us):
+            left -= self._times_us[time_us]
+            if left <= 0:
+                return 1e-6 * time_us
+        return None
 
 
 class Relay:
@@ -40,7 +64,7 @@ class Relay:
         self.unread_bytes = 0
         """Of the device, that no host fetched."""
         self.passing = PassingTimes()
-        """From when a piece was read, or was due where a fault held it up, until it was written; of the pieces that the
+        """From when a piece was read, or was due if a fault held it up, until it was written; only of pieces that the
         other side took at once."""
 
     def __enter__(self) -> Relay:
@@ -65,8 +89,8 @@ class Relay:
             os.write(self._tell, b".")
 
     def run(self, duration_s: float | None = None, tell: Callable[[], None] = lambda: None) -> bool:
-        """Passes on until told to stop, or for so long: True. False where the device went away. `tell`: called now and
-        then."""
+        """Passes on until `stop`, or for so long; returns False if the device went away. `tell` is called twice a
+        second."""
         ends_s = None if duration_s is None else time.monotonic() + duration_s
         told_s = -math.inf
         while True:
@@ -82,15 +106,15 @@ class Relay:
             ready, writable = self._wait(now_s, ends_s)
             if self._told in ready:
                 return True
-            if self._device in ready and not self._read_device():
+            if self._device in ready and not self._read(self._device, False):
                 return False
             if writable and not self._write_device():
                 return False
             if self._host is not None and self._host.near in ready:
-                self._read_host()
+                self._read(self._host.near, True)
 
     def _wait(self, now_s: float, ends_s: float | None) -> tuple[list[int], bool]:
-        """(what there is to be read, whether the device takes bytes that wait for it)"""
+        """Returns (the descriptors that can be read, whether the device takes bytes that wait for it)."""
         due = [queue[0].due_s for queue in self._held_up.values() if queue]
         until_s = min([self._injector.next_s(now_s), *due, *([] if ends_s is None else [ends_s])])
         ends = [self._told, self._device, *([] if self._host is None else [self._host.near])]
@@ -99,10 +123,10 @@ class Relay:
         )
         return ready, bool(writable)
 
-    def _read_device(self) -> bool:
-        """Takes what the device says; False where it is gone."""
+    def _read(self, descriptor: int, to_device: bool) -> bool:
+        """Takes what one side says; returns False if it is gone."""
         try:
-            data = os.read(self._device, _PIECE)
+            data = os.read(descriptor, _PIECE)
         except BlockingIOError:
             return True
         except OSError:
@@ -110,19 +134,9 @@ class Relay:
         if not data:
             return False
         now_s = time.monotonic()
-        self._keep(self._injector.take(data, False, now_s))
+        self._keep(self._injector.take(data, to_device, now_s))
         self._send_due(now_s)
         return True
-
-    def _read_host(self) -> None:
-        assert self._host is not None
-        try:
-            data = os.read(self._host.near, _PIECE)
-        except OSError:
-            return
-        now_s = time.monotonic()
-        self._keep(self._injector.take(data, True, now_s))
-        self._send_due(now_s)
 
     def _keep(self, passed: list[Passed]) -> None:
         for one in passed:
@@ -139,14 +153,14 @@ class Relay:
                     self.passing.note(written_s - one.due_s)
 
     def _write(self, to_device: bool, data: bytes) -> bool:
-        """Whether all of it was taken at once."""
+        """Returns whether all of it was taken at once."""
         if not to_device:
             return self._write_host(data)
         self._to_write = (self._to_write + data)[-_MOST_WAITING:]
         return self._write_device() and not self._to_write
 
     def _write_device(self) -> bool:
-        """Writes what the device takes; False where it is gone."""
+        """Writes what the device takes; returns False if it is gone."""
         try:
             self._to_write = self._to_write[os.write(self._device, self._to_write) :]
         except BlockingIOError:
@@ -157,7 +171,7 @@ class Relay:
         return True
 
     def _write_host(self, data: bytes) -> bool:
-        """Whether all of it fits: a host that does not read loses the rest, as behind any driver."""
+        """Returns whether all of it fits: a host that does not read loses the rest, as behind any driver."""
         written = 0
         if self._host is not None:
             with contextlib.suppress(OSError):
@@ -166,7 +180,7 @@ class Relay:
         return written == len(data)
 
     def _plug(self) -> None:
-        """Has the pseudo-terminal be there, or not, as the script says."""
+        """Makes or closes the pseudo-terminal, as the script says."""
         if self._injector.plugged and self._host is None:
             self._host = _PseudoTerminal(self._path)
         elif not self._injector.plugged:

@@ -3,18 +3,39 @@
 from __future__ import annotations
 
 import os
-from typing import Annotated
+from typing import Annotated, get_args
 
 from pydantic import Field, ValidationError
 
-from hapsim.bringup.faults.kinds import KINDS, TypedFault
+from hapsim.bringup.faults.device_faults import Invert, Leap, Nonsense, Rate, Reboot, Version
+from hapsim.bringup.faults.fault import Fault
+from hapsim.bringup.faults.wire_faults import (
+    Corrupt,
+    Delay,
+    Drop,
+    Duplicate,
+    Garbage,
+    HalfFrame,
+    Reorder,
+    Replug,
+    Silence,
+    Unplug,
+    WrongBaud,
+)
 from hapsim.errors import UsageError
 from hapsim.scene.error_messages import Layout, findings_of
 from hapsim.scene.part import Part
-from hapsim.scene.quantity import Count, Version
+from hapsim.scene.quantity import Count
+from hapsim.scene.quantity import Version as FormatVersion
 from hapsim.scene.yaml_file import YamlFile
 
 VERSION = 1
+
+_OnTheWire = Drop | Corrupt | Duplicate | Delay | Reorder | Garbage | WrongBaud | HalfFrame | Silence | Unplug | Replug
+AnyFault = _OnTheWire | Reboot | Version | Nonsense | Rate | Leap | Invert
+
+KINDS: dict[str, type[Fault]] = {fault.model_fields["kind"].default: fault for fault in get_args(AnyFault)}
+"""The class of each `kind`, in the order in which `hapsim faults --list` prints them."""
 
 
 class Script(Part):
@@ -22,13 +43,13 @@ class Script(Part):
 
     Attributes:
         version: of the format, 1.
-        seed: of everything that is left to chance: the same seed and the same bytes, the same faults.
+        seed: of everything random: the same seed and the same bytes make the same faults.
         faults: which, in the order of the file.
     """
 
-    version: Annotated[int, Version(VERSION, "script")]
+    version: Annotated[int, FormatVersion(VERSION, "script")]
     seed: Annotated[int, Count("Seed of what is left to chance", 0, 2**32 - 1)] = 0
-    faults: list[TypedFault] = Field(min_length=1)
+    faults: list[Annotated[AnyFault, Field(discriminator="kind")]] = Field(min_length=1)
 
 
 _FILE = YamlFile(UsageError, "a script of faults in YAML", "found nothing, expected a script: version and faults")
@@ -43,19 +64,19 @@ _LAYOUT = Layout(
 
 
 def load_script(path: str | os.PathLike[str]) -> Script:
-    """The script of a file. UsageError where it cannot be read or is none, with one line for each fault in it."""
+    """Returns the script of a file. Raises UsageError with one line for each error in it."""
     return parse_script(_FILE.text_of(path), os.fsdecode(path))
 
 
 def parse_script(text: str, name: str = "<script>") -> Script:
-    """The script of a text in YAML that errors call `name`. UsageError, one line for each fault in it."""
+    """Returns the script of a text in YAML that errors call `name`. Raises UsageError with one line for each error."""
     document = _FILE.document_of(text, name)
+    script, issues = None, []
     try:
         script = Script.model_validate(document.data)
-        issues = []
     except ValidationError as error:
-        script, issues = None, findings_of(error, document, _LAYOUT)
-    faults = _FILE.located(issues, document)
-    if script is None or faults:
-        raise _FILE.failure(name, faults)
+        issues = findings_of(error, document, _LAYOUT)
+    located = _FILE.located(issues, document)
+    if script is None or located:
+        raise _FILE.failure(name, located)
     return script

@@ -1,7 +1,8 @@
-"""What a device got, on its own side of the faults: every force, how far one was from what the device held, and when
-the last of them was over. It decodes what a receiver would decode, and judges nothing. A force that comes when the
-device said that it is not armed, or got a DISARM, is none; one that is older than its time to live came, and does
-nothing.
+"""What a device got, on its own side of the faults: every force, how far each was from the one that the device held,
+and how the last one ended.
+
+It decodes what a receiver would decode, and judges nothing. A force that comes while the device is not armed, or after
+a DISARM, does not count; one that is older than its time to live counts as received, but does nothing.
 """
 
 from __future__ import annotations
@@ -12,21 +13,26 @@ from typing import NamedTuple
 
 from firmware_protocol import schema
 from firmware_protocol.decoder import Frame
-from hapsim.bringup.capture import Capture
-from hapsim.bringup.faults.piece import Piece
+from hapsim.bringup.capture import Registers
+from hapsim.bringup.faults.fault import POSITIONS, Piece
 
 _LOCKSTEP_S = 10.0  # PROTOCOL.md, section 7
 
 
 @dataclass
 class Forces:
-    """Of the forces that reached the device. N; NaN where the device did not describe its scales."""
+    """Of the forces that reached the device. N; NaN if the device did not describe its scales."""
 
     count: int = 0
     largest: float = 0.0
     largest_change: float = 0.0
     """From what a device holds that keeps PROTOCOL.md, section 6: the force before, zero at arming and once its time to
-    live is over. The release is none."""
+    live is over. The release does not count as a change."""
+
+    def add(self, largest: float, change: float) -> None:
+        """Takes in a force that acts."""
+        self.largest = _larger(self.largest, largest)
+        self.largest_change = _larger(self.largest_change, change)
 
 
 @dataclass(frozen=True)
@@ -39,7 +45,7 @@ class Release:
     the host is quiet, after 10 s."""
     after_last_force_s: float
     after_last_force_samples: int | None
-    """Of the device's samples that were sent meanwhile; None where it is the time to live that ended it."""
+    """Of the device's samples that were sent meanwhile; None if its time to live ended it."""
     after_first_fault_s: float | None
     confirmed: bool
     """Whether the device said, then or later, that it is not armed any more."""
@@ -61,8 +67,7 @@ class Witness:
     def __init__(self) -> None:
         self.all, self.since_fault = Forces(), Forces()
         self.samples = -1
-        self._described = Capture((False,))
-        self._scale: list[float] | None = None  # of each channel's force, N; None: to be looked up
+        self._described = Registers()
         self._before: list[float] = []  # the force before, N; empty: none since arming
         self._held: list[float] = []  # what the device puts out in this sample, N
         self._pacing = schema.PACED_BY_DEVICE
@@ -78,30 +83,27 @@ class Witness:
         self._fault_s = time_s
 
     def hear(self, piece: Piece, time_s: float, samples: int) -> None:
-        """A frame that the device sends, `samples` after its first."""
+        """Takes in a frame that the device sends, `samples` after its first."""
         self.samples = samples
-        if piece.found is None:
+        frame = piece.frame
+        if frame is None:
             return
-        frame = piece.found.frame
-        if frame.type == schema.DESCRIPTION:
-            self._described.registers[frame.number] = frame.counts[0] & 0xFFFFFFFF
-            self._scale = None
-        elif frame.type == schema.STATUS:
+        self._described.note(frame)
+        if frame.type == schema.STATUS:
             self._armed = frame.counts[0] & 0xFF == schema.ARMED
-            self._number = None
-            self._before = []
+            self._number, self._before = None, []
             if not self._armed:
                 self._confirmed = True
                 self._end("device", time_s)
-        elif frame.type in (schema.POSITION, schema.POSITION_HELD):
+        elif frame.type in POSITIONS:
             self._number = frame.number
 
     def see(self, piece: Piece, time_s: float, samples: int) -> None:
-        """A frame that reaches the device, `samples` after its first."""
+        """Takes in a frame that reaches the device, `samples` after its first."""
         self.samples = samples
-        if piece.found is None:
+        frame = piece.frame
+        if frame is None:
             return
-        frame = piece.found.frame
         if frame.type == schema.ARM:
             self._ended = None
             self._pacing = frame.argument & (schema.WITH_VELOCITY - 1)
@@ -112,31 +114,22 @@ class Witness:
             self._see_force(frame, time_s, samples)
 
     def release(self) -> Release | None:
-        """How the last force ended; None where none reached the device."""
+        """Returns how the last force ended; None if none reached the device."""
         if self._last is None:
             return None
-        last = self._last
+        last, ended = self._last, self._ended
         lockstep = self._pacing == schema.LOCKSTEP
         over_s = last.time_s + (_LOCKSTEP_S if lockstep else (last.lives + 2) / self._rate())
-        ended = self._ended
         if ended is None or over_s < ended[1]:
-            by = "lockstep" if lockstep else "time to live"
-            return Release(by, over_s - last.time_s, None, self._since_fault(over_s), self._confirmed)
-        by, ended_s, sample = ended
-        return Release(by, ended_s - last.time_s, sample - last.sample, self._since_fault(ended_s), self._confirmed)
-
-    def _since_fault(self, time_s: float) -> float | None:
-        return None if self._fault_s is None else time_s - self._fault_s
+            by, end_s, samples = "lockstep" if lockstep else "time to live", over_s, None
+        else:
+            by, end_s, samples = ended[0], ended[1], ended[2] - last.sample
+        since_fault = None if self._fault_s is None else end_s - self._fault_s
+        return Release(by, end_s - last.time_s, samples, since_fault, self._confirmed)
 
     def _end(self, by: str, time_s: float) -> None:
         if self._last is not None and self._ended is None:
             self._ended = by, time_s, self.samples
-
-    def _scales(self) -> list[float]:
-        if self._scale is None:
-            scales = [self._described.scale(schema.REG_FORCE_SCALE, channel) for channel in range(schema.MAX_CHANNELS)]
-            self._scale = [math.nan if scale is None else scale for scale in scales]
-        return self._scale
 
     def _see_force(self, frame: Frame, time_s: float, samples: int) -> None:
         age = 0 if self._number is None else (self._number - frame.number) % schema.SAMPLE_MODULUS
@@ -145,25 +138,27 @@ class Witness:
             forces.count += 1
         if age > frame.argument:
             return
-        force = [scale * count for scale, count in zip(self._scales(), frame.counts, strict=False)]
-        if not self._is_overtaken(samples):
+        scales = [self._described.scale(schema.REG_FORCE_SCALE, channel) for channel in range(len(frame.counts))]
+        force = [
+            math.nan if scale is None else scale * count for scale, count in zip(scales, frame.counts, strict=True)
+        ]
+        if not self._replaces_one_that_never_acts(samples):
             over = not self._before or self._is_over(time_s, samples)
             self._held = [0.0] * len(force) if over else self._before
         change = max((abs(a - b) for a, b in zip(force, self._held, strict=False)), default=0.0)
         for forces in kept:
-            forces.largest = _larger(forces.largest, max(map(abs, force)))
-            forces.largest_change = _larger(forces.largest_change, change)
+            forces.add(max(map(abs, force)), change)
         self._before, self._last, self._ended = force, _Last(time_s, samples, samples - age, frame.argument), None
         self._confirmed = False
 
-    def _is_overtaken(self, samples: int) -> bool:
-        """Whether the force before never acts: another one comes in the same sample of a device that paces itself."""
+    def _replaces_one_that_never_acts(self, samples: int) -> bool:
+        """Returns whether the force before came in the same sample of a device that paces itself."""
         paces = self._pacing == schema.PACED_BY_DEVICE
         return paces and self._before != [] and self._last is not None and self._last.sample == samples
 
     def _is_over(self, time_s: float, samples: int) -> bool:
-        """Whether the last force has no more time to live, by the device's samples or, where the host paces, its
-        clock."""
+        """Returns whether the last force has no more time to live, by the device's samples or, where the host paces,
+        its clock."""
         last = self._last
         if last is None:
             return True
@@ -172,7 +167,7 @@ class Witness:
         return samples - last.answered > last.lives + 1
 
     def _rate(self) -> float:
-        """Hz, as the device described it."""
+        """Returns Hz, as the device described it; NaN if it did not."""
         return self._described.number(schema.REG_RATE) or math.nan
 
 

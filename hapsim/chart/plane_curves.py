@@ -1,0 +1,250 @@
+"""The curves of the K,B plane (Florens et al., §5 and Figures 7 to 9), each a line of points.
+
+Points outside the view, and points that have no meaning, are NaN.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hapsim.chart.plane_axes import Scale, View
+from hapsim.theory import Configuration
+from hapsim.theory.arrays import Bools, Floats
+
+_FINE = 0.003  # of the picture: distance between the points of a line
+_FEW_POLES = 8
+_MOST_DECAY = 16.0  # of a pole, per sample: beyond it rounding decides
+_MOST_FOLD_DECAY = 10.0  # of a double pole, per sample: beyond it rounding decides what its neighbour is
+_HALVINGS = 14  # of a mesh's side: far less than a dot of the picture
+
+Judge = Callable[[Floats, Floats], Bools]
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A line in the plane, in the axes' units."""
+
+    kind: str
+    value: float
+    """The k or b that it is drawn for; NaN if none."""
+    mass: float
+    """Real mass, kg."""
+    K: Floats
+    B: Floats
+    k: Floats
+    """What the hand feels there; NaN if it is not worked out."""
+    b: Floats
+
+    @property
+    def is_seen(self) -> bool:
+        """Whether any of it is in the picture."""
+        return bool(np.any(np.isfinite(self.K)))
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """What curves are drawn on: a configuration's plane, the part that is in view, and its units."""
+
+    configuration: Configuration
+    view: View
+    scale: Scale
+
+    def curve(
+        self, kind: str, value: float, K: Floats, B: Floats, k: Floats | None = None, b: Floats | None = None
+    ) -> Curve:
+        """Returns a line from SI units. Points outside the view become a gap, invisible detail is dropped."""
+        k, b = (np.full(K.shape, np.nan) if given is None else given for given in (k, b))
+        seen = self.view.holds(K, B)
+        columns = [np.where(seen, column, np.nan) for column in (K, B, k, b)]
+        kept = self._thinned(*columns[:2])
+        return self.outline(kind, value, *(column[kept] for column in columns))
+
+    def oscillators(self, kind: str, value: float, k: Floats, b: Floats) -> Curve:
+        """Returns the line of the K and B that are felt as these k and b (SI units)."""
+        K, B = self.configuration.simulated(k, b, dominant=False)
+        seen = self.view.holds(K, B)
+        # Whether they are felt takes every pole, so only the points that are drawn are asked.
+        kept = self._thinned(np.where(seen, K, np.nan), B)
+        K, B = self.configuration.simulated(k[kept], b[kept])
+        K = np.where(seen[kept], K, np.nan)
+        one_gap = np.isfinite(K) | np.isfinite(np.roll(K, 1))
+        return self.outline(kind, value, *(column[one_gap] for column in (K, B, k[kept], b[kept])))
+
+    def outline(
+        self, kind: str, value: float, K: Floats, B: Floats, k: Floats | None = None, b: Floats | None = None
+    ) -> Curve:
+        """Returns a line from SI units with all its points."""
+        k, b = (np.full(K.shape, np.nan) if given is None else given for given in (k, b))
+        scale = self.scale
+        felt = scale.of_stiffness(k), scale.of_damping(b)
+        return Curve(kind, value, self.configuration.mass, scale.of_stiffness(K), scale.of_simulated(B), *felt)
+
+    def region(self, kind: str, judge: Judge) -> list[Curve]:
+        """Returns the closed outlines of where `judge`, called with K and B in SI units, is true."""
+        return [self.outline(kind, math.nan, *ring) for ring in _border(judge, *self.mesh())]
+
+    def mesh(self, coarse: int = 1) -> tuple[Floats, Floats]:
+        """Returns (K, B), (rows, columns), SI units, all over the picture: as many as are judged within a second."""
+        poles = self.configuration.characteristic(1.0, 1.0).size - 1
+        columns, rows = (160, 120) if poles <= _FEW_POLES else (100, 80)
+        return self.view.mesh(columns // coarse + 1, rows // coarse + 1)
+
+    def _thinned(self, K: Floats, B: Floats) -> NDArray[np.intp]:
+        """Returns the indices of a line's points about `_FINE` apart; its ends and its gaps are kept."""
+        x, y = K / self.view.K_to, B / (self.view.B_to - self.view.B_from)
+        there = np.isfinite(x + y)
+        steps = np.abs(np.diff(x)) + np.abs(np.diff(y))
+        length = np.cumsum(np.where(np.isfinite(steps), steps, 0.0)) if x.size else np.empty(0)
+        moved = np.diff(np.floor(np.concatenate([[0.0], length]) / _FINE), prepend=-1.0)[: x.size] > 0.0
+        after = np.append(there, False)[1:]
+        before = np.append(False, there)[:-1]
+        return np.flatnonzero((there & (moved | ~before | ~after)) | (~there & before))
+
+
+def round_values(last: float, most: int) -> Floats:
+    """Returns the multiples of a round step (1, 2 or 5 times a power of ten) up to `last`, at most `most` of them."""
+    from matplotlib.ticker import MaxNLocator
+
+    if not 0.0 < last < math.inf:
+        return np.empty(0)
+    values = MaxNLocator(most, steps=[1, 2, 5, 10]).tick_values(0.0, last)
+    return np.array([float(f"{value:.10g}") for value in values if 0.0 < value <= last * (1.0 + 1e-9)])
+
+
+def values_felt(sheet: Sheet, most_k: int, most_b: int) -> tuple[Floats, Floats]:
+    """Returns round stiffnesses k and dampings b, as drawn, that are felt in the picture: at most so many."""
+    configuration = sheet.configuration
+    K, B = sheet.mesh(coarse=2)
+    k, b = configuration.equivalent(K, B)
+    seen = np.isfinite(k) & np.isfinite(b) & configuration.is_stable(K, B)
+    if not seen.any():
+        return np.empty(0), np.empty(0)
+    # The largest few are felt in a corner only, and would make the step too coarse for all the rest.
+    k_last = sheet.scale.of_stiffness(float(np.quantile(k[seen], 0.98)))
+    b_last = sheet.scale.of_damping(float(np.quantile(b[seen], 0.98)))
+    return round_values(k_last, most_k), round_values(b_last, most_b)
+
+
+def iso_curves(sheet: Sheet, k_values: Floats, b_values: Floats) -> list[Curve]:
+    """Returns the curves of equal felt stiffness k, then those of equal felt damping b, for values as drawn."""
+    configuration, view = sheet.configuration, sheet.view
+    curves = []
+    for value in k_values:
+        all_b = _denser_up_to(view.B_to, configuration.damping_unit * _MOST_DECAY * np.linspace(0.0, 1.0, 3000) ** 3)
+        all_k = np.full(all_b.shape, value * sheet.scale.stiffness)
+        curves.append(sheet.oscillators("iso_k", value, all_k, all_b))
+    for value in b_values:
+        all_k = _denser_up_to(view.K_to, _stiffnesses(configuration, value * sheet.scale.damping))
+        all_b = np.full(all_k.shape, value * sheet.scale.damping)
+        curves.append(sheet.oscillators("iso_b", value, all_k, all_b))
+    return curves
+
+
+def ideal_curves(sheet: Sheet, k_values: Floats, b_values: Floats) -> list[Curve]:
+    """Returns where the same k and b would be felt in continuous time: K = k and B = b, less what the device has."""
+    c, view = sheet.configuration, sheet.view
+    curves = []
+    for value in k_values:
+        K = value * sheet.scale.stiffness - c.stiffness
+        ends = np.full(2, K if view.shows(K, view.B_from) else np.nan)
+        curves.append(sheet.curve("ideal_k", value, ends, np.array([view.B_from, view.B_to])))
+    for value in b_values:
+        B = value * sheet.scale.damping - c.friction
+        ends = np.full(2, B if view.shows(0.0, B) else np.nan)
+        curves.append(sheet.curve("ideal_b", value, np.array([0.0, view.K_to]), ends))
+    return curves
+
+
+def stability_boundary(sheet: Sheet) -> Curve:
+    """Returns the curve b = 0 (§6.2)."""
+    k = _denser_up_to(sheet.view.K_to, _stiffnesses(sheet.configuration, 0.0))
+    return sheet.oscillators("stability_limit", 0.0, k, np.zeros(k.shape))
+
+
+def fold(sheet: Sheet) -> Curve:
+    """Returns where the map folds: beyond it no spring and damper is equivalent."""
+    decay = np.geomspace(1e-5, _MOST_FOLD_DECAY, 6000) * sheet.configuration.rate
+    return sheet.curve("fold", math.nan, *sheet.configuration.fold(decay))
+
+
+def linear_limit(sheet: Sheet) -> Curve:
+    """Returns the largest stiffness by the rule for the neighbourhood of the origin."""
+    B = np.linspace(sheet.view.B_from, sheet.view.B_to, 400)
+    K = np.asarray(sheet.configuration.linear_stiffness_limit(B))
+    return sheet.curve("linear_limit", math.nan, np.where(np.isfinite(K), K, np.nan), B)
+
+
+def passive(sheet: Sheet) -> Curve:
+    """Returns the outline of the passive walls: on its border the device's friction just suffices.
+
+    The friction needed grows in proportion to the wall, so each direction has one such wall.
+
+    Raises:
+        ValueError: the condition is not derived for this configuration.
+    """
+    view, configuration = sheet.view, sheet.configuration
+    angle = np.linspace(-0.5 * np.pi if view.B_from < 0.0 else 0.0, 0.5 * np.pi, 361)
+    K, B = 2.0 * configuration.rate * np.cos(angle), np.sin(angle)  # even over where the limit is expected
+    size = (configuration.friction or math.nan) / configuration.needed_friction(K, B)
+    K, B = np.maximum(K * size, 0.0), B * size
+    # Along K = 0 back to where B begins.
+    return sheet.outline("passive", math.nan, np.append(K, 0.0 * K[0]), np.append(B, B[0]))
+
+
+def _stiffnesses(configuration: Configuration, b: float) -> Floats:
+    """Returns the stiffnesses, N/m, of oscillators with this damping below the Nyquist frequency; many are small."""
+    decay = 0.5 * b / configuration.damping_unit
+    return np.asarray(configuration.stiffness_unit * (np.pi**2 + decay**2) * np.linspace(0.0, 1.0, 4000) ** 3)
+
+
+def _denser_up_to(end: float, values: Floats) -> Floats:
+    """Adds values where the picture is, which may show a small part of all that can be felt."""
+    shown = np.linspace(0.0, 2.0 * end, 600)
+    return np.unique(np.concatenate([values, shown[shown < values[-1]]]))
+
+
+def _border(judge: Judge, K: Floats, B: Floats) -> list[tuple[Floats, Floats]]:
+    """Returns closed outlines (K, B) of the parts of a mesh (rows, columns) where `judge` is true; a hole is one too.
+
+    Traced from point to point; then each is moved along the side of the mesh that it lies on, by bisection.
+    """
+    from matplotlib.figure import Figure
+
+    inside = judge(K, B)
+    if not inside.any():
+        return []
+    traced = Figure().add_subplot().contourf(inside.astype(float), levels=[0.5, 1.5])
+    rings = [np.asarray(ring) for path in traced.get_paths() for ring in path.to_polygons(closed_only=True)]
+    return [_refined(judge, inside, K[0], B[:, 0], ring) for ring in rings]
+
+
+def _refined(judge: Judge, inside: Bools, along_K: Floats, along_B: Floats, ring: Floats) -> tuple[Floats, Floats]:
+    """Moves the points of a ring of mesh indices to where the judgement changes."""
+    low, high = np.floor(ring).astype(int).T, np.ceil(ring).astype(int).T
+    at_low = inside[low[1], low[0]]
+    yes, no = np.where(at_low, low, high), np.where(at_low, high, low)
+    (K_yes, B_yes), (K_no, B_no) = (np.array([along_K[at[0]], along_B[at[1]]]) for at in (yes, no))
+    for _ in range(_HALVINGS):
+        K, B = 0.5 * (K_yes + K_no), 0.5 * (B_yes + B_no)
+        here = judge(K, B)
+        K_yes, B_yes = np.where(here, K, K_yes), np.where(here, B, B_yes)
+        K_no, B_no = np.where(here, K_no, K), np.where(here, B_no, B)
+    return K_yes, B_yes
+
+
+def joined(curves: Sequence[Curve]) -> dict[str, list[object]]:
+    """Returns every point of every curve, a row each: its name, value and mass, and K, B, k, b as drawn."""
+    columns: dict[str, list[object]] = {name: [] for name in ("curve", "value", "mass_kg", "K", "B", "k", "b")}
+    for curve in curves:
+        if curve.is_seen:
+            columns["curve"] += [curve.kind] * curve.K.size
+            columns["value"] += [curve.value] * curve.K.size
+            columns["mass_kg"] += [curve.mass] * curve.K.size
+            for name in ("K", "B", "k", "b"):
+                columns[name] += getattr(curve, name).tolist()
+    return columns
