@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 import sys
 from pathlib import Path
@@ -43,7 +42,7 @@ def test_position_velocity_and_area_are_exact_for_every_friction_and_interval(fr
     assert (difference <= ROUNDING * sizes(m, friction, force, x, v, t)).all()
 
 
-@settings(max_examples=400, deadline=None, derandomize=True)
+@settings(max_examples=200, deadline=None, derandomize=True)
 @given(masses, frictions, forces, positions, velocities, times)
 @example(1.0, 1.0, 1.0, 0.0, 0.0, 1.0)  # where the series ends
 @example(1.0, math.nextafter(1.0, 2.0), 1.0, 0.0, 0.0, 1.0)
@@ -57,26 +56,6 @@ def test_position_velocity_and_area_are_exact_whatever_the_body(
     assert (difference <= ROUNDING * sizes(m, b, force, x, v, t)).all()
 
 
-@settings(max_examples=300, deadline=None, derandomize=True)
-@given(masses, frictions, forces, positions, velocities, times, st.lists(st.floats(0.0, 1.0), min_size=1, max_size=6))
-def test_splitting_an_interval_changes_nothing_beyond_rounding(
-    m: float, b: float, force: float, x: float, v: float, t: float, cuts: list[float]
-) -> None:
-    whole, parts = (body_of(m, b, position=x, velocity=v) for _ in range(2))
-    move(whole, force, t)
-    edges = [0.0, *sorted(cut * t for cut in cuts), t]
-    for start, stop in itertools.pairwise(edges):
-        move(parts, force, stop - start)
-    assert (np.abs(state_of(whole) - state_of(parts)) <= 10 * ROUNDING * sizes(m, b, force, x, v, t)).all()
-
-
-def test_an_interval_of_no_length_changes_nothing() -> None:
-    for coulomb in (0.0, 1.0):
-        body = body_of(0.2, 3.0, coulomb, position=0.1, velocity=-0.3)
-        move(body, 5.0, 0.0)
-        assert state_of(body).tolist() == [0.1, -0.3, 0.0]
-
-
 @pytest.mark.parametrize(("coulomb", "stiffness"), [(0.0, 0.0), (0.5, 0.0), (0.0, 300.0), (0.5, 300.0)])
 def test_the_push_of_a_hand_comes_to_the_force(coulomb: float, stiffness: float) -> None:
     held, free = (body_of(0.2, 1.0, coulomb, 0.01, 0.3, stiffness, push) for push in (2.5, 0.0))
@@ -85,41 +64,13 @@ def test_the_push_of_a_hand_comes_to_the_force(coulomb: float, stiffness: float)
     assert state_of(held).tolist() == state_of(free).tolist()
 
 
-@settings(max_examples=200, deadline=None, derandomize=True)
-@given(masses, frictions, forces, velocities, times)
-def test_momentum_is_what_the_force_gave_less_what_the_friction_took(
-    m: float, b: float, force: float, v: float, t: float
-) -> None:
-    body = body_of(m, b, velocity=v)
-    move(body, force, t)
-    given_ = force * t - b * body["position"]
-    size = m * abs(v) + abs(force) * t + b * abs(body["position"])
-    assert abs(m * (body["velocity"] - v) - given_) <= 10 * ROUNDING * size
-
-
-@pytest.mark.parametrize("friction", [0.0, 0.3, 2.0, 8.0])
-@pytest.mark.parametrize("force", [-3.0, 0.0, 0.7])
-def test_kinetic_energy_is_the_work_of_the_force_less_the_heat_of_the_friction(friction: float, force: float) -> None:
-    m, v, t = 0.4, 1.3, 0.9
-    speeds_squared, (nodes, weights) = [], np.polynomial.legendre.leggauss(40)
-    for node in nodes:
-        body = body_of(m, friction, velocity=v)
-        move(body, force, t * (node + 1) / 2)
-        speeds_squared.append(body["velocity"] ** 2)
-    heat = friction * t / 2 * float(weights @ np.array(speeds_squared))
-    body = body_of(m, friction, velocity=v)
-    move(body, force, t)
-    gained = m / 2 * (body["velocity"] ** 2 - v**2)
-    assert gained == pytest.approx(force * body["position"] - heat, abs=1e-13)
-
-
 def test_an_impulse_changes_the_momentum_and_nothing_else() -> None:
     body = body_of(0.25, 3.0, 0.5, position=0.1, velocity=-2.0)
     strike(body, 0.75)
     assert state_of(body).tolist() == [0.1, 1.0, 0.0]
 
 
-@settings(max_examples=300, deadline=None, derandomize=True)
+@settings(max_examples=150, deadline=None, derandomize=True)
 @given(
     masses,
     frictions,

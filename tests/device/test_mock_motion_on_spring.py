@@ -58,7 +58,7 @@ def test_from_rest_no_digit_of_position_and_area_is_lost_however_small_they_are(
     np.testing.assert_allclose(state_of(body), exactly_on_spring(1.0, b, k, 3.0, 0.0, 0.0, t), rtol=ROUNDING)
 
 
-@settings(max_examples=300, deadline=None, derandomize=True)
+@settings(max_examples=150, deadline=None, derandomize=True)
 @given(st.floats(0.0, 12.0), st.floats(0.01, 9.0))
 @example(0.01, 0.0101)  # where a formula by exponentials would have lost four digits
 @example(0.2, 0.01)
@@ -84,44 +84,7 @@ def test_on_a_spring_all_is_exact_whatever_the_body(
     assert (difference <= ROUNDING * spring_sizes(m, b, k, force, x, v, t)).all()
 
 
-@settings(max_examples=300, deadline=None, derandomize=True)
-@given(masses, frictions, stiffnesses, forces, positions, velocities, decades(-9, 2), st.floats(0.0, 1.0))
-def test_on_a_spring_two_intervals_are_as_good_as_one(
-    m: float, b: float, k: float, force: float, x: float, v: float, t: float, cut: float
-) -> None:
-    whole, parts = (body_of(m, b, position=x, velocity=v, stiffness=k) for _ in range(2))
-    move(whole, force, t)
-    move(parts, force, cut * t)
-    move(parts, force, t - cut * t)
-    assert (np.abs(state_of(whole) - state_of(parts)) <= 10 * ROUNDING * spring_sizes(m, b, k, force, x, v, t)).all()
-
-
-def energy_of(body: np.record) -> float:
-    return float(body["mass"] * body["velocity"] ** 2 + body["stiffness"] * body["position"] ** 2) / 2
-
-
-@settings(max_examples=300, deadline=None, derandomize=True)
-@given(masses, frictions, st.one_of(st.just(0.0), decades(-3, 2)), stiffnesses, positions, velocities, decades(-9, 2))
-def test_on_a_spring_the_energy_never_grows_without_a_force(
-    m: float, b: float, coulomb: float, k: float, x: float, v: float, t: float
-) -> None:
-    body = body_of(m, b, coulomb, x, v, k)
-    for _ in range(4):
-        before = energy_of(body)
-        move(body, 0.0, t)
-        assert energy_of(body) <= before * (1 + 1e-13)
-
-
-@pytest.mark.parametrize("phase", PHASES)
-def test_without_any_friction_a_spring_keeps_the_energy(phase: float) -> None:
-    body = body_of(0.3, position=0.02, velocity=-1.1, stiffness=0.3 * phase**2)
-    begun = energy_of(body)
-    for _ in range(100):
-        move(body, 0.0, 1.0)
-    assert energy_of(body) == pytest.approx(begun, rel=1e-13)
-
-
-@settings(max_examples=300, deadline=None, derandomize=True)
+@settings(max_examples=150, deadline=None, derandomize=True)
 @given(masses, frictions, st.one_of(st.just(0.0), decades(-3, 2)), forces, positions, velocities, decades(-9, 2))
 def test_a_spring_that_goes_to_zero_leaves_the_free_mass(
     m: float, b: float, coulomb: float, force: float, x: float, v: float, t: float
@@ -146,10 +109,3 @@ def test_a_mass_that_rests_where_the_spring_holds_the_force_stays_there_to_the_l
     for _ in range(10):
         move(body, 48.0, 0.125)
     assert state_of(body).tolist() == [0.75, 0.0, 0.9375]
-
-
-def test_an_interval_of_no_length_changes_nothing_on_a_spring() -> None:
-    for coulomb in (0.0, 1.0):
-        body = body_of(0.2, 3.0, coulomb, 0.1, -0.3, 500.0)
-        move(body, 5.0, 0.0)
-        assert state_of(body).tolist() == [0.1, -0.3, 0.0]

@@ -184,7 +184,7 @@ def test_the_first_averaged_sample_is_the_mean_over_the_period_before_the_start(
     assert first_sample(body, converter_of(window=0.0)) == 0.3
 
 
-@settings(max_examples=300, deadline=None, derandomize=True)
+@settings(max_examples=150, deadline=None, derandomize=True)
 @given(st.floats(-2.1, 2.1), st.sampled_from([1e-9, 3e-9, 1e-6, 0.25]))
 def test_a_position_is_rounded_to_the_nearest_count(position: float, quantum: float) -> None:
     counts, fits = to_counts(position, quantum)

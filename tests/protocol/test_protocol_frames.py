@@ -41,7 +41,7 @@ def read(wire: Format, to_device: bool, data: bytes) -> tuple[list[Frame], dict[
     return frames, {name: int(decoder[name]) for name in COUNTERS if decoder[name]}
 
 
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=200, deadline=None)
 @given(formats, st.sampled_from(sorted(TO_HOST.values())), st.integers(0, 4095), st.data())
 def test_a_frame_to_the_host_comes_back_as_it_was(wire: Format, kind: int, number: int, data: st.DataObject) -> None:
     size = words_of(wire, False)
@@ -52,7 +52,7 @@ def test_a_frame_to_the_host_comes_back_as_it_was(wire: Format, kind: int, numbe
     assert read(wire, False, sent) == ([Frame(kind, number, 0, tuple(counts))], {"accepted": 1})
 
 
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=200, deadline=None)
 @given(formats, st.sampled_from(sorted(TO_DEVICE.values())), st.integers(0, 4095), st.integers(0, 255), st.data())
 def test_a_frame_to_the_device_comes_back_as_it_was(
     wire: Format, kind: int, number: int, argument: int, data: st.DataObject
@@ -77,7 +77,7 @@ def test_the_writer_writes_where_it_is_asked_to_and_cuts_what_does_not_fit(codec
     assert read(wire, False, buffer[20:stop].tobytes())[0] == [Frame(schema.POSITION, 4095, 0, expected.counts)]
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=150, deadline=None)
 @given(
     formats,
     st.booleans(),
@@ -129,7 +129,7 @@ def test_there_is_no_format_outside_of_1_to_16_channels(channels: int) -> None:
         armed_format(channels)
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=150, deadline=None)
 @given(formats, formats, st.booleans(), st.sampled_from([0, 1, 2, 3]), st.integers(0, 4095), words)
 def test_a_frame_of_another_format_is_never_accepted(
     wire: Format, other: Format, to_device: bool, kind: int, number: int, word: int
@@ -153,7 +153,7 @@ def test_a_frame_of_another_format_is_never_accepted(
         assert sum(counted.values()) == 1
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=150, deadline=None)
 @given(formats, st.sampled_from(sorted(TO_HOST.values())), st.integers(0, 4095), words)
 def test_a_device_that_hears_itself_accepts_nothing(wire: Format, kind: int, number: int, word: int) -> None:
     echo = frame_to_host(wire, kind, number, [word] * words_of(wire, False))
@@ -166,7 +166,7 @@ def test_a_device_that_hears_itself_accepts_nothing(wire: Format, kind: int, num
         assert sum(counted.values()) == 1
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=150, deadline=None)
 @given(formats, st.sampled_from(sorted(TO_DEVICE.values())), st.integers(0, 4095), st.integers(0, 255), words)
 def test_a_host_that_hears_itself_accepts_nothing(
     wire: Format, kind: int, number: int, argument: int, word: int
@@ -232,7 +232,7 @@ def test_with_velocities_a_frame_to_the_host_carries_the_positions_first_and_the
         frame_to_device(wire, schema.FORCE, 5, 1, [1, 2, 3, 4])
 
 
-@settings(max_examples=500, deadline=None)
+@settings(max_examples=200, deadline=None)
 @given(formats, st.booleans(), st.data())
 def test_codes_that_do_not_add_up_under_a_right_check_are_a_form_error(
     wire: Format, to_device: bool, data: st.DataObject

@@ -11,8 +11,6 @@ from cobs import cobs
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from firmware_protocol.encoding import crc16_dnp, crc32_c
-
 LONGEST_BODY = 253
 bodies = st.one_of(
     st.binary(max_size=LONGEST_BODY),
@@ -36,7 +34,7 @@ def unstuffed(codec: Any, encoded: bytes) -> bytes | None:
     return buffer.tobytes()[2:-3] if adds_up else None
 
 
-@settings(max_examples=500, deadline=None)
+@settings(max_examples=200, deadline=None)
 @given(bodies)
 @example(bytes(LONGEST_BODY))
 @example(bytes(range(1, 254)))
@@ -48,7 +46,7 @@ def test_a_body_is_stuffed_as_the_cobs_package_does_it_and_comes_back(codec: Any
     assert unstuffed(codec, encoded) == body
 
 
-@settings(max_examples=500, deadline=None)
+@settings(max_examples=200, deadline=None)
 @given(st.lists(st.integers(1, 12), min_size=1, max_size=30).map(bytes))
 def test_codes_that_do_not_add_up_are_refused_where_the_cobs_package_refuses_them(codec: Any, encoded: bytes) -> None:
     try:
@@ -65,21 +63,15 @@ def test_every_code_that_points_beyond_the_end_is_refused(codec: Any, length: in
         assert (body is not None) == (code == length)
 
 
-@settings(max_examples=500, deadline=None)
+@settings(max_examples=200, deadline=None)
 @given(st.binary(max_size=300), st.integers(0, 0xFFFF))
 def test_the_16_bit_check_is_fastcrc_s_from_any_start_value(codec: Any, data: bytes, seed: int) -> None:
     ours = int(codec.crc_of(0, np.frombuffer(bytearray(data), np.uint8), 0, len(data), seed))
     assert ours == fastcrc.crc16.dnp(data, seed ^ 0xFFFF)  # fastcrc starts from a check, final xor included
 
 
-@settings(max_examples=500, deadline=None)
+@settings(max_examples=200, deadline=None)
 @given(st.binary(max_size=300), st.integers(0, 0xFFFFFFFF))
 def test_the_32_bit_check_is_fastcrc_s_from_any_start_value(codec: Any, data: bytes, seed: int) -> None:
     ours = int(codec.crc_of(1, np.frombuffer(bytearray(data), np.uint8), 0, len(data), seed))
     assert ours == fastcrc.crc32.iscsi(data, seed ^ 0xFFFFFFFF)
-
-
-def test_the_catalogue_s_check_values_come_out() -> None:
-    text = np.frombuffer(bytearray(b"..123456789.."), np.uint8)
-    assert crc16_dnp(text, 2, 11, 0) == fastcrc.crc16.dnp(b"123456789") == 0xEA82
-    assert crc32_c(text, 2, 11, 0xFFFFFFFF) == fastcrc.crc32.iscsi(b"123456789") == 0xE3069283

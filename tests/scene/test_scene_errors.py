@@ -29,24 +29,17 @@ NO_TAG = "expected a plain value without a tag"
     ("value", "told"),
     [
         ("-3", f"2:7: rate: found -3, {HZ}"),
-        ("0", f"2:7: rate: found 0, {HZ}"),
         ("fast", f"2:7: rate: found 'fast' (text), {HZ}"),
         ("'1000'", f"2:7: rate: found '1000' (text), {HZ}; leave out the quotes"),
-        ("''", f"2:7: rate: found '' (text), {HZ}"),
         ("1 kHz", f"2:7: rate: found '1 kHz' (text), {HZ}{DECIMALS}"),
-        ("1,5", f"2:7: rate: found '1,5' (text), {HZ}{DECIMALS}"),
         ("1_000", f"2:7: rate: found '1_000' (text), {HZ}{DECIMALS}"),
         ("12:30:45", f"2:7: rate: found '12:30:45' (text), {HZ}{DECIMALS}"),
         ("010", f"2:7: rate: found '010' (text), {HZ}{DECIMALS}"),
-        ("0o17", f"2:7: rate: found '0o17' (text), {HZ}{DECIMALS}"),
         ("0x1F", f"2:7: rate: found '0x1F' (text), {HZ}{DECIMALS}"),
-        ("0b11", f"2:7: rate: found '0b11' (text), {HZ}{DECIMALS}"),
         ("2026-01-01", f"2:7: rate: found '2026-01-01' (text), {HZ}{DECIMALS}"),
         ("true", f"2:7: rate: found true (a boolean), {HZ}"),
         ("yes", f"2:7: rate: found 'yes' (text), {HZ}"),
-        ("on", f"2:7: rate: found 'on' (text), {HZ}"),
         (".nan", f"2:7: rate: found .nan, {FINITE}"),
-        ("-.inf", f"2:7: rate: found -.inf, {FINITE}"),
         ("1e400", f"2:7: rate: found 1e400, {FINITE}"),
         ("9" * 400, f"2:7: rate: found {'9' * 24}… (400 characters), {FINITE}"),
         ("9" * 5000, f"2:7: rate: found {'9' * 24}… (5000 characters), {FINITE}"),
@@ -68,21 +61,13 @@ def test_what_is_no_rate_is_reported_as_the_file_spells_it(only_fault: OnlyFault
     [
         ("{mass: no}", f"3:16: mass: found 'no' (text), {MASS}"),
         ("{mass: [-1]}", "3:17: mass[0]: found -1, expected a number > 0 (kg)"),
-        ("{mass: [.inf]}", "3:17: mass[0]: found .inf, expected a finite number > 0 (kg)"),
         ("{mass: [x]}", "3:17: mass[0]: found 'x' (text), expected a number > 0 (kg)"),
-        ("{mass: [[1]]}", "3:17: mass[0]: found a list, expected a number > 0 (kg)"),
         (
             "{mass: 1, friction: -.5}",
             "3:29: friction: found -.5, expected a number >= 0 (N·s/m), or a list with one per channel",
         ),
-        (
-            "{mass: 1, delay: 1001}",
-            "3:26: delay: found 1001, expected a number from 0 to 1000 (sample periods)",
-        ),
-        (
-            "{mass: 1, baud: 0}",
-            "3:25: baud: found 0, expected a whole number from 1 to 100000000 (bit/s)",
-        ),
+        ("{mass: 1, delay: 1001}", "3:26: delay: found 1001, expected a number from 0 to 1000 (sample periods)"),
+        ("{mass: 1, baud: 0}", "3:25: baud: found 0, expected a whole number from 1 to 100000000 (bit/s)"),
         (
             "{mass: 1, hold: zho}",
             f"3:25: hold: found 'zho' (text), expected {one_of(get_args(Hold))}; did you mean 'zoh'?",
@@ -139,23 +124,12 @@ def test_what_does_not_describe_a_device_is_reported(only_fault: OnlyFault, devi
 @pytest.mark.parametrize(
     ("mock", "told"),
     [
-        ("{coulomb: -1}", "3:17: coulomb: found -1, expected a number >= 0 (N)"),
-        ("{quantum: 0}", "3:17: quantum: found 0, expected a number > 0 (m per count)"),
         ("{baud: 9600.5}", "3:14: baud: found 9600.5, expected a whole number from 1 to 100000000 (bit/s)"),
-        ("{baud: 0}", "3:14: baud: found 0, expected a whole number from 1 to 100000000 (bit/s)"),
         ("{turnaround: -1}", "3:20: turnaround: found -1, expected a number from 0 to 1 (s)"),
         ("{noise: true}", "3:15: noise: found true (a boolean), expected a number >= 0 (m rms)"),
         ("{seed: 1.5}", "3:14: seed: found 1.5, expected a whole number from 0 to 4294967295"),
-        ("{seed: -1}", "3:14: seed: found -1, expected a whole number from 0 to 4294967295"),
-        (
-            "{hold: level}",
-            f"3:14: hold: found 'level' (text), expected {one_of(get_args(Hold))}",
-        ),
         ("{initial: 0}", "3:17: initial: found 0, expected a mapping"),
-        (
-            "{initial: {speed: 1}}",
-            "3:18: speed: unknown key, expected position or velocity",
-        ),
+        ("{initial: {speed: 1}}", "3:18: speed: unknown key, expected position or velocity"),
         ("[]", "3:7: mock: found an empty list, expected a mapping"),
     ],
 )
@@ -170,7 +144,6 @@ def test_what_does_not_describe_a_mock_is_reported(only_fault: OnlyFault, mock: 
         ("channel: 0", "channel: 0.0", "5:34: channel: found 0.0, expected a whole number from 0 to 15"),
         ("type: ground", "type: grund", f"6:17: type: found 'grund' (text), {TYPES}; did you mean 'ground'?"),
         ("type: ground", "type: [ground]", f"6:17: type: found a list, {TYPES}"),
-        ("type: ground", "type: 3", f"6:17: type: found 3, {TYPES}"),
         (
             "{type: ground}",
             "ground",
@@ -221,7 +194,6 @@ def test_what_does_not_describe_a_mock_is_reported(only_fault: OnlyFault, mock: 
         ("wall:", '"a\\n":', f"6:3: 'a\\n': {NAME}"),
         ("wall:", "süd:", f"6:3: 'süd': {NAME}"),
         ("wall:", "true:", "6:3: found true (a boolean) as a key, expected a name"),
-        ("wall:", "7:", "6:3: found 7 as a key, expected a name"),
     ],
 )
 def test_what_is_no_module_is_reported(faults: Faults, good: str, old: str, new: str, told: str) -> None:

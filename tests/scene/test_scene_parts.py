@@ -127,12 +127,6 @@ def test_the_mock_is_as_the_device_says_where_it_does_not_say_otherwise() -> Non
     )
 
 
-def test_a_zero_of_the_mock_is_a_word_of_its_own(good: str) -> None:
-    text = good.replace("{mass: 0.2}", "{mass: 0.2, friction: 1, delay: 2}") + "mock: {friction: 0, delay: 0}\n"
-    assert parse_scene(text).mock_device.friction == (0.0,)
-    assert parse_scene(text).mock_device.delay == 0.0
-
-
 def test_the_device_has_one_channel_more_than_the_highest_that_is_held(good: str) -> None:
     assert parse_scene(good).channels == 1
     assert parse_scene(good.replace("channel: 0", "channel: 3")).channels == 4
@@ -140,10 +134,6 @@ def test_the_device_has_one_channel_more_than_the_highest_that_is_held(good: str
     assert parse_scene(TEXT).device.masses(2) == (0.2, 0.3)
     assert parse_scene(TEXT).device.frictions(2) == (1.0, 1.0)
     assert parse_scene(TEXT).mock_device.channels == 2
-
-
-def test_the_period_is_one_over_the_rate() -> None:
-    assert parse_scene(TEXT).period == 0.002
 
 
 def test_nothing_in_a_scene_can_be_changed() -> None:

@@ -97,7 +97,7 @@ def test_a_heap_of_pieces_of_a_scene_is_a_scene_or_a_scene_error(pieces: list[st
 
 
 @given(st.lists(st.tuples(st.integers(0, len(TEXT)), st.integers(0, 12), SCRAPS), min_size=1, max_size=4))
-@settings(max_examples=250, deadline=None)
+@settings(max_examples=150, deadline=None)
 def test_a_scene_with_scraps_in_it_is_a_scene_or_a_scene_error(cuts: list[tuple[int, int, str]]) -> None:
     text = TEXT
     for start, length, scrap in cuts:
@@ -106,7 +106,7 @@ def test_a_scene_with_scraps_in_it_is_a_scene_or_a_scene_error(cuts: list[tuple[
 
 
 @given(st.data())
-@settings(max_examples=250, deadline=None)
+@settings(max_examples=150, deadline=None)
 def test_a_scene_with_other_values_and_keys_is_a_scene_or_a_scene_error(data: st.DataObject) -> None:
     tree = yaml.safe_load(TEXT)
     for _ in range(data.draw(st.integers(1, 3))):
