@@ -15,7 +15,7 @@ from hapsim.theory.arrays import Floats
 from hapsim.theory.hand.impedance import late_and_held
 from hapsim.theory.interface import SAMPLINGS, Sampling, damper_named, hold_lag, hold_segments
 from hapsim.theory.network.device_step import device_step
-from hapsim.theory.network.margin_response import channel_answer
+from hapsim.theory.network.response import channel_answer
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from unshipped_holds import LAGS as UNSHIPPED_LAGS

@@ -13,7 +13,7 @@ from hapsim.theory.hand.walls import stiffest_passive, stiffest_stable
 from hapsim.theory.interface import DAMPERS, SAMPLINGS, damper_named
 from hapsim.theory.network import impedance
 from hapsim.theory.network.impedance import desired_impedance, loop_impedance
-from hapsim.theory.network.state import channel_steps, transition
+from hapsim.theory.network.state import channel_steps, entering_forces, transition
 from hapsim.theory.schemes import SCHEMES
 
 RATE = 1000.0
@@ -69,7 +69,7 @@ def test_a_force_that_is_added_enters_the_state_as_a_link_s_does() -> None:
         free = two_hands(stiffness=[0.0] * 5, damping=[0.0] * 5, hold=hold, sampling=sampling)
         tied = two_hands(stiffness=[0.0, 0.0, 0.0, 40.0, 0.0], damping=[0.0] * 5, hold=hold, sampling=sampling)
         of_spring = transition(tied) - transition(free)
-        np.testing.assert_allclose(of_spring[:, 1], -40.0 * impedance._entering(free)[:, 1], atol=1e-18)
+        np.testing.assert_allclose(of_spring[:, 1], -40.0 * entering_forces(free)[:, 1], atol=1e-18)
         assert channel_steps(free)
 
 

@@ -11,8 +11,7 @@ import pytest
 
 from hapsim.theory import Configuration, Network
 from hapsim.theory.interface import damper_named
-from hapsim.theory.network import margin as margin_module
-from hapsim.theory.network import margins_of, solve, transition
+from hapsim.theory.network import margins, margins_of, solve, transition
 from hapsim.theory.network.modes import snap_to_rest
 
 RATE = 1000.0
@@ -75,30 +74,17 @@ def random_scene(seed: int) -> Network:
     )
 
 
-def require_what_poles_say(scene: Network, unknown_allowed: bool = False) -> None:
+@pytest.mark.parametrize("seed", range(16))
+def test_random_scenes_have_the_margins_that_their_poles_say(seed: int) -> None:
+    scene = random_scene(seed)
     for link, margin in enumerate(margins_of(scene).links):
         for name, found in (("stiffness", margin.stiffness_factor), ("damping", margin.damping_factor)):
 
             def stable(factor: float, link: int = link, name: str = name) -> bool:
                 return is_stable_with(scene, link, name, factor)
 
-            if unknown_allowed and math.isnan(found):
-                continue
             expected = bisected(stable)
             assert agree(found, expected, 1e-5), (link, name, found, expected)
-
-
-@pytest.mark.parametrize("seed", range(9))
-def test_random_scenes_have_the_margins_that_their_poles_say(seed: int) -> None:
-    require_what_poles_say(random_scene(seed))
-
-
-@pytest.mark.parametrize("seed", range(16))
-def test_the_walk_along_the_circle_finds_them_unaided(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Small scenes are checked against their poles, which would hide a fault that large ones show."""
-    monkeypatch.setattr(margin_module, "_check", lambda *_: None)
-    scene = random_scene(seed)
-    require_what_poles_say(scene, unknown_allowed=solve(scene).spectral_radius > LIMIT)
 
 
 @pytest.mark.parametrize(("K", "B"), [(4000.0, 5.0), (2000.0, 400.0), (1e6, 5.0), (6000.0, 400.0)])
@@ -119,14 +105,9 @@ def unstable_scenes() -> list[int]:
     return [seed for seed in range(24) if solve(random_scene(seed)).spectral_radius > LIMIT]
 
 
-@pytest.mark.parametrize("checked", [True, False], ids=["checked", "unaided"])
 @pytest.mark.parametrize("seed", unstable_scenes())
-def test_an_unstable_scene_becomes_stable_in_the_ranges_that_its_poles_say(
-    seed: int, checked: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_unstable_scene_becomes_stable_in_the_ranges_that_its_poles_say(seed: int) -> None:
     """In all of each range, not just outside it, and nowhere between it and 1."""
-    if not checked:
-        monkeypatch.setattr(margin_module, "EIGENVALUES", 0.0)
     scene = random_scene(seed)
     for link, of_link in enumerate(margins_of(scene).stabilizing):
         for name, ranges in zip(("stiffness", "damping"), of_link, strict=True):
@@ -179,7 +160,7 @@ def chain(masses: int, B: float, held: int) -> Network:
     return Network(RATE, [0.2], [1.0], 1.0, "zoh", "ideal", np.full(masses, 0.01), ends, stiffness, damping)
 
 
-@pytest.mark.parametrize(("B", "masses"), [(0.1, 60), (0.0, 60), (0.0, 100)])
+@pytest.mark.parametrize(("B", "masses"), [(0.1, 40), (0.0, 70)])
 def test_a_strings_many_narrow_resonances_are_not_stepped_over(B: float, masses: int) -> None:
     """Just below every margin of the hand's link and of some others the poles are inside, just above they are not."""
     scene = chain(masses, B, masses // 3)
@@ -188,13 +169,7 @@ def test_a_strings_many_narrow_resonances_are_not_stepped_over(B: float, masses:
         for name, factor in zip(("stiffness", "damping"), margins[link], strict=True):
             for beside, stable in ((0.1 * factor + 0.9, True), (factor - 1e-3, True), (factor * 1.01, False)):
                 if math.isfinite(factor):
-                    value = getattr(scene, name).copy()
-                    value[link] *= beside
-                    assert (solve(replace(scene, **{name: value})).spectral_radius <= LIMIT) == stable, (
-                        link,
-                        name,
-                        factor,
-                    )
+                    assert is_stable_with(scene, link, name, beside) == stable, (link, name, factor)
 
 
 def test_what_cannot_become_unstable_has_no_margin() -> None:
@@ -230,6 +205,25 @@ def test_what_drifts_is_at_the_limit_and_its_margin_is_that_of_the_rest() -> Non
     assert solve(free).spectral_radius == 1.0
     np.testing.assert_allclose(margins_of(free).links, margins_of(tied).links, rtol=1e-9)
     np.testing.assert_allclose(margins_of(tied).links, [((4.0 - 2.0 * 0.2) / 0.03, (4.0 - 0.03) / 0.4)], rtol=1e-9)
+
+
+def test_crossings_and_samples_of_the_circle_say_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The two ways to the margins of CORDIS's scheme, of links with every damper; and what costs too much is NaN."""
+    for held in (7, 20):
+        damper = [damper_named(*DAMPERS[i % 4], RATE) for i in range(32)]
+        scene = replace(chain(30, 0.1, held), damper=damper, margin_links=None)
+        by_crossings = margins_of(scene)
+        monkeypatch.setattr(margins, "MOST_STATES", 0)
+        along_circle = margins_of(scene)
+        monkeypatch.setattr(margins, "MOST_STATES", 300)
+        np.testing.assert_allclose(along_circle.links[-1], by_crossings.links[-1], rtol=1e-7)
+        assert np.isnan(along_circle.links[:-1]).all()
+        assert "touch a hand; the circle was sampled" in along_circle.method
+        assert by_crossings.method == ""
+    monkeypatch.setattr(margins, "WORK", 0.0)
+    found = margins_of(scene)
+    assert "1 of 32 links" in found.method
+    np.testing.assert_array_equal(np.isnan(found.links)[:, 0], [True] * 31 + [False])
 
 
 def test_what_overflows_has_margins_that_are_not_known() -> None:

@@ -11,18 +11,18 @@ from numpy.typing import ArrayLike, NDArray
 from hapsim.holds import HOLDS
 from hapsim.theory import checks
 from hapsim.theory.arrays import Bools, Complexes, Floats
-from hapsim.theory.hand.blocks import quietly_in_blocks
 from hapsim.theory.hand.impedance import damper_gain, late_and_held
 from hapsim.theory.hand.inverse_map import double_pole, element_of_oscillator, is_attainable, leads
 from hapsim.theory.hand.limits import Undamped, stable_interval, undamped_curve
 from hapsim.theory.hand.loop_equation import LoopEquation, characteristic, loop_equation
 from hapsim.theory.hand.passivity import Wall, needed_friction
 from hapsim.theory.hand.pole_pair import PolePair, oscillator_of_quadratic
-from hapsim.theory.hand.poles import MOST_BY_FACTORS, Leading, all_poles, all_within, leading
+from hapsim.theory.hand.poles import LeadingPair, all_poles, all_within, quietly_in_blocks
 from hapsim.theory.hand.reasons import OWN_ABOVE_NYQUIST, why_not_attained, why_not_dominant
 from hapsim.theory.hand.sampled_plant import sampled_plant
 from hapsim.theory.interface import SAMPLINGS, damper_named, hold_lag
 
+MOST_EIGENVALUES = 8  # poles: of a longer delay they take too long to look for a stable interval by
 _quietly = np.errstate(all="ignore")  # what is out of range becomes NaN
 
 
@@ -133,7 +133,7 @@ class Configuration:
             k in N/m and b in N·s/m, the device's own spring and friction included. NaN where ``dominant`` is
             False.
         """
-        lead = self._leading(K, B)
+        lead, _ = self._solved(K, B)
         sigma, kappa = oscillator_of_quadratic(lead.p, lead.q)
         k = np.where(lead.dominant, kappa * self.stiffness_unit, np.nan)
         b = np.where(lead.dominant, sigma * self.damping_unit, np.nan)
@@ -146,7 +146,7 @@ class Configuration:
         It is where the slowest poles are a complex pair or two positive real ones, and every further pole
         decays faster than both.
         """
-        return self._leading(K, B).dominant
+        return self._solved(K, B)[0].dominant
 
     @quietly_in_blocks
     def dominant_poles(self, K: ArrayLike, B: ArrayLike) -> Complexes:
@@ -327,7 +327,7 @@ class Configuration:
 
     def _stable_interval(self, sought: int, given: Floats) -> tuple[Floats, Floats]:
         def is_stable(kappa: Floats, beta: Floats) -> Bools:
-            if self._equation.degree > MOST_BY_FACTORS:  # of a long delay eigenvalues take too long
+            if self._equation.degree > MOST_EIGENVALUES:
                 return all_within(characteristic(self._equation, kappa, beta), np.ones(kappa.shape))
             return np.asarray(self.is_stable(kappa * self.stiffness_unit, beta * self.damping_unit))
 
@@ -345,15 +345,11 @@ class Configuration:
         K, B, pair = element_of_oscillator(self._equation, (sigma, kappa), (more_sigma, more_kappa))
         return K, B, pair, np.isfinite(K) & np.isfinite(B) & is_attainable(sigma, kappa)
 
-    def _leading(self, K: ArrayLike, B: ArrayLike) -> Leading:
-        lead = leading(self._equation, *self._normalised(K, B))
-        return lead._replace(dominant=lead.dominant & self._own_swing_is_seen)
-
     @cached_property
     def _own_swing_is_seen(self) -> bool:
         """Whether mass and real spring swing below the Nyquist frequency: of what is faster only an image is seen."""
         return bool(is_attainable(self._equation.plant.damping, self._equation.plant.stiffness))
 
-    def _solved(self, K: ArrayLike, B: ArrayLike) -> tuple[Leading, Complexes]:
+    def _solved(self, K: ArrayLike, B: ArrayLike) -> tuple[LeadingPair, Complexes]:
         lead, poles = all_poles(self._equation, *self._normalised(K, B))
         return lead._replace(dominant=lead.dominant & self._own_swing_is_seen), poles

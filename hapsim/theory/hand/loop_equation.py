@@ -60,32 +60,6 @@ def characteristic(equation: LoopEquation, kappa: Floats, beta: Floats) -> list[
     return coefficients
 
 
-def characteristic_in_w(equation: LoopEquation, kappa: Floats, beta: Floats) -> list[Floats]:
-    """The same in powers of w, lowest first, one array for each coefficient.
-
-    What friction and simulated damping leave of each other in the linear term is one sum, b0 T/m + beta.
-    """
-    plant, damper, lift = equation
-    numerator, denominator = _shifted(plant.numerator), np.array(damper.denominator)
-    delays = _shifted(np.append(1.0, np.zeros(damper.delays + lift)))
-    position = np.convolve(np.convolve(numerator, denominator), delays)
-    velocity = _shifted(plant.velocity) if damper.senses else np.convolve(numerator, damper.numerator)
-    velocity = np.convolve(velocity, _shifted(np.append(1.0, np.zeros(lift))))
-    lead = np.append(1.0, np.zeros(plant.lead + damper.delays + lift))
-    free = np.convolve([plant.q, 0.0, 1.0], np.convolve(_shifted(lead), denominator))
-    swung = plant.p * np.convolve(_shifted(lead), denominator)
-    swung[0] = _excess(plant, swung[0], velocity[0])
-    free[1 : 1 + swung.size] += swung
-    effective = effective_stiffness(equation, kappa, beta)
-    coefficients = [np.full_like(kappa, constant) for constant in free]
-    for j, factor in enumerate(position):
-        coefficients[j] += factor * effective
-    coefficients[1] += velocity[0] * (plant.damping + beta)
-    for j, factor in enumerate(velocity[1:], start=2):
-        coefficients[j] += factor * beta
-    return coefficients
-
-
 def element_on_pair(equation: LoopEquation, w: LinearOnPair) -> tuple[LinearOnPair, LinearOnPair]:
     """(H, r) on a pair of poles: there the equation is kappa + beta w H + (w² + p w + q) r = 0."""
     plant, damper = equation.plant, equation.damper
@@ -153,15 +127,6 @@ def _expanded(in_w: tuple[float, ...]) -> Floats:
         in_z = np.convolve(in_z, [1.0, -1.0])
         in_z[-1] += coefficient
     return in_z[-len(in_w) :]
-
-
-def _shifted(in_z: Floats) -> Floats:
-    """A polynomial in powers of z, highest first, in those of w = z - 1, lowest first."""
-    in_w = np.zeros(1)
-    for coefficient in in_z:
-        in_w = np.convolve(in_w, [1.0, 1.0])
-        in_w[0] += coefficient
-    return in_w[: in_z.size]
 
 
 def _in_w(polynomial: tuple[float, ...], w: LinearOnPair) -> LinearOnPair:

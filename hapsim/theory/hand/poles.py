@@ -1,32 +1,60 @@
 """Poles of the closed loop: the roots of its characteristic polynomial, and the pair that moves the hand.
 
-For a loop of few poles by real quadratic factors, for thousands of (K, B) at once; for a loop of many, and where two
-factors do not come apart, as eigenvalues.
-
-Everything here is in the normalised units kappa = K T²/m and beta = B T/m (see ``loop_equation.py``), arrays of one
-shape.
+All of them are eigenvalues; the two slowest are then polished as one quadratic factor, in which slow poles and poles
+that meet keep their digits. Everything here is in the normalised units kappa = K T²/m and beta = B T/m (see
+``loop_equation.py``), arrays of one shape.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable
+from functools import wraps
+from inspect import signature
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from hapsim.theory.arrays import Bools, Complexes, Floats, sort_by_modulus
-from hapsim.theory.hand.factors import Roots, divided, in_z, quadratic_factors, roots_of_factors, slow_factor
-from hapsim.theory.hand.loop_equation import LoopEquation, characteristic, characteristic_in_w, equation_on_pair
+from hapsim.theory.hand.loop_equation import LoopEquation, characteristic, equation_on_pair
 from hapsim.theory.hand.pole_pair import PolePair
 
 POLISH_STEPS = 8
 POLISH_DONE = 1e-11  # relative size of a step
 POLISH_ACCEPTED = 1e-6  # the same: close to a further pole the last digits do not settle
-POLISH_MAY_MOVE = 1e-5  # eigenvalues are better than that: who goes further goes to another pair
-MOST_BY_FACTORS = 8  # poles: beyond, powers of w are no good basis
+POLISH_MAY_MOVE = 1e-5  # eigenvalues are better than that: a step further leads to another pair
 FREE_MASS = 1e-40  # a p or q smaller than this is zero
+POINTS_AT_ONCE = 32768  # of large arrays: so many fit a core's cache
 
 
-class Leading(NamedTuple):
+def quietly_in_blocks(method: Callable[..., Any]) -> Callable[..., Any]:
+    """For methods of two arrays (n,) that treat every pair of entries by itself: called with arrays of any shapes.
+
+    They are broadcast against each other, and the results have their shape; scalars give scalars. What is out of range
+    becomes NaN, and nothing warns.
+    """
+    takes = signature(method)
+
+    @wraps(method)
+    def whole(*args: Any, **named: Any) -> Any:
+        (itself, *values), named = (bound := takes.bind(*args, **named)).args, bound.kwargs
+        one, other = np.broadcast_arrays(*(np.asarray(value, dtype=float) for value in values))
+        shape, one, other = one.shape, one.ravel(), other.ravel()
+        blocks = [slice(at, at + POINTS_AT_ONCE) for at in range(0, max(one.size, 1), POINTS_AT_ONCE)]
+        with np.errstate(all="ignore"):
+            results = [method(itself, one[block], other[block], **named) for block in blocks]
+        if isinstance(results[0], tuple):
+            return tuple(_in_shape(column, shape) for column in zip(*results, strict=True))
+        return _in_shape(results, shape)
+
+    return whole
+
+
+def _in_shape(results: Any, shape: tuple[int, ...]) -> Any:
+    result = np.concatenate(results)
+    return result.reshape(shape + result.shape[1:])[()]
+
+
+class LeadingPair(NamedTuple):
     """The slowest-decaying pair as w² + p w + q, and whether it alone moves the hand."""
 
     p: Floats
@@ -34,94 +62,15 @@ class Leading(NamedTuple):
     dominant: Bools
 
 
-def leading(equation: LoopEquation, kappa: Floats, beta: Floats) -> Leading:
-    """The pair that leads loops of one shape, for kappa and beta (n,).
-
-    Mostly it is the first factor that is found, and one look at the others tells that they decay faster.
-    """
-    if equation.degree > MOST_BY_FACTORS:
-        return _solve(equation, kappa, beta)[0]
-    coefficients = characteristic_in_w(equation, kappa, beta)
-    p, q, found = (
-        slow_factor(coefficients)
-        if equation.degree > 2
-        else (coefficients[1], coefficients[0], np.isfinite(sum(coefficients)))
-    )
-    pair, further = PolePair(p, q), divided(coefficients, p, q)[2:]
-    is_pair = pair.swings | ((1.0 - p + q > 0.0) & (p < 2.0))  # conjugates, or two positive poles
-    leads = found & is_pair & all_within(in_z(further), pair.smaller_modulus)
-    missed = np.flatnonzero(~leads)
-    if missed.size:
-        split = _surely_split(PolePair(p[missed], q[missed]), [coefficient[missed] for coefficient in further])
-        missed = missed[~(found[missed] & split)]
-    if missed.size:
-        lead, _ = _solve(equation, kappa[missed], beta[missed], (p[missed], q[missed], found[missed]))
-        p[missed], q[missed], leads[missed] = lead
-    return Leading(p, q, leads)
-
-
-def _surely_split(pair: PolePair, further: list[Floats]) -> Bools:
-    """Whether a real pole leads alone: the pair does not, and no other two could. Not all cases, but the common ones.
-
-    ``further``: the polynomial of the other poles, in w.
-    """
-    if len(further) == 2:
-        return np.asarray(pair.swings)
-    if len(further) != 3:
-        return np.zeros(pair.p.shape, dtype=bool)
-    others = PolePair(further[1], further[0])
-    return np.asarray(~pair.swings & others.swings & (others.larger_modulus < pair.larger_modulus))
-
-
-def all_poles(equation: LoopEquation, kappa: Floats, beta: Floats) -> tuple[Leading, Complexes]:
-    """The same, and all poles (n, N) by decreasing modulus, the leading pair among them as it was found."""
-    lead, roots_of_all = _solve(equation, kappa, beta)
-    if isinstance(roots_of_all, Roots):
-        poles = sort_by_modulus((1.0 + roots_of_all.real + 1j * roots_of_all.imaginary).T)
-    else:
-        poles = roots_of_all
-    poles[:, :2] = np.where(lead.dominant[:, None], PolePair(lead.p, lead.q).poles, poles[:, :2])
-    return lead, sort_by_modulus(poles)
-
-
-def _solve(
-    equation: LoopEquation, kappa: Floats, beta: Floats, known: tuple[Floats, Floats, Bools] | None = None
-) -> tuple[Leading, Roots | Complexes]:
-    if equation.degree > MOST_BY_FACTORS:
-        return _by_eigenvalues(equation, kappa, beta)
-    factors = quadratic_factors(characteristic_in_w(equation, kappa, beta), known)
-    found = roots_of_factors(factors)
-    lead = _leading_of(found)
-    missed = np.flatnonzero(~factors.found)
-    if missed.size:
-        (lead.p[missed], lead.q[missed], lead.dominant[missed]), poles = _by_eigenvalues(
-            equation, kappa[missed], beta[missed]
-        )
-        found.real[:, missed], found.imaginary[:, missed] = poles.real.T - 1.0, poles.imag.T
-    return lead, found
-
-
-def _by_eigenvalues(equation: LoopEquation, kappa: Floats, beta: Floats) -> tuple[Leading, Complexes]:
+def all_poles(equation: LoopEquation, kappa: Floats, beta: Floats) -> tuple[LeadingPair, Complexes]:
+    """The leading pair, for kappa and beta (n,), and all poles (n, N) by decreasing modulus."""
     poles = roots(np.stack(characteristic(equation, kappa, beta), axis=-1))
-    return leading_pair(equation, kappa, beta, poles), poles
-
-
-def _leading_of(roots: Roots) -> Leading:
-    """The pair among roots of quadratic factors, which stand conjugate beside conjugate."""
-    real, imaginary = roots
-    modulus = (1.0 + real) ** 2 + imaginary**2
-    points = np.arange(real.shape[1])
-    places, moduli = [], []
-    for _ in range(2):
-        place = np.argmax(modulus, axis=0)
-        places.append(place)
-        moduli.append(modulus[place, points])
-        modulus[place, points] = -1.0
-    (a, b), (c, d) = [(real[place, points], imaginary[place, points]) for place in places]
-    conjugates = (b != 0.0) & (c == a) & (d == -b)
-    positive = (b == 0.0) & (d == 0.0) & (a > -1.0) & (c > -1.0)
-    dominant = (conjugates | positive) & (modulus.max(axis=0) < moduli[1])
-    return Leading(-(a + c), a * c - b * d, dominant)
+    p, q, is_pair = _two_slowest(poles)
+    others = poles[:, 2:]
+    p, q = _polished(equation, kappa, beta, (p, q), others)
+    lead = LeadingPair(p, q, is_pair & _decay_faster(others, PolePair(p, q)))
+    poles[:, :2] = np.where(lead.dominant[:, None], PolePair(p, q).poles, poles[:, :2])
+    return lead, sort_by_modulus(poles)
 
 
 def roots(coefficients: Floats) -> Complexes:
@@ -136,18 +85,10 @@ def roots(coefficients: Floats) -> Complexes:
     return np.where(finite, found, np.nan)
 
 
-def leading_pair(equation: LoopEquation, kappa: Floats, beta: Floats, poles: Complexes) -> Leading:
-    """The pair of the two slowest poles, polished, from all the poles (..., N) by decreasing modulus."""
+def pair_of_poles(poles: Complexes) -> LeadingPair:
+    """The leading pair of poles (..., N) by decreasing modulus, as they are: of a loop without a ``LoopEquation``."""
     p, q, is_pair = _two_slowest(poles)
-    others = poles[..., 2:]
-    p, q = _polished(equation, kappa, beta, (p, q), others)
-    return Leading(p, q, is_pair & _decay_faster(others, PolePair(p, q)))
-
-
-def pair_of_poles(poles: Complexes) -> Leading:
-    """The same, as they are: of a loop that has no ``LoopEquation``."""
-    p, q, is_pair = _two_slowest(poles)
-    return Leading(p, q, is_pair & _decay_faster(poles[..., 2:], PolePair(p, q)))
+    return LeadingPair(p, q, is_pair & _decay_faster(poles[..., 2:], PolePair(p, q)))
 
 
 def _two_slowest(poles: Complexes) -> tuple[Floats, Floats, Bools]:
@@ -170,18 +111,20 @@ def _polished(
     The characteristic polynomial is (w² + p w + q) H(w) at the solution, and the other poles tell H well
     enough: the polynomial on the present pair, divided by H, is the change of p w + q.
     """
-    p, q = start
+    p, q, step = start[0].copy(), start[1].copy(), np.full(start[0].shape, np.inf)
+    some = np.arange(p.size)  # those under way: what has arrived stays, whatever its neighbours do
     for _ in range(POLISH_STEPS):
-        w = PolePair(p, q).w
-        change = equation_on_pair(equation, kappa, beta, w)
-        for pole in np.moveaxis(others, -1, 0):
+        w = PolePair(p[some], q[some]).w
+        change = equation_on_pair(equation, kappa[some], beta[some], w)
+        for pole in others[some].T:
             change = change.over(w.plus(1.0 - pole))
         dp, dq = np.real(change.slope), np.real(change.constant)
-        p, q = p + dp, q + dq
-        step = np.maximum(
-            np.abs(dp) / (np.abs(p) + np.sqrt(np.abs(q)) + FREE_MASS), np.abs(dq) / (np.abs(q) + FREE_MASS)
-        )
-        if not (step > POLISH_DONE).any():
+        p[some] += dp
+        q[some] += dq
+        size_p, size_q = np.abs(p[some]) + np.sqrt(np.abs(q[some])), np.abs(q[some])
+        step[some] = np.maximum(np.abs(dp) / (size_p + FREE_MASS), np.abs(dq) / (size_q + FREE_MASS))
+        some = some[step[some] > POLISH_DONE]
+        if not some.size:
             break
     moved = np.abs(p - start[0]) + np.abs(q - start[1])
     good = (step <= POLISH_ACCEPTED) & (moved <= POLISH_MAY_MOVE)
@@ -205,5 +148,9 @@ def all_within(coefficients: list[Floats], radius: Floats) -> Bools:
 
 
 def without_pair(coefficients: list[Floats], pair: PolePair) -> list[Floats]:
-    """Monic polynomials in z, highest power first, divided by the pair's factor."""
-    return divided(coefficients[::-1], pair.p - 2.0, 1.0 - pair.p + pair.q)[:1:-1]
+    """Monic polynomials in z, highest power first, divided by the pair's factor z² + (p - 2) z + 1 - p + q."""
+    linear, constant = pair.p - 2.0, 1.0 - pair.p + pair.q
+    quotient = [coefficients[0], coefficients[1] - linear]
+    for coefficient in coefficients[2:-2]:
+        quotient.append(coefficient - linear * quotient[-1] - constant * quotient[-2])
+    return quotient[: len(coefficients) - 2]

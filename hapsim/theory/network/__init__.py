@@ -1,11 +1,10 @@
 """The closed loop of any linear scene: hands, masses and links together."""
 
 from hapsim.theory.network.continuous import ContinuousMode, continuous_modes
-from hapsim.theory.network.margin import Margin, Margins, margins_of
-from hapsim.theory.network.margin_ranges import Stabilizing
+from hapsim.theory.network.large_modes import solve
+from hapsim.theory.network.margins import Margin, Margins, Stabilizing, margins_of
 from hapsim.theory.network.modes import Mode, Solution, poles_of
 from hapsim.theory.network.network import Network, NotWorkedOutError
-from hapsim.theory.network.solve import solve
 from hapsim.theory.network.state import LARGE, is_large, state_size, transition
 
 __all__ = [

@@ -46,6 +46,15 @@ class Search(NamedTuple):
     start: slice | None = None
 
 
+def solve(network: Network) -> Solution:
+    """The poles and modes: all of them, or of a large scene those that matter, and how they were found.
+
+    Raises:
+        NotWorkedOutError: the scene is large, and its scheme's matrix is neither sparse nor has modes that are.
+    """
+    return some_modes(network) if is_large(network) else all_modes(network)
+
+
 def some_modes(network: Network) -> Solution:
     """The poles that the searches find, each with its motion; ``how`` says which those are."""
     with one_thread():

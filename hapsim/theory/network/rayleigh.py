@@ -1,6 +1,6 @@
 """What a motion found by iterations says of its pole, which it knows better than they do: Rayleigh's quotients.
 
-A pole's motion x makes D(z) x zero (``margin_response.py`` has D), and where no velocity comes from the device D is
+A pole's motion x makes D(z) x zero (``response.py`` has D), and where no velocity comes from the device D is
 symmetric. So x' D(z) x is zero at a z that is as much nearer to the pole than x is to the motion as a square is to its
 root. Of two poles of which the motions are almost one, those of a slow swing beside 1, iterations find the mean well
 and the difference badly: they move such a pole off the circle, by the root of rounding and more.
@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from hapsim.theory.arrays import Bools, Complexes, Floats
 from hapsim.theory.interface import DamperModel
 from hapsim.theory.network.layout import damping_links
-from hapsim.theory.network.margin_response import channel_answer, damper_answer
 from hapsim.theory.network.network import Network, acting_links, is_centred
+from hapsim.theory.network.response import channel_answer, damper_answer
 from hapsim.theory.network.state import channel_steps
 
 STEPS = 5

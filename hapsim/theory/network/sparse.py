@@ -77,14 +77,15 @@ def factorised(matrix: Any, **how: Any) -> Solve | None:
     return solve
 
 
-def one_thread(where: bool = True) -> AbstractContextManager[Any]:
-    """One alone, while this is entered: further ones wait for each other, and longer where others run.
+def one_thread(where: bool = True, with_scipy: bool = True) -> AbstractContextManager[Any]:
+    """One thread of linear algebra while this is entered: several would wait for each other.
 
-    ``where``: False leaves them as they are, and spares the import of scipy.
+    ``where``: False leaves them as they are. ``with_scipy``: whether it will be used too, which takes time to import.
     """
     if not where:
         return nullcontext()
-    import scipy.linalg  # noqa: F401  # it brings a BLAS of its own, which is limited only once it is there
+    if with_scipy:
+        pass  # it brings a BLAS of its own, which is limited only once it is there
     from threadpoolctl import threadpool_limits
 
     limits: AbstractContextManager[Any] = threadpool_limits(1, user_api="blas")

@@ -69,7 +69,7 @@ def transition_parts(network: Network) -> tuple[Triplets, MassRates | None, int]
     layout = layout_of(network, steps)
     channels, points = network.channel_mass.size, layout.now.stop
     parts = TripletBuilder()
-    pull = _pulls(network, layout, parts)
+    pull = _joined(_pulls(network, layout, parts))
     force = _on_points(network, layout, pull)
     centred = is_centred(network)
     system = None if centred else mass_rates(network, layout, _held(network, layout, pull))
@@ -112,16 +112,48 @@ def _move_channel(
         parts.add(row, held, forces[1:])
 
 
-def _pulls(network: Network, layout: Layout, parts: TripletBuilder) -> Triplets:
-    """The forces on the links' (L) first ends, N per metre of state; into ``parts`` goes what the dampers remember."""
-    pull = TripletBuilder()
+def _pulls(network: Network, layout: Layout, parts: TripletBuilder) -> tuple[Triplets, Triplets]:
+    """The forces of the links' (L) springs and of their dampers on their first ends, N per metre of state; into
+    ``parts`` goes what the dampers remember."""
+    springs, dampers = TripletBuilder(), TripletBuilder()
     acting = acting_links(network)
-    _add_difference(pull, acting, network.ends[acting], 0, -network.stiffness[acting])
+    _add_difference(springs, acting, network.ends[acting], 0, -network.stiffness[acting])
     for memory in layout.memories:
         velocity = _velocities(network, layout, memory, parts)
         links = memory.links[velocity.row]
-        pull.add(links, velocity.column, -network.damping[links] * network.rate * velocity.value)
-    return pull.joined()
+        dampers.add(links, velocity.column, -network.damping[links] * network.rate * velocity.value)
+    return springs.joined(), dampers.joined()
+
+
+def _joined(pulls: tuple[Triplets, Triplets]) -> Triplets:
+    return Triplets(*(np.concatenate(both) for both in zip(*pulls, strict=True)))
+
+
+def link_feedback(network: Network) -> tuple[Floats, Floats]:
+    """u (size, L) and v (2, L, size): a link's stiffness or damping made (1 + s) times as large adds s u v' to the
+    transition, under CORDIS's scheme."""
+    layout = layout_of(network, channel_steps(network))
+    pushed = np.hstack([entering_forces(network), np.zeros((layout.size, 1))])  # a ground, -1, is the last
+    pulls = _pulls(network, layout, TripletBuilder())
+    v = np.stack([dense(pull, (len(network.ends), layout.size)) for pull in pulls])
+    return pushed[:, network.ends[:, 0]] - pushed[:, network.ends[:, 1]], v
+
+
+def entering_forces(network: Network) -> Floats:
+    """(size, C + M): the state at the next sample, out of a force of 1 N that is computed for a point at this one."""
+    steps = channel_steps(network)
+    layout = layout_of(network, steps)
+    out = np.zeros((layout.size, layout.now.stop))
+    for c, step in enumerate(steps):
+        slots = [layout.position.start + c, layout.velocity.start + c, c, int(layout.mean_velocity[c])]
+        for slot, forces in zip(slots, step.forces, strict=True):
+            if slot >= 0:
+                out[slot, c] = forces[0]
+        if layout.held.stop > layout.held.start:
+            out[layout.held.start + c, c] = 1.0
+    mass = np.arange(len(steps), layout.now.stop)
+    out[mass, mass] = 1.0
+    return out / (np.concatenate([network.channel_mass, network.point_mass]) * network.rate**2)
 
 
 def _held(network: Network, layout: Layout, pull: Triplets) -> Triplets:

@@ -1,0 +1,97 @@
+"""The gain margins of a large scene's few links: the unit circle is sampled, and a sign change refined.
+
+At a place on the circle a link's stiffness, or damping, has to change by a certain complex part of itself for a pole to
+be there (``response.py``): a pole crosses where that is real. Of a loop that is stable as it stands the least factor
+above 1 among the crossings is the margin. Each place costs one factorisation of a sparse matrix.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hapsim.theory.arrays import Complexes, Floats, Indices
+from hapsim.theory.network.network import Network
+from hapsim.theory.network.response import SceneMatrix, on_circle
+from hapsim.theory.network.sparse import one_thread
+
+OUTSIDE = 1e-12  # the circle's radius is 1 and this: poles that rest on 1, and what never loses energy, lie inside
+WORK = 1.2e7  # points times places on the circle: some seconds
+FEWEST, MOST = 400, 2500  # places
+TURN = 0.7  # between two places a change differs by less than a factor exp of it, in size and in angle
+CLOSE = 1e-9  # radians: places are not taken closer together
+RESTS = 1e-9  # a pole this close to the circle is on it
+NEARBY = (0.0, 1.0, 3.0)  # widths of a resonance at which its surroundings are sampled
+FAR = 2.0  # crossings are refined up to so many times the distance from 1 of the nearest
+
+
+def margins_along_circle(network: Network, links: Indices, poles: Complexes) -> tuple[Floats, str]:
+    """(links, 2): the factors of stiffness and damping of a stable scene, and in words how they were found."""
+    matrix = SceneMatrix(network)
+    points = network.channel_mass.size + network.point_mass.size
+    most = int(min(MOST, max(FEWEST, WORK / points)))
+    with one_thread(), np.errstate(all="ignore"):
+        angles = _angles_about(poles, most // 2)
+        changes = _changes(matrix, angles, links)
+        while angles.size < most:
+            turn = np.abs(np.log(changes[:, :, 1:] / changes[:, :, :-1]))
+            turn = np.nan_to_num(turn, nan=0.0, posinf=0.0).max(axis=(0, 1), initial=0.0)
+            fast = np.flatnonzero((turn > TURN) & (np.diff(angles) > CLOSE))
+            if not fast.size:
+                break
+            fast = fast[np.argsort(-turn[fast], kind="stable")][: most - angles.size]
+            more = 0.5 * (angles[fast] + angles[fast + 1])
+            order = np.argsort(np.append(angles, more))
+            changes = np.concatenate([changes, _changes(matrix, more, links)], axis=2)[:, :, order]
+            angles = np.append(angles, more)[order]
+        factors = np.array(
+            [
+                [_margin(matrix, link, of, angles, changes[of, i]) for of in (0, 1)]
+                for i, link in enumerate(links.tolist())
+            ]
+        )
+    coarse = ", coarser than the scene's resonances: a true margin may be nearer to 1" if angles.size >= most else ""
+    return factors, f"the circle was sampled at {angles.size} angles{coarse}"
+
+
+def _changes(matrix: SceneMatrix, angles: Floats, links: Indices) -> Complexes:
+    return matrix.changes(on_circle(angles, OUTSIDE), links)
+
+
+def _angles_about(poles: Complexes, most: int) -> Floats:
+    """From 0 to pi: evenly, slow ones by decades, and about each known pole as far as it is from the circle."""
+    shown = poles[(poles.imag >= 0.0) & (np.abs(poles) > 0.3)]
+    slow = np.abs(shown - 1.0)
+    least = max(1e-12, 0.01 * float(slow[slow > 1e-7].min(initial=1.0)))
+    spread = np.concatenate([np.geomspace(least, 1.0, most // 6), np.linspace(0.0, math.pi, most // 6)])
+    shown = shown[np.argsort(-np.abs(shown), kind="stable")][: most // 10]
+    width = np.maximum(np.abs(1.0 - np.abs(shown)), RESTS)[:, None]
+    close = np.abs(np.angle(shown))[:, None] + width * np.array([-NEARBY[2], -NEARBY[1], *NEARBY])
+    angles = np.concatenate([spread, close.ravel(), math.pi - np.geomspace(1e-6, 0.1, 20)])
+    return np.unique(angles[(angles >= 0.0) & (angles <= math.pi)])
+
+
+def _margin(matrix: SceneMatrix, link: int, quantity: int, angles: Floats, change: Complexes) -> float:
+    """The least factor above 1 at which the change of a link's quantity is real; ``change``: at the angles."""
+    from scipy.optimize import brentq
+
+    if not np.isfinite(change[1:-1]).all():
+        return math.inf  # it has nothing of it
+
+    def at(angle: float) -> complex:
+        return complex(_changes(matrix, np.array([angle]), np.array([link]))[quantity, 0, 0])
+
+    a, b = change[1:-2], change[2:-1]  # at 0 and pi themselves it is real
+    place = np.flatnonzero((a.imag < 0.0) != (b.imag < 0.0))
+    a, b = 1.0 / a[place], 1.0 / b[place]
+    about = 1.0 / (a.real + (b.real - a.real) * a.imag / (a.imag - b.imag))
+    least = min((float(end.real) for end in change[[0, -1]] if end.real > 0.0), default=math.inf)
+    for i in np.argsort(about, kind="stable").tolist():
+        if about[i] > FAR * least:
+            break
+        if about[i] > 0.0:
+            left, right = angles[1 + place[i]], angles[2 + place[i]]
+            found = at(brentq(lambda angle: at(angle).imag, left, right, xtol=1e-15 * right, rtol=1e-13))
+            least = min(least, found.real if found.real > 0.0 else math.inf)
+    return 1.0 + least
