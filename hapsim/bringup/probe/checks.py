@@ -1,4 +1,5 @@
-"""Every check of a device: its name, its step, the section of PROTOCOL.md that it stands for, and what is expected.
+"""Every check of a device: its name, its step, the section of PROTOCOL.md that it stands for, and what is expected; and
+what was found.
 
 The steps come in the order in which a firmware is brought up; so do the checks in each of them.
 """
@@ -7,6 +8,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import Literal
+
+from firmware_protocol import schema
+from firmware_protocol.description import Description
+from hapsim.bringup.probe.wire import Session, Wire, arm, told
 
 Result = Literal["pass", "FAIL", "not seen"]
 
@@ -196,7 +201,7 @@ class Findings:
                 self.failed(one.name, found, look_at)
                 return
 
-    def leave(self, step: str, why: str) -> None:
+    def leave_out(self, step: str, why: str) -> None:
         """Whatever was not seen of a step is not seen, for this reason."""
         for one in CHECKS:
             if one.step == step:
@@ -205,7 +210,7 @@ class Findings:
     def all_of(self, steps: tuple[str, ...] = STEPS) -> tuple[Check, ...]:
         """Every check of these steps, in order."""
         for step in steps:
-            self.leave(step, "not reached")
+            self.leave_out(step, "not reached")
         return tuple(self._made[one.name] for one in CHECKS if one.step in steps)
 
     def _note(self, name: str, result: Result, found: str, look_at: str) -> None:
@@ -214,3 +219,68 @@ class Findings:
         self._made[name] = Check(
             name, declared.step, declared.section, title, result, found, declared.expected, look_at
         )
+
+
+@dataclass(frozen=True)
+class Leave:
+    """The user's leave to push, on one channel."""
+
+    force: float
+    """N at most, to either side."""
+    travel: float
+    """m at most, from where the pushing began."""
+    channel: int = 0
+    mass: float | None = None
+    """kg, with the hand, where the user knows it."""
+
+
+class Probing(Findings):
+    """A device that is being judged: its wire, what it said of itself, what the user allows, and what was found."""
+
+    def __init__(self, wire: Wire, leave: Leave | None = None) -> None:
+        super().__init__()
+        self.wire, self.leave = wire, leave
+        self.description: Description | None = None
+        self.steady = True
+        """Whether the device kept its rate while the host did not read, as far as that can be seen."""
+        self.response: float | None = None
+        """m/s² per N, as the pushes found it."""
+
+    @property
+    def device(self) -> Description:
+        """What the device said of itself, once that is known to make sense."""
+        assert self.description is not None, "no step that arms comes before the registers"
+        return self.description
+
+    @property
+    def longest_watchdog(self) -> int:
+        return self.device.max_watchdog_samples
+
+    def periods(self, samples: float) -> float:
+        """In s."""
+        return samples / self.device.rate_hz
+
+    def samples_in(self, seconds: float, least: int, most: int) -> int:
+        return min(max(round(seconds * self.device.rate_hz), least), most)
+
+    def arm(self, pacing: int, watchdog: int, *, velocity: bool = False) -> Session | None:
+        """None, and not armed, where the device did not take it."""
+        session = arm(self.wire, self.device.rate_hz, pacing, watchdog, velocity=velocity)
+        if session.status is not None and session.status.state == schema.ARMED:
+            return session
+        self.wire.release()
+        return None
+
+    def arm_by_device(self, step: str, watchdog: int, *, velocity: bool = False) -> Session | None:
+        """Armed and paced by itself; else nothing of this step is seen."""
+        if not self.device.paces(schema.PACED_BY_DEVICE):
+            self.leave_out(step, "the device does not declare that it paces (bit 0 of register 3)")
+            return None
+        session = self.arm(schema.PACED_BY_DEVICE, watchdog, velocity=velocity)
+        if session is None:
+            self.leave_out(step, "the device did not arm")
+        return session
+
+
+def status_found(session: Session | None) -> str:
+    return told(session.status if session is not None else None)

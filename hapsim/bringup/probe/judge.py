@@ -8,18 +8,12 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from firmware_protocol.description import Description
-from hapsim.bringup.probe.arming import probe_arming
-from hapsim.bringup.probe.blocked import probe_blocked
-from hapsim.bringup.probe.checks import STEPS, Check
-from hapsim.bringup.probe.conversation import probe_conversation
-from hapsim.bringup.probe.forces import probe_forces
-from hapsim.bringup.probe.host_paced import probe_host_paced
-from hapsim.bringup.probe.probing import Leave, Probing
+from hapsim.bringup.probe.armed_steps import probe_arming, probe_forces
+from hapsim.bringup.probe.checks import STEPS, Check, Leave, Probing
+from hapsim.bringup.probe.host_steps import probe_blocked, probe_host_paced, probe_watchdog
 from hapsim.bringup.probe.pushed_limits import probe_lives
 from hapsim.bringup.probe.pushing import probe_pushing, what_will_be_done
-from hapsim.bringup.probe.refusals import probe_refusals
-from hapsim.bringup.probe.registers import probe_registers
-from hapsim.bringup.probe.watchdog import probe_watchdog
+from hapsim.bringup.probe.set_up_steps import probe_conversation, probe_refusals, probe_registers
 from hapsim.bringup.probe.wire import StoppedError, Wire
 from hapsim.device.connection import Connection
 from hapsim.device.serial_port import open_portable_port, open_serial_port
@@ -116,8 +110,8 @@ def judge(
             released = wire.received > 0 and wire.release() is not None
     if ended:
         for step in steps:
-            probing.findings.leave(step, f"not reached: {ended}")
-    return Judgement(wire.name, probing.description, probing.findings.all_of(steps), released, ended, interrupted)
+            probing.leave_out(step, f"not reached: {ended}")
+    return Judgement(wire.name, probing.description, probing.all_of(steps), released, ended, interrupted)
 
 
 def _open(port: str, baud: int) -> Connection:
@@ -136,7 +130,7 @@ def _run(
             goes_on = run(probing)
         except DeviceError as error:
             look_at = "its hardware watchdog, which ends a tick that died or waits for room; a crash; the cable"
-            probing.findings.failed_next(step, f"the device went away here: {error}", look_at)
+            probing.failed_next(step, f"the device went away here: {error}", look_at)
             raise
         if not goes_on:
             return

@@ -7,10 +7,10 @@ import math
 import numpy as np
 
 from firmware_protocol import schema
-from hapsim.bringup.probe.probing import Leave, Probing
+from hapsim.bringup.probe.checks import Leave, Probing
 from hapsim.bringup.probe.pushing import STEP, Pusher, TravelledError
 from hapsim.bringup.probe.response import Estimate, Row, estimate
-from hapsim.bringup.probe.session import Sample, Session
+from hapsim.bringup.probe.wire import Sample, Session
 from hapsim.bringup.probe.wire import told as told_frame
 
 _LIFE = 6  # samples that a force acts, with a time to live of one less
@@ -32,7 +32,7 @@ def probe_lives(probing: Probing) -> bool:
         return True
     watchdog = min(probing.longest_watchdog, 500)
     if watchdog < 4 * _SILENCE:
-        probing.findings.not_seen("time_to_live", f"a watchdog of {watchdog} samples is too short for it")
+        probing.not_seen("time_to_live", f"a watchdog of {watchdog} samples is too short for it")
         return True
     session = probing.arm_by_device(STEP, watchdog)
     if session is None:
@@ -43,10 +43,9 @@ def probe_lives(probing: Probing) -> bool:
         _push_too_much(probing, pusher)
     except TravelledError:
         for name in ("time_to_live", "limit_cut"):
-            probing.findings.not_seen(name, f"it moved more than {1e3 * leave.travel:g} mm: stopped")
+            probing.not_seen(name, f"it moved more than {1e3 * leave.travel:g} mm: stopped")
     finally:
-        if session.disarm() is None:
-            probing.wire.release()
+        session.disarm()
     _judge_limited(probing, pusher)
     _by_the_host(probing, leave)
     return True
@@ -64,7 +63,7 @@ def _push_and_be_silent(probing: Probing, pusher: Pusher) -> None:
     """A push, then nothing until it must have ended; the opposite push after it."""
     session = pusher.session
     if not pusher.settle(probing.samples_in(3.0, 100, 20000)) or session.newest is None:
-        probing.findings.not_seen("time_to_live", "the device does not come to rest")
+        probing.not_seen("time_to_live", "the device does not come to rest")
         return
     pusher.begin_here()
     force = _force(probing, pusher.leave)
@@ -73,7 +72,7 @@ def _push_and_be_silent(probing: Probing, pusher: Pusher) -> None:
         side = (1.0, -1.0, -1.0, 1.0)[i % 4]
         pusher.push(session.newest, side * force, _LIFE - 1)
         if not session.run(_LIFE + _SILENCE, None) or not session.run(4, lambda sample: pusher.push(sample, 0.0)):
-            probing.findings.not_seen("time_to_live", _why_stopped(session))
+            probing.not_seen("time_to_live", _why_stopped(session))
             return
     found = estimate(_lives(pusher, begun))
     _judge_life(probing, found)
@@ -110,7 +109,7 @@ def _part_of(since: int, force: float) -> tuple[float, float, float]:
 
 def _judge_life(probing: Probing, found: Estimate | None) -> None:
     if found is None:
-        probing.findings.not_seen("time_to_live", "too few of this host's forces were in time")
+        probing.not_seen("time_to_live", "too few of this host's forces were in time")
         return
     first = found.values[0]
     second, after = found.values[1:] / first
@@ -120,15 +119,15 @@ def _judge_life(probing: Probing, found: Estimate | None) -> None:
     )
     told += f" (± {unsure:.2f})"
     if unsure > _UNSURE:
-        probing.findings.not_seen("time_to_live", f"{told}: a greater --push shows more")
+        probing.not_seen("time_to_live", f"{told}: a greater --push shows more")
     elif after > _ON:
         look_at = "the tick: n > expires puts out zero, expires = answered + time_to_live"
-        probing.findings.failed("time_to_live", f"{told}: it goes on", look_at)
+        probing.failed("time_to_live", f"{told}: it goes on", look_at)
     elif second < 1 - _ON:
         told += ": it ends too early (an actuator that gives impulses does that, and may)"
-        probing.findings.failed("time_to_live", told, "the tick holds the force until n > expires")
+        probing.failed("time_to_live", told, "the tick holds the force until n > expires")
     else:
-        probing.findings.passed("time_to_live", f"{told}; from {1 - _ON:g} up and up to {_ON:g} are allowed")
+        probing.passed("time_to_live", f"{told}; from {1 - _ON:g} up and up to {_ON:g} are allowed")
 
 
 def _why_stopped(session: Session) -> str:
@@ -140,13 +139,13 @@ def _push_too_much(probing: Probing, pusher: Pusher) -> None:
 
     Again, until one of them was in time: one that was late says nothing.
     """
-    leave, findings = pusher.leave, probing.findings
+    leave = pusher.leave
     limit = probing.device.force_limit[leave.channel]
     if leave.force < (1 - 1e-5) * _TOO_GREAT * limit:  # which is what the sentence asks for
-        findings.not_seen("limit_cut", f"this takes --push {_TOO_GREAT * limit:g}: {_TOO_GREAT:g} times the limit")
+        probing.not_seen("limit_cut", f"this takes --push {_TOO_GREAT * limit:g}: {_TOO_GREAT:g} times the limit")
         return
     if _TOO_GREAT * limit > pusher.force_scale * (2**31 - 1):
-        findings.not_seen("limit_cut", "32 bits of counts carry no force above the limit")
+        probing.not_seen("limit_cut", "32 bits of counts carry no force above the limit")
         return
     for _ in range(_TRIES):
         if not pusher.settle(probing.samples_in(3.0, 100, 20000)):
@@ -175,42 +174,40 @@ def _judge_limited(probing: Probing, pusher: Pusher) -> None:
     asked, in_time = _too_great(pusher, limit)
     if not asked:
         why = "the device does not come to rest" if pusher.session.ended is None else _why_stopped(pusher.session)
-        probing.findings.not_seen("limit_cut", why)
+        probing.not_seen("limit_cut", why)
         return
     limited = probing.wire.register(schema.REG_LIMITED)
     found = f"{asked} forces of {_TOO_GREAT * limit:g} N, {in_time} of them in time: register 12 counts {limited}"
     if not (in_time or limited):
-        probing.findings.not_seen("limit_cut", found)
+        probing.not_seen("limit_cut", found)
         return
     kept = limited is not None and in_time <= limited <= asked
     look_at = "each channel of a FORCE that is acted on is cut to its limit before it becomes the command; limited++"
-    probing.findings.judge("limit_cut", kept, found, look_at)
+    probing.judge("limit_cut", kept, found, look_at)
 
 
 def _by_the_host(probing: Probing, leave: Leave) -> None:
     """The host pushes, falls silent for several lives, and then asks for the position."""
-    findings = probing.findings
     if not probing.device.paces(schema.PACED_BY_HOST):
-        findings.not_seen("host_time_to_live", "the device does not declare that the host may pace")
+        probing.not_seen("host_time_to_live", "the device does not declare that the host may pace")
         return
     life = probing.samples_in(_HOST_LIFE_S, 2, schema.MAX_TIME_TO_LIVE_SAMPLES + 1)
     if probing.longest_watchdog < 2 * _HOST_WAIT * life:
-        findings.not_seen("host_time_to_live", "the longest watchdog is too short for it")
+        probing.not_seen("host_time_to_live", "the longest watchdog is too short for it")
         return
     session = probing.arm(schema.PACED_BY_HOST, probing.longest_watchdog)
     if session is None:
-        findings.not_seen("host_time_to_live", "the device did not arm paced by the host")
+        probing.not_seen("host_time_to_live", "the device did not arm paced by the host")
         return
     pusher = Pusher(probing, session, leave)
     try:
         session.run(0, None)
         lasted = _lasted(probing, pusher, life)
     except TravelledError:
-        findings.not_seen("host_time_to_live", f"it moved more than {1e3 * leave.travel:g} mm: stopped")
+        probing.not_seen("host_time_to_live", f"it moved more than {1e3 * leave.travel:g} mm: stopped")
         return
     finally:
-        if session.disarm() is None:
-            probing.wire.release()
+        session.disarm()
     _judge_host_life(probing, lasted, probing.periods(life))
 
 
@@ -268,7 +265,7 @@ def _speed(pusher: Pusher, one: Sample, other: Sample) -> float:
 
 def _judge_host_life(probing: Probing, lasted: list[float], life_s: float) -> None:
     if not lasted:
-        probing.findings.not_seen("host_time_to_live", "the device did not come to rest, or no position for a FORCE")
+        probing.not_seen("host_time_to_live", "the device did not come to rest, or no position for a FORCE")
         return
     middle = float(np.median(lasted))
     told = (
@@ -277,6 +274,6 @@ def _judge_host_life(probing: Probing, lasted: list[float], life_s: float) -> No
     )
     look_at = "paced by the host no tick ends a force: the main loop looks at the time since the last accepted FORCE"
     if middle < 0.3 * life_s:
-        probing.findings.not_seen("host_time_to_live", f"{told}: the device does not move as it did before")
+        probing.not_seen("host_time_to_live", f"{told}: the device does not move as it did before")
     else:
-        probing.findings.judge("host_time_to_live", middle < _HOST_ON * life_s, told, look_at)
+        probing.judge("host_time_to_live", middle < _HOST_ON * life_s, told, look_at)

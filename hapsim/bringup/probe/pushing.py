@@ -11,9 +11,9 @@ import random
 from collections.abc import Iterator
 
 from firmware_protocol import schema
-from hapsim.bringup.probe.probing import Leave, Probing
+from hapsim.bringup.probe.checks import Leave, Probing
 from hapsim.bringup.probe.response import LAGS, Estimate, Row, estimate, rows_by_lag
-from hapsim.bringup.probe.session import Sample, Session
+from hapsim.bringup.probe.wire import Sample, Session
 from hapsim.bringup.probe.wire import told as told_frame
 
 STEP = "push"
@@ -95,7 +95,7 @@ def probe_pushing(probing: Probing) -> bool:
     """Always goes on."""
     leave = probing.leave
     if leave is None:
-        probing.findings.leave(STEP, "no leave to push: --push N gives it, at most N newton to either side")
+        probing.leave_out(STEP, "no leave to push: --push N gives it, at most N newton to either side")
         return True
     session = probing.arm_by_device(STEP, min(probing.longest_watchdog, 500))
     if session is None:
@@ -104,14 +104,11 @@ def probe_pushing(probing: Probing) -> bool:
     try:
         if not pusher.settle(probing.samples_in(_SETTLE_S, 100, 20000)):
             why = "stopped" if session.ended else "it moves by itself"
-            probing.findings.leave(
-                STEP, f"the device does not come to rest ({why}): hold it, or lay it down, and try again"
-            )
+            probing.leave_out(STEP, f"the device does not come to rest ({why}): hold it, or lay it down, and try again")
             return True
         _respond(probing, pusher)
     finally:
-        if session.disarm() is None:
-            probing.wire.release()
+        session.disarm()
     return True
 
 
@@ -172,7 +169,7 @@ def _not_seen(probing: Probing, pusher: Pusher, found: Estimate | None, went_too
         why = "too few of this host's forces were in time"
     else:
         why = "the positions show no response: try a greater --push, or let the device move freely"
-    probing.findings.leave(STEP, why)
+    probing.leave_out(STEP, why)
 
 
 def _reach(found: Estimate, pusher: Pusher, force: float, length: int) -> float:
@@ -209,7 +206,7 @@ def _judge_sign(probing: Probing, found: Estimate, pushes: str) -> None:
         "the motor and the encoder: swap the motor's two wires, or reverse the encoder if the position falls when the "
         "hand moves the positive way; not both"
     )
-    probing.findings.judge("sign", found.total > 0, told, look_at)
+    probing.judge("sign", found.total > 0, told, look_at)
 
 
 def _judge_delay(probing: Probing, found: Estimate) -> None:
@@ -218,20 +215,20 @@ def _judge_delay(probing: Probing, found: Estimate) -> None:
     early = shares[0] > max(0.05, 5 * deviations[0])
     late = shares[1] < 0.1 and shares[1] + 5 * deviations[1] < 0.3
     if max(deviations[:2]) > 0.1:
-        probing.findings.not_seen("delay", f"{told}, but ± {max(deviations[:2]):.2f}: a greater --push shows more")
+        probing.not_seen("delay", f"{told}, but ± {max(deviations[:2]):.2f}: a greater --push shows more")
     elif early:
         look_at = (
             "FORCE is put out on arrival: keep it, and put it out at the next tick, before the position is measured"
         )
-        probing.findings.failed("delay", f"{told}: it begins within the sample that the force came in", look_at)
+        probing.failed("delay", f"{told}: it begins within the sample that the force came in", look_at)
     elif late:
         look_at = (
             "the tick puts the force out before it measures, with no buffer between; a driver or a filter that is "
             "late belongs into the scene's `delay`"
         )
-        probing.findings.failed("delay", f"{told}: it begins a sample late", look_at)
+        probing.failed("delay", f"{told}: it begins a sample late", look_at)
     else:
-        probing.findings.passed("delay", told)
+        probing.passed("delay", told)
 
 
 def _judge_mass(probing: Probing, found: Estimate) -> None:
@@ -240,7 +237,7 @@ def _judge_mass(probing: Probing, found: Estimate) -> None:
     mass = 1.0 / abs(found.total * probing.device.rate_hz**2)
     told = f"it responds like {mass:.4g} kg"
     if leave.mass is None:
-        probing.findings.not_seen("mass", f"{told}; --mass KG says what it ought to be")
+        probing.not_seen("mass", f"{told}; --mass KG says what it ought to be")
         return
     factor = leave.mass / mass
     told += f": {factor:.3g} times the response of {leave.mass:g} kg"
@@ -250,7 +247,7 @@ def _judge_mass(probing: Probing, found: Estimate) -> None:
     )
     unsure = 3 / found.significance
     if unsure > _MASS_WITHIN:
-        probing.findings.not_seen("mass", f"{told}, but ± {100 * unsure:.0f} %: a greater --push shows more")
+        probing.not_seen("mass", f"{told}, but ± {100 * unsure:.0f} %: a greater --push shows more")
         return
     told += f" (within {100 * _MASS_WITHIN:g} %, and its uncertainty, is allowed)"
     kept = abs(math.log(factor)) < math.log1p(_MASS_WITHIN) + unsure
@@ -258,4 +255,4 @@ def _judge_mass(probing: Probing, found: Estimate) -> None:
         told += (
             f", as if positions were {factor:.3g} times too large, or forces {factor:.3g} times stronger than they say"
         )
-    probing.findings.judge("mass", kept, told, look_at)
+    probing.judge("mass", kept, told, look_at)
