@@ -65,9 +65,9 @@ def relative_difference(value: float, reference: float) -> str:
     return f"{off:+.{max(1 - math.floor(math.log10(abs(off))), 0)}f} %"
 
 
-def plural(count: int, noun: str) -> str:
+def plural(count: int, noun: str, nouns: str = "") -> str:
     """A count with its noun: 1 function, 2 functions."""
-    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+    return f"{count} {noun if count == 1 else nouns or noun + 's'}"
 
 
 def short(value: float) -> str:

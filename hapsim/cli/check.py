@@ -56,31 +56,37 @@ def check(
     json: Json = False,
     explain: Annotated[
         bool,
-        typer.Option("--explain", help="Compile the scene too: what is kept of it, what that costs."),
+        typer.Option(
+            "--explain", help="Print every mode, margin and bound; compile the scene too, and time its parts."
+        ),
     ] = False,
 ) -> None:
-    """Predict, without running: stable or not, what the hand will feel, every mode, what the wire costs."""
-
+    """Predict without running: stability, what the hand feels, gain margins, the wire."""
     loaded = load(scene)
     if why := refused_travel(loaded):
         raise UsageError(f"{scene}: {why}")
-    with stderr().status("working out the modes and how much each link may grow"):
+    with stderr().status("working out modes and gain margins"):
         prediction = predict(loaded)
         on_wire = predict_on_wire(loaded)
     explanation = _explanation(loaded) if explain else None
+    warnings = slew_warnings(loaded, prediction)
+    warnings += [one for one in warnings_about(loaded, prediction) if one not in warnings]
     if json:
         compiled = {} if explanation is None else {"compiled": explanation.as_document()}
         bounds = {"force_bounds": run_bounds(loaded)._asdict(), "travel": travel_document(loaded)}
-        warnings = slew_warnings(loaded, prediction)
-        warnings += [one for one in warnings_about(loaded, prediction) if one not in warnings]
         predicted = prediction_document(prediction, on_wire=on_wire)
         print(document({"scene": scene, "warnings": warnings} | predicted | bounds | compiled))
         return
-
-    show_prediction(stdout(), scene, loaded, prediction, on_wire)
-    show_force_bounds(stdout(), loaded, prediction)
+    out = stdout()
+    _show_verdict(out, scene, loaded, prediction)
+    if explain:
+        show_details(out, loaded, prediction, on_wire)
+    else:
+        _show_summary(out, loaded, prediction, on_wire)
     if explanation is not None:
-        show_explanation(stdout(), explanation)
+        show_explanation(out, explanation)
+    for warning in warnings:
+        out.print(f"[yellow]Warning:[/yellow] {escape(warning)}")
 
 
 def _explanation(scene: Scene) -> Explanation:
@@ -94,8 +100,7 @@ _NO_FACTOR, _UNKNOWN = "–", "?"
 _MARGINAL = 1e-9  # of the spectral radius: a free motion, which rounding places on either side of 1
 
 
-def show_prediction(out: Console, name: str, scene: Scene, prediction: Prediction, on_wire: Prediction | None) -> None:
-    """What `hapsim check` tells. `on_wire`: as `predict_on_wire` gave it."""
+def _show_verdict(out: Console, name: str, scene: Scene, prediction: Prediction) -> None:
     held_back = bool(slew_warnings(scene, prediction))
     title, verdict = f"[bold]{escape(name)}[/bold]", f"at {prediction.rate:g} Hz: {_stability(prediction, held_back)}"
     if len(name) < out.width:
@@ -104,6 +109,73 @@ def show_prediction(out: Console, name: str, scene: Scene, prediction: Predictio
         out.print(title, soft_wrap=True)  # a path stays whole: it is to be copied
         out.print(verdict)
     out.print(_predicted_for(scene))
+
+
+def _show_summary(out: Console, scene: Scene, prediction: Prediction, on_wire: Prediction | None) -> None:
+    """Prints the answer in about ten lines; `show_details` has the rest."""
+    if prediction.felt:
+        out.print(_felt_summary(prediction))
+    for coupled, why in prediction.coupled.items():
+        out.print(f"[bold]{coupled}[/bold] {why}: no single k and b describe what it feels (--explain lists the modes)")
+    out.print(_margin_summary(prediction))
+    if prediction.poles_method:
+        out.print(f"A large scene: {prediction.poles_method}.")
+    budget = prediction.wire_time
+    fits = "fits" if budget.fits else "[red]does not fit[/red]: a higher baud rate, or a lower rate"
+    period = f"{duration(budget.exchange_s)} of the {duration(budget.period)} period"
+    out.print(f"Wire: an exchange takes {period}: {fits}. {_delay(budget)}")
+    if on_wire is not None:
+        out.print(_felt_on_wire(prediction, on_wire))
+    bounds = run_bounds(scene)
+    slew = f", slew {bounds.slew_limit:g} N/s" if math.isfinite(bounds.slew_limit) else ""
+    soft = f", soft start {duration(bounds.soft_start_s)}" if bounds.soft_start_s > 0.0 else ""
+    silence = duration(host_silence(prediction.rate).zero_force_after_s)
+    out.print(
+        f"Guards: force {scene.device.force_limit:g} N{slew}{soft}, energy {bounds.energy_limit:g} J; zero force "
+        f"{silence} after the host dies"
+    )
+    show_travel(out, scene)
+    for desired in prediction.desired:
+        if not desired.reached and prediction.rendering is not None and prediction.rendering.kind is not None:
+            out.print(_reached(desired, prediction.rendering.kind.name))
+    show_assumptions(out, prediction)
+
+
+def _felt_summary(prediction: Prediction) -> Table:
+    """Returns k, b and static stiffness of each hand, beside what was asked for."""
+    desired = {one.name: one for one in prediction.desired}
+    table = Table(box=None)
+    for heading in ("", "asked for", "felt", "static", ""):
+        table.add_column(heading, justify="right" if heading else "left")
+    for felt in prediction.felt:
+        wanted = desired.get(felt.name)
+        k = felt.stiffness + felt.configuration.stiffness if wanted is None else wanted.k
+        b = felt.damping + felt.configuration.friction if wanted is None else wanted.b
+        static = number(robustness_of(felt).steady_stiffness)
+        table.add_row(f"{escape(felt.name)}: k", number(k), number(felt.k), static, "N/m")
+        table.add_row(f"{escape(felt.name)}: b", number(b), number(felt.b), "", "N·s/m")
+    return table
+
+
+def _margin_summary(prediction: Prediction) -> str:
+    """Returns the smallest gain margin in a sentence."""
+    if not prediction.stable and not _at_limit(prediction):
+        hands = [felt for felt in prediction.felt if not felt.stable]
+        return " ".join(map(_margin, hands)) or "--explain lists by how much each link has to change"
+    if not prediction.margins:
+        return "There is no link to have a gain margin"
+    tightest = _tightest(prediction)
+    if not tightest or not math.isfinite(_change(tightest[0])):
+        return "Gain margin: no link makes it unstable" if tightest else "Gain margins were not worked out"
+    one = tightest[0]
+    factors = {"stiffness": one.stiffness_factor, "damping": one.damping_factor}
+    what, factor = min(factors.items(), key=lambda entry: abs(math.log(entry[1])) if entry[1] > 0.0 else math.inf)
+    return f"Smallest gain margin: unstable at {factor:.4g} times the {what} of {escape(one.name)}"
+
+
+def show_details(out: Console, scene: Scene, prediction: Prediction, on_wire: Prediction | None) -> None:
+    """Prints all that is predicted: the hands, modes, margins, the wire, what bounds the force. `on_wire`: as
+    `predict_on_wire` returned it."""
     show_assumptions(out, prediction)
     in_table = {margin.stiffness_factor for margin in _tightest(prediction)}
     desired = {one.name: one for one in prediction.desired}
@@ -127,6 +199,7 @@ def show_prediction(out: Console, name: str, scene: Scene, prediction: Predictio
             out.print(f"{prediction.margins_method[0].upper()}{prediction.margins_method[1:]}.")
     show_wire(out, prediction, on_wire)
     show_silence(out, prediction.rate)
+    show_force_bounds(out, scene, prediction)
 
 
 def show_assumptions(out: Console, prediction: Prediction) -> None:
@@ -215,7 +288,7 @@ def _masses(robustness: Robustness) -> str:
     return f"{least:.3g} to {most:.3g}"
 
 
-def _margin(felt: Felt, in_table: bool) -> str:
+def _margin(felt: Felt, in_table: bool = False) -> str:
     if felt.stiffness == 0.0:
         return "There is no stiffness to have a margin."
     if felt.stiffness_factor == 0.0:
@@ -493,8 +566,6 @@ def show_force_bounds(out: Console, scene: Scene, prediction: Prediction) -> Non
         out.print(_behind_a_port(scene))
     if hidden := hidden_sign(scene, prediction):
         out.print(hidden)
-    for warning in slew_warnings(scene, prediction):
-        out.print(f"[yellow]Warning[/yellow]: {warning}")
 
 
 def show_travel(out: Console, scene: Scene) -> None:

@@ -18,7 +18,7 @@ from hapsim.cli.output import complain, say, stderr, stdout
 from hapsim.device.known_devices import is_new
 from hapsim.errors import UsageError
 from hapsim.measuring.identify_device import SECONDS, TRAVEL_M, bounds_of, identify_device
-from hapsim.number_format import rounded
+from hapsim.number_format import relative_difference, rounded
 from hapsim.scene import Known
 from hapsim.scene.rewrite import require_rewritable, rewrite_device
 
@@ -242,7 +242,7 @@ def _off(declared: float, found: Estimate) -> str:
     """By how much the declared value is off, where that is sure."""
     if abs(found.value - declared) < _OFF * found.uncertainty:
         return "agrees"
-    return f"{found.value / declared - 1.0:+.1%}" if declared else f"{found.value - declared:+.2g}"
+    return relative_difference(found.value, declared) if declared else f"{found.value - declared:+.2g}"
 
 
 def _sentences(found: DeviceIdentification) -> list[str]:

@@ -12,10 +12,12 @@ from rich.console import Console
 from rich.status import Status
 
 from hapsim.cli.output import JsonLog, json_log
+from hapsim.number_format import plural
 
 if TYPE_CHECKING:
     from hapsim.progress import Progress
 
+_MOST_CHANNELS = 4
 _STEP_S = 5.0  # between two lines where the output is no terminal
 
 
@@ -95,7 +97,7 @@ class _Line:
             self._compiled += 1
             far = "" if progress.share is None else f"{100.0 * progress.share:.0f} %, "
             elapsed = time.monotonic() - self._since
-            self._show(f"compiling, once on this machine: {far}{self._compiled} functions in {elapsed:.0f} s")
+            self._show(f"compiling, once on this machine: {far}{plural(self._compiled, 'function')} in {elapsed:.0f} s")
             return
         if progress.phase == "waiting":
             self._show(f"waiting for {progress.text} · Ctrl-C ends the run")
@@ -103,7 +105,8 @@ class _Line:
         if progress.phase == "serving":
             self._show(f"serving the mock device at {progress.text} · Ctrl-C stops it")
             return
-        force = " ".join(f"{round(f, 3) + 0.0:+.3f}" for f in progress.force[:4])  # + 0.0: no minus before a zero
+        moved = zip(progress.position[:_MOST_CHANNELS], progress.force, strict=False)
+        felt = ", ".join(f"{1e3 * x + 0.0:+.2f} mm {round(f, 3) + 0.0:+.3f} N" for x, f in moved)  # + 0.0: no -0.00
         rate = "" if progress.seen_rate_hz is None else f" · {progress.seen_rate_hz:.1f} Hz"
         limited = f" · {progress.limited_ticks} at the limit" if progress.limited_ticks else ""
         known = zip(progress.estimated_mass_kg, progress.estimated_mass_uncertainty_kg, strict=True)
@@ -113,6 +116,6 @@ class _Line:
         slowed = f" · {progress.slowed_ticks} with changes slowed" if progress.slowed_ticks else ""
         faded = f" · {progress.faded_ticks} outside the travel" if progress.faded_ticks else ""
         self._show(
-            f"running {progress.elapsed_s:.1f} s{rate} · force {force} N · "
+            f"running {progress.elapsed_s:.1f} s{rate} · {felt} · "
             f"age {progress.age_samples} · misses {progress.deadline_misses}{limited}{slewed}{slowed}{faded}{mass}"
         )

@@ -29,11 +29,11 @@ from hapsim.cli.options import (
 )
 from hapsim.cli.output import complain, say, stderr, stdout
 from hapsim.cli.run import require_stable, warn, with_mock
-from hapsim.cli.run_report import report_document, show_report
+from hapsim.cli.run_report import report_document, show_report, show_run
 from hapsim.errors import RunError, UsageError
 from hapsim.measuring.measure import measure as measure_scene
 from hapsim.measuring.measure_trace import Measurement
-from hapsim.number_format import number
+from hapsim.number_format import number, relative_difference, rounded
 from hapsim.prediction import Desired, Felt, Prediction, felt_at_rate, predict, predict_on_wire, with_mass
 from hapsim.prediction.other_mass import masses_with, oscillation_at
 from hapsim.recording.trace import Report
@@ -78,6 +78,7 @@ def measure(
     data: DataFile = None,
     record: RecordOptions,
     unstable: Unstable = False,
+    explain: Annotated[bool, typer.Option("--explain", help="Print the report of the run too.")] = False,
     json: Json = False,
 ) -> None:
     """Measure what the hand feels, and compare it with the prediction.
@@ -90,7 +91,7 @@ def measure(
         return
     if travel is not None or z_width:
         raise UsageError("--travel and --z-width go with --impedance: it is missing")
-    _measure_pair(device, channel, duration, push, picture, data, record, unstable, json)
+    _measure_pair(device, channel, duration, push, picture, data, record, unstable, explain, json)
 
 
 def _measure_pair(
@@ -102,6 +103,7 @@ def _measure_pair(
     data: Path | None,
     record: RecordOptions,
     unstable: bool,
+    explain: bool,
     json: bool,
 ) -> None:
     """Rings a hand, and prints the k and b that it identifies beside the prediction."""
@@ -147,7 +149,10 @@ def _measure_pair(
         measured = measurement_document(prediction, measurement, channel, on_wire)
         print(document({"scene": path, "warnings": warnings} | measured))
     else:
-        _show_measured(loaded, channel, felt, why, measurement, prediction, on_wire)
+        _show_measured(loaded, channel, felt, why, measurement, prediction)
+        (show_report if explain else show_run)(stdout(), measurement.trace.report)
+        if on_wire is not None:
+            show_wire(stdout(), prediction, on_wire)
         say_written(picture, data, record.record)
     if measurement.failure is not None:
         complain(measurement.failure)
@@ -169,37 +174,24 @@ def _end_failed(
     raise typer.Exit(error.exit_status)
 
 
-def _show_measured(
-    scene: Scene,
-    channel: int,
-    felt: Any,
-    why: str,
-    measurement: Any,
-    prediction: Prediction,
-    on_wire: Prediction | None,
-) -> None:
-
-    show_assumptions(stdout(), prediction)
+def _show_measured(scene: Scene, channel: int, felt: Any, why: str, measurement: Any, prediction: Prediction) -> None:
     hands = {point.channel: name for name, point in scene.device_points.items()}
     least, most = scene.device.mass_spans(scene.channels)[channel]
-    of_mass = "estimated" if any(measurement.trace.report.estimated_mass_kg) else "assumed"
+    of_mass = "declared"
     if least < most:
+        of_mass = "estimated" if any(measurement.trace.report.estimated_mass_kg) else "assumed"
         whose = "the estimated mass" if of_mass == "estimated" else "the middle of the span"
         say(
             f"k and b are those of a hand of {measurement.mass:.6g} kg, {whose} of {least:g} to {most:g} kg; they grow "
             "with the mass."
         )
-    else:
-        of_mass = "declared"
     desired = next((one for one in prediction.desired if one.channel == channel), None)
     where = f"{hands[channel]}, channel {channel}"
     show_measurement(stdout(), where, felt, why, measurement, desired, prediction=prediction, of_mass=of_mass)
+    show_assumptions(stdout(), prediction)
     others = ", ".join(f"--channel {c} for {name}" for c, name in hands.items() if c != channel)
     if others:
         say(f"Other hands of this scene: {others}.")
-    show_report(stdout(), measurement.trace.report)
-    if on_wire is not None:
-        show_wire(stdout(), prediction, on_wire)
 
 
 def _chart_ring_down(felt: Any, measurement: Any, picture: Path | None, data: Path | None) -> None:
@@ -305,33 +297,24 @@ def show_measurement(
     `where`: the hand in question; `why`: there is no prediction for it, in words; `prediction`: of the whole
     scene; `of_mass`: where the mass comes from, in a word.
     """
-    out.print()
     out.print(_side_by_side(f"What the hand feels at {escape(where)}", felt, measurement, of_mass, desired))
     _show_at_seen_rate(out, felt, measurement, of_mass)
     if felt is None:
         out.print(
-            f"This hand {why}: no single spring and damper is predicted "
-            "for it. Measured is, of the modes that its motion shows, the one that rings longest; k and b would give "
-            "the hand's mass alone the same mode. `hapsim check` lists the modes."
+            f"This hand {why}: no single spring and damper is predicted for it. Measured is the mode that rings "
+            "longest; k and b would give the hand's mass alone that mode. `hapsim check --explain` lists the modes."
         )
-    limited = measurement.trace.report.limited_ticks
-    if limited:
-        out.print(
-            f"[yellow]{limited} of {measurement.trace.report.ticks} ticks were at the force limit[/yellow]: k and b "
-            "hold for motions that stay below it; beyond, the hand feels less."
-        )
-    slewed = measurement.trace.report.slewed_ticks
-    if slewed:
-        out.print(
-            f"[yellow]{slewed} of {measurement.trace.report.ticks} ticks were at the slew limit or in the soft "
-            "start[/yellow]: k and b hold for motions that are slower; in these the hand feels less."
-        )
-    faded = measurement.trace.report.faded_ticks
-    if faded:
-        out.print(
-            f"[yellow]{faded} of {measurement.trace.report.ticks} ticks were outside device.travel[/yellow], where the "
-            "force fades: k and b hold for motions within it."
-        )
+    report = measurement.trace.report
+    for ticks, where_they_were, holds in (
+        (report.limited_ticks, "at the force limit", "stay below it; beyond, the hand feels less"),
+        (report.slewed_ticks, "at the slew limit or in the soft start", "are slower; in these the hand feels less"),
+        (report.faded_ticks, "outside device.travel, where the force fades", "stay within it"),
+    ):
+        if ticks:
+            out.print(
+                f"[yellow]{ticks} of {report.ticks} ticks were {where_they_were}[/yellow]: k and b hold for motions "
+                f"that {holds}."
+            )
     _show_what_the_device_is(out, felt, measurement, prediction, of_mass)
     if not measurement.dominant:
         out.print(f"The motion is not that of a spring and damper: {_plainly(measurement.reason)}.")
@@ -401,38 +384,34 @@ def _rounded(seen: SeenRate) -> tuple[str, str]:
 def _side_by_side(
     title: str, felt: Felt | None, measurement: Measurement, of_mass: str, desired: Desired | None = None
 ) -> Table:
+    """Returns the table of prediction and measurement, to the digits that the uncertainty leaves."""
     table = Table(title=title, title_justify="left")
-    for heading in (
-        "",
-        *(["desired"] if desired else []),
-        "predicted",
-        "measured",
-        "±" if desired else "uncertainty",
-        "off by",
-    ):
+    for heading in ("", *(["desired"] if desired else []), "predicted", "measured", "±", "off by"):
         table.add_column(heading, justify="right" if heading else "left")
-    digits = 7 if desired else 9  # so that 80 columns hold the table
-    rows = [
+    for label, key, uncertainty in (
         ("k  N/m", "k", measurement.k_uncertainty),
         ("b  N·s/m", "b", measurement.b_uncertainty),
         ("eigenfrequency  Hz", "frequency_hz", measurement.frequency_uncertainty_hz),
         ("damping ratio", "damping_ratio", measurement.damping_ratio_uncertainty),
-    ]
-    for label, key, uncertainty in rows:
-        predicted = math.nan if felt is None else getattr(felt, key)
-        measured = getattr(measurement, key)
-        difference = (measured / predicted - 1.0) if predicted else math.nan
+    ):
+        predicted, measured = math.nan if felt is None else getattr(felt, key), getattr(measurement, key)
         table.add_row(
             label,
             *([number(getattr(desired, key))] if desired else []),
-            number(predicted, digits),
-            number(measured, digits),
+            _to_digits(predicted, uncertainty),
+            _to_digits(measured, uncertainty),
             number(uncertainty, 1),
-            f"{difference:+.1e}" if math.isfinite(difference) else "",
+            relative_difference(measured, predicted),
         )
-    unsure = of_mass if measurement.mass_uncertainty is None else number(measurement.mass_uncertainty, 1)
-    table.add_row("mass  kg", *([""] if desired else []), "", number(measurement.mass, digits), unsure, "")
+    known = measurement.mass_uncertainty
+    unsure = of_mass if known is None else number(known, 1)
+    mass = number(measurement.mass) if known is None else rounded(measurement.mass, known)
+    table.add_row("mass  kg", *([""] if desired else []), "", mass, unsure, "")
     return table
+
+
+def _to_digits(value: float, uncertainty: float) -> str:
+    return rounded(value, max(uncertainty, 1e-7 * abs(value))) if math.isfinite(value) else number(value)
 
 
 def measurement_document(

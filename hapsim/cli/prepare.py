@@ -14,6 +14,7 @@ from hapsim.cli.live import live_line
 from hapsim.cli.options import Json, Port, SceneFile, load
 from hapsim.cli.output import complain, say, stderr
 from hapsim.errors import UsageError
+from hapsim.number_format import plural
 from hapsim.prediction import predict
 from hapsim.running.compile_ahead import prepare
 from hapsim.running.requirements import why_not_armed
@@ -61,7 +62,9 @@ def compile_(
     elif prepared.directory is None:
         say("Compiled, but there is no place to keep it: set XDG_CACHE_HOME to a directory that can be written to.")
     elif prepared.functions:
-        say(f"Compiled {prepared.functions} functions in {prepared.seconds:.1f} s; kept in {prepared.directory}")
+        say(
+            f"Compiled {plural(prepared.functions, 'function')} in {prepared.seconds:.1f} s; kept in {prepared.directory}"
+        )
     else:
         say(f"Nothing to compile: everything is kept in {prepared.directory}")
 

@@ -11,6 +11,7 @@ from rich.table import Table
 
 from hapsim.cli.as_json import failure_document
 from hapsim.measuring.trace_quality import kept_rate
+from hapsim.number_format import percent, plural
 
 if TYPE_CHECKING:
     from hapsim.loop.histogram import Spread
@@ -76,6 +77,18 @@ def show_report(out: Console, report: Report, reconnections: int = 0) -> None:
         out.print(f"[yellow]{sentence}[/yellow]")
 
 
+def show_run(out: Console, report: Report) -> None:
+    """Prints how a run went in a line, and what is wrong with the wire."""
+    misses = plural(report.deadline_misses, "deadline miss", "deadline misses")
+    time = "virtual" if report.virtual_time else "real"
+    out.print(
+        f"The run: {report.ending}, {report.ticks} ticks in {report.duration_s:.3g} s of {time} time at "
+        f"{report.rate_hz:.6g} Hz{_off_rate(report)}, {misses}; --explain prints the report"
+    )
+    if sentence := _of_the_wire(report):
+        out.print(f"[yellow]{sentence}[/yellow]")
+
+
 def _of_the_wire(report: Report) -> str:
     """That it lost or spoilt more than a few frames, and what to look at; "" where it did not."""
     positions = report.ticks + report.lost_frames
@@ -83,7 +96,7 @@ def _of_the_wire(report: Report) -> str:
     refused = report.crc_errors + (refused_there if refused_there >= _MANY else 0)
     if not positions or max(report.lost_frames, refused) <= _FEW * positions:
         return ""
-    told = [f"{_percent(report.lost_frames / positions)} of the positions were lost"] if report.lost_frames else []
+    told = [f"{_share(report.lost_frames / positions)} of the positions were lost"] if report.lost_frames else []
     told += [f"{refused} frames were refused"] if refused else []
     held_up = "" if refused or report.garbage_bytes else ", and whether this machine was held up (`hapsim doctor`)"
     return (
@@ -102,12 +115,12 @@ def _estimated_mass(report: Report, channel: int) -> str:
     if uncertainty > _MASS_KNOWN * mass:
         return f"{told} [yellow](not known: no force moved the hand clearly, or others moved it more)[/yellow]"
     if explained < _LITTLE_EXPLAINED:
-        return f"{told} [yellow](the forces explain {_percent(explained)} of the latest motion)[/yellow]"
+        return f"{told} [yellow](the forces explain {_share(explained)} of the latest motion)[/yellow]"
     return told
 
 
-def _percent(share: float) -> str:
-    return f"{100.0 * share:.2g} %" if share < 0.995 else "Nearly all"
+def _share(share: float) -> str:
+    return percent(share) if share < 0.995 else "Nearly all"
 
 
 def _off_rate(report: Report) -> str:
