@@ -71,14 +71,16 @@ def stops_as_interrupts() -> Iterator[None]:
 @contextlib.contextmanager
 def stopping_on_signals(stop: Callable[[], None]) -> Iterator[None]:
     """While open, each of these signals calls `stop`."""
-    _Command.stops = 0
 
     def count(*_: object) -> None:
         _Command.stops += 1
         stop()
 
     with _handled_by(count):
-        yield
+        try:
+            yield
+        finally:
+            _Command.stops = 0
 
 
 @contextlib.contextmanager

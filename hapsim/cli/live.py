@@ -106,7 +106,8 @@ class _Line:
             self._show(f"serving the mock device at {progress.text} · Ctrl-C stops it")
             return
         moved = zip(progress.position[:_MOST_CHANNELS], progress.force, strict=False)
-        felt = ", ".join(f"{1e3 * x + 0.0:+.2f} mm {round(f, 3) + 0.0:+.3f} N" for x, f in moved)  # + 0.0: no -0.00
+        # + 0.0: no minus before a zero
+        felt = ", ".join(f"{round(1e3 * x, 2) + 0.0:+.2f} mm {round(f, 3) + 0.0:+.3f} N" for x, f in moved)
         rate = "" if progress.seen_rate_hz is None else f" · {progress.seen_rate_hz:.1f} Hz"
         limited = f" · {progress.limited_ticks} at the limit" if progress.limited_ticks else ""
         known = zip(progress.estimated_mass_kg, progress.estimated_mass_uncertainty_kg, strict=True)

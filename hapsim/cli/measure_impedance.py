@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+import typer
 from rich.markup import escape
 from rich.table import Table
 
@@ -15,7 +16,7 @@ from hapsim.cli.options import DeviceOptions, RecordOptions, require_drawable, s
 from hapsim.cli.output import complain, stderr, stdout
 from hapsim.cli.run import predict_before_arming
 from hapsim.errors import UsageError
-from hapsim.measuring.measure_impedance import TRAVEL_M, walls_in_place
+from hapsim.measuring.measure_impedance import TRAVEL_M, StoppedError, walls_in_place
 from hapsim.measuring.measure_impedance import measure_impedance as measure
 from hapsim.prediction.impedance import (
     PredictedImpedance,
@@ -26,6 +27,7 @@ from hapsim.prediction.impedance import (
     width_db,
     z_width_of,
 )
+from hapsim.stopping import INTERRUPTED, ignore_stops
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -35,6 +37,7 @@ if TYPE_CHECKING:
     from hapsim.scene import Scene
 
 _WALL_PERIODS = 14
+_STOPPED = "hapsim: stopped early: the impedance is of the periods recorded until then"
 
 
 def measure_impedance(
@@ -60,20 +63,30 @@ def measure_impedance(
     options["travel"] = TRAVEL_M if travel is None else travel
     with live_line(stderr()) as tell:
         options["on_progress"] = tell
-        measured = measure(scene, **options)
+        try:
+            measured = measure(scene, **options)
+        except StoppedError as stopped:
+            if record.record is not None:
+                _save_traces(tuple(range(len(stopped.traces))), stopped.traces, record.record)
+            raise
         predicted = predict_impedance(scene, measured.frequency)
         widths = [z_width_of(scene, one, measured.frequency) for one in measured.channels]
-        walls = _walls(scene, measured, widths, options) if z_width else {}
+        walls = _walls(scene, measured, widths, options) if z_width and not measured.stopped else {}
     if record.record is not None:
         _save_traces(measured.channels, measured.traces, record.record)
     _chart(scene, predicted, measured, place, picture, data)
     if json:
-        print(document({"scene": device.scene} | impedance_document(predicted, measured, widths, walls)))
-        return
-    shown = list(range(len(predicted.names))) if place is None else [place]
-    show_impedance(stdout(), predicted, measured, shown)
-    show_z_widths(stdout(), predicted, measured.channels, widths, walls)
-    say_written(picture, data, record.record)
+        early = {"error": _STOPPED, "exit_status": INTERRUPTED} if measured.stopped else {}
+        print(document({"scene": device.scene} | impedance_document(predicted, measured, widths, walls) | early))
+    else:
+        shown = list(range(len(predicted.names))) if place is None else [place]
+        show_impedance(stdout(), predicted, measured, shown)
+        show_z_widths(stdout(), predicted, measured.channels, widths, walls)
+        say_written(picture, data, record.record)
+    if measured.stopped:
+        ignore_stops()
+        complain(_STOPPED)
+        raise typer.Exit(INTERRUPTED)
 
 
 def _place(scene: Scene, channel: int | None) -> int | None:

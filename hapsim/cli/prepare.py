@@ -62,9 +62,8 @@ def compile_(
     elif prepared.directory is None:
         say("Compiled, but there is no place to keep it: set XDG_CACHE_HOME to a directory that can be written to.")
     elif prepared.functions:
-        say(
-            f"Compiled {plural(prepared.functions, 'function')} in {prepared.seconds:.1f} s; kept in {prepared.directory}"
-        )
+        functions = plural(prepared.functions, "function")
+        say(f"Compiled {functions} in {prepared.seconds:.1f} s; kept in {prepared.directory}")
     else:
         say(f"Nothing to compile: everything is kept in {prepared.directory}")
 

@@ -14,6 +14,7 @@ from firmware_protocol.frames import SETUP, Format, armed_format, frame_to_devic
 from hapsim.device.connection import Connection
 from hapsim.errors import DescriptionError, DeviceError
 from hapsim.loop.endings import FAILED, HUNG_UP
+from hapsim.stopping import is_urgent
 
 _ANSWER_S = 0.25  # how long one answer is waited for
 _TRIES = 12  # together three seconds: a board that the opening of its port resets needs them
@@ -105,11 +106,13 @@ def disarm(connection: Connection, wire: Format) -> bool:
 
 
 def _is_released(connection: Connection, frame: bytes) -> bool:
-    """Sends a frame, if there is one, and waits for the STATUS of a device that is not armed."""
+    """Sends a frame, if there is one, and waits for the STATUS of a device that is not armed; not once the run was told
+    to stop twice."""
     if frame:
         _send(connection, frame)
     released = (schema.IDLE, schema.LATCHED)
-    status = _answer(connection, schema.STATUS, None, _FAREWELL_S, lambda word: word & 0xFF in released)
+    patience_s = 0.0 if is_urgent() else _FAREWELL_S
+    status = _answer(connection, schema.STATUS, None, patience_s, lambda word: word & 0xFF in released)
     return status is not None
 
 

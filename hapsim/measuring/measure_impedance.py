@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from hapsim.device.open_connection import TransportKind
-from hapsim.errors import UsageError
+from hapsim.errors import HapsimError, UsageError
 from hapsim.measuring.converters import Converters
 from hapsim.measuring.impedance import LEAST_PERIODS, Impedance, impedance_of, settling
 from hapsim.measuring.multisine import Floats, Lines, Periods, lines_for, multisine, periods_of
@@ -20,6 +20,7 @@ from hapsim.recording.trace import Trace
 from hapsim.running import PeriodicExcitation, run
 from hapsim.scene import Ground, Scene, ViscoElastic
 from hapsim.scene.load import SceneSource, as_scene
+from hapsim.stopping import INTERRUPTED
 
 SHARE_OF_LIMIT = 0.25
 """Of the force limit, that an excitation's peak has at most."""
@@ -51,8 +52,20 @@ class MeasuredImpedance(Impedance):
     """Samples whose force was cut to its limit."""
     seen_rate: SeenRate | None = None
     """At which rate the device sampled, as its positions arrived; None where that does not tell."""
+    stopped: bool = False
+    """Whether a signal ended it early: the impedance is of the periods until then."""
     traces: tuple[Trace, ...] = field(default=(), repr=False, compare=False)
     """(C,) what it was read from."""
+
+
+class StoppedError(HapsimError):
+    """A signal ended the measurement before every channel was excited."""
+
+    exit_status = INTERRUPTED
+
+    def __init__(self, traces: list[Trace]) -> None:
+        super().__init__("stopped before every channel was excited for long enough: no impedance was identified")
+        self.traces = tuple(traces)
 
 
 def measure_impedance(
@@ -88,7 +101,7 @@ def measure_impedance(
     travel = min(travel, *(0.5 * (most - least) for least, most in scene.device.travels(scene.channels)))
 
     def excited(channel: int, forces: Floats, count: int) -> Trace:
-        trace = run(
+        return run(
             scene,
             duration=count * lines.period_s,
             transport=transport,
@@ -96,22 +109,33 @@ def measure_impedance(
             on_progress=on_progress,
             stop_on_signals=stop_on_signals,
         )
-        if trace.report.ending == STOPPED:
-            raise UsageError("stopped before everything was excited: an impedance takes whole periods of every channel")
-        return trace
 
-    traces, experiments, peaks, moved = [], [], [], []
+    def is_stopped(trace: Trace) -> bool:
+        return bool(trace.report.ending == STOPPED)
+
+    traces: list[Trace] = []
+    experiments, peaks, moved = [], [], []
+    stopped = False
     for channel in channels:
-        soft = _soft_forces(scene, lines, channel, travel, most)
-        answer = _periods(excited(channel, soft, _SOFT_PERIODS), lines, scene)
-        forces = _forces(lines, answer, channels.index(channel), travel, most)
+        answer = excited(channel, _soft_forces(scene, lines, channel, travel, most), _SOFT_PERIODS)
+        if is_stopped(answer):
+            raise StoppedError(traces)
+        forces = _forces(lines, _periods(answer, lines, scene), channels.index(channel), travel, most)
         peaks.append(float(np.max(np.abs(forces))))
         trace = excited(channel, forces, periods)
-        moved.append(_travel(trace, lines, channel, peaks[-1]))
         experiment = _periods(trace, lines, scene)
-        if duration is None and settling(experiment, channels.index(channel)).scatter > _UNCERTAIN:
-            trace = excited(channel, forces, _MORE * periods)
-            experiment = _periods(trace, lines, scene)
+        stopped = is_stopped(trace)
+        if stopped and (channel != channels[-1] or experiment.position.shape[0] < LEAST_PERIODS):
+            raise StoppedError([*traces, trace])
+        moved.append(_travel(trace, lines, channel, peaks[-1]))
+        unsettled = settling(experiment, channels.index(channel)).scatter > _UNCERTAIN
+        if duration is None and not stopped and unsettled:
+            longer = excited(channel, forces, _MORE * periods)
+            stopped = is_stopped(longer)
+            if stopped and channel != channels[-1]:
+                raise StoppedError([*traces, trace])
+            if not stopped:
+                trace, experiment = longer, _periods(longer, lines, scene)
         traces.append(trace)
         experiments.append(experiment)
     converters = Converters(scene.device.hold, scene.device.sampling)
@@ -125,6 +149,7 @@ def measure_impedance(
         lost_periods=sum(one.lost for one in experiments),
         limited_samples=sum(one.limited for one in experiments),
         seen_rate=seen_rate(traces[0]),
+        stopped=stopped,
         traces=tuple(traces),
     )
 

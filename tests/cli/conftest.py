@@ -69,3 +69,15 @@ def scene_file(tmp_path: Path) -> Callable[..., Path]:
 def every_scene(request: pytest.FixtureRequest) -> str:
     name: str = request.param
     return name
+
+
+@pytest.fixture
+def explained(hapsim: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> Callable[[Path], str]:
+    """Returns what `check --explain` prints of a scene's prediction, without compiling it."""
+    monkeypatch.setattr("hapsim.cli.check._explanation", lambda _: None)
+
+    def explain(path: Path) -> str:
+        printed: str = hapsim("check", path, "--explain").out
+        return printed
+
+    return explain

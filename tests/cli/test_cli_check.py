@@ -35,6 +35,25 @@ def test_every_scene_is_reported_in_words_and_in_json(
     assert document["spectral_radius"] == pytest.approx(largest, rel=1e-12)
 
 
+@pytest.mark.parametrize("correction", ["none", "poles"])
+def test_the_answer_fits_on_a_small_terminal_with_the_verdict_first(
+    hapsim: Callable[..., Any], scene_file: Callable[..., Path], monkeypatch: pytest.MonkeyPatch, correction: str
+) -> None:
+    path = scene_file("spring", correction=correction)
+    monkeypatch.setenv("COLUMNS", "80")
+    answer, document = hapsim("check", path), hapsim("check", path, "--json").document
+    lines = answer.out.splitlines()
+    assert len(lines) <= 13
+    assert "at 1000 Hz: stable" in lines[0] + lines[1]
+    (row,) = (line.split() for line in lines if line.strip().startswith("hand: k"))
+    assert [float(word) for word in row[2:5]] == pytest.approx(
+        [1000.0, document["predicted"]["k"], document["predicted"]["steady_stiffness"]], rel=1e-5
+    )
+    assert any(line.startswith("Smallest gain margin: unstable at ") for line in lines)
+    assert any(line.startswith("Wire: ") for line in lines)
+    assert any(line.startswith("Guards: force 10 N") for line in lines)
+
+
 def test_a_spring_is_predicted_with_its_k_and_b(hapsim: Callable[..., Any], scene_file: Callable[..., Path]) -> None:
     document = hapsim("check", scene_file("spring"), "--json").document
     k, b = document["predicted"]["k"], document["predicted"]["b"]
@@ -89,7 +108,9 @@ def test_an_unstable_scene_is_reported_as_such_and_is_no_failure(
     assert hapsim("check", scene_file("unstable"), "--json").document["stable"] is False
 
 
-def test_what_makes_an_unstable_scene_stable_does(hapsim: Callable[..., Any], scene_file: Callable[..., Path]) -> None:
+def test_what_makes_an_unstable_scene_stable_does(
+    hapsim: Callable[..., Any], scene_file: Callable[..., Path], explained: Callable[[Path], str]
+) -> None:
     """In the sentence, in the table and in JSON: the damping between two factors, just outside them not."""
     path = scene_file("spring")
     scene = yaml.safe_load(path.read_text())
@@ -108,7 +129,7 @@ def test_what_makes_an_unstable_scene_stable_does(hapsim: Callable[..., Any], sc
         None,
         [[0.0, margin["stiffness_factor"]]],
     )
-    told = hapsim("check", path).out
+    told = explained(path)
     row = next(line for line in told.splitlines() if line.startswith("│") and " to " in line)
     low, high = (float(word) for word in row.split("│")[-2].split(" to "))
     assert least <= low < least * 1.001
@@ -122,14 +143,14 @@ def test_what_makes_an_unstable_scene_stable_does(hapsim: Callable[..., Any], sc
 
 
 def test_where_no_factor_makes_a_scene_stable_there_is_a_dash(
-    hapsim: Callable[..., Any], scene_file: Callable[..., Path]
+    hapsim: Callable[..., Any], scene_file: Callable[..., Path], explained: Callable[[Path], str]
 ) -> None:
     path = scene_file("spring")
     scene = yaml.safe_load(path.read_text())
     link = next(module for module in scene["modules"].values() if module["type"] == "viscoelastic")
     link |= {"stiffness": 4000.0, "damping": 0.0}
     path.write_text(yaml.safe_dump(scene))
-    told = hapsim("check", path).out
+    told = explained(path)
     assert "(–: no factor does it)" in " ".join(told.split())
     assert [line.split("│")[-2].strip() for line in told.splitlines() if "or less │" in line] == ["–"]
     (margin,) = hapsim("check", path, "--json").document["margins"].values()
@@ -138,9 +159,9 @@ def test_where_no_factor_makes_a_scene_stable_there_is_a_dash(
 
 @pytest.mark.parametrize("name", ["free", "damper"])
 def test_a_hand_that_nothing_pulls_back_is_not_called_unstable(
-    hapsim: Callable[..., Any], scene_file: Callable[..., Path], name: str
+    scene_file: Callable[..., Path], explained: Callable[[Path], str], name: str
 ) -> None:
-    told = hapsim("check", scene_file(name)).out
+    told = explained(scene_file(name))
     assert "at the limit between stable and unstable: something drifts" in told
     assert "There is no stiffness to have a margin." in told
 
@@ -162,9 +183,9 @@ def test_a_bar_that_nothing_keeps_from_turning_is_not_called_unstable(
 
 @pytest.mark.parametrize("name", ["mass", "mass_on_channel_2", "hand_in_hand"])
 def test_a_scene_with_masses_lists_modes_and_says_that_there_is_no_single_k_and_b(
-    hapsim: Callable[..., Any], scene_file: Callable[..., Path], name: str
+    hapsim: Callable[..., Any], scene_file: Callable[..., Path], explained: Callable[[Path], str], name: str
 ) -> None:
-    told = hapsim("check", scene_file(name)).out
+    told = explained(scene_file(name))
     why = "is tied to another hand (wall, by touch)" if name == "hand_in_hand" else "moves a mass of the scene too ("
     assert f"hand {why}" in told.replace("\n", " ")
     assert "Modes" in told
@@ -225,8 +246,10 @@ def test_a_large_scene_that_diverges_is_called_unstable(hapsim: Callable[..., An
     assert document["spectral_radius"] > 1.0
 
 
-def test_a_gain_margin_is_said_once(hapsim: Callable[..., Any], scene_file: Callable[..., Path]) -> None:
-    told = hapsim("check", scene_file("spring")).out
+def test_a_gain_margin_is_said_once(
+    hapsim: Callable[..., Any], scene_file: Callable[..., Path], explained: Callable[[Path], str]
+) -> None:
+    told = explained(scene_file("spring"))
     factor = hapsim("check", scene_file("spring"), "--json").document["margins"]["touch"]["stiffness_factor"]
     assert f" {factor:.4g} " in told
     assert "the loop becomes unstable at" not in told
@@ -234,15 +257,17 @@ def test_a_gain_margin_is_said_once(hapsim: Callable[..., Any], scene_file: Call
     document = yaml.safe_load(path.read_text())
     document["modules"]["more"] = document["modules"]["touch"]
     path.write_text(yaml.safe_dump(document))
-    assert "Gain margin: the loop becomes unstable at" in hapsim("check", path).out
+    assert "Gain margin: the loop becomes unstable at" in explained(path)
 
 
-def test_each_link_is_reported_with_its_gain_margin(hapsim: Callable[..., Any], tmp_path: Path) -> None:
+def test_each_link_is_reported_with_its_gain_margin(
+    hapsim: Callable[..., Any], tmp_path: Path, explained: Callable[[Path], str]
+) -> None:
     path = chain(tmp_path, 3, 0.1, 0.5)
     document = hapsim("check", path, "--json").document
     assert document["poles_method"].startswith("every pole")
     assert set(document["margins"]) == {"l0", "l1", "l2", "l3"}
-    assert "Gain margins" in hapsim("check", path).out
+    assert "Gain margins" in explained(path)
     factor = document["margins"]["l1"]["stiffness_factor"]
     text = path.read_text()
     for grown, stable in ((0.999 * factor, True), (1.001 * factor, False)):
@@ -250,7 +275,7 @@ def test_each_link_is_reported_with_its_gain_margin(hapsim: Callable[..., Any], 
         scene["modules"]["l1"]["stiffness"] *= grown
         path.write_text(yaml.safe_dump(scene))
         assert hapsim("check", path, "--json").document["stable"] is stable
-    assert "For the scene to be stable" in hapsim("check", path).out
+    assert "For the scene to be stable" in explained(path)
 
 
 def test_a_hand_whose_dampers_are_of_several_kinds_has_no_single_k_and_b(
@@ -293,7 +318,7 @@ def test_a_wire_that_is_too_slow_is_reported(hapsim: Callable[..., Any], scene_f
 
 
 def test_a_wire_that_costs_a_sample_is_predicted_at_the_delay_that_results(
-    hapsim: Callable[..., Any], scene_file: Callable[..., Path]
+    hapsim: Callable[..., Any], scene_file: Callable[..., Path], explained: Callable[[Path], str]
 ) -> None:
     """23 bytes at 115200 baud take 1.997 ms: with the host's work they miss a tick at 500 Hz, and not at 480 Hz."""
     path = scene_file("spring", baud=115200, port="/dev/ttyNONE")
@@ -302,7 +327,7 @@ def test_a_wire_that_costs_a_sample_is_predicted_at_the_delay_that_results(
     def wire(rate: float, delay: float) -> dict[str, Any]:
         path.write_text(yaml.safe_dump(scene | {"rate": rate, "device": scene["device"] | {"delay": delay}}))
         document: dict[str, Any] = hapsim("check", path, "--json").document
-        return document | {"text": hapsim("check", path).out.replace("\n", " ")}
+        return document | {"text": explained(path).replace("\n", " ")}
 
     late, declared, fits = wire(500.0, 1.0), wire(500.0, 2.0), wire(480.0, 1.0)
     assert (late["wire_time"]["fits"], late["wire_time"]["delay_samples"]) == (False, 2)
@@ -320,7 +345,7 @@ def test_a_wire_that_costs_a_sample_is_predicted_at_the_delay_that_results(
 
 
 def test_what_bounds_the_force_is_told_for_where_the_device_is(
-    hapsim: Callable[..., Any], scene_file: Callable[..., Path], tmp_path: Path
+    hapsim: Callable[..., Any], scene_file: Callable[..., Path], tmp_path: Path, explained: Callable[[Path], str]
 ) -> None:
     path = scene_file("spring")
     assert hapsim("check", path, "--json").document["force_bounds"] == {
@@ -328,7 +353,7 @@ def test_what_bounds_the_force_is_told_for_where_the_device_is(
         "soft_start_s": 0.0,
         "energy_limit": pytest.approx(0.2),
     }
-    told = hapsim("check", path).out.replace("\n", " ")
+    told = explained(path).replace("\n", " ")
     assert "Force: at most 10 N; it changes as fast as the scene asks" in told
     assert "what the scene asks for in the very first sample comes at once." in told
     assert "A run ends where the scene gives the hand more than 0.2 J, or goes on" in told
@@ -337,19 +362,19 @@ def test_what_bounds_the_force_is_told_for_where_the_device_is(
     document["device"] |= {"clock": "device"}
     in_hand = tmp_path / "on_the_mock.yaml"
     in_hand.write_text(yaml.safe_dump(document))
-    told = hapsim("check", in_hand).out.replace("\n", " ")
+    told = explained(in_hand).replace("\n", " ")
     assert "Behind a port (`--port`) the force changes by at most 10000 N/s, and" in told
     assert "in the very first sample comes along a ramp of 50 ms." in told
     document["device"] |= {"port": "/dev/ttyACM0"}
     in_hand = tmp_path / "in_hand.yaml"
     in_hand.write_text(yaml.safe_dump(document))
-    told = hapsim("check", in_hand).out.replace("\n", " ")
+    told = explained(in_hand).replace("\n", " ")
     assert "it changes by at most 10000 N/s" in told
     assert "Behind a port" not in told
     assert "in the very first sample comes along a ramp of 50 ms (what is asked for later" in told
     document["device"]["slew_limit"] = 5.0
     in_hand.write_text(yaml.safe_dump(document))
-    told = hapsim("check", in_hand).out.replace("\n", " ")
+    told = explained(in_hand).replace("\n", " ")
     assert "found 5 N/s, with which the force takes 2 s from zero to the force limit of 10 N" in told
 
 
@@ -388,10 +413,10 @@ def test_run_tells_its_warnings_in_json_too(hapsim: Callable[..., Any], scene_fi
 
 
 def test_the_hand_and_device_of_a_prediction_are_told(
-    hapsim: Callable[..., Any], scene_file: Callable[..., Path]
+    scene_file: Callable[..., Path], explained: Callable[[Path], str]
 ) -> None:
     def line(name: str = "spring", **device: Any) -> str:
-        told: str = " ".join(hapsim("check", scene_file(name, **device)).out.split())
+        told: str = " ".join(explained(scene_file(name, **device)).split())
         return told.partition("for a hand of ")[2].partition(" What the hand")[0]
 
     assert line(mass=0.2, friction=1.0, delay=1) == (
@@ -408,7 +433,7 @@ def test_the_hand_and_device_of_a_prediction_are_told(
 
 
 def test_what_bounds_the_force_of_a_dead_host_is_what_a_run_asks_the_device_for(
-    hapsim: Callable[..., Any], scene_file: Callable[..., Path]
+    hapsim: Callable[..., Any], scene_file: Callable[..., Path], explained: Callable[[Path], str]
 ) -> None:
     path = scene_file("spring")
     scene = load_scene(str(path))
@@ -422,7 +447,7 @@ def test_what_bounds_the_force_of_a_dead_host_is_what_a_run_asks_the_device_for(
         pass
     assert [silence["time_to_live_samples"]] == asked == [20]
     assert (silence["zero_force_after_s"], silence["latched_after_s"]) == (0.021, 0.101)
-    told = hapsim("check", path).out.replace("\n", " ")
+    told = explained(path).replace("\n", " ")
     assert "at most 21 ms (20 samples' time to live, and one more)" in told
     assert "after 101 ms (watchdog of 100 samples" in told
     assert "the device latches: zero force until it is armed again." in told

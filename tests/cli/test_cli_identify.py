@@ -32,7 +32,7 @@ def test_it_says_what_it_will_do_and_tells_declared_beside_found(hapsim: Callabl
     assert "more than 5 mm from where it stands" in answer.err
     row = next(line for line in answer.out.splitlines() if "mass  kg" in line)
     assert [cell.strip() for cell in row.split("│")][2] == "0.2"
-    assert "-25.0%" in row
+    assert "-25 %" in row
     assert re.search(r"It has dry friction, 0\.(0999|1000)\d* N", answer.out)
     assert "`mock.coulomb`" in answer.out
     assert "The file was not changed; --write writes" in answer.out

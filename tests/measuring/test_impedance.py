@@ -19,11 +19,12 @@ from hapsim.holds import HOLDS
 from hapsim.loop.ring import LATE_FORCE, UNSENT
 from hapsim.measuring.converters import Converters
 from hapsim.measuring.impedance import impedance_of
-from hapsim.measuring.measure_impedance import MeasuredImpedance, measure_impedance, walls_in_place
+from hapsim.measuring.measure_impedance import MeasuredImpedance, StoppedError, measure_impedance, walls_in_place
 from hapsim.measuring.multisine import Periods, lines_for, multisine, periods_of
 from hapsim.prediction import predict
 from hapsim.prediction.impedance import predict_impedance, z_width_of
 from hapsim.recording.trace import Trace
+from hapsim.running import run
 from hapsim.scene import Scene, Span, load_scene
 from hapsim.theory.hand.impedance import late_and_held
 
@@ -294,8 +295,26 @@ class TestSentences:
             return replace(trace, report=replace(trace.report, ending="stopped"))
 
         monkeypatch.setattr("hapsim.measuring.measure_impedance.run", stopped)
-        with pytest.raises(UsageError, match="stopped before everything was excited"):
+        with pytest.raises(StoppedError, match="stopped before every channel was excited") as caught:
             measure_impedance(shipped("first_touch"))
+        assert caught.value.exit_status == 130
+
+    def test_what_was_recorded_when_it_was_stopped_is_kept(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        whole, runs = measured("first_touch"), []
+
+        def stopped_in_the_second_run(scene: Scene, *, duration: float, **options: Any) -> Trace:
+            runs.append(duration)
+            if len(runs) == 1:
+                return run(scene, duration=duration, **options)
+            trace = run(scene, duration=0.7 * duration, **options)
+            return replace(trace, report=replace(trace.report, ending="stopped"))
+
+        monkeypatch.setattr("hapsim.measuring.measure_impedance.run", stopped_in_the_second_run)
+        found = measure_impedance(shipped("first_touch"))
+        assert found.stopped
+        assert found.periods[0] < whole.periods[0]
+        off = np.abs(found.closed_loop.value - whole.closed_loop.value)
+        assert np.all(off <= found.closed_loop.uncertainty + whole.closed_loop.uncertainty)
 
     @pytest.mark.parametrize(
         ("options", "words"),

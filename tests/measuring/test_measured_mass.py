@@ -116,7 +116,7 @@ def test_the_uncertainty_of_the_mass_is_one_of_k_and_b_but_of_no_frequency(measu
     assert declared["frequency_uncertainty_hz"] == pytest.approx(0.5 * of_k * declared["frequency_hz"])
     expected = np.hypot(of_b, 0.5 * of_k) * declared["damping_ratio"]
     assert declared["damping_ratio_uncertainty"] == pytest.approx(expected)
-    assert "│ mass kg │ │ 0.2 │ 0.001 │ │" in " ".join(measured(mass="{value: 0.2, uncertainty: 0.001}").out.split())
+    assert "│ mass kg │ │ 0.2000 │ 0.001 │ │" in " ".join(measured(mass="{value: 0.2, uncertainty: 0.001}").out.split())
     # 15 % off is nothing that an uncertainty of 10 % does not cover.
     assert measured("--json", true=0.23).document["measured"]["probable_mass_kg"] is not None
     vague = measured("--json", true=0.23, mass="{value: 0.2, uncertainty: 0.02}").document["measured"]
