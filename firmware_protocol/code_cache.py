@@ -103,6 +103,7 @@ def _files_of(name: str) -> tuple[Path, ...]:
 
 
 def _key_of(sources: Sequence[Path]) -> str:
+    """Returns the name of the directory: a digest of the sources' names and texts, the compiler and the machine."""
     digest = hashlib.sha256(f"{numba.__version__} {platform.python_version()} {platform.machine()}".encode())
     for source in sources:
         digest.update(source.as_posix().encode())

@@ -175,8 +175,7 @@ def _stream_vectors() -> list[Entry]:
     ):
         frames = [frame(name, kind, n, 9, [n - 2] * words_in(name, kind)) for n in (1, 2, 3)]
         entries += [reading(about, direction, [(name, c) for c in chunks]) for about, chunks in _streams_of(frames)]
-    entries += [_arming_stream(), _sensing_stream()]
-    return entries
+    return entries + _arming_streams()
 
 
 def _streams_of(frames: list[bytes]) -> list[tuple[str, list[bytes]]]:
@@ -199,35 +198,26 @@ def _streams_of(frames: list[bytes]) -> list[tuple[str, list[bytes]]]:
     ]
 
 
-def _arming_stream() -> Entry:
-    """What the host reads around arming and a fault, in both formats."""
-
-    def to_host(name: str, kind: str, number: int, *counts: int) -> bytes:
-        return frame(name, kind, number, 0, list(counts))
-
+def _arming_streams() -> list[Entry]:
+    """What the host reads around arming and a fault, in both formats, without velocities and with them."""
     fault = schema.LATCHED | schema.HOST_QUIET << 8
-    positions = to_host("armed_3", "position", 0, 5, -5, 0) + to_host("armed_3", "position_held", 1, 6, -6, 0)
-    steps = [
-        ("setup", to_host("setup", "status", 0, schema.ARMED)),
-        ("armed_3", positions),
-        ("armed_3", to_host("armed_3", "status", 2, fault, 0, 0) + to_host("armed_3", "position", 3, 0, 0, 0)[:6]),
-        ("setup", to_host("setup", "status", 2, fault)),
-    ]
-    about = "arming, two positions, a fault; a frame begun in one format is forgotten in the next"
-    return reading(about, "to_host", steps)
-
-
-def _sensing_stream() -> Entry:
-    """What the host reads around arming with velocities."""
-    fault = schema.LATCHED | schema.HOST_QUIET << 8
-    positions = frame("velocity_1", "position", 0, 0, [5, -500]) + frame("velocity_1", "position_held", 1, 0, [-6, 7])
-    steps = [
-        ("setup", frame("setup", "status", 0, 0, [schema.ARMED])),
-        ("velocity_1", positions),
-        ("velocity_1", frame("velocity_1", "status", 2, 0, [fault, 0])),
-        ("setup", frame("setup", "status", 2, 0, [fault])),
-    ]
-    return reading("arming with velocities, two positions and their velocities, a fault", "to_host", steps)
+    armed = ("setup", frame("setup", "status", 0, 0, [schema.ARMED]))
+    latched = ("setup", frame("setup", "status", 2, 0, [fault]))
+    streams = []
+    for name, first, second, cut_off, about in (
+        (
+            "armed_3",
+            [5, -5, 0],
+            [6, -6, 0],
+            frame("armed_3", "position", 3, 0, [0, 0, 0])[:6],
+            "arming, two positions, a fault; a frame begun in one format is forgotten in the next",
+        ),
+        ("velocity_1", [5, -500], [-6, 7], b"", "arming with velocities, two positions and their velocities, a fault"),
+    ):
+        positions = frame(name, "position", 0, 0, first) + frame(name, "position_held", 1, 0, second)
+        last = frame(name, "status", 2, 0, [fault] + [0] * (len(first) - 1)) + cut_off
+        streams.append(reading(about, "to_host", [armed, (name, positions), (name, last), latched]))
+    return streams
 
 
 def _refused_vectors() -> list[Entry]:

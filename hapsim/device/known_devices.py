@@ -21,8 +21,11 @@ def state_directory() -> Path:
 
 
 def is_new(port: str) -> bool:
-    """Whether the device at `port` is met for the first time; from now on it is not. By its serial number, or else the
-    port's name. Where nothing is there, or nothing can be kept, no device is new."""
+    """Returns whether this user meets the device at `port` for the first time, and remembers it.
+
+    The device is known by its serial number, or else by the port's name. Where nothing is there, or nothing can be
+    kept, no device is new.
+    """
     if not os.path.exists(port):
         return False
     name = _serial_number(port) or port

@@ -19,7 +19,7 @@ time is virtual and on a pseudo-terminal where it is real. loopback, terminal: t
 
 
 Between = Callable[[PythonTransport], PythonTransport]
-"""What is put between the host and a device: made of the transport that it stands on, itself one for the host."""
+"""Wraps the transport to a device, for the host."""
 
 Place = Literal["port", "terminal", "loopback"]
 """Behind a port; or the mock: on a pseudo-terminal, or in memory."""
@@ -58,9 +58,15 @@ def open_connection(
     realtime: bool = False,
     between: Between | None = None,
 ) -> Iterator[Connection]:
-    """The connection to the scene's device, open inside the with-block. `portable`: for the loop in Python; `realtime`:
-    where the mock has a time of its own, it keeps it as hardware does, as far as the system lets it; `between`: what
-    the bytes go through, each way."""
+    """Yields the connection to the scene's device, open inside the with-block.
+
+    Args:
+        scene: it names the port, or the mock.
+        kind: where the device is.
+        portable: for the loop in Python.
+        realtime: a mock in real time runs before other programs, where the system grants that.
+        between: wraps the transport.
+    """
     with _open_directly(scene, kind, portable, realtime) as connection:
         if between is not None:
             connection.transport = between(connection.transport)
