@@ -17,8 +17,15 @@ from hapsim.theory.hand.limits import Undamped, stable_interval, undamped_curve
 from hapsim.theory.hand.loop_equation import LoopEquation, characteristic, loop_equation
 from hapsim.theory.hand.passivity import Wall, needed_friction
 from hapsim.theory.hand.pole_pair import PolePair, oscillator_of_quadratic
-from hapsim.theory.hand.poles import LeadingPair, all_poles, all_within, quietly_in_blocks
-from hapsim.theory.hand.reasons import OWN_ABOVE_NYQUIST, why_not_attained, why_not_dominant
+from hapsim.theory.hand.poles import (
+    OWN_ABOVE_NYQUIST,
+    LeadingPair,
+    all_poles,
+    all_within,
+    quietly_in_blocks,
+    why_not_attained,
+    why_not_dominant,
+)
 from hapsim.theory.hand.sampled_plant import sampled_plant
 from hapsim.theory.interface import SAMPLINGS, damper_named, hold_lag
 

@@ -12,10 +12,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hapsim.theory.arrays import Complexes, sort_by_modulus
+from hapsim.theory.arrays import Bools, Complexes, sort_by_modulus
+from hapsim.theory.network.layout import damping_links
 from hapsim.theory.network.modes import NO_MOTION, SAME_AS_REST, Solution, all_modes, modes_of, not_finite
-from hapsim.theory.network.network import Network
-from hapsim.theory.network.rayleigh import at_rest, refined
+from hapsim.theory.network.network import Network, acting_links, is_centred
+from hapsim.theory.network.response import Places, SceneMatrix
 from hapsim.theory.network.rest_poles import poles_at_rest
 from hapsim.theory.network.sparse import one_thread
 from hapsim.theory.network.state import is_large
@@ -34,6 +35,10 @@ MOST_STEPS = 200_000  # and steps
 BREATH = 16  # of them until it is measured, and made small again
 GREW = 1.6  # a motion that is larger in the last quarter by more than this; a free mass drifts by 4/3
 MOST_HANDS = 16
+REFINEMENTS = 5
+SLOPE_OVER = 1e-4  # of z - 1: how far from z the slope is taken
+NEAR = 1e-5  # a pole that would move further is left where it was found
+ROUNDING = float(np.finfo(float).eps)
 
 
 class Search(NamedTuple):
@@ -308,3 +313,44 @@ def _doubled(weight: NDArray, first: NDArray, second: NDArray, count: int) -> ND
 
 def _listed(places: list[str]) -> str:
     return " and to ".join([", to ".join(places[:-1]), places[-1]]) if len(places) > 1 else "".join(places)
+
+
+def refined(network: Network, poles: Complexes, motions: NDArray) -> Complexes:
+    """The poles (n,) moved to where x' D(z) x is zero; ``motions`` (points, n), of which the poles are about known.
+
+    A pole's motion x makes D(z) x zero (``response.py``), and where no velocity comes from the device D is symmetric.
+    So x' D(z) x is zero at a z that is as much nearer to the pole than x is to the motion as a square is to its root
+    (Rayleigh's quotient). Of two poles of which the motions are almost one, those of a slow swing beside 1, iterations
+    find the mean well and the difference badly: they move such a pole off the circle, by the root of rounding and more.
+    """
+    if not is_centred(network) or any(damper.senses for damper in damping_links(network)):
+        return poles
+    matrix = SceneMatrix(network)
+    forms = matrix.forms(motions)
+
+    def form(w: Complexes) -> Complexes:
+        return np.asarray((matrix.functions(Places(1.0 + w, w)) * forms).sum(axis=0))
+
+    w = poles - 1.0
+    with np.errstate(all="ignore"):
+        for _ in range(REFINEMENTS):
+            aside = SLOPE_OVER * w
+            w = w - form(w) * 2.0 * aside / (form(w + aside) - form(w - aside))
+    return np.where(np.abs(1.0 + w - poles) < NEAR, 1.0 + w, poles)
+
+
+def at_rest(network: Network, poles: Complexes, motions: NDArray, same: float) -> Bools:
+    """(n,) which of the poles within ``same`` of 1 are those of motions that stretch nothing, and not a brake's."""
+    mass = np.concatenate([network.channel_mass, network.point_mass])
+    inertia = mass @ np.abs(motions) ** 2 * network.rate
+    links = acting_links(network)
+    first, second = network.ends[links].T
+    padded = np.vstack([motions, np.zeros((1, motions.shape[1]))])  # a ground, -1, is the last
+    stretch = np.abs(padded[first] - padded[second]) ** 2
+    own = np.abs(motions[: network.channel_mass.size]) ** 2
+    stiffness = network.stiffness[links] @ stretch + network.channel_stiffness @ own
+    damping = (network.damping[links] @ stretch + network.channel_friction @ own) / inertia
+    w = poles - 1.0
+    rests = (damping**2 < ROUNDING) | (np.abs(w) <= np.abs(w + damping))  # z = 1, not 1 - damping
+    result: Bools = (np.abs(stiffness) < ROUNDING * inertia * network.rate) & (np.abs(w) < same) & rests
+    return result

@@ -129,6 +129,10 @@ class SceneMatrix:
         begin = np.searchsorted(self._columns, np.arange(self._points + 1))
         return csc_matrix((functions @ self._shares, self._rows, begin), (self._points, self._points))
 
+    def forms(self, motions: Complexes) -> Complexes:
+        """(functions, n): x' A x of each function's matrix A and each of the motions x (points, n)."""
+        return np.asarray(self._shares @ (motions[self._rows] * motions[self._columns]))
+
     def changes(self, places: Places, links: Indices) -> Complexes:
         """(2, links, n): by what part of itself a link's stiffness, and its damping, has to grow for a pole to be at
         these places, where that is real.
