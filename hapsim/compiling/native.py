@@ -143,7 +143,7 @@ def record_at(dtype: np.dtype[np.void]) -> Callable[[int], Any]:
     return chosen
 
 
-def array_at(dtype: Any) -> Callable[[int, int], Any]:
+def array_at(dtype: Any) -> Callable[[Any, Any], Any]:
     """A function of compiled code that makes an array of so many numbers of its address and their count."""
     kind = types.Array(numba.from_dtype(np.dtype(dtype)), 1, "C")
 
@@ -154,7 +154,7 @@ def array_at(dtype: Any) -> Callable[[int, int], Any]:
 
         return kind(types.uint64, types.intp), _generate
 
-    chosen: Callable[[int, int], Any] = _array_of
+    chosen: Callable[[Any, Any], Any] = _array_of
     return chosen
 
 
@@ -204,7 +204,7 @@ class NativeFunction:
         kept = Kept(self.function, signature, *_classes_in(signature))
 
         def _compile_or_load() -> Any:
-            with contextlib.nullcontext() if kept.is_whole() else compiling(self.name):
+            with contextlib.nullcontext() if kept.is_whole() else compiling(self.function, self.name):
                 try:
                     return self._compiled_in(kept.directory, signature)
                 except OSError:

@@ -7,6 +7,7 @@ import gc
 import signal
 import threading
 from collections.abc import Callable, Iterator
+from types import SimpleNamespace
 from typing import Any
 
 from hapsim.stopping import STOPS
@@ -25,17 +26,13 @@ def on_compilation(tell: Callable[[str], None]) -> Iterator[None]:
 
     class Listener(event.Listener):
         def on_start(self, event: Any) -> None:
-            watcher.begin(str(event.data["dispatcher"].py_func.__name__))
+            watcher.begin(str(event.data.get("name") or event.data["dispatcher"].py_func.__name__))
 
         def on_end(self, event: Any) -> None:  # noqa: ARG002
             watcher.end()
 
-    _watchers.append(watcher)
-    try:
-        with event.install_listener("numba:compile", Listener()):
-            yield
-    finally:
-        _watchers.remove(watcher)
+    with event.install_listener("numba:compile", Listener()):
+        yield
 
 
 class Counted:
@@ -60,22 +57,11 @@ class Counted:
             self._tell(name, min(self.functions / self._expected, 0.99) if self._expected else None)
 
 
-@contextlib.contextmanager
-def compiling(name: str) -> Iterator[None]:
-    """Tells who listens that a function is compiled of which numba itself says nothing, while open."""
-    watchers = list(_watchers)
-    begun: list[_Watcher] = []
-    try:
-        for watcher in watchers:
-            begun.append(watcher)
-            watcher.begin(name)
-        yield
-    finally:
-        for watcher in begun:
-            watcher.end()
+def compiling(function: Any, name: str) -> contextlib.AbstractContextManager[None]:
+    """While open, whoever listens to numba is told that `function` is compiled: numba tells nothing of a `cfunc`."""
+    from numba.core import event
 
-
-_watchers: list[_Watcher] = []
+    return event.trigger_event("numba:compile", {"dispatcher": SimpleNamespace(py_func=function), "name": name})
 
 
 class _Watcher(threading.local):
@@ -101,7 +87,7 @@ class _Watcher(threading.local):
 
     def end(self) -> None:
         """What was begun last is compiled. KeyboardInterrupt where one was kept and nothing is under way any more."""
-        self._depth -= 1
+        self._depth = max(self._depth - 1, 0)  # another listener may have failed before this one heard of it
         if self._depth == 0:
             if self._collected:
                 gc.enable()

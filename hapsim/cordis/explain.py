@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -80,13 +81,8 @@ def _named(scene: Scene, program: Program) -> Iterator[tuple[str, int, str, Part
 def _alone(program: Program, part: Part) -> float:
     """What a part takes of a tick, called by itself; NaN where a tick does not call it."""
     in_a_tick = [name for name in ("add_forces", "integrate") if getattr(part, name) is not None]
-    if not in_a_tick:
-        return float("nan")
-
-    def act(name: str) -> Callable[[int], None]:
-        return lambda samples: act_alone(program, name, part, samples)
-
-    return sum(_seconds(act(name)) for name in in_a_tick)
+    seconds = [_seconds(partial(act_alone, program, name, part)) for name in in_a_tick]
+    return sum(seconds) if seconds else float("nan")
 
 
 def _seconds(run: Callable[[int], None]) -> float:
@@ -106,12 +102,6 @@ def _timed(run: Callable[[int], None], samples: int) -> float:
 
 def _bytes_of(numbers: Any) -> int:
     """What its arrays take, those counted once that it has from the array of the parameters."""
-    return sum(array.nbytes for array in _arrays(numbers))
-
-
-def _arrays(numbers: Any) -> Iterator[np.ndarray]:
-    if isinstance(numbers, np.ndarray):
-        yield numbers
-    elif isinstance(numbers, tuple):
-        for field in numbers:
-            yield from _arrays(field)
+    if isinstance(numbers, tuple):
+        return sum(map(_bytes_of, numbers))
+    return numbers.nbytes if isinstance(numbers, np.ndarray) else 0

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from firmware_protocol.compiled import new_record
 from hapsim.compiling import entry
-from hapsim.compiling.native import array_at
 from hapsim.cordis.dispatch import CALLS, Part, call_all
 from hapsim.cordis.program import Program
+from hapsim.cordis.stored_energy import number_at
 from hapsim.cordis.tick import follow_parameters as _follow
 from hapsim.cordis.tick import start as _start_inlined
 from hapsim.cordis.tick import take_over as _take_over_inlined
@@ -27,9 +27,6 @@ from hapsim.cordis.tick import tick as _tick_inlined
 Reals = NDArray[np.float64]
 
 _PAIR_BYTES = 16
-
-
-_doubles_at, _singles_at = array_at(np.float64), array_at(np.float32)
 
 
 @intrinsic
@@ -123,10 +120,7 @@ def _ticks_watched(program, measured, force, rows, weights, watched):
         _tick_inlined(program, measured, measured, force)
         row, total = rows[np.uint64(program.turn)], 0.0
         for i in range(weights.size):
-            if program.single:
-                total += weights[i] * _singles_at(row, weights.size)[i]
-            else:
-                total += weights[i] * _doubles_at(row, weights.size)[i]
+            total += weights[i] * number_at(row, i, program.single)
         watched[n] = total
 
 

@@ -119,8 +119,7 @@ def evaluate(stored, position, previous, way):
     count = stored.mass_count if way == 0 else 0
     points, masses = _points_at(stored.points, count), _doubles_at(stored.masses, count)
     for i in range(count):
-        p = np.intp(points[i])
-        step = number_at(position, p, stored.single) - number_at(previous, p, stored.single)
+        step = number_at(position, points[i], stored.single) - number_at(previous, points[i], stored.single)
         total += masses[i] * step * step
     return total
 
@@ -161,7 +160,7 @@ def _value(stored, address, way):
 @helper
 def _curve_holds(address, d):
     """Straight between its points, level beyond the ends."""
-    n = int(_doubles_at(address, 1)[0])
+    n = np.int64(_doubles_at(address, 1)[0])
     points = _doubles_at(address, 1 + 3 * n)[1:]
     i = 0
     while i < n - 1 and d > points[i + 1]:

@@ -21,11 +21,11 @@ ROOMS = [room.relative_to(REPOSITORY) for room in COMPILED_ROOMS]
 
 #: Entries and actions, by file: what has machine code of its own.
 RUN, SERVE, DECODER = "hapsim/loop/run.py", "hapsim/device/mock/serve.py", "firmware_protocol/decoder.py"
-POINTS, VISCOELASTIC, PLECTRUM, STRING, MEMBRANE = (
-    f"hapsim/cordis/modules/{name}.py" for name in ("points", "viscoelastic", "plectrum", "string", "membrane")
+POINTS, LINEAR, NONLINEAR, STRING, MEMBRANE = (
+    f"hapsim/cordis/modules/{name}.py" for name in ("points", "linear_links", "nonlinear_links", "string", "membrane")
 )
 DESCRIPTOR, GRID = "hapsim/loop/transport.py", "hapsim/loop/clocks.py"
-KEPT = (RUN, SERVE, DECODER, POINTS, VISCOELASTIC, PLECTRUM, STRING, MEMBRANE, DESCRIPTOR, GRID)
+KEPT = (RUN, SERVE, DECODER, POINTS, LINEAR, NONLINEAR, STRING, MEMBRANE, DESCRIPTOR, GRID)
 
 
 @pytest.fixture
@@ -88,8 +88,8 @@ def test_an_edit_outside_the_rooms_keeps_all_machine_code(copy: Path) -> None:
 @pytest.mark.parametrize(
     ("edited", "changed"),
     [
-        ("hapsim/cordis/modules/viscoelastic.py", {VISCOELASTIC}),
-        ("hapsim/cordis/modules/link.py", {VISCOELASTIC, PLECTRUM}),
+        ("hapsim/cordis/modules/linear_links.py", {LINEAR}),
+        ("hapsim/cordis/modules/link.py", {LINEAR, NONLINEAR}),
         ("hapsim/cordis/modules/string.py", {STRING}),
         ("hapsim/cordis/modules/structure.py", {STRING, MEMBRANE}),
         ("hapsim/cordis/modules/points.py", {POINTS}),
@@ -106,7 +106,7 @@ def test_an_edit_starts_afresh_what_contains_it_and_nothing_else(copy: Path, edi
 
 
 def test_going_back_finds_what_was_kept_before(copy: Path) -> None:
-    edited = copy / VISCOELASTIC
+    edited = copy / LINEAR
     text, first = edited.read_bytes(), directories(copy)
     append(edited)
     assert directories(copy) != first

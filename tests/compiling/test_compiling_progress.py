@@ -108,7 +108,7 @@ def test_whoever_listens_hears_of_it() -> None:
     with on_compilation(outer.append):
         with on_compilation(inner.append):
             compile_native()
-        with compiling("another"):
+        with compiling(add_to, "another"):
             pass
     assert outer == [*inner, "another"]
     assert inner[0] == NATIVE_NAME
@@ -129,12 +129,12 @@ def test_what_two_threads_compile_at_once_leaves_interrupts_as_they_were() -> No
     begun, ended = threading.Event(), threading.Event()
 
     def compile_beside() -> None:
-        with compiling("beside"):
+        with compiling(add_to, "beside"):
             begun.set()
             ended.wait(60.0)
 
     with on_compilation(lambda _: None):
-        with compiling("here"):
+        with compiling(add_to, "here"):
             thread = threading.Thread(target=compile_beside)
             thread.start()
             assert begun.wait(60.0)

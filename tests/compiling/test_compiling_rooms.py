@@ -33,7 +33,7 @@ def test_what_is_looked_for_is_found(every_compiled: list[Any]) -> None:
     assert {
         ("entry", "run.py", "run_loop"),
         ("entry", "serve.py", "serve"),
-        ("native", "viscoelastic.py", "add_forces"),
+        ("native", "linear_links.py", "add_forces"),
         ("native", "crossfade.py", "cross_fade"),
         ("piece", "encoding.py", "crc_of"),
         ("piece", "structure.py", "coefficient_terms"),
@@ -144,5 +144,10 @@ def test_all_that_numba_compiles_for_a_function_is_looked_at(tmp_path: Path) -> 
     found = [(Path(root).resolve(), Path(file).resolve()) for root, file in json.loads(done.stdout)]
     ours = [(root, file) for root, file in found if is_in(file, (HAPSIM, PROTOCOL))]
     names = {(root.stem, file.stem) for root, file in ours}
-    assert {("string", "structure"), ("membrane", "structure"), ("plectrum", "link"), ("decoder", "encoding")} <= names
+    assert {
+        ("string", "structure"),
+        ("membrane", "structure"),
+        ("nonlinear_links", "link"),
+        ("decoder", "encoding"),
+    } <= names
     assert [(root, file) for root, file in ours if file not in sources_of(root)] == []

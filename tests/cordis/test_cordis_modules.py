@@ -14,8 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hapsim.cordis.modules.friction import Frictions
-from hapsim.cordis.modules.plectrum import Plectra
+from hapsim.cordis.modules.nonlinear_links import Frictions, Plectra
 from hapsim.prediction.linear import linear_scene
 
 sys.path.insert(0, str(Path(__file__).parent))

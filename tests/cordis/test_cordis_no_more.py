@@ -189,4 +189,5 @@ def test_what_is_compiled_for_a_scene_is_what_its_types_do_and_once(tmp_path: Pa
     command = [sys.executable, "-c", COMPILED, documents]
     done = subprocess.run(command, capture_output=True, text=True, check=True, env=environment)
     told = [json.loads(line) for line in done.stdout.splitlines()]
-    assert told == [["points.integrate"], ["points.retarget", "viscoelastic.add_forces"], [], ["buffer.add_forces"]]
+    ground_and_spring = ["linear_links.add_forces", "points.retarget"]
+    assert told == [["points.integrate"], ground_and_spring, [], ["nonlinear_links.add_buffer_forces"]]

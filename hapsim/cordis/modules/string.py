@@ -1,6 +1,6 @@
 """The string: equal masses in a row, moved in one pass over contiguous memory, many at once (`structure.py`).
 
-Each mass is the one of `points.py`, each link the one of `viscoelastic.py`. With the sum of neighbours
+Each mass is the one of `points.py`, each link the one of `linear_links.py`. With the sum of neighbours
 s[i] = x[i-1] + x[i+1], a = T²/m K, b = T²/m B/T, e = T²/m (friction)/T, their recurrences together are
 
     x[n+1] = (2 - 2 (a + b) - e) x[n] + (a + b) s[n] - (1 - 2 b - e) x[n-1] - b s[n-1]
