@@ -253,8 +253,8 @@ def warnings_about(scene: Scene, prediction: Prediction) -> list[str]:
     elif is_surely_unstable(prediction):
         warnings.append(
             f"the scene is predicted unstable: the hand will be shaken, with up to the force limit of {limit:g} N, "
-            "until the energy guard or of the swing at the limit ends the run (hapsim/STABILITY.md tells what "
-            "they find). `hapsim check` tells by how much the stiffness has to go down."
+            "until the energy guard or the guard of swings at the limit ends the run (hapsim/STABILITY.md says what "
+            "they find). `hapsim check` prints by how much the stiffness has to go down."
         )
     slow = slow_slew(scene, prediction)
     warnings += [slow] if slow else []

@@ -34,8 +34,8 @@ MASS, RATE = 0.2, 1000.0
 COMBINATIONS = list(
     itertools.product(("zoh", "impulse"), ("ideal", "average"), (0.0, 0.37, 1.0, 1.5, 2.0), (0.0, 0.05))
 )
-# 240 in all; HAPSIM_POINTS=200 makes it 8000, in half an hour.
-POINTS_EACH = int(os.environ.get("HAPSIM_POINTS", "6"))
+# 200 in all; HAPSIM_POINTS=200 makes it 8000, in half an hour.
+POINTS_EACH = int(os.environ.get("HAPSIM_POINTS", "5"))
 
 
 def random_target(rng: np.random.Generator, friction: float) -> tuple[float, float]:
@@ -114,7 +114,7 @@ def test_every_shipped_scene_is_felt_as_predicted_over_a_pseudo_terminal(path: P
     assert_met_as_predicted(scene)
 
 
-@pytest.mark.parametrize("seed", range(16))
+@pytest.mark.parametrize("seed", range(12))
 def test_any_scene_of_one_spring_is_felt_as_predicted_over_a_pseudo_terminal(seed: int) -> None:
     rng = np.random.default_rng(seed)
     rate, mass = 10 ** rng.uniform(2.7, 4.0), 10 ** rng.uniform(-3, 0)

@@ -106,8 +106,5 @@ def test_just_below_the_limit_a_ring_down_decays_and_just_above_it_grows(batch: 
         below, above = growth(configuration, 0.999 * K, B), growth(configuration, 1.001 * K, B)
         assert below < 0.0 < above, (configuration, B, K, below, above)
         figures.count("points at which 0.999 of the limit dies away and 1.001 grows", 1)
-
-
-def test_it_is_looked_at_in_two_hundred_points() -> None:
     assert len(points()) >= 200
     assert {configuration.damper for configuration, _, _ in points()} == set(DAMPERS)

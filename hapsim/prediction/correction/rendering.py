@@ -1,8 +1,9 @@
-"""The scene as the daemon renders it, so that the hand feels the scene as it is written."""
+"""What runs in place of a scene, so that the hand feels the scene as it is written."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple
@@ -99,200 +100,185 @@ class Rendering:
 
 
 def rendered(scene: Scene) -> Rendering:
-    """What the daemon runs so that the hand feels `scene`, by its ``device.correction``."""
+    """What runs in place of `scene` so that the hand feels it, by its ``device.correction``."""
     kind = CORRECTIONS.get(scene.device.correction)
-    if kind is None:
-        return Rendering(scene, scene, scene, None, (), ())
-    ports, notes = ports_of(scene), []
-    linear = linear_scene(scene)
-    lone = [port for port in ports if not why_coupled(scene, linear, port.name) or not is_small(scene)]
-    elements: dict[str, Element] = {}
-    schedules: dict[str, Schedule] = {}
-    for port in lone:
-        if kind.adapts and (schedule := _schedule(scene, port)) is not None:
-            schedules[port.name] = schedule
-            elements[port.name] = schedule.elements[0]
-        else:
-            elements[port.name] = _lone(kind, scene, port)
-        if why := why_coupled(scene, linear, port.name):
-            notes.append(
-                f"{port.name} {why}: what moves with it is taken to stand still, since the scene has more than "
-                f"{MOST_STATES} numbers in its state"
+    return Rendering(scene, scene, scene, None, (), ()) if kind is None else _Correction(kind, scene).rendering()
+
+
+class _Correction:
+    """A kind of correction before a scene: what the links of each of its ports are given."""
+
+    def __init__(self, kind: CorrectionKind, scene: Scene) -> None:
+        self.kind, self.scene = kind, scene
+        self.linear, self.ports = linear_scene(scene), ports_of(scene)
+        self.spans = scene.device.mass_spans(scene.channels)
+        self.why_coupled = {port.name: why_coupled(scene, self.linear, port.name) for port in self.ports}
+
+    def rendering(self) -> Rendering:
+        notes: list[str] = []
+        elements: dict[str, Element] = {}
+        schedules: dict[str, Schedule] = {}
+        are_small = any(self.why_coupled.values()) and is_small(self.scene)
+        for port in (one for one in self.ports if not self.why_coupled[one.name] or not are_small):
+            schedule = self.schedule(port) if self.kind.adapts else None
+            if schedule is not None:
+                schedules[port.name] = schedule
+            elements[port.name] = self.lone(port) if schedule is None else schedule.elements[0]
+            if why := self.why_coupled[port.name]:
+                notes.append(
+                    f"{port.name} {why}: what moves with it is taken to stand still, since the scene has more than "
+                    f"{MOST_STATES} numbers in its state"
+                )
+        notes += self.match([port for port in self.ports if port.name not in elements and port.linear], elements)
+        if self.kind.predicts:
+            for port in (one for one in self.ports if one.name in elements and one.name not in schedules):
+                element = elements[port.name]
+                model = replace(self.declared(port), mass=element.made_for)
+                elements[port.name] = element._replace(observer=self.observer(port, model, element))
+        settled = dict(elements)
+        for port in self.ports:
+            if port.name in schedules:
+                settled[port.name] = schedules[port.name].settled(self.declared(port).mass)
+            notes += [f"{name} is left as it is: {_WHY_LEFT}" for name in port.others]
+        run, seen = self.with_elements(elements), self.as_seen(self.with_elements(settled))
+        corrected = tuple(
+            self.corrected(port, settled[port.name], schedules.get(port.name))
+            for port in self.ports
+            if port.name in elements
+        )
+        return Rendering(self.scene, run, seen, self.kind, corrected, tuple(notes))
+
+    def declared(self, port: Port) -> Configuration:
+        damper, cutoff = next(iter(dampers_of(self.linear, port.name)), ("backward", None))
+        return configuration_of(self.scene, port.channel, damper, cutoff)
+
+    def as_seen(self, scene: Scene) -> Scene:
+        """Before the device that the loop seems to have."""
+        if not self.kind.predicts:
+            return scene
+        return scene.model_copy(update={"device": scene.device.model_copy(update={"delay": 0.0, "sampling": "ideal"})})
+
+    def with_elements(self, elements: Mapping[str, Element]) -> Scene:
+        changed: dict[str, Module] = {}
+        for port in self.ports:
+            if port.name in elements:
+                element = elements[port.name]
+                changed |= shared_out(port, element.stiffness, element.damping, self.kind.with_damper)
+                changed |= self.contacts(port, element)
+        return with_modules(self.scene, changed)
+
+    def lone(self, port: Port, more: tuple[float, float] = (0.0, 0.0)) -> Element:
+        """The element of a port whose neighbours stand still; `more`: K and B of a contact that is touched."""
+        stiffness, damping = port.stiffness + more[0], port.damping + more[1]
+        declared, span = self.declared(port), self.spans[port.channel]
+        if stiffness == 0.0 and damping == 0.0:
+            # What a contact adds is searched for a predictor of the least mass, as that of links is.
+            return Element(0.0, 0.0, span[0] if self.kind.predicts else declared.mass, True)
+        return element_for(self.kind, declared, span, (stiffness + declared.stiffness, damping + declared.friction))
+
+    def schedule(self, port: Port) -> Schedule | None:
+        """None where there is nothing to adapt, or no span to adapt in."""
+        declared, span = self.declared(port), self.spans[port.channel]
+        if span[0] == span[1] or port.stiffness == port.damping == 0.0:
+            return None
+        contacts = [(contact.stiffness, contact.damping) for contact in port.contacts.values()]
+        if len(contacts) > 1:
+            contacts.append((math.fsum(K for K, _ in contacts), math.fsum(B for _, B in contacts)))
+        desired = port.stiffness + declared.stiffness, port.damping + declared.friction
+        return schedule_for(declared, span, desired, contacts, partial(self.observer, port))
+
+    def observer(self, port: Port, model: Configuration, element: Element) -> Observer:
+        """Of the element and of each contact that may come to it. Beside a link of any other kind nothing is made of
+        the push: how stiff that is nobody knows."""
+        k, b = port.stiffness + model.stiffness, port.damping + model.friction
+        given = [((k, b), (element.stiffness, element.damping))]
+        changed = self.contacts(port, element)
+        for name, contact in port.contacts.items():
+            simulated = changed.get(name, contact)
+            both = element.stiffness + simulated.stiffness, element.damping + simulated.damping
+            given.append(((k + contact.stiffness, b + contact.damping), both))
+        observer, senses = observer_of(model, given), bool(self.scene.sensed_links)
+        return observer._replace(compliance=0.0 if port.others else observer.compliance, senses=senses)
+
+    def contacts(self, port: Port, base: Element) -> dict[str, Buffer]:
+        """Each contact with what it adds, while it is touched, to the linear links; as it is where that is nothing, and
+        where the links follow an estimate, of which a contact knows nothing."""
+        changed: dict[str, Buffer] = {}
+        if self.kind.adapts:
+            return changed
+        for name, contact in port.contacts.items():
+            touched = self.lone(port, (contact.stiffness, contact.damping))
+            stiffness, damping = touched.stiffness - base.stiffness, touched.damping - base.damping
+            if stiffness >= 0.0 and damping >= 0.0:
+                changed[name] = contact.model_copy(update={"stiffness": stiffness, "damping": damping})
+        return changed
+
+    def match(self, ports: list[Port], elements: dict[str, Element]) -> list[str]:
+        """Puts the elements of hands that move more than themselves among `elements`; what to say of them."""
+        if not ports:
+            return []
+        alone = {port.name: self.lone(port) for port in ports}
+        starts = [
+            [(port.stiffness, port.damping) for port in ports],
+            [(one.stiffness, one.damping) for one in alone.values()],
+        ]
+        matched = match_modes(self.scene, self.as_seen(self.scene), ports, self.kind.with_damper, starts)
+        names = ", ".join(alone)
+        if matched is None:
+            elements |= {name: one._replace(reached=False) for name, one in alone.items()}
+            why = f"no stiffness and damping at {names} gives the slowest mode its place: corrected as if it held alone"
+            return [why, *self.over_the_spans(ports, elements)]
+        masses = self.scene.device.masses(self.scene.channels)
+        for port, (K, B) in zip(ports, matched.elements, strict=True):
+            elements[port.name] = Element(K, B, masses[port.channel], matched.reached)
+        near = f"no stiffness and damping at {names} gives the slowest modes exactly their place: these come nearest"
+        return [*([] if matched.reached else [near]), *self.over_the_spans(ports, elements)]
+
+    def over_the_spans(self, ports: list[Port], elements: dict[str, Element]) -> list[str]:
+        """What to say of hands that move more than themselves, and whose mass is not known: the modes are placed for
+        the middle of its span."""
+        open_ports = [port for port in ports if self.spans[port.channel][0] < self.spans[port.channel][1]]
+        if not open_ports:
+            return []
+        middle = ", ".join(f"{port.name} of {elements[port.name].made_for:.3g} kg" for port in open_ports)
+        placed = f"the modes are placed for {middle}, the middle of the span"
+        if self.kind.predicts:
+            follows = (
+                ", which no estimate follows where a hand moves a mass or another hand" if self.kind.adapts else ""
             )
-    coupled = [port for port in ports if port.name not in elements and port.linear]
-    notes += _match(kind, scene, coupled, elements)
-    if kind.predicts:
-        for port in (one for one in ports if one.name in elements and one.name not in schedules):
-            elements[port.name] = _observed(kind, scene, port, elements[port.name])
-    settled = dict(elements)
-    for port in ports:
-        if port.name in schedules:
-            settled[port.name] = schedules[port.name].settled(_declared(scene, port).mass)
-        notes += [f"{name} is left as it is: {_WHY_LEFT}" for name in port.others]
-    run, seen = (_with_elements(kind, scene, ports, given) for given in (elements, settled))
-    corrected = tuple(
-        _corrected(scene, port, settled[port.name], schedules.get(port.name)) for port in ports if port.name in elements
-    )
-    return Rendering(scene, run, _as_seen(kind, seen), kind, corrected, tuple(notes))
+            return [f"{placed}{follows}; what another mass makes of them is predicted with correction: poles alone"]
+        run = self.with_elements({port.name: elements[port.name] for port in ports})
+        for end, words in enumerate(("least", "most")):
+            masses = tuple(span[end] for span in self.spans)
+            if not is_stable(run.model_copy(update={"device": run.device.model_copy(update={"mass": masses})})):
+                return [f"{placed}: with the {words} mass of the span the scene is unstable"]
+        return [f"{placed}; stable with the least and with the most mass, too"]
 
-
-def _with_elements(kind: CorrectionKind, scene: Scene, ports: list[Port], elements: dict[str, Element]) -> Scene:
-    changed: dict[str, Module] = {}
-    for port in ports:
-        if port.name in elements:
-            element = elements[port.name]
-            changed |= shared_out(port, element.stiffness, element.damping, kind.with_damper)
-            changed |= _contacts(kind, scene, port, element)
-    return with_modules(scene, changed)
+    def corrected(self, port: Port, element: Element, schedule: Schedule | None) -> Corrected:
+        declared = self.declared(port)
+        k, b = port.stiffness + declared.stiffness, port.damping + declared.friction
+        grounds = [
+            (link.stiffness, self.scene.grounds[end].position)
+            for link in port.linear.values()
+            for end in link.between
+            if end in self.scene.grounds
+        ]
+        whole = math.fsum(stiffness for stiffness, _ in grounds)
+        return Corrected(
+            name=port.name,
+            channel=port.channel,
+            desired=(math.nan, math.nan) if self.why_coupled[port.name] else (k, b),
+            written=(port.stiffness, port.damping),
+            element=element,
+            declared=declared,
+            schedule=schedule,
+            rest=math.fsum(stiffness * at for stiffness, at in grounds) / whole if whole > 0.0 else 0.0,
+        )
 
 
 _WHY_LEFT = "a force that is no spring and damper everywhere has no stiffness and damping to correct"
 
 
-def _as_seen(kind: CorrectionKind, scene: Scene) -> Scene:
-    """Before the device that the loop seems to have."""
-    if not kind.predicts:
-        return scene
-    return scene.model_copy(update={"device": scene.device.model_copy(update={"delay": 0.0, "sampling": "ideal"})})
-
-
-def _lone(kind: CorrectionKind, scene: Scene, port: Port, more: tuple[float, float] = (0.0, 0.0)) -> Element:
-    """The element of a port whose neighbours stand still; `more`: K and B of a contact that is touched."""
-    stiffness, damping = port.stiffness + more[0], port.damping + more[1]
-    declared, span = _declared(scene, port), scene.device.mass_spans(scene.channels)[port.channel]
-    if stiffness == 0.0 and damping == 0.0:
-        # What a contact adds is searched for a predictor of the least mass, as that of links is.
-        return Element(0.0, 0.0, span[0] if kind.predicts else declared.mass, True)
-    return element_for(kind, declared, span, (stiffness + declared.stiffness, damping + declared.friction))
-
-
-def _schedule(scene: Scene, port: Port) -> Schedule | None:
-    """None where there is nothing to adapt, or no span to adapt in."""
-    declared, span = _declared(scene, port), scene.device.mass_spans(scene.channels)[port.channel]
-    if span[0] == span[1] or port.stiffness == port.damping == 0.0:
-        return None
-    contacts = [(contact.stiffness, contact.damping) for contact in port.contacts.values()]
-    if len(contacts) > 1:
-        contacts.append((math.fsum(K for K, _ in contacts), math.fsum(B for _, B in contacts)))
-    desired = port.stiffness + declared.stiffness, port.damping + declared.friction
-    return schedule_for(declared, span, desired, contacts, partial(_observer, ADAPTIVE, scene, port))
-
-
 def _unpushed(scene: Scene) -> Observer:
     """That makes nothing of a push but where the mass will be."""
     return Observer(senses=bool(scene.sensed_links))
-
-
-def _observed(kind: CorrectionKind, scene: Scene, port: Port, element: Element) -> Element:
-    model = replace(_declared(scene, port), mass=element.made_for)
-    return element._replace(observer=_observer(kind, scene, port, model, element))
-
-
-def _observer(kind: CorrectionKind, scene: Scene, port: Port, model: Configuration, element: Element) -> Observer:
-    """Of the element and of each contact that may come to it. Beside a link of any other kind nothing is made of the
-    push: how stiff that is nobody knows."""
-    k, b = port.stiffness + model.stiffness, port.damping + model.friction
-    given = [((k, b), (element.stiffness, element.damping))]
-    changed = _contacts(kind, scene, port, element)
-    for name, contact in port.contacts.items():
-        simulated = changed.get(name, contact)
-        both = element.stiffness + simulated.stiffness, element.damping + simulated.damping
-        given.append(((k + contact.stiffness, b + contact.damping), both))
-    observer = observer_of(model, given)
-    return observer._replace(compliance=0.0 if port.others else observer.compliance, senses=bool(scene.sensed_links))
-
-
-def _declared(scene: Scene, port: Port) -> Configuration:
-    damper, cutoff = next(iter(dampers_of(linear_scene(scene), port.name)), ("backward", None))
-    return configuration_of(scene, port.channel, damper, cutoff)
-
-
-def _contacts(kind: CorrectionKind, scene: Scene, port: Port, base: Element) -> dict[str, Buffer]:
-    """Each contact with what it adds, while it is touched, to the linear links; as it is where that is nothing, and
-    where the links follow an estimate, of which a contact knows nothing."""
-    if kind.adapts:
-        return {}
-    changed: dict[str, Buffer] = {}
-    for name, contact in port.contacts.items():
-        touched = _lone(kind, scene, port, (contact.stiffness, contact.damping))
-        stiffness, damping = touched.stiffness - base.stiffness, touched.damping - base.damping
-        if stiffness >= 0.0 and damping >= 0.0:
-            changed[name] = contact.model_copy(update={"stiffness": stiffness, "damping": damping})
-    return changed
-
-
-def _match(kind: CorrectionKind, scene: Scene, ports: list[Port], elements: dict[str, Element]) -> list[str]:
-    """Puts the elements of hands that move more than themselves among `elements`; what to say of them."""
-    if not ports:
-        return []
-    alone = {port.name: _lone(kind, scene, port) for port in ports}
-    starts = [
-        [(port.stiffness, port.damping) for port in ports],
-        [(one.stiffness, one.damping) for one in alone.values()],
-    ]
-    matched = match_modes(scene, _as_seen(kind, scene), ports, kind.with_damper, starts)
-    names = ", ".join(alone)
-    if matched is None:
-        elements |= {name: one._replace(reached=False) for name, one in alone.items()}
-        notes = _over_the_spans(kind, scene, ports, elements)
-        why = f"no stiffness and damping at {names} gives the slowest mode its place: corrected as if it held alone"
-        return [why, *notes]
-    masses = scene.device.masses(scene.channels)
-    for port, (K, B) in zip(ports, matched.elements, strict=True):
-        elements[port.name] = Element(K, B, masses[port.channel], matched.reached)
-    notes = _over_the_spans(kind, scene, ports, elements)
-    if matched.reached:
-        return notes
-    return [
-        f"no stiffness and damping at {names} gives the slowest modes exactly their place: these come nearest",
-        *notes,
-    ]
-
-
-def _over_the_spans(kind: CorrectionKind, scene: Scene, ports: list[Port], elements: dict[str, Element]) -> list[str]:
-    """What to say of hands that move more than themselves, and whose mass is not known: the modes are placed for the
-    middle of its span."""
-    spans = scene.device.mass_spans(scene.channels)
-    open_ports = [port for port in ports if spans[port.channel][0] < spans[port.channel][1]]
-    if not open_ports:
-        return []
-    middle = ", ".join(f"{port.name} of {elements[port.name].made_for:.3g} kg" for port in open_ports)
-    told = f"the modes are placed for {middle}, the middle of the span"
-    if kind.predicts:
-        follows = ", which no estimate follows where a hand moves a mass or another hand" if kind.adapts else ""
-        return [f"{told}{follows}; what another mass makes of them is predicted with correction: poles alone"]
-    run = _with_elements(kind, scene, ports, elements)
-    for end, words in enumerate(("least", "most")):
-        masses = tuple(span[end] for span in spans)
-        other = run.model_copy(update={"device": run.device.model_copy(update={"mass": masses})})
-        if not is_stable(other):
-            return [f"{told}: with the {words} mass of the span the scene is unstable"]
-    return [f"{told}; stable with the least and with the most mass, too"]
-
-
-def _corrected(scene: Scene, port: Port, element: Element, schedule: Schedule | None) -> Corrected:
-    declared = _declared(scene, port)
-    k, b = port.stiffness + declared.stiffness, port.damping + declared.friction
-    is_coupled = bool(why_coupled(scene, linear_scene(scene), port.name))
-    return Corrected(
-        name=port.name,
-        channel=port.channel,
-        desired=(math.nan, math.nan) if is_coupled else (k, b),
-        written=(port.stiffness, port.damping),
-        element=element,
-        declared=declared,
-        schedule=schedule,
-        rest=_rest(scene, port),
-    )
-
-
-def _rest(scene: Scene, port: Port) -> float:
-    """Where the springs to grounds balance; 0 without any."""
-    grounds = [
-        (link.stiffness, scene.grounds[end].position)
-        for link in port.linear.values()
-        for end in link.between
-        if end in scene.grounds
-    ]
-    whole = math.fsum(stiffness for stiffness, _ in grounds)
-    return math.fsum(stiffness * position for stiffness, position in grounds) / whole if whole > 0.0 else 0.0
