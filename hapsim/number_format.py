@@ -75,3 +75,43 @@ def short(value: float) -> str:
     digits = 4 if abs(value) < 1e4 else 5 if abs(value) < 1e5 else 6 if abs(value) < 1e6 else 4
     words = f"{value:.{digits}g}"
     return words.replace("e+0", "e").replace("e+", "e").replace("e-0", "e-").replace("-", "−")
+
+
+_TIME_UNITS = ((1.0, "s"), (1e-3, "ms"), (1e-6, "µs"), (1e-9, "ns"))
+
+
+def short_duration(seconds: float | None, digits: int = 3) -> str:
+    """A duration in s, ms, µs or ns: 82 µs; a dash for none."""
+    if seconds is None:
+        return "–"
+    if seconds == 0.0:
+        return "0"
+    size, unit = time_unit(seconds, digits)
+    return f"{seconds / size:.{digits}g} {unit}"
+
+
+def time_unit(seconds: float, digits: int = 3) -> tuple[float, str]:
+    """(size in s, name) of the largest unit in which a duration is at least 1, rounded to so many digits."""
+    nearest = float(f"{seconds:.{digits}g}")
+    return next(((size, unit) for size, unit in _TIME_UNITS if nearest >= size * (1.0 - 1e-12)), _TIME_UNITS[-1])
+
+
+def in_ascii(text: str) -> str:
+    """The same text for a terminal without µ and dashes."""
+    return text.replace("µ", "u").replace("–", "-")
+
+
+def frequency(hertz: float) -> str:
+    """A rate in Hz, or in kHz from a thousand on: 4 kHz."""
+    return f"{hertz / 1e3:.4g} kHz" if hertz >= 1e3 else f"{hertz:.4g} Hz"
+
+
+def share_in_percent(value: float) -> str:
+    """A share (0 to 1) in percent, with the digits that matter close to 0 % and to 100 %. It is 100 % only where
+    nothing is missing, and 0 % only where there is nothing."""
+    in_percent = 100.0 * value
+    if in_percent < 1.0:
+        return f"{in_percent:.2g} %"
+    if in_percent < 99.0:
+        return f"{in_percent:.1f} %"
+    return "100 %" if value >= 1.0 else f"{min(in_percent, 99.999):.{2 if in_percent < 99.99 else 3}f} %"

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from hapsim.chart import style
 from hapsim.chart.figure import figure_to, legend_below
-from hapsim.doctor import words
+from hapsim.number_format import frequency
 from hapsim.speed_accuracy.results import Object, Row, fronts
 
 if TYPE_CHECKING:
@@ -89,7 +89,7 @@ def _write_rates(axes: Axes, lines: Sequence[Sequence[Row]]) -> None:
         ends.append((min(whole, key=lambda line: line[-1].off)[-1], (0, -11)))
     for row, offset in ends:
         place: Any = {"xy": (row.cost, _error(row)), "xytext": offset, "textcoords": "offset points"}
-        axes.annotate(words.rate(row.rate_hz), **place, fontsize=8, color="0.25", zorder=4.0)
+        axes.annotate(frequency(row.rate_hz), **place, fontsize=8, color="0.25", zorder=4.0)
 
 
 def _error(row: Row) -> float:

@@ -10,7 +10,7 @@ import numpy as np
 
 from hapsim.chart import style
 from hapsim.chart.figure import figure_to, legend_below
-from hapsim.doctor import words
+from hapsim.number_format import frequency, short_duration
 from hapsim.theory.arrays import Floats
 
 if TYPE_CHECKING:
@@ -91,7 +91,7 @@ def draw_steadiness(curves: list[Survival], title: str, path: Path) -> None:
         right.set_xlabel("exchange takes longer than")
         left.set_ylabel("share of ticks")
         clocks = sorted({curve.clock for curve in curves if curve.clock})
-        handles = [sample(shade, "-", words.rate(rate)) for rate, shade in shades.items()]
+        handles = [sample(shade, "-", frequency(rate)) for rate, shade in shades.items()]
         handles += [sample("0.4", style.CLOCKS[clock], f"clock: {clock}") for clock in clocks]
         handles.append(sample("0.4", ":", "a period of that rate"))
         legend_below(figure, len(handles), handles=handles, columnspacing=1.2)
@@ -105,6 +105,6 @@ def _draw(axes: Axes, curves: list[Survival], shades: dict[float, Any]) -> None:
         axes.step(curve.time, curve.share, where="pre", **look)
     for rate in {curve.rate_hz for curve in curves}:
         axes.axvline(1.0 / rate, color=shades[rate], linewidth=0.9, linestyle=":", zorder=1.5)
-    axes.xaxis.set_major_formatter(lambda t, _: words.duration(t))
+    axes.xaxis.set_major_formatter(lambda t, _: short_duration(t))
     axes.yaxis.set_major_formatter(lambda share, _: f"{100.0 * share:.4g} %")
     axes.grid(which="major", color="0.88", linewidth=0.6)

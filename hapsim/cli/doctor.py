@@ -29,18 +29,16 @@ from hapsim.cli.options import (
     transport_kind,
 )
 from hapsim.cli.output import complain, fitted, stderr, stdout
-from hapsim.doctor import words
 from hapsim.doctor.examine import RATES_HZ, examine
-from hapsim.doctor.exchanges import MOCK, Exchanges
-from hapsim.doctor.verdict import EXCHANGE, IN_TIME, ON_THE_MOCK, Verdict
+from hapsim.doctor.exchanges import EXCHANGE, IN_TIME, MOCK, ON_THE_MOCK, Exchanges, Verdict
 from hapsim.errors import UsageError
+from hapsim.number_format import frequency, in_ascii, share_in_percent, short_duration
 from hapsim.stopping import INTERRUPTED, ignore_stops
 
 if TYPE_CHECKING:
     from hapsim.doctor.advice import Advice
-    from hapsim.doctor.examine import Examination
+    from hapsim.doctor.examine import Examination, Step
     from hapsim.doctor.machine import Machine
-    from hapsim.doctor.step import Step
     from hapsim.loop.histogram import Histogram, Spread
 
 
@@ -141,7 +139,7 @@ def show_examination(out: Console, examination: Examination) -> None:
     out.print(_wakeups(out, examination.wakeups))
     rate = examination.rate_hz
     if rate in examination.wakeups:  # else it was stopped before
-        out.print(f"\n[italic]Wake-ups at {words.rate(rate)}, by how late they came[/italic]")
+        out.print(f"\n[italic]Wake-ups at {frequency(rate)}, by how late they came[/italic]")
         show_histogram(out, examination.wakeups[rate], {"a period": 1.0 / rate})
     _show_exchanges(out, examination)
     _show_advice(out, examination.advice)
@@ -174,9 +172,9 @@ def _wakeups(out: Console, wakeups: dict[float, Histogram]) -> Table:
         table.add_column(heading, justify="right")
     for rate, histogram in wakeups.items():
         spread = histogram.spread()
-        late = words.share(histogram.share_above(1.0 / rate)) if spread.count else "–"
-        times = map(words.duration, (spread.p50, spread.p99, spread.p999, spread.max))
-        table.add_row(*_fit_for(out, words.rate(rate), *times, str(spread.count), late))
+        late = share_in_percent(histogram.share_above(1.0 / rate)) if spread.count else "–"
+        times = map(short_duration, (spread.p50, spread.p99, spread.p999, spread.max))
+        table.add_row(*_fit_for(out, frequency(rate), *times, str(spread.count), late))
     return table
 
 
@@ -205,22 +203,22 @@ def _exchanges(out: Console, made: list[tuple[Exchanges, Verdict]]) -> Table:
     for run, verdict in made:
         spread = None if run.exchange is None else run.exchange.spread()
         quantiles = (None,) * 3 if spread is None else (spread.p50, spread.p99, spread.max)
-        in_time = "–" if verdict.share_in_time is None else words.share(verdict.share_in_time)
+        in_time = "–" if verdict.share_in_time is None else share_in_percent(verdict.share_in_time)
         kept = "–" if run.share_of_rate is None else f"{100.0 * run.share_of_rate:.1f} %"
         answer = f"[{_COLOUR[verdict.answer]}]{verdict.answer}[/]"
-        told = (words.rate(run.rate_hz), kept, *map(words.duration, quantiles), in_time)
+        told = (frequency(run.rate_hz), kept, *map(short_duration, quantiles), in_time)
         table.add_row(*_fit_for(out, *told), answer)
     return table
 
 
 def _fit_for(out: Console, *told: str) -> list[str]:
-    return [words.in_ascii(one) for one in told] if out.options.ascii_only else list(told)
+    return [in_ascii(one) for one in told] if out.options.ascii_only else list(told)
 
 
 def _conclusion(best: float | None, clock: str, verdicts: list[Verdict]) -> str:
     if best is None and all(verdict.answer == "no verdict" for verdict in verdicts):
         return f"With clock: {clock} nothing can be said of any of these rates."
-    kept = "none of these rates without gaps" if best is None else f"up to {words.rate(best)}"
+    kept = "none of these rates without gaps" if best is None else f"up to {frequency(best)}"
     return f"With clock: {clock} this machine keeps {kept}."
 
 

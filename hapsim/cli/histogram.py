@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hapsim.doctor import words
+from hapsim.number_format import in_ascii, share_in_percent, time_unit
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -55,7 +55,7 @@ def histogram_lines(
         return ["nothing was counted"]
     total = sum(row.count for row in rows)
     left = [_range(row) for row in rows]
-    right = [f"{row.count} {words.share(row.count / total):>8} {' '.join(row.marks)}".rstrip() for row in rows]
+    right = [f"{row.count} {share_in_percent(row.count / total):>8} {' '.join(row.marks)}".rstrip() for row in rows]
     counts = max(len(str(row.count)) for row in rows)
     right = [" " * (counts - len(str(row.count))) + text for row, text in zip(rows, right, strict=True)]
     wide = max(map(len, left))
@@ -66,7 +66,7 @@ def histogram_lines(
         for row, label, text in zip(rows, left, right, strict=True)
     ]
     lines.append(f" {total} in all; bars are logarithmic in the count: one is {_bar(1, most, bar, ascii_only)}")
-    return [words.in_ascii(line) for line in lines] if ascii_only else lines
+    return [in_ascii(line) for line in lines] if ascii_only else lines
 
 
 def histogram_rows(histogram: Histogram, marks: Mapping[str, float] | None = None) -> list[Row]:
@@ -109,7 +109,7 @@ def _range(row: Row) -> str:
     """65.5 –  81.9 µs: both ends in the unit of the upper one's row."""
     if row.begins == 0.0:
         return "0"
-    size, unit = words.unit_for(row.begins)
+    size, unit = time_unit(row.begins)
     return f"{_three(row.begins / size):>4} – {_three(row.ends / size):>4} {unit}"
 
 

@@ -31,10 +31,9 @@ from hapsim.loop.realtime.giving_way import Beside
 from hapsim.prediction import Prediction, predict, warnings_about
 from hapsim.prediction.force_bounds import refused_slew
 from hapsim.progress import Progress
-from hapsim.running.notify import Notifier
-from hapsim.running.reconnecting import Observer, keep_running, together
+from hapsim.running.observers import Notifier, RunState
+from hapsim.running.reconnecting import RunObserver, keep_running, together
 from hapsim.running.requirements import why_not_armed
-from hapsim.running.state import RunState
 from hapsim.running.status import AUTO, path_for, telling
 from hapsim.running.watch import WatchedFile
 from hapsim.stopping import undisturbed
@@ -42,7 +41,7 @@ from hapsim.stopping import undisturbed
 if TYPE_CHECKING:
     from hapsim.loop.realtime import PrivilegeResult
     from hapsim.running import Session
-    from hapsim.running.lifetime import Lifetime
+    from hapsim.running.reconnecting import Lifetime
     from hapsim.scene import Scene
 
 _LOOK_S = 0.05  # how often the scene's file is looked at
@@ -229,10 +228,10 @@ class RunReporter:
             file = self._file
             Beside(lambda: self._follow(file, session), session.gives_way)
 
-    def observer(self, tell: Callable[[Progress], None], port: str) -> Observer:
+    def observer(self, tell: Callable[[Progress], None], port: str) -> RunObserver:
         """What has a run be reported: by sentences, and by `tell` on a live line."""
 
-        return Observer(
+        return RunObserver(
             arming=lambda: self._meet(port),
             started=self.started,
             running=lambda progress: self._running(progress, tell),

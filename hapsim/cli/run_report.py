@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from hapsim.loop.histogram import Spread
     from hapsim.loop.realtime import PrivilegeResult
     from hapsim.recording.trace import Report
-    from hapsim.running.lifetime import Lifetime
+    from hapsim.running.reconnecting import Lifetime
 
 _REFUSED_BY_DEVICE = "frames refused by the device"
 _MASS_KNOWN, _LITTLE_EXPLAINED = 0.1, 0.9  # relative uncertainty and share of the motion: a warning beyond either

@@ -12,10 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hapsim.doctor import words
-from hapsim.doctor.load import Load
-from hapsim.doctor.machine import Machine
-from hapsim.doctor.system_files import Tree
+from hapsim.doctor.machine import Load, Machine, SystemFiles
+from hapsim.number_format import plural, share_in_percent, short_duration
 
 if TYPE_CHECKING:
     from hapsim.loop.realtime import PrivilegeResult
@@ -42,7 +40,7 @@ class Advice:
 class Situation:
     """What is known of the machine when it is advised upon."""
 
-    tree: Tree
+    tree: SystemFiles
     machine: Machine
     port: str | None = None
     """The device's, where there is one."""
@@ -81,7 +79,8 @@ def _busy(case: Situation) -> Advice | None:
         return None
     average = "" if load.average is None else f", and the load average was {load.average:.3g}"
     return Advice(
-        found=f"Other programs kept {load.others_cores:.2g} of {_cores(cores)} busy while this measured{average}.",
+        found=f"Other programs kept {load.others_cores:.2g} of {plural(cores, 'core')} busy "
+        f"while this measured{average}.",
         why="The figures are of a busy machine: the loop and its serial port wait for a core like everybody else.",
         do="Close what need not run, then measure again. What runs:",
         commands=("top",),
@@ -225,7 +224,7 @@ def _kernel(case: Situation) -> Advice | None:
     if case.machine.preempt_rt or not case.wakes_late:
         return None
     return Advice(
-        found=f"A wake-up came {words.duration(case.worst_wakeup_s)} late, and the kernel is not a real-time one.",
+        found=f"A wake-up came {short_duration(case.worst_wakeup_s)} late, and the kernel is not a real-time one.",
         why="Without PREEMPT_RT the kernel finishes much of its own work before it lets a program run, however urgent.",
         do="Install one, start it, and measure again (Debian; Ubuntu has it as: sudo pro enable realtime-kernel):",
         commands=("sudo apt install linux-image-rt-amd64",),
@@ -236,7 +235,7 @@ def _host(case: Situation) -> Advice | None:
     stolen = 0.0 if case.load is None else case.load.stolen_share
     if not case.machine.virtual or (stolen < _STOLEN_SHARE and not case.wakes_late):
         return None
-    taken = f", whose host took {words.share(stolen)} of the time for others" if stolen >= _STOLEN_SHARE else ""
+    taken = f", whose host took {share_in_percent(stolen)} of the time for others" if stolen >= _STOLEN_SHARE else ""
     return Advice(
         found=f"This is a virtual machine ({case.machine.virtual}){taken}.",
         why="Its host decides when a core runs at all, and nothing that is set in here changes that.",
@@ -246,10 +245,6 @@ def _host(case: Situation) -> Advice | None:
 
 def _colon(line: str) -> tuple[str, str, str]:
     return line.partition(":")
-
-
-def _cores(count: int) -> str:
-    return "1 core" if count == 1 else f"{count} cores"
 
 
 EVERY_ADVICE: tuple[Callable[[Situation], Advice | None], ...] = (

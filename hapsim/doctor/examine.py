@@ -9,18 +9,14 @@ from typing import TYPE_CHECKING
 
 from hapsim.device.conversation import describe
 from hapsim.device.open_connection import TransportKind, open_connection
-from hapsim.doctor import words
 from hapsim.doctor.advice import Advice, Situation, advice_on
-from hapsim.doctor.exchanges import MOCK, Exchanges, Run, Trial, exchanges, trials
-from hapsim.doctor.load import Load, cpu_times, load_between
-from hapsim.doctor.machine import Machine, machine_of
-from hapsim.doctor.step import Step, Tell
-from hapsim.doctor.system_files import Tree
-from hapsim.doctor.verdict import Verdict, best_rate, verdict_on
-from hapsim.doctor.wakeups import require_measurable, wake_up_latency
+from hapsim.doctor.exchanges import MOCK, Exchanges, Run, Trial, Verdict, best_rate, exchanges, trials, verdict_on
+from hapsim.doctor.machine import Load, Machine, SystemFiles, cpu_times, load_between, machine_of
+from hapsim.doctor.wakeups import Tell, require_measurable, wake_up_latency
 from hapsim.errors import UsageError
 from hapsim.loop.histogram import Histogram
 from hapsim.loop.system import require_linux
+from hapsim.number_format import frequency
 from hapsim.running.requirements import require_compatible
 from hapsim.scene import Scene, parse_scene
 
@@ -29,6 +25,22 @@ if TYPE_CHECKING:
 
 RATES_HZ = (1000.0, 2000.0, 4000.0, 10000.0)
 _SHIPPED = "first_touch.yaml"
+
+
+@dataclass(frozen=True)
+class Step:
+    """One measurement of an examination."""
+
+    number: int
+    """From 1 on."""
+    of: int
+    what: str
+    """In words: wake-ups at 4 kHz."""
+    elapsed_s: float
+    seconds: float
+    """How long it takes in all."""
+    compiling: str
+    """The function that is being compiled before it begins, or ""."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +95,7 @@ def examine(
     realtime: bool = False,
     transport: TransportKind = "auto",
     on_progress: Callable[[Step], None] | None = None,
-    tree: Tree | None = None,
+    tree: SystemFiles | None = None,
     run: Run | None = None,
     ask: Callable[[Trial], None] | None = None,
 ) -> Examination:
@@ -102,7 +114,7 @@ def examine(
     if transport == "loopback":
         raise UsageError("--transport: found loopback, which has no time of its own; expected terminal, or nothing")
     require_linux("hapsim doctor, which examines the compiled loop,", "`hapsim run --portable` tells its own lateness")
-    examined, tree = scene or _shipped(), tree or Tree()
+    examined, tree = scene or _shipped(), tree or SystemFiles()
     _require_measurable(examined, rates, seconds)
     rates = tuple(sorted({*rates, examined.rate}))
     to_run = trials(examined, rates, transport)
@@ -174,7 +186,7 @@ def _measure_wakeups(
 ) -> None:
     """Adds the wake-up latencies of a thread to `wakeups`, rate by rate, and what it was granted to `granted`."""
     for rate in rates:
-        tell = steps.next(f"wake-ups at {words.rate(rate)}")
+        tell = steps.next(f"wake-ups at {frequency(rate)}")
         wakeups[rate] = wake_up_latency(rate, seconds, tell, realtime=realtime, on_grants=granted.append)
 
 
@@ -214,7 +226,7 @@ def _again(scene: Scene | None, where: str) -> str:
 
 def _named(trial: Trial) -> str:
     where = "the mock" if trial.where == MOCK else trial.where
-    return f"exchanges at {words.rate(trial.scene.rate)}, clock: {trial.scene.device.clock}, on {where}"
+    return f"exchanges at {frequency(trial.scene.rate)}, clock: {trial.scene.device.clock}, on {where}"
 
 
 def _shipped() -> Scene:

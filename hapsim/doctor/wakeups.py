@@ -10,13 +10,15 @@ from typing import TYPE_CHECKING, Any
 from firmware_protocol.compiled import new_record
 from hapsim.compiling.entries import compile_for
 from hapsim.compiling.progress import on_compilation
-from hapsim.doctor.step import Tell
 from hapsim.errors import HapsimError, UsageError
 from hapsim.loop.clocks import GRID, sleep_on_grid
 from hapsim.loop.histogram import Histogram, histogram_of
 
 if TYPE_CHECKING:
     from hapsim.loop.realtime import PrivilegeResult
+
+Tell = Callable[[float, str], None]
+"""Told how long (s) one measurement runs by now, and the name of a function that is being compiled for it, or ""."""
 
 _LOOK_S = 0.05
 _SLOWEST_HZ, _FASTEST_HZ = 1.0, 1e5

@@ -8,18 +8,18 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 from hapsim.device.open_connection import place_of_device
 from hapsim.errors import DescriptionError, DeviceError, HapsimError, RunError, UsageError
 from hapsim.loop import endings
+from hapsim.loop.histogram import Histogram
 from hapsim.progress import Progress
-from hapsim.recording.trace import Trace
-from hapsim.running.lifetime import Interruption, Lifetime, Run, lifetime_of
+from hapsim.recording.trace import Report, Statistics, Trace
 from hapsim.running.run import follow, start
 from hapsim.running.session import Session
 from hapsim.scene import Scene
@@ -34,7 +34,7 @@ _LONG_S = 10.0  # a session that lasted so long begins with the first pause agai
 
 
 @dataclass
-class Observer:
+class RunObserver:
     """Who wants to know what becomes of a run, and is called in its thread."""
 
     arming: Callable[[], None] = lambda: None
@@ -51,7 +51,7 @@ class Observer:
     """(event, sentence): `lost`, `waiting` (it was tried and failed), `reconnected`."""
 
 
-def together(*observers: Observer) -> Observer:
+def together(*observers: RunObserver) -> RunObserver:
     """Each of them hears of everything, in this order."""
 
     def each(name: str) -> Callable[..., None]:
@@ -61,12 +61,12 @@ def together(*observers: Observer) -> Observer:
 
         return call
 
-    return Observer(**{field.name: each(field.name) for field in fields(Observer)})
+    return RunObserver(**{field.name: each(field.name) for field in fields(RunObserver)})
 
 
 def keep_running(
     scene: Scene,
-    observer: Observer,
+    observer: RunObserver,
     *,
     reconnect: bool,
     record: Path | None = None,
@@ -100,7 +100,7 @@ class _Keeper:
     def __init__(
         self,
         scene: Scene,
-        observer: Observer,
+        observer: RunObserver,
         reconnect: bool,
         record: Path | None,
         duration: float | None,
@@ -111,7 +111,7 @@ class _Keeper:
         self._state: Literal["starting", "running", "waiting"] = "starting"
         self._stopped = self._time_is_over = False
         self._session: Session | None = None
-        self._runs: list[Run] = []
+        self._runs: list[SessionResult] = []
         self._interruptions: list[Interruption] = []
         self._records: list[Path] = []
         self._spent_s = 0.0
@@ -259,6 +259,99 @@ class _Keeper:
         self._session, self._state = session, "running"
 
     def _add(self, trace: Trace) -> None:
-        self._runs.append(Run(trace.report, trace.statistics))
+        self._runs.append(SessionResult(trace.report, trace.statistics))
         self._spent_s += trace.report.duration_s
         self._short = 0 if trace.report.duration_s > _LONG_S else self._short + 1
+
+
+# The report of all sessions
+
+_SUMMED = (
+    "ticks",
+    "duration_s",
+    "deadline_misses",
+    "lost_frames",
+    "crc_errors",
+    "stale_positions",
+    "limited_ticks",
+    "slewed_ticks",
+    "faded_ticks",
+    "slowed_ticks",
+    "withheld_forces",
+    "sign_tests",
+    "unrecorded_rows",
+    "dropped_rows",
+    "parameter_changes",
+    "garbage_bytes",
+)
+
+
+class SessionResult(NamedTuple):
+    """What is kept of one session, from arming to disarming."""
+
+    report: Report
+    statistics: Statistics
+
+
+@dataclass(frozen=True)
+class Interruption:
+    """The device was lost, and waited for."""
+
+    why: str
+    """What happened, in a sentence."""
+    at: str
+    """When it was noticed: UTC, ISO 8601."""
+    waited_s: float
+    came_back: bool = True
+
+
+@dataclass(frozen=True)
+class Lifetime:
+    """A run from the first arming to the end."""
+
+    report: Report
+    """Of all sessions: counts and durations together, quantiles of every tick; how it ended is the last one's."""
+    failure: HapsimError | None
+    """Why it did not end as asked."""
+    interruptions: tuple[Interruption, ...]
+    records: tuple[Path, ...] = ()
+    """Where its sessions were recorded, of those that were."""
+
+    @property
+    def reconnections(self) -> int:
+        """How many times the device came back."""
+        return sum(one.came_back for one in self.interruptions)
+
+
+def lifetime_of(
+    runs: Sequence[SessionResult],
+    failure: HapsimError | None,
+    interruptions: Sequence[Interruption] = (),
+    records: Sequence[Path] = (),
+) -> Lifetime:
+    """Of one session or more."""
+    return Lifetime(_together(runs), failure, tuple(interruptions), tuple(records))
+
+
+def _together(runs: Sequence[SessionResult]) -> Report:
+    last = runs[-1].report
+    if len(runs) == 1:
+        return last
+    reports = [run.report for run in runs]
+    summed = {name: sum(getattr(report, name) for report in reports) for name in _SUMMED}
+    samples = sum(report.rate_hz * report.duration_s for report in reports)
+    rejected = [report.rejected_by_device for report in reports if report.rejected_by_device is not None]
+    return replace(
+        last,
+        **summed,
+        rate_hz=samples / summed["duration_s"] if summed["duration_s"] > 0 else 0.0,
+        rejected_by_device=sum(rejected) if rejected else None,
+        lateness_s=_sum([run.statistics.lateness for run in runs]).spread(),
+        exchange_s=_sum([run.statistics.exchange for run in runs]).spread(),
+        age_samples=_sum([run.statistics.age for run in runs]).spread(),
+    )
+
+
+def _sum(histograms: Sequence[Histogram]) -> Histogram:
+    counts = sum(one.counts for one in histograms)
+    return Histogram(counts, max(one.maximum for one in histograms), histograms[0].unit)  # type: ignore[arg-type]

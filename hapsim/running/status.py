@@ -1,7 +1,7 @@
-"""A unix socket at which a daemon tells how it is doing: one document to everybody who connects, then it hangs up.
+"""The unix socket of `hapsim run --status`: it sends one document to whoever connects, then hangs up.
 
-Nothing of a reader is read, and none is waited for: what the kernel does not take at once is dropped. The socket is its
-owner's alone, by its mode and that of its directory.
+It reads nothing from a reader and waits for none: what the kernel does not take at once is dropped. Only its owner may
+connect, by its mode and that of its directory.
 """
 
 from __future__ import annotations
@@ -26,16 +26,15 @@ AUTO = "auto"
 
 _ENDING = ".sock"
 _PAUSE_S = 0.01  # after each answer: however many ask, the processor is somebody else's
-_PATIENCE_S = 2.0
+_TIMEOUT_S = 2.0
 _LONGEST = 1 << 20
 
 
 @contextlib.contextmanager
 def telling(path: Path, document: Callable[[], str], gives_way: bool = True) -> Iterator[None]:
-    """While open, whoever connects to `path` gets what `document` returns. UsageError where that cannot be; a socket
-    that nobody listens at any more is replaced. `gives_way`: whether the thread that answers gives way to others."""
+    """While open, sends what `document` returns to whoever connects to `path`. Replaces the socket of a process that
+    was killed. Raises UsageError where no socket can be made. `gives_way`: the answering thread gives way to others."""
     listening = _listen(path)
-    ours = path.lstat()
     asked_to_stop, stop = socket.socketpair()
     try:
         work = Beside(lambda: _serve(listening, asked_to_stop, document), gives_way)
@@ -48,14 +47,12 @@ def telling(path: Path, document: Callable[[], str], gives_way: bool = True) -> 
     finally:
         for one in (listening, asked_to_stop, stop):
             one.close()
-        with contextlib.suppress(OSError):
-            if os.path.samestat(path.lstat(), ours):  # and not another's, who took it away
-                path.unlink()
+        path.unlink(missing_ok=True)
 
 
 def path_for(port: str | None) -> Path:
-    """Where a daemon on this port tells it by default; the directory is there, and its owner's alone. UsageError where
-    it belongs to somebody else."""
+    """Returns the default path for a run on this port, and makes its directory, which only its owner may enter. Raises
+    UsageError where the directory belongs to another user."""
     folder = _folders()[0]
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -71,8 +68,8 @@ def path_for(port: str | None) -> Path:
 
 
 def sockets(port: str | None = None) -> list[Path]:
-    """Every socket at which a daemon may be, by default: of any port, or of this one. What is in a directory of another
-    user's is passed over: who can make that in a directory for all could tell this user anything."""
+    """Returns every default socket that exists, of any port or of this one. Skips directories of other users, who could
+    tell this user anything."""
     name = "*" if port is None else _name(port)
     found = [
         path
@@ -84,24 +81,21 @@ def sockets(port: str | None = None) -> list[Path]:
 
 
 def answers(path: Path) -> bool:
-    """Whether a daemon is there: one that was killed leaves a socket at which nobody is."""
+    """Whether a run listens there: one that was killed leaves a socket behind."""
     with _unix_socket() as connection:
-        connection.settimeout(_PATIENCE_S)
+        connection.settimeout(_TIMEOUT_S)
         return connection.connect_ex(str(path)) in (0, errno.EAGAIN)  # EAGAIN: others ask already, more than it takes
 
 
 def ask(path: Path) -> str:
-    """What the daemon at `path` tells. UsageError where nobody answers."""
+    """Returns what the run at `path` sends. Raises UsageError where nobody answers."""
     with _unix_socket() as connection:
-        connection.settimeout(_PATIENCE_S)
+        connection.settimeout(_TIMEOUT_S)
         try:
             connection.connect(str(path))
-            give_up = time.monotonic() + _PATIENCE_S
             told = b""
             while (part := connection.recv(1 << 16)) and len(told) < _LONGEST:
                 told += part
-                if time.monotonic() > give_up:
-                    raise TimeoutError("timed out: it does not come to an end")
         except OSError as error:
             raise UsageError(f"{path}: no hapsim answers there ({error.strerror or error})") from error
     return told.decode("utf-8", "replace")

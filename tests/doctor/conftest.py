@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from firmware_protocol.compiled import new_record
-from hapsim.doctor.system_files import Tree
+from hapsim.doctor.machine import SystemFiles
 from hapsim.loop.histogram import HISTOGRAM, Histogram, histogram_of
 
 
@@ -75,16 +75,16 @@ def fake_run() -> Callable[..., Any]:
 
 
 @pytest.fixture
-def tree(tmp_path: Path) -> Callable[..., Tree]:
+def tree(tmp_path: Path) -> Callable[..., SystemFiles]:
     """A system made of the files given, by their paths with a slash before; without any, it says nothing of itself."""
 
-    def make(files: dict[str, str] | None = None) -> Tree:
+    def make(files: dict[str, str] | None = None) -> SystemFiles:
         root = tmp_path / "root"
         root.mkdir(exist_ok=True)
         for path, text in (files or {}).items():
             file = root / path.lstrip("/")
             file.parent.mkdir(parents=True, exist_ok=True)
             file.write_text(text, encoding="utf-8")
-        return Tree(root)
+        return SystemFiles(root)
 
     return make

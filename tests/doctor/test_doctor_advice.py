@@ -10,9 +10,7 @@ from typing import Any
 import pytest
 
 from hapsim.doctor.advice import EVERY_ADVICE, Advice, Situation, advice_on
-from hapsim.doctor.load import Load
-from hapsim.doctor.machine import Machine
-from hapsim.doctor.system_files import Tree
+from hapsim.doctor.machine import Load, Machine, SystemFiles
 from hapsim.loop.realtime import PrivilegeResult
 
 SOUND = Machine("P", 4, 4, "6.12", True, ("performance",), "tsc", "", False, "")
@@ -21,7 +19,7 @@ SWAP = "MemTotal: 8000000 kB\nSwapTotal: 4000000 kB\nSwapFree: {0} kB\n"
 
 
 @pytest.fixture
-def case(tree: Callable[..., Tree]) -> Callable[..., Situation]:
+def case(tree: Callable[..., SystemFiles]) -> Callable[..., Situation]:
     """A machine on which all is well, but for what is given; `files` are added to its tree."""
 
     def make(files: dict[str, str] | None = None, machine: dict[str, Any] | None = None, **known: Any) -> Situation:
@@ -44,7 +42,7 @@ def test_a_sound_machine_gets_no_advice(case: Callable[..., Situation]) -> None:
     assert advice_on(case()) == []
 
 
-def test_a_machine_that_tells_nothing_gets_no_advice(tree: Callable[..., Tree]) -> None:
+def test_a_machine_that_tells_nothing_gets_no_advice(tree: Callable[..., SystemFiles]) -> None:
     unknown = Machine("", None, None, "", False, (), "", "", None, "")
     assert advice_on(Situation(tree(), unknown, port="/dev/ttyACM0")) == []
 

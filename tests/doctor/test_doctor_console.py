@@ -18,16 +18,13 @@ from hapsim.chart.steadiness import columns, draw_steadiness, steadiness
 from hapsim.cli.as_json import document
 from hapsim.cli.doctor import examination_document, examination_line, show_examination
 from hapsim.cli.histogram import histogram_lines, histogram_rows
-from hapsim.doctor import words
 from hapsim.doctor.advice import Advice
-from hapsim.doctor.examine import Examination
-from hapsim.doctor.exchanges import MOCK, Exchanges
-from hapsim.doctor.load import Load
-from hapsim.doctor.machine import Machine
-from hapsim.doctor.step import Step
-from hapsim.doctor.verdict import verdict_on
+from hapsim.doctor.examine import Examination, Step
+from hapsim.doctor.exchanges import MOCK, Exchanges, verdict_on
+from hapsim.doctor.machine import Load, Machine
 from hapsim.loop.histogram import Histogram
 from hapsim.loop.realtime import PrivilegeResult
+from hapsim.number_format import short_duration
 
 Counted = Callable[[dict[float, int]], Histogram]
 MACHINE = Machine("Some [bold] Processor", 2, 4, "6.12", False, ("powersave",), "tsc", "QEMU", True, "3")
@@ -214,7 +211,7 @@ def test_a_histogram_in_ascii_has_nothing_else(histogram: Counted) -> None:
     [(None, "–"), (0.0, "0"), (1e-9, "1 ns"), (9.999e-7, "1 µs"), (1.5e-3, "1.5 ms"), (2.0, "2 s"), (5e-10, "0.5 ns")],
 )
 def test_durations_in_words(seconds: float | None, text: str) -> None:
-    assert words.duration(seconds) == text
+    assert short_duration(seconds) == text
 
 
 def test_curves_fall_from_all_to_the_last_one(examination: Examination) -> None:

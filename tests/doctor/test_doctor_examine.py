@@ -11,9 +11,8 @@ from rich.console import Console
 
 from hapsim.cli.doctor import examination_document, show_examination
 from hapsim.doctor import examine as examination_module
-from hapsim.doctor.examine import Examination, examine
-from hapsim.doctor.step import Step
-from hapsim.doctor.system_files import Tree
+from hapsim.doctor.examine import Examination, Step, examine
+from hapsim.doctor.machine import SystemFiles
 from hapsim.errors import DeviceError, UsageError
 from hapsim.loop.histogram import Histogram
 from hapsim.loop.realtime import PrivilegeResult
@@ -45,7 +44,7 @@ def scene(rate: float = 3000.0, clock: str = "host", port: str = "") -> Scene:
 @pytest.fixture
 def examined(
     monkeypatch: pytest.MonkeyPatch,
-    tree: Callable[..., Tree],
+    tree: Callable[..., SystemFiles],
     fake_run: Callable[..., Any],
     histogram: Callable[[dict[float, int]], Histogram],
 ) -> Callable[..., tuple[Examination, Any]]:

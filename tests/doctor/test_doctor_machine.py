@@ -6,9 +6,7 @@ from collections.abc import Callable
 
 import pytest
 
-from hapsim.doctor.load import CpuTimes, cpu_times, load_between
-from hapsim.doctor.machine import Machine, machine_of
-from hapsim.doctor.system_files import Tree
+from hapsim.doctor.machine import CpuTimes, Machine, SystemFiles, cpu_times, load_between, machine_of
 
 NOTHING = Machine("", None, None, "", False, (), "", "", None, "")
 A_MACHINE = {
@@ -28,7 +26,7 @@ STAT = "cpu  {0} 0 0 {1} 0 0 0 {2} 0 0\ncpu0 1 1 1 1\n"
 OWN = "42 (a (strange) name) S 1 1 1 0 -1 4194560 1 2 3 4 {0} 0 0 0 20\n"
 
 
-def test_a_machine_is_read_from_its_files(tree: Callable[..., Tree]) -> None:
+def test_a_machine_is_read_from_its_files(tree: Callable[..., SystemFiles]) -> None:
     assert machine_of(tree(A_MACHINE)) == Machine(
         cpu="Some(R) Processor",
         cores_allowed=3,
@@ -43,7 +41,7 @@ def test_a_machine_is_read_from_its_files(tree: Callable[..., Tree]) -> None:
     )
 
 
-def test_a_machine_that_tells_nothing_is_no_failure(tree: Callable[..., Tree]) -> None:
+def test_a_machine_that_tells_nothing_is_no_failure(tree: Callable[..., SystemFiles]) -> None:
     assert machine_of(tree()) == NOTHING
     nonsense = dict.fromkeys(A_MACHINE, "\x00\xff?")
     assert machine_of(tree(nonsense)).cores_allowed is None
@@ -52,37 +50,39 @@ def test_a_machine_that_tells_nothing_is_no_failure(tree: Callable[..., Tree]) -
 @pytest.mark.parametrize(
     "file", [("/sys/kernel/realtime", "1\n"), ("/proc/sys/kernel/version", "#1 SMP PREEMPT_RT Debian\n")]
 )
-def test_a_real_time_kernel_is_recognised_by_either_file(tree: Callable[..., Tree], file: tuple[str, str]) -> None:
+def test_a_real_time_kernel_is_recognised_by_either_file(
+    tree: Callable[..., SystemFiles], file: tuple[str, str]
+) -> None:
     assert machine_of(tree(dict([file]))).preempt_rt
 
 
-def test_a_virtual_machine_is_recognised_by_its_maker_where_there_is_one(tree: Callable[..., Tree]) -> None:
+def test_a_virtual_machine_is_recognised_by_its_maker_where_there_is_one(tree: Callable[..., SystemFiles]) -> None:
     guest = {"/proc/cpuinfo": "model name\t: P\nflags\t: fpu hypervisor tsc\n"}
     assert machine_of(tree(guest)).virtual == "of unknown make"
     maker = {"/sys/class/dmi/id/sys_vendor": "QEMU\n", "/sys/class/dmi/id/product_name": "Standard PC\n"}
     assert machine_of(tree(guest | maker)).virtual == "QEMU Standard PC"
 
 
-def test_the_maker_of_real_hardware_is_no_hypervisor(tree: Callable[..., Tree]) -> None:
+def test_the_maker_of_real_hardware_is_no_hypervisor(tree: Callable[..., SystemFiles]) -> None:
     assert machine_of(tree(A_MACHINE | {"/sys/class/dmi/id/sys_vendor": "Dell\n"})).virtual == ""
 
 
-def test_a_board_is_recognised_by_its_device_tree(tree: Callable[..., Tree]) -> None:
+def test_a_board_is_recognised_by_its_device_tree(tree: Callable[..., SystemFiles]) -> None:
     board = {"/proc/cpuinfo": "processor\t: 0\nBogoMIPS\t: 108\n", "/proc/device-tree/model": "Raspberry Pi 5\0"}
     assert machine_of(tree(board)).cpu == "Raspberry Pi 5"
 
 
-def test_times_are_everybodys_ours_and_the_hosts(tree: Callable[..., Tree]) -> None:
+def test_times_are_everybodys_ours_and_the_hosts(tree: Callable[..., SystemFiles]) -> None:
     files = {"/proc/stat": STAT.format(300, 600, 100), "/proc/self/stat": OWN.format(50)}
     assert cpu_times(tree(files)) == CpuTimes(everybody_s=3.0, ours_s=0.5, stolen_s=1.0, all_s=10.0)
 
 
 @pytest.mark.parametrize("stat", ["", "cpu 1 2", "cpu a b c d e f g h", "intr 0"])
-def test_times_that_cannot_be_read_are_none(tree: Callable[..., Tree], stat: str) -> None:
+def test_times_that_cannot_be_read_are_none(tree: Callable[..., SystemFiles], stat: str) -> None:
     assert cpu_times(tree({"/proc/stat": stat, "/proc/self/stat": OWN.format(1)})) is None
 
 
-def test_load_is_what_others_did_between_two_looks(tree: Callable[..., Tree]) -> None:
+def test_load_is_what_others_did_between_two_looks(tree: Callable[..., SystemFiles]) -> None:
     before, after = CpuTimes(10.0, 1.0, 0.0, 100.0), CpuTimes(14.0, 2.0, 0.4, 120.0)
     load = load_between(before, after, 2, tree({"/proc/loadavg": "1.50 0.3 0.2 1/84 662\n"}))
     assert load is not None
@@ -91,7 +91,7 @@ def test_load_is_what_others_did_between_two_looks(tree: Callable[..., Tree]) ->
     assert load.average == 1.5
 
 
-def test_no_load_is_reported_where_nothing_was_seen(tree: Callable[..., Tree]) -> None:
+def test_no_load_is_reported_where_nothing_was_seen(tree: Callable[..., SystemFiles]) -> None:
     look = CpuTimes(1.0, 1.0, 0.0, 10.0)
     assert load_between(look, look, 2, tree()) is None
     assert load_between(None, look, 2, tree()) is None

@@ -25,7 +25,7 @@ from hapsim.errors import DeviceError, GuardError
 from hapsim.recording.trace import load_trace
 from hapsim.running import Session, reconnecting
 from hapsim.running import session as session_module
-from hapsim.running.reconnecting import LOST, Observer, keep_running, record_of
+from hapsim.running.reconnecting import LOST, RunObserver, keep_running, record_of
 from hapsim.scene import Scene
 
 SOFTER = {"touch0": {"stiffness": 500.0}}
@@ -54,7 +54,7 @@ class Bench:
         self.link.unlink(missing_ok=True)
         self._plugged.close()
 
-    def observer(self, *on_start: Callable[[], None], on_waiting: Callable[[], None] = lambda: None) -> Observer:
+    def observer(self, *on_start: Callable[[], None], on_waiting: Callable[[], None] = lambda: None) -> RunObserver:
         """`on_start`: at each arming the next; `on_waiting`: at the third glance of each waiting."""
 
         def started(session: Session) -> None:
@@ -71,7 +71,7 @@ class Bench:
             self.told.append(event)
             self.sentences.append(sentence)
 
-        return Observer(started=started, waiting=waiting, tell=tell)
+        return RunObserver(started=started, waiting=waiting, tell=tell)
 
 
 @pytest.fixture
@@ -305,7 +305,7 @@ def test_a_device_that_stopped_by_itself_is_armed_anew(scripted: Any, frame: Any
             session.stop()
 
     with scripted([frame(0, 0) + stopped]) as (scene, device):
-        lifetime = keep_running(scene, Observer(started=started), reconnect=True)
+        lifetime = keep_running(scene, RunObserver(started=started), reconnect=True)
         assert len(device.arms) == 2
     assert (lifetime.failure, lifetime.reconnections) == (None, 1)
     assert "the device stopped after" in lifetime.interruptions[0].why

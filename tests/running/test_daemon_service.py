@@ -19,7 +19,7 @@ import pytest
 
 from hapsim.errors import UsageError
 from hapsim.progress import Progress
-from hapsim.running.notify import Notifier
+from hapsim.running.observers import Notifier
 from hapsim.running.unit import closed_to_service, unit_for
 
 SCENE = """
