@@ -10,7 +10,7 @@ import pytest
 
 from hapsim.theory import Network, NotWorkedOutError, margins_of, solve
 from hapsim.theory.interface import damper_named
-from hapsim.theory.network import is_large, transition
+from hapsim.theory.network import is_large, state, transition
 from hapsim.theory.network.transitions import operator_of
 from hapsim.theory.schemes import (
     SCHEMES,
@@ -104,8 +104,9 @@ def test_an_operator_is_the_transition(scheme: str, sampling: str) -> None:
 
 
 @pytest.mark.parametrize("scheme", SCHEMES)
-def test_a_large_scene_has_the_poles_of_its_whole_transition(scheme: str) -> None:
-    network = string(scheme, 520)
+def test_a_large_scene_has_the_poles_of_its_whole_transition(scheme: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(state, "LARGE", 300)
+    network = string(scheme, 160)
     assert is_large(network)
     solution = solve(network)
     whole = transition(network)
@@ -114,9 +115,9 @@ def test_a_large_scene_has_the_poles_of_its_whole_transition(scheme: str) -> Non
     assert moving.size > 40
     assert np.abs(moving[:, None] - every).min(axis=1).max() < 1e-8
     resting = [mode for mode in solution.modes if mode.pole == 1.0]
-    assert [mode.participation.argmax() for mode in resting] == [521, 521]  # the free mass
+    assert [mode.participation.argmax() for mode in resting] == [161, 161]  # the free mass
     hands = next(mode for mode in solution.modes if mode.participation[0] > 0.5)
-    motion = motions[:522, np.argmin(np.abs(every - hands.pole))]
+    motion = motions[:162, np.argmin(np.abs(every - hands.pole))]
     energy = np.concatenate([network.channel_mass, network.point_mass]) * np.abs(motion) ** 2
     np.testing.assert_allclose(hands.participation, energy / energy.sum(), rtol=0.0, atol=1e-6)
 
@@ -155,8 +156,8 @@ def stiff_chain(stiffness: float, masses: int, damping: float = 0.0) -> Network:
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("masses", [1, 2, 3, 6, 12, 40])
-@pytest.mark.parametrize("stiffness", 10.0 ** np.arange(16, 31))
+@pytest.mark.parametrize("masses", [1, 3, 12, 40])
+@pytest.mark.parametrize("stiffness", 10.0 ** np.arange(16, 31, 2))
 def test_rounding_of_the_double_pole_of_very_stiff_springs_is_no_growth(masses: int, stiffness: float) -> None:
     """All of it decays, by less than a digit: under midpoint its poles are -1 to rounding."""
     for damping in (0.0, 1.0):

@@ -19,6 +19,7 @@ from hapsim.theory.hand.pole_pair import oscillator_of_quadratic
 from hapsim.theory.hand.poles import pair_of_poles
 from hapsim.theory.network.device_step import device_step
 
+NOTHING_LEFT = 1e-12  # of the noise of long ago: its square is beyond rounding
 MOVES = 2  # numbers of the state that are the plant's: position and velocity
 
 
@@ -73,14 +74,14 @@ class PredictedLoop(NamedTuple):
     def noise_gain(self, K: float, B: float) -> float:
         """N rms of force that comes of each m rms of white noise on the positions, and of as much as that is in a
         sample period on the velocities, while the loop is closed; infinity where it is unstable."""
-        from scipy.linalg import solve_discrete_lyapunov
-
         if not self.spectral_radius(K, B) < 1.0:
             return math.inf
         moves, pushes, reads = self._open_loop()
         answers = self._answers(K, B, len(moves))
-        closed = moves - np.outer(pushes, answers)
-        spread = solve_discrete_lyapunov(closed, reads @ reads.T, method="bilinear")
+        power, spread = moves - np.outer(pushes, answers), reads @ reads.T
+        while np.abs(power).max() > NOTHING_LEFT:  # twice as many samples of noise each time
+            spread = spread + power @ spread @ power.T
+            power = power @ power
         return float(np.sqrt(max(answers @ spread @ answers, 0.0)) * self.plant.stiffness_unit)
 
     def _stiffness_at(self, z: Complexes, K: float, B: float) -> Complexes:
