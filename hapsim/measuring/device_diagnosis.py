@@ -52,12 +52,12 @@ def why_not(fit: DeviceFit | None, pushed: Pushed) -> UsageError | RunError | No
         return UsageError(
             f"pushed with {pushed.force:.3g} N the device moved by {1e6 * pushed.peak_m:.3g} µm, which is too little "
             "to identify anything: it is held, stuck by dry friction, much heavier than declared, or its motor does "
-            "not push. Let it move freely, or allow more with --force"
+            "not push. Let it move freely, or allow more with --push"
         )
     if fit is None and pushed.peak_m > _MANY * pushed.floor:
         return UsageError(
             f"pushed with {pushed.force:.3g} N the device moved by {1e3 * pushed.peak_m:.3g} mm, but in jerks, or only "
-            "now and then: dry friction holds it, or the record is too short. Allow more with --force and --travel"
+            "now and then: dry friction holds it, or the record is too short. Allow more with --push and --travel"
         )
     least, most = (factor * pushed.bounds.travel for factor in _MORE_TRAVEL)
     travel = min(max(2.0 * unsure / _UNSURE * pushed.bounds.travel, least), most)
