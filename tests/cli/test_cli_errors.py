@@ -9,11 +9,14 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
-from hapsim.stopping import STOPS
+from firmware_protocol.frames import armed_format
+from hapsim.device import conversation
+from hapsim.stopping import STOPS, stopping_on_signals
 
 Hapsim = Callable[..., Any]
 SceneFile = Callable[..., Path]
@@ -210,3 +213,34 @@ def test_with_json_a_command_that_fails_prints_its_sentence_and_its_status(hapsi
     assert answer.status in (2, 3)
     assert answer.document["exit_status"] == answer.status
     assert answer.document["error"] in answer.err or "--loud" in answer.err
+
+
+def test_after_a_second_signal_the_force_is_released_without_waiting_for_the_answer(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    sent: list[bytes] = []
+    waited: list[float] = []
+    monkeypatch.setattr(conversation, "_send", lambda _, frame: sent.append(frame))
+    monkeypatch.setattr(conversation, "_answer", lambda *asked: waited.append(asked[3]))
+    connection: Any = SimpleNamespace(use_format=lambda _: None)
+    stops: list[int] = []
+    with stopping_on_signals(lambda: stops.append(1)):
+        signal.raise_signal(signal.SIGINT)
+        conversation.disarm(connection, armed_format(1, False))
+        assert min(waited) > 0.0
+        waited.clear()
+        sent.clear()
+        signal.raise_signal(signal.SIGTERM)
+        assert not conversation.disarm(connection, armed_format(1, False))
+    assert (len(stops), set(waited)) == (2, {0.0})
+    assert len(set(sent)) == 2
+
+
+def test_what_the_parent_has_ignored_stays_ignored() -> None:
+    """As SIGHUP under nohup."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with stopping_on_signals(pytest.fail):
+            signal.raise_signal(signal.SIGHUP)
+    finally:
+        signal.signal(signal.SIGHUP, before)

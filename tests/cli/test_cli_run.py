@@ -265,3 +265,16 @@ def test_a_force_limit_beyond_what_the_mock_gives_is_told_and_costs_no_resolutio
     predicted, measured = answer.document["predicted"], answer.document["measured"]
     assert measured["k"] == pytest.approx(predicted["k"], rel=1e-6)
     assert measured["b"] == pytest.approx(predicted["b"], rel=1e-5)
+
+
+@pytest.mark.parametrize("command", [["run", "--duration", 0.05], ["measure"]])
+def test_a_record_that_exists_is_replaced_only_with_overwrite(
+    hapsim: Callable[..., Any], scene_file: Callable[..., Path], tmp_path: Path, command: list[Any]
+) -> None:
+    record, scene = tmp_path / "trace.npz", scene_file("spring")
+    record.write_text("mine", encoding="utf-8")
+    refused = hapsim(*command, scene, "--record", record)
+    assert (refused.status, refused.sentence) == (2, f"{record}: the file exists; --overwrite replaces it\n")
+    assert record.read_text(encoding="utf-8") == "mine"
+    assert hapsim(*command, scene, "--record", record, "--overwrite", "--json").status == 0
+    assert load_trace(record).report.ending == "done"
