@@ -207,6 +207,7 @@ def _chart_ring_down(felt: Any, measurement: Any, picture: Path | None, data: Pa
 
 _UNSURE = 4.0  # uncertainties: what is further apart is not the same
 _MANY = 10.0
+_SAME = 1e-4  # a mass that is clearly off changes the frequency by 50 times as much
 _CLEARLY = 0.01  # of the mass, of what is predicted, of b of half the critical damping: what is less off is not said
 _FEW = 0.01
 _LASTS = 0.5  # modulus of a pole: below that of any that `SecondMode` counts
@@ -230,6 +231,9 @@ def probable_mass(felt: Felt | None, measurement: Measurement) -> ProbableMass |
     """
     if felt is None or not _is_undisturbed(measurement) or not measurement.frequency_hz > 0.0:
         return None
+    same_frequency = abs(measurement.frequency_hz - felt.frequency_hz) < _SAME * felt.frequency_hz
+    if same_frequency and abs(measurement.damping_ratio - felt.damping_ratio) < _SAME:
+        return None  # and scipy.optimize, which takes long to import, stays out
     for mass in masses_with(felt, measurement.frequency_hz):
         step = 1e-4 * mass
         above, below = oscillation_at(felt, mass + step), oscillation_at(felt, mass - step)
