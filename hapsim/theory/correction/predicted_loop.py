@@ -78,11 +78,12 @@ class PredictedLoop(NamedTuple):
             return math.inf
         moves, pushes, reads = self._open_loop()
         answers = self._answers(K, B, len(moves))
-        power, spread = moves - np.outer(pushes, answers), reads @ reads.T
+        power: Floats = moves - np.outer(pushes, answers)
+        spread: Floats = reads @ reads.T
         while np.abs(power).max() > NOTHING_LEFT:  # twice as many samples of noise each time
             spread = spread + power @ spread @ power.T
             power = power @ power
-        return float(np.sqrt(max(answers @ spread @ answers, 0.0)) * self.plant.stiffness_unit)
+        return float(np.sqrt(max(float(answers @ spread @ answers), 0.0)) * self.plant.stiffness_unit)
 
     def _stiffness_at(self, z: Complexes, K: float, B: float) -> Complexes:
         """(n,) N/m: force over the position that is read, at z."""
