@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -137,20 +138,16 @@ def test_the_numbers_are_those_of_the_summary(chart: Chart) -> None:
 
 
 def test_a_scene_is_taken_as_it_is_written(chart: Chart, scene_file: SceneFile) -> None:
-    """Its own correction is not applied twice."""
-    told = [
-        chart("felt", scene_file("spring", correction=correction), "--json").document["share"]
-        for correction in ("none", "predictor")
-    ]
-    assert told[0] == told[1]
-    assert told[0]["none"]["0.05"] < told[0]["poles"]["0.05"] < told[0]["predictor"]["0.05"] == 1.0
-
-
-def test_people_read_a_table_and_the_limit(chart: Chart, scene_file: SceneFile) -> None:
-    answer = chart("felt", scene_file("spring"))
+    """Its own correction is not applied twice; and people read a table and the limit."""
+    share = chart("felt", scene_file("spring"), "--json").document["share"]
+    assert share["none"]["0.05"] < share["poles"]["0.05"] < share["predictor"]["0.05"] == 1.0
+    answer = chart("felt", scene_file("spring", correction="predictor"))
     assert answer.status == 0
-    assert "predictor" in answer.out
-    assert "Limit of any controller: 100 %" in answer.out
+    for name in DRAWN:
+        row = re.search(rf"{name} +│ +\S+ % │ +(\S+) %", answer.out)
+        assert row is not None
+        assert float(row[1]) == pytest.approx(100.0 * share[name]["0.05"], abs=0.6)
+    assert re.search(r"[Aa]ny controller.* 100", answer.out)
     assert Path("felt.svg").exists()
 
 

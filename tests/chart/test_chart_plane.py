@@ -228,11 +228,10 @@ def test_values_are_multiples_of_one_two_or_five(last: float, most: int) -> None
     assert 1 <= values.size <= most
     assert last - step < values[-1] <= last * (1 + 1e-9)
     np.testing.assert_allclose(np.diff(values), step)
+    assert all(round_values(nothing, 5).size == 0 for nothing in (0.0, -1.0, math.nan, math.inf))
 
 
-def test_nothing_has_no_round_values() -> None:
-    for nothing in (0.0, -1.0, math.nan, math.inf):
-        assert round_values(nothing, 5).size == 0
+def test_numbers_in_a_picture_are_short() -> None:
     assert [short(x) for x in (0.5, 2080.44, 43452.2, 110000.0, 1e6, -3.2e-7)] == [
         "0.5",
         "2080",

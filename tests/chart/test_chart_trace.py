@@ -104,6 +104,21 @@ def test_what_cannot_be_drawn_is_status_2(chart: Chart, trace: Trace, tmp_path: 
     assert "--last" in answer.sentence
 
 
+def test_the_axis_is_that_of_the_data_and_has_zero_only_where_they_are_near(trace: Trace, tmp_path: Path) -> None:
+    wave = np.round(1000.0 * np.sin(0.1 * trace.sample)).astype(np.int64)[:, None]
+    for shift, has_zero in ((0, 1), (100_000, 0)):
+        axes: list[Any] = []
+        moved = replace(trace, position_counts=wave + shift)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(trace_chart, "draw_zero_if_near", axes.append)
+            trace_chart.draw_trace(moved, "t", tmp_path / "p.svg")
+        drawn = len(axes[0].lines)
+        trace_chart.draw_zero_if_near(axes[0])
+        assert len(axes[0].lines) - drawn == has_zero
+        low, high = axes[0].get_ylim()
+        assert high - low < 1.2e3 * float(np.ptp(moved.position[:, 0]))
+
+
 def test_no_peak_is_lost_where_not_every_row_is_drawn() -> None:
     values = np.zeros(1_000_000)
     values[[123_456, 777_777]] = 1.0, -1.0
