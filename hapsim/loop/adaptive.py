@@ -1,8 +1,7 @@
-"""A force that follows the mass of the temporary hybrid system, which `loop/mass_estimate.py` estimates while it runs:
-no faster than by a factor e in SLEW_S.
+"""The correction `adaptive`: the force follows the estimated mass (mass_estimate.py), by a factor e in SLEW_S at most.
 
-For which masses there is something to simulate, and that it is stable for all of them, is worked out before
-(`prediction/correction/adaptive.py`) and comes as the predictor's table. Who adapts nothing never compiles this.
+`prediction/correction/adaptive.py` works out beforehand for which masses something can be simulated, stable for all of
+them; it comes as the predictor's table. A scene without this correction never compiles it.
 """
 
 from __future__ import annotations
@@ -19,15 +18,7 @@ from firmware_protocol.compiled import new_record
 from hapsim.compiling import helper
 from hapsim.compiling.native import address_of, array_at, native, record_at
 from hapsim.loop.buffers import IO_BUFFER
-from hapsim.loop.mass_estimate import (
-    MASS_ESTIMATE,
-    estimate_mass,
-    fill_channel,
-    fill_mass_estimate,
-    note_sample,
-    span_of,
-    take_spans,
-)
+from hapsim.loop.mass_estimate import MASS_ESTIMATE, MOST_SLOW_SPAN, MOST_SPAN, estimate_mass, note_sample, take_spans
 from hapsim.loop.predictor import ADD, PREDICT, PREDICTOR, look_ahead, observe, set_numbers, take_posted
 
 SLEW_S, LEAST_SLEW = 0.05, 25  # s, samples: for a factor e of the mass
@@ -133,13 +124,20 @@ class Adaptation:
         self.record = record = new_record(ADAPTIVE)
         self._channels, self._period_s = channels, period_s
         record.slew = 1.0 / max(SLEW_S / period_s, LEAST_SLEW)
-        fill_mass_estimate(record.estimate, period_s, numerator, first_lag)
+        estimate = record.estimate
+        estimate.first_lag, estimate.count = first_lag, len(numerator)
+        estimate.weights[: len(numerator)] = period_s**2 * numerator
+        estimate.uncertainty[:] = math.inf
         for channel, one in channels.items():
             record.adapts[channel] = 1
-            record.log_least[channel], record.log_most[channel] = np.log(one.span)
-            record.log_mass[channel] = record.log_least[channel]
-            sprung = one.device_stiffness * period_s**2
-            fill_channel(record.estimate, channel, one.span, sprung, count_m[channel], self._span(one))
+            for spans in (record, estimate):
+                spans.log_least[channel], spans.log_most[channel] = np.log(one.span)
+                spans.log_mass[channel] = spans.log_least[channel]
+            estimate.sprung[channel] = one.device_stiffness * period_s**2
+            estimate.rounding[channel] = count_m[channel] ** 2 / 12.0
+        self.follow(channels)
+        estimate.span[:] = estimate.next_span
+        estimate.slow_span[:] = np.minimum(estimate.span, MOST_SLOW_SPAN)
         predictor.adaptive = address_of(record)
         predictor.predict = predict_adaptively.address()
         predictor.add = add_difference.address()
@@ -147,11 +145,9 @@ class Adaptation:
     def follow(self, channels: Mapping[int, AdaptiveChannel]) -> None:
         """Begins anew with other spans of samples, together with the table that is posted next."""
         for channel, one in channels.items():
-            self.record.estimate.next_span[channel] = self._span(one)
-
-    def _span(self, one: AdaptiveChannel) -> int:
-        half_period_s = math.pi * math.sqrt(one.span[0] / max(one.desired_stiffness, _LEAST_STIFFNESS))
-        return span_of(half_period_s / self._period_s)
+            half_period_s = math.pi * math.sqrt(one.span[0] / max(one.desired_stiffness, _LEAST_STIFFNESS))
+            samples = min(max(half_period_s / self._period_s, 1.0), float(MOST_SPAN))
+            self.record.estimate.next_span[channel] = round(samples)
 
     def masses(self) -> dict[int, EstimatedMass]:
         """What is known of the mass on every channel that adapts."""

@@ -1,14 +1,16 @@
-"""Which force acted in each sample: what every guard goes by that compares forces with the motion.
+"""Which force acted in each sample: what guards need that compare forces with the motion.
 
-The force that acts from sample n-1 to n is, with a delay of d samples, the one that answers sample n-1-d: the one that
-left, cut, rounded and with every push. Of one that never left, or that the device says came too late, the one before
-acted; once its time to live is over, none. Beside those that acted it keeps the scene's part as it would have acted in
-time: of every sample the force that answers it, also where that never left; over lost positions, where the hand is
-moved along a line, the forces along the line between the two that are known.
+With a delay of d samples, the force that acts from sample n-1 to n answers sample n-1-d: the one that left, clipped,
+rounded and with every push. Instead of one that never left, or that the device reports as late, the one before acted;
+once its time to live is over, none. The history also keeps the scene's part as it would have acted in time: for every
+sample the force that answers it, sent or not, and over lost positions the forces along the line between the two that
+are known.
 
-A force that an excitation adds is the hand's, and so is what the limit cuts because of it.
+A force that an excitation adds is the hand's, and so is what the limit clips because of it.
 
-Who compares nothing never compiles this: it is called by an address, which is 0 then.
+The predictor keeps forces of its own: it needs them before the scene moves, by the device's count of late samples.
+
+A loop whose guards need no history never compiles this: its address is 0 then.
 """
 
 from __future__ import annotations

@@ -24,10 +24,8 @@ After lost positions, and after forces that were late in a row, the force that a
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from firmware_protocol import schema
 from hapsim.compiling import helper
@@ -231,29 +229,3 @@ def take_spans(estimate):
             estimate.block[c] = estimate.seen = 0
             for i in range(_SUMS):
                 estimate.sums[c, i] = 0.0
-
-
-def span_of(half_period_samples: float) -> int:
-    """L, for a loop with this half period."""
-    return round(min(max(half_period_samples, 1.0), float(MOST_SPAN)))
-
-
-def fill_mass_estimate(record: Any, period_s: float, numerator: NDArray[np.float64], first_lag: int) -> None:
-    """Sets up a MASS_ESTIMATE, except for its channels. `numerator`: how much of T²/m f[n - first_lag], and of the
-    forces before it, is in the second difference of the positions at sample n."""
-    record.first_lag, record.count = first_lag, len(numerator)
-    record.weights[: len(numerator)] = period_s**2 * numerator
-
-
-def fill_channel(
-    record: Any, channel: int, span_kg: tuple[float, float], sprung_kg: float, count_m: float, span: int
-) -> None:
-    """Sets up one channel, of which nothing is known yet. `sprung_kg`: k0 T² of the device; `count_m`: m per count;
-    `span`: of `span_of`."""
-    record.log_least[channel], record.log_most[channel] = np.log(span_kg)
-    record.log_mass[channel] = record.log_least[channel]
-    record.uncertainty[channel] = math.inf
-    record.sprung[channel] = sprung_kg
-    record.rounding[channel] = count_m**2 / 12.0
-    record.span[channel] = record.next_span[channel] = span
-    record.slow_span[channel] = min(span, MOST_SLOW_SPAN)

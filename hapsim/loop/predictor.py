@@ -1,13 +1,12 @@
-"""What the scene gets in place of the position that was read: where the device's mass will be, and how fast, when
-the force that answers the sample begins to act.
+"""The predictor: the scene gets the state in which its force will find the mass, not the position that was read.
 
-An observer leads its state from sample to sample, by the forces that acted, and corrects it by what is read:
-`hapsim.theory.correction` says how. The forces are those that left, cut, rounded and with every push; where the device
-said that one came too late, the one that it went on with. An excitation that measures an impedance plays the hand, of
-which no predictor knows: it is left out, and found as the hand's push is.
+An observer leads its state from sample to sample by the forces that acted, and corrects it by what is read
+(`hapsim.theory.correction`). The forces are those that left, clipped, rounded and with every push; where the device
+reports one as late, the one that went on. An excitation that measures an impedance plays the hand, of which no
+predictor knows: it is left out, and found as the hand's push is.
 
-Whatever the numbers of the observer, they come as a table, so that they change with the scene and with an estimate of
-the mass. Without a predictor this is never compiled: it is called by an address, which is 0 then.
+The observer's numbers come as a table, so that they change with the scene and with an estimate of the mass. A scene
+without a predictor never compiles this: its address is 0 then.
 """
 
 from __future__ import annotations

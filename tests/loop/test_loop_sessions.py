@@ -42,16 +42,11 @@ def test_a_session_runs_until_it_is_stopped_and_leaves_its_trace(scene_of: Scene
     assert session.trace.statistics.age.total == session.trace.report.ticks
 
 
-def test_leaving_the_block_stops_it(scene_of: SceneOf) -> None:
-    with hapsim.start(scene_of()) as session:
-        pass
-    assert session.trace.report.ending == "stopped"
-
-
-def test_a_session_that_has_a_duration_ends_by_itself(scene_of: SceneOf) -> None:
-    with hapsim.start(scene_of(), duration=0.5) as session:
-        assert session.wait(30.0)
-    assert (session.trace.report.ending, session.trace.report.ticks) == ("done", 500)
+def test_it_ends_after_its_duration_or_when_the_block_is_left(scene_of: SceneOf) -> None:
+    with hapsim.start(scene_of()) as left, hapsim.start(scene_of(), duration=0.5) as timed:
+        assert timed.wait(30.0)
+    assert left.trace.report.ending == "stopped"
+    assert (timed.trace.report.ending, timed.trace.report.ticks) == ("done", 500)
 
 
 def test_an_exception_in_the_block_releases_the_device(scene_of: SceneOf, served: Any) -> None:

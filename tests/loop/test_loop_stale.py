@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import pytest
 
@@ -20,12 +19,20 @@ MS = 1_000_000
 START = 10**9
 FAR = -5000  # um: 5 N, 5000 counts
 
-Assembled = Callable[..., LoopMemory]
-Arrive = Callable[[LoopMemory, bytes, int], int]
+On = Callable[..., LoopMemory]
+"""A loop by this clock."""
+Hear = Callable[..., int]
+"""Has a loop take a position at a time, in ns."""
 
 
-def loop_with(assembled: Assembled, scene_of: Callable[..., Scene], clock: str, **device: Any) -> LoopMemory:
-    return assembled(scene_of(damping=0.0, device={"clock": clock, **device}))
+@pytest.fixture
+def on(assembled: Callable[..., LoopMemory], scene_of: Callable[..., Scene]) -> On:
+    return lambda clock, **device: assembled(scene_of(damping=0.0, device={"clock": clock, **device}))
+
+
+@pytest.fixture
+def hear(arrive: Callable[..., int], frame: Callable[..., bytes]) -> Hear:
+    return lambda loop, *numbers, at, **kind: arrive(loop, frame(*numbers, **kind), at)
 
 
 def leaves(loop: LoopMemory, now: int) -> list[int]:
@@ -51,86 +58,74 @@ def last_flags(loop: LoopMemory) -> int:
     return last_row(loop)[0]
 
 
-def test_a_host_that_was_held_up_sends_zero_in_place_of_an_old_force(
-    assembled: Assembled, scene_of: Callable[..., Scene], arrive: Arrive, frame: Callable[..., bytes]
-) -> None:
+def test_a_host_that_was_held_up_sends_zero_in_place_of_an_old_force(on: On, hear: Hear) -> None:
     """With its time to live of 20 samples and one more: a force may answer 21 ms after the position, not 22."""
     for late_ms, counts, withheld in ((1, 5000, 0), (21, 5000, 0), (22, 0, 1), (500, 0, 1)):
-        loop = loop_with(assembled, scene_of, "host")
+        loop = on("host")
         loop.state.tick_ns = START
-        assert arrive(loop, frame(0, FAR), START) == HEARD
+        assert hear(loop, 0, FAR, at=START) == HEARD
         assert leaves(loop, START + late_ms * MS) == [counts]
         assert loop.state.withheld_forces == withheld
         assert bool(last_flags(loop) & WITHHELD) == bool(withheld)
 
 
-def test_a_host_that_gets_no_position_asks_with_zero_force_once_the_last_is_too_old(
-    assembled: Assembled, scene_of: Callable[..., Scene], arrive: Arrive, frame: Callable[..., bytes]
-) -> None:
-    loop = loop_with(assembled, scene_of, "host")
+def test_a_host_that_gets_no_position_asks_with_zero_force_once_the_last_is_too_old(on: On, hear: Hear) -> None:
+    loop = on("host")
     loop.state.tick_ns = START
-    assert arrive(loop, frame(0, FAR), START) == HEARD
+    assert hear(loop, 0, FAR, at=START) == HEARD
     sent = [leaves(loop, START + n * MS)[0] for n in range(1, 40)]
     lives = int(loop.control.time_to_live)
     assert sent == [5000] * lives + [0] * (39 - lives)  # the first zero has an age that a device still takes
     assert loop.state.withheld_forces == 39 - lives
 
 
-def test_after_that_the_force_rises_from_zero(
-    assembled: Assembled, scene_of: Callable[..., Scene], arrive: Arrive, frame: Callable[..., bytes]
-) -> None:
-    loop = loop_with(assembled, scene_of, "host", slew_limit=2000.0)
+def test_after_that_the_force_rises_from_zero(on: On, hear: Hear) -> None:
+    loop = on("host", slew_limit=2000.0)
     sent = []
     for n in range(6):
         loop.state.tick_ns = START + n * MS
-        assert arrive(loop, frame(n, FAR), START + n * MS) == HEARD
+        assert hear(loop, n, FAR, at=START + n * MS) == HEARD
         sent += leaves(loop, START + (n + 1) * MS)
     assert sent == [2000, 4000, 5000, 5000, 5000, 5000]
     loop.state.tick_ns = START + 5 * MS + 40 * MS
-    assert arrive(loop, frame(6, FAR, kind=schema.POSITION_HELD), START + 46 * MS) == HEARD
+    assert hear(loop, 6, FAR, kind=schema.POSITION_HELD, at=START + 46 * MS) == HEARD
     assert last_flags(loop) & SLEWED
     assert leaves(loop, START + 47 * MS) == [0]  # the device has none, or this makes it zero
     loop.state.tick_ns = START + 47 * MS
-    assert arrive(loop, frame(7, FAR), START + 47 * MS) == HEARD
+    assert hear(loop, 7, FAR, at=START + 47 * MS) == HEARD
     assert leaves(loop, START + 48 * MS) == [2000]
 
 
-def test_what_may_find_a_device_at_zero_is_zero(
-    assembled: Assembled, scene_of: Callable[..., Scene], arrive: Arrive, frame: Callable[..., bytes]
-) -> None:
+def test_what_may_find_a_device_at_zero_is_zero(on: On, hear: Hear) -> None:
     """Its clock counts from the force before, not from the position that came late."""
     for late_us, counts in ((20_000, 5000), (21_000, 0)):
-        loop = loop_with(assembled, scene_of, "host")
+        loop = on("host")
         for n in range(2):
             loop.state.tick_ns = START + n * MS
-            assert arrive(loop, frame(n, FAR), START + n * MS + 900_000 * n) == HEARD
+            assert hear(loop, n, FAR, at=START + n * MS + 900_000 * n) == HEARD
             sent = leaves(loop, START + MS + (late_us * 1000 if n else 0))
         assert sent == [counts]
 
 
-def test_a_position_that_was_on_its_way_for_too_long_is_answered_with_zero(
-    assembled: Assembled, scene_of: Callable[..., Scene], arrive: Arrive, frame: Callable[..., bytes]
-) -> None:
+def test_a_position_that_was_on_its_way_for_too_long_is_answered_with_zero(on: On, hear: Hear) -> None:
     for on_its_way_ms, counts, flags in ((21, 5000, OFF_GRID), (22, 0, OFF_GRID | WITHHELD)):
-        loop = loop_with(assembled, scene_of, "host")
+        loop = on("host")
         loop.state.tick_ns = START
-        assert arrive(loop, frame(0, FAR), START) == HEARD
+        assert hear(loop, 0, FAR, at=START) == HEARD
         loop.state.tick_ns, loop.state.unanswered = START + MS, 0
-        assert arrive(loop, frame(1, FAR), START + (1 + on_its_way_ms) * MS) == HEARD
+        assert hear(loop, 1, FAR, at=START + (1 + on_its_way_ms) * MS) == HEARD
         assert loop.record.io.force_counts[0] == counts
         assert last_flags(loop) == flags
 
 
 @pytest.mark.parametrize("number", [1, 7])
-def test_by_the_device_s_clock_one_that_arrives_too_late_is_answered_with_zero(
-    assembled: Assembled, scene_of: Callable[..., Scene], arrive: Arrive, frame: Callable[..., bytes], number: int
-) -> None:
+def test_by_the_device_s_clock_one_that_arrives_too_late_is_answered_with_zero(on: On, hear: Hear, number: int) -> None:
     """Its number says when it was measured, whether or not the positions before it came."""
     for late_ms, counts in ((0, 5000), (21, 5000), (22, 0), (90, 0)):
-        loop = loop_with(assembled, scene_of, "device")
-        assert arrive(loop, frame(0, FAR), START) == HEARD
+        loop = on("device")
+        assert hear(loop, 0, FAR, at=START) == HEARD
         loop.state.unanswered = 0
-        assert arrive(loop, frame(number, FAR), START + (number + late_ms) * MS) == HEARD
+        assert hear(loop, number, FAR, at=START + (number + late_ms) * MS) == HEARD
         assert loop.record.io.force_counts[0] == counts
         assert bool(last_flags(loop) & WITHHELD) == (counts == 0)
         assert loop.state.withheld_forces == (counts == 0)
@@ -138,17 +133,15 @@ def test_by_the_device_s_clock_one_that_arrives_too_late_is_answered_with_zero(
 
 @pytest.mark.parametrize(("late_ms", "row", "limited"), [(21, (LIMITED, 2000), 1), (22, (WITHHELD, 0), 0)])
 def test_a_force_that_a_host_withholds_is_recorded_as_the_zero_that_left_and_not_as_cut(
-    assembled: Assembled,
-    scene_of: Callable[..., Scene],
-    arrive: Arrive,
-    frame: Callable[..., bytes],
+    on: On,
+    hear: Hear,
     late_ms: int,
     row: tuple[int, int],
     limited: int,
 ) -> None:
-    loop = loop_with(assembled, scene_of, "host", force_limit=2.0)
+    loop = on("host", force_limit=2.0)
     loop.state.tick_ns = START
-    assert arrive(loop, frame(0, FAR), START) == HEARD
+    assert hear(loop, 0, FAR, at=START) == HEARD
     assert leaves(loop, START + late_ms * MS) == [row[1]]
     assert last_row(loop) == row
     assert loop.state.limited_ticks == limited
@@ -156,38 +149,32 @@ def test_a_force_that_a_host_withholds_is_recorded_as_the_zero_that_left_and_not
 
 @pytest.mark.parametrize(("late_ms", "row", "limited"), [(21, (LIMITED, 2000), 2), (22, (WITHHELD, 0), 1)])
 def test_by_the_device_s_clock_neither(
-    assembled: Assembled,
-    scene_of: Callable[..., Scene],
-    arrive: Arrive,
-    frame: Callable[..., bytes],
+    on: On,
+    hear: Hear,
     late_ms: int,
     row: tuple[int, int],
     limited: int,
 ) -> None:
-    loop = loop_with(assembled, scene_of, "device", force_limit=2.0)
-    assert arrive(loop, frame(0, FAR), START) == HEARD
+    loop = on("device", force_limit=2.0)
+    assert hear(loop, 0, FAR, at=START) == HEARD
     loop.state.unanswered = 0
-    assert arrive(loop, frame(1, FAR), START + (1 + late_ms) * MS) == HEARD
+    assert hear(loop, 1, FAR, at=START + (1 + late_ms) * MS) == HEARD
     assert last_row(loop) == row
     assert loop.state.limited_ticks == limited
 
 
-def test_a_hand_at_rest_and_late_forces_withhold_nothing(
-    assembled: Assembled, scene_of: Callable[..., Scene], arrive: Arrive, frame: Callable[..., bytes]
-) -> None:
+def test_a_hand_at_rest_and_late_forces_withhold_nothing(on: On, hear: Hear) -> None:
     """A sensor that says the same for long is no fault; forces that are late, each within its time to live, act."""
-    loop = loop_with(assembled, scene_of, "device")
+    loop = on("device")
     for n in range(500):
-        assert arrive(loop, frame(n, FAR, kind=schema.POSITION_HELD if n else schema.POSITION), START + n * MS) == HEARD
+        assert hear(loop, n, FAR, kind=schema.POSITION_HELD if n else schema.POSITION, at=START + n * MS) == HEARD
         loop.state.unanswered = 0
         assert loop.record.io.force_counts[0] == 5000
     assert loop.state.withheld_forces == 0
 
 
-def test_in_virtual_time_no_time_passes(
-    assembled: Assembled, scene_of: Callable[..., Scene], arrive: Arrive, frame: Callable[..., bytes]
-) -> None:
-    loop = loop_with(assembled, scene_of, "lockstep")
+def test_in_virtual_time_no_time_passes(on: On, hear: Hear) -> None:
+    loop = on("lockstep")
     for n in range(5):
-        assert arrive(loop, frame(n, FAR), START + n * 10**12) == HEARD
+        assert hear(loop, n, FAR, at=START + n * 10**12) == HEARD
         assert leaves(loop, START + n * 10**12 + 10**11) == [5000]

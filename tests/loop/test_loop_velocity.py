@@ -112,15 +112,6 @@ def test_the_scene_is_given_the_velocities_in_metres_per_second_beside_the_posit
     assert not io.velocity[2:].any()
 
 
-def test_where_positions_were_lost_velocities_run_along_a_straight_line_too(
-    scripted: Scripted, scene_of: SceneOf, frame: FrameOf
-) -> None:
-    script = [frame(0, 0, velocity=(100,)), frame(1, 0, velocity=(200,)), frame(5, 0, velocity=(-600,))]
-    io = after(scripted, scene_of(damper="sensed"), script)
-    assert io.velocity_bridge[0] == pytest.approx(-400 * SCALE)  # that of sample 4, the last that was lost
-    assert io.velocity[0] == pytest.approx(-600 * SCALE)
-
-
 def test_a_sensed_damper_brakes_by_the_velocity_on_the_wire_and_not_by_the_way_gone(
     scripted: Scripted, scene_of: SceneOf, frame: FrameOf
 ) -> None:

@@ -1,28 +1,28 @@
-"""A motor that is wired the wrong way round: the loop stops before the hand has gone far, and names the channel.
+"""A motor that is wired the wrong way: the loop stops before the hand has gone far, and names the channel.
 
-Which way a motor pushes cannot be seen in how much a device accelerates: a hand pushes harder than most motors. It can
-be seen in how the acceleration changes with the force that acted. So both, x'' and F, go through the same filter,
+How much a device accelerates does not show which way a motor pushes: a hand pushes harder than most motors. How the
+acceleration changes with the force that acted does. So both, x'' and F, go through the same filter,
 
     D / (1 - a/q)³,     D = 1 - 1/q, a = exp(-T / FILTER_S),
 
-once as the second difference of the positions, once as that of the path on which the force alone takes 1 kg. It passes
-what changes within some milliseconds: a hand's slow push does not pass, nor do single counts of an encoder. Over lost
-positions both are led along a straight line, so that the two stay comparable. Of the sums of their squares and
-products, which forget within SUMS_S, R(right) and R(wrong) are the residuals of x'' = F/m, for the best 1/m within
-RIGHT, and within WRONG with the other sign, times what the scene says of the mass, and
+once as the second difference of the positions, once as that of the path on which the force alone takes 1 kg. The filter
+passes what changes within some milliseconds, but neither a hand's slow push nor single counts of an encoder. Over lost
+positions both follow a straight line, so that they stay comparable. From the sums of their squares and products, which
+forget within SUMS_S, follow the residuals of x'' = F/m: R(right) for the best 1/m within RIGHT, R(wrong) within WRONG
+with the other sign, both times the declared mass; and
 
     J = (R(right) - R(wrong)) / (R(wrong) + counts²).
 
-A hand that leans into a wall harder and harder can make J large, too, for a while. So where J is above SUSPICION for
-SUSPECT_S, and there is force that can be taken away, the force is released for RELEASE_S: a test that no hand knows
-of. Only what is summed from then on, until VERDICT_S, decides: J above SURE is a motor that is wrong. Where the other
-ratio, (R(wrong) - R(right)) / (R(right) + counts²), is above SURE for SUSPECT_S, with or without a test, the motor is
-right. Motors are not wired anew while they run: that channel is judged no more.
+A hand that leans into a wall harder and harder can make J large for a while. So where J is above SUSPICION for
+SUSPECT_S, and there is force to take away, the force is released for RELEASE_S: a test that no hand knows of. Only what
+is summed from then on, until VERDICT_S, decides: with J above SURE the motor is wrong. Where the other ratio,
+(R(wrong) - R(right)) / (R(right) + counts²), is above SURE for SUSPECT_S, with or without a test, the motor is right,
+and that channel is judged no more: motors are not rewired while they run.
 
-Not seen: a motor whose force hardly changes, or that makes less of the motion than a hand does, as with soft springs,
-heavy hands and small limits. How often, and how far a hand moves: tools/bench/README.md.
+The guard misses a motor whose force hardly changes, or that makes less of the motion than a hand does: soft springs,
+heavy hands, small limits. tools/bench/README.md has the figures.
 
-Who judges nothing never compiles this: it is called by an address, which is 0 then.
+A scene without this guard never compiles it: its address is 0 then.
 """
 
 from __future__ import annotations

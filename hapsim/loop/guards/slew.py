@@ -1,31 +1,29 @@
 """How fast the force may change: a slew limit between two forces that are sent, and a soft start.
 
-**The slew limit.** From one force that is sent to the next no channel changes by more than a step, in whole counts, so
-that rounding adds nothing. It is counted from what the device holds: zero from arming on and once a force's time to
-live is over, else the last force that left, whatever was worked out meanwhile.
+**The slew limit.** From one force that is sent to the next no channel changes by more than a step, in whole counts. The
+step counts from what the device holds: zero from arming on and once a force's time to live is over, else the last force
+that left, whatever was worked out meanwhile.
 
-Where the device says that a force came too late, or where a position is missing that may have said so, the device may
-hold that force or one before it: the last one that surely came, and every one since. The next force is within a step of
-all of them. That can always be had, since each was within a step of all before it; but once the one that surely came
-has no more time to live, the device may be at zero, too, and where no force is within a step of that and of the others
-zero leaves, to which the way is immediate.
+Where the device reports a late force, or where a position is missing that may have reported one, the device may hold
+the last force that surely came, or any since. The next force is within a step of all of them. That is always possible,
+since each was within a step of all before it. Once the one that surely came has no more time to live, the device may be
+at zero, too; where no force is within a step of that and of the others, zero leaves.
 
-A longer row of late forces looks the same whether each of them comes late or none comes at all. Once it has lasted for
-longer than a force lives, and LATE of them at least, it is taken for the first, and only the last LATE of them count:
-the force then changes by a step in LATE samples, where it would else stay within a step of one place for ever.
+A longer row of late forces looks the same whether each comes late or none comes at all. Once it has lasted longer than
+a force lives, and for LATE forces at least, it is taken for the first, and only the last LATE forces count: the force
+then changes by a step in LATE samples, where it would else stay within a step of one place for ever.
 
-**The soft start.** A scene may ask for a force in the very first sample, before the hand has met anything: f0, cut to
-the limit. It is reached along a ramp: of every force F
+**The soft start.** A scene may ask for a force in the very first sample, before the hand has met anything: f0, clipped
+to the limit. A ramp leads to it: of every force F
 
     F - f0 (1 - s(t / soft start)),     s(u) = 3 u² - 2 u³
 
-leaves, but never less than zero and never more than F, to the side of F: a hand that moves away from a spring at once
-would else be pulled back by what is taken off, and one that goes to the other side be pushed beyond what is asked.
-Where f0 is zero nothing changes; and where F is the stiffer the object is, the ramp does not make it softer.
+leaves, but never less than zero and never more than F, to the side of F. Without this bound a hand that moves away from
+a spring would be pulled back, and one that moves to its other side pushed beyond what is asked.
 
-The way to zero by a guard, a disarming or the device's watchdog is immediate: nothing here delays that.
+Zero force by a guard, a disarming or the device's watchdog is immediate: nothing here delays it.
 
-Who limits nothing never compiles this: it is called by an address, which is 0 then.
+A scene without either never compiles this: its address is 0 then.
 """
 
 from __future__ import annotations
