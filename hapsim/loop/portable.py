@@ -1,8 +1,8 @@
-"""The loop in plain Python: for systems without the system calls of `system.py`, and what the compiled loop is measured
-against. Over pyserial it drives a device; where there is no other loop, over the loopback too.
+"""The loop in plain Python: for systems without the calls of `system.py`, and to measure the compiled loop against.
 
-It waits, reads, writes and sleeps in Python; an exchange itself is the same compiled code, which asks the system for
-nothing. So its forces are the same, and its guards; but whatever holds Python up holds it up.
+It drives a device over pyserial; where there is no other loop, also the mock in memory. It waits, reads, writes and
+sleeps in Python. The exchange itself is the same compiled code, so forces and guards are the same; but whatever holds
+Python up holds the loop up.
 """
 
 from __future__ import annotations
@@ -63,8 +63,12 @@ def _take_and_compose(loop, now):
 
 
 @entry
-def _compose_again(loop):
-    return compose_frame(loop, False)
+def _compose(loop, disarm):
+    """Composes the force's frame again, or the frame that disarms; after that nothing is left unpublished."""
+    stop = compose_frame(loop, disarm)
+    if disarm:
+        flush_unsent(loop)
+    return stop
 
 
 @entry
@@ -77,22 +81,13 @@ def _plan_by_device(loop):
     return plan_by_device(loop)
 
 
-@entry
-def _compose_last(loop):
-    """The frame that disarms; nothing is left unseen."""
-    stop = compose_frame(loop, True)
-    flush_unsent(loop)
-    return stop
-
-
 def entries_for(loop: Any) -> list[tuple[Any, tuple[Any, ...]]]:
     """What the loop in Python calls, each with arguments of the types that it is called with."""
     return [
         (_take_and_compose, (loop, 0)),
-        (_compose_again, (loop,)),
+        (_compose, (loop, False)),
         (_on_force_sent, (loop, 0)),
         (_plan_by_device, (loop,)),
-        (_compose_last, (loop,)),
     ]
 
 
@@ -125,12 +120,12 @@ class PortableLoop:
                 if by_host and loop.state.unanswered:
                     loop.state.tick_ns = wait["begun_ns"]
                 if by_host:
-                    self._frame = self._composed(_compose_again(loop))  # by now the position may be too old
+                    self._frame = self._composed(_compose(loop, False))  # by now the position may be too old
                 code = self._send(self._frame)
                 ending = RUNNING if code == 0 else int(ending_of(code, 0))
                 _on_force_sent(loop, time.monotonic_ns())
         if ending != RING_FULL:
-            self._send(self._composed(_compose_last(loop)))
+            self._send(self._composed(_compose(loop, True)))
         return ending
 
     def _take_newest_position(self, begun: int, timeout_ns: int) -> int:

@@ -17,7 +17,7 @@ from hapsim.compiling.native import array_at, record_at
 from hapsim.loop.clocks import next_point
 from hapsim.loop.endings import DONE, HEARD, TIMED_OUT
 from hapsim.loop.histogram import histogram_of
-from hapsim.loop.portable import PortableLoop, _compose_last
+from hapsim.loop.portable import PortableLoop, _compose
 from hapsim.loop.ring import OFF_GRID, UNSENT
 from hapsim.loop.run import run_loop
 from hapsim.loop.transport import Transport, receiver, sender
@@ -140,7 +140,7 @@ def test_a_sample_that_took_clearly_more_or_less_than_a_period_is_marked(
     for number, ns in enumerate(took):
         now += ns
         assert arrive(loop, frame(number, number), now) == HEARD
-    _compose_last(loop.record)  # which shows the reader what there is
+    _compose(loop.record, True)  # which shows the reader what there is
     marked = [0, 0, 0, OFF_GRID, 0, OFF_GRID, OFF_GRID, OFF_GRID, 0]
     assert (loop.ring.drain()["flags"] & OFF_GRID).tolist() == marked
 

@@ -82,11 +82,6 @@ def test_a_run_that_ends_as_asked_fails_where_the_device_does_not_release(script
     assert caught.value.trace.report.ending == "done"
 
 
-def test_a_release_is_told_where_the_device_confirms_it(scripted: Scripted, frame: FrameOf) -> None:
-    with scripted([frame(n, 0) for n in range(10)]) as (scene, _):
-        assert run(scene, duration=0.005).report.released is True
-
-
 @pytest.mark.usefixtures("impatient")
 def test_a_device_that_says_it_is_still_armed_has_not_released(scripted: Scripted, frame: FrameOf) -> None:
     with (

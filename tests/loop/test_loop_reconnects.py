@@ -258,25 +258,6 @@ def test_its_time_goes_on_while_a_device_is_waited_for(
     assert 990.0 < lifetime.interruptions[0].waited_s + lifetime.report.duration_s < 1010.0
 
 
-def test_a_device_that_is_back_when_the_time_is_over_is_not_armed(
-    scene: Scene, bench: Bench, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    bench.plug(scene)
-    now = [0.0]
-    clock = SimpleNamespace(monotonic=lambda: now[0], sleep=lambda _: None)
-    monkeypatch.setattr(reconnecting, "time", clock)
-
-    def back_too_late() -> None:
-        bench.plug(scene)
-        now[0] += 2000.0
-
-    lifetime = keep_running(
-        scene, bench.observer(bench.unplug, on_waiting=back_too_late), reconnect=True, duration=1000.0
-    )
-    assert "did not come back within the duration of 1000 s" in str(lifetime.failure)
-    assert len(bench.sessions) == 1
-
-
 def test_the_time_of_every_wait_counts_not_of_the_last_one_alone(
     scene: Scene, bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -157,14 +157,18 @@ def test_the_newest_are_kept_and_nobody_elses_file_is_touched(
     assert len(os.listdir(tmp_path)) == 4
 
 
+@pytest.mark.parametrize("is_defect", [False, True])
 def test_where_no_report_can_be_written_the_sentence_says_so_beside_what_happened(
-    scene_of: SceneOf, tmp_path: Path
+    scene_of: SceneOf, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, is_defect: bool
 ) -> None:
-    (tmp_path / "file").write_bytes(b"")
-    failure = stopped(leaving(scene_of, 20), tmp_path / "file" / "reports")
-    assert re.search(
-        r"the device stopped after .* No report of it could be written in .*: Not a directory", str(failure)
-    )
+    directory = tmp_path / "file" / "reports"
+    if is_defect:
+        monkeypatch.setattr(report_file, "to_registers", lambda _: [None])
+    else:
+        (tmp_path / "file").write_bytes(b"")
+    failure = stopped(leaving(scene_of, 20), directory)
+    told = "" if is_defect else ".*: Not a directory"
+    assert re.search(rf"the device stopped after .* No report of it could be written in {told}", str(failure))
     assert failure.exit_status == 3
 
 
@@ -183,16 +187,6 @@ def test_who_has_no_home_is_told_what_ended_the_run_all_the_same(
     with served(leaving(scene_of, 20)) as (scene, _), pytest.raises(DeviceError) as caught:
         run(scene, duration=5.0)
     assert re.search(r"the device stopped after .* No report of it .*: this user has no home", str(caught.value))
-
-
-def test_a_defect_in_a_report_hides_nothing_of_what_ended_the_run(
-    scene_of: SceneOf, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(report_file, "to_registers", lambda _: [None])
-    assert re.search(
-        r"the device stopped after .* No report of it could be written in",
-        str(stopped(leaving(scene_of, 20), tmp_path)),
-    )
 
 
 def test_a_scene_that_was_changed_is_reported_as_it_ran(scene_of: SceneOf, tmp_path: Path) -> None:

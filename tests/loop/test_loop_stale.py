@@ -10,7 +10,7 @@ from firmware_protocol import schema
 from firmware_protocol.decoder import frames_in, new_decoder
 from firmware_protocol.frames import armed_format
 from hapsim.loop.endings import HEARD
-from hapsim.loop.portable import _compose_again
+from hapsim.loop.portable import _compose
 from hapsim.loop.ring import LIMITED, OFF_GRID, SLEWED, WITHHELD
 from hapsim.running.assemble import LoopMemory
 from hapsim.scene import Scene
@@ -38,7 +38,7 @@ def hear(arrive: Callable[..., int], frame: Callable[..., bytes]) -> Hear:
 def leaves(loop: LoopMemory, now: int) -> list[int]:
     """The force that leaves at a tick of the host at `now` (ns), by the bytes of its frame."""
     loop.record.wait.begun_ns = now
-    stop = int(_compose_again(loop.record))
+    stop = int(_compose(loop.record, False))
     decoder = new_decoder(armed_format(1), to_device=True)
     (force,) = frames_in(decoder, loop.record.io.outbox[:stop].tobytes())
     assert force.type == schema.FORCE

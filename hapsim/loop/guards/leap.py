@@ -1,6 +1,7 @@
-"""A hand's motion goes on: from one sample to the next its position changes by what it changed before, and by what
-forces can make of that. One that is farther off than any force and any blow can have brought it is no hand's position:
-the loop stops before it answers. `watch_for_leaps` says how far that is; STABILITY.md says why no hand gets there.
+"""A position that is farther off than any force or blow can have brought a hand: the loop stops before it answers.
+
+From one sample to the next a position changes by what it changed before, and by what forces make of that.
+`watch_for_leaps` says how far that is; STABILITY.md says why no hand gets there.
 """
 
 from __future__ import annotations

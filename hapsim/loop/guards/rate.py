@@ -1,12 +1,11 @@
-"""A device that does not sample at the rate that it declares is answered for a second or two: then the loop stops.
+"""A device that does not sample at the rate that it declares: the loop stops after a second or two.
 
-A damper's force is made with the rate, and every delay lasts as many periods: at half the rate a damper damps twice as
-much, and a spring takes twice the damping back. No prediction holds.
+At half the rate a damper damps twice as much, and a spring takes twice the damping back: no prediction holds.
 
-The host must never be taken for the device. So the device's own count of its samples is held against the host's clock,
-over windows of a quarter of a second and more, and several in a row have to be off to the same side: a host that was
-held up makes one window long and the next one short. Where the host is the clock, in virtual time, and where the mock
-runs in this process, there is nothing to tell.
+A host that is held up must not be mistaken for such a device. So the guard compares the device's own count of its
+samples with the host's clock, over windows of a quarter of a second and more, and wants several in a row to be off to
+the same side: a host that is held up makes one window long and the next one short. It judges nothing where the host is
+the clock, in virtual time, and where the mock runs in this process.
 """
 
 from __future__ import annotations

@@ -1,17 +1,14 @@
-"""No force is sent that answers a position which is older than a force may live.
+"""No force is sent that answers a position older than a force may live.
 
-A force acts for its time to live t and one sample more; then a device makes it zero by itself, and no older force is
-taken (PROTOCOL.md, section 6). On this side two things would go around that:
+A force acts for its time to live and one sample more; then the device makes it zero by itself and takes no older one
+(PROTOCOL.md, section 6). The host has to withhold a force in two cases, and sends zero in its place:
 
-* Where the host is the clock, a device takes the next force as an answer in time however long the host took. A host
-  that was held up, or that asks once more because no position comes, would send what it worked out from a position of
-  long ago: zero force leaves in its place, and asks for the next position all the same; while the device still takes
-  an answer to that position, which it does for its time to live.
-* A position that arrives later than that, behind others in a buffer on its way, is a position of the past when it is
-  read. It moves the scene, zero force answers it, and the device would take no other.
+* Where the host is the clock, a device takes the next force as an answer in time however long the host took: the host
+  was held up, or asks once more because no position came. Zero leaves while the device still takes an answer to that
+  position, and asks for the next one.
+* A position arrives later than that, behind others in a buffer on its way. It moves the scene, but is of the past.
 
-And what the device holds is known here: `has_expired` says when it is zero already, so that the next force rises from
-there.
+`has_expired` says when the force that the device holds is zero already, so that the next one rises from there.
 """
 
 from __future__ import annotations

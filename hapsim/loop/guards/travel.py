@@ -1,15 +1,14 @@
-"""Outside the travel that a scene says its device has, the force fades; beyond a band there, the loop stops.
+"""Outside the travel that a scene declares for its device, the force fades; beyond a band there, the loop stops.
 
-A position x is outside by max(low - x, x - high). There the force that would leave, cut to its limit, is multiplied by
-1 - outside / margin, and zero beyond the margin: with any push of an excitation, by the position that was read. So a
-fade is no steeper than force_limit / margin (`prediction/force_bounds.py` judges that as a stiffness). A device that
-rests at its own stop, in the band, feels less.
+A position x is outside by max(low - x, x - high). There the force that would leave, clipped and with any push, is
+multiplied by 1 - outside / margin, and is zero beyond the margin. So a fade is no steeper than force_limit / margin,
+which is judged as a stiffness before a run, and a device that rests at its own stop, in the band, just feels less.
 
-Beyond the band a device that goes outward is driven by what no scene counts with: a motor with the wrong sign, or a
-zero that is not where the scene has it. It stops the loop as soon as noise and counts do not explain that it is there.
-One that is outside when it is armed is let in: until it comes within its travel, the band begins where it was armed.
+A device that goes beyond the band has a motor with the wrong sign, or a zero that is not where the scene has it. The
+loop stops as soon as noise and counts do not explain the position. A device that is outside when it is armed is let in:
+until it comes within its travel, the band begins where it was armed.
 
-Who has no travel never compiles this: it is called by an address, which is 0 then.
+A scene without a travel never compiles this: its address is 0 then.
 """
 
 from __future__ import annotations

@@ -42,10 +42,18 @@ def measure(name: str, advise: Callable[[OSError], str], *, everywhere: bool = F
     def _make(request: Request) -> Measure:
         @contextlib.contextmanager
         def _held(thread_id: int) -> Iterator[PrivilegeResult]:
-            if sys.platform != "linux" and not everywhere:
-                answer, undo = PrivilegeResult(name, False, ONLY_LINUX), _nothing
-            else:
-                answer, undo = _requested(name, request, advise, thread_id)
+            undo: Callable[[], object] = lambda: None  # noqa: E731
+            try:
+                if sys.platform == "linux" or everywhere:
+                    detail, undo = request(thread_id)
+                    answer = PrivilegeResult(name, True, detail)
+                else:
+                    answer = PrivilegeResult(name, False, ONLY_LINUX)
+            except OSError as error:
+                answer = denied(name, error, advise)
+            except Exception as error:  # an answer that no system should give is no reason to end a run
+                why = f"the system's answer could not be used ({type(error).__name__}: {error})"
+                answer = PrivilegeResult(name, False, why)
             try:
                 yield answer
             finally:
@@ -68,25 +76,6 @@ def denied(name: str, error: OSError, advise: Callable[[OSError], str]) -> Privi
         return PrivilegeResult(name, False, advise(error))
     except Exception:  # what to do about it is asked of the system, too
         return PrivilegeResult(name, False, f"it was refused ({error.strerror or error})")
-
-
-def _requested(
-    name: str, request: Request, advise: Callable[[OSError], str], thread_id: int
-) -> tuple[PrivilegeResult, Callable[[], object]]:
-    try:
-        detail, undo = request(thread_id)
-    except OSError as error:
-        return denied(name, error, advise), _nothing
-    except AttributeError as missing:
-        return PrivilegeResult(name, False, f"this Python was built without the call ({missing})"), _nothing
-    except Exception as error:  # an answer that no system should give is no reason to end a run
-        why = f"the system's answer could not be used ({type(error).__name__}: {error})"
-        return PrivilegeResult(name, False, why), _nothing
-    return PrivilegeResult(name, True, detail), undo
-
-
-def _nothing() -> None:
-    """There is nothing to be undone."""
 
 
 def call_c(name: str, *arguments: int) -> int:
