@@ -141,7 +141,7 @@ def test_a_signal_that_means_stop_ends_the_run_in_good_order(
     assert signal.getsignal(number) is before
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])
 def test_the_command_ends_with_status_0_on_a_signal_and_keeps_the_record(
     scene_of: Callable[..., Scene], served: Served, tmp_path: Path, number: signal.Signals
 ) -> None:

@@ -153,7 +153,7 @@ def share_felt(trace: hapsim.recording.trace.Trace, channel: int, least: float) 
 
 
 @pytest.mark.parametrize("samples", [1, 20])
-def test_a_million_changes_and_no_tick_sees_half_of_one_or_jumps_further_than_it_was_said(
+def test_of_many_changes_no_tick_sees_half_of_one_or_jumps_further_than_it_was_said(
     scene_of: SceneOf, samples: int
 ) -> None:
     origin = parameter_values(two_hands(scene_of, 0.0))
@@ -161,7 +161,7 @@ def test_a_million_changes_and_no_tick_sees_half_of_one_or_jumps_further_than_it
     scene = two_hands(scene_of, 0.0)
     with hapsim.start(scene) as session:
         parameters = session._loop.program.parameters
-        for number, share in enumerate(RNG.uniform(0.0, 1.0, 500_000)):
+        for number, share in enumerate(RNG.uniform(0.0, 1.0, 150_000)):
             parameters.post(origin + share * way, samples)
             if number % 2000 == 0:
                 time.sleep(1e-3)  # in which the loop gets to where it was led, undisturbed by the next

@@ -34,6 +34,7 @@ class Ring:
 
 @pytest.fixture
 def _as_it_was() -> Iterator[None]:
+    gc.enable()
     yield
     gc.unfreeze()
     gc.enable()
