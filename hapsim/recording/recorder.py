@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from hapsim.errors import UsageError
 from hapsim.loop.ring import Ring
-from hapsim.recording.run_report import Report, Statistics, summary_document
+from hapsim.recording.report import Report, Statistics, summary_document
 from hapsim.recording.stream import Head, StreamWriter
 from hapsim.recording.trace import convert
 

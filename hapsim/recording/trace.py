@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from hapsim.errors import UsageError
 from hapsim.loop.histogram import Histogram
 from hapsim.loop.ring import LATE_FORCE, LIMITED, ROWS, row_type
-from hapsim.recording.run_report import (
+from hapsim.recording.report import (
     NOT_FINISHED,
     Report,
     Statistics,

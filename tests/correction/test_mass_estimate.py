@@ -18,7 +18,7 @@ from hapsim.cli.live import _Line
 from hapsim.cli.run_report import show_report
 from hapsim.measuring.measure import measure
 from hapsim.progress import Progress
-from hapsim.recording.run_report import Report
+from hapsim.recording.report import Report
 from hapsim.running import PeriodicExcitation
 from hapsim.scene import Device, DevicePoint, Ground, Mock, Scene, Span, ViscoElastic
 
