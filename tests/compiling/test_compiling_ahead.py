@@ -17,7 +17,7 @@ from hapsim.compiling.progress import Counted
 from hapsim.progress import Progress
 from hapsim.running import compile_ahead as ahead
 from hapsim.running import run
-from hapsim.running.compile_ahead import UNITS, Unit, compile_ahead
+from hapsim.running.compile_ahead import UNITS, CompileUnit, compile_ahead
 from hapsim.scene import Scene, parse_scene
 from hapsim.scene.shipped import shipped_scene
 
@@ -55,7 +55,7 @@ def missing(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """The units of which nothing is said to be kept, so that they are compiled ahead; loading them is quick."""
     names: list[str] = [*UNITS]
     of_unit = {unit.parts: name for name, unit in UNITS.items()}
-    monkeypatch.setattr(Unit, "is_kept", lambda unit: of_unit[unit.parts] not in names)
+    monkeypatch.setattr(CompileUnit, "is_kept", lambda unit: of_unit[unit.parts] not in names)
     return names
 
 
@@ -164,10 +164,10 @@ def test_an_interrupt_of_the_first_process_ends_the_second(
 ) -> None:
     python_is("exec sleep 1000")
 
-    def interrupt(_unit: Unit) -> None:
+    def interrupt(_unit: CompileUnit) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(Unit, "compile", interrupt)
+    monkeypatch.setattr(CompileUnit, "compile", interrupt)
     with pytest.raises(KeyboardInterrupt):
         compile_ahead(NAMES, Counted(lambda *_: None))
     assert [process.returncode for process in started] == [-signal.SIGTERM]
@@ -186,7 +186,7 @@ def test_an_interrupt_while_the_second_process_is_waited_for_ends_it(
         os.kill(os.getpid(), signal.SIGINT)
 
     def wait_in_vain() -> None:
-        with ahead._beside(["mock"], interrupt) as finished:
+        with ahead._second_process(["mock"], interrupt) as finished:
             waits.set()
             finished()
 

@@ -11,11 +11,11 @@ from typing import Any, get_args
 
 import pytest
 
+from hapsim.cli import prepare as preparing
 from hapsim.compiling.progress import on_compilation
 from hapsim.cordis.program import compile_scene
 from hapsim.cordis.registry import PART_TYPES
 from hapsim.prediction.linear import linear_scene
-from hapsim.running import prepare as preparing
 from hapsim.running import run
 from hapsim.running.compile_ahead import Prepared, prepare, scenes_with_every_module
 from hapsim.scene import SchemeName, parse_scene, shipped
