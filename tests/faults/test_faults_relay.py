@@ -195,7 +195,7 @@ def test_what_no_host_fetches_is_counted() -> None:
 def test_a_name_that_is_taken_is_left_alone(tmp_path: Path) -> None:
     taken = tmp_path / "taken"
     taken.write_text("mine")
-    with pair() as (_, port), pytest.raises(UsageError, match="found a file, a directory or a device, expected a free name"):
+    with pair() as (_, port), pytest.raises(UsageError, match="expected a free name for the port"):
         Relay(port, injector_of("kind: drop"), taken).__enter__()
     assert taken.read_text() == "mine"
 
