@@ -53,7 +53,7 @@ class Serial:
 
         if port != self.port_of:
             raise SerialException(f"could not open port {port!r}")
-        self.timeout = timeout
+        self.port, self.timeout = port, timeout
         self._mock = assemble_mock(load_scene(self.scene))
         self._came = bytearray()
         self._period_ns = round(self._mock.converters[0].period * 1e9)
