@@ -239,7 +239,7 @@ def test_a_device_that_restarted_has_lost_a_zero_that_the_scene_names(
 
 def test_what_measures_pushes_less_where_the_travel_is_short(scene_of: SceneOf) -> None:
     def swing(**device: Any) -> float:
-        pushes = _pushes(scene_of(mock=flung(0.0), device=device), 0, 2.0)
+        pushes = _pushes(scene_of(mock=flung(0.0), device=device), 0, 2.0, None)
         return pushes.force * pushes.ticks * 1e-3 / 0.2 * np.sqrt(0.2 / 1000.0)
 
     assert swing() == pytest.approx(0.1 * np.sqrt(0.2 / 1000.0), rel=0.05)
