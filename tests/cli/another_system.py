@@ -46,14 +46,14 @@ class Serial:
     scene = ""
     port_of = "COM3"
 
-    def __init__(self, port: str, _baudrate: int, *, timeout: float, **_options: Any) -> None:
+    def __init__(self, port: str, baudrate: int, *, timeout: float, **_options: Any) -> None:
         from hapsim.device.mock.assemble import assemble_mock
         from hapsim.device.mock.firmware import prepare
         from hapsim.scene import load_scene
 
         if port != self.port_of:
             raise SerialException(f"could not open port {port!r}")
-        self.port, self.timeout = port, timeout
+        self.port, self.baudrate, self.timeout = port, baudrate, timeout
         self._mock = assemble_mock(load_scene(self.scene))
         self._came = bytearray()
         self._period_ns = round(self._mock.converters[0].period * 1e9)
