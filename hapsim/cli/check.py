@@ -217,9 +217,7 @@ def _predicted_for(scene: Scene) -> str:
     who = "; ".join(f"channel {c}: {one}" for c, one in sorted(used.items()))
     who = who if len(set(used.values())) > 1 else next(iter(used.values()))
     samples = "sample" if device.delay == 1.0 else "samples"
-    late = (
-        f"{device.delay:g} {samples} ({duration(device.delay * scene.period)}) of delay" if device.delay else "no delay"
-    )
+    late = f"delay {device.delay:g} {samples} ({duration(device.delay * scene.period)})" if device.delay else "no delay"
     hold = HOLDS[device.hold].label
     averaged = ", averaged positions" if device.sampling == "average" else ""
     return f"for a hand of {who}, {late}, {hold}{averaged}"

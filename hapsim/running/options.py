@@ -49,10 +49,6 @@ class PeriodicExcitation:
         object.__setattr__(self, "forces", forces)
 
 
-def _ignore(_: object) -> None:
-    pass
-
-
 @dataclass(frozen=True, kw_only=True)
 class RunOptions:
     """The options of a session: the keyword parameters of `start`, which describes them."""
@@ -70,6 +66,6 @@ class RunOptions:
     judges_energy: bool = False
     judges_sign: bool = False
     on_progress: Callable[[Progress], None] | None = None
-    on_warning: Callable[[str], None] = _ignore
-    on_arming: Callable[[Session], None] = _ignore
+    on_warning: Callable[[str], None] | None = None
+    on_arming: Callable[[Session], None] | None = None
     resumes: bool = False

@@ -70,6 +70,10 @@ def sessions() -> list[Session]:
     return [session for session in _open.copy() if not session._done.is_set()]
 
 
+def _ignore(_: object) -> None:
+    """Hears nothing."""
+
+
 class Session:
     """A running scene. Made by `start`; every method may be called from any thread.
 
@@ -244,7 +248,10 @@ class Session:
             begun=datetime.now(UTC).isoformat(),
         )
         return RecordFile(
-            path, head, lambda: (report_of(scene, loop, "running"), statistics_of(loop)), self._options.on_warning
+            path,
+            head,
+            lambda: (report_of(scene, loop, "running"), statistics_of(loop)),
+            self._options.on_warning or _ignore,
         )
 
     # Running
@@ -254,7 +261,7 @@ class Session:
         scene, loop = self.scene, self._loop
         try:
             self._start_loop_thread()
-            self._options.on_arming(self)
+            (self._options.on_arming or _ignore)(self)
             if self._options.realtime:
                 self.grants = self._resources.enter_context(realtime(self._thread.native_id or 0))
             note_arming()

@@ -419,11 +419,9 @@ def test_the_hand_and_device_of_a_prediction_are_told(
         told: str = " ".join(explained(scene_file(name, **device)).split())
         return told.partition("for a hand of ")[2].partition(" What the hand")[0]
 
-    assert line(mass=0.2, friction=1.0, delay=1) == (
-        "0.2 kg, friction 1 N·s/m, 1 sample (1 ms) of delay, zero-order hold"
-    )
+    assert line(mass=0.2, friction=1.0, delay=1) == ("0.2 kg, friction 1 N·s/m, delay 1 sample (1 ms), zero-order hold")
     assert line(mass=200, delay=0.001).startswith("200 kg, ")
-    assert "0.001 samples (0.001 ms) of delay" in line(delay=0.001)
+    assert "delay 0.001 samples (0.001 ms)" in line(delay=0.001)
     assert line(delay=0, hold="impulse", sampling="average", stiffness=50.0).endswith(
         "a spring of 50 N/m, no delay, impulse hold, averaged positions"
     )
