@@ -30,7 +30,7 @@ def test_every_structure_begins_where_lanes_may_and_ends_in_its_own(precision: s
     rows, number = compile_scene(scene).rows, numbers_of(scene)
     assert all(row.ctypes.data % BYTES == 0 for row in rows)
     for name, structure in scene.structures.items():
-        assert number[f"{name}.{structure.point_names()[0]}"] % WIDEST == (2 if name.startswith("b") else 1)
+        assert number[f"{name}.{structure.point_names()[0]}"] % WIDEST == (1 if name.startswith("m") else 2)
     lanes: dict[int, str] = {}
     for point, at in number.items():
         owner = point.partition(".")[0] if "." in point else ""

@@ -50,13 +50,13 @@ def falling_silent() -> Scene:
 
 def test_a_running_scene_has_no_such_numbers_and_leaves_its_thread_as_it_was(monkeypatch: pytest.MonkeyPatch) -> None:
     products: list[float] = []
-    work = Session._work
+    work = Session._run_loop
 
     def work_and_multiply(session: Session) -> None:
         work(session)
         products.append(product(1e-300, 1e-10))
 
-    monkeypatch.setattr(Session, "_work", work_and_multiply)
+    monkeypatch.setattr(Session, "_run_loop", work_and_multiply)
     with hapsim.start(falling_silent(), duration=7.0) as session:
         assert session.wait(60.0)
     position = positions_of(session._loop.program)[0][numbers_of(session.scene)["ball"]]
