@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 
 def doctor(
     scene: Annotated[
-        str | None, typer.Argument(metavar="[SCENE]", help="Its device is tried; left out: the mock.")
+        str | None, typer.Argument(metavar="[SCENE]", help="The scene whose device is tested [default: the mock].")
     ] = None,
     port: Port = None,
     mock: MockFlag = False,
@@ -61,7 +61,7 @@ def doctor(
 ) -> None:
     """Tell how steady this machine is for a haptic loop, which rates it keeps, and what would help.
 
-    A device that is tried is sent no force but zero: the scene runs without its links, every force cut.
+    The test sends zero force only: the scene runs without its links.
     """
 
     if port is not None and scene is None:

@@ -54,7 +54,7 @@ def faults(
     list_: Annotated[bool, typer.Option("--list", help="List the kinds of faults, and the scripts that ship.")] = False,
     json: Json = False,
 ) -> None:
-    """Stand between a host and a device, pass everything on, and do to it what SCRIPT says.
+    """Inject faults: relay between host and device and apply SCRIPT.
 
     Prints the port for the host to open. At the end it tells what passed, how often each fault happened, and what
     reached the device: the largest force, the largest change of it, and how the last one ended.

@@ -70,7 +70,7 @@ def identify(
     """Push the device and identify its mass, friction, spring, delay and dry friction.
 
     Each value is printed with its uncertainty beside what the scene declares. The pushes go to both sides, gently at
-    first, with several simulated (K, B): of the scene only the device counts. The file changes only with --write.
+    first, on several simulated springs. Of the scene it uses the device only. The file changes only with --write.
     """
     loaded, kind = device.load(), device.kind()
     require_drawable(picture, data)

@@ -83,7 +83,7 @@ def measure(
 ) -> None:
     """Measure what the hand feels, and compare it with the prediction.
 
-    The device pushes the hand to both sides, identifies the spring and damper that answered, and prints k and b beside
+    hapsim pushes the hand to both sides, computes k and b from the motion, and prints k and b beside
     the prediction. With --impedance it excites each channel in turn with many frequencies at once.
     """
     if impedance:

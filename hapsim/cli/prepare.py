@@ -47,7 +47,8 @@ def schema() -> None:
 
 def compile_(
     scenes: Annotated[
-        list[str] | None, typer.Argument(metavar="[SCENE]…", help="What these need; left out: what any scene could.")
+        list[str] | None,
+        typer.Argument(metavar="[SCENE]…", help="Compile what these need [default: what any scene could]."),
     ] = None,
     json: Json = False,
 ) -> None:

@@ -32,7 +32,7 @@ def probe(
     baud: Annotated[int, typer.Option(metavar="B", help="Bit/s, where the port has a speed of its own.")] = 2_000_000,
     push: Annotated[
         float | None,
-        typer.Option(metavar="N", help="Allow pushing, with at most N newton; left out: zero force alone. Try 0.5."),
+        typer.Option(metavar="N", help="Allow pushes of at most N newton, for example 0.5 [default: zero force only]."),
     ] = None,
     travel: Annotated[
         float, typer.Option(metavar="M", help="With --push: stop where the device moves farther, in m.")
