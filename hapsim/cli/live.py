@@ -94,11 +94,14 @@ class _Line:
     def tell(self, progress: Progress) -> None:
         """Shows how it is doing now."""
         if progress.phase == "compiling":
+            if not self._compiled:
+                self._since = time.monotonic()
             self._compiled += 1
             far = "" if progress.share is None else f"{100.0 * progress.share:.0f} %, "
             elapsed = time.monotonic() - self._since
             self._show(f"compiling, once on this machine: {far}{plural(self._compiled, 'function')} in {elapsed:.0f} s")
             return
+        self._compiled = 0
         if progress.phase == "waiting":
             self._show(f"waiting for {progress.text} · Ctrl-C ends the run")
             return

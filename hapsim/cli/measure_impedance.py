@@ -217,9 +217,9 @@ def cautions(predicted: PredictedImpedance, measured: MeasuredImpedance) -> list
     if some.size:
         found.append(
             f"Of the closed loop's impedance more than a tenth is uncertain at {some.size} of "
-            f"{predicted.frequency.size} frequencies, from {predicted.frequency[some[0]]:.4g} Hz on: there the "
-            "motion is small beside the position's counts or its noise. More force (force_limit), more --travel or a "
-            "longer --duration helps."
+            f"{predicted.frequency.size} frequencies, the first {predicted.frequency[some[0]]:.4g} Hz: there the "
+            "motion, or at a resonance the force, is small beside counts and noise. More force (force_limit), more "
+            "--travel or a longer --duration helps."
         )
     if measured.limited_samples:
         found.append(

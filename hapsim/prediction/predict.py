@@ -252,9 +252,9 @@ def warnings_about(scene: Scene, prediction: Prediction) -> list[str]:
         )
     elif is_surely_unstable(prediction):
         warnings.append(
-            f"the scene is predicted unstable: the hand will be shaken, with up to the force limit of {limit:g} N, "
-            "until the energy guard or the guard of swings at the limit ends the run (hapsim/STABILITY.md says what "
-            "they find). `hapsim check` prints by how much the stiffness has to go down."
+            "the scene is predicted unstable: `hapsim run` and `measure` refuse it. With --unstable the device "
+            f"oscillates with up to the force limit of {limit:g} N, until the energy guard ends the run "
+            "(hapsim/STABILITY.md says what it finds)."
         )
     slow = slow_slew(scene, prediction)
     warnings += [slow] if slow else []

@@ -37,7 +37,7 @@ def _with_keywords_of(
 def start(scene: SceneSource, **options: Any) -> Session:
     """Starts `scene`, a Scene or the path of a scene file, and returns its session.
 
-    The session runs for `duration` seconds (default: until interrupted), until it is stopped or closed, until its
+    The session runs for `duration` seconds (default: without an end), until it is stopped or closed, until its
     with-block is left, and no longer than the program.
 
     * `transport`: where the device is ("auto": the scene's port, else the mock that fits the clock).
