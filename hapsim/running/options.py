@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,6 @@ from hapsim.progress import Progress
 
 if TYPE_CHECKING:  # measuring has an Excitation without a device or a loop
     from hapsim.device.open_connection import Between, TransportKind
-    from hapsim.running.session import Session
 
 
 @dataclass(frozen=True)
@@ -67,5 +66,5 @@ class RunOptions:
     judges_sign: bool = False
     on_progress: Callable[[Progress], None] | None = None
     on_warning: Callable[[str], None] | None = None
-    on_arming: Callable[[Session], None] | None = None
+    on_arming: Callable[[Any], None] | None = None  # with the Session, which imports this
     resumes: bool = False
