@@ -252,7 +252,7 @@ def _draw_numbered(axes: Axes, data: Plane, words: Sequence[Any]) -> None:
             place = _place_on(axes, _pieces(one), share, boxes)
             fmt = {i: f"{names[one.kind]}{short(one.value)}"}
             if place is not None:
-                corners = np.add(axes.transData.transform(place), [[-12.0], [12.0]])
+                corners = np.add(axes.transData.transform(place), [[-26.0], [26.0]])  # pixels: two numbers end to end
                 boxes.append(Bbox(corners))
                 axes.clabel(drawn, levels=[i], fmt=fmt, manual=[place], fontsize=8.5, colors="black", inline_spacing=3)
 
