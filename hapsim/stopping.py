@@ -51,7 +51,7 @@ def was_interrupted() -> bool:
 
 
 def is_urgent() -> bool:
-    """Returns whether a run was told to stop more than once: it releases the force and waits for no answer."""
+    """Returns whether a second stop signal arrived: the run releases the force and waits for no answer."""
     return _Command.stops > 1
 
 

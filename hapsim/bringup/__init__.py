@@ -1,1 +1,1 @@
-"""For whoever writes firmware: judge it, disturb its wire, decode its frames."""
+"""For firmware developers: judge a device, disturb its wire, decode its frames."""

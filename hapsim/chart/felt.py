@@ -96,7 +96,7 @@ class DesiredPlane:
 
 
 def desired_plane(columns: int, rows: int) -> DesiredPlane:
-    """Returns the plane that is drawn, in so many cells."""
+    """Returns the plane that is drawn, as a grid of cells."""
     along = (np.arange(columns) + 0.5) / columns
     return DesiredPlane(_LEAST * (_MOST / _LEAST) ** along, _MOST_RATIO * (np.arange(rows) + 0.5) / rows)
 

@@ -59,7 +59,7 @@ def figure_to(path: Path, width: float, height: float) -> Iterator[Figure]:
 
 
 def legend_below(figure: Any, columns: int, **options: Any) -> None:
-    """Adds one legend for all panels below the figure, in so many columns."""
+    """Adds one legend for all panels below the figure, in `columns` columns."""
     if "handles" not in options:
         named: dict[str, Any] = {}
         for axes in figure.axes:

@@ -1,6 +1,6 @@
 """The deformed parameter space: curves of equal k and of equal b in the K,B plane (Florens et al., Figures 7, 8, 9).
 
-Of one mass, or of several over each other: a hand adds a mass that nobody knows (§4 and §5).
+Of one mass, or of several over each other: a hand adds an unknown mass (§4 and §5).
 """
 
 from __future__ import annotations

@@ -45,7 +45,6 @@ from hapsim.theory import Mode
 
 if TYPE_CHECKING:
     from hapsim.cordis.explain import Explanation
-    from hapsim.prediction import Desired, Prediction
     from hapsim.prediction.correction import Remedies
     from hapsim.prediction.predict import LinkMargin
     from hapsim.scene import Scene
@@ -540,9 +539,9 @@ def show_silence(out: Console, rate: float) -> None:
     silence: HostSilence = host_silence(rate)
     out.print(
         f"If the host dies, with clock: device and clock: host alike: the last force acts for at most "
-        f"{_ms(silence.zero_force_after_s)} ({silence.time_to_live_samples} samples' time to live, and one more); "
-        f"after {_ms(silence.latched_after_s)} (watchdog of {silence.watchdog_samples} samples, if the device allows "
-        "it) the device latches: zero force until it is armed again."
+        f"{duration(silence.zero_force_after_s)} ({silence.time_to_live_samples} samples' time to live, and one more); "
+        f"after {duration(silence.latched_after_s)} (watchdog of {silence.watchdog_samples} samples, if the device "
+        "allows it) the device latches: zero force until it is armed again."
     )
 
 
@@ -552,7 +551,7 @@ def show_force_bounds(out: Console, scene: Scene, prediction: Prediction) -> Non
     slew = f"by at most {bounds.slew_limit:g} N/s" if math.isfinite(bounds.slew_limit) else "as fast as the scene asks"
     soft = "at once"
     if bounds.soft_start_s > 0.0:
-        soft = f"along a ramp of {_ms(bounds.soft_start_s)} (what is asked for later comes without a ramp)"
+        soft = f"along a ramp of {duration(bounds.soft_start_s)} (what is asked for later comes without a ramp)"
     out.print(
         f"Force: at most {scene.device.force_limit:g} N; it changes {slew}, and what the scene asks for in the very "
         f"first sample comes {soft}. A run ends where the scene gives the hand more than {bounds.energy_limit:g} J, or "
@@ -606,13 +605,13 @@ def _time(prediction: Prediction) -> str:
     parts = []
     if budget.baud is not None:
         count = f"{budget.bytes_to_host} + {budget.bytes_to_device} bytes at {budget.baud} baud"
-        parts.append(f"{count} take {_ms(budget.seconds)}")
+        parts.append(f"{count} take {duration(budget.seconds)}")
     if budget.turnaround_s > 0.0:
-        parts.append(f"the device's turnaround {_ms(budget.turnaround_s)}")
+        parts.append(f"the device's turnaround {duration(budget.turnaround_s)}")
     if budget.host_work_s > 0.0:
-        parts.append(f"the host's work {_ms(budget.host_work_s)}")
+        parts.append(f"the host's work {duration(budget.host_work_s)}")
     share = budget.exchange_s / budget.period
-    whole = f"{_ms(budget.exchange_s)} of the {_ms(budget.period)} period ({share:.0%})"
+    whole = f"{duration(budget.exchange_s)} of the {duration(budget.period)} period ({share:.0%})"
     return f"Wire, an exchange: {', '.join(parts)}; {whole}"
 
 
@@ -656,10 +655,6 @@ def _predicts(prediction: Prediction) -> bool:
 def _below(rate: float) -> str:
     """Rounded down."""
     return f"{math.floor(rate)}" if rate >= 10.0 else f"{rate:.3g}"
-
-
-def _ms(seconds: float) -> str:
-    return duration(seconds)
 
 
 def prediction_document(
@@ -764,6 +759,7 @@ def felt_on(prediction: Prediction, channel: int | None) -> Felt | None:
 
 
 def felt_document(felt: Felt) -> dict[str, Any]:
+    """Returns what one hand feels, as a JSON document: k (N/m), b (N·s/m), its configuration and robustness."""
     values = asdict(replace(felt, predictor=None))
     configuration = values.pop("configuration")
     values.pop("predictor")

@@ -58,7 +58,7 @@ class Counted:
 
 
 def compiling(function: Any, name: str) -> contextlib.AbstractContextManager[None]:
-    """While open, whoever listens to numba is told that `function` is compiled: numba tells nothing of a `cfunc`."""
+    """While open, numba's listeners hear that `function` is compiled: numba reports nothing of a `cfunc`."""
     from numba.core import event
 
     return event.trigger_event("numba:compile", {"dispatcher": SimpleNamespace(py_func=function), "name": name})

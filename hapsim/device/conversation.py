@@ -106,8 +106,8 @@ def disarm(connection: Connection, wire: Format) -> bool:
 
 
 def _is_released(connection: Connection, frame: bytes) -> bool:
-    """Sends a frame, if there is one, and waits for the STATUS of a device that is not armed; not once the run was told
-    to stop twice."""
+    """Sends a frame, if there is one, and waits for the STATUS of a device that is not armed; not after a second
+    stop signal."""
     if frame:
         _send(connection, frame)
     released = (schema.IDLE, schema.LATCHED)

@@ -73,7 +73,7 @@ class Examination:
         """That it was interrupted, in a sentence; "" where it was not."""
         if self.stopped_after is None:
             return ""
-        return f"stopped after {self.stopped_after} of {self.steps} steps: what was measured until then is told"
+        return f"stopped after {self.stopped_after} of {self.steps} steps: the measurements until then are shown"
 
     @property
     def best_rates(self) -> dict[str, float | None]:

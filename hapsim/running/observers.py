@@ -55,7 +55,7 @@ class Notifier:
 
     @contextlib.contextmanager
     def told_of_failures(self) -> Iterator[None]:
-        """Around a run: what ends it before anything is armed is told, too."""
+        """Around a run: what ends it before anything is armed is reported, too."""
         try:
             yield
         except HapsimError as failure:

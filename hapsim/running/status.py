@@ -183,5 +183,5 @@ def _serve(listening: socket.socket, asked_to_stop: socket.socket, document: Cal
 def _told(document: Callable[[], str]) -> bytes:
     try:
         return document().encode("utf-8", "replace")
-    except Exception as error:  # a status that cannot be told is no reason to tell none ever after
+    except Exception as error:  # one status that cannot be made is no reason to stop answering
         return f'{{"error": "the status cannot be told: {type(error).__name__}"}}'.encode()

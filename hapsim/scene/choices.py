@@ -1,5 +1,5 @@
-"""What a scene can choose by name: holds, samplings, dampers, schemes, corrections. Whoever lists them takes them from
-here.
+"""What a scene can choose by name: holds, samplings, dampers, schemes, corrections. Help texts and errors take
+them from here.
 
 What each of them is stands under the same name in `hapsim.theory`, and in what runs it: `hapsim/device/mock`,
 `hapsim/cordis`; holds are declared in `hapsim/holds.py`. Nothing heavy is imported here, so that a help text that

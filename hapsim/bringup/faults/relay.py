@@ -52,7 +52,7 @@ class PassingTimes:
 
 
 class Relay:
-    """Passes bytes both ways until it is told to stop, or the device goes away."""
+    """Passes bytes both ways until `stop` is set, or the device goes away."""
 
     def __init__(self, device: int, injector: Injector, path: Path | None = None) -> None:
         """`device`: the descriptor of its port, not blocking; `path`: a name for the pseudo-terminal, a link."""
@@ -89,7 +89,7 @@ class Relay:
             os.write(self._tell, b".")
 
     def run(self, duration_s: float | None = None, tell: Callable[[], None] = lambda: None) -> bool:
-        """Passes on until `stop`, or for so long; returns False if the device went away. `tell` is called twice a
+        """Passes on until `stop`, or for this many seconds; False if the device went away. `tell` is called twice a
         second."""
         ends_s = None if duration_s is None else time.monotonic() + duration_s
         told_s = -math.inf
