@@ -93,18 +93,18 @@ def _loop() -> list[_Entry | PlainNative]:
 
 
 def _port() -> list[PlainNative]:
+    from hapsim.loop.transport import receive_from_descriptor, send_to_descriptor
+
+    return [receive_from_descriptor, send_to_descriptor]
+
+
+def _guards() -> list[PlainNative]:
     from hapsim.cordis import stored_energy
-    from hapsim.loop import force_history, transport
+    from hapsim.loop import force_history
     from hapsim.loop.guards import energy_guard, sign, slew, travel
 
     guards = [slew.shape_force, travel.fade, energy_guard.judge_energy, sign.judge]
-    return [
-        transport.receive_from_descriptor,
-        transport.send_to_descriptor,
-        force_history.keep,
-        stored_energy.evaluate,
-        *guards,
-    ]
+    return [*guards, force_history.keep, stored_energy.evaluate]
 
 
 def _mock() -> list[_Entry | PlainNative]:
@@ -159,7 +159,8 @@ def _portable() -> list[_Entry]:
 
 UNITS: dict[str, CompileUnit] = {
     "loop": CompileUnit(48, _loop, calls_system=True),
-    "port": CompileUnit(15, _port, calls_system=True),
+    "port": CompileUnit(3, _port, calls_system=True),
+    "guards": CompileUnit(12, _guards),  # a run compiles only those that its scene sets up
     "mock": CompileUnit(45, _mock, in_second_process=True, calls_system=True),
     "loopback": CompileUnit(39, _loopback, in_second_process=True),
     "motion": CompileUnit(12, _motion, in_second_process=True),
@@ -171,7 +172,11 @@ UNITS: dict[str, CompileUnit] = {
 }
 """What can be compiled ahead, by name."""
 
-MOCK_UNITS: dict[Place, tuple[str, ...]] = {"port": (), "terminal": ("port", "mock"), "loopback": ("loopback",)}
+DEVICE_UNITS: dict[Place, tuple[str, ...]] = {
+    "port": ("port",),
+    "terminal": ("port", "mock"),
+    "loopback": ("loopback",),
+}
 """The units that a device takes beside the loop, by where it is."""
 
 
@@ -253,7 +258,11 @@ def prepare(scenes: Sequence[Scene] = (), on_progress: Callable[[Progress], None
     from hapsim.prediction.timing import wire_of
 
     places = {place_of_device(scene) for scene in scenes}
-    names = {"loop", "port", "changes"}.union(*(MOCK_UNITS[place] for place in places)) if scenes else set(UNITS)
+    names = (
+        {"loop", "port", "guards", "changes"}.union(*(DEVICE_UNITS[place] for place in places))
+        if scenes
+        else set(UNITS)
+    )
     if any(wire_of(scene) == "mock" for scene in scenes):
         names.add("wire")
     if missing_calls():

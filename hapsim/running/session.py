@@ -42,7 +42,7 @@ from hapsim.recording.stream import Head
 from hapsim.recording.trace import Statistics, Trace, columns_of
 from hapsim.running.assemble import assemble_loop
 from hapsim.running.changes import OVER, LiveScene
-from hapsim.running.compile_ahead import MOCK_UNITS, compile_ahead
+from hapsim.running.compile_ahead import DEVICE_UNITS, compile_ahead
 from hapsim.running.options import RunOptions
 from hapsim.running.outcome import (
     failure_of,
@@ -209,8 +209,9 @@ class Session:
         stack.enter_context(on_compilation(counted.add))
         require_possible_here(self._place, portable=options.portable or options.between is not None)
         loop = () if self._in_python else ("loop",)
+        units = (*loop, *DEVICE_UNITS[self._place])
         if self._place != "port":
-            compile_ahead((*loop, *MOCK_UNITS[self._place]), counted)
+            compile_ahead(units, counted)
         connection = stack.enter_context(
             open_connection(
                 scene,
@@ -220,8 +221,8 @@ class Session:
                 between=options.between,
             )
         )
-        if loop:
-            compile_ahead((*loop, "port"), counted)
+        if self._place == "port" and loop:
+            compile_ahead(units, counted)
         self._description = describe(connection)
         require_compatible(scene, connection.name, self._description)
         self.restarted = options.resumes and has_restarted(connection)
