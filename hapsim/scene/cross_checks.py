@@ -1,6 +1,6 @@
 """The checks that need more than one part of a scene at once.
 
-They take whatever parts are sound, so that a file with a fault in one place still hears about the others.
+They take whatever parts are sound, so that a fault in one place does not hide faults in others.
 """
 
 from collections.abc import Iterator, Mapping
@@ -13,8 +13,6 @@ from .quantity import Span
 #: The parts that may have lists with one value per channel.
 PER_CHANNEL_PARTS: tuple[Path, ...] = (("device",), ("mock",), ("mock", "initial"), ("mock", "hand"))
 
-_OTHER_LISTS = ("grips",)  # that do not have a value for each channel
-
 #: Fields by the path of the part that they belong to.
 Fields = Mapping[Path, Mapping[str, object]]
 
@@ -22,53 +20,45 @@ Fields = Mapping[Path, Mapping[str, object]]
 MOST_SINGLE = (2.0 - 2.0**-23) * 2.0**127
 
 
-def cross_check_issues(around: ModuleContext, per_channel: Fields, precision: object) -> list[Issue]:
-    """The faults between the parts.
+def cross_check_issues(around: ModuleContext, per_channel: Fields, precision: object) -> Iterator[Issue]:
+    """Yields the faults between the parts.
 
     Args:
         around: the modules.
         per_channel: the sound fields of the parts that may have lists with one value per channel.
-        precision: in which the modules are worked out.
+        precision: of the scene, as written.
     """
-    issues = [issue for name, module in around.modules.items() for issue in module.issues(name, around)]
+    for name, module in around.modules.items():
+        yield from module.issues(name, around)
     kinds = around.kinds.values()
     if None not in kinds and DevicePoint not in kinds:
-        issues.append(
-            Issue(
-                ("modules",),
-                "found no module of type device, expected at least one: it is what the hand holds",
-                at_key=True,
-            )
-        )
+        sentence = "found no module of type device, expected at least one: it is what the hand holds"
+        yield Issue(("modules",), sentence, at_key=True)
     if precision == "single":
-        issues += _beyond_single(around)
-    issues += _nothing_to_adapt_to(per_channel[("device",)])
-    issues += _margin_of_nothing(per_channel[("device",)])
-    channels = _channels(around)
-    if channels is not None:
-        issues += _lists_of_another_length(per_channel, channels)
-    return issues
+        yield from _beyond_single(around)
+    yield from _device_issues(per_channel[("device",)])
+    yield from _lists_of_another_length(per_channel, _channels(around))
 
 
-def _nothing_to_adapt_to(device: Mapping[str, object]) -> Iterator[Issue]:
-    if device.get("correction") != "adaptive" or "mass" not in device:
-        return
-    masses = device["mass"] if isinstance(device["mass"], tuple) else (device["mass"],)
-    if not any(isinstance(mass, Span) for mass in masses):
+def _device_issues(device: Mapping[str, object]) -> Iterator[Issue]:
+    mass = device.get("mass")
+    masses = mass if isinstance(mass, tuple | list) else [mass]
+    if device.get("correction") == "adaptive" and not any(one is None or _is_span(one) for one in masses):
         yield Issue(
             ("device", "correction"),
             "found adaptive with a mass that is known, expected device.mass: {from: the least, to: the most}; "
             "or write correction: predictor",
         )
-
-
-def _margin_of_nothing(device: Mapping[str, object]) -> Iterator[Issue]:
-    if "travel_margin" in device and device["travel_margin"] is not None and device.get("travel") is None:
+    if device.get("travel_margin") is not None and device.get("travel") is None:
         yield Issue(
             ("device", "travel_margin"),
-            "found a margin without a travel, expected device.travel: [the least, the most] beside it; or leave it out",
+            "found a margin without a travel, expected device.travel: [the least, the most] beside it; or omit it",
             at_key=True,
         )
+
+
+def _is_span(mass: object) -> bool:
+    return isinstance(mass, Span) or (isinstance(mass, dict) and "from" in mass)
 
 
 def _channels(around: ModuleContext) -> int | None:
@@ -76,49 +66,35 @@ def _channels(around: ModuleContext) -> int | None:
     kinds = around.kinds
     if any(kinds[name] in (None, DevicePoint) and not around.knows(name, "channel") for name in kinds):
         return None
-    used = [module.channel for module in around.modules.values() if isinstance(module, DevicePoint)]
-    return 1 + max(used) if used else None
+    points = [module for module in around.modules.values() if isinstance(module, DevicePoint)]
+    return max((1 + point.channel for point in points), default=None)
 
 
-def _lists_of_another_length(per_channel: Fields, channels: int) -> Iterator[Issue]:
-    for path, fields in per_channel.items():
-        for name, value in fields.items():
-            if name in _OTHER_LISTS or (name == "travel" and not _is_of_lists(value)):
-                continue
-            if isinstance(value, list | tuple) and len(value) != channels:
-                one = "pair" if name == "travel" else "number"
-                found = f"found {len(value)} {one}{'' if len(value) == 1 else 's'}"
-                expected = f"expected {channels}: one for each channel, up to the highest that a module holds"
-                yield Issue((*path, name), f"{found}, {expected}; or write a single {one} for all")
-
-
-def _is_of_lists(value: object) -> bool:
-    """Whether these are the limits of several channels, rather than one pair for all."""
-    return isinstance(value, list | tuple) and isinstance(value[0], list | tuple)
+def _lists_of_another_length(per_channel: Fields, channels: int | None) -> Iterator[Issue]:
+    fields = [((*path, name), value) for path, part in per_channel.items() for name, value in part.items()]
+    for path, value in fields:
+        one = "pair" if path[-1] == "travel" else "number"
+        if not channels or not isinstance(value, list | tuple) or path[-1] == "grips":
+            continue
+        if len(value) != channels and (one == "number" or isinstance(value[0], list | tuple)):
+            found = f"found {len(value)} {one}{'' if len(value) == 1 else 's'}"
+            expected = f"expected {channels}: one for each channel, up to the highest that a module holds"
+            yield Issue(path, f"{found}, {expected}; or write a single {one} for all")
 
 
 def _beyond_single(around: ModuleContext) -> Iterator[Issue]:
+    expected = f"beyond the numbers of precision: single, which end at {MOST_SINGLE:.2g}; expected a smaller one"
     for name, module in around.modules.items():
-        for field in type(module).model_fields:
-            if around.knows(name, field):
-                for path, value in _numbers(getattr(module, field)):
-                    if abs(value) > MOST_SINGLE:
-                        yield Issue(
-                            ("modules", name, field, *path),
-                            f"found {value:g}, beyond the numbers of precision: single, which end at "
-                            f"{MOST_SINGLE:.2g}; expected a smaller one, or precision: double",
-                        )
+        known = {field: getattr(module, field) for field in type(module).model_fields if around.knows(name, field)}
+        for path, value in _numbers(known):
+            if abs(value) > MOST_SINGLE:
+                yield Issue(("modules", name, *path), f"found {value:g}, {expected}, or precision: double")
 
 
 def _numbers(value: object) -> Iterator[tuple[Path, float]]:
-    """The numbers in a field's value, each with what leads to it."""
+    """The numbers in a value, each with its path."""
     if isinstance(value, int | float):
         yield (), value
-    elif isinstance(value, Part):
-        for field in type(value).model_fields:
-            for path, number in _numbers(getattr(value, field)):
-                yield (field, *path), number
-    elif isinstance(value, tuple):
-        for index, entry in enumerate(value):
-            for path, number in _numbers(entry):
-                yield (index, *path), number
+    elif isinstance(value, tuple | Part | dict):
+        for step, entry in enumerate(value) if isinstance(value, tuple) else dict(value).items():
+            yield from (((step, *path), number) for path, number in _numbers(entry))

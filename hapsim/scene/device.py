@@ -1,7 +1,6 @@
 """What stands on the other side of the wire: the device that the hand holds."""
 
 import math
-from dataclasses import replace
 from typing import Annotated, Literal, cast
 
 from pydantic import Field
@@ -9,57 +8,59 @@ from pydantic import Field
 from .choices import CORRECTION, HOLD, SAMPLING, CorrectionName, Hold, Sampling
 from .part import Part
 from .quantity import (
-    Count,
-    Interval,
     Known,
     Limits,
     LimitsPerChannel,
     PerChannel,
-    Quantity,
     Span,
     SpanPerChannel,
-    Text,
     WordPerChannel,
+    count,
+    interval,
     per_channel,
+    quantity,
+    text,
 )
 
 Clock = Literal["device", "host", "lockstep"]
 
-MASS = Quantity("Moving part of the device and the hand that holds it", "kg", above=0, per_channel=True)
-FRICTION = Quantity("Viscous friction of the device", "N·s/m", least=0, per_channel=True)
-STIFFNESS = Quantity("Spring in the device itself, at rest at position 0", "N/m", least=0, per_channel=True)
-DELAY = Quantity(
+_MASS = "Moving part of the device and the hand that holds it"
+MASS = quantity(_MASS, "kg", above=0, per_channel=True)
+SPANNED_MASS = quantity(_MASS, "kg", above=0, per_channel=True, spans=True)
+FRICTION = quantity("Viscous friction of the device", "N·s/m", least=0, per_channel=True)
+STIFFNESS = quantity("Spring in the device itself, at rest at position 0", "N/m", least=0, per_channel=True)
+DELAY = quantity(
     "From sampling the position to the force's change, any real number", "sample periods", least=0, most=1000
 )
-SLEW_LIMIT = Quantity(
+SLEW_LIMIT = quantity(
     "How fast the force may change from one sample to the next",
     "N/s",
     above=0,
     left_out="behind a port force_limit in 1 ms, or in a sample period where that is longer; before the mock none",
 )
-SOFT_START = Quantity(
+SOFT_START = quantity(
     "How long what the scene asks for in the very first sample takes to rise; 0: no time",
     "s",
     least=0,
     most=10,
     left_out="0.05 behind a port, 0 before the mock",
 )
-ENERGY_LIMIT = Quantity(
+ENERGY_LIMIT = quantity(
     "Energy that the scene may give the hand before the loop stops",
     "J",
     above=0,
     left_out="behind a port, and in `hapsim run`, force_limit times 0.02 m; before the mock none",
 )
-TRAVEL = Interval(
+TRAVEL = interval(
     "How far the device moves, by the scene's positions: outside the force fades to zero", "m", "no limit"
 )
-TRAVEL_MARGIN = Quantity(
+TRAVEL_MARGIN = quantity(
     "Width of the band outside travel in which the force fades; a run ends beyond it",
     "m",
     above=0,
     left_out="a tenth of the travel",
 )
-ORIGIN = Quantity(
+ORIGIN = quantity(
     "Which of the device's positions is the scene's position 0; here: the one at arming",
     "m",
     per_channel=True,
@@ -69,7 +70,7 @@ ORIGIN = Quantity(
 _MARGIN_SHARE = 0.1  # of the travel
 
 
-PORT = Text(
+PORT = text(
     "Serial port, such as /dev/ttyACM0", "the name of a serial port, such as /dev/ttyACM0", ".+", "the embedded mock"
 )
 
@@ -78,18 +79,18 @@ class Device(Part):
     """The device that the hand holds, and the link to it. SI units."""
 
     port: Annotated[str | None, PORT] = None
-    baud: Annotated[int, Count("Speed of the serial link", 1, 100_000_000, "bit/s")] = 2_000_000
+    baud: Annotated[int, count("Speed of the serial link", 1, 100_000_000, "bit/s")] = 2_000_000
     clock: Clock = Field(
         default="device",
         description="Who paces the loop; lockstep: the mock, in virtual time, as fast as it goes",
     )
-    mass: Annotated[SpanPerChannel, replace(MASS, spans=True)]
+    mass: Annotated[SpanPerChannel, SPANNED_MASS]
     friction: Annotated[PerChannel, FRICTION] = 0.0
     stiffness: Annotated[PerChannel, STIFFNESS] = 0.0
     delay: Annotated[float, DELAY] = 1.0
     hold: Hold = Field(default="zoh", description=HOLD)
     sampling: Sampling = Field(default="ideal", description=SAMPLING)
-    force_limit: Annotated[float, Quantity("Force that is never exceeded", "N", above=0)] = 10.0
+    force_limit: Annotated[float, quantity("Force that is never exceeded", "N", above=0)] = 10.0
     slew_limit: Annotated[float | None, SLEW_LIMIT] = None
     soft_start: Annotated[float | None, SOFT_START] = None
     energy_limit: Annotated[float | None, ENERGY_LIMIT] = None

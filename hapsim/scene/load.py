@@ -66,19 +66,16 @@ def _validate(document: Document) -> tuple[Scene | None, list[Issue]]:
     except ValidationError as error:
         data = document.data if isinstance(document.data, dict) else {}
         issues = findings_of(error, document)
-        other_version = data.get("version")
-        if type(other_version) is int and other_version != VERSION:
+        if type(data.get("version")) is int and data["version"] != VERSION:
             # Another format: what else seems wrong may be right in it.
             return None, [issue for issue in issues if issue.path == ("version",)]
-        around = _sound_modules(data.get("modules"))
-        return None, issues + cross_check_issues(around, _sound_fields(data, issues), data.get("precision"))
-
-
-# What is sound in a scene that has faults, so that the checks across its parts reach as far as they can.
+        # The checks across parts reach as far as the sound parts of the scene allow.
+        modules = _sound_modules(data.get("modules"))
+        return None, [*issues, *cross_check_issues(modules, _sound_fields(data, issues), data.get("precision"))]
 
 
 def _sound_modules(modules: object) -> ModuleContext:
-    """What can be known of the modules while some of them are faulty."""
+    """What is known of the modules while some of them are faulty."""
     if not isinstance(modules, dict):
         return ModuleContext({}, {"": None})
     types = {name: module.get("type") if isinstance(module, dict) else None for name, module in modules.items()}
@@ -89,7 +86,7 @@ def _sound_modules(modules: object) -> ModuleContext:
 
 
 def _sound_part(kind: type[Module], data: Any) -> tuple[Module, frozenset[str]]:
-    """The module with its sound fields, and which of its fields are not."""
+    """The module with its sound fields, and the names of the others."""
     try:
         return kind.model_validate(data), frozenset()
     except ValidationError as error:
@@ -105,7 +102,7 @@ def _adapter(kind: type[Module], field: str) -> TypeAdapter[Any]:
 
 
 def _sound_fields(data: dict[str, Any], issues: Iterable[Issue]) -> dict[Path, dict[str, object]]:
-    """The fields of the device and the mock that nothing was found in."""
+    """The fields of the device and the mock in which no fault was found."""
     faulty = {issue.path[:length] for issue in issues for length in range(len(issue.path) + 1)}
     sound: dict[Path, dict[str, object]] = {}
     for path in PER_CHANNEL_PARTS:

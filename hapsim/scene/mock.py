@@ -9,7 +9,7 @@ from pydantic import Field
 from .choices import HOLD, SAMPLING, Hold, Sampling
 from .device import DELAY, FRICTION, MASS, STIFFNESS, Device
 from .part import Part
-from .quantity import Count, Curve, CurvePoints, PerChannel, Quantity, per_channel
+from .quantity import Curve, PerChannel, count, curve, per_channel, quantity
 
 AS_DEVICE = "as `device` says"
 
@@ -24,19 +24,19 @@ FORCE_COUNTS = 2.0**31  # the limit in N lies at the end of the counts' range: t
 class Initial(Part):
     """Where the mock's moving parts are when the run starts. SI units."""
 
-    position: Annotated[PerChannel, Quantity("Position at the start", "m", per_channel=True)] = 0.0
-    velocity: Annotated[PerChannel, Quantity("Velocity at the start", "m/s", per_channel=True)] = 0.0
+    position: Annotated[PerChannel, quantity("Position at the start", "m", per_channel=True)] = 0.0
+    velocity: Annotated[PerChannel, quantity("Velocity at the start", "m/s", per_channel=True)] = 0.0
 
 
 class Hand(Part):
     """The hand that holds the mock's moving parts, from the start of the run on: it pushes, and it is a spring and a
     damper to where it is. Its mass is in ``mock.mass``. SI units."""
 
-    force: Annotated[PerChannel, Quantity("Force with which the hand pushes", "N", per_channel=True)] = 0.0
-    stiffness: Annotated[PerChannel, Quantity("Stiffness of the hand", "N/m", least=0, per_channel=True)] = 0.0
-    damping: Annotated[PerChannel, Quantity("Viscosity of the hand", "N·s/m", least=0, per_channel=True)] = 0.0
+    force: Annotated[PerChannel, quantity("Force with which the hand pushes", "N", per_channel=True)] = 0.0
+    stiffness: Annotated[PerChannel, quantity("Stiffness of the hand", "N/m", least=0, per_channel=True)] = 0.0
+    damping: Annotated[PerChannel, quantity("Viscosity of the hand", "N·s/m", least=0, per_channel=True)] = 0.0
     position: Annotated[
-        PerChannel, Quantity("Position at which the spring of the hand has no force", "m", per_channel=True)
+        PerChannel, quantity("Position at which the spring of the hand has no force", "m", per_channel=True)
     ] = 0.0
 
 
@@ -51,27 +51,27 @@ class Mock(Part):
     sampling: Sampling | None = Field(default=None, description=f"{SAMPLING}; left out: {AS_DEVICE}")
     initial: Initial = Field(default=Initial(), description="Where the moving parts are when the run starts")
     hand: Hand = Field(default=Hand(), description="The hand that holds the moving parts")
-    coulomb: Annotated[float, Quantity("Dry friction", "N", least=0)] = 0.0
-    quantum: Annotated[float, Quantity("Step of the position on the wire", "m per count", above=0)] = 1.0e-9
+    coulomb: Annotated[float, quantity("Dry friction", "N", least=0)] = 0.0
+    quantum: Annotated[float, quantity("Step of the position on the wire", "m per count", above=0)] = 1.0e-9
     force_quantum: Annotated[
         float | None,
-        Quantity("Step of the force on the wire", "N per count", above=0, left_out="as fine as its 32 bits are"),
+        quantity("Step of the force on the wire", "N per count", above=0, left_out="as fine as its 32 bits are"),
     ] = None
-    noise: Annotated[float, Quantity("Noise of the position sensor", "m rms", least=0)] = 0.0
-    seed: Annotated[int, Count("Seed of the noise: the same seed, the same run", 0, 2**32 - 1)] = 0
+    noise: Annotated[float, quantity("Noise of the position sensor", "m rms", least=0)] = 0.0
+    seed: Annotated[int, count("Seed of the noise: the same seed, the same run", 0, 2**32 - 1)] = 0
     baud: Annotated[
-        int | None, Count("Speed of the mock's UART", 1, 100_000_000, "bit/s", left_out="bytes take no time")
+        int | None, count("Speed of the mock's UART", 1, 100_000_000, "bit/s", left_out="bytes take no time")
     ] = None
     turnaround: Annotated[
         float,
-        Quantity("What the mock takes before a position's first byte and after a force's last", "s", least=0, most=1),
+        quantity("What the mock takes before a position's first byte and after a force's last", "s", least=0, most=1),
     ] = 0.0
     misses: Annotated[
-        float, Quantity("Share of the forces that come too late, by chance, in virtual time", "1", least=0, most=1)
+        float, quantity("Share of the forces that come too late, by chance, in virtual time", "1", least=0, most=1)
     ] = 0.0
     grips: Annotated[
         Curve | None,
-        CurvePoints(
+        curve(
             "The mass of every moving part and its hand from these times on: a hand that grips, or releases",
             "s",
             "kg",

@@ -1,29 +1,31 @@
 """What a value of the scene file may be, declared once: the check, the words of an error and the JSON schema.
 
-An instance of each class here stands in a field's ``Annotated[...]``. The words are ours rather than pydantic's, so
-that a person who never heard of pydantic can act on them.
+Instances of `Expectation` stand in a field's ``Annotated[...]``. pydantic checks and describes the value; the words of
+an error are ours, so that a person who never heard of pydantic can act on them.
 """
 
 import math
-import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from numbers import Integral, Real
 from typing import Any, NoReturn, TypeGuard
 
 from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler, GetJsonSchemaHandler, model_serializer
 from pydantic_core import PydanticCustomError, core_schema
 
+Schema = core_schema.CoreSchema
+
 #: The pydantic error type under which every check of ours reports.
 UNEXPECTED = "unexpected"
 
 MOST_CHANNELS = 16
-LEAST_POINTS, MOST_POINTS = 2, 1000  # of a curve
+MOST_POINTS = 1000  # of a curve
 
 _MAPPINGS = "{from: the least, to: the most}, or {value: a number, uncertainty: its standard uncertainty}"
 
-#: Keys and indices that lead from a value to an entry within it.
-_At = tuple[int | str, ...]
+#: Marks of the kind of a value that may be of several: pydantic puts them into the location of an error.
+KINDS = _NUMBER, _WORD, _SPAN, _KNOWN, _LIST, _LISTS = ("<number>", "<word>", "<span>", "<known>", "<list>", "<lists>")
 
 
 class _Mapping(BaseModel):
@@ -37,7 +39,7 @@ class _Mapping(BaseModel):
 
 
 class Span(_Mapping):
-    """A number that is not known: `from` the least that it may be `to` the most."""
+    """An unknown number: `from` its least `to` its largest possible value."""
 
     least: float
     most: float
@@ -54,7 +56,7 @@ class Known(_Mapping):
     uncertainty: float
 
 
-#: A number of the scene file, or one for each channel of the device; with what is known of it; or a word.
+#: A number of the scene file, or one for each channel of the device; a `Span` or `Known` in its place; or a word.
 PerChannel = float | tuple[float, ...]
 SpanPerChannel = float | Span | Known | tuple[float | Span | Known, ...]
 WordPerChannel = float | str | tuple[float | str, ...]
@@ -67,13 +69,13 @@ LimitsPerChannel = Limits | tuple[Limits, ...]
 Curve = tuple[tuple[float, float], ...]
 
 
-def unexpected(expected: str, at: _At = (), found: str = "") -> NoReturn:
+def unexpected(expected: str, at: tuple[int | str, ...] = (), found: str = "") -> NoReturn:
     """Reports that a value, or the entry ``at`` within it, is not what was ``expected``.
 
     Args:
         expected: the words that follow "expected".
         at: leads to the entry.
-        found: what stands there; left out: what the file spells there.
+        found: the words that follow "found"; by default the value as the file spells it.
 
     Raises:
         PydanticCustomError: always; inside a pydantic validation it becomes one of the collected faults.
@@ -81,309 +83,138 @@ def unexpected(expected: str, at: _At = (), found: str = "") -> NoReturn:
     raise PydanticCustomError(UNEXPECTED, "expected {expected}", {"expected": expected, "at": at, "found": found})
 
 
+@dataclass(frozen=True, eq=False)
 class Expectation:
     """What one field expects.
 
     Attributes:
         description: what the value is, for the schema.
+        expected: the words that follow "expected" in an error.
+        schema: pydantic's schema of the value.
         unit: its unit as people read it, such as ``N·s/m``.
-        left_out: what it means to leave the value out; where this is given, None is accepted in Python too.
+        left_out: the default in words; where this is given, None is accepted in Python too.
     """
 
     description: str
+    expected: str
+    schema: Any
     unit: str = ""
     left_out: str = ""
 
-    def expected(self) -> str:
-        """Returns the words that follow "expected" in an error."""
-        raise NotImplementedError
+    def __get_pydantic_core_schema__(self, _source: object, _handler: GetCoreSchemaHandler) -> Schema:
+        as_it_is = core_schema.plain_serializer_function_ser_schema(lambda value: value)
+        schema = core_schema.nullable_schema(self.schema) if self.left_out else self.schema
+        described: Schema = {**schema, "serialization": as_it_is}
+        return described
 
-    def check(self, value: Any) -> Any:
-        """Returns the value in its final type; an error through `unexpected`."""
-        raise NotImplementedError
-
-    def schemas(self) -> list[dict[str, Any]]:
-        """Returns the JSON schemas of the value, of which any may hold."""
-        raise NotImplementedError
-
-    def __get_pydantic_core_schema__(self, _source: object, _handler: GetCoreSchemaHandler) -> core_schema.CoreSchema:
-        def checked(value: object) -> object:
-            return None if value is None and self.left_out else self.check(value)
-
-        return core_schema.no_info_plain_validator_function(checked)
-
-    def __get_pydantic_json_schema__(
-        self, _schema: core_schema.CoreSchema, _handler: GetJsonSchemaHandler
-    ) -> dict[str, Any]:
-        described = self.description + (f", in {self.unit}" if self.unit else "")
-        schemas = self.schemas()
-        if self.left_out:
-            described += f"; left out: {self.left_out}"
-            schemas.append({"type": "null"})
-        return {"description": described} | (schemas[0] if len(schemas) == 1 else {"anyOf": schemas})
+    def __get_pydantic_json_schema__(self, schema: Schema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        unit = f", in {self.unit}" if self.unit else ""
+        default = f"; default: {self.left_out}" if self.left_out else ""
+        return handler(schema) | {"description": f"{self.description}{unit}{default}"}
 
 
-@dataclass(frozen=True)
-class Quantity(Expectation):
+def quantity(
+    description: str,
+    unit: str,
+    *,
+    above: float | None = None,
+    least: float | None = None,
+    most: float | None = None,
+    per_channel: bool = False,
+    left_out: str = "",
+    spans: bool = False,
+    word: str = "",
+) -> Expectation:
     """A finite number in SI units, within bounds.
 
-    Attributes:
+    Args:
+        description, unit, left_out: as in `Expectation`.
         above, least, most: the bounds; ``above`` is exclusive.
         per_channel: a list with one number for each channel is accepted too, and becomes a tuple.
         spans: a mapping is accepted in place of a number: ``{from: least, to: most}`` becomes a `Span`,
             ``{value: number, uncertainty: number}`` a `Known`.
         word: a word that is accepted in place of a number.
     """
-
-    description: str
-    unit: str
-    above: float | None = None
-    least: float | None = None
-    most: float | None = None
-    per_channel: bool = False
-    left_out: str = ""
-    spans: bool = False
-    word: str = ""
-
-    def expected(self) -> str:
-        several = "a list with one per channel" if self.per_channel else ""
-        return ", or ".join(filter(None, (self._number(), self.word, _MAPPINGS if self.spans else "", several)))
-
-    def check(self, value: Any) -> Any:
-        """Returns a float, a `Span`, a `Known` or the word, or a tuple of one for each channel."""
-        if self.per_channel and is_list(value):
-            return tuple(self._entry(entry, (index,)) for index, entry in enumerate(value))
-        return self._entry(value, ())
-
-    def schemas(self) -> list[dict[str, Any]]:
-        bounds = {"exclusiveMinimum": self.above, "minimum": self.least, "maximum": self.most}
-        number = {"type": "number"} | {key: bound for key, bound in bounds.items() if bound is not None}
-        kinds: list[dict[str, Any]] = [number]
-        for keys in (["from", "to"], ["value", "uncertainty"]) if self.spans else ():
-            both = {"type": "object", "properties": dict.fromkeys(keys, number), "required": keys}
-            kinds.append(both | {"additionalProperties": False})
-        if self.word:
-            kinds.append({"const": self.word})
-        if self.per_channel:
-            items = number if len(kinds) == 1 else {"anyOf": list(kinds)}
-            kinds.append(_list_schema(items, 1, MOST_CHANNELS))
-        return kinds
-
-    def _number(self, kind: str = "number") -> str:
-        bounds = f" > {self.above:g}" if self.above is not None else ""
-        if self.least is not None:
-            bounds = f" >= {self.least:g}" if self.most is None else f" from {self.least:g} to {self.most:g}"
-        return f"a {kind}{bounds} ({self.unit})"
-
-    def _entry(self, value: object, at: _At) -> Any:
-        if isinstance(value, Span | Known) or (self.word and value == self.word):
-            return value
-        if not self.spans or not isinstance(value, Mapping):
-            return self._checked(value, at)
-        numbers = {key: self._checked(value[key], (*at, key)) for key in value} if _is_spelt(value) else {}
-        match numbers:
-            case {"from": least, "to": most}:
-                if least >= most:
-                    unexpected(f"from ({least:g}) below to ({most:g})", at)
-                return Span(least=least, most=most)
-            case {"value": number, "uncertainty": uncertainty}:
-                if uncertainty >= number:
-                    unexpected(f"uncertainty ({uncertainty:g}) below value ({number:g})", at)
-                return Known(value=number, uncertainty=uncertainty)
-        unexpected(_MAPPINGS, at)
-
-    def _checked(self, value: object, at: _At) -> float:
-        words = self._number() if at else self.expected()
-        number = finite_number(value, words, self._number("finite number"), at)
-        too_low = (self.above is not None and number <= self.above) or (self.least is not None and number < self.least)
-        if too_low or (self.most is not None and number > self.most):
-            unexpected(words, at)
-        return number
+    bounds = f" > {above:g}" if above is not None else ""
+    if least is not None:
+        bounds = f" >= {least:g}" if most is None else f" from {least:g} to {most:g}"
+    number_words = f"a number{bounds} ({unit})"
+    entry_words = ", or ".join(filter(None, (number_words, word, _MAPPINGS if spans else "")))
+    words = f"{entry_words}, or a list with one per channel" if per_channel else entry_words
+    number = _number(number_words, gt=above, ge=least, le=most)
+    kinds = {_NUMBER: number}
+    if word:
+        kinds[_WORD] = _saying(core_schema.literal_schema([word]), words)
+    if spans:
+        kinds[_SPAN] = _mapping_of(number, "from", "to", _span)
+        kinds[_KNOWN] = _mapping_of(number, "value", "uncertainty", _known)
+    if per_channel:
+        kinds = {**kinds, _LIST: _list_of([_choice(kinds, entry_words)], 1, MOST_CHANNELS, words)}
+    return Expectation(description, words, _choice(kinds, words), unit, left_out)
 
 
-def _is_spelt(value: Mapping[Any, object]) -> bool:
-    return set(value) in ({"from", "to"}, {"value", "uncertainty"})
-
-
-@dataclass(frozen=True)
-class Interval(Expectation):
+def interval(description: str, unit: str, left_out: str) -> Expectation:
     """A lower and an upper limit in SI units, or such a pair for each channel."""
-
-    description: str
-    unit: str
-    left_out: str
-
-    def expected(self) -> str:
-        return f"[the least, the most] ({self.unit}), or a list of such pairs, one per channel"
-
-    def check(self, value: Any) -> LimitsPerChannel:
-        if not is_list(value) or not value:
-            unexpected(self.expected())
-        if any(is_list(entry) for entry in value):
-            return tuple(self._pair(entry, (index,)) for index, entry in enumerate(value))
-        return self._pair(value, ())
-
-    def schemas(self) -> list[dict[str, Any]]:
-        pair = _list_schema({"type": "number"}, 2, 2)
-        return [pair, _list_schema(pair, 1, MOST_CHANNELS)]
-
-    def _pair(self, value: object, at: tuple[int, ...]) -> Limits:
-        if not is_list(value) or len(value) != 2:
-            unexpected(f"[the least, the most] ({self.unit})" if at else self.expected(), at)
-        words = f"a finite number ({self.unit})"
-        least, most = (finite_number(entry, words, words, (*at, index)) for index, entry in enumerate(value))
-        if not least < most:
-            unexpected(f"the least ({least:g}) below the most ({most:g})", at)
-        return least, most
+    pair_words = f"[the least, the most] ({unit})"
+    words = f"{pair_words}, or a list of such pairs, one per channel"
+    limits = _list_of([_number(f"a number ({unit})")], 2, 2, pair_words)
+    pair = core_schema.no_info_after_validator_function(_ascending, limits)
+    kinds = {_LIST: pair, _LISTS: _list_of([pair], 1, MOST_CHANNELS, words)}
+    return Expectation(description, words, _choice(kinds, words), unit, left_out)
 
 
-@dataclass(frozen=True)
-class CurvePoints(Expectation):
-    """A list of points [x, y], by ascending x.
+def curve(
+    description: str, along: str, up: str, left_out: str, fewest: int = 2, above: float | None = None
+) -> Expectation:
+    """A list of at least `fewest` points [x, y] by ascending x, in the units `along` and `up`; every y > `above`."""
 
-    Attributes:
-        along, up: units of x and y as people read them.
-        fewest: how many points there are at least.
-        above: what every y is greater than.
-    """
+    def ascending(points: Curve) -> Curve:
+        for index, ((before, _), (x, _)) in enumerate(pairwise(points), 1):
+            if not before < x:
+                unexpected(f"a number > {before:.15g} ({along}): the points stand in ascending order", (index, 0))
+        return points
 
-    description: str
-    along: str
-    up: str
-    left_out: str
-    fewest: int = LEAST_POINTS
-    above: float | None = None
-
-    @property
-    def unit(self) -> str:  # type: ignore[override]
-        return f"points [{self.along}, {self.up}]"
-
-    def expected(self) -> str:
-        return f"a list of {self.fewest} to {MOST_POINTS} {self.unit}"
-
-    def check(self, value: Any) -> Curve:
-        if not is_list(value) or not self.fewest <= len(value) <= MOST_POINTS:
-            unexpected(self.expected())
-        points: list[tuple[float, float]] = []
-        for index, entry in enumerate(value):
-            points.append(self._point(entry, index))
-            if index and not points[index - 1][0] < points[index][0]:
-                before = f"{points[index - 1][0]:.15g}"
-                unexpected(f"a number > {before} ({self.along}): the points stand in ascending order", (index, 0))
-        return tuple(points)
-
-    def schemas(self) -> list[dict[str, Any]]:
-        return [_list_schema(_list_schema({"type": "number"}, 2, 2), self.fewest, MOST_POINTS)]
-
-    def _point(self, entry: object, index: int) -> tuple[float, float]:
-        if not is_list(entry) or len(entry) != 2:
-            unexpected(f"a point [{self.along}, {self.up}], two numbers", (index,))
-        words = [f"a finite number ({unit})" for unit in (self.along, self.up)]
-        x, y = (finite_number(entry[axis], words[axis], words[axis], (index, axis)) for axis in (0, 1))
-        if self.above is not None and not y > self.above:
-            unexpected(f"a number > {self.above:g} ({self.up})", (index, 1))
-        return x, y
+    unit = f"points [{along}, {up}]"
+    words = f"a list of {fewest} to {MOST_POINTS} {unit}"
+    y_words = "a number" if above is None else f"a number > {above:g}"
+    axes = [_number(f"a number ({along})"), _number(f"{y_words} ({up})", gt=above)]
+    points = _list_of([_list_of(axes, 2, 2, f"a point [{along}, {up}], two numbers")], fewest, MOST_POINTS, words)
+    schema = core_schema.no_info_after_validator_function(ascending, points)
+    return Expectation(description, words, schema, unit, left_out)
 
 
-@dataclass(frozen=True)
-class Count(Expectation):
+def count(description: str, least: int, most: int, unit: str = "", left_out: str = "") -> Expectation:
     """A whole number from `least` to `most`, written without a decimal point."""
-
-    description: str
-    least: int
-    most: int
-    unit: str = ""
-    left_out: str = ""
-
-    def expected(self) -> str:
-        return f"a whole number from {self.least} to {self.most}" + (f" ({self.unit})" if self.unit else "")
-
-    def check(self, value: Any) -> int:
-        if isinstance(value, bool) or not isinstance(value, Integral) or not self.least <= int(value) <= self.most:
-            unexpected(self.expected())
-        return int(value)
-
-    def schemas(self) -> list[dict[str, Any]]:
-        return [{"type": "integer", "minimum": self.least, "maximum": self.most}]
+    words = f"a whole number from {least} to {most}" + (f" ({unit})" if unit else "")
+    whole = core_schema.int_schema(strict=True, ge=least, le=most)
+    schema = _saying(core_schema.no_info_before_validator_function(_as_int, whole), words)
+    return Expectation(description, words, schema, unit, left_out)
 
 
-@dataclass(frozen=True)
-class Words(Expectation):
-    """A list of `count` words.
-
-    Attributes:
-        words: which there are; empty: any text.
-        entry, several: what an error calls one of them, and all of them.
-    """
-
-    description: str
-    words: tuple[str, ...]
-    count: int
-    entry: str = ""
-    several: str = ""
-
-    def expected(self) -> str:
-        return self.several or f"a list of {self.count} words, each {' or '.join(self.words)}"
-
-    def check(self, value: Any) -> tuple[str, ...]:
-        if not isinstance(value, list | tuple) or len(value) != self.count:
-            unexpected(self.expected())
-        for index, word in enumerate(value):
-            if not isinstance(word, str) or (self.words and word not in self.words):
-                unexpected(self.entry or " or ".join(self.words), (index,))
-        return tuple(value)
-
-    def schemas(self) -> list[dict[str, Any]]:
-        return [_list_schema({"enum": list(self.words)} if self.words else {"type": "string"}, self.count, self.count)]
+def words_of(description: str, words: tuple[str, ...], count: int) -> Expectation:
+    """A list of `count` of these words."""
+    entry = _saying(core_schema.literal_schema(list(words)), " or ".join(words))
+    expected = f"a list of {count} words, each {' or '.join(words)}"
+    return Expectation(description, expected, _list_of([entry], count, count, expected))
 
 
-@dataclass(frozen=True)
-class Text(Expectation):
-    """A text of a regular expression `pattern`, called `wanted` in an error."""
-
-    description: str
-    wanted: str
-    pattern: str
-    left_out: str = ""
-
-    def expected(self) -> str:
-        return self.wanted
-
-    def check(self, value: Any) -> str:
-        if not isinstance(value, str) or not re.fullmatch(self.pattern, value):
-            unexpected(self.wanted)
-        return value
-
-    def schemas(self) -> list[dict[str, Any]]:
-        return [{"type": "string", "pattern": f"^{self.pattern}$"}]
+def names(description: str, expected: str, entry: str, count: int) -> Expectation:
+    """A list of `count` texts; `entry`: what an error calls one."""
+    text = _saying(core_schema.str_schema(strict=True), entry)
+    return Expectation(description, expected, _list_of([text], count, count, expected))
 
 
-_NAME = "letters, digits, _ and -, starting with a letter or _"
-NAME = Text(f"A name: {_NAME}", _NAME, "[A-Za-z_][A-Za-z0-9_-]*")
-"""The name of a module."""
+def text(description: str, expected: str, pattern: str, left_out: str = "") -> Expectation:
+    """A text of a regular expression `pattern`."""
+    schema = core_schema.str_schema(strict=True, pattern=f"^{pattern}$")
+    return Expectation(description, expected, _saying(schema, expected), left_out=left_out)
 
 
-@dataclass(frozen=True)
-class Version(Expectation):
-    """The number of the format that this hapsim reads. `format`: what it calls the format."""
-
-    number: int
-    format: str
-
-    @property
-    def description(self) -> str:  # type: ignore[override]
-        return f"Version of the {self.format} format"
-
-    def expected(self) -> str:
-        return f"{self.number}: this hapsim reads version {self.number} of the {self.format} format"
-
-    def check(self, value: Any) -> int:
-        if type(value) is not int or value != self.number:
-            unexpected(self.expected())
-        return value
-
-    def schemas(self) -> list[dict[str, Any]]:
-        return [{"const": self.number, "type": "integer"}]
+def version(number: int, format_name: str) -> Expectation:
+    """The number of the format that this hapsim reads."""
+    expected = f"{number}: this hapsim reads version {number} of the {format_name} format"
+    schema = _saying(core_schema.int_schema(strict=True, ge=number, le=number), expected)
+    return Expectation(f"Version of the {format_name} format", expected, schema)
 
 
 def per_channel(value: PerChannel, channels: int) -> tuple[float, ...]:
@@ -391,23 +222,101 @@ def per_channel(value: PerChannel, channels: int) -> tuple[float, ...]:
     return value if isinstance(value, tuple) else (value,) * channels
 
 
-def is_list(value: object) -> TypeGuard[Sequence[Any]]:
-    """Returns whether the file has a list there."""
+def _words(expected: str) -> Any:
+    """Arguments that give errors of a schema our words."""
+    context = {"expected": expected, "at": (), "found": ""}
+    message = "expected {expected}"
+    return {"custom_error_type": UNEXPECTED, "custom_error_message": message, "custom_error_context": context}
+
+
+def _saying(schema: Schema, expected: str) -> Schema:
+    return core_schema.custom_error_schema(schema, **_words(expected))
+
+
+def _choice(kinds: dict[Any, Any], expected: str) -> Schema:
+    if len(kinds) == 1:
+        (only,) = kinds.values()
+        return only
+    union = core_schema.tagged_union_schema(kinds, _kind_of, **_words(expected))
+    return core_schema.no_info_before_validator_function(_as_mapping, union)
+
+
+def _kind_of(value: object) -> str | None:
+    if isinstance(value, Mapping):
+        return {frozenset(("from", "to")): _SPAN, frozenset(("value", "uncertainty")): _KNOWN}.get(frozenset(value))
+    if _is_list(value):
+        return _LISTS if any(map(_is_list, value)) else _LIST
+    if isinstance(value, str):
+        return _WORD
+    return _NUMBER if isinstance(value, Real) and not isinstance(value, bool) else None
+
+
+def _as_mapping(value: object) -> object:
+    return value.model_dump() if isinstance(value, _Mapping) else value
+
+
+def _number(expected: str, **bounds: Any) -> Schema:
+    number = core_schema.float_schema(strict=True, allow_inf_nan=False, **bounds)
+    return _saying(core_schema.no_info_before_validator_function(_as_float, number), expected)
+
+
+def _as_float(value: object) -> object:
+    """Numbers of other types, such as numpy's, as Python's; all else as it is."""
+    if isinstance(value, bool) or not isinstance(value, Real):
+        return value
+    try:
+        return float(value)
+    except OverflowError:  # an integer beyond every float
+        return math.inf
+
+
+def _as_int(value: object) -> object:
+    return int(value) if isinstance(value, Integral) and not isinstance(value, bool) else value
+
+
+def _mapping_of(number: Schema, first: str, second: str, make: Callable[[float, float], _Mapping]) -> Schema:
+    fields = {key: core_schema.typed_dict_field(number) for key in (first, second)}
+    mapping = core_schema.typed_dict_schema(fields, extra_behavior="forbid")
+    return core_schema.no_info_after_validator_function(lambda pair: make(pair[first], pair[second]), mapping)
+
+
+def _span(least: float, most: float) -> Span:
+    if least >= most:
+        unexpected(f"from ({least:g}) below to ({most:g})")
+    return Span(least=least, most=most)
+
+
+def _known(value: float, uncertainty: float) -> Known:
+    if uncertainty >= value:
+        unexpected(f"uncertainty ({uncertainty:g}) below value ({value:g})")
+    return Known(value=value, uncertainty=uncertainty)
+
+
+def _ascending(pair: Limits) -> Limits:
+    if not pair[0] < pair[1]:
+        unexpected(f"the least ({pair[0]:g}) below the most ({pair[1]:g})")
+    return pair
+
+
+def _list_of(entries: list[Any], least: int, most: int, expected: str) -> Schema:
+    """A tuple of `least` to `most` entries, alike or each by its own schema."""
+
+    def as_tuple(value: object) -> tuple[Any, ...]:
+        if not _is_list(value) or not least <= len(value) <= most:
+            unexpected(expected)
+        return tuple(value)
+
+    variadic = 0 if len(entries) == 1 else None
+    lengths = {"pydantic_js_updates": {"minItems": least, "maxItems": most}}
+    every = core_schema.tuple_schema(entries, variadic_item_index=variadic, metadata=lengths)
+    return core_schema.no_info_before_validator_function(as_tuple, every)
+
+
+def _is_list(value: object) -> TypeGuard[Sequence[Any]]:
     return isinstance(value, Sequence) and not isinstance(value, str | bytes)
 
 
-def finite_number(value: object, number: str, finite: str, at: _At) -> float:
-    """Returns the number that a value of the file is; `number` or `finite` through `unexpected` where it is none."""
-    if isinstance(value, bool) or not isinstance(value, Real):
-        unexpected(number, at)
-    try:
-        result = float(value)
-    except OverflowError:  # an integer beyond every float
-        result = math.inf
-    if not math.isfinite(result):
-        unexpected(finite, at)
-    return result
-
-
-def _list_schema(items: dict[str, Any], least: int, most: int) -> dict[str, Any]:
-    return {"type": "array", "items": items, "minItems": least, "maxItems": most}
+NAME_PATTERN = "[A-Za-z_][A-Za-z0-9_-]*"
+_NAME = "letters, digits, _ and -, starting with a letter or _"
+NAME = text(f"A name: {_NAME}", _NAME, NAME_PATTERN)
+"""The name of a module."""

@@ -6,11 +6,13 @@ whole file anew, and align nothing.) Whether the new text says what was meant is
 
 from __future__ import annotations
 
+import contextlib
 import os
 import shutil
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import yaml
 
@@ -49,49 +51,50 @@ def require_rewritable(path: str) -> None:
 
 
 def device_rewritten(text: str, values: Values, channel: int, name: str = "<scene>") -> str:
-    """The text with these values. Raises as `rewrite_device`; `name`: what errors call the text."""
+    """Returns the text with these values. Raises as `rewrite_device`; `name`: what errors call the text."""
     before = parse_scene(text, name)
-    wanted = {key: _with_channel(before, key, value, channel) for key, value in values.items()}
+    written = {key: _entries(before, key, value, channel) for key, value in values.items()}
+    after = _spliced(text, {key: _as_text(entries) for key, entries in written.items()})
+    wanted = {key: _as_values(entries) for key, entries in written.items()}
     expected = before.model_copy(update={"device": before.device.model_copy(update=wanted)})
-    after = _spliced(text, values, before, channel)
-    try:
+    with contextlib.suppress(SceneError):
         if after is not None and parse_scene(after, name).model_dump() == expected.model_dump():
             return after
-    except SceneError:
-        pass
-    told = ", ".join(f"{key}: {value}" for key, value in values.items())
+    lines = ", ".join(f"{key}: {value}" for key, value in values.items())
     raise UsageError(
         f"{name}: nothing was written: its device section says a value by an anchor or a merge, which stands for other "
-        f"places too. Write it yourself, under device: {told}"
+        f"places too. Write it yourself, under device: {lines}"
     )
 
 
-def _with_channel(scene: Scene, key: str, value: str | Known, channel: int) -> object:
-    """What the scene's device is to have under `key`."""
-    new = value if isinstance(value, Known) else float(value)
-    if key not in _PER_CHANNEL or (scene.channels == 1 and not isinstance(getattr(scene.device, key), tuple)):
-        return new
-    each: list[object] = list(per_channel(getattr(scene.device, key), scene.channels))
-    each[channel] = new
-    return tuple(each)
+def _entries(scene: Scene, key: str, value: str | Known, channel: int) -> list[Any]:
+    """What the scene's device is to have under `key`: one value, or those of all channels where they may differ."""
+    if key not in _PER_CHANNEL or scene.channels == 1:
+        return [value]
+    each: list[Any] = list(per_channel(getattr(scene.device, key), scene.channels))
+    each[channel] = value
+    return each
 
 
-def _spliced(text: str, values: Values, scene: Scene, channel: int) -> str | None:
+def _as_text(entries: list[Any]) -> str:
+    return str(entries[0]) if len(entries) == 1 else f"[{', '.join(map(str, entries))}]"
+
+
+def _as_values(entries: list[Any]) -> object:
+    values = tuple(float(entry) if isinstance(entry, str) else entry for entry in entries)
+    return values[0] if len(values) == 1 else values
+
+
+def _spliced(text: str, values: Mapping[str, str]) -> str | None:
     """The text with the values in their places; None where a place is not to be found."""
-    root = compose(text)
-    device = _entry(root, "device")
+    device = _entry(compose(text), "device")
     mass = _entry(device, "mass")
     if not isinstance(device, yaml.MappingNode) or mass is None:
         return None
-    edits: list[tuple[int, int, str]] = []
+    edits = []
     for key, value in values.items():
         node = _entry(device, key)
-        if node is None:
-            edits.append(_inserted(text, device, mass, f"{key}: {_as_list(scene, key, value, channel)}"))
-        elif isinstance(node, yaml.SequenceNode) and channel < len(node.value):
-            edits.append(_replaced(text, node.value[channel], str(value)))
-        else:
-            edits.append(_replaced(text, node, _as_list(scene, key, value, channel)))
+        edits.append(_replaced(text, node, value) if node else _inserted(text, device, mass, f"{key}: {value}"))
     for begin, end, new in sorted(edits, key=lambda edit: edit[0], reverse=True):
         text = text[:begin] + new + text[end:]
     return text
@@ -102,15 +105,6 @@ def _entry(mapping: yaml.Node | None, key: str) -> yaml.Node | None:
     if not isinstance(mapping, yaml.MappingNode):
         return None
     return next((value for name, value in mapping.value if name.value == key), None)
-
-
-def _as_list(scene: Scene, key: str, value: str | Known, channel: int) -> str:
-    """The value as the file is to say it: with those of the other channels, where there are any."""
-    if key not in _PER_CHANNEL or scene.channels == 1:
-        return str(value)
-    each = [str(one) for one in per_channel(getattr(scene.device, key), scene.channels)]
-    each[channel] = str(value)
-    return f"[{', '.join(each)}]"
 
 
 def _end(node: yaml.Node) -> int:

@@ -25,7 +25,8 @@ from .modules import (
     ViscoElastic,
 )
 from .part import Part, Table
-from .quantity import NAME, Quantity, Version
+from .quantity import NAME, quantity
+from .quantity import version as format_version
 
 VERSION = 1
 
@@ -67,8 +68,8 @@ class Scene(Part):
         pydantic.ValidationError: made in Python from parts that do not fit.
     """
 
-    version: Annotated[int, Version(VERSION, "scene")]
-    rate: Annotated[float, Quantity("Rate of the simulation: one over the sample period", "Hz", above=0)]
+    version: Annotated[int, format_version(VERSION, "scene")]
+    rate: Annotated[float, quantity("Rate of the simulation: one over the sample period", "Hz", above=0)]
     device: Device = Field(description="What stands on the other side of the wire")
     mock: Mock | None = Field(
         default=None, description="Only where the mock device differs from what `device` says, or adds to it"
@@ -86,8 +87,8 @@ class Scene(Part):
     def _parts_fit(self) -> "Scene":
         around = ModuleContext(self.modules, {name: type(module) for name, module in self.modules.items()})
         issues = cross_check_issues(around, self._per_channel(), self.precision)
-        if issues:
-            lines = [f"{'.'.join(map(str, found.path))}: {found.sentence}" for found in issues]
+        lines = [f"{'.'.join(map(str, issue.path))}: {issue.sentence}" for issue in issues]
+        if lines:
             raise PydanticCustomError(ACROSS, "{faults}", {"faults": "\n".join(lines)})
         return self
 

@@ -11,7 +11,7 @@ from pathlib import Path as FilePath
 from hapsim.errors import UsageError
 
 from .issue import Issue, LocatedIssue, Path, Place, nearest, quote
-from .quantity import NAME
+from .quantity import NAME_PATTERN
 from .yaml_document import Document, YamlSyntaxError, compose, place_in
 
 
@@ -53,11 +53,11 @@ class YamlFile:
         try:
             root = compose(text)
         except YamlSyntaxError as error:
-            raise self.failure(name, [error.fault]) from None
-        document = Document(root) if root is not None else None
-        if document is None or (document.data is None and not document.faults):
-            raise self.failure(name, [LocatedIssue(Place(1, 1), self.nothing)])
-        return document
+            raise self.failure(name, [error.args[0]]) from None
+        document = Document(root) if root else None
+        if document and (document.data is not None or document.faults):
+            return document
+        raise self.failure(name, [LocatedIssue(Place(1, 1), self.nothing)])
 
     def located(self, issues: Iterable[Issue], document: Document) -> list[LocatedIssue]:
         """Where in the file the issues are, and the faults of the document itself."""
@@ -118,5 +118,5 @@ def _label(path: Path) -> str:
     if last is None:
         return ""
     key = str(path[last])
-    name = key if re.fullmatch(NAME.pattern, key) and len(key) <= 60 else quote(key)
+    name = key if re.fullmatch(NAME_PATTERN, key) and len(key) <= 60 else quote(key)
     return name + "".join(f"[{step}]" for step in path[last + 1 :])

@@ -90,7 +90,7 @@ def test_a_scene_with_such_a_module_reads_back_the_same_and_can_be_hashed(good: 
             "nonlinear",
             "[1, 5]",
             "[1, true]",
-            "force_over_distance[1][1]: found true (a boolean), expected a finite number (N)",
+            "force_over_distance[1][1]: found true (a boolean), expected a number (N)",
         ),
         (
             "nonlinear",

@@ -53,7 +53,7 @@ def test_a_comment_stays_in_its_column_and_a_new_key_stands_below_the_mass() -> 
 
 def test_of_several_channels_one_is_written() -> None:
     after = device_rewritten(shipped_scene("four_keys.yaml"), VALUES | {"stiffness": "12.5"}, channel=2)
-    assert "  mass: [0.08, 0.08, 0.21345, 0.1]         # kg, per channel\n" in after
+    assert "  mass: [0.08, 0.08, 0.21345, 0.1]     # kg, per channel\n" in after
     assert "  friction: [0.6, 0.6, 0.98, 0.6]  # N·s/m\n" in after
     assert "  stiffness: [0.0, 0.0, 12.5, 0.0]\n" in after
 

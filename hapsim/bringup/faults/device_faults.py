@@ -14,7 +14,7 @@ from firmware_protocol import schema
 from firmware_protocol.frames import SETUP, Format, frame_to_device
 from hapsim.bringup.capture import Registers
 from hapsim.bringup.faults.fault import POSITIONS, Effect, Event, Lasting, Moment, Piece, Window, exactly_one
-from hapsim.scene.quantity import Count, Quantity, unexpected
+from hapsim.scene.quantity import count, quantity, unexpected
 
 _WHOLE = {
     "channels": schema.REG_CHANNELS,
@@ -56,7 +56,7 @@ class Version(_Description):
     """The device says that it speaks another version of the protocol."""
 
     kind: Literal["version"] = "version"
-    answers: Annotated[int, Count("The version that it says it speaks", 0, 2**31 - 1)] = 2
+    answers: Annotated[int, count("The version that it says it speaks", 0, 2**31 - 1)] = 2
 
     def words(self) -> dict[int, int]:
         return {schema.REG_VERSION: self.answers}
@@ -104,9 +104,9 @@ class Leap(Event):
 
     counted: ClassVar[str] = "positions moved"
     kind: Literal["leap"] = "leap"
-    metres: Annotated[float | None, Quantity("How far", "m", left_out="counts says it")] = None
-    counts: Annotated[int | None, Count("How far, in place of metres", -(2**31), 2**31 - 1, "counts")] = None
-    channel: Annotated[int, Count("Of which channel", 0, schema.MAX_CHANNELS - 1)] = 0
+    metres: Annotated[float | None, quantity("How far", "m", left_out="counts says it")] = None
+    counts: Annotated[int | None, count("How far, in place of metres", -(2**31), 2**31 - 1, "counts")] = None
+    channel: Annotated[int, count("Of which channel", 0, schema.MAX_CHANNELS - 1)] = 0
 
     @model_validator(mode="after")
     def _one_length(self) -> Leap:
@@ -168,7 +168,7 @@ class Rate(Lasting):
 
     counted: ClassVar[str] = "positions left out or repeated"
     kind: Literal["rate"] = "rate"
-    factor: Annotated[float, Quantity("The rate over the declared one", "1", least=0.01, most=10)]
+    factor: Annotated[float, quantity("The rate over the declared one", "1", least=0.01, most=10)]
 
     def effect(self, seed: str) -> Effect:
         return _OtherRate(self, seed)
@@ -217,7 +217,7 @@ class Reboot(Event):
 
     counted: ClassVar[str] = "times"
     kind: Literal["reboot"] = "reboot"
-    seconds: Annotated[float, Quantity("How long it takes to come back", "s", above=0)] = 0.5
+    seconds: Annotated[float, quantity("How long it takes to come back", "s", above=0)] = 0.5
 
     def effect(self, seed: str) -> Effect:
         return _Rebooting(self, seed)

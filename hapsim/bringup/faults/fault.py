@@ -15,18 +15,18 @@ from firmware_protocol.decoder import Frame
 from firmware_protocol.frames import frame_to_device, frame_to_host
 from hapsim.bringup.capture import Decoded
 from hapsim.scene.part import Part
-from hapsim.scene.quantity import Count, Quantity, unexpected
+from hapsim.scene.quantity import count, quantity, unexpected
 
 POSITIONS = (schema.POSITION, schema.POSITION_HELD)
 
 Direction = Literal["from_device", "to_device", "both"]
 
-AT = Quantity("When it happens, after the first byte", "s", least=0)
-FROM = Quantity("From when on it happens, after the first byte", "s", least=0)
-FOR = Quantity("For how long", "s", above=0)
-AFTER_SAMPLES = Count("When so many samples of the device have passed, in place of a time", 0, 2**31, "samples")
-FOR_SAMPLES = Count("For so many samples of the device, in place of a time", 1, 2**31, "samples")
-PROBABILITY = Quantity("Of each frame", "1", least=0, most=1)
+AT = quantity("When it happens, after the first byte", "s", least=0)
+FROM = quantity("From when on it happens, after the first byte", "s", least=0)
+FOR = quantity("For how long", "s", above=0)
+AFTER_SAMPLES = count("When so many samples of the device have passed, in place of a time", 0, 2**31, "samples")
+FOR_SAMPLES = count("For so many samples of the device, in place of a time", 1, 2**31, "samples")
+PROBABILITY = quantity("Of each frame", "1", least=0, most=1)
 
 
 def tidy(seconds: float) -> float:

@@ -25,8 +25,8 @@ from hapsim.bringup.faults.wire_faults import (
 from hapsim.errors import UsageError
 from hapsim.scene.error_messages import Layout, findings_of
 from hapsim.scene.part import Part
-from hapsim.scene.quantity import Count
-from hapsim.scene.quantity import Version as FormatVersion
+from hapsim.scene.quantity import count
+from hapsim.scene.quantity import version as format_version
 from hapsim.scene.yaml_file import YamlFile
 
 VERSION = 1
@@ -47,14 +47,14 @@ class Script(Part):
         faults: which, in the order of the file.
     """
 
-    version: Annotated[int, FormatVersion(VERSION, "script")]
-    seed: Annotated[int, Count("Seed of what is left to chance", 0, 2**32 - 1)] = 0
+    version: Annotated[int, format_version(VERSION, "script")]
+    seed: Annotated[int, count("Seed of what is left to chance", 0, 2**32 - 1)] = 0
     faults: list[Annotated[AnyFault, Field(discriminator="kind")]] = Field(min_length=1)
 
 
 _FILE = YamlFile(UsageError, "a script of faults in YAML", "found nothing, expected a script: version and faults")
 _LAYOUT = Layout(
-    {(): Script},
+    Script,
     "faults",
     "kind",
     KINDS,

@@ -24,7 +24,7 @@ from hapsim.bringup.faults.fault import (
     at_most_one,
     tidy,
 )
-from hapsim.scene.quantity import Count, Quantity
+from hapsim.scene.quantity import count, quantity
 
 
 class Drop(OnFrames):
@@ -39,7 +39,7 @@ class Corrupt(OnFrames):
 
     counted: ClassVar[str] = "frames damaged"
     kind: Literal["corrupt"] = "corrupt"
-    bits: Annotated[int, Count("How many bits of a frame flip", 1, 64)] = 1
+    bits: Annotated[int, count("How many bits of a frame flip", 1, 64)] = 1
 
     def change(self, piece: Piece, effect: Effect) -> list[Piece]:
         data, every = bytearray(piece.data), 8 * len(piece.data)
@@ -64,7 +64,7 @@ class Delay(OnFrames):
 
     counted: ClassVar[str] = "frames held up"
     kind: Literal["delay"] = "delay"
-    seconds: Annotated[float, Quantity("By how much", "s", above=0)]
+    seconds: Annotated[float, quantity("By how much", "s", above=0)]
 
     def change(self, piece: Piece, effect: Effect) -> list[Piece]:
         del effect
@@ -76,7 +76,7 @@ class Reorder(OnFrames):
 
     counted: ClassVar[str] = "frames swapped"
     kind: Literal["reorder"] = "reorder"
-    within: Annotated[float, Quantity("For how long the next one is waited for", "s", above=0)] = 0.02
+    within: Annotated[float, quantity("For how long the next one is waited for", "s", above=0)] = 0.02
 
     def effect(self, seed: str) -> Effect:
         return _Reordering(self, seed)
@@ -113,9 +113,9 @@ class Garbage(Lasting):
     counted: ClassVar[str] = "bursts of bytes"
     kind: Literal["garbage"] = "garbage"
     direction: Direction = Field(default="from_device", description="Which way they go")
-    bytes: Annotated[int, Count("How many at a time", 1, 100_000)]
-    every: Annotated[float | None, Quantity("How often they come", "s", above=0, left_out="once")] = None
-    every_samples: Annotated[int | None, Count("How often they come, in place of a time", 1, 2**31, "samples")] = None
+    bytes: Annotated[int, count("How many at a time", 1, 100_000)]
+    every: Annotated[float | None, quantity("How often they come", "s", above=0, left_out="once")] = None
+    every_samples: Annotated[int | None, count("How often they come, in place of a time", 1, 2**31, "samples")] = None
 
     @model_validator(mode="after")
     def _one_period(self) -> Garbage:
@@ -158,7 +158,7 @@ class WrongBaud(OnFrames):
 
     counted: ClassVar[str] = "frames garbled"
     kind: Literal["wrong_baud"] = "wrong_baud"
-    ratio: Annotated[float, Quantity("The receiver's bit rate over the sender's", "1", least=0.05, most=20)] = 0.5
+    ratio: Annotated[float, quantity("The receiver's bit rate over the sender's", "1", least=0.05, most=20)] = 0.5
 
     def change(self, piece: Piece, effect: Effect) -> list[Piece]:
         del effect

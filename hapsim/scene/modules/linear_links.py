@@ -8,12 +8,12 @@ from pydantic import Field
 
 from ..choices import DAMPER, WITH_CUTOFF, WITH_SENSOR, DamperScheme
 from ..issue import Issue, one_of, quote
-from ..quantity import Quantity
+from ..quantity import quantity
 from .link import Link
-from .module import Check, ModuleContext
+from .module import ModuleContext, check_of
 from .points import DevicePoint
 
-CUTOFF = Quantity(f"Cutoff of the {one_of(WITH_CUTOFF)} damper", "Hz", above=0)
+CUTOFF = quantity(f"Cutoff of the {one_of(WITH_CUTOFF)} damper", "Hz", above=0)
 
 
 class Spring(Link):
@@ -22,7 +22,7 @@ class Spring(Link):
     live: ClassVar[tuple[str, ...]] = ("stiffness",)
 
     type: Literal["spring"] = Field(default="spring", description="A spring")
-    stiffness: Annotated[float, Quantity("Stiffness", "N/m", least=0)]
+    stiffness: Annotated[float, quantity("Stiffness", "N/m", least=0)]
 
 
 class Damper(Link):
@@ -31,7 +31,7 @@ class Damper(Link):
     live: ClassVar[tuple[str, ...]] = ("damping",)
 
     type: Literal["damper"] = Field(default="damper", description="A viscous damper")
-    damping: Annotated[float, Quantity("Viscosity", "N·s/m", least=0)]
+    damping: Annotated[float, quantity("Viscosity", "N·s/m", least=0)]
 
 
 class ViscoElastic(Link):
@@ -40,31 +40,25 @@ class ViscoElastic(Link):
     live: ClassVar[tuple[str, ...]] = ("stiffness", "damping")
 
     type: Literal["viscoelastic"] = Field(default="viscoelastic", description="A spring and a damper in parallel")
-    stiffness: Annotated[float, Quantity("Stiffness of the spring", "N/m", least=0)]
-    damping: Annotated[float, Quantity("Viscosity of the damper", "N·s/m", least=0)] = 0.0
+    stiffness: Annotated[float, quantity("Stiffness of the spring", "N/m", least=0)]
+    damping: Annotated[float, quantity("Viscosity of the damper", "N·s/m", least=0)] = 0.0
     damper: DamperScheme = Field(default="backward", description=DAMPER)
     cutoff: Annotated[float | None, replace(CUTOFF, left_out="no filter")] = None
 
-    def checks(self) -> list[Check]:
-        own = [Check(("damper", "cutoff"), self._cutoff_fits), Check(("between", "damper"), self._is_sensed)]
-        return super().checks() + own
-
-    def _cutoff_fits(self, name: str, _around: ModuleContext) -> Iterator[Issue]:
-        path = ("modules", name)
+    @check_of("damper", "cutoff")
+    def _cutoff_fits(self, _name: str, _around: ModuleContext) -> Iterator[Issue]:
         if self.damper in WITH_CUTOFF and self.cutoff is None:
             sentence = f"found {self.damper} without a cutoff, expected cutoff: a number > 0 (Hz) too"
-            yield Issue((*path, "damper"), sentence)
+            yield Issue(("damper",), sentence)
         elif self.damper not in WITH_CUTOFF and self.cutoff is not None:
             having = one_of(WITH_CUTOFF)
             sentence = f"found a cutoff, which the {self.damper} damper does not have; expected damper: {having}"
-            yield Issue((*path, "cutoff"), sentence)
+            yield Issue(("cutoff",), sentence)
 
-    def _is_sensed(self, name: str, around: ModuleContext) -> Iterator[Issue]:
+    @check_of("between", "damper")
+    def _is_sensed(self, _name: str, around: ModuleContext) -> Iterator[Issue]:
         ends = [around.kinds.get(end) for end in self.between]
         if self.damper in WITH_SENSOR and None not in ends and DevicePoint not in ends:
             names = " and ".join(map(quote, self.between))
-            yield Issue(
-                ("modules", name, "damper"),
-                f"found {self.damper} between {names}, which no device senses; "
-                "expected a point of type device at one end",
-            )
+            expected = "expected a point of type device at one end"
+            yield Issue(("damper",), f"found {self.damper} between {names}, which no device senses; {expected}")

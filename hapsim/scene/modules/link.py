@@ -4,16 +4,15 @@ from collections.abc import Iterator
 from typing import Annotated, ClassVar
 
 from ..issue import Issue, did_you_mean, quote
-from ..quantity import Words
-from .module import Check, Module, ModuleContext
+from ..quantity import names
+from .module import Module, ModuleContext, check_of
 from .structure import Structure
 
-ENDS = Words(
+ENDS = names(
     "The two modules that it joins, by name",
-    (),
-    2,
+    "the names of two modules, such as [hand, wall]",
     entry="the name of a module",
-    several="the names of two modules, such as [hand, wall]",
+    count=2,
 )
 
 
@@ -24,36 +23,23 @@ class Link(Module):
     can_move: ClassVar[bool] = False
     between: Annotated[tuple[str, str], ENDS]
 
-    def checks(self) -> list[Check]:
-        return [Check(("between",), self._ends_fit)]
-
+    @check_of("between")
     def _ends_fit(self, name: str, around: ModuleContext) -> Iterator[Issue]:
-        path = ("modules", name, "between")
-        wrong_ends = [
-            Issue((*path, index), sentence)
-            for index, end in enumerate(self.between)
-            if (sentence := _wrong_end(name, end, around))
-        ]
-        yield from wrong_ends
-        if wrong_ends:
+        wrong_ends = {index: _wrong_end(name, end, around) for index, end in enumerate(self.between)}
+        yield from (Issue(("between", index), sentence) for index, sentence in wrong_ends.items() if sentence)
+        if any(wrong_ends.values()):
             return
         first, second = self.between
+        kinds = [around.kinds.get(end) for end in self.between]
         if first == second:
-            yield Issue(path, f"found {quote(first)} at both ends, expected two different points")
-        elif all(_stays(end, around) for end in self.between):
-            yield Issue(
-                path,
-                f"found {quote(first)} and {quote(second)}, of which neither can move; expected one end that can",
-            )
-
-
-def _stays(end: str, around: ModuleContext) -> bool:
-    """Whether no force moves what is at this end."""
-    kind = around.kinds.get(end)
-    return kind is not None and not kind.can_move
+            yield Issue(("between",), f"found {quote(first)} at both ends, expected two different points")
+        elif all(kind is not None and not kind.can_move for kind in kinds):
+            ends = f"{quote(first)} and {quote(second)}"
+            yield Issue(("between",), f"found {ends}, of which neither can move; expected one end that can")
 
 
 def _wrong_end(name: str, end: str, around: ModuleContext) -> str | None:
+    """What is wrong with an end of the link `name`, in words."""
     if end == name:
         return f"found {quote(end)}, the link itself; expected a point to hold"
     holder = around.holder(end)
@@ -62,22 +48,22 @@ def _wrong_end(name: str, end: str, around: ModuleContext) -> str | None:
         hint = did_you_mean(end, points)
         return f"found {quote(end)}, expected the name of a module of this scene{hint}"
     kind = around.kinds[holder]
-    if kind is not None and (holder != end or issubclass(kind, Structure)):
-        return _wrong_place(end, holder, kind, around)
-    if kind is not None and not kind.is_point:
+    if kind is None:
+        return None
+    if issubclass(kind, Structure):
+        return _wrong_place(end, holder, around) if around.knows(holder, *kind.counts) else None
+    if holder != end:
+        what = kind.model_fields["type"].default
+        return f"found {quote(end)}, but {quote(holder)} is a single {what}; leave out the dot and what follows"
+    if not kind.is_point:
         return f"found {quote(end)}, which is a link; expected a point: a link joins points, not links"
     return None
 
 
-def _wrong_place(end: str, holder: str, kind: type[Module], around: ModuleContext) -> str | None:
-    """What is wrong with an end that names a structure, or a place in a module."""
-    if not issubclass(kind, Structure):
-        what = kind.model_fields["type"].default
-        return f"found {quote(end)}, but {quote(holder)} is a single {what}; leave out the dot and what follows"
+def _wrong_place(end: str, holder: str, around: ModuleContext) -> str | None:
     structure = around.modules[holder]
     assert isinstance(structure, Structure)
-    numbers = structure.numbers({field for field in kind.counts if around.knows(holder, field)})
-    if holder != end and numbers.are(end[len(holder) + 1 :]):
+    if holder != end and structure.has_place(end[len(holder) + 1 :]):
         return None
-    expected = f"expected one of its masses, {structure.place_words(numbers)}, such as {holder}.{numbers.first}"
+    expected = f"expected one of its masses, {structure.place_words()}, such as {holder}{'.0' * len(structure.counts)}"
     return f"found {quote(end)}, but {quote(holder)} is a {structure.type}; {expected}"

@@ -1,8 +1,8 @@
 """What every module of a scene is, and what it may ask of the modules around it."""
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
-from typing import Any, ClassVar, NamedTuple
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar
 
 from pydantic import GetJsonSchemaHandler
 from pydantic_core import core_schema
@@ -10,17 +10,18 @@ from pydantic_core import core_schema
 from ..issue import Issue
 from ..part import Part
 
+#: A check of a module with those around it: yields issues, whose paths begin within the module.
+Check = Callable[[Any, str, "ModuleContext"], Iterator[Issue]]
 
-class Check(NamedTuple):
-    """A check of a module with those around it.
 
-    Attributes:
-        fields: those of its own that it looks at; where one of them is faulty the check is left out.
-        issues: what it finds, of the module's name and what is around.
-    """
+def check_of(*fields: str) -> Callable[[Check], Check]:
+    """Marks a method of a module as a `Check` that looks at these fields: where one is faulty it is skipped."""
 
-    fields: tuple[str, ...]
-    issues: Callable[[str, "ModuleContext"], Iterator[Issue]]
+    def mark(method: Check) -> Check:
+        method.fields = fields  # type: ignore[attr-defined]
+        return method
+
+    return mark
 
 
 class Module(Part):
@@ -37,15 +38,13 @@ class Module(Part):
 
     type: str
 
-    def checks(self) -> list[Check]:
-        """What is to be looked at together with the others."""
-        return []
-
     def issues(self, name: str, around: "ModuleContext") -> Iterator[Issue]:
-        """Faults that this module, called ``name``, has together with the others, as far as they can be judged."""
-        for check in self.checks():
-            if around.knows(name, *check.fields):
-                yield from check.issues(name, around)
+        """Yields the faults that this module, called ``name``, has together with the others."""
+        for kind in reversed(type(self).__mro__):
+            for check in vars(kind).values():
+                if hasattr(check, "fields") and around.knows(name, *check.fields):
+                    for issue in check(self, name, around):
+                        yield replace(issue, path=("modules", name, *issue.path))
 
     @classmethod
     def __get_pydantic_json_schema__(
@@ -63,9 +62,9 @@ class ModuleContext:
     """The modules of a scene, of which some may be faulty.
 
     Attributes:
-        modules: by name; of a faulty one its sound fields, and the others are not there.
-        kinds: the class of every module by name; None where not even the type is known, and then it is no module.
-        faulty: of each faulty module the fields that are not sound.
+        modules: by name; a faulty one has its sound fields only, one of unknown type is missing.
+        kinds: the class of every module by name; None where the type is unknown.
+        faulty: the faulty fields of each faulty module.
     """
 
     modules: Mapping[str, Module]
@@ -73,10 +72,10 @@ class ModuleContext:
     faulty: Mapping[str, frozenset[str]] = field(default_factory=dict)
 
     def knows(self, name: str, *fields: str) -> bool:
-        """Whether these fields of a module are sound."""
+        """Returns whether these fields of a module are sound."""
         return name in self.modules and self.faulty.get(name, frozenset()).isdisjoint(fields)
 
     def holder(self, end: str) -> str:
-        """The module that the end of a link names: itself, or the structure of which it names a point."""
+        """Returns the module that the end of a link names: itself, or the structure of which it names a point."""
         name, dot, _ = end.partition(".")
         return name if dot else end

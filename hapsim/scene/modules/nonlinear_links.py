@@ -6,14 +6,14 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import Field
 
 from ..issue import Issue
-from ..quantity import Curve, CurvePoints, Quantity
+from ..quantity import Curve, curve, quantity
 from .link import Link
-from .module import Check, ModuleContext
+from .module import ModuleContext, check_of
 
-OVER_DISTANCE = CurvePoints(
+OVER_DISTANCE = curve(
     "Tension with which it pulls its ends together, over the first end minus the second", "m", "N", "none"
 )
-OVER_VELOCITY = CurvePoints(
+OVER_VELOCITY = curve(
     "Tension with which it pulls its ends together, over how fast the first end minus the second grows",
     "m/s",
     "N",
@@ -29,9 +29,9 @@ class Buffer(Link):
     type: Literal["buffer"] = Field(
         default="buffer", description="A contact from one side: keeps its first end above its second, and never pulls"
     )
-    stiffness: Annotated[float, Quantity("Stiffness of the contact", "N/m", least=0)]
-    damping: Annotated[float, Quantity("Viscosity of the contact", "N·s/m", least=0)] = 0.0
-    distance: Annotated[float, Quantity("First end minus second, below which they touch", "m")] = 0.0
+    stiffness: Annotated[float, quantity("Stiffness of the contact", "N/m", least=0)]
+    damping: Annotated[float, quantity("Viscosity of the contact", "N·s/m", least=0)] = 0.0
+    distance: Annotated[float, quantity("First end minus second, below which they touch", "m")] = 0.0
 
 
 class Nonlinear(Link):
@@ -43,14 +43,11 @@ class Nonlinear(Link):
     force_over_distance: Annotated[Curve | None, OVER_DISTANCE] = None
     force_over_velocity: Annotated[Curve | None, OVER_VELOCITY] = None
 
-    def checks(self) -> list[Check]:
-        curves = ("force_over_distance", "force_over_velocity")
-        return [*super().checks(), Check(curves, self._has_a_curve)]
-
-    def _has_a_curve(self, name: str, _around: ModuleContext) -> Iterator[Issue]:
+    @check_of("force_over_distance", "force_over_velocity")
+    def _has_a_curve(self, _name: str, _around: ModuleContext) -> Iterator[Issue]:
         if self.force_over_distance is None and self.force_over_velocity is None:
             sentence = "found neither force_over_distance nor force_over_velocity, expected at least one of them"
-            yield Issue(("modules", name), sentence, at_key=True)
+            yield Issue((), sentence, at_key=True)
 
 
 class Friction(Link):
@@ -59,27 +56,23 @@ class Friction(Link):
     live: ClassVar[tuple[str, ...]] = ("force", "static", "stiffness", "damping")
 
     type: Literal["friction"] = Field(default="friction", description="Dry friction: sticks, and slides")
-    force: Annotated[float, Quantity("Friction while it slides", "N", least=0)]
+    force: Annotated[float, quantity("Friction while it slides", "N", least=0)]
     static: Annotated[
-        float | None, Quantity("Force at which it breaks away", "N", least=0, left_out="that of sliding")
+        float | None, quantity("Force at which it breaks away", "N", least=0, left_out="that of sliding")
     ] = None
-    stiffness: Annotated[float, Quantity("Stiffness of the bristle that sticks", "N/m", above=0)]
-    damping: Annotated[float, Quantity("Viscosity of the bristle while it sticks", "N·s/m", least=0)] = 0.0
+    stiffness: Annotated[float, quantity("Stiffness of the bristle that sticks", "N/m", above=0)]
+    damping: Annotated[float, quantity("Viscosity of the bristle while it sticks", "N·s/m", least=0)] = 0.0
 
     @property
     def break_away(self) -> float:
         """Force at which it breaks away, N."""
         return self.force if self.static is None else self.static
 
-    def checks(self) -> list[Check]:
-        return [*super().checks(), Check(("force", "static"), self._breaks_away_above)]
-
-    def _breaks_away_above(self, name: str, _around: ModuleContext) -> Iterator[Issue]:
+    @check_of("force", "static")
+    def _breaks_away_above(self, _name: str, _around: ModuleContext) -> Iterator[Issue]:
         if self.break_away < self.force:
-            yield Issue(
-                ("modules", name, "static"),
-                f"found {self.static:g}, less than the force while it slides; expected a number >= {self.force:g} (N)",
-            )
+            expected = f"expected a number >= {self.force:g} (N)"
+            yield Issue(("static",), f"found {self.static:g}, less than the force while it slides; {expected}")
 
 
 class Plectrum(Link):
@@ -90,6 +83,6 @@ class Plectrum(Link):
     type: Literal["plectrum"] = Field(
         default="plectrum", description="Plucks: grips, releases beyond a distance, and grips again where its ends meet"
     )
-    stiffness: Annotated[float, Quantity("Stiffness while it grips", "N/m", least=0)]
-    damping: Annotated[float, Quantity("Viscosity while it grips", "N·s/m", least=0)] = 0.0
-    release: Annotated[float, Quantity("Distance of its ends beyond which it releases", "m", above=0)]
+    stiffness: Annotated[float, quantity("Stiffness while it grips", "N/m", least=0)]
+    damping: Annotated[float, quantity("Viscosity while it grips", "N·s/m", least=0)] = 0.0
+    release: Annotated[float, quantity("Distance of its ends beyond which it releases", "m", above=0)]

@@ -9,28 +9,24 @@ from typing import Annotated, ClassVar, Literal, NamedTuple
 from pydantic import Field
 
 from ..issue import Issue, quote
-from ..quantity import MOST_CHANNELS, Count, Quantity
-from .module import Check, Module, ModuleContext
+from ..quantity import MOST_CHANNELS, count, quantity
+from .module import Module, ModuleContext, check_of
 
 
 class DevicePoint(Module):
     """The point of the scene that the hand holds: one channel of the device."""
 
     type: Literal["device"] = Field(default="device", description="A point that the hand holds")
-    channel: Annotated[int, Count("Channel of the device, counted from 0", 0, MOST_CHANNELS - 1)]
+    channel: Annotated[int, count("Channel of the device, counted from 0", 0, MOST_CHANNELS - 1)]
 
-    def checks(self) -> list[Check]:
-        return [Check(("channel",), self._is_alone_on_its_channel)]
-
+    @check_of("channel")
     def _is_alone_on_its_channel(self, name: str, around: ModuleContext) -> Iterator[Issue]:
         points = {other: one for other, one in around.modules.items() if isinstance(one, DevicePoint)}
-        for other, point in points.items():
-            if other == name:
-                return
-            if around.knows(other, "channel") and point.channel == self.channel:
-                sentence = f"found {self.channel}, which {quote(other)} has already; expected a channel of its own"
-                yield Issue(("modules", name, "channel"), sentence)
-                return
+        sound = [other for other in points if around.knows(other, "channel")]
+        first = next(other for other in sound if points[other].channel == self.channel)
+        if first != name:
+            sentence = f"found {self.channel}, which {quote(first)} has already; expected a channel of its own"
+            yield Issue(("channel",), sentence)
 
 
 class Ground(Module):
@@ -40,7 +36,7 @@ class Ground(Module):
     live: ClassVar[tuple[str, ...]] = ("position",)
 
     type: Literal["ground"] = Field(default="ground", description="A fixed point")
-    position: Annotated[float, Quantity("Where it is", "m")] = 0.0
+    position: Annotated[float, quantity("Where it is", "m")] = 0.0
 
 
 class Held(NamedTuple):
@@ -59,7 +55,7 @@ class MaterialPoint(Module):
     pulls_itself: ClassVar[bool] = False
     initial: ClassVar[tuple[str, ...]] = ("position", "velocity")
 
-    mass: Annotated[float, Quantity("Mass", "kg", above=0)]
+    mass: Annotated[float, quantity("Mass", "kg", above=0)]
 
     @abstractmethod
     def start(self) -> tuple[float, float]:
@@ -74,8 +70,8 @@ class Mass(MaterialPoint):
     """A simulated material point."""
 
     type: Literal["mass"] = Field(default="mass", description="A material point")
-    position: Annotated[float, Quantity("Position at the start", "m")] = 0.0
-    velocity: Annotated[float, Quantity("Velocity at the start", "m/s")] = 0.0
+    position: Annotated[float, quantity("Position at the start", "m")] = 0.0
+    velocity: Annotated[float, quantity("Velocity at the start", "m/s")] = 0.0
 
     def start(self) -> tuple[float, float]:
         return self.position, self.velocity
@@ -87,11 +83,11 @@ class Cell(MaterialPoint):
     live: ClassVar[tuple[str, ...]] = ("stiffness", "damping", "rest")
 
     type: Literal["cell"] = Field(default="cell", description="A material point that is held where it rests")
-    stiffness: Annotated[float, Quantity("Stiffness of the spring that holds it", "N/m", least=0)]
-    damping: Annotated[float, Quantity("Viscosity of the damper that holds it", "N·s/m", least=0)] = 0.0
-    rest: Annotated[float, Quantity("Where it rests", "m")] = 0.0
-    position: Annotated[float | None, Quantity("Position at the start", "m", left_out="where it rests")] = None
-    velocity: Annotated[float, Quantity("Velocity at the start", "m/s")] = 0.0
+    stiffness: Annotated[float, quantity("Stiffness of the spring that holds it", "N/m", least=0)]
+    damping: Annotated[float, quantity("Viscosity of the damper that holds it", "N·s/m", least=0)] = 0.0
+    rest: Annotated[float, quantity("Where it rests", "m")] = 0.0
+    position: Annotated[float | None, quantity("Position at the start", "m", left_out="where it rests")] = None
+    velocity: Annotated[float, quantity("Velocity at the start", "m/s")] = 0.0
 
     def start(self) -> tuple[float, float]:
         return self.rest if self.position is None else self.position, self.velocity

@@ -7,16 +7,17 @@ from pydantic import Field
 
 from ..issue import Issue
 from ..part import Part
-from ..quantity import Count, Quantity, Words
-from .module import Check, ModuleContext
-from .structure import Elements, Numbers, Structure
+from ..quantity import count, quantity, words_of
+from .module import ModuleContext, check_of
+from .structure import Elements, Structure
 
 MOST_MASSES = 100_000
 
 #: fixed: a further link holds the end; clamped: it cannot turn there either, which only bending feels.
 StringEnd = Literal["fixed", "clamped", "free"]
 
-BENDING = Quantity(
+ENDS = words_of("How each end is held", ("fixed", "clamped", "free"), 2)
+BENDING = quantity(
     "Stiffness against bending: each mass is pulled to the middle of its neighbours, and they the other way",
     "N/m",
     least=0,
@@ -26,59 +27,46 @@ BENDING = Quantity(
 class Pluck(Part):
     """A string that is pulled aside before the run begins, and released at rest. SI units."""
 
-    at: Annotated[int, Count("Number of the mass that is pulled aside", 0, MOST_MASSES - 1)]
-    by: Annotated[float, Quantity("How far it is pulled aside", "m")]
+    at: Annotated[int, count("Number of the mass that is pulled aside", 0, MOST_MASSES - 1)]
+    by: Annotated[float, quantity("How far it is pulled aside", "m")]
 
 
 class String(Structure):
     """Equal masses in a row, each linked to the next; at rest where all are at `position`."""
 
     counts: ClassVar[tuple[str, ...]] = ("masses",)
-    live: ClassVar[tuple[str, ...]] = ("stiffness", "damping", "friction")
     initial: ClassVar[tuple[str, ...]] = ("pluck",)
 
     type: Literal["string"] = Field(default="string", description="Equal masses in a row, each linked to the next")
-    masses: Annotated[int, Count("How many masses", 2, MOST_MASSES)]
-    mass: Annotated[float, Quantity("Mass of each", "kg", above=0)]
-    stiffness: Annotated[float, Quantity("Stiffness of each link", "N/m", least=0)]
-    damping: Annotated[float, Quantity("Viscosity of each link", "N·s/m", least=0)] = 0.0
-    friction: Annotated[float, Quantity("Viscous friction of each mass in what is around it", "N·s/m", least=0)] = 0.0
+    masses: Annotated[int, count("How many masses", 2, MOST_MASSES)]
     bending: Annotated[float, BENDING] = 0.0
-    ends: Annotated[tuple[StringEnd, StringEnd], Words("How each end is held", ("fixed", "clamped", "free"), 2)] = (
-        "fixed",
-        "fixed",
-    )
-    position: Annotated[float, Quantity("Where it is at rest, and begins", "m")] = 0.0
+    ends: Annotated[tuple[StringEnd, StringEnd], ENDS] = ("fixed", "fixed")
     pluck: Pluck | None = Field(
         default=None,
         title="Pluck",
         description="How it is pulled aside at the start: straight from that mass down to where a mass beyond each end "
-        "would be; left out: not at all",
+        "would be; default: not at all",
     )
 
     def point_names(self) -> list[str]:
         return [str(i) for i in range(self.masses)]
 
-    def place_words(self, numbers: Numbers) -> str:
-        return numbers.words()[0]
+    def place_words(self) -> str:
+        return f"0 to {self.masses - 1}"
 
     def initial_positions(self) -> list[float]:
         """In m: where it rests, or in the triangle in which the pluck holds it."""
         if self.pluck is None:
-            return [self.position] * self.masses
+            return super().initial_positions()
         at, by, masses = self.pluck.at, self.pluck.by, self.masses
         shares = (min((i + 1) / (at + 1), (masses - i) / (masses - at)) for i in range(masses))
         return [self.position + by * share for share in shares]
 
-    def checks(self) -> list[Check]:
-        return [Check(("masses", "pluck"), self._is_plucked_at_a_mass)]
-
+    @check_of("masses", "pluck")
     def _is_plucked_at_a_mass(self, name: str, _around: ModuleContext) -> Iterator[Issue]:
         if self.pluck is not None and self.pluck.at >= self.masses:
-            yield Issue(
-                ("modules", name, "pluck", "at"),
-                f"found {self.pluck.at}, but {name} has {self.masses} masses; expected 0 to {self.masses - 1}",
-            )
+            expected = f"{name} has {self.masses} masses; expected 0 to {self.masses - 1}"
+            yield Issue(("pluck", "at"), f"found {self.pluck.at}, but {expected}")
 
     def elements(self) -> Elements:
         """Bending about a point is half the square of x- - 2 x + x+, times its stiffness: with the stretches a and b
@@ -88,23 +76,20 @@ class String(Structure):
         nothing turns the end. At a clamped end it also acts about what holds it, with a further point that stands
         still beyond; at a fixed one it does not: the string turns there as on a hinge."""
         last = self.masses - 1
-        links = [(i, i + 1, self.stiffness, self.damping) for i in range(last)]
         held = [end for end, how in zip((0, last), self.ends, strict=True) if how != "free"]
+        links = [(i, i + 1, self.stiffness, self.damping) for i in range(last)]
         links += [(end, -1, self.stiffness, self.damping) for end in held]
         if self.friction:
             links += [(i, -1, 0.0, self.friction) for i in range(self.masses)]
-        if self.bending:
-            links += self._bending_links()
-        return Elements([self.mass] * self.masses, links)
+        return Elements([self.mass] * self.masses, links + (self._bending_links(held) if self.bending else []))
 
-    def _bending_links(self) -> list[tuple[int, int, float, float]]:
-        held = [how != "free" for how in self.ends]
-        points = [-1] * held[0] + list(range(self.masses)) + [-1] * held[1]
+    def _bending_links(self, held: list[int]) -> list[tuple[int, int, float, float]]:
+        last = self.masses - 1
+        points = [-1] * (0 in held) + list(range(self.masses)) + [-1] * (last in held)
         links = []
         for left, middle, right in zip(points, points[1:], points[2:], strict=False):
             links += [(middle, left, 2.0 * self.bending, 0.0), (middle, right, 2.0 * self.bending, 0.0)]
             links.append((max(left, right), min(left, right), -self.bending, 0.0))  # what stays is the second
-        for end, how in zip((0, self.masses - 1), self.ends, strict=True):
-            if how == "clamped":  # the point beyond the end stands still too: the bending at the end itself
-                links.append((end, -1, self.bending, 0.0))
+        clamped = [end for end, how in zip((0, last), self.ends, strict=True) if how == "clamped"]
+        links += [(end, -1, self.bending, 0.0) for end in clamped]  # the point beyond the end stands still too
         return [link for link in links if link[0] != link[1]]

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Collection
-from typing import ClassVar, NamedTuple
+from typing import Annotated, ClassVar, NamedTuple
 
-from ..quantity import Count
+from ..quantity import quantity
 from .module import Module
 
 
@@ -23,71 +22,43 @@ class Elements(NamedTuple):
     links: list[tuple[int, int, float, float]]
 
 
-class Numbers(NamedTuple):
-    """The whole numbers, with a dot between them, that name a point of a structure.
-
-    Attributes:
-        below: each is less than this.
-        known: whether that many there are; else as many as a structure can have, because its own is faulty.
-    """
-
-    below: tuple[int, ...]
-    known: tuple[bool, ...]
-
-    def are(self, place: str) -> bool:
-        """Whether a point is called so, or may be where a count is not known."""
-        numbers = place.split(".")
-        return len(numbers) == len(self.below) and all(map(is_number, numbers, self.below))
-
-    def words(self) -> list[str]:
-        """Which each may be."""
-        return [
-            f"0 to {below - 1}" + ("" if known else " at the most")
-            for below, known in zip(self.below, self.known, strict=True)
-        ]
-
-    @property
-    def first(self) -> str:
-        """What the first point is called."""
-        return ".".join("0" for _ in self.below)
-
-
 class Structure(Module):
     """Many masses under one name. A link holds one of them by the structure's name, a dot, and its place."""
 
     is_point: ClassVar[bool] = False
     can_move: ClassVar[bool] = False
+    live: ClassVar[tuple[str, ...]] = ("stiffness", "damping", "friction")
     #: The fields that count its points: a place has a number for each, in this order.
     counts: ClassVar[tuple[str, ...]] = ()
 
+    mass: Annotated[float, quantity("Mass of each", "kg", above=0)]
+    stiffness: Annotated[float, quantity("Stiffness of each link", "N/m", least=0)]
+    damping: Annotated[float, quantity("Viscosity of each link", "N·s/m", least=0)] = 0.0
+    friction: Annotated[float, quantity("Viscous friction of each mass in what is around it", "N·s/m", least=0)] = 0.0
+    position: Annotated[float, quantity("Where it is at rest, and begins", "m")] = 0.0
+
     @abstractmethod
     def point_names(self) -> list[str]:
-        """What each of its points is called after the dot, in their order."""
+        """Returns what each of its points is called after the dot, in their order."""
 
     @abstractmethod
-    def place_words(self, numbers: Numbers) -> str:
-        """Which places there are, in words that follow 'expected'."""
-
-    @abstractmethod
-    def initial_positions(self) -> list[float]:
-        """Where each of its points is when the run begins, at rest there, in m."""
+    def place_words(self) -> str:
+        """Returns which places there are, in words that follow 'expected'."""
 
     @abstractmethod
     def elements(self) -> Elements:
-        """The modules that it stands for."""
+        """Returns the modules that it stands for."""
 
-    def numbers(self, known: Collection[str]) -> Numbers:
-        """What names its points; `known`: which of the counts are sound."""
-        below = [getattr(self, field) if field in known else _most(type(self), field) for field in self.counts]
-        return Numbers(tuple(below), tuple(field in known for field in self.counts))
+    def initial_positions(self) -> list[float]:
+        """Returns where each of its points is when the run begins, at rest there, in m."""
+        return [self.position] * len(self.point_names())
 
-
-def _most(kind: type[Structure], field: str) -> int:
-    """How many a structure of this kind can have."""
-    (count,) = (expected for expected in kind.model_fields[field].metadata if isinstance(expected, Count))
-    return count.most
+    def has_place(self, place: str) -> bool:
+        """Returns whether one of its points is called so."""
+        numbers, below = place.split("."), [getattr(self, field) for field in self.counts]
+        return len(numbers) == len(below) and all(map(_is_number, numbers, below))
 
 
-def is_number(text: str, below: int) -> bool:
+def _is_number(text: str, below: int) -> bool:
     """Whether this is how a whole number from 0 to one less than `below` is written."""
     return len(text) <= 9 and text.isdecimal() and str(int(text)) == text and int(text) < below
