@@ -1,4 +1,4 @@
-"""What observes a run on behalf of others: the notifier of systemd, and the state that `hapsim status` reads.
+"""Observers of a run: the notifier of systemd, and the state that `hapsim status` reads.
 
 The notifier sends datagrams to $NOTIFY_SOCKET, as sd_notify(3): ready, running, stopping. It sends WATCHDOG=1 only if
 the loop has ticked since the last one, or while it waits for a device. systemd kills and restarts a loop that hangs;
@@ -20,12 +20,12 @@ from hapsim.progress import Progress
 from hapsim.running.reconnecting import RunObserver
 from hapsim.running.session import Session
 
-_SHARE = 1 / 3  # of the watchdog's time, after which it hears from us again
+_SHARE = 1 / 3  # of the watchdog's time, between two notifications
 _STATUS_S = 1.0  # between two lines of STATUS
 
 
 class Notifier:
-    """Tells nothing where no service manager listens. Nothing that fails here ends a run."""
+    """Notifies the service manager, if there is one. Nothing that fails here ends a run."""
 
     def __init__(
         self,
@@ -33,8 +33,9 @@ class Notifier:
         environ: Mapping[str, str] = os.environ,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """`reconnects`: the end of a session is not yet that of the run. `clock`: s."""
-        self._address = environ.get("NOTIFY_SOCKET", "")
+        """`reconnects`: the run goes on after the end of a session. `clock`: s."""
+        address = environ.get("NOTIFY_SOCKET", "")
+        self._address = f"\0{address[1:]}" if address.startswith("@") else address
         self._watchdog_s = _watchdog_s(environ)
         self._reconnects, self._clock = reconnects, clock
         self._ticks = 0
@@ -42,27 +43,24 @@ class Notifier:
 
     @property
     def observer(self) -> RunObserver:
-        """What has it tell."""
+        """Has a run notify the service manager."""
         if not self._address:
             return RunObserver()
         return RunObserver(
-            started=self._started, running=self._running, over=self._over, waiting=self._waiting, tell=self._tell
+            started=self._started, running=self._running, over=self._over, waiting=self._keep_alive, tell=self._tell
         )
 
     def stopping(self, why: object = "") -> None:
-        """The run is over; what is left is written. `why`: it did not end as asked, a sentence."""
+        """Notifies that the run is over. `why`: it did not end as asked, a sentence."""
         self._send("STOPPING=1", *([f"STATUS={_one_line(why)}"] if why else []))
 
     @contextlib.contextmanager
     def told_of_failures(self) -> Iterator[None]:
-        """Around a run: what ends it before anything is armed is reported, too."""
+        """Around a run: notifies of a failure before arming, too."""
         try:
             yield
-        except HapsimError as failure:
-            self.stopping(failure)
-            raise
         except Exception as failure:
-            self.stopping(f"a defect of hapsim: {failure!r}")
+            self.stopping(failure if isinstance(failure, HapsimError) else f"a defect of hapsim: {failure!r}")
             raise
 
     def _started(self, session: Session) -> None:
@@ -73,7 +71,7 @@ class Notifier:
         if progress.phase != "running":
             self._status(progress.phase)
             return
-        if progress.ticks > self._ticks and self._alive():
+        if progress.ticks > self._ticks and self._keep_alive():
             self._ticks = progress.ticks
         rate = "" if progress.seen_rate_hz is None else f" {progress.seen_rate_hz:.1f} Hz,"
         self._status(f"running {progress.elapsed_s:.0f} s,{rate} deadline misses {progress.deadline_misses}")
@@ -86,11 +84,8 @@ class Notifier:
         self._status_at = -1e9
         self._status(sentence)
 
-    def _waiting(self) -> None:
-        self._alive()
-
-    def _alive(self) -> bool:
-        """Tells it, unless that was only just told; whether it did."""
+    def _keep_alive(self) -> bool:
+        """Notifies the watchdog if it is due; returns whether it was."""
         if self._watchdog_s is None or self._clock() - self._alive_at < self._watchdog_s * _SHARE:
             return False
         self._alive_at = self._clock()
@@ -103,12 +98,10 @@ class Notifier:
             self._send(f"STATUS={_one_line(sentence)}")
 
     def _send(self, *lines: str) -> None:
-        if not self._address:
-            return
-        address = f"\0{self._address[1:]}" if self._address.startswith("@") else self._address
-        with contextlib.suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sending:
-            sending.setblocking(False)
-            sending.sendto("\n".join(lines).encode("utf-8", "replace"), address)
+        if self._address:
+            with contextlib.suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sending:
+                sending.setblocking(False)
+                sending.sendto("\n".join(lines).encode("utf-8", "replace"), self._address)
 
 
 def _one_line(sentence: object) -> str:
@@ -116,17 +109,16 @@ def _one_line(sentence: object) -> str:
 
 
 def _watchdog_s(environ: Mapping[str, str]) -> float | None:
-    """The time within which it has to hear from this process; None where it does not ask."""
+    """Returns the time within which systemd expects a notification of this process; None where it expects none."""
     try:
-        process, time_us = int(environ.get("WATCHDOG_PID") or os.getpid()), int(environ.get("WATCHDOG_USEC") or 0)
-        watchdog_s = 1e-6 * time_us
-    except (ValueError, OverflowError):
+        process, time_us = int(environ.get("WATCHDOG_PID") or os.getpid()), float(environ.get("WATCHDOG_USEC") or 0)
+    except ValueError:
         return None
-    return watchdog_s if watchdog_s > 0 and process == os.getpid() else None
+    return 1e-6 * time_us if 0 < time_us < float("inf") and process == os.getpid() else None
 
 
 class RunState:
-    """Kept up by its `observer`."""
+    """The state of a run, kept up by its `observer`."""
 
     def __init__(self, scene: str, port: str | None, nominal_rate_hz: float) -> None:
         """`scene`: its file. `port`: None for the mock."""
@@ -141,15 +133,14 @@ class RunState:
 
     @property
     def observer(self) -> RunObserver:
-        """What keeps it up."""
+        """Keeps the state up."""
         return RunObserver(started=self._started, over=self._over, waiting=self._waiting, tell=self._tell)
 
     def document(self) -> dict[str, Any]:
-        """As `--json` names it, of the session that runs, or else the last one; a value that is not there is None, as
-        force, position and age are while nothing runs: the last ones are not what the hand has now."""
-        session = self._session
-        progress = None if session is None else session.progress()
-        now = progress if self._phase == "running" else None
+        """Returns the state under the names of `--json`, for the session that runs, or else the last one. Force,
+        position and age are None while nothing runs: the hand does not have the last ones now."""
+        runs = self._phase == "running"
+        progress = Progress("waiting") if self._session is None else self._session.progress()
         return self._about | {
             "phase": self._phase,
             "armed_since": self._armed_since,
@@ -157,17 +148,12 @@ class RunState:
             "news": self._news,
             "lost": self._lost,
             "released": self._released,
-            "duration_s": None if progress is None else progress.elapsed_s,
-            "rate_hz": None if progress is None else progress.rate_hz,
-            "ticks": 0 if progress is None else progress.ticks,
-            "force_n": None if now is None else now.force,
-            "position_m": None if now is None else now.position,
-            "age_samples": None if now is None else now.age_samples,
-            "deadline_misses": 0 if progress is None else progress.deadline_misses,
-            "limited_ticks": 0 if progress is None else progress.limited_ticks,
-            "estimated_mass_kg": () if progress is None else progress.estimated_mass_kg,
-            "estimated_mass_uncertainty_kg": () if progress is None else progress.estimated_mass_uncertainty_kg,
-            "mass_explained": () if progress is None else progress.mass_explained,
+            "duration_s": progress.elapsed_s if self._session else None,
+            "rate_hz": progress.rate_hz if self._session else None,
+            "force_n": progress.force if runs else None,
+            "position_m": progress.position if runs else None,
+            "age_samples": progress.age_samples if runs else None,
+            **{name: getattr(progress, name) for name in _SAME},
         }
 
     def _started(self, session: Session) -> None:
@@ -177,10 +163,10 @@ class RunState:
 
     def _over(self) -> None:
         if self._phase == "running" and self._session is not None:
-            with contextlib.suppress(UsageError):  # a session whose end failed has no report: not known
+            with contextlib.suppress(UsageError):  # a session whose end failed has no report
                 self._released = self._session.trace.report.released
         elif self._released:
-            self._released = None  # what was tried since then may have armed it, and no report tells
+            self._released = None  # a try since then may have armed the device, and there is no report of it
         self._armed_since, self._phase = None, "ended"
 
     def _waiting(self) -> None:
@@ -189,4 +175,15 @@ class RunState:
     def _tell(self, event: str, sentence: str) -> None:
         self._news = sentence
         if event == "lost":
-            self._lost = sentence  # what comes while it is waited for is about the port
+            self._lost = sentence  # later events are about the port
+
+
+_SAME = (
+    "ticks",
+    "deadline_misses",
+    "limited_ticks",
+    "estimated_mass_kg",
+    "estimated_mass_uncertainty_kg",
+    "mass_explained",
+)
+"""What a document has as Progress has it."""

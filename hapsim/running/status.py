@@ -1,6 +1,6 @@
-"""The unix socket of `hapsim run --status`: it sends one document to whoever connects, then hangs up.
+"""The unix socket of `hapsim run --status`: it sends one document to each client, then hangs up.
 
-It reads nothing from a reader and waits for none: what the kernel does not take at once is dropped. Only its owner may
+It reads nothing from a client and waits for none: what the kernel does not take at once is dropped. Only its owner may
 connect, by its mode and that of its directory.
 """
 
@@ -25,15 +25,15 @@ AUTO = "auto"
 """In place of a path: where `hapsim status` looks."""
 
 _ENDING = ".sock"
-_PAUSE_S = 0.01  # after each answer: however many ask, the processor is somebody else's
+_PAUSE_S = 0.01  # after each answer, so that many clients take little processor time
 _TIMEOUT_S = 2.0
 _LONGEST = 1 << 20
 
 
 @contextlib.contextmanager
 def telling(path: Path, document: Callable[[], str], gives_way: bool = True) -> Iterator[None]:
-    """While open, sends what `document` returns to whoever connects to `path`. Replaces the socket of a process that
-    was killed. Raises UsageError where no socket can be made. `gives_way`: the answering thread gives way to others."""
+    """While open, sends what `document` returns to each client of `path`. Replaces the socket of a process that was
+    killed. Raises UsageError where no socket can be made. `gives_way`: the answering thread has idle priority."""
     listening = _listen(path)
     asked_to_stop, stop = socket.socketpair()
     try:
@@ -42,7 +42,7 @@ def telling(path: Path, document: Callable[[], str], gives_way: bool = True) -> 
             yield
         finally:
             stop.send(b".")
-            with contextlib.suppress(Exception):  # what it tells of a run is no reason to fail it
+            with contextlib.suppress(Exception):  # a failure to report a run does not end it
                 work.result()
     finally:
         for one in (listening, asked_to_stop, stop):
@@ -68,60 +68,43 @@ def path_for(port: str | None) -> Path:
 
 
 def sockets(port: str | None = None) -> list[Path]:
-    """Returns every default socket that exists, of any port or of this one. Skips directories of other users, who could
-    tell this user anything."""
-    name = "*" if port is None else _name(port)
-    found = [
-        path
-        for folder in filter(_is_trusted, _folders())
-        for pattern in (name, f"*/{name}")
-        for path in _glob(folder, pattern)
-    ]
-    return list(dict.fromkeys(found))
+    """Returns every default socket, of any port or of this one. Skips directories of other users, whose sockets could
+    send anything."""
+    name = ("*" if port is None else _name(port)) + _ENDING
+    found: dict[Path, None] = {}
+    for folder in _folders():
+        with contextlib.suppress(OSError):
+            if folder.stat().st_uid in (os.geteuid(), 0):
+                paths = [*folder.glob(name), *folder.glob(f"*/{name}")]
+                found |= dict.fromkeys(path for path in sorted(paths) if path.is_socket())
+    return list(found)
 
 
 def answers(path: Path) -> bool:
     """Whether a run listens there: one that was killed leaves a socket behind."""
     with _unix_socket() as connection:
-        connection.settimeout(_TIMEOUT_S)
-        return connection.connect_ex(str(path)) in (0, errno.EAGAIN)  # EAGAIN: others ask already, more than it takes
+        return connection.connect_ex(str(path)) in (0, errno.EAGAIN)  # EAGAIN: its queue of clients is full
 
 
 def ask(path: Path) -> str:
-    """Returns what the run at `path` sends. Raises UsageError where nobody answers."""
+    """Returns what the run at `path` sends. Raises UsageError where none answers."""
     with _unix_socket() as connection:
-        connection.settimeout(_TIMEOUT_S)
         try:
             connection.connect(str(path))
-            told = b""
-            while (part := connection.recv(1 << 16)) and len(told) < _LONGEST:
-                told += part
+            received = b""
+            while (part := connection.recv(1 << 16)) and len(received) < _LONGEST:
+                received += part
         except OSError as error:
             raise UsageError(f"{path}: no hapsim answers there ({error.strerror or error})") from error
-    return told.decode("utf-8", "replace")
+    return received.decode("utf-8", "replace")
 
 
 def _folders() -> list[Path]:
-    """Of a service, of a login, of the system; the first is where a socket is made."""
+    """Returns the directories of a service, of a login and of the system; the first is where a socket is made."""
     given = [Path(folder) for folder in os.environ.get("RUNTIME_DIRECTORY", "").split(":") if folder]
     login = os.environ.get("XDG_RUNTIME_DIR")
     own = Path(login) / "hapsim" if login else Path(tempfile.gettempdir()) / f"hapsim-{os.geteuid()}"
     return [*given, own, Path("/run/hapsim")]
-
-
-def _is_trusted(folder: Path) -> bool:
-    """Whether it is this user's, or the system's."""
-    try:
-        return folder.stat().st_uid in (os.geteuid(), 0)
-    except OSError:
-        return False
-
-
-def _glob(folder: Path, pattern: str) -> list[Path]:
-    try:
-        return sorted(path for path in folder.glob(pattern + _ENDING) if path.is_socket())
-    except OSError:
-        return []
 
 
 def _name(port: str | None) -> str:
@@ -129,59 +112,53 @@ def _name(port: str | None) -> str:
 
 
 def _listen(path: Path) -> socket.socket:
-    listening = _unix_socket()
+    _make_room(path)
+    listening, before = _unix_socket(), os.umask(0o177)
     try:
-        _make_room(path)
-        before = os.umask(0o177)
-        try:
-            listening.bind(str(path))
-        finally:
-            os.umask(before)
+        listening.bind(str(path))
         listening.listen(8)
-        listening.setblocking(False)
     except OSError as error:
         listening.close()
         raise UsageError(f"--status {path}: no socket can be made there: {error.strerror or error}") from error
-    except UsageError:
-        listening.close()
-        raise
+    finally:
+        os.umask(before)
+    listening.setblocking(False)
     return listening
 
 
 def _make_room(path: Path) -> None:
-    """A socket of a daemon that was killed is taken away; nothing else is."""
+    """Removes the socket of a run that was killed, and nothing else."""
     try:
         status = path.lstat()
-    except FileNotFoundError:
+    except OSError:  # nothing to remove; `bind` says what is wrong with a path
         return
     if not stat.S_ISSOCK(status.st_mode):
         raise UsageError(f"--status {path}: there is a file that is no socket; it was not touched")
     if answers(path):
-        raise UsageError(f"--status {path}: another hapsim tells its status there; name another path")
+        raise UsageError(f"--status {path}: another hapsim reports its status there; name another path")
     path.unlink()
 
 
 def _unix_socket() -> socket.socket:
     if not hasattr(socket, "AF_UNIX"):
         raise UsageError("--status and `hapsim status` take unix sockets, which this system does not have")
-    return socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    made = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    made.settimeout(_TIMEOUT_S)
+    return made
 
 
 def _serve(listening: socket.socket, asked_to_stop: socket.socket, document: Callable[[], str]) -> None:
-    while True:
-        ready, _, _ = select.select([listening, asked_to_stop], [], [])
-        if asked_to_stop in ready:
-            return
-        with contextlib.suppress(OSError):  # gone again, or it does not take it
+    while asked_to_stop not in select.select([listening, asked_to_stop], [], [])[0]:
+        with contextlib.suppress(OSError):  # the client is gone again, or does not read
             connection, _ = listening.accept()
             with connection:
                 connection.setblocking(False)
-                connection.send(_told(document))
+                connection.send(_made(document))
         time.sleep(_PAUSE_S)
 
 
-def _told(document: Callable[[], str]) -> bytes:
+def _made(document: Callable[[], str]) -> bytes:
     try:
         return document().encode("utf-8", "replace")
-    except Exception as error:  # one status that cannot be made is no reason to stop answering
-        return f'{{"error": "the status cannot be told: {type(error).__name__}"}}'.encode()
+    except Exception as error:  # the next one may succeed
+        return f'{{"error": "the status cannot be reported: {type(error).__name__}"}}'.encode()

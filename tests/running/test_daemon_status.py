@@ -118,7 +118,7 @@ def test_what_cannot_be_told_once_is_no_end(tmp_path: Path) -> None:
     values: list[Any] = [{"ticks": 1}]
     with telling(tmp_path / "s", lambda: json.dumps(values[0])):
         values[0] = object()
-        assert json.loads(ask(tmp_path / "s")) == {"error": "the status cannot be told: TypeError"}
+        assert json.loads(ask(tmp_path / "s")) == {"error": "the status cannot be reported: TypeError"}
         values[0] = 7
         assert ask(tmp_path / "s") == "7"
 
@@ -169,7 +169,7 @@ def test_a_socket_that_was_left_is_replaced_and_one_that_is_heard_is_not(tmp_pat
     left.bind(str(path))
     left.close()
     with telling(path, lambda: "1"):
-        with pytest.raises(UsageError, match="another hapsim tells its status there"), telling(path, lambda: "2"):
+        with pytest.raises(UsageError, match="another hapsim reports its status there"), telling(path, lambda: "2"):
             pass
         assert ask(path) == "1"
     path.write_text("mine", encoding="utf-8")
