@@ -81,14 +81,9 @@ def _plan_by_device(loop):
     return plan_by_device(loop)
 
 
-def entries_for(loop: Any) -> list[tuple[Any, tuple[Any, ...]]]:
+def entries_for(loop: Any) -> list[tuple[Any, ...]]:
     """What the loop in Python calls, each with arguments of the types that it is called with."""
-    return [
-        (_take_and_compose, (loop, 0)),
-        (_compose, (loop, False)),
-        (_on_force_sent, (loop, 0)),
-        (_plan_by_device, (loop,)),
-    ]
+    return [(_take_and_compose, loop, 0), (_compose, loop, False), (_on_force_sent, loop, 0), (_plan_by_device, loop)]
 
 
 class PortableLoop:
@@ -99,7 +94,7 @@ class PortableLoop:
         self._control, self._wait = loop.control, loop.wait
         self._frame = b""
         """The newest force's."""
-        for function, arguments in entries_for(loop):
+        for function, *arguments in entries_for(loop):
             compile_for(function, *arguments)
 
     def run(self, _loop: Any = None) -> int:

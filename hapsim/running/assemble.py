@@ -17,9 +17,7 @@ from hapsim.loop.crossfade import cross_fade, post
 from hapsim.loop.exchange import DEVICE_CLOCK, HOST_CLOCK, LOOP, NO_CLOCK
 from hapsim.loop.force_history import ForceHistory
 from hapsim.loop.guards.energy_guard import EnergyGuard
-from hapsim.loop.guards.leap import watch_for_leaps
 from hapsim.loop.guards.sign import judge_signs
-from hapsim.loop.guards.travel import keep_within
 from hapsim.loop.ring import Ring
 from hapsim.loop.transport import Transport
 from hapsim.prediction import surely_shaken_by
@@ -27,7 +25,7 @@ from hapsim.prediction.correction import rendered
 from hapsim.prediction.force_bounds import SIGN_RATE_HZ, force_bounds
 from hapsim.prediction.timing import time_to_live_samples, watchdog_samples
 from hapsim.running.correction import LoopCorrection
-from hapsim.running.guard_setup import energy_guard_of, history_of, set_slew
+from hapsim.running.guard_setup import energy_guard_of, history_of, set_leap, set_slew, set_travel
 from hapsim.running.options import Excitation, PeriodicExcitation, RunOptions
 from hapsim.scene import Scene
 
@@ -125,8 +123,6 @@ def assemble_loop(
     loop.rendered_scene = rendering.scene
     loop.begin_with(compile_scene(rendering.scene))
     _set_io(loop.record.io, scene, description)
-    _set_leap(loop.record.leap, scene, description)
-    _set_travel(loop.record.travel, scene, description)
     _set_control(loop.record.control, scene, options.duration)
     loop.excitation = options.excitation
     if options.excitation is not None:
@@ -135,25 +131,27 @@ def assemble_loop(
     loop.watchdog_samples = watchdog_samples(scene.rate, description.max_watchdog_samples)
     _set_guards(loop, scene, connection, description, options)
     loop.account_for(loop.program, rendering.scene)
-    loop.record.watch.judges = scene.device.clock == "device" and connection.has_timer
     return loop
 
 
 def _set_guards(
     loop: LoopMemory, scene: Scene, connection: Connection, description: Description, options: RunOptions
 ) -> None:
-    """Sets the slew limit, the energy guard and the sign guard."""
-    limit = float(loop.record.io.force_limit[: description.channels].max())
+    record = loop.record
+    record.watch.judges = scene.device.clock == "device" and connection.has_timer
+    set_leap(record.leap, scene, description)
+    set_travel(record.travel, scene, description)
+    limit = float(record.io.force_limit[: description.channels].max())
     in_hand = connection.in_hand and scene.device.clock != "lockstep"  # no hand lives in virtual time
     bounds = force_bounds(scene, in_hand=in_hand, judges_energy=options.judges_energy, force_limit=limit)
-    set_slew(loop.record, scene, description, bounds)
-    loop.energy_guard = energy_guard_of(loop.record, scene, description, bounds)
+    set_slew(record, scene, description, bounds)
+    loop.energy_guard = energy_guard_of(record, scene, description, bounds)
     if options.unstable and loop.energy_guard is not None:
         loop.energy_guard.follow(unstable=surely_shaken_by(scene) is not None)
     if (in_hand or options.judges_sign) and scene.rate >= SIGN_RATE_HZ:
-        judge_signs(loop.record.sign, rate_hz=scene.rate, masses=scene.device.mass_spans(description.channels))
-    if loop.energy_guard is not None or loop.record.sign.judge:
-        loop.history = history_of(loop.record, scene)
+        judge_signs(record.sign, rate_hz=scene.rate, masses=scene.device.mass_spans(description.channels))
+    if loop.energy_guard is not None or record.sign.judge:
+        loop.history = history_of(record, scene)
 
 
 def _set_control(control: Any, scene: Scene, duration: float | None) -> None:
@@ -205,31 +203,3 @@ def _set_io(io: Any, scene: Scene, description: Description) -> None:
     with np.errstate(over="ignore"):
         counts = np.minimum(np.floor(limit / scale * (1.0 + 1e-12)), 2.0**31 - 1.0)
     io.force_limit[:channels] = counts * scale
-
-
-def _set_travel(travel: Any, scene: Scene, description: Description) -> None:
-    if scene.device.travel is not None:
-        channels = scene.channels
-        keep_within(
-            travel,
-            limits=np.array(scene.device.travels(channels)),
-            margin=np.array(scene.device.travel_margins(channels)),
-            noise_m=scene.mock_device.noise,
-            count_m=np.array(description.position_scale[:channels]),
-        )
-
-
-def _set_leap(leap: Any, scene: Scene, description: Description) -> None:
-    """Sets the leap guard by the scene's device or, where the mock lets a position go farther, by the mock."""
-    device, mock, channels = scene.device, scene.mock_device, scene.channels
-    watch_for_leaps(
-        leap,
-        rate_hz=scene.rate,
-        by_host=device.clock == "host",
-        mass=np.minimum([least for least, _ in device.mass_spans(channels)], mock.mass),
-        friction=np.maximum(device.frictions(channels), mock.friction),
-        stiffness=np.maximum(device.stiffnesses(channels), mock.stiffness),
-        force=np.full(channels, device.force_limit + mock.coulomb),
-        noise_m=mock.noise,
-        count_m=np.array(description.position_scale[:channels]),
-    )

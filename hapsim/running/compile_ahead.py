@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import pkgutil
 import subprocess
 import sys
 import threading
@@ -33,43 +34,17 @@ if TYPE_CHECKING:
     from hapsim.scene import Scene
 
 
-class _Entry(NamedTuple):
-    """An entry, and records of the types that it is compiled for."""
-
-    function: Any
-    arguments: tuple[Any, ...]
-
-    def address(self) -> None:
-        compile_for(self.function, *self.arguments)
-
-    def is_kept(self) -> bool:
-        return is_kept(self.function, *self.arguments)
-
-
-class _Modules(NamedTuple):
-    """Every module type under every scheme, in one precision."""
-
-    precision: str
-
-    def address(self) -> None:
-        """Compiles or loads them."""
-        from hapsim.cordis.program import compile_scene
-        from hapsim.cordis.succession import take_over_from
-
-        for scene in scenes_with_every_module(self.precision):
-            program, following = compile_scene(scene), compile_scene(scene)
-            take_over_from(program, scene, following, scene)
-
-    def is_kept(self) -> bool:
-        return False  # it takes longer to find out than to load them
-
-
 class CompileUnit(NamedTuple):
-    """Functions that are compiled together."""
+    """Functions that are compiled together. They are named and not imported: numba loads slowly."""
 
     functions: int
     """Their estimated number, for the progress display."""
-    parts: Callable[[], Sequence[_Entry | _Modules | PlainNative]]
+    natives: tuple[str, ...] = ()
+    """Native functions, or dicts of them: module and name, below hapsim."""
+    entries: Callable[[], Iterable[tuple[Any, ...]]] = tuple
+    """Returns entries, each with arguments of the types that it is compiled for."""
+    modules: str = ""
+    """Every module type under every scheme, in this precision."""
     in_second_process: bool = False
     """Whether the second process compiles it: half of what most runs need."""
     calls_system: bool = False
@@ -77,98 +52,101 @@ class CompileUnit(NamedTuple):
 
     def compile(self) -> None:
         """Compiles or loads it."""
-        for part in self.parts():
-            part.address()
+        for native in self._resolved():
+            native.address()
+        for function, *arguments in self.entries():
+            compile_for(function, *arguments)
+        if self.modules:
+            _compile_modules(self.modules)
 
     def is_kept(self) -> bool:
-        """Whether all of it is there from an earlier run."""
-        return all(part.is_kept() for part in self.parts())
+        """Whether all of it is there from an earlier run. Of modules it is faster to load them than to find out."""
+        return (
+            not self.modules
+            and all(native.is_kept() for native in self._resolved())
+            and all(is_kept(*entry) for entry in self.entries())
+        )
+
+    def _resolved(self) -> Iterator[PlainNative]:
+        for name in self.natives:
+            found = pkgutil.resolve_name(f"hapsim.{name}")
+            yield from found.values() if isinstance(found, dict) else (found,)
 
 
-def _loop() -> list[_Entry | PlainNative]:
+def _run_loop() -> list[tuple[Any, ...]]:
     from hapsim.loop.exchange import LOOP
     from hapsim.loop.run import run_loop
 
-    return [_Entry(run_loop, (new_record(LOOP),))]
+    return [(run_loop, new_record(LOOP))]
 
 
-def _port() -> list[PlainNative]:
-    from hapsim.loop.transport import receive_from_descriptor, send_to_descriptor
+def _portable_loop() -> list[tuple[Any, ...]]:
+    from hapsim.loop.exchange import LOOP
+    from hapsim.loop.portable import entries_for
 
-    return [receive_from_descriptor, send_to_descriptor]
-
-
-def _guards() -> list[PlainNative]:
-    from hapsim.cordis import stored_energy
-    from hapsim.loop import force_history
-    from hapsim.loop.guards import energy_guard, sign, slew, travel
-
-    guards = [slew.shape_force, travel.fade, energy_guard.judge_energy, sign.judge]
-    return [*guards, force_history.keep, stored_energy.evaluate]
+    return entries_for(new_record(LOOP))
 
 
-def _mock() -> list[_Entry | PlainNative]:
-    from hapsim.device.mock.firmware import FUNCTIONS, MOCK
-    from hapsim.device.mock.motion import move_gliding
+def _serve() -> list[tuple[Any, ...]]:
+    from hapsim.device.mock.firmware import MOCK
     from hapsim.device.mock.serve import SERVICE, serve
-    from hapsim.device.mock.wire import receive_at_once, send_at_once
 
-    serving = _Entry(serve, (new_record(MOCK), new_record(SERVICE)))
-    return [*FUNCTIONS.values(), move_gliding, receive_at_once, send_at_once, serving]
+    return [(serve, new_record(MOCK), new_record(SERVICE))]
 
 
-def _loopback() -> list[PlainNative]:
-    from hapsim.device.mock import loopback
-    from hapsim.device.mock.firmware import FUNCTIONS
-    from hapsim.device.mock.motion import move_gliding
-
-    return [*FUNCTIONS.values(), move_gliding, loopback.receive, loopback.send]
-
-
-def _motion() -> list[PlainNative]:
-    from hapsim.device.mock.motion import move_free, move_on_spring
-
-    return [move_free, move_on_spring]
-
-
-def _wire() -> list[PlainNative]:
-    from hapsim.device.mock.firmware import take_late_force
-    from hapsim.device.mock.wire import receive_in_time, send_in_time
-
-    return [take_late_force, receive_in_time, send_in_time]
-
-
-def _changes() -> list[_Entry | PlainNative]:
+def _posts() -> list[tuple[Any, ...]]:
     from hapsim.cordis import parameters
     from hapsim.loop import crossfade
 
     return [
-        parameters.move,
-        crossfade.cross_fade,
-        _Entry(parameters.post, (new_record(parameters.PARAMETERS), np.zeros(0), 1)),
-        _Entry(crossfade.post, (new_record(crossfade.SCENE_SLOT), 0, 1, 0)),
+        (parameters.post, new_record(parameters.PARAMETERS), np.zeros(0), 1),
+        (crossfade.post, new_record(crossfade.SCENE_SLOT), 0, 1, 0),
     ]
 
 
-def _portable() -> list[_Entry]:
-    from hapsim.loop import portable
-    from hapsim.loop.exchange import LOOP
+def _compile_modules(precision: str) -> None:
+    from hapsim.cordis.program import compile_scene
+    from hapsim.cordis.succession import take_over_from
 
-    return [_Entry(*entry) for entry in portable.entries_for(new_record(LOOP))]
+    for scene in scenes_with_every_module(precision):
+        program, following = compile_scene(scene), compile_scene(scene)
+        take_over_from(program, scene, following, scene)
 
+
+_GUARDS = (
+    "loop.guards.slew:shape_force",
+    "loop.guards.travel:fade",
+    "loop.guards.energy_guard:judge_energy",
+    "loop.guards.sign:judge",
+    "loop.force_history:keep",
+    "cordis.stored_energy:evaluate",
+)
+_FIRMWARE = ("device.mock.firmware:FUNCTIONS", "device.mock.motion:move_gliding")
+_WIRE = ("device.mock.wire:receive_at_once", "device.mock.wire:send_at_once")
+_TIMED_WIRE = (
+    "device.mock.firmware:take_late_force",
+    "device.mock.wire:receive_in_time",
+    "device.mock.wire:send_in_time",
+)
 
 UNITS: dict[str, CompileUnit] = {
-    "loop": CompileUnit(48, _loop, calls_system=True),
-    "port": CompileUnit(3, _port, calls_system=True),
-    "guards": CompileUnit(12, _guards),  # a run compiles only those that its scene sets up
-    "mock": CompileUnit(45, _mock, in_second_process=True, calls_system=True),
-    "loopback": CompileUnit(39, _loopback, in_second_process=True),
-    "motion": CompileUnit(12, _motion, in_second_process=True),
-    "wire": CompileUnit(14, _wire, in_second_process=True, calls_system=True),
-    "changes": CompileUnit(8, _changes),
-    "portable": CompileUnit(40, _portable, in_second_process=True),
-    "modules": CompileUnit(130, lambda: [_Modules("double")]),
-    "modules in single precision": CompileUnit(124, lambda: [_Modules("single")], in_second_process=True),
+    "loop": CompileUnit(48, entries=_run_loop, calls_system=True),
+    "port": CompileUnit(
+        3, ("loop.transport:receive_from_descriptor", "loop.transport:send_to_descriptor"), calls_system=True
+    ),
+    "guards": CompileUnit(12, _GUARDS),  # a run compiles only those that its scene sets up
+    "mock": CompileUnit(45, (*_FIRMWARE, *_WIRE), _serve, in_second_process=True, calls_system=True),
+    "loopback": CompileUnit(
+        39, (*_FIRMWARE, "device.mock.loopback:receive", "device.mock.loopback:send"), in_second_process=True
+    ),
+    "motion": CompileUnit(
+        12, ("device.mock.motion:move_free", "device.mock.motion:move_on_spring"), in_second_process=True
+    ),
+    "wire": CompileUnit(14, _TIMED_WIRE, in_second_process=True, calls_system=True),
+    "changes": CompileUnit(8, ("cordis.parameters:move", "loop.crossfade:cross_fade"), _posts),
+    "portable": CompileUnit(40, entries=_portable_loop, in_second_process=True),
+    "modules": CompileUnit(130, modules="double"),
+    "modules in single precision": CompileUnit(124, modules="single", in_second_process=True),
 }
 """What can be compiled ahead, by name."""
 
@@ -204,13 +182,13 @@ def _second_process(names: Sequence[str], heard: Callable[[str], None]) -> Itera
     if process is None:
         yield lambda: None
         return
+
+    def listen(lines: Iterable[str]) -> None:
+        for line in lines:
+            heard(line.strip())
+
     with process:
-
-        def listen() -> None:
-            for line in process.stdout or ():
-                heard(line.strip())
-
-        listener = threading.Thread(target=listen, name="second process")
+        listener = threading.Thread(target=listen, args=(process.stdout,), name="second process")
         listener.start()
         try:
             yield listener.join
@@ -258,13 +236,11 @@ def prepare(scenes: Sequence[Scene] = (), on_progress: Callable[[Progress], None
     from hapsim.prediction.timing import wire_of
 
     places = {place_of_device(scene) for scene in scenes}
-    names = (
-        {"loop", "port", "guards", "changes"}.union(*(DEVICE_UNITS[place] for place in places))
-        if scenes
-        else set(UNITS)
-    )
+    names = {"loop", "port", "guards", "changes"}.union(*(DEVICE_UNITS[place] for place in places))
     if any(wire_of(scene) == "mock" for scene in scenes):
         names.add("wire")
+    if not scenes:
+        names = set(UNITS)
     if missing_calls():
         names = {name for name in names if not UNITS[name].calls_system} | {"portable"}
     begun = time.monotonic()

@@ -1,4 +1,4 @@
-"""Sets up the slew limit, the force history and the energy guard of a loop, from its scene and its device."""
+"""Sets up the guards of a loop, from its scene and its device."""
 
 from __future__ import annotations
 
@@ -10,13 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_protocol.description import Description
+from hapsim.compiling.native import address_of
 from hapsim.cordis.stored_energy import Tank
 from hapsim.errors import UsageError
 from hapsim.holds import HOLDS
 from hapsim.loop.force_history import ForceHistory
-from hapsim.loop.guards.energy_guard import CREDIT_M, FIRST_FORCE_M, LATE_M, EnergyGuard
-from hapsim.loop.guards.slew import limit_slew
-from hapsim.prediction.force_bounds import ENERGY_M, ONE_PERIOD, ForceBounds, below_a_count
+from hapsim.loop.guards.energy_guard import FIRST_FORCE_M, EnergyGuard
+from hapsim.loop.guards.leap import watch_for_leaps
+from hapsim.loop.guards.slew import NO_LIMIT, shape_force
+from hapsim.loop.guards.travel import NOISE_RMS, fade
+from hapsim.prediction.force_bounds import ONE_PERIOD, ForceBounds, below_a_count
 from hapsim.scene import Scene
 from hapsim.scene.modules import Buffer, Ground, Link, MaterialPoint, Module, Nonlinear, Structure
 
@@ -24,25 +27,48 @@ MOST_HELD_M = 10.0  # of travel at the force limit: the most energy that a scene
 REFILL_S = 10.0  # the tank of live changes fills within this time
 
 
-def set_slew(loop: Any, scene: Scene, description: Description, bounds: ForceBounds) -> None:
-    """Fills the SLEW of `loop`, a LOOP. Raises UsageError where a step would be less than a count of the force."""
-    steps = None
-    if math.isfinite(bounds.slew_limit):
-        scale = np.array(description.force_scale)
-        with np.errstate(over="ignore"):
-            counts = np.floor(bounds.slew_limit * scene.period / scale * ONE_PERIOD)
-        steps = np.minimum(counts, 2.0**40).astype(np.int64)
-        if scene.device.slew_limit is None:
-            steps = np.maximum(steps, 1)  # a device of few counts has no finer step
-        elif why := below_a_count(scene, description.force_scale):
-            raise UsageError(why)
-    limit_slew(
-        loop.slew,
-        step_counts=steps,
-        soft_samples=bounds.soft_start_s * scene.rate,
-        lives_samples=int(loop.control.time_to_live),
-        channels=description.channels,
+def set_leap(leap: Any, scene: Scene, description: Description) -> None:
+    """Fills a LEAP by the scene's device or, where the mock lets a position go farther, by the mock."""
+    device, mock, channels = scene.device, scene.mock_device, scene.channels
+    watch_for_leaps(
+        leap,
+        rate_hz=scene.rate,
+        by_host=device.clock == "host",
+        mass=np.minimum([least for least, _ in device.mass_spans(channels)], mock.mass),
+        friction=np.maximum(device.frictions(channels), mock.friction),
+        stiffness=np.maximum(device.stiffnesses(channels), mock.stiffness),
+        force=np.full(channels, device.force_limit + mock.coulomb),
+        noise_m=mock.noise,
+        count_m=np.array(description.position_scale[:channels]),
     )
+
+
+def set_travel(travel: Any, scene: Scene, description: Description) -> None:
+    """Fills a TRAVEL, where the scene declares one."""
+    if scene.device.travel is None:
+        return
+    used = slice(scene.channels)
+    travel.low[:], travel.high[:] = -np.inf, np.inf
+    travel.low[used], travel.high[used] = np.transpose(scene.device.travels(scene.channels))
+    travel.margin[used] = scene.device.travel_margins(scene.channels)
+    travel.unsure[used] = NOISE_RMS * scene.mock_device.noise + np.array(description.position_scale[used])
+    travel.address, travel.fade = address_of(travel), fade.address()
+
+
+def set_slew(loop: Any, scene: Scene, description: Description, bounds: ForceBounds) -> None:
+    """Fills the SLEW of `loop`, a LOOP, where the force has a slew limit or a soft start. Raises UsageError where a
+    step would be less than a count of the force."""
+    slew, is_limited = loop.slew, math.isfinite(bounds.slew_limit)
+    if not is_limited and bounds.soft_start_s <= 0.0:
+        return
+    if is_limited and (why := below_a_count(scene, description.force_scale)):
+        raise UsageError(why)
+    with np.errstate(over="ignore"):
+        counts = np.floor(bounds.slew_limit * scene.period / np.array(description.force_scale) * ONE_PERIOD)
+    least = 1 if scene.device.slew_limit is None else 0  # a device of few counts has no finer step
+    slew.step[: description.channels] = np.clip(counts, least, NO_LIMIT)
+    slew.soft_samples, slew.lives = bounds.soft_start_s * scene.rate, loop.control.time_to_live
+    slew.address, slew.shape = address_of(slew), shape_force.address()
 
 
 def history_of(loop: Any, scene: Scene) -> ForceHistory:
@@ -55,21 +81,19 @@ def history_of(loop: Any, scene: Scene) -> ForceHistory:
 
 
 def energy_guard_of(loop: Any, scene: Scene, description: Description, bounds: ForceBounds) -> EnergyGuard | None:
-    """Returns the energy guard of a scene, in the ENERGY of `loop`, a LOOP; None where it is off."""
-    if not math.isfinite(bounds.energy_limit):
+    """Returns the energy guard of a scene, in the ENERGY_GUARD of `loop`, a LOOP; None where it is off."""
+    limit_j, force_limit = bounds.energy_limit, scene.device.force_limit
+    if not math.isfinite(limit_j):
         return None
-    device = scene.device
     return EnergyGuard(
         loop.energy_guard,
+        Tank(loop.tank, capacity_j=limit_j, refill_j=limit_j / (REFILL_S * scene.rate)),
         rate_hz=scene.rate,
-        friction=np.array(device.frictions(scene.channels)),
+        friction=np.array(scene.device.frictions(scene.channels)),
         compliance=_compliance(scene, description.channels),
-        limit_j=bounds.energy_limit,
-        swing_limit_j=min(bounds.energy_limit, ENERGY_M * device.force_limit),
-        late_limit_j=max(bounds.energy_limit, LATE_M * device.force_limit),
-        credit_j=CREDIT_M * device.force_limit,
-        held_j=held_energy(scene.modules, device.force_limit),
-        tank=Tank(loop.tank, capacity_j=bounds.energy_limit, refill_j=bounds.energy_limit / (REFILL_S * scene.rate)),
+        force_limit=force_limit,
+        limit_j=limit_j,
+        held_j=held_energy(scene.modules, force_limit),
     )
 
 
@@ -88,18 +112,8 @@ def held_energy(modules: Mapping[str, Module], force_limit: float) -> float:
     It is at most MOST_HELD_M at the force limit: the guard would wait for ever for an energy without bounds. What a
     link at a device point stores is known with its first force only."""
     places = dict(_initial_places(modules))
-    total = 0.0
-    for module in modules.values():
-        if isinstance(module, MaterialPoint):
-            position, velocity = module.start()
-            total += 0.5 * module.mass * velocity * velocity
-            held = module.held_by()
-            total += 0.0 if held is None else _of_spring(held.stiffness, position - held.rest)
-        elif isinstance(module, Structure):
-            total += _held_by_structure(module)
-        elif isinstance(module, Link) and all(end in places for end in module.between):
-            first, second = (places[end] for end in module.between)
-            total += _held_by_link(module, first - second, force_limit)
+    with np.errstate(over="ignore", invalid="ignore"):
+        total = float(sum(_held_by(module, places, force_limit) for module in modules.values()))
     most = MOST_HELD_M * force_limit
     return total if total <= most else most  # also where the total is NaN
 
@@ -116,24 +130,29 @@ def _initial_places(modules: Mapping[str, Module]) -> Iterator[tuple[str, float]
             yield from zip(names, module.initial_positions(), strict=True)
 
 
-def _held_by_structure(structure: Structure) -> float:
-    at = np.array(structure.initial_positions())
-    rest = float(getattr(structure, "position", 0.0))
-    if not np.ptp(at) and at[0] == rest:
-        return 0.0
-    links = np.array([(first, second, abs(stiffness)) for first, second, stiffness, _ in structure.elements().links])
-    ends = np.append(at, rest)[links[:, :2].astype(int)]  # -1 is what stays
-    with np.errstate(over="ignore", invalid="ignore"):
-        return float(np.sum(0.5 * links[:, 2] * (ends[:, 0] - ends[:, 1]) ** 2))
+def _held_by(module: Module, places: Mapping[str, float], force_limit: float) -> float:
+    """Returns the energy (J) that a module stores with the points at `places` (m)."""
+    if isinstance(module, MaterialPoint):
+        position, velocity = module.start()
+        held = module.held_by()
+        spring = 0.0 if held is None else _of_spring(held.stiffness, position - held.rest)
+        return 0.5 * module.mass * velocity * velocity + spring
+    if isinstance(module, Structure):
+        at = np.array(module.initial_positions())
+        rest = float(getattr(module, "position", 0.0))
+        if np.all(at == rest):
+            return 0.0
+        links = np.array(module.elements().links)
+        ends = np.append(at, rest)[links[:, :2].astype(int)]  # -1 is what stays
+        return float(np.sum(_of_spring(np.abs(links[:, 2]), ends[:, 0] - ends[:, 1])))
+    if isinstance(module, Link) and all(end in places for end in module.between):
+        first, second = (places[end] for end in module.between)
+        if isinstance(module, Nonlinear):
+            return FIRST_FORCE_M * force_limit
+        apart = min(first - second - module.distance, 0.0) if isinstance(module, Buffer) else first - second
+        return _of_spring(float(getattr(module, "stiffness", 0.0)), apart)
+    return 0.0
 
 
-def _held_by_link(link: Link, apart: float, force_limit: float) -> float:
-    if isinstance(link, Nonlinear):
-        return FIRST_FORCE_M * force_limit
-    if isinstance(link, Buffer):
-        apart = min(apart - link.distance, 0.0)
-    return _of_spring(float(getattr(link, "stiffness", 0.0)), apart)
-
-
-def _of_spring(stiffness: float, stretched: float) -> float:
+def _of_spring(stiffness: Any, stretched: Any) -> Any:
     return 0.5 * stiffness * stretched * stretched

@@ -47,7 +47,7 @@ class Notifier:
         if not self._address:
             return RunObserver()
         return RunObserver(
-            started=self._started, running=self._running, over=self._over, waiting=self._keep_alive, tell=self._tell
+            started=self._started, running=self._running, over=self._over, waiting=self._waiting, tell=self._tell
         )
 
     def stopping(self, why: object = "") -> None:
@@ -83,6 +83,9 @@ class Notifier:
     def _tell(self, _event: str, sentence: str) -> None:
         self._status_at = -1e9
         self._status(sentence)
+
+    def _waiting(self) -> None:
+        self._keep_alive()
 
     def _keep_alive(self) -> bool:
         """Notifies the watchdog if it is due; returns whether it was."""

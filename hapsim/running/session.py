@@ -1,11 +1,11 @@
 """A session: one scene on one device, from opening its port to closing it. Read `Session` from top to bottom.
 
 `__init__` opens the device and assembles the loop; `begin` arms the device; two threads run the loop and collect its
-rows; `_finish` disarms the device, closes the record and says how the run ended.
+rows; `_finish` disarms the device, closes the record and returns how the run ended.
 
-Both threads are daemons: before the interpreter calls the handlers of `atexit` it waits for all other threads, which
-would be forever for a loop that nobody stops. Compiled code must not run while its memory is freed, so a handler of
-`atexit`, which runs before numba's own, stops and joins them.
+Both threads are daemons: the interpreter waits for all others before it calls the handlers of `atexit`, which would be
+forever for a loop that nobody stops. Compiled code must not run while its memory is freed, so a handler of `atexit`,
+which runs before numba's own, stops and joins them.
 """
 
 from __future__ import annotations
@@ -39,20 +39,12 @@ from hapsim.progress import Progress
 from hapsim.recording.recorder import Recorder, RecordFile
 from hapsim.recording.report_file import WireBytes, default_directory, write_report
 from hapsim.recording.stream import Head
-from hapsim.recording.trace import Statistics, Trace, columns_of
+from hapsim.recording.trace import Report, Statistics, Trace, columns_of
+from hapsim.running import outcome
 from hapsim.running.assemble import assemble_loop
 from hapsim.running.changes import OVER, LiveScene
 from hapsim.running.compile_ahead import DEVICE_UNITS, compile_ahead
 from hapsim.running.options import RunOptions
-from hapsim.running.outcome import (
-    failure_of,
-    progress_of,
-    record_failure,
-    report_of,
-    statistics_of,
-    trace_of,
-    with_sentence,
-)
 from hapsim.running.requirements import PACING, require_compatible, require_known_zero, require_runnable
 from hapsim.scene import Scene
 from hapsim.stopping import note_arming, undisturbed
@@ -71,7 +63,7 @@ def sessions() -> list[Session]:
 
 
 def _ignore(_: object) -> None:
-    """Hears nothing."""
+    """Stands in for a callback that was not given."""
 
 
 class Session:
@@ -91,11 +83,11 @@ class Session:
         self._in_python = options.portable or options.between is not None or bool(missing_calls())
         self.gives_way = scene.device.clock != "lockstep" and not self._in_python
         """Whether work beside the loop gives way to it (hapsim.loop.realtime.giving_way)."""
-        self._over, self._done = threading.Event(), threading.Event()  # the loop; all that comes after it, too
+        self._over, self._done = threading.Event(), threading.Event()  # the loop has ended; everything has
         self._ending: int | None = None
         self._failure: BaseException | None = None
         self._trace: Trace | None = None
-        self._sent_before = b""  # what the device was sent until it was armed
+        self._sent_before = b""  # to the device, until it was armed
         self.grants: list[PrivilegeResult] = []
         """What the real-time set-up requested of the system, each granted or denied."""
         with contextlib.ExitStack() as stack:
@@ -103,10 +95,9 @@ class Session:
             self._loop = assemble_loop(scene, self._connection, self._description, options)
             self._live = LiveScene(scene, self._loop, self._over.is_set, self.gives_way, options.unstable)
             self._body = self._compiled_body()
-            last_rows = min(math.ceil(scene.rate), _LAST_ROWS)
-            self._recorder = Recorder(self._loop.ring, options.keep, last_rows)
+            self._recorder = Recorder(self._loop.ring, options.keep, min(math.ceil(scene.rate), _LAST_ROWS))
             if options.record is not None:
-                self._recorder.file = self._begun_record(scene, Path(options.record))
+                self._recorder.file = self._begin_record(scene, Path(options.record))
                 stack.callback(self._finish_record)
             self._resources = stack.pop_all()
         self._thread = threading.Thread(target=self._run_loop, name="haptic loop", daemon=True)
@@ -125,7 +116,7 @@ class Session:
 
     @property
     def name(self) -> str:
-        """The name of its device: the port."""
+        """The port of its device."""
         return self._connection.name
 
     @property
@@ -162,11 +153,11 @@ class Session:
 
     def progress(self) -> Progress:
         """Returns the state of the loop now."""
-        return progress_of(self._loop)
+        return outcome.progress_of(self._loop)
 
     def statistics(self) -> Statistics:
         """Returns lateness, exchange time and age of the force of all ticks so far."""
-        return statistics_of(self._loop)
+        return outcome.statistics_of(self._loop)
 
     def stop(self) -> None:
         """Ends the run cleanly; returns at once."""
@@ -201,10 +192,10 @@ class Session:
     # Opening
 
     def _open_device(self, scene: Scene, stack: contextlib.ExitStack) -> Connection:
-        """Opens the device and asks what it is. What loop and mock need is compiled; the mock's part first, because
-        then it has to answer."""
+        """Opens the device and asks for its description. Compiles what loop and mock need; the mock before it has to
+        answer, the loop on a port only once the port is open."""
         options = self._options
-        tell = options.on_progress or (lambda _: None)
+        tell = options.on_progress or _ignore
         counted = Counted(lambda name, share: tell(Progress("compiling", name, share=share)))
         stack.enter_context(on_compilation(counted.add))
         require_possible_here(self._place, portable=options.portable or options.between is not None)
@@ -212,15 +203,8 @@ class Session:
         units = (*loop, *DEVICE_UNITS[self._place])
         if self._place != "port":
             compile_ahead(units, counted)
-        connection = stack.enter_context(
-            open_connection(
-                scene,
-                options.transport,
-                portable=options.portable,
-                realtime=options.realtime,
-                between=options.between,
-            )
-        )
+        where = {"portable": options.portable, "realtime": options.realtime, "between": options.between}
+        connection = stack.enter_context(open_connection(scene, options.transport, **where))
         if self._place == "port" and loop:
             compile_ahead(units, counted)
         self._description = describe(connection)
@@ -238,22 +222,15 @@ class Session:
         compile_for(run_loop, self._loop.record)
         return run_loop
 
-    def _begun_record(self, scene: Scene, path: Path) -> RecordFile:
-        loop = self._loop
-        used = slice(loop.wire.channels)
-        head = Head(
-            rate_hz=scene.rate,
-            position_scale=loop.record.io.position_scale[used].tolist(),
-            force_scale=loop.record.io.force_scale[used].tolist(),
-            scene=scene.path or "",
-            begun=datetime.now(UTC).isoformat(),
-        )
-        return RecordFile(
-            path,
-            head,
-            lambda: (report_of(scene, loop, "running"), statistics_of(loop)),
-            self._options.on_warning or _ignore,
-        )
+    def _begin_record(self, scene: Scene, path: Path) -> RecordFile:
+        loop, io = self._loop, self._loop.record.io
+        scales = (scale[: loop.wire.channels].tolist() for scale in (io.position_scale, io.force_scale))
+        head = Head(scene.rate, *scales, scene=scene.path or "", begun=datetime.now(UTC).isoformat())
+
+        def report_so_far() -> tuple[Report, Statistics]:
+            return outcome.report_of(scene, loop, "running"), outcome.statistics_of(loop)
+
+        return RecordFile(path, head, report_so_far, self._options.on_warning or _ignore)
 
     # Running
 
@@ -261,7 +238,7 @@ class Session:
         """Arms the device and starts the loop. If this fails, everything is released."""
         scene, loop = self.scene, self._loop
         try:
-            self._start_loop_thread()
+            self._start_thread()
             (self._options.on_arming or _ignore)(self)
             if self._options.realtime:
                 self.grants = self._resources.enter_context(realtime(self._thread.native_id or 0))
@@ -275,7 +252,7 @@ class Session:
             self._leave()
             raise
 
-    def _start_loop_thread(self) -> None:
+    def _start_thread(self) -> None:
         """Starts the thread of the loop, which waits for `control.go`."""
         self._loop.control.go = 0
         _open.append(self)
@@ -298,7 +275,7 @@ class Session:
             self._over.set()
 
     def _collect_and_finish(self) -> None:
-        """Empties the ring while the loop runs, then finishes, in this thread, where no Ctrl-C interrupts it."""
+        """Empties the ring while the loop runs, then finishes: in this thread, where no Ctrl-C interrupts it."""
         try:
             try:
                 while not self._over.wait(_COLLECT_S):
@@ -306,7 +283,7 @@ class Session:
                         self._recorder.collect()
             finally:
                 self._failure = self._finish()
-        except BaseException as error:  # raised where somebody waits for the end
+        except BaseException as error:  # `_leave` returns it to the thread that waits
             self._failure = error
         if self._failure is None:
             _open.remove(self)
@@ -333,42 +310,40 @@ class Session:
             ending = self._end_and_disarm()
         if not self._sent_before:
             return None  # never armed: `begin` raises why
-        failure = failure_of(self.name, self.scene, self._loop, self.trace, ending)
+        failure = outcome.failure_of(self.name, self.scene, self._loop, self.trace, ending)
         if failure is not None:
             failure = self._with_report(failure)
-        return record_failure(failure, self.name, self._recorder.file, self.trace)
+        return outcome.record_failure(failure, self.name, self._recorder.file, self.trace)
 
     def _end_and_disarm(self) -> int:
-        """Returns how the loop ended, once the device is disarmed and the session has its trace."""
+        """Ends the loop, disarms the device and makes the trace; returns how the loop ended."""
+        has_begun = self._thread.ident is not None
+        self.stop()
         try:
-            ending = self._loop_ending()
-            self._trace = trace_of(self.scene, self._loop, self._recorder, ending)
+            if has_begun:
+                self._thread.join()
+            self._recorder.collect()
+            if self._ending is None and has_begun:
+                raise HapsimError("the compiled loop ended with an exception, which is a defect of hapsim")
+            ending = endings.STOPPED if self._ending is None else self._ending
+            trace = outcome.trace_of(self.scene, self._loop, self._recorder, ending)
         finally:
             # The loop has disarmed already. This covers every way out that did not get so far, and asks for the result.
             released = disarm(self._connection, self._loop.wire)
         rejected = frames_rejected_by(self._connection) if released else None
-        said = released or bool(self.trace.report.released)
-        self._trace = replace(self.trace, report=replace(self.trace.report, released=said, rejected_by_device=rejected))
+        said = released or bool(trace.report.released)
+        self._trace = replace(trace, report=replace(trace.report, released=said, rejected_by_device=rejected))
         return ending
-
-    def _loop_ending(self) -> int:
-        self.stop()
-        if self._thread.ident is not None:
-            self._thread.join()
-        self._recorder.collect()
-        if self._ending is None and self._thread.ident is not None:
-            raise HapsimError("the compiled loop ended with an exception, which is a defect of hapsim")
-        return endings.STOPPED if self._ending is None else self._ending
 
     def _finish_record(self) -> None:
         file = self._recorder.file
         assert file is not None
-        trace = self._trace or trace_of(self.scene, self._loop, self._recorder, endings.STOPPED)
+        trace = self._trace or outcome.trace_of(self.scene, self._loop, self._recorder, endings.STOPPED)
         self._trace = replace(trace, report=file.finish(trace.report, trace.statistics))
 
     def _with_report(self, failure: RunError) -> RunError:
-        """Writes the report file of a run that ended in `failure`. Returns the failure with the path of that file, or
-        with why there is none."""
+        """Writes the report file of a run that ended in `failure`. Returns the failure with its path, or with the
+        reason why there is none."""
         directory = self._options.reports
         if directory is None and self._place != "port":
             return failure
@@ -383,10 +358,12 @@ class Session:
             directory = default_directory() if directory is None else Path(directory)
             where = f" in {directory}"
             path = write_report(directory, self.name, failure, last, self.scene, self._description, wire)
-        except Exception as error:  # of the disk; or a defect, which must not hide what ended the run
+        except Exception as error:  # even a defect must not hide what ended the run
             why = getattr(error, "strerror", None) or error
-            return with_sentence(failure, f". No report of it could be written{where}: {why}")
-        return with_sentence(failure, f". The last frames and the last second are in {path} (`hapsim frames` reads it)")
+            return outcome.with_sentence(failure, f". No report of it could be written{where}: {why}")
+        return outcome.with_sentence(
+            failure, f". The last frames and the last second are in {path} (`hapsim frames` reads it)"
+        )
 
 
 def _require_free(port: str) -> None:

@@ -54,8 +54,8 @@ def scene() -> Scene:
 def missing(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """The units of which nothing is said to be kept, so that they are compiled ahead; loading them is quick."""
     names: list[str] = [*UNITS]
-    of_unit = {unit.parts: name for name, unit in UNITS.items()}
-    monkeypatch.setattr(CompileUnit, "is_kept", lambda unit: of_unit[unit.parts] not in names)
+    of_unit = {unit: name for name, unit in UNITS.items()}
+    monkeypatch.setattr(CompileUnit, "is_kept", lambda unit: of_unit[unit] not in names)
     return names
 
 

@@ -247,7 +247,7 @@ def scripted(
 @pytest.fixture
 def leaps_allowed(monkeypatch: pytest.MonkeyPatch) -> None:
     """For scripts whose positions are where no hand gets: the guard of the position judges no channel."""
-    monkeypatch.setattr(assemble, "_set_leap", lambda *_: None)
+    monkeypatch.setattr(assemble, "set_leap", lambda *_: None)
 
 
 @pytest.fixture

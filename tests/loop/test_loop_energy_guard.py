@@ -269,22 +269,20 @@ def judge(
     """(the sample at which it trips, the most energy that the scene's account has, why, by which account). Counts are
     of 1 m and 1 N."""
     record, history, io = new_record(ENERGY_GUARD), new_record(FORCE_HISTORY), new_record(IO_BUFFER)
-    tank = new_record(TANK)
     io.channels, io.address = 1, io.__array_interface__["data"][0]
     io.position_scale[0] = io.force_scale[0] = 1.0
     io.force_limit[0] = limit
     kept = EnergyGuard(
         record,
+        Tank(new_record(TANK), capacity_j=0.0, refill_j=0.0),
         rate_hz=1.0 / T,
         friction=np.array([friction]),
         compliance=np.zeros(1),
+        force_limit=0.0,
         limit_j=energy,
-        swing_limit_j=energy,
-        late_limit_j=energy,
-        credit_j=1e15,
-        tank=Tank(tank, capacity_j=0.0, refill_j=0.0),
         held_j=0.0,
     )
+    record.swing_limit[:], record.credit = energy, 1e15
     kept.follow(unstable=unstable)
     forces = ForceHistory(history, delay=delay, keeps_last_force=True)
     told = np.asarray(positions, np.int64), stiffness, damping, limit, gap, int(late)

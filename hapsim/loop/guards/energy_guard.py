@@ -1,62 +1,55 @@
 """The energy guard: it stops the loop before a scene gives the hand more energy than any passive object could.
 
-**The energy.** Time-domain passivity (Hannaford and Ryu, IEEE Trans. Robotics and Automation 18(1), 2002). What the
-simulated force gave the hand, summed over channels and samples, is
+**The energy.** Time-domain passivity (Hannaford and Ryu, IEEE Trans. Robotics and Automation 18(1), 2002). The energy
+that the simulated force has given to the hand, summed over channels and samples, is
 
     S += f dx - b0 dx² / T,     dx = x[n] - x[n-1],
 
-f the force that acted from sample n-1 to n: with a delay of d samples the one that answers sample n-1-d, for a fraction
-of a sample its two neighbours by their weights. b0 is the friction that the scene declares, which takes at least
-b0 dx²/T of it. What an excitation adds is the hand's, and so is what the limit clips because of it.
+with f the force that acted from sample n-1 to n: with a delay of d samples the answer to sample n-1-d, for a fraction
+of a sample its two neighbours, weighted. b0 is the declared friction, which takes at least b0 dx²/T of it. What an
+excitation adds counts as the hand's.
 
 For a spring K and a backward damper B, S never exceeds what the spring holds at the beginning, for any positions,
-quantised ones too, if b0 >= K T (1/2 + d) + |B|. Without delay, the spring held at x[n-1] gives
+quantised or not, if b0 >= K T (1/2 + d) + |B|. Without delay, the spring held at x[n-1] gives
 
     -K x[n-1] dx[n] = -K/2 (x[n]² - x[n-1]²) + K/2 dx[n]²,
 
 a difference of stored energies and K T/2 · dx²/T. Each further sample of delay adds K dx[n-j] dx[n], at most
-K/2 (dx[n-j]² + dx[n]²): summed, at most K T · dx²/T, and of a fraction its share. The damper, however late, gives
--B/T dx[m] dx[n], summed at most |B| dx²/T. Friction takes no less than all of it. That is Colgate's condition for a
-whole delay and a spring (`theory/hand/passivity.py`), shown here sample by sample. A force that is clipped is a spring
-with a smaller stiffness there; two channels are two sums.
+K/2 (dx[n-j]² + dx[n]²): summed, at most K T · dx²/T. The damper, however late, gives -B/T dx[m] dx[n], summed at most
+|B| dx²/T. Friction takes all of it. That is Colgate's condition (`theory/hand/passivity.py`) sample by sample. Where a
+force is clipped the spring is softer; two channels are two sums.
 
-What the hand gave is its credit, but no more than a scene could hold: S stays above -`credit`. At arming S is minus
-what the scene holds then (running/guard_setup.py). Where K changes while it runs, the first term is
+Energy from the hand is its credit, but no more than a scene could hold: S stays above -`credit`. At arming S is minus
+what the scene holds (running/guard_setup.py). A change of K while the scene runs adds (K[n] - K[n-1]) x[n]²/2 to it.
+That is subtracted from S when the change acts, with its sign, for all modules alike, and bounded by a tank
+(cordis/stored_energy.py). The guard trips where S is above `limit`.
 
-    -K[n-1] x[n-1] dx[n] = -(K[n] x[n]²/2 - K[n-1] x[n-1]²/2) + (K[n] - K[n-1]) x[n]²/2 + K[n-1]/2 dx[n]²,
+**Two accounts.** The proof holds for forces in time; the account SCENE counts those (force_history.py). Late forces
+give energy, too, but that is the host's fault: no reason to stop a run in which a hand knocks while the host stalls.
+The account LATE counts the forces that acted, as far as the device reports them, with a larger `limit` and LATE_SWINGS
+episodes.
 
-and its middle is what the change adds: it is subtracted from S when the change acts, with its sign, for all modules
-alike (cordis/stored_energy.py), and bounded by a tank there. The guard trips where S is above `limit`. Behind a delay
-of d samples a change acts where the hand is d samples later; that is not counted.
+**Swinging at the limit.** A swing that the force limit clips can keep its size while friction takes all the energy. So
+the guard also trips after SWINGS episodes in a row, each beginning within GAP_S (GAP_SAMPLES at least) of the one
+before, if over them the force did at least the work that friction took, and more than `swing_limit`. An episode begins
+where the scene's own force, without an excitation, reaches the limit on another side or after a sample within it, but
+not behind lost positions. The sums begin anew where the force did less work than friction took: between two crossings
+of the limit at one place a spring holds the same energy, so any gain comes from the sampling. They also begin anew when
+a parameter changes, which moves the crossing. A hand that presses, knocks or shakes a passive object loses energy from
+episode to episode.
 
-**Two accounts.** The proof holds for forces in time at any positions, and the account SCENE counts those
-(force_history.py). A late force gives energy too, but that is the host's fault, and a hand that knocks now and then
-while the host stalls is no reason to stop. The account LATE counts the forces that acted, as far as the device reports
-them, with limits of its own: a larger `limit`, and LATE_SWINGS episodes.
+**Shaking at the limit.** A mass that diverges, or a damper too large for the rate, throws the force from limit to limit
+so fast that the hand hardly moves. So the guard also trips after SHAKES turns in a row of one channel's force from one
+limit to the other, if the scene asks for no less from turn to turn, and each turn is
 
-**Swinging at the limit.** Where the limit clips the force and friction takes all that it gives, the swing keeps its
-size and S stays where it is. So the guard also trips after SWINGS episodes in a row, each beginning within GAP_S
-(GAP_SAMPLES at least) of the one before, if over them the force did no less work than friction took and more than
-`swing_limit`. An episode begins where the scene's own force, without an excitation, reaches the limit on another side
-or after a sample within it, but not behind lost positions, far beyond the limit. The sums begin anew where the force
-did less work than friction took: between two crossings of the limit at one place a spring holds the same, so what is
-gained between them comes of the sampling alone. They begin anew, too, when a parameter of the scene changes: that moves
-the crossing of the limit. A hand that presses on, knocks or shakes a passive object loses energy from episode to
-episode.
+* within SHAKE_SAMPLES of the one before: friction ends so fast a swing of a passive object at once;
+* or within SHAKE_S, the scene asking for SHAKE_OVER times the limit: no hand shakes at 10 Hz and more, and a mass that
+  swings so on a passive object comes to rest;
+* or within GAP_S, the scene asking for FAR_OVER times the limit: no hand stretches anything so far.
 
-**Shaking at the limit.** A simulated mass that diverges, or a damper that is too large for the rate, throws the force
-from limit to limit so fast that the hand hardly moves and gets no energy. So the guard trips, too, after SHAKES turns
-in a row of one channel's force from one limit to the other, if the scene asks for no less from turn to turn, and each
-is
-
-* within SHAKE_SAMPLES of the one before: the friction that makes an object passive ends so fast a swing at once;
-* within SHAKE_S, the scene asking for SHAKE_OVER times the limit: no hand shakes at 10 Hz and more, and a mass that
-  swings so on a passive object comes to rest, and asks for less from turn to turn;
-* or within GAP_S, the scene asking for FAR_OVER times the limit: no hand has stretched anything so far.
-
-**A scene that is predicted unstable** and runs because its user asked for that is no passive object. There episodes
-count from LOW of the limit on, so that a contact is found that bounces below the limit; friction may take more than the
-work by NEARLY of it; and every turn from limit to limit within GAP_S is shaking.
+**A scene that is predicted unstable**, and runs at its user's request, is judged more strictly. Episodes count from LOW
+of the limit on, to find a contact that bounces below it; friction may take more than the work by NEARLY of it; and
+every turn from limit to limit within GAP_S is shaking.
 
 A scene without this guard never compiles it: its address is 0 then.
 """
@@ -78,21 +71,19 @@ from hapsim.loop.buffers import IO_BUFFER
 from hapsim.loop.force_history import FORCE_HISTORY, IN_TIME, OF_SCENE, acting_force
 from hapsim.loop.guards.force_limit import clip
 
-CREDIT_M = 0.25  # of travel at the force limit: what a scene could hold
-FIRST_FORCE_M = 0.1  # of travel of the first force: what a link holds at least that is stretched at arming
+# Energies are lengths of travel at the force limit.
+CREDIT_M = 0.25  # the most that a scene could hold
+FIRST_FORCE_M = 0.1  # at the first force: the least that a link holds which is stretched at arming
+SWING_M, LATE_M = 0.02, 0.1  # what swings at the limit, and late forces, may give
+LATE_SWINGS = 64
 SWINGS, GAP_S, GAP_SAMPLES = 16, 0.5, 3
 SHAKES, SHAKE_SAMPLES, SHAKE_S, SHAKE_OVER, FAR_OVER = 64, 6, 0.05, 1.5, 100.0
 LOW, NEARLY = 0.02, 0.01
 _FOREVER = 1 << 62
 _SAME_PEAK = 0.999  # of what was asked for: a sample need not fall on the peak
 
-GIVEN, SWINGING, SHAKING = 1, 2, 3
-"""Why it tripped: the energy, the swing at the limit, or that it shakes there."""
-
-SCENE, LATE = 0, 1
-"""The accounts: of the forces in time, and of those that acted."""
-
-LATE_M, LATE_SWINGS = 0.1, 64  # of travel at the force limit: what late forces may give; and how often they may swing
+GIVEN, SWINGING, SHAKING = 1, 2, 3  # why it tripped: the energy, or swinging or shaking at the limit
+SCENE, LATE = 0, 1  # the accounts: of the forces in time, and of those that acted
 _EACH, _ACCOUNTS = (schema.MAX_CHANNELS,), (2,)
 
 ENERGY_GUARD = np.dtype(
@@ -289,36 +280,33 @@ class EnergyGuard:
     def __init__(
         self,
         record: Any,
+        tank: Tank,
         *,
         rate_hz: float,
         friction: NDArray[np.float64],
         compliance: NDArray[np.float64],
+        force_limit: float,
         limit_j: float,
-        swing_limit_j: float,
-        late_limit_j: float,
-        credit_j: float,
         held_j: float,
-        tank: Tank,
     ) -> None:
-        """`friction`: (channels,) N·s/m; `compliance`: (channels,) m/N, 0 where it is not known; `limit_j`: of what is
-        given; `swing_limit_j`: of the work of a swing at the limit; `late_limit_j`: of both, of forces that are late;
-        `credit_j`: of a hand; `held_j`: what the scene holds at the start; `tank`: of its changes."""
-        self._record = record
-        record.address = address_of(record)
+        """`tank`: of live changes; `friction`: (channels,) N·s/m; `compliance`: (channels,) m/N, 0 where unknown;
+        `force_limit`: N; `limit_j`: the energy that the scene may give; `held_j`: the energy that it holds at the
+        start."""
+        self._record, self.tank = record, tank
+        record.address, record.tank, record.judge = address_of(record), tank.address, judge_energy.address()
         record.braked[: friction.size] = friction * rate_hz
         record.compliance[: compliance.size] = compliance
-        record.limit[:], record.swing_limit[:] = (limit_j, late_limit_j), (swing_limit_j, late_limit_j)
+        late_j = max(limit_j, LATE_M * force_limit)
+        record.limit[:], record.swing_limit[:] = (limit_j, late_j), (min(limit_j, SWING_M * force_limit), late_j)
         record.given[:] = -held_j
-        record.credit, record.tank = credit_j, tank.address
-        self.tank = tank
+        record.credit = CREDIT_M * force_limit
         record.most_gap = max(GAP_SAMPLES, round(GAP_S * rate_hz))
         record.most_turn = round(SHAKE_S * rate_hz)
         record.least_peak[:] = math.inf
-        record.judge = judge_energy.address()
 
     def follow(self, unstable: bool, samples: int = 0) -> None:
-        """Whether the scene, as it will be in so many samples, is predicted unstable, and runs because that was asked
-        for: on the way to one that is, and away from one that was, it is taken for one."""
+        """Sets whether the scene, as it will be in `samples`, is predicted unstable and runs by request. On the way to
+        such a scene, and away from one, the stricter rules apply."""
         if unstable:
             self._record.unstable_until = _FOREVER
         elif self.is_unstable:
@@ -326,5 +314,5 @@ class EnergyGuard:
 
     @property
     def is_unstable(self) -> bool:
-        """Whether the scene is taken for one that is predicted unstable."""
+        """Whether the rules for a scene that is predicted unstable apply now."""
         return bool(self._record.elapsed < self._record.unstable_until)

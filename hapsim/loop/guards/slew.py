@@ -1,42 +1,39 @@
 """How fast the force may change: a slew limit between two forces that are sent, and a soft start.
 
 **The slew limit.** From one force that is sent to the next no channel changes by more than a step, in whole counts. The
-step counts from what the device holds: zero from arming on and once a force's time to live is over, else the last force
-that left, whatever was worked out meanwhile.
+step counts from what the device holds: zero after arming and once a force's time to live is over, else the last force
+that left.
 
-Where the device reports a late force, or where a position is missing that may have reported one, the device may hold
-the last force that surely came, or any since. The next force is within a step of all of them. That is always possible,
-since each was within a step of all before it. Once the one that surely came has no more time to live, the device may be
-at zero, too; where no force is within a step of that and of the others, zero leaves.
+Where the device reports a late force, or where a missing position may have reported one, the device may hold the last
+force that surely arrived, or any since. The next force is within a step of all of them. That is always possible, since
+each was within a step of all before it. Once the time to live of the one that surely arrived is over, the device may be
+at zero, too; where no force is within a step of all these, zero leaves.
 
 A longer row of late forces looks the same whether each comes late or none comes at all. Once it has lasted longer than
-a force lives, and for LATE forces at least, it is taken for the first, and only the last LATE forces count: the force
-then changes by a step in LATE samples, where it would else stay within a step of one place for ever.
+a force lives, and for LATE forces at least, only the last LATE forces count. The force then changes by a step in LATE
+samples, where it would otherwise be stuck.
 
 **The soft start.** A scene may ask for a force in the very first sample, before the hand has met anything: f0, clipped
-to the limit. A ramp leads to it: of every force F
+to the limit. The force ramps up to it: of every force F
 
     F - f0 (1 - s(t / soft start)),     s(u) = 3 u² - 2 u³
 
 leaves, but never less than zero and never more than F, to the side of F. Without this bound a hand that moves away from
 a spring would be pulled back, and one that moves to its other side pushed beyond what is asked.
 
-Zero force by a guard, a disarming or the device's watchdog is immediate: nothing here delays it.
+Zero force by a guard, by disarming or by the device's watchdog is immediate.
 
 A scene without either never compiles this: its address is 0 then.
 """
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numba import types
-from numpy.typing import NDArray
 
 from firmware_protocol import schema
 from hapsim.compiling import helper, inlined
-from hapsim.compiling.native import address_of, function_at, native, record_at
+from hapsim.compiling.native import function_at, native, record_at
 from hapsim.loop.buffers import IO_BUFFER
 from hapsim.loop.guards.force_limit import clip
 
@@ -154,16 +151,3 @@ def _within_a_step(slew, channel, counts):
     """The counts, or what is next to them within a step of all that the device may hold; zero where nothing is."""
     low, high, step = slew.low[channel], slew.high[channel], slew.step[channel]
     return 0 if high - low > 2 * step else max(min(counts, low + step), high - step)
-
-
-def limit_slew(
-    slew: Any, *, step_counts: NDArray[np.int64] | None, soft_samples: float, lives_samples: int, channels: int
-) -> None:
-    """Fills a SLEW. `step_counts`, (channels,): by how much a force may change, None for no limit; `soft_samples`: how
-    long the soft start lasts, 0 for none; `lives_samples`: the time to live of a force. With neither of the first two,
-    nothing is compiled and nothing is called."""
-    if step_counts is None and soft_samples <= 0.0:
-        return
-    slew.step[:channels] = NO_LIMIT if step_counts is None else step_counts
-    slew.soft_samples, slew.lives = soft_samples, lives_samples
-    slew.address, slew.shape = address_of(slew), shape_force.address()

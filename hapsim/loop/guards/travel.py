@@ -1,32 +1,28 @@
-"""Outside the travel that a scene declares for its device, the force fades; beyond a band there, the loop stops.
+"""Outside the travel that a scene declares for its device, the force fades; beyond a margin there, the loop stops.
 
 A position x is outside by max(low - x, x - high). There the force that would leave, clipped and with any push, is
 multiplied by 1 - outside / margin, and is zero beyond the margin. So a fade is no steeper than force_limit / margin,
-which is judged as a stiffness before a run, and a device that rests at its own stop, in the band, just feels less.
+which is judged as a stiffness before a run. A device that rests at its own stop, within the margin, feels less force.
 
-A device that goes beyond the band has a motor with the wrong sign, or a zero that is not where the scene has it. The
-loop stops as soon as noise and counts do not explain the position. A device that is outside when it is armed is let in:
-until it comes within its travel, the band begins where it was armed.
+Beyond the margin a motor has the wrong sign, or the zero is not where the scene has it. The loop stops as soon as noise
+and counts do not explain the position. A device that is armed outside may stay there: until it comes within its travel,
+the margin begins where it was armed.
 
 A scene without a travel never compiles this: its address is 0 then.
 """
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numba import types
-from numpy.typing import NDArray
 
 from firmware_protocol import schema
-from hapsim.compiling.native import address_of, function_at, native, record_at
+from hapsim.compiling.native import function_at, native, record_at
 from hapsim.loop.buffers import IO_BUFFER
 
 NOISE_RMS = 8.0  # of the sensor's noise, where it is known: one sample in 1e15 has more
 
-WITHIN, OUTSIDE, BEYOND = 0, 1, 2
-"""Where the device is: within its travel, outside, where the force fades, or too far."""
+WITHIN, OUTSIDE, BEYOND = 0, 1, 2  # the device is within its travel, outside, where the force fades, or too far
 
 _EACH = (schema.MAX_CHANNELS,)
 
@@ -76,21 +72,3 @@ def fade(travel, io):
             travel.channel, travel.position, most = c, x, BEYOND
     travel.begun = 1
     return most
-
-
-def keep_within(
-    travel: Any,
-    *,
-    limits: NDArray[np.float64],
-    margin: NDArray[np.float64],
-    noise_m: float,
-    count_m: NDArray[np.float64],
-) -> None:
-    """Fills a TRAVEL. `limits`: (channels, 2) m; `margin`: (channels,) m; `noise_m`: rms, as far as it is known;
-    `count_m`: (channels,) m per count."""
-    channels = margin.size
-    travel.low[:], travel.high[:] = -np.inf, np.inf
-    travel.low[:channels], travel.high[:channels] = limits.T
-    travel.margin[:channels] = margin
-    travel.unsure[:channels] = NOISE_RMS * noise_m + count_m
-    travel.address, travel.fade = address_of(travel), fade.address()
