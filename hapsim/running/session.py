@@ -203,8 +203,10 @@ class Session:
         units = (*loop, *DEVICE_UNITS[self._place])
         if self._place != "port":
             compile_ahead(units, counted)
-        where = {"portable": options.portable, "realtime": options.realtime, "between": options.between}
-        connection = stack.enter_context(open_connection(scene, options.transport, **where))
+        opening = open_connection(
+            scene, options.transport, portable=options.portable, realtime=options.realtime, between=options.between
+        )
+        connection = stack.enter_context(opening)
         if self._place == "port" and loop:
             compile_ahead(units, counted)
         self._description = describe(connection)
@@ -224,8 +226,8 @@ class Session:
 
     def _begin_record(self, scene: Scene, path: Path) -> RecordFile:
         loop, io = self._loop, self._loop.record.io
-        scales = (scale[: loop.wire.channels].tolist() for scale in (io.position_scale, io.force_scale))
-        head = Head(scene.rate, *scales, scene=scene.path or "", begun=datetime.now(UTC).isoformat())
+        position, force = (scale[: loop.wire.channels].tolist() for scale in (io.position_scale, io.force_scale))
+        head = Head(scene.rate, position, force, scene.path or "", datetime.now(UTC).isoformat())
 
         def report_so_far() -> tuple[Report, Statistics]:
             return outcome.report_of(scene, loop, "running"), outcome.statistics_of(loop)
