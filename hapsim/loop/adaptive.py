@@ -1,7 +1,7 @@
 """The correction `adaptive`: the force follows the estimated mass (mass_estimate.py), by a factor e in SLEW_S at most.
 
-`prediction/correction/adaptive.py` works out beforehand for which masses something can be simulated, stable for all of
-them; it comes as the predictor's table. A scene without this correction never compiles it.
+`prediction/correction/adaptive.py` computes the predictor's table beforehand: what to simulate for which mass, stable
+for all of them. A scene without this correction never compiles it.
 """
 
 from __future__ import annotations
@@ -15,24 +15,23 @@ from numpy.typing import NDArray
 
 from firmware_protocol import schema
 from firmware_protocol.compiled import new_record
-from hapsim.compiling import helper
 from hapsim.compiling.native import address_of, array_at, native, record_at
 from hapsim.loop.buffers import IO_BUFFER
 from hapsim.loop.mass_estimate import MASS_ESTIMATE, MOST_SLOW_SPAN, MOST_SPAN, estimate_mass, note_sample, take_spans
 from hapsim.loop.predictor import ADD, PREDICT, PREDICTOR, look_ahead, observe, set_numbers, take_posted
 
 SLEW_S, LEAST_SLEW = 0.05, 25  # s, samples: for a factor e of the mass
-_LEAST_STIFFNESS = 1e-9  # N/m: of a loop that hardly swings
+_LEAST_STIFFNESS = 1e-9  # N/m
 
 _EACH = (schema.MAX_CHANNELS,)
 
 ADAPTIVE = np.dtype(
     [
         ("adapts", np.int64, _EACH),  # 1: this channel's force follows an estimate
-        ("log_least", np.float64, _EACH),  # of the span, ln kg
+        ("log_least", np.float64, _EACH),  # ln kg: the span of masses,
         ("log_most", np.float64, _EACH),
-        ("log_mass", np.float64, _EACH),  # for which the force is now
-        ("slew", np.float64),  # of ln m in a sample, at most
+        ("log_mass", np.float64, _EACH),  # and the mass that the force is for
+        ("slew", np.float64),  # the largest change of ln m in a sample
         ("estimate", MASS_ESTIMATE),
     ],
     align=True,
@@ -43,12 +42,12 @@ _adaptive_at = record_at(ADAPTIVE)
 _ROW = schema.MAX_CHANNELS
 
 ADDED = 3
-"""Numbers at the end of a channel's: N/m, N·s/m and N, what comes to the scene's force."""
+"""The last of a channel's numbers: N/m, N·s/m and N, which are added to the scene's force."""
 
 
 @native(PREDICT.return_type, *PREDICT.args)
 def predict_adaptively(predictor, io, gap, late, age):
-    """As `predict`, with the numbers for the mass that is estimated."""
+    """As `predict`, with the numbers for the estimated mass."""
     predictor, io = _predictor_at(predictor), _io_at(io)
     adaptive = _adaptive_at(predictor.adaptive)
     forces = _doubles_at(predictor.forces, (predictor.mask + 1) * 2 * _ROW)
@@ -60,7 +59,8 @@ def predict_adaptively(predictor, io, gap, late, age):
     note_sample(adaptive.estimate, gap, late)
     for c in range(io.channels):
         if adaptive.adapts[c]:
-            _follow(adaptive, estimate_mass(adaptive.estimate, predictor, forces, c, io.measured[c]), c)
+            step = estimate_mass(adaptive.estimate, predictor, forces, c, io.measured[c]) - adaptive.log_mass[c]
+            adaptive.log_mass[c] += min(max(step, -adaptive.slew), adaptive.slew)
             span = adaptive.log_most[c] - adaptive.log_least[c]
             set_numbers(predictor, c, (adaptive.log_mass[c] - adaptive.log_least[c]) / span * (predictor.rows - 1))
         elif follows:
@@ -70,7 +70,7 @@ def predict_adaptively(predictor, io, gap, late, age):
 
 @native(ADD.return_type, *ADD.args)
 def add_difference(predictor, io):
-    """What comes to the scene's force, since the scene's links are those for the least mass."""
+    """Adds to the scene's force: the scene's links are those for the least mass."""
     predictor, io = _predictor_at(predictor), _io_at(io)
     numbers = _doubles_at(predictor.numbers, _ROW * predictor.width)
     for c in range(io.channels):
@@ -78,35 +78,24 @@ def add_difference(predictor, io):
         io.asked[c] += numbers[dK + 2] - numbers[dK] * io.measured[c] - numbers[dK + 1] * io.velocity[c]
 
 
-@helper
-def _follow(adaptive, log_mass, c):
-    """The mass that the force is for goes to the one that is estimated."""
-    step = log_mass - adaptive.log_mass[c]
-    adaptive.log_mass[c] += min(max(step, -adaptive.slew), adaptive.slew)
-
-
 class EstimatedMass(NamedTuple):
-    """A mass in kg, its standard uncertainty in kg, the whole span where nothing is known, and R²: the share of the
-    latest motion that the forces explain."""
+    """An estimate of a channel's mass."""
 
     mass_kg: float
-    uncertainty_kg: float
-    explained: float
+    uncertainty_kg: float  # standard; the whole span where nothing is known
+    explained: float  # R²: the share of the latest motion that the forces explain
 
 
 class AdaptiveChannel(NamedTuple):
-    """Of a channel whose force follows the estimate."""
+    """A channel whose force follows the estimate."""
 
-    span: tuple[float, float]
-    """kg, of the rows of its table, which are in equal ratios."""
-    device_stiffness: float
-    """N/m"""
-    desired_stiffness: float
-    """N/m: what the hand shall feel, if it moves nothing else"""
+    span: tuple[float, float]  # kg: the first and the last row of its table, in equal ratios
+    device_stiffness: float  # N/m
+    desired_stiffness: float  # N/m, of a hand that moves nothing else
 
 
 class Adaptation:
-    """Fills an ADAPTIVE, and keeps what it points to."""
+    """Fills an ADAPTIVE."""
 
     def __init__(
         self,
@@ -118,9 +107,9 @@ class Adaptation:
         first_lag: int,
         count_m: NDArray[np.float64],
     ) -> None:
-        """`predictor`: its PREDICTOR, already filled, whose table ends on what is ADDED. `numerator`: how much of
-        T²/m f[n - first_lag], and of the forces before it, is in the second difference of the positions at sample n.
-        `count_m`: m per count, each channel's."""
+        """`predictor`: a filled PREDICTOR, whose numbers end with the ADDED ones. `numerator`: the shares of
+        T²/m f[n - first_lag], and of the forces before it, in the second difference of the positions at sample n.
+        `count_m`: (channels,) m per count."""
         self.record = record = new_record(ADAPTIVE)
         self._channels, self._period_s = channels, period_s
         record.slew = 1.0 / max(SLEW_S / period_s, LEAST_SLEW)
@@ -143,18 +132,17 @@ class Adaptation:
         predictor.add = add_difference.address()
 
     def follow(self, channels: Mapping[int, AdaptiveChannel]) -> None:
-        """Begins anew with other spans of samples, together with the table that is posted next."""
+        """Restarts the estimates with other spans of samples, together with the table that is posted next."""
         for channel, one in channels.items():
             half_period_s = math.pi * math.sqrt(one.span[0] / max(one.desired_stiffness, _LEAST_STIFFNESS))
             samples = min(max(half_period_s / self._period_s, 1.0), float(MOST_SPAN))
             self.record.estimate.next_span[channel] = round(samples)
 
     def masses(self) -> dict[int, EstimatedMass]:
-        """What is known of the mass on every channel that adapts."""
-        return {channel: self._mass(channel) for channel in self._channels}
-
-    def _mass(self, channel: int) -> EstimatedMass:
-        record = self.record.estimate
-        mass, relative = float(np.exp(record.log_mass[channel])), float(record.uncertainty[channel])
-        least, most = self._channels[channel].span
-        return EstimatedMass(mass, min(relative * mass, most - least), float(record.explained[channel]))
+        """Returns the estimate of every channel that adapts."""
+        found, record = {}, self.record.estimate
+        for channel, one in self._channels.items():
+            mass, relative = float(np.exp(record.log_mass[channel])), float(record.uncertainty[channel])
+            uncertainty = min(relative * mass, one.span[1] - one.span[0])
+            found[channel] = EstimatedMass(mass, uncertainty, float(record.explained[channel]))
+        return found

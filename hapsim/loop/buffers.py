@@ -1,7 +1,7 @@
-"""Where bytes and numbers of an exchange are kept: what arrived, what is sent, and each channel's position and force.
+"""The memory of an exchange: bytes that arrived and that are sent, and each channel's position and force.
 
-The last bytes each way stay as they were on the wire, for the report of a run that was stopped. Nothing is copied for
-that: what is received or sent goes to the next place of a buffer, and to its beginning once KEPT bytes are there.
+The last bytes each way stay as they were on the wire, for the report of a run that a guard or the device ended. Nothing
+is copied for that: bytes go to the next place of a buffer, and to its beginning once KEPT bytes are there.
 """
 
 from __future__ import annotations
@@ -19,21 +19,19 @@ from hapsim.compiling.native import record_at
 from hapsim.loop.system import SCRATCH
 from hapsim.loop.transport import TRANSPORT, PythonTransport
 
-KEPT = 1 << 14
-"""Bytes that are kept at least: more than a hundred of the longest frames."""
-AT_ONCE = 8192
-"""Bytes that are received at once, at most."""
+KEPT = 1 << 14  # bytes: more than a hundred of the longest frames
+AT_ONCE = 8192  # bytes that are received at once, at most
 
 _EACH = (schema.MAX_CHANNELS,)
 
 LAST_BYTES = np.dtype(
     [
         ("at", np.int64),  # where the next bytes go
-        ("end", np.int64),  # where the bytes of the round before end
+        ("end", np.int64),  # of the bytes of the round before
     ],
     align=True,
 )
-"""Of a buffer that has KEPT bytes and room for the most that come at once."""
+"""The place in a buffer of KEPT bytes and room for the most that come at once."""
 
 INBOX = np.dtype(
     [
@@ -53,21 +51,21 @@ inbox_at = record_at(INBOX)
 IO_BUFFER = np.dtype(
     [
         ("address", np.uint64),  # of all this
-        ("channels", np.int64),  # of the device; of what follows, so many are in use
+        ("channels", np.int64),  # of the device: how many of the following are in use
         ("velocities", np.int64),  # 1: they are on the wire
-        ("measured", np.float64, _EACH),  # m, the newest position, or what a predictor puts in its place
+        ("measured", np.float64, _EACH),  # m, the newest position, or the predicted one
         ("before", np.float64, _EACH),  # m, the one before
         ("bridge", np.float64, _EACH),  # m, between the two where positions were lost
-        ("velocity", np.float64, _EACH),  # m/s, sensed with it, or predicted; 0 where neither
+        ("velocity", np.float64, _EACH),  # m/s, sensed or predicted with it; else 0
         ("velocity_before", np.float64, _EACH),  # m/s, with the one before
         ("velocity_bridge", np.float64, _EACH),  # m/s, between the two where positions were lost
         ("asked", np.float64, _EACH),  # N, the scene's force
-        ("as_hand", np.float64, _EACH),  # N, what an excitation that plays the hand adds to it
-        ("excitation", np.float64, _EACH),  # N, all that is added to it: a push, or what plays the hand
+        ("as_hand", np.float64, _EACH),  # N, the part of the excitation that plays the hand
+        ("excitation", np.float64, _EACH),  # N, added to the scene's force
         ("position_counts", np.int64, _EACH),  # from the scene's origin on
-        ("origin_counts", np.int64, _EACH),  # which of the device's positions that is,
-        ("origin_at_arming", np.int64, _EACH),  # or 1: the first one
-        ("force_counts", np.int64, _EACH),  # what excitation and guards make of it
+        ("origin_counts", np.int64, _EACH),  # the device's position there,
+        ("origin_at_arming", np.int64, _EACH),  # 1: its first one
+        ("force_counts", np.int64, _EACH),  # the force after excitation and guards
         ("position_scale", np.float64, _EACH),  # m per count
         ("velocity_scale", np.float64, _EACH),  # (m/s) per count
         ("force_scale", np.float64, _EACH),  # N per count
@@ -83,7 +81,7 @@ IO_BUFFER = np.dtype(
 
 @inlined
 def next_place(last):
-    """Where the next bytes go. Whoever puts them there moves `last.at` behind them."""
+    """Returns where the next bytes go. The caller then moves `last.at` behind them."""
     if last.at >= KEPT:
         last.end = last.at
         last.at = 0
@@ -91,20 +89,20 @@ def next_place(last):
 
 
 def last_bytes(last: Any, buffer: NDArray[np.uint8]) -> bytes:
-    """What is kept in a buffer, oldest first."""
+    """Returns the bytes that a buffer keeps, oldest first."""
     at, end = int(last.at), int(last.end)
     return buffer[at:end].tobytes() + buffer[:at].tobytes()
 
 
 def put_bytes(last: Any, buffer: NDArray[np.uint8], data: bytes) -> None:
-    """Keeps bytes, outside of the compiled loop."""
+    """Keeps bytes, outside the compiled loop."""
     at = int(next_place(last))
     buffer[at : at + len(data)] = np.frombuffer(data, np.uint8)
     last.at = at + len(data)
 
 
 def fetch_in_python(inbox: Any, transport: PythonTransport, timeout_ns: int) -> int:
-    """Reads what has arrived into an inbox that is used up, outside of the compiled loop: the count, or a code of
+    """Reads what has arrived into an inbox that is used up, outside the compiled loop. Returns the count, or a code of
     endings.py."""
     at = int(next_place(inbox.last))
     inbox.start = inbox.stop = at

@@ -1,6 +1,6 @@
-"""Who keeps the time of a loop: the device, whose positions are awaited, or the host, by a grid of its own.
+"""What paces a loop: the device, whose positions are awaited, or the host, by a grid of its own.
 
-By the host's clock each tick sends the force and with it asks for the next position.
+Where the host paces, each tick sends the force and with it asks for the next position.
 """
 
 from __future__ import annotations
@@ -13,25 +13,22 @@ from hapsim.loop.histogram import HISTOGRAM, note
 from hapsim.loop.system import SCRATCH, now_ns, sleep_until
 
 SLICE_NS = 100_000_000
-"""The longest wait without a look at whether the loop is to stop."""
+"""The longest wait without a look at `control.stop`."""
 
 
 @inlined
 def next_point(due, now, period):
-    """(the point of the grid after `due`, 1 where this one was missed else 0); ns, `now` the time at which it was kept.
+    """Returns (the point of the grid after `due`, 1 if this one was missed else 0); ns, woken for it at `now`.
 
-    The grid is absolute, so that lateness does not add up. A point that was kept a whole period late or more is missed,
-    and the grid starts anew from there: catching up would be a burst.
+    The grid is absolute, so that lateness does not add up. A point that is a whole period late or more is missed, and
+    the grid starts anew from there: catching up would be a burst.
     """
-    following = due + period
-    if now < following:
-        return following, 0
-    return now + period, 1
+    return (due + period, 0) if now < due + period else (now + period, 1)
 
 
 @inlined
 def plan_by_device(loop):
-    """Plans the next wait where the device is the clock, in real or virtual time: RUNNING, or why the loop ends."""
+    """Plans the next wait where the device paces, in real or virtual time. Returns RUNNING, or why the loop ends."""
     loop.wait.begun_ns = loop.state.sent_ns
     loop.wait.for_ns = loop.control.silence_ns
     loop.wait.answers = 1
@@ -40,11 +37,11 @@ def plan_by_device(loop):
 
 @inlined
 def plan_by_host(loop):
-    """Plans the next wait where the host is the clock: RUNNING, or why the loop ends.
+    """Plans the next wait where the host paces. Returns RUNNING, or why the loop ends.
 
-    A tick has two waits. When it is due, the loop looks whether a position came after the tick before was over, and
-    answers it: answered in its turn, every later force would be a sample older than need be. Then the loop waits for
-    the position that this asked for, until the next tick is due. The first position comes without being asked for.
+    A tick has two waits. When it is due, the loop answers a position that came after the tick before was over:
+    otherwise every later force would be a sample older than necessary. Then the loop waits for the next position, until
+    the next tick is due. The first position comes without a request.
     """
     wait, state, control = loop.wait, loop.state, loop.control
     if state.ticks == 0:
@@ -64,7 +61,7 @@ def plan_by_host(loop):
         sleep_until(wait.due_ns if wait.due_ns < slice_ends else slice_ends, loop.io.scratch)
         woken = now_ns(loop.io.scratch)
     if control.stop:
-        return STOPPED  # it woke up for that, not for an exchange
+        return STOPPED
     note(loop.histograms.lateness, woken - wait.due_ns)
     wait.begun_ns, wait.for_ns, wait.answers = woken, 0, 1
     wait.due_ns, missed = next_point(wait.due_ns, woken, control.period_ns)
@@ -74,13 +71,13 @@ def plan_by_host(loop):
 
 @inlined
 def may_ask_again(loop):
-    """Whether the host asks again for a position that did not come: unless the device has been quiet for too long."""
+    """Whether the host asks again for a position that did not come; not after too long a silence of the device."""
     return loop.state.ticks > 0 and loop.state.sent_ns - loop.state.newest_ns < loop.control.silence_ns
 
 
 GRID = np.dtype(
     [
-        ("stop", np.int64),  # set by another thread, looked at after each wake-up
+        ("stop", np.int64),  # set by another thread, read after each wake-up
         ("due_ns", np.int64),  # the next point of the grid
         ("end_ns", np.int64),  # the last one
         ("period_ns", np.int64),
@@ -91,7 +88,7 @@ GRID = np.dtype(
     ],
     align=True,
 )
-"""A grid without a loop: how late does the machine wake up?"""
+"""A grid without a loop, to measure wake-up latency."""
 
 
 @entry

@@ -1,14 +1,12 @@
-"""Which scene the loop moves: one; or two, for a while after its structure was changed.
+"""Moving the scene: one, or two for a while after a change of its structure.
 
-Another thread posts the program of the new scene. Between two samples the loop takes it: what both scenes have goes on
-from where it is (the program's list `take_over`), the same hands move both from then on, and the force in the hand goes
-from the old scene's to the new one's along
+Another thread posts the program of the new scene, and the loop takes it between two samples. What both scenes have
+continues from where it is (the program's list `take_over`); the same hands move both, and the force crossfades:
 
     F = F_old + w(s) (F_new - F_old),     w = 3 s² - 2 s³,     s = 1/N, 2/N, ... 1
 
 over N samples: no sample adds more than 1.5/N of the difference. A step that adds more energy than the tank has is
-shortened (cordis/stored_energy.py), and the crossfade takes longer. At its end the old scene is dropped, and its thread
-may forget it.
+shortened (cordis/stored_energy.py), and the crossfade takes longer. At its end the old scene is dropped.
 
 A scene that never changes its structure never compiles the crossfade: its address is 0 until a scene is posted.
 """
@@ -30,15 +28,15 @@ from hapsim.loop.buffers import IO_BUFFER
 SCENE_SLOT = np.dtype(
     [
         ("address", np.uint64),  # of all this
-        ("program", np.uint64),  # and of the one that is moved
-        ("next", np.uint64),  # of the one that follows it; 0: none
-        ("posted", np.uint64),  # of one that shall follow; 0: none
+        ("program", np.uint64),  # of the program that is moved
+        ("next", np.uint64),  # of the one that it fades to; 0: none
+        ("posted", np.uint64),  # of one to take; 0: none
         ("posted_samples", np.int64),  # N, for it
         ("samples", np.int64),  # N
         ("left", np.float64),  # samples until the old scene is dropped
         ("weight", np.float64),  # w
-        ("incoming", np.float64, (schema.MAX_CHANNELS,)),  # N, the following scene's force
-        ("cross_fade", np.uint64),  # address of what moves two; 0: one scene, and none is posted
+        ("incoming", np.float64, (schema.MAX_CHANNELS,)),  # N, the new scene's force
+        ("cross_fade", np.uint64),  # address of the function that moves two; 0: one scene, and none is posted
     ],
     align=True,
 )
@@ -50,8 +48,8 @@ _slot_at, _io_at, _doubles_at = record_at(SCENE_SLOT), record_at(IO_BUFFER), arr
 
 @inlined
 def move_scene(slot, io, samples):
-    """Moves the scene by `samples`; the force in each hand is then in `io.asked`. The hands go along a straight line
-    from the last position to this one, and their velocities along one of their own."""
+    """Moves the scene by `samples`; the force in each hand is then in `io.asked`. Positions and velocities of the hands
+    are interpolated between the last sample and this one."""
     compact()
     for i in range(1, samples + 1):
         position, velocity = io.measured, io.velocity
@@ -87,7 +85,7 @@ def cross_fade(slot, io, position, velocity):
     _move(slot.next, position, velocity, slot.incoming)
     weight = slot.weight
     for c in range(io.channels):
-        # At the end it is the new scene's alone, even where the old one's was no number.
+        # At the end it is the new scene's alone, even where the old one's was not a number.
         io.asked[c] = io.asked[c] + weight * (slot.incoming[c] - io.asked[c]) if slot.left > 0 else slot.incoming[c]
     if slot.left == 0:
         slot.program = slot.next
@@ -98,7 +96,7 @@ def cross_fade(slot, io, position, velocity):
 
 @helper
 def _advance(slot, position):
-    """Moves the weight by a sample, or as far as the tank lasts."""
+    """Advances the weight by a sample, or as far as the tank lasts."""
     before = slot.weight
     slot.left = max(slot.left - 1.0, 0.0)
     s = 1.0 - slot.left / slot.samples
@@ -117,8 +115,8 @@ def _advance(slot, position):
 
 @entry
 def post(slot, program, samples, cross_fade):
-    """Has the program at this address follow the one that is moved now, over so many samples (>= 1). Nothing may be
-    posted before the last crossfade has ended. `cross_fade`: the address of the function of that name."""
+    """Posts the program at this address for a crossfade over so many samples (>= 1). The last crossfade must have
+    ended. `cross_fade`: the address of the function of that name."""
     slot.posted_samples = samples
     slot.posted = np.uint64(program)
     fence()

@@ -1,4 +1,4 @@
-"""What a wait for a position comes to, and why a loop ends: one set of numbers, each passed on as it is.
+"""The result of a wait for a position, and why a loop ends: one set of codes, passed on unchanged.
 
 Where bytes are read a positive number is their count.
 """
@@ -7,36 +7,22 @@ from __future__ import annotations
 
 from hapsim.compiling import inlined
 
-HEARD = 1
-"""A position was taken."""
-RUNNING = 1
-"""Nothing ends the loop yet."""
-TIMED_OUT = 0
-"""Nothing came, or nothing among the bytes was a position."""
-HUNG_UP = -1
-"""The other side of the port is gone."""
-FAILED = -2
-"""The system refused, and a retry will not help."""
-DEVICE_STOPPED = -3
-"""The device said that it stopped."""
-NOT_FINITE = -4
-"""The scene's force is not a number."""
-WRONG_RATE = -5
-"""The device does not sample at the rate that it declares."""
-POSITION_LEAPT = -6
-"""A position is where no hand can have moved the device."""
-ENERGY_EXCEEDED = -7
-"""The energy guard tripped: the scene gives the hand more energy than a passive object, or swings at the limit."""
-WRONG_SIGN = -8
-"""A motor pushes the wrong way."""
-OUT_OF_TRAVEL = -9
-"""The device is farther outside its travel than the force reaches."""
-SILENT = -10
-"""The device has sent no position for too long."""
+HEARD = 1  # a position was taken
+RUNNING = 1  # nothing ends the loop yet
+TIMED_OUT = 0  # nothing came, or nothing among the bytes was a position
+HUNG_UP = -1  # the other side of the port is gone
+FAILED = -2  # the system refused, and a retry will not help
+DEVICE_STOPPED = -3  # the device reported that it stopped
+NOT_FINITE = -4  # the scene's force is not a number
+WRONG_RATE = -5  # the device does not sample at the rate that it declares
+POSITION_LEAPT = -6  # a position is where no hand can have moved the device
+ENERGY_EXCEEDED = -7  # the energy guard tripped
+WRONG_SIGN = -8  # a motor pushes the wrong way
+OUT_OF_TRAVEL = -9  # the device is farther outside its travel than the force reaches
+SILENT = -10  # the device has sent no position for too long
 DONE = -11
 STOPPED = -12
-RING_FULL = -13
-"""The reader has to make room. The device stays armed, and the loop is called again."""
+RING_FULL = -13  # the reader has to make room; the device stays armed, and the loop is called again
 
 IN_WORDS = {
     DONE: "done",
@@ -57,11 +43,11 @@ IN_WORDS = {
 
 @inlined
 def ending_before_exchange(loop):
-    """RUNNING, or why the loop ends before its next exchange: STOPPED, DONE, RING_FULL."""
+    """Returns RUNNING, or why the loop ends before its next exchange: STOPPED, DONE, RING_FULL."""
     if loop.control.stop:
         return STOPPED
     state, control = loop.state, loop.control
-    # Samples that passed, answered or lost; where they come too slowly, the time on the host's clock.
+    # Samples, answered or lost; where they come too slowly, the time on the host's clock.
     if 0 <= control.samples <= state.ticks + state.lost_frames or state.newest_ns - state.first_ns > control.lasts_ns:
         return DONE
     # With a margin, for positions that arrive several at once.
@@ -71,7 +57,7 @@ def ending_before_exchange(loop):
 
 @inlined
 def ending_of(code, stop):
-    """Why the loop ends after a wait for a position that came to `code`. `stop`: another thread stopped the loop."""
+    """Returns why the loop ends after a wait with the result `code`. `stop`: another thread stopped the loop."""
     if code != TIMED_OUT:
         return code
     return STOPPED if stop != 0 else SILENT

@@ -14,45 +14,15 @@ from hapsim.compiling import inlined
 from hapsim.compiling.native import array_at
 from hapsim.cordis.stored_energy import TANK
 from hapsim.cordis.tick import program_at, start
+from hapsim.loop import endings, ring
 from hapsim.loop.buffers import IO_BUFFER, next_place
 from hapsim.loop.crossfade import SCENE_SLOT, move_scene
-from hapsim.loop.endings import (
-    DEVICE_STOPPED,
-    ENERGY_EXCEEDED,
-    HEARD,
-    NOT_FINITE,
-    OUT_OF_TRAVEL,
-    POSITION_LEAPT,
-    TIMED_OUT,
-    WRONG_RATE,
-    WRONG_SIGN,
-)
 from hapsim.loop.force_history import FORCE_HISTORY, IN_ALL, call_keep
-from hapsim.loop.guards.energy_guard import ENERGY_GUARD, call_judge_energy
+from hapsim.loop.guards import energy_guard, leap, rate, sign, slew, travel
 from hapsim.loop.guards.force_limit import clip, is_finite
-from hapsim.loop.guards.leap import LEAP, is_leap
-from hapsim.loop.guards.rate import WATCH, is_off_rate
-from hapsim.loop.guards.sign import SIGN, call_judge, release
-from hapsim.loop.guards.slew import SLEW, call_shape, hold_zero
 from hapsim.loop.guards.stale import has_expired, is_outdated
-from hapsim.loop.guards.travel import BEYOND, TRAVEL, WITHIN, call_fade
 from hapsim.loop.histogram import HISTOGRAM, note
 from hapsim.loop.predictor import PREDICTOR, call_add, call_predict
-from hapsim.loop.ring import (
-    BRIDGED,
-    FADED,
-    LATE_FORCE,
-    LIMITED,
-    OFF_GRID,
-    RING,
-    SLEWED,
-    UNSENT,
-    WITHHELD,
-    mark_last,
-    publish,
-    push,
-    withhold_last,
-)
 
 _MODULUS_MASK = schema.SAMPLE_MODULUS - 1  # it is a power of two
 
@@ -62,21 +32,21 @@ CONTROL = np.dtype(
     [
         ("go", np.int64),  # set by another thread once the device is armed
         ("stop", np.int64),  # set by another thread
-        ("samples", np.int64),  # how many to run, lost ones counted; negative: until told to stop
-        ("lasts_ns", np.int64),  # and for how long at most
+        ("samples", np.int64),  # how many to run, lost ones included; negative: no limit
+        ("lasts_ns", np.int64),  # the longest time on the host's clock
         ("period_ns", np.int64),
         ("clock", np.int64),  # DEVICE_CLOCK, HOST_CLOCK, NO_CLOCK
-        ("silence_ns", np.int64),  # a device quiet for longer is gone
+        ("silence_ns", np.int64),  # a device that is quiet for longer is gone
         ("time_to_live", np.int64),  # samples that a force may act without being replaced
-        ("stale_ns", np.int64),  # and how long that is, with the sample in which it begins to act
-        ("pulse_first", np.int64),  # the excitation: 1 for a push on the first ticks,
-        ("pulse_from", np.int64),  # and pushes from this tick on,
+        ("stale_ns", np.int64),  # the same with the sample in which it begins to act
+        ("pulse_first", np.int64),  # pushes as an excitation: 1 for one on the first ticks,
+        ("pulse_from", np.int64),  # then from this tick on
         ("pulse_every", np.int64),  # one every so many ticks (0: none),
-        ("pulse_ticks", np.int64),  # each this long,
+        ("pulse_ticks", np.int64),  # each of this length,
         ("pulse_channel", np.int64),
-        ("pulse_force", np.float64),  # N at most, to one side and to the other in turn
-        ("periodic", np.uint64),  # or, without pushes, the address of an excitation on that channel: forces in N, each
-        ("periodic_length", np.int64),  # for a sample, and how many (0: none) before they begin again
+        ("pulse_force", np.float64),  # N at most, with alternating sign
+        ("periodic", np.uint64),  # or a periodic excitation on that channel: address of forces in N, one per sample,
+        ("periodic_length", np.int64),  # and their count (0: none)
     ],
     align=True,
 )
@@ -93,42 +63,40 @@ STATE = np.dtype(
         ("slewed_ticks", np.int64),
         ("faded_ticks", np.int64),
         ("withheld_forces", np.int64),
-        # Samples from the position that the acting force answers to the force's change, at most: the device says of a
-        # late force only that it was. Beyond its time to live and one more no force acts: two more say that.
+        # Samples from the position that the acting force answers to the force's change, at most: the device reports of
+        # a late force only that it was late. No force acts beyond its time to live and one more; two more say that.
         ("age", np.int64),
-        ("fault", np.int64),  # what the device said when it stopped,
-        ("device_state", np.int64),  # which state it said it is in,
-        ("stopped_ns", np.int64),  # and when
-        ("first_ns", np.int64),  # when the first and the newest position arrived
+        ("fault", np.int64),  # what the device reported when it stopped,
+        ("device_state", np.int64),  # its state then,
+        ("stopped_ns", np.int64),  # and the time
+        ("first_ns", np.int64),  # arrival of the first and of the newest position
         ("newest_ns", np.int64),
         ("since_sent", np.int64),  # samples from the position that the last force to leave answers
         ("unanswered", np.int64),  # 1: the newest position's force has not left yet
-        ("tick_ns", np.int64),  # when the loop woke up to ask for the next position, where the host is the clock
+        ("tick_ns", np.int64),  # where the host paces: when the loop woke up to ask for the next position
         ("sent_ns", np.int64),  # when the last force had left
-        ("due_ns", np.int64),  # when the next position is expected, where the device is the clock
+        ("due_ns", np.int64),  # where the device paces: when the next position is expected
     ],
     align=True,
 )
 
 WAIT = np.dtype(
     [
-        ("begun_ns", np.int64),  # since when,
-        ("for_ns", np.int64),  # and for how long at most, the loop waits for a position
-        ("answers", np.int64),  # 1: then it sends a force
-        ("due_ns", np.int64),  # when the next tick is due, where the host is the clock
+        ("begun_ns", np.int64),  # the loop waits for a position since then,
+        ("for_ns", np.int64),  # at most for so long,
+        ("answers", np.int64),  # 1: and then sends a force
+        ("due_ns", np.int64),  # where the host paces: when the next tick is due
     ],
     align=True,
 )
 
 HISTOGRAMS = np.dtype(
     [
-        # ns: of the wake-up, where the host is the clock; of the position, where the device is.
-        ("lateness", HISTOGRAM),
-        # ns: from a position's arrival until its force has left; where the host is the clock, from waking up for the
-        # tick until the position has arrived, the force sent in between.
+        ("lateness", HISTOGRAM),  # ns: of the wake-up, where the host paces; of the position, where the device does
+        # ns: from a position's arrival until its force has left; where the host paces, from waking up for the tick
+        # until the position has arrived, the force sent in between.
         ("exchange", HISTOGRAM),
-        # Samples, as in STATE.
-        ("age", HISTOGRAM),
+        ("age", HISTOGRAM),  # samples, as in STATE
     ],
     align=True,
 )
@@ -139,18 +107,18 @@ LOOP = np.dtype(
         ("framing", FRAMING),  # of the frames to the device
         ("predictor", PREDICTOR),
         ("slot", SCENE_SLOT),
-        ("ring", RING),
+        ("ring", ring.RING),
         ("io", IO_BUFFER),
         ("control", CONTROL),
         ("state", STATE),
         ("wait", WAIT),
-        ("watch", WATCH),
-        ("leap", LEAP),
-        ("travel", TRAVEL),
-        ("slew", SLEW),
+        ("watch", rate.WATCH),
+        ("leap", leap.LEAP),
+        ("travel", travel.TRAVEL),
+        ("slew", slew.SLEW),
         ("history", FORCE_HISTORY),
-        ("energy_guard", ENERGY_GUARD),
-        ("sign", SIGN),
+        ("energy_guard", energy_guard.ENERGY_GUARD),
+        ("sign", sign.SIGN),
         ("tank", TANK),
         ("histograms", HISTOGRAMS),
     ],
@@ -161,11 +129,11 @@ LOOP = np.dtype(
 
 @inlined
 def take_frame(loop, decoder, now):
-    """Takes the decoder's frame, which arrived at `now` (ns). A position moves the scene up to its sample, and the
-    force that answers it is worked out: HEARD, or a code of endings.py that ends the loop.
+    """Takes the decoder's frame, which arrived at `now` (ns). A position moves the scene up to its sample and computes
+    the force that answers it. Returns HEARD, or a code of endings.py that ends the loop.
 
-    A position that comes twice, or after a newer one, is counted and passed over, as is a frame of another type:
-    TIMED_OUT. The scene never goes back in time.
+    Counts and ignores a position that comes twice or after a newer one (the scene never goes back in time), and ignores
+    frames of other types: TIMED_OUT.
     """
     compact()
     state, io, control = loop.state, loop.io, loop.control
@@ -173,31 +141,30 @@ def take_frame(loop, decoder, now):
         state.fault = (decoder.counts[0] >> 8) & 0xFF
         state.device_state = decoder.counts[0] & 0xFF
         state.stopped_ns = now
-        return DEVICE_STOPPED
-    gap = (decoder.number - state.sample) & _MODULUS_MASK if state.ticks > 0 else 1
+        return endings.DEVICE_STOPPED
     if decoder.type not in (schema.POSITION, schema.POSITION_HELD):
-        return TIMED_OUT
+        return endings.TIMED_OUT
+    is_first = state.ticks == 0
+    gap = 1 if is_first else (decoder.number - state.sample) & _MODULUS_MASK
     if gap == 0 or gap >= schema.SAMPLE_MODULUS // 2:
         state.stale_positions += 1
         state.old_positions += 1
-        return TIMED_OUT
+        return endings.TIMED_OUT
     if state.unanswered:
         state.stale_positions += 1
-        mark_last(loop.ring, UNSENT)
-    if state.ticks == 0:
-        _take_origin(io, decoder)
-    _read_position(io, decoder)
-    if state.ticks == 0:
+        ring.mark_last(loop.ring, ring.UNSENT)
+    _read_position(io, decoder, is_first)
+    if is_first:
         start(program_at(loop.slot.program), io.measured)
         state.sample = decoder.number - 1
         state.first_ns = state.due_ns = now
-    leapt = is_leap(loop.leap, io, state, gap, now, control.period_ns)
+    leapt = leap.is_leap(loop.leap, io, state, gap, now, control.period_ns)
     late = decoder.type == schema.POSITION_HELD
     state.deadline_misses += late
     state.age = min(state.age + 1, control.time_to_live + 2) if late else 1
     note(loop.histograms.age, state.age)
     state.lost_frames += gap - 1
-    flags = (LATE_FORCE if late else 0) | (BRIDGED if gap > 1 else 0) | _note_time(loop, now, gap)
+    flags = (ring.LATE_FORCE if late else 0) | (ring.BRIDGED if gap > 1 else 0) | _note_time(loop, now, gap)
     predictor = loop.predictor
     if predictor.predict != 0:
         call_predict(predictor.predict, (predictor.address, io.address, gap, np.int64(late), state.age))
@@ -207,26 +174,20 @@ def take_frame(loop, decoder, now):
     state.sample += gap
     sound, stops = _answer(loop, gap, late, flags, now)
     if not sound:
-        return NOT_FINITE
+        return endings.NOT_FINITE
     if leapt:
-        return POSITION_LEAPT
+        return endings.POSITION_LEAPT
     if stops != 0:
         return stops
-    return WRONG_RATE if is_off_rate(loop.watch, state.sample, now, control.period_ns) else HEARD
+    return endings.WRONG_RATE if rate.is_off_rate(loop.watch, state.sample, now, control.period_ns) else endings.HEARD
 
 
 @inlined
-def _take_origin(io, decoder):
-    """Where the scene counts from, on channels where that is where the device is armed."""
+def _read_position(io, decoder, is_first):
+    """The decoder's counts in m, from the origin on (for some channels where the device was armed), and in m/s."""
     for c in range(np.uint64(io.channels)):
-        if io.origin_at_arming[c]:
+        if is_first and io.origin_at_arming[c]:
             io.origin_counts[c] = decoder.counts[c]
-
-
-@inlined
-def _read_position(io, decoder):
-    """The decoder's counts from the origin on, in m, and in m/s."""
-    for c in range(np.uint64(io.channels)):
         io.position_counts[c] = decoder.counts[c] - io.origin_counts[c]
         io.before[c] = io.measured[c]
         io.measured[c] = io.position_counts[c] * io.position_scale[c]
@@ -237,35 +198,35 @@ def _read_position(io, decoder):
 
 @inlined
 def _answer(loop, gap, late, flags, now):
-    """Makes the scene's force what is to leave, and counts the tick: (whether it is a number, the code of the guard
-    that stops the loop before it leaves, else 0). `flags`: of the row so far."""
+    """Makes the scene's force what is to leave, and counts the tick. Returns (whether it is a number, the code of the
+    guard that stops the loop before it leaves, else 0). `flags`: of the row so far."""
     compact()
     state, io = loop.state, loop.io
     sound, limited = _set_force(io, loop.control, state)
-    if flags & WITHHELD:
+    if flags & ring.WITHHELD:
         state.withheld_forces += 1
         _take_force_away(io)
-        limited = False  # nothing of it is sent: it was not cut
+        limited = False  # nothing is sent of it
     stops, released = 0, 0
     if sound and loop.travel.fade != 0:
-        found = call_fade(loop.travel.fade, (loop.travel.address, io.address))
-        if found != WITHIN:
+        found = travel.call_fade(loop.travel.fade, (loop.travel.address, io.address))
+        if found != travel.WITHIN:
             state.faded_ticks += 1
-            flags |= FADED
-        if found == BEYOND:
-            stops = OUT_OF_TRAVEL
+            flags |= ring.FADED
+        if found == travel.BEYOND:
+            stops = endings.OUT_OF_TRAVEL
     if loop.sign.releases != 0:
-        released = release(loop.sign, io)
+        released = sign.release(loop.sign, io)
     if sound and (loop.slew.shape | loop.history.keep) != 0:
-        slewed, verdict = _apply_sent_force_guards(loop, gap, late, flags & WITHHELD != 0, now)
+        slewed, verdict = _apply_sent_force_guards(loop, gap, late, flags & ring.WITHHELD != 0, now)
         slewed |= released
         state.slewed_ticks += slewed
-        flags |= SLEWED if slewed else 0
+        flags |= ring.SLEWED if slewed else 0
         if verdict != 0:
             stops = verdict
     state.newest_ns = now
     state.limited_ticks += limited
-    push(loop.ring, state.sample, now, flags | LIMITED if limited else flags, io)
+    ring.push(loop.ring, state.sample, now, flags | ring.LIMITED if limited else flags, io)
     state.ticks += 1
     state.unanswered = 1
     return sound, stops
@@ -276,29 +237,29 @@ def _apply_sent_force_guards(loop, gap, late, withheld, now):
     """Applies the guards that compare this force with those that left before: (whether its counts changed,
     ENERGY_EXCEEDED, WRONG_SIGN or 0)."""
     compact()
-    state, io, slew, history = loop.state, loop.io, loop.slew, loop.history
-    energy, sign = loop.energy_guard, loop.sign
+    state, io, history = loop.state, loop.io, loop.history
     since = state.sent_ns if loop.control.clock == HOST_CLOCK else state.newest_ns
     expired = state.ticks > 0 and has_expired(state, loop.control, gap, now, since)
     happened = (np.int64(gap), np.int64(state.unanswered), np.int64(late), np.int64(expired), np.int64(withheld))
     slewed, exceeded, wrong = np.int64(0), np.int64(0), np.int64(0)
-    if slew.shape != 0:
-        slewed = call_shape(slew.shape, (slew.address, io.address, *happened))
+    if loop.slew.shape != 0:
+        slewed = slew.call_shape(loop.slew.shape, (loop.slew.address, io.address, *happened))
     if history.keep != 0:
         call_keep(history.keep, (history.address, io.address, *happened))
-    if energy.judge != 0:
-        exceeded = call_judge_energy(energy.judge, (energy.address, history.address, io.address, np.int64(gap)))
-    if sign.judge != 0:
-        wrong = call_judge(sign.judge, (sign.address, history.address, io.address, np.int64(gap)))
-        if (sign.judge | energy.judge) == 0:  # all channels are right: nobody asks any more which force acted
+    moved = (history.address, io.address, np.int64(gap))
+    if loop.energy_guard.judge != 0:
+        exceeded = energy_guard.call_judge_energy(loop.energy_guard.judge, (loop.energy_guard.address, *moved))
+    if loop.sign.judge != 0:
+        wrong = sign.call_judge(loop.sign.judge, (loop.sign.address, *moved))
+        if (loop.sign.judge | loop.energy_guard.judge) == 0:  # no guard needs the history any more
             history.keep = 0
-    return slewed, WRONG_SIGN if wrong != 0 else ENERGY_EXCEEDED if exceeded != 0 else 0
+    return slewed, endings.WRONG_SIGN if wrong != 0 else endings.ENERGY_EXCEEDED if exceeded != 0 else 0
 
 
 @inlined
 def compose_frame(loop, disarm):
-    """Writes the frame with the force that answers the newest position into the outbox, where the next bytes go; or the
-    one that disarms, with zero force, the last frame of every loop whatever ended it. Where the frame ends."""
+    """Writes the frame with the force that answers the newest position into the outbox; or the one that disarms, with
+    zero force, the last frame of every loop. Returns where the frame ends."""
     compact()
     io = loop.io
     state, control = loop.state, loop.control
@@ -310,17 +271,17 @@ def compose_frame(loop, disarm):
         state.withheld_forces += 1
         _take_force_away(io)
         _leave_zero(loop, io.channels)
-        state.limited_ticks -= withhold_last(loop.ring)
+        state.limited_ticks -= ring.withhold_last(loop.ring)
     return write_frame(loop.framing, io.outbox, next_place(io.sent), kind, number, argument, io.force_counts)
 
 
 @inlined
 def _held_since(state, control):
-    """The host is the clock: from when on, in ns, a device counts the time to live of what it holds, or earlier.
+    """Where the host paces: the time in ns, or an earlier one, from which the device counts the time to live.
 
     A force that is sent again, since no position came, has to be zero while the device still takes it: a sample before
-    its time to live is over. One that is late for the position that it answers may find a device that is at zero: that
-    counts from the force before, and how late this one comes there is not known to a quarter of a period.
+    its time to live is over. One that is late for its position may find a device at zero: that counts from the force
+    before, less a quarter of a period, because its arrival is not known any better.
     """
     if not state.unanswered:
         return state.newest_ns - control.period_ns
@@ -330,8 +291,8 @@ def _held_since(state, control):
 
 @inlined
 def _leave_zero(loop, channels):
-    """What leaves is not what was decided, but zero."""
-    hold_zero(loop.slew, channels)
+    """Tells the slew limit and the history that zero leaves in place of the force."""
+    slew.hold_zero(loop.slew, channels)
     for c in range(np.uint64(channels)):
         loop.slew.decided[c] = 0
         loop.history.decided[c] = loop.history.decided[np.uint64(IN_ALL) + c] = 0.0
@@ -339,29 +300,29 @@ def _leave_zero(loop, channels):
 
 @inlined
 def on_force_sent(loop, now):
-    """The force has left, at `now` (ns): shows the tick to the reader and counts what it took."""
+    """Notes that the force has left, at `now` (ns), and publishes the tick."""
     if loop.control.clock != HOST_CLOCK:
         note(loop.histograms.exchange, now - loop.state.newest_ns)
     loop.state.sent_ns = now
     loop.state.unanswered = 0
-    publish(loop.ring)
+    ring.publish(loop.ring)
 
 
 @inlined
 def flush_unsent(loop):
-    """The loop ends: shows the last tick to the reader, and that its force, if it still waits, never left."""
+    """Publishes the last tick at the end of the loop, marked if its force never left."""
     if loop.state.unanswered:
-        mark_last(loop.ring, UNSENT)
-    publish(loop.ring)
+        ring.mark_last(loop.ring, ring.UNSENT)
+    ring.publish(loop.ring)
 
 
 @inlined
 def _note_time(loop, now, gap):
-    """Counts how late a position is, `gap` samples after the last. Returns the row's flags for it.
+    """Counts the lateness of a position, `gap` samples after the last. Returns the row's flags for it.
 
-    Where the device is the clock: how much later than the earliest recent ones, by the device's own count of samples.
-    Nobody tells when the device sampled. The grid of expected arrivals moves to every arrival that is earlier, and a
-    little, a 16th of the lateness, after every later one, so that it follows a device whose clock is slow.
+    Where the device paces, lateness is relative to the earliest recent arrivals, by the device's own count of samples:
+    it does not report when it sampled. The grid of expected arrivals moves to every earlier arrival, and by a 16th of
+    the lateness after a later one, so that it follows a device whose clock is slow.
     """
     state, control, period = loop.state, loop.control, loop.control.period_ns
     if loop.control.clock == DEVICE_CLOCK:
@@ -369,11 +330,11 @@ def _note_time(loop, now, gap):
         note(loop.histograms.lateness, late)
         state.due_ns += (late if late < 0 else late >> 4) + gap * period
         if is_outdated(control, 0, late):
-            return WITHHELD
+            return ring.WITHHELD
     elif loop.control.clock == HOST_CLOCK and state.ticks > 0:
         note(loop.histograms.exchange, now - state.tick_ns)
         if abs(now - state.newest_ns - period) > period // 8:
-            return OFF_GRID | WITHHELD if is_outdated(control, state.tick_ns, now) else OFF_GRID
+            return ring.OFF_GRID | (ring.WITHHELD if is_outdated(control, state.tick_ns, now) else 0)
     return 0
 
 
@@ -383,8 +344,8 @@ _GOLDEN = 0.6180339887498949  # its multiples are spread evenly over every inter
 
 @inlined
 def _excitation(control, state):
-    """The excitation's force, in N: no two pushes alike, so that no two ring-downs are rounded alike. A periodic one
-    goes by the device's count of samples: lost positions do not shift it."""
+    """Returns the excitation's force in N. No two pushes are alike, so that no two ring-downs are rounded alike. A
+    periodic one follows the device's count of samples: lost positions do not shift it."""
     if control.pulse_every == 0:
         if control.periodic_length == 0:
             return 0.0
@@ -403,7 +364,8 @@ def _excitation(control, state):
 
 @inlined
 def _set_force(io, control, state):
-    """Adds the excitation, guards the force and turns it into counts: (whether it is a number, whether it was cut)."""
+    """Adds the excitation, limits the force and turns it into counts: (whether it is a number, whether it was
+    clipped)."""
     compact()
     excitation = _excitation(control, state)
     io.excitation[np.uint64(control.pulse_channel)] = excitation

@@ -1,14 +1,10 @@
-"""Which force acted in each sample: what guards need that compare forces with the motion.
+"""The force that acted in each sample, for guards that compare forces with the motion.
 
 With a delay of d samples, the force that acts from sample n-1 to n answers sample n-1-d: the one that left, clipped,
 rounded and with every push. Instead of one that never left, or that the device reports as late, the one before acted;
 once its time to live is over, none. The history also keeps the scene's part as it would have acted in time: for every
 sample the force that answers it, sent or not, and over lost positions the forces along the line between the two that
-are known.
-
-A force that an excitation adds is the hand's, and so is what the limit clips because of it.
-
-The predictor keeps forces of its own: it needs them before the scene moves, by the device's count of late samples.
+are known. What an excitation adds is the hand's force, and so is what the limit clips because of it.
 
 A loop whose guards need no history never compiles this: its address is 0 then.
 """
@@ -27,21 +23,20 @@ from hapsim.compiling.native import address_of, array_at, function_at, native, r
 from hapsim.loop.buffers import IO_BUFFER
 from hapsim.loop.guards.force_limit import clip
 
+# The first columns of the scene's part of a force, of all of it, and of the scene's part in time.
 OF_SCENE, IN_ALL, IN_TIME = 0, schema.MAX_CHANNELS, 2 * schema.MAX_CHANNELS
-"""Where the columns begin of the scene's part of a force, of all of it, and of the scene's part in time."""
-
 _COLUMNS = 3 * schema.MAX_CHANNELS
 
 FORCE_HISTORY = np.dtype(
     [
         ("address", np.uint64),  # of all this
-        ("keep", np.uint64),  # and of what keeps it; 0: nobody asks
-        ("forces", np.uint64),  # address of (rows, 3 MAX_CHANNELS): N, those of the last samples
+        ("keep", np.uint64),  # of `keep`; 0: no guard needs it
+        ("forces", np.uint64),  # of (rows, 3 MAX_CHANNELS): N, the last samples
         ("mask", np.int64),  # rows - 1, and rows is a power of two
         ("newest", np.int64),  # the row of the last sample
         ("keeps_last_force", np.int64),  # 1: the device keeps a force until the next one comes
-        ("lag", np.int64),  # the force from sample n-1 to n is in the row that is so many before that of n,
-        ("share", np.float64),  # but for this share, in which it is the one before
+        ("lag", np.int64),  # the force from sample n-1 to n is so many rows before that of n,
+        ("share", np.float64),  # and with this share the one before that
         ("begun", np.int64),  # 1: there was a sample
         ("decided", np.float64, (_COLUMNS,)),  # N, with the last sample,
         ("sent", np.float64, (_COLUMNS,)),  # and the last that left before
@@ -58,9 +53,9 @@ _history_at, _io_at, _doubles_at = record_at(FORCE_HISTORY), record_at(IO_BUFFER
 
 @native(KEEP.return_type, *KEEP.args)
 def keep(history, io, gap, unsent, late, expired, withheld):
-    """Notes the forces of the last `gap` samples, and the one that answers this sample. `unsent`: the force before
-    never left; `late`: the device says that it came too late; `expired`: its time to live is over; `withheld`: the
-    counts are zero because no force may be sent."""
+    """Keeps the forces of the last `gap` samples, and the one that answers this sample. `unsent`: the force before
+    never left; `late`: the device reports it as late; `expired`: its time to live is over; `withheld`: the counts are
+    zero because no force may be sent."""
     history, io = _history_at(history), _io_at(io)
     forces = _doubles_at(history.forces, (history.mask + 1) * _COLUMNS)
     for c in range(io.channels):
@@ -85,8 +80,8 @@ def _keep_in_time(history, forces, c, decided, gap):
 
 @helper
 def _keep_column(history, forces, c, decided, gap, unsent, late, expired):
-    """Those that acted, as in predictor.py. The last one is new. Of a sample whose position is lost, the device says
-    that its force is late: that tells nothing of the force before."""
+    """Keeps the forces that acted, and the new one. A late force after lost positions is the one of the last of these:
+    that says nothing of the one before them."""
     if history.begun:
         held = history.sent[c] if history.keeps_last_force else 0.0
         acted = held if unsent or (late and gap == 1) else history.decided[c]
@@ -104,7 +99,7 @@ def _keep_column(history, forces, c, decided, gap, unsent, late, expired):
 
 @inlined
 def acting_force(history, column, before):
-    """The force of a column, in N, in the sample that is so many `before` the one that ended last."""
+    """Returns the force (N) of a column in the sample that is so many `before` the one that ended last."""
     forces = _doubles_at(history.forces, (history.mask + 1) * _COLUMNS)
     row = history.newest - before - history.lag
     newer = forces[(row & history.mask) * _COLUMNS + column]
@@ -112,11 +107,11 @@ def acting_force(history, column, before):
 
 
 class ForceHistory:
-    """Fills a FORCE_HISTORY, and keeps what it points to."""
+    """Fills a FORCE_HISTORY, and keeps its forces."""
 
     def __init__(self, record: Any, *, delay: float, keeps_last_force: bool) -> None:
-        """`delay`: samples from the position's mean instant to the force's, -1/2 or more; `keeps_last_force`: the
-        device holds a force until the next one."""
+        """`delay`: samples from the mean instant of the position to that of the force, -1/2 or more;
+        `keeps_last_force`: the device holds a force until the next one."""
         whole = math.floor(delay)
         rows = 2 << (whole + 3).bit_length()
         self.forces = np.zeros((rows, _COLUMNS))

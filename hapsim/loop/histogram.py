@@ -1,7 +1,7 @@
-"""A histogram that the loop fills: fixed, logarithmic, 16 bins to the octave, from 1 to beyond 10^12, zero apart.
+"""A histogram that the loop fills: logarithmic, 16 bins to the octave, from 1 to beyond 10^12, with a bin for zero.
 
-A count costs a few nanoseconds and no allocation: the bin's number is read from the leading bits of the value's own
-floating-point form. Whole numbers below 32 have bins of their own; above, a bin is at most a sixteenth wide.
+A count costs a few nanoseconds and no allocation: the bin's number is the leading bits of the value's floating-point
+form. Whole numbers below 32 have bins of their own; above, a bin is at most a sixteenth wide.
 """
 
 from __future__ import annotations
@@ -36,19 +36,18 @@ def note(histogram, value):
 
 @dataclass(frozen=True)
 class Spread:
-    """What a histogram comes to; None where nothing was counted. In the unit that the field's name says."""
+    """Quantiles of a histogram (p999: 99.9 %); None where nothing was counted."""
 
     count: int
     p50: float | None
     p99: float | None
     p999: float | None
-    """99.9 % are at most this."""
     max: float | None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Histogram:
-    """A copy of what a loop counted, in `unit` (1e-9: it counted nanoseconds, this tells seconds)."""
+    """A copy of what a loop counted, in `unit` (1e-9 makes seconds of counted nanoseconds)."""
 
     counts: NDArray[np.int64]
     """(bins,) how often; bin i holds what is >= edges[i] and < edges[i + 1]."""
@@ -72,21 +71,22 @@ class Histogram:
         return int(self.counts.sum())
 
     def quantile(self, share: float) -> float | None:
-        """The value that `share` of all (0 to 1) do not exceed: the upper end of its bin, so never told too small; for
-        whole numbers below 32 the number itself. None of nothing; ValueError for a share that is none."""
+        """Returns the value that `share` of all (0 to 1) do not exceed: the upper end of its bin, so never too small;
+        for whole numbers below 32 the number itself. None of nothing. Raises ValueError for another share."""
         if self.total == 0:
             return None
         if not 0.0 <= share <= 1.0:
             raise ValueError(f"share {share}: a share of all is 0 to 1")
         at = int(np.searchsorted(np.cumsum(self.counts), np.ceil(share * self.total)))
-        return float(min(self._greatest_in(at), self.maximum))
+        greatest = np.inf if at == _BINS - 1 else (np.ceil(_edges()[at + 1]) - 1) * self.unit
+        return float(min(greatest, self.maximum))
 
     def share_above(self, value: float) -> float:
-        """Which share (0 to 1) was clearly more than `value`: the bins that begin at it or above."""
+        """Returns the share (0 to 1) in bins that begin at `value` or above."""
         return float(self.counts[self.edges[:-1] >= value].sum() / max(self.total, 1))
 
     def spread(self) -> Spread:
-        """Its quantiles."""
+        """Returns its quantiles."""
         largest = self.maximum if self.total else None
         return Spread(self.total, self.quantile(0.5), self.quantile(0.99), self.quantile(0.999), largest)
 
@@ -96,27 +96,21 @@ class Histogram:
     __hash__ = None  # type: ignore[assignment]
 
     def as_row(self) -> NDArray[np.float64]:
-        """All of it in one array, for a file."""
+        """Returns all of it in one array, for a file."""
         return np.concatenate([[self.unit, self.maximum], self.counts])
 
     @staticmethod
     def from_row(row: NDArray[np.float64]) -> Histogram:
-        """What `as_row` wrote."""
+        """Returns the histogram of which `as_row` made a row."""
         return Histogram(row[2:].astype(np.int64), float(row[1]), float(row[0]))
-
-    def _greatest_in(self, i: int) -> float:
-        """The largest whole number of bin i, times the unit; the last bin has no end."""
-        if i == _BINS - 1:
-            return self.maximum
-        return float((np.ceil(_edges()[i + 1]) - 1) * self.unit)
 
 
 def _edges() -> NDArray[np.float64]:
-    """Where the bins begin, in what was counted; the last entry is where the last of them does not end."""
+    """Returns where the bins begin, in counted units; the last of them has no end."""
     octave, part = np.divmod(np.arange(_BINS), 1 << _PART_BITS)
     return np.concatenate([[0.0], np.ldexp(1.0 + part / (1 << _PART_BITS), octave)])
 
 
 def histogram_of(record: Any, unit: float = 1.0) -> Histogram:
-    """A copy of what is counted so far in a HISTOGRAM."""
+    """Returns a copy of a HISTOGRAM."""
     return Histogram(record.counts.copy(), float(record.maximum) * unit, unit)

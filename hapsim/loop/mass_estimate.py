@@ -5,20 +5,19 @@ A mass m that a held force f and a hand push is read as x + w, with w the noise 
     y[n] - 2 y[n-1] + y[n-2] = (phi[n] + hand) / m + noise,      phi[n] = T² (sum of w_i f[n-i]) - k0 T² y[n-1]
 
 Summed twice over L samples both sides stay exact; the motion grows with L², the noise does not. L is half the loop's
-period, at most MOST_SPAN samples. A hand pushes slowly: both sides are then differenced twice over D samples. The
-results are the motion Y and the forces P. Friction is what the velocity explains, by a factor that is fitted: what the
-velocity explains is subtracted from both.
+period, at most MOST_SPAN samples. A hand pushes slowly, so both sides are then differenced twice over D samples. The
+results are the motion Y and the forces P. What the velocity explains is friction: it is fitted, and subtracted from
+both.
 
 Noise in Y leaves sum(PP) / sum(PY) unbiased; a hand's push that the scene answers leaves sum(PY) / sum(YY) unbiased.
-Fourth differences of the positions show the noise, since no hand moves that fast. Its share is subtracted from
-sum(YY); the estimate is the geometric mean of the two ratios. Its uncertainty consists of their distance, of how far
-the blocks disagree (stretches as long as the sums look back), and of what neither forces nor noise explain.
+Fourth differences of the positions are noise, since no hand moves that fast; it is subtracted from sum(YY). The
+estimate is the geometric mean of the two ratios. Its uncertainty consists of their distance, of the scatter between
+blocks (as long as the sums look back), and of what neither forces nor noise explain.
 
 Only blocks count in which the forces move the mass clearly more than the noise. The estimate comes from the latest
-BLOCKS of them; after a grip these disagree, and the latest FEWEST_BLOCKS decide. While neither are certain to KNOWN,
-the last known estimate stays.
-
-After lost positions, and after forces that were late in a row, the force that acted is unknown: the sums start anew.
+BLOCKS of them, or, if these disagree after a grip, from the latest FEWEST_BLOCKS. While neither is certain to KNOWN,
+the last known estimate stays. After lost positions, and after late forces in a row, the force that acted is unknown:
+the sums start anew.
 """
 
 from __future__ import annotations
@@ -33,13 +32,13 @@ from hapsim.loop.predictor import IN_ALL
 
 MOST_SPAN, MOST_SLOW_SPAN = 24, 12  # samples, L and D
 BLOCKS, FEWEST_BLOCKS = 8, 3
-CLEARLY = 10.0  # the energy of the motion that the forces make of the heaviest mass, over that of the noise
-KNOWN = 0.1  # relative uncertainty from which on the force follows
+CLEARLY = 10.0  # least energy of the motion that the forces make of the heaviest mass, over that of the noise
+KNOWN = 0.1  # relative uncertainty below which the force follows
 MOST_WEIGHTS = 8
 _FOURTH = 70.0  # the energy of white noise in its fourth difference, over its own
-_UNKNOWN = 0.05  # variance of ln m where all that moves it is unknown, and not noise: as much as dry friction needs
+_UNKNOWN = 0.05  # variance of ln m where neither forces nor noise explain any motion: as much as dry friction needs
 _TINY = 1e-300
-_COLOURED = 4.0  # by how much more the sums of filtered noise vary than those of white noise of the same energy
+_COLOURED = 4.0  # variance of sums of filtered noise, over that of white noise of the same energy
 
 _EACH = (schema.MAX_CHANNELS,)
 _ROW = schema.MAX_CHANNELS
@@ -79,7 +78,7 @@ MASS_ESTIMATE = np.dtype(
 
 @helper
 def note_sample(estimate, gap, late):
-    """Before the channels: whether the force that acted until this sample is known."""
+    """Notes whether the force that acted until this sample is known. Call it before the channels."""
     unknown = gap != 1 or (late and estimate.was_late)
     estimate.seen = 0 if unknown else estimate.seen + 1
     estimate.was_late = late
@@ -87,7 +86,7 @@ def note_sample(estimate, gap, late):
 
 @helper
 def estimate_mass(estimate, predictor, forces, c, position):
-    """Takes one sample more of a channel, and returns ln of the mass in kg."""
+    """Adds a sample of a channel. Returns ln of the mass in kg."""
     seen = estimate.seen
     ring, sums = estimate.rings[c], estimate.sums[c]
     ring[_POSITION, seen & _MASK] = position
@@ -126,8 +125,8 @@ def estimate_mass(estimate, predictor, forces, c, position):
 
 @helper
 def _sum_over_span(estimate, ring, c, age):
-    """The motion over L samples and what the forces and the velocity are in it, `age` samples after the first known
-    force; whether differences over D samples can be taken of them."""
+    """Sums motion, forces and velocity over L samples, `age` samples after the first known force. Returns whether
+    differences over D samples can be taken of them."""
     n, L = estimate.seen, estimate.span[c]
     now, then = n & _MASK, (n - L) & _MASK
     if age == 0:
@@ -154,7 +153,7 @@ def _difference(ring, kind, n, over):
 
 @helper
 def _close_block(estimate, c):
-    """Keeps the block and estimates anew, if the forces move the mass clearly in it."""
+    """Keeps a block in which the forces move the mass clearly, and estimates anew."""
     sums = estimate.sums[c]
     explained = sums[_AU] * sums[_AU] / sums[_UU] if sums[_UU] > 0.0 else 0.0
     noise = max((sums[_AA] - explained) / _FOURTH, estimate.rounding[c] * sums[_COUNT]) * _noise_gain(estimate, c)
@@ -171,7 +170,7 @@ def _close_block(estimate, c):
 
 @helper
 def _fit(estimate, c, count):
-    """Estimates from the latest blocks, so many: whether the mass is known now."""
+    """Estimates from the latest `count` blocks. Returns whether the mass is known now."""
     if count < FEWEST_BLOCKS:
         return False
     blocks, newest, total = estimate.blocks[c], estimate.block[c] + BLOCKS - 1, estimate.total
@@ -214,14 +213,14 @@ def _fit(estimate, c, count):
 
 @helper
 def _noise_gain(estimate, c):
-    """The energy of white noise of the position in Y, over its own: of (1, -2, 1) over L and the same over D."""
+    """Returns the energy of white noise of the position in Y over its own: of (1, -2, 1) over L, and again over D."""
     L, D = estimate.span[c], estimate.slow_span[c]
     return 70.0 if L == D else 28.0 if L == 2 * D else 36.0
 
 
 @helper
 def take_spans(estimate):
-    """Begins anew with other spans, where a scene follows."""
+    """Restarts the channels whose spans another scene changes."""
     for c in range(_ROW):
         if estimate.next_span[c] != estimate.span[c]:
             estimate.span[c] = estimate.next_span[c]

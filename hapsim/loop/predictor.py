@@ -1,12 +1,13 @@
 """The predictor: the scene gets the state in which its force will find the mass, not the position that was read.
 
-An observer leads its state from sample to sample by the forces that acted, and corrects it by what is read
+An observer advances its state from sample to sample by the forces that acted, and corrects it by what is read
 (`hapsim.theory.correction`). The forces are those that left, clipped, rounded and with every push; where the device
-reports one as late, the one that went on. An excitation that measures an impedance plays the hand, of which no
-predictor knows: it is left out, and found as the hand's push is.
+reports one as late, the one before. An excitation that measures an impedance counts as the hand's push: the predictor
+does not know it, and observes it.
 
-The observer's numbers come as a table, so that they change with the scene and with an estimate of the mass. A scene
-without a predictor never compiles this: its address is 0 then.
+It keeps its forces itself, unlike the guards (force_history.py): it needs them before the scene moves, and follows the
+device's own count of late samples. The observer's numbers come as a table, so that they change with the scene and with
+an estimate of the mass. A scene without a predictor never compiles this: its address is 0 then.
 """
 
 from __future__ import annotations
@@ -19,33 +20,34 @@ from numba import types
 from numpy.typing import NDArray
 
 from firmware_protocol import schema
-from firmware_protocol.compiled import new_record
 from hapsim.compiling import entry, helper
 from hapsim.compiling.memory_fence import fence
 from hapsim.compiling.native import address_of, array_at, function_at, native, record_at
 from hapsim.cordis.tick import tick
 from hapsim.loop.buffers import IO_BUFFER
 
+Table = NDArray[np.float64]
+
 POSITION, VELOCITY, PUSH, STATES = 0, 1, 2, 3
 
 PREDICTOR = np.dtype(
     [
         ("address", np.uint64),  # of all this
-        ("predict", np.uint64),  # and of what predicts; 0: the scene gets what was read
-        ("add", np.uint64),  # and of what is added to the scene's force; 0: nothing
-        ("adaptive", np.uint64),  # address of an ADAPTIVE, for these two
-        ("lags", np.int64),  # so many past forces count
+        ("predict", np.uint64),  # of the function that predicts; 0: the scene gets what was read
+        ("add", np.uint64),  # of the one that adds to the scene's force; 0: none
+        ("adaptive", np.uint64),  # of an ADAPTIVE, for these two
+        ("lags", np.int64),  # how many past forces count
         ("readings", np.int64),  # 2: the velocity is read too
         ("keeps_last_force", np.int64),  # 1: the device keeps a force until the next one comes,
         ("lives", np.int64),  # for so many samples at most
         ("width", np.int64),  # numbers of a channel, as `numbers_of` orders them
-        ("numbers", np.uint64),  # address of (channels, width): as they are now
+        ("numbers", np.uint64),  # address of (channels, width): the numbers now
         ("table", np.uint64),  # of (channels, rows, width): for masses in equal ratios, or one row
-        ("before", np.uint64),  # of the one before it, while one follows the other
-        ("posted", np.uint64),  # of one that shall follow; 0: none
+        ("before", np.uint64),  # of the table before it, while one fades into the other
+        ("posted", np.uint64),  # of the next table; 0: none
         ("posted_samples", np.int64),
-        ("samples", np.int64),  # in so many
-        ("left", np.int64),  # samples until the one before is left
+        ("samples", np.int64),  # of the fade
+        ("left", np.int64),  # of these
         ("rows", np.int64),
         ("forces", np.uint64),  # address of (rows, 2, MAX_CHANNELS): N, of the last samples, known and in all
         ("mask", np.int64),  # rows - 1, and rows is a power of two
@@ -70,8 +72,8 @@ IN_ALL = schema.MAX_CHANNELS
 
 @native(PREDICT.return_type, *PREDICT.args)
 def predict(predictor, io, gap, late, age):
-    """Puts the state that is expected in place of what was read `gap` samples after the last. `late`: the last force
-    did not act in time; `age`: samples since the one that acts was asked for."""
+    """Replaces what was read, `gap` samples after the last, by the expected state. `late`: the last force did not act
+    in time; `age`: samples from the position that the acting force answers."""
     predictor, io = _predictor_at(predictor), _io_at(io)
     take_posted(predictor)
     if predictor.left > 0:
@@ -84,7 +86,7 @@ def predict(predictor, io, gap, late, age):
 
 @helper
 def observe(predictor, io, gap, late, age):
-    """Leads the state of every channel to this sample, and corrects it by what was read."""
+    """Advances the state of every channel to this sample, and corrects it by what was read."""
     forces = _doubles_at(predictor.forces, (predictor.mask + 1) * _ROW)
     numbers = _doubles_at(predictor.numbers, schema.MAX_CHANNELS * predictor.width)
     if predictor.begun:
@@ -107,8 +109,8 @@ def _sent(io, c):
 
 @helper
 def _keep_forces(predictor, io, forces, sample, late, age):
-    """The force that acted of the sample that is so many after the last. Instead of one that was late the one before it
-    did: it went on, or, on a wire that takes a sample longer, was late itself."""
+    """Keeps the force that acted in the sample that is so many after the last. Instead of a late force the one before
+    acted: the device kept it, or, on a wire that takes a sample longer, it was late itself."""
     before = predictor.newest * _ROW
     predictor.newest = (predictor.newest + 1) & predictor.mask
     row = predictor.newest * _ROW
@@ -125,7 +127,7 @@ def _keep_forces(predictor, io, forces, sample, late, age):
 
 @helper
 def _sum(predictor, forces, numbers, first, c):
-    """A row of numbers times state and forces."""
+    """Returns a row of numbers times state and forces."""
     state = predictor.state[c]
     total = numbers[first] * state[POSITION] + numbers[first + 1] * state[VELOCITY] + numbers[first + 2] * state[PUSH]
     for lag in range(predictor.lags):
@@ -135,7 +137,7 @@ def _sum(predictor, forces, numbers, first, c):
 
 @helper
 def _lead(predictor, forces, numbers, c):
-    """A sample further, by the forces that acted."""
+    """Advances the state by a sample."""
     first, row = c * predictor.width, STATES + predictor.lags
     x = _sum(predictor, forces, numbers, first, c)
     v = _sum(predictor, forces, numbers, first + row, c)
@@ -146,8 +148,7 @@ def _lead(predictor, forces, numbers, c):
 
 @helper
 def _correct(predictor, numbers, c, position, velocity, gap):
-    """What is read less often tells as much of the position, but the rest over a longer time: its gains are those of
-    that sample period."""
+    """Corrects the state. After lost positions the gains of velocity and push are those of the longer period."""
     state, senses = predictor.state[c], predictor.readings == 2
     if predictor.begun == 0:
         state[POSITION], state[VELOCITY], state[PUSH] = position, velocity if senses else 0.0, 0.0
@@ -169,7 +170,7 @@ def _correct(predictor, numbers, c, position, velocity, gap):
 
 @helper
 def look_ahead(predictor, io):
-    """Puts position and velocity at the instant when the force will act in place of what was read."""
+    """Replaces position and velocity by those at the instant when the force will act."""
     forces = _doubles_at(predictor.forces, (predictor.mask + 1) * _ROW)
     numbers = _doubles_at(predictor.numbers, schema.MAX_CHANNELS * predictor.width)
     row = STATES + predictor.lags
@@ -183,7 +184,7 @@ def look_ahead(predictor, io):
 
 @helper
 def take_posted(predictor):
-    """Begins to follow another table, once the last has taken its place: whether it does."""
+    """Begins to fade to the posted table, unless a fade goes on; returns whether it does."""
     if predictor.posted == 0 or predictor.left != 0:
         return False
     predictor.before, predictor.table = predictor.table, predictor.posted
@@ -195,7 +196,7 @@ def take_posted(predictor):
 
 @helper
 def set_numbers(predictor, c, at):
-    """From the table: `at`, between two rows, and, while one table follows another, between the two tables."""
+    """Interpolates between rows of the table, at row `at`, and during a fade between two tables."""
     width, rows = predictor.width, predictor.rows
     size = schema.MAX_CHANNELS * rows * width
     table, before = _doubles_at(predictor.table, size), _doubles_at(predictor.before, size)
@@ -213,9 +214,6 @@ def set_numbers(predictor, c, at):
         numbers[c * width + i] = value
 
 
-Table = NDArray[np.float64]
-
-
 class PredictorMemory:
     """Fills a PREDICTOR, and keeps what it points to."""
 
@@ -229,8 +227,8 @@ class PredictorMemory:
         keeps_last_force: bool,
         lives_samples: int,
     ) -> None:
-        """`tables`: of each channel that is predicted, (R, width): for R masses, or one, what `numbers_of` makes, and
-        what else the force is made of. The other channels get what is read."""
+        """`tables`: by predicted channel, (R, width): for R masses the numbers of `numbers_of`, and any that the force
+        needs beside. The other channels get what is read."""
         history = 2 << max(lags, 1).bit_length()
         self._record = record
         self._forces = np.zeros((history, 2, schema.MAX_CHANNELS))
@@ -247,7 +245,7 @@ class PredictorMemory:
         record.predict = predict.address()
 
     def follow(self, tables: Mapping[int, Table], samples: int) -> None:
-        """Other tables for the same channels, over so many samples, once the last have taken their place."""
+        """Fades to other tables for the same channels over so many samples, after any fade before."""
         self._tables = [*self._tables[-8:], self._table(tables)]
         post_table(self._record, self._tables[-1].ctypes.data, max(samples, 1))
 
@@ -262,7 +260,8 @@ class PredictorMemory:
 
 
 def numbers_of(step: Table, reading: Table, gains: Table, first: Table, ahead: Table, lags: int) -> Table:
-    """(width,): of a `StatePredictor`, the rows of step, reading and ahead for so many forces, then both gains."""
+    """Returns a `StatePredictor` as (width,) numbers: the rows of step, reading and ahead for `lags` forces, then both
+    gains."""
     rows = np.vstack([step, reading, ahead])
     padded = np.pad(rows, ((0, 0), (0, STATES + lags - rows.shape[1])))
     return np.concatenate([padded.ravel(), gains.ravel(), first.ravel()])
@@ -270,33 +269,17 @@ def numbers_of(step: Table, reading: Table, gains: Table, first: Table, ahead: T
 
 @entry
 def post_table(predictor, table, samples):
-    """`PredictorMemory.follow`, compiled."""
+    """Posts the table at this address, for a fade of so many samples."""
     predictor.posted_samples = samples
     fence()
     predictor.posted = np.uint64(table)
 
 
-_CONTROL = np.dtype([("time_to_live", np.int64)])  # what a correction reads of the loop's
-_OFFLINE = np.dtype([("predictor", PREDICTOR), ("io", IO_BUFFER), ("control", _CONTROL)], align=True)
-
-
-class CorrectedTicks:
-    """A program behind a predictor, without a device: to time its ticks. The correction fills `record`."""
-
-    def __init__(self, program: Any, channels: int) -> None:
-        """`program`: a Program."""
-        self._program = program
-        self.record: Any = new_record(_OFFLINE)
-        self.record.io.address = address_of(self.record.io)
-        self.record.io.channels = channels
-
-    def ticks(self, measured: NDArray[np.float64], samples: int) -> None:
-        """So many samples, each with the next of the hands' positions (rows, channels), in m, over and over."""
-        _ticks(self.record.predictor, self.record.io, self._program.record, measured, samples)
-
-
 @entry
-def _ticks(predictor, io, program, measured, samples):
+def corrected_ticks(loop, program, measured, samples):
+    """Ticks of a program behind the predictor of a LOOP, without a device: to time them. `program`: its record;
+    `measured`: (rows, channels) m, the hands' positions, over and over."""
+    predictor, io = loop.predictor, loop.io
     for n in range(samples):
         row = n % measured.shape[0]
         for c in range(io.channels):

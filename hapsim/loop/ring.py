@@ -1,7 +1,7 @@
-"""What happened, tick by tick, on its way out of the loop: a ring with one writer, the loop, and one reader.
+"""The rows of a trace on their way out of the loop: a ring with one writer, the loop, and one reader.
 
-The loop never waits for the reader: where there is no room a row is dropped and counted. In virtual time, where waiting
-costs nothing, the loop returns instead so that the reader can make room, and no row is ever lost.
+The loop never waits for the reader: where there is no room it drops a row and counts it. In virtual time the loop
+returns instead, so that the reader can make room, and no row is ever lost.
 """
 
 from __future__ import annotations
@@ -16,23 +16,15 @@ from hapsim.compiling import inlined
 from hapsim.compiling.memory_fence import fence
 from hapsim.compiling.native import array_at
 
-LATE_FORCE = 1
-"""The device says: in the sample that this position ends, no force had answered the sample before in time."""
-UNSENT = 2
-"""A newer position was already there: this row's force was never sent."""
-LIMITED = 4
-"""The force was cut to its limit."""
-BRIDGED = 8
-"""Positions before this one never arrived; the scene was led past them along a straight line."""
-OFF_GRID = 16
-"""The host is the clock, and from the last position to this one passed clearly more or less than a period."""
-SLEWED = 32
-"""The force was brought closer to the one before: the slew limit, or the soft start; or it was released, for a test
-which way a motor pushes."""
-WITHHELD = 64
-"""The position was older than a force may live: zero force takes the place of what answers it, so it is not LIMITED."""
-FADED = 128
-"""The position is outside the device's travel: the force is less than the scene's, or zero."""
+# Flags of a row.
+LATE_FORCE = 1  # the device reports that in the sample before this position no force arrived in time
+UNSENT = 2  # a newer position was already there: this row's force was never sent
+LIMITED = 4  # the force was clipped to its limit
+BRIDGED = 8  # positions before this one never arrived; the scene was moved along a straight line instead
+OFF_GRID = 16  # the host paces, and the last two positions are clearly more or less than a period apart
+SLEWED = 32  # the slew limit, the soft start or a test of the motor's sign changed the force
+WITHHELD = 64  # the position was older than a force may live, so zero was sent, and the force is not LIMITED
+FADED = 128  # the position is outside the device's travel: the force is less than the scene's, or zero
 
 RING = np.dtype(
     [
@@ -53,43 +45,32 @@ RING = np.dtype(
 _SAMPLE, _TIME, _FLAGS, _VALUES = 0, 1, 2, 3  # words of a row; then C each of position, force and asked
 _words_at = array_at(np.int64)
 
-
 ROWS = ("sample", "time_ns", "flags", "position_counts", "force_counts", "asked_force")
-"""The columns of a row for each tick, by their names in a trace."""
+"""The columns of a trace, a row per tick."""
 
 
 def row_type(channels: int) -> np.dtype[Any]:
-    """A row as its reader gets it, and as it is in files: little-endian, without gaps."""
-    each = (channels,)
-    return np.dtype(
-        [
-            ("sample", "<i8"),
-            ("time_ns", "<i8"),
-            ("flags", "u1"),
-            ("position_counts", "<i4", each),
-            ("force_counts", "<i4", each),
-            ("asked_force", "<f8", each),
-        ]
-    )
+    """Returns the type of a row for its reader, and in files: little-endian, without gaps."""
+    types = ("<i8", "<i8", "u1", *((kind, (channels,)) for kind in ("<i4", "<i4", "<f8")))
+    return np.dtype(list(zip(ROWS, types, strict=True)))
 
 
 class Ring:
-    """The reader's side. A row lies together in memory, which the loop touches once a tick: sample, time in ns, flags,
-    the positions and the forces in counts, and the bits of the scene's force in N before excitation, limit and
-    rounding."""
+    """The reader's side. A row is contiguous in memory: sample, time in ns, flags, positions and forces in counts, and
+    the bits of the scene's force in N before excitation, limit and rounding."""
 
     def __init__(self, record: object, channels: int, capacity: int, waits: bool) -> None:
         """An empty ring in `record`, a RING; `capacity` is a power of two."""
         self.record: np.record = record  # type: ignore[assignment]
         self._rows = np.zeros((capacity, _VALUES + 3 * channels), np.int64)
-        self._rows.fill(0)  # touched here: the loop meets no page that is not there yet
+        self._rows.fill(0)  # so that the loop causes no page fault
         self.record.rows = self._rows.ctypes.data
         self.record.capacity, self.record.width = self._rows.shape
         self.record.channels = channels
         self.record.waits = waits
 
     def drain(self) -> NDArray[Any]:
-        """Copies out and frees every published row: an array of `row_type`."""
+        """Returns every published row, as `row_type`, and frees them."""
         tail, head = int(self.record.tail), int(self.record.head)
         taken = self._rows[np.arange(tail, head) & (len(self._rows) - 1)]
         self.record.tail = head
@@ -102,7 +83,7 @@ class Ring:
 
 @inlined
 def push(ring, sample, time_ns, flags, io):
-    """Writes a row, which the reader does not see before `publish`. `io`: what was exchanged."""
+    """Writes a row of `io`, which the reader does not see before `publish`."""
     compact()
     at = ring.head + ring.unpublished
     if at - ring.tail >= ring.capacity:
@@ -110,9 +91,7 @@ def push(ring, sample, time_ns, flags, io):
         return
     ring.newest = ring.rows + np.uint64(8 * ring.width * (at & (ring.capacity - 1)))
     row = _words_at(ring.newest, ring.width)
-    row[_SAMPLE] = sample
-    row[_TIME] = time_ns
-    row[_FLAGS] = flags
+    row[_SAMPLE], row[_TIME], row[_FLAGS] = sample, time_ns, flags
     channels = np.uint64(ring.channels)
     for c in range(channels):
         row[np.uint64(_VALUES) + c] = io.position_counts[c]
@@ -123,15 +102,15 @@ def push(ring, sample, time_ns, flags, io):
 
 @inlined
 def mark_last(ring, flag):
-    """Adds a flag to the row that was pushed last, while the reader cannot see it yet."""
+    """Adds a flag to the last row, while the reader cannot see it yet."""
     if ring.unpublished > 0:
         _words_at(ring.newest, ring.width)[_FLAGS] |= flag
 
 
 @inlined
 def withhold_last(ring):
-    """Makes the row that was pushed last, while the reader cannot see it yet, one of a force that is withheld. Returns
-    1 where it was LIMITED, else 0."""
+    """Makes the last row, while the reader cannot see it yet, that of a withheld force. Returns 1 if it was LIMITED,
+    else 0."""
     if ring.unpublished == 0:
         return 0
     row = _words_at(ring.newest, ring.width)
@@ -145,7 +124,7 @@ def withhold_last(ring):
 
 @inlined
 def publish(ring):
-    """Shows the pushed rows to the reader, once they are written."""
+    """Shows the pushed rows to the reader."""
     fence()
     ring.head += ring.unpublished
     ring.unpublished = 0

@@ -5,13 +5,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import numpy as np
 
+from firmware_protocol.compiled import new_record
+from hapsim.compiling.native import address_of
 from hapsim.cordis.offline import start, ticks
 from hapsim.cordis.program import compile_scene
 from hapsim.device.mock.assemble import describe_mock
-from hapsim.loop.predictor import CorrectedTicks
+from hapsim.loop.exchange import LOOP
+from hapsim.loop.predictor import corrected_ticks
 from hapsim.prediction.correction import rendered
 from hapsim.running.correction import LoopCorrection
 from hapsim.scene import Scene
@@ -31,15 +35,16 @@ class Running:
         self._measured, self._velocity, self._force = np.zeros((3, _BLOCK, scene.channels))
         self._measured[:, 0] = hand_motion(_BLOCK, scene.rate)
         start(self._program, self._measured[0])
-        self._corrected: CorrectedTicks | None = None
+        self._loop: Any = None
         if rendering.predictors():
-            self._corrected = CorrectedTicks(self._program, scene.channels)
-            self._kept = LoopCorrection(self._corrected.record, rendering, describe_mock(scene))
+            self._loop = new_record(LOOP)
+            self._loop.io.address, self._loop.io.channels = address_of(self._loop.io), scene.channels
+            self._kept = LoopCorrection(self._loop, rendering, describe_mock(scene))
 
     def advance(self, samples: int) -> None:
         """Simulates so many samples."""
-        if self._corrected is not None:
-            self._corrected.ticks(self._measured, samples)
+        if self._loop is not None:
+            corrected_ticks(self._loop, self._program.record, self._measured, samples)
         else:
             ticks(self._program, self._measured, self._velocity, self._force, samples)
 

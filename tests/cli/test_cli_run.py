@@ -239,7 +239,7 @@ def test_a_scene_that_diverges_on_the_mock_is_ended_as_before_a_hand(
     answer = hapsim("run", path, "--unstable", "--duration", 20, "--json")
     assert answer.status == answer.document["exit_status"] == 4
     assert answer.document["ending"] == "scene diverging"
-    assert "`hapsim check` tells what would make the scene stable" in answer.err
+    assert "`hapsim check` reports what would make the scene stable" in answer.err
 
 
 @pytest.mark.parametrize("limit", ["1.0e-3", "1.0e-310", "5.0e-324"])

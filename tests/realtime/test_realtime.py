@@ -167,14 +167,11 @@ def test_what_is_said_to_be_got_has_happened_and_what_is_denied_has_not(who: str
 def named(name: str, told: list[str], undo: Callable[[], object] = lambda: None) -> Measure:
     """A measure that tells when it is asked for and undone."""
 
-    def ask(_thread_id: int) -> tuple[str, Callable[[], object]]:
+    def ask(_thread_id: int) -> Iterator[str]:
         told.append(f"{name} asked")
-
-        def undone() -> None:
-            told.append(f"{name} undone")
-            undo()
-
-        return "all of it", undone
+        yield "all of it"
+        told.append(f"{name} undone")
+        undo()
 
     return measure(name, str)(ask)
 

@@ -1,7 +1,7 @@
-"""What `hapsim run --realtime` asks of the system; each measure is reported as granted or denied.
+"""What `hapsim run --realtime` requests of the system; each measure is reported as granted or denied.
 
-The system call is made and its error read: nothing is guessed from the kernel's name or from limits. A measure that is
-denied costs a sentence, never the run. To add one: write it in `memory.py` or `scheduling.py`, name it in `_MEASURES`.
+The call is made and its error read: nothing is guessed from the kernel's name or from limits. A denial costs a
+sentence, never the run. To add a measure: write it in `memory.py` or `scheduling.py`, name it in `_MEASURES`.
 `no_timer_slack` is not among them: it needs no privilege and serves every run.
 """
 
@@ -17,20 +17,20 @@ from hapsim.loop.realtime.scheduling import idle_states_off, no_timer_slack, pin
 
 __all__ = ["PrivilegeResult", "no_timer_slack", "realtime"]
 
-# Garbage is collected before memory is locked; the thread goes before all others once the rest is in place.
+# Garbage is collected before memory is locked; the thread gets its priority once the rest is in place.
 _MEASURES: tuple[Measure, ...] = (collector_frozen, memory_locked, idle_states_off, pinned, scheduled_fifo)
 
-_HELD = threading.Lock()  # by one at a time: two that undo in another order than they began would leave neither
+_HELD = threading.Lock()  # two that undid their measures in another order than they began would restore neither
 
 
 @contextlib.contextmanager
 def realtime(thread_id: int) -> Iterator[list[PrivilegeResult]]:
     """While open, every measure that the system grants is in force: for this process, and for its thread with the
-    native id `thread_id` (`threading.get_native_id()` of the loop's thread). Yields a PrivilegeResult for each measure.
+    native id `thread_id` (the loop's). Yields a PrivilegeResult for each measure.
 
     Enter it when everything is allocated and compiled: it takes some tenths of a second, in which memory is read in. On
-    leaving, the measures are undone in reverse order, whatever the body raised; what cannot be undone (the thread may
-    have ended) is passed over. Raises nothing for what is denied. Of two loops in one process the second is denied it.
+    leaving, the measures are undone in reverse order, whatever the body raised. Raises nothing for what is denied. Of
+    two loops in one process the second is denied it.
     """
     if not _HELD.acquire(blocking=False):
         why = "another loop of this process has it, and gives it back for all when it ends"

@@ -1,9 +1,8 @@
-"""Memory that keeps the loop waiting for nothing: no search for garbage, and no page fault.
+"""Memory that never makes the loop wait: no garbage collection, and no page fault.
 
-A search for garbage takes tens of milliseconds, in which no other Python runs. A page that is not in memory may wait
-for a disk. What is mapped is locked (MCL_CURRENT), not what is still to come (MCL_FUTURE): the loop allocates nothing,
-while each further thread would lock its whole stack and heap, 74 MB, and beyond the limit an allocation would fail in
-the middle of a run.
+A collection takes tens of milliseconds, in which no other Python runs. A page that is not in memory may wait for a
+disk. What is mapped is locked (MCL_CURRENT), not what will be (MCL_FUTURE): the loop allocates nothing, while each
+further thread would lock its whole stack and heap, 74 MB, and beyond the limit an allocation would fail during a run.
 """
 
 from __future__ import annotations
@@ -11,7 +10,7 @@ from __future__ import annotations
 import errno
 import gc
 import re
-from collections.abc import Callable
+from collections.abc import Iterator
 from pathlib import Path
 
 from hapsim.loop.realtime import privilege
@@ -26,22 +25,18 @@ def _collector_advice(error: OSError) -> str:
 
 
 @measure("garbage collector frozen", _collector_advice, everywhere=True)
-def collector_frozen(_thread_id: int) -> tuple[str, Callable[[], object]]:
+def collector_frozen(_thread_id: int) -> Iterator[str]:
     """Collects once, then sets what is left aside and switches collecting off. References still free what they hold."""
     was_enabled, was_frozen = gc.isenabled(), gc.get_freeze_count() > 0
     gc.collect()
-    # Thawing knows no share: what somebody froze before stays as it is, and nothing is added to it.
-    if not was_frozen:
+    if not was_frozen:  # gc.unfreeze would also thaw what somebody froze before
         gc.freeze()
     gc.disable()
-
-    def undo() -> None:
-        if not was_frozen:
-            gc.unfreeze()
-        if was_enabled:
-            gc.enable()
-
-    return f"{gc.get_freeze_count()} objects set aside, no collection", undo
+    yield f"{gc.get_freeze_count()} objects set aside, no collection"
+    if not was_frozen:
+        gc.unfreeze()
+    if was_enabled:
+        gc.enable()
 
 
 def _lock_advice(error: OSError) -> str:
@@ -61,15 +56,15 @@ def _lock_advice(error: OSError) -> str:
 
 
 @measure("memory locked", _lock_advice)
-def memory_locked(_thread_id: int) -> tuple[str, Callable[[], object]]:
-    """Locks and reads in what the process has mapped. Locks do not add up: undoing unlocks what was locked before it
-    too, as munlockall(2) does."""
+def memory_locked(_thread_id: int) -> Iterator[str]:
+    """Locks and reads in what the process has mapped. Undoing unlocks what was locked before, too (munlockall(2))."""
     privilege.call_c("mlockall", _MCL_CURRENT)
-    return _megabytes("VmLck"), lambda: privilege.call_c("munlockall")
+    yield _megabytes("VmLck")
+    privilege.call_c("munlockall")
 
 
 def _megabytes(field: str) -> str:
-    """A line of the process's status in MB of 10^6 bytes; "all memory" where it cannot be read."""
+    """Returns a line of the process's status in MB of 10^6 bytes; "all memory" where it cannot be read."""
     try:
         found = re.search(rf"^{field}:\s+(\d+) kB$", _STATUS.read_text(encoding="utf-8"), re.MULTILINE)
     except (OSError, UnicodeDecodeError):

@@ -1,8 +1,8 @@
-"""When the loop's thread runs: before all others, on a processor of its own that does not sleep, woken on time.
+"""When the loop's thread runs: before all others, on a CPU of its own that does not idle, woken on time.
 
-Where SCHED_FIFO is denied, another thread on the same processor makes the loop wait for its whole time slice, some
+Where SCHED_FIFO is denied, another thread on the same CPU makes the loop wait for its whole time slice, some
 milliseconds; where it is granted, the loop makes the other one wait. So the process's other threads leave the loop's
-processor, if there is anywhere to go. SCHED_FIFO is safe because the loop sleeps in the kernel and never spins.
+CPU, if there is another. SCHED_FIFO is safe because the loop sleeps in the kernel and never spins.
 """
 
 from __future__ import annotations
@@ -12,15 +12,15 @@ import errno
 import os
 import struct
 import sys
-from collections.abc import Callable
+from collections.abc import Iterator
 from pathlib import Path
 
 from hapsim.loop.realtime import privilege
 from hapsim.loop.realtime.privilege import ONLY_LINUX, PrivilegeResult, denied, is_root, login_limit, measure
 
 PRIORITY = 80
-"""Above 50, where the kernel's interrupt threads stand: a loop that blocks holds none of them up, and is not held up by
-those of a disk. Below 99, where the kernel's own watchdogs and migrations stand."""
+"""Above 50, the priority of the kernel's interrupt threads: a loop that blocks does not delay them, and those of a disk
+do not delay the loop. Below 99, that of the kernel's own watchdogs and migrations."""
 
 _DEVICE = "/dev/cpu_dma_latency"
 _ISOLATED = Path("/sys/devices/system/cpu/isolated")
@@ -30,43 +30,38 @@ _LEAST_SLACK_NS = 1  # 0 would mean the default
 
 
 def _fifo_advice(error: OSError) -> str:
+    refused = f"priority {PRIORITY} was refused"
     if not isinstance(error, PermissionError):
-        return f"priority {PRIORITY} was refused ({error.strerror})"
+        return f"{refused} ({error.strerror})"
     if is_root():
         return (
-            f"priority {PRIORITY} was refused to root ({error.strerror}): it takes CAP_SYS_NICE (in a container: "
-            "--cap-add=SYS_NICE) and real-time runtime in the control group (cpu.rt_runtime_us)"
+            f"{refused} to root ({error.strerror}): it takes CAP_SYS_NICE (in a container: --cap-add=SYS_NICE) and "
+            "real-time runtime in the control group (cpu.rt_runtime_us)"
         )
-    return f"priority {PRIORITY} was refused ({error.strerror}): it takes {_login_limit()}, or CAP_SYS_NICE, or root"
-
-
-def _login_limit() -> str:
-    return login_limit("rtprio", str(PRIORITY))
+    limit = login_limit("rtprio", str(PRIORITY))
+    return f"{refused} ({error.strerror}): it takes {limit}, or CAP_SYS_NICE, or root"
 
 
 @measure("SCHED_FIFO", _fifo_advice)
-def scheduled_fifo(thread_id: int) -> tuple[str, Callable[[], object]]:
+def scheduled_fifo(thread_id: int) -> Iterator[str]:
     """SCHED_FIFO for the thread, at PRIORITY or at the highest that is granted below it; never lower than it was."""
     policy, parameters = os.sched_getscheduler(thread_id), os.sched_getparam(thread_id)
-    # Whoever may not drop this flag is refused everything that comes without it.
-    flag = policy & os.SCHED_RESET_ON_FORK
-    priority = _highest(thread_id, os.SCHED_FIFO | flag, max(PRIORITY, parameters.sched_priority))
+    fifo = os.SCHED_FIFO | policy & os.SCHED_RESET_ON_FORK  # dropping this flag takes a privilege of its own
+    priority = max(PRIORITY, parameters.sched_priority)
+    while True:
+        try:
+            os.sched_setscheduler(thread_id, fifo, os.sched_param(priority))
+            break
+        except PermissionError:
+            if priority == 1:
+                raise
+            priority -= 1
     detail = f"priority {priority}"
     if priority < PRIORITY:
-        detail += f", the highest that was granted: {PRIORITY} takes {_login_limit()}"
-    return detail, lambda: os.sched_setscheduler(thread_id, policy, parameters)
-
-
-def _highest(thread_id: int, policy: int, most: int) -> int:
-    """Sets the highest priority up to `most` that is granted, and returns it."""
-    for priority in range(most, 1, -1):
-        try:
-            os.sched_setscheduler(thread_id, policy, os.sched_param(priority))
-        except PermissionError:
-            continue
-        return priority
-    os.sched_setscheduler(thread_id, policy, os.sched_param(1))
-    return 1
+        limit = login_limit("rtprio", str(PRIORITY))
+        detail += f", the highest that was granted: {PRIORITY} takes {limit}"
+    yield detail
+    os.sched_setscheduler(thread_id, policy, parameters)
 
 
 def _pin_advice(error: OSError) -> str:
@@ -77,69 +72,53 @@ def _pin_advice(error: OSError) -> str:
 
 
 @measure("one processor", _pin_advice)
-def pinned(thread_id: int) -> tuple[str, Callable[[], object]]:
-    """The thread on one CPU: one that is isolated from the scheduler, else the last that is allowed. The process's
-    other threads leave it where they may run elsewhere; one that is started meanwhile runs where its starter does."""
+def pinned(thread_id: int) -> Iterator[str]:
+    """Pins the thread to one CPU: one that is isolated from the scheduler, else the last that is allowed. The process's
+    other threads leave it where they may run elsewhere."""
     allowed = os.sched_getaffinity(thread_id)
     cpu, detail = _pin(thread_id, allowed)
     moved = _clear(cpu)
-
-    def undo() -> None:
-        _set_each(moved)
-        _set_each({thread_id: allowed})
-
     if moved:
         detail += f"; {len(moved)} other thread{'s' if len(moved) > 1 else ''} moved off it"
-    return detail, undo
+    yield detail
+    for thread, cpus in (moved | {thread_id: allowed}).items():
+        with contextlib.suppress(OSError):  # it has ended
+            os.sched_setaffinity(thread, cpus)
 
 
 def _pin(thread_id: int, allowed: set[int]) -> tuple[int, str]:
-    """The CPU that the thread is on now, and the same in words."""
-    isolated = _isolated()
-    # An isolated one is as a rule not among the allowed: that is what keeps everybody else off it.
-    for cpu in sorted(isolated, key=lambda cpu: (cpu in allowed, cpu), reverse=True):
+    """Pins the thread; returns its CPU, and the same in words."""
+    # An isolated one is as a rule not among the allowed: that is what keeps all others off it.
+    for cpu in sorted(_isolated(), key=lambda cpu: (cpu in allowed, cpu), reverse=True):
         with contextlib.suppress(OSError):
             os.sched_setaffinity(thread_id, {cpu})
             return cpu, f"CPU {cpu}, isolated from the scheduler"
-    # CPU 0 serves most interrupts, so the last one.
-    cpu = max(allowed)
+    cpu = max(allowed)  # CPU 0 serves most interrupts
     os.sched_setaffinity(thread_id, {cpu})
     return cpu, f"CPU {cpu}" if len(allowed) > 1 else f"CPU {cpu}, the only one allowed: there was nothing to choose"
 
 
 def _isolated() -> set[int]:
-    """The CPUs that the kernel keeps its scheduler off, as in ``2-3,6``."""
+    """Returns the CPUs that the kernel keeps its scheduler off, as in ``2-3,6``; none where it does not say."""
     try:
         ranges = [part.split("-") for part in _ISOLATED.read_text(encoding="utf-8").strip().split(",") if part]
         return {cpu for ends in ranges for cpu in range(int(ends[0]), int(ends[-1]) + 1)}
-    except (OSError, ValueError):  # not told, or not in numbers
+    except (OSError, ValueError):
         return set()
 
 
 def _clear(cpu: int) -> dict[int, set[int]]:
-    """Moves the threads of the process off `cpu`, but for those that may run nowhere else, as the one just pinned to
-    it; which ones, and where they were allowed before."""
+    """Moves the threads of the process off `cpu`, except those that may run nowhere else, as the one just pinned.
+    Returns which ones, and where they were allowed before."""
     moved = {}
-    for thread in _threads():
-        with contextlib.suppress(OSError):  # it has ended, or has nowhere else to go
-            before = os.sched_getaffinity(thread)
-            if cpu in before:
-                os.sched_setaffinity(thread, before - {cpu})
-                moved[thread] = before
+    with contextlib.suppress(OSError):
+        for thread in map(int, os.listdir(_THREADS)):
+            with contextlib.suppress(OSError):  # it has ended, or has nowhere else to go
+                before = os.sched_getaffinity(thread)
+                if cpu in before:
+                    os.sched_setaffinity(thread, before - {cpu})
+                    moved[thread] = before
     return moved
-
-
-def _threads() -> list[int]:
-    try:
-        return [int(thread) for thread in os.listdir(_THREADS)]
-    except OSError:
-        return []
-
-
-def _set_each(affinities: dict[int, set[int]]) -> None:
-    for thread, cpus in affinities.items():
-        with contextlib.suppress(OSError):  # it has ended
-            os.sched_setaffinity(thread, cpus)
 
 
 def _idle_advice(error: OSError) -> str:
@@ -156,34 +135,30 @@ def _idle_advice(error: OSError) -> str:
 
 
 @measure("power saving off", _idle_advice)
-def idle_states_off(_thread_id: int) -> tuple[str, Callable[[], object]]:
-    """Asks for a wake-up latency of 0 µs. The kernel keeps to it for as long as the file is open."""
+def idle_states_off(_thread_id: int) -> Iterator[str]:
+    """Requests a wake-up latency of 0 µs, which the kernel keeps for as long as the file is open."""
     descriptor = os.open(_DEVICE, os.O_WRONLY)
     try:
         os.write(descriptor, struct.pack("=i", 0))
-    except OSError:
+        yield "0 µs of wake-up latency asked of every processor"
+    finally:
         os.close(descriptor)
-        raise
-    return "0 µs of wake-up latency asked of every processor", lambda: os.close(descriptor)
 
 
 def no_timer_slack() -> PrivilegeResult:
-    """Takes the timer slack from the thread that calls this, for the rest of its life: its sleeps end on time, where
-    ordinary threads wake up to 50 µs late to save power. Needs no privilege; a thread
-    under SCHED_FIFO has none anyway. Raises nothing for what is denied."""
+    """Takes the timer slack from the calling thread, for the rest of its life: its sleeps end on time, where ordinary
+    threads wake up to 50 µs late to save power. It needs no privilege; a thread under SCHED_FIFO has no slack anyway.
+    Raises nothing if it is denied."""
     if sys.platform != "linux":
         return PrivilegeResult(_SLACK, False, ONLY_LINUX)
     try:
         privilege.call_c("prctl", _PR_SET_TIMERSLACK, _LEAST_SLACK_NS, 0, 0, 0)
         slack_ns = privilege.call_c("prctl", _PR_GET_TIMERSLACK, 0, 0, 0, 0)
     except OSError as error:
-        return denied(_SLACK, error, _slack_advice)
-    if slack_ns > _LEAST_SLACK_NS:
-        return PrivilegeResult(
-            _SLACK, False, f"{_LEAST_SLACK_NS} ns was asked for and {slack_ns} ns is kept: another kernel may do it"
+        return denied(
+            _SLACK, error, lambda error: f"prctl was refused ({error.strerror}): a container or sandbox forbids it"
         )
+    if slack_ns > _LEAST_SLACK_NS:
+        kept = f"{_LEAST_SLACK_NS} ns was asked for and {slack_ns} ns is kept: another kernel may do it"
+        return PrivilegeResult(_SLACK, False, kept)
     return PrivilegeResult(_SLACK, True, f"{slack_ns} ns")
-
-
-def _slack_advice(error: OSError) -> str:
-    return f"prctl was refused ({error.strerror}): a container or sandbox forbids it"
