@@ -32,11 +32,11 @@ from hapsim.scene import Scene
 _RING_ROWS = 1 << 16
 _CLOCK = {"device": DEVICE_CLOCK, "host": HOST_CLOCK, "lockstep": NO_CLOCK}
 _FOREVER_NS = 1 << 62
-_GRACE_NS = 50_000_000  # by which a run may be late at its end before the clock ends it
+_GRACE_NS = 50_000_000  # a run may end so late before the clock ends it
 
 
 class LoopMemory:
-    """A loop that is ready to run, and all that has to stay in memory while it does."""
+    """A loop that is ready to run, with everything that has to stay in memory meanwhile."""
 
     def __init__(self, connection: Connection, description: Description, velocity: bool, virtual_time: bool) -> None:
         self.record = new_record(LOOP)
@@ -50,17 +50,17 @@ class LoopMemory:
         self.record.io.address = address_of(self.record.io)
         self.record.framing = framing_of(self.wire, to_device=True)
         self.watchdog_samples = 0
-        """After how many samples without a force the device releases."""
+        """Samples without a force after which the device releases."""
         self.rendered_scene: Scene
-        """The scene that the loop moves: the newest one, corrected so that the hand feels what that says."""
+        """The scene that the loop moves: the newest one, corrected."""
         self.correction: LoopCorrection | None = None
         """The rest of the correction: predictors and the estimate of the mass."""
         self.excitation: Excitation | PeriodicExcitation | None = None
-        """Kept here because the loop reads the forces of a periodic one at each sample."""
+        """Kept here because the loop reads the forces of a periodic one."""
         self.history: ForceHistory | None = None
-        """The forces that acted; None where no guard needs them."""
+        """The forces that acted; None if no guard needs them."""
         self.energy_guard: EnergyGuard | None = None
-        """The energy guard; None where it is off."""
+        """None where it is off."""
         self._programs: list[Program] = []
         self._changes_before = 0
 
@@ -70,7 +70,7 @@ class LoopMemory:
         return self._programs[-1]
 
     def account_for(self, program: Program, scene: Scene) -> None:
-        """Accounts for the energy of live changes to `program`, of `scene`, where the energy guard is on."""
+        """Accounts for the energy of live changes to `program`, of `scene`, if the energy guard is on."""
         if self.energy_guard is not None:
             limit = float(self.record.io.force_limit[: self.wire.channels].max())
             program.stored = StoredEnergy(program, scene, self.energy_guard.tank, limit)
@@ -81,19 +81,16 @@ class LoopMemory:
         self.record.slot.program = program.address
 
     def follow_with(self, program: Program, samples: int) -> None:
-        """Crossfades to `program` over so many samples. `take_over_from` has prepared it, and the crossfade before is
-        over."""
+        """Crossfades to `program`, which `take_over_from` has prepared, over so many samples."""
         if self.is_replacing:
             raise ValueError("the crossfade before is not over")
-        for left in self._programs[:-1]:
-            self._changes_before += int(left.record.parameters.sets)
-        self._programs = self._programs[-1:]
-        self._programs.append(program)
+        self._changes_before += sum(int(left.record.parameters.sets) for left in self._programs[:-1])
+        self._programs = [self.program, program]
         post(self.record.slot, program.address, samples, cross_fade.address())
 
     @property
     def is_replacing(self) -> bool:
-        """Whether a crossfade to another scene goes on."""
+        """Whether a crossfade to another scene is under way."""
         return len(self._programs) > 1 and bool(self.record.slot.cross_fade)
 
     @property
@@ -113,7 +110,7 @@ class LoopMemory:
 def assemble_loop(
     scene: Scene, connection: Connection, description: Description, options: RunOptions | None = None
 ) -> LoopMemory:
-    """Returns the loop of `scene` over `connection`, not yet armed. Of `options` it takes `duration`, `excitation`,
+    """Returns the loop of `scene` over `connection`, not yet armed. It uses the options `duration`, `excitation`,
     `judges_energy`, `judges_sign` and `unstable`."""
     options = options or RunOptions()
     rendering = rendered(scene)
@@ -123,10 +120,10 @@ def assemble_loop(
     loop.rendered_scene = rendering.scene
     loop.begin_with(compile_scene(rendering.scene))
     _set_io(loop.record.io, scene, description)
-    _set_control(loop.record.control, scene, options.duration)
+    _set_control(loop.control, scene, options.duration)
     loop.excitation = options.excitation
     if options.excitation is not None:
-        _set_excitation(loop.record.control, options.excitation)
+        _set_excitation(loop.control, options.excitation)
     loop.correction = LoopCorrection(loop.record, rendering, description)
     loop.watchdog_samples = watchdog_samples(scene.rate, description.max_watchdog_samples)
     _set_guards(loop, scene, connection, description, options)
@@ -155,36 +152,32 @@ def _set_guards(
 
 
 def _set_control(control: Any, scene: Scene, duration: float | None) -> None:
+    virtual = scene.device.clock == "lockstep"
     control.samples = -1 if duration is None else max(1, round(duration * scene.rate))
     control.lasts_ns = _FOREVER_NS
-    if duration is not None and scene.device.clock != "lockstep":
+    if duration is not None and not virtual:
         control.lasts_ns = min(round(duration * 1e9) + _GRACE_NS, _FOREVER_NS)
     control.go = 1
     control.period_ns = round(1e9 / scene.rate)
     control.clock = _CLOCK[scene.device.clock]
-    control.silence_ns = round(1e9 * max(0.25, 20.0 / scene.rate))
+    # In virtual time the mock may live in a process that still compiles.
+    control.silence_ns = round(1e9 * (5.0 if virtual else max(0.25, 20.0 / scene.rate)))
     control.time_to_live = time_to_live_samples(scene.rate)
     control.stale_ns = _stale_ns(scene, control)
-    if scene.device.clock == "lockstep":
-        control.silence_ns = 5_000_000_000  # the mock may live in a process that is only now being compiled
 
 
 def _stale_ns(scene: Scene, control: Any) -> int:
-    """Returns the age (ns) from which on no force answers a position. In virtual time no time passes."""
+    """Returns the age (ns) above which no force answers a position. In virtual time no time passes."""
     return _FOREVER_NS if scene.device.clock == "lockstep" else (int(control.time_to_live) + 1) * int(control.period_ns)
 
 
 def _set_excitation(control: Any, excitation: Excitation | PeriodicExcitation) -> None:
     control.pulse_channel = excitation.channel
     if isinstance(excitation, PeriodicExcitation):
-        control.periodic = address_of(excitation.forces)
-        control.periodic_length = excitation.forces.size
+        control.periodic, control.periodic_length = address_of(excitation.forces), excitation.forces.size
         return
-    control.pulse_force = excitation.force
-    control.pulse_ticks = excitation.ticks
-    control.pulse_every = excitation.every
-    control.pulse_first = excitation.first
-    control.pulse_from = excitation.start
+    control.pulse_force, control.pulse_ticks = excitation.force, excitation.ticks
+    control.pulse_every, control.pulse_from, control.pulse_first = excitation.every, excitation.start, excitation.first
 
 
 def _set_io(io: Any, scene: Scene, description: Description) -> None:
@@ -198,7 +191,7 @@ def _set_io(io: Any, scene: Scene, description: Description) -> None:
         io.origin_counts[c] = round((origin or 0.0) / description.position_scale[c])
     if scene.sensed_links:
         io.velocity_scale[:channels] = description.velocity_scale
-    # In whole counts, so that the rounding of a force at its limit does not go beyond it, nor a count beyond 32 bits.
+    # In whole counts, so that rounding does not take a force beyond its limit, nor a count beyond 32 bits.
     scale, limit = np.array(description.force_scale), np.minimum(description.force_limit, scene.device.force_limit)
     with np.errstate(over="ignore"):
         counts = np.minimum(np.floor(limit / scale * (1.0 + 1e-12)), 2.0**31 - 1.0)

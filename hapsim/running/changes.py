@@ -1,11 +1,12 @@
 """Changing a scene while it runs.
 
-Where only live parameters differ, they ramp to their new values. Any other difference in the modules makes another
-program, compiled here beside the running loop, which takes over from the one before.
+If only live parameters differ, they ramp to their new values. For any other difference in the modules, another program
+is compiled beside the running loop, which then crossfades to it.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 import threading
 import time
@@ -51,13 +52,12 @@ class LiveScene:
         """`is_over`: whether the loop has ended. `gives_way`: whether preparations give way to the loop. `unstable`: as
         of `start`."""
         self.scene = scene
-        """With every change that was posted."""
+        """The scene with every change so far."""
         self._loop, self._is_over, self._gives_way, self._unstable = loop, is_over, gives_way, unstable
         self._replacing, self._writing = threading.Lock(), threading.Lock()
 
     def set(self, changes: Mapping[str, Mapping[str, float]], over: float) -> None:
-        """Changes some live parameters. Raises UsageError, and changes nothing, where a name, a key or a value is
-        wrong."""
+        """Changes some live parameters, as `Session.set`."""
 
         def change() -> None:
             with self._writing:
@@ -68,12 +68,11 @@ class LiveScene:
 
         if self._unstable is None:
             change()
-        else:  # a prediction takes time, of a large scene seconds
+        else:  # predicts the scene, which takes seconds for a large one
             self._beside_loop(change)
 
     def adopt(self, scene: Scene, over: float) -> None:
-        """Changes to `scene`, whatever its modules are. Raises UsageError, and changes nothing, where that cannot
-        be."""
+        """Changes to `scene`, as `Session.adopt`."""
         samples = _samples(scene, over)
 
         def change() -> None:
@@ -94,7 +93,7 @@ class LiveScene:
             work()
 
     def _ramp_to(self, scene: Scene, over: float) -> None:
-        """Posts the values of `scene`, where any of them differs."""
+        """Posts the values of `scene`, if any differs."""
         samples = _samples(scene, over)
         rendering = rendered(scene)
         values, now = parameter_values(rendering.scene), parameter_values(self._loop.rendered_scene)
@@ -105,7 +104,7 @@ class LiveScene:
         self.scene, self._loop.rendered_scene = scene, rendering.scene
 
     def _replace(self, scene: Scene, samples: int) -> None:
-        """Compiles the program of `scene` and crossfades to it. Live parameters may be set meanwhile: only the last
+        """Compiles the program of `scene` and crossfades to it. Live parameters can be set meanwhile: only the last
         lines hold the lock."""
         rendering = rendered(scene)
         after = rendering.scene
@@ -124,11 +123,11 @@ class LiveScene:
             self.scene, self._loop.rendered_scene = scene, after
 
     def _is_shaken_by(self, scene: Scene) -> bool:
-        """Whether the scene is predicted unstable, where such a scene may run and the energy guard is on."""
+        """Whether the scene is predicted unstable and may run, with the energy guard on."""
         return bool(self._unstable) and self._loop.energy_guard is not None and surely_shaken_by(scene) is not None
 
     def _announce(self, samples: int, is_shaken: bool) -> None:
-        """Tells the energy guard, before a change acts, whether the scene will be one that is predicted unstable."""
+        """Tells the energy guard, before a change acts, whether the scene will be predicted unstable."""
         if self._loop.energy_guard is not None:
             self._loop.energy_guard.follow(unstable=is_shaken, samples=samples)
 
@@ -153,8 +152,7 @@ class LiveScene:
 
 
 def first_fixed_difference(now: Scene, wanted: Scene) -> str:
-    """Returns the first key in which two scenes differ and which cannot change while one runs; "" where there is
-    none."""
+    """Returns the first key that differs and cannot change while a scene runs; "" if there is none."""
     if now.rate != wanted.rate:
         return "rate"
     for part in ("device", "mock"):
@@ -168,31 +166,29 @@ def first_fixed_difference(now: Scene, wanted: Scene) -> str:
 
 
 def _agree(before: Any, after: Any) -> bool:
-    """Whether two values of a device mean the same. A list has a value per channel; one value stands for all channels.
-    Only channels that both have count."""
+    """Whether two values of a device mean the same for the channels that both have. A list has a value per channel; one
+    value stands for all channels."""
     if isinstance(before, Part) and type(before) is type(after):
         return all(_agree(getattr(before, key), getattr(after, key)) for key in type(before).model_fields)
-    channels = [len(one) for one in (before, after) if isinstance(one, tuple | list)]
-    if not channels:
+    if not isinstance(before, tuple | list) and not isinstance(after, tuple | list):
         return bool(before == after)
-    lists = [one if isinstance(one, tuple | list) else [one] * min(channels) for one in (before, after)]
-    return all(one == other for one, other in zip(*lists, strict=False))
+    values = (one if isinstance(one, tuple | list) else itertools.repeat(one) for one in (before, after))
+    return all(one == other for one, other in zip(*values, strict=False))
 
 
 def differs_in_live_parameters_alone(now: Scene, wanted: Scene) -> bool:
-    """Whether one becomes the other by nothing but parameters that may change while it runs."""
+    """Whether two scenes differ in nothing but parameters that may change while a scene runs."""
     if first_fixed_difference(now, wanted) or (now.precision, now.scheme) != (wanted.precision, wanted.scheme):
         return False
     fixed = fixed_modules(now)
+
+    def only_live_differ(name: str, before: Module, after: Module) -> bool:
+        live = set() if name in fixed else set(before.live)
+        return type(before) is type(after) and before.model_dump(exclude=live) == after.model_dump(exclude=live)
+
     return list(now.modules) == list(wanted.modules) and all(
-        before == after or (name not in fixed and type(before) is type(after) and _same_but_for_live(before, after))
-        for (name, before), after in zip(now.modules.items(), wanted.modules.values(), strict=True)
+        only_live_differ(name, before, wanted.modules[name]) for name, before in now.modules.items()
     )
-
-
-def _same_but_for_live(before: Module, after: Module) -> bool:
-    keys = (key for key in type(before).model_fields if key not in before.live)
-    return all(getattr(before, key) == getattr(after, key) for key in keys)
 
 
 def _samples(scene: Scene, over: float) -> int:
@@ -200,7 +196,7 @@ def _samples(scene: Scene, over: float) -> int:
     sound = isinstance(over, int | float) and math.isfinite(over) and over >= 0
     samples = math.ceil(over * scene.rate) if sound else -1
     if not 0 <= samples <= _LONGEST:
-        raise UsageError(f"over: found {over} s, expected the seconds in which the scene changes, 0 or more")
+        raise UsageError(f"over: found {over} s, expected the duration of the change in seconds, 0 or more")
     return max(samples, 1)
 
 
@@ -216,8 +212,7 @@ def _changed(scene: Scene, changes: Mapping[str, Mapping[str, float]]) -> Scene:
         if name in fixed and modules[name].live:
             raise UsageError(
                 f"{name}: nothing of it can change while the scene runs, because it is in the matrix that scheme: "
-                f"{scene.scheme} makes once; "
-                f"under scheme: {one_of(without_matrices())} it can"
+                f"{scene.scheme} makes once; under scheme: {one_of(without_matrices())} it can"
             )
         modules[name] = _module_with(name, modules[name], values)
     around = ModuleContext(modules, {name: type(module) for name, module in modules.items()})

@@ -1,5 +1,5 @@
-"""What a correction asks of the loop: a predictor on every channel that has a device point, and tables for a mass that
-is estimated."""
+"""Fills the loop's memory for a correction: a predictor on each channel with a device point, and tables by mass where
+the mass is estimated."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from hapsim.theory.correction import StatePredictor, forces_in_second_difference
 
 
 class LoopCorrection:
-    """Everything that it keeps in memory for the loop; nothing, where nothing is predicted."""
+    """What a correction keeps in memory for the loop; nothing if it predicts nothing."""
 
     def __init__(self, loop: Any, rendering: Rendering, description: Description) -> None:
-        """`loop`: LOOP, whose control is already set."""
+        """`loop`: a LOOP with its control set."""
         self._memory: PredictorMemory | None = None
         self._adaptation: Adaptation | None = None
         predictors = rendering.predictors()
@@ -30,7 +30,7 @@ class LoopCorrection:
             return
         device = rendering.desired.device
         self._adapts = frozenset(port.channel for port in rendering.ports if port.schedule is not None)
-        """Those that adapted at the beginning: no other begins to while it runs."""
+        """The channels that adapt; none is added while the scene runs."""
         self._lags = max(one.lags for one in predictors.values())
         self._memory = PredictorMemory(
             loop.predictor,
@@ -52,26 +52,22 @@ class LoopCorrection:
             )
 
     def follow(self, rendering: Rendering, samples: int) -> None:
-        """Another scene before the same device, over so many samples. A channel on which nothing adapts any more has
-        the predictor that its links are simulated for, and nothing comes to their force."""
+        """Fades to the correction of another scene over so many samples. A channel on which nothing adapts any more
+        gets the predictor of its links, and nothing is added to their force."""
         if self._adaptation is not None:
             self._adaptation.follow(_adaptive_channels(rendering, self._adapts))
         if self._memory is not None:
             self._memory.follow(self._tables(rendering), samples)
 
     def masses(self, channels: int) -> dict[str, tuple[float | None, ...]]:
-        """What `Report` and `Progress` say of the masses that are estimated, by their names there: a value per channel,
-        None where none is estimated; no values where no channel has one."""
+        """Returns the estimated masses under their names in `Report` and `Progress`: a value per channel, None where
+        none is estimated; no values if no channel has one."""
         if self._adaptation is None:
             return {}
         found = self._adaptation.masses()
         rows = [found.get(channel, (None, None, None)) for channel in range(channels)]
-        masses, uncertainties, explained = zip(*rows, strict=True)
-        return {
-            "estimated_mass_kg": masses,
-            "estimated_mass_uncertainty_kg": uncertainties,
-            "mass_explained": explained,
-        }
+        names = ("estimated_mass_kg", "estimated_mass_uncertainty_kg", "mass_explained")
+        return dict(zip(names, zip(*rows, strict=True), strict=True))
 
     def _tables(self, rendering: Rendering) -> dict[int, Table]:
         tables = {channel: self._table([one]) for channel, one in rendering.predictors().items()}
@@ -81,7 +77,7 @@ class LoopCorrection:
         return tables | {port.channel: self._adaptive_table(port) for port in adaptive}
 
     def _adaptive_table(self, port: Corrected) -> Table:
-        """For each mass: the predictor's numbers, and what comes to the scene's force, which is that for the least."""
+        """Returns for each mass the predictor's numbers, and what is added to the scene's force for the least mass."""
         assert port.schedule is not None
         elements = port.schedule.elements
         least = elements[0]

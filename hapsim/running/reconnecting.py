@@ -21,7 +21,7 @@ from hapsim.errors import DescriptionError, DeviceError, HapsimError, RunError, 
 from hapsim.loop import endings
 from hapsim.loop.histogram import Histogram
 from hapsim.progress import Progress
-from hapsim.recording.trace import Report, Statistics, Trace
+from hapsim.recording.trace import Report, Statistics
 from hapsim.running.run import follow, start
 from hapsim.running.session import Session
 from hapsim.scene import Scene
@@ -130,18 +130,6 @@ def record_of(path: Path, session: int) -> Path:
     return path if session == 0 else path.with_name(f"{path.stem}.{session}{path.suffix}")
 
 
-class _Loss(NamedTuple):
-    """A device that was lost."""
-
-    why: str
-    at: str
-    since: float
-    """On the monotonic clock, s."""
-
-    def interruption(self, came_back: bool) -> Interruption:
-        return Interruption(self.why, self.at, time.monotonic() - self.since, came_back)
-
-
 @dataclass
 class _Keeper:
     """The sessions of a run. The first fields are the arguments of `keep_running`."""
@@ -160,6 +148,8 @@ class _Keeper:
     interruptions: list[Interruption] = field(default_factory=list)
     records: list[Path] = field(default_factory=list)
     next_record: int = 0
+    lost_at: float | None = None
+    """Since when the device is waited for, on the monotonic clock, s."""
     short: int = 0
     """Sessions and tries in a row that were short."""
 
@@ -175,9 +165,11 @@ class _Keeper:
         """Runs session after session until one ends for good, or the device does not come back."""
         failure = self._run_once()
         while failure is not None and self._may_come_back(failure):
-            loss = _Loss(str(failure), datetime.now(UTC).isoformat(timespec="milliseconds"), time.monotonic())
-            self.observer.tell("lost", f"{loss.why}. Waiting for {self._port} to answer again")
-            failure = self._come_back(loss)
+            self.lost_at, why = time.monotonic(), str(failure)
+            at = datetime.now(UTC).isoformat(timespec="milliseconds")
+            self.interruptions.append(Interruption(why, at, 0.0, came_back=False))
+            self.observer.tell("lost", f"{why}. Waiting for {self._port} to answer again")
+            failure = self._come_back(why)
         records = tuple(self.records[: len(self.runs)])
         return Lifetime(_report_of_all(self.runs), failure, tuple(self.interruptions), records)
 
@@ -190,15 +182,15 @@ class _Keeper:
         wrong = isinstance(failure, DescriptionError)  # waiting would not help
         return self.reconnect and lost and not (wrong or self.stopped or self.time_is_over)
 
-    def _come_back(self, loss: _Loss) -> HapsimError | None:
+    def _come_back(self, why: str) -> HapsimError | None:
         """Tries until the device is armed again, and returns how that session ended. If it is never armed: None after a
-        stop, a DeviceError after the duration."""
+        stop, a DeviceError after the duration. `why`: what had happened."""
         said = ""
-        while self._waits_for_port(loss):
+        while self._waits_for_port():
             try:
-                return self._run_once(loss)
+                return self._run_once()
             except (DescriptionError, UsageError) as error:
-                self.interruptions.append(loss.interruption(came_back=False))
+                self._end_wait(came_back=False)
                 return error
             except KeyboardInterrupt:
                 break
@@ -207,30 +199,28 @@ class _Keeper:
                 if str(error) != said:
                     said = str(error)
                     self.observer.tell("waiting", f"{said}. It is tried again until {self._port} answers")
-        self.interruptions.append(loss.interruption(came_back=False))
+        self._end_wait(came_back=False)
         if not self.stopped:
             self.time_is_over = True
             return DeviceError(
                 f"{self._port}: the device was lost and did not come back within the duration of {self.duration:g} s. "
-                f"What had happened: {loss.why}"
+                f"What had happened: {why}"
             )
         last = self.runs[-1]
         self.runs[-1] = last._replace(report=replace(last.report, ending=endings.IN_WORDS[endings.STOPPED]))
         return None
 
-    def _came_back(self, loss: _Loss, session: Session) -> None:
-        self.interruptions.append(loss.interruption(came_back=True))
-        zero = ". The device restarted: its position 0 is where it powered up or homed" if session.restarted else ""
-        self.observer.tell(
-            "reconnected",
-            f"{self._port}: armed again after {self.interruptions[-1].waited_s:.1f} s; the scene goes on as it is "
-            f"now{zero}",
-        )
+    def _end_wait(self, came_back: bool) -> float:
+        """Notes how the wait ended; returns its duration in s."""
+        assert self.lost_at is not None
+        waited_s, self.lost_at = time.monotonic() - self.lost_at, None
+        self.interruptions[-1] = replace(self.interruptions[-1], waited_s=waited_s, came_back=came_back)
+        return waited_s
 
-    def _waits_for_port(self, loss: _Loss) -> bool:
+    def _waits_for_port(self) -> bool:
         """Waits for a pause, and until a file of the port's name exists; False where the run is to end before."""
         pause_over = time.monotonic() + _PAUSES_S[min(self.short, len(_PAUSES_S) - 1)]
-        while self._has_time(loss):
+        while not self.stopped and ((left := self._left_s()) is None or left > 0):
             is_there = not os.path.isabs(self._port) or os.path.exists(self._port)
             if is_there and time.monotonic() >= pause_over:
                 return True
@@ -238,28 +228,24 @@ class _Keeper:
             time.sleep(_GLANCE_S)
         return False
 
-    def _has_time(self, loss: _Loss) -> bool:
-        left = self._left_s(loss)
-        return not self.stopped and (left is None or left > 0)
-
-    def _left_s(self, loss: _Loss | None) -> float | None:
-        """Returns what is left of the duration (s), None for no limit. `loss`: the device is lost since then."""
+    def _left_s(self) -> float | None:
+        """Returns what is left of the duration (s), None for no limit."""
         if self.duration is None:
             return None
-        waiting = 0.0 if loss is None else time.monotonic() - loss.since
+        waiting = 0.0 if self.lost_at is None else time.monotonic() - self.lost_at
         spent = sum(run.report.duration_s for run in self.runs) + sum(one.waited_s for one in self.interruptions)
         return self.duration - spent - waiting
 
-    def _run_once(self, loss: _Loss | None = None) -> HapsimError | None:
+    def _run_once(self) -> HapsimError | None:
         """Runs a session from open to disarm, and returns the error of one that did not end as asked. Raises where the
-        device was not armed. `loss`: the device was lost before."""
+        device was not armed."""
         self.starting = True
         failure: RunError | None = None
         try:
             if self.stopped:
                 raise KeyboardInterrupt
-            left = self._left_s(loss)
-            if left is not None and loss is not None:
+            left = self._left_s()
+            if left is not None and self.runs:
                 left = max(left, self.scene.period)  # what was left a moment ago may be over by now
             options = {
                 "duration": left,
@@ -269,8 +255,12 @@ class _Keeper:
                 **self.options,
             }
             with start(self.scene, **options) as session:
-                if loss is not None:
-                    self._came_back(loss, session)
+                if self.lost_at is not None:
+                    waited_s = self._end_wait(came_back=True)
+                    reset = "The device restarted: its position 0 is where it powered up or homed"
+                    told = f"armed again after {waited_s:.1f} s; the scene goes on as it is now"
+                    told += f". {reset}" if session.restarted else ""
+                    self.observer.tell("reconnected", f"{self._port}: {told}")
                 self.observer.started(session)
                 follow(session, self.observer.running)
             trace = session.trace
@@ -283,7 +273,8 @@ class _Keeper:
             self.observer.over()
         if ended is not None:
             self.scene = ended.scene
-        self._add(trace)
+        self.runs.append(SessionResult(trace.report, trace.statistics))
+        self.short = 0 if trace.report.duration_s > _LONG_S else self.short + 1
         return failure
 
     def _record_of_session(self) -> Path | None:
@@ -305,10 +296,6 @@ class _Keeper:
             raise KeyboardInterrupt
         self.observer.arming()
         self.session, self.starting = session, False
-
-    def _add(self, trace: Trace) -> None:
-        self.runs.append(SessionResult(trace.report, trace.statistics))
-        self.short = 0 if trace.report.duration_s > _LONG_S else self.short + 1
 
 
 _SUMMED = ("duration_s", *(one.name for one in fields(Report) if one.type == "int"))

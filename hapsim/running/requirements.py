@@ -25,6 +25,12 @@ from hapsim.scene.choices import WITH_SENSOR
 from hapsim.scene.issue import one_of
 
 _MOST_TICKS = 2.0**62
+_FIRMWARE = "Not armed; set the register in its firmware"
+_SCALES = (
+    ("position_scale", "m per count", schema.REG_POSITION_SCALE),
+    ("force_scale", "N per count", schema.REG_FORCE_SCALE),
+    ("force_limit", "N", schema.REG_FORCE_LIMIT),
+)
 
 PACING = {
     "device": schema.PACED_BY_DEVICE,
@@ -63,23 +69,21 @@ def require_not_less_stable(before: Scene, scene: Scene) -> None:
 
 
 def why_not_armed(path: str, scene: Scene, prediction: Prediction) -> str:
-    """Returns why `scene`, of the file `path`, is not armed given its prediction, and what to do; "" where it may be
-    armed."""
+    """Returns why `scene`, of the file `path`, is not armed with this prediction; "" if it may be armed."""
     if not is_surely_unstable(prediction):
         return ""
     shaken = surely_shaken_by(scene)
     grows = "" if shaken is None else f": {shaken.sentence}"
     return (
         f"{path}: not armed: the scene is predicted unstable (spectral radius {prediction.spectral_radius:.6g}, stable "
-        f"below 1){grows}.{_stable_alternatives(prediction)} `hapsim check` tells more; with --unstable it runs all "
-        f"the same, and the hand is shaken with up to the force limit of {scene.device.force_limit:g} N until the "
-        "energy guard ends the run (hapsim/STABILITY.md tells what it finds)"
+        f"below 1){grows}.{_stable_alternatives(prediction)} `hapsim check` reports more. With --unstable it runs, and "
+        f"the device will oscillate with up to the force limit of {scene.device.force_limit:g} N until the energy "
+        "guard ends the run (hapsim/STABILITY.md)"
     )
 
 
 def _stable_alternatives(prediction: Prediction) -> str:
-    """Returns a sentence: with how much of its stiffness, or with which damping, each hand that is a system of its own
-    would be stable."""
+    """Returns a sentence: the stiffness or the damping at which each hand by itself would be stable."""
     ways = []
     for one in prediction.felt:
         least, most = one.stable_damping
@@ -91,7 +95,7 @@ def _stable_alternatives(prediction: Prediction) -> str:
 
 
 def require_compatible(scene: Scene, name: str, description: Description) -> None:
-    """UsageError or DescriptionError where scene and device do not go together. `name`: what a user calls the port."""
+    """Raises UsageError or DescriptionError where scene and device do not fit. `name`: the port, as the user says."""
     if description.channels < scene.channels:
         raise UsageError(f"{name}: the device has {description.channels} channel(s), the scene uses {scene.channels}")
     _require_numbers(name, description)
@@ -102,56 +106,47 @@ def require_compatible(scene: Scene, name: str, description: Description) -> Non
         )
     if description.max_watchdog_samples < 1:
         raise DescriptionError(
-            f"{name}: the device allows no watchdog (its register {schema.REG_MAX_WATCHDOG} reads 0), so that nothing "
-            f"would end a force of a host that died: found 0, expected 1 to {schema.MAX_WATCHDOG_SAMPLES} samples. Not "
-            "armed; set the register in its firmware"
+            f"{name}: the device allows no watchdog (its register {schema.REG_MAX_WATCHDOG} reads 0), so a force would "
+            f"outlive a dead host: expected 1 to {schema.MAX_WATCHDOG_SAMPLES} samples. {_FIRMWARE}"
         )
     if not description.paces(PACING[scene.device.clock]):
         raise UsageError(
             f"{name}: the device cannot be run with clock: {scene.device.clock}; try another clock in the scene"
         )
     for channel, origin in enumerate(scene.device.origins(scene.channels)):
-        if abs(origin or 0.0) >= 2**31 * description.position_scale[channel]:
+        most = 2**31 * description.position_scale[channel]
+        if abs(origin or 0.0) >= most:
             raise UsageError(
-                f"{name}: device.origin: found {origin:g} m on channel {channel}, where no position of this device is: "
-                f"its counts end at {2**31 * description.position_scale[channel]:g} m"
+                f"{name}: device.origin: found {origin:g} m on channel {channel}; this device counts up to {most:g} m"
             )
     if scene.sensed_links:
         _require_velocity(scene, name, description)
 
 
 def require_known_zero(scene: Scene, name: str) -> None:
-    """DescriptionError where the scene's travel counts from a zero that a device which restarted no longer has."""
+    """Raises DescriptionError where the scene's travel counts from a zero that a restarted device has lost."""
     named = scene.device.origin is not None and not all(one is None for one in scene.device.origins(scene.channels))
     if named and scene.device.travel is not None:
         raise DescriptionError(
-            f"{name}: the device restarted: its position 0 is now where it powered up or homed, and device.origin and "
-            "device.travel of the scene count from where it was before. Not armed again: put the device where they "
-            "hold, and start anew; with origin: here they count from where it is armed, and without an origin from the "
-            "device's own zero (a device that homes), and it is armed again"
+            f"{name}: the device restarted: its position 0 is now where it powered up or homed, but the scene's "
+            "device.origin and device.travel count from where it was before. Not armed again: put the device back and "
+            "start anew. With origin: here, or without an origin for a device that homes, it is armed again"
         )
 
 
 def _require_numbers(name: str, description: Description) -> None:
-    """DescriptionError where the rate, a scale or a limit is not a number above 0."""
-    _require_above_zero(name, "a rate", description.rate_hz, "Hz", schema.REG_RATE)
-    declared = (
-        ("position scale", description.position_scale, "m per count", schema.REG_POSITION_SCALE),
-        ("force scale", description.force_scale, "N per count", schema.REG_FORCE_SCALE),
-        ("force limit", description.force_limit, "N", schema.REG_FORCE_LIMIT),
-    )
-    for channel in range(description.channels):
-        at = schema.REG_CHANNEL + channel * schema.CHANNEL_WORDS
-        for what, values, unit, register in declared:
-            _require_above_zero(name, f"a {what} of channel {channel}", values[channel], unit, at + register)
-
-
-def _require_above_zero(name: str, what: str, value: float, unit: str, register: int) -> None:
-    if not (np.isfinite(value) and value > 0):
-        raise DescriptionError(
-            f"{name}: the device declares {what} of {value:g} {unit} (register {register}), which is not a number above"
-            " 0. Not armed; set the register in its firmware"
-        )
+    """Raises DescriptionError where the rate, a scale or a limit is not a number above 0."""
+    declared = [("rate", description.rate_hz, "Hz", schema.REG_RATE)]
+    for field, unit, register in _SCALES:
+        for c, value in enumerate(getattr(description, field)):
+            at = schema.REG_CHANNEL + c * schema.CHANNEL_WORDS + register
+            declared.append((f"{field.replace('_', ' ')} of channel {c}", value, unit, at))
+    for what, value, unit, register in declared:
+        if not (np.isfinite(value) and value > 0):
+            raise DescriptionError(
+                f"{name}: the device declares a {what} of {value:g} {unit} (register {register}), which is not a "
+                f"number above 0. {_FIRMWARE}"
+            )
 
 
 def _require_velocity(scene: Scene, name: str, description: Description) -> None:

@@ -37,8 +37,8 @@ def _with_keywords_of(
 def start(scene: SceneSource, **options: Any) -> Session:
     """Starts `scene`, a Scene or the path of a scene file, and returns its session.
 
-    The session runs for `duration` seconds (default: without an end), until it is stopped or closed, until its
-    with-block is left, and no longer than the program.
+    The session runs for `duration` seconds (default: no limit), until it is stopped or closed, until its with-block is
+    left, and no longer than the program.
 
     * `transport`: where the device is ("auto": the scene's port, else the mock that fits the clock).
     * `excitation`: a force that is added to the scene's (`Excitation`, `PeriodicExcitation`).
@@ -90,19 +90,21 @@ def run(
     Raises what `start` and `Session.close` raise.
     """
     tell = options.get("on_progress") or (lambda _: None)
-    running: list[Session] = []
-    stopped: list[bool] = []
+    armed: Session | None = None
+    stopped = False
 
     def stop() -> None:
-        stopped.append(True)
-        if not running:
+        nonlocal stopped
+        stopped = True
+        if armed is None:
             raise KeyboardInterrupt  # nothing is armed yet
-        running[0].stop()
+        armed.stop()
 
     def arming(session: Session) -> None:
+        nonlocal armed
         if stopped:  # a callback swallowed the interrupt
             raise KeyboardInterrupt
-        running.append(session)
+        armed = session
 
     with (
         stopping_on_signals(stop) if stop_on_signals else contextlib.nullcontext(),

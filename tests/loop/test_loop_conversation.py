@@ -5,11 +5,11 @@ from __future__ import annotations
 import contextlib
 import struct
 import sys
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
+from loop_rig import frame, scene_of, scripted
 
 from firmware_protocol import schema
 from firmware_protocol.frames import SETUP, frame_to_host
@@ -19,7 +19,6 @@ from hapsim.errors import DeviceError, GuardError, UsageError
 from hapsim.running import run
 from hapsim.scene import Scene
 
-Scripted = Callable[..., Any]
 REFUSALS = [schema.WRONG_SCHEMA, schema.WRONG_PACING, schema.WRONG_SENSING, schema.WRONG_WATCHDOG, schema.HARDWARE]
 
 
@@ -29,7 +28,7 @@ def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(conversation, "_TRIES", 2)
 
 
-def refusal(scripted: Scripted, kind: type[Exception], scene: Scene | None = None, **differences: Any) -> str:
+def refusal(kind: type[Exception], scene: Scene | None = None, **differences: Any) -> str:
     """The sentence with which the run is refused; the device was never left armed."""
     with scripted(scene=scene, **differences) as (there, device):
         with pytest.raises(kind) as caught:
@@ -40,7 +39,7 @@ def refusal(scripted: Scripted, kind: type[Exception], scene: Scene | None = Non
     return str(caught.value)
 
 
-def test_a_description_arrives_as_the_device_says_it(scripted: Scripted) -> None:
+def test_a_description_arrives_as_the_device_says_it() -> None:
     with scripted(name="a device", force_limit=(3.5,)) as (scene, device):
         connection = open_serial_port(scene.device.port, scene.device.baud)
         try:
@@ -67,18 +66,16 @@ def test_a_description_arrives_as_the_device_says_it(scripted: Scripted) -> None
         *((schema.REG_CHANNELS, n, f"says it has {n} channels, where 1 to 16 can be") for n in (0, 17, 2**32 - 1)),
     ],
 )
-def test_a_protocol_that_is_not_ours_is_refused_with_what_to_do(
-    scripted: Scripted, register: int, value: int, told: str
-) -> None:
-    assert told in refusal(scripted, DeviceError, registers={register: value})
+def test_a_protocol_that_is_not_ours_is_refused_with_what_to_do(register: int, value: int, told: str) -> None:
+    assert told in refusal(DeviceError, registers={register: value})
 
 
-def test_too_few_channels_for_the_scene_are_refused(scripted: Scripted, scene_of: Callable[..., Scene]) -> None:
-    text = refusal(scripted, UsageError, scene=scene_of(3))
+def test_too_few_channels_for_the_scene_are_refused() -> None:
+    text = refusal(UsageError, scene=scene_of(3))
     assert "the device has 1 channel(s), the scene uses 3" in text
 
 
-def test_more_channels_than_the_scene_uses_get_no_force(scripted: Scripted, frame: Callable[..., bytes]) -> None:
+def test_more_channels_than_the_scene_uses_get_no_force() -> None:
     script = [frame(n, 100, 200, 300) for n in range(5)]
     three = {"position_scale": (1e-6,) * 3, "force_scale": (1e-3,) * 3, "force_limit": (10.0,) * 3}
     with scripted(script, **three) as (scene, device):
@@ -87,35 +84,31 @@ def test_more_channels_than_the_scene_uses_get_no_force(scripted: Scripted, fram
     assert [heard.counts for heard in device.forces] == [(-100, 0, 0)] * 5
 
 
-def test_another_rate_is_refused_with_what_to_write(scripted: Scripted) -> None:
-    text = refusal(scripted, UsageError, rate_hz=2000.0)
+def test_another_rate_is_refused_with_what_to_write() -> None:
+    text = refusal(UsageError, rate_hz=2000.0)
     assert "samples at 2000 Hz, the scene says 1000 Hz: write rate: 2000 into the scene" in text
 
 
 @pytest.mark.parametrize("rate", [np.nan, np.inf, 0.0, -1000.0])
-def test_a_rate_that_is_no_rate_is_the_devices_fault(scripted: Scripted, rate: float) -> None:
-    assert "not a number above 0" in refusal(scripted, DeviceError, rate_hz=rate)
+def test_a_rate_that_is_no_rate_is_the_devices_fault(rate: float) -> None:
+    assert "not a number above 0" in refusal(DeviceError, rate_hz=rate)
 
 
 @pytest.mark.parametrize(("clock", "pacings"), [("lockstep", 0b011), ("host", 0b101), ("device", 0b110)])
-def test_a_pacing_that_the_device_does_not_offer_is_refused(
-    scripted: Scripted, scene_of: Callable[..., Scene], clock: str, pacings: int
-) -> None:
-    text = refusal(scripted, UsageError, scene=scene_of(device={"clock": clock}), pacings=pacings)
+def test_a_pacing_that_the_device_does_not_offer_is_refused(clock: str, pacings: int) -> None:
+    text = refusal(UsageError, scene=scene_of(device={"clock": clock}), pacings=pacings)
     assert f"cannot be run with clock: {clock}; try another clock" in text
 
 
 @pytest.mark.parametrize("what", ["position_scale", "force_scale", "force_limit"])
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 0.0, -1e-6])
-def test_an_absurd_scale_is_refused(scripted: Scripted, what: str, value: float) -> None:
-    assert "not a number above 0" in refusal(scripted, DeviceError, **{what: (value,)})
+def test_an_absurd_scale_is_refused(what: str, value: float) -> None:
+    assert "not a number above 0" in refusal(DeviceError, **{what: (value,)})
 
 
 @pytest.mark.parametrize("value", [sys.float_info.min, 5e-324, sys.float_info.max])
 @pytest.mark.parametrize("what", ["position_scale", "force_scale", "force_limit"])
-def test_extreme_scales_leave_the_force_within_the_limit(
-    scripted: Scripted, frame: Callable[..., bytes], what: str, value: float
-) -> None:
+def test_extreme_scales_leave_the_force_within_the_limit(what: str, value: float) -> None:
     with scripted([frame(n, 1000) for n in range(5)], **{what: (value,)}) as (scene, device):
         with contextlib.suppress(GuardError):
             run(scene, duration=0.005)
@@ -126,17 +119,17 @@ def test_extreme_scales_leave_the_force_within_the_limit(
 
 
 @pytest.mark.parametrize("fault", REFUSALS)
-def test_a_device_that_refuses_to_arm_says_why(scripted: Scripted, fault: int) -> None:
-    assert f"the device does not arm: {schema.FAULTS[fault]}" in refusal(scripted, DeviceError, refuses=fault)
+def test_a_device_that_refuses_to_arm_says_why(fault: int) -> None:
+    assert f"the device does not arm: {schema.FAULTS[fault]}" in refusal(DeviceError, refuses=fault)
 
 
-def test_a_watchdog_shorter_than_ours_is_accepted(scripted: Scripted, frame: Callable[..., bytes]) -> None:
+def test_a_watchdog_shorter_than_ours_is_accepted() -> None:
     with scripted([frame(n, 0) for n in range(3)], max_watchdog_samples=3) as (scene, _):
         assert run(scene, duration=0.003).report.ticks == 3
 
 
 @pytest.mark.usefixtures("impatient")
-def test_where_nothing_answers_the_user_is_asked_the_right_questions(scripted: Scripted) -> None:
+def test_where_nothing_answers_the_user_is_asked_the_right_questions() -> None:
     with scripted() as (scene, device):
         device.deaf = True
         with pytest.raises(DeviceError, match=r"no answer within 0\.04 s\. Is this the device's port, is the device"):
@@ -148,9 +141,7 @@ def test_where_nothing_answers_the_user_is_asked_the_right_questions(scripted: S
     [b"U-Boot 2024.01 (Jan 01 2024)\r\n", b"\x00" * 500, bytes(range(256)) * 20, b"\xff" * 9000],
     ids=["boot log", "zeros", "every byte", "more than the inbox holds"],
 )
-def test_garbage_that_waits_on_the_port_is_read_over(
-    scripted: Scripted, frame: Callable[..., bytes], garbage: bytes
-) -> None:
+def test_garbage_that_waits_on_the_port_is_read_over(garbage: bytes) -> None:
     """It comes after every answer: what waits when the port opens is thrown away by the opening."""
     with scripted([frame(n, 0) for n in range(3)], before=garbage) as (scene, device):
         device.after_each = garbage[:300]
@@ -158,26 +149,26 @@ def test_garbage_that_waits_on_the_port_is_read_over(
 
 
 @pytest.mark.usefixtures("impatient")
-def test_a_port_that_only_babbles_is_no_device(scripted: Scripted) -> None:
+def test_a_port_that_only_babbles_is_no_device() -> None:
     with scripted() as (scene, device):
         device.deaf, device.after_each = True, b"$GPGGA,123519,4807.038,N\r\n\x00"
         with pytest.raises(DeviceError, match="no answer"):
             run(scene, duration=0.01)
 
 
-def test_answers_to_other_questions_are_passed_over(scripted: Scripted, frame: Callable[..., bytes]) -> None:
+def test_answers_to_other_questions_are_passed_over() -> None:
     stray = frame_to_host(SETUP, schema.DESCRIPTION, schema.REG_HELD, [12345])
     with scripted([frame(n, 0) for n in range(3)]) as (scene, device):
         device.before_each = stray
         assert run(scene, duration=0.003, transport="auto").report.ending == "done"
 
 
-def test_a_device_that_hangs_up_while_it_is_asked_is_gone(scripted: Scripted) -> None:
+def test_a_device_that_hangs_up_while_it_is_asked_is_gone() -> None:
     with scripted([None]) as (scene, _), pytest.raises(DeviceError, match=r"went away|is gone|still there"):
         run(scene, duration=0.01)
 
 
-def test_every_value_survives_the_registers_as_bits(scripted: Scripted) -> None:
+def test_every_value_survives_the_registers_as_bits() -> None:
     value = struct.unpack("<d", bytes.fromhex("ffffffff0000f03f"))[0]  # a low word with its highest bit set
     with scripted(position_scale=(value,)) as (scene, _):
         connection = open_serial_port(scene.device.port, scene.device.baud)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import os
 import random
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 import pytest
+from loop_rig import assembled, frame, scene_of
 from numpy.typing import NDArray
 
 from firmware_protocol import schema
@@ -18,7 +19,6 @@ from hapsim.loop import endings
 from hapsim.loop.endings import HUNG_UP
 from hapsim.loop.portable import PortableLoop
 from hapsim.running.assemble import LoopMemory
-from hapsim.scene import Scene
 
 # Damaged bytes in each format; HAPSIM_POINTS=50 makes it ten millions in all.
 DAMAGED_BYTES = 100_000 * int(os.environ.get("HAPSIM_POINTS", "1"))
@@ -28,7 +28,7 @@ FORMATS = (1, 4)  # channels: a check of 16 bits, and one of 32
 class DamagedStream:
     """Positions that swing slowly, damage of every kind between them, in pieces of any length; keeps what was sent."""
 
-    def __init__(self, channels: int, frame: Callable[..., bytes], seed: int) -> None:
+    def __init__(self, channels: int, seed: int) -> None:
         self.sound: dict[int, tuple[int, ...]] = {}
         """The counts of every position that was sent whole, by its sample."""
         self.first_after_damage: set[int] = set()
@@ -53,8 +53,8 @@ class DamagedStream:
         del self._waiting[:count]
         return count
 
-    def send(self, frame: bytes) -> int:
-        self.forces.append(frame)
+    def send(self, data: bytes) -> int:
+        self.forces.append(data)
         return 0
 
     def _write(self) -> Iterator[bytes]:
@@ -116,13 +116,9 @@ def run_on(loop: LoopMemory, stream: DamagedStream) -> tuple[int, dict[int, tupl
 
 @pytest.mark.parametrize("channels", FORMATS)
 def test_of_damaged_and_random_bytes_nothing_is_answered_and_the_next_positions_are(
-    channels: int,
-    scene_of: Callable[..., Scene],
-    assembled: Callable[..., LoopMemory],
-    frame: Callable[..., bytes],
-    figures: Any,
+    channels: int, figures: Any
 ) -> None:
-    stream = DamagedStream(channels, frame, seed=channels)
+    stream = DamagedStream(channels, seed=channels)
     loop = assembled(scene_of(channels))
     ending, accepted = run_on(loop, stream)
     assert ending == endings.HUNG_UP  # by nothing that a byte said, but by the end

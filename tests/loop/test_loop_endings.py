@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
 import signal
@@ -10,13 +9,13 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import yaml
+from loop_rig import assembled, frame, scene_of, scripted, served
 
 import hapsim
 from firmware_protocol import schema
@@ -29,11 +28,7 @@ from hapsim.progress import Progress
 from hapsim.recording.trace import load_trace
 from hapsim.running import run
 from hapsim.running import session as session_module
-from hapsim.running.assemble import LoopMemory
-from hapsim.scene import Scene
 
-Served = Callable[[Scene], contextlib.AbstractContextManager[tuple[Scene, Any]]]
-Scripted = Callable[..., Any]
 CLOCKS = ["lockstep", "device", "host"]
 
 
@@ -43,9 +38,7 @@ def require_released(mock: Any, state: int = schema.IDLE) -> None:
 
 
 @pytest.mark.parametrize("clock", CLOCKS)
-def test_at_the_end_of_the_duration_the_device_is_disarmed(
-    scene_of: Callable[..., Scene], served: Served, clock: str
-) -> None:
+def test_at_the_end_of_the_duration_the_device_is_disarmed(clock: str) -> None:
     with served(scene_of(2, device={"clock": clock})) as (scene, mock):
         trace = run(scene, duration=0.1)
         require_released(mock)
@@ -54,9 +47,7 @@ def test_at_the_end_of_the_duration_the_device_is_disarmed(
 
 
 @pytest.mark.parametrize("portable", [False, True])
-def test_a_stop_between_two_ticks_ends_a_run_by_the_hosts_clock_before_the_next(
-    scene_of: Callable[..., Scene], portable: bool
-) -> None:
+def test_a_stop_between_two_ticks_ends_a_run_by_the_hosts_clock_before_the_next(portable: bool) -> None:
     """A tick lasts ten seconds: nobody waits for the next, and no exchange is made early in its place."""
     scene = scene_of(rate=0.1, device={"clock": "host"})
     with hapsim.start(scene, portable=portable) as session:
@@ -89,13 +80,7 @@ def told_in_compiled_code(loop):
     ],
 )
 def test_what_ends_a_loop_is_the_same_in_compiled_code_and_in_python(
-    assembled: Callable[..., LoopMemory],
-    scene_of: Callable[..., Scene],
-    stop: int,
-    ticks: int,
-    unread: int,
-    waits: int,
-    ending: int,
+    stop: int, ticks: int, unread: int, waits: int, ending: int
 ) -> None:
     loop = assembled(scene_of())
     loop.control.stop, loop.control.samples, loop.state.ticks = stop, ticks, 7
@@ -105,9 +90,7 @@ def test_what_ends_a_loop_is_the_same_in_compiled_code_and_in_python(
 
 
 @pytest.mark.parametrize("clock", CLOCKS)
-def test_an_exception_of_whoever_watches_the_progress_disarms_and_comes_through(
-    scene_of: Callable[..., Scene], served: Served, clock: str
-) -> None:
+def test_an_exception_of_whoever_watches_the_progress_disarms_and_comes_through(clock: str) -> None:
     class OfTheirOwnError(Exception):
         pass
 
@@ -123,9 +106,7 @@ def test_an_exception_of_whoever_watches_the_progress_disarms_and_comes_through(
 
 @pytest.mark.parametrize("clock", CLOCKS)
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_a_signal_that_means_stop_ends_the_run_in_good_order(
-    scene_of: Callable[..., Scene], served: Served, clock: str, number: signal.Signals
-) -> None:
+def test_a_signal_that_means_stop_ends_the_run_in_good_order(clock: str, number: signal.Signals) -> None:
     sent = threading.Event()
 
     def watch(progress: Progress) -> None:
@@ -143,7 +124,7 @@ def test_a_signal_that_means_stop_ends_the_run_in_good_order(
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])
 def test_the_command_ends_with_status_0_on_a_signal_and_keeps_the_record(
-    scene_of: Callable[..., Scene], served: Served, tmp_path: Path, number: signal.Signals
+    tmp_path: Path, number: signal.Signals
 ) -> None:
     record, file = tmp_path / "trace.npz", tmp_path / "scene.yaml"
     with served(scene_of(device={"clock": "device"})) as (scene, mock):
@@ -163,7 +144,7 @@ def test_the_command_ends_with_status_0_on_a_signal_and_keeps_the_record(
 
 @pytest.mark.parametrize("clock", CLOCKS)
 def test_a_signal_while_the_device_is_being_armed_ends_the_run_in_good_order(
-    scene_of: Callable[..., Scene], served: Served, monkeypatch: pytest.MonkeyPatch, clock: str
+    monkeypatch: pytest.MonkeyPatch, clock: str
 ) -> None:
     """Neither too early to be a run's end, nor too late to be heard."""
     armed = session_module.arm
@@ -181,9 +162,7 @@ def test_a_signal_while_the_device_is_being_armed_ends_the_run_in_good_order(
 
 
 @pytest.mark.parametrize("clock", CLOCKS)
-def test_a_device_that_stops_by_itself_ends_the_run_and_says_why(
-    scene_of: Callable[..., Scene], served: Served, clock: str
-) -> None:
+def test_a_device_that_stops_by_itself_ends_the_run_and_says_why(clock: str) -> None:
     """2^31 counts of a picometre are two millimetres."""
     scene = scene_of(
         stiffness=0.0, damping=0.0, device={"clock": clock}, mock={"quantum": 1e-12, "initial": {"velocity": 0.1}}
@@ -201,9 +180,7 @@ def test_a_device_that_stops_by_itself_ends_the_run_and_says_why(
 
 
 @pytest.mark.parametrize("clock", ["device", "host"])
-def test_a_silent_device_ends_the_run_with_zero_force(
-    scripted: Scripted, frame: Callable[..., bytes], scene_of: Callable[..., Scene], clock: str
-) -> None:
+def test_a_silent_device_ends_the_run_with_zero_force(clock: str) -> None:
     scene = scene_of(device={"clock": clock})
     with scripted([frame(n, 0) for n in range(5)], scene=scene) as (scene, device):
         with pytest.raises(DeviceError, match=r"silent for 0\.25 s after 5 ticks; the force is zero") as caught:
@@ -215,9 +192,7 @@ def test_a_silent_device_ends_the_run_with_zero_force(
 
 
 @pytest.mark.parametrize("clock", CLOCKS)
-def test_a_port_that_hangs_up_ends_the_run(
-    scripted: Scripted, frame: Callable[..., bytes], scene_of: Callable[..., Scene], clock: str
-) -> None:
+def test_a_port_that_hangs_up_ends_the_run(clock: str) -> None:
     script = [*[frame(n, n) for n in range(4)], None]
     with (
         scripted(script, scene=scene_of(device={"clock": clock})) as (scene, _),
@@ -231,9 +206,7 @@ def test_a_port_that_hangs_up_ends_the_run(
 
 
 @pytest.mark.parametrize("fault", [*sorted(schema.FAULTS), 77])
-def test_a_fault_that_the_device_reports_is_reported_in_words(
-    scripted: Scripted, frame: Callable[..., bytes], fault: int
-) -> None:
+def test_a_fault_that_the_device_reports_is_reported_in_words(fault: int) -> None:
     status = frame_to_host(armed_format(1), schema.STATUS, 3, [schema.LATCHED | fault << 8])
     told = schema.FAULTS.get(fault, "fault 77, which version 1 of the protocol does not name")
     with (
@@ -244,9 +217,7 @@ def test_a_fault_that_the_device_reports_is_reported_in_words(
     assert caught.value.trace is not None
 
 
-def test_the_last_command_of_a_run_is_zero_and_no_force_follows_it(
-    scripted: Scripted, frame: Callable[..., bytes]
-) -> None:
+def test_the_last_command_of_a_run_is_zero_and_no_force_follows_it() -> None:
     with scripted([frame(n, 1000) for n in range(20)]) as (scene, device):
         trace = run(scene, duration=0.01)
         assert not device.armed
@@ -254,9 +225,7 @@ def test_the_last_command_of_a_run_is_zero_and_no_force_follows_it(
     assert np.all(trace.force_counts != 0)
 
 
-def test_a_host_that_died_in_virtual_time_does_not_lock_the_next_one_out(
-    scene_of: Callable[..., Scene], served: Served
-) -> None:
+def test_a_host_that_died_in_virtual_time_does_not_lock_the_next_one_out() -> None:
     """In virtual time there is no watchdog: the mock is still armed, and hears nothing but its armed format."""
     with served(scene_of()) as (scene, mock):
         code = (

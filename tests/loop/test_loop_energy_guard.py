@@ -6,12 +6,12 @@ import contextlib
 import json
 import math
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from loop_rig import served
 
 from firmware_protocol import schema
 from firmware_protocol.compiled import new_record
@@ -38,8 +38,6 @@ from hapsim.scene import Scene, parse_scene
 sys.path.append(str(Path(__file__).resolve().parents[2] / "tools" / "bench"))
 
 from energy_guard import Drawn, Stalling, judged, knocks, passive_scenes, unstable_scenes
-
-Served = Callable[[Scene], contextlib.AbstractContextManager[tuple[Scene, Any]]]
 
 T = 1e-3
 FEW = 15
@@ -117,7 +115,7 @@ def wall(stiffness: float = 20_000.0, *, clock: str = "lockstep", velocity: floa
     return parse_scene(json.dumps(document))
 
 
-def test_the_device_is_disarmed_and_the_sentence_says_what_was_given(served: Served) -> None:
+def test_the_device_is_disarmed_and_the_sentence_says_what_was_given() -> None:
     with served(wall(energy_limit=0.05, friction=0.0)) as (scene, mock):
         with pytest.raises(GuardError) as caught:
             run(scene, duration=60.0)
@@ -133,7 +131,7 @@ def test_the_device_is_disarmed_and_the_sentence_says_what_was_given(served: Ser
     assert trace.report.ending == "scene diverging"
 
 
-def test_a_swing_at_the_limit_says_so(served: Served) -> None:
+def test_a_swing_at_the_limit_says_so() -> None:
     with served(wall(energy_limit=0.2)) as (scene, _), pytest.raises(GuardError, match="the force swung at its limit"):
         run(scene, duration=60.0)
 
@@ -157,7 +155,7 @@ def test_before_the_mock_it_is_off_until_it_is_asked_for() -> None:
 
 
 @pytest.mark.parametrize(("clock", "judges"), [("host", True), ("device", True), ("lockstep", False)])
-def test_it_is_the_default_before_a_port_but_in_virtual_time(served: Served, clock: str, judges: bool) -> None:
+def test_it_is_the_default_before_a_port_but_in_virtual_time(clock: str, judges: bool) -> None:
     limits = []
 
     def note(session: Any) -> None:

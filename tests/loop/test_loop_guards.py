@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Callable
-from typing import Any
-
 import numpy as np
 import pytest
+from loop_rig import frame, scene_of, scripted
 
 from hapsim.compiling import entry
 from hapsim.errors import GuardError, UsageError
@@ -17,10 +14,9 @@ from hapsim.running import Excitation, run
 from hapsim.scene import Scene, parse_scene
 
 CLOCKS = ["lockstep", "device", "host"]
-Served = Callable[[Scene], contextlib.AbstractContextManager[tuple[Scene, Any]]]
 
 
-def test_a_force_beyond_the_limit_is_cut_flagged_and_counted(scene_of: Callable[..., Scene]) -> None:
+def test_a_force_beyond_the_limit_is_cut_flagged_and_counted() -> None:
     trace = run(scene_of(2, device={"force_limit": 0.4}), duration=0.5)
     beyond = np.any(np.abs(trace.asked_force) > 0.4, axis=1)
     assert 0 < beyond.sum() < 500
@@ -31,7 +27,7 @@ def test_a_force_beyond_the_limit_is_cut_flagged_and_counted(scene_of: Callable[
     np.testing.assert_allclose(trace.force, cut_to, rtol=0, atol=trace.force_scale.max())
 
 
-def test_an_excitation_passes_the_limit_too(scene_of: Callable[..., Scene]) -> None:
+def test_an_excitation_passes_the_limit_too() -> None:
     pushes = Excitation(channel=0, force=50.0, ticks=5, every=50, start=10, first=True)
     trace = run(scene_of(device={"force_limit": 1.0}), duration=0.1, excitation=pushes)
     assert np.max(np.abs(trace.force)) <= 1.0
@@ -49,9 +45,7 @@ def test_an_excitation_passes_the_limit_too(scene_of: Callable[..., Scene]) -> N
         (10.0, 1e-9, 2**31 - 1),  # 32 bits reach only 2.147 N
     ],
 )
-def test_counts_on_the_wire_never_mean_more_than_the_limit(
-    scripted: Callable[..., Any], frame: Callable[..., bytes], device_limit: float, scale: float, most: int
-) -> None:
+def test_counts_on_the_wire_never_mean_more_than_the_limit(device_limit: float, scale: float, most: int) -> None:
     script = [frame(n, 100_000 * (-1) ** n) for n in range(20)]  # 0.1 m at 1000 N/m: 100 N and more
     with scripted(script, force_limit=(device_limit,), force_scale=(scale,)) as (scene, device):
         trace = run(scene, duration=0.02)
@@ -115,7 +109,7 @@ def alike(channels: int) -> dict[str, tuple[float, ...]]:
 @pytest.mark.parametrize("clock", CLOCKS)
 @pytest.mark.parametrize("channel", [0, 1, 2])
 def test_up_to_the_limit_a_force_leaves_as_it_is_and_beyond_it_the_limit_to_the_same_side(
-    scene_of: Callable[..., Scene], scripted: Callable[..., Any], frame: Callable[..., bytes], clock: str, channel: int
+    clock: str, channel: int
 ) -> None:
     wanted = [0, 1, LIMIT - 1, LIMIT, LIMIT + 1, LIMIT + 2, 2 * LIMIT, FAR, LIMIT]
     wanted += [-counts for counts in wanted]
@@ -152,14 +146,7 @@ NO_NUMBER: dict[str, tuple[dict[str, float], int, int]] = {
 @pytest.mark.parametrize("clock", CLOCKS)
 @pytest.mark.parametrize("channel", [0, 1, 15])
 @pytest.mark.parametrize("kind", NO_NUMBER)
-def test_one_channel_without_a_number_releases_all_of_them(
-    scene_of: Callable[..., Scene],
-    scripted: Callable[..., Any],
-    frame: Callable[..., bytes],
-    clock: str,
-    channel: int,
-    kind: str,
-) -> None:
+def test_one_channel_without_a_number_releases_all_of_them(clock: str, channel: int, kind: str) -> None:
     link, far, last = NO_NUMBER[kind]
     still = [-100] * 16
     still[channel] = 0
@@ -185,6 +172,6 @@ def test_one_channel_without_a_number_releases_all_of_them(
 
 
 @pytest.mark.parametrize("duration", [0.0, -1.0, float("nan"), float("inf"), 1e300])
-def test_a_duration_that_cannot_be_run_is_refused(scene_of: Callable[..., Scene], duration: float) -> None:
+def test_a_duration_that_cannot_be_run_is_refused(duration: float) -> None:
     with pytest.raises(UsageError, match="expected a finite number of seconds above 0"):
         run(scene_of(), duration=duration)

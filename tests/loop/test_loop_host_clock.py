@@ -4,11 +4,11 @@ what the clock itself guarantees."""
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import numba
 import numpy as np
 import pytest
+from loop_rig import arrive, assembled, frame, scene_of
 
 from firmware_protocol import schema
 from firmware_protocol.compiled import new_record
@@ -23,7 +23,6 @@ from hapsim.loop.run import run_loop
 from hapsim.loop.transport import Transport, receiver, sender
 from hapsim.running.assemble import LoopMemory
 
-FrameOf = Callable[..., bytes]
 RATE = 500.0
 PERIOD_S = 1 / RATE
 
@@ -76,7 +75,7 @@ Item = tuple[int, bool, bytes]
 
 
 @pytest.fixture(params=["compiled", "portable"])
-def play(request: pytest.FixtureRequest, assembled: Callable[..., LoopMemory], scene_of: Callable[..., Any]) -> Play:
+def play(request: pytest.FixtureRequest) -> Play:
     """Runs a loop by the host's clock until it has taken so many positions; it, and the frames that it sent."""
 
     def run(script: Sequence[Item], ticks: int) -> tuple[LoopMemory, list[Frame]]:
@@ -102,20 +101,19 @@ def play(request: pytest.FixtureRequest, assembled: Callable[..., LoopMemory], s
     return run
 
 
-def test_a_position_that_came_after_its_tick_is_answered_and_leaves_no_lag(play: Play, frame: FrameOf) -> None:
-    # The tick that asked for position 1 is over before it comes, so at the next tick it waits in the port.
+def test_a_position_that_came_after_its_tick_is_answered_and_leaves_no_lag(play: Play) -> None:
     loop, forces = play([(0, False, frame(0, 0)), (1, True, frame(1, 5)), (2, False, frame(2, 5))], 3)
     assert [force.number for force in forces] == [0, 1]
     assert loop.ring.drain()["sample"].tolist() == [0, 1, 2]
 
 
-def test_a_position_that_does_not_come_is_asked_for_again(play: Play, frame: FrameOf) -> None:
+def test_a_position_that_does_not_come_is_asked_for_again(play: Play) -> None:
     loop, forces = play([(0, False, frame(0, 0)), (4, False, frame(1, 5)), (5, False, frame(2, 5))], 3)
     assert [force.number for force in forces] == [0, 0, 0, 0, 1]
     assert (loop.state.stale_positions, loop.state.lost_frames) == (0, 0)
 
 
-def test_a_position_that_came_after_its_tick_is_measured_from_when_it_was_asked_for(play: Play, frame: FrameOf) -> None:
+def test_a_position_that_came_after_its_tick_is_measured_from_when_it_was_asked_for(play: Play) -> None:
     loop, forces = play([(0, False, frame(0, 0)), (10, False, frame(1, 5))], 2)
     assert [force.number for force in forces] == [0] * 10
     took = histogram_of(loop.record.histograms.exchange, 1e-9)
@@ -123,16 +121,14 @@ def test_a_position_that_came_after_its_tick_is_measured_from_when_it_was_asked_
     assert took.maximum > 8 * PERIOD_S  # nine periods lie between; the first tick may be late by up to one
 
 
-def test_a_position_that_a_newer_one_replaces_between_two_ticks_was_never_answered(play: Play, frame: FrameOf) -> None:
+def test_a_position_that_a_newer_one_replaces_between_two_ticks_was_never_answered(play: Play) -> None:
     loop, forces = play([(0, False, frame(0, 0)), (0, False, frame(1, 1) + frame(2, 2))], 3)
     assert [force.number for force in forces] == [2]
     assert (loop.ring.drain()["flags"] & UNSENT).tolist() == [UNSENT, UNSENT, 0]
     assert loop.state.stale_positions == 2
 
 
-def test_a_sample_that_took_clearly_more_or_less_than_a_period_is_marked(
-    assembled: Callable[..., LoopMemory], scene_of: Callable[..., Any], arrive: Callable[..., int], frame: FrameOf
-) -> None:
+def test_a_sample_that_took_clearly_more_or_less_than_a_period_is_marked() -> None:
     loop = assembled(scene_of(rate=RATE, device={"clock": "host"}))
     period, now = int(loop.control.period_ns), 10**9
     most = period // 8

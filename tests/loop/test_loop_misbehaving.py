@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from loop_rig import arrive, assembled, frame, scene_of, scripted
 
 from firmware_protocol import schema
 from firmware_protocol.frames import armed_format, frame_to_host
@@ -20,13 +21,9 @@ from hapsim.loop.guards.energy_guard import GIVEN, SWINGING
 from hapsim.loop.histogram import note
 from hapsim.recording.recorder import Recorder
 from hapsim.running import run
-from hapsim.running.assemble import LoopMemory
 from hapsim.running.outcome import failure_of, trace_of
 from hapsim.scene import Scene
 
-Scripted = Callable[..., Any]
-SceneOf = Callable[..., Scene]
-FrameOf = Callable[..., bytes]
 UNCONFIRMED = "the device did not confirm that it released its force"
 
 
@@ -52,9 +49,7 @@ def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
         ("host", "when its watchdog ends, 101 ms"),
     ],
 )
-def test_of_a_device_that_hangs_no_zero_force_is_claimed(
-    scripted: Scripted, frame: FrameOf, scene_of: SceneOf, clock: str, by_itself: str, portable: bool
-) -> None:
+def test_of_a_device_that_hangs_no_zero_force_is_claimed(clock: str, by_itself: str, portable: bool) -> None:
     script = [frame(n, 5000) for n in range(5)]
     with (
         scripted(script, scene=scene_of(device={"clock": clock}), hangs=True) as (scene, _),
@@ -71,7 +66,7 @@ def test_of_a_device_that_hangs_no_zero_force_is_claimed(
 
 
 @pytest.mark.usefixtures("impatient")
-def test_a_run_that_ends_as_asked_fails_where_the_device_does_not_release(scripted: Scripted, frame: FrameOf) -> None:
+def test_a_run_that_ends_as_asked_fails_where_the_device_does_not_release() -> None:
     with (
         scripted([frame(n, 0) for n in range(10)], hangs=True) as (scene, _),
         pytest.raises(DeviceError, match=f"ended as asked after 5 ticks; .*{UNCONFIRMED}") as caught,
@@ -82,7 +77,7 @@ def test_a_run_that_ends_as_asked_fails_where_the_device_does_not_release(script
 
 
 @pytest.mark.usefixtures("impatient")
-def test_a_device_that_says_it_is_still_armed_has_not_released(scripted: Scripted, frame: FrameOf) -> None:
+def test_a_device_that_says_it_is_still_armed_has_not_released() -> None:
     with (
         scripted([frame(n, 0) for n in range(10)], says_on_disarm=schema.ARMED) as (scene, _),
         pytest.raises(DeviceError, match=UNCONFIRMED),
@@ -94,13 +89,13 @@ def test_a_device_that_says_it_is_still_armed_has_not_released(scripted: Scripte
 
 
 @pytest.mark.parametrize("fault", [77, 255])
-def test_a_refusal_that_no_version_names_is_a_refusal_with_its_number(scripted: Scripted, fault: int) -> None:
+def test_a_refusal_that_no_version_names_is_a_refusal_with_its_number(fault: int) -> None:
     with scripted(refuses=fault) as (scene, _), pytest.raises(DeviceError, match=f"does not arm: fault {fault}, which"):
         run(scene, duration=0.01)
 
 
 @pytest.mark.usefixtures("impatient")
-def test_a_device_that_answers_all_but_arm_is_told_so(scripted: Scripted) -> None:
+def test_a_device_that_answers_all_but_arm_is_told_so() -> None:
     with scripted(ignores_arm=True) as (scene, _), pytest.raises(DeviceError) as caught:
         run(scene, duration=0.01)
     assert "described itself, but it did not answer ARM within 0.08 s" in str(caught.value)
@@ -108,13 +103,13 @@ def test_a_device_that_answers_all_but_arm_is_told_so(scripted: Scripted) -> Non
 
 
 @pytest.mark.usefixtures("impatient")
-def test_a_device_that_answers_arm_with_neither_yes_nor_no_is_told_so(scripted: Scripted) -> None:
+def test_a_device_that_answers_arm_with_neither_yes_nor_no_is_told_so() -> None:
     answer = schema.LATCHED | schema.HOST_QUIET << 8
     with scripted(answers_arm_with=answer) as (scene, _), pytest.raises(DeviceError, match="state 2 and fault 1"):
         run(scene, duration=0.01)
 
 
-def test_a_device_without_a_watchdog_is_never_armed(scripted: Scripted) -> None:
+def test_a_device_without_a_watchdog_is_never_armed() -> None:
     with scripted(max_watchdog_samples=0) as (scene, device):
         with pytest.raises(DeviceError, match=r"allows no watchdog \(its register 6 reads 0\)"):
             run(scene, duration=0.01)
@@ -133,16 +128,7 @@ def test_a_device_without_a_watchdog_is_never_armed(scripted: Scripted) -> None:
     ],
 )
 def test_a_watchdog_is_the_hosts_fault_only_where_it_had_a_position(
-    assembled: Callable[..., LoopMemory],
-    arrive: Callable[..., int],
-    scene_of: SceneOf,
-    frame: FrameOf,
-    clock: str,
-    quiet_ms: int,
-    held_ms: int,
-    refused: int,
-    told: str,
-    not_told: str,
+    clock: str, quiet_ms: int, held_ms: int, refused: int, told: str, not_told: str
 ) -> None:
     """`quiet_ms`: from the last position until the device said that it stopped; `held_ms`: from the last force, or,
     where the host is the clock, how late a tick was woken."""
@@ -166,9 +152,7 @@ def test_a_watchdog_is_the_hosts_fault_only_where_it_had_a_position(
 
 
 @pytest.mark.parametrize(("found", "told"), [(0.25, "0.25"), (0.20049, "0.2005"), (np.nextafter(0.2, 1.0), "0.2001")])
-def test_what_is_above_a_limit_is_reported_above_it(
-    assembled: Callable[..., LoopMemory], scene_of: SceneOf, found: float, told: str
-) -> None:
+def test_what_is_above_a_limit_is_reported_above_it(found: float, told: str) -> None:
     scene = scene_of()
     loop = assembled(scene)
     energy, leap = loop.record.energy_guard, loop.record.leap
@@ -188,7 +172,7 @@ def test_what_is_above_a_limit_is_reported_above_it(
     assert f"{told} m away from where its motion led, where no hand gets farther than 0.2 m" in leapt
 
 
-def test_a_status_that_says_neither_idle_nor_latched_is_told_as_it_came(scripted: Scripted, frame: FrameOf) -> None:
+def test_a_status_that_says_neither_idle_nor_latched_is_told_as_it_came() -> None:
     with (
         scripted([frame(0, 0), status(schema.ARMED, schema.NO_FAULT)]) as (scene, _),
         pytest.raises(DeviceError, match="stopped after 1 ticks: it sent a STATUS with state 1 and fault 0"),
@@ -196,9 +180,7 @@ def test_a_status_that_says_neither_idle_nor_latched_is_told_as_it_came(scripted
         run(scene, duration=0.01)
 
 
-def test_positions_that_are_numbered_as_old_are_no_silence(
-    scripted: Scripted, frame: FrameOf, scene_of: SceneOf
-) -> None:
+def test_positions_that_are_numbered_as_old_are_no_silence() -> None:
     script = [frame(0, 0), frame(1, 0), frame(1, 0) * 3]
     with (
         scripted(script, scene=scene_of(device={"clock": "device"})) as (scene, _),
@@ -211,7 +193,7 @@ def test_positions_that_are_numbered_as_old_are_no_silence(
 # What a measurement makes of it.
 
 
-def ringing(frame: FrameOf, samples: int) -> list[bytes]:
+def ringing(samples: int) -> list[bytes]:
     """Positions of a decaying swing, whatever the force: 1 mm, 15 Hz, 200 counts at its end."""
     n = np.arange(samples)
     swing = 1000.0 * np.exp(-n / (0.6 * samples)) * np.cos(2.0 * np.pi * 15.0e-3 * n)
@@ -239,17 +221,10 @@ def file_of(tmp_path: Path) -> Callable[[Scene], Path]:
     ],
 )
 def test_a_measurement_of_a_device_that_fails_is_status_3_with_its_reason(
-    hapsim: Callable[..., Any],
-    scripted: Scripted,
-    frame: FrameOf,
-    scene_of: SceneOf,
-    file_of: Callable[[Scene], Path],
-    last: bytes | None,
-    told: str,
-    samples: int,
+    hapsim: Callable[..., Any], file_of: Callable[[Scene], Path], last: bytes | None, told: str, samples: int
 ) -> None:
     for words in ((), ("--json",)):
-        with scripted([*ringing(frame, samples), last], scene=scene_of(device={"clock": "device"})) as (scene, _):
+        with scripted([*ringing(samples), last], scene=scene_of(device={"clock": "device"})) as (scene, _):
             answer = hapsim("measure", file_of(scene), *words)
         assert answer.status == 3
         assert told in answer.err
@@ -266,7 +241,7 @@ def test_a_measurement_of_a_device_that_fails_is_status_3_with_its_reason(
 
 
 def test_garbage_and_refused_frames_are_told_each_way(
-    hapsim: Callable[..., Any], scripted: Scripted, frame: FrameOf, file_of: Callable[[Scene], Path]
+    hapsim: Callable[..., Any], file_of: Callable[[Scene], Path]
 ) -> None:
     spoilt = bytes([frame(9, 9)[0] ^ 1]) + frame(9, 9)[1:]
     script = [frame(0, 0), b"x" * 20 + frame(1, 0), spoilt + frame(2, 0), *[frame(n, 0) for n in range(3, 9)]]
@@ -282,7 +257,7 @@ def test_garbage_and_refused_frames_are_told_each_way(
 
 
 @pytest.mark.parametrize("step", [1, 2, 5])
-def test_lost_positions_make_no_run_longer(scripted: Scripted, frame: FrameOf, step: int) -> None:
+def test_lost_positions_make_no_run_longer(step: int) -> None:
     with scripted([frame(n * step, 0) for n in range(60)]) as (scene, _):
         trace = run(scene, duration=0.05)
     assert trace.sample[-1] == 50 - 50 % step - (step == 1)
@@ -295,10 +270,7 @@ def test_lost_positions_make_no_run_longer(scripted: Scripted, frame: FrameOf, s
 @pytest.mark.parametrize("portable", [False, True])
 @pytest.mark.parametrize("clock", ["lockstep", "device", "host"])
 @pytest.mark.parametrize("from_sample", [0, 20])
-def test_a_position_that_leaps_ends_the_run_before_it_is_answered(
-    scripted: Scripted, frame: FrameOf, scene_of: SceneOf, clock: str, portable: bool, from_sample: int
-) -> None:
-    # By the host's clock a sample lasts as long as a busy machine takes, and a hand may get as far meanwhile.
+def test_a_position_that_leaps_ends_the_run_before_it_is_answered(clock: str, portable: bool, from_sample: int) -> None:
     far = 2_000_000_000 if clock == "host" else 500_000
     script = [frame(n, 0 if n < from_sample else far * (-1) ** n) for n in range(200)]
     with scripted(script, scene=scene_of(device={"clock": clock}), force_limit=(10.0,)) as (scene, device):

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 
 import numpy as np
 import pytest
+from loop_rig import assembled, scene_of
 from numpy.typing import NDArray
 
 import hapsim
@@ -17,8 +18,6 @@ from hapsim.running.assemble import LoopMemory
 from hapsim.running.changes import LiveScene
 from hapsim.scene import Scene
 
-SceneOf = Callable[..., Scene]
-Assembled = Callable[[Scene], LoopMemory]
 T = 1e-3
 RNG = np.random.default_rng(4)
 
@@ -41,9 +40,7 @@ def forces_at(loop: LoopMemory, positions: Iterable[float]) -> NDArray[np.float6
 
 @pytest.mark.parametrize("damper", ["backward", "centred"])
 @pytest.mark.parametrize("samples", [1, 2, 7, 100])
-def test_a_change_is_there_when_it_was_said_and_begins_and_ends_without_a_kink(
-    assembled: Assembled, scene_of: SceneOf, samples: int, damper: str
-) -> None:
+def test_a_change_is_there_when_it_was_said_and_begins_and_ends_without_a_kink(samples: int, damper: str) -> None:
     loop = assembled(scene_of(stiffness=1000.0, damping=0.0, damper=damper))
     still = forces_at(loop, [0.01] * 5)
     assert still[-1] == -10.0
@@ -55,9 +52,7 @@ def test_a_change_is_there_when_it_was_said_and_begins_and_ends_without_a_kink(
     assert forces_at(loop, [0.01] * 3).tolist() == [-4.0] * 3
 
 
-def test_no_value_moves_by_more_than_one_and_a_half_nth_of_its_way_in_a_sample(
-    assembled: Assembled, scene_of: SceneOf
-) -> None:
+def test_no_value_moves_by_more_than_one_and_a_half_nth_of_its_way_in_a_sample() -> None:
     loop = assembled(scene_of(stiffness=1000.0, damping=0.0))
     forces_at(loop, [0.01])
     loop.program.parameters.post(parameter_values(scene_of(stiffness=0.0, damping=0.0)), 50)
@@ -69,9 +64,7 @@ def test_no_value_moves_by_more_than_one_and_a_half_nth_of_its_way_in_a_sample(
     ("over", "samples"),
     [(0.0, 1), (1e-9, 1), (0.001, 1), (0.0011, 2), (0.02, 20), (0.0205, 21), (0.021, 21)],
 )
-def test_seconds_that_end_within_a_sample_last_until_its_end(
-    assembled: Assembled, scene_of: SceneOf, over: float, samples: int
-) -> None:
+def test_seconds_that_end_within_a_sample_last_until_its_end(over: float, samples: int) -> None:
     """At 1 kHz. Fewer samples would be faster than it was said; without any the change would never come."""
     scene = scene_of(stiffness=1000.0, damping=0.0)
     loop = assembled(scene)
@@ -88,9 +81,7 @@ def test_seconds_that_end_within_a_sample_last_until_its_end(
     assert live.scene.links["touch0"].stiffness == 300.1  # type: ignore[attr-defined]
 
 
-def test_a_change_that_comes_during_another_goes_on_from_where_the_values_are(
-    assembled: Assembled, scene_of: SceneOf
-) -> None:
+def test_a_change_that_comes_during_another_goes_on_from_where_the_values_are() -> None:
     loop = assembled(scene_of(stiffness=1000.0, damping=0.0))
     forces_at(loop, [0.01])
     loop.program.parameters.post(parameter_values(scene_of(stiffness=0.0, damping=0.0)), 10)
@@ -102,9 +93,7 @@ def test_a_change_that_comes_during_another_goes_on_from_where_the_values_are(
     np.testing.assert_allclose(forces_at(loop, [0.01] * 4), expected, rtol=1e-12)
 
 
-def test_a_ground_that_moves_is_felt_through_its_damper_and_then_stands_still(
-    assembled: Assembled, scene_of: SceneOf
-) -> None:
+def test_a_ground_that_moves_is_felt_through_its_damper_and_then_stands_still() -> None:
     scene = scene_of(stiffness=1000.0, damping=2.0)
     wall = scene.modules["wall"].model_copy(update={"position": 0.005})
     there = scene.model_copy(update={"modules": {**scene.modules, "wall": wall}})
@@ -119,9 +108,7 @@ def test_a_ground_that_moves_is_felt_through_its_damper_and_then_stands_still(
     assert forces_at(loop, [0.0] * 3).tolist() == [5.0] * 3
 
 
-def test_while_a_set_is_being_written_the_loop_goes_on_with_what_it_has(
-    assembled: Assembled, scene_of: SceneOf
-) -> None:
+def test_while_a_set_is_being_written_the_loop_goes_on_with_what_it_has() -> None:
     loop = assembled(scene_of(stiffness=1000.0, damping=0.0))
     values = loop.program.parameters
     values.post(parameter_values(scene_of(stiffness=0.0, damping=0.0)), 1)
@@ -131,7 +118,7 @@ def test_while_a_set_is_being_written_the_loop_goes_on_with_what_it_has(
     assert forces_at(loop, [0.01]).tolist() == [0.0]
 
 
-def two_hands(scene_of: SceneOf, share: float) -> Scene:
+def two_hands(share: float) -> Scene:
     """All parameters on one line: where one hand's spring grows the other's shrinks."""
     scene = scene_of(2, mock={"noise": 1e-3})  # so that the hands always feel something
     touch = {
@@ -153,12 +140,10 @@ def share_felt(trace: hapsim.recording.trace.Trace, channel: int, least: float) 
 
 
 @pytest.mark.parametrize("samples", [1, 20])
-def test_of_many_changes_no_tick_sees_half_of_one_or_jumps_further_than_it_was_said(
-    scene_of: SceneOf, samples: int
-) -> None:
-    origin = parameter_values(two_hands(scene_of, 0.0))
-    way = parameter_values(two_hands(scene_of, 1.0)) - origin
-    scene = two_hands(scene_of, 0.0)
+def test_of_many_changes_no_tick_sees_half_of_one_or_jumps_further_than_it_was_said(samples: int) -> None:
+    origin = parameter_values(two_hands(0.0))
+    way = parameter_values(two_hands(1.0)) - origin
+    scene = two_hands(0.0)
     with hapsim.start(scene) as session:
         parameters = session._loop.program.parameters
         for number, share in enumerate(RNG.uniform(0.0, 1.0, 150_000)):

@@ -2,23 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
-
 import numpy as np
 import pytest
+from loop_rig import frame, scene_of, scripted
 
 import hapsim
 from hapsim.errors import DeviceError, UsageError
 from hapsim.running import Excitation, run
-from hapsim.scene import Scene
-
-SceneOf = Callable[..., Scene]
-FrameOf = Callable[..., bytes]
 
 
 @pytest.mark.parametrize("channels", [1, 4])
-def test_the_portable_loop_sends_the_forces_of_the_compiled_one(scene_of: SceneOf, channels: int) -> None:
+def test_the_portable_loop_sends_the_forces_of_the_compiled_one(channels: int) -> None:
     push = Excitation(channel=0, force=1.0, ticks=3, every=40, start=10, first=True)
     scene = scene_of(channels, damper="centred", mock={"noise": 1e-6})
     compiled = run(scene, duration=0.3, transport="terminal", excitation=push)
@@ -31,7 +25,7 @@ def test_the_portable_loop_sends_the_forces_of_the_compiled_one(scene_of: SceneO
 
 
 @pytest.mark.parametrize("clock", ["device", "host"])
-def test_the_portable_loop_runs_in_real_time_by_either_clock(scene_of: SceneOf, clock: str) -> None:
+def test_the_portable_loop_runs_in_real_time_by_either_clock(clock: str) -> None:
     """At a rate at which neither the device's watchdog nor the loop's patience ends within a second: a busy machine."""
     trace = run(scene_of(rate=10.0, device={"clock": clock}), duration=0.3, portable=True)
     report = trace.report
@@ -41,7 +35,7 @@ def test_the_portable_loop_runs_in_real_time_by_either_clock(scene_of: SceneOf, 
     assert trace.statistics.exchange.total > 0
 
 
-def test_its_parameters_are_live_too(scene_of: SceneOf) -> None:
+def test_its_parameters_are_live_too() -> None:
     with hapsim.start(scene_of(mock={"noise": 1e-4}), transport="terminal", portable=True) as session:
         session.set({"touch0": {"stiffness": 100.0, "damping": 0.0}}, over=0.005)
         taken = session._loop.program.record.parameters
@@ -52,7 +46,7 @@ def test_its_parameters_are_live_too(scene_of: SceneOf) -> None:
     np.testing.assert_allclose(trace.asked_force[-1], -100.0 * trace.position[-1], rtol=1e-9)
 
 
-def test_a_device_that_hangs_up_is_gone(scripted: Any, frame: FrameOf) -> None:
+def test_a_device_that_hangs_up_is_gone() -> None:
     with scripted([frame(0, 0), frame(1, 1), None]) as (scene, _):
         with pytest.raises(DeviceError, match="went away after 2 ticks") as caught:
             run(scene, portable=True)
@@ -60,6 +54,6 @@ def test_a_device_that_hangs_up_is_gone(scripted: Any, frame: FrameOf) -> None:
         assert caught.value.trace.sample.tolist() == [0, 1]
 
 
-def test_memory_is_no_port_for_it(scene_of: SceneOf) -> None:
+def test_memory_is_no_port_for_it() -> None:
     with pytest.raises(UsageError, match="portable loop"):
         run(scene_of(), duration=0.1, transport="loopback", portable=True)

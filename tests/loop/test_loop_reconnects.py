@@ -15,6 +15,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from loop_rig import frame, on_port, scene_of, scripted
 
 from firmware_protocol import schema
 from firmware_protocol.frames import armed_format, frame_to_host
@@ -88,7 +89,7 @@ def _short_pauses(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def scene(scene_of: Callable[..., Scene], on_port: Callable[..., Scene], bench: Bench) -> Scene:
+def scene(bench: Bench) -> Scene:
     return on_port(scene_of(), str(bench.link))
 
 
@@ -150,7 +151,7 @@ def test_a_port_that_is_back_and_does_not_answer_is_tried_again(
     assert bench.told == ["lost", "waiting", "reconnected"]
 
 
-def test_another_device_in_its_place_is_not_armed(scene: Scene, scene_of: Callable[..., Scene], bench: Bench) -> None:
+def test_another_device_in_its_place_is_not_armed(scene: Scene, bench: Bench) -> None:
     bench.plug(scene)
     other = scene_of(rate=500.0)
     others: list[Any] = []
@@ -164,9 +165,7 @@ def test_another_device_in_its_place_is_not_armed(scene: Scene, scene_of: Callab
 
 
 @pytest.mark.parametrize("origin", [0.0, "here"])
-def test_a_device_that_restarted_is_not_armed_with_an_origin_that_it_has_lost(
-    scene_of: Callable[..., Scene], on_port: Any, bench: Bench, origin: Any
-) -> None:
+def test_a_device_that_restarted_is_not_armed_with_an_origin_that_it_has_lost(bench: Bench, origin: Any) -> None:
     scene = on_port(scene_of(device={"travel": [-0.05, 0.05], "origin": origin}), str(bench.link))
     others: list[Any] = []
     bench.plug(scene)
@@ -186,9 +185,7 @@ def test_a_device_that_restarted_is_not_armed_with_an_origin_that_it_has_lost(
     assert others[0].board.state == schema.IDLE
 
 
-def test_behind_a_cable_alone_a_device_keeps_its_zero(
-    scene_of: Callable[..., Scene], on_port: Any, bench: Bench
-) -> None:
+def test_behind_a_cable_alone_a_device_keeps_its_zero(bench: Bench) -> None:
     """The same board, plugged in again: it counts the forces of before."""
     scene = on_port(scene_of(device={"travel": [-0.05, 0.05], "origin": 0.0}), str(bench.link))
     mock = bench.plug(scene)
@@ -207,7 +204,7 @@ def test_behind_a_cable_alone_a_device_keeps_its_zero(
     assert bench.sentences[-1].endswith("the scene goes on as it is now")
 
 
-def test_what_a_guard_stopped_is_not_begun_again(scene_of: Callable[..., Scene], on_port: Any, bench: Bench) -> None:
+def test_what_a_guard_stopped_is_not_begun_again(bench: Bench) -> None:
     scene = on_port(scene_of(stiffness=1e308, damping=1e308), str(bench.link))
     bench.plug(scene)
     lifetime = keep_running(scene, bench.observer(lambda: None), reconnect=True)
@@ -276,7 +273,7 @@ def test_the_time_of_every_wait_counts_not_of_the_last_one_alone(
     assert (len(bench.sessions), lifetime.reconnections) == (2, 1)
 
 
-def test_a_device_that_stopped_by_itself_is_armed_anew(scripted: Any, frame: Any) -> None:
+def test_a_device_that_stopped_by_itself_is_armed_anew() -> None:
     stopped = frame_to_host(armed_format(1, velocity=False), schema.STATUS, 1, [schema.LATCHED | 99 << 8])
     sessions: list[Session] = []
 

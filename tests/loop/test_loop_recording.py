@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from loop_rig import scene_of
 
 import hapsim
 from hapsim.errors import RecordError, UsageError
@@ -20,9 +21,6 @@ from hapsim.loop.ring import ROWS
 from hapsim.recording import recorder, stream
 from hapsim.recording.trace import Trace, load_trace
 from hapsim.running import run
-from hapsim.scene import Scene
-
-SceneOf = Callable[..., Scene]
 
 
 def require_same(found: Trace, expected: Trace, ticks: int | None = None) -> None:
@@ -43,7 +41,7 @@ def small_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize("ending", ["trace", "npz"])
 @pytest.mark.parametrize("channels", [1, 2])
 @pytest.mark.usefixtures("small_chunks")
-def test_what_is_written_is_what_happened(scene_of: SceneOf, tmp_path: Path, ending: str, channels: int) -> None:
+def test_what_is_written_is_what_happened(tmp_path: Path, ending: str, channels: int) -> None:
     path = tmp_path / f"t.{ending}"
     trace = run(scene_of(channels), duration=0.05, record=path)
     assert trace.sample.size == 50
@@ -56,13 +54,13 @@ def test_what_is_written_is_what_happened(scene_of: SceneOf, tmp_path: Path, end
 
 
 @pytest.mark.usefixtures("small_chunks")
-def test_a_csv_is_the_one_that_a_trace_in_memory_writes(scene_of: SceneOf, tmp_path: Path) -> None:
+def test_a_csv_is_the_one_that_a_trace_in_memory_writes(tmp_path: Path) -> None:
     trace = run(scene_of(2), duration=0.05, record=tmp_path / "t.csv")
     trace.save(tmp_path / "whole.csv")
     assert (tmp_path / "t.csv").read_bytes() == (tmp_path / "whole.csv").read_bytes()
 
 
-def test_what_is_written_needs_nothing_in_memory(scene_of: SceneOf, tmp_path: Path) -> None:
+def test_what_is_written_needs_nothing_in_memory(tmp_path: Path) -> None:
     """More rows than the ring has: each was freed once it was handed over."""
     trace = run(scene_of(), duration=150.0, keep=False, record=tmp_path / "t.trace")
     assert trace.sample.size == 0
@@ -70,7 +68,7 @@ def test_what_is_written_needs_nothing_in_memory(scene_of: SceneOf, tmp_path: Pa
 
 
 @pytest.mark.usefixtures("small_chunks")
-def test_a_trace_in_memory_can_be_saved_as_a_stream(scene_of: SceneOf, tmp_path: Path) -> None:
+def test_a_trace_in_memory_can_be_saved_as_a_stream(tmp_path: Path) -> None:
     trace = run(scene_of(2), duration=0.05)
     trace.save(tmp_path / "t.trace")
     back = load_trace(tmp_path / "t.trace")
@@ -79,7 +77,7 @@ def test_a_trace_in_memory_can_be_saved_as_a_stream(scene_of: SceneOf, tmp_path:
 
 
 @pytest.mark.usefixtures("small_chunks")
-def test_of_a_torn_file_every_whole_chunk_is_read_and_where_it_stops_is_told(scene_of: SceneOf, tmp_path: Path) -> None:
+def test_of_a_torn_file_every_whole_chunk_is_read_and_where_it_stops_is_told(tmp_path: Path) -> None:
     path = tmp_path / "t.trace"
     trace = run(scene_of(2), duration=0.05, record=path)
     whole = path.read_bytes()
@@ -102,7 +100,7 @@ def test_of_a_torn_file_every_whole_chunk_is_read_and_where_it_stops_is_told(sce
 
 
 @pytest.mark.usefixtures("small_chunks")
-def test_a_damaged_chunk_ends_what_is_read(scene_of: SceneOf, tmp_path: Path) -> None:
+def test_a_damaged_chunk_ends_what_is_read(tmp_path: Path) -> None:
     path = tmp_path / "t.trace"
     trace = run(scene_of(), duration=0.05, record=path)
     whole = path.read_bytes()
@@ -117,7 +115,7 @@ def test_a_damaged_chunk_ends_what_is_read(scene_of: SceneOf, tmp_path: Path) ->
     assert load_trace(path).report.ending == "not finished: the record stops after 50 ticks"
 
 
-def test_a_later_version_is_told(scene_of: SceneOf, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_later_version_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(stream, "VERSION", 2)
     run(scene_of(), duration=0.01, record=tmp_path / "t.trace")
     monkeypatch.undo()
@@ -125,7 +123,7 @@ def test_a_later_version_is_told(scene_of: SceneOf, tmp_path: Path, monkeypatch:
         load_trace(tmp_path / "t.trace")
 
 
-def test_the_record_of_a_run_that_died_is_not_written_over(scene_of: SceneOf, tmp_path: Path) -> None:
+def test_the_record_of_a_run_that_died_is_not_written_over(tmp_path: Path) -> None:
     (tmp_path / "t.npz.part").write_text("of a run that died", "utf-8")
     run(scene_of(), duration=0.01, record=tmp_path / "t.npz")
     assert (tmp_path / "t.npz.part").read_text("utf-8") == "of a run that died"
@@ -133,7 +131,7 @@ def test_the_record_of_a_run_that_died_is_not_written_over(scene_of: SceneOf, tm
 
 
 @pytest.mark.parametrize("ending", ["trace", "npz"])
-def test_two_runs_never_write_to_one_record(scene_of: SceneOf, tmp_path: Path, ending: str) -> None:
+def test_two_runs_never_write_to_one_record(tmp_path: Path, ending: str) -> None:
     path = tmp_path / f"t.{ending}"
     with hapsim.start(scene_of(), record=path) as session:
         with pytest.raises(UsageError, match="another run writes its record there: name another file"):
@@ -145,9 +143,7 @@ def test_two_runs_never_write_to_one_record(scene_of: SceneOf, tmp_path: Path, e
     assert load_trace(path).sample.size == 20
 
 
-def test_a_part_that_cannot_be_read_back_costs_no_older_record(
-    scene_of: SceneOf, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_part_that_cannot_be_read_back_costs_no_older_record(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "t.npz"
     path.write_bytes(b"an older record")
 
@@ -161,7 +157,7 @@ def test_a_part_that_cannot_be_read_back_costs_no_older_record(
     assert path.read_bytes() == b"an older record"
 
 
-def test_where_nothing_can_be_written_nothing_is_armed(scene_of: SceneOf, tmp_path: Path) -> None:
+def test_where_nothing_can_be_written_nothing_is_armed(tmp_path: Path) -> None:
     (tmp_path / "t.trace").symlink_to("/dev/full")
     armed: list[Any] = []
     with pytest.raises(UsageError, match=r"t\.trace: the trace cannot be written: No space left"):
@@ -179,9 +175,7 @@ main()
 
 
 @pytest.mark.parametrize("ending", ["trace", "npz"])
-def test_on_a_full_disk_the_run_goes_on_and_what_was_written_stays(
-    scene_of: SceneOf, tmp_path: Path, ending: str
-) -> None:
+def test_on_a_full_disk_the_run_goes_on_and_what_was_written_stays(tmp_path: Path, ending: str) -> None:
     """Full for files of more than so many bytes, which is all that a process may do to itself."""
     scene, record = tmp_path / "scene.yaml", tmp_path / f"t.{ending}"
     scene.write_text(yaml.safe_dump(scene_of().model_dump(mode="json", exclude_none=True)), "utf-8")
@@ -206,7 +200,7 @@ def test_on_a_full_disk_the_run_goes_on_and_what_was_written_stays(
 
 
 def test_a_disk_that_is_slower_than_the_run_costs_rows_and_holds_up_nobody(
-    monkeypatch: pytest.MonkeyPatch, scene_of: SceneOf, tmp_path: Path
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     """It takes nothing until the run is over, and then the rest."""
     goes_on = threading.Event()
@@ -240,7 +234,7 @@ def _then(first: Callable[[], object], second: Callable[..., Any]) -> Callable[.
     return both
 
 
-def test_an_exception_of_whoever_runs_it_leaves_a_whole_record(scene_of: SceneOf, tmp_path: Path) -> None:
+def test_an_exception_of_whoever_runs_it_leaves_a_whole_record(tmp_path: Path) -> None:
     class OfTheirOwnError(Exception):
         pass
 

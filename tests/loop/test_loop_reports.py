@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from loop_rig import frame, scene_of, scripted, served
 
 from firmware_protocol import schema
 from firmware_protocol.compiled import new_record
@@ -25,10 +26,8 @@ from hapsim.recording.trace import load_trace
 from hapsim.running import Session, run, start
 from hapsim.scene import Scene, load_scene
 
-SceneOf = Callable[..., Scene]
 
-
-def leaving(scene_of: SceneOf, ticks: int, channels: int = 1, **parts: Any) -> Scene:
+def leaving(ticks: int, channels: int = 1, **parts: Any) -> Scene:
     """A scene whose hand leaves the range of its counts after so many ticks, drawn by a force that changes with each:
     the device stops the run. Nothing slows it down."""
     quantum = 0.1 * ticks * 1e-3 / 2.0**31
@@ -59,10 +58,10 @@ def frames_of(data: bytes, from_host: bool) -> list[Frame]:
 @pytest.mark.parametrize("portable", [False, True])
 @pytest.mark.parametrize(("ticks", "channels"), [(40, 2), (3000, 1)])
 def test_the_last_frames_each_way_are_those_of_the_last_ticks(
-    scene_of: SceneOf, tmp_path: Path, ticks: int, channels: int, portable: bool
+    tmp_path: Path, ticks: int, channels: int, portable: bool
 ) -> None:
     """Of few ticks the arming too; of many the buffers have begun anew some times."""
-    failure = stopped(leaving(scene_of, ticks, channels), tmp_path, transport="terminal", portable=portable)
+    failure = stopped(leaving(ticks, channels), tmp_path, transport="terminal", portable=portable)
     trace = failure.trace
     assert trace is not None
     assert (trace.report.ending, trace.report.released) == ("device stopped", True)
@@ -82,7 +81,7 @@ def test_the_last_frames_each_way_are_those_of_the_last_ticks(
     assert schema.STATUS in [frame.type for frame in from_device[-5:]]
 
 
-def test_garbage_is_kept_as_it_was(scripted: Any, frame: Callable[..., bytes], tmp_path: Path) -> None:
+def test_garbage_is_kept_as_it_was(tmp_path: Path) -> None:
     garbage = bytes(range(1, 200)) * 3
     with scripted([frame(0, 0), garbage + b"\0" + frame(1, 1), None]) as (scene, _):
         failure = stopped(scene, tmp_path)
@@ -90,10 +89,8 @@ def test_garbage_is_kept_as_it_was(scripted: Any, frame: Callable[..., bytes], t
     assert read_report(the_one_in(tmp_path)).wire.from_device.endswith(frame(0, 0) + garbage + b"\0" + frame(1, 1))
 
 
-def test_the_sentence_names_the_file_which_has_the_rest(
-    hapsim: Callable[..., Any], scene_of: SceneOf, tmp_path: Path
-) -> None:
-    scene = leaving(scene_of, 3000)
+def test_the_sentence_names_the_file_which_has_the_rest(hapsim: Callable[..., Any], tmp_path: Path) -> None:
+    scene = leaving(3000)
     failure = stopped(scene, tmp_path)
     path = the_one_in(tmp_path)
     assert str(path) in str(failure)
@@ -123,15 +120,15 @@ def test_the_sentence_names_the_file_which_has_the_rest(
 
 
 def test_without_being_asked_only_a_device_on_a_port_leaves_one(
-    scene_of: SceneOf, served: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
     for transport in ("loopback", "terminal"):
         with pytest.raises(DeviceError) as caught:
-            run(leaving(scene_of, 20), duration=5.0, transport=transport)
+            run(leaving(20), duration=5.0, transport=transport)
         assert "hapsim frames" not in str(caught.value)
     assert os.listdir(tmp_path) == []
-    with served(leaving(scene_of, 20)) as (scene, _), pytest.raises(DeviceError) as caught:
+    with served(leaving(20)) as (scene, _), pytest.raises(DeviceError) as caught:
         run(scene, duration=5.0)
     assert str(the_one_in(tmp_path / "hapsim" / "reports")) in str(caught.value)
     with served(scene_of()) as (scene, _):
@@ -139,42 +136,38 @@ def test_without_being_asked_only_a_device_on_a_port_leaves_one(
     assert len(os.listdir(tmp_path / "hapsim" / "reports")) == 1  # one that ends as asked leaves none
 
 
-def test_the_newest_are_kept_and_nobody_elses_file_is_touched(
-    scene_of: SceneOf, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_newest_are_kept_and_nobody_elses_file_is_touched(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(report_file, "NEWEST", 3)
     (tmp_path / "theirs.zip").write_bytes(b"")
     older = [f"2020010{day}T000000Z_port_device-gone.zip" for day in range(1, 5)]
     for name in older:
         (tmp_path / name).write_bytes(b"")
-    stopped(leaving(scene_of, 20), tmp_path)
+    stopped(leaving(20), tmp_path)
     names = set(os.listdir(tmp_path))
     assert {"theirs.zip", *older[2:]} < names
     assert len(names) == 4
-    stopped(leaving(scene_of, 20), tmp_path)
-    stopped(leaving(scene_of, 20), tmp_path)
+    stopped(leaving(20), tmp_path)
+    stopped(leaving(20), tmp_path)
     assert set(older) & set(os.listdir(tmp_path)) == set()
     assert len(os.listdir(tmp_path)) == 4
 
 
 @pytest.mark.parametrize("is_defect", [False, True])
 def test_where_no_report_can_be_written_the_sentence_says_so_beside_what_happened(
-    scene_of: SceneOf, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, is_defect: bool
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, is_defect: bool
 ) -> None:
     directory = tmp_path / "file" / "reports"
     if is_defect:
         monkeypatch.setattr(report_file, "to_registers", lambda _: [None])
     else:
         (tmp_path / "file").write_bytes(b"")
-    failure = stopped(leaving(scene_of, 20), directory)
+    failure = stopped(leaving(20), directory)
     told = "" if is_defect else ".*: Not a directory"
     assert re.search(rf"the device stopped after .* No report of it could be written in {told}", str(failure))
     assert failure.exit_status == 3
 
 
-def test_who_has_no_home_is_told_what_ended_the_run_all_the_same(
-    scene_of: SceneOf, served: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_who_has_no_home_is_told_what_ended_the_run_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     """A container's user has none, nor has one that is not in the list of users."""
 
     def no_home() -> Path:
@@ -184,16 +177,16 @@ def test_who_has_no_home_is_told_what_ended_the_run_all_the_same(
     monkeypatch.setattr(Path, "home", no_home)
     with served(scene_of()) as (scene, _):
         assert run(scene, duration=0.05).report.ending == "done"
-    with served(leaving(scene_of, 20)) as (scene, _), pytest.raises(DeviceError) as caught:
+    with served(leaving(20)) as (scene, _), pytest.raises(DeviceError) as caught:
         run(scene, duration=5.0)
     assert re.search(r"the device stopped after .* No report of it .*: this user has no home", str(caught.value))
 
 
-def test_a_scene_that_was_changed_is_reported_as_it_ran(scene_of: SceneOf, tmp_path: Path) -> None:
+def test_a_scene_that_was_changed_is_reported_as_it_ran(tmp_path: Path) -> None:
     def change(session: Session) -> None:
         session.set({"touch0": {"stiffness": 2.0}}, over=0.0)
 
-    with pytest.raises(DeviceError), start(leaving(scene_of, 20), on_arming=change, reports=tmp_path) as session:
+    with pytest.raises(DeviceError), start(leaving(20), on_arming=change, reports=tmp_path) as session:
         session.wait(60.0)
     with zipfile.ZipFile(the_one_in(tmp_path)) as file:
         assert b"stiffness: 2.0" in file.read("scene.yaml")

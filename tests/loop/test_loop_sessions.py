@@ -9,15 +9,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from loop_rig import frame, scene_of, scripted, served
 
 import hapsim
 from hapsim.errors import DeviceError, UsageError
 from hapsim.recording.recorder import Recorder
 from hapsim.running import Session, run
 from hapsim.running import session as session_module
-from hapsim.scene import Scene
-
-SceneOf = Callable[..., Scene]
 
 
 def reaches(session: Session, done: Callable[[], bool]) -> None:
@@ -30,7 +28,7 @@ def reaches(session: Session, done: Callable[[], bool]) -> None:
     pytest.fail("the loop never got there")
 
 
-def test_a_session_runs_until_it_is_stopped_and_leaves_its_trace(scene_of: SceneOf) -> None:
+def test_a_session_runs_until_it_is_stopped_and_leaves_its_trace() -> None:
     with hapsim.start(scene_of()) as session:
         reaches(session, lambda: session.progress().elapsed_s >= 0 and session.statistics().age.total > 1000)
         with pytest.raises(UsageError, match="leave the with-block"):
@@ -42,14 +40,14 @@ def test_a_session_runs_until_it_is_stopped_and_leaves_its_trace(scene_of: Scene
     assert session.trace.statistics.age.total == session.trace.report.ticks
 
 
-def test_it_ends_after_its_duration_or_when_the_block_is_left(scene_of: SceneOf) -> None:
+def test_it_ends_after_its_duration_or_when_the_block_is_left() -> None:
     with hapsim.start(scene_of()) as left, hapsim.start(scene_of(), duration=0.5) as timed:
         assert timed.wait(30.0)
     assert left.trace.report.ending == "stopped"
     assert (timed.trace.report.ending, timed.trace.report.ticks) == ("done", 500)
 
 
-def test_an_exception_in_the_block_releases_the_device(scene_of: SceneOf, served: Any) -> None:
+def test_an_exception_in_the_block_releases_the_device() -> None:
     with served(scene_of()) as (scene, mock):
         with pytest.raises(ZeroDivisionError), hapsim.start(scene):
             raise ZeroDivisionError
@@ -57,16 +55,14 @@ def test_an_exception_in_the_block_releases_the_device(scene_of: SceneOf, served
         assert not mock.commands.any()
 
 
-def test_a_device_that_goes_away_is_reported_when_the_block_is_left(scripted: Any, frame: Callable[..., bytes]) -> None:
+def test_a_device_that_goes_away_is_reported_when_the_block_is_left() -> None:
     with scripted([frame(0, 0), None]) as (scene, _):
         with pytest.raises(DeviceError, match="went away after 1 tick"), hapsim.start(scene) as session:
             assert session.wait(30.0)
         assert session.trace.report.ending == "device gone"
 
 
-def test_without_a_block_close_raises_what_ended_the_run_and_only_once(
-    scripted: Any, frame: Callable[..., bytes]
-) -> None:
+def test_without_a_block_close_raises_what_ended_the_run_and_only_once() -> None:
     with scripted([frame(0, 0), None]) as (scene, _):
         session = hapsim.start(scene)
         assert session.wait(30.0)
@@ -76,7 +72,7 @@ def test_without_a_block_close_raises_what_ended_the_run_and_only_once(
     assert session.trace.report.ending == "device gone"
 
 
-def test_parameters_are_set_by_the_names_of_the_scene(scene_of: SceneOf) -> None:
+def test_parameters_are_set_by_the_names_of_the_scene() -> None:
     with hapsim.start(scene_of(2, mock={"noise": 1e-4})) as session:
         session.set({"touch0": {"stiffness": 500.0}, "touch1": {"stiffness": 250.0, "damping": 0.0}}, over=0.0)
         session.set({"wall": {"position": 0.001}}, over=0.01)
@@ -112,9 +108,7 @@ def test_parameters_are_set_by_the_names_of_the_scene(scene_of: SceneOf) -> None
         (5.0, 0.0, "expected the names of modules, each with what changes"),
     ],
 )
-def test_a_wrong_change_is_reported_and_changes_nothing(
-    scene_of: SceneOf, changes: Any, over: float, sentence: str
-) -> None:
+def test_a_wrong_change_is_reported_and_changes_nothing(changes: Any, over: float, sentence: str) -> None:
     scene = scene_of()
     with hapsim.start(scene) as session:
         with pytest.raises(UsageError, match=sentence):
@@ -124,7 +118,7 @@ def test_a_wrong_change_is_reported_and_changes_nothing(
     assert session.trace.report.parameter_changes == 0
 
 
-def test_when_it_is_over_nothing_can_be_changed_any_more(scene_of: SceneOf) -> None:
+def test_when_it_is_over_nothing_can_be_changed_any_more() -> None:
     with hapsim.start(scene_of(), duration=0.01) as session:
         assert session.wait(30.0)
         with pytest.raises(UsageError, match="the run is over"):
@@ -133,9 +127,7 @@ def test_when_it_is_over_nothing_can_be_changed_any_more(scene_of: SceneOf) -> N
 
 @pytest.mark.parametrize("clock", ["device", "host"])
 @pytest.mark.parametrize("portable", [False, True])
-def test_it_stops_within_a_wait_for_a_device_that_stays_silent(
-    scripted: Any, frame: Callable[..., bytes], clock: str, portable: bool
-) -> None:
+def test_it_stops_within_a_wait_for_a_device_that_stays_silent(clock: str, portable: bool) -> None:
     """At 0.05 Hz a device is silent only after 400 s: a run that waits for that counts as a hang."""
     with scripted([frame(0, 0)], rate_hz=0.05) as (scene, _):
         slow = scene.model_copy(update={"rate": 0.05, "device": scene.device.model_copy(update={"clock": clock})})
@@ -146,7 +138,7 @@ def test_it_stops_within_a_wait_for_a_device_that_stays_silent(
     assert session.trace.report.ending == "stopped"
 
 
-def test_the_thread_size_of_others_stays_as_it_was(scene_of: SceneOf) -> None:
+def test_the_thread_size_of_others_stays_as_it_was() -> None:
     before = threading.stack_size()
     starting = [threading.Thread(target=run, args=(scene_of(),), kwargs={"duration": 0.01}) for _ in range(4)]
     for thread in starting:
@@ -183,7 +175,7 @@ class CountedWaits(threading.Event):
         return super().wait(timeout)
 
 
-def test_in_virtual_time_nobody_reads_the_ring_but_the_loops_own_thread(scene_of: SceneOf, readers: list[str]) -> None:
+def test_in_virtual_time_nobody_reads_the_ring_but_the_loops_own_thread(readers: list[str]) -> None:
     """Two readers would take the same rows, now and then, and each free them for both."""
     with hapsim.start(scene_of()) as session:
         session._over = CountedWaits()
@@ -196,7 +188,7 @@ def test_in_virtual_time_nobody_reads_the_ring_but_the_loops_own_thread(scene_of
 
 
 @pytest.mark.parametrize("clock", ["device", "host"])
-def test_in_real_time_the_ring_is_read_beside_the_loop(scene_of: SceneOf, readers: list[str], clock: str) -> None:
+def test_in_real_time_the_ring_is_read_beside_the_loop(readers: list[str], clock: str) -> None:
     with hapsim.start(scene_of(device={"clock": clock})) as session:
         reaches(session, lambda: len(readers) > 20)
         while_it_ran = readers.copy()
@@ -214,6 +206,6 @@ def test_in_real_time_the_ring_is_read_beside_the_loop(scene_of: SceneOf, reader
         ({"channels": 2}, r"the device has 1 channel\(s\), the scene uses 2"),
     ],
 )
-def test_a_scene_whose_rate_or_device_differs_is_not_adopted(scene_of: SceneOf, other: Any, sentence: str) -> None:
+def test_a_scene_whose_rate_or_device_differs_is_not_adopted(other: Any, sentence: str) -> None:
     with hapsim.start(scene_of()) as session, pytest.raises(UsageError, match=sentence):
         session.adopt(scene_of(**other))

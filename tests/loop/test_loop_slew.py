@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import contextlib
 import itertools
 import math
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
+from loop_rig import arrive, assembled, frame, scene_of, scripted, served
 
 from firmware_protocol import schema
 from hapsim.errors import DeviceError, UsageError
@@ -17,10 +16,6 @@ from hapsim.loop.ring import LATE_FORCE, SLEWED
 from hapsim.prediction.force_bounds import force_bounds
 from hapsim.recording.trace import Trace
 from hapsim.running import Excitation, run
-from hapsim.running.assemble import LoopMemory
-from hapsim.scene import Scene
-
-Served = Callable[[Scene], contextlib.AbstractContextManager[tuple[Scene, Any]]]
 
 FORCE_SCALE, RATE = 1e-3, 1000.0
 
@@ -30,7 +25,7 @@ def limited_to(step: int, **device: Any) -> dict[str, Any]:
     return {"slew_limit": step * FORCE_SCALE * RATE, "soft_start": 0.0, **device}
 
 
-def test_no_force_differs_by_more_than_a_step_from_the_one_before(scene_of: Callable[..., Scene]) -> None:
+def test_no_force_differs_by_more_than_a_step_from_the_one_before() -> None:
     scene = scene_of(2, device={"slew_limit": 40.0, "force_limit": 3.0}, mock={"initial": {"velocity": 0.6}})
     pushes = Excitation(channel=1, force=2.0, ticks=3, every=25, start=10, first=True)
     trace = run(scene, duration=0.5, excitation=pushes)
@@ -47,7 +42,7 @@ def test_no_force_differs_by_more_than_a_step_from_the_one_before(scene_of: Call
     assert np.all(slewed[np.abs(trace.force_counts[:, 0] - at_once) > 1])
 
 
-def test_a_force_that_is_slow_enough_is_sent_as_it_is(scene_of: Callable[..., Scene]) -> None:
+def test_a_force_that_is_slow_enough_is_sent_as_it_is() -> None:
     as_it_is = run(scene_of(2), duration=0.3)
     bounded = run(scene_of(2, device={"slew_limit": 1e4}), duration=0.3)
     assert bounded.report.slewed_ticks == 0
@@ -56,7 +51,7 @@ def test_a_force_that_is_slow_enough_is_sent_as_it_is(scene_of: Callable[..., Sc
 
 @pytest.mark.parametrize(("position", "velocity"), [(0.004, 0.0), (0.004, -0.3), (-0.02, 0.5)])
 def test_the_first_force_is_reached_along_a_ramp_and_never_overshoots_what_is_asked(
-    scene_of: Callable[..., Scene], position: float, velocity: float
+    position: float, velocity: float
 ) -> None:
     initial = {"initial": {"position": position, "velocity": velocity}}
     trace = run(scene_of(device={"soft_start": 0.05}, mock=initial), duration=0.2)
@@ -73,51 +68,34 @@ def test_the_first_force_is_reached_along_a_ramp_and_never_overshoots_what_is_as
     assert trace.report.slewed_ticks > 0
 
 
-def test_where_the_first_force_is_zero_a_soft_start_changes_nothing(scene_of: Callable[..., Scene]) -> None:
+def test_where_the_first_force_is_zero_a_soft_start_changes_nothing() -> None:
     soft = run(scene_of(2, device={"soft_start": 0.1}), duration=0.3)
     np.testing.assert_array_equal(soft.force_counts, run(scene_of(2), duration=0.3).force_counts)
     assert soft.report.slewed_ticks == 0
 
 
 class Host:
-    """A loop that is told what arrives, and whose forces leave or do not."""
+    """A loop that is told what arrives, and whose forces leave or do not. On a spring of 1000 N/m: a micrometre asks
+    for a count of force."""
 
-    def __init__(
-        self, loop: LoopMemory, arrive: Callable[[LoopMemory, bytes, int], int], frame: Callable[..., bytes]
-    ) -> None:
-        self.loop, self._arrive, self._frame = loop, arrive, frame
-        self.sent: list[int] = []
+    def __init__(self, **device: Any) -> None:
+        self.loop = assembled(scene_of(damping=0.0, device={"clock": "device", "force_limit": 9.0, **device}))
 
     def hears(self, number: int, counts: int, *, late: bool = False, sends: bool = True) -> int:
         """The force, in counts, that answers this position; in time by the clock."""
         kind = schema.POSITION_HELD if late else schema.POSITION
         now = 10**9 + number * 10**6
-        assert self._arrive(self.loop, self._frame(number, counts, kind=kind), now) == 1
+        assert arrive(self.loop, frame(number, counts, kind=kind), now) == 1
         if sends:
             self.loop.state.sent_ns, self.loop.state.unanswered = now, 0
         return int(self.loop.record.io.force_counts[0])
 
 
-@pytest.fixture
-def host(
-    assembled: Callable[..., LoopMemory],
-    arrive: Callable[[LoopMemory, bytes, int], int],
-    frame: Callable[..., bytes],
-    scene_of: Callable[..., Scene],
-) -> Callable[..., Host]:
-    def made(**device: Any) -> Host:
-        """On a spring of 1000 N/m: a micrometre asks for a count of force."""
-        scene = scene_of(damping=0.0, device={"clock": "device", "force_limit": 9.0, **device})
-        return Host(assembled(scene), arrive, frame)
-
-    return made
-
-
 FAR = -5000  # um: 5 N, 5000 counts
 
 
-def test_what_the_device_holds_is_what_left_whatever_was_worked_out_meanwhile(host: Callable[..., Host]) -> None:
-    loop = host(**limited_to(100))
+def test_what_the_device_holds_is_what_left_whatever_was_worked_out_meanwhile() -> None:
+    loop = Host(**limited_to(100))
     assert loop.hears(0, FAR) == 100
     assert [loop.hears(number, FAR, sends=False, late=number > 1) for number in (1, 2, 3)] == [200, 200, 200]
     assert loop.hears(4, -FAR, late=True, sends=False) == 0
@@ -125,15 +103,15 @@ def test_what_the_device_holds_is_what_left_whatever_was_worked_out_meanwhile(ho
     assert loop.hears(6, FAR) == 300
 
 
-def test_lost_positions_allow_no_more_than_a_step(host: Callable[..., Host]) -> None:
-    loop = host(**limited_to(100))
+def test_lost_positions_allow_no_more_than_a_step() -> None:
+    loop = Host(**limited_to(100))
     assert loop.hears(0, FAR) == 100
     assert loop.hears(9, FAR, late=True) == 100  # nobody knows whether the first came: zero, or 100
     assert loop.hears(10, FAR) == 200
 
 
-def test_a_missing_position_may_have_said_that_a_force_came_late(host: Callable[..., Host]) -> None:
-    loop = host(**limited_to(100))
+def test_a_missing_position_may_have_said_that_a_force_came_late() -> None:
+    loop = Host(**limited_to(100))
     assert loop.hears(0, FAR) == 100
     assert loop.hears(2, FAR) == 100
     assert loop.hears(3, FAR) == 200
@@ -177,9 +155,9 @@ def kinds_of_trouble(chance: np.random.Generator, kind: str) -> list[tuple[bool,
 
 
 @pytest.mark.parametrize("kind", ["lost", "held up", "positions", "mixed"])
-def test_what_the_device_puts_out_changes_by_no_more_than_a_step(host: Callable[..., Host], kind: str) -> None:
+def test_what_the_device_puts_out_changes_by_no_more_than_a_step(kind: str) -> None:
     """But to zero. Whatever happens on the wire for shorter than a force lives; missing positions for longer, too."""
-    loop, chance = host(**limited_to(70)), np.random.default_rng(1)
+    loop, chance = Host(**limited_to(70)), np.random.default_rng(1)
     device, late, out = Device(int(loop.loop.control.time_to_live)), False, 0
     trouble: list[tuple[bool, int | None]] = []
     for number in range(20_000):
@@ -195,17 +173,17 @@ def test_what_the_device_puts_out_changes_by_no_more_than_a_step(host: Callable[
         out = device.out
 
 
-def test_where_the_device_may_be_at_zero_and_may_not_zero_leaves(host: Callable[..., Host]) -> None:
+def test_where_the_device_may_be_at_zero_and_may_not_zero_leaves() -> None:
     """Forces live for two samples, as at 100 Hz: three that are lost leave the device at zero, four lates do not."""
-    loop = host(**limited_to(100))
+    loop = Host(**limited_to(100))
     loop.loop.record.slew.lives = 2
     assert [loop.hears(number, FAR) for number in range(51)][-1] == 5000
     assert [loop.hears(number, FAR, late=number > 51) for number in range(51, 55)] == [5000, 5000, 5000, 0]
 
 
-def test_where_every_force_is_late_a_slow_force_is_followed(host: Callable[..., Host]) -> None:
+def test_where_every_force_is_late_a_slow_force_is_followed() -> None:
     """By a step in four samples, once that has lasted for as long as a force lives."""
-    loop = host(**limited_to(100))
+    loop = Host(**limited_to(100))
     asked = [round(5000 * math.sin(number / 500)) for number in range(3000)]
     sent = [loop.hears(number, um, late=number > 0) for number, um in enumerate(asked)]
     assert max(abs(force + um) for force, um in zip(sent[60:], asked[60:], strict=True)) <= 100
@@ -214,8 +192,8 @@ def test_where_every_force_is_late_a_slow_force_is_followed(host: Callable[..., 
     assert abs(ramp[40] - ramp[0]) == 1000
 
 
-def test_after_its_time_to_live_a_force_rises_from_zero_again(host: Callable[..., Host]) -> None:
-    loop = host(**limited_to(1000))
+def test_after_its_time_to_live_a_force_rises_from_zero_again() -> None:
+    loop = Host(**limited_to(1000))
     assert [loop.hears(number, FAR) for number in range(6)] == [1000, 2000, 3000, 4000, 5000, 5000]
     lives = int(loop.loop.control.time_to_live)
     for number in range(6, 6 + lives):
@@ -224,9 +202,7 @@ def test_after_its_time_to_live_a_force_rises_from_zero_again(host: Callable[...
     assert loop.hears(7 + lives, FAR, late=True) == 1000
 
 
-def test_the_way_to_zero_is_immediate(
-    scripted: Callable[..., Any], scene_of: Callable[..., Scene], frame: Callable[..., bytes]
-) -> None:
+def test_the_way_to_zero_is_immediate() -> None:
     scene = scene_of(damping=0.0, device={"clock": "device", **limited_to(1000)})
     with scripted([frame(n, FAR) for n in range(8)], scene=scene) as (there, device):
         run(there, duration=0.008)
@@ -235,7 +211,7 @@ def test_the_way_to_zero_is_immediate(
     assert [list(farewell.counts) for farewell in device.farewells] == [[0]]
 
 
-def test_a_port_has_a_slew_limit_and_a_soft_start_and_the_mock_has_none(scene_of: Callable[..., Scene]) -> None:
+def test_a_port_has_a_slew_limit_and_a_soft_start_and_the_mock_has_none() -> None:
     for rate, slew in ((100.0, 1000.0), (1000.0, 10_000.0), (4000.0, 10_000.0)):
         bounds = force_bounds(scene_of(rate=rate), in_hand=True)
         assert bounds == (pytest.approx(slew), 0.05, pytest.approx(0.2))
@@ -245,9 +221,7 @@ def test_a_port_has_a_slew_limit_and_a_soft_start_and_the_mock_has_none(scene_of
 
 
 @pytest.mark.parametrize("clock", ["device", "host", "lockstep"])
-def test_behind_a_port_the_first_force_is_soft_but_in_virtual_time(
-    scene_of: Callable[..., Scene], served: Served, clock: str
-) -> None:
+def test_behind_a_port_the_first_force_is_soft_but_in_virtual_time(clock: str) -> None:
     with served(scene_of(device={"clock": clock}, mock={"initial": {"position": 0.003}})) as (scene, _):
         try:
             trace: Trace | None = run(scene, duration=0.02)
@@ -258,14 +232,12 @@ def test_behind_a_port_the_first_force_is_soft_but_in_virtual_time(
     assert (trace.force_counts[0, 0] == 0) == bool(trace.flags[0] & SLEWED) == (clock != "lockstep")
 
 
-def test_a_step_of_less_than_a_count_is_refused(
-    scene_of: Callable[..., Scene], assembled: Callable[..., LoopMemory]
-) -> None:
+def test_a_step_of_less_than_a_count_is_refused() -> None:
     with pytest.raises(UsageError, match=r"slew_limit: found 0.9 N/s, .* expected at least 1 N/s"):
         assembled(scene_of(device=limited_to(0, slew_limit=0.9)))
 
 
-def test_the_forces_that_a_predictor_counts_are_those_that_were_sent(scene_of: Callable[..., Scene]) -> None:
+def test_the_forces_that_a_predictor_counts_are_those_that_were_sent() -> None:
     """It finds the hand where it will be: with other forces it would be off by what they would have moved it."""
     device = {"delay": 3.0, "correction": "predictor", "force_limit": 100.0}
     initial = {"initial": {"position": 0.01}, "quantum": 1e-10}

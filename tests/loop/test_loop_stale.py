@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from typing import Any
 
 import pytest
+from loop_rig import arrive, assembled, frame, scene_of
 
 from firmware_protocol import schema
 from firmware_protocol.decoder import frames_in, new_decoder
@@ -13,26 +14,20 @@ from hapsim.loop.endings import HEARD
 from hapsim.loop.portable import _compose
 from hapsim.loop.ring import LIMITED, OFF_GRID, SLEWED, WITHHELD
 from hapsim.running.assemble import LoopMemory
-from hapsim.scene import Scene
 
 MS = 1_000_000
 START = 10**9
 FAR = -5000  # um: 5 N, 5000 counts
 
-On = Callable[..., LoopMemory]
-"""A loop by this clock."""
-Hear = Callable[..., int]
-"""Has a loop take a position at a time, in ns."""
+
+def on(clock: str, **device: Any) -> LoopMemory:
+    """A loop by this clock."""
+    return assembled(scene_of(damping=0.0, device={"clock": clock, **device}))
 
 
-@pytest.fixture
-def on(assembled: Callable[..., LoopMemory], scene_of: Callable[..., Scene]) -> On:
-    return lambda clock, **device: assembled(scene_of(damping=0.0, device={"clock": clock, **device}))
-
-
-@pytest.fixture
-def hear(arrive: Callable[..., int], frame: Callable[..., bytes]) -> Hear:
-    return lambda loop, *numbers, at, **kind: arrive(loop, frame(*numbers, **kind), at)
+def hear(loop: LoopMemory, number: int, at: int, kind: int = schema.POSITION) -> None:
+    """The loop takes a position at FAR, at a time in ns."""
+    assert arrive(loop, frame(number, kind=kind), at) == HEARD
 
 
 def leaves(loop: LoopMemory, now: int) -> list[int]:
@@ -58,74 +53,74 @@ def last_flags(loop: LoopMemory) -> int:
     return last_row(loop)[0]
 
 
-def test_a_host_that_was_held_up_sends_zero_in_place_of_an_old_force(on: On, hear: Hear) -> None:
+def test_a_host_that_was_held_up_sends_zero_in_place_of_an_old_force() -> None:
     """With its time to live of 20 samples and one more: a force may answer 21 ms after the position, not 22."""
     for late_ms, counts, withheld in ((1, 5000, 0), (21, 5000, 0), (22, 0, 1), (500, 0, 1)):
         loop = on("host")
         loop.state.tick_ns = START
-        assert hear(loop, 0, FAR, at=START) == HEARD
+        hear(loop, 0, at=START)
         assert leaves(loop, START + late_ms * MS) == [counts]
         assert loop.state.withheld_forces == withheld
         assert bool(last_flags(loop) & WITHHELD) == bool(withheld)
 
 
-def test_a_host_that_gets_no_position_asks_with_zero_force_once_the_last_is_too_old(on: On, hear: Hear) -> None:
+def test_a_host_that_gets_no_position_asks_with_zero_force_once_the_last_is_too_old() -> None:
     loop = on("host")
     loop.state.tick_ns = START
-    assert hear(loop, 0, FAR, at=START) == HEARD
+    hear(loop, 0, at=START)
     sent = [leaves(loop, START + n * MS)[0] for n in range(1, 40)]
     lives = int(loop.control.time_to_live)
     assert sent == [5000] * lives + [0] * (39 - lives)  # the first zero has an age that a device still takes
     assert loop.state.withheld_forces == 39 - lives
 
 
-def test_after_that_the_force_rises_from_zero(on: On, hear: Hear) -> None:
+def test_after_that_the_force_rises_from_zero() -> None:
     loop = on("host", slew_limit=2000.0)
     sent = []
     for n in range(6):
         loop.state.tick_ns = START + n * MS
-        assert hear(loop, n, FAR, at=START + n * MS) == HEARD
+        hear(loop, n, at=START + n * MS)
         sent += leaves(loop, START + (n + 1) * MS)
     assert sent == [2000, 4000, 5000, 5000, 5000, 5000]
     loop.state.tick_ns = START + 5 * MS + 40 * MS
-    assert hear(loop, 6, FAR, kind=schema.POSITION_HELD, at=START + 46 * MS) == HEARD
+    hear(loop, 6, kind=schema.POSITION_HELD, at=START + 46 * MS)
     assert last_flags(loop) & SLEWED
     assert leaves(loop, START + 47 * MS) == [0]  # the device has none, or this makes it zero
     loop.state.tick_ns = START + 47 * MS
-    assert hear(loop, 7, FAR, at=START + 47 * MS) == HEARD
+    hear(loop, 7, at=START + 47 * MS)
     assert leaves(loop, START + 48 * MS) == [2000]
 
 
-def test_what_may_find_a_device_at_zero_is_zero(on: On, hear: Hear) -> None:
+def test_what_may_find_a_device_at_zero_is_zero() -> None:
     """Its clock counts from the force before, not from the position that came late."""
     for late_us, counts in ((20_000, 5000), (21_000, 0)):
         loop = on("host")
         for n in range(2):
             loop.state.tick_ns = START + n * MS
-            assert hear(loop, n, FAR, at=START + n * MS + 900_000 * n) == HEARD
+            hear(loop, n, at=START + n * MS + 900_000 * n)
             sent = leaves(loop, START + MS + (late_us * 1000 if n else 0))
         assert sent == [counts]
 
 
-def test_a_position_that_was_on_its_way_for_too_long_is_answered_with_zero(on: On, hear: Hear) -> None:
+def test_a_position_that_was_on_its_way_for_too_long_is_answered_with_zero() -> None:
     for on_its_way_ms, counts, flags in ((21, 5000, OFF_GRID), (22, 0, OFF_GRID | WITHHELD)):
         loop = on("host")
         loop.state.tick_ns = START
-        assert hear(loop, 0, FAR, at=START) == HEARD
+        hear(loop, 0, at=START)
         loop.state.tick_ns, loop.state.unanswered = START + MS, 0
-        assert hear(loop, 1, FAR, at=START + (1 + on_its_way_ms) * MS) == HEARD
+        hear(loop, 1, at=START + (1 + on_its_way_ms) * MS)
         assert loop.record.io.force_counts[0] == counts
         assert last_flags(loop) == flags
 
 
 @pytest.mark.parametrize("number", [1, 7])
-def test_by_the_device_s_clock_one_that_arrives_too_late_is_answered_with_zero(on: On, hear: Hear, number: int) -> None:
+def test_by_the_device_s_clock_one_that_arrives_too_late_is_answered_with_zero(number: int) -> None:
     """Its number says when it was measured, whether or not the positions before it came."""
     for late_ms, counts in ((0, 5000), (21, 5000), (22, 0), (90, 0)):
         loop = on("device")
-        assert hear(loop, 0, FAR, at=START) == HEARD
+        hear(loop, 0, at=START)
         loop.state.unanswered = 0
-        assert hear(loop, number, FAR, at=START + (number + late_ms) * MS) == HEARD
+        hear(loop, number, at=START + (number + late_ms) * MS)
         assert loop.record.io.force_counts[0] == counts
         assert bool(last_flags(loop) & WITHHELD) == (counts == 0)
         assert loop.state.withheld_forces == (counts == 0)
@@ -133,15 +128,13 @@ def test_by_the_device_s_clock_one_that_arrives_too_late_is_answered_with_zero(o
 
 @pytest.mark.parametrize(("late_ms", "row", "limited"), [(21, (LIMITED, 2000), 1), (22, (WITHHELD, 0), 0)])
 def test_a_force_that_a_host_withholds_is_recorded_as_the_zero_that_left_and_not_as_cut(
-    on: On,
-    hear: Hear,
     late_ms: int,
     row: tuple[int, int],
     limited: int,
 ) -> None:
     loop = on("host", force_limit=2.0)
     loop.state.tick_ns = START
-    assert hear(loop, 0, FAR, at=START) == HEARD
+    hear(loop, 0, at=START)
     assert leaves(loop, START + late_ms * MS) == [row[1]]
     assert last_row(loop) == row
     assert loop.state.limited_ticks == limited
@@ -149,32 +142,30 @@ def test_a_force_that_a_host_withholds_is_recorded_as_the_zero_that_left_and_not
 
 @pytest.mark.parametrize(("late_ms", "row", "limited"), [(21, (LIMITED, 2000), 2), (22, (WITHHELD, 0), 1)])
 def test_by_the_device_s_clock_neither(
-    on: On,
-    hear: Hear,
     late_ms: int,
     row: tuple[int, int],
     limited: int,
 ) -> None:
     loop = on("device", force_limit=2.0)
-    assert hear(loop, 0, FAR, at=START) == HEARD
+    hear(loop, 0, at=START)
     loop.state.unanswered = 0
-    assert hear(loop, 1, FAR, at=START + (1 + late_ms) * MS) == HEARD
+    hear(loop, 1, at=START + (1 + late_ms) * MS)
     assert last_row(loop) == row
     assert loop.state.limited_ticks == limited
 
 
-def test_a_hand_at_rest_and_late_forces_withhold_nothing(on: On, hear: Hear) -> None:
+def test_a_hand_at_rest_and_late_forces_withhold_nothing() -> None:
     """A sensor that says the same for long is no fault; forces that are late, each within its time to live, act."""
     loop = on("device")
     for n in range(500):
-        assert hear(loop, n, FAR, kind=schema.POSITION_HELD if n else schema.POSITION, at=START + n * MS) == HEARD
+        hear(loop, n, kind=schema.POSITION_HELD if n else schema.POSITION, at=START + n * MS)
         loop.state.unanswered = 0
         assert loop.record.io.force_counts[0] == 5000
     assert loop.state.withheld_forces == 0
 
 
-def test_in_virtual_time_no_time_passes(on: On, hear: Hear) -> None:
+def test_in_virtual_time_no_time_passes() -> None:
     loop = on("lockstep")
     for n in range(5):
-        assert hear(loop, n, FAR, at=START + n * 10**12) == HEARD
+        hear(loop, n, at=START + n * 10**12)
         assert leaves(loop, START + n * 10**12 + 10**11) == [5000]

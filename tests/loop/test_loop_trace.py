@@ -8,22 +8,21 @@ import io
 import json
 import os
 import zipfile
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from loop_rig import scene_of
 
 from hapsim.errors import UsageError
 from hapsim.loop.histogram import Histogram
 from hapsim.recording.report_file import is_report, read_report
 from hapsim.recording.trace import Trace, load_trace, require_writable_as_trace
 from hapsim.running import run
-from hapsim.scene import Scene
 
 
 @pytest.fixture
-def trace(scene_of: Callable[..., Scene]) -> Trace:
+def trace() -> Trace:
     return run(scene_of(2), duration=0.05)
 
 
@@ -52,7 +51,7 @@ def test_it_is_told_in_one_line(trace: Trace) -> None:
     assert "\n" not in told
 
 
-def test_a_trace_without_rows_comes_back_too(scene_of: Callable[..., Scene], tmp_path: Path) -> None:
+def test_a_trace_without_rows_comes_back_too(tmp_path: Path) -> None:
     empty = run(scene_of(2), duration=0.01, keep=False)
     for name in ("t.npz", "t.csv"):
         empty.save(tmp_path / name)

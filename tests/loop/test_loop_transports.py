@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 import serial
+from loop_rig import scene_of, served
 
 from firmware_protocol import schema
 from firmware_protocol.frames import SETUP, frame_to_device, frame_to_host
@@ -24,7 +25,6 @@ from hapsim.loop.ring import UNSENT
 from hapsim.loop.transport import Transport, descriptor_transport
 from hapsim.recording.trace import Trace
 from hapsim.running import Excitation, PeriodicExcitation, run
-from hapsim.scene import Scene
 
 COLUMNS = ("sample", "flags", "position_counts", "force_counts", "asked_force")
 DEVICES: list[dict[str, Any]] = [
@@ -32,8 +32,6 @@ DEVICES: list[dict[str, Any]] = [
     {"delay": 0, "hold": "impulse", "sampling": "ideal"},
     {"delay": 2.4, "hold": "zoh", "sampling": "average", "force_limit": 0.5},
 ]
-
-Served = Callable[[Scene], contextlib.AbstractContextManager[tuple[Scene, Any]]]
 
 
 def require_same(one: Trace, other: Trace) -> None:
@@ -45,9 +43,7 @@ def require_same(one: Trace, other: Trace) -> None:
 
 @pytest.mark.parametrize("channels", [1, 2, 4, 16])
 @pytest.mark.parametrize("device", DEVICES)
-def test_loopback_and_pseudo_terminal_give_the_same_trace_bit_for_bit(
-    scene_of: Callable[..., Scene], channels: int, device: dict[str, Any]
-) -> None:
+def test_loopback_and_pseudo_terminal_give_the_same_trace_bit_for_bit(channels: int, device: dict[str, Any]) -> None:
     scene = scene_of(channels, device=device, mock={"noise": 1e-7, "seed": 3})
     in_memory = run(scene, duration=0.3, transport="loopback")
     on_terminal = run(scene, duration=0.3, transport="terminal")
@@ -56,14 +52,12 @@ def test_loopback_and_pseudo_terminal_give_the_same_trace_bit_for_bit(
     require_same(in_memory, on_terminal)
 
 
-def test_another_seed_gives_another_run(scene_of: Callable[..., Scene]) -> None:
+def test_another_seed_gives_another_run() -> None:
     one, other = (run(scene_of(mock={"noise": 1e-6, "seed": seed}), duration=0.1) for seed in (1, 2))
     assert np.any(one.position_counts != other.position_counts)
 
 
-def test_a_second_run_on_the_same_served_mock_gives_the_same_trace(
-    scene_of: Callable[..., Scene], served: Served
-) -> None:
+def test_a_second_run_on_the_same_served_mock_gives_the_same_trace() -> None:
     with served(scene_of(2, mock={"noise": 1e-6})) as (scene, _):
         first, second, third = (run(scene, duration=0.2) for _ in range(3))
     require_same(first, second)
@@ -71,7 +65,7 @@ def test_a_second_run_on_the_same_served_mock_gives_the_same_trace(
     require_same(first, run(scene_of(2, mock={"noise": 1e-6}), duration=0.2))
 
 
-def test_in_virtual_time_no_row_is_lost_however_long_the_run(scene_of: Callable[..., Scene]) -> None:
+def test_in_virtual_time_no_row_is_lost_however_long_the_run() -> None:
     """More rows than the ring holds: the loop waits for its reader."""
     trace = run(scene_of(), duration=150.0)
     assert trace.sample.tolist() == list(range(150_000))
@@ -80,14 +74,14 @@ def test_in_virtual_time_no_row_is_lost_however_long_the_run(scene_of: Callable[
     assert not np.any(trace.flags & UNSENT)
 
 
-def test_a_run_that_is_not_kept_has_a_report_and_no_rows(scene_of: Callable[..., Scene]) -> None:
+def test_a_run_that_is_not_kept_has_a_report_and_no_rows() -> None:
     trace = run(scene_of(), duration=1.0, keep=False)
     assert trace.report.ticks == 1000
     assert trace.sample.size == 0
     assert trace.force.shape == (0, 1)
 
 
-def test_the_answer_is_what_the_scene_asks_for_rounded_to_a_count(scene_of: Callable[..., Scene]) -> None:
+def test_the_answer_is_what_the_scene_asks_for_rounded_to_a_count() -> None:
     trace = run(scene_of(3), duration=0.2)
     np.testing.assert_allclose(trace.force, trace.asked_force, rtol=0, atol=0.5 * trace.force_scale.max())
     displaced = trace.position - 0.0
@@ -95,7 +89,7 @@ def test_the_answer_is_what_the_scene_asks_for_rounded_to_a_count(scene_of: Call
     np.testing.assert_allclose(trace.asked_force[1:, 0], expected, rtol=0, atol=1e-12)
 
 
-def test_an_excitation_adds_to_its_channel_only_and_not_to_what_the_scene_asked(scene_of: Callable[..., Scene]) -> None:
+def test_an_excitation_adds_to_its_channel_only_and_not_to_what_the_scene_asked() -> None:
     pushes = Excitation(channel=1, force=2.0, ticks=3, every=50, start=100, first=True)
     scene = scene_of(2, stiffness=0.0, damping=0.0)
     trace = run(scene, duration=0.2, excitation=pushes)
@@ -109,9 +103,7 @@ def test_an_excitation_adds_to_its_channel_only_and_not_to_what_the_scene_asked(
 
 
 @pytest.mark.parametrize("portable", [False, True])
-def test_a_periodic_excitation_begins_again_by_the_device_s_count_of_samples(
-    scene_of: Callable[..., Scene], portable: bool
-) -> None:
+def test_a_periodic_excitation_begins_again_by_the_device_s_count_of_samples(portable: bool) -> None:
     forces = np.array([0.5, -0.25, 0.125, 1.0, -2.0])
     scene = scene_of(2, stiffness=300.0, damping=1.0)
     trace = run(
@@ -218,9 +210,7 @@ def test_a_descriptor_that_is_none_has_failed() -> None:
     assert transport.send(b"x") == HUNG_UP
 
 
-def test_memory_is_quiet_until_the_mock_was_asked_and_takes_no_more_than_the_mock_at_once(
-    scene_of: Callable[..., Scene],
-) -> None:
+def test_memory_is_quiet_until_the_mock_was_asked_and_takes_no_more_than_the_mock_at_once() -> None:
     transport, buffer = loopback_transport(assemble_mock(scene_of())), np.zeros(1000, np.uint8)
     assert transport.receive(buffer, 10**9) == TIMED_OUT
     question = frame_to_device(SETUP, schema.DESCRIBE, schema.REG_VERSION, 0, [0])

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
+from loop_rig import arrive, assembled, frame, scene_of
 from numpy.typing import NDArray
 
 from hapsim.errors import DescriptionError, GuardError, UsageError
@@ -21,7 +21,6 @@ from hapsim.scene import Scene
 
 LIMIT, MARGIN = 0.003, 0.01
 BAND: dict[str, Any] = {"travel": [-LIMIT, LIMIT], "travel_margin": MARGIN}
-SceneOf = Callable[..., Scene]
 
 
 def flung(speed: float, position: float = 0.0, **mock: Any) -> dict[str, Any]:
@@ -44,7 +43,7 @@ def left(position: NDArray[np.float64], limit: float = LIMIT) -> NDArray[np.floa
     return np.clip(1.0 - (np.abs(position) - limit) / MARGIN, 0.0, 1.0)
 
 
-def test_within_the_limits_nothing_changes(scene_of: SceneOf) -> None:
+def test_within_the_limits_nothing_changes() -> None:
     mock = {"initial": {"velocity": 0.15}, "noise": 1e-6}
     free = run(scene_of(2, mock=mock), duration=0.5)
     bounded = run(scene_of(2, mock=mock, device=BAND), duration=0.5)
@@ -55,7 +54,7 @@ def test_within_the_limits_nothing_changes(scene_of: SceneOf) -> None:
     assert bounded.report.faded_ticks == 0
 
 
-def test_outside_the_force_fades_by_the_way_and_each_channel_by_its_own(scene_of: SceneOf) -> None:
+def test_outside_the_force_fades_by_the_way_and_each_channel_by_its_own() -> None:
     device = {"travel": [[-LIMIT, LIMIT], [-1.0, 1.0]], "travel_margin": MARGIN, "force_limit": 4.0}
     trace = run(scene_of(2, mock=flung(0.5), device=device), duration=0.5)
     share = left(trace.position) * [1.0, 0.0] + [0.0, 1.0]
@@ -71,9 +70,7 @@ def test_outside_the_force_fades_by_the_way_and_each_channel_by_its_own(scene_of
 
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])
-def test_beyond_the_band_the_run_ends_with_the_position_the_limits_and_what_to_do(
-    scene_of: SceneOf, side: float
-) -> None:
+def test_beyond_the_band_the_run_ends_with_the_position_the_limits_and_what_to_do(side: float) -> None:
     scene = scene_of(stiffness=10.0, mock=flung(side * 0.5), device=BAND)
     trace = ended(scene, rf"at {'-' if side < 0 else ''}0\.013\d* m, .*from -0\.003 to 0\.003 m.*0\.01 m outside")
     outside = np.abs(trace.position[:, 0]) - LIMIT
@@ -84,7 +81,7 @@ def test_beyond_the_band_the_run_ends_with_the_position_the_limits_and_what_to_d
         run(scene, duration=2.0)
 
 
-def test_noise_and_counts_are_no_way_out(scene_of: SceneOf) -> None:
+def test_noise_and_counts_are_no_way_out() -> None:
     """At rest a micrometre inside the band's end, where noise of a micrometre goes beyond it all the time."""
     still = {"initial": {"position": LIMIT + MARGIN - 1e-6}, "noise": 1e-6, "hand": {"stiffness": 1e5, "damping": 50.0}}
     still["hand"]["position"] = LIMIT + MARGIN - 1e-6  # type: ignore[index]
@@ -94,7 +91,7 @@ def test_noise_and_counts_are_no_way_out(scene_of: SceneOf) -> None:
     run(scene_of(stiffness=0.0, damping=0.0, mock=coarse, device=BAND), duration=0.1)
 
 
-def test_a_device_at_its_own_stop_in_the_band_is_held_there_and_runs_on(scene_of: SceneOf) -> None:
+def test_a_device_at_its_own_stop_in_the_band_is_held_there_and_runs_on() -> None:
     """The scene pulls it outward with 2.5 N, the stop is a stiff spring 3 mm outside."""
     stop = {"stiffness": 50000.0, "damping": 20.0, "position": 2 * LIMIT}
     mock = {"initial": {"position": 2 * LIMIT}, "hand": stop}
@@ -107,7 +104,7 @@ def test_a_device_at_its_own_stop_in_the_band_is_held_there_and_runs_on(scene_of
     assert trace.force[-1, 0] == pytest.approx(50.0 * (0.056 - at_stop) * float(left(at_stop)), rel=1e-4)
 
 
-def test_one_that_is_armed_beyond_the_band_comes_in_without_a_force(scene_of: SceneOf) -> None:
+def test_one_that_is_armed_beyond_the_band_comes_in_without_a_force() -> None:
     trace = run(scene_of(mock=flung(-0.4, LIMIT + 3 * MARGIN), device=BAND), duration=0.085)
     outside = trace.position[:, 0] - LIMIT
     assert outside[0] > 2.9 * MARGIN
@@ -121,7 +118,7 @@ def test_one_that_is_armed_beyond_the_band_comes_in_without_a_force(scene_of: Sc
     assert 4 * MARGIN < outward.position[-1, 0] - LIMIT < 4.1 * MARGIN
 
 
-def test_the_scene_counts_from_its_origin(scene_of: SceneOf) -> None:
+def test_the_scene_counts_from_its_origin() -> None:
     """The mock stands 15 and 20 mm from where it powered up; the hands are on springs at the scene's 0."""
     mock = {"initial": {"velocity": [0.1, 0.0], "position": [0.015, 0.02]}}
     trace = run(scene_of(2, mock=mock, device={"origin": [0.01, "here"], "travel": [-0.1, 0.1]}), duration=0.2)
@@ -132,25 +129,18 @@ def test_the_scene_counts_from_its_origin(scene_of: SceneOf) -> None:
     np.testing.assert_allclose(trace.force, there.force, rtol=0, atol=2e-4)  # B/T of a count: 2e-6
 
 
-def test_the_limits_are_by_the_scenes_positions(scene_of: SceneOf) -> None:
+def test_the_limits_are_by_the_scenes_positions() -> None:
     away = {"initial": {"position": 0.5, "velocity": 0.5}}
     trace = ended(scene_of(stiffness=10.0, mock=away, device={**BAND, "origin": "here"}), r"at 0\.013\d* m")
     assert trace.position[0, 0] == 0.0
     trace = ended(scene_of(stiffness=10.0, mock=away, device={**BAND, "origin": 0.499}), r"at 0\.013\d* m")
     assert trace.position[0, 0] == pytest.approx(0.001, abs=1e-9)
-    with pytest.raises(
-        UsageError, match=r"device\.origin: found 3 m on channel 0, where no position of this device is"
-    ):
+    with pytest.raises(UsageError, match=r"device\.origin: found 3 m on channel 0; this device counts up to"):
         run(scene_of(device={"origin": 3.0}), duration=0.1)
 
 
 @pytest.mark.usefixtures("leaps_allowed")
-def test_after_lost_positions_the_newest_one_counts(
-    scene_of: SceneOf,
-    assembled: Callable[..., Any],
-    arrive: Callable[..., int],
-    frame: Callable[..., bytes],
-) -> None:
+def test_after_lost_positions_the_newest_one_counts() -> None:
     scene = scene_of(stiffness=100.0, damping=0.0, device={**BAND, "clock": "device"})
     loop = assembled(scene)
     inside, far, beyond = 1000, 11000, 14000  # µm
@@ -163,7 +153,7 @@ def test_after_lost_positions_the_newest_one_counts(
     assert int(loop.state.lost_frames) == 5 + 4
 
 
-def test_a_predictor_knows_the_force_that_faded(scene_of: SceneOf) -> None:
+def test_a_predictor_knows_the_force_that_faded() -> None:
     """The scene's spring and damper answer the state at the next sample, as it then is: the position that was read and
     the velocity with which the force that was sent makes it the one after."""
     trace = run(scene_of(mock=flung(0.6), device={**BAND, "correction": "predictor"}), duration=0.2)
@@ -178,7 +168,7 @@ def test_a_predictor_knows_the_force_that_faded(scene_of: SceneOf) -> None:
     np.testing.assert_allclose(asked, state @ spring_and_damper, rtol=0, atol=1e-3)
 
 
-def test_an_excitation_fades_too_and_is_never_taken_for_the_scenes(scene_of: SceneOf) -> None:
+def test_an_excitation_fades_too_and_is_never_taken_for_the_scenes() -> None:
     """A hand comes in against pushes outward, and no scene is there: it gives nothing, whatever of them leaves."""
     pushes = Excitation(channel=0, force=2.0, ticks=40, every=1000, start=0, first=True)
     device = {**BAND, "energy_limit": 1e-6}
@@ -190,7 +180,7 @@ def test_an_excitation_fades_too_and_is_never_taken_for_the_scenes(scene_of: Sce
 
 
 @pytest.mark.parametrize(("share", "grows"), [(0.9, False), (1.1, True)])
-def test_the_band_that_is_accepted_does_not_shake_a_hand(scene_of: SceneOf, share: float, grows: bool) -> None:
+def test_the_band_that_is_accepted_does_not_shake_a_hand(share: float, grows: bool) -> None:
     """Pulled outward by the force limit, held in the middle of the band by a light hand that pushes with half of it."""
     at_limit = fade_stiffness(scene_of(device=BAND), 0)
     force = share * at_limit * MARGIN
@@ -212,7 +202,7 @@ def unjudged(scene: Scene) -> Trace:
         return run(scene, duration=0.5)
 
 
-def test_a_band_that_is_too_narrow_is_refused_before_anything_is_armed(scene_of: SceneOf) -> None:
+def test_a_band_that_is_too_narrow_is_refused_before_anything_is_armed() -> None:
     scene = scene_of(device={"travel": [-0.05, 0.05], "travel_margin": 0.002})
     with pytest.raises(UsageError, match=r"of up to 10 N fades over 0\.002 m.* 5000 N/m .* at least 0\.00248 m"):
         run(scene, duration=0.1)
@@ -227,7 +217,7 @@ def test_a_band_that_is_too_narrow_is_refused_before_anything_is_armed(scene_of:
     [(0.01, True, False), (0.0, True, False), ("here", True, True), (None, True, True), (0.01, False, True)],
 )
 def test_a_device_that_restarted_has_lost_a_zero_that_the_scene_names(
-    scene_of: SceneOf, origin: Any, travel: bool, is_known: bool
+    origin: Any, travel: bool, is_known: bool
 ) -> None:
     scene = scene_of(device=({"origin": origin} if origin is not None else {}) | (BAND if travel else {}))
     if is_known:
@@ -237,7 +227,7 @@ def test_a_device_that_restarted_has_lost_a_zero_that_the_scene_names(
             require_known_zero(scene, "port")
 
 
-def test_what_measures_pushes_less_where_the_travel_is_short(scene_of: SceneOf) -> None:
+def test_what_measures_pushes_less_where_the_travel_is_short() -> None:
     def swing(**device: Any) -> float:
         pushes = _pushes(scene_of(mock=flung(0.0), device=device), 0, 2.0, None)
         return pushes.force * pushes.ticks * 1e-3 / 0.2 * np.sqrt(0.2 / 1000.0)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, get_args
 
 import numpy as np
 import pytest
 import yaml
+from loop_rig import frame, scene_of, scripted, served
 
 from firmware_protocol import schema
 from hapsim.device.conversation import arm, describe, disarm
@@ -22,9 +23,6 @@ from hapsim.running.options import RunOptions
 from hapsim.scene import DamperScheme, Scene, parse_scene
 from hapsim.scene.issue import one_of
 
-Scripted = Callable[..., Any]
-FrameOf = Callable[..., bytes]
-SceneOf = Callable[..., Scene]
 SCALE = 1e-3  # (m/s) per count of the scripted device
 
 
@@ -41,7 +39,7 @@ def looped(scene: Scene, ticks: int) -> LoopMemory:
     return loop
 
 
-def after(scripted: Scripted, scene: Scene, script: Sequence[bytes], channels: int = 1) -> Any:
+def after(scene: Scene, script: Sequence[bytes], channels: int = 1) -> Any:
     """The loop's io buffer after a script, each item of which is a position that is answered."""
     fields = {name: (value,) * channels for name, value in (("position_scale", 1e-6), ("force_scale", 1e-3))}
     fields |= {"force_limit": (10.0,) * channels, "velocity_scale": tuple(SCALE * (c + 1) for c in range(channels))}
@@ -50,9 +48,7 @@ def after(scripted: Scripted, scene: Scene, script: Sequence[bytes], channels: i
 
 
 @pytest.mark.parametrize(("damper", "asked"), [("backward", False), ("centred", False), ("sensed", True)])
-def test_velocities_are_asked_for_where_a_damper_is_driven_by_them(
-    scripted: Scripted, scene_of: SceneOf, frame: FrameOf, damper: str, asked: bool
-) -> None:
+def test_velocities_are_asked_for_where_a_damper_is_driven_by_them(damper: str, asked: bool) -> None:
     scene = scene_of(damper=damper)
     assert bool(scene.sensed_links) == asked
     script = [frame(n, 0, velocity=(0,) if asked else ()) for n in range(3)]
@@ -61,9 +57,7 @@ def test_velocities_are_asked_for_where_a_damper_is_driven_by_them(
     assert [heard.argument for heard in device.arms] == [schema.LOCKSTEP | (schema.WITH_VELOCITY if asked else 0)]
 
 
-def test_a_device_that_senses_no_velocity_is_refused_with_the_links_that_ask_and_what_to_do(
-    scripted: Scripted, scene_of: SceneOf
-) -> None:
+def test_a_device_that_senses_no_velocity_is_refused_with_the_links_that_ask_and_what_to_do() -> None:
     for channels, who in ((1, "touch0 asks"), (2, "touch0, touch1 ask")):
         one = dict.fromkeys(("position_scale", "force_scale", "force_limit"), (0.001,) * channels)
         with scripted(scene=scene_of(channels, damper="sensed"), **one) as (there, device):
@@ -77,7 +71,7 @@ def test_a_device_that_senses_no_velocity_is_refused_with_the_links_that_ask_and
         )
 
 
-def test_only_the_links_that_take_a_sensed_velocity_are_named(scripted: Scripted) -> None:
+def test_only_the_links_that_take_a_sensed_velocity_are_named() -> None:
     modules = {
         "hand": {"type": "device", "channel": 0},
         "wall": {"type": "ground"},
@@ -92,7 +86,7 @@ def test_only_the_links_that_take_a_sensed_velocity_are_named(scripted: Scripted
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, -1e-6])
 def test_an_absurd_velocity_scale_is_the_devices_fault_where_it_is_needed_and_no_matter_where_it_is_not(
-    scripted: Scripted, scene_of: SceneOf, frame: FrameOf, value: float
+    value: float,
 ) -> None:
     with scripted(scene=scene_of(damper="sensed"), velocity_scale=(value,)) as (there, device):
         with pytest.raises(DeviceError, match="velocity scale that is not a number above 0"):
@@ -102,19 +96,15 @@ def test_an_absurd_velocity_scale_is_the_devices_fault_where_it_is_needed_and_no
         assert run(there, duration=0.003).report.ticks == 3
 
 
-def test_the_scene_is_given_the_velocities_in_metres_per_second_beside_the_positions(
-    scripted: Scripted, scene_of: SceneOf, frame: FrameOf
-) -> None:
+def test_the_scene_is_given_the_velocities_in_metres_per_second_beside_the_positions() -> None:
     script = [frame(n, 10 * n, -20 * n, velocity=(7 * n, -(2**31) + n)) for n in range(4)]
-    io = after(scripted, scene_of(2, damper="sensed"), script, channels=2)
+    io = after(scene_of(2, damper="sensed"), script, channels=2)
     np.testing.assert_allclose(io.measured[:2], [30e-6, -60e-6], rtol=1e-15)
     np.testing.assert_allclose(io.velocity[:2], [21 * SCALE, (-(2**31) + 3) * 2 * SCALE], rtol=1e-15)
     assert not io.velocity[2:].any()
 
 
-def test_a_sensed_damper_brakes_by_the_velocity_on_the_wire_and_not_by_the_way_gone(
-    scripted: Scripted, scene_of: SceneOf, frame: FrameOf
-) -> None:
+def test_a_sensed_damper_brakes_by_the_velocity_on_the_wire_and_not_by_the_way_gone() -> None:
     x, v = np.array([0, 300, 200, 200]), np.array([50, -40, 0, 700])
     script = [frame(n, x[n], velocity=(v[n],)) for n in range(4)]
     with scripted(script, scene=scene_of(damper="sensed"), velocity_scale=(SCALE,)) as (there, _):
@@ -122,9 +112,7 @@ def test_a_sensed_damper_brakes_by_the_velocity_on_the_wire_and_not_by_the_way_g
     np.testing.assert_allclose(trace.asked_force[:, 0], -1000.0 * x * 1e-6 - 2.0 * v * SCALE, rtol=1e-12)
 
 
-def test_a_mass_is_led_past_lost_velocities_as_if_they_had_run_along_a_straight_line(
-    scripted: Scripted, frame: FrameOf
-) -> None:
+def test_a_mass_is_led_past_lost_velocities_as_if_they_had_run_along_a_straight_line() -> None:
     modules = {
         "hand": {"type": "device", "channel": 0},
         "ball": {"type": "mass", "mass": 0.01},
@@ -149,16 +137,14 @@ def test_a_mass_is_led_past_lost_velocities_as_if_they_had_run_along_a_straight_
     np.testing.assert_allclose(bridged.asked_force, whole.asked_force[bridged.sample], rtol=1e-12)
 
 
-def test_without_sensed_velocities_the_scene_is_given_zeros(
-    scripted: Scripted, scene_of: SceneOf, frame: FrameOf
-) -> None:
-    io = after(scripted, scene_of(), [frame(0, 0), frame(1, 500), frame(4, 900)])
+def test_without_sensed_velocities_the_scene_is_given_zeros() -> None:
+    io = after(scene_of(), [frame(0, 0), frame(1, 500), frame(4, 900)])
     assert not io.velocity.any()
     assert not io.velocity_bridge.any()
 
 
 @pytest.mark.parametrize("sampling", ["ideal", "average"])
-def test_the_mock_s_velocity_reaches_the_loop(scene_of: SceneOf, sampling: str) -> None:
+def test_the_mock_s_velocity_reaches_the_loop(sampling: str) -> None:
     scene = scene_of(
         2, stiffness=0.0, damping=0.0, damper="sensed", device={"sampling": sampling, "friction": 4.0, "mass": 0.2}
     )
@@ -169,7 +155,7 @@ def test_the_mock_s_velocity_reaches_the_loop(scene_of: SceneOf, sampling: str) 
 
 
 @pytest.mark.parametrize("channels", [1, 2, 16])
-def test_a_run_with_velocities_is_the_same_in_memory_and_on_a_pseudo_terminal(scene_of: SceneOf, channels: int) -> None:
+def test_a_run_with_velocities_is_the_same_in_memory_and_on_a_pseudo_terminal(channels: int) -> None:
     scene = scene_of(channels, damper="sensed", mock={"noise": 1e-7, "seed": 3})
     in_memory, on_terminal = (run(scene, duration=0.2, transport=transport) for transport in ("loopback", "terminal"))
     for name in ("sample", "flags", "position_counts", "force_counts", "asked_force"):
@@ -178,9 +164,7 @@ def test_a_run_with_velocities_is_the_same_in_memory_and_on_a_pseudo_terminal(sc
     assert on_terminal.report.crc_errors == 0
 
 
-def test_a_host_that_died_while_velocities_were_sent_does_not_lock_the_next_one_out(
-    scene_of: SceneOf, served: Callable[[Scene], Any]
-) -> None:
+def test_a_host_that_died_while_velocities_were_sent_does_not_lock_the_next_one_out() -> None:
     with served(scene_of(2, damper="sensed")) as (scene, mock):
         with open_connection(scene) as connection:
             arm(connection, describe(connection), schema.LOCKSTEP, 100, velocity=True)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
+from loop_rig import served
 
 import hapsim
 from hapsim.running import Session
@@ -114,7 +114,7 @@ def test_a_pipe_in_its_place_holds_nobody_up(path: Path, session: Session) -> No
     assert file.look(session) is None
 
 
-def test_the_port_of_the_command_counts_more_than_the_files(path: Path, served: Callable[..., Any]) -> None:
+def test_the_port_of_the_command_counts_more_than_the_files(path: Path) -> None:
     with served(load_scene(path)) as (scene, _), hapsim.start(scene) as session:
         file = WatchedFile(str(path))
         edit(path, "stiffness: 1000", "stiffness: 400")
