@@ -12,21 +12,15 @@ an estimate of the mass. A scene without a predictor never compiles this: its ad
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 import numpy as np
 from numba import types
-from numpy.typing import NDArray
 
 from firmware_protocol import schema
 from hapsim.compiling import entry, helper
 from hapsim.compiling.memory_fence import fence
-from hapsim.compiling.native import address_of, array_at, function_at, native, record_at
+from hapsim.compiling.native import array_at, function_at, native, record_at
 from hapsim.cordis.tick import tick
 from hapsim.loop.buffers import IO_BUFFER
-
-Table = NDArray[np.float64]
 
 POSITION, VELOCITY, PUSH, STATES = 0, 1, 2, 3
 
@@ -40,7 +34,7 @@ PREDICTOR = np.dtype(
         ("readings", np.int64),  # 2: the velocity is read too
         ("keeps_last_force", np.int64),  # 1: the device keeps a force until the next one comes,
         ("lives", np.int64),  # for so many samples at most
-        ("width", np.int64),  # numbers of a channel, as `numbers_of` orders them
+        ("width", np.int64),  # numbers of a channel (running/correction.py)
         ("numbers", np.uint64),  # address of (channels, width): the numbers now
         ("table", np.uint64),  # of (channels, rows, width): for masses in equal ratios, or one row
         ("before", np.uint64),  # of the table before it, while one fades into the other
@@ -212,59 +206,6 @@ def set_numbers(predictor, c, at):
             older = before[first + i] + share * (before[further + i] - before[first + i])
             value = older + newer * (value - older)
         numbers[c * width + i] = value
-
-
-class PredictorMemory:
-    """Fills a PREDICTOR, and keeps what it points to."""
-
-    def __init__(
-        self,
-        record: Any,
-        tables: Mapping[int, Table],
-        *,
-        lags: int,
-        readings: int,
-        keeps_last_force: bool,
-        lives_samples: int,
-    ) -> None:
-        """`tables`: by predicted channel, (R, width): for R masses the numbers of `numbers_of`, and any that the force
-        needs beside. The other channels get what is read."""
-        history = 2 << max(lags, 1).bit_length()
-        self._record = record
-        self._forces = np.zeros((history, 2, schema.MAX_CHANNELS))
-        record.address = address_of(record)
-        record.lags, record.mask, record.readings = lags, history - 1, readings
-        record.keeps_last_force, record.lives = keeps_last_force, lives_samples
-        record.rows = max(len(table) for table in tables.values())
-        record.width = next(iter(tables.values())).shape[1]
-        self._tables = [self._table(tables)]
-        self._numbers = np.ascontiguousarray(self._tables[0][:, 0])
-        record.numbers, record.forces = self._numbers.ctypes.data, self._forces.ctypes.data
-        record.table = record.before = self._tables[0].ctypes.data
-        record.samples = 1
-        record.predict = predict.address()
-
-    def follow(self, tables: Mapping[int, Table], samples: int) -> None:
-        """Fades to other tables for the same channels over so many samples, after any fade before."""
-        self._tables = [*self._tables[-8:], self._table(tables)]
-        post_table(self._record, self._tables[-1].ctypes.data, max(samples, 1))
-
-    def _table(self, tables: Mapping[int, Table]) -> Table:
-        rows, width, readings = int(self._record.rows), int(self._record.width), int(self._record.readings)
-        row = STATES + int(self._record.lags)
-        whole = np.zeros((schema.MAX_CHANNELS, rows, width))
-        whole[..., (2 + readings) * row] = whole[..., (4 + readings) * row] = 1.0  # the position that was read
-        for channel, table in tables.items():
-            whole[channel] = table
-        return whole
-
-
-def numbers_of(step: Table, reading: Table, gains: Table, first: Table, ahead: Table, lags: int) -> Table:
-    """Returns a `StatePredictor` as (width,) numbers: the rows of step, reading and ahead for `lags` forces, then both
-    gains."""
-    rows = np.vstack([step, reading, ahead])
-    padded = np.pad(rows, ((0, 0), (0, STATES + lags - rows.shape[1])))
-    return np.concatenate([padded.ravel(), gains.ravel(), first.ravel()])
 
 
 @entry

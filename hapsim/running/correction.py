@@ -3,19 +3,29 @@ the mass is estimated."""
 
 from __future__ import annotations
 
-from collections.abc import Container
+import math
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from firmware_protocol import schema
+from firmware_protocol.compiled import new_record
 from firmware_protocol.description import Description
+from hapsim.compiling.native import address_of
 from hapsim.holds import HOLDS
-from hapsim.loop.adaptive import ADDED, Adaptation, AdaptiveChannel
-from hapsim.loop.predictor import PredictorMemory, Table, numbers_of
+from hapsim.loop.adaptive import ADAPTIVE, ADDED, LEAST_SLEW, SLEW_S, add_difference, predict_adaptively
+from hapsim.loop.mass_estimate import MOST_SLOW_SPAN, MOST_SPAN
+from hapsim.loop.predictor import STATES, post_table, predict
 from hapsim.prediction.correction import Corrected, Rendering
 from hapsim.prediction.correction.predictor import predictor_for
 from hapsim.theory.correction import StatePredictor, forces_in_second_difference
+
+Table = NDArray[np.float64]
+
+_LEAST_STIFFNESS = 1e-9  # N/m
+_KEPT_TABLES = 8  # more than the loop may still read, of those that it was posted
 
 
 class LoopCorrection:
@@ -23,80 +33,123 @@ class LoopCorrection:
 
     def __init__(self, loop: Any, rendering: Rendering, description: Description) -> None:
         """`loop`: a LOOP with its control set."""
-        self._memory: PredictorMemory | None = None
-        self._adaptation: Adaptation | None = None
+        self._ports = {port.channel: port for port in rendering.ports if port.schedule is not None}
+        """By channel, what adapts; none is added while the scene runs."""
         predictors = rendering.predictors()
+        self._predicts = bool(predictors)
         if not predictors:
             return
-        device = rendering.desired.device
-        self._adapts = frozenset(port.channel for port in rendering.ports if port.schedule is not None)
-        """The channels that adapt; none is added while the scene runs."""
-        self._lags = max(one.lags for one in predictors.values())
-        self._memory = PredictorMemory(
-            loop.predictor,
-            self._tables(rendering),
-            lags=self._lags,
-            readings=1 + any(one.senses for one in predictors.values()),
-            keeps_last_force=HOLDS[device.hold].keeps_last_force,
-            lives_samples=int(loop.control.time_to_live),
-        )
-        if self._adapts:
-            numerator, first_lag = forces_in_second_difference(rendering.ports[0].declared)
-            self._adaptation = Adaptation(
-                loop.predictor,
-                _adaptive_channels(rendering, self._adapts),
-                period_s=rendering.desired.period,
-                numerator=numerator,
-                first_lag=first_lag,
-                count_m=np.array(description.position_scale),
-            )
+        device, record = rendering.desired.device, loop.predictor
+        self._record, self._lags = record, max(one.lags for one in predictors.values())
+        record.lags, record.readings = self._lags, 1 + any(one.senses for one in predictors.values())
+        rows = 2 << max(self._lags, 1).bit_length()
+        self._forces = np.zeros((rows, 2, schema.MAX_CHANNELS))
+        record.address, record.forces, record.mask = address_of(record), address_of(self._forces), rows - 1
+        record.keeps_last_force = HOLDS[device.hold].keeps_last_force
+        record.lives = loop.control.time_to_live
+        tables = self._channel_tables(rendering)
+        record.rows = max(len(table) for table in tables.values())
+        record.width = next(iter(tables.values())).shape[1]
+        self._tables = [self._table(tables)]
+        self._numbers = np.ascontiguousarray(self._tables[0][:, 0])
+        record.numbers = address_of(self._numbers)
+        record.table = record.before = address_of(self._tables[0])
+        record.samples = 1
+        record.predict = predict.address()
+        if self._ports:
+            self._adapt(rendering, description)
+
+    def _adapt(self, rendering: Rendering, description: Description) -> None:
+        """Fills an ADAPTIVE."""
+        period = rendering.desired.period
+        self._adaptive = record = new_record(ADAPTIVE)
+        record.slew = 1.0 / max(SLEW_S / period, LEAST_SLEW)
+        estimate = record.estimate
+        numerator, estimate.first_lag = forces_in_second_difference(rendering.ports[0].declared)
+        estimate.count = len(numerator)
+        estimate.weights[: len(numerator)] = period**2 * numerator
+        estimate.uncertainty[:] = math.inf
+        for channel, port in self._ports.items():
+            record.adapts[channel] = 1
+            for spans in (record, estimate):
+                spans.log_least[channel], spans.log_most[channel] = np.log(_span(port))
+                spans.log_mass[channel] = spans.log_least[channel]
+            estimate.sprung[channel] = port.declared.stiffness * period**2
+            estimate.rounding[channel] = description.position_scale[channel] ** 2 / 12.0
+        self._set_spans(rendering)
+        estimate.span[:] = estimate.next_span
+        estimate.slow_span[:] = np.minimum(estimate.span, MOST_SLOW_SPAN)
+        self._record.adaptive = address_of(record)
+        self._record.predict, self._record.add = predict_adaptively.address(), add_difference.address()
+
+    def _set_spans(self, rendering: Rendering) -> None:
+        """Sets the spans of samples with which the estimates begin, with the table that is posted next."""
+        for port in (one for one in rendering.ports if one.channel in self._ports and one.schedule is not None):
+            stiffness = max(port.written[0] + port.declared.stiffness, _LEAST_STIFFNESS)
+            half_period_s = math.pi * math.sqrt(_span(port)[0] / stiffness)
+            samples = min(max(half_period_s / rendering.desired.period, 1.0), float(MOST_SPAN))
+            self._adaptive.estimate.next_span[port.channel] = round(samples)
 
     def follow(self, rendering: Rendering, samples: int) -> None:
         """Fades to the correction of another scene over so many samples. A channel on which nothing adapts any more
         gets the predictor of its links, and nothing is added to their force."""
-        if self._adaptation is not None:
-            self._adaptation.follow(_adaptive_channels(rendering, self._adapts))
-        if self._memory is not None:
-            self._memory.follow(self._tables(rendering), samples)
+        if self._ports:
+            self._set_spans(rendering)
+        if self._predicts:
+            self._tables = [*self._tables[-_KEPT_TABLES:], self._table(self._channel_tables(rendering))]
+            post_table(self._record, address_of(self._tables[-1]), max(samples, 1))
 
     def masses(self, channels: int) -> dict[str, tuple[float | None, ...]]:
         """Returns the estimated masses under their names in `Report` and `Progress`: a value per channel, None where
         none is estimated; no values if no channel has one."""
-        if self._adaptation is None:
-            return {}
-        found = self._adaptation.masses()
-        rows = [found.get(channel, (None, None, None)) for channel in range(channels)]
         names = ("estimated_mass_kg", "estimated_mass_uncertainty_kg", "mass_explained")
+        if not self._ports:
+            return {}
+        rows: list[tuple[float | None, ...]] = [(None, None, None)] * channels
+        estimate = self._adaptive.estimate
+        for channel, port in self._ports.items():
+            (least, most), mass = _span(port), float(np.exp(estimate.log_mass[channel]))
+            uncertainty = min(float(estimate.uncertainty[channel]) * mass, most - least)
+            rows[channel] = mass, uncertainty, float(estimate.explained[channel])
         return dict(zip(names, zip(*rows, strict=True), strict=True))
 
-    def _tables(self, rendering: Rendering) -> dict[int, Table]:
-        tables = {channel: self._table([one]) for channel, one in rendering.predictors().items()}
-        if self._adapts:
+    def _table(self, tables: dict[int, Table]) -> Table:
+        """Returns all channels' tables as one; a channel without a predictor gets what is read."""
+        whole = np.zeros((schema.MAX_CHANNELS, int(self._record.rows), int(self._record.width)))
+        row, readings = STATES + self._lags, int(self._record.readings)
+        whole[..., (2 + readings) * row] = whole[..., (4 + readings) * row] = 1.0  # the position that was read
+        for channel, table in tables.items():
+            whole[channel] = table
+        return whole
+
+    def _channel_tables(self, rendering: Rendering) -> dict[int, Table]:
+        """Returns (masses or 1, width) numbers by channel: a predictor's for each mass, and where the mass is
+        estimated what is added to the scene's force, which is that for the least mass."""
+        tables = {channel: self._numbers_of([one]) for channel, one in rendering.predictors().items()}
+        if self._ports:
             tables = {channel: np.pad(table, ((0, 0), (0, ADDED))) for channel, table in tables.items()}
-        adaptive = (port for port in rendering.ports if port.channel in self._adapts and port.schedule is not None)
+        adaptive = (port for port in rendering.ports if port.channel in self._ports and port.schedule is not None)
         return tables | {port.channel: self._adaptive_table(port) for port in adaptive}
 
     def _adaptive_table(self, port: Corrected) -> Table:
-        """Returns for each mass the predictor's numbers, and what is added to the scene's force for the least mass."""
         assert port.schedule is not None
         elements = port.schedule.elements
-        least = elements[0]
-        dK = np.array([one.stiffness - least.stiffness for one in elements])
-        dB = np.array([one.damping - least.damping for one in elements])
+        dK = np.array([one.stiffness - elements[0].stiffness for one in elements])
+        dB = np.array([one.damping - elements[0].damping for one in elements])
         predictors = [predictor_for(replace(port.declared, mass=one.made_for), one.observer) for one in elements]
-        return np.column_stack([self._table(predictors), dK, dB, dK * port.rest])
+        return np.column_stack([self._numbers_of(predictors), dK, dB, dK * port.rest])
 
-    def _table(self, predictors: list[StatePredictor]) -> Table:
-        return np.array([numbers_of(*one, lags=self._lags) for one in predictors])
+    def _numbers_of(self, predictors: list[StatePredictor]) -> Table:
+        """Returns (predictors, width): the rows of step, reading and ahead for all lags, then both gains."""
+        table = []
+        for one in predictors:
+            rows = np.vstack([one.step, one.reading, one.ahead])
+            padded = np.pad(rows, ((0, 0), (0, STATES + self._lags - rows.shape[1])))
+            table.append(np.concatenate([padded.ravel(), one.gains.ravel(), one.first.ravel()]))
+        return np.array(table)
 
 
-def _adaptive_channels(rendering: Rendering, channels: Container[int]) -> dict[int, AdaptiveChannel]:
-    return {
-        port.channel: AdaptiveChannel(
-            span=(float(port.schedule.masses[0]), float(port.schedule.masses[-1])),
-            device_stiffness=port.declared.stiffness,
-            desired_stiffness=port.written[0] + port.declared.stiffness,
-        )
-        for port in rendering.ports
-        if port.channel in channels and port.schedule is not None
-    }
+def _span(port: Corrected) -> tuple[float, float]:
+    """Returns the least and the greatest mass (kg) of a channel that adapts."""
+    assert port.schedule is not None
+    return float(port.schedule.masses[0]), float(port.schedule.masses[-1])

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from loop_rig import frame, scene_of, scripted
+from loop_rig import scene_of
 
 import hapsim
-from hapsim.errors import DeviceError, UsageError
+from hapsim.errors import UsageError
 from hapsim.running import Excitation, run
 
 
@@ -44,14 +44,6 @@ def test_its_parameters_are_live_too() -> None:
                 session.stop()
     trace = session.trace
     np.testing.assert_allclose(trace.asked_force[-1], -100.0 * trace.position[-1], rtol=1e-9)
-
-
-def test_a_device_that_hangs_up_is_gone() -> None:
-    with scripted([frame(0, 0), frame(1, 1), None]) as (scene, _):
-        with pytest.raises(DeviceError, match="went away after 2 ticks") as caught:
-            run(scene, portable=True)
-        assert caught.value.trace is not None
-        assert caught.value.trace.sample.tolist() == [0, 1]
 
 
 def test_memory_is_no_port_for_it() -> None:

@@ -55,19 +55,13 @@ def test_an_exception_in_the_block_releases_the_device() -> None:
         assert not mock.commands.any()
 
 
-def test_a_device_that_goes_away_is_reported_when_the_block_is_left() -> None:
-    with scripted([frame(0, 0), None]) as (scene, _):
-        with pytest.raises(DeviceError, match="went away after 1 tick"), hapsim.start(scene) as session:
-            assert session.wait(30.0)
-        assert session.trace.report.ending == "device gone"
-
-
-def test_without_a_block_close_raises_what_ended_the_run_and_only_once() -> None:
+@pytest.mark.parametrize("leave", [lambda session: session.close(), lambda session: session.__exit__(None)])
+def test_what_ended_a_run_is_raised_when_it_is_left_or_closed_and_only_once(leave: Callable[[Session], None]) -> None:
     with scripted([frame(0, 0), None]) as (scene, _):
         session = hapsim.start(scene)
         assert session.wait(30.0)
         with pytest.raises(DeviceError, match="went away after 1 tick"):
-            session.close()
+            leave(session)
         session.close()
     assert session.trace.report.ending == "device gone"
 

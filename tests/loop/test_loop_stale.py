@@ -27,7 +27,7 @@ def on(clock: str, **device: Any) -> LoopMemory:
 
 def hear(loop: LoopMemory, number: int, at: int, kind: int = schema.POSITION) -> None:
     """The loop takes a position at FAR, at a time in ns."""
-    assert arrive(loop, frame(number, kind=kind), at) == HEARD
+    assert arrive(loop, frame(number, FAR, kind=kind), at) == HEARD
 
 
 def leaves(loop: LoopMemory, now: int) -> list[int]:

@@ -64,60 +64,34 @@ def test_the_thread_has_one_processor_while_it_lasts_and_all_it_had_afterwards(t
     assert (os.sched_getaffinity(thread_id), os.sched_getaffinity(0)) == (before, mine)
 
 
-def test_without_an_isolated_one_it_is_the_last_allowed_and_the_others_leave_it(machine: Machine) -> None:
+ALL = {0, 1, 2, 3}
+CASES: dict[str, tuple[str | None, list[set[int]], list[set[int]], str]] = {
+    "the last allowed": ("\n", [ALL] * 3, [{3}, {0, 1, 2}, {0, 1, 2}], "CPU 3; 2 other threads moved off it"),
+    "nothing says what is isolated": (None, [ALL] * 3, [{3}, {0, 1, 2}, {0, 1, 2}], "CPU 3; 2 other"),
+    "nonsense": ("none of them\n", [ALL] * 3, [{3}, {0, 1, 2}, {0, 1, 2}], "CPU 3; 2 other"),
+    "isolated": ("1-2\n", [{0, 3}] * 3, [{2}, {0, 3}, {0, 3}], "CPU 2, isolated from the scheduler"),
+    "isolated and allowed": ("1,3\n", [{0, 1}, {0}, {0}], [{1}, {0}, {0}], "CPU 1, isolated from the scheduler"),
+    "one of them is not there": ("2,7\n", [ALL] * 3, [{2}, {0, 1, 3}, {0, 1, 3}], "CPU 2, isolated from the"),
+    "none of them is there": ("6-7\n", [ALL] * 3, [{3}, {0, 1, 2}, {0, 1, 2}], "CPU 3; 2 other"),
+    "one allowed": ("\n", [{1}] * 3, [{1}] * 3, "CPU 1, the only one allowed: there was nothing to choose"),
+    "others have places of their own": ("\n", [ALL, {3}, {0, 1}], [{3}, {3}, {0, 1}], "CPU 3"),
+}
+"""What is isolated; where loop, main and another thread may run before, and while it lasts; and what is said."""
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_which_processor_it_is_and_who_leaves_it(case: str, machine: Machine) -> None:
+    isolated, before, inside, detail = CASES[case]
+    if isolated is None:
+        machine.isolated.unlink()
+    else:
+        machine.isolated.write_text(isolated, encoding="utf-8")
+    machine.affinity = dict(zip((LOOP, MAIN, OTHER), before, strict=True))
     with pinned(LOOP) as grant:
-        assert machine.affinity == {LOOP: {3}, MAIN: {0, 1, 2}, OTHER: {0, 1, 2}}
-    assert (grant.granted, grant.detail) == (True, "CPU 3; 2 other threads moved off it")
-    assert machine.affinity == everybody(0, 1, 2, 3)
-
-
-def test_an_isolated_one_is_preferred_though_it_is_not_among_the_allowed(machine: Machine) -> None:
-    machine.isolated.write_text("1-2\n", encoding="utf-8")
-    machine.affinity = everybody(0, 3)
-    with pinned(LOOP) as grant:
-        assert machine.affinity == {LOOP: {2}, MAIN: {0, 3}, OTHER: {0, 3}}
-    assert (grant.granted, grant.detail) == (True, "CPU 2, isolated from the scheduler")
-    assert machine.affinity == everybody(0, 3)
-
-
-def test_of_isolated_ones_an_allowed_one_is_preferred(machine: Machine) -> None:
-    machine.isolated.write_text("1,3\n", encoding="utf-8")
-    machine.affinity[LOOP] = {0, 1}
-    with pinned(LOOP):
-        assert machine.affinity[LOOP] == {1}
-
-
-def test_an_isolated_one_that_cannot_be_had_is_passed_over(machine: Machine) -> None:
-    machine.isolated.write_text("2,7\n", encoding="utf-8")
-    with pinned(LOOP) as grant:
-        assert machine.affinity[LOOP] == {2}
-    machine.isolated.write_text("6-7\n", encoding="utf-8")
-    with pinned(LOOP) as grant:
-        assert machine.affinity[LOOP] == {3}
-    assert "isolated" not in grant.detail
-
-
-@pytest.mark.parametrize("text", [None, "", "none of them\n"])
-def test_a_system_that_does_not_tell_what_is_isolated_has_nothing_isolated(text: str | None, machine: Machine) -> None:
-    machine.isolated.unlink()
-    if text is not None:
-        machine.isolated.write_text(text, encoding="utf-8")
-    with pinned(LOOP):
-        assert machine.affinity[LOOP] == {3}
-
-
-def test_where_one_is_allowed_there_is_nothing_to_choose_and_nobody_moves(machine: Machine) -> None:
-    machine.affinity = everybody(1)
-    with pinned(LOOP) as grant:
-        assert machine.affinity == everybody(1)
-    assert (grant.granted, grant.detail) == (True, "CPU 1, the only one allowed: there was nothing to choose")
-
-
-def test_a_thread_with_a_place_of_its_own_keeps_it(machine: Machine) -> None:
-    machine.affinity |= {MAIN: {3}, OTHER: {0, 1}}
-    with pinned(LOOP) as grant:
-        assert machine.affinity == {LOOP: {3}, MAIN: {3}, OTHER: {0, 1}}
-    assert grant.detail == "CPU 3"
+        assert list(machine.affinity.values()) == inside
+    assert grant.granted
+    assert grant.detail.startswith(detail)
+    assert list(machine.affinity.values()) == before
 
 
 def test_a_thread_that_ends_in_between_does_not_keep_the_others_from_their_places(machine: Machine) -> None:

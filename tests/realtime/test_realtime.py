@@ -22,6 +22,7 @@ from hapsim.loop.realtime.scheduling import idle_states_off as awake
 from hapsim.loop.realtime.scheduling import pinned
 from hapsim.loop.realtime.scheduling import scheduled_fifo as fifo
 
+Refuse = Callable[[str, int], None]
 # What each measure that can be refused is refused by.
 CALLS = {
     "memory locked": (locked, "hapsim.loop.realtime.privilege.call_c"),
@@ -33,9 +34,7 @@ CALLS = {
 
 @pytest.mark.parametrize("name", CALLS)
 @pytest.mark.usefixtures("root")
-def test_whatever_the_error_is_a_measure_is_denied_with_a_sentence(
-    name: str, thread_id: int, refuse: Callable[[str, int], None]
-) -> None:
+def test_whatever_the_error_is_a_measure_is_denied_with_a_sentence(name: str, thread_id: int, refuse: Refuse) -> None:
     ask, function = CALLS[name]
     for number in errno.errorcode:
         refuse(function, number)
@@ -69,9 +68,7 @@ def test_a_c_library_without_the_call_is_a_denial(thread_id: int, monkeypatch: p
     assert not no_timer_slack().granted
 
 
-def test_where_advice_cannot_be_had_the_denial_is_told_without(
-    thread_id: int, refuse: Callable[[str, int], None]
-) -> None:
+def test_where_advice_cannot_be_had_the_denial_is_told_without(thread_id: int, refuse: Refuse) -> None:
     refuse("resource.getrlimit", errno.EPERM)
     refuse("hapsim.loop.realtime.privilege.call_c", errno.ENOMEM)
     with locked(thread_id) as grant:
@@ -81,7 +78,7 @@ def test_where_advice_cannot_be_had_the_denial_is_told_without(
 @pytest.mark.parametrize("name", CALLS)
 @pytest.mark.parametrize(("number", "words"), [(errno.ESRCH, "ended"), (errno.ENOSYS, "does not have the call")])
 def test_no_thread_and_no_such_call_read_alike_for_every_measure(
-    name: str, number: int, words: str, thread_id: int, refuse: Callable[[str, int], None]
+    name: str, number: int, words: str, thread_id: int, refuse: Refuse
 ) -> None:
     ask, function = CALLS[name]
     refuse(function, number)
@@ -210,7 +207,7 @@ def test_what_was_granted_is_given_back_when_asking_for_the_next_fails(monkeypat
     assert told == ["one asked", "one undone"]
 
 
-def test_the_failure_of_a_body_does_not_carry_the_refusal_along(refuse: Callable[[str, int], None]) -> None:
+def test_the_failure_of_a_body_does_not_carry_the_refusal_along(refuse: Refuse) -> None:
     refuse("os.open", errno.EPERM)
     with pytest.raises(ValueError, match="the body's own") as caught, awake(1):
         raise ValueError("the body's own")
