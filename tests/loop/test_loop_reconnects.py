@@ -26,7 +26,7 @@ from hapsim.errors import DeviceError, GuardError
 from hapsim.recording.trace import load_trace
 from hapsim.running import Session, reconnecting
 from hapsim.running import session as session_module
-from hapsim.running.reconnecting import LOST, RunObserver, keep_running, record_of
+from hapsim.running.reconnecting import LOST, Lifetime, RunObserver, keep_running, record_of
 from hapsim.scene import Scene
 
 SOFTER = {"touch0": {"stiffness": 500.0}}
@@ -55,7 +55,18 @@ class Bench:
         self.link.unlink(missing_ok=True)
         self._plugged.close()
 
-    def observer(self, *on_start: Callable[[], None], on_waiting: Callable[[], None] = lambda: None) -> RunObserver:
+    def stop(self) -> None:
+        self.sessions[-1].stop()
+
+    def stop_in_time(self) -> None:
+        """Once it has exchanged something."""
+        while self.sessions[-1].progress().ticks < 5 and not self.sessions[-1].wait(1e-3):
+            pass
+        self.stop()
+
+    def keep(
+        self, scene: Scene, *on_start: Callable[[], None], on_waiting: Callable[[], object] = lambda: None, **how: Any
+    ) -> Lifetime:
         """`on_start`: at each arming the next; `on_waiting`: at the third glance of each waiting."""
 
         def started(session: Session) -> None:
@@ -72,7 +83,8 @@ class Bench:
             self.told.append(event)
             self.sentences.append(sentence)
 
-        return RunObserver(started=started, waiting=waiting, tell=tell)
+        observer = RunObserver(started=started, waiting=waiting, tell=tell)
+        return keep_running(scene, observer, **{"reconnect": True} | how)
 
 
 @pytest.fixture
@@ -100,17 +112,13 @@ def test_after_an_unplug_the_scene_goes_on_as_it_is_now(scene: Scene, bench: Ben
         bench.sessions[0].set(SOFTER)
         bench.unplug()
 
-    def stop_in_time() -> None:
-        while bench.sessions[1].progress().elapsed_s == 0.0 and not bench.sessions[1].wait(1e-3):
-            pass
-        bench.sessions[1].stop()
-
     record = tmp_path / "touch.npz"
     record_of(record, 1).write_text("of another day", encoding="utf-8")
-    lifetime = keep_running(
+    lifetime = bench.keep(
         scene,
-        bench.observer(change_and_unplug, stop_in_time, on_waiting=lambda: mocks.append(bench.plug(scene))),
-        reconnect=True,
+        change_and_unplug,
+        bench.stop_in_time,
+        on_waiting=lambda: mocks.append(bench.plug(scene)),
         record=record,
     )
     assert (lifetime.failure, lifetime.report.ending, lifetime.reconnections) == (None, "stopped", 1)
@@ -142,11 +150,7 @@ def test_a_port_that_is_back_and_does_not_answer_is_tried_again(
 
     monkeypatch.setattr(session_module, "describe", answers_at_last)
 
-    def stop() -> None:
-        bench.sessions[1].stop()
-
-    observer = bench.observer(bench.unplug, stop, on_waiting=lambda: bench.plug(scene))
-    lifetime = keep_running(scene, observer, reconnect=True)
+    lifetime = bench.keep(scene, bench.unplug, bench.stop, on_waiting=lambda: bench.plug(scene))
     assert (lifetime.failure, lifetime.reconnections, len(tries)) == (None, 1, 5)
     assert bench.told == ["lost", "waiting", "reconnected"]
 
@@ -155,8 +159,7 @@ def test_another_device_in_its_place_is_not_armed(scene: Scene, bench: Bench) ->
     bench.plug(scene)
     other = scene_of(rate=500.0)
     others: list[Any] = []
-    observer = bench.observer(bench.unplug, on_waiting=lambda: others.append(bench.plug(other)))
-    lifetime = keep_running(scene, observer, reconnect=True)
+    lifetime = bench.keep(scene, bench.unplug, on_waiting=lambda: others.append(bench.plug(other)))
     assert lifetime.failure is not None
     assert "the device samples at 500 Hz, the scene says 1000 Hz" in str(lifetime.failure)
     assert (lifetime.failure.exit_status, lifetime.reconnections) == (2, 0)
@@ -169,12 +172,7 @@ def test_a_device_that_restarted_is_not_armed_with_an_origin_that_it_has_lost(be
     scene = on_port(scene_of(device={"travel": [-0.05, 0.05], "origin": origin}), str(bench.link))
     others: list[Any] = []
     bench.plug(scene)
-
-    def stop() -> None:
-        bench.sessions[1].stop()
-
-    observer = bench.observer(bench.unplug, stop, on_waiting=lambda: others.append(bench.plug(scene)))
-    lifetime = keep_running(scene, observer, reconnect=True)
+    lifetime = bench.keep(scene, bench.unplug, bench.stop, on_waiting=lambda: others.append(bench.plug(scene)))
     if origin == "here":
         assert (lifetime.failure, lifetime.reconnections) == (None, 1)
         assert bench.sentences[-1].endswith("The device restarted: its position 0 is where it powered up or homed")
@@ -195,11 +193,7 @@ def test_behind_a_cable_alone_a_device_keeps_its_zero(bench: Bench) -> None:
             pass
         bench.unplug()
 
-    def stop() -> None:
-        bench.sessions[1].stop()
-
-    observer = bench.observer(unplug_once_it_has_forces, stop, on_waiting=lambda: bench.plug_in(mock))
-    lifetime = keep_running(scene, observer, reconnect=True)
+    lifetime = bench.keep(scene, unplug_once_it_has_forces, bench.stop, on_waiting=lambda: bench.plug_in(mock))
     assert (lifetime.failure, lifetime.reconnections) == (None, 1)
     assert bench.sentences[-1].endswith("the scene goes on as it is now")
 
@@ -207,14 +201,14 @@ def test_behind_a_cable_alone_a_device_keeps_its_zero(bench: Bench) -> None:
 def test_what_a_guard_stopped_is_not_begun_again(bench: Bench) -> None:
     scene = on_port(scene_of(stiffness=1e308, damping=1e308), str(bench.link))
     bench.plug(scene)
-    lifetime = keep_running(scene, bench.observer(lambda: None), reconnect=True)
+    lifetime = bench.keep(scene, lambda: None)
     assert isinstance(lifetime.failure, GuardError)
     assert (bench.told, len(bench.sessions)) == ([], 1)
 
 
 def test_without_being_asked_for_nothing_is_waited_for(scene: Scene, bench: Bench) -> None:
     bench.plug(scene)
-    lifetime = keep_running(scene, bench.observer(bench.unplug), reconnect=False)
+    lifetime = bench.keep(scene, bench.unplug, reconnect=False)
     assert lifetime.failure is not None
     assert (lifetime.failure.exit_status, bench.told) == (3, [])
 
@@ -222,8 +216,7 @@ def test_without_being_asked_for_nothing_is_waited_for(scene: Scene, bench: Benc
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_ends_the_waiting(scene: Scene, bench: Bench, number: signal.Signals) -> None:
     bench.plug(scene)
-    observer = bench.observer(bench.unplug, on_waiting=lambda: os.kill(os.getpid(), number))
-    lifetime = keep_running(scene, observer, reconnect=True)
+    lifetime = bench.keep(scene, bench.unplug, on_waiting=lambda: os.kill(os.getpid(), number))
     assert (lifetime.failure, lifetime.report.ending, lifetime.reconnections) == (None, "stopped", 0)
 
 
@@ -234,8 +227,7 @@ def test_a_signal_ends_the_next_handshake(scene: Scene, bench: Bench, monkeypatc
         bench.unplug()
         monkeypatch.setattr(session_module, "describe", lambda _: os.kill(os.getpid(), signal.SIGTERM))
 
-    observer = bench.observer(unplug, on_waiting=lambda: mocks.append(bench.plug(scene)))
-    lifetime = keep_running(scene, observer, reconnect=True)
+    lifetime = bench.keep(scene, unplug, on_waiting=lambda: mocks.append(bench.plug(scene)))
     assert (lifetime.failure, lifetime.report.ending, bench.told) == (None, "stopped", ["lost"])
     assert mocks[1].board.state == schema.IDLE
 
@@ -248,7 +240,7 @@ def test_its_time_goes_on_while_a_device_is_waited_for(
     seconds = itertools.count(0.0)
     clock = SimpleNamespace(monotonic=lambda: next(seconds), sleep=lambda _: None)
     monkeypatch.setattr(reconnecting, "time", clock)
-    lifetime = keep_running(scene, bench.observer(bench.unplug), reconnect=True, duration=1000.0)
+    lifetime = bench.keep(scene, bench.unplug, duration=1000.0)
     assert isinstance(lifetime.failure, DeviceError)
     assert "was lost and did not come back within the duration of 1000 s" in str(lifetime.failure)
     assert (lifetime.report.ending in LOST, lifetime.report.released, lifetime.reconnections) == (True, False, 0)
@@ -267,8 +259,7 @@ def test_the_time_of_every_wait_counts_not_of_the_last_one_alone(
         bench.plug(scene)
         now[0] += 600.0
 
-    observer = bench.observer(bench.unplug, bench.unplug, on_waiting=back_later)
-    lifetime = keep_running(scene, observer, reconnect=True, duration=1000.0)
+    lifetime = bench.keep(scene, bench.unplug, bench.unplug, on_waiting=back_later, duration=1000.0)
     assert "did not come back within the duration of 1000 s" in str(lifetime.failure)
     assert (len(bench.sessions), lifetime.reconnections) == (2, 1)
 

@@ -75,44 +75,35 @@ def test_a_port_that_is_in_use_is_reported_as_such(terminal: tuple[int, str]) ->
     open_serial_port(terminal[1], BAUD).close()
 
 
+DIALOUT = "not permitted. On most systems: add yourself to the group dialout"
+
+
 @pytest.mark.parametrize(
-    ("number", "told"),
+    ("refusal_of", "told"),
     [
-        (errno.EACCES, "not permitted. On most systems: add yourself to the group dialout"),
+        (errno.EACCES, DIALOUT),
         (errno.EPERM, "not permitted"),
         (errno.EBUSY, "another program is using the port"),
         (errno.EIO, "cannot be opened: "),
-        (errno.ENXIO, "cannot be opened: "),
-    ],
-)
-def test_what_the_system_refuses_is_reported_with_what_to_do(
-    monkeypatch: pytest.MonkeyPatch, number: int, told: str
-) -> None:
-    """Root is refused nothing, so the system's answer is put in its mouth, in the words of pyserial."""
-
-    def refuse(path: str, *_args: object, **_options: object) -> None:
-        raise serial.SerialException(number, f"could not open port {path}: [Errno {number}] {os.strerror(number)}")
-
-    monkeypatch.setattr(serial, "Serial", refuse)
-    assert told in refusal("/dev/ttyACM0")
-
-
-@pytest.mark.parametrize(
-    ("reason", "told"),
-    [
+        # On Windows pyserial's error has no number, only the words of the system's own.
         ("FileNotFoundError(2, 'The system cannot find the file specified.', None, 2)", "no such port. Ports found: "),
         ("PermissionError(13, 'Access is denied.', None, 5)", "another program is using the port"),
         ("OSError(22, 'A device attached to the system is not functioning.', None, 31)", "cannot be opened: "),
     ],
 )
-def test_what_windows_refuses_comes_with_what_to_do(monkeypatch: pytest.MonkeyPatch, reason: str, told: str) -> None:
-    """There pyserial's error has no number, only the words of the system's own."""
+def test_what_the_system_refuses_is_reported_with_what_to_do(
+    monkeypatch: pytest.MonkeyPatch, refusal_of: int | str, told: str
+) -> None:
+    """Root is refused nothing, so the system's answer is put in its mouth, in the words of pyserial."""
 
     def refuse(path: str, *_args: object, **_options: object) -> None:
-        raise serial.SerialException(f"could not open port {path!r}: {reason}")
+        if isinstance(refusal_of, str):
+            raise serial.SerialException(f"could not open port {path!r}: {refusal_of}")
+        words = f"[Errno {refusal_of}] {os.strerror(refusal_of)}"
+        raise serial.SerialException(refusal_of, f"could not open port {path}: {words}")
 
     monkeypatch.setattr(serial, "Serial", refuse)
-    assert told in refusal("COM3")
+    assert told in refusal("/dev/ttyACM0" if isinstance(refusal_of, int) else "COM3")
 
 
 def test_an_empty_name_is_no_port() -> None:

@@ -46,7 +46,7 @@ def test_what_a_correction_costs_is_timed_with_it() -> None:
     spring = OneSpring()
     running = Running(spring.scene("correction: predictor", "double", 1000.0))
     running.advance(10)
-    io = running._corrected.record.io
+    io = running._loop.io
     assert io.velocity[0] != 0.0
     (rendered_K, rendered_B) = rendered(spring.scene("correction: predictor", "double", 1000.0)).ports[0].rendered
     assert io.asked[0] == pytest.approx(-rendered_K * io.measured[0] - rendered_B * io.velocity[0], rel=1e-9)
