@@ -102,8 +102,7 @@ def put_bytes(last: Any, buffer: NDArray[np.uint8], data: bytes) -> None:
 
 
 def fetch_in_python(inbox: Any, transport: PythonTransport, timeout_ns: int) -> int:
-    """Reads what has arrived into an inbox that is used up, outside the compiled loop. Returns the count, or a code of
-    endings.py."""
+    """Reads what has arrived into an inbox that is used up: the count, or a code of endings.py."""
     at = int(next_place(inbox.last))
     inbox.start = inbox.stop = at
     count = transport.receive(inbox.bytes[at : at + AT_ONCE], timeout_ns)

@@ -48,8 +48,7 @@ _slot_at, _io_at, _doubles_at = record_at(SCENE_SLOT), record_at(IO_BUFFER), arr
 
 @inlined
 def move_scene(slot, io, samples):
-    """Moves the scene by `samples`; the force in each hand is then in `io.asked`. Positions and velocities of the hands
-    are interpolated between the last sample and this one."""
+    """Moves the scene by `samples`, the hands along a line; the force in each is then in `io.asked`."""
     compact()
     for i in range(1, samples + 1):
         position, velocity = io.measured, io.velocity

@@ -234,8 +234,7 @@ def _answer(loop, gap, late, flags, now):
 
 @inlined
 def _apply_sent_force_guards(loop, gap, late, withheld, now):
-    """Applies the guards that compare this force with those that left before: (whether its counts changed,
-    ENERGY_EXCEEDED, WRONG_SIGN or 0)."""
+    """Applies the guards that compare forces: (whether its counts changed, the code that stops the loop or 0)."""
     compact()
     state, io, history = loop.state, loop.io, loop.history
     since = state.sent_ns if loop.control.clock == HOST_CLOCK else state.newest_ns
@@ -258,8 +257,7 @@ def _apply_sent_force_guards(loop, gap, late, withheld, now):
 
 @inlined
 def compose_frame(loop, disarm):
-    """Writes the frame with the force that answers the newest position into the outbox; or the one that disarms, with
-    zero force, the last frame of every loop. Returns where the frame ends."""
+    """Writes the frame with the newest force, or the one that disarms, into the outbox. Returns where it ends."""
     compact()
     io = loop.io
     state, control = loop.state, loop.control
@@ -364,8 +362,7 @@ def _excitation(control, state):
 
 @inlined
 def _set_force(io, control, state):
-    """Adds the excitation, limits the force and turns it into counts: (whether it is a number, whether it was
-    clipped)."""
+    """Adds the excitation, limits the force, makes it counts: (whether it is a number, whether it was clipped)."""
     compact()
     excitation = _excitation(control, state)
     io.excitation[np.uint64(control.pulse_channel)] = excitation

@@ -125,8 +125,7 @@ def estimate_mass(estimate, predictor, forces, c, position):
 
 @helper
 def _sum_over_span(estimate, ring, c, age):
-    """Sums motion, forces and velocity over L samples, `age` samples after the first known force. Returns whether
-    differences over D samples can be taken of them."""
+    """Sums over L samples, `age` after the first known force. Returns whether there is enough for D differences."""
     n, L = estimate.seen, estimate.span[c]
     now, then = n & _MASK, (n - L) & _MASK
     if age == 0:

@@ -109,8 +109,7 @@ def mark_last(ring, flag):
 
 @inlined
 def withhold_last(ring):
-    """Makes the last row, while the reader cannot see it yet, that of a withheld force. Returns 1 if it was LIMITED,
-    else 0."""
+    """Makes the last row, still unpublished, that of a withheld force. Returns 1 if it was LIMITED, else 0."""
     if ring.unpublished == 0:
         return 0
     row = _words_at(ring.newest, ring.width)

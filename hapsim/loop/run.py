@@ -61,8 +61,7 @@ def _wait_until_armed(loop):
 
 @inlined
 def take_received_frames(loop, inbox, arrived):
-    """Takes every frame among the bytes that have arrived: HEARD, TIMED_OUT, or one of endings.py that ends the loop.
-    It makes no system call."""
+    """Takes every frame among the received bytes: HEARD, TIMED_OUT, or a code that ends the loop."""
     heard = TIMED_OUT
     while inbox.start < inbox.stop:
         inbox.start, found = next_frame(inbox.decoder, inbox.bytes, inbox.start, inbox.stop)
@@ -100,8 +99,7 @@ def _take_newest_position(loop, begun, timeout_ns):
 
 @inlined
 def _send_frame(loop, disarm):
-    """Sends the force that answers the newest position; to `disarm`, zero force, the last frame of every loop whatever
-    ended it: 0, or HUNG_UP or FAILED."""
+    """Sends the newest force, or at the end of the loop zero force that disarms: 0, HUNG_UP or FAILED."""
     io, stop = loop.io, compose_frame(loop, disarm)
     code = send(inbox_at(loop.inbox).transport, io.outbox, io.sent.at, stop)
     io.sent.at = stop

@@ -61,8 +61,7 @@ def now_ns(scratch):  # noqa: ARG001
 
 
 def sleep_until(deadline_ns, scratch):  # noqa: ARG001
-    """Sleeps until an absolute monotonic time. A deadline already past costs no system call. In plain Python it is
-    Python's own sleep."""
+    """Sleeps until an absolute monotonic time (ns); a past one costs no system call. In plain Python, by `time`."""
     time.sleep(max(deadline_ns - time.monotonic_ns(), 0) * 1e-9)
 
 

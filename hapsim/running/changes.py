@@ -104,8 +104,7 @@ class LiveScene:
         self.scene, self._loop.rendered_scene = scene, rendering.scene
 
     def _replace(self, scene: Scene, samples: int) -> None:
-        """Compiles the program of `scene` and crossfades to it. Live parameters can be set meanwhile: only the last
-        lines hold the lock."""
+        """Compiles the program of `scene` and crossfades to it. Only the last lines hold the lock."""
         rendering = rendered(scene)
         after = rendering.scene
         program, is_shaken = compile_scene(after), self._is_shaken_by(scene)

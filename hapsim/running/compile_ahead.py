@@ -1,8 +1,8 @@
 """Compiling before a run needs it: in `start`, and by `hapsim compile`. Half of it goes to a second process.
 
-A run needs the loop and, where the device is a mock in this process, the mock; neither knows the other. Scenes are
-made of module types on top of that. `python -m hapsim.running.compile_ahead mock` is the second process: it prints the
-name of each function as its compilation begins, and leaves the machine code where the first process finds it.
+A run needs the loop, the module types of its scene and, with a mock in this process, the mock.
+`python -m hapsim.running.compile_ahead mock` is the second process: it prints the name of each function as its
+compilation begins, and leaves the machine code where the first process finds it.
 """
 
 from __future__ import annotations
@@ -159,8 +159,8 @@ DEVICE_UNITS: dict[Place, tuple[str, ...]] = {
 
 
 def compile_ahead(names: Iterable[str], counted: Counted, then: Callable[[], None] = lambda: None) -> None:
-    """Compiles these units, or loads them. `counted` learns what to expect and what the second process compiles.
-    `then`: compiles more here, before the second process is waited for."""
+    """Compiles or loads these units. `counted` counts both processes; `then` compiles more here, before the wait for
+    the second process."""
     missing = [name for name in names if not UNITS[name].is_kept()]
     counted.expect(sum(UNITS[name].functions for name in missing))
     second = [name for name in missing if UNITS[name].in_second_process]
@@ -176,8 +176,8 @@ def compile_ahead(names: Iterable[str], counted: Counted, then: Callable[[], Non
 
 @contextlib.contextmanager
 def _second_process(names: Sequence[str], heard: Callable[[str], None]) -> Iterator[Callable[[], None]]:
-    """Compiles units in another process while open, where there is a second processor; yields what waits for it. If it
-    fails, nothing is lost: whoever needs the units compiles them."""
+    """While open, compiles units in another process, if there is a second processor; yields a function that waits for
+    it. If it fails, the first process compiles them."""
     process = _start_compiling(names) if names and (os.cpu_count() or 1) > 1 else None
     if process is None:
         yield lambda: None
@@ -198,7 +198,7 @@ def _second_process(names: Sequence[str], heard: Callable[[str], None]) -> Itera
 
 
 def _start_compiling(names: Sequence[str]) -> subprocess.Popen[str] | None:
-    """The process; None where Python cannot be started a second time, as when it is embedded in another program."""
+    """Returns the process; None where Python cannot be started again, as when it is embedded in another program."""
     # -P keeps files beside a user's scenes from being imported as ours; the paths are this process's own.
     command = [sys.executable or "", "-P", "-m", "hapsim.running.compile_ahead", *names]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
@@ -210,13 +210,10 @@ def _start_compiling(names: Sequence[str]) -> subprocess.Popen[str] | None:
 
 
 def main(names: list[str]) -> None:
-    """The second process."""
+    """Compiles these units: the second process."""
     with on_compilation(lambda name: print(name, flush=True)):
         for name in names:
             UNITS[name].compile()
-
-
-# hapsim compile
 
 
 @dataclass(frozen=True)
@@ -226,12 +223,11 @@ class Prepared:
     functions: int
     seconds: float
     directory: Path | None
-    """Where machine code is kept; None where nothing can be written, so that nothing was gained."""
+    """Where machine code is kept; None where nothing can be written."""
 
 
 def prepare(scenes: Sequence[Scene] = (), on_progress: Callable[[Progress], None] = lambda _: None) -> Prepared:
-    """Compiles what `scenes` need to run, to be measured, and to be changed while they run; without scenes, what any
-    scene could need. Afterwards nothing is compiled at their start."""
+    """Compiles what `scenes` need to run, to be measured and changed; without scenes, what any could need."""
     from hapsim.device.open_connection import place_of_device
     from hapsim.prediction.timing import wire_of
 

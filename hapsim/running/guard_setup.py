@@ -56,8 +56,7 @@ def set_travel(travel: Any, scene: Scene, description: Description) -> None:
 
 
 def set_slew(loop: Any, scene: Scene, description: Description, bounds: ForceBounds) -> None:
-    """Fills the SLEW of `loop`, a LOOP, where the force has a slew limit or a soft start. Raises UsageError where a
-    step would be less than a count of the force."""
+    """Fills the SLEW of a LOOP, if it needs one. Raises UsageError where a step would be less than a count."""
     slew, is_limited = loop.slew, math.isfinite(bounds.slew_limit)
     if not is_limited and bounds.soft_start_s <= 0.0:
         return

@@ -49,24 +49,22 @@ def statistics_of(loop: LoopMemory) -> Statistics:
 
 def progress_of(loop: LoopMemory) -> Progress:
     """Returns the state of a loop now."""
-    state, io = loop.state, loop.record.io
+    state, io, used = loop.state, loop.record.io, slice(loop.wire.channels)
     elapsed = (int(state.newest_ns) - int(state.first_ns)) * 1e-9
-    ticks = int(state.ticks)
     return Progress(
         "running",
         elapsed_s=elapsed,
-        rate_hz=(ticks - 1) / elapsed if elapsed > 0 else 0.0,
-        force=tuple((io.force_counts * io.force_scale)[: loop.wire.channels].tolist()),
-        position=tuple(io.measured[: loop.wire.channels].tolist()),
+        rate_hz=(int(state.ticks) - 1) / elapsed if elapsed > 0 else 0.0,
+        force=tuple((io.force_counts * io.force_scale)[used].tolist()),
+        position=tuple(io.measured[used].tolist()),
         age_samples=int(state.age),
-        ticks=ticks,
         **_counts_of(loop),
     )
 
 
 def _counts_of(loop: LoopMemory) -> dict[str, Any]:
     """What Progress and Report have in common."""
-    counts = ("deadline_misses", "limited_ticks", "slewed_ticks", "faded_ticks")
+    counts = ("ticks", "deadline_misses", "limited_ticks", "slewed_ticks", "faded_ticks")
     masses = {} if loop.correction is None else loop.correction.masses(loop.wire.channels)
     slowed = {"slowed_ticks": int(loop.record.tank.slowed_ticks)}
     return {name: int(getattr(loop.state, name)) for name in counts} | slowed | masses
@@ -76,14 +74,12 @@ def report_of(scene: Scene, loop: LoopMemory, ending: str) -> Report:
     """Returns the report of a loop, while it runs or afterwards."""
     state, decoder, statistics = loop.state, loop.inbox.decoder, statistics_of(loop)
     virtual = scene.device.clock == "lockstep"
-    ticks = int(state.ticks)
-    samples = max(ticks - 1, 0)
+    samples = max(int(state.ticks) - 1, 0)
     elapsed = (int(state.newest_ns) - int(state.first_ns)) * 1e-9
     if virtual:
         elapsed = (samples + int(state.lost_frames)) / scene.rate
     return Report(
         ending=ending,
-        ticks=ticks,
         duration_s=elapsed,
         rate_hz=samples / elapsed if elapsed > 0 else 0.0,
         nominal_rate_hz=scene.rate,
@@ -120,24 +116,19 @@ def _unfinished_bytes(loop: LoopMemory) -> int:
 
 
 def failure_of(name: str, scene: Scene, loop: LoopMemory, trace: Trace, ending: int) -> RunError | None:
-    """Returns the error of a run that did not end as asked, or whose device did not confirm that it released the
-    force; it carries the trace. `name`: the port, as the user calls it."""
+    """Returns the error, with the trace, of a run that did not end as asked or whose device did not release."""
     report = trace.report
     kind, sentence = _FAILURES.get(ending, (DeviceError, None))
     if sentence is None and report.released:
         return None
     sentence = sentence or "the run ended as asked after {report.ticks} ticks"
     what = sentence(loop, report) if callable(sentence) else sentence.format(loop=loop.record, report=report)
-    error = kind(f"{name}: {what}; {_where_the_force_is(scene, loop, bool(report.released))}")
-    error.trace = trace
-    return error
+    return _with_trace(kind(f"{name}: {what}; {_where_the_force_is(scene, loop, bool(report.released))}"), trace)
 
 
 def with_sentence(failure: RunError, sentence: str) -> RunError:
     """Returns the same error with a sentence added."""
-    longer = type(failure)(f"{failure}{sentence}")
-    longer.trace = failure.trace
-    return longer
+    return _with_trace(type(failure)(f"{failure}{sentence}"), failure.trace)
 
 
 def record_failure(failure: RunError | None, name: str, record: RecordFile | None, trace: Trace) -> RunError | None:
@@ -146,7 +137,11 @@ def record_failure(failure: RunError | None, name: str, record: RecordFile | Non
         return failure
     if failure is not None:
         return with_sentence(failure, f". And {record.problem}")
-    error = RecordError(f"{name}: the run ended as asked after {trace.report.ticks} ticks, and {record.problem}")
+    ended = f"{name}: the run ended as asked after {trace.report.ticks} ticks, and {record.problem}"
+    return _with_trace(RecordError(ended), trace)
+
+
+def _with_trace(error: RunError, trace: Trace | None) -> RunError:
     error.trace = trace
     return error
 
@@ -177,7 +172,7 @@ def _out_of_travel(loop: LoopMemory, report: Report) -> str:
 def _position_leapt(loop: LoopMemory, report: Report) -> str:
     leap = loop.record.leap
     return (
-        f"the position of channel {leap.channel} leapt at tick {report.ticks}: {rounded_up(leap.leapt_m)} m away from "
+        f"the position of channel {leap.channel} leapt at tick {report.ticks}: {leap.leapt_m:.4g} m away from "
         f"where its motion led, where no hand gets farther than {rounded_down(leap.bound_m)} m (hapsim/STABILITY.md); "
         "its force was not sent. A loose cable, a sensor or counter that jumps, or a position scale, a mass or a "
         "force_limit that is not the device's"
@@ -187,8 +182,8 @@ def _position_leapt(loop: LoopMemory, report: Report) -> str:
 def _diverging(loop: LoopMemory, report: Report) -> str:
     """Returns what the energy guard found, and what to do."""
     energy = loop.record.energy_guard
-    is_unstable = loop.energy_guard is not None and loop.energy_guard.is_unstable
     why, account = int(energy.why), int(energy.account)
+    is_unstable = loop.energy_guard is not None and loop.energy_guard.is_unstable
     on_what = "on a scene that is predicted unstable" if is_unstable else ""
     if why == SWINGING:
         found = (

@@ -237,8 +237,7 @@ class _Keeper:
         return self.duration - spent - waiting
 
     def _run_once(self) -> HapsimError | None:
-        """Runs a session from open to disarm, and returns the error of one that did not end as asked. Raises where the
-        device was not armed."""
+        """Runs one session; returns the error of one that ended otherwise than asked. Raises if it did not arm."""
         self.starting = True
         failure: RunError | None = None
         try:

@@ -58,8 +58,7 @@ def require_runnable(scene: Scene, options: RunOptions) -> None:
 
 
 def require_not_less_stable(before: Scene, scene: Scene) -> None:
-    """Raises UsageError where `scene` is certainly unstable, and more so than `before`, which runs: an unstable scene
-    may be made less so."""
+    """Raises UsageError where `scene` is certainly unstable, and more so than `before`, which runs."""
     shaken = surely_shaken_by(scene)
     if shaken is None:
         return

@@ -344,8 +344,7 @@ class Session:
         self._trace = replace(trace, report=file.finish(trace.report, trace.statistics))
 
     def _with_report(self, failure: RunError) -> RunError:
-        """Writes the report file of a run that ended in `failure`. Returns the failure with its path, or with the
-        reason why there is none."""
+        """Writes the report file of a failed run. Returns the failure with its path, or with why there is none."""
         directory = self._options.reports
         if directory is None and self._place != "port":
             return failure

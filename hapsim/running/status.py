@@ -68,8 +68,7 @@ def path_for(port: str | None) -> Path:
 
 
 def sockets(port: str | None = None) -> list[Path]:
-    """Returns every default socket, of any port or of this one. Skips directories of other users, whose sockets could
-    send anything."""
+    """Returns every default socket, of any port or of this one, but not those of other users."""
     name = ("*" if port is None else _name(port)) + _ENDING
     found: dict[Path, None] = {}
     for folder in _folders():

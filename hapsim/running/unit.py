@@ -53,8 +53,7 @@ def unit_for(scene: str, port: str, *, of_user: bool = False, watch: bool = Fals
 
 
 def closed_to_service(scene: str) -> str:
-    """Returns why the system's service could not read this scene, this interpreter or hapsim, in a sentence; "" where
-    it can. The unit takes even root's right to pass over permissions away."""
+    """Returns why the system's service could not read the scene, the interpreter or hapsim; "" where it can."""
     account = _account()
     groups = [0] if account.number == 0 else os.getgrouplist(account.name, account.group)
     for what, file in (("the scene", scene), ("the interpreter", sys.executable), ("hapsim", __file__)):

@@ -76,8 +76,7 @@ class WatchedFile:
 
 
 def _stamp(path: str) -> tuple[int, ...] | None:
-    """Returns what identifies a state of the file; None while there is no regular file, or an empty one, as some
-    editors leave it while they write."""
+    """Returns what identifies a state of the file; None where it is missing, empty or not a regular file."""
     try:
         status = os.stat(path)
     except OSError:

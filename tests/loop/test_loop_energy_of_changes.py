@@ -158,45 +158,28 @@ def linked(**modules: Any) -> Scene:
 
 X = 0.03
 BETWEEN = {"between": ["hand", "wall"]}
-FRICTION = BETWEEN | {"type": "friction", "force": 4.0, "stiffness": 100.0}
 CELL = {"cell": {"type": "cell", "mass": 0.1, "stiffness": 50.0}}
 TIED = CELL | {"tied": {"type": "spring", "between": ["hand", "cell"], "stiffness": 10.0}}
+
+
+def link(kind: str, **values: Any) -> dict[str, Any]:
+    return {"a": BETWEEN | {"type": kind} | values}
 
 
 @pytest.mark.parametrize(
     ("modules", "change", "added"),
     [
-        ({"a": BETWEEN | {"type": "spring", "stiffness": 100.0}}, {"a": {"stiffness": 300.0}}, 100.0 * X**2),
-        ({"a": BETWEEN | {"type": "spring", "stiffness": 300.0}}, {"a": {"stiffness": 100.0}}, -100.0 * X**2),
-        (
-            {"a": BETWEEN | {"type": "viscoelastic", "stiffness": 100.0, "damping": 1.0}},
-            {"wall": {"position": 0.01}},
-            50.0 * (0.02**2 - X**2),
-        ),
-        (
-            {"a": BETWEEN | {"type": "buffer", "stiffness": 100.0, "distance": 0.0}},
-            {"a": {"distance": 0.05}},
-            50.0 * 0.02**2,
-        ),
-        ({"a": BETWEEN | {"type": "buffer", "stiffness": 100.0}}, {"a": {"stiffness": 900.0}}, 0.0),
-        (
-            {"a": {"type": "buffer", "between": ["wall", "hand"], "stiffness": 100.0}},
-            {"a": {"stiffness": 300.0}},
-            100.0 * X**2,
-        ),
-        (
-            {"a": BETWEEN | {"type": "plectrum", "stiffness": 100.0, "release": 0.1}},
-            {"a": {"stiffness": 300.0}},
-            100.0 * X**2,
-        ),
-        ({"a": FRICTION}, {"a": {"stiffness": 120.0}}, 10.0 * X**2),
+        (link("spring", stiffness=100.0), {"a": {"stiffness": 300.0}}, 100.0 * X**2),
+        (link("spring", stiffness=300.0), {"a": {"stiffness": 100.0}}, -100.0 * X**2),
+        (link("viscoelastic", stiffness=100.0, damping=1.0), {"wall": {"position": 0.01}}, 50.0 * (0.02**2 - X**2)),
+        (link("buffer", stiffness=100.0, distance=0.0), {"a": {"distance": 0.05}}, 50.0 * 0.02**2),
+        (link("buffer", stiffness=100.0), {"a": {"stiffness": 900.0}}, 0.0),
+        (link("buffer", between=["wall", "hand"], stiffness=100.0), {"a": {"stiffness": 300.0}}, 100.0 * X**2),
+        (link("plectrum", stiffness=100.0, release=0.1), {"a": {"stiffness": 300.0}}, 100.0 * X**2),
+        (link("friction", force=4.0, stiffness=100.0), {"a": {"stiffness": 120.0}}, 10.0 * X**2),
         (TIED, {"cell": {"rest": 0.02}}, 25.0 * 0.02**2),
         (TIED, {"tied": {"stiffness": 20.0}}, 5.0 * X**2),
-        (
-            CELL | {"a": BETWEEN | {"type": "damper", "damping": 1.0}},
-            {"a": {"damping": 2.0}, "cell": {"rest": 1.0}},
-            0.0,
-        ),
+        (CELL | link("damper", damping=1.0), {"a": {"damping": 2.0}, "cell": {"rest": 1.0}}, 0.0),
     ],
 )
 def test_a_change_adds_what_mechanics_says(

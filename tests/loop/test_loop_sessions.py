@@ -93,7 +93,7 @@ def test_parameters_are_set_by_the_names_of_the_scene() -> None:
         ({"touch0": {"damper": "centred"}}, 0.0, "found 'damper', but of a viscoelastic"),
         ({"hand0": {"channel": 1}}, 0.0, "of a device nothing can change"),
         ({"touch0": {"stiffness": -1.0}}, 0.0, r"touch0.stiffness: found -1.0, expected a number >= 0 \(N/m\)"),
-        ({"touch0": {"damping": float("nan")}}, 0.0, "expected a finite number"),
+        ({"touch0": {"damping": float("nan")}}, 0.0, "expected a number"),
         ({"touch0": {"stiffness": 5.0}, "wall": {"position": "x"}}, 0.0, "wall.position: found 'x'"),
         ({"touch0": {"stiffness": 5.0}}, -1.0, "over: found -1.0 s"),
         ({"touch0": {"stiffness": 5.0}}, float("inf"), "over: found inf s"),

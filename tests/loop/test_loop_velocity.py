@@ -71,15 +71,16 @@ def test_a_device_that_senses_no_velocity_is_refused_with_the_links_that_ask_and
         )
 
 
-def test_only_the_links_that_take_a_sensed_velocity_are_named() -> None:
-    modules = {
-        "hand": {"type": "device", "channel": 0},
-        "wall": {"type": "ground"},
-        "rub": {"type": "viscoelastic", "between": ["hand", "wall"], "stiffness": 1, "damper": "sensed"},
-        "touch": {"type": "viscoelastic", "between": ["hand", "wall"], "stiffness": 1},
-    }
+def on_hand(**modules: dict[str, Any]) -> Scene:
+    """A scene of one hand and a wall, with these modules."""
+    modules = {"hand": {"type": "device", "channel": 0}, "wall": {"type": "ground"}} | modules
     device = {"mass": 0.2, "clock": "lockstep"}
-    scene = parse_scene(yaml.safe_dump({"version": 1, "rate": 1000, "device": device, "modules": modules}))
+    return parse_scene(yaml.safe_dump({"version": 1, "rate": 1000, "device": device, "modules": modules}))
+
+
+def test_only_the_links_that_take_a_sensed_velocity_are_named() -> None:
+    touch = {"type": "viscoelastic", "between": ["hand", "wall"], "stiffness": 1}
+    scene = on_hand(rub=touch | {"damper": "sensed"}, touch=touch)
     with scripted(scene=scene) as (there, _), pytest.raises(UsageError, match="velocity, but rub asks for it"):
         run(there, duration=0.01)
 
@@ -113,19 +114,8 @@ def test_a_sensed_damper_brakes_by_the_velocity_on_the_wire_and_not_by_the_way_g
 
 
 def test_a_mass_is_led_past_lost_velocities_as_if_they_had_run_along_a_straight_line() -> None:
-    modules = {
-        "hand": {"type": "device", "channel": 0},
-        "ball": {"type": "mass", "mass": 0.01},
-        "tie": {
-            "type": "viscoelastic",
-            "between": ["hand", "ball"],
-            "stiffness": 500,
-            "damping": 1,
-            "damper": "sensed",
-        },
-    }
-    device = {"mass": 0.2, "clock": "lockstep"}
-    scene = parse_scene(yaml.safe_dump({"version": 1, "rate": 1000, "device": device, "modules": modules}))
+    tie = {"type": "viscoelastic", "between": ["hand", "ball"], "stiffness": 500, "damping": 1, "damper": "sensed"}
+    scene = on_hand(ball={"type": "mass", "mass": 0.01}, tie=tie)
     x, v = np.arange(9) * 40, np.array([0, 100, 100, 0, -100, -200, -300, 300, 50])
     traces = []
     for numbers in (range(9), [0, 1, 2, 6, 7, 8]):

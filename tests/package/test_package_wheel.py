@@ -94,7 +94,18 @@ def hapsim(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Callable[..
 def test_everything_that_the_clone_has_is_in_the_wheel(contents: dict[str, str]) -> None:
     found = [path for package in PACKAGES for path in (REPOSITORY / package).rglob("*") if path.is_file()]
     ours = [path for path in found if "__pycache__" not in path.parts]
-    assert {path.suffix for path in ours} == {".py", ".md", ".json", ".yaml", ".h", ".c", ".ld", ".typed", ""}
+    assert {path.suffix for path in ours} == {
+        ".py",
+        ".md",
+        ".json",
+        ".yaml",
+        ".h",
+        ".c",
+        ".ld",
+        ".service",
+        ".typed",
+        "",
+    }
     for path in ours:
         assert contents[path.relative_to(REPOSITORY).as_posix()] == path.read_text(encoding="utf-8")
     for path in (REPOSITORY / "configs").rglob("*.yaml"):

@@ -131,8 +131,7 @@ _energy_at, _history_at, _io_at = record_at(ENERGY_GUARD), record_at(FORCE_HISTO
 
 @native(JUDGE_ENERGY.return_type, *JUDGE_ENERGY.args)
 def judge_energy(energy, history, io, gap):
-    """Adds the energy of the last `gap` samples; why the loop has to stop, or 0. `history` and `io`: with the force
-    that answers this sample."""
+    """Adds the energy of the last `gap` samples. Returns why the loop has to stop, or 0."""
     energy, history, io = _energy_at(energy), _history_at(history), _io_at(io)
     has_begun = energy.begun != 0
     if has_begun:

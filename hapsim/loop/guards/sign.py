@@ -102,8 +102,7 @@ def release(sign, io):
 
 @native(JUDGE.return_type, *JUDGE.args)
 def judge(sign, history, io, gap):
-    """Whether a motor pushes the wrong way: 1, and `sign.channel` names it, or 0. A position came, `gap` samples after
-    the last; `history`: up to it."""
+    """Judges the motion of the last `gap` samples. Returns 1 if a motor, that of `sign.channel`, is wrong; else 0."""
     sign, history, io = _sign_at(sign), _history_at(history), _io_at(io)
     wrong, judged = 0, 0
     sign.releases = 0
@@ -190,8 +189,7 @@ def _residual(sign, c, bounds):
 
 
 def judge_signs(sign: Any, *, rate_hz: float, masses: Sequence[tuple[float, float]]) -> None:
-    """Fills a SIGN. `rate_hz`: at least so high that these times are some samples; `masses`: kg, the least and the most
-    of each channel."""
+    """Fills a SIGN. `masses`: kg, the least and the most of each channel."""
     for c, (least, most) in enumerate(masses):
         sign.right[2 * c : 2 * c + 2] = RIGHT[0] / most, RIGHT[1] / least
         sign.wrong[2 * c : 2 * c + 2] = -WRONG[1] / least, -WRONG[0] / most

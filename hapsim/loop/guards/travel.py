@@ -51,8 +51,7 @@ _travel_at, _io_at = record_at(TRAVEL), record_at(IO_BUFFER)
 
 @native(FADE.return_type, *FADE.args)
 def fade(travel, io):
-    """Fades `io.force_counts`, and what an excitation has in them, on every channel that is outside: WITHIN, OUTSIDE or
-    BEYOND, the most of all channels."""
+    """Fades forces and excitation on every channel that is outside. Returns the worst of WITHIN, OUTSIDE, BEYOND."""
     travel, io = _travel_at(travel), _io_at(io)
     most = WITHIN
     for c in range(io.channels):

@@ -35,8 +35,7 @@ class Beside(Generic[Result]):
         return self._over.is_set()
 
     def result(self) -> Result:
-        """Waits for the work, and returns its result or raises its exception. An interrupt ends the wait, not the
-        work."""
+        """Waits for the work, and returns or raises what it did. An interrupt ends the wait, not the work."""
         while not self._over.wait(_SLICE_S):  # in slices: an interrupt may arrive in another thread
             pass
         if self._failure is not None:

@@ -108,8 +108,7 @@ def _isolated() -> set[int]:
 
 
 def _clear(cpu: int) -> dict[int, set[int]]:
-    """Moves the threads of the process off `cpu`, except those that may run nowhere else, as the one just pinned.
-    Returns which ones, and where they were allowed before."""
+    """Moves the process's threads off `cpu`, if they may run elsewhere. Returns where they were allowed before."""
     moved = {}
     with contextlib.suppress(OSError):
         for thread in map(int, os.listdir(_THREADS)):
