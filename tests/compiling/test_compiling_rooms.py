@@ -36,7 +36,7 @@ def test_what_is_looked_for_is_found(every_compiled: list[Any]) -> None:
         ("native", "linear_links.py", "add_forces"),
         ("native", "crossfade.py", "cross_fade"),
         ("piece", "encoding.py", "crc_of"),
-        ("piece", "structure.py", "coefficient_terms"),
+        ("piece", "structure.py", "moved"),
         ("overload", "structure.py", "_choose_update"),
         ("overload", "system.py", "_compiled_now_ns"),
         ("intrinsic", "native.py", "value_of"),

@@ -120,8 +120,8 @@ def test_a_scene_of_every_type_has_the_calls_of_all_and_each_with_numbers_of_its
     program = compile_scene(with_types(list(MODULES)))
     for each, calls in calls_in(program).items():
         expected = sum(each in lists for _, lists in MODULES.values()) + (each == "integrate")
-        # Springs, dampers and visco-elastic links are one function; so are the borders of both kinds of string.
-        shared = {"add_forces": 2, "initialize": 1}.get(each, 0)
+        # Dampers and visco-elastic links are one function; so are the borders of both kinds of string.
+        shared = {"add_forces": 1, "initialize": 1}.get(each, 0)
         assert len(calls) == expected == len(set(calls[:, 0].tolist())) + shared == len(set(calls[:, 1].tolist()))
     assert len(program.parts) == len(PART_TYPES)
 
@@ -189,5 +189,5 @@ def test_what_is_compiled_for_a_scene_is_what_its_types_do_and_once(tmp_path: Pa
     command = [sys.executable, "-c", COMPILED, documents]
     done = subprocess.run(command, capture_output=True, text=True, check=True, env=environment)
     told = [json.loads(line) for line in done.stdout.splitlines()]
-    ground_and_spring = ["linear_links.add_forces", "points.retarget"]
+    ground_and_spring = ["linear_links.add_spring_forces", "points.retarget"]
     assert told == [["points.integrate"], ground_and_spring, [], ["nonlinear_links.add_buffer_forces"]]

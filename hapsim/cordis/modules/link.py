@@ -2,22 +2,23 @@
 
     F[n] = K d[n] + (B / T) g[n]      d: first end minus second end; g: by how much d grows in a sample period
 
-is the visco-elastic link (Florens et al., §6, Figure 5b). Of every link F is the *tension*: where it is positive it
-pulls the ends together, so that it acts on the first end as -F, and on the second as +F. That is done here, in
-`pull_ends`, for every link there is.
+is the visco-elastic link (Florens et al., §6, Figure 5b). F is a *tension*: a positive one pulls the ends together, so
+that it acts on the first end as -F, and on the second as +F. `pull_ends` does that for every link.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hapsim.compiling import inlined
-from hapsim.cordis.build_context import BuildContext
-from hapsim.cordis.dispatch import Column
+from hapsim.compiling.native import NativeFunction
+from hapsim.cordis.build_context import BuildContext, PartType, all_of
+from hapsim.cordis.dispatch import Column, Memory, Part
+from hapsim.scene.modules import Link
 
 
 class Ends(NamedTuple):
@@ -33,6 +34,39 @@ class Links(NamedTuple):
     ends: Ends
     stiffness: Column
     damping_per_sample: Column
+
+
+def link_type(
+    module: type[Link],
+    numbers: Callable[..., Any],
+    add_forces: NativeFunction,
+    name: str,
+    compiled_as: str = "",
+    *,
+    where: Callable[[Any], bool] = lambda _: True,
+    constants: Callable[[Iterable[Any], BuildContext], tuple[Any, ...]] = lambda *_: (),
+    remembers: int = 0,
+    initialize: NativeFunction | None = None,
+    in_a_matrix: bool = False,
+) -> PartType:
+    """The links of a module type for which `where` holds.
+
+    Args:
+        numbers: makes the part's numbers of the ends, the live columns, the constants and the remembered columns.
+        constants: of these links, such as curves.
+        remembers: how many columns, 0 before the first tick, the links remember from sample to sample.
+        name, compiled_as, in_a_matrix: as in `PartType`.
+    """
+
+    def build(links: Mapping[str, Any], columns: Sequence[Column], context: BuildContext) -> Part:
+        remembered = tuple(np.zeros((remembers, len(links)), context.real))
+        own = numbers(ends_of(links, context), *columns, *constants(links.values(), context), *remembered)
+        memory = Memory(tuple(links), remembered) if remembers else None
+        return Part(own, initialize=initialize, add_forces=add_forces, memory=memory)
+
+    gathered = "; ".join(filter(None, ("gathered through unsigned indices", compiled_as)))
+    select = all_of(module, where)
+    return PartType(select, build, name=name, compiled_as=gathered, memoryless=not remembers, in_a_matrix=in_a_matrix)
 
 
 def ends_of(links: Mapping[str, Any], context: BuildContext) -> Ends:

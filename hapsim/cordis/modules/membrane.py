@@ -12,25 +12,26 @@ is ever stretched. Every row begins where lanes may begin, so that what is above
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hapsim.compiling import fma, inlined
 from hapsim.compiling.native import value_of
-from hapsim.cordis.build_context import BuildContext, PartType, all_of
-from hapsim.cordis.dispatch import Column, Part, action
+from hapsim.cordis.build_context import BuildContext
+from hapsim.cordis.dispatch import action
 from hapsim.cordis.modules.structure import (
     LoadedPoints,
     StencilKernel,
-    coefficient_terms,
-    loaded_points_of,
+    UniformLinks,
+    link_coefficients,
+    moved,
     neighbours,
-    neighbours_before,
     place_terms,
     push_loaded_points,
     stencil_kernel,
+    structure_type,
     sweep,
 )
 from hapsim.cordis.simd import fetch, padded, put, put_one, width_of
@@ -39,17 +40,14 @@ from hapsim.scene import Membrane
 
 class Membranes(NamedTuple):
     """S membranes: their first mass, how far it is in memory from one row to the next, how many rows and columns of
-    masses each has, which edges are free (S, 4); T²/m in m/N; K, B/T and friction/T in N/m; shape (S,)."""
+    masses each has, shape (S,), and which edges are free (S, 4)."""
 
     first: NDArray[np.uint64]
     pitch: NDArray[np.uint64]
     rows: NDArray[np.uint64]
     columns: NDArray[np.uint64]
     free: NDArray[np.bool_]
-    mobility: Column
-    stiffness: Column
-    damping_per_sample: Column
-    friction_per_sample: Column
+    links: UniformLinks
     loaded: LoadedPoints
 
 
@@ -62,22 +60,14 @@ class MembraneStep(NamedTuple):
     pitch: np.uint64
 
 
-def _build(membranes: Mapping[str, Membrane], columns: Sequence[Column], context: BuildContext) -> Part:
-    ones = membranes.values()
-    stiffness, damping, friction = columns
-    numbers = Membranes(
-        np.array([context.number[f"{name}.0.0"] for name in membranes], np.uint64),
-        np.array([_pitch(one) for one in ones], np.uint64),
-        np.array([one.rows for one in ones], np.uint64),
-        np.array([one.columns for one in ones], np.uint64),
-        np.array([[edge == "free" for edge in one.edges] for one in ones]),
-        context.mobility([one.mass for one in ones]),
-        stiffness,
-        damping,
-        friction,
-        loaded_points_of(membranes, context),
-    )
-    return Part(numbers, initialize=initialize, integrate=integrate)
+def _numbers(
+    membranes: Mapping[str, Any], links: UniformLinks, loaded: LoadedPoints, context: BuildContext
+) -> Membranes:
+    firsts = [context.number[f"{name}.0.0"] for name in membranes]
+    counts = [(_pitch(one), one.rows, one.columns) for one in membranes.values()]
+    free = np.array([[edge == "free" for edge in one.edges] for one in membranes.values()])
+    pitch, rows, columns = np.array(counts, np.uint64).T.copy()
+    return Membranes(np.array(firsts, np.uint64), pitch, rows, columns, free, links, loaded)
 
 
 def _pitch(membrane: Membrane) -> int:
@@ -89,16 +79,6 @@ def _layout(membrane: Membrane) -> tuple[Sequence[int], int]:
     """Rows with a border at each end, between two rows of borders."""
     rows, columns, pitch = range(1, membrane.rows + 1), range(1, membrane.columns + 1), _pitch(membrane)
     return [row * pitch + column for row in rows for column in columns], (membrane.rows + 2) * pitch
-
-
-MEMBRANE = PartType(
-    all_of(Membrane),
-    _build,
-    layout=_layout,
-    name="membranes",
-    compiled_as="a stencil over contiguous memory, row by row, many masses at once",
-    moves_points=True,
-)
 
 
 @action
@@ -115,15 +95,10 @@ def integrate(membranes, state):
     membranes, state = value_of(membranes), value_of(state)
     for s in range(np.uint64(membranes.first.size)):
         _free_edges(membranes, s, state.position)
-        step = MembraneStep(
-            membranes.mobility[s] * membranes.stiffness[s],
-            membranes.mobility[s] * membranes.damping_per_sample[s],
-            membranes.mobility[s] * membranes.friction_per_sample[s],
-            membranes.pitch[s],
-        )
+        a, b, e = link_coefficients(membranes.links, s)
+        step = MembraneStep(a, b, e, membranes.pitch[s])
         for row in range(membranes.rows[s]):
-            first = membranes.first[s] + row * membranes.pitch[s]
-            sweep(step, state, first, membranes.columns[s])
+            sweep(step, state, membranes.first[s] + row * membranes.pitch[s], membranes.columns[s])
     push_loaded_points(membranes.loaded, state)
 
 
@@ -147,32 +122,19 @@ def _free_edges(membranes, s, position):
 
 @inlined
 def _copy_row(position, masses, borders, columns):
-    """Puts a row of borders where a row of masses is, in lanes. What stands beside them goes along: nobody asks it."""
+    """Puts a row of borders where a row of masses is, in lanes, along with what stands beside them."""
     begin, end = np.uint64(1), columns + np.uint64(1)
     for i in range(np.uint64(0), end, width_of(position)):
         put(position, borders - begin + i, fetch(position, masses - begin + i))
 
 
 @fma
-def _update_by_coefficients(step, rows, here, terms):
+def _update(step, rows, here, terms):
     x, before = fetch(rows[0], here), fetch(rows[1], here)
-    a, b, e, pitch = step
-    real = rows[0].dtype.type
-    now, old = real(2) - real(4) * (a + b) - e, real(1) - real(4) * b - e
-    return (now * x - old * before) + (
-        neighbours(terms) + ((a + b) * _upright(rows[0], here, pitch) - b * _upright(rows[1], here, pitch))
-    )
-
-
-@fma
-def _update_by_differences(step, rows, here, terms):
-    x, before = fetch(rows[0], here), fetch(rows[1], here)
-    a, b, e, pitch = step
     four = rows[0].dtype.type(4)
-    way = x - before
-    pull = (neighbours(terms) + _upright(rows[0], here, pitch)) - four * x
-    pull_before = (neighbours_before(terms) + _upright(rows[1], here, pitch)) - four * before
-    return x + (((way - e * way) + (a + b) * pull) - b * pull_before)
+    pull = (neighbours(terms, 0) + _upright(rows[0], here, step.pitch)) - four * x
+    pull_before = (neighbours(terms, 1) + _upright(rows[1], here, step.pitch)) - four * before
+    return moved(step, x, before, pull, pull_before)
 
 
 @inlined
@@ -181,8 +143,8 @@ def _upright(row, here, pitch):
     return fetch(row, here - pitch) + fetch(row, here + pitch)
 
 
-stencil_kernel(
-    MembraneStep,
-    StencilKernel(coefficient_terms, _update_by_coefficients),
-    StencilKernel(place_terms, _update_by_differences),
+stencil_kernel(MembraneStep, StencilKernel(place_terms, _update))
+
+MEMBRANE = structure_type(
+    Membrane, _numbers, _layout, initialize, integrate, "membranes", "a stencil over contiguous memory, row by row"
 )

@@ -23,26 +23,28 @@ that do no work come out as 0:
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hapsim.compiling import fma, inlined
-from hapsim.compiling.native import NativeFunction, value_of
-from hapsim.cordis.build_context import BuildContext, PartType, all_of
-from hapsim.cordis.dispatch import Column, Part, action
+from hapsim.compiling.native import value_of
+from hapsim.cordis.build_context import BuildContext
+from hapsim.cordis.dispatch import Column, action
 from hapsim.cordis.modules.structure import (
     LoadedPoints,
     StencilKernel,
-    coefficient_terms,
-    loaded_points_of,
+    UniformLinks,
+    link_coefficients,
+    moved,
     neighbours,
-    neighbours_before,
     place_terms,
     push_loaded_points,
     stencil_kernel,
+    structure_type,
     sweep,
 )
 from hapsim.cordis.simd import fetch, padded, put_one, shift_lanes
@@ -63,13 +65,10 @@ class StringRows(NamedTuple):
 
 
 class Strings(NamedTuple):
-    """S strings: T²/m in m/N; K, B/T, friction/T and bending in N/m; shape (S,)."""
+    """S strings; `bending` in N/m, shape (S,)."""
 
     rows: StringRows
-    mobility: Column
-    stiffness: Column
-    damping_per_sample: Column
-    friction_per_sample: Column
+    links: UniformLinks
     bending: Column
     loaded: LoadedPoints
 
@@ -93,38 +92,22 @@ class StiffStringStep(NamedTuple):
 
 def rows_of(strings: Mapping[str, String], context: BuildContext) -> StringRows:
     """Where these strings stand."""
+    borders = [[(_STIFF_BORDERS if one.bending else _BORDERS)[end] for end in one.ends] for one in strings.values()]
     return StringRows(
         np.array([context.number[f"{name}.0"] for name in strings], np.uint64),
         np.array([one.masses for one in strings.values()], np.uint64),
-        np.array(
-            [[(_STIFF_BORDERS if one.bending else _BORDERS)[end] for end in one.ends] for one in strings.values()],
-            np.uint8,
-        ),
+        np.array(borders, np.uint8),
     )
+
+
+def _numbers(strings: Mapping[str, Any], links: UniformLinks, loaded: LoadedPoints, context: BuildContext) -> Strings:
+    bending = context.column([one.bending for one in strings.values()])
+    return Strings(rows_of(strings, context), links, bending, loaded)
 
 
 def _layout(string: String) -> tuple[Sequence[int], int]:
     """Two borders, the masses, two borders."""
     return range(2, string.masses + 2), padded(string.masses + 4)
-
-
-def _strings(name: str, stencil: str, where: Callable[[Any], bool], integrate: NativeFunction) -> PartType:
-    def build(strings: Mapping[str, String], columns: Sequence[Column], context: BuildContext) -> Part:
-        ones = strings.values()
-        stiffness, damping, friction = columns
-        numbers = Strings(
-            rows_of(strings, context),
-            context.mobility([one.mass for one in ones]),
-            stiffness,
-            damping,
-            friction,
-            context.column([one.bending for one in ones]),
-            loaded_points_of(strings, context),
-        )
-        return Part(numbers, initialize=initialize, integrate=integrate)
-
-    compiled_as = f"a {stencil} over contiguous memory, many masses at once; links ask only those that they hold"
-    return PartType(all_of(String, where), build, layout=_layout, name=name, compiled_as=compiled_as, moves_points=True)
 
 
 @action
@@ -142,12 +125,8 @@ def integrate(strings, state):
     rows = strings.rows
     for s in range(np.uint64(rows.first.size)):
         place_borders(rows, s, state.position)
-        step = StringStep(
-            strings.mobility[s] * strings.stiffness[s],
-            strings.mobility[s] * strings.damping_per_sample[s],
-            strings.mobility[s] * strings.friction_per_sample[s],
-        )
-        sweep(step, state, rows.first[s], rows.masses[s])
+        a, b, e = link_coefficients(strings.links, s)
+        sweep(StringStep(a, b, e), state, rows.first[s], rows.masses[s])
     push_loaded_points(strings.loaded, state)
 
 
@@ -158,12 +137,8 @@ def integrate_stiff(strings, state):
     rows = strings.rows
     for s in range(np.uint64(rows.first.size)):
         place_borders(rows, s, state.position)
-        step = StiffStringStep(
-            strings.mobility[s] * strings.stiffness[s],
-            strings.mobility[s] * strings.damping_per_sample[s],
-            strings.mobility[s] * strings.friction_per_sample[s],
-            strings.mobility[s] * strings.bending[s],
-        )
+        a, b, e = link_coefficients(strings.links, s)
+        step = StiffStringStep(a, b, e, strings.links.mobility[s] * strings.bending[s])
         first, end = rows.first[s], rows.first[s] + rows.masses[s]
         sweep(step, state, first, rows.masses[s])
         if rows.borders[s, 0] == _CONTINUES:
@@ -204,23 +179,24 @@ def _take_back(step, state, mass, border):
 
 
 @fma
+def _coefficient_terms(step, x, before):
+    return ((step.a + step.b) * x - step.b * before,)
+
+
+@fma
 def _update_by_coefficients(step, rows, here, terms):
     x, before = fetch(rows[0], here), fetch(rows[1], here)
     a, b, e = step
     real = rows[0].dtype.type
     now, old = real(2) - real(2) * (a + b) - e, real(1) - real(2) * b - e
-    return (now * x - old * before) + neighbours(terms)
+    return (now * x - old * before) + neighbours(terms, 0)
 
 
 @fma
 def _update_by_differences(step, rows, here, terms):
     x, before = fetch(rows[0], here), fetch(rows[1], here)
-    a, b, e = step
     two = rows[0].dtype.type(2)
-    way = x - before
-    pull = neighbours(terms) - two * x
-    pull_before = neighbours_before(terms) - two * before
-    return x + (((way - e * way) + (a + b) * pull) - b * pull_before)
+    return moved(step, x, before, neighbours(terms, 0) - two * x, neighbours(terms, 1) - two * before)
 
 
 @fma
@@ -236,32 +212,32 @@ def _update_stiff_by_coefficients(step, rows, here, terms):
     a, b, e, g = step
     real = rows[0].dtype.type
     now, old = real(2) - real(2) * (a + b) - e - real(6) * g, real(1) - real(2) * b - e
-    pull = neighbours(terms) - g * (shift_lanes(terms, 1, -2) + shift_lanes(terms, 1, 2))
+    pull = neighbours(terms, 0) - g * (shift_lanes(terms, 1, -2) + shift_lanes(terms, 1, 2))
     return (now * x - old * before) + pull
 
 
 @fma
 def _update_stiff_by_differences(step, rows, here, terms):
     x, before = fetch(rows[0], here), fetch(rows[1], here)
-    a, b, e, g = step
     real = rows[0].dtype.type
-    way = x - before
-    pull = neighbours(terms) - real(2) * x
-    pull_before = neighbours_before(terms) - real(2) * before
+    pull, pull_before = neighbours(terms, 0) - real(2) * x, neighbours(terms, 1) - real(2) * before
     bend = ((shift_lanes(terms, 0, -2) + shift_lanes(terms, 0, 2)) - real(2) * x) - real(4) * pull
-    return x + ((((way - e * way) + (a + b) * pull) - b * pull_before) - g * bend)
+    return moved(step, x, before, pull, pull_before) - step.g * bend
 
 
 stencil_kernel(
     StringStep,
-    StencilKernel(coefficient_terms, _update_by_coefficients),
     StencilKernel(place_terms, _update_by_differences),
+    StencilKernel(_coefficient_terms, _update_by_coefficients),
 )
 stencil_kernel(
     StiffStringStep,
-    StencilKernel(_stiff_coefficient_terms, _update_stiff_by_coefficients),
     StencilKernel(place_terms, _update_stiff_by_differences),
+    StencilKernel(_stiff_coefficient_terms, _update_stiff_by_coefficients),
 )
 
-STRING = _strings("strings", "stencil", lambda string: not string.bending, integrate)
-STIFF_STRING = _strings("stiff strings", "stencil of five", lambda string: bool(string.bending), integrate_stiff)
+_string_type = partial(structure_type, String, _numbers, _layout, initialize)
+STRING = _string_type(integrate, "strings", "a stencil over contiguous memory", where=lambda string: not string.bending)
+STIFF_STRING = _string_type(
+    integrate_stiff, "stiff strings", "a stencil of five over contiguous memory", where=lambda string: string.bending
+)

@@ -1,15 +1,9 @@
 """What strings and membranes share: a stencil that moves every mass alike, in one pass over contiguous memory, in lanes
 (`simd.py`), and the masses that links hold.
 
-What moves the masses is a step: a named tuple of the structure's numbers, with a kernel registered for its type by
-`stencil_kernel`. `neighbour_terms` works out from x[n] and x[n-1] of some masses what their neighbours need of them,
-`update` from that and from the neighbours' terms where they are at x[n+1]. So each term is worked out once and not by
-each neighbour anew.
-
-A kernel has both twice, for the same recurrence; the precision decides which one is compiled. With 64 bits, each
-position is multiplied by a coefficient of its own: the fewest operations. With 32 bits these coefficients, rounded, no
-longer cancel: a string of 100 masses would swing in its lowest mode by up to a thousandth too fast or too slow. There
-differences of positions are taken first and multiplied afterwards, which leaves 1e-5 at most.
+A step is a named tuple of a structure's numbers, with a kernel registered for its type by `stencil_kernel`.
+`neighbour_terms` works out from x[n] and x[n-1] of some masses what their neighbours need of them, `update` from that
+and from the neighbours' terms where they are at x[n+1]. So each term is worked out once and not by each neighbour anew.
 
 A structure moves all its masses in one pass, without forces. Forces of links reach only the masses that they hold
 (`LoadedPoints`): those are moved once more, and no other mass is asked.
@@ -17,7 +11,7 @@ A structure moves all its masses in one pass, without forces. Forces of links re
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,9 +19,20 @@ from numba import types
 from numpy.typing import NDArray
 
 from hapsim.compiling import fma, inlined, overload
-from hapsim.cordis.build_context import BuildContext
-from hapsim.cordis.dispatch import Column
+from hapsim.compiling.native import NativeFunction
+from hapsim.cordis.build_context import BuildContext, Layout, PartType, all_of
+from hapsim.cordis.dispatch import Column, Part
 from hapsim.cordis.simd import add_to_one, chosen, fetch, put, shift_lanes, width_of
+from hapsim.scene.modules import Structure
+
+
+class UniformLinks(NamedTuple):
+    """Of S structures: T²/m in m/N; K, B/T and friction/T in N/m; shape (S,)."""
+
+    mobility: Column
+    stiffness: Column
+    damping_per_sample: Column
+    friction_per_sample: Column
 
 
 class LoadedPoints(NamedTuple):
@@ -37,14 +42,36 @@ class LoadedPoints(NamedTuple):
     mobility: Column
 
 
-def loaded_points_of(structures: Mapping[str, Any], context: BuildContext) -> LoadedPoints:
-    """Those masses of these structures that a link holds."""
-    numbers = [
-        (context.number[f"{name}.{place}"], one.mass) for name, one in structures.items() for place in one.point_names()
+def structure_type(
+    module: type[Structure],
+    numbers: Callable[[Mapping[str, Any], UniformLinks, LoadedPoints, BuildContext], Any],
+    layout: Layout,
+    initialize: NativeFunction,
+    integrate: NativeFunction,
+    name: str,
+    compiled_as: str,
+    where: Callable[[Any], bool] = lambda _: True,
+) -> PartType:
+    """The structures of a module type for which `where` holds; `numbers` makes their part's numbers."""
+
+    def build(structures: Mapping[str, Any], columns: Sequence[Column], context: BuildContext) -> Part:
+        links = UniformLinks(context.mobility([one.mass for one in structures.values()]), *columns)
+        own = numbers(structures, links, _loaded_points_of(structures, context), context)
+        return Part(own, initialize=initialize, integrate=integrate)
+
+    words = f"{compiled_as}, many masses at once; links ask only those that they hold"
+    return PartType(all_of(module, where), build, layout=layout, name=name, compiled_as=words, moves_points=True)
+
+
+def _loaded_points_of(structures: Mapping[str, Any], context: BuildContext) -> LoadedPoints:
+    loaded = [
+        (number, one.mass)
+        for name, one in structures.items()
+        for place in one.point_names()
+        if (number := context.number[f"{name}.{place}"]) in context.loaded
     ]
-    loaded = [(number, mass) for number, mass in numbers if number in context.loaded]
-    point = np.array([number for number, _ in loaded], np.uint32)
-    return LoadedPoints(point, context.mobility([mass for _, mass in loaded]))
+    point, mass = np.array(loaded, np.float64).reshape(-1, 2).T
+    return LoadedPoints(point.astype(np.uint32), context.mobility(mass))
 
 
 @inlined
@@ -54,6 +81,17 @@ def push_loaded_points(loaded, state):
         p = loaded.point[i]
         add_to_one(state.following, np.uint64(p), loaded.mobility[i] * state.force[p])
         state.force[p] = 0.0
+
+
+@inlined
+def link_coefficients(links, s):
+    """a, b and e of structure s: T²/m times its stiffness, damping/T and friction/T."""
+    mobility = links.mobility[s]
+    return (
+        mobility * links.stiffness[s],
+        mobility * links.damping_per_sample[s],
+        mobility * links.friction_per_sample[s],
+    )
 
 
 class StencilKernel(NamedTuple):
@@ -71,9 +109,14 @@ class StencilKernel(NamedTuple):
 _KERNELS: dict[type, tuple[StencilKernel, StencilKernel]] = {}
 
 
-def stencil_kernel(step: type, by_coefficients: StencilKernel, by_differences: StencilKernel) -> None:
-    """Registers what moves a structure's masses by a sample: for 64 bits, and for 32."""
-    _KERNELS[step] = by_coefficients, by_differences
+def stencil_kernel(step: type, differences: StencilKernel, coefficients: StencilKernel | None = None) -> None:
+    """Registers what moves a structure's masses by a sample.
+
+    `differences` of positions are taken first and multiplied afterwards. `coefficients` multiplies each position by a
+    coefficient of its own: fewer operations, but for numbers of 64 bits only. With 32 bits the coefficients, rounded,
+    no longer cancel: a string of 100 masses would swing in its lowest mode by up to a thousandth too fast or too slow.
+    """
+    _KERNELS[step] = coefficients or differences, differences
 
 
 def _neighbour_terms(step, x, before):
@@ -104,12 +147,6 @@ def _choose_update(step, rows, here, terms):  # noqa: ARG001  (numba matches the
     return update
 
 
-@fma
-def coefficient_terms(step, x, before):
-    """What is s[n] and s[n-1] to a neighbour, of a string or a membrane."""
-    return ((step.a + step.b) * x - step.b * before,)
-
-
 @inlined
 def place_terms(step, x, before):  # noqa: ARG001  (every step's)
     """Where masses are and were, for steps that work out differences."""
@@ -117,15 +154,16 @@ def place_terms(step, x, before):  # noqa: ARG001  (every step's)
 
 
 @inlined
-def neighbours(terms):
-    """The sum of the first terms of both neighbours in a row."""
-    return shift_lanes(terms, 0, -1) + shift_lanes(terms, 0, 1)
+def neighbours(terms, which):
+    """The sum of term `which`, a literal, of both neighbours in a row."""
+    return shift_lanes(terms, which, -1) + shift_lanes(terms, which, 1)
 
 
-@inlined
-def neighbours_before(terms):
-    """The sum of their second terms: by `place_terms`, of a sample before."""
-    return shift_lanes(terms, 1, -1) + shift_lanes(terms, 1, 1)
+@fma
+def moved(step, x, before, pull, pull_before):
+    """x[n+1] by `differences`: `pull` is the sum over the neighbours of how far they are from x, in m."""
+    way = x - before
+    return x + (((way - step.e * way) + (step.a + step.b) * pull) - step.b * pull_before)
 
 
 @inlined

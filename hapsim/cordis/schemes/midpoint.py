@@ -64,10 +64,12 @@ class Factor(NamedTuple):
 
 
 class Midpoint(NamedTuple):
-    """n rows: the points from number `start` on, or, where it is not empty, those in `order`, the rows' points."""
+    """n rows, each a point's."""
 
-    start: np.uint64
-    order: NDArray[np.uint32]
+    point: NDArray[np.uint32]
+    """(n,) by number"""
+    in_row: np.uint64
+    """1: they stand in a row in memory, which is quicker."""
     force: Column
     """(n,) T² f of what stays, kg·m."""
     period_squared: Column
@@ -92,9 +94,9 @@ def integrate(points, state):
     """Moves every inner point by one sample."""
     points, state = value_of(points), value_of(state)
     add_tie_forces(points.ties, state)
-    _read(points, state.position, state.previous)
     band, size = np.uint64(points.factor.columns.shape[1]), np.uint64(points.step.size)
     change = points.change[band : band + size]
+    _read(points.point, points.in_row, state.position, state.previous, points.step, points.middle)
     for i in range(size):
         change[i] = points.force[i]
     _subtract(points.stiffness, points.middle, change)
@@ -107,39 +109,29 @@ def integrate(points, state):
         _solve_narrow(points.factor, change)
     else:
         _solve(points.factor, points.change)
-    _write(points, change, state.position, state.following)
+    _write(points.point, points.in_row, points.step, change, state.position, state.following)
 
 
 @fma
-def _read(points, position, previous):
-    """x + w/2 and w of every row."""
-    half, order = position.dtype.type(0.5), points.order
-    if order.size == 0:
-        x, before = position[points.start :], previous[points.start :]
-        for i in range(np.uint64(points.step.size)):
-            w = x[i] - before[i]
-            points.step[i] = w
-            points.middle[i] = x[i] + half * w
-    else:
-        for i in range(np.uint64(points.step.size)):
-            w = position[order[i]] - previous[order[i]]
-            points.step[i] = w
-            points.middle[i] = position[order[i]] + half * w
+def _read(point, in_row, position, previous, step, middle):
+    """w and x + w/2 of every row."""
+    half, first = position.dtype.type(0.5), np.uint64(point[0])
+    for i in range(np.uint64(point.size)):
+        p = first + i if in_row else np.uint64(point[i])
+        w = position[p] - previous[p]
+        step[i] = w
+        middle[i] = position[p] + half * w
 
 
 @fma
-def _write(points, change, position, following):
+def _write(point, in_row, step, change, position, following):
     """The next position, and what becomes the one before it."""
-    half, order = position.dtype.type(0.5), points.order
-    if order.size == 0:
-        x, after = position[points.start :], following[points.start :]
-        for i in range(np.uint64(points.step.size)):
-            after[i] = x[i] + (points.step[i] + half * change[i])
-            x[i] = after[i] - (points.step[i] + change[i])
-    else:
-        for i in range(np.uint64(points.step.size)):
-            following[order[i]] = position[order[i]] + (points.step[i] + half * change[i])
-            position[order[i]] = following[order[i]] - (points.step[i] + change[i])
+    half, first = position.dtype.type(0.5), np.uint64(point[0])
+    for i in range(np.uint64(point.size)):
+        p = first + i if in_row else np.uint64(point[i])
+        after = position[p] + (step[i] + half * change[i])
+        following[p] = after
+        position[p] = after - (step[i] + change[i])
 
 
 @fma
@@ -191,14 +183,6 @@ def _solve(factor, padded):
             above[d] -= row[d] * here
 
 
-class _Rows(NamedTuple):
-    """Which point each row is of; `row` (n inner points,): where each inner point is; how many rows."""
-
-    order: NDArray[np.uint32]
-    row: NDArray[np.intp]
-    size: int
-
-
 def _parts(scene: Scene, context: BuildContext, taken: Sequence[Taken]) -> tuple[Part, ...]:
     inner = linear_subsystem(scene, context)
     parts = external_parts(context, taken)
@@ -209,85 +193,71 @@ MIDPOINT = Scheme(_parts, inside)
 
 
 def _midpoint(inner: LinearSubsystem, context: BuildContext) -> Midpoint:
+    from scipy.sparse.csgraph import reverse_cuthill_mckee
+
     square = context.rate * context.rate
     stiffness, damping = inner.stiffness_matrix() / square, inner.damping_matrix() / context.rate
     require_finite(stiffness.data, damping.data, inner.mass)
-    rows = _rows_of(inner, abs(stiffness) + abs(damping))
-    mass = np.ones(rows.size)
-    mass[rows.row] = inner.mass
-    force = np.zeros(rows.size)
-    force[rows.row] = inner.force / square
-    diagonals = [_diagonals(matrix, rows, context) for matrix in (stiffness, damping)]
-    factor = _factor(mass, stiffness / 4.0 + damping / 2.0, rows, context)
-    middle, step = np.zeros((2, rows.size), context.real)
+    pattern = abs(stiffness) + abs(damping)
+    order = reverse_cuthill_mckee(pattern, symmetric_mode=True)
+    if _band(pattern) <= 1.5 * _band(pattern[order][:, order]):
+        order = np.arange(inner.point.size)
+    mass = inner.mass[order]
+    stiffness, damping = stiffness[order][:, order], damping[order][:, order]
+    factor = _factor(mass, stiffness / 4.0 + damping / 2.0, context)
+    loaded = np.argsort(order)[inner.loaded]
+    middle, step = np.zeros((2, mass.size), context.real)
     return Midpoint(
-        start=np.uint64(inner.point[0]),
-        order=rows.order,
-        force=force.astype(context.real),
-        period_squared=np.array([1.0 / square], context.real),
-        stiffness=diagonals[0],
-        damping=diagonals[1],
+        point=inner.point[order],
+        in_row=np.uint64(np.all(np.diff(inner.point[order].astype(np.int64)) == 1)),
+        force=context.column(inner.force[order] / square),
+        period_squared=context.column([1.0 / square]),
+        stiffness=_diagonals(stiffness, context),
+        damping=_diagonals(damping, context),
         factor=factor,
-        loaded=LoadedRows(inner.point[inner.loaded], rows.row[inner.loaded].astype(np.uint64)),
+        loaded=LoadedRows(inner.point[inner.loaded], loaded.astype(np.uint64)),
         ties=inner.ties,
         middle=middle,
         step=step,
-        change=np.zeros(rows.size + 2 * factor.columns.shape[1], context.real),
+        change=np.zeros(mass.size + 2 * factor.columns.shape[1], context.real),
     )
 
 
-def _rows_of(inner: LinearSubsystem, pattern: Any) -> _Rows:
-    """The rows in the order of memory, gaps between structures included, or in another where that is much narrower."""
-    from scipy.sparse.csgraph import reverse_cuthill_mckee
-
-    in_memory = inner.point.astype(np.intp) - int(inner.point[0])
-    permutation = reverse_cuthill_mckee(pattern, symmetric_mode=True)
-    narrow = np.empty(inner.point.size, np.intp)
-    narrow[permutation] = np.arange(inner.point.size)
-    if _band(pattern, in_memory) <= 1.5 * _band(pattern, narrow):
-        return _Rows(np.zeros(0, np.uint32), in_memory, int(in_memory[-1]) + 1)
-    return _Rows(inner.point[permutation], narrow, inner.point.size)
-
-
-def _band(pattern: Any, row: NDArray[np.intp]) -> int:
-    entries = pattern.tocoo()
-    entries.eliminate_zeros()
-    return int(np.abs(row[entries.row] - row[entries.col]).max(initial=0))
-
-
-def _diagonals(matrix: Any, rows: _Rows, context: BuildContext) -> Diagonals:
+def _lower(matrix: Any) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.float64]]:
+    """How far below the main diagonal, in which column and what the entries of a lower half are."""
     entries = matrix.tocoo()
     entries.eliminate_zeros()
-    row, column = rows.row[entries.row], rows.row[entries.col]
-    main = np.zeros(rows.size)
-    main[row[row == column]] = entries.data[row == column]
-    lower = row > column
-    offset, which = np.unique(row[lower] - column[lower], return_inverse=True)
-    below = np.zeros((offset.size, rows.size))
-    below[which, column[lower]] = entries.data[lower]
-    return Diagonals(main.astype(context.real), offset.astype(np.uint64), below.astype(context.real))
+    lower = entries.row >= entries.col
+    return (entries.row - entries.col)[lower], entries.col[lower], entries.data[lower]
 
 
-def _factor(mass: NDArray[np.float64], matrix: Any, rows: _Rows, context: BuildContext) -> Factor:
+def _band(matrix: Any) -> int:
+    return int(_lower(matrix)[0].max(initial=1))
+
+
+def _diagonals(matrix: Any, context: BuildContext) -> Diagonals:
+    below, column, data = _lower(matrix)
+    offset, which = np.unique(np.append(0, below), return_inverse=True)
+    diagonals = np.zeros((offset.size, matrix.shape[0]))
+    diagonals[which[1:], column] = data
+    return Diagonals(context.column(diagonals[0]), offset[1:].astype(np.uint64), context.column(diagonals[1:]))
+
+
+def _factor(mass: NDArray[np.float64], matrix: Any, context: BuildContext) -> Factor:
     from scipy.linalg import cholesky_banded
 
-    band = max(_band(matrix, rows.row), 1)
-    if band * rows.size > MOST_NUMBERS:
+    below, column, data = _lower(matrix)
+    size, band = mass.size, _band(matrix)
+    if band * size > MOST_NUMBERS:
         raise UsageError(
-            f"scheme: midpoint would take {band * rows.size:.2g} numbers for this scene, more than {MOST_NUMBERS:.2g}: "
+            f"scheme: midpoint would take {band * size:.2g} numbers for this scene, more than {MOST_NUMBERS:.2g}: "
             "its masses are joined too widely; take cordis, semi_implicit or rk4"
         )
-    entries = matrix.tocoo()
-    row, column = rows.row[entries.row], rows.row[entries.col]
-    lower = row >= column
-    banded = np.zeros((band + 1, rows.size))
-    np.add.at(banded, (row[lower] - column[lower], column[lower]), entries.data[lower])
+    banded = np.zeros((band + 1, size))
+    banded[below, column] = data
     banded[0] += mass
     root = cholesky_banded(banded, lower=True)
-    columns = np.zeros((rows.size, band))
-    by_rows = np.zeros((rows.size, band))
+    columns, rows = np.zeros((2, size, band))
     for d in range(1, band + 1):
-        below = root[d, : rows.size - d] / root[0, : rows.size - d]
-        columns[: rows.size - d, d - 1] = below
-        by_rows[d:, band - d] = below
-    return Factor(*(array.astype(context.real) for array in (root[0] ** -2.0, columns, by_rows)))
+        columns[: size - d, d - 1] = rows[d:, band - d] = root[d, : size - d] / root[0, : size - d]
+    return Factor(*map(context.column, (root[0] ** -2.0, columns, rows)))
