@@ -3,26 +3,21 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+from matplotlib.axes import Axes
 
 from hapsim.chart import style
 from hapsim.chart.figure import figure_to, legend_below
 from hapsim.measuring.device_misfit import BINS, binned
 from hapsim.measuring.identify_device import DeviceIdentification
 from hapsim.number_format import rounded
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
-Vector = NDArray[np.float64]
+from hapsim.theory.arrays import Floats
 
 _MOST_POINTS = 20000  # of a picture; its data have all
 
 
-def residual_columns(found: DeviceIdentification) -> dict[str, Vector]:
+def residual_columns(found: DeviceIdentification) -> dict[str, Floats]:
     """Returns the rows that the fit used: run, time, position, position residual; and in the rows in the middle of a
     window (NaN elsewhere) the velocity and the force that the model lacks there."""
     motions, lacking = found.motions, found.force_residual
@@ -84,7 +79,7 @@ def _draw_over_time(axes: Axes, found: DeviceIdentification) -> None:
     axes.set_ylabel(f"position beside the model ({name})")
 
 
-def _draw_forces(axes: Axes, along: Vector, force: Vector, noise: float) -> None:
+def _draw_forces(axes: Axes, along: Floats, force: Floats, noise: float) -> None:
     """Draws the force that the model lacks in each window, and its mean over the velocity or the position."""
     axes.plot(along, force, markersize=2.5, label="a window each", **style.RESIDUAL)
     axes.axhspan(-2.0 * noise, 2.0 * noise, color="0.9", zorder=0, label="95 % of noise and rounding")
@@ -95,12 +90,14 @@ def _draw_forces(axes: Axes, along: Vector, force: Vector, noise: float) -> None
 
 
 def _title(found: DeviceIdentification) -> str:
-    def with_uncertainty(name: str, unit: str) -> str:
-        estimate: Any = getattr(found, name)
-        return f"{rounded(estimate.value, estimate.uncertainty)} ± {estimate.uncertainty:.1g} {unit}"
-
-    return (
-        f"mass {with_uncertainty('mass', 'kg')}, friction {with_uncertainty('friction', 'N·s/m')}, "
-        f"stiffness {with_uncertainty('stiffness', 'N/m')},\n"
-        f"delay {with_uncertainty('delay', 'samples')}, dry friction {with_uncertainty('coulomb', 'N')}"
+    named = (
+        ("mass", found.mass, "kg"),
+        ("friction", found.friction, "N·s/m"),
+        ("stiffness", found.stiffness, "N/m"),
+        ("delay", found.delay, "samples"),
+        ("dry friction", found.coulomb, "N"),
     )
+    words = [
+        f"{name} {rounded(one.value, one.uncertainty)} ± {one.uncertainty:.1g} {unit}" for name, one, unit in named
+    ]
+    return f"{', '.join(words[:3])},\n{', '.join(words[3:])}"

@@ -9,9 +9,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import ListedColormap
+from matplotlib.patches import Patch
 
 from hapsim.chart import style
 from hapsim.chart.figure import figure_to, legend_below
@@ -21,9 +24,6 @@ from hapsim.prediction.correction.kind import Observer
 from hapsim.prediction.correction.predictor import pole_of_push
 from hapsim.theory import Configuration
 from hapsim.theory.arrays import Bools, Floats
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 DRAWN = ("none", "poles", "predictor")
 """Of `device.correction`; an adaptive one that knows its mass is a predictor."""
@@ -37,16 +37,9 @@ _CLOSE = np.array([1.005, 1.01, 1.02, 1.03, 1.045, 1.065, 1.1, 1.15, 1.22, 1.3, 
 _MASSES = np.concatenate([1.0 / _CLOSE[::-1], [1.0], _CLOSE])
 _DELAYS = np.linspace(0.0, 3.0, 13)
 _ON_THE_CIRCLE = 1e-9
-_BOX: Any = {"facecolor": "white", "edgecolor": "none", "alpha": 0.88, "pad": 2.0}
 _COLUMNS = (
-    "panel",
-    "correction",
-    "K_T2_per_m",
-    "damping_ratio",
-    "mass_ratio",
-    "delay_samples",
-    "error_or_share",
-    "outcome",
+    *("panel", "correction", "K_T2_per_m", "damping_ratio"),
+    *("mass_ratio", "delay_samples", "error_or_share", "outcome"),
 )
 
 
@@ -64,15 +57,10 @@ class Outcome(IntEnum):
     """The device itself has more friction, or more of a spring. It does not count."""
 
 
-_WORDS = {
-    Outcome.WITHIN_1: "within 1 %",
-    Outcome.WITHIN_5: "within 5 %",
-    Outcome.WITHIN_10: "within 10 %",
-    Outcome.FURTHER_OFF: "further off",
-    Outcome.OUT_OF_REACH: "out of reach",
-    Outcome.UNSTABLE: "unstable",
-    Outcome.NOT_ASKED: "less than the device's own",
-}
+_WORDS = (
+    *("within 1 %", "within 5 %", "within 10 %", "further off", "out of reach"),
+    *("unstable", "less than the device's own"),
+)
 
 
 @dataclass(frozen=True)
@@ -84,6 +72,12 @@ class DesiredPlane:
     ratio: Floats
     """(m,): damping ratio, the device's own included."""
 
+    @classmethod
+    def of_cells(cls, columns: int, rows: int) -> DesiredPlane:
+        """Returns the plane that is drawn, in so many cells."""
+        along = (np.arange(columns) + 0.5) / columns
+        return cls(_LEAST * (_MOST / _LEAST) ** along, _MOST_RATIO * (np.arange(rows) + 0.5) / rows)
+
     def desired(self, configuration: Configuration) -> tuple[Floats, Floats]:
         """Returns (k, b), (n, m), in N/m and N·s/m."""
         k = self.kappa[:, None] * configuration.stiffness_unit + 0.0 * self.ratio
@@ -93,12 +87,6 @@ class DesiredPlane:
         """Returns (n, m): where a scene on this device can ask for it, by adding a spring and a damper."""
         k, b = self.desired(configuration)
         return (k >= configuration.stiffness) & (b >= configuration.friction)
-
-
-def desired_plane(columns: int, rows: int) -> DesiredPlane:
-    """Returns the plane that is drawn, as a grid of cells."""
-    along = (np.arange(columns) + 0.5) / columns
-    return DesiredPlane(_LEAST * (_MOST / _LEAST) ** along, _MOST_RATIO * (np.arange(rows) + 0.5) / rows)
 
 
 @dataclass(frozen=True)
@@ -143,25 +131,22 @@ class FeltChart:
     def columns(self) -> dict[str, list[Any]]:
         """Returns what is drawn, by the names that a data file uses: a row for each number."""
         rows: list[tuple[Any, ...]] = []
-        blank = ""
         for name, felt in self.felt.items():
             for (i, j), error in np.ndenumerate(felt.error):
                 outcome = Outcome(felt.outcome[i, j]).name.lower()
-                rows.append(("plane", name, self.plane.kappa[i], self.plane.ratio[j], blank, blank, error, outcome))
+                rows.append(("plane", name, self.plane.kappa[i], self.plane.ratio[j], "", "", error, outcome))
         for name in self.felt:
-            for mass, share in zip(self.mass_ratio, self.against_mass[name], strict=True):
-                rows.append(("mass", name, blank, blank, mass, blank, share, blank))
-            for delay, share in zip(self.delay, self.against_delay[name], strict=True):
-                rows.append(("delay", name, blank, blank, blank, delay, share, blank))
+            of_masses = zip(self.mass_ratio, self.against_mass[name], strict=True)
+            of_delays = zip(self.delay, self.against_delay[name], strict=True)
+            rows += [("mass", name, "", "", mass, "", share, "") for mass, share in of_masses]
+            rows += [("delay", name, "", "", "", delay, share, "") for delay, share in of_delays]
         return dict(zip(_COLUMNS, map(list, zip(*rows, strict=True)), strict=True))
 
     def summary(self) -> dict[str, Any]:
         """Returns what scripts read."""
-        shares = {name: {f"{within:g}": felt.share(within) for within in WITHIN} for name, felt in self.felt.items()}
-        lost = {name: float(np.mean(felt.outcome == Outcome.OUT_OF_REACH)) for name, felt in self.felt.items()}
         return {
-            "share": shares,
-            "out_of_reach": lost,
+            "share": {name: {f"{within:g}": one.share(within) for within in WITHIN} for name, one in self.felt.items()},
+            "out_of_reach": {n: float(np.mean(one.outcome == Outcome.OUT_OF_REACH)) for n, one in self.felt.items()},
             "limit": self.limit,
             "against_mass": {"mass_ratio": self.mass_ratio, **self.against_mass},
             "against_delay": {"delay_samples": self.delay, **self.against_delay},
@@ -171,21 +156,21 @@ class FeltChart:
 def felt_chart(hand: Hand) -> FeltChart:
     """Returns what the hand feels of the plane, and how that share depends on its true mass and on the delay."""
     declared = hand.configuration
-    plane, coarse = desired_plane(*_POINTS), desired_plane(*_POINTS_OF_A_SHARE)
+    plane, coarse = DesiredPlane.of_cells(*_POINTS), DesiredPlane.of_cells(*_POINTS_OF_A_SHARE)
     of_masses = [(declared, replace(declared, mass=declared.mass * ratio)) for ratio in _MASSES]
     of_delays = [(late, late) for late in (replace(declared, delay=delay) for delay in _DELAYS)]
 
-    def shares(name: str, cases: list[tuple[Configuration, Configuration]]) -> Floats:
-        return np.array([felt_by(name, *case, coarse).share(OF_SHARES) for case in cases])
+    def shares(cases: list[tuple[Configuration, Configuration]]) -> dict[str, Floats]:
+        return {name: np.array([felt_by(name, *case, coarse).share(OF_SHARES) for case in cases]) for name in DRAWN}
 
     return FeltChart(
         hand=hand,
         plane=plane,
         felt={name: felt_by(name, declared, declared, plane) for name in DRAWN},
         mass_ratio=_MASSES,
-        against_mass={name: shares(name, of_masses) for name in DRAWN},
+        against_mass=shares(of_masses),
         delay=_DELAYS,
-        against_delay={name: shares(name, of_delays) for name in DRAWN},
+        against_delay=shares(of_delays),
         limit=limit_of(declared, plane),
     )
 
@@ -215,7 +200,7 @@ def felt_by(correction: str, declared: Configuration, true: Configuration, plane
 def limit_of(declared: Configuration, plane: DesiredPlane) -> float:
     """Returns the share of the plane that any controller could have felt.
 
-    A motion that swings at half the rate or above looks like a slower one in its samples, so nobody can have it felt.
+    In its samples, a motion at half the rate or above looks like a slower one, so no controller can render it.
     """
     k, b = plane.desired(declared)
     asked = plane.asked(declared)
@@ -229,69 +214,66 @@ def draw_felt(chart: FeltChart, title: str, path: Path) -> None:
         figure.suptitle(f"Is what is desired felt?   {title}", fontsize=9)
         above, below = np.asarray(figure.subfigures(2, 1, height_ratios=[1.26, 1.0])).tolist()
         panels = above.subplots(1, len(chart.felt), sharex=True, sharey=True)
-        for axes, (name, felt) in zip(panels, chart.felt.items(), strict=True):
-            _draw_plane(axes, chart, name, felt)
+        for axes, name in zip(panels, chart.felt, strict=True):
+            _draw_plane(axes, chart, name)
         panels[0].set_ylabel("desired damping ratio")
         _add_legend_of_outcomes(above, chart)
         left, right = below.subplots(1, 2, sharey=True)
         _draw_shares(left, chart.mass_ratio, chart.against_mass, "true mass / declared mass")
         _draw_shares(right, chart.delay, chart.against_delay, "delay  (samples)")
-        right.axhline(100.0 * chart.limit, color="0.4", linewidth=0.8, zorder=0.9)
-        words = f"any controller: {100.0 * chart.limit:.0f} % at most,\nwhat swings below half the rate"
-        place: Any = {"xy": (0.97, 100.0 * chart.limit), "xycoords": right.get_yaxis_transform()}
-        right.annotate(words, **place, xytext=(0, -5), textcoords="offset points", va="top", ha="right", fontsize=8.5)
+        most = 100.0 * chart.limit
+        right.axhline(most, color="0.4", linewidth=0.8, zorder=0.9)
+        words = f"any controller: {most:.0f} % at most,\nwhat swings below half the rate"
+        beside: Any = {"xycoords": right.get_yaxis_transform(), "textcoords": "offset points", "fontsize": 8.5}
+        right.annotate(words, (0.97, most), (0, -5), va="top", ha="right", **beside)
         left.set_xscale("log", base=2)
         left.set_xticks([0.5, 0.7, 1.0, 1.4, 2.0], ["0.5", "0.7", "1", "1.4", "2"])
         left.set_ylabel(f"share felt within {100.0 * OF_SHARES:.0f} %")
         legend_below(below, 4, handles=left.get_lines())
 
 
-def _draw_plane(axes: Axes, chart: FeltChart, name: str, felt: FeltPlane) -> None:
-    from matplotlib.colors import ListedColormap
-
-    plane = chart.plane
-    limits: Any = {"vmin": -0.5, "vmax": len(style.OUTCOMES) - 0.5}
-    colours = ListedColormap(style.OUTCOMES)
+def _draw_plane(axes: Axes, chart: FeltChart, name: str) -> None:
+    plane, felt = chart.plane, chart.felt[name]
+    colours: Any = {"cmap": ListedColormap(style.OUTCOMES), "vmin": -0.5, "vmax": len(Outcome) - 0.5}
     axes.set_xscale("log")
-    axes.pcolormesh(plane.kappa, plane.ratio, felt.outcome.T, cmap=colours, rasterized=True, linewidth=0, **limits)
+    axes.pcolormesh(plane.kappa, plane.ratio, felt.outcome.T, rasterized=True, linewidth=0, **colours)
     for outcome, hatch in style.OUTCOME_HATCHES.items():
         here = (felt.outcome == Outcome[outcome]).T.astype(float)
         if here.any() and min(here.shape) > 1:
             drawn = axes.contourf(plane.kappa, plane.ratio, here, levels=[0.5, 1.5], colors="none", hatches=[hatch])
-            drawn.set_edgecolor(style.HATCH)
-            drawn.set_linewidth(0.0)
+            drawn.set(edgecolor=style.HATCH, linewidth=0.0)
     axes.set_xlim(_LEAST, _MOST)
     axes.set_ylim(0.0, _MOST_RATIO)
     axes.set_title(f"correction: {name}")
     axes.set_xlabel("desired $K\\,T^2/m$")
     shares = "\n".join(f"{100.0 * felt.share(within):.0f} % within {100.0 * within:.0f} %" for within in WITHIN)
-    axes.text(0.965, 0.96, shares, transform=axes.transAxes, va="top", ha="right", fontsize=8.5, bbox=_BOX, zorder=6)
+    axes.text(0.965, 0.96, shares, transform=axes.transAxes, va="top", ha="right", **style.SHARES)
     point = chart.operating_point
     if point is not None and _LEAST <= point[0] <= _MOST and point[1] <= _MOST_RATIO:
         axes.plot(*point, **style.OPERATING_POINT | {"markersize": 6})
 
 
 def _add_legend_of_outcomes(figure: Any, chart: FeltChart) -> None:
-    from matplotlib.patches import Patch
-
-    shown = {int(outcome) for felt in chart.felt.values() for outcome in np.unique(felt.outcome)}
-    handles = []
-    for outcome, words in _WORDS.items():
-        hatch, colour = style.OUTCOME_HATCHES.get(outcome.name), style.OUTCOMES[outcome]
-        if outcome in shown:
-            handles.append(Patch(facecolor=colour, edgecolor=style.HATCH, linewidth=0.5, hatch=hatch, label=words))
+    shown = np.unique([felt.outcome for felt in chart.felt.values()])
+    handles = [
+        Patch(
+            facecolor=style.OUTCOMES[outcome],
+            edgecolor=style.HATCH,
+            linewidth=0.5,
+            hatch=style.OUTCOME_HATCHES.get(Outcome(outcome).name),
+            label=_WORDS[outcome],
+        )
+        for outcome in shown
+    ]
     # Two rows where one would be wider than the figure.
     legend_below(figure, 4 if len(handles) > 5 else len(handles), handles=handles)
 
 
-def _draw_shares(axes: Axes, x: Any, shares: dict[str, Any], label: str) -> None:
+def _draw_shares(axes: Axes, x: Floats, shares: dict[str, Floats], label: str) -> None:
     for name, share in shares.items():
-        axes.plot(
-            x, 100.0 * share, label=name, markersize=3.8, linewidth=1.3, markevery=0.09, **style.CORRECTIONS[name]
-        )
+        axes.plot(x, 100.0 * share, label=name, **style.CORRECTIONS[name])
     axes.set_xlabel(label)
     axes.set_xlim(x[0], x[-1])
     axes.set_ylim(0.0, 108.0)
     axes.yaxis.set_major_formatter("{x:.0f} %")
-    axes.grid(color="0.9", linewidth=0.6)
-    axes.set_axisbelow(True)
+    axes.grid()

@@ -23,6 +23,9 @@ _FONTS: Any = {
     "legend.fontsize": 9,
     "legend.frameon": False,
     "axes.linewidth": 0.8,
+    "axes.axisbelow": True,
+    "grid.color": "0.88",
+    "grid.linewidth": 0.6,
     "hatch.linewidth": 0.5,
     "pdf.fonttype": 42,
     "svg.hashsalt": "hapsim",  # names in an SVG are random without it

@@ -47,14 +47,14 @@ class Hand:
 
     def with_simulated(self, stiffness: float | None, damping: float | None) -> Hand:
         """Returns the same hand with another simulated K, N/m, or B, N·s/m; a spring alone has no damping."""
-        if stiffness is None and damping is None:
-            return self
-        for name, value in (("stiffness", stiffness), ("damping", damping)):
-            if value is not None and not math.isfinite(value):
+        given: dict[str, Any] = {
+            name: v for name, v in (("stiffness", stiffness), ("damping", damping)) if v is not None
+        }
+        for name, value in given.items():
+            if not math.isfinite(value):
                 raise UsageError(f"--simulated-{name}: found {value:g}, expected a finite number")
-        K, B = (self.stiffness, self.damping) if self.is_simulated else (0.0, 0.0)
-        K, B = K if stiffness is None else stiffness, B if damping is None else damping
-        return replace(self, stiffness=K, damping=B, corrected=None)
+        before: dict[str, Any] = {} if self.is_simulated else {"stiffness": 0.0, "damping": 0.0}
+        return replace(self, corrected=None, **before | given) if given else self
 
     def felt(self) -> tuple[float, float]:
         """Returns (k, b) in N/m and N·s/m; NaN if no spring and damper is equivalent."""
@@ -89,22 +89,18 @@ class Hand:
 def described(configuration: Configuration, *, mass: bool = True, normalised: bool = False) -> str:
     """Returns a configuration in one line for a title, in SI units or the paper's. `mass`: whether to name it."""
     c = configuration
-    parts = [] if normalised else [f"{short(c.rate)} Hz"]
-    if mass and not normalised:
-        parts.insert(0, f"$m$ = {short(c.mass)} kg")
-    parts += [f"{c.hold} hold", f"delay {c.delay:g}"]
-    if c.sampling != "ideal":
-        parts.append(f"sampling: {c.sampling}")
-    if c.damper != "backward":
-        parts.append(f"damper: {c.damper}" + (f", {c.cutoff:g} Hz" if c.cutoff else ""))
-    for symbol, value, unit, normal, one in (
-        ("b_0", c.friction, "N·s/m", "T/m", c.damping_unit),
-        ("k_0", c.stiffness, "N/m", "T^2/m", c.stiffness_unit),
-    ):
-        if value:
-            si = f"${symbol}$ = {short(value)} {unit}"
-            parts.append(f"${symbol} {normal}$ = {short(value / one)}" if normalised else si)
-    return ", ".join(parts)
+    b0 = f"$b_0 T/m$ = {short(c.friction / c.damping_unit)}" if normalised else f"$b_0$ = {short(c.friction)} N·s/m"
+    k0 = f"$k_0 T^2/m$ = {short(c.stiffness / c.stiffness_unit)}" if normalised else f"$k_0$ = {short(c.stiffness)} N/m"
+    parts = {
+        f"$m$ = {short(c.mass)} kg": mass and not normalised,
+        f"{short(c.rate)} Hz": not normalised,
+        f"{c.hold} hold, delay {c.delay:g}": True,
+        f"sampling: {c.sampling}": c.sampling != "ideal",
+        f"damper: {c.damper}{f', {c.cutoff:g} Hz' if c.cutoff else ''}": c.damper != "backward",
+        b0: c.friction,
+        k0: c.stiffness,
+    }
+    return ", ".join(words for words, shown in parts.items() if shown)
 
 
 def hands_of_scene(scene: Scene, given: Mapping[str, Any]) -> list[Hand]:
@@ -124,15 +120,14 @@ def hands_of_scene(scene: Scene, given: Mapping[str, Any]) -> list[Hand]:
         raise UsageError(
             f"a hand is drawn that is a spring and damper's alone, but {why}. `hapsim check` lists the whole's modes"
         )
-    spans, desired = scene.device.mass_spans(scene.channels), {one.channel: one for one in prediction.desired}
     hands = []
     for one in prediction.felt:
-        (least, most), c = spans[one.channel], one.configuration
+        (least, most), c = scene.device.mass_spans(scene.channels)[one.channel], one.configuration
         masses = (least, math.sqrt(least * most), most) if least < most else ()
-        wanted = desired.get(one.channel)
+        wanted = next((desired for desired in prediction.desired if desired.channel == one.channel), None)
         corrected = (wanted.k - c.stiffness, wanted.b - c.friction) if wanted else None
-        configuration = configured(c, given)
-        hands.append(Hand(one.name, one.channel, configuration, one.stiffness, one.damping, masses, corrected))
+        simulated = one.stiffness, one.damping
+        hands.append(Hand(one.name, one.channel, configured(c, given), *simulated, masses, corrected))
     return hands
 
 

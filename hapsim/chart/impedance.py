@@ -8,30 +8,28 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.ticker import MultipleLocator
 
 from hapsim.chart import style
 from hapsim.chart.figure import figure_to, legend_below
 from hapsim.prediction.impedance import PredictedImpedance, predict_impedance
+from hapsim.scene import Scene
 from hapsim.theory.arrays import Complexes, Floats
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
     from hapsim.measuring.measure_impedance import MeasuredImpedance
-    from hapsim.scene import Scene
 
 _POINTS = 400
 _MOST_IN_A_MATRIX = 6
 
 
 class Measured(NamedTuple):
-    """What was measured at frequencies (n,) in Hz, N·s/m, with the radii of its circles. ``predicted`` (n,), at the
-    same frequencies, tells on which turn a phase is drawn."""
+    """What was measured at frequencies (n,) in Hz, N·s/m, with the radii of its circles."""
 
     frequency: Floats
     value: Complexes
     uncertainty: Floats
-    predicted: Complexes
 
 
 class Curves(NamedTuple):
@@ -50,46 +48,37 @@ def phase(impedance: Complexes) -> Floats:
 
 def draw_sizes(axes: Axes, curves: Curves) -> None:
     """Draws the size, on a logarithmic scale unless all of it is zero."""
-    sizes = np.abs(curves.desired), np.abs(curves.rendered)
-    predicted = "rendered" if curves.measured is None else "predicted"
+    _set_up(axes)
+    sizes = np.abs([curves.desired, curves.rendered])
     axes.plot(curves.frequency, sizes[0], label="desired", **style.DESIRED)
+    predicted = "rendered" if curves.measured is None else "predicted"
     axes.plot(curves.frequency, sizes[1], label=predicted, **style.RENDERED)
-    some = np.concatenate(sizes)
-    some = some[some > 0.0]
-    if some.size:
+    if sizes.any():
         axes.set_yscale("log")
     if curves.measured is not None:
         found = curves.measured
         label = "measured, 99.9 % for all together"
         axes.errorbar(found.frequency, np.abs(found.value), found.uncertainty, label=label, **style.MEASURED)
-        if some.size:  # a circle that reaches down to 0 would squeeze all else
-            axes.set_ylim(0.5 * float(np.min(some)), 2.0 * float(np.max(some)))
+        if sizes.any():  # a circle that reaches down to 0 would squeeze all else
+            axes.set_ylim(0.5 * float(np.min(sizes[sizes > 0.0])), 2.0 * float(np.max(sizes)))
 
 
 def draw_phases(axes: Axes, curves: Curves) -> None:
-    """Draws the phase, with the band in which the impedance is passive."""
+    """Draws the phase, and shades what lies outside of -90 to 90 degrees, where the scene gives the hand energy."""
+    _set_up(axes)
+    axes.set_xlabel("frequency  (Hz)")
     desired, rendered = phase(curves.desired), phase(curves.rendered)
     axes.plot(curves.frequency, desired, **style.DESIRED)
     axes.plot(curves.frequency, rendered, **style.RENDERED)
     if curves.measured is not None:
         found = curves.measured
-        along = np.interp(found.frequency, curves.frequency, rendered)
-        expected = np.degrees(np.angle(found.predicted))
-        turn = 360.0 * np.round((along - expected) / 360.0)
-        at = turn + expected + np.degrees(np.angle(found.value / found.predicted))
+        near = np.interp(found.frequency, curves.frequency, rendered)  # on this turn
+        at = near + np.degrees(np.angle(found.value * np.exp(-1j * np.radians(near))))
         radius = np.degrees(np.arcsin(np.minimum(1.0, found.uncertainty / np.abs(found.value))))
         axes.errorbar(found.frequency, at, radius, **style.MEASURED)
-    _mark_passive_band(axes, np.concatenate([desired, rendered]))
-
-
-def _mark_passive_band(axes: Axes, phases: Floats) -> None:
-    """Shades what lies outside of -90 to 90 degrees, where the scene gives the hand energy."""
-    from matplotlib.ticker import MultipleLocator
-
-    low = 45.0 * math.floor(min(-90.0, float(np.min(phases))) / 45.0 - 0.2)
-    high = 45.0 * math.ceil(max(0.0, float(np.max(phases))) / 45.0 + 0.2)
-    span = high - low
-    axes.yaxis.set_major_locator(MultipleLocator(45.0 if span <= 270.0 else 90.0 if span <= 900.0 else 360.0))
+    low = 45.0 * math.floor(min(-90.0, np.min(desired), np.min(rendered)) / 45.0 - 0.2)
+    high = 45.0 * math.ceil(max(0.0, np.max(desired), np.max(rendered)) / 45.0 + 0.2)
+    axes.yaxis.set_major_locator(MultipleLocator(90.0 if high - low <= 900.0 else 360.0))
     # A phase that goes on turning comes back into the band, a turn further down.
     for centre in 360.0 * np.arange(math.floor((low + 90.0) / 360.0), 2):
         ends = max(low, centre - 270.0), min(high, centre - 90.0)
@@ -97,18 +86,12 @@ def _mark_passive_band(axes: Axes, phases: Floats) -> None:
     axes.set_ylim(low, high)
 
 
-def set_frequencies(axes: Axes, low: float, high: float) -> None:
-    """Sets the axis that the panels share, in Hz."""
-    axes.set_xlabel("frequency  (Hz)")
+def _set_up(axes: Axes) -> None:
     axes.set_xscale("log")
     axes.xaxis.set_major_formatter("{x:g}")
     axes.xaxis.set_minor_formatter("")
-    axes.set_xlim(low, high)
-
-
-def draw_grid(axes: Axes) -> None:
-    """Draws faint lines at the major ticks."""
-    axes.grid(which="major", color="0.88", linewidth=0.6)
+    axes.margins(x=0.02)
+    axes.grid()
 
 
 def columns(predicted: PredictedImpedance, measured: MeasuredImpedance) -> dict[str, list[Any]]:
@@ -139,60 +122,41 @@ def draw_impedance(
     """Draws size and phase at the device point at ``place``, rendered and in the closed loop; without a ``place``, for
     several device points, the sizes of the whole rendered matrix. The ending of `path` is .svg, .png or .pdf."""
     dense = predict_impedance(scene, np.geomspace(predicted.frequency[0], predicted.frequency[-1], _POINTS))
-    if place is None and 1 < len(predicted.names) <= _MOST_IN_A_MATRIX:
-        _draw_matrix(dense, predicted, measured, path)
-    else:
-        _draw_one(dense, predicted, measured, place or 0, path)
+    draw = _draw_matrix if place is None and 1 < len(predicted.names) <= _MOST_IN_A_MATRIX else _draw_one
+    draw(dense, measured, place or 0, path)
 
 
-def _draw_one(
-    dense: PredictedImpedance, predicted: PredictedImpedance, measured: MeasuredImpedance, i: int, path: Path
-) -> None:
+def _draw_one(dense: PredictedImpedance, measured: MeasuredImpedance, i: int, path: Path) -> None:
     titles = {"rendered": "rendered by the scene", "closed_loop": "closed loop, the device with it"}
     with figure_to(path, 9.5, 5.8) as figure:
         panels = figure.subplots(2, 2, sharex=True, height_ratios=[1.15, 1.0])
-        figure.suptitle(f"Impedance at {predicted.names[i]}, channel {measured.channels[i]}")
+        figure.suptitle(f"Impedance at {dense.names[i]}, channel {measured.channels[i]}")
         for (name, title), (upper, lower) in zip(titles.items(), panels.T, strict=True):
-            curves = _curves(name, dense, predicted, measured, (i, i))
+            curves = _curves(name, dense, measured, (i, i))
             upper.set_title(title)
             draw_sizes(upper, curves)
             draw_phases(lower, curves)
-            set_frequencies(lower, 0.9 * float(dense.frequency[0]), 1.1 * float(dense.frequency[-1]))
-            draw_grid(upper)
-            draw_grid(lower)
         panels[0, 0].set_ylabel("|force / velocity|  (N·s/m)")
         panels[1, 0].set_ylabel("phase  (degrees)")
         legend_below(figure, 2, handlelength=2.6)
 
 
-def _draw_matrix(
-    dense: PredictedImpedance, predicted: PredictedImpedance, measured: MeasuredImpedance, path: Path
-) -> None:
-    names = predicted.names
+def _draw_matrix(dense: PredictedImpedance, measured: MeasuredImpedance, _: int, path: Path) -> None:
+    names = dense.names
     with figure_to(path, 1.5 + 2.9 * len(names), 1.4 + 2.3 * len(names)) as figure:
-        panels = figure.subplots(len(names), len(names), sharex=True, squeeze=False)
+        panels = figure.subplots(len(names), len(names), sharex=True)
         figure.suptitle("Rendered impedance  (N·s/m)")
         for i, j in np.ndindex(len(names), len(names)):
             axes: Any = panels[i, j]
             axes.set_title(f"force at {names[i]}, velocity at {names[j]}")
-            draw_sizes(axes, _curves("rendered", dense, predicted, measured, (i, j)))
-            draw_grid(axes)
+            draw_sizes(axes, _curves("rendered", dense, measured, (i, j)))
         for axes in panels[-1]:
-            set_frequencies(axes, 0.9 * float(dense.frequency[0]), 1.1 * float(dense.frequency[-1]))
+            axes.set_xlabel("frequency  (Hz)")
         legend_below(figure, 2, handlelength=2.6)
 
 
-def _curves(
-    name: str,
-    dense: PredictedImpedance,
-    predicted: PredictedImpedance,
-    measured: MeasuredImpedance,
-    at: tuple[int, int],
-) -> Curves:
-    here = (slice(None), *at)
+def _curves(name: str, dense: PredictedImpedance, measured: MeasuredImpedance, at: tuple[int, int]) -> Curves:
+    here, circles = (slice(None), *at), getattr(measured, name)
     desired = dense.desired[here] + (dense.ideal_device[here] if name == "closed_loop" else 0.0)
-    circles = getattr(measured, name)
-    found = Measured(
-        predicted.frequency, circles.value[here], circles.uncertainty[here], getattr(predicted, name)[here]
-    )
+    found = Measured(measured.frequency, circles.value[here], circles.uncertainty[here])
     return Curves(dense.frequency, desired, getattr(dense, name)[here], found)

@@ -1,18 +1,23 @@
 """The deformed parameter space: curves of equal k and of equal b in the K,B plane (Florens et al., Figures 7, 8, 9).
 
-Of one mass, or of several over each other: a hand adds an unknown mass (§4 and §5).
+For one mass, or for a family of masses: a hand adds an unknown mass (§4 and §5).
 """
 
 from __future__ import annotations
 
 import contextlib
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.patches import PathPatch
+from matplotlib.path import Path as Outline
+from matplotlib.transforms import Bbox
 
 from hapsim.chart import plane_curves as curves
 from hapsim.chart import style
@@ -24,13 +29,11 @@ from hapsim.errors import UsageError
 from hapsim.number_format import short
 from hapsim.theory.arrays import Bools, Floats
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
 _MOST = (12, 9)  # curves of equal k, and of equal b
 _MOST_OF_A_FAMILY = (4, 4)  # for each of several masses
 _SHARES = {"iso_k": 0.6, "iso_b": 0.35}  # of a curve's length: where its number is
 _SHORTEST = 30.0  # pixels of a curve that has a number
+_HALF_NUMBER = 26.0  # pixels: half of the distance between two numbers
 MOST_MASSES = len(style.OF_MASS)
 
 
@@ -62,13 +65,18 @@ class Plane:
     """Outlines of where the loop is unstable with at least one of the masses."""
     points: tuple[Point, ...]
     ideal: tuple[Curve, ...] = ()
-    """Where the curves would be in continuous time. This and what follows: of one mass only."""
+    """Where the curves would be in continuous time. This and the following belong to a single mass."""
     without_equivalent: tuple[Curve, ...] = ()
     """Outlines of where no spring and damper is felt, stable or not; empty if none of it is stable."""
     fold: tuple[Curve, ...] = ()
     linear: tuple[Curve, ...] = ()
     passive: tuple[Curve, ...] = ()
     """An outline; empty if the condition is not derived."""
+
+    @property
+    def masses(self) -> list[float]:
+        """kg, one for each sheet."""
+        return [sheet.configuration.mass for sheet in self.sheets]
 
     @property
     def is_family(self) -> bool:
@@ -83,13 +91,11 @@ class Plane:
     def columns(self) -> dict[str, list[Any]]:
         """Returns what is drawn, by the names that a data file uses: a row for each point of a curve."""
         regions = (*self.unstable, *self.without_equivalent, *self.passive)
-        columns = curves.joined((*self.iso, *self.ideal, *self.boundaries, *self.fold, *self.linear, *regions))
-        for at in self.points:
-            values = ("operating_point", math.nan, at.mass, at.K, at.B, at.k, at.b)
-            for column, value in zip(columns.values(), values, strict=True):
-                column.append(value)
-        names = dict(zip(("K", "B", "k", "b"), self.scale.columns, strict=True))
-        return {names.get(name, name): values for name, values in columns.items()}
+        drawn = (*self.iso, *self.ideal, *self.boundaries, *self.fold, *self.linear, *regions)
+        rows = [row for curve in drawn if curve.is_seen for row in curve.rows()]
+        rows += [("operating_point", math.nan, at.mass, at.K, at.B, at.k, at.b) for at in self.points]
+        names = ("curve", "value", "mass_kg", *self.scale.columns)
+        return {name: [row[i] for row in rows] for i, name in enumerate(names)}
 
 
 def plane(hands: Sequence[Hand], view: View, scale: Scale) -> Plane:
@@ -122,7 +128,7 @@ def _of_one_mass(sheet: Sheet, k_values: Floats, b_values: Floats) -> dict[str, 
     K, B = sheet.mesh(coarse=2)
     lost: list[Curve] = []
     if np.any(configuration.is_stable(K, B) & ~configuration.dominant(K, B)):
-        # Worked out for the whole plane: its stable part may be narrower than a mesh. The unstable is drawn over it.
+        # For the whole plane: its stable part may be narrower than a mesh. The unstable part is drawn over it.
         lost = sheet.region("no_equivalent", lambda K, B: ~configuration.dominant(K, B))
     passive: tuple[Curve, ...] = ()
     with contextlib.suppress(ValueError):  # not derived for this configuration
@@ -156,9 +162,8 @@ def draw_plane(data: Plane, title: str, path: Path) -> None:
         _draw_curves(axes, data)
         _draw_points(axes, data)
         legend_below(figure, 2, handlelength=3.2)
-        figure.draw_without_rendering()
-        figure.set_layout_engine("none")  # numbers on curves leave gaps in them that fit this layout
-        _draw_numbered(axes, data, _write_at_points(axes, data))
+        figure.draw_without_rendering()  # from here on it is known where texts are
+        _write_numbers(axes, data, _write_at_points(axes, data))
 
 
 def _set_axes(axes: Axes, data: Plane) -> None:
@@ -174,26 +179,20 @@ def _set_axes(axes: Axes, data: Plane) -> None:
 
 def _fill(axes: Axes, outlines: Sequence[Curve], label: str, look: style.Look) -> None:
     """Fills a region without its holes; draws nothing if it is empty."""
-    from matplotlib.patches import PathPatch
-    from matplotlib.path import Path as Outline
-
     rings = [np.column_stack([ring.K, ring.B]) for ring in outlines if ring.is_seen]
     if rings:
         closed = [Outline(np.vstack([ring, ring[:1]]), closed=True) for ring in rings]
         axes.add_patch(PathPatch(Outline.make_compound_path(*closed), label=label, **look))
 
 
-def _looks(data: Plane) -> dict[float, style.Look]:
-    """Returns the look of each mass's curves."""
-    masses = [sheet.configuration.mass for sheet in data.sheets]
-    return dict(zip(masses, style.OF_MASS, strict=False))
-
-
 def _draw_curves(axes: Axes, data: Plane) -> None:
-    for mass, boundary, look in zip(_looks(data), data.boundaries, _looks(data).values(), strict=True):
-        label = f"$m$ = {mass:g} kg: stability boundary, $b = 0$" if data.is_family else "stability boundary, $b = 0$"
+    for curve in data.iso:
+        of_mass = style.OF_MASS[data.masses.index(curve.mass)] if data.is_family else style.ISO_OF_ONE_MASS[curve.kind]
+        axes.plot(curve.K, curve.B, **style.ISO[curve.kind] | of_mass)
+    for mass, boundary, look in zip(data.masses, data.boundaries, style.OF_MASS, strict=False):
+        whose = f"$m$ = {mass:g} kg: " if data.is_family else ""
         if boundary.is_seen:
-            axes.plot(boundary.K, boundary.B, label=label, **style.LIMIT, **look)
+            axes.plot(boundary.K, boundary.B, label=f"{whose}stability boundary, $b = 0$", **style.LIMIT | look)
     for drawn, label, look in (
         (data.ideal, "where they would be in continuous time", style.IDEAL),
         (data.fold, "fold", style.FOLD),
@@ -206,8 +205,7 @@ def _draw_curves(axes: Axes, data: Plane) -> None:
         return
     for kind, what, name in zip(style.ISO, ("stiffness", "damping"), data.scale.felt_names, strict=True):
         if any(curve.kind == kind and curve.is_seen for curve in data.iso):
-            look = style.ISO[kind] | style.ISO_OF_ONE_MASS[kind]
-            axes.plot([], [], label=f"equal felt {what}, {name}", **look)
+            axes.plot([], [], label=f"equal felt {what}, {name}", **style.ISO[kind] | style.ISO_OF_ONE_MASS[kind])
 
 
 def _draw_points(axes: Axes, data: Plane) -> None:
@@ -224,75 +222,15 @@ def _draw_points(axes: Axes, data: Plane) -> None:
         axes.plot(*zip(*seen, strict=True), label="operating point", **style.OPERATING_POINT)
 
 
-def _draw_numbered(axes: Axes, data: Plane, words: Sequence[Any]) -> None:
-    """Draws the curves of equal k and b, each with its number in a gap, clear of the `words` that are there."""
-    from matplotlib.contour import ContourSet
-    from matplotlib.transforms import Bbox
-
-    shown = [curve for curve in data.iso if curve.is_seen]
-    if not shown:
-        return
-    looks = _looks(data)
-    of_curve = [looks[one.mass] if data.is_family else style.ISO_OF_ONE_MASS[one.kind] for one in shown]
-    drawn = ContourSet(
-        axes,
-        list(range(len(shown))),
-        [_pieces(curve) for curve in shown],
-        colors=[look["color"] for look in of_curve],
-        linestyles=[look.get("linestyle", "-") for look in of_curve],
-        linewidths=[style.ISO[one.kind]["linewidth"] for one in shown],
-    )
-    boxes = [text.get_window_extent().expanded(1.1, 1.3) for text in words]
-    names = {"iso_k": "$k$ = ", "iso_b": "$b$ = "} if data.is_family else {"iso_k": "", "iso_b": ""}
-    # Between the lightest and the heaviest mass the style of a curve says enough.
-    first, last = data.sheets[0].configuration.mass, data.sheets[-1].configuration.mass
-    for i, one in enumerate(shown):
-        if one.mass in (first, last):
-            share = _SHARES[one.kind] + (0.25 if one.mass != first else 0.0)
-            place = _place_on(axes, _pieces(one), share, boxes)
-            fmt = {i: f"{names[one.kind]}{short(one.value)}"}
-            if place is not None:
-                corners = np.add(axes.transData.transform(place), [[-26.0], [26.0]])  # pixels: two numbers end to end
-                boxes.append(Bbox(corners))
-                axes.clabel(drawn, levels=[i], fmt=fmt, manual=[place], fontsize=8.5, colors="black", inline_spacing=3)
-
-
-def _place_on(axes: Axes, pieces: list[Any], share: float, boxes: Sequence[Any]) -> Any | None:
-    """Returns the place for a number on the longest piece of a curve: near this share of its length, outside of
-    `boxes`; None if the piece is short."""
-    pixels = [axes.transData.transform(piece) for piece in pieces]
-    inside = [line[[axes.bbox.contains(*point) for point in line]] for line in pixels]
-    lengths = [np.append(0.0, np.cumsum(np.hypot(*np.diff(line, axis=0).T))) for line in inside]
-    longest = max(range(len(inside)), key=lambda i: float(lengths[i][-1]))
-    line, length = inside[longest], lengths[longest]
-    for offset in (0.0, 0.1, -0.1, 0.2, -0.2, 0.3):
-        at = length[-1] * (share + offset)
-        place = [float(np.interp(at, length, column)) for column in line.T] if length[-1] > _SHORTEST else None
-        if place is not None and not any(box.contains(*place) for box in boxes):
-            return axes.transData.inverted().transform(place)
-    return None
-
-
-def _pieces(curve: Curve) -> list[Any]:
-    """Splits a line at its gaps."""
-    points = np.column_stack([curve.K, curve.B])
-    there = np.isfinite(points).all(axis=1)
-    cuts = np.flatnonzero(np.diff(there)) + 1
-    return [piece for piece in np.split(points, cuts) if np.isfinite(piece).all() and len(piece) > 1]
-
-
 def _write_at_points(axes: Axes, data: Plane) -> list[Any]:
     """Writes what is felt beside each operating point; returns the texts."""
-    groups: dict[tuple[str, float, float], list[Point]] = {}
-    for point in data.points:
-        if point.is_seen:
-            groups.setdefault((point.name, point.K, point.B), []).append(point)
+    seen = [point for point in data.points if point.is_seen]
     texts = []
-    for i, ((_, K, B), points) in enumerate(groups.items()):
+    for i, ((_, K, B), points) in enumerate(itertools.groupby(seen, lambda point: (point.name, point.K, point.B))):
         x, y = axes.transAxes.inverted().transform(axes.transData.transform((K, B)))
         right, up = x < 0.5, (1 if y < 0.75 else -1) * (18 + 34 * i)
         text = axes.annotate(
-            _words(points, data),
+            _words(list(points), data),
             (K, B),
             (26 if right else -26, up),
             textcoords="offset points",
@@ -308,10 +246,43 @@ def _write_at_points(axes: Axes, data: Plane) -> list[Any]:
 
 
 def _words(points: Sequence[Point], data: Plane) -> str:
-    """Returns what is simulated, and what it feels like: of several masses a line each."""
+    """Returns what is simulated, and what it feels like: with several masses a line each."""
     first = points[0]
     lines = [f"{first.name}: $K$ = {short(first.K)}, ${data.scale.simulated}$ = {short(first.B)}"]
     for at in points:
         felt = f"$k$ = {short(at.k)}, $b$ = {short(at.b)}" if math.isfinite(at.k) else "no spring and damper"
         lines.append(f"{at.mass:g} kg feels {felt}" if data.is_family else f"feels {felt}")
     return "\n".join(lines)
+
+
+def _write_numbers(axes: Axes, data: Plane, words: Sequence[Any]) -> None:
+    """Writes the value on each curve of equal k or b, clear of the `words` and of each other."""
+    taken = [text.get_window_extent().expanded(1.1, 1.3) for text in words]
+    names = {"iso_k": "$k$ = ", "iso_b": "$b$ = "} if data.is_family else {"iso_k": "", "iso_b": ""}
+    # Between the lightest and the heaviest mass the style of a curve says enough.
+    first, last = data.masses[0], data.masses[-1]
+    for curve in data.iso:
+        share = _SHARES[curve.kind] + (0.25 if curve.mass != first else 0.0)
+        place = _place_on(axes, curve, share, taken) if curve.mass in (first, last) else None
+        if place is not None:
+            taken.append(Bbox(np.add(place, [[-_HALF_NUMBER], [_HALF_NUMBER]])))
+            x, y = axes.transData.inverted().transform(place)
+            axes.text(x, y, f"{names[curve.kind]}{short(curve.value)}", **style.NUMBER)
+
+
+def _place_on(axes: Axes, curve: Curve, share: float, taken: Sequence[Any]) -> Floats | None:
+    """Returns the place (2,), in pixels, of a number on the longest visible piece of a curve: near this share of its
+    length, outside of the boxes `taken`. None if the piece is short."""
+    points = axes.transData.transform(np.column_stack([curve.K, curve.B]))
+    inside = np.array([np.isfinite(point).all() and axes.bbox.contains(*point) for point in points])
+    ends = np.flatnonzero(np.diff(inside, prepend=False, append=False)).reshape(-1, 2)
+    pieces = [points[begin:end] for begin, end in ends]
+    lengths = [np.append(0.0, np.cumsum(np.hypot(*np.diff(piece, axis=0).T))) for piece in pieces]
+    length, i = max(((along[-1], i) for i, along in enumerate(lengths)), default=(0.0, 0))
+    if length < _SHORTEST:
+        return None
+    for offset in (0.0, 0.1, -0.1, 0.2, -0.2, 0.3):
+        place = np.array([np.interp(length * (share + offset), lengths[i], column) for column in pieces[i].T])
+        if not any(box.contains(*place) for box in taken):
+            return place
+    return None

@@ -31,11 +31,6 @@ class View:
     B_from: float
     B_to: float
 
-    def mesh(self, columns: int, rows: int) -> tuple[Floats, Floats]:
-        """Returns points (rows, columns) all over it; K is above 0."""
-        K = self.K_to * np.linspace(1e-6, 1.0, columns)
-        return tuple(np.meshgrid(K, np.linspace(self.B_from, self.B_to, rows)))  # type: ignore[return-value]
-
     def holds(self, K: Floats, B: Floats) -> Bools:
         """Returns whether points lie in it, or so near that a line to them leaves the picture."""
         across, up = K / self.K_to - 0.5, (B - self.B_from) / (self.B_to - self.B_from) - 0.5
@@ -144,7 +139,7 @@ def view_of(hands: Sequence[Hand], *, from_total: bool, K_to: float | None = Non
     B = max((hand.damping for hand in simulated), default=least)
     # The damping that would make an unstable point stable is drawn too.
     steady = max((float(hand.configuration.stable_damping(K)[0]) for hand in simulated), default=math.nan)
-    B_needed = (max(B, steady) if math.isfinite(steady) else B) - least
+    B_needed = float(np.fmax(B, steady)) - least
     if min(K, B_needed) > 0.0 and max(K / K_whole, B_needed / B_whole) < 1.0 / _FAR_SMALLER:
         K_found, B_found = _AROUND_POINT * K, _AROUND_POINT * B_needed
     else:

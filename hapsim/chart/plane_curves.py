@@ -6,10 +6,13 @@ Points outside the view, and points that have no meaning, are NaN.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from hapsim.chart.plane_axes import Scale, View
@@ -45,6 +48,11 @@ class Curve:
         """Whether any of it is in the picture."""
         return bool(np.any(np.isfinite(self.K)))
 
+    def rows(self) -> Iterator[tuple[Any, ...]]:
+        """Yields (kind, value, mass, K, B, k, b) of every point."""
+        for point in zip(*(column.tolist() for column in (self.K, self.B, self.k, self.b)), strict=True):
+            yield self.kind, self.value, self.mass, *point
+
 
 @dataclass(frozen=True)
 class Sheet:
@@ -54,15 +62,11 @@ class Sheet:
     view: View
     scale: Scale
 
-    def curve(
-        self, kind: str, value: float, K: Floats, B: Floats, k: Floats | None = None, b: Floats | None = None
-    ) -> Curve:
-        """Returns a line from SI units. Points outside the view become a gap, invisible detail is dropped."""
-        k, b = (np.full(K.shape, np.nan) if given is None else given for given in (k, b))
-        seen = self.view.holds(K, B)
-        columns = [np.where(seen, column, np.nan) for column in (K, B, k, b)]
-        kept = self._thinned(*columns[:2])
-        return self.outline(kind, value, *(column[kept] for column in columns))
+    def curve(self, kind: str, value: float, *columns: Floats) -> Curve:
+        """Returns a line from K, B and, if known, k and b in SI units. Points outside the view become a gap, invisible
+        detail is dropped."""
+        seen = np.where(self.view.holds(*columns[:2]), columns, np.nan)
+        return self.outline(kind, value, *seen[:, self._thinned(*seen[:2])])
 
     def oscillators(self, kind: str, value: float, k: Floats, b: Floats) -> Curve:
         """Returns the line of the K and B that are felt as these k and b (SI units)."""
@@ -70,46 +74,51 @@ class Sheet:
         seen = self.view.holds(K, B)
         # Whether they are felt takes every pole, so only the points that are drawn are asked.
         kept = self._thinned(np.where(seen, K, np.nan), B)
-        K, B = self.configuration.simulated(k[kept], b[kept])
+        k, b = k[kept], b[kept]
+        K, B = self.configuration.simulated(k, b)
         K = np.where(seen[kept], K, np.nan)
         one_gap = np.isfinite(K) | np.isfinite(np.roll(K, 1))
-        return self.outline(kind, value, *(column[one_gap] for column in (K, B, k[kept], b[kept])))
+        return self.outline(kind, value, *(column[one_gap] for column in (K, B, k, b)))
 
-    def outline(
-        self, kind: str, value: float, K: Floats, B: Floats, k: Floats | None = None, b: Floats | None = None
-    ) -> Curve:
+    def outline(self, kind: str, value: float, K: Floats, B: Floats, *felt: Floats) -> Curve:
         """Returns a line from SI units with all its points."""
-        k, b = (np.full(K.shape, np.nan) if given is None else given for given in (k, b))
-        scale = self.scale
-        felt = scale.of_stiffness(k), scale.of_damping(b)
-        return Curve(kind, value, self.configuration.mass, scale.of_stiffness(K), scale.of_simulated(B), *felt)
+        k, b = felt or np.full((2, K.size), np.nan)
+        drawn = self.scale.of_stiffness(K), self.scale.of_simulated(B)
+        return Curve(kind, value, self.configuration.mass, *drawn, self.scale.of_stiffness(k), self.scale.of_damping(b))
 
     def region(self, kind: str, judge: Judge) -> list[Curve]:
-        """Returns the closed outlines of where `judge`, called with K and B in SI units, is true."""
-        return [self.outline(kind, math.nan, *ring) for ring in _border(judge, *self.mesh())]
+        """Returns the closed outlines of where `judge`, called with K and B in SI units, is true; a hole is one too.
+
+        Traced from point to point of the mesh; then each point is moved along the mesh's side, by bisection.
+        """
+        K, B = self.mesh()
+        inside = judge(K, B)
+        if not inside.any():
+            return []
+        traced = Figure().add_subplot().contourf(inside.astype(float), levels=[0.5, 1.5])
+        rings = [np.asarray(ring) for path in traced.get_paths() for ring in path.to_polygons(closed_only=True)]
+        return [self.outline(kind, math.nan, *_refined(judge, inside, K[0], B[:, 0], ring)) for ring in rings]
 
     def mesh(self, coarse: int = 1) -> tuple[Floats, Floats]:
         """Returns (K, B), (rows, columns), SI units, all over the picture: as many as are judged within a second."""
         poles = self.configuration.characteristic(1.0, 1.0).size - 1
         columns, rows = (160, 120) if poles <= _FEW_POLES else (100, 80)
-        return self.view.mesh(columns // coarse + 1, rows // coarse + 1)
+        K = self.view.K_to * np.linspace(1e-6, 1.0, columns // coarse + 1)
+        B = np.linspace(self.view.B_from, self.view.B_to, rows // coarse + 1)
+        return np.tile(K, (B.size, 1)), np.tile(B[:, None], K.size)
 
     def _thinned(self, K: Floats, B: Floats) -> NDArray[np.intp]:
         """Returns the indices of a line's points about `_FINE` apart; its ends and its gaps are kept."""
         x, y = K / self.view.K_to, B / (self.view.B_to - self.view.B_from)
         there = np.isfinite(x + y)
-        steps = np.abs(np.diff(x)) + np.abs(np.diff(y))
-        length = np.cumsum(np.where(np.isfinite(steps), steps, 0.0)) if x.size else np.empty(0)
-        moved = np.diff(np.floor(np.concatenate([[0.0], length]) / _FINE), prepend=-1.0)[: x.size] > 0.0
-        after = np.append(there, False)[1:]
-        before = np.append(False, there)[:-1]
+        steps = np.nan_to_num(np.abs(np.diff(x)) + np.abs(np.diff(y)))
+        moved = np.diff(np.cumsum(np.append(0.0, steps)) // _FINE, prepend=-1.0) > 0.0
+        before, after = np.append(False, there[:-1]), np.append(there[1:], False)
         return np.flatnonzero((there & (moved | ~before | ~after)) | (~there & before))
 
 
 def round_values(last: float, most: int) -> Floats:
     """Returns the multiples of a round step (1, 2 or 5 times a power of ten) up to `last`, at most `most` of them."""
-    from matplotlib.ticker import MaxNLocator
-
     if not 0.0 < last < math.inf:
         return np.empty(0)
     values = MaxNLocator(most, steps=[1, 2, 5, 10]).tick_values(0.0, last)
@@ -148,16 +157,16 @@ def iso_curves(sheet: Sheet, k_values: Floats, b_values: Floats) -> list[Curve]:
 def ideal_curves(sheet: Sheet, k_values: Floats, b_values: Floats) -> list[Curve]:
     """Returns where the same k and b would be felt in continuous time: K = k and B = b, less what the device has."""
     c, view = sheet.configuration, sheet.view
-    curves = []
-    for value in k_values:
-        K = value * sheet.scale.stiffness - c.stiffness
-        ends = np.full(2, K if view.shows(K, view.B_from) else np.nan)
-        curves.append(sheet.curve("ideal_k", value, ends, np.array([view.B_from, view.B_to])))
-    for value in b_values:
-        B = value * sheet.scale.damping - c.friction
-        ends = np.full(2, B if view.shows(0.0, B) else np.nan)
-        curves.append(sheet.curve("ideal_b", value, np.array([0.0, view.K_to]), ends))
-    return curves
+    K_ends, B_ends = np.array([0.0, view.K_to]), np.array([view.B_from, view.B_to])
+    K, B = k_values * sheet.scale.stiffness - c.stiffness, b_values * sheet.scale.damping - c.friction
+    upright = [
+        sheet.curve("ideal_k", value, np.full(2, at if view.shows(at, view.B_from) else np.nan), B_ends)
+        for value, at in zip(k_values, K, strict=True)
+    ]
+    return upright + [
+        sheet.curve("ideal_b", value, K_ends, np.full(2, at if view.shows(0.0, at) else np.nan))
+        for value, at in zip(b_values, B, strict=True)
+    ]
 
 
 def stability_boundary(sheet: Sheet) -> Curve:
@@ -208,21 +217,6 @@ def _denser_up_to(end: float, values: Floats) -> Floats:
     return np.unique(np.concatenate([values, shown[shown < values[-1]]]))
 
 
-def _border(judge: Judge, K: Floats, B: Floats) -> list[tuple[Floats, Floats]]:
-    """Returns closed outlines (K, B) of the parts of a mesh (rows, columns) where `judge` is true; a hole is one too.
-
-    Traced from point to point; then each is moved along the side of the mesh that it lies on, by bisection.
-    """
-    from matplotlib.figure import Figure
-
-    inside = judge(K, B)
-    if not inside.any():
-        return []
-    traced = Figure().add_subplot().contourf(inside.astype(float), levels=[0.5, 1.5])
-    rings = [np.asarray(ring) for path in traced.get_paths() for ring in path.to_polygons(closed_only=True)]
-    return [_refined(judge, inside, K[0], B[:, 0], ring) for ring in rings]
-
-
 def _refined(judge: Judge, inside: Bools, along_K: Floats, along_B: Floats, ring: Floats) -> tuple[Floats, Floats]:
     """Moves the points of a ring of mesh indices to where the judgement changes."""
     low, high = np.floor(ring).astype(int).T, np.ceil(ring).astype(int).T
@@ -235,16 +229,3 @@ def _refined(judge: Judge, inside: Bools, along_K: Floats, along_B: Floats, ring
         K_yes, B_yes = np.where(here, K, K_yes), np.where(here, B, B_yes)
         K_no, B_no = np.where(here, K_no, K), np.where(here, B_no, B)
     return K_yes, B_yes
-
-
-def joined(curves: Sequence[Curve]) -> dict[str, list[object]]:
-    """Returns every point of every curve, a row each: its name, value and mass, and K, B, k, b as drawn."""
-    columns: dict[str, list[object]] = {name: [] for name in ("curve", "value", "mass_kg", "K", "B", "k", "b")}
-    for curve in curves:
-        if curve.is_seen:
-            columns["curve"] += [curve.kind] * curve.K.size
-            columns["value"] += [curve.value] * curve.K.size
-            columns["mass_kg"] += [curve.mass] * curve.K.size
-            for name in ("K", "B", "k", "b"):
-                columns[name] += getattr(curve, name).tolist()
-    return columns

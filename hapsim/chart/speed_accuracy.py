@@ -2,55 +2,66 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
 
 from hapsim.chart import style
 from hapsim.chart.figure import figure_to, legend_below
 from hapsim.number_format import frequency
 from hapsim.speed_accuracy.results import Object, Row, fronts
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
 _ABREAST = 3
 _LEAST_ERROR = 1e-13  # what is below is rounding, and drawn here
+_PLAIN: style.Look = {"color": "0.2", "linestyle": "", "markersize": 4.0}
+_QUANTITIES: dict[str, style.Look] = {
+    "$k$": _PLAIN | {"marker": "o"},
+    "$b$": _PLAIN | {"marker": "s", "markerfacecolor": "white"},
+}
 
 
 def draw_speed_accuracy(objects: Sequence[Object], rows: Sequence[Row], path: Path) -> None:
     """Draws it to a file: .svg, .png or .pdf."""
     across = min(len(objects), _ABREAST)
     down = math.ceil(len(objects) / across)
-    looks = _looks(objects, rows)
+    ours, peers = _looks(objects, rows)
     with figure_to(path, max(6.4, 3.45 * across), 3.0 * down + (1.1 if across > 1 else 1.6)) as figure:
         panels = figure.subplots(down, across, squeeze=False).ravel()
         for i, (axes, one) in enumerate(zip(panels, objects, strict=False)):
-            _draw(axes, one, [row for row in rows if row.object == one.name], looks)
+            _draw(axes, one, [row for row in rows if row.object == one.name], ours | peers)
             axes.set_ylabel("relative error" if i % across == 0 else "")
             axes.set_xlabel("processor time of a simulated second, s" if i + across >= len(objects) else "")
         for axes in panels[len(objects) :]:
             axes.set_axis_off()
-        _add_legend(figure, objects, looks)
+        named = dict(ours)
+        for name, dashes in style.PRECISIONS.items():
+            named[f"{name} precision"] = {"color": "0.2", "linestyle": dashes, "linewidth": 1.1}
+        named |= _QUANTITIES if any(len(one.quantities) > 1 for one in objects) else {}
+        named |= {"front of hapsim's own": style.FRONT, "real time": style.REAL_TIME} | peers
+        handles = [Line2D([], [], label=name, **look) for name, look in named.items()]
+        legend_below(figure, 6 if len(objects) > 1 else 3, handles=handles, columnspacing=1.4, fontsize=8)
 
 
-def _looks(objects: Sequence[Object], rows: Sequence[Row]) -> dict[str, style.Look]:
-    """Returns the look of each method of hapsim's and of each peer, the same in every panel."""
+def _looks(objects: Sequence[Object], rows: Sequence[Row]) -> tuple[dict[str, style.Look], dict[str, style.Look]]:
+    """Returns the looks of hapsim's methods and those of the peers, the same in every panel."""
     methods = list(dict.fromkeys(method for one in reversed(objects) for method in one.methods()))
     drawn = {row.method for row in rows if row.ours}
-    looks: dict[str, style.Look] = {}
-    for i, method in enumerate(methods):
-        colour = style.METHODS[i % len(style.METHODS)]
-        if method in drawn:
-            looks[method] = {"color": colour, "markerfacecolor": colour, "marker": "o", "linewidth": 1.1}
-            looks[method] |= {"markersize": 3.6, "markeredgewidth": 0.9, "zorder": 3.0}
-    for i, peer in enumerate(dict.fromkeys(row.whose for row in rows if not row.ours and row.good)):
-        grey, marker = style.PEERS[i % len(style.PEERS)]
-        looks[peer] = {"color": grey, "markerfacecolor": "white", "marker": marker, "linewidth": 0.6}
-        looks[peer] |= {"markersize": 3.8, "markeredgewidth": 0.7, "zorder": 2.0}
-    return looks
+    ours = {
+        method: style.METHOD | {"color": colour, "markerfacecolor": colour}
+        for method, colour in zip(methods, itertools.cycle(style.METHODS), strict=False)
+        if method in drawn
+    }
+    others = dict.fromkeys(row.whose for row in rows if not row.ours and row.good)
+    peers = {
+        peer: style.PEER | {"color": grey, "marker": marker}
+        for peer, (grey, marker) in zip(others, itertools.cycle(style.PEERS), strict=False)
+    }
+    return ours, peers
 
 
 def _draw(axes: Axes, one: Object, rows: Sequence[Row], looks: dict[str, style.Look]) -> None:
@@ -74,8 +85,7 @@ def _draw(axes: Axes, one: Object, rows: Sequence[Row], looks: dict[str, style.L
         axes.plot([row.cost for row in line], [_error(row) for row in line], **look)
     _write_rates(axes, [line for line in lines.values() if line[0].ours])
     axes.margins(x=0.08, y=0.1)
-    axes.grid(which="major", color="0.9", linewidth=0.6, zorder=0.0)
-    axes.set_axisbelow(True)
+    axes.grid()
 
 
 def _write_rates(axes: Axes, lines: Sequence[Sequence[Row]]) -> None:
@@ -94,18 +104,3 @@ def _write_rates(axes: Axes, lines: Sequence[Sequence[Row]]) -> None:
 
 def _error(row: Row) -> float:
     return max(row.off, _LEAST_ERROR)
-
-
-def _add_legend(figure: Figure, objects: Sequence[Object], looks: dict[str, style.Look]) -> None:
-    from matplotlib.lines import Line2D
-
-    named: dict[str, style.Look] = {name: look for name, look in looks.items() if look["zorder"] == 3.0}
-    for name, dashes in style.PRECISIONS.items():
-        named[f"{name} precision"] = {"color": "0.2", "linestyle": dashes, "linewidth": 1.1}
-    if any(len(one.quantities) > 1 for one in objects):
-        plain = {"color": "0.2", "linestyle": "", "markersize": 4.0}
-        named |= {"$k$": plain | {"marker": "o"}, "$b$": plain | {"marker": "s", "markerfacecolor": "white"}}
-    named |= {"front of hapsim's own": style.FRONT, "real time": style.REAL_TIME}
-    named |= looks  # the peers last
-    handles = [Line2D([], [], label=name, **look) for name, look in named.items()]
-    legend_below(figure, 6 if len(objects) > 1 else 3, handles=handles, columnspacing=1.4, fontsize=8)

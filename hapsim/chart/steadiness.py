@@ -4,29 +4,29 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
+import matplotlib as mpl
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
 
 from hapsim.chart import style
 from hapsim.chart.figure import figure_to, legend_below
+from hapsim.loop.histogram import Histogram
 from hapsim.number_format import frequency, short_duration
 from hapsim.theory.arrays import Floats
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
     from hapsim.doctor.examine import Examination
-    from hapsim.loop.histogram import Histogram
-
-What = Literal["lateness", "exchange"]
 
 
 @dataclass(frozen=True)
 class Survival:
     """A survival curve: which share of something took longer than a time."""
 
-    what: What
+    what: str
+    """lateness (of wake-ups) or exchange."""
     rate_hz: float
     clock: str
     """"" for wake-ups without a loop."""
@@ -45,7 +45,7 @@ def steadiness(examination: Examination) -> list[Survival]:
     return [curve for curve in curves if curve.time.size]
 
 
-def _survival(what: What, rate: float, clock: str, histogram: Histogram) -> Survival:
+def _survival(what: str, rate: float, clock: str, histogram: Histogram) -> Survival:
     """Reads a histogram at the end of every bin that holds something, so that no time is given too short. What took no
     time at all has no place on a logarithmic axis."""
     filled = np.flatnonzero(histogram.counts[1:]) + 1
@@ -58,53 +58,47 @@ def _survival(what: What, rate: float, clock: str, histogram: Histogram) -> Surv
 
 def columns(curves: list[Survival]) -> dict[str, list[Any]]:
     """Returns what is drawn, by the names that a data file uses: a row for each point."""
-    points = [(curve, float(t), float(s)) for curve in curves for t, s in zip(curve.time, curve.share, strict=True)]
-    return {
-        "what": [curve.what for curve, _, _ in points],
-        "clock": [curve.clock for curve, _, _ in points],
-        "rate_Hz": [curve.rate_hz for curve, _, _ in points],
-        "longer_than_s": [t for _, t, _ in points],
-        "share": [s for _, _, s in points],
-    }
+    names = ("what", "clock", "rate_Hz", "longer_than_s", "share")
+    points = [
+        (curve.what, curve.clock, curve.rate_hz, time, share)
+        for curve in curves
+        for time, share in zip(curve.time.tolist(), curve.share.tolist(), strict=True)
+    ]
+    return {name: [point[i] for point in points] for i, name in enumerate(names)}
 
 
 def draw_steadiness(curves: list[Survival], title: str, path: Path) -> None:
     """Draws it to a file: .svg, .png or .pdf."""
-    import matplotlib as mpl
-    from matplotlib.lines import Line2D
-
     rates = sorted({curve.rate_hz for curve in curves})
-    shades = dict(
-        zip(rates, mpl.colormaps[style.RATES](np.linspace(0.0, style.LIGHTEST_RATE, len(rates))), strict=True)
-    )
-
-    def sample(color: Any, linestyle: Any, label: str) -> Line2D:
-        return Line2D([], [], color=color, linestyle=linestyle, linewidth=1.3, label=label)
-
+    shades = mpl.colormaps[style.RATES](np.linspace(0.0, style.LIGHTEST_RATE, len(rates)))
+    shade_of = dict(zip(rates, map(tuple, shades), strict=True))
+    clocks = sorted({curve.clock for curve in curves if curve.clock})
+    looks: list[tuple[Any, Any, str]] = [(shade, "-", frequency(rate)) for rate, shade in shade_of.items()]
+    looks += [("0.4", style.CLOCKS[clock], f"clock: {clock}") for clock in clocks]
+    looks.append(("0.4", ":", "a period of that rate"))
     with figure_to(path, 8.0, 4.2) as figure:
         figure.suptitle(title)
         left, right = figure.subplots(1, 2, sharey=True)
-        _draw(left, [curve for curve in curves if curve.what == "lateness"], shades)
-        _draw(right, [curve for curve in curves if curve.what == "exchange"], shades)
+        _draw(left, [curve for curve in curves if curve.what == "lateness"], shade_of)
+        _draw(right, [curve for curve in curves if curve.what == "exchange"], shade_of)
         left.set_ylim(0.6 * min(curve.share[-1] for curve in curves), 1.5)
         left.set_xlabel("wake-up latency above")
         right.set_xlabel("exchange takes longer than")
         left.set_ylabel("share of ticks")
-        clocks = sorted({curve.clock for curve in curves if curve.clock})
-        handles = [sample(shade, "-", frequency(rate)) for rate, shade in shades.items()]
-        handles += [sample("0.4", style.CLOCKS[clock], f"clock: {clock}") for clock in clocks]
-        handles.append(sample("0.4", ":", "a period of that rate"))
+        handles = [
+            Line2D([], [], color=color, linestyle=dashes, linewidth=1.3, label=label) for color, dashes, label in looks
+        ]
         legend_below(figure, len(handles), handles=handles, columnspacing=1.2)
 
 
-def _draw(axes: Axes, curves: list[Survival], shades: dict[float, Any]) -> None:
+def _draw(axes: Axes, curves: list[Survival], shade_of: dict[float, Any]) -> None:
     axes.set_xscale("log")
     axes.set_yscale("log")
     for curve in curves:
-        look = {"color": shades[curve.rate_hz], "linewidth": 1.3, "linestyle": style.CLOCKS[curve.clock]}
+        look = {"color": shade_of[curve.rate_hz], "linewidth": 1.3, "linestyle": style.CLOCKS[curve.clock]}
         axes.step(curve.time, curve.share, where="pre", **look)
     for rate in {curve.rate_hz for curve in curves}:
-        axes.axvline(1.0 / rate, color=shades[rate], linewidth=0.9, linestyle=":", zorder=1.5)
+        axes.axvline(1.0 / rate, color=shade_of[rate], linewidth=0.9, linestyle=":", zorder=1.5)
     axes.xaxis.set_major_formatter(lambda t, _: short_duration(t))
     axes.yaxis.set_major_formatter(lambda share, _: f"{100.0 * share:.4g} %")
-    axes.grid(which="major", color="0.88", linewidth=0.6)
+    axes.grid()

@@ -38,6 +38,13 @@ OF_MASS: tuple[Look, ...] = (
 )
 """Where several masses are drawn: one look for each, of its stability boundary and of its curves."""
 WORDS_BOX: Look = {"facecolor": "white", "edgecolor": "0.4", "linewidth": 0.5, "pad": 2.5}
+NUMBER: Look = {
+    "ha": "center",
+    "va": "center",
+    "fontsize": 8.5,
+    "bbox": {"facecolor": "white", "edgecolor": "none", "pad": 0.8},
+    "zorder": 2.2,
+}
 
 # Impedances over frequency.
 DESIRED: Look = {"color": "0.5", "linewidth": 1.6, "dashes": (5, 2)}
@@ -52,15 +59,22 @@ MEASURED: Look = {
     "zorder": 3,
 }
 NOT_PASSIVE: Look = {"facecolor": "0.86", "linewidth": 0, "zorder": 0.5}
+EIGENFREQUENCY: Look = {"color": "black", "linewidth": 0.9, "dashes": (2, 2), "zorder": 1.5}
 
 # What is felt of what is desired: by outcome (the closer to the desired, the darker), and by correction.
 OUTCOMES = ("#12355b", "#2f7f9e", "#9cc9c4", "#f3ead2", "#ffffff", "#c9c0b4", "#ffffff")
 OUTCOME_HATCHES = {"OUT_OF_REACH": "//////", "UNSTABLE": "xxxxxx"}
 HATCH = "0.45"
+SHARES: Look = {
+    "fontsize": 8.5,
+    "bbox": {"facecolor": "white", "edgecolor": "none", "alpha": 0.88, "pad": 2.0},
+    "zorder": 6,
+}
+_SHARE_LINE: Look = {"markersize": 3.8, "linewidth": 1.3, "markevery": 0.09}
 CORRECTIONS: dict[str, Look] = {
-    "none": {"color": "#b3541e", "linestyle": (0, (1.2, 1.2)), "marker": "v"},
-    "poles": {"color": "#4c9a8b", "linestyle": (0, (5, 1.6)), "marker": "s"},
-    "predictor": {"color": "#12355b", "linestyle": "-", "marker": "o"},
+    "none": _SHARE_LINE | {"color": "#b3541e", "linestyle": (0, (1.2, 1.2)), "marker": "v"},
+    "poles": _SHARE_LINE | {"color": "#4c9a8b", "linestyle": (0, (5, 1.6)), "marker": "s"},
+    "predictor": _SHARE_LINE | {"color": "#12355b", "linestyle": "-", "marker": "o"},
 }
 
 # Over time, and a device's residuals.
@@ -76,7 +90,12 @@ BAR: Look = {"height": 0.55, "facecolor": "0.85", "edgecolor": "0.4", "linewidth
 MEASURED_BAR: Look = {"marker": "d", "linestyle": "", "color": "black", "markersize": 5}
 
 # Speed against accuracy: hapsim's methods in colours, its peers in greys, each with a marker.
-METHODS = ("#1f3b73", "#d95f0e", "#1b8a5a", "#b0307c", "#e6a817", "#5aa7d6", "#7f4f24", "#777777")
+METHODS = (
+    *("#1f3b73", "#d95f0e", "#1b8a5a", "#b0307c", "#e6a817"),
+    *("#5aa7d6", "#7f4f24", "#c8252b", "#7b5fc0", "#93b83a"),
+)
+METHOD: Look = {"marker": "o", "linewidth": 1.1, "markersize": 3.6, "markeredgewidth": 0.9, "zorder": 3.0}
+PEER: Look = {"markerfacecolor": "white", "linewidth": 0.6, "markersize": 3.8, "markeredgewidth": 0.7, "zorder": 2.0}
 PEERS = tuple(zip(("0.35", "0.50", "0.62", "0.42", "0.56", "0.68", "0.47", "0.60"), "v^<>PX*p", strict=True))
 PRECISIONS: dict[str, Any] = {"double": "-", "single": (0, (3.0, 1.6))}
 FRONT: Look = {"color": "#f6cf65", "linewidth": 4.5, "alpha": 0.75, "solid_joinstyle": "round", "zorder": 1.2}

@@ -10,7 +10,9 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+from matplotlib.axes import Axes
 
 from hapsim.chart import style
 from hapsim.chart.figure import figure_to, legend_below
@@ -22,12 +24,8 @@ from hapsim.prediction.correction import CORRECTIONS
 from hapsim.prediction.correction.element import element_for
 from hapsim.progress import Progress
 from hapsim.scene import Device, DevicePoint, Ground, Initial, Mock, Scene, ViscoElastic
+from hapsim.scene.choices import CorrectionName
 from hapsim.theory import Configuration
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
-    from hapsim.scene.choices import CorrectionName
 
 _FLICK = 0.1  # m/s
 _ROOM = 16.0  # range of the position counts, over how far the flick swings the mass
@@ -36,6 +34,7 @@ _SWINGS = 20.0
 _NOTHING = 1e-6  # per cent: rounding, and the identification's own error
 _LEAST_SPAN = 0.02  # per cent: less is not magnified
 _LEAST_TICKS, _MOST_TICKS = 2048, 20000
+_FREQUENCIES = ("predicted_hz", "measured_hz")
 _WORDS = {
     "I": "a real spring $k$",
     "II": "a simulated spring $K$",
@@ -43,7 +42,7 @@ _WORDS = {
     "IV": "two simulated springs, $2K$",
     "V": "one of each, $k$ and $K$",
 }
-#: The real springs that each would equal if both kinds of spring were one.
+# The real springs that each would equal if both kinds of spring were one.
 _REAL = {"I": "I", "II": "I", "III": "III", "IV": "III", "V": "III"}
 
 
@@ -60,9 +59,9 @@ class Coupling:
     correction: CorrectionName
     predicted_hz: float
     """Eigenfrequency."""
-    measured_hz: float
-    """Eigenfrequency; NaN where the motion is not that of a spring and damper."""
-    uncertainty_hz: float
+    measured_hz: float = math.nan
+    """Eigenfrequency; NaN if the motion is not that of a spring and damper."""
+    uncertainty_hz: float = math.nan
     """Standard uncertainty that the identification states for it."""
 
     @property
@@ -87,9 +86,10 @@ class Table1:
         """Returns the predicted frequency over that of I."""
         return self.couplings[numeral].predicted_hz / self.couplings["I"].predicted_hz
 
-    def error(self, numeral: str) -> float:
-        """Returns the predicted frequency over that of real springs alone, less 1: what the interface adds."""
-        return self.couplings[numeral].predicted_hz / self.couplings[_REAL[numeral]].predicted_hz - 1.0
+    def error(self, numeral: str, what: str = "predicted_hz") -> float:
+        """Returns a coupling's frequency over that of real springs alone, less 1: what the interface adds."""
+        one, real = self.couplings[numeral], self.couplings[_REAL[numeral]]
+        return float(getattr(one, what) / getattr(real, what) - 1.0)
 
     def columns(self) -> dict[str, list[Any]]:
         """Returns what is drawn, by the names that a data file uses: a row for each coupling."""
@@ -104,8 +104,8 @@ class Table1:
             "measured_Hz": [one.measured_hz for one in every],
             "uncertainty_Hz": [one.uncertainty_hz for one in every],
             "measured_off_by": [one.off_by for one in every],
-            "relative_to_I": [self.relative(one.numeral) for one in every],
-            "beyond_real_springs": [self.error(one.numeral) for one in every],
+            "relative_to_I": [self.relative(numeral) for numeral in self.couplings],
+            "beyond_real_springs": [self.error(numeral) for numeral in self.couplings],
         }
 
 
@@ -133,7 +133,7 @@ def table1(
     if 2.0 * b - b0 < 0.0:
         raise UsageError(
             f"{hand.name} feels b = {b:.4g} N·s/m, less than half of its real friction of {b0:.4g}: no real "
-            "damper does that; leave out --as-scene, or give more damping"
+            "damper does that; omit --as-scene, or give more damping"
         )
     built = {
         "I": (k, b, 0.0, 0.0),
@@ -142,11 +142,11 @@ def table1(
         "IV": (0.0, b0, 2.0 * K, 2.0 * B),
         "V": (k, b, K, B),
     }
-    planned = {
-        numeral: _predicted(numeral, replace(configuration, stiffness=k, friction=b), K, B, correction)
+    planned = [
+        _predicted(numeral, replace(configuration, stiffness=k, friction=b), K, B, correction)
         for numeral, (k, b, K, B) in built.items()
-    }
-    return Table1({numeral: _measured(one, on_progress) for numeral, one in planned.items()}, configuration, k, K)
+    ]
+    return Table1({one.numeral: _measured(one, on_progress) for one in planned}, configuration, k, K)
 
 
 def _springs(hand: Hand, as_scene: bool, corrected: bool) -> tuple[Configuration, float, float, float, float]:
@@ -164,9 +164,9 @@ def _springs(hand: Hand, as_scene: bool, corrected: bool) -> tuple[Configuration
     if corrected:
         return loop, K, B, k, b
     if simulated:
-        k, b = (float(value) for value in loop.equivalent(K, B))
+        k, b = map(float, loop.equivalent(K, B))
     else:
-        K, B = (float(value) for value in loop.simulated(k, b))
+        K, B = map(float, loop.simulated(k, b))
     if not (math.isfinite(k) and math.isfinite(K)):
         raise UsageError(
             f"{hand.name}: no real and simulated spring swing alike here; K is {hand.stiffness:g} N/m, m/T² is "
@@ -180,8 +180,7 @@ def _predicted(numeral: str, configuration: Configuration, K: float, B: float, c
     if correction != "none" and K > 0.0:
         kind = CORRECTIONS[correction]
         total = configuration.stiffness + K, configuration.friction + B
-        span = configuration.mass, configuration.mass
-        element = element_for(kind, configuration, span, total)
+        element = element_for(kind, configuration, (configuration.mass, configuration.mass), total)
         loop = kind.closed(configuration, configuration, element.observer)
         k = float(loop.equivalent(element.stiffness, element.damping)[0])
     frequency = math.sqrt(k / configuration.mass) / (2.0 * math.pi) if k > 0.0 else math.nan
@@ -191,7 +190,7 @@ def _predicted(numeral: str, configuration: Configuration, K: float, B: float, c
             f"its real spring is {configuration.stiffness:.4g} N/m, its simulated one {K:.4g} N/m, and m/T² is "
             f"{configuration.stiffness_unit:.4g} N/m. Write a smaller stiffness, or a higher rate"
         )
-    return Coupling(numeral, configuration, K, B, correction, frequency, math.nan, math.nan)
+    return Coupling(numeral, configuration, K, B, correction, frequency)
 
 
 def _measured(coupling: Coupling, on_progress: Callable[[Progress], None] | None) -> Coupling:
@@ -209,34 +208,19 @@ def _scene_of(coupling: Coupling) -> Scene:
     """Returns the scene of one coupling, on a mock with counts fine enough for its numbers."""
     c = coupling.configuration
     swing = _FLICK / (2.0 * math.pi * coupling.predicted_hz)
-    quantum = _ROOM * swing / _COUNTS
     stiffest = coupling.K + c.mass * (2.0 * math.pi * coupling.predicted_hz) ** 2
+    device = {name: getattr(c, name) for name in ("mass", "friction", "stiffness", "delay", "hold", "sampling")}
     limit = _ROOM * (stiffest * swing + coupling.B * _FLICK)
+    spring: Any = {"stiffness": coupling.K, "damping": coupling.B, "damper": c.damper, "cutoff": c.cutoff}
     return Scene(
         version=1,
         rate=c.rate,
-        device=Device(
-            clock="lockstep",
-            mass=c.mass,
-            friction=c.friction,
-            stiffness=c.stiffness,
-            delay=c.delay,
-            hold=c.hold,
-            sampling=c.sampling,  # type: ignore[arg-type]
-            force_limit=limit,
-            correction=coupling.correction,
-        ),
-        mock=Mock(initial=Initial(velocity=_FLICK), quantum=quantum),
+        device=Device(clock="lockstep", force_limit=limit, correction=coupling.correction, **device),
+        mock=Mock(initial=Initial(velocity=_FLICK), quantum=_ROOM * swing / _COUNTS),
         modules={
             "hand": DevicePoint(channel=0),
             "ground": Ground(),
-            "spring": ViscoElastic(
-                between=("hand", "ground"),
-                stiffness=coupling.K,
-                damping=coupling.B,
-                damper=c.damper,  # type: ignore[arg-type]
-                cutoff=c.cutoff,
-            ),
+            "spring": ViscoElastic(between=("hand", "ground"), **spring),
         },
     )
 
@@ -246,46 +230,32 @@ def draw_table1(data: Table1, title: str, path: Path) -> None:
     with figure_to(path, 6.9, 3.7) as figure:
         left, right = figure.subplots(1, 2, sharey=True, width_ratios=[1.25, 1.0])
         figure.suptitle(title.replace("; ", "\n"), fontsize=9)  # in one line it is wider than the figure
-        every = data.couplings.values()
         first = data.couplings["I"].predicted_hz
-        _draw_bars(left, [(one.predicted_hz / first, one.measured_hz / first) for one in every])
-        left.set_yticks(range(len(data.couplings)), [f"{numeral}  {_WORDS[numeral]}" for numeral in data.couplings])
+        bars, dots = ([getattr(one, name) / first for one in data.couplings.values()] for name in _FREQUENCIES)
+        off = [_difference(one.off_by) for one in data.couplings.values()]
+        words = [f"{bar:.5f}\n{difference}" for bar, difference in zip(bars, off, strict=True)]
+        _draw_bars(left, bars, dots, words)
+        left.set_yticks(range(len(bars)), [f"{numeral}  {_WORDS[numeral]}" for numeral in data.couplings])
         left.invert_yaxis()
-        left.set_xlim(0.0, 2.1 * max(one.predicted_hz / first for one in every))
+        left.set_xlim(0.0, 2.1 * max(bars))
         left.set_xlabel("frequency, relative to I")
-        for row, one in enumerate(every):
-            _write(left, one.predicted_hz / first, row, f"{one.predicted_hz / first:.5f}\n{_difference(one.off_by)}")
-        _draw_errors(right, data)
+        bars, dots = ([100.0 * data.error(numeral, name) for numeral in data.couplings] for name in _FREQUENCIES)
+        bars = [bar if abs(bar) > _NOTHING else 0.0 for bar in bars]
+        _draw_bars(right, bars, dots, [f"{bar:+.3g}" if bar else "0" for bar in bars])
+        right.axvline(0.0, color="black", linewidth=0.8)
+        low, high = min(0.0, *bars), max(0.0, *bars)
+        span = max(high - low, _LEAST_SPAN)
+        right.set_xlim(low - (0.8 if low < 0.0 else 0.1) * span, high + 0.8 * span)
+        right.set_xlabel("beyond real springs  (%)")
         legend_below(figure, 3)
 
 
-def _draw_errors(axes: Axes, data: Table1) -> None:
-    """Draws how far each coupling is beyond real springs alone, in percent; rounding errors are no bars."""
-    errors = []
-    for numeral, one in data.couplings.items():
-        measured = one.measured_hz / data.couplings[_REAL[numeral]].measured_hz - 1.0
-        errors.append((100.0 * data.error(numeral), 100.0 * measured))
-    _draw_bars(axes, errors)
-    axes.axvline(0.0, color="black", linewidth=0.8)
-    low, high = min(0.0, *(error for error, _ in errors)), max(0.0, *(error for error, _ in errors))
-    span = max(high - low, _LEAST_SPAN)
-    axes.set_xlim(low - (0.8 if low < -_NOTHING else 0.1) * span, high + 0.8 * span)
-    axes.set_xlabel("beyond real springs  (%)")
-    for row, (error, _) in enumerate(errors):
-        _write(axes, error, row, f"{error:+.3g}" if abs(error) > _NOTHING else "0", left=error < -_NOTHING)
-
-
-def _draw_bars(axes: Axes, values: list[tuple[float, float]]) -> None:
-    """Draws (predicted, measured) of each coupling, a row each."""
-    rows = range(len(values))
-    axes.barh(rows, [predicted for predicted, _ in values], label="predicted", **style.BAR)
-    axes.plot([measured for _, measured in values], rows, label="measured on the mock", **style.MEASURED_BAR)
-
-
-def _write(axes: Axes, x: float, row: int, words: str, *, left: bool = False) -> None:
-    """Writes beside the end of a bar."""
-    look: dict[str, Any] = {"textcoords": "offset points", "va": "center", "ha": "right" if left else "left"}
-    axes.annotate(words, (x, row), (-9 if left else 9, 0), fontsize=9, **look)
+def _draw_bars(axes: Axes, predicted: list[float], measured: list[float], words: list[str]) -> None:
+    """Draws a row for each coupling, with words at the end of its bar."""
+    rows = range(len(predicted))
+    bars = axes.barh(rows, predicted, label="predicted", **style.BAR)
+    axes.plot(measured, rows, label="measured on the mock", **style.MEASURED_BAR)
+    axes.bar_label(bars, words, padding=9, fontsize=9)
 
 
 def _difference(off_by: float) -> str:

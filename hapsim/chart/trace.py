@@ -4,18 +4,16 @@ from __future__ import annotations
 
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from hapsim.chart import style
 from hapsim.chart.figure import figure_to, legend_below
 from hapsim.loop.ring import BRIDGED, LATE_FORCE, LIMITED, UNSENT, WITHHELD
 from hapsim.recording.trace import Trace
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 _BINS = 2000  # of more rows, each bin's least and greatest value are drawn, so that no peak is lost
 _MARKS = (

@@ -9,13 +9,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from hapsim.chart import style
 from hapsim.chart.figure import figure_to, legend_below
 from hapsim.chart.hand import Hand
-from hapsim.chart.impedance import Curves, draw_grid, draw_phases, draw_sizes, phase, set_frequencies
+from hapsim.chart.impedance import Curves, draw_phases, draw_sizes, phase
 from hapsim.theory.arrays import Complexes, Floats
 
 _BELOW_EIGENFREQUENCY, _BELOW_NYQUIST = 20.0, 1000.0  # where the picture begins; the second if nothing swings
@@ -24,19 +24,17 @@ _POINTS = 1200
 
 @dataclass(frozen=True)
 class Transparency:
-    """Force over velocity, desired and rendered."""
+    """Force over velocity, desired and rendered, N·s/m (n,)."""
 
     hand: Hand
     frequency: Floats
     """Hz, (n,), up to just below the Nyquist frequency."""
     desired: Complexes
-    """N·s/m."""
     rendered: Complexes
-    """N·s/m."""
     eigenfrequency: float
     """Hz, of the hand on what it feels; NaN if no spring and damper is equivalent."""
 
-    def columns(self) -> dict[str, Any]:
+    def columns(self) -> dict[str, Floats]:
         """Returns what is drawn, by the names that a data file uses."""
         return {
             "frequency_Hz": self.frequency,
@@ -49,12 +47,12 @@ class Transparency:
     def gives_energy(self) -> list[tuple[float, float]]:
         """Returns bands (from, to) in Hz in which the scene gives the hand energy instead of taking it: Re Z < 0."""
         power, f = self.rendered.real, self.frequency
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], power < 0.0, [False]]).astype(int)))
+        edges = np.flatnonzero(np.diff(power < 0.0, prepend=False, append=False))
         # Between two frequencies the power is nearly straight.
         step = np.diff(power)
         crossings = f[:-1] - power[:-1] * np.diff(f) / np.where(step == 0.0, 1.0, step)
         at = np.concatenate([[f[0]], crossings, [0.5 * self.hand.configuration.rate]])
-        return [(float(at[a]), float(at[b])) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+        return [(low, high) for low, high in at[edges].reshape(-1, 2).tolist()]
 
 
 def transparency(hand: Hand) -> Transparency:
@@ -80,11 +78,8 @@ def draw_transparency(data: Transparency, title: str, path: Path) -> None:
         draw_phases(lower, curves)
         upper.set_ylabel("|force / velocity|  (N·s/m)")
         lower.set_ylabel("phase  (degrees)")
-        set_frequencies(lower, float(data.frequency[0]), 0.5 * data.hand.configuration.rate)
-        for axes in (upper, lower):
-            draw_grid(axes)
-            if math.isfinite(data.eigenfrequency):
-                label = f"eigenfrequency of the hand, {data.eigenfrequency:.4g} Hz"
-                style = {"color": "black", "linewidth": 0.9, "dashes": (2, 2), "zorder": 1.5}
-                axes.axvline(data.eigenfrequency, label=label, **style)
+        if math.isfinite(data.eigenfrequency):
+            label = f"eigenfrequency of the hand, {data.eigenfrequency:.4g} Hz"
+            for axes in (upper, lower):
+                axes.axvline(data.eigenfrequency, label=label, **style.EIGENFREQUENCY)
         legend_below(figure, 2, handlelength=2.6)

@@ -200,7 +200,7 @@ def _chart_ring_down(felt: Any, measurement: Any, picture: Path | None, data: Pa
 
     drawn = ring_down(measurement.trace, felt)
     if data is not None:
-        save_rows(drawn.columns(), data)
+        save_rows(drawn, data)
     if picture is not None:
         draw_ring_down(drawn, felt, (measurement.k, measurement.b), picture)
 

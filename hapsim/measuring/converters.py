@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 
 from hapsim.holds import HOLDS
 
+Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+
 
 class Piece(NamedTuple):
     """What a force of some age does in one piece of a hold: an impulse at its begin, then a level and a slope."""
@@ -47,7 +50,7 @@ class Converters(NamedTuple):
                 yield Piece(begin + age, duration, impulse, level, slope)
             begin += duration
 
-    def response(self, frequency: NDArray[np.float64], rate: float, delay: float) -> NDArray[np.complex128]:
+    def response(self, frequency: Floats, rate: float, delay: float) -> Complexes:
         """(n,) by what a computed force becomes one that acts, and a motion one that is read: hold, `delay` samples and
         sampling together, at frequencies in Hz."""
         angle = 2.0 * np.pi * frequency / rate

@@ -27,7 +27,7 @@ _DAMPING_RATIO = 0.5
 _PUSHES = 0.8  # of the force that is allowed; the rest is the spring's
 _WITH_SPRING = 2.0  # times a push: what leaves at most
 _FADES = 0.3  # of the travel, at its ends
-_LOOKED_AT = 24  # half periods of a motion that is worked out ahead
+_LOOKED_AT = 24  # half periods of a motion that is simulated ahead
 _GOLDEN = 0.6180339887498949  # as the loop varies its pushes
 
 
@@ -70,11 +70,11 @@ class Drive:
 def drive_for(plant: Plant, bounds: Bounds, rate_hz: float, *, pace: float, tightness: float) -> Drive:
     """Pushes with all the force that is allowed, and as long as it takes to cross the travel, were the plant free.
 
-    `pace`: times as long as that; `tightness`: eigenfrequency on the spring times half a period, in rad.
+    `pace`: a factor on that time; `tightness`: eigenfrequency on the spring times half a period, in rad.
     """
     shortest = max(_LEAST_HALF, math.ceil(_SLOW * (plant.delay + 1.0)))
-    crossing = math.sqrt(4.0 * bounds.travel * plant.mass / bounds.push) * rate_hz
     longest = max(shortest, math.floor(_LONGEST_HALF_S * rate_hz))
+    crossing = math.sqrt(4.0 * bounds.travel * plant.mass / bounds.push) * rate_hz
     half = min(max(shortest, math.ceil(pace * crossing)), longest)
     eigen = tightness * rate_hz / half  # rad/s
     return Drive(plant.mass * eigen**2, 2.0 * _DAMPING_RATIO * plant.mass * eigen, bounds.push, half)
@@ -82,30 +82,28 @@ def drive_for(plant: Plant, bounds: Bounds, rate_hz: float, *, pace: float, tigh
 
 def peak_per_newton(plant: Plant, drive: Drive, rate_hz: float, converters: Converters) -> float:
     """How far the plant gets under these pushes, m for each newton of them; with dry friction it would be less."""
-    per_sample = rate_hz * plant.mass * rate_hz
-    friction, stiffness = plant.friction * rate_hz / per_sample, plant.stiffness / per_sample
-    motion = sampled_motion(friction, stiffness, plant.delay, converters)
-    gains, ages = np.array(motion.gains), np.arange(len(motion.gains))
-    count, gone = _LOOKED_AT * drive.half, motion.whole_delay + ages.size
-    forces, state, before, now, peak = np.zeros(count + gone), np.zeros(2), 0.0, 0.0, 0.0
-    for n in range(count):
+    inertia = rate_hz * plant.mass * rate_hz
+    motion = sampled_motion(plant.friction * rate_hz / inertia, plant.stiffness / inertia, plant.delay, converters)
+    gains = np.array(motion.gains)
+    ages = motion.whole_delay + np.arange(len(gains))
+    pushes, gone = _LOOKED_AT * drive.half, int(ages[-1]) + 1
+    forces, seen, state = np.zeros(pushes + gone), np.zeros(pushes + 1), np.zeros(2)
+    for n in range(pushes):
         number = n // drive.half
         push = (-1.0) ** number * (1.0 - 0.5 * ((number * _GOLDEN) % 1.0))
-        spring = drive.stiffness * now + drive.damping * rate_hz * (now - before)
-        forces[n + gone] = (push - spring) / per_sample
-        acting = forces[n + gone - motion.whole_delay - ages]
-        seen = motion.row @ state + acting @ gains[:, motion.seen]
-        state = motion.step @ state + acting @ gains[:, :2]
-        before, now = now, float(seen)
-        peak = max(peak, abs(now))
-    return peak
+        spring = drive.stiffness * seen[n] + drive.damping * rate_hz * (seen[n] - seen[max(n - 1, 0)])
+        forces[n + gone] = (push - spring) / inertia
+        acting = forces[n + gone - ages] @ gains
+        seen[n + 1] = motion.row @ state + acting[motion.seen]
+        state = motion.step @ state + acting[:2]
+    return float(np.max(np.abs(seen)))
 
 
 def scene_of(scene: Scene, bounds: Bounds, channel: int, drive: Drive | None, home: float) -> Scene:
     """The scene's device on this spring and damper at `home` (m), or on nothing.
 
     Every other channel is free. The force is limited to what is allowed, and fades where the device comes near the end
-    of what it may move; nothing is corrected by what is declared, and a mock begins at rest.
+    of its travel; nothing is corrected by what is declared, and a mock begins at rest.
     """
     device: dict[str, Any] = {"correction": "none", "force_limit": bounds.force, "travel": None}
     modules: dict[str, Any] = {f"device-{point.channel}": point for point in scene.device_points.values()}
@@ -116,8 +114,8 @@ def scene_of(scene: Scene, bounds: Bounds, channel: int, drive: Drive | None, ho
         limits, fades = list(scene.device.travels(scene.channels)), _FADES * bounds.travel
         least, most = limits[channel]
         limits[channel] = max(least, home - bounds.travel + fades), min(most, home + bounds.travel - fades)
-        device |= {"travel": tuple(limits), "travel_margin": fades}
-        device["force_limit"] = min(bounds.force, _WITH_SPRING * drive.force)
+        force = min(bounds.force, _WITH_SPRING * drive.force)
+        device |= {"travel": tuple(limits), "travel_margin": fades, "force_limit": force}
     mock = scene.mock or Mock()
     changed = {
         "device": scene.device.model_copy(update=device),

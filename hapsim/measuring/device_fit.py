@@ -16,16 +16,13 @@ from itertools import product
 
 import numpy as np
 from numpy.linalg import norm
-from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 from scipy.optimize import least_squares
 
-from hapsim.measuring.converters import Converters
+from hapsim.measuring.converters import Converters, Floats
 from hapsim.measuring.device_model import sampled_motion
 from hapsim.measuring.device_motion import Motion, Swing
 from hapsim.measuring.trace_quality import ROUNDING
-
-Vector = NDArray[np.float64]
 
 Shape = tuple[float, ...]
 """What a motion is not linear in, by sample periods: delay, b0 T/m, k0 T²/m; of a second mass k T²/m, c T/m, m/M."""
@@ -84,7 +81,7 @@ class DeviceFit:
     correlation: float
     """Of what is left, from one row to the next; 0 where it is noise."""
     swings: tuple[Swing, ...] = field(repr=False, compare=False)
-    residuals: tuple[Vector, ...] = field(repr=False, compare=False)
+    residuals: tuple[Floats, ...] = field(repr=False, compare=False)
     """What is left in each swing, counts."""
 
     @property
@@ -103,7 +100,7 @@ def fit_device(
     most_delay: float,
 ) -> DeviceFit | None:
     """The fit, from the best of `begins` on; None where there is too little motion for one. `count_m`: m per count;
-    `most_delay`: sample periods. What the record does not tell has a huge uncertainty."""
+    `most_delay`: sample periods. What the record does not show has a huge uncertainty."""
     if sum(swing.rows for swing in swings) < _LEAST_ROWS:
         return None
     table = _Table(motions, swings, most_delay, converters)
@@ -114,20 +111,22 @@ def fit_device(
     typical = float(np.median([swing.rows for swing in swings]))
     gain, hand = abs(begin[0]), begin[6:]
     scale = np.array([gain, gain * push, gain * push, 1.0, 1.0 / typical, 1.0 / typical**2, *hand])
+    least = np.array([*_LEAST, *(0.0 * hand)])
+    most = np.array([*_MOST[:3], most_delay, *_MOST[4:], *(_MOST_OF_HAND + 0.0 * hand)])
 
-    def left(scaled: Vector) -> Vector:
+    def left(scaled: Floats) -> Floats:
         return table.left(scaled * scale)
 
-    found, slopes = _least_squares(left, begin / scale, most_delay)
+    def in_si(scaled: Floats) -> Floats:
+        return _in_si(scaled * scale, count_m, 1.0 / rate_hz)
+
+    found, slopes = _least_squares(left, begin / scale, least, most)
     residual = np.zeros(table.inside.shape)
     residual[table.inside] = left(found)
-    spread = _spread(table, residual, slopes)
-    si = _in_si(found * scale, count_m, 1.0 / rate_hz)
-    conversion = _slopes(lambda scaled: _in_si(scaled * scale, count_m, 1.0 / rate_hz), found)
-    uncertainty = norm(conversion @ spread, axis=1)
-    estimates = [Estimate(float(a), float(b)) for a, b in zip(si, uncertainty, strict=True)]
+    uncertainty = norm(_slopes(in_si, found) @ _spread(table, residual, slopes), axis=1)
+    estimates = [Estimate(*pair) for pair in zip(in_si(found).tolist(), uncertainty.tolist(), strict=True)]
     mass, coulomb, constant, delay, friction, stiffness, *of_hand = estimates
-    shape = tuple(float(value) for value in found[3:] * scale[3:])
+    shape = tuple((found * scale)[3:].tolist())
     return DeviceFit(
         mass=mass,
         friction=friction,
@@ -146,15 +145,13 @@ def fit_device(
     )
 
 
-def _least_squares(left: Callable[[Vector], Vector], begin: Vector, most_delay: float) -> tuple[Vector, Vector]:
+def _least_squares(
+    left: Callable[[Floats], Floats], begin: Floats, least: Floats, most: Floats
+) -> tuple[Floats, Floats]:
     """(the scaled parameters that leave least, the slopes there), to the last digit that the record has."""
-    hand = begin[6:]
-    least = np.array([*_LEAST, *(0.0 * hand)])
-    most = np.array([*_MOST[:3], most_delay, *_MOST[4:], *(_MOST_OF_HAND + 0.0 * hand)])
-    found = np.clip(begin, least + _STEP, most - _STEP)
-    found = least_squares(
-        left, found, lambda at: _slopes(left, at), (least, most), xtol=1e-10, ftol=1e-12, gtol=1e-12, max_nfev=_TRIES
-    ).x
+    begin = np.clip(begin, least + _STEP, most - _STEP)
+    to_the_end = {"xtol": 1e-10, "ftol": 1e-12, "gtol": 1e-12, "max_nfev": _TRIES}
+    found = least_squares(left, begin, lambda at: _slopes(left, at), (least, most), **to_the_end).x
     slopes = _slopes(left, found)
     refined = found - np.linalg.lstsq(slopes, left(found), rcond=_SINGULAR)[0]
     if np.all((least < refined) & (refined < most)) and norm(left(refined)) < norm(left(found)):
@@ -164,13 +161,11 @@ def _least_squares(left: Callable[[Vector], Vector], begin: Vector, most_delay: 
 
 def hands_on(delay: float, rate_hz: float) -> list[Shape]:
     """Where a fit of two masses may begin: modes of 3 to 130 Hz, damped little to much, the hand light to heavy."""
-    shapes: list[Shape] = []
-    for eigen, damping, ratio in product(
-        np.geomspace(20.0, 800.0, 10) / rate_hz, (0.05, 0.2, 0.6), (0.1, 0.3, 1.0, 3.0)
-    ):
-        spring, damper = eigen**2 / (1.0 + ratio), 2.0 * damping * eigen / (1.0 + ratio)
-        shapes.append((delay, 0.0, 0.0, float(spring), float(damper), ratio))
-    return shapes
+    eigens, dampings, ratios = np.geomspace(20.0, 800.0, 10) / rate_hz, (0.05, 0.2, 0.6), (0.1, 0.3, 1.0, 3.0)
+    return [
+        (delay, 0.0, 0.0, float(eigen**2 / (1.0 + ratio)), float(2.0 * damping * eigen / (1.0 + ratio)), ratio)
+        for eigen, damping, ratio in product(eigens, dampings, ratios)
+    ]
 
 
 class _Table:
@@ -178,22 +173,22 @@ class _Table:
 
     def __init__(self, motions: list[Motion], swings: list[Swing], most_delay: float, converters: Converters) -> None:
         pad = math.ceil(most_delay) + _MARGIN
-        starts = np.cumsum([pad, *(motion.position.size + 2 * pad for motion in motions)])
-        lengths = np.array([swing.rows for swing in swings])
-        along = np.arange(int(np.max(lengths)))
-        self.inside = along[None, :] < lengths[:, None]
-        first = np.array([starts[swing.motion] + swing.first for swing in swings])
-        self._index = np.where(self.inside, first[:, None] + along[None, :], pad)
         # All motions laid end to end, each between zeros: no force acted before.
         self._force = np.concatenate([np.pad(motion.force, pad) for motion in motions])
         position = np.concatenate([np.pad(motion.position, pad) for motion in motions])
+        starts = np.cumsum([pad, *(motion.position.size + 2 * pad for motion in motions)])
+        lengths = np.array([[swing.rows] for swing in swings])
+        along = np.arange(np.max(lengths))
+        self.inside = along < lengths
+        first = np.array([[starts[swing.motion] + swing.first] for swing in swings])
+        self._index = np.where(self.inside, first + along, pad)
         self._position = position[self._index] * self.inside
         going = np.sign(np.gradient(uniform_filter1d(position, _SMOOTH)))[self._index]
         side = np.array([[swing.side] for swing in swings])
         self._side = np.where(side == 0.0, going, side)
         self._most_delay, self._converters = most_delay, converters
 
-    def columns(self, shape: Shape) -> Vector:
+    def columns(self, shape: Shape) -> Floats:
         """(S, L, 4) positions, and those under a unit gain, dry friction and constant force, all less the free motion
         that fits them best."""
         delay, friction, stiffness, *hand = shape
@@ -208,39 +203,38 @@ class _Table:
         basis, _ = np.linalg.qr(free / norm(free, axis=1, keepdims=True))
         return np.asarray(columns - basis @ (basis.transpose(0, 2, 1) @ columns))
 
-    def begin(self, begins: Iterable[Shape]) -> Vector | None:
+    def begin(self, begins: Iterable[Shape]) -> Floats | None:
         """The parameters of the shape that leaves least; None where no force explains anything."""
         best, least = None, math.inf
         for shape in begins:
             columns = self.columns(shape)[self.inside]
             size = norm(columns, axis=0)
             size[size == 0.0] = 1.0
-            found, *_ = np.linalg.lstsq(columns[:, 1:] / size[1:], columns[:, 0], rcond=_SINGULAR)
-            left = float(norm(columns[:, 0] - columns[:, 1:] @ (found / size[1:])))
+            found = np.linalg.lstsq(columns[:, 1:] / size[1:], columns[:, 0], rcond=_SINGULAR)[0] / size[1:]
+            left = float(norm(columns[:, 0] - columns[:, 1:] @ found))
             if left < least and found[0] != 0.0:
-                best, least = np.concatenate([found / size[1:], shape]), left
+                best, least = np.concatenate([found, shape]), left
         return best
 
-    def left(self, values: Vector) -> Vector:
+    def left(self, values: Floats) -> Floats:
         """Positions less the modelled ones, row after row."""
         gain, coulomb, constant, *shape = values
         columns = self.columns(tuple(shape))[self.inside]
         return np.asarray(columns @ np.array([1.0, -gain, -coulomb, -constant]))
 
 
-def _slopes(left: Callable[[Vector], Vector], at: Vector) -> Vector:
+def _slopes(of: Callable[[Floats], Floats], at: Floats) -> Floats:
     """(rows, parameters), by central differences."""
-    columns = [(left(at + step) - left(at - step)) / (2.0 * _STEP) for step in _STEP * np.eye(at.size)]
-    return np.column_stack(columns)
+    return np.column_stack([(of(at + step) - of(at - step)) / (2.0 * _STEP) for step in _STEP * np.eye(at.size)])
 
 
-def _rms(table: _Table, residual: Vector, parameters: int) -> float:
+def _rms(table: _Table, residual: Floats, parameters: int) -> float:
     states = 2 if parameters == len(_LEAST) else 4  # in which each swing begins
     freedom = np.count_nonzero(table.inside) - states * residual.shape[0] - parameters
     return math.sqrt(float(np.sum(residual**2)) / max(freedom, 1))
 
 
-def _spread(table: _Table, residual: Vector, slopes: Vector) -> Vector:
+def _spread(table: _Table, residual: Floats, slopes: Floats) -> Floats:
     """A square root of the scaled parameters' covariance: kept so, no variance comes out negative."""
     (rows, parameters), swings = slopes.shape, residual.shape[0]
     q, size, axes = np.linalg.svd(slopes, full_matrices=False)
@@ -250,22 +244,19 @@ def _spread(table: _Table, residual: Vector, slopes: Vector) -> Vector:
         by_swing = np.zeros((swings, parameters))
         np.add.at(by_swing, np.nonzero(table.inside)[0], q * residual[table.inside][:, None])
         scatter = inverse @ by_swing.T * math.sqrt(swings / (swings - parameters))
-        grown = norm(scatter, axis=1) / norm(spread, axis=1)
-        spread = spread * np.maximum(grown, 1.0)[:, None]
+        spread *= np.maximum(norm(scatter, axis=1) / norm(spread, axis=1), 1.0)[:, None]
     return spread
 
 
-def _correlation(table: _Table, residual: Vector) -> float:
-    """Beyond what the projected motions of each swing leave of white noise."""
-    both = table.inside[:, 1:]
-    product = np.sum(residual[:, 1:] * residual[:, :-1] * both)
+def _correlation(table: _Table, residual: Floats) -> float:
+    """From row to row, beyond what the projected motions of each swing leave of white noise."""
+    neighbours = float(np.sum(residual[:, 1:] * residual[:, :-1]))  # beyond the end of a swing it is 0
     power = float(np.sum(residual**2))
-    lengths = np.sum(table.inside, axis=1)
-    taken = 2.0 * lengths.size / np.sum(lengths)  # each motion takes its own, slow, share
-    return float(product / power + taken) if power > 0.0 else 0.0
+    taken = 2.0 * residual.shape[0] / np.count_nonzero(table.inside)  # each motion takes its own, slow, share
+    return neighbours / power + taken if power > 0.0 else 0.0
 
 
-def _in_si(values: Vector, count_m: float, period: float) -> Vector:
+def _in_si(values: Floats, count_m: float, period: float) -> Floats:
     """kg, N of dry friction and constant force, samples of delay, friction and stiffness; and those of a hand."""
     gain, coulomb, constant, delay, friction, stiffness, *hand = values
     mass = period**2 / (count_m * gain)

@@ -16,13 +16,10 @@ import numpy as np
 from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 
-from hapsim.measuring.converters import Converters
+from hapsim.measuring.converters import Converters, Floats
 from hapsim.measuring.device_fit import DeviceFit
 from hapsim.measuring.device_motion import Motion
 from hapsim.measuring.trace_quality import ROUNDING
-
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
 
 BINS = 12
 LOUD = 2.0  # times the noise at rest and the rounding
@@ -31,6 +28,7 @@ _LEAST_WIDTH, _LEAST_WINDOWS = 8, 20
 _LEAST_SHARE = 0.3  # of the variance of the force that is lacking: with less it goes with nothing in particular
 _QUIET = 0.25  # of the force: noise that hides nothing
 _LATER = 0.1  # sample periods: a difference of the delay
+_SLOW = 1e-4  # periods per sample: a motion that shows hold, delay and sampling as a delay alone
 
 
 @dataclass(frozen=True)
@@ -41,14 +39,14 @@ class ForceResidual:
     """Which run of the record."""
     row: NDArray[np.int64]
     """Of that run, at the middle of the window."""
-    position: Vector
+    position: Floats
     """m from where the device was found."""
-    velocity: Vector
-    in_swing: Vector
+    velocity: Floats
+    in_swing: Floats
     """Share of its swing that has passed, 0 at one reversal to 1 at the next."""
-    force: Vector
+    force: Floats
     """N that acted beside the modelled ones, whatever the model's parameters."""
-    modelled: Matrix
+    modelled: Floats
     """(R, 6) forces that the parameters are factors of, the last by the delay."""
     noise: float
     """N rms that noise and rounding of the positions make of it."""
@@ -61,13 +59,15 @@ def force_residual(
 ) -> ForceResidual:
     """Of the swings of a fit, in windows as short as noise allows, a third of a swing at most. `noise_counts`: of a
     position of the device at rest, rms; `count_m`: m per count."""
-    noise = math.hypot(noise_counts, ROUNDING) * count_m
     rows = [swing.rows for swing in fit.swings]
     width = max(_LEAST_WIDTH, min(int(np.median(rows)) // 3, sum(rows) // _LEAST_WINDOWS))
-    found = _in_windows(motions, fit, noise, count_m, rate_hz, converters, width)
+    noise = math.hypot(noise_counts, ROUNDING) * count_m
+    slow = converters.response(np.array([_SLOW]), 1.0, fit.delay.value)
+    late = float(-np.angle(slow[0]) / (2.0 * np.pi * _SLOW))
+    found = _in_windows(motions, fit, noise, count_m, rate_hz, late, width)
     while width >= 2 * _LEAST_WIDTH:
         width //= 2
-        finer = _in_windows(motions, fit, noise, count_m, rate_hz, converters, width)
+        finer = _in_windows(motions, fit, noise, count_m, rate_hz, late, width)
         if not finer.noise < _QUIET * _rms(finer.force):
             break
         found = finer
@@ -75,44 +75,47 @@ def force_residual(
 
 
 def _in_windows(
-    motions: list[Motion],
-    fit: DeviceFit,
-    noise: float,
-    count_m: float,
-    rate_hz: float,
-    converters: Converters,
-    width: int,
+    motions: list[Motion], fit: DeviceFit, noise: float, count_m: float, rate_hz: float, late: float, width: int
 ) -> ForceResidual:
-    """In windows of `width` rows, half overlapping, inside of the swings. `noise`: m rms of a position."""
-    swings = np.array(
-        [
-            (swing.motion, begin, swing.side, (begin + width // 2 - swing.first) / swing.rows)
-            for swing in fit.swings
-            for begin in range(swing.first, swing.last - width + 1, max(1, width // 2))
-        ]
-    ).reshape(-1, 4)
-    motion, begin, side = swings[:, 0].astype(np.int64), swings[:, 1].astype(np.int64), swings[:, 2]
+    """In windows of `width` rows, half overlapping, inside of the swings. `noise`: m rms of a position; `late`: rows
+    from a force to the middle of what it does."""
+    windows = [
+        (swing.motion, begin, swing.side, (begin + width // 2 - swing.first) / swing.rows)
+        for swing in fit.swings
+        for begin in range(swing.first, swing.last - width + 1, max(1, width // 2))
+    ]
+    motion, begin, side, in_swing = np.array(windows).reshape(-1, 4).T
+    at = list(zip(motion.astype(int), begin.astype(int), strict=True))
+
+    def weighted(signals: list[Floats], kernels: Floats, before: int = 0) -> Floats:
+        """(R, kernels): each window's weighted sums, from `before` rows before it on."""
+        length = kernels.shape[1]
+        padded = [np.pad(signal, (before, 0)) for signal in signals]
+        return np.array([kernels @ padded[i][j : j + length] for i, j in at]).reshape(-1, kernels.shape[0])
+
+    def force(late: float) -> Floats:
+        """(R,) N: the mean force in each window; before a record none acted."""
+        before = math.ceil(late) + 1
+        rows = np.arange(width + before) - before + late - 0.5 * (width - 1)
+        weights = _WINDOW(np.clip(2.0 * rows / width, -1.0, 1.0))
+        return weighted([one.force for one in motions], weights[None, :] / np.sum(weights), before)[:, 0]
+
     kernels = _kernels(width)
-    moved = count_m * _weighted([one.position for one in motions], motion, begin, kernels)
+    moved = count_m * weighted([one.position for one in motions], kernels)
     # What is left moves like the device under the force that is lacking, and under no other.
     left = [np.zeros_like(one.position) for one in motions]
     for swing, error in zip(fit.swings, fit.residuals, strict=True):
         left[swing.motion][swing.first : swing.last] = error
     inertia = fit.mass.value * rate_hz**2
-    lacking = (
-        count_m
-        * _weighted(left, motion, begin, kernels)
-        @ np.array([inertia, fit.friction.value * rate_hz, fit.stiffness.value])
-    )
-    late = fit.delay.value + (0.5 if converters.averages else 0.0)
-    sent, later = (_force_in(motions, motion, begin, one, converters, width) for one in (late, late + _LATER))
-    modelled = np.column_stack([moved, side, -np.ones_like(side), later - sent])
+    lacking = weighted(left, kernels) @ [inertia, fit.friction.value * rate_hz, fit.stiffness.value] * count_m
+    sent = force(late)
+    modelled = np.column_stack([moved, side, -np.ones_like(side), force(late + _LATER) - sent])
     return ForceResidual(
-        motion=motion,
-        row=begin + width // 2,
+        motion=motion.astype(np.int64),
+        row=begin.astype(np.int64) + width // 2,
         position=moved[:, 2],
         velocity=moved[:, 1] * rate_hz,
-        in_swing=swings[:, 3],
+        in_swing=in_swing,
         force=_beside(modelled, lacking),
         modelled=modelled,
         noise=float(np.linalg.norm(kernels[0])) * noise * inertia,
@@ -120,62 +123,31 @@ def _in_windows(
     )
 
 
-def _kernels(width: int) -> Matrix:
+def _kernels(width: int) -> Floats:
     """(3, width): by what `width` positions become their acceleration, velocity (in sample periods) and mean."""
     half = 0.5 * width
     at = (np.arange(width) - 0.5 * (width - 1)) / half
     window, first, second = (p(at) for p in (_WINDOW, _WINDOW.deriv(), _WINDOW.deriv(2)))
-    unit = float(np.sum(window))
     # The sums of the derivatives vanish exactly, so that a position may be counted from anywhere.
     first, second = first - np.mean(first), second - np.mean(second)
     second *= 2.0 / float(second @ (at * half) ** 2)
     first /= float(first @ (at * half))
-    return np.stack([second, first, window / unit])
+    return np.stack([second, first, window / np.sum(window)])
 
 
-def _weighted(signals: list[Vector], motion: NDArray[np.int64], begin: NDArray[np.int64], kernels: Matrix) -> Matrix:
-    """(R, kernels): each window's weighted sums."""
-    width = kernels.shape[1]
-    rows = [kernels @ signals[i][j : j + width] for i, j in zip(motion, begin, strict=True)]
-    return np.array(rows).reshape(-1, kernels.shape[0])
-
-
-def _force_in(
-    motions: list[Motion],
-    motion: NDArray[np.int64],
-    begin: NDArray[np.int64],
-    delay: float,
-    converters: Converters,
-    width: int,
-) -> Vector:
-    """(R,) N: the mean force in each window, of forces that act `delay` rows late; before a record none acted."""
-    before, half = math.ceil(delay) + 1, 0.5 * width
-    acts = np.arange(width + before) - before + delay - 0.5 * (width - 1)  # rows from the middle: where each begins
-    weights = np.zeros(acts.size)
-    for later, duration, impulse, level, slope in converters.pieces_of_one_force():
-        since = (acts + later) / half
-        edges = np.clip([since, since + duration / half], -1.0, 1.0)
-        weights += np.where(np.abs(since) < 1.0, impulse * _WINDOW(since), 0.0)
-        weights += half * (level - slope * half * since) * np.diff(_WINDOW.integ()(edges), axis=0)[0]
-        weights += half**2 * slope * np.diff((_WINDOW * Polynomial([0.0, 1.0])).integ()(edges), axis=0)[0]
-    unit = float(np.sum(_WINDOW((np.arange(width) - 0.5 * (width - 1)) / half)))
-    padded = [np.pad(one.force, (before, 0)) for one in motions]
-    return _weighted(padded, motion, begin, weights[None, :] / unit)[:, 0]
-
-
-def _beside(explaining: Matrix, force: Vector) -> Vector:
+def _beside(explaining: Floats, force: Floats) -> Floats:
     """What no combination of the columns explains."""
     size = np.linalg.norm(explaining, axis=0)
     q, _ = np.linalg.qr(explaining[:, size > 0.0] / size[size > 0.0])
     return np.asarray(force - q @ (q.T @ force))
 
 
-def _rms(values: Vector) -> float:
+def _rms(values: Floats) -> float:
     return math.sqrt(float(np.mean(values**2)))
 
 
 def misfit_of(fit: DeviceFit, lacking: ForceResidual, noise_counts: float) -> str:
-    """In a sentence, where the model does not fit; "" where what is left is noise and rounding. `noise_counts`: of a
+    """In a sentence, where the model does not fit; "" where only noise and rounding remain. `noise_counts`: of a
     position of the device at rest, rms."""
     expected = math.hypot(noise_counts, ROUNDING)
     if fit.is_white and fit.residual_counts < LOUD * expected:
@@ -203,8 +175,8 @@ def _where(lacking: ForceResidual) -> str:
     return f"is largest {where} ({best:.0%} of it)"
 
 
-def binned(along: Vector, force: Vector) -> tuple[NDArray[np.int64], Vector, Vector]:
-    """(the bin of each, the mean of `along` and of `force` in each): bins of as many values each."""
+def binned(along: Floats, force: Floats) -> tuple[NDArray[np.int64], Floats, Floats]:
+    """(the bin of each, the mean of `along` and of `force` in each): bins of equally many values."""
     edges = np.quantile(along, np.linspace(0.0, 1.0, BINS + 1))
     number = np.clip(np.searchsorted(edges, along, side="right") - 1, 0, BINS - 1)
     counts = np.maximum(np.bincount(number, minlength=BINS), 1)
@@ -212,7 +184,7 @@ def binned(along: Vector, force: Vector) -> tuple[NDArray[np.int64], Vector, Vec
     return number, middles, means
 
 
-def _explained(lacking: ForceResidual, along: Vector, sign: float | Vector) -> tuple[float, float]:
+def _explained(lacking: ForceResidual, along: Floats, sign: float | Floats) -> tuple[float, float]:
     """(share of the force's variance, beyond that of noise, that a force by bins of `along` explains, beyond chance and
     beyond what other parameters of the model would; where it is largest)."""
     force, rows = lacking.force, lacking.force.size
@@ -224,5 +196,5 @@ def _explained(lacking: ForceResidual, along: Vector, sign: float | Vector) -> t
     left = float(np.sum(_beside(columns, force) ** 2)) / (rows - columns.shape[1])
     total = float(np.sum(force**2)) / (rows - lacking.modelled.shape[1])
     beyond = total - lacking.noise**2
-    worst = int(np.argmax(np.abs(means)))
-    return (min((total - left) / beyond, 1.0) if beyond > 0.0 else 0.0), float(middles[worst])
+    worst = float(middles[np.argmax(np.abs(means))])
+    return (min((total - left) / beyond, 1.0) if beyond > 0.0 else 0.0), worst

@@ -16,15 +16,11 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import expm
 from scipy.signal import lfilter
 
 from hapsim.holds import HOLDS
-from hapsim.measuring.converters import Converters
-
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
+from hapsim.measuring.converters import Converters, Floats
 
 
 class SampledMotion(NamedTuple):
@@ -38,30 +34,30 @@ class SampledMotion(NamedTuple):
     """
 
     whole_delay: int
-    step: Matrix
-    row: Vector
+    step: Floats
+    row: Floats
     seen: int
-    gains: tuple[Vector, ...]
-    steady: Vector
+    gains: tuple[Floats, ...]
+    steady: Floats
 
-    def answer_to(self, forces: Sequence[Vector]) -> Vector:
+    def answer_to(self, forces: Sequence[Floats]) -> Floats:
         """Positions along the last axis, the first one sample after rest at 0, under f[n - D - age] for each age."""
         return np.asarray(sum(self._acting(force, gain) for force, gain in zip(forces, self.gains, strict=True)))
 
-    def answer_at_once(self, force: Vector) -> Vector:
+    def answer_at_once(self, force: Floats) -> Floats:
         """Positions along the last axis under forces that each act for one sample, the first one sample after rest."""
         return self._acting(force, self.steady)
 
-    def free(self, samples: int) -> Matrix:
+    def free(self, samples: int) -> Floats:
         """(samples, states) positions without a force, from each unit state on, the first one sample after it."""
         start = np.eye(1, samples)[0]
         return np.column_stack([self._filtered(start, unit, 0.0, ahead=1) for unit in np.eye(self.row.size)])
 
-    def _acting(self, force: Vector, gain: Vector) -> Vector:
+    def _acting(self, force: Floats, gain: Floats) -> Floats:
         return self._filtered(force, gain, float(gain[self.seen]))
 
-    def _filtered(self, force: Vector, gain: Vector, seen: float, ahead: int = 0) -> Vector:
-        """y[n + 1] = [row (zI - step)^-1 gain + seen] force[n], as one filter; `ahead`: so many samples sooner."""
+    def _filtered(self, force: Floats, gain: Floats, seen: float, ahead: int = 0) -> Floats:
+        """y[n + 1] = [row (zI - step)^-1 gain + seen] force[n], as one filter; `ahead`: samples sooner."""
         denominator = np.poly(self.step)
         markov, state = [seen], gain[: self.row.size]
         for _ in range(self.row.size):

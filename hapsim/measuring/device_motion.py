@@ -8,13 +8,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hapsim.loop.ring import BRIDGED, LATE_FORCE, OFF_GRID
+from hapsim.measuring.converters import Floats
 from hapsim.measuring.trace_quality import ROUNDING, unbroken
 from hapsim.recording.trace import Trace
-
-Vector = NDArray[np.float64]
 
 _CERTAIN = 6.0  # standard deviations: a velocity of which the sign is known
 _SLOW = 0.03  # of the largest velocity: what is slower may be about to turn
@@ -28,8 +26,8 @@ _CLEARLY = 4.0  # times the least velocity, in a swing that counts
 class Motion:
     """One channel of a record: `position` in counts from where the device was found, `force` in N, row by row."""
 
-    position: Vector
-    force: Vector
+    position: Floats
+    force: Floats
     known: tuple[tuple[int, int], ...]
     """Index ranges in which every force that acts was recorded."""
 
@@ -49,35 +47,32 @@ class Swing(NamedTuple):
 
 
 def motion_of(trace: Trace, channel: int, home_counts: float, most_delay: float) -> Motion:
-    """`most_delay`: in sample periods; after a gap so many rows are left out, for an unknown force acts in them."""
+    """`most_delay`: in sample periods; after a gap, forces that are unknown act in that many rows."""
     lead = math.ceil(most_delay) + 2
-    known = []
-    for first, last in unbroken(trace, LATE_FORCE | BRIDGED | OFF_GRID):
-        begin = first + lead if first > 0 else first  # before the first row no force acted
-        if last - begin >= _LEAST_ROWS:
-            known.append((begin, last))
+    runs = unbroken(trace, LATE_FORCE | BRIDGED | OFF_GRID)
+    known = [(first + (lead if first > 0 else 0), last) for first, last in runs]  # before the first row no force acted
     position = trace.position_counts[:, channel].astype(np.float64) - home_counts
     force = trace.force_counts[:, channel].astype(np.float64) * float(trace.force_scale[channel])
-    return Motion(position, force, tuple(known))
+    return Motion(position, force, tuple((begin, last) for begin, last in known if last - begin >= _LEAST_ROWS))
 
 
 def swings_of(motions: list[Motion], noise_counts: float) -> list[Swing]:
     """Where the velocity is known to keep its sign, with a margin on either side. `noise_counts`: of a position, rms;
-    the rounding is added. The velocity is one over so many rows that most of the record is left."""
+    the rounding is added. The velocity is one over as many rows as leave most of the record."""
     noise = math.hypot(noise_counts, ROUNDING)
     speeds = [np.abs(_velocity(motion.position[first:last], 2)) for motion in motions for first, last in motion.known]
     fastest = max((float(np.quantile(speed, 0.99)) for speed in speeds if speed.size), default=0.0)
     if fastest == 0.0:
         return []
-    found = [
+    found = (
         [swing for i, motion in enumerate(motions) for swing in _swings(i, motion, reach, noise, fastest)]
         for reach in _REACHES
-    ]
+    )
     return max(found, key=lambda swings: sum(swing.rows for swing in swings))
 
 
 def pieces_of(motions: list[Motion], rows: int) -> list[Swing]:
-    """All that is known of the motions, whatever the velocity, in pieces of so many rows at most."""
+    """All that is known of the motions, whatever the velocity, in pieces of at most `rows` rows."""
     return [
         Swing(i, begin, min(begin + rows, last), 0.0)
         for i, motion in enumerate(motions)
@@ -86,8 +81,8 @@ def pieces_of(motions: list[Motion], rows: int) -> list[Swing]:
     ]
 
 
-def _velocity(position: Vector, reach: int) -> Vector:
-    """Counts per sample from `reach` rows on either side; so many rows are missing at either end."""
+def _velocity(position: Floats, reach: int) -> Floats:
+    """Counts per sample from `reach` rows on either side; these are missing at either end."""
     return (position[2 * reach :] - position[: -2 * reach]) / (2.0 * reach)
 
 

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import product
+from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -20,6 +21,7 @@ from hapsim.measuring.device_excitation import Bounds, Drive, Plant, drive_for, 
 from hapsim.measuring.device_fit import DeviceFit, Shape, fit_device, hands_on
 from hapsim.measuring.device_misfit import LOUD, ForceResidual, force_residual, misfit_of
 from hapsim.measuring.device_motion import Motion, Swing, motion_of, pieces_of, swings_of
+from hapsim.measuring.limits import SHARE_OF_LIMIT, force_limit, require_above_zero, require_device_point
 from hapsim.measuring.trace_quality import ROUNDING, SeenRate, seen_rate
 from hapsim.progress import Progress
 from hapsim.recording.trace import Trace
@@ -32,7 +34,6 @@ TRAVEL_M = 0.005
 SECONDS = 6.0
 """Default duration of what is recorded for the fit."""
 
-_SHARE_OF_LIMIT = 0.25
 _LISTEN_S, _LISTEN_TICKS = 0.1, 64
 _GENTLE_HALVES, _GENTLE_TICKS = 12, 384
 _MAY_BE_LIGHTER = 10.0  # the mass, than declared
@@ -70,7 +71,7 @@ class DeviceIdentification(DeviceFit):
     misfit: str
     """A sentence that says where the model does not fit; "" where it does."""
     stopped: bool
-    """Whether a signal ended it before all was recorded; the values are of what was."""
+    """Whether a signal ended it early; the values are those of the record until then."""
     seen_rate: SeenRate | None
     """At which rate the device sampled, as its positions arrived; None where that does not tell."""
     motions: tuple[Motion, ...] = field(repr=False, compare=False)
@@ -86,12 +87,11 @@ class DeviceIdentification(DeviceFit):
 def bounds_of(scene: Scene, force: float | None = None, travel: float | None = None) -> Bounds:
     """What the device may be given; defaults: a quarter of the scene's force limit, and 5 mm to either side.
     UsageError where more than the limit is asked for."""
-    limit = min(scene.device.force_limit, scene.mock_device.force_limit if scene.device.port is None else math.inf)
+    limit = force_limit(scene)
     if force is not None and not 0.0 < force <= limit:
         raise UsageError(f"force: found {force:g} N, expected above 0 N, and at most the force_limit, {limit:g} N")
-    if travel is not None and not 0.0 < travel < math.inf:
-        raise UsageError(f"travel: found {travel:g} m, expected a finite number above 0")
-    return Bounds(_SHARE_OF_LIMIT * limit if force is None else force, TRAVEL_M if travel is None else travel)
+    require_above_zero("metres", travel=travel)
+    return Bounds(SHARE_OF_LIMIT * limit if force is None else force, TRAVEL_M if travel is None else travel)
 
 
 def identify_device(
@@ -116,11 +116,8 @@ def identify_device(
     where too little moves to identify anything, or what moves does not answer to the force.
     """
     scene = as_scene(scene)
-    if channel not in {point.channel for point in scene.device_points.values()}:
-        known = ", ".join(str(point.channel) for point in scene.device_points.values())
-        raise UsageError(f"channel {channel}: the scene has nothing there; its device points are on: {known}")
-    if duration is not None and not 0 < duration < math.inf:
-        raise UsageError(f"duration: found {duration}, expected a finite number of seconds above 0")
+    require_device_point(scene, channel)
+    require_above_zero("seconds", duration=duration)
     run_scene = partial(
         run,
         transport=transport,
@@ -132,8 +129,8 @@ def identify_device(
     with threadpool_limits(1, user_api="blas"):  # on matrices this narrow further threads cost more than they save
         pusher.find_home()
         rough = pusher.grow()
-        drives = pusher.record(rough, SECONDS if duration is None else duration)
-        return pusher.identified(drives, rough.shape)
+        pusher.record(rough, SECONDS if duration is None else duration)
+        return pusher.identified(rough.shape)
 
 
 class _Pusher:
@@ -145,14 +142,13 @@ class _Pusher:
         self._most_delay = max(_LEAST_DELAY, _MANY_TIMES_DECLARED * scene.device.delay + 1.0)
         self._home_counts = self._noise_counts = 0.0
         self._count_m = 1.0
-        self._traces: list[Trace] = []
+        self._records: list[tuple[Drive, Trace]] = []
         self._stopped = False
         """Whether a signal ended the last run."""
 
     def find_home(self) -> None:
         """Where the device stands at zero force, and how its positions are noisy there."""
-        rate = self._scene.rate
-        trace = self._run(None, self._bounds, max(_LISTEN_S, _LISTEN_TICKS / rate))
+        trace = self._run(None, self._bounds, max(_LISTEN_S, _LISTEN_TICKS / self._scene.rate))
         counts = trace.position_counts[:, self._channel].astype(float)
         self._count_m = float(trace.position_scale[self._channel])
         moved = float(np.ptp(counts)) * self._count_m if counts.size else 0.0
@@ -173,136 +169,122 @@ class _Pusher:
         declared = Plant(scene.device.masses(scene.channels)[self._channel], 0.0, 0.0, scene.device.delay)
         full = drive_for(declared, bounds, scene.rate, pace=1.0, tightness=0.5)
         steepest = _MAY_BE_LIGHTER * peak_per_newton(declared, full, scene.rate, self._converters)
-        force, peak = min(full.force, _FIRST_MOVES * bounds.travel / steepest), 0.0
+        drive = replace(full, force=min(full.force, _FIRST_MOVES * bounds.travel / steepest))
         before: tuple[float, float] | None = None
-        travel, judged = _FIRST_TRAVEL * bounds.travel, False
-        for _ in range(_MOST_ATTEMPTS):
-            drive = replace(full, force=force)
-            trace = self._pushed(drive, max(_GENTLE_HALVES * drive.half, _GENTLE_TICKS) / scene.rate, travel)
-            peak, travel = self._peak(trace), bounds.travel
-            if not judged and peak > _HARDLY * bounds.travel:
+        judged = False
+        duration = max(_GENTLE_HALVES * full.half, _GENTLE_TICKS) / scene.rate
+        for attempt in range(_MOST_ATTEMPTS):
+            within = replace(bounds, travel=(1.0 if attempt else _FIRST_TRAVEL) * bounds.travel)
+            trace = self._pushed(drive, duration, within)
+            peak, hardly = self._peak(trace), _HARDLY * bounds.travel
+            if not judged and peak > hardly:
                 judged = True
-                if error := inverted(self._fit([self._motion(trace)]), self._seen(drive, trace, bounds)):
+                if error := inverted(self._fit([trace]), self._seen(drive, trace, bounds)):
                     raise error
             if self._stopped:
                 raise UsageError("stopped before enough was recorded: nothing was identified")
-            if peak > _MOVES * bounds.travel or force >= full.force:
+            if peak > _MOVES * bounds.travel or drive.force >= full.force:
                 break
-            slope = steepest if before is None else (peak - before[1]) / (force - before[0])
-            before = (force, peak) if peak > _HARDLY * bounds.travel else None
-            force = min(full.force, self._harder(force, peak, slope))
-        return self._require_sound(self._fit([self._motion(trace)]), drive, trace)
+            slope = steepest if before is None else (peak - before[1]) / (drive.force - before[0])
+            before = (drive.force, peak) if peak > hardly else None
+            drive = self._harder(drive, peak, slope)
+        return self._sound_fit(drive, trace, [trace])
 
-    def record(self, rough: DeviceFit, duration: float) -> tuple[Drive, ...]:
+    def record(self, rough: DeviceFit, duration: float) -> None:
         """Records the device at several simulated (K, B), as far as it may be moved; with which ones."""
         mass = rough.mass.value + (rough.hand.mass.value if rough.hand is not None else 0.0)
         plant = Plant(mass, *(max(one.value, 0.0) for one in (rough.friction, rough.stiffness, rough.delay)))
-        drives = []
+        most = self._bounds.travel
         for pace, tightness in _DRIVES:
             drive = drive_for(plant, self._bounds, self._scene.rate, pace=pace, tightness=tightness)
-            far = peak_per_newton(plant, drive, self._scene.rate, self._converters)
-            drive = replace(drive, force=min(drive.force, _MEANT * self._bounds.travel / far))
-            drive, trace = self._hard_enough(drive, far, duration / len(_DRIVES))
-            self._traces.append(trace)
-            drives.append(drive)
+            slope = peak_per_newton(plant, drive, self._scene.rate, self._converters)
+            drive = replace(drive, force=min(drive.force, _MEANT * most / slope))
+            trace = self._pushed(drive, duration / len(_DRIVES), self._bounds)
+            for _ in range(_MORE_ATTEMPTS):  # where dry friction kept the device from moving
+                if self._stopped or self._peak(trace) > _MOVES * most or drive.force >= self._bounds.push:
+                    break
+                drive = self._harder(drive, self._peak(trace), slope)
+                trace = self._pushed(drive, duration / len(_DRIVES), self._bounds)
+            self._records.append((drive, trace))
             if self._stopped:
-                break
-        return tuple(drives)
+                return
 
-    def _hard_enough(self, drive: Drive, slope: float, duration: float) -> tuple[Drive, Trace]:
-        """A run under this drive; once more, pushed harder, where dry friction kept the device from moving. `slope`: m
-        that another newton adds where nothing is dry."""
-        trace = self._pushed(drive, duration)
-        for _ in range(_MORE_ATTEMPTS):
-            peak, most = self._peak(trace), self._bounds.push
-            if self._stopped or peak > _MOVES * self._bounds.travel or drive.force >= most:
-                break
-            drive = replace(drive, force=min(most, self._harder(drive.force, peak, slope)))
-            trace = self._pushed(drive, duration)
-        return drive, trace
-
-    def _harder(self, force: float, peak: float, slope: float) -> float:
-        """N, with which the device gets as far as is meant where each further one takes it `slope` m farther. Where it
-        hardly moved a dry friction is in the way, or a large mass: then a quarter more at least."""
-        wanted = force + max(_MEANT * self._bounds.travel - peak, 0.0) / max(slope, 1e-300)
+    def _harder(self, drive: Drive, peak: float, slope: float) -> Drive:
+        """With which the device gets as far as is meant, where each newton takes it `slope` m farther. Where it hardly
+        moved a dry friction is in the way, or a large mass: then a quarter more at least."""
+        wanted = drive.force + max(_MEANT * self._bounds.travel - peak, 0.0) / max(slope, 1e-300)
         stuck = peak < _HARDLY * self._bounds.travel
-        return max(wanted, _A_LITTLE_HARDER * force) if stuck else min(wanted, _MUCH_HARDER * force)
+        force = max(wanted, _A_LITTLE_HARDER * drive.force) if stuck else min(wanted, _MUCH_HARDER * drive.force)
+        return replace(drive, force=min(self._bounds.push, force))
 
-    def identified(self, drives: tuple[Drive, ...], start: Shape) -> DeviceIdentification:
+    def identified(self, start: Shape) -> DeviceIdentification:
         """The fit over all that was recorded, from `start` on."""
-        rate, count_m = self._scene.rate, self._count_m
-        motions = [self._motion(trace) for trace in self._traces]
-        farthest = int(np.argmax([self._peak(trace) for trace in self._traces]))
-        fit = self._require_sound(self._fit(motions, start), drives[farthest], self._traces[farthest])
+        rate, count_m, traces = self._scene.rate, self._count_m, [trace for _, trace in self._records]
+        farthest = max(self._records, key=lambda record: self._peak(record[1]))
+        fit = self._sound_fit(*farthest, traces, start)
+        motions = self._motions(traces)
         lacking = force_residual(motions, fit, self._noise_counts, count_m, rate, self._converters)
         return DeviceIdentification(
             **vars(fit),
             noise_m=self._noise_counts * count_m,
             channel=self._channel,
             bounds=self._bounds,
-            drives=drives,
-            peak_m=max(self._peak(trace) for trace in self._traces),
+            drives=tuple(drive for drive, _ in self._records),
+            peak_m=self._peak(farthest[1]),
             rate_hz=rate,
             count_m=count_m,
             misfit=misfit_of(fit, lacking, self._noise_counts),
             stopped=self._stopped,
-            seen_rate=seen_rate(max(self._traces, key=lambda trace: trace.sample.size)),
+            seen_rate=seen_rate(max(traces, key=lambda trace: trace.sample.size)),
             motions=tuple(motions),
             force_residual=lacking,
-            traces=tuple(self._traces),
+            traces=tuple(traces),
         )
 
-    def _motion(self, trace: Trace) -> Motion:
-        return motion_of(trace, self._channel, self._home_counts, self._most_delay)
+    def _motions(self, traces: list[Trace]) -> list[Motion]:
+        return [motion_of(trace, self._channel, self._home_counts, self._most_delay) for trace in traces]
 
-    def _fit(self, motions: list[Motion], begin: Shape = ()) -> DeviceFit | None:
-        """A mass; or two, where that leaves much less. From `begin` on, if there is one."""
-        swings, floor = swings_of(motions, self._noise_counts), math.hypot(self._noise_counts, ROUNDING)
-        fit = partial(
-            fit_device,
-            motions,
-            count_m=self._count_m,
-            rate_hz=self._scene.rate,
-            converters=self._converters,
-            most_delay=self._most_delay,
-        )
-        one = fit(swings=swings, begins=[begin[:3]] if begin else self._begins(swings))
-        if one is not None and one.residual_counts < LOUD * floor:
-            return one
-        rate = self._scene.rate
-        delay = self._scene.device.delay if one is None else one.delay.value
-        hands = [begin] if begin[3:] else hands_on(delay, rate)
-        two = fit(swings=pieces_of(motions, math.ceil(_PIECE_S * rate)), begins=hands)
-        if two is None or two.hand is None or two.hand.mass.uncertainty > _UNSURE_HAND * two.hand.mass.value:
-            return one
-        return two if one is None or two.residual_counts < _HAND_LEAVES * one.residual_counts else one
-
-    def _begins(self, swings: list[Swing]) -> list[Shape]:
-        """Where a first fit may begin: what a swing of so many rows could be of."""
-        rows = float(np.median([swing.rows for swing in swings])) if swings else 1.0
-        delays = np.arange(0.0, self._most_delay, _DELAY_STEP)
-        return [
-            (float(delay), friction / rows, stiffness / rows**2)
-            for delay, friction, stiffness in product(delays, _FRICTIONS, _STIFFNESSES)
-        ]
-
-    def _seen(self, drive: Drive, trace: Trace, bounds: Bounds) -> Pushed:
-        noise_m = self._noise_counts * self._count_m
-        return Pushed(drive.force, self._peak(trace), bounds, noise_m, self._count_m)
-
-    def _require_sound(self, fit: DeviceFit | None, drive: Drive, trace: Trace) -> DeviceFit:
+    def _sound_fit(self, drive: Drive, trace: Trace, traces: list[Trace], begin: Shape = ()) -> DeviceFit:
+        """The fit of `traces`; the error that a run under this drive shows where it is none to go on from."""
+        fit = self._fit(traces, begin)
         error = why_not(fit, self._seen(drive, trace, self._bounds))
         if error is not None:
             raise error
         assert fit is not None
         return fit
 
-    def _pushed(self, drive: Drive, duration: float, travel: float | None = None) -> Trace:
-        """A run under this drive. GuardError where the device moved farther than `travel` (m; None: what it may)."""
-        bounds = self._bounds if travel is None else replace(self._bounds, travel=travel)
+    def _fit(self, traces: list[Trace], begin: Shape = ()) -> DeviceFit | None:
+        """A mass; or two, where that leaves much less. From `begin` on, if there is one."""
+        motions = self._motions(traces)
+        swings, floor = swings_of(motions, self._noise_counts), math.hypot(self._noise_counts, ROUNDING)
+        given: dict[str, Any] = {"count_m": self._count_m, "rate_hz": self._scene.rate, "most_delay": self._most_delay}
+        fit = partial(fit_device, motions, converters=self._converters, **given)
+        one = fit(swings=swings, begins=[begin[:3]] if begin else self._begins(swings))
+        if one is not None and one.residual_counts < LOUD * floor:
+            return one
+        delay = self._scene.device.delay if one is None else one.delay.value
+        hands = [begin] if begin[3:] else hands_on(delay, self._scene.rate)
+        two = fit(swings=pieces_of(motions, math.ceil(_PIECE_S * self._scene.rate)), begins=hands)
+        if two is None or two.hand is None or two.hand.mass.uncertainty > _UNSURE_HAND * two.hand.mass.value:
+            return one
+        return two if one is None or two.residual_counts < _HAND_LEAVES * one.residual_counts else one
+
+    def _begins(self, swings: list[Swing]) -> list[Shape]:
+        """Where a first fit may begin: what swings of these lengths could be of."""
+        rows = float(np.median([swing.rows for swing in swings])) if swings else 1.0
+        delays = np.arange(0.0, self._most_delay, _DELAY_STEP)
+        every = product(delays, _FRICTIONS, _STIFFNESSES)
+        return [(float(delay), friction / rows, stiffness / rows**2) for delay, friction, stiffness in every]
+
+    def _seen(self, drive: Drive, trace: Trace, bounds: Bounds) -> Pushed:
+        noise_m = self._noise_counts * self._count_m
+        return Pushed(drive.force, self._peak(trace), bounds, noise_m, self._count_m)
+
+    def _pushed(self, drive: Drive, duration: float, bounds: Bounds) -> Trace:
+        """A run under this drive. GuardError where the device moved farther than it may."""
         trace = self._run(drive, bounds, duration)
         if trace.report.ending == IN_WORDS[OUT_OF_TRAVEL]:
-            error = why_too_far(self._fit([self._motion(trace)]), self._seen(drive, trace, bounds))
+            error = why_too_far(self._fit([trace]), self._seen(drive, trace, bounds))
             error.trace = trace
             raise error
         return trace
@@ -310,12 +292,10 @@ class _Pusher:
     def _run(self, drive: Drive | None, bounds: Bounds, duration: float) -> Trace:
         """A run, ended by the loop at the first sample that is too far away."""
         home = self._home_counts * self._count_m
+        excitation = None if drive is None else drive.excitation(self._channel)
+        scene = scene_of(self._scene, bounds, self._channel, drive, home)
         try:
-            trace = self._run_scene(
-                scene_of(self._scene, bounds, self._channel, drive, home),
-                duration=duration,
-                excitation=None if drive is None else drive.excitation(self._channel),
-            )
+            trace = self._run_scene(scene, duration=duration, excitation=excitation)
         except GuardError as error:
             if error.trace is None or error.trace.report.ending != IN_WORDS[OUT_OF_TRAVEL]:
                 raise

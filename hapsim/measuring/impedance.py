@@ -29,8 +29,8 @@ from typing import NamedTuple
 import numpy as np
 
 from hapsim.errors import UsageError
-from hapsim.measuring.converters import Converters
-from hapsim.measuring.multisine import Complexes, Floats, Periods
+from hapsim.measuring.converters import Complexes, Converters, Floats
+from hapsim.measuring.multisine import Periods
 
 CONFIDENCE = 0.999
 """That the true values lie within their circles, at all frequencies and of all channels together."""
@@ -59,7 +59,7 @@ class Impedance:
     rendered: Circles
     closed_loop: Circles
     periods: tuple[int, ...]
-    """How many pairs of periods, each overlapping the next, count of each experiment."""
+    """How many pairs of periods, each overlapping the next, count in each experiment."""
 
 
 def impedance_of(
@@ -81,35 +81,29 @@ def impedance_of(
         inverse = np.linalg.inv(position)
     except np.linalg.LinAlgError:
         raise UsageError("the excitations did not move every channel: there is nothing to be measured") from None
+    # What a rounding of the positions does to the scene's force is the scene's doing, and no error of what it renders.
+    counted = [_rounded(one, force @ inverse) for one in settled]
+    computed = [one.rounded_scene + (not one.by_position) * _rounded(one, scene @ inverse) for one in settled]
+    unseen = np.array([counted, computed, np.add(counted, computed)])
+    acting, rendered = [one.force for one in settled], [-one.scene for one in settled]
+    both = [a + b for a, b in zip(acting, rendered, strict=True)]
     late = converters.response(frequency, rate, delay)
     through = (late / (2j * np.pi * frequency))[:, None, None]
-    device, rendered = force @ inverse, -scene @ inverse
-    closed_loop = device + rendered
-    # What a rounding of the positions does to the scene's force is the scene's doing, and no error of what it renders.
-    counted = [_rounded(one, device) for one in settled]
-    computed = [one.rounded_scene + (0.0 if one.by_position else _rounded(one, rendered)) for one in settled]
-    unseen = (counted, computed, [a + b for a, b in zip(counted, computed, strict=True)])
-    forces = ([one.force for one in settled], [-one.scene for one in settled])
-    both = [a + b for a, b in zip(*forces, strict=True)]
-    circles = [
-        Circles(value * through, np.abs(through) * _radius(settled, of, value, inverse, more))
-        for value, of, more in zip((device, rendered, closed_loop), (*forces, both), unseen, strict=True)
-    ]
-    used = tuple(one.position.shape[0] for one in settled)
-    return Impedance(frequency, circles[0], circles[1], circles[2], used)
+    circles = []
+    for ratio, forces, more in zip((force, -scene, force - scene), (acting, rendered, both), unseen, strict=True):
+        radius = _radius(settled, forces, ratio @ inverse, inverse, more)
+        circles.append(Circles(ratio @ inverse * through, np.abs(through) * radius))
+    device, scene_alone, loop = circles
+    return Impedance(frequency, device, scene_alone, loop, tuple(one.pairs for one in settled))
 
 
 def _rounded(periods: Periods, ratio: Complexes) -> Floats:
-    """(n, C) complex variance of the forces that the positions' rounding stands for, at so many N/m."""
+    """(n, C) complex variance of the forces that the positions' rounding stands for, at these N/m."""
     return np.asarray(np.abs(ratio) ** 2 @ periods.rounded_position)
 
 
 def _radius(
-    settled: Sequence[Periods],
-    forces: Sequence[Complexes],
-    ratio: Complexes,
-    inverse: Complexes,
-    unseen: Sequence[Floats],
+    settled: Sequence[Periods], forces: Sequence[Complexes], ratio: Complexes, inverse: Complexes, unseen: Floats
 ) -> Floats:
     """(n, C, C) of the circles about ``ratio``, of the forces (P, n, C) over the positions, in N/m.
 
@@ -119,21 +113,20 @@ def _radius(
     outside = (1.0 - CONFIDENCE) / ratio.size  # of each circle, Bonferroni
     total = np.zeros(ratio.shape)
     for d, (one, force) in enumerate(zip(settled, forces, strict=True)):
-        count = one.position.shape[0]
-        scatter = _OVERLAP * _variance(force - np.einsum("nij,pnj->pni", ratio, one.position)) / count
-        squared = _quantile(count, outside) * scatter - math.log(outside) * unseen[d]
+        scatter = _variance_of_mean(force - np.einsum("nij,pnj->pni", ratio, one.position))
+        squared = _quantile(one.pairs, outside) * scatter - math.log(outside) * unseen[d]
         total += squared[:, :, None] * np.abs(inverse[:, d, :])[:, None, :] ** 2
     return np.sqrt(total)
 
 
 def _quantile(count: int, outside: float) -> float:
-    """What a complex mean of so many, squared, exceeds with the probability ``outside``, over its estimated variance:
-    of F with 2 and 2 (count - 1) degrees of freedom, in closed form."""
+    """What the square of a complex mean of `count` values exceeds with the probability ``outside``, over its estimated
+    variance: of F with 2 and 2 (count - 1) degrees of freedom, in closed form."""
     return (count - 1) * (outside ** (-1.0 / (count - 1)) - 1.0)
 
 
 class Settling(NamedTuple):
-    """How many periods to leave out at the beginning, while what was before dies away, so that the mean of the rest is
+    """How many periods do not count at the beginning, while what was before dies away, so that the mean of the rest is
     as certain as can be; and how uncertain the device's impedance then is, the radius relative, in the median."""
 
     first: int
@@ -146,25 +139,23 @@ def settling(periods: Periods, channel: int) -> Settling:
     Raises:
         UsageError: there are too few periods.
     """
-    count = periods.position.shape[0]
-    if count < LEAST_PERIODS + 1:
+    if periods.pairs < LEAST_PERIODS + 1:
         raise UsageError(
-            f"only {count} periods of the excitation were recorded whole, expected {LEAST_PERIODS + 1} or more: "
-            "measure for longer with --duration; where positions are lost, `hapsim doctor` tells which rates are kept"
+            f"only {periods.pairs} periods of the excitation were recorded whole, expected {LEAST_PERIODS + 1} or "
+            "more: measure for longer with --duration; where positions are lost, `hapsim doctor` tells which rates are "
+            "kept"
         )
     found = []
-    for first in range(1, count - LEAST_PERIODS + 1):
+    for first in range(1, periods.pairs - LEAST_PERIODS + 1):
         rest = periods.after(first)
         force, position = rest.force[:, :, [channel]], rest.position[:, :, [channel]]
-        ratio = np.mean(force, axis=0) / np.mean(position, axis=0)
-        variance = _OVERLAP * _variance(force - ratio * position)[:, 0] / (count - first)
-        variance *= _quantile(count - first, (1.0 - CONFIDENCE) / ratio.size)
-        share = np.sqrt(variance) / np.abs(np.mean(force, axis=0)[:, 0])
-        found.append(Settling(first, float(np.median(share))))
+        mean = np.mean(force, axis=0)
+        variance = _variance_of_mean(force - mean / np.mean(position, axis=0) * position)
+        variance *= _quantile(rest.pairs, (1.0 - CONFIDENCE) / mean.size)
+        found.append(Settling(first, float(np.median(np.sqrt(variance) / np.abs(mean)))))
     return min(found, key=lambda one: one.scatter)
 
 
-def _variance(residual: Complexes) -> Floats:
-    """(n, C) complex variance of one period's (P, n, C)."""
-    centred = residual - np.mean(residual, axis=0)
-    return np.asarray(np.sum(np.abs(centred) ** 2, axis=0) / (residual.shape[0] - 1))
+def _variance_of_mean(residual: Complexes) -> Floats:
+    """(n, C) complex variance of the mean of (P, n, C) overlapping pairs of periods."""
+    return np.asarray(_OVERLAP * np.var(residual, axis=0, ddof=1) / residual.shape[0])

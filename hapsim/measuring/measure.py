@@ -8,6 +8,7 @@ from dataclasses import replace
 
 from hapsim.device.open_connection import TransportKind
 from hapsim.errors import DeviceError, UsageError
+from hapsim.measuring.limits import SHARE_OF_LIMIT, require_above_zero, require_device_point
 from hapsim.measuring.measure_trace import Measurement, measure_trace
 from hapsim.progress import Progress
 from hapsim.recording.trace import Trace
@@ -19,7 +20,7 @@ _SECONDS = 2.0
 _LEAST_TICKS, _MOST_TICKS = 2048, 20000
 _KICK = 0.1  # m/s, what one push gives to the mass where nothing holds it
 _PUSHES = 40  # in the second half of a measurement; the first is one ring-down
-_SHARE_OF_LIMIT = _SHARE_OF_TRAVEL = 0.25
+_SHARE_OF_TRAVEL = 0.25
 _COUNTS = 2.0**31
 _LEAST_ROWS = 32
 
@@ -46,13 +47,9 @@ def measure(
     returned with the error as its `failure`.
     """
     scene = as_scene(scene)
-    if channel not in {point.channel for point in scene.device_points.values()}:
-        known = ", ".join(str(point.channel) for point in scene.device_points.values())
-        raise UsageError(f"channel {channel}: the scene has nothing there; its device points are on: {known}")
-    if duration is not None and not 0 < duration < math.inf:
-        raise UsageError(f"duration: found {duration}, expected a finite number of seconds above 0")
-    if push is not None and not 0 < push < math.inf:
-        raise UsageError(f"push: found {push:g}, expected a finite number of newton above 0")
+    require_device_point(scene, channel)
+    require_above_zero("seconds", duration=duration)
+    require_above_zero("newton", push=push)
     if duration is None:
         duration = min(max(_SECONDS, _LEAST_TICKS / scene.rate), _MOST_TICKS / scene.rate)
     failure: DeviceError | None = None
@@ -105,7 +102,7 @@ def _pushes(scene: Scene, channel: int, duration: float, push: float | None) -> 
     range_m = mock.quantum * _COUNTS if device.port is None else math.inf
     impulse = mass * min(_KICK, 0.05 * range_m / rests_s, _kick_within_travel(scene, channel, rests_s))
     limit = device.force_limit if device.port is not None else mock.force_limit
-    most = _SHARE_OF_LIMIT * limit if push is None else min(push, limit)
+    most = SHARE_OF_LIMIT * limit if push is None else min(push, limit)
     force = min(most, impulse * scene.rate)
     at_rest = device.port is not None or (
         mock.initial_velocity[channel] == 0.0

@@ -5,15 +5,17 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from hapsim.device.open_connection import TransportKind
 from hapsim.errors import HapsimError, UsageError
-from hapsim.measuring.converters import Converters
+from hapsim.loop.endings import IN_WORDS, STOPPED
+from hapsim.measuring.converters import Converters, Floats
 from hapsim.measuring.impedance import LEAST_PERIODS, Impedance, impedance_of, settling
-from hapsim.measuring.multisine import Floats, Lines, Periods, lines_for, multisine, periods_of
+from hapsim.measuring.limits import SHARE_OF_LIMIT, force_limit, require_above_zero
+from hapsim.measuring.multisine import Lines, Periods, lines_for, multisine, periods_of
 from hapsim.measuring.trace_quality import SeenRate, seen_rate
 from hapsim.progress import Progress
 from hapsim.recording.trace import Trace
@@ -22,14 +24,10 @@ from hapsim.scene import Ground, Scene, ViscoElastic
 from hapsim.scene.load import SceneSource, as_scene
 from hapsim.stopping import INTERRUPTED
 
-SHARE_OF_LIMIT = 0.25
-"""Of the force limit, that an excitation's peak has at most."""
 TRAVEL_M = 0.001
-"""That a device point moves at most, about: excitations are made smaller where it would move farther."""
+"""Largest travel of a device point, approximate: excitations are made smaller where it would move farther."""
 
-STOPPED = "stopped"  # as a report says it
-
-_PERIODS, _MORE = 14, 4  # so many times as many where what was before has hardly died away
+_PERIODS, _MORE = 14, 4  # times as many where what was before has hardly died away
 _UNCERTAIN = 0.01  # of the device's impedance, in the median: then more periods are worth their time
 _SOFT_PERIODS, _SOFT = 5, 0.125  # of the first excitation, which finds how far a force moves what
 _FEW_COUNTS = 20.0  # of travel: the rounding is no longer like noise
@@ -47,15 +45,15 @@ class MeasuredImpedance(Impedance):
     travel: tuple[float, ...] = ()
     """(C,) m, from one end to the other, of the channel that was excited."""
     lost_periods: int = 0
-    """Periods that were left out because positions of them never came."""
+    """Periods that do not count because positions of them never came."""
     limited_samples: int = 0
-    """Samples whose force was cut to its limit."""
+    """Samples whose force was clipped at its limit."""
     seen_rate: SeenRate | None = None
     """At which rate the device sampled, as its positions arrived; None where that does not tell."""
     stopped: bool = False
     """Whether a signal ended it early: the impedance is of the periods until then."""
     traces: tuple[Trace, ...] = field(default=(), repr=False, compare=False)
-    """(C,) what it was read from."""
+    """(C,), the sources."""
 
 
 class StoppedError(HapsimError):
@@ -63,9 +61,17 @@ class StoppedError(HapsimError):
 
     exit_status = INTERRUPTED
 
-    def __init__(self, traces: list[Trace]) -> None:
+    def __init__(self, runs: list[_Run]) -> None:
         super().__init__("stopped before every channel was excited for long enough: no impedance was identified")
-        self.traces = tuple(traces)
+        self.traces = tuple(one.trace for one in runs)
+
+
+class _Run(NamedTuple):
+    """One excitation of one channel, and what was recorded of it."""
+
+    trace: Trace
+    periods: Periods
+    stopped: bool
 
 
 def measure_impedance(
@@ -90,18 +96,17 @@ def measure_impedance(
     scene = as_scene(scene)
     lines = lines_for(scene.rate)
     periods = _whole_periods(duration, lines)
-    if not 0 < travel < math.inf:
-        raise UsageError(f"travel: found {travel}, expected a finite number of metres above 0")
-    if push is not None and not 0 < push < math.inf:
-        raise UsageError(f"push: found {push:g}, expected a finite number of newton above 0")
-    most = SHARE_OF_LIMIT * _force_limit(scene) if push is None else min(push, _force_limit(scene))
+    require_above_zero("metres", travel=travel)
+    require_above_zero("newton", push=push)
     channels = tuple(point.channel for point in scene.device_points.values())
     if not channels:
         raise UsageError("the scene has no device point: there is nothing at which an impedance could be measured")
+    most = SHARE_OF_LIMIT * force_limit(scene) if push is None else min(push, force_limit(scene))
     travel = min(travel, *(0.5 * (most - least) for least, most in scene.device.travels(scene.channels)))
+    converters = Converters(scene.device.hold, scene.device.sampling)
 
-    def excited(channel: int, forces: Floats, count: int) -> Trace:
-        return run(
+    def excited(channel: int, forces: Floats, count: int) -> _Run:
+        trace = run(
             scene,
             duration=count * lines.period_s,
             transport=transport,
@@ -109,57 +114,49 @@ def measure_impedance(
             on_progress=on_progress,
             stop_on_signals=stop_on_signals,
         )
+        if not np.all(np.isfinite(trace.asked_force)):
+            raise UsageError("the scene's force was not finite throughout: there is nothing to be measured")
+        found = periods_of(trace, lines, converters, senses=bool(scene.sensed_links)).on(list(channels))
+        return _Run(trace, found, trace.report.ending == IN_WORDS[STOPPED])
 
-    def is_stopped(trace: Trace) -> bool:
-        return bool(trace.report.ending == STOPPED)
-
-    traces: list[Trace] = []
-    experiments, peaks, moved = [], [], []
-    stopped = False
-    for channel in channels:
-        answer = excited(channel, _soft_forces(scene, lines, channel, travel, most), _SOFT_PERIODS)
-        if is_stopped(answer):
-            raise StoppedError(traces)
-        forces = _forces(lines, _periods(answer, lines, scene), channels.index(channel), travel, most)
+    done: list[_Run] = []
+    peaks, moved = [], []
+    for place, channel in enumerate(channels):
+        soft = excited(channel, _soft_forces(scene, lines, channel, travel, most), _SOFT_PERIODS)
+        if soft.stopped:
+            raise StoppedError(done)
+        forces = _forces(lines, soft.periods, place, travel, most)
+        one, is_last = excited(channel, forces, periods), channel == channels[-1]
+        if one.stopped and not (is_last and one.periods.pairs >= LEAST_PERIODS):
+            raise StoppedError([*done, one])
         peaks.append(float(np.max(np.abs(forces))))
-        trace = excited(channel, forces, periods)
-        experiment = _periods(trace, lines, scene)
-        stopped = is_stopped(trace)
-        if stopped and (channel != channels[-1] or experiment.position.shape[0] < LEAST_PERIODS):
-            raise StoppedError([*traces, trace])
-        moved.append(_travel(trace, lines, channel, peaks[-1]))
-        unsettled = settling(experiment, channels.index(channel)).scatter > _UNCERTAIN
-        if duration is None and not stopped and unsettled:
+        moved.append(_travel(one.trace, lines, channel, peaks[-1]))
+        if duration is None and not one.stopped and settling(one.periods, place).scatter > _UNCERTAIN:
             longer = excited(channel, forces, _MORE * periods)
-            stopped = is_stopped(longer)
-            if stopped and channel != channels[-1]:
-                raise StoppedError([*traces, trace])
-            if not stopped:
-                trace, experiment = longer, _periods(longer, lines, scene)
-        traces.append(trace)
-        experiments.append(experiment)
-    converters = Converters(scene.device.hold, scene.device.sampling)
-    found = impedance_of(experiments, lines.frequency, scene.rate, scene.device.delay, converters)
+            if longer.stopped and not is_last:
+                raise StoppedError([*done, one])
+            one = one._replace(stopped=True) if longer.stopped else longer
+        done.append(one)
+    found = impedance_of([one.periods for one in done], lines.frequency, scene.rate, scene.device.delay, converters)
     return MeasuredImpedance(
         **vars(found),
         channels=channels,
         period_s=lines.period_s,
         peak_force=tuple(peaks),
         travel=tuple(moved),
-        lost_periods=sum(one.lost for one in experiments),
-        limited_samples=sum(one.limited for one in experiments),
-        seen_rate=seen_rate(traces[0]),
-        stopped=stopped,
-        traces=tuple(traces),
+        lost_periods=sum(one.periods.lost for one in done),
+        limited_samples=sum(one.periods.limited for one in done),
+        seen_rate=seen_rate(done[0].trace),
+        stopped=done[-1].stopped,
+        traces=tuple(one.trace for one in done),
     )
 
 
 def _whole_periods(duration: float | None, lines: Lines) -> int:
-    """How many periods of the excitation there are in so many seconds; enough of them for None."""
+    """How many periods of the excitation there are in `duration` seconds; enough of them for None."""
+    require_above_zero("seconds", duration=duration)
     if duration is None:
         return _PERIODS
-    if not 0 < duration < math.inf:
-        raise UsageError(f"duration: found {duration}, expected a finite number of seconds above 0")
     periods, fewest = math.floor(duration / lines.period_s * (1.0 + 1e-9)), LEAST_PERIODS + 2
     if periods < fewest:
         raise UsageError(
@@ -167,21 +164,6 @@ def _whole_periods(duration: float | None, lines: Lines) -> int:
             "excitation"
         )
     return periods
-
-
-def _periods(trace: Trace, lines: Lines, scene: Scene) -> Periods:
-    """Of the scene's channels alone, in its order."""
-    channels = [point.channel for point in scene.device_points.values()]
-    if not np.all(np.isfinite(trace.asked_force)):
-        raise UsageError("the scene's force was not finite throughout: there is nothing to be measured")
-    converters = Converters(scene.device.hold, scene.device.sampling)
-    return periods_of(trace, lines, converters, senses=bool(scene.sensed_links)).on(channels)
-
-
-def _force_limit(scene: Scene) -> float:
-    """N, of the scene and of the mock where that is the device."""
-    limit = scene.device.force_limit
-    return limit if scene.device.port is not None else min(limit, scene.mock_device.force_limit)
 
 
 def _soft_forces(scene: Scene, lines: Lines, channel: int, travel: float, most: float) -> Floats:
@@ -193,12 +175,12 @@ def _soft_forces(scene: Scene, lines: Lines, channel: int, travel: float, most: 
 
 def _forces(lines: Lines, answer: Periods, excited: int, travel: float, most: float) -> Floats:
     """As strong at each frequency as the travel, and the force, allow: from what the soft excitation moved."""
-    if answer.position.shape[0] == 0:
+    if answer.pairs == 0:
         raise UsageError(
             "no period of the first excitation was recorded whole: positions are lost; `hapsim doctor` tells which "
             "rates are kept"
         )
-    last = answer.after(max(0, answer.position.shape[0] - 3))
+    last = answer.after(max(0, answer.pairs - 3))
     force = np.abs(np.mean(last.force - last.scene, axis=0)[:, excited])
     position = np.max(np.abs(np.mean(last.position, axis=0)), axis=1)
     with np.errstate(divide="ignore"):
@@ -224,10 +206,7 @@ def walls_in_place(scene: Scene, walls: Mapping[int, tuple[float, float]]) -> Sc
     modules: dict[str, Any] = dict(scene.device_points)
     for name, point in scene.device_points.items():
         if point.channel in walls:
-            stiffness, damping = walls[point.channel]
-            ends = (name, f"{name}-ground")
+            ends, (K, B) = (name, f"{name}-ground"), walls[point.channel]
             modules[ends[1]] = Ground(type="ground")
-            modules[f"{name}-wall"] = ViscoElastic(
-                type="viscoelastic", between=ends, stiffness=stiffness, damping=damping
-            )
+            modules[f"{name}-wall"] = ViscoElastic(type="viscoelastic", between=ends, stiffness=K, damping=B)
     return scene.model_copy(update={"modules": modules})

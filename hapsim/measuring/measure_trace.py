@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +12,7 @@ from threadpoolctl import threadpool_limits
 
 from hapsim.errors import RunError, UsageError
 from hapsim.loop.ring import BRIDGED, LATE_FORCE, LIMITED, OFF_GRID
+from hapsim.measuring.converters import Floats
 from hapsim.measuring.pole_pair import FittedPair, SecondMode, dominant_pair
 from hapsim.measuring.regression import Fit, Segment, fit
 from hapsim.measuring.trace_quality import ROUNDING, SeenRate, seen_rate, unbroken
@@ -33,6 +33,7 @@ _CERTAIN = 0.02  # counts: a rest that is known so well is as good as exact
 _FAR_OFF = 5.0  # a fit that is this much less certain than the best one is no rival of it
 _MOST_SPOILT = 0.1  # of the samples: with more, what is missing is not motion
 _UNDECIDED = 20.0  # criterion: four standard deviations of p, squared, and something for the coarseness of its steps
+_SPOILT = LATE_FORCE | BRIDGED | OFF_GRID
 
 
 @dataclass(frozen=True)
@@ -71,7 +72,7 @@ class Measurement:
     residual_m: float
     """Standard deviation of what the fit leaves, in m: the rounding of the position where all is well."""
     trace: Trace = field(repr=False, compare=False)
-    """What it was read from."""
+    """Its source."""
     failure: RunError | None = field(default=None, repr=False, compare=False)
     """Why the run ended before it was meant to; what was recorded until then was enough for the values above."""
     seen_rate: SeenRate | None = field(default=None, compare=False)
@@ -79,20 +80,15 @@ class Measurement:
 
     def at_rate(self, rate_hz: float) -> Measurement:
         """The same motion, if the device sampled at `rate_hz` and not at the trace's: its seconds are longer or
-        shorter, its periods are the same. What is unsure of the rate that was seen is unsure of k and b."""
+        shorter, its periods are the same. The uncertainty of the rate that was seen adds to those of k and b."""
         share = rate_hz / self.trace.rate
         unsure = self.seen_rate.uncertainty_hz / rate_hz if self.seen_rate else 0.0
-        return replace(
-            self,
-            k=self.k * share**2,
-            b=self.b * share,
-            frequency_hz=self.frequency_hz * share,
-            frequency_uncertainty_hz=math.hypot(
-                self.frequency_uncertainty_hz * share, self.frequency_hz * share * unsure
-            ),
-            k_uncertainty=math.hypot(self.k_uncertainty * share**2, 2.0 * self.k * share**2 * unsure),
-            b_uncertainty=math.hypot(self.b_uncertainty * share, self.b * share * unsure),
-        )
+        changed = {}
+        powers = (("k", "k_uncertainty", 2), ("b", "b_uncertainty", 1), ("frequency_hz", "frequency_uncertainty_hz", 1))
+        for name, uncertainty, power in powers:
+            changed[name] = value = getattr(self, name) * share**power
+            changed[uncertainty] = math.hypot(getattr(self, uncertainty) * share**power, power * value * unsure)
+        return replace(self, **changed)
 
 
 def measure_trace(trace: Trace, mass: float, channel: int = 0, mass_uncertainty: float | None = None) -> Measurement:
@@ -104,18 +100,31 @@ def measure_trace(trace: Trace, mass: float, channel: int = 0, mass_uncertainty:
     with threadpool_limits(1, user_api="blas"):  # on matrices this narrow further threads cost ten times what they save
         segments, fits = _fitted(trace, channel)
         free = _longest_free_motion(segments)
-        found = [(best, *dominant_pair(best, others, free)) for best, others in fits]
-    best, pair, poles, reason, second = next((entry for entry in found if entry[1] is not None), found[0])
-    if pair is not None:
-        pair = _with_rivals(pair, [other for _, other, *_ in found if other is not None])
+        read = [(best, dominant_pair(best, others, free)) for best, others in fits]
+    best, found = next(((fit, one) for fit, one in read if one.pair is not None), read[0])
+    pair = _with_rivals(found.pair, [one.pair for _, one in read if one.pair is not None])
+    rate, share = trace.rate, 0.0 if mass_uncertainty is None else mass_uncertainty / mass
+    k, b = rate**2 * pair.stiffness, -rate * pair.decay  # of 1 kg
+    off_k, off_b = rate**2 * pair.stiffness_uncertainty, rate * pair.decay_uncertainty
+    angular = math.sqrt(k) if k > 0 else math.nan
+    off = off_k / (2.0 * angular**2)  # of the eigenfrequency, relative; the damping ratio is b / (2 angular)
     return Measurement(
-        **_felt(pair, trace.rate, mass, mass_uncertainty),
-        poles=tuple(poles.tolist()),
-        dominant=pair is not None,
-        reason=reason,
+        k=mass * k,
+        b=mass * b,
+        frequency_hz=angular / (2.0 * math.pi),
+        damping_ratio=b / (2.0 * angular),
+        frequency_uncertainty_hz=off * angular / (2.0 * math.pi),
+        damping_ratio_uncertainty=math.hypot(off_b, off * b) / (2.0 * angular),
+        k_uncertainty=mass * math.hypot(off_k, share * k),
+        b_uncertainty=mass * math.hypot(off_b, share * b),
+        pole=pair.pole,
+        pole_uncertainty=pair.pole_uncertainty,
+        poles=tuple(found.poles.tolist()),
+        dominant=found.pair is not None,
+        reason=found.reason,
         mass=mass,
         mass_uncertainty=mass_uncertainty,
-        second_mode=second,
+        second_mode=found.second,
         order=best.order,
         samples=best.rows,
         residual_m=best.residual * float(trace.position_scale[channel]),
@@ -132,79 +141,55 @@ def _fitted(trace: Trace, channel: int) -> tuple[list[Segment], list[tuple[Fit, 
     if not np.all(np.isfinite(trace.asked_force)):
         raise UsageError("the scene's force was not finite throughout: there is nothing to be identified")
     # A host that is seldom on time leaves too little between two deadline misses: then better rough than nothing.
-    for spoilt in (LATE_FORCE | BRIDGED | OFF_GRID, LATE_FORCE | BRIDGED):
+    for spoilt in (_SPOILT, _SPOILT & ~OFF_GRID):
         segments = _segments(trace, channel, spoilt)
         if fits := _fits(segments):
             return segments, fits
-    raise UsageError(_why_nothing_fits(trace, channel))
-
-
-def _with_rivals(pair: FittedPair, others: list[FittedPair]) -> FittedPair:
-    """The pair of the best fit, with the largest uncertainties that the fits beside it state: the record does not tell
-    them apart. A rival that is far less certain took the noise for a pole and is none."""
-    equals = [pair, *(one for one in others if one.pole_uncertainty <= _FAR_OFF * pair.pole_uncertainty)]
-    names = ("pole_uncertainty", "decay_uncertainty", "stiffness_uncertainty")
-    return pair._replace(**{name: max(getattr(one, name) for one in equals) for name in names})
-
-
-def _felt(pair: FittedPair | None, rate: float, mass: float, mass_uncertainty: float | None) -> dict[str, Any]:
-    """Fields of `Measurement`: what a mass of so many kg felt; NaN without a pair."""
-    if pair is None:
-        pair = FittedPair(complex(math.nan, math.nan), *(5 * [math.nan]))
-    share = 0.0 if mass_uncertainty is None else mass_uncertainty / mass
-    k, b = rate**2 * pair.stiffness, -rate * pair.decay  # of 1 kg
-    k_uncertainty, b_uncertainty = rate**2 * pair.stiffness_uncertainty, rate * pair.decay_uncertainty
-    angular = math.sqrt(k) if k > 0 else math.nan
-    off = k_uncertainty / (2.0 * angular**2)  # of the eigenfrequency, of which the ratio is b / (2 angular)
-    return {
-        "k": mass * k,
-        "b": mass * b,
-        "frequency_hz": angular / (2.0 * math.pi),
-        "damping_ratio": b / (2.0 * angular),
-        "frequency_uncertainty_hz": off * angular / (2.0 * math.pi),
-        "damping_ratio_uncertainty": math.hypot(b_uncertainty, off * b) / (2.0 * angular),
-        "k_uncertainty": mass * math.hypot(k_uncertainty, share * k),
-        "b_uncertainty": mass * math.hypot(b_uncertainty, share * b),
-        "pole": pair.pole,
-        "pole_uncertainty": pair.pole_uncertainty,
-    }
-
-
-def _why_nothing_fits(trace: Trace, channel: int) -> str:
-    """What a record lacks, in a sentence."""
-    moved = float(np.ptp(trace.position_counts[:, channel].astype(float))) if trace.sample.size else 0.0
-    rows = trace.sample.size
-    late, lost = (int(np.count_nonzero(trace.flags & flag)) for flag in (LATE_FORCE, BRIDGED))
-    limited = int(np.count_nonzero(trace.flags & LIMITED))
+    counts, rows = trace.position_counts[:, channel].astype(float), trace.sample.size
+    moved = float(np.ptp(counts)) if rows else 0.0
+    late, lost, limited = (int(np.count_nonzero(trace.flags & flag)) for flag in (LATE_FORCE, BRIDGED, LIMITED))
     if moved > _FAINT_COUNTS and late + lost > _MOST_SPOILT * rows:
-        return (
+        raise UsageError(
             f"the hand moved by {moved * float(trace.position_scale[channel]):.3g} m, but of {rows} samples {late} had "
             f"their force too late and {lost} followed lost ones ({limited} were at the force limit): at no delay that "
             "stays the same a spring and damper is identified. `hapsim doctor` tells which rates are kept; a slower "
             "rate, or a faster port, leaves more time"
         )
-    return "too little motion was recorded to identify a spring and damper: record longer, or excite more strongly"
+    raise UsageError(
+        "too little motion was recorded to identify a spring and damper: record longer, or excite more strongly"
+    )
+
+
+def _with_rivals(pair: FittedPair | None, others: list[FittedPair]) -> FittedPair:
+    """The pair of the best fit, with the largest uncertainties that the fits beside it state: the record does not tell
+    them apart. A rival that is far less certain took the noise for a pole and is none."""
+    if pair is None:
+        return FittedPair()
+    equals = [pair, *(one for one in others if one.pole_uncertainty <= _FAR_OFF * pair.pole_uncertainty)]
+    names = ("pole_uncertainty", "decay_uncertainty", "stiffness_uncertainty")
+    return pair._replace(**{name: max(getattr(one, name) for one in equals) for name in names})
 
 
 def _segments(trace: Trace, channel: int, spoilt: int) -> list[Segment]:
     """Runs of consecutive samples without a `spoilt` flag, counted from where the scene asks for no force: as many as
     make up the rows that a regression needs."""
-    position = trace.position_counts[:, channel].astype(float)
     asked = trace.asked_force[:, channel]
     surplus = trace.force_counts[:, channel] * trace.force_scale[channel] - asked
     following = (np.diff(trace.sample) == 1) & (trace.flags[1:] & BRIDGED == 0)
+    position = trace.position_counts[:, channel].astype(float)
     rest, known = _rest(position, asked, following)
+    position = position - rest
     found, rows = [], 0
     for whole in unbroken(trace, spoilt):
-        for first, last in _loud(position - rest, *whole):
+        for first, last in _loud(position, *whole):
             end = min(last, first + _MOST_ROWS - rows)
             if end > first:
-                found.append(Segment(position[first:end] - rest, surplus[first:end], known))
+                found.append(Segment(position[first:end], surplus[first:end], known))
                 rows += end - first
     return found
 
 
-def _longest_free_motion(segments: list[Segment]) -> NDArray[np.float64]:
+def _longest_free_motion(segments: list[Segment]) -> Floats:
     """The longest stretch of positions during which nothing but the scene's own force acted."""
     best = np.empty(0)
     most = max((float(np.max(np.abs(segment.surplus))) for segment in segments), default=0.0)
@@ -214,27 +199,20 @@ def _longest_free_motion(segments: list[Segment]) -> NDArray[np.float64]:
         widest = int(np.argmax(np.diff(edges)))
         # A delayed force acts for some samples after it was given.
         begin = edges[widest] + 1 + (_RUN_UP if widest > 0 else 0)
-        stretch = segment.position[begin : edges[widest + 1]]
-        if stretch.size > best.size:
-            best = stretch
+        best = max(best, segment.position[begin : edges[widest + 1]], key=len)
     return best
 
 
-def _loud(y: NDArray[np.float64], first: int, last: int) -> Iterator[tuple[int, int]]:
+def _loud(y: Floats, first: int, last: int) -> Iterator[tuple[int, int]]:
     """Parts of y[first:last] that are not lost in the rounding: index ranges, short quiet spells included."""
     step = np.abs(np.diff(y[first:last], prepend=y[first : first + 1]))
     loud = first + np.flatnonzero((step > _SLOW_COUNTS) & (np.abs(y[first:last]) > _FAINT_COUNTS))
-    if loud.size == 0:
-        return
-    ends = np.flatnonzero(np.diff(loud) > _QUIET_SPELL)
-    # A ring-down counts from just before it is heard: what sets it off lies there.
-    for begin, end in zip(np.append(0, ends + 1), np.append(ends, loud.size - 1), strict=True):
-        yield max(first, int(loud[begin]) - _RUN_UP), int(loud[end]) + 1
+    for part in np.split(loud, np.flatnonzero(np.diff(loud) > _QUIET_SPELL) + 1):
+        if part.size:  # a ring-down counts from just before it is heard: what sets it off lies there
+            yield max(first, int(part[0]) - _RUN_UP), int(part[-1]) + 1
 
 
-def _rest(
-    position: NDArray[np.float64], asked: NDArray[np.float64], following: NDArray[np.bool_]
-) -> tuple[float, bool]:
+def _rest(position: Floats, asked: Floats, following: NDArray[np.bool_]) -> tuple[float, bool]:
     """(where the asked force is zero, in counts; whether that is certain).
 
     A hand on springs and dampers to the ground is asked a force that is linear in its positions and its past: where the
@@ -249,9 +227,7 @@ def _rest(
     return float(np.median(position)), False
 
 
-def _rest_by_law(
-    position: NDArray[np.float64], asked: NDArray[np.float64], following: NDArray[np.bool_], memory: int
-) -> float | None:
+def _rest_by_law(position: Floats, asked: Floats, following: NDArray[np.bool_], memory: int) -> float | None:
     """Rest by the law of the force in the `memory` + 1 newest positions and, beyond two of them, the forces before."""
     whole = np.all([following[i : following.size - memory + 1 + i] for i in range(memory)], axis=0)
     rows = memory + np.flatnonzero(whole)
@@ -264,11 +240,11 @@ def _rest_by_law(
     table = np.column_stack([*columns, np.ones(rows.size)])
     law, *_ = np.linalg.lstsq(table, asked[rows] / most, rcond=1e-13)
     missed = asked[rows] / most - table @ law
+    obeyed = np.max(np.abs(missed)) <= _LAWFUL
     if abs(law[0]) <= 1e-9 * float(np.max(np.abs(law))):
-        return 0.0 if memory == 1 and np.max(np.abs(missed)) <= _LAWFUL else None
+        return 0.0 if memory == 1 and obeyed else None
     uncertainty = size / abs(law[0]) * float(np.sqrt(np.mean(missed**2) / rows.size))
-    lawful = np.max(np.abs(missed)) <= _LAWFUL or (memory > 1 and uncertainty < _CERTAIN)
-    return float(-law[-1] / law[0] * size) if lawful else None
+    return float(-law[-1] / law[0] * size) if obeyed or (memory > 1 and uncertainty < _CERTAIN) else None
 
 
 def _fits(segments: list[Segment]) -> list[tuple[Fit, list[Fit]]]:
@@ -279,16 +255,13 @@ def _fits(segments: list[Segment]) -> list[tuple[Fit, list[Fit]]]:
     """
     with_surplus = any(np.any(segment.surplus) for segment in segments)
 
-    def attempt(order: int, drift: float) -> list[Fit]:
-        found = fit(segments, order, drift, with_surplus, ROUNDING)
-        return [] if found is None else [found]
+    def attempts(*orders_and_drifts: tuple[int, float]) -> list[Fit]:
+        found = [fit(segments, order, drift, with_surplus, ROUNDING) for order, drift in orders_and_drifts]
+        return sorted((one for one in found if one is not None), key=lambda one: one.criterion)
 
-    profile = [found for drift in _DRIFTS for found in attempt(6, drift)]
-    profile = profile or [found for drift in _DRIFTS for found in attempt(3, drift)]
+    profile = attempts(*((6, drift) for drift in _DRIFTS)) or attempts(*((3, drift) for drift in _DRIFTS))
     if not profile:
         return []
-    profile.sort(key=lambda one: one.criterion)
-    drifts = [found.drift for found in profile if found.criterion < profile[0].criterion + _UNDECIDED]
-    orders = [found for order in range(2, _MOST_ORDER) for found in attempt(order, drifts[0])]
-    order = min(orders, key=lambda one: one.criterion).order
-    return [(found, attempt(order + 1, drift)) for drift in drifts for found in attempt(order, drift)]
+    drifts = [one.drift for one in profile if one.criterion < profile[0].criterion + _UNDECIDED]
+    order = attempts(*((order, drifts[0]) for order in range(2, _MOST_ORDER)))[0].order
+    return [(one, attempts((order + 1, drift))) for drift in drifts for one in attempts((order, drift))]

@@ -14,12 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapsim.loop.ring import LATE_FORCE, LIMITED, UNSENT
-from hapsim.measuring.converters import Converters
+from hapsim.measuring.converters import Complexes, Converters, Floats
 from hapsim.measuring.trace_quality import is_always_late
 from hapsim.recording.trace import Trace
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
 _PERIOD_S = 0.5
 _LEAST_SAMPLES, _MOST_SAMPLES = 256, 1 << 15
@@ -80,15 +77,20 @@ class Periods(NamedTuple):
     scene: Complexes
     """What the scene's modules asked for."""
     force: Complexes
-    """All that acted, by the loop's count of samples: the scene's, the excitation's, cut and rounded."""
+    """All that acted, by the loop's count of samples: the scene's, the excitation's, clipped and rounded."""
     rounded_position: Floats
     rounded_scene: Floats
     by_position: bool
     """Whether the scene's forces come of the recorded positions alone: then their rounding is no error of the ratio."""
     limited: int
-    """Samples whose force was cut to its limit."""
+    """Samples whose force was clipped at its limit."""
     lost: int
-    """Periods that were left out: samples are missing."""
+    """Periods that do not count: samples are missing."""
+
+    @property
+    def pairs(self) -> int:
+        """P."""
+        return self.position.shape[0]
 
     def after(self, settled: int) -> Periods:
         """Those from number `settled` on."""
@@ -103,50 +105,38 @@ class Periods(NamedTuple):
 def periods_of(trace: Trace, lines: Lines, converters: Converters, *, senses: bool) -> Periods:
     """The whole periods of a trace. `senses`: the scene's forces come of velocities too, whose rounding no trace
     records; the frequencies that nothing excites show how large it is."""
-    position, scene = trace.position - np.mean(trace.position, axis=0), trace.asked_force
-    number, rows_in = np.unique(trace.sample // lines.samples, return_counts=True)
-    begins = np.concatenate([[0], np.cumsum(rows_in)])
-    whole = rows_in == lines.samples
-    pairs = begins[:-2][whole[:-1] & whole[1:] & (np.diff(number) == 1)] if number.size > 1 else begins[:0]
-    amplitudes = (
-        np.array([_amplitudes(signal[i : i + 2 * lines.samples], lines) for i in pairs]).reshape(
-            -1, lines.bins.size, position.shape[1]
-        )
-        for signal in (position, scene, _acting_force(trace, converters))
-    )
-    share = 4.0 / lines.samples  # of a white error's variance, in an amplitude
-    rounded = 4.0 / np.clip(_changes(trace, lines), _FEWEST_CHANGES, lines.samples)
+    samples, scene = lines.samples, trace.asked_force
+    number, rows_in = np.unique(trace.sample // samples, return_counts=True)
+    begins = np.cumsum(rows_in) - rows_in
+    whole = rows_in == samples
+    pairs = begins[:-1][whole[:-1] & whole[1:] & (np.diff(number) == 1)]
+
+    def amplitudes(signal: Floats) -> Complexes:
+        found = [_amplitudes(signal[i : i + 2 * samples], lines) for i in pairs]
+        return np.array(found, complex).reshape(-1, lines.bins.size, signal.shape[1])
+
+    # How often the count changes in a period: as many of the roundings are independent of each other. Where a channel
+    # hardly moves, they follow its motion, and lie where that lies: at the frequencies that are excited.
+    later = trace.position_counts[trace.sample.size // 2 :]
+    changes = np.mean(np.diff(later, axis=0) != 0, axis=0) * samples
+    rounded = 4.0 / np.clip(changes, _FEWEST_CHANGES, samples)
+    share = 4.0 / samples  # of a white error's variance, in an amplitude
     computed = share * (_OPERATIONS * np.finfo(float).eps * np.max(np.abs(scene), axis=0, initial=0.0)) ** 2
-    if senses:
-        computed = computed + _beside(scene, pairs[pairs.size // 2 :], lines)
+    if senses and pairs.size:  # the variance of the mean period at the frequencies that are not excited
+        mean = np.mean([scene[first : first + samples] for first in pairs[pairs.size // 2 :]], axis=0)
+        others = np.setdiff1d(np.arange(1, (samples + 1) // 2), lines.bins)
+        computed = computed + np.mean(np.abs(np.fft.rfft(mean, axis=0)[others] * (2.0 / samples)) ** 2, axis=0)
     missing = int(number[-1] - number[0] + 1 - number.size) if number.size else 0  # nothing was recorded of them
-    of_position, of_scene, of_force = amplitudes
     return Periods(
-        of_position,
-        of_scene,
-        of_force,
+        amplitudes(trace.position - np.mean(trace.position, axis=0)),
+        amplitudes(scene),
+        amplitudes(_acting_force(trace, converters)),
         rounded_position=rounded * trace.position_scale**2 / 12.0,
         rounded_scene=computed,
         by_position=not senses,
         limited=int(np.count_nonzero(trace.flags & LIMITED)),
-        lost=int(np.count_nonzero(rows_in[1:-1] != lines.samples)) + missing,
+        lost=int(np.count_nonzero(rows_in[1:-1] != samples)) + missing,
     )
-
-
-def _changes(trace: Trace, lines: Lines) -> Floats:
-    """(C,) how often the count changes in a period: as many of the roundings are independent of each other. Where a
-    channel hardly moves, they follow its motion, and lie where that lies: at the frequencies that are excited."""
-    later = trace.position_counts[trace.sample.size // 2 :]
-    return np.asarray(np.mean(np.diff(later, axis=0) != 0, axis=0) * lines.samples)
-
-
-def _beside(signal: Floats, begins: NDArray[np.intp], lines: Lines) -> Floats:
-    """(C,) complex variance of the mean period's amplitudes at the frequencies that are not excited."""
-    if begins.size == 0:
-        return np.zeros(signal.shape[1])
-    mean = np.mean([signal[first : first + lines.samples] for first in begins], axis=0)
-    others = np.setdiff1d(np.arange(1, (lines.samples + 1) // 2), lines.bins)
-    return np.asarray(np.mean(np.abs(np.fft.rfft(mean, axis=0)[others] * (2.0 / lines.samples)) ** 2, axis=0))
 
 
 def _acting_force(trace: Trace, converters: Converters) -> Floats:

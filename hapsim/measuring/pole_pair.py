@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
+import cmath
 import math
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hapsim.measuring.converters import Complexes, Floats
 from hapsim.measuring.regression import Fit
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
 NO_SECOND_REAL_POLE = "the slowest pole is real and no second real one follows"
 
@@ -31,55 +30,67 @@ class SecondMode(NamedTuple):
 
 
 class FittedPair(NamedTuple):
-    """Two poles in the z-plane and what follows from them, with standard uncertainties."""
+    """Two poles in the z-plane and what follows from them, with standard uncertainties; NaN without a pair."""
 
-    pole: complex
+    pole: complex = complex(math.nan, math.nan)
     """The one with the larger modulus, in the upper half."""
-    pole_uncertainty: float
+    pole_uncertainty: float = math.nan
     """Of the distance in the plane."""
-    decay: float
+    decay: float = math.nan
     """s1 + s2 times the sample period: minus the sum of both decays."""
-    decay_uncertainty: float
-    stiffness: float
+    decay_uncertainty: float = math.nan
+    stiffness: float = math.nan
     """s1 s2 times the sample period squared."""
-    stiffness_uncertainty: float
+    stiffness_uncertainty: float = math.nan
 
 
-def dominant_pair(
-    fit: Fit, alternatives: list[Fit], motion: Floats
-) -> tuple[FittedPair | None, Complexes, str, SecondMode | None]:
-    """(the slowest-decaying pair or None, all poles by decreasing modulus, why there is no pair, a second mode).
+class Poles(NamedTuple):
+    """What one fit says of the motion."""
+
+    pair: FittedPair | None
+    """The slowest-decaying one."""
+    poles: Complexes
+    """All that the motion has, by decreasing modulus."""
+    reason: str
+    """Why there is no pair."""
+    second: SecondMode | None
+
+
+def dominant_pair(fit: Fit, alternatives: list[Fit], motion: Floats) -> Poles:
+    """The slowest-decaying pair of a fit.
 
     `alternatives`: fits that might as well have been chosen; how far they lie from `fit` adds to the uncertainty.
     `motion`: the position, shape (samples,), in which a pole has to be seen in order to count.
     """
-    poles = _poles(fit)
-    seen, energy = _seen_in(motion, poles)
-    chosen = _choose(poles[seen])
-    further = _second_mode(poles[seen], energy[seen])
-    if isinstance(chosen, str):
-        return None, poles[seen], chosen, further
-    first, second, others = chosen
-    total, product = (first + second).real, (first * second).real
-    spread = [_spread_of_sum_and_product(fit, total, product, np.append(others, poles[~seen]))]
-    for alternative in alternatives:
-        other_total, other_product = _nearest_pair(_poles(alternative), first, second)
-        spread.append(np.array([[other_total - total], [other_product - product]]))
-    return _pair(total, product, np.hstack(spread)), poles[seen], "", further
+    every = _roots(fit)
+    seen, energy = _seen_in(motion, every)
+    poles, second = every[seen], _second_mode(every[seen], energy[seen])
+    if why := _why_no_pair(poles):
+        return Poles(None, poles, why, second)
+    a, b = poles[0], poles[0].conjugate() if poles[0].imag else poles[1]
+    total, product = (a + b).real, (a * b).real
+    spread = [_spread_of_sum_and_product(fit, total, product, np.append(poles[2:], every[~seen]))]
+    for other in map(_roots, alternatives):  # the two poles that take the places of these
+        c, d = other[np.argsort(np.minimum(np.abs(other - a), np.abs(other - b)))][:2]
+        d = c.conjugate() if c.imag else d
+        spread.append(np.array([[(c + d).real - total], [(c * d).real - product]]))
+    return Poles(_pair(total, product, np.hstack(spread)), poles, "", second)
 
 
-def _poles(fit: Fit) -> Complexes:
+def _roots(fit: Fit) -> Complexes:
     poles = np.roots(fit.polynomial).astype(complex)
     return poles[np.argsort(-np.abs(poles), kind="stable")]
 
 
-def _nearest_pair(poles: Complexes, first: complex, second: complex) -> tuple[float, float]:
-    """Sum and product of the two poles that take the places of `first` and `second`."""
-    nearest = poles[np.argsort(np.minimum(np.abs(poles - first), np.abs(poles - second)))]
-    a, b = nearest[0], nearest[1]
-    if a.imag != 0.0:
-        b = a.conjugate()
-    return (a + b).real, (a * b).real
+def _why_no_pair(poles: Complexes) -> str:
+    """Why the two slowest poles are neither a conjugate pair nor both real and positive; "" where they are."""
+    if poles.size < 2:
+        return "the motion has fewer than two poles"
+    if poles[0].imag != 0.0:
+        return ""
+    if poles[0].real <= 0.0:
+        return "the slowest pole is real and negative: the position alternates from sample to sample"
+    return NO_SECOND_REAL_POLE if poles[1].imag != 0.0 or poles[1].real <= 0.0 else ""
 
 
 def _second_mode(poles: Complexes, energy: Floats) -> SecondMode | None:
@@ -98,47 +109,33 @@ def _seen_in(motion: Floats, poles: Complexes) -> tuple[NDArray[np.bool_], Float
 
     A fit of a higher order than the motion's has poles that belong to its noise; they may lie anywhere.
     """
+    untold = np.ones(poles.size, bool), np.zeros(poles.size)
     if motion.size <= poles.size:
-        return np.ones(poles.size, bool), np.zeros(poles.size)  # too short to tell
+        return untold
     n = np.arange(min(motion.size, _LOOKED_AT))[:, None]
     # A growing mode is written backwards from its end, so that no power overflows.
     modes = np.where(np.abs(poles) > 1.0, poles, 1.0) ** (n - n[-1]) * np.where(np.abs(poles) > 1.0, 1.0, poles) ** n
-    modes /= np.linalg.norm(modes, axis=0)
     # Where the motion is counted from is not certain to the last count: what a constant explains is no mode.
-    modes = np.column_stack([modes, np.full(n.size, 1.0 / math.sqrt(n.size))])
+    modes = np.column_stack([modes, np.ones(n.size)])
+    modes /= np.linalg.norm(modes, axis=0)
     q, r = np.linalg.qr(modes)
     if np.min(np.abs(np.diag(r))) < 1e-15:
-        return np.ones(poles.size, bool), np.zeros(poles.size)
+        return untold
     amplitude = np.linalg.solve(r, q.conj().T @ motion[: n.size])
     left = motion[: n.size] - np.real(modes @ amplitude)
-    worse = (np.abs(amplitude) ** 2 / np.sum(np.abs(np.linalg.inv(r)) ** 2, axis=1))[: poles.size]
-    return np.asarray(worse > _CLEARLY * np.mean(left**2)), np.abs(amplitude[: poles.size]) ** 2
-
-
-def _choose(poles: Complexes) -> tuple[complex, complex, Complexes] | str:
-    """The two slowest poles, where they are a conjugate pair or both real and positive."""
-    if poles.size < 2:
-        return "the motion has fewer than two poles"
-    first = poles[0]
-    if first.imag != 0.0:
-        return first, first.conjugate(), poles[2:]
-    if first.real <= 0.0:
-        return "the slowest pole is real and negative: the position alternates from sample to sample"
-    if poles[1].imag != 0.0 or poles[1].real <= 0.0:
-        return NO_SECOND_REAL_POLE
-    return poles[0], poles[1], poles[2:]
+    energy = np.abs(amplitude) ** 2
+    worse = energy / np.sum(np.abs(np.linalg.inv(r)) ** 2, axis=1)
+    return np.asarray(worse > _CLEARLY * np.mean(left**2))[:-1], energy[:-1]
 
 
 def _spread_of_sum_and_product(fit: Fit, total: float, product: float, rest: Complexes) -> Floats:
     """To first order: A = Q R, so dA = R dQ + Q dR, a linear system for dQ (and dR) with dA's coefficients known."""
-    order = fit.order
-    quadratic = np.array([1.0, -total, product])
     others = np.real(np.poly(rest)) if rest.size else np.array([1.0])
-    system = np.zeros((order, order))
+    system = np.zeros((fit.order, fit.order))
     system[: others.size, 0] = -others  # by the sum: -z R
     system[1 : 1 + others.size, 1] = others  # by the product: R
-    for i in range(order - 2):
-        system[i : i + 3, 2 + i] = quadratic
+    for i in range(fit.order - 2):
+        system[i : i + 3, 2 + i] = 1.0, -total, product
     sensitivity = np.linalg.solve(system, fit.directions.T)[:2]
     return np.asarray(sensitivity @ fit.spread)
 
@@ -147,24 +144,25 @@ def _pair(total: float, product: float, spread: Floats) -> FittedPair:
     """The pair with this sum and product, of which `spread` (2, n) is a square root of the covariance."""
     bend = total**2 / 4.0 - product  # squared half distance of the poles: its sign tells real from complex
     bend_slope = np.array([total / 2.0, -1.0])
-    half = np.sqrt(complex(bend))
+    half = cmath.sqrt(bend)
     bend_uncertainty = float(np.linalg.norm(bend_slope @ spread))
     if abs(bend) > 40.0 * bend_uncertainty:
         uncertainty = float(np.linalg.norm((np.array([0.5, 0.0]) + bend_slope / (2.0 * half)) @ spread))
     else:
         # Where the poles may have met, the square root is anything but linear: a quarter of how far it reaches when
         # the bend is off by four uncertainties, so that four of the value stated cover what four of the bend's do.
-        reach = max(abs(np.sqrt(complex(bend + side * bend_uncertainty)) - half) for side in (-4.0, 4.0)) / 4.0
+        reach = max(abs(cmath.sqrt(bend + side * bend_uncertainty) - half) for side in (-4.0, 4.0)) / 4.0
         uncertainty = math.hypot(0.5 * float(np.linalg.norm(spread[0])), reach)
     decay, stiffness, slopes = _decay_and_stiffness(total, product)
-    off_decay, off_stiffness = (float(one) for one in np.linalg.norm(slopes @ spread, axis=1))
+    off_decay, off_stiffness = np.linalg.norm(slopes @ spread, axis=1).tolist()
     return FittedPair(complex(total / 2.0 + half), uncertainty, decay, off_decay, stiffness, off_stiffness)
 
 
 def _decay_and_stiffness(total: float, product: float) -> tuple[float, float, Floats]:
     """(s1 + s2) T, s1 s2 T² and their slopes by sum and product, smooth where the poles meet.
 
-    With mu² the product and cosine c = sum / (2 mu): s1 s2 T² = ln(mu)² + angle², where cos(angle) = c.
+    With mu² the product and cosine c = sum / (2 mu): s1 s2 T² = ln(mu)² + angle², where cos(angle) = c; two real poles
+    have an imaginary angle.
     """
     logarithm = 0.5 * math.log(product)
     mu = math.exp(logarithm)
@@ -172,12 +170,9 @@ def _decay_and_stiffness(total: float, product: float) -> tuple[float, float, Fl
     away = (total - 2.0 * mu) / (2.0 * mu)  # cosine - 1 without cancellation
     if abs(away) < 1e-6:
         angle_squared, slope = -2.0 * away * (1.0 - away / 6.0), -2.0 + 2.0 * away / 3.0
-    elif cosine < 1.0:
-        angle = math.acos(max(cosine, -1.0))
-        angle_squared, slope = angle**2, -2.0 * angle / math.sqrt(1.0 - cosine**2)
     else:
-        angle = math.acosh(cosine)
-        angle_squared, slope = -(angle**2), -2.0 * angle / math.sqrt(cosine**2 - 1.0)
+        angle = cmath.acos(cosine)
+        angle_squared, slope = (angle**2).real, (-2.0 * angle / cmath.sin(angle)).real
     cosine_slope = np.array([1.0 / (2.0 * mu), -cosine / (2.0 * product)])
     slopes = np.array([[0.0, 1.0 / product], slope * cosine_slope + np.array([0.0, logarithm / product])])
     return 2.0 * logarithm, logarithm**2 + angle_squared, slopes

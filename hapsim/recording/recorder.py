@@ -1,8 +1,7 @@
 """What becomes of the rows that leave the loop: they are kept for a trace in memory, or written to a file meanwhile.
 
-A thread of its own writes the file, and nobody waits for it: neither the loop nor whoever empties its ring. A disk that
-is slow for a while costs memory, up to a bound; one that is full costs the rest of the record, and nothing of the
-force.
+A thread of its own writes the file, and nothing waits for it: neither the loop nor the thread that empties its ring. A
+disk that is slow for a while costs memory, up to a bound; a full one costs the rest of the record, but no force.
 """
 
 from __future__ import annotations
@@ -30,8 +29,8 @@ from hapsim.recording.trace import convert
 _WRITE_S = 0.25  # how often what has gathered is written: a process that is killed loses no more
 _SUMMARY_S = 1.0  # how often the report so far is written, and the system puts all of it on the disk
 _MOST_BYTES = 1 << 26  # that wait to be written
-_PATIENCE_S = 5.0  # in virtual time, where waiting for the disk holds up nobody's hand
-_AT_ONCE_BYTES = 1 << 22  # so many are written before their time
+_PATIENCE_S = 5.0  # in virtual time, where no hand has to wait for the disk
+_AT_ONCE_BYTES = 1 << 22  # more of them do not wait for the next write
 
 
 class Recorder:
@@ -104,13 +103,11 @@ class RecordFile:
             if patient:
                 self._changed.wait_for(lambda: self._waiting_bytes < _MOST_BYTES, _PATIENCE_S)
             self._taken += rows.size
-            if self._is_broken:
-                return
             if self._waiting_bytes >= _MOST_BYTES:
                 self._warn("the disk is slower than the run")
-                return
-            self._waiting.append(rows)
-            self._waiting_bytes += rows.nbytes
+            elif not self._is_broken:
+                self._waiting.append(rows)
+                self._waiting_bytes += rows.nbytes
             if self._waiting_bytes > _AT_ONCE_BYTES:
                 self._changed.notify_all()
 
@@ -124,9 +121,15 @@ class RecordFile:
         report = replace(report, unrecorded_rows=self._unrecorded)
         try:
             self._writer.write_summary(summary_document(report, statistics, True))
-            if self._part != self._path:
-                self._convert()
-        except Exception as error:  # of the disk; or of what another program made of the stream
+            if self._part != self._path:  # under its own name the file is whole, or what was there before stays
+                whole = self._part.with_name(f"{self._part.name}.whole")
+                try:
+                    convert(self._part, whole, self._path.suffix)
+                    os.replace(whole, self._path)
+                finally:
+                    whole.unlink(missing_ok=True)
+                self._part.unlink()
+        except Exception as error:  # of the disk, or of a damaged stream
             self._failure = self._failure or _in_words(error)
         self._writer.close()
         return report
@@ -140,22 +143,12 @@ class RecordFile:
         place = self._part if self._part.exists() else self._path
         return f"the record is not what was asked for ({self._failure}): {missing}, what was written is in {place}"
 
-    def _convert(self) -> None:
-        """Under its own name the file is whole, or what was there before stays."""
-        whole = self._part.with_name(f"{self._part.name}.whole")
-        try:
-            convert(self._part, whole, self._path.suffix)
-            os.replace(whole, self._path)
-        finally:
-            whole.unlink(missing_ok=True)
-        self._part.unlink()
-
     @property
     def _unrecorded(self) -> int:
         return self._taken - self._writer.written
 
     def _warn(self, why: str) -> None:
-        """Says that rows are missing, the first time."""
+        """Reports that rows are missing, the first time."""
         if not self._failure:
             self._failure = why
             with contextlib.suppress(Exception):  # a failure to show the warning does not end the record
@@ -165,8 +158,7 @@ class RecordFile:
                 )
 
     def _write_all(self) -> None:
-        last_summary = time.monotonic()
-        ends = False
+        last_summary, ends = time.monotonic(), False
         while not ends:
             with self._changed:
                 self._changed.wait_for(lambda: self._ends or self._waiting_bytes > _AT_ONCE_BYTES, _WRITE_S)
@@ -188,17 +180,14 @@ class RecordFile:
 def _open_free(path: Path) -> tuple[Path, int]:
     """The file of the stream and its descriptor, empty and locked for this run. A part that a run left when it died
     stays: the next is FILE.part2. UsageError where another run writes there."""
-    for number in itertools.count(1):
-        part = path
-        if path.suffix != ".trace":
-            part = path.with_name(f"{path.name}.part{number if number > 1 else ''}")
+    parts = (path.with_name(f"{path.name}.part{number if number > 1 else ''}") for number in itertools.count(1))
+    for part in itertools.repeat(path) if path.suffix == ".trace" else parts:
         descriptor = os.open(part, os.O_WRONLY | os.O_CREAT | getattr(os, "O_BINARY", 0), 0o666)
         try:
             _lock(descriptor, part)
-            if os.fstat(descriptor).st_size == 0:
-                return part, descriptor
-            if part == path:
+            if part == path and os.fstat(descriptor).st_size:
                 os.ftruncate(descriptor, 0)
+            if os.fstat(descriptor).st_size == 0:
                 return part, descriptor
         except BaseException:
             os.close(descriptor)
@@ -208,15 +197,15 @@ def _open_free(path: Path) -> tuple[Path, int]:
 
 
 def _lock(descriptor: int, path: Path) -> None:
-    """Locks the file until the descriptor is closed. UsageError where another run has; a file system without locks
-    gives none."""
+    """Locks the file until the descriptor is closed. UsageError where another run has; a system or a file system
+    without locks gives none."""
     try:
         import fcntl
 
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError as error:
         raise UsageError(f"{path}: another run writes its record there: name another file") from error
-    except (ImportError, OSError):  # not a Unix
+    except (ImportError, OSError):
         return
 
 

@@ -9,9 +9,6 @@ import numpy as np
 
 from hapsim.loop.histogram import Histogram, Spread
 
-COUNTED = "counted_"
-"""Before the name of a histogram in a .npz."""
-
 NOT_FINISHED = "not finished"
 """How the `ending` begins of a record that does not say how its run ended."""
 
@@ -30,68 +27,68 @@ class Report:
     nominal_rate_hz: float
     """What the scene asks for."""
     deadline_misses: int
-    """Samples whose force came too late and for which the one before went on acting."""
+    """Samples whose force came too late, so that the one before went on acting."""
     lost_frames: int
     """Positions that never arrived whole."""
     crc_errors: int
-    """Frames of the device that the check refused (too short or malformed ones included)."""
+    """Frames of the device that failed the check (too short or malformed ones included)."""
     stale_positions: int
     """Positions that a newer one replaced before they could be answered."""
     limited_ticks: int
-    """Ticks whose force was cut to its limit."""
+    """Ticks whose force was clipped at its limit."""
     dropped_rows: int
     """Rows missing from the trace because its reader was too slow; the force was not affected."""
     parameter_changes: int
-    """Changes of the scene while it ran that were taken: sets of parameters, or another structure."""
+    """Accepted changes of the running scene: sets of parameters, or another structure."""
     lateness_s: Spread
-    """Where the host is the clock: of the loop's wake-up, after the tick was due. Where the device is: of its position,
-    after the earliest ones of late, by its own count of samples. Nothing in virtual time."""
+    """With the host's clock: of the loop's wake-up, after the tick was due. With the device's: of its position, after
+    the earliest recent arrivals, by its own count of samples. Nothing in virtual time."""
     exchange_s: Spread
-    """From a position's arrival until its force has left; where the host is the clock, from waking up for the tick
-    until the position has arrived, the force sent in between."""
+    """From a position's arrival until its force has left; with the host's clock, from waking up for the tick until the
+    position has arrived, the force sent in between."""
     age_samples: Spread
-    """From the position that the acting force answers to the force's change: 1 where it was in time, else at most so
-    many, as the device says of a late force only that it was. No force acts for longer than its time to live and one
-    sample more; that the force may be zero already is counted as two more."""
+    """From the position that the acting force answers to the force's change: 1 in time; for a late force an upper
+    bound, since the device reports no more. No force acts for longer than its time to live and one sample more; that
+    the force may be zero already counts as two more."""
     virtual_time: bool
     garbage_bytes: int = 0
     """Bytes from the device, since it was armed, that belonged to no frame."""
     rejected_by_device: int | None = None
-    """Frames of the host that the device says it refused since it was armed (register 9); of a device that stopped by
-    itself the last one, which disarms, is among them. None where it did not say."""
+    """Frames of the host that the device rejected since it was armed (register 9); if it stopped by itself, the last
+    one, which disarms, is among them. None if it did not say."""
     released: bool | None = None
-    """Whether the device said, after the last force, that it released it; None in a record that does not tell."""
+    """Whether the device confirmed, after the last force, that it released it; None if the record does not tell."""
     timed_by_device: bool = False
-    """Whether a timer of the device's own paced the positions: then their arrival tells its rate."""
+    """Whether a timer of the device's own paced the positions: then their arrival shows its rate."""
     estimated_mass_kg: tuple[float | None, ...] = ()
-    """Where a correction adapts: the mass of each channel as it was estimated last; None on the others."""
+    """With an adaptive correction: the last estimate of each channel's mass; None on the others."""
     estimated_mass_uncertainty_kg: tuple[float | None, ...] = ()
-    """Its standard uncertainty; the whole span where nothing was known."""
+    """Its standard uncertainty; the whole span if nothing was known."""
     mass_explained: tuple[float | None, ...] = ()
     """R²: the share of the latest motion that was compared which the forces explain."""
     slewed_ticks: int = 0
-    """Ticks whose force was brought closer to the one before, by the slew limit or the soft start."""
+    """Ticks whose force the slew limit or the soft start brought closer to the one before."""
     faded_ticks: int = 0
     """Ticks outside the device's travel, whose force faded."""
     slowed_ticks: int = 0
-    """Ticks in which a change of the running scene was slowed: it would have given the hand too much energy."""
+    """Ticks that slowed a change of the running scene, which would have given the hand too much energy."""
     withheld_forces: int = 0
     """Times that zero force was sent because the position was older than a force may live."""
     sign_tests: int = 0
     """Times that a channel's force was released for some milliseconds, to see which way its motor pushes."""
     unrecorded_rows: int = 0
-    """Rows that are not in the file that was to be written while it ran: it could not be written, or not fast enough.
-    The force was not affected."""
+    """Rows missing from the recorded file, which could not be written, or not fast enough. The force was not
+    affected."""
 
     @property
     def knows_ticks(self) -> bool:
-        """Whether `ticks` are the run's; else they are those that could be read of its record."""
+        """Whether `ticks` are the run's, and not just those that could be read of its record."""
         return not self.ending.startswith(NOT_FINISHED)
 
 
 @dataclass(frozen=True)
 class Statistics:
-    """The histograms of which a report tells the quantiles: s, s and samples."""
+    """The histograms whose quantiles a report has: s, s and samples."""
 
     lateness: Histogram
     exchange: Histogram

@@ -1,4 +1,4 @@
-"""What a run leaves that a guard, a fault of the device or a lost device ended: a zip of plain members.
+"""The file that a run leaves if a guard, a fault of the device or a lost device ended it: a zip of plain members.
 
 report.json              the sentence, the report's numbers, what the device said of itself
 frames_from_device.bin   the last hundred frames and what stood between them, as on the wire
@@ -11,11 +11,11 @@ from __future__ import annotations
 
 import contextlib
 import io
+import itertools
 import json
 import os
 import re
 import zipfile
-from collections.abc import Mapping
 from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
@@ -31,16 +31,16 @@ from hapsim.recording.trace import IN_REPORT, ZIP_WITHOUT_END, Trace, is_without
 from hapsim.scene import Scene
 
 NEWEST = 20
-"""So many stay in a directory; older ones are removed."""
+"""Reports that stay in a directory; older ones are removed."""
 FRAMES = 100
-"""So many are kept each way."""
+"""Frames that are kept each way."""
 
 _NAME = re.compile(r"\d{8}T\d{6}Z_.*\.zip")
 _ABOUT, _FROM_DEVICE, _TO_DEVICE, _SCENE = "report.json", "frames_from_device.bin", "frames_to_device.bin", "scene.yaml"
 
 
 class WireBytes(NamedTuple):
-    """What was on the wire, each way."""
+    """The bytes on the wire, each way."""
 
     from_device: bytes
     to_device: bytes
@@ -63,8 +63,8 @@ def default_directory() -> Path:
 def write_report(
     directory: Path, name: str, failure: RunError, trace: Trace, scene: Scene, description: Description, wire: WireBytes
 ) -> Path:
-    """Writes the report of a run that ended in `failure`, and removes all but the NEWEST: its path. `name`: what a user
-    calls the port; `trace`: its last second. OSError where it cannot be written."""
+    """Writes the report of a run that ended in `failure`, and removes all but the NEWEST. Returns its path. `name`: the
+    user's name of the port; `trace`: its last second. OSError where it cannot be written."""
     now = datetime.now(UTC)
     about = {
         "sentence": str(failure),
@@ -76,17 +76,27 @@ def write_report(
     }
     rows = io.BytesIO()
     trace.write_npz(rows)
-    directory.mkdir(parents=True, exist_ok=True)
-    path = _free_name(directory, _name_of(now, name, trace.report.ending))
-    members: Mapping[str, str | bytes] = {
+    members: dict[str, str | bytes] = {
         _ABOUT: json.dumps(about, indent=2),
         _FROM_DEVICE: last_frames(wire.from_device),
         _TO_DEVICE: last_frames(wire.to_device),
         IN_REPORT: rows.getvalue(),
         _SCENE: yaml.safe_dump(scene.model_dump(mode="json", exclude_none=True), sort_keys=False),
     }
-    _write(path, members)
-    _remove_older(directory)
+    directory.mkdir(parents=True, exist_ok=True)
+    path = _free_path(directory, now, name, trace.report.ending)
+    unfinished = path.with_suffix(f".{os.getpid()}")  # under its name it is whole, or not there
+    try:
+        with zipfile.ZipFile(unfinished, "w", zipfile.ZIP_DEFLATED) as file:
+            for member, content in members.items():
+                file.writestr(member, content)
+        os.replace(unfinished, path)
+    finally:
+        with contextlib.suppress(OSError):
+            unfinished.unlink()
+    for older in sorted(path for path in directory.iterdir() if _NAME.fullmatch(path.name))[:-NEWEST]:
+        with contextlib.suppress(OSError):
+            older.unlink()
     return path
 
 
@@ -136,36 +146,9 @@ def last_frames(data: bytes) -> bytes:
     return data[at + 1 :]
 
 
-def _name_of(when: datetime, port: str, ending: str) -> str:
+def _free_path(directory: Path, when: datetime, port: str, ending: str) -> Path:
     words = (port.removeprefix("/dev/"), "not released" if ending in ("done", "stopped") else ending)
     port, ending = (re.sub(r"[^A-Za-z0-9.]+", "-", word).strip("-") for word in words)
-    return f"{when:%Y%m%dT%H%M%SZ}_{port[-40:]}_{ending}"
-
-
-def _free_name(directory: Path, name: str) -> Path:
-    path, number = directory / f"{name}.zip", 1
-    while path.exists():
-        number += 1
-        path = directory / f"{name}_{number}.zip"
-    return path
-
-
-def _write(path: Path, members: Mapping[str, str | bytes]) -> None:
-    """Under its name it is whole, or not there."""
-    unfinished = path.with_suffix(f".{os.getpid()}")
-    try:
-        with zipfile.ZipFile(unfinished, "w", zipfile.ZIP_DEFLATED) as file:
-            for name, content in members.items():
-                file.writestr(name, content)
-        os.replace(unfinished, path)
-    except OSError:
-        with contextlib.suppress(OSError):
-            unfinished.unlink()
-        raise
-
-
-def _remove_older(directory: Path) -> None:
-    ours = sorted(path for path in directory.iterdir() if _NAME.fullmatch(path.name))
-    for path in ours[:-NEWEST]:
-        with contextlib.suppress(OSError):
-            path.unlink()
+    name = f"{when:%Y%m%dT%H%M%SZ}_{port[-40:]}_{ending}"
+    paths = (directory / f"{name}{f'_{number}' if number > 1 else ''}.zip" for number in itertools.count(1))
+    return next(path for path in paths if not path.exists())

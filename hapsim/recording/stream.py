@@ -1,4 +1,4 @@
-"""The file that a trace is written to while it runs: what is in it can be read whatever became of its writer.
+"""The file that a trace is written to while it runs; it can be read whatever became of its writer.
 
     "hapsim trace\\r\\n\\x1a\\n"                          16 bytes
     a chunk: kind, 4 bytes; count, size and check, 4 bytes each, little-endian; payload, `size` bytes
@@ -56,18 +56,17 @@ class Head(NamedTuple):
 
 
 class StreamWriter:
-    """Writes chunks, each in one go: a file that ends within one is cut there by whoever reads it."""
+    """Writes chunks, each in one go: a reader cuts a file that ends within one there."""
 
     def __init__(self, descriptor: int, head: Head, summary: dict[str, Any]) -> None:
         """`descriptor`: of an empty file, which becomes this object's to close; `summary`: report and histograms before
         there are rows. OSError where nothing can be written."""
         self.written = 0
         """Rows so far."""
-        self._descriptor = descriptor
-        self._end = 0
+        self._descriptor, self._end = descriptor, 0
+        whole = {"version": VERSION, "channels": head.channels, **head._asdict(), "told": summary}
         try:
             self._write(MAGIC)
-            whole = {"version": VERSION, "channels": head.channels, **head._asdict(), "told": summary}
             self._write_chunk(_HEAD, 0, json.dumps(whole).encode())
         except OSError:
             os.close(descriptor)
@@ -135,8 +134,7 @@ class StreamReader:
         """The rows of every whole chunk up to the first that is not."""
         kind, of = b"", row_type(self.head.channels)
         with self._path.open("rb") as stream:
-            stream.seek(self._begin)
-            end = self._begin
+            end = stream.seek(self._begin)
             while chunk := _next_chunk(stream):
                 kind, count, payload = chunk
                 if kind == _ROWS:
@@ -146,12 +144,8 @@ class StreamReader:
                 elif kind == _TOLD:
                     self.summary = json.loads(payload)
                 end = stream.tell()
-            is_all = end == os.fstat(stream.fileno()).st_size
+            is_all = end == stream.seek(0, os.SEEK_END)
         self.is_finished = bool(self.summary["finished"]) and kind == _TOLD and is_all
-
-    def count(self) -> int:
-        """How many rows there are."""
-        return sum(len(rows) for rows in self.rows())
 
 
 def is_stream(path: Path) -> bool:
@@ -166,9 +160,6 @@ def _next_chunk(stream: BinaryIO) -> tuple[bytes, int, bytes] | None:
     if len(head) < _CHUNK.size:
         return None
     kind, count, size, check = _CHUNK.unpack(head)
-    if size > _MOST_BYTES:
-        return None
-    payload = stream.read(size)
-    if len(payload) < size or zlib.crc32(payload, zlib.crc32(head[:12])) != check:
-        return None
-    return kind, count, payload
+    payload = stream.read(size) if size <= _MOST_BYTES else b""
+    whole = len(payload) == size and zlib.crc32(payload, zlib.crc32(head[:12])) == check
+    return (kind, count, payload) if whole else None

@@ -18,19 +18,16 @@ from numpy.typing import NDArray
 from hapsim.errors import UsageError
 from hapsim.loop.histogram import Histogram
 from hapsim.loop.ring import LATE_FORCE, LIMITED, ROWS, row_type
-from hapsim.recording.report import (
-    NOT_FINISHED,
-    Report,
-    Statistics,
-    read_summary,
-    report_from,
-    summary_document,
-)
+from hapsim.recording.report import NOT_FINISHED, Report, Statistics, read_summary, report_from, summary_document
 from hapsim.recording.stream import Head, StreamReader, StreamWriter, is_stream
 
 IN_REPORT = "trace.npz"
 """A trace's name in a report file."""
+ZIP_WITHOUT_END = "a zip file that was cut short, or damaged at its end: get a whole copy of it"
+
 _COUNTED = "counted_"  # before the name of a histogram in a .npz
+_ENDINGS = (".npz", ".csv", ".trace")
+_EXPECTED = "a .npz or .trace, what is left of one (.part), or a report file"
 
 
 @dataclass(frozen=True, repr=False)
@@ -87,7 +84,7 @@ class Trace:
             if path.suffix == ".npz":
                 self.write_npz(path)
             elif path.suffix == ".csv":
-                _write_csv(path, self._head, [self._rows])
+                _write_csv(path, *self._head_and_rows)
             else:
                 self._write_stream(path)
         except OSError as error:
@@ -95,29 +92,26 @@ class Trace:
 
     def write_npz(self, file: Path | BinaryIO) -> None:
         """OSError where it cannot be written."""
-        rows = self._rows
-        _write_npz(file, self._head, lambda: [rows], len(rows), summary_document(self.report, self.statistics, True))
+        head, rows = self._head_and_rows
+        _write_npz(file, head, lambda: rows, self.sample.size, summary_document(self.report, self.statistics, True))
 
     def _write_stream(self, path: Path) -> None:
+        head, (rows,) = self._head_and_rows
         summary = summary_document(self.report, self.statistics, True)
         flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC | getattr(os, "O_BINARY", 0)
-        writer = StreamWriter(os.open(path, flags, 0o666), self._head, summary)
+        writer = StreamWriter(os.open(path, flags, 0o666), head, summary)
         try:
-            writer.write_rows(self._rows)
+            writer.write_rows(rows)
             writer.write_summary(summary)
         finally:
             writer.close()
 
     @property
-    def _head(self) -> Head:
-        return Head(self.rate, self.position_scale.tolist(), self.force_scale.tolist())
-
-    @property
-    def _rows(self) -> NDArray[Any]:
+    def _head_and_rows(self) -> tuple[Head, list[NDArray[Any]]]:
         rows = np.empty(self.sample.size, row_type(self.position_scale.size))
         for name in ROWS:
             rows[name] = getattr(self, name)
-        return rows
+        return Head(self.rate, self.position_scale.tolist(), self.force_scale.tolist()), [rows]
 
 
 def columns_of(rows: NDArray[Any]) -> dict[str, Any]:
@@ -132,7 +126,8 @@ def convert(stream: Path, file: Path, ending: str) -> None:
     if ending == ".csv":
         _write_csv(file, reader.head, reader.rows())
     else:
-        _write_npz(file, reader.head, reader.rows, reader.count(), reader.summary)
+        count = sum(len(rows) for rows in reader.rows())
+        _write_npz(file, reader.head, reader.rows, count, reader.summary)
 
 
 def _write_csv(file: Path, head: Head, pieces: Iterable[NDArray[Any]]) -> None:
@@ -158,7 +153,7 @@ def _write_npz(
 ) -> None:
     """Column by column, so that each is written as it is read: `count` rows."""
     _, statistics = read_summary(summary)
-    small = {
+    small: dict[str, Any] = {
         "position_scale": head.position_scale,
         "force_scale": head.force_scale,
         "rate": head.rate_hz,
@@ -179,21 +174,14 @@ def _write_npz(
 
 def require_writable_as_trace(path: Path) -> None:
     """UsageError where a trace could not be written there: better before the run than after it."""
-    if path.suffix not in ENDINGS:
-        raise UsageError(f"{path}: a trace is written as {one_of_endings()}, by the file's ending")
-    if not path.resolve().parent.is_dir():
-        raise UsageError(f"{path}: there is no directory {path.resolve().parent}")
-    is_other = path.exists() and not path.is_file() and not path.is_char_device()  # a pipe would keep us waiting
-    if is_other or not os.access(path if path.exists() else path.resolve().parent, os.W_OK):
+    directory = path.resolve().parent
+    if path.suffix not in _ENDINGS:
+        raise UsageError(f"{path}: a trace is written as .npz, .csv or .trace, by the file's ending")
+    if not directory.is_dir():
+        raise UsageError(f"{path}: there is no directory {directory}")
+    is_other = path.exists() and not path.is_file() and not path.is_char_device()  # opening a pipe would wait
+    if is_other or not os.access(path if path.exists() else directory, os.W_OK):
         raise UsageError(f"{path}: no file can be written there")
-
-
-ENDINGS = (".npz", ".csv", ".trace")
-
-
-def one_of_endings() -> str:
-    """In words."""
-    return f"{', '.join(ENDINGS[:-1])} or {ENDINGS[-1]}"
 
 
 def load_trace(path: str | Path) -> Trace:
@@ -213,32 +201,20 @@ def load_trace(path: str | Path) -> Trace:
         raise UsageError(f"{path}: not a trace that hapsim wrote: found a directory, expected {_EXPECTED}")
     try:
         if is_stream(path):
-            trace = _load_stream(path)
-        else:
-            with path.open("rb") as stream:
-                trace = _load_npz(_within_report(stream))
+            return _load_stream(path)
+        with path.open("rb") as file:
+            return _load_npz(file)
     except UsageError:
         raise
     except PermissionError as error:
         raise UsageError(f"{path}: cannot be read: {error.strerror}") from error
     except Exception as error:  # numpy and zipfile raise what they like of a damaged file
-        raise UsageError(f"{path}: not a trace that hapsim wrote ({_why_none(path, error)})") from error
-    return trace
-
-
-_EXPECTED = "a .npz or .trace, what is left of one (.part), or a report file"
-
-
-def _why_none(path: Path, error: Exception) -> str:
-    """What is wrong with a file that could be read, and is no trace."""
-    if path.stat().st_size == 0:
-        return f"the file is empty; expected {_EXPECTED}"
-    if is_without_end(path):
-        return ZIP_WITHOUT_END
-    return "it is neither a .npz nor a stream of rows" if "pickle" in str(error) else str(error)
-
-
-ZIP_WITHOUT_END = "a zip file that was cut short, or damaged at its end: get a whole copy of it"
+        why = "it is neither a .npz nor a stream of rows" if "pickle" in str(error) else str(error)
+        if path.stat().st_size == 0:
+            why = f"the file is empty; expected {_EXPECTED}"
+        elif is_without_end(path):
+            why = ZIP_WITHOUT_END
+        raise UsageError(f"{path}: not a trace that hapsim wrote ({why})") from error
 
 
 def is_without_end(path: Path) -> bool:
@@ -248,17 +224,13 @@ def is_without_end(path: Path) -> bool:
         return stream.read(4) == b"PK\x03\x04" and not zipfile.is_zipfile(stream)
 
 
-def _within_report(stream: BinaryIO) -> BinaryIO:
-    """The .npz in a report file; any other file as it is."""
-    if zipfile.is_zipfile(stream):
-        with zipfile.ZipFile(stream) as file:
-            if IN_REPORT in file.namelist():
-                return io.BytesIO(file.read(IN_REPORT))
-    stream.seek(0)
-    return stream
-
-
 def _load_npz(stream: BinaryIO) -> Trace:
+    """Of a .npz, or of the one in a report file."""
+    if zipfile.is_zipfile(stream):
+        with zipfile.ZipFile(stream) as report_file:
+            if IN_REPORT in report_file.namelist():
+                stream = io.BytesIO(report_file.read(IN_REPORT))
+    stream.seek(0)
     with np.load(stream) as file:
         arrays = {name: file[name] for name in file.files if name not in ("rate", "report")}
         counted = {name: arrays.pop(name) for name in list(arrays) if name.startswith(_COUNTED)}
@@ -283,7 +255,7 @@ def _load_stream(path: Path) -> Trace:
 
 
 def _report_of_rows(report: Report, rows: NDArray[Any]) -> Report:
-    """The report of a record that does not come to its end: counted from the rows as far as they say, the rest as it
+    """The report of a record that does not come to its end: counted from the rows as far as possible, the rest as it
     was written last, a second before or two."""
     ticks, elapsed = rows.size, 0.0
     if ticks:

@@ -6,7 +6,7 @@ import contextlib
 import itertools
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 from hapsim.cordis.schemes import SCHEMES
 from hapsim.errors import UsageError
@@ -54,8 +54,7 @@ def _named(option: str, names: Iterable[str], known: list[str]) -> list[str]:
     return [name for name in known if name in wanted]
 
 
-@dataclass(frozen=True)
-class Case:
+class Case(NamedTuple):
     """What is run once and timed in every round."""
 
     object: Object
@@ -66,11 +65,18 @@ class Case:
     def __str__(self) -> str:
         return f"{self.object.title}: {self.method}, {self.precision}, {self.rate:g} Hz"
 
+    def run(self) -> Found:
+        """What it is off by."""
+        try:
+            return self.object.found(*self[1:])
+        except UsageError as error:  # a scheme that rejects the scene
+            return Found({}, str(error))
+
 
 class Comparison:
     """Cases that have run, and are timed round by round. What is unstable is reported as such, and has no cost.
 
-    `schemes`: those alone, where an object has any to choose from. `tell` hears what is being done.
+    `schemes`: those alone, where an object has any to choose from. `tell` hears about progress.
     """
 
     def __init__(
@@ -80,26 +86,22 @@ class Comparison:
         tell: Tell = lambda _: None,
         schemes: Sequence[str] = (),
     ) -> None:
-        left_out = set(SCHEMES) - set(schemes) if schemes else set()
-        self._cases = [
+        skipped = set(SCHEMES) - set(schemes) if schemes else set()
+        cases = [
             Case(one, method, precision, rate)
             for one in objects
             for method, precision, rate in itertools.product(one.methods(), PRECISIONS, rates)
-            if method not in left_out
+            if method not in skipped
         ]
-        self._found: list[Found] = []
-        for i, case in enumerate(self._cases):
-            tell(f"running {i + 1} of {len(self._cases)}: {case}")
-            try:
-                self._found.append(case.object.found(case.method, case.precision, case.rate))
-            except UsageError as error:  # a scheme that refuses the scene
-                self._found.append(Found({}, str(error)))
-        timed = [case for case, found in zip(self._cases, self._found, strict=True) if found.errors]
-        self._costs: dict[Case, list[float]] = {case: [] for case in timed}
+        self._found: dict[Case, Found] = {}
+        for i, case in enumerate(cases):
+            tell(f"running {i + 1} of {len(cases)}: {case}")
+            self._found[case] = case.run()
+        self._costs: dict[Case, list[float]] = {case: [] for case, found in self._found.items() if found.errors}
         self._clocks = Clocks()
-        for i, case in enumerate(timed):
-            tell(f"warming up {i + 1} of {len(timed)}: {case}")
-            self._clocks.add(case.object.scene(case.method, case.precision, case.rate))
+        for i, case in enumerate(self._costs):
+            tell(f"warming up {i + 1} of {len(self._costs)}: {case}")
+            self._clocks.add(case.object.scene(*case[1:]))
 
     def round(self) -> None:
         """Times every case once."""
@@ -109,11 +111,12 @@ class Comparison:
     def rows(self) -> list[Row]:
         """A row for each case and quantity, in the order of the objects."""
         rows = []
-        for case, found in zip(self._cases, self._found, strict=True):
-            costs, why = tuple(self._costs.get(case, ())), found.why_not
-            blank = Row(case.object.name, OURS, case.method, case.precision, case.rate, "", math.nan, costs, why)
-            for quantity in case.object.quantities:
-                rows.append(replace(blank, quantity=quantity, error=found.errors.get(quantity, math.nan)))
+        for case, found in self._found.items():
+            one, method, precision, rate = case
+            costs = tuple(self._costs.get(case, ()))
+            for quantity in one.quantities:
+                error = found.errors.get(quantity, math.nan)
+                rows.append(Row(one.name, OURS, method, precision, rate, quantity, error, costs, found.why_not))
         return rows
 
     def close(self) -> None:
@@ -128,7 +131,7 @@ def compare(
     tell: Tell = lambda _: None,
     schemes: Sequence[str] = (),
 ) -> list[Row]:
-    """The rows of a comparison of so many rounds."""
+    """The rows of a comparison of `rounds` rounds."""
     with contextlib.closing(Comparison(objects, rates, tell, schemes)) as comparison:
         for number in range(rounds):
             tell(f"timing, round {number + 1} of {rounds}")

@@ -63,7 +63,8 @@ class Contact:
         if not np.isfinite(pairs).all():
             return Found({}, "no spring and damper throws back so little")
         k, b = np.transpose(pairs)
-        return Found({"k": _rms(k / STIFFNESS - 1.0), "b": _rms(b / DAMPING - 1.0)})
+        off_k, off_b = (float(np.sqrt(np.mean(off**2))) for off in (k / STIFFNESS - 1.0, b / DAMPING - 1.0))
+        return Found({"k": off_k, "b": off_b})
 
 
 def contact_of(k: float, b: float, mass: float = MASS) -> tuple[float, float]:
@@ -90,13 +91,11 @@ def contact_felt(stay: float, restitution: float, mass: float = MASS) -> tuple[f
 
 def _thrown(method: str, precision: str, rate: float, phase: float) -> tuple[float, float]:
     """(stay, restitution) of a mass that reaches the surface `phase` of a sample period after a sample."""
-    step = VELOCITY / rate
-    above = (2.0 + phase) * step
+    above = (2.0 + phase) * VELOCITY / rate
     scene = _scene(method, precision, rate, Mass(mass=MASS, position=above, velocity=-VELOCITY))
     program, ball = compile_scene(scene), numbers_of(scene)["ball"]
     start(program, np.zeros(scene.channels))
-    length = math.ceil(_STAYS * contact_of(STIFFNESS, DAMPING)[0] * rate) + 8
-    watched = np.empty(length)
+    watched = np.empty(math.ceil(_STAYS * contact_of(STIFFNESS, DAMPING)[0] * rate) + 8)
     ticks_watched(program, [row[ball:] for row in program.rows], np.ones(1), watched)
     return stay_of([above, *watched], rate)
 
@@ -119,15 +118,5 @@ def _scene(method: str, precision: str, rate: float, ball: Mass) -> Scene:
         "ball": ball,
         "bounce": Buffer(between=("ball", "floor"), stiffness=STIFFNESS, damping=DAMPING),
     }
-    return Scene(
-        version=1,
-        scheme=method,  # type: ignore[arg-type]
-        precision=precision,  # type: ignore[arg-type]
-        rate=rate,
-        device=Device(clock="lockstep", mass=0.2),
-        modules=modules,
-    )
-
-
-def _rms(values: NDArray[np.float64]) -> float:
-    return math.sqrt(float(np.mean(values**2)))
+    numerics: Any = {"scheme": method, "precision": precision}
+    return Scene(version=1, rate=rate, device=Device(clock="lockstep", mass=0.2), modules=modules, **numerics)

@@ -9,6 +9,8 @@ delay of a sample, the correction. The adaptive one is told that the hand weighs
 
 from __future__ import annotations
 
+from typing import Any
+
 from hapsim.errors import DeviceError, GuardError, UsageError
 from hapsim.measuring.measure import measure
 from hapsim.prediction import predict
@@ -41,29 +43,23 @@ class OneSpring:
 
     def scene(self, method: str, precision: str, rate: float) -> Scene:
         """A flicked hand on a wall, with this delay; rate in Hz."""
-        return Scene(
-            version=1,
-            precision=precision,  # type: ignore[arg-type]
-            rate=rate,
-            device=Device(
-                clock="lockstep",
-                mass=SPAN if CORRECTED.get(method) == "adaptive" else MASS,
-                friction=FRICTION,
-                delay=DELAY_S * rate if method == ONE_MILLISECOND else 1.0,
-                force_limit=1000.0,
-                correction=CORRECTED.get(method, "none"),
-            ),
-            mock=Mock(
-                mass=MASS,
-                initial=Initial(velocity=_FLICK),
-                quantum=_COARSER if CORRECTED.get(method) == "adaptive" else _QUANTUM,
-            ),
-            modules={
-                "hand": DevicePoint(channel=0),
-                "wall": Ground(),
-                "touch": ViscoElastic(between=("hand", "wall"), stiffness=STIFFNESS, damping=DAMPING),
-            },
+        correction = CORRECTED.get(method, "none")
+        adaptive, numerics = correction == "adaptive", {"precision": precision}
+        device = Device(
+            clock="lockstep",
+            mass=SPAN if adaptive else MASS,
+            friction=FRICTION,
+            delay=DELAY_S * rate if method == ONE_MILLISECOND else 1.0,
+            force_limit=1000.0,
+            correction=correction,
         )
+        modules: dict[str, Any] = {
+            "hand": DevicePoint(channel=0),
+            "wall": Ground(),
+            "touch": ViscoElastic(between=("hand", "wall"), stiffness=STIFFNESS, damping=DAMPING),
+        }
+        mock = Mock(mass=MASS, initial=Initial(velocity=_FLICK), quantum=_COARSER if adaptive else _QUANTUM)
+        return Scene(version=1, rate=rate, device=device, mock=mock, modules=modules, **numerics)  # type: ignore[arg-type]
 
     def found(self, method: str, precision: str, rate: float) -> Found:
         """Measures what the hand feels, in virtual time: k and b, relative; why not, where it cannot."""
@@ -76,10 +72,10 @@ class OneSpring:
             return Found({}, f"as predicted, no spring and damper is equivalent: {felt.reason}")
         try:
             measured = measure(scene)
+            if measured.failure is not None:
+                raise measured.failure
         except (UsageError, DeviceError, GuardError) as error:
             return Found({}, str(error))
-        if measured.failure is not None:
-            return Found({}, str(measured.failure))
         if not measured.dominant:
             return Found({}, f"no spring and damper was identified: {measured.reason}")
         return Found({"k": measured.k / STIFFNESS - 1.0, "b": measured.b / (DAMPING + FRICTION) - 1.0})

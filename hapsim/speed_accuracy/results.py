@@ -18,7 +18,7 @@ WITHIN = 1e-3
 
 
 class Found(NamedTuple):
-    """What came of a run: how far each quantity is off, relative to the continuous object, with its sign."""
+    """The result of a run: how far each quantity is off, relative to the continuous object, with its sign."""
 
     errors: dict[str, float]
     why_not: str = ""
@@ -61,7 +61,7 @@ class Row:
     costs: tuple[float, ...] = ()
     """Seconds of processor time for a simulated second, one for each round; none where there is no error."""
     note: str = ""
-    """Why there is no error, or what else there is to say."""
+    """Why there is no error, or a remark."""
 
     @property
     def cost(self) -> float:
@@ -83,7 +83,7 @@ class Row:
         return self.whose == OURS
 
     def as_document(self) -> dict[str, Any]:
-        """For JSON: what there is not is null."""
+        """For JSON: NaN is null."""
         error = self.error if math.isfinite(self.error) else None
         return asdict(self) | {"error": error, "costs": list(self.costs)}
 
@@ -92,7 +92,7 @@ def row_of_document(document: Any) -> Row:
     """The reverse of `Row.as_document`. Raises TypeError or ValueError where it is none."""
     row = Row(**document)
     error = math.nan if row.error is None else float(row.error)
-    return replace(row, error=error, rate_hz=float(row.rate_hz), costs=tuple(float(cost) for cost in row.costs))
+    return replace(row, error=error, rate_hz=float(row.rate_hz), costs=tuple(map(float, row.costs)))
 
 
 def peers_in(path: Path, objects: Iterable[str]) -> list[Row]:
@@ -112,9 +112,12 @@ def peers_in(path: Path, objects: Iterable[str]) -> list[Row]:
 def columns(rows: Sequence[Row], front: Iterable[Row]) -> dict[str, list[Any]]:
     """Every number, by the names that a data file uses: a row a row."""
     chosen = set(front)
-    given = {name: name for name in ("object", "whose", "method", "precision", "rate_Hz", "quantity", "error")}
-    attributes = given | {"rate_Hz": "rate_hz", "cost_s_per_s": "cost"}
-    return {name: [getattr(row, attribute) for row in rows] for name, attribute in attributes.items()} | {
+    return {
+        **{name: [getattr(row, name) for row in rows] for name in ("object", "whose", "method", "precision")},
+        "rate_Hz": [row.rate_hz for row in rows],
+        "quantity": [row.quantity for row in rows],
+        "error": [row.error for row in rows],
+        "cost_s_per_s": [row.cost for row in rows],
         "cost_least": [min(row.costs, default=math.nan) for row in rows],
         "cost_most": [max(row.costs, default=math.nan) for row in rows],
         "rounds": [len(row.costs) for row in rows],
@@ -126,8 +129,8 @@ def columns(rows: Sequence[Row], front: Iterable[Row]) -> dict[str, list[Any]]:
 def front_of(rows: Iterable[Row]) -> list[Row]:
     """The rows that no other beats in cost and in error at once, from the cheapest to the most accurate.
 
-    Of one quantity of one object; rows without a place are left out. Of rows that cost the same and are as far off, the
-    first.
+    Of one quantity of one object, without the rows that have no place. Of rows that cost the same and are as far off,
+    the first.
     """
     chosen: list[Row] = []
     for row in sorted((row for row in rows if row.good), key=lambda row: (row.cost, row.off)):
@@ -152,15 +155,15 @@ def cheapest_within(rows: Iterable[Row], error: float) -> Row | None:
 
 
 def verdict(one: Object, rows: Sequence[Row]) -> str:
-    """One sentence for an object, of the rows of all: what is on the front, and what to take."""
+    """One sentence for an object, from the rows of all: what is on the front, and what to take."""
     mine = [row for row in rows if row.object == one.name]
     parts = [_of_quantity(quantity, [row for row in mine if row.quantity == quantity]) for quantity in one.quantities]
     reasons: dict[str, set[tuple[str, str, float]]] = {}
     for row in mine:
         if row.ours and not row.good and row.note:
             reasons.setdefault(row.note.split(":", 1)[0], set()).add((row.method, row.precision, row.rate_hz))
-    lost = "".join(f"; {len(cases)} left out ({reason})" for reason, cases in reasons.items())
-    return f"{one.title[0].upper()}{one.title[1:]}: {'; '.join(parts)}{lost}."
+    parts += [f"{len(cases)} left out ({reason})" for reason, cases in reasons.items()]
+    return f"{one.title[0].upper()}{one.title[1:]}: {'; '.join(parts)}."
 
 
 def _of_quantity(quantity: str, rows: Sequence[Row]) -> str:

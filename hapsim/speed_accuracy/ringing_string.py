@@ -8,7 +8,9 @@ neither stiffness nor damping; for the time that a tick takes, a hundredth of a 
 from __future__ import annotations
 
 import math
+from dataclasses import asdict
 from functools import partial
+from typing import Any
 
 import numpy as np
 from scipy.fft import dst
@@ -54,21 +56,14 @@ def scene_of(
     string: StringOfMasses, method: str, precision: str, rate: float, stiffness: float = 0.0, damping: float = 0.0
 ) -> Scene:
     """The string as a scene; the hand's link in N/m and N·s/m."""
-    names = ("masses", "mass", "stiffness", "damping", "bending")
-    return Scene(
-        version=1,
-        scheme=method,  # type: ignore[arg-type]
-        precision=precision,  # type: ignore[arg-type]
-        rate=rate,
-        device=Device(clock="lockstep", mass=0.2),
-        modules={
-            "hand": DevicePoint(channel=0),
-            "string": String(**{name: getattr(string, name) for name in names}),
-            "touch": ViscoElastic(
-                between=("hand", f"string.{held_mass(string)}"), stiffness=stiffness, damping=damping
-            ),
-        },
-    )
+    ends = ("hand", f"string.{held_mass(string)}")
+    modules: dict[str, Any] = {
+        "hand": DevicePoint(channel=0),
+        "string": String(**asdict(string)),
+        "touch": ViscoElastic(between=ends, stiffness=stiffness, damping=damping),
+    }
+    numerics: Any = {"scheme": method, "precision": precision}
+    return Scene(version=1, rate=rate, device=Device(clock="lockstep", mass=0.2), modules=modules, **numerics)
 
 
 def record(scene: Scene, string: StringOfMasses, shape: Vector, samples: int) -> Vector:

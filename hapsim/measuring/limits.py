@@ -1,0 +1,32 @@
+"""What may be asked of a measurement, and what a scene's device may be given."""
+
+from __future__ import annotations
+
+import math
+
+from hapsim.errors import UsageError
+from hapsim.scene import Scene
+
+SHARE_OF_LIMIT = 0.25
+"""Of the force limit: the largest push where none is given."""
+
+
+def require_above_zero(unit: str, **values: float | None) -> None:
+    """Raises UsageError for a value that is given and is not a finite number above 0."""
+    for name, value in values.items():
+        if value is not None and not 0.0 < value < math.inf:
+            raise UsageError(f"{name}: found {value:g}, expected a finite number of {unit} above 0")
+
+
+def require_device_point(scene: Scene, channel: int) -> None:
+    """Raises UsageError where the scene has no device point on this channel."""
+    channels = [point.channel for point in scene.device_points.values()]
+    if channel not in channels:
+        known = ", ".join(map(str, channels))
+        raise UsageError(f"channel {channel}: the scene has nothing there; its device points are on: {known}")
+
+
+def force_limit(scene: Scene) -> float:
+    """N, of the scene; and of the mock where that is the device."""
+    limit = scene.device.force_limit
+    return limit if scene.device.port is not None else min(limit, scene.mock_device.force_limit)
