@@ -74,11 +74,9 @@ class Scale:
     @property
     def axis_labels(self) -> tuple[str, str]:
         """Labels of the K axis and of the B axis."""
-        B = f"({self.simulated})" if self.total else self.simulated
-        damping = f"{'total' if self.total else 'simulated'} damping"
-        if self.normalised:
-            return "simulated stiffness  $K\\,T^2/m$", f"{damping}  ${B}\\,T/m$"
-        return "simulated stiffness  $K$  (N/m)", f"{damping}  ${self.simulated}$  (N·s/m)"
+        K, B = ("$K\\,T^2/m$", "$B\\,T/m$") if self.normalised else ("$K$  (N/m)", "$B$  (N·s/m)")
+        total = B.replace("B", f"({self.simulated})" if self.normalised else self.simulated)
+        return f"simulated stiffness  {K}", f"total damping  {total}" if self.total else f"simulated damping  {B}"
 
     @property
     def felt_names(self) -> tuple[str, str]:
@@ -86,23 +84,17 @@ class Scale:
         return ("$k\\,T^2/m$", "$b\\,T/m$") if self.normalised else ("$k$ (N/m)", "$b$ (N·s/m)")
 
     @property
-    def columns(self) -> tuple[str, str, str, str]:
+    def columns(self) -> list[str]:
         """Names of K, B, k, b in a data file."""
+        stiffness, damping = ("T2_per_m", "T_per_m") if self.normalised else ("N_per_m", "Ns_per_m")
         B = "B_plus_b0" if self.total else "B"
-        if self.normalised:
-            return "K_T2_per_m", f"{B}_T_per_m", "k_T2_per_m", "b_T_per_m"
-        return "K_N_per_m", f"{B}_Ns_per_m", "k_N_per_m", "b_Ns_per_m"
+        return [f"K_{stiffness}", f"{B}_{damping}", f"k_{stiffness}", f"b_{damping}"]
 
 
 def scale_of(configuration: Configuration, *, normalised: bool, total: bool) -> Scale:
     """Returns the units of one configuration's plane. `total`: the B axis shows B + b0, as in the paper's Figure 9."""
-    return Scale(
-        stiffness=configuration.stiffness_unit if normalised else 1.0,
-        damping=configuration.damping_unit if normalised else 1.0,
-        offset=configuration.friction if total else 0.0,
-        normalised=normalised,
-        total=total,
-    )
+    units = (configuration.stiffness_unit, configuration.damping_unit) if normalised else (1.0, 1.0)
+    return Scale(*units, configuration.friction if total else 0.0, normalised, total)
 
 
 def stable_region(configuration: Configuration) -> tuple[float, float]:

@@ -29,7 +29,7 @@ def draw_speed_accuracy(objects: Sequence[Object], rows: Sequence[Row], path: Pa
     """Draws it to a file: .svg, .png or .pdf."""
     across = min(len(objects), _ABREAST)
     down = math.ceil(len(objects) / across)
-    ours, peers = _looks(objects, rows)
+    ours, peers = looks_of(objects, rows)
     with figure_to(path, max(6.4, 3.45 * across), 3.0 * down + (1.1 if across > 1 else 1.6)) as figure:
         panels = figure.subplots(down, across, squeeze=False).ravel()
         for i, (axes, one) in enumerate(zip(panels, objects, strict=False)):
@@ -47,7 +47,7 @@ def draw_speed_accuracy(objects: Sequence[Object], rows: Sequence[Row], path: Pa
         legend_below(figure, 6 if len(objects) > 1 else 3, handles=handles, columnspacing=1.4, fontsize=8)
 
 
-def _looks(objects: Sequence[Object], rows: Sequence[Row]) -> tuple[dict[str, style.Look], dict[str, style.Look]]:
+def looks_of(objects: Sequence[Object], rows: Sequence[Row]) -> tuple[dict[str, style.Look], dict[str, style.Look]]:
     """Returns the looks of hapsim's methods and those of the peers, the same in every panel."""
     methods = list(dict.fromkeys(method for one in reversed(objects) for method in one.methods()))
     drawn = {row.method for row in rows if row.ours}

@@ -95,7 +95,7 @@ class Table1:
         """Returns what is drawn, by the names that a data file uses: a row for each coupling."""
         every = self.couplings.values()
         return {
-            "coupling": [one.numeral for one in every],
+            "coupling": list(self.couplings),
             "real_stiffness_N_per_m": [one.configuration.stiffness for one in every],
             "real_friction_Ns_per_m": [one.configuration.friction for one in every],
             "K_N_per_m": [one.K for one in every],
@@ -104,8 +104,8 @@ class Table1:
             "measured_Hz": [one.measured_hz for one in every],
             "uncertainty_Hz": [one.uncertainty_hz for one in every],
             "measured_off_by": [one.off_by for one in every],
-            "relative_to_I": [self.relative(numeral) for numeral in self.couplings],
-            "beyond_real_springs": [self.error(numeral) for numeral in self.couplings],
+            "relative_to_I": list(map(self.relative, self.couplings)),
+            "beyond_real_springs": list(map(self.error, self.couplings)),
         }
 
 
@@ -227,19 +227,17 @@ def _scene_of(coupling: Coupling) -> Scene:
 
 def draw_table1(data: Table1, title: str, path: Path) -> None:
     """Draws it to a file: .svg, .png or .pdf."""
+    numerals, every = list(data.couplings), list(data.couplings.values())
     with figure_to(path, 6.9, 3.7) as figure:
         left, right = figure.subplots(1, 2, sharey=True, width_ratios=[1.25, 1.0])
         figure.suptitle(title.replace("; ", "\n"), fontsize=9)  # in one line it is wider than the figure
-        first = data.couplings["I"].predicted_hz
-        bars, dots = ([getattr(one, name) / first for one in data.couplings.values()] for name in _FREQUENCIES)
-        off = [_difference(one.off_by) for one in data.couplings.values()]
-        words = [f"{bar:.5f}\n{difference}" for bar, difference in zip(bars, off, strict=True)]
-        _draw_bars(left, bars, dots, words)
-        left.set_yticks(range(len(bars)), [f"{numeral}  {_WORDS[numeral]}" for numeral in data.couplings])
+        bars, dots = ([getattr(one, what) / every[0].predicted_hz for one in every] for what in _FREQUENCIES)
+        _draw_bars(left, bars, dots, [f"{bar:.5f}\n{_off(one.off_by)}" for bar, one in zip(bars, every, strict=True)])
+        left.set_yticks(range(len(bars)), [f"{one}  {_WORDS[one]}" for one in numerals])
         left.invert_yaxis()
         left.set_xlim(0.0, 2.1 * max(bars))
         left.set_xlabel("frequency, relative to I")
-        bars, dots = ([100.0 * data.error(numeral, name) for numeral in data.couplings] for name in _FREQUENCIES)
+        bars, dots = ([100.0 * data.error(one, what) for one in numerals] for what in _FREQUENCIES)
         bars = [bar if abs(bar) > _NOTHING else 0.0 for bar in bars]
         _draw_bars(right, bars, dots, [f"{bar:+.3g}" if bar else "0" for bar in bars])
         right.axvline(0.0, color="black", linewidth=0.8)
@@ -258,6 +256,6 @@ def _draw_bars(axes: Axes, predicted: list[float], measured: list[float], words:
     axes.bar_label(bars, words, padding=9, fontsize=9)
 
 
-def _difference(off_by: float) -> str:
+def _off(by: float) -> str:
     """Returns how far the measurement is from the prediction, relative."""
-    return f"off by {short(float(f'{off_by:.0e}'))}" if math.isfinite(off_by) else "not measured"
+    return f"off by {short(float(f'{by:.0e}'))}" if math.isfinite(by) else "not measured"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from hapsim.errors import DeviceError, GuardError, RunError, UsageError
 from hapsim.measuring.device_excitation import Bounds
@@ -18,14 +18,13 @@ _MANY = 300.0  # times noise and rounding: a motion that they do not hide
 _MORE_TRAVEL = (1.5, 10.0)  # times the travel, where more of it would do
 
 
-@dataclass(frozen=True)
-class Pushed:
-    """What a run was, and what was seen in it."""
+class Pushed(NamedTuple):
+    """How a run pushed the device, and how far it moved."""
 
     force: float
     """N."""
     peak_m: float
-    """How far it moved, from where it was found."""
+    """From where it was found."""
     bounds: Bounds
     noise_m: float
     """rms, at rest."""

@@ -42,7 +42,7 @@ _MOVES = 0.35  # of the travel: enough for a fit
 _MEANT = 0.6  # of the travel
 _HARDLY = 0.02  # of the travel
 _A_LITTLE_HARDER, _MUCH_HARDER = 1.25, 3.0
-_MOST_ATTEMPTS, _MORE_ATTEMPTS = 36, 3
+_MOST_ATTEMPTS = 36
 _MANY_TIMES_DECLARED, _LEAST_DELAY = 3.0, 8.0
 _HAND_LEAVES = 0.3  # of what one mass leaves: two are seen
 _UNSURE_HAND = 0.3  # of its mass: a hand that is none
@@ -145,6 +145,8 @@ class _Pusher:
         self._records: list[tuple[Drive, Trace]] = []
         self._stopped = False
         """Whether a signal ended the last run."""
+        self._judged = False
+        """Whether a motion has shown which way the motor is wired."""
 
     def find_home(self) -> None:
         """Where the device stands at zero force, and how its positions are noisy there."""
@@ -169,53 +171,47 @@ class _Pusher:
         declared = Plant(scene.device.masses(scene.channels)[self._channel], 0.0, 0.0, scene.device.delay)
         full = drive_for(declared, bounds, scene.rate, pace=1.0, tightness=0.5)
         steepest = _MAY_BE_LIGHTER * peak_per_newton(declared, full, scene.rate, self._converters)
-        drive = replace(full, force=min(full.force, _FIRST_MOVES * bounds.travel / steepest))
-        before: tuple[float, float] | None = None
-        judged = False
+        gentle = replace(full, force=min(full.force, _FIRST_MOVES * bounds.travel / steepest))
         duration = max(_GENTLE_HALVES * full.half, _GENTLE_TICKS) / scene.rate
-        for attempt in range(_MOST_ATTEMPTS):
-            within = replace(bounds, travel=(1.0 if attempt else _FIRST_TRAVEL) * bounds.travel)
-            trace = self._pushed(drive, duration, within)
-            peak, hardly = self._peak(trace), _HARDLY * bounds.travel
-            if not judged and peak > hardly:
-                judged = True
-                if error := inverted(self._fit([trace]), self._seen(drive, trace, bounds)):
-                    raise error
-            if self._stopped:
-                raise UsageError("stopped before enough was recorded: nothing was identified")
-            if peak > _MOVES * bounds.travel or drive.force >= full.force:
-                break
-            slope = steepest if before is None else (peak - before[1]) / (drive.force - before[0])
-            before = (drive.force, peak) if peak > hardly else None
-            drive = self._harder(drive, peak, slope)
+        drive, trace = self._far_enough(gentle, duration, steepest, _FIRST_TRAVEL * bounds.travel)
+        if self._stopped:
+            raise UsageError("stopped before enough was recorded: nothing was identified")
         return self._sound_fit(drive, trace, [trace])
 
     def record(self, rough: DeviceFit, duration: float) -> None:
         """Records the device at several simulated (K, B), as far as it may be moved; with which ones."""
         mass = rough.mass.value + (rough.hand.mass.value if rough.hand is not None else 0.0)
         plant = Plant(mass, *(max(one.value, 0.0) for one in (rough.friction, rough.stiffness, rough.delay)))
-        most = self._bounds.travel
         for pace, tightness in _DRIVES:
             drive = drive_for(plant, self._bounds, self._scene.rate, pace=pace, tightness=tightness)
             slope = peak_per_newton(plant, drive, self._scene.rate, self._converters)
-            drive = replace(drive, force=min(drive.force, _MEANT * most / slope))
-            trace = self._pushed(drive, duration / len(_DRIVES), self._bounds)
-            for _ in range(_MORE_ATTEMPTS):  # where dry friction kept the device from moving
-                if self._stopped or self._peak(trace) > _MOVES * most or drive.force >= self._bounds.push:
-                    break
-                drive = self._harder(drive, self._peak(trace), slope)
-                trace = self._pushed(drive, duration / len(_DRIVES), self._bounds)
-            self._records.append((drive, trace))
+            drive = replace(drive, force=min(drive.force, _MEANT * self._bounds.travel / slope))
+            self._records.append(self._far_enough(drive, duration / len(_DRIVES), slope, self._bounds.travel))
             if self._stopped:
                 return
 
-    def _harder(self, drive: Drive, peak: float, slope: float) -> Drive:
-        """With which the device gets as far as is meant, where each newton takes it `slope` m farther. Where it hardly
-        moved a dry friction is in the way, or a large mass: then a quarter more at least."""
-        wanted = drive.force + max(_MEANT * self._bounds.travel - peak, 0.0) / max(slope, 1e-300)
-        stuck = peak < _HARDLY * self._bounds.travel
-        force = max(wanted, _A_LITTLE_HARDER * drive.force) if stuck else min(wanted, _MUCH_HARDER * drive.force)
-        return replace(drive, force=min(self._bounds.push, force))
+    def _far_enough(self, drive: Drive, duration: float, slope: float, travel: float) -> tuple[Drive, Trace]:
+        """A run under this drive, or a stronger one if the device moves too little. `slope`: m that it may move with
+        each newton; `travel`: m that the first run may move it."""
+        before: tuple[float, float] | None = None
+        for _ in range(_MOST_ATTEMPTS):
+            bounds, travel = replace(self._bounds, travel=travel), self._bounds.travel
+            trace = self._pushed(drive, duration, bounds)
+            peak = self._peak(trace)
+            stuck = peak <= _HARDLY * travel
+            if not (stuck or self._judged):
+                self._judged = True
+                if error := inverted(self._fit([trace]), self._seen(drive, trace, self._bounds)):
+                    raise error
+            if self._stopped or peak > _MOVES * travel or drive.force >= self._bounds.push:
+                break
+            slope = slope if before is None else (peak - before[1]) / (drive.force - before[0])
+            before = None if stuck else (drive.force, peak)
+            wanted = drive.force + max(_MEANT * travel - peak, 0.0) / max(slope, 1e-300)
+            # Where it hardly moved a dry friction is in the way, or a large mass: then a quarter more at least.
+            force = max(wanted, _A_LITTLE_HARDER * drive.force) if stuck else min(wanted, _MUCH_HARDER * drive.force)
+            drive = replace(drive, force=min(self._bounds.push, force))
+        return drive, trace
 
     def identified(self, start: Shape) -> DeviceIdentification:
         """The fit over all that was recorded, from `start` on."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,17 @@ def chart(hapsim: Callable[..., Any], monkeypatch: pytest.MonkeyPatch, tmp_path:
         return answer
 
     return call
+
+
+@pytest.fixture
+def rows_of() -> Callable[[str], list[dict[str, str]]]:
+    """Reads a data file."""
+
+    def read(name: str) -> list[dict[str, str]]:
+        with Path(name).open(newline="", encoding="utf-8") as stream:
+            return list(csv.DictReader(stream))
+
+    return read
 
 
 WALL = {"type": "ground"}

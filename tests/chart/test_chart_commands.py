@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import subprocess
 import sys
 from collections.abc import Callable
@@ -17,6 +16,7 @@ from hapsim.theory import Configuration
 
 Chart = Callable[..., Any]
 SceneFile = Callable[..., Path]
+RowsOf = Callable[[str], list[dict[str, str]]]
 BEGINS = {".svg": b"<?xml", ".png": b"\x89PNG", ".pdf": b"%PDF"}
 CALLS = {
     "plane": ["plane", "spring", "--to-damping", "20"],
@@ -28,31 +28,12 @@ CALLS = {
 }
 
 
-def columns_of(path: Path) -> dict[str, list[str]]:
-    with path.open(newline="", encoding="utf-8") as stream:
-        header, *rows = csv.reader(stream)
-    return dict(zip(header, map(list, zip(*rows, strict=True)), strict=True))
-
-
-def words_of(name: str, scene_file: SceneFile) -> list[str]:
-    return [str(scene_file("spring")) if word == "spring" else word for word in CALLS[name]]
-
-
 @pytest.mark.parametrize(
-    ("name", "ending"),
-    [
-        ("plane", ".svg"),
-        ("plane", ".png"),
-        ("plane", ".pdf"),
-        ("transparency", ".svg"),
-        ("table1", ".png"),
-        ("family", ".svg"),
-        ("paper", ".png"),
-        ("felt", ".png"),
-    ],
+    "picture",
+    ["plane.svg", "plane.png", "plane.pdf", "transparency.svg", "table1.png", "family.svg", "paper.png", "felt.png"],
 )
 def test_every_picture_is_drawn_in_every_format_and_nothing_is_clipped(
-    chart: Chart, scene_file: SceneFile, monkeypatch: pytest.MonkeyPatch, name: str, ending: str
+    chart: Chart, scene_file: SceneFile, monkeypatch: pytest.MonkeyPatch, rows_of: RowsOf, picture: str
 ) -> None:
     save = Figure.savefig
 
@@ -64,11 +45,12 @@ def test_every_picture_is_drawn_in_every_format_and_nothing_is_clipped(
         save(figure, *arguments, **options)
 
     monkeypatch.setattr(Figure, "savefig", save_what_fits)
-    answer = chart(*words_of(name, scene_file), "--picture", f"picture{ending}", "--data", "numbers.csv")
+    words = [scene_file("spring") if word == "spring" else word for word in CALLS[Path(picture).stem]]
+    answer = chart(*words, "--picture", picture, "--data", "numbers.csv")
     assert answer.status == 0
-    assert f"Picture: picture{ending}" in answer.out
-    assert Path(f"picture{ending}").read_bytes().startswith(BEGINS[ending])
-    assert len(columns_of(Path("numbers.csv"))) >= 5
+    assert f"Picture: {picture}" in answer.out
+    assert Path(picture).read_bytes().startswith(BEGINS[Path(picture).suffix])
+    assert len(rows_of("numbers.csv")[0]) >= 5
 
 
 def test_left_out_the_picture_has_the_name_of_the_command(chart: Chart, scene_file: SceneFile) -> None:
@@ -79,11 +61,11 @@ def test_left_out_the_picture_has_the_name_of_the_command(chart: Chart, scene_fi
     assert left_out == Path("asked_for.svg").read_bytes()
 
 
-def test_a_hand_that_feels_nothing_can_be_drawn(chart: Callable[..., Any], scene_file: Callable[..., Path]) -> None:
+def test_a_hand_that_feels_nothing_can_be_drawn(chart: Chart, scene_file: SceneFile, rows_of: RowsOf) -> None:
     answer = chart("transparency", scene_file("nothing", friction=0.0), "--picture", "of.svg", "--data", "of.csv")
     assert "At no frequency does the wall give energy" in answer.out
     assert Path("of.svg").read_bytes().startswith(BEGINS[".svg"])
-    assert {float(value) for value in columns_of(Path("of.csv"))["rendered_Ns_per_m"]} == {0.0}
+    assert {float(row["rendered_Ns_per_m"]) for row in rows_of("of.csv")} == {0.0}
 
 
 @pytest.mark.parametrize("only", [["--data", "numbers.csv"], ["--json"]])
@@ -93,17 +75,15 @@ def test_who_asks_for_numbers_only_gets_no_picture(chart: Chart, scene_file: Sce
     assert not list(Path().glob("*.svg"))
 
 
-def test_the_numbers_of_a_plane_are_those_of_the_theory_to_the_last_digit(chart: Chart) -> None:
+def test_the_numbers_of_a_plane_are_those_of_the_theory_to_the_last_digit(chart: Chart, rows_of: RowsOf) -> None:
     assert chart("plane", "--normalised", "--hold", "impulse", "--delay", "1", "--data", "numbers.csv").status == 0
-    table = columns_of(Path("numbers.csv"))
-    kind = np.array(table["curve"])
-    K, B, k, b = (np.array(table[name], float) for name in ("K_T2_per_m", "B_T_per_m", "k_T2_per_m", "b_T_per_m"))
-    configuration = Configuration(mass=1.0, rate=1.0, hold="impulse", delay=1.0)
-    here = (kind == "iso_k") | (kind == "iso_b") | (kind == "stability_limit")
-    expected = configuration.simulated(k[here], b[here])
-    drawn = np.isfinite(K[here])
-    assert np.array_equal(K[here][drawn], expected[0][drawn])
-    assert np.array_equal(B[here][drawn], expected[1][drawn])
+    curves = [row for row in rows_of("numbers.csv") if row["curve"] in ("iso_k", "iso_b", "stability_limit")]
+    names = ("K_T2_per_m", "B_T_per_m", "k_T2_per_m", "b_T_per_m")
+    K, B, k, b = (np.array([float(row[name]) for row in curves]) for name in names)
+    expected = Configuration(mass=1.0, rate=1.0, hold="impulse", delay=1.0).simulated(k, b)
+    drawn = np.isfinite(K)
+    assert np.array_equal(K[drawn], expected[0][drawn])
+    assert np.array_equal(B[drawn], expected[1][drawn])
 
 
 def test_the_summary_of_a_plane_tells_what_is_felt_and_what_is_stable(chart: Chart, scene_file: SceneFile) -> None:
@@ -118,11 +98,16 @@ def test_the_summary_of_a_plane_tells_what_is_felt_and_what_is_stable(chart: Cha
 
 
 def test_a_family_tells_what_each_mass_feels(chart: Chart, scene_file: SceneFile) -> None:
-    answer = chart("plane", scene_file("spring"), "--mass", "0.4", "--mass", "0.1,0.2", "--json")
-    assert [hand["mass"] for hand in answer.document["hands"]] == [0.1, 0.2, 0.4]
-    for hand in answer.document["hands"]:
-        configuration = Configuration(mass=hand["mass"], rate=1000.0, friction=1.0)
-        assert (hand["k"], hand["b"]) == pytest.approx(configuration.equivalent(2000.0, 5.0))
+    """Of several masses, and of the span that a scene gives; --mass is in place of the span."""
+    given = chart("plane", scene_file("spring"), "--mass", "0.4", "--mass", "0.1,0.2", "--json")
+    span = scene_file("spring", mass={"from": 0.1, "to": 0.4})
+    for hands in (given.document["hands"], chart("plane", span, "--data", "n.csv", "--json").document["hands"]):
+        assert [hand["mass"] for hand in hands] == pytest.approx([0.1, 0.2, 0.4])
+        for hand in hands:
+            configuration = Configuration(mass=hand["mass"], rate=1000.0, friction=1.0)
+            assert (hand["k"], hand["b"]) == pytest.approx(configuration.equivalent(2000.0, 5.0))
+    (alone,) = chart("plane", span, "--mass", "0.3", "--data", "n.csv", "--json").document["hands"]
+    assert alone["mass"] == 0.3
 
 
 def test_the_options_are_in_place_of_what_the_scene_says(chart: Chart, scene_file: SceneFile) -> None:
@@ -197,6 +182,9 @@ def test_table1_is_corrected_as_asked_for(
         (["table1", "damper"], "found no spring"),
         (["table1", "stiff"], "coupling IV of Table 1"),
         (["table1"], "SCENE"),
+        (["felt"], "--mass is missing"),
+        (["felt", "--normalised", "--delay", "-1"], "--delay is -1"),
+        (["felt", "--normalised", "--picture", "p.bmp"], "expected .svg, .png, .pdf"),
         (["plane", "nowhere.yaml"], "nowhere.yaml"),
     ],
 )
@@ -217,11 +205,3 @@ def test_help_loads_nothing_heavy() -> None:
     )
     answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert answer.stdout.strip() == "[]"
-
-
-def test_a_mass_that_is_a_span_is_drawn_as_a_family(chart: Chart, scene_file: SceneFile) -> None:
-    scene = scene_file("spring", mass={"from": 0.1, "to": 0.4})
-    answer = chart("plane", str(scene), "--data", "numbers.csv", "--json")
-    assert [hand["mass"] for hand in answer.document["hands"]] == pytest.approx([0.1, 0.2, 0.4])
-    alone = chart("plane", str(scene), "--mass", "0.3", "--data", "numbers.csv", "--json")
-    assert [hand["mass"] for hand in alone.document["hands"]] == [0.3]

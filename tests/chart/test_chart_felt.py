@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 import re
 from collections.abc import Callable
@@ -67,16 +66,13 @@ def test_the_error_is_the_one_that_is_measured(correction: Any, mass: float, del
     felt = felt_by(correction, declared, replace(declared, mass=0.2 * mass), plane)
     k, b = plane.desired(declared)
     for i in range(2):
+        touch = ViscoElastic(between=("hand", "wall"), stiffness=k[0, i], damping=b[0, i])
         scene = Scene(
             version=1,
             rate=1000.0,
             device=Device(clock="lockstep", mass=0.2, delay=delay, correction=correction, force_limit=200.0),
             mock=Mock(initial=Initial(velocity=0.1), quantum=1e-10, mass=0.2 * mass),
-            modules={
-                "hand": DevicePoint(channel=0),
-                "wall": Ground(),
-                "touch": ViscoElastic(between=("hand", "wall"), stiffness=k[0, i], damping=b[0, i]),
-            },
+            modules={"hand": DevicePoint(channel=0), "wall": Ground(), "touch": touch},
         )
         found = measure(scene)  # it reads k and b with the declared mass
         error = max(
@@ -120,20 +116,19 @@ def test_no_controller_has_what_swings_at_half_the_rate_or_faster() -> None:
     assert felt_by("predictor", DEVICE, DEVICE, fast).share(0.05) <= 0.75
 
 
-def test_the_numbers_are_those_of_the_summary(chart: Chart) -> None:
+def test_the_numbers_are_those_of_the_summary(chart: Chart, rows_of: Callable[[str], list[dict[str, str]]]) -> None:
     answer = chart("felt", "--normalised", "--delay", "2", "--data", "n.csv", "--picture", "p.png", "--json")
     assert answer.status == 0
     assert Path("p.png").read_bytes().startswith(b"\x89PNG")
-    with Path("n.csv").open(newline="", encoding="utf-8") as stream:
-        rows = list(csv.DictReader(stream))
+    rows = rows_of("n.csv")
     for name in DRAWN:
-        plane = [row for row in rows if row["panel"] == "plane" and row["correction"] == name]
+        plane, of_delays = (
+            [float(row["error_or_share"]) for row in rows if (row["panel"], row["correction"]) == (panel, name)]
+            for panel in ("plane", "delay")
+        )
         for within in (0.01, 0.05, 0.1):
-            share = np.mean([float(row["error_or_share"]) <= within for row in plane])
+            share = np.mean([error <= within for error in plane])
             assert answer.document["share"][name][f"{within:g}"] == pytest.approx(share)
-        of_delays = [
-            float(row["error_or_share"]) for row in rows if row["panel"] == "delay" and row["correction"] == name
-        ]
         assert answer.document["against_delay"][name] == of_delays
 
 
@@ -149,18 +144,3 @@ def test_a_scene_is_taken_as_it_is_written(chart: Chart, scene_file: SceneFile) 
         assert float(row[1]) == pytest.approx(100.0 * share[name]["0.05"], abs=0.6)
     assert re.search(r"[Aa]ny controller.* 100", answer.out)
     assert Path("felt.svg").exists()
-
-
-@pytest.mark.parametrize(
-    ("words", "told"),
-    [
-        (["felt"], "--mass is missing"),
-        (["felt", "--normalised", "--delay", "-1"], "--delay is -1"),
-        (["felt", "--normalised", "--picture", "p.bmp"], "expected .svg, .png, .pdf"),
-        (["felt", "--normalised", "--channel", "1"], "without a SCENE there is one hand only"),
-    ],
-)
-def test_what_cannot_be_drawn_is_a_sentence(chart: Chart, words: list[str], told: str) -> None:
-    answer = chart(*words)
-    assert (answer.status, answer.out) == (2, "")
-    assert told in answer.err

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from hapsim.chart import plane_curves as curves
 from hapsim.chart.hand import Hand
 from hapsim.chart.plane import Plane, draw_plane, plane
 from hapsim.chart.plane_axes import scale_of, stable_region, view_of
-from hapsim.chart.plane_curves import Curve, Sheet, round_values
+from hapsim.chart.plane_curves import Curve, round_values
 from hapsim.errors import UsageError
 from hapsim.number_format import short
 from hapsim.theory import Configuration
@@ -30,12 +31,21 @@ CASES: dict[str, dict[str, Any]] = {
 DEVICE = Configuration(mass=0.2, rate=1000.0, friction=1.0)
 
 
-def drawn(configuration: Configuration, K: float = math.nan, B: float = math.nan, **options: Any) -> Plane:
-    """A plane in SI units."""
-    hands = [Hand("hand", None, configuration, K, B)]
-    total = options.pop("total", False)
-    view = view_of(hands, from_total=total, **options)
-    return plane(hands, view, scale_of(configuration, normalised=False, total=total))
+def drawn(
+    configuration: Configuration,
+    K: float = math.nan,
+    B: float = math.nan,
+    *,
+    masses: tuple[float, ...] = (),
+    normalised: bool = False,
+    total: bool = False,
+    **view: Any,
+) -> Plane:
+    """A plane, in SI units unless it is `normalised`."""
+    hand = Hand("hand", None, configuration, K, B)
+    hands = [hand.with_mass(mass) for mass in masses] or [hand]
+    scale = scale_of(configuration, normalised=normalised, total=total)
+    return plane(hands, view_of(hands, from_total=total, **view), scale)
 
 
 @pytest.fixture(scope="module", params=CASES)
@@ -177,25 +187,21 @@ def test_a_loop_too_late_to_be_drawn_is_refused() -> None:
 
 
 def test_a_family_has_a_limit_and_the_same_values_for_each_mass() -> None:
-    hands = [Hand("hand", 0, DEVICE, 2000.0, 5.0).with_mass(mass) for mass in (0.1, 0.2, 0.4)]
-    view = view_of(hands, from_total=False)
-    data = plane(hands, view, scale_of(DEVICE, normalised=False, total=False))
-    values = [
-        {(curve.kind, curve.value) for curve in data.iso if curve.mass == hand.configuration.mass} for hand in hands
-    ]
+    masses = (0.1, 0.2, 0.4)
+    data = drawn(DEVICE, 2000.0, 5.0, masses=masses)
+    values = [{(curve.kind, curve.value) for curve in data.iso if curve.mass == mass} for mass in masses]
     assert values[0] == values[1] == values[2] != set()
-    for boundary, point, hand in zip(data.boundaries, data.points, hands, strict=True):
-        radius = hand.configuration.spectral_radius(boundary.K[finite(boundary)], boundary.B[finite(boundary)])
+    for boundary, point, mass in zip(data.boundaries, data.points, masses, strict=True):
+        configuration = replace(DEVICE, mass=mass)
+        radius = configuration.spectral_radius(boundary.K[finite(boundary)], boundary.B[finite(boundary)])
         np.testing.assert_allclose(radius, 1.0, atol=1e-6)
-        assert (point.k, point.b) == hand.felt()
-    masses = set(data.columns()["mass_kg"])
-    assert masses == {0.1, 0.2, 0.4}
+        assert (point.k, point.b) == configuration.equivalent(2000.0, 5.0)
+    assert set(data.columns()["mass_kg"]) == set(masses)
 
 
 def test_more_masses_than_greys_are_refused() -> None:
-    hands = [Hand("hand", 0, DEVICE, 2000.0, 5.0).with_mass(0.1 * (i + 1)) for i in range(6)]
     with pytest.raises(UsageError, match="found 6 masses, expected at most 5"):
-        plane(hands, view_of(hands, from_total=False), scale_of(DEVICE, normalised=False, total=False))
+        drawn(DEVICE, 2000.0, 5.0, masses=(0.1, 0.2, 0.3, 0.4, 0.5, 0.6))
 
 
 @pytest.mark.parametrize("ending", [".svg", ".png", ".pdf"])
@@ -209,9 +215,7 @@ def test_the_same_numbers_draw_the_same_bytes(tmp_path: Path, ending: str) -> No
 
 @pytest.mark.parametrize(("normalised", "total"), [(False, False), (True, False), (True, True)])
 def test_the_numbers_are_in_the_units_that_the_axes_name(normalised: bool, total: bool) -> None:
-    hands = [Hand("hand", None, DEVICE, 2000.0, 5.0)]
-    view = view_of(hands, from_total=total)
-    data = plane(hands, view, scale_of(DEVICE, normalised=normalised, total=total))
+    data = drawn(DEVICE, 2000.0, 5.0, normalised=normalised, total=total)
     columns = {name: np.array(values) for name, values in data.columns().items()}
     here = columns["curve"] == "operating_point"
     K, B, k, b = (columns[name][here][0] for name in data.scale.columns)
@@ -232,19 +236,12 @@ def test_values_are_multiples_of_one_two_or_five(last: float, most: int) -> None
 
 
 def test_numbers_in_a_picture_are_short() -> None:
-    assert [short(x) for x in (0.5, 2080.44, 43452.2, 110000.0, 1e6, -3.2e-7)] == [
-        "0.5",
-        "2080",
-        "43452",
-        "110000",
-        "1e6",
-        "−3.2e−7",
-    ]
+    said = {0.5: "0.5", 2080.44: "2080", 43452.2: "43452", 110000.0: "110000", 1e6: "1e6", -3.2e-7: "−3.2e−7"}
+    assert [short(x) for x in said] == list(said.values())
 
 
 def test_thinned_lines_keep_their_ends_and_their_gaps() -> None:
-    view = view_of([Hand("hand", None, DEVICE, 2000.0, 5.0)], from_total=False)
-    sheet = Sheet(DEVICE, view, scale_of(DEVICE, normalised=False, total=False))
+    (sheet,) = drawn(DEVICE, 2000.0, 5.0).sheets
     K = np.linspace(0.0, 5000.0, 10001)
     K[4000:5000] = np.nan
     curve = sheet.curve("any", math.nan, K, np.full(K.size, 5.0))
@@ -257,8 +254,7 @@ def test_thinned_lines_keep_their_ends_and_their_gaps() -> None:
 
 
 def test_few_values_are_felt_where_little_is_stable(monkeypatch: pytest.MonkeyPatch) -> None:
-    view = view_of([Hand("hand", None, DEVICE, math.nan, math.nan)], from_total=False)
-    sheet = Sheet(DEVICE, view, scale_of(DEVICE, normalised=False, total=False))
+    (sheet,) = drawn(DEVICE).sheets
     nothing: Callable[..., Any] = lambda _, K, B: np.zeros(np.shape(K), bool)  # noqa: ARG005, E731
     monkeypatch.setattr(Configuration, "is_stable", nothing)
     k, b = curves.values_felt(sheet, 5, 5)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -10,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from hapsim.chart.speed_accuracy import draw_speed_accuracy
+from hapsim.chart.speed_accuracy import draw_speed_accuracy, looks_of
 from hapsim.speed_accuracy.comparison import OBJECTS, objects_named
 from hapsim.speed_accuracy.results import OURS, Row
 
@@ -30,14 +29,15 @@ SMALL = [
 PEER = Row("string-10", "a peer", "", "double", 1000.0, "frequency", 1e-3, (0.1, 0.2), "")
 
 
-def test_a_small_selection_gives_picture_numbers_and_a_sentence(chart: Chart) -> None:
+def test_a_small_selection_gives_picture_numbers_and_a_sentence(
+    chart: Chart, rows_of: Callable[[str], list[dict[str, str]]]
+) -> None:
     Path("peers.json").write_text(json.dumps({"rows": [PEER.as_document()]}), encoding="utf-8")
-    answer = chart(*SMALL, "--with", "peers.json", "--picture", "p.png", "--data", "n.csv")
+    answer = chart("speed-accuracy", *SMALL, "--with", "peers.json", "--picture", "p.png", "--data", "n.csv")
     assert answer.status == 0
     assert "A string of 10 masses: frequency: on the front" in answer.out
     assert Path("p.png").read_bytes().startswith(b"\x89PNG")
-    with Path("n.csv").open(newline="", encoding="utf-8") as stream:
-        rows = list(csv.DictReader(stream))
+    rows = rows_of("n.csv")
     ours = [row for row in rows if row["whose"] == OURS]
     assert len(ours) == 2 * 2 * len(SCHEMES)
     assert {row["rounds"] for row in ours} == {"2"}
@@ -46,7 +46,7 @@ def test_a_small_selection_gives_picture_numbers_and_a_sentence(chart: Chart) ->
 
 
 def test_for_scripts_there_is_one_document(chart: Chart) -> None:
-    document = chart(*SMALL, "--json").document
+    document = chart("speed-accuracy", *SMALL, "--json").document
     assert document["objects"].keys() == {"string-10"}
     assert {row["rate_hz"] for row in document["rows"]} == {1000.0, 10_000.0}
     assert not list(Path().glob("*.svg"))
@@ -81,3 +81,10 @@ def test_an_object_of_which_nothing_is_stable_has_an_empty_panel(tmp_path: Path)
     rows = [Row("string-1000", OURS, "cordis", "double", 500.0, "frequency", float("nan"), (), "unstable")]
     draw_speed_accuracy(objects_named(["string-1000"]), rows, tmp_path / "p.png")
     assert (tmp_path / "p.png").exists()
+
+
+def test_no_two_methods_of_any_object_share_a_colour() -> None:
+    methods = {method for one in OBJECTS for method in one.methods()}
+    rows = [Row(one.name, OURS, method, "double", 1e3, "k", 0.1) for one in OBJECTS for method in one.methods()]
+    ours, _ = looks_of(OBJECTS, rows)
+    assert len({look["color"] for look in ours.values()}) == len(methods) == len(ours)

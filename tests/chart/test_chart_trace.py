@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -26,21 +25,21 @@ def trace(scene_file: Callable[..., Path], tmp_path: Path) -> Trace:
     return run(load_scene(scene_file("spring")), duration=2.0, record=tmp_path / "t.trace")
 
 
-def test_a_record_is_drawn_and_its_numbers_are_those_recorded(chart: Chart, trace: Trace, tmp_path: Path) -> None:
+def test_a_record_is_drawn_and_its_numbers_are_those_recorded(
+    chart: Chart, trace: Trace, tmp_path: Path, rows_of: Callable[[str], list[dict[str, str]]]
+) -> None:
     answer = chart("trace", tmp_path / "t.trace", "--picture", "p.svg", "--data", "d.csv", "--last", 0.5)
     assert answer.status == 0
     assert "501 of 2000 ticks, done" in answer.out
     assert Path("p.svg").read_bytes().startswith(b"<?xml")
-    with Path("d.csv").open(encoding="utf-8", newline="") as file:
-        rows = list(csv.DictReader(file))
-    np.testing.assert_allclose([float(row["position_m[0]"]) for row in rows], trace.position[-501:, 0], rtol=1e-11)
-    np.testing.assert_allclose([float(row["force_N[0]"]) for row in rows], trace.force[-501:, 0], rtol=1e-11)
-    np.testing.assert_allclose([float(row["time_s"]) for row in rows], np.arange(1499, 2000) * 1e-3, atol=1e-12)
-    np.testing.assert_allclose([float(row["arrived_s"]) for row in rows], _arrived_s(trace)[-501:], atol=1e-9)
-
-
-def _arrived_s(trace: Trace) -> Any:
-    return (trace.time_ns - trace.time_ns[-501]) * 1e-9
+    arrived = (trace.time_ns[-501:] - trace.time_ns[-501]) * 1e-9
+    for name, expected, rtol, atol in (
+        ("position_m[0]", trace.position[-501:, 0], 1e-11, 0.0),
+        ("force_N[0]", trace.force[-501:, 0], 1e-11, 0.0),
+        ("time_s", np.arange(1499, 2000) * 1e-3, 1e-14, 1e-12),
+        ("arrived_s", arrived, 1e-9, 1e-9),
+    ):
+        np.testing.assert_allclose([float(row[name]) for row in rows_of("d.csv")], expected, rtol, atol)
 
 
 def test_a_last_second_is_drawn_over_the_time_since_arming_and_the_axis_says_so(trace: Trace, tmp_path: Path) -> None:
@@ -80,19 +79,15 @@ def test_of_how_many_ticks_is_said_only_where_it_is_known(
     cut.write_bytes(whole[:-1])
     at = whole.rindex(b"ROWS") + 30
     damaged.write_bytes(whole[:at] + b"damage" + whole[at + 6 :])
+    (tmp_path / "t.npz.part").write_bytes(whole[:-1])  # as a run leaves it
+    document = chart("trace", tmp_path / "t.npz.part", "--json", "--picture", "p.png").document
+    assert document["rows"] == trace.sample.size
+    assert document["report"]["ending"] == "not finished: the record stops after 2000 ticks"
     told = [chart("trace", cut, *more, "--picture", "p.svg").out for more in ((), ("--last", 0.1))]
     assert told[0].startswith("cut.trace: not finished: the record stops after 2000 ticks")
     assert told[1].startswith("cut.trace: 101 ticks drawn; not finished: the record stops after 2000 ticks")
     of_damaged = chart("trace", damaged, "--picture", "p.svg").out
     assert of_damaged.startswith("damaged.trace: not finished: the record stops after 1500 ticks")
-
-
-def test_what_is_left_of_a_record_is_drawn_as_far_as_it_goes(chart: Chart, trace: Trace, tmp_path: Path) -> None:
-    whole = (tmp_path / "t.trace").read_bytes()
-    (tmp_path / "t.npz.part").write_bytes(whole[:-1])
-    document = chart("trace", tmp_path / "t.npz.part", "--json", "--picture", "p.png").document
-    assert document["rows"] == trace.sample.size
-    assert document["report"]["ending"] == "not finished: the record stops after 2000 ticks"
 
 
 @pytest.mark.parametrize("words", [["--last", "0"], ["--last", "nan"]])

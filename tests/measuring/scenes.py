@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from hapsim.scene import Scene, parse_scene
+from hapsim.theory import Configuration
 
 
 def one_spring(
@@ -39,3 +42,10 @@ modules:
           {of_damper}}}
 """
     )
+
+
+def with_configuration(c: Configuration, stiffness: float, damping: float, **more: Any) -> Scene:
+    """The same, on a device with this configuration."""
+    names = ("mass", "rate", "friction", "delay", "hold", "sampling", "damper", "cutoff")
+    device = {name: getattr(c, name) for name in names}
+    return one_spring(float(stiffness), float(damping), device_stiffness=c.stiffness, **device, **more)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import os
 import signal
-import sys
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
+import device as plain
 import numpy as np
 import pytest
+from identification import FORCE, NAMES, SECONDS, TRAVEL, Device, errors, random_device
 from scipy.linalg import expm
 
 import hapsim
@@ -18,11 +18,6 @@ from hapsim.errors import DeviceError, GuardError, HapsimError, UsageError
 from hapsim.loop.endings import TIMED_OUT
 from hapsim.measuring import identify_device as room
 from hapsim.measuring.device_misfit import binned
-
-sys.path.append(str(Path(__file__).resolve().parents[2] / "tools" / "bench"))
-sys.path.append(str(Path(__file__).resolve().parents[1] / "probe"))
-import device as plain
-from identification import FORCE, NAMES, SECONDS, TRAVEL, Device, errors, random_device
 
 # A few in the ordinary suite; HAPSIM_POINTS=50 takes fifty, for longer.
 MANY = "HAPSIM_POINTS" in os.environ
@@ -104,25 +99,6 @@ def test_the_device_stays_within_force_and_travel() -> None:
     assert max(float(np.max(np.abs(trace.force))) for trace in found.traces) <= 1.0
     assert len({(drive.stiffness, drive.damping) for drive in found.drives}) == 3
     assert found.bounds.force == 1.0
-
-
-def test_a_device_that_moves_too_far_is_left_alone() -> None:
-    """It breaks away from a dry friction that is large for so small a travel, and no hand is blamed for it."""
-    with pytest.raises(
-        GuardError, match=r"farther than the 0\.2 mm that it may, .* nothing more was .* Dry friction may"
-    ):
-        hapsim.identify_device(replace(ONE, coulomb=1.5).scene(), force=5.0, travel=2e-4)
-
-
-def test_a_device_that_moves_in_jerks_is_told_so() -> None:
-    with pytest.raises(UsageError, match=r"moved by 0\.19 mm, but in jerks, .* dry friction holds it"):
-        hapsim.identify_device(replace(ONE, coulomb=0.5).scene(), force=1.0, travel=2e-4)
-
-
-def test_a_device_that_moves_by_itself_is_not_pushed() -> None:
-    scene = mocked(stiffness=2000.0, initial=hapsim.scene.Initial(position=0.01))
-    with pytest.raises(GuardError, match=r"without any force the device moved by .* it was not pushed"):
-        hapsim.identify_device(scene)
 
 
 def mocked(**mock: Any) -> hapsim.Scene:
@@ -249,9 +225,32 @@ def test_a_force_of_another_is_named_and_not_the_sign(monkeypatch: pytest.Monkey
     assert "sign" not in str(found)
 
 
-def test_a_device_that_is_stuck_is_told_so() -> None:
-    with pytest.raises(UsageError, match=r"stuck by dry friction"):
-        hapsim.identify_device(replace(ONE, coulomb=3.0).scene(), force=2.0)
+@pytest.mark.parametrize(
+    ("coulomb", "bounds", "kind", "sentence"),
+    [
+        # It breaks away from a dry friction that is large for so small a travel, and no hand is blamed for it.
+        (
+            1.5,
+            (5.0, 2e-4),
+            GuardError,
+            r"farther than the 0\.2 mm that it may, .* nothing more was .* Dry friction may",
+        ),
+        (0.5, (1.0, 2e-4), UsageError, r"moved by 0\.19 mm, but in jerks, .* dry friction holds it"),
+        (3.0, (2.0, None), UsageError, "stuck by dry friction"),
+    ],
+    ids=["breaks away", "moves in jerks", "is stuck"],
+)
+def test_dry_friction_that_spoils_the_motion_is_named(
+    coulomb: float, bounds: tuple[float, float | None], kind: type[HapsimError], sentence: str
+) -> None:
+    with pytest.raises(kind, match=sentence):
+        hapsim.identify_device(replace(ONE, coulomb=coulomb).scene(), force=bounds[0], travel=bounds[1])
+
+
+def test_a_device_that_moves_by_itself_is_not_pushed() -> None:
+    scene = mocked(stiffness=2000.0, initial=hapsim.scene.Initial(position=0.01))
+    with pytest.raises(GuardError, match=r"without any force the device moved by .* it was not pushed"):
+        hapsim.identify_device(scene)
 
 
 @pytest.mark.parametrize(
@@ -259,7 +258,7 @@ def test_a_device_that_is_stuck_is_told_so() -> None:
     [
         ({"force": 11.0}, "force: found 11 N, expected above 0 N, and at most the force_limit, 10 N"),
         ({"force": float("nan")}, "force: found nan"),
-        ({"travel": 0.0}, "travel: found 0 m, expected a finite number above 0"),
+        ({"travel": 0.0}, "travel: found 0, expected a finite number of metres above 0"),
         ({"duration": -1.0}, "duration: found -1"),
         ({"channel": 3}, "channel 3: the scene has nothing there; its device points are on: 0"),
     ],
@@ -295,39 +294,28 @@ def test_a_correction_that_takes_the_declared_mass_for_true_is_left_out() -> Non
     assert found == plain
 
 
-def lacking_force(law: str, position: np.ndarray, velocity: np.ndarray, time: np.ndarray) -> np.ndarray:
-    """A force that no parameter of the model makes."""
-    if law == "position":
-        return 0.05 * np.sin(2.0 * np.pi * position / 2e-3)
-    if law == "velocity":
-        return 0.1 * np.sign(velocity) * np.exp(-((velocity / 0.02) ** 2))
-    return 0.02 * np.sin(2.0 * np.pi * 3.3 * time)
+LACKING: dict[str, Any] = {
+    "goes with the position": lambda x, _v, _t: 0.05 * np.sin(2.0 * np.pi * x / 2e-3),
+    "goes with the velocity": lambda _x, v, _t: 0.1 * np.sign(v) * np.exp(-((v / 0.02) ** 2)),
+    "goes with neither position nor velocity nor reversals": lambda _x, _v, t: 0.02 * np.sin(2.0 * np.pi * 3.3 * t),
+}
 
 
-@pytest.mark.parametrize(
-    ("law", "sentence"),
-    [
-        ("position", "goes with the position"),
-        ("velocity", "goes with the velocity"),
-        ("hand", "goes with neither position nor velocity nor reversals"),
-    ],
-)
-def test_a_force_that_the_model_lacks_is_told_with_what_it_goes(
-    law: str, sentence: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.mark.parametrize("sentence", LACKING)
+def test_a_force_that_the_model_lacks_is_told_with_what_it_goes(sentence: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """A mock has none: what is recorded as sent is more, by that force, than what acted."""
     as_recorded = room.motion_of
 
     def motion_of(trace: hapsim.Trace, channel: int, home: float, most_delay: float) -> Any:
         motion = as_recorded(trace, channel, home, most_delay)
         position, time = trace.position[:, channel], np.arange(trace.sample.size) / trace.rate
-        more = lacking_force(law, position, np.gradient(position) * trace.rate, time)
+        more = LACKING[sentence](position, np.gradient(position) * trace.rate, time)
         return replace(motion, force=motion.force + more)
 
     monkeypatch.setattr(room, "motion_of", motion_of)
     found = hapsim.identify_device(ONE.scene(), duration=3.0)
     assert sentence in found.misfit
-    if law == "position":  # and the residual has its shape: what acted beside the model is what was not there
+    if "position" in sentence and "neither" not in sentence:  # and the residual has its shape, with the other sign
         lacking = found.force_residual
         _, at, means = binned(lacking.position, lacking.force)
         assert np.corrcoef(means, -np.sin(2.0 * np.pi * at / 2e-3))[0, 1] > 0.9

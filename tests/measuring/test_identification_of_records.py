@@ -3,23 +3,21 @@
 from __future__ import annotations
 
 import ast
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from records import QUANTUM, trace_of
+from scenes import one_spring
 
 import hapsim
 from hapsim.errors import UsageError
-from hapsim.loop.ring import BRIDGED, LATE_FORCE, OFF_GRID, UNSENT
+from hapsim.loop.ring import BRIDGED, LATE_FORCE, OFF_GRID, ROWS, UNSENT
 from hapsim.measuring.measure_trace import measure_trace
 from hapsim.recording.trace import Trace
 from hapsim.running import run
-
-sys.path.insert(0, str(Path(__file__).parent))
-from records import QUANTUM, trace_of
-from scenes import one_spring
+from hapsim.scene import Scene
 
 SOURCES = Path(hapsim.__file__).parent
 
@@ -68,34 +66,29 @@ def test_a_wall_away_from_zero_makes_no_difference() -> None:
     assert there.b == pytest.approx(here.b, rel=1e-5)
 
 
-def test_late_and_lost_samples_are_stepped_over() -> None:
-    trace = run(one_spring(2000.0, 5.0, friction=1.0), duration=1.0)
-    whole = measure_trace(trace, 0.2)
-    flags = trace.flags.copy()
+@pytest.fixture(scope="module")
+def touched() -> Trace:
+    """A second of a hand on a spring."""
+    return run(one_spring(2000.0, 5.0, friction=1.0), duration=1.0)
+
+
+def test_late_and_lost_samples_are_stepped_over(touched: Trace) -> None:
+    whole = measure_trace(touched, 0.2)
+    flags = touched.flags.copy()
     flags[[120, 260]] |= LATE_FORCE
-    kept = np.ones(flags.size, bool)
-    kept[180:185] = False
     flags[185] |= BRIDGED
-    broken = replace(
-        trace,
-        sample=trace.sample[kept],
-        time_ns=trace.time_ns[kept],
-        flags=flags[kept],
-        position_counts=trace.position_counts[kept],
-        force_counts=trace.force_counts[kept],
-        asked_force=trace.asked_force[kept],
-    )
+    rows = {name: np.delete(getattr(touched, name), slice(180, 185), axis=0) for name in ROWS}
+    broken = replace(touched, **rows | {"flags": np.delete(flags, slice(180, 185))})
     measured = measure_trace(broken, 0.2)
     assert abs(measured.k - whole.k) < 4 * (measured.k_uncertainty + whole.k_uncertainty)
     assert abs(measured.b - whole.b) < 4 * (measured.b_uncertainty + whole.b_uncertainty)
 
 
-def test_a_late_force_that_is_not_flagged_would_have_shown() -> None:
+def test_a_late_force_that_is_not_flagged_would_have_shown(touched: Trace) -> None:
     """The record above is stepped over because it is flagged; the same disturbance unflagged leaves its mark."""
-    trace = run(one_spring(2000.0, 5.0, friction=1.0), duration=1.0)
-    counts = trace.position_counts.copy()
+    counts = touched.position_counts.copy()
     counts[200:] += 5000
-    assert measure_trace(replace(trace, position_counts=counts), 0.2).residual_m > 10 * QUANTUM
+    assert measure_trace(replace(touched, position_counts=counts), 0.2).residual_m > 10 * QUANTUM
 
 
 BLOWS = (120, 260)  # the samples from which on they show
@@ -117,8 +110,8 @@ def struck_again(trace: Trace) -> Trace:
     [(LATE_FORCE, 0), (OFF_GRID, 0), (BRIDGED, 0), (UNSENT, 1)],  # an unsent force is missed in the sample after it
     ids=["late force", "off grid", "bridged", "unsent"],
 )
-def test_what_happens_around_a_flagged_sample_is_left_out(flag: int, before: int) -> None:
-    trace = struck_again(run(one_spring(2000.0, 5.0, friction=1.0), duration=1.0))
+def test_what_happens_around_a_flagged_sample_is_left_out(touched: Trace, flag: int, before: int) -> None:
+    trace = struck_again(touched)
     flags = trace.flags.copy()
     flags[np.array(BLOWS) - before] |= flag
     felt = hapsim.predict(one_spring(2000.0, 5.0, friction=1.0)).felt[0]
@@ -129,8 +122,8 @@ def test_what_happens_around_a_flagged_sample_is_left_out(flag: int, before: int
     assert measure_trace(trace, 0.2).residual_m > 1000 * QUANTUM
 
 
-def test_where_all_samples_are_off_the_grid_they_are_used_and_late_forces_still_left_out() -> None:
-    trace = struck_again(run(one_spring(2000.0, 5.0, friction=1.0), duration=1.0))
+def test_where_all_samples_are_off_the_grid_they_are_used_and_late_forces_still_left_out(touched: Trace) -> None:
+    trace = struck_again(touched)
     flags = trace.flags | OFF_GRID
     flags[list(BLOWS)] |= LATE_FORCE
     measured = measure_trace(replace(trace, flags=flags), 0.2)
@@ -138,22 +131,19 @@ def test_where_all_samples_are_off_the_grid_they_are_used_and_late_forces_still_
     assert measured.samples > 500
 
 
-def test_a_growing_motion_is_measured_until_the_device_stops_it() -> None:
-    scene = one_spring(2000.0, 0.5, friction=0.0, force_limit=5.0)
-    felt = hapsim.predict(scene).felt[0]
-    measured = hapsim.measure(scene)
-    assert felt.b < 0
-    assert not felt.stable
-    assert measured.k == pytest.approx(felt.k, rel=1e-4)
-    assert measured.b == pytest.approx(felt.b, rel=1e-3)
-
-
-def test_a_hand_that_starts_at_rest_is_pushed() -> None:
-    scene = one_spring(2000.0, 5.0, friction=1.0, velocity=0.0)
-    felt = hapsim.predict(scene).felt[0]
-    measured = hapsim.measure(scene)
-    assert measured.k == pytest.approx(felt.k, rel=1e-5)
-    assert measured.b == pytest.approx(felt.b, rel=1e-5)
+@pytest.mark.parametrize(
+    ("scene", "within"),
+    [
+        (one_spring(2000.0, 0.5, friction=0.0, force_limit=5.0), (1e-4, 1e-3)),
+        (one_spring(2000.0, 5.0, friction=1.0, velocity=0.0), (1e-5, 1e-5)),
+    ],
+    ids=["growing until the device stops it", "pushed from rest"],
+)
+def test_other_motions_than_a_ring_down_are_measured(scene: Scene, within: tuple[float, float]) -> None:
+    prediction, measured = hapsim.predict(scene), hapsim.measure(scene)
+    assert prediction.stable == (within[0] == 1e-5)
+    assert measured.k == pytest.approx(prediction.felt[0].k, rel=within[0])
+    assert measured.b == pytest.approx(prediction.felt[0].b, rel=within[1])
 
 
 def test_a_hand_that_does_not_move_is_said_to_have_shown_nothing() -> None:

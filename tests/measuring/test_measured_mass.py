@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from records import held_by_a_hand
 from rich.console import Console
 
 import hapsim as python_api
@@ -17,9 +17,6 @@ from hapsim.cli.measure import gives, measurement_document, probable_mass, show_
 from hapsim.measuring.measure_trace import measure_trace
 from hapsim.prediction import predict, with_mass
 from hapsim.scene import Scene, parse_scene
-
-sys.path.insert(0, str(Path(__file__).parent))
-from records import held_by_a_hand
 
 SCENE = """
 version: 1

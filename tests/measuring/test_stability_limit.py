@@ -4,20 +4,16 @@ from __future__ import annotations
 
 import itertools
 import os
-import sys
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from scenes import with_configuration
 
 from hapsim.errors import DeviceError
 from hapsim.running import run
 from hapsim.theory import Configuration
-
-sys.path.insert(0, str(Path(__file__).parent))
-from scenes import one_spring
 
 MASS, RATE = 0.2, 1000.0
 DAMPERS = {"backward": None, "centred": None, "filtered": 90.0, "sensed": None}
@@ -66,21 +62,7 @@ def _limit(configuration: Configuration, rng: np.random.Generator) -> tuple[floa
 
 def growth(configuration: Configuration, K: float, B: float) -> float:
     """How much larger the last third of a ring-down is than its first: the logarithm."""
-    scene = one_spring(
-        K,
-        B,
-        mass=MASS,
-        friction=configuration.friction,
-        delay=configuration.delay,
-        hold=configuration.hold,
-        sampling=configuration.sampling,
-        device_stiffness=configuration.stiffness,
-        damper=configuration.damper,
-        cutoff=configuration.cutoff,
-        velocity=0.01,
-        quantum=QUANTUM,
-        force_limit=1e6,
-    )
+    scene = with_configuration(configuration, K, B, velocity=0.01, quantum=QUANTUM, force_limit=1e6)
     try:
         trace = run(scene, duration=TICKS / RATE)
     except DeviceError as error:  # it grew out of the range of its counts
