@@ -65,7 +65,7 @@ _WORDS = (
 
 @dataclass(frozen=True)
 class DesiredPlane:
-    """What is asked for: the middles of equal cells."""
+    """Desired values, the middles of equal cells."""
 
     kappa: Floats
     """(n,): K T²/m, the device's own included."""
@@ -74,7 +74,7 @@ class DesiredPlane:
 
     @classmethod
     def of_cells(cls, columns: int, rows: int) -> DesiredPlane:
-        """Returns the plane that is drawn, in so many cells."""
+        """Returns the plane that is drawn, in columns by rows of cells."""
         along = (np.arange(columns) + 0.5) / columns
         return cls(_LEAST * (_MOST / _LEAST) ** along, _MOST_RATIO * (np.arange(rows) + 0.5) / rows)
 

@@ -16,7 +16,7 @@ from hapsim.theory import Configuration, frequency_and_ratio
 
 @dataclass(frozen=True)
 class Hand:
-    """A temporary hybrid system (Florens et al., §4), and what is simulated for it."""
+    """A temporary hybrid system (Florens et al., §4), and the element simulated for it."""
 
     name: str
     channel: int | None
@@ -62,7 +62,7 @@ class Hand:
         return float(k) + 0.0, float(b) + 0.0  # no -0
 
     def eigenfrequency(self) -> float:
-        """Returns sqrt(k/m)/2 pi, Hz, of what is felt; NaN if there is none."""
+        """Returns the felt eigenfrequency sqrt(k/m)/2 pi, Hz; NaN if there is none."""
         k, b = self.felt()
         return float(frequency_and_ratio(self.configuration.mass, k, b)[0]) if k > 0 else math.nan
 

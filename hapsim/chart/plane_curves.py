@@ -126,7 +126,7 @@ def round_values(last: float, most: int) -> Floats:
 
 
 def values_felt(sheet: Sheet, most_k: int, most_b: int) -> tuple[Floats, Floats]:
-    """Returns round stiffnesses k and dampings b, as drawn, that are felt in the picture: at most so many."""
+    """Returns round stiffnesses k and dampings b, as drawn, that are felt in the picture."""
     configuration = sheet.configuration
     K, B = sheet.mesh(coarse=2)
     k, b = configuration.equivalent(K, B)

@@ -45,7 +45,7 @@ class Bounds:
 
 
 class Plant(NamedTuple):
-    """What is taken for the device, SI units, delay in sample periods."""
+    """A model of the device, SI units, delay in sample periods."""
 
     mass: float
     friction: float

@@ -4,7 +4,7 @@ second mass that hangs on it by a spring and a damper, where asked for.
 The forces that were sent are known exactly, and the positions to their rounding and noise, which is white. So the most
 likely parameters are those whose motion lies closest to the positions (output error, least squares). Each swing, in
 which the velocity keeps its sign, begins in a state of its own; this is linear, and projected out. The covariance is
-that of least squares; where what is left is not white, it is worked out swing by swing instead.
+that of least squares; if the residual is not white, it comes from the scatter of the swings instead.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ Shape = tuple[float, ...]
 
 _STEP = 1e-5  # of a parameter's scale, for differences
 _WHITE = 5.0  # standard deviations of the correlation from row to row that white noise has
-_FEW_SWINGS = 12  # with fewer their scatter does not tell a covariance
+_FEW_SWINGS = 12  # with fewer their scatter shows no covariance
 _MARGIN = 4  # rows beyond the longest delay that is tried
 _SMOOTH = 9  # rows
 _LEAST_ROWS = 24
-_SINGULAR = 1e-10  # of the largest: a change of parameters that changes the motion less is not told by it
+_SINGULAR = 1e-10  # of the largest: parameters that change the motion less do not show in it
 # Beyond these no motion is worked out: gain, dry friction, constant force, delay, friction and stiffness, scaled.
 _LEAST, _MOST = (-np.inf, -np.inf, -np.inf, -1.0, -5.0, -50.0), (np.inf, np.inf, np.inf, np.inf, 1e3, 1e4)
 _MOST_OF_HAND = 1e3  # times where it begins
@@ -79,14 +79,14 @@ class DeviceFit:
     unexplained: float
     """Share of the motion, beside the free one, that the forces do not explain, rms."""
     correlation: float
-    """Of what is left, from one row to the next; 0 where it is noise."""
+    """Of the residual, from one row to the next; 0 for noise."""
     swings: tuple[Swing, ...] = field(repr=False, compare=False)
     residuals: tuple[Floats, ...] = field(repr=False, compare=False)
-    """What is left in each swing, counts."""
+    """The residual in each swing, counts."""
 
     @property
     def is_white(self) -> bool:
-        """Whether what is left is noise."""
+        """Whether the residual is noise."""
         return self.correlation * math.sqrt(self.samples) < _WHITE
 
 

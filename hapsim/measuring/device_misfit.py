@@ -102,7 +102,7 @@ def _in_windows(
 
     kernels = _kernels(width)
     moved = count_m * weighted([one.position for one in motions], kernels)
-    # What is left moves like the device under the force that is lacking, and under no other.
+    # The residual moves like the device under the lacking force, and under no other.
     left = [np.zeros_like(one.position) for one in motions]
     for swing, error in zip(fit.swings, fit.residuals, strict=True):
         left[swing.motion][swing.first : swing.last] = error

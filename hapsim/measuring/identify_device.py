@@ -1,4 +1,4 @@
-"""What a device really is: it is pushed within stated bounds, and mass, friction, stiffness and delay are fitted."""
+"""Identification of a device: it is pushed within stated bounds, and mass, friction, stiffness and delay are fitted."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from hapsim.scene.load import SceneSource, as_scene
 TRAVEL_M = 0.005
 """Default travel to either side of where the device is found."""
 SECONDS = 6.0
-"""Default duration of what is recorded for the fit."""
+"""Default duration of the record that is fitted."""
 
 _LISTEN_S, _LISTEN_TICKS = 0.1, 64
 _GENTLE_HALVES, _GENTLE_TICKS = 12, 384
@@ -134,7 +134,7 @@ def identify_device(
 
 
 class _Pusher:
-    """A device that is pushed within bounds, run after run, and what was recorded of it."""
+    """A device that is pushed within bounds, run after run, and the records of it."""
 
     def __init__(self, scene: Scene, channel: int, bounds: Bounds, run_scene: Callable[..., Trace]) -> None:
         self._scene, self._channel, self._bounds, self._run_scene = scene, channel, bounds, run_scene

@@ -1,4 +1,4 @@
-"""The driving-point impedance of a running loop, identified from what was recorded of periodic excitations.
+"""The driving-point impedance of a running loop, identified from records of periodic excitations.
 
 An excitation e is added to the scene's force a; f = a + e acts, late and held, on the real mass, and the device reads
 the position y. Of these three alone, frequency by frequency and, of several channels, from one experiment for each:
@@ -11,7 +11,7 @@ The velocity is 2 pi j f y. Each force counts as it acts on the mass: of a held 
 late by the device's delay. How the device holds and delays is what it declares; the positions show when that is wrong,
 for then the device is not its mass, friction and spring.
 
-It never sees a prediction, nor what is in the scene.
+It never sees a prediction, nor the scene.
 
 How certain: the ratio over the periods' means (Pintelon and Schoukens, *System Identification: A Frequency Domain
 Approach*, 2012, §2.4 to §2.5), the residual of each pair of periods giving the variance, in which what disturbs
@@ -38,7 +38,7 @@ CONFIDENCE = 0.999
 LEAST_PERIODS = 4
 
 _OVERLAP = 1.5
-"""By how much more the mean of overlapping pairs of periods is uncertain than that of so many independent ones: Hann's
+"""Variance of the mean of overlapping pairs of periods over that of independent ones: Hann's
 windows, half overlapping, are correlated by a sixth, which makes 4/3; the scatter shows a little less than there is."""
 
 
@@ -70,7 +70,7 @@ def impedance_of(
     `rate` in Hz and `delay` in samples are what the device declares, by which a computed force becomes one that acts.
 
     Raises:
-        UsageError: too few periods, or motions that do not tell the channels apart.
+        UsageError: too few periods, or motions that do not distinguish the channels.
     """
     settled = [one.after(settling(one, c).first) for c, one in enumerate(experiments)]
     position, scene, force = (
@@ -126,11 +126,11 @@ def _quantile(count: int, outside: float) -> float:
 
 
 class Settling(NamedTuple):
-    """How many periods do not count at the beginning, while what was before dies away, so that the mean of the rest is
-    as certain as can be; and how uncertain the device's impedance then is, the radius relative, in the median."""
+    """How many periods at the beginning do not count, for the mean of the rest to be as certain as possible."""
 
     first: int
     scatter: float
+    """The relative radius of the device's impedance then, in the median."""
 
 
 def settling(periods: Periods, channel: int) -> Settling:
@@ -142,7 +142,7 @@ def settling(periods: Periods, channel: int) -> Settling:
     if periods.pairs < LEAST_PERIODS + 1:
         raise UsageError(
             f"only {periods.pairs} periods of the excitation were recorded whole, expected {LEAST_PERIODS + 1} or "
-            "more: measure for longer with --duration; where positions are lost, `hapsim doctor` tells which rates are "
+            "more: measure for longer with --duration; where positions are lost, `hapsim doctor` shows which rates are "
             "kept"
         )
     found = []

@@ -27,7 +27,7 @@ from hapsim.stopping import INTERRUPTED
 TRAVEL_M = 0.001
 """Largest travel of a device point, approximate: excitations are made smaller where it would move farther."""
 
-_PERIODS, _MORE = 14, 4  # times as many where what was before has hardly died away
+_PERIODS, _MORE = 14, 4  # times as many if the earlier motion has hardly died away
 _UNCERTAIN = 0.01  # of the device's impedance, in the median: then more periods are worth their time
 _SOFT_PERIODS, _SOFT = 5, 0.125  # of the first excitation, which finds how far a force moves what
 _FEW_COUNTS = 20.0  # of travel: the rounding is no longer like noise
@@ -67,7 +67,7 @@ class StoppedError(HapsimError):
 
 
 class _Run(NamedTuple):
-    """One excitation of one channel, and what was recorded of it."""
+    """One excitation of one channel, and its record."""
 
     trace: Trace
     periods: Periods
@@ -86,7 +86,7 @@ def measure_impedance(
 ) -> MeasuredImpedance:
     """The driving-point impedances of `scene` at its device points, from 2 Hz to close below the Nyquist frequency.
 
-    Each channel in turn is excited by a multisine that is added to the scene's force: softly at first, which tells how
+    Each channel in turn is excited by a multisine that is added to the scene's force: softly at first, which shows how
     far each frequency moves it, then so that it moves by about `travel` (m) at most, with at most `push` N (None: a
     quarter of the force limit). `duration`: seconds of each channel's second excitation. Where something in the scene
     is not linear, the impedance is that about the motion to which it was excited.
@@ -177,7 +177,7 @@ def _forces(lines: Lines, answer: Periods, excited: int, travel: float, most: fl
     """As strong at each frequency as the travel, and the force, allow: from what the soft excitation moved."""
     if answer.pairs == 0:
         raise UsageError(
-            "no period of the first excitation was recorded whole: positions are lost; `hapsim doctor` tells which "
+            "no period of the first excitation was recorded whole: positions are lost; `hapsim doctor` shows which "
             "rates are kept"
         )
     last = answer.after(max(0, answer.pairs - 3))

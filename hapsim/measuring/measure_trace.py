@@ -1,4 +1,4 @@
-"""measure_trace: the spring and damper that a hand felt, read from what was recorded and from nothing else."""
+"""measure_trace: the spring and damper that a hand felt, read from the record and from nothing else."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _DRIFTS = tuple(
 _LAWFUL = 1e-9  # of the largest force: what misses a law by less obeys it
 _CERTAIN = 0.02  # counts: a rest that is known so well is as good as exact
 _FAR_OFF = 5.0  # a fit that is this much less certain than the best one is no rival of it
-_MOST_SPOILT = 0.1  # of the samples: with more, what is missing is not motion
+_MOST_SPOILT = 0.1  # of the samples: with more, it is not motion that is missing
 _UNDECIDED = 20.0  # criterion: four standard deviations of p, squared, and something for the coarseness of its steps
 _SPOILT = LATE_FORCE | BRIDGED | OFF_GRID
 
@@ -74,7 +74,7 @@ class Measurement:
     trace: Trace = field(repr=False, compare=False)
     """Its source."""
     failure: RunError | None = field(default=None, repr=False, compare=False)
-    """Why the run ended before it was meant to; what was recorded until then was enough for the values above."""
+    """Why the run ended early; the record until then was enough for the values above."""
     seen_rate: SeenRate | None = field(default=None, compare=False)
     """At which rate the device sampled, as its positions arrived; None where that does not tell."""
 
@@ -152,7 +152,7 @@ def _fitted(trace: Trace, channel: int) -> tuple[list[Segment], list[tuple[Fit, 
         raise UsageError(
             f"the hand moved by {moved * float(trace.position_scale[channel]):.3g} m, but of {rows} samples {late} had "
             f"their force too late and {lost} followed lost ones ({limited} were at the force limit): at no delay that "
-            "stays the same a spring and damper is identified. `hapsim doctor` tells which rates are kept; a slower "
+            "stays the same a spring and damper is identified. `hapsim doctor` shows which rates are kept; a slower "
             "rate, or a faster port, leaves more time"
         )
     raise UsageError(
@@ -251,7 +251,7 @@ def _fits(segments: list[Segment]) -> list[tuple[Fit, list[Fit]]]:
     """Fits for which the record speaks, best first, each with what might as well have been chosen in its place.
 
     The order is the criterion's choice. The open loop's p weighs the record; it hardly moves the poles, but it decides
-    how certain they look: every p that the record does not tell from the best is kept.
+    how certain they look: every p that the record does not distinguish from the best is kept.
     """
     with_surplus = any(np.any(segment.surplus) for segment in segments)
 

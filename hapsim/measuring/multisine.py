@@ -70,8 +70,8 @@ def multisine(lines: Lines, amplitude: Floats, peak: float) -> Floats:
 
 
 class Periods(NamedTuple):
-    """P pairs of whole periods, each overlapping the next by one; n frequencies, C channels: amplitudes (P, n, C), m
-    and N, and what is not seen in their scatter: complex variances (C,) of one pair's amplitudes, m² and N²."""
+    """P pairs of whole periods, each overlapping the next by one; n frequencies, C channels: amplitudes (P, n, C) in m
+    and N, and the complex variances (C,) of one pair's amplitudes that their scatter does not show, m² and N²."""
 
     position: Complexes
     scene: Complexes

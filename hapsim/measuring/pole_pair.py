@@ -15,7 +15,7 @@ from hapsim.measuring.regression import Fit
 NO_SECOND_REAL_POLE = "the slowest pole is real and no second real one follows"
 
 _LOOKED_AT = 4000  # samples of the motion
-_CLEARLY = 30.0  # times the variance of what is left: a pole without which the motion fits clearly worse
+_CLEARLY = 30.0  # times the residual's variance: a pole without which the motion fits clearly worse
 _LASTING = 0.7  # what loses more in a sample is gone after three: poles of delays, filters and holds
 _SOME = 1e-3  # of the energy
 
@@ -109,9 +109,9 @@ def _seen_in(motion: Floats, poles: Complexes) -> tuple[NDArray[np.bool_], Float
 
     A fit of a higher order than the motion's has poles that belong to its noise; they may lie anywhere.
     """
-    untold = np.ones(poles.size, bool), np.zeros(poles.size)
+    unknown = np.ones(poles.size, bool), np.zeros(poles.size)
     if motion.size <= poles.size:
-        return untold
+        return unknown
     n = np.arange(min(motion.size, _LOOKED_AT))[:, None]
     # A growing mode is written backwards from its end, so that no power overflows.
     modes = np.where(np.abs(poles) > 1.0, poles, 1.0) ** (n - n[-1]) * np.where(np.abs(poles) > 1.0, 1.0, poles) ** n
@@ -120,7 +120,7 @@ def _seen_in(motion: Floats, poles: Complexes) -> tuple[NDArray[np.bool_], Float
     modes /= np.linalg.norm(modes, axis=0)
     q, r = np.linalg.qr(modes)
     if np.min(np.abs(np.diag(r))) < 1e-15:
-        return untold
+        return unknown
     amplitude = np.linalg.solve(r, q.conj().T @ motion[: n.size])
     left = motion[: n.size] - np.real(modes @ amplitude)
     energy = np.abs(amplitude) ** 2
@@ -142,7 +142,7 @@ def _spread_of_sum_and_product(fit: Fit, total: float, product: float, rest: Com
 
 def _pair(total: float, product: float, spread: Floats) -> FittedPair:
     """The pair with this sum and product, of which `spread` (2, n) is a square root of the covariance."""
-    bend = total**2 / 4.0 - product  # squared half distance of the poles: its sign tells real from complex
+    bend = total**2 / 4.0 - product  # squared half distance of the poles: its sign distinguishes real from complex
     bend_slope = np.array([total / 2.0, -1.0])
     half = cmath.sqrt(bend)
     bend_uncertainty = float(np.linalg.norm(bend_slope @ spread))

@@ -1,6 +1,6 @@
-"""What a trace says of its own samples: which of them are usable, and at which rate the device took them.
+"""The quality of a trace: which of its samples are usable, and at which rate the device took them.
 
-A position arrives after it was sampled, never before. So the earliest arrivals tell the sample period, and the others
+A position arrives after it was sampled, never before. So the earliest arrivals show the sample period, and the others
 nothing (Moon, Skelly and Towsley, *Estimation and removal of clock skew from network delay measurements*, 1999). The
 earliest arrival of each of some forty stretches is taken, and through these the line with the median of all slopes
 between two of them (Theil and Sen): a stretch in which the host was held up throughout does not bend it.
@@ -22,7 +22,7 @@ from hapsim.recording.trace import Report, Trace
 ROUNDING = 1.0 / math.sqrt(12.0)
 """Counts: standard deviation of rounding to whole ones."""
 
-_ALWAYS = 0.99  # of all samples: a force that is late so often is late by the wire's nature
+_ALWAYS = 0.99  # of all samples: a force that is late that often is late by the wire's nature
 _STRETCHES, _LEAST_STRETCHES, _LEAST_ROWS = 40, 10, 8
 _CONFIDENCE = 0.999
 _CLOCK = 1e-4  # the host's own clock, and how it is led to the true time, is right to this share
@@ -60,7 +60,7 @@ class SeenRate:
 
 def seen_rate(trace: Trace) -> SeenRate | None:
     """The rate at which the device sampled; None where its own timer did not pace the positions (in virtual time, by
-    the host's clock, on a mock in this process), or too few came to tell."""
+    the host's clock, on a mock in this process), or too few came."""
     stretches = min(_STRETCHES, trace.sample.size // _LEAST_ROWS)
     if not trace.report.timed_by_device or stretches < _LEAST_STRETCHES:
         return None

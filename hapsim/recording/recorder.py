@@ -1,4 +1,4 @@
-"""What becomes of the rows that leave the loop: they are kept for a trace in memory, or written to a file meanwhile.
+"""The reader of the loop's ring: rows are kept for a trace in memory, or written to a file meanwhile.
 
 A thread of its own writes the file, and nothing waits for it: neither the loop nor the thread that empties its ring. A
 disk that is slow for a while costs memory, up to a bound; a full one costs the rest of the record, but no force.
@@ -15,6 +15,7 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from queue import SimpleQueue
 from typing import Any
 
 import numpy as np
@@ -30,7 +31,7 @@ _WRITE_S = 0.25  # how often what has gathered is written: a process that is kil
 _SUMMARY_S = 1.0  # how often the report so far is written, and the system puts all of it on the disk
 _MOST_BYTES = 1 << 26  # that wait to be written
 _PATIENCE_S = 5.0  # in virtual time, where no hand has to wait for the disk
-_AT_ONCE_BYTES = 1 << 22  # more of them do not wait for the next write
+_POLL_S = 0.01
 
 
 class Recorder:
@@ -46,7 +47,7 @@ class Recorder:
         """The file that is written meanwhile, if any."""
 
     def collect(self) -> None:
-        """Takes what is in the ring now; from any thread."""
+        """Empties the ring; from any thread."""
         with self._lock:
             rows = self._ring.drain()
             if not rows.size:
@@ -79,7 +80,7 @@ class RecordFile:
         report_so_far: Callable[[], tuple[Report, Statistics]],
         on_warning: Callable[[str], None],
     ) -> None:
-        """`on_warning` hears of a disk that fails, in the writing thread. UsageError where no file can be begun."""
+        """`on_warning` is called if the disk fails, in the writing thread. UsageError where no file can be begun."""
         self._path, self._on_warning = path, on_warning
         self._summary = lambda: summary_document(*report_so_far(), False)
         self._failure = ""  # why rows are missing, or the file that was asked for
@@ -90,38 +91,37 @@ class RecordFile:
             self._writer = StreamWriter(descriptor, head, self._summary())
         except OSError as error:
             raise UsageError(f"{path}: the trace cannot be written: {_in_words(error)}") from error
-        self._waiting: list[NDArray[Any]] = []
-        self._waiting_bytes = 0
-        self._changed = threading.Condition()
-        self._ends = False
+        self._waiting: SimpleQueue[NDArray[Any]] = SimpleQueue()
+        self._put_bytes = self._done_bytes = 0
+        self._ends = threading.Event()
         self._thread = threading.Thread(target=self._write_all, name="record", daemon=True)
         self._thread.start()
 
     def put(self, rows: NDArray[Any], patient: bool = False) -> None:
-        """Takes rows to be written. `patient`: waits for the disk where too many wait already."""
-        with self._changed:
-            if patient:
-                self._changed.wait_for(lambda: self._waiting_bytes < _MOST_BYTES, _PATIENCE_S)
-            self._taken += rows.size
-            if self._waiting_bytes >= _MOST_BYTES:
-                self._warn("the disk is slower than the run")
-            elif not self._is_broken:
-                self._waiting.append(rows)
-                self._waiting_bytes += rows.nbytes
-            if self._waiting_bytes > _AT_ONCE_BYTES:
-                self._changed.notify_all()
+        """Takes rows to be written. `patient`: waits for the disk if too many wait already."""
+        self._taken += rows.size
+        deadline = time.monotonic() + (_PATIENCE_S if patient else 0.0)
+        while self._is_behind and time.monotonic() < deadline:
+            time.sleep(_POLL_S)
+        if self._is_behind:
+            self._warn("the disk is slower than the run")
+        elif not self._is_broken:
+            self._put_bytes += rows.nbytes
+            self._waiting.put(rows)
+
+    @property
+    def _is_behind(self) -> bool:
+        return self._put_bytes - self._done_bytes >= _MOST_BYTES
 
     def finish(self, report: Report, statistics: Statistics) -> Report:
         """The run is over: writes what waits, the report and the histograms, and the file that was asked for. Returns
         the report, with the count of rows that were not written."""
-        with self._changed:
-            self._ends = True
-            self._changed.notify_all()
+        self._ends.set()
         self._thread.join()
         report = replace(report, unrecorded_rows=self._unrecorded)
         try:
             self._writer.write_summary(summary_document(report, statistics, True))
-            if self._part != self._path:  # under its own name the file is whole, or what was there before stays
+            if self._part != self._path:  # under its own name the file is whole, or the older file stays
                 whole = self._part.with_name(f"{self._part.name}.whole")
                 try:
                     convert(self._part, whole, self._path.suffix)
@@ -160,9 +160,8 @@ class RecordFile:
     def _write_all(self) -> None:
         last_summary, ends = time.monotonic(), False
         while not ends:
-            with self._changed:
-                self._changed.wait_for(lambda: self._ends or self._waiting_bytes > _AT_ONCE_BYTES, _WRITE_S)
-                waiting, self._waiting, ends = self._waiting, [], self._ends
+            ends = self._ends.wait(_WRITE_S)
+            waiting = [self._waiting.get() for _ in range(self._waiting.qsize())]
             try:
                 if waiting and not self._is_broken:
                     self._writer.write_rows(np.concatenate(waiting))
@@ -172,9 +171,7 @@ class RecordFile:
             except Exception as error:  # of the disk; or a defect, which must not end in rows without end in memory
                 self._is_broken = True
                 self._warn(_in_words(error))
-            with self._changed:
-                self._waiting_bytes = sum(rows.nbytes for rows in self._waiting)
-                self._changed.notify_all()
+            self._done_bytes += sum(rows.nbytes for rows in waiting)
 
 
 def _open_free(path: Path) -> tuple[Path, int]:

@@ -27,7 +27,7 @@ ZIP_WITHOUT_END = "a zip file that was cut short, or damaged at its end: get a w
 
 _COUNTED = "counted_"  # before the name of a histogram in a .npz
 _ENDINGS = (".npz", ".csv", ".trace")
-_EXPECTED = "a .npz or .trace, what is left of one (.part), or a report file"
+_EXPECTED = "a .npz or .trace, the rest of one (.part), or a report file"
 
 
 @dataclass(frozen=True, repr=False)
@@ -176,7 +176,7 @@ def require_writable_as_trace(path: Path) -> None:
     """UsageError where a trace could not be written there: better before the run than after it."""
     directory = path.resolve().parent
     if path.suffix not in _ENDINGS:
-        raise UsageError(f"{path}: a trace is written as .npz, .csv or .trace, by the file's ending")
+        raise UsageError(f"{path}: found the ending '{path.suffix}', expected {', '.join(_ENDINGS)}")
     if not directory.is_dir():
         raise UsageError(f"{path}: there is no directory {directory}")
     is_other = path.exists() and not path.is_file() and not path.is_char_device()  # opening a pipe would wait
@@ -188,7 +188,7 @@ def load_trace(path: str | Path) -> Trace:
     """Reads a trace back from a .npz, from a .trace or the .part that a run left which did not come to its end, or from
     a report file, which has its last second. UsageError where the file is none of these, or damaged.
 
-    Of a file that was cut off (a crash, a full disk) everything up to there is read; the report's `ending` says so.
+    A file that ends early (a crash, a full disk) is read up to its end; the report's `ending` says so.
     """
     path = Path(path)
     if not path.exists():
@@ -240,7 +240,7 @@ def _load_npz(stream: BinaryIO) -> Trace:
 
 
 def _load_stream(path: Path) -> Trace:
-    """Of one that was cut off, everything up to there. KeyError, TypeError or ValueError where it is no trace's."""
+    """One that ends early is read up to its end. KeyError, TypeError or ValueError where it is no trace's."""
     reader = StreamReader(path)
     rows = np.concatenate([np.empty(0, row_type(reader.head.channels)), *reader.rows()])
     report, statistics = read_summary(reader.summary)

@@ -74,7 +74,7 @@ class Case(NamedTuple):
 
 
 class Comparison:
-    """Cases that have run, and are timed round by round. What is unstable is reported as such, and has no cost.
+    """Cases that have run, and are timed round by round. Unstable ones are reported as such, and have no cost.
 
     `schemes`: those alone, where an object has any to choose from. `tell` hears about progress.
     """

@@ -7,7 +7,7 @@ reached again, when K p + B p' = 0: at
     t = 2 acos(z)/(w sqrt(1 - z²)),      with the velocity e v,      e = exp(-2 z acos(z)/sqrt(1 - z²))
 
 From there the mass flies, and crosses the surface at t + B/K. So its stay below the surface, from the straight line on
-which it came to that on which it leaves, both exact whatever the samples, and its restitution e tell K and B: z from
+which it came to that on which it leaves, both exact whatever the samples, and its restitution e give K and B: z from
 -ln e, then w from the stay. `found` reads both lines from the samples, takes the k and b that would have the same stay
 and restitution in continuous time, and says how far they are off: the root mean square over several phases of arrival
 between two samples.

@@ -1,4 +1,4 @@
-"""What a simulated second of a scene costs in processor time: compiled ticks in a compiled loop, with what a correction
+"""The processor time of a simulated second of a scene: compiled ticks in a compiled loop, with what a correction
 does around each, in rounds in which all scenes take turns."""
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class Running:
             self._kept = LoopCorrection(self._loop, rendering, describe_mock(scene))
 
     def advance(self, samples: int) -> None:
-        """Simulates so many samples."""
+        """Simulates samples."""
         if self._loop is not None:
             corrected_ticks(self._loop, self._program.record, self._measured, samples)
         else:

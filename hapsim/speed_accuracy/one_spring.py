@@ -1,10 +1,10 @@
-"""A hand on one spring and damper: what it feels of them, measured on the mock.
+"""A hand on one spring and damper: its felt k and b, measured on the mock.
 
 The hand weighs 0.2 kg and has a real friction of 1 N·s/m; K = 2000 N/m and B = 5 N·s/m are simulated, the force is held
 (zero-order hold), positions are sampled at the instant. Continuous in time the hand would feel k = K and b = B + 1; the
 errors are those of the k and b that `hapsim.measure` identifies. No mass is simulated, so there is no scheme: what
 differs is the delay, either one sample, which a higher rate makes shorter, or 1 ms whatever the rate; and, with the
-delay of a sample, the correction. The adaptive one is told that the hand weighs between 0.1 and 0.4 kg.
+delay of a sample, the correction. The adaptive one knows that the hand weighs between 0.1 and 0.4 kg.
 """
 
 from __future__ import annotations

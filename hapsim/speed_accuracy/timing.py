@@ -12,7 +12,7 @@ _WARM = 0.2  # of a round
 class Timed:
     """A simulation that is timed in rounds of about `round_s`, each of as many samples.
 
-    `advance`: simulates so many samples. It is called until it has run warm.
+    `advance`: simulates that many samples. It is called until it has run warm.
     """
 
     def __init__(self, advance: Callable[[int], object], rate: float, round_s: float = ROUND_S) -> None:
