@@ -15,17 +15,7 @@ from hapsim.speed_accuracy.results import OURS, Row
 
 Chart = Callable[..., Any]
 SCHEMES = ("cordis", "exact")
-SMALL = [
-    "speed-accuracy",
-    "--object",
-    "string-10",
-    "--scheme",
-    "cordis,exact",
-    "--rates",
-    "1000,10000",
-    "--rounds",
-    "2",
-]
+SMALL = ["--object", "string-10", "--scheme", "cordis,exact", "--rates", "1000,10000", "--rounds", "2"]
 PEER = Row("string-10", "a peer", "", "double", 1000.0, "frequency", 1e-3, (0.1, 0.2), "")
 
 
