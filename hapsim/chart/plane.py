@@ -23,8 +23,7 @@ from hapsim.chart import plane_curves as curves
 from hapsim.chart import style
 from hapsim.chart.figure import figure_to, legend_below
 from hapsim.chart.hand import Hand
-from hapsim.chart.plane_axes import Scale, View
-from hapsim.chart.plane_curves import Curve, Sheet
+from hapsim.chart.plane_curves import Curve, Scale, Sheet, View
 from hapsim.errors import UsageError
 from hapsim.number_format import short
 from hapsim.theory.arrays import Bools, Floats

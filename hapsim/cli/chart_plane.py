@@ -12,7 +12,7 @@ from hapsim.errors import UsageError
 
 if TYPE_CHECKING:
     from hapsim.chart.hand import Hand
-    from hapsim.chart.plane_axes import Scale, View
+    from hapsim.chart.plane_curves import Scale, View
 
 
 def plane(
@@ -44,7 +44,7 @@ def plane(
 
     These are Figures 7, 8 and 9 of the paper. Options of the hand take precedence over the scene's values.
     """
-    from hapsim.chart.plane_axes import scale_of, view_of
+    from hapsim.chart.plane_curves import scale_of, view_of
 
     output.require_writable("plane.svg")
     masses = numbers("--mass", mass)

@@ -23,8 +23,8 @@ def transparency(
     This is Figure 2 of the paper. Options of the hand take precedence over the scene's values.
     """
     from hapsim.chart.hand import described
-    from hapsim.chart.transparency import draw_transparency
-    from hapsim.chart.transparency import transparency as transparency_of
+    from hapsim.chart.impedance import draw_transparency
+    from hapsim.chart.impedance import transparency as transparency_of
 
     output.require_writable("transparency.svg")
     chosen, _ = hand.hands(mass, simulated.pair)

@@ -14,8 +14,7 @@ import pytest
 from hapsim.chart import plane_curves as curves
 from hapsim.chart.hand import Hand
 from hapsim.chart.plane import Plane, draw_plane, plane
-from hapsim.chart.plane_axes import scale_of, stable_region, view_of
-from hapsim.chart.plane_curves import Curve, round_values
+from hapsim.chart.plane_curves import Curve, round_values, scale_of, stable_region, view_of
 from hapsim.errors import UsageError
 from hapsim.number_format import short
 from hapsim.theory import Configuration

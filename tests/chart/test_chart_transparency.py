@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from hapsim.chart.hand import Hand, hands_of_scene
-from hapsim.chart.transparency import transparency
+from hapsim.chart.impedance import transparency
 from hapsim.prediction.impedance import predict_impedance
 from hapsim.scene import load_scene
 from hapsim.theory import Configuration
