@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,7 @@ from hapsim.chart.figure import figure_to, legend_below
 from hapsim.loop.ring import BRIDGED, LATE_FORCE, LIMITED, UNSENT, WITHHELD
 from hapsim.recording.trace import Trace
 
-_BINS = 2000  # of more rows, each bin's least and greatest value are drawn, so that no peak is lost
+_MOST_MARKS = 2000
 _MARKS = (
     ("late", "|", LATE_FORCE, 0),
     ("never sent", "x", UNSENT, 0),
@@ -60,12 +59,11 @@ def draw_trace(trace: Trace, title: str, path: Path) -> None:
         upper, lower = figure.subplots(2, 1, sharex=True)
         for axes, values, label in ((upper, 1e3 * trace.position, "position (mm)"), (lower, trace.force, "force (N)")):
             for c in range(values.shape[1]):
-                drawn = _least_and_greatest(values[:, c])
-                axes.plot(time[drawn], values[drawn, c], linewidth=1.0, label=f"channel {c}")
+                axes.plot(time, values[:, c], linewidth=1.0, label=f"channel {c}")
             axes.set_ylabel(label)
             axes.margins(x=0.01)
         for (what, marker, *_), marked in zip(_MARKS, marked_rows(trace).values(), strict=True):
-            drawn = marked[:: max(1, marked.size // _BINS)]
+            drawn = marked[:: max(1, marked.size // _MOST_MARKS)]
             if marked.size:
                 lower.plot(time[drawn], trace.force[drawn, 0], marker, label=f"{what}: {marked.size}", **style.MARK)
         for axes in (upper, lower):
@@ -81,11 +79,3 @@ def draw_zero_if_near(axes: Axes) -> None:
     low, high = axes.get_ylim()
     if low <= 0.0 <= high:
         axes.axhline(0.0, **style.ZERO_LINE)
-
-
-def _least_and_greatest(values: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Returns which rows are drawn: all, or each bin's least and greatest value."""
-    if values.size <= 2 * _BINS:
-        return np.arange(values.size)
-    edges = np.linspace(0, values.size, _BINS + 1).astype(np.int64)
-    return np.unique([a + find(values[a:b]) for a, b in pairwise(edges) for find in (np.argmin, np.argmax)])
