@@ -1,8 +1,8 @@
-"""Reading frames out of a stream of bytes, compiled: split anywhere, with anything between them.
+"""The decoder: frames out of a stream of bytes in pieces of any size, with anything between them. Compiled.
 
-A frame is the last L bytes before a delimiter, where L is the one length that the format has in that direction. What
-stands before them since the delimiter before is garbage, counted and passed over: so the first whole frame after
-garbage of any length is found, without a second delimiter on the wire. Fewer than L bytes are never a frame.
+A frame is the last L bytes before a delimiter, where L is the one length that the format has in that direction. Bytes
+before them, since the previous delimiter, are counted as garbage. So the first whole frame after garbage of any length
+is found without a second delimiter on the wire. Fewer than L bytes are never a frame.
 """
 
 from __future__ import annotations
@@ -12,9 +12,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from firmware_protocol import schema
-from firmware_protocol.compiled import ONE, entry, helper, inlined, new_record, out_of_line
+from firmware_protocol.compiled import ONE, entry, inlined, new_record
 from firmware_protocol.encoding import crc_of, unstuff
 from firmware_protocol.frames import FRAMING, ROOM, Format, framing_of
+
+_RING = np.uint64(ROOM - 1)  # ROOM is a power of two
 
 DECODER = np.dtype(
     [
@@ -22,14 +24,14 @@ DECODER = np.dtype(
         ("seen", np.int64),  # bytes since the last delimiter
         ("accepted", np.int64),
         ("crc_errors", np.int64),
-        ("length_errors", np.int64),  # fewer bytes than a frame has between two delimiters
-        ("form_errors", np.int64),  # a right check over wrong content: unknown type, codes that do not add up
+        ("length_errors", np.int64),  # fewer bytes between two delimiters than a frame has
+        ("form_errors", np.int64),  # a right check over an unknown type or a wrong COBS chain
         ("garbage_bytes", np.int64),
-        ("type", np.int64),  # of the last accepted frame, with what it carried:
+        ("type", np.int64),  # of the last accepted frame, and its fields:
         ("number", np.int64),
         ("argument", np.int64),
         ("counts", np.int64, schema.MAX_WORDS),
-        ("recent", np.uint8, ROOM),  # the last of the bytes that were seen, as many as a frame may have
+        ("recent", np.uint8, ROOM),  # a ring of the last of them
         ("frame", np.uint8, ROOM),
     ],
     align=True,
@@ -37,7 +39,7 @@ DECODER = np.dtype(
 
 
 class Frame(NamedTuple):
-    """An accepted frame. `argument` is 0 in a frame to the host, which carries none."""
+    """An accepted frame. A frame to the host has the argument 0."""
 
     type: int
     number: int
@@ -46,24 +48,19 @@ class Frame(NamedTuple):
 
 
 def new_decoder(wire: Format, to_device: bool) -> Any:
-    """A decoder for the frames of one direction: `to_device` for what the host writes."""
+    """Returns a DECODER for one direction; `to_device`: for frames of the host."""
     decoder = new_record(DECODER)
-    begin_decoding(decoder, wire, to_device)
+    decoder.framing = framing_of(wire, to_device)
     return decoder
 
 
-def begin_decoding(decoder: Any, wire: Format, to_device: bool) -> None:
-    """Makes a decoder of a record of zeros."""
-    decoder.framing = framing_of(wire, to_device)
-
-
 def use_format(decoder: Any, wire: Format) -> None:
-    """From the next byte on, expect frames of this format. Bytes of an unfinished frame are forgotten."""
+    """Expects frames of this format from the next byte on. The bytes of an unfinished frame are dropped."""
     use_framing(decoder, framing_of(wire, bool(decoder.framing.from_host)))
 
 
 def frames_in(decoder: Any, data: bytes) -> list[Frame]:
-    """Every frame that ends in `data`. For tests and tools; the loops call `next_frame` on their own buffers."""
+    """Returns every frame that ends in `data`. For tests and tools; the loops call `next_frame` on their buffers."""
     buffer = np.frombuffer(bytearray(data), np.uint8)
     frames = []
     at, found = next_frame_in(decoder, buffer, 0, buffer.size)
@@ -82,7 +79,7 @@ def next_frame_in(decoder, data, start, stop):
 
 @inlined
 def use_framing(decoder, framing):
-    """`use_format` in compiled code: `framing` is the format in the decoder's own direction."""
+    """`use_format` in compiled code. `framing`: of the decoder's own direction."""
     decoder.framing.words = framing.words
     decoder.framing.long_check = framing.long_check
     decoder.framing.seed = framing.seed
@@ -94,61 +91,37 @@ def next_frame(decoder, data, start, stop):
     """Reads data[start:stop] up to the end of the first valid frame.
 
     Returns (where reading stopped, whether a frame was found). The frame is then in the decoder's `type`, `number`,
-    `argument` and `counts`. Without one, everything was consumed and the beginning of a frame is remembered.
+    `argument` and `counts`. Without one, all was read and the beginning of a frame is remembered.
     """
     body = np.uint64(1 + 2 + decoder.framing.from_host + 4 * decoder.framing.words)
     length = body + (np.uint64(5) if decoder.framing.long_check else np.uint64(3))
-    at, end = np.uint64(start), np.uint64(stop)
+    at, end, seen = np.uint64(start), np.uint64(stop), np.uint64(decoder.seen)
     while at < end:
-        delimiter = at
-        while delimiter < end and data[delimiter] != 0:
-            delimiter += ONE
-        if delimiter == end:
-            _remember(decoder, data, at, end, length)
-            break
-        remembered = np.uint64(decoder.seen)
-        seen = remembered + (delimiter - at)
-        decoder.seen = 0
-        if seen >= length:
-            # The last bytes before the delimiter, of which some may only be remembered.
-            here = _smaller(delimiter - at, length)
-            before, first = length - here, _smaller(remembered, length) + here - length
-            for i in range(before):
-                decoder.frame[i] = decoder.recent[first + i]
-            for i in range(here):
-                decoder.frame[before + i] = data[delimiter - here + i]
-            decoder.garbage_bytes += np.int64(seen - length)
+        byte = data[at]
+        at += ONE
+        if byte != 0:
+            decoder.recent[seen & _RING] = byte
+            seen += ONE
+            continue
+        first, had, seen = seen - length, seen, np.uint64(0)
+        if had >= length:
+            for i in range(length):
+                decoder.frame[i] = decoder.recent[(first + i) & _RING]
+            decoder.garbage_bytes += np.int64(first)
             if _accept(decoder, body):
-                return np.int64(delimiter + ONE), True
-        elif seen > 0:
+                decoder.seen = 0
+                return np.int64(at), True
+        elif had > 0:
             decoder.length_errors += 1
-        at = delimiter + ONE
+    decoder.seen = np.int64(seen)
     return stop, False
-
-
-@helper
-def _remember(decoder, data, at, end, length):
-    """Keeps the beginning of a frame until the rest of it comes; of more bytes than a frame has, the last."""
-    out_of_line()
-    remembered, new = _smaller(np.uint64(decoder.seen), length), _smaller(end - at, length)
-    kept = _smaller(remembered, length - new)
-    for i in range(kept):
-        decoder.recent[i] = decoder.recent[remembered - kept + i]
-    for i in range(new):
-        decoder.recent[kept + i] = data[end - new + i]
-    decoder.seen += np.int64(end - at)
-
-
-@inlined
-def _smaller(one, other):
-    return one if one < other else other
 
 
 @inlined
 def _accept(decoder, body):
-    """Whether the bytes in `frame`, of which `body` are encoded, are a frame; what it carries is then in the decoder.
+    """Whether the bytes in `frame`, `body` of them encoded, are a frame; its content is then in the decoder.
 
-    Every bit of the check's bytes is looked at, the ones that are always set or clear too.
+    Every bit of the check's bytes is compared, the constant ones too.
     """
     frame, framing = decoder.frame, decoder.framing
     check = crc_of(framing.long_check, frame, np.uint64(0), body, framing.seed)

@@ -1,8 +1,8 @@
-"""Writing frames, compiled. A `Format` says how frames look at the moment: for how many channels, with which check.
+"""The encoder, compiled, and the formats of frames: the number of channels and the check.
 
-A device that is not armed speaks the setup format (one channel's length, a start value that never changes); an armed
-one the format of its channels. Within a format every frame in one direction has the same length: that is what makes a
-frame torn apart by a flipped delimiter impossible to mistake for another (PROTOCOL.md, "What is promised").
+A device that is not armed speaks the setup format (one channel's length, a start value that never changes), an armed
+one the format of its channels. Within a format every frame in one direction has the same length, so a frame torn apart
+by a flipped delimiter cannot be mistaken for another (PROTOCOL.md, "What is promised").
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ Integers = Sequence[int] | NDArray[np.int64]
 
 
 class Format(NamedTuple):
-    """How frames look. Made by `armed_format`."""
+    """The layout of frames; see `armed_format`."""
 
     channels: int
     velocity: bool
@@ -29,14 +29,14 @@ class Format(NamedTuple):
     long_check: bool
     """Whether the check has 32 bits."""
     seed: int
-    """Its start value."""
+    """The check's start value."""
 
 
 ROOM = 256
 """Bytes; more than any frame has."""
 
 SETUP = Format(1, False, False, schema.SETUP_SEED)
-"""The format of describe, description, arm and of every frame of a device that is not armed."""
+"""The format of every frame of a device that is not armed, and of DESCRIBE and ARM."""
 
 FRAMING = np.dtype(
     [
@@ -47,12 +47,13 @@ FRAMING = np.dtype(
     ],
     align=True,
 )
-"""A format in one direction, as compiled code has it."""
+"""A format in one direction, for compiled code."""
 
 
 def armed_format(channels: int, velocity: bool = False) -> Format:
-    """The format between arm and disarm of a device with 1 to 16 channels; `velocity`: where its velocities were asked
-    for. Raises ValueError for any other number of channels.
+    """Returns the format of an armed device with 1 to 16 channels; `velocity`: one that sends its velocities too.
+
+    Raises ValueError for any other number of channels.
     """
     if not 1 <= channels <= schema.MAX_CHANNELS:
         raise ValueError(f"{channels} channels: the protocol carries 1 to {schema.MAX_CHANNELS}")
@@ -65,7 +66,7 @@ def armed_format(channels: int, velocity: bool = False) -> Format:
 
 
 def framing_of(wire: Format, to_device: bool) -> Any:
-    """FRAMING, a record, of a format in one direction."""
+    """Returns the FRAMING of a format in one direction."""
     framing = new_record(FRAMING)
     framing.from_host = to_device
     framing.words = schema.words(wire.channels, to_device, wire.velocity)
@@ -76,8 +77,8 @@ def framing_of(wire: Format, to_device: bool) -> Any:
 
 @inlined
 def write_frame(framing, buffer, start, frame_type, number, argument, counts):
-    """Writes a frame at buffer[start:] and returns where it ends. `counts`: int64, one per word; `argument`: one byte,
-    left out of a frame to the host."""
+    """Writes a frame at buffer[start:] and returns where it ends, each field cut to its bits. `counts`: int64, one per
+    word; `argument`: only in a frame to the device."""
     first = np.uint64(start)
     at = first + ONE
     buffer[at] = (frame_type << 4) | ((number >> 8) & 0xF)
@@ -102,42 +103,29 @@ def write_frame(framing, buffer, start, frame_type, number, argument, counts):
 
 
 def frame_to_host(wire: Format, frame_type: int, number: int, counts: Integers) -> bytes:
-    """One frame of the device, as bytes, in plain Python. For set-up, tests and tools; the loops write into their own
-    buffers.
-
-    Raises ValueError where a field does not fit: what the compiled writer does then is cut it off.
-    """
+    """Returns one frame of the device, for set-up, tests and tools. Raises ValueError where a field does not fit."""
     return _frame(wire, False, frame_type, number, 0, counts)
 
 
 def frame_to_device(wire: Format, frame_type: int, number: int, argument: int, counts: Integers) -> bytes:
-    """One frame of the host, as bytes. Raises ValueError where a field does not fit."""
+    """Returns one frame of the host. Raises ValueError where a field does not fit."""
     return _frame(wire, True, frame_type, number, argument, counts)
 
 
 def frame_bytes(wire: Format, to_device: bool) -> int:
-    """Bytes of a whole frame in this format, its delimiter included."""
+    """Returns the bytes of a whole frame in this format, with its delimiter."""
     return schema.frame_bytes(wire.channels, to_device, wire.velocity)
 
 
 def _frame(wire: Format, to_device: bool, frame_type: int, number: int, argument: int, counts: Integers) -> bytes:
-    words = _fitting(wire, to_device, frame_type, number, argument, counts)
-    buffer = np.zeros(frame_bytes(wire, to_device), np.uint8)
-    write_frame(framing_of(wire, to_device), buffer, 0, frame_type, number, argument, words)
-    return buffer.tobytes()
-
-
-def _fitting(
-    wire: Format, to_device: bool, frame_type: int, number: int, argument: int, counts: Integers
-) -> NDArray[np.int64]:
-    """The counts as the compiled writer wants them, once every field was found to fit."""
     for name, value, bits in (("type", frame_type, 4), ("number", number, 12), ("argument", argument, 8)):
         if not 0 <= value < 1 << bits:
             raise ValueError(f"{name} {value}: a frame carries {bits} bits of it")
-    words = np.asarray(counts, np.int64)
-    expected = schema.words(wire.channels, to_device, wire.velocity)
-    if words.shape != (expected,):
-        raise ValueError(f"counts of shape {words.shape} where a frame carries {expected} word(s)")
-    if words.size and not -(2**31) <= words.min() <= words.max() < 2**31:
+    framing, words = framing_of(wire, to_device), np.asarray(counts, np.int64)
+    if words.shape != (framing.words,):
+        raise ValueError(f"counts of shape {words.shape} where a frame carries {framing.words} word(s)")
+    if not -(2**31) <= words.min() <= words.max() < 2**31:
         raise ValueError(f"counts {words.tolist()}: a frame carries 32 bits, signed")
-    return words
+    buffer = np.zeros(frame_bytes(wire, to_device), np.uint8)
+    write_frame(framing, buffer, 0, frame_type, number, argument, words)
+    return buffer.tobytes()

@@ -1,8 +1,7 @@
-"""What is said on the wire, version 1: frame types, fields, registers, lengths. PROTOCOL.md explains every one.
+"""The wire's constants, version 1: frame types, fields, registers, lengths. PROTOCOL.md explains each.
 
-Plain constants, so that reading them costs no compiler. `SCHEMA` is their canonical text; its hash is the start value
-of the check on every frame of an armed device, so that two sides that mean different things never understand each
-other by accident.
+They import no compiler. `SCHEMA` is their canonical text; its hash is the start value of the check on every frame of
+an armed device, so that two sides with different meanings reject each other's frames.
 """
 
 from __future__ import annotations
@@ -20,15 +19,14 @@ DESCRIBE, ARM, FORCE, DISARM = 0x1, 0x2, 0x3, 0x4
 # Device to host.
 DESCRIPTION, POSITION, POSITION_HELD, STATUS = 0x9, 0xA, 0xB, 0xC
 
-# Who paces the samples of an armed device: the low seven bits of arm's argument.
+# The pacing of an armed device's samples: the low seven bits of ARM's argument.
 PACED_BY_DEVICE, PACED_BY_HOST, LOCKSTEP = 0, 1, 2
-WITH_VELOCITY = 0x80  # beside the pacing: the device is to send velocities too
+WITH_VELOCITY = 0x80  # beside the pacing: the device sends velocities too
 
 # States and faults, in a status frame.
 IDLE, ARMED, LATCHED = 0, 1, 2
 NO_FAULT, HOST_QUIET, POSITION_OUT_OF_RANGE, WRONG_SCHEMA, WRONG_PACING, WRONG_WATCHDOG = range(6)
 HARDWARE, WRONG_SENSING = 6, 7
-
 FAULTS = {
     NO_FAULT: "no fault",
     HOST_QUIET: "the host was quiet for longer than the watchdog allows",
@@ -41,26 +39,11 @@ FAULTS = {
 }
 
 # Registers of the description, each 32 bits; an f64 takes two, low word first.
-REG_VERSION = 0
-REG_SCHEMA = 1
-REG_CHANNELS = 2
-REG_PACINGS = 3
-REG_RATE = 4
-REG_MAX_WATCHDOG = 6
-REG_FAULT = 7
-REG_ACCEPTED = 8
-REG_REJECTED = 9
-REG_HELD = 10
-REG_EXPIRED = 11
-REG_LIMITED = 12
-REG_NAME = 16
-NAME_WORDS = 4
-REG_CHANNEL = 32
-CHANNEL_WORDS = 8
-REG_POSITION_SCALE = 0
-REG_FORCE_SCALE = 2
-REG_FORCE_LIMIT = 4
-REG_VELOCITY_SCALE = 6
+REG_VERSION, REG_SCHEMA, REG_CHANNELS, REG_PACINGS, REG_RATE = range(5)
+REG_MAX_WATCHDOG, REG_FAULT, REG_ACCEPTED, REG_REJECTED, REG_HELD, REG_EXPIRED, REG_LIMITED = range(6, 13)
+REG_NAME, NAME_WORDS = 16, 4
+REG_CHANNEL, CHANNEL_WORDS = 32, 8  # CHANNEL_WORDS of them for each channel, with these inside:
+REG_POSITION_SCALE, REG_FORCE_SCALE, REG_FORCE_LIMIT, REG_VELOCITY_SCALE = range(0, CHANNEL_WORDS, 2)
 REGISTERS = REG_CHANNEL + MAX_CHANNELS * CHANNEL_WORDS
 
 SCHEMA = f"""hapsim wire {VERSION}
@@ -89,7 +72,7 @@ register force_scale={REG_FORCE_SCALE}:f64 force_limit={REG_FORCE_LIMIT}:f64 vel
 
 
 def _crc32c(text: bytes) -> int:
-    """CRC-32C bit by bit: independent of the compiled one, and needed before anything is compiled."""
+    """CRC-32C bit by bit: it needs no compiler."""
     crc = 0xFFFFFFFF
     for byte in text:
         crc ^= byte
@@ -99,9 +82,9 @@ def _crc32c(text: bytes) -> int:
 
 
 SCHEMA_HASH = _crc32c(SCHEMA.encode("ascii"))
-SETUP_SEED = 0x4853  # "HS": the same in every version, so that two versions can tell each other so
-# "VEL", and a byte such that a device of one channel never takes a position of its own, echoed, for a frame of the
-# host: a test finds out whether it still does when the schema has changed.
+SETUP_SEED = 0x4853  # "HS": the same in every version, so that versions can name each other
+# "VEL", and a byte such that a device of one channel never takes the echo of its own position for a frame of the host.
+# A test fails where a changed schema needs another byte.
 VELOCITY_MARK = 0x56454C01
 
 
@@ -116,25 +99,21 @@ VELOCITY_SEED_SHORT = _folded(VELOCITY_SEED_LONG)
 
 
 def words(channels: int, to_device: bool, velocity: bool = False) -> int:
-    """Words of a frame's payload; `velocity`: in the formats in which the device sends velocities too."""
+    """Returns the words of a frame's payload. `velocity`: of a format in which the device sends velocities too."""
     return 2 * channels if velocity and not to_device else channels
 
 
 def has_long_check(channels: int, velocity: bool = False) -> bool:
-    """Whether the check has 32 bits, which its format's longest frame decides for both directions."""
+    """Returns whether the check has 32 bits. The format's longest frame decides for both directions."""
     return words(channels, to_device=False, velocity=velocity) > SHORT_CRC_WORDS
 
 
-def check_bytes(channels: int, velocity: bool = False) -> int:
-    """Bytes that the check takes on the wire: 16 or 32 bits, seven in a byte."""
-    return 5 if has_long_check(channels, velocity) else 3
-
-
 def encoded_bytes(channels: int, to_device: bool, velocity: bool = False) -> int:
-    """Bytes of a frame between its start and its check: COBS code, header, argument (to the device only), payload."""
+    """Returns the bytes before the check: COBS code, header, argument (to the device only) and payload."""
     return 1 + 2 + int(to_device) + 4 * words(channels, to_device, velocity)
 
 
 def frame_bytes(channels: int, to_device: bool, velocity: bool = False) -> int:
-    """Bytes of a whole frame on the wire, its delimiter included."""
-    return encoded_bytes(channels, to_device, velocity) + check_bytes(channels, velocity) + 1
+    """Returns the bytes of a whole frame on the wire, with check and delimiter."""
+    check_bytes = 5 if has_long_check(channels, velocity) else 3  # of seven bits each
+    return encoded_bytes(channels, to_device, velocity) + check_bytes + 1

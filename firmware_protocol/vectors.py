@@ -1,7 +1,7 @@
-"""Test vectors for implementations in other languages, made by the codec: fields beside the bytes that carry them.
+"""Test vectors of the protocol, in any language: bytes, and the fields and counters that belong to them.
 
-`make_vectors` writes them to vectors.json; PROTOCOL.md ("Test vectors") explains the entries. Everything is chosen by
-rule, nothing by chance, so that the file changes only when the protocol does.
+`make_vectors` writes them to vectors.json; PROTOCOL.md ("Test vectors") explains the entries. Rules choose all of them,
+not chance, so the file changes only with the protocol.
 """
 
 from __future__ import annotations
@@ -13,29 +13,17 @@ import numpy as np
 
 from firmware_protocol import schema
 from firmware_protocol.decoder import frames_in, new_decoder, use_format
-from firmware_protocol.encoding import crc16_dnp, crc32_c, crc_of, stuff
-from firmware_protocol.frames import (
-    SETUP,
-    Format,
-    armed_format,
-    frame_bytes,
-    frame_to_device,
-    frame_to_host,
-)
+from firmware_protocol.encoding import crc_of, stuff
+from firmware_protocol.frames import SETUP, Format, armed_format, frame_bytes, frame_to_device, frame_to_host
 
-CHANNELS = (1, 3, 4, 16)
-VELOCITY_CHANNELS = (1, 2, 16)
 FORMATS = (
     {"setup": SETUP}
-    | {f"armed_{channels}": armed_format(channels) for channels in CHANNELS}
-    | {f"velocity_{channels}": armed_format(channels, velocity=True) for channels in VELOCITY_CHANNELS}
+    | {f"armed_{channels}": armed_format(channels) for channels in (1, 3, 4, 16)}
+    | {f"velocity_{channels}": armed_format(channels, velocity=True) for channels in (1, 2, 16)}
 )
-TO_DEVICE = {"describe": schema.DESCRIBE, "arm": schema.ARM, "force": schema.FORCE, "disarm": schema.DISARM}
-TO_HOST = {
-    "description": schema.DESCRIPTION,
-    "position": schema.POSITION,
-    "position_held": schema.POSITION_HELD,
-    "status": schema.STATUS,
+TO_DEVICE: dict[str, int] = {name: getattr(schema, name.upper()) for name in ("describe", "arm", "force", "disarm")}
+TO_HOST: dict[str, int] = {
+    name: getattr(schema, name.upper()) for name in ("description", "position", "position_held", "status")
 }
 TYPES = TO_DEVICE | TO_HOST
 NAMES = {code: name for name, code in TYPES.items()}
@@ -49,7 +37,7 @@ Entry = dict[str, Any]
 
 
 def vectors() -> Entry:
-    """All of vectors.json."""
+    """Returns the document of vectors.json."""
     return {
         "about": "Test vectors of the hapsim wire protocol; PROTOCOL.md explains them. Bytes are hexadecimal.",
         "version": schema.VERSION,
@@ -64,7 +52,7 @@ def vectors() -> Entry:
 
 
 def frame(format_name: str, kind: str, number: int, argument: int, counts: list[int]) -> bytes:
-    """One frame by the names that the vectors use; `argument` is left out of a frame to the host."""
+    """Returns a frame by the vectors' names. A frame to the host has no argument."""
     wire = FORMATS[format_name]
     if kind in TO_DEVICE:
         return frame_to_device(wire, TO_DEVICE[kind], number, argument, counts)
@@ -72,15 +60,18 @@ def frame(format_name: str, kind: str, number: int, argument: int, counts: list[
 
 
 def words_in(format_name: str, kind: str) -> int:
-    """Words in the payload of a frame, by the names that the vectors use."""
-    wire = FORMATS[format_name]
-    return schema.words(wire.channels, kind in TO_DEVICE, wire.velocity)
+    """Returns the words of a frame's payload, by the vectors' names."""
+    return _words(FORMATS[format_name], kind in TO_DEVICE)
 
 
-def reading(about: str, direction: str, steps: list[tuple[str, bytes]]) -> Entry:
-    """A vector of what a decoder makes of bytes: each step chooses a format, then reads a chunk."""
-    decoder = new_decoder(FORMATS[steps[0][0]], direction == "to_device")
+def _words(wire: Format, to_device: bool) -> int:
+    return schema.words(wire.channels, to_device, wire.velocity)
+
+
+def _reading(about: str, direction: str, steps: list[tuple[str, bytes]]) -> Entry:
+    """A vector of a stream: each step chooses a format, then a decoder reads a chunk."""
     before, read = steps[0][0], []
+    decoder = new_decoder(FORMATS[before], direction == "to_device")
     for format_name, chunk in steps:
         if format_name != before:
             use_format(decoder, FORMATS[format_name])
@@ -96,16 +87,18 @@ def reading(about: str, direction: str, steps: list[tuple[str, bytes]]) -> Entry
 
 
 def sealed(wire: Format, encoded: bytes) -> bytes:
-    """Encoded bytes with the check that belongs to them, whatever they are, and the delimiter."""
-    check = int(crc_of(wire.long_check, np.frombuffer(encoded, np.uint8), 0, len(encoded), wire.seed))
+    """Returns encoded bytes, right or wrong, with their check and the delimiter."""
+    check = _crc(wire.long_check, encoded, wire.seed)
     return encoded + bytes(0x80 | check >> 7 * i & 0x7F for i in range(5 if wire.long_check else 3)) + b"\0"
 
 
+def _crc(is_long: bool, data: bytes, seed: int) -> int:
+    return int(crc_of(is_long, np.frombuffer(data, np.uint8), 0, len(data), seed))
+
+
 def _fields(kind: str, number: int, argument: int, counts: list[int]) -> Entry:
-    fields: Entry = {"type": kind, "number": number}
-    if kind in TO_DEVICE:
-        fields["argument"] = argument
-    return fields | {"payload": counts}
+    arguments = {"argument": argument} if kind in TO_DEVICE else {}
+    return {"type": kind, "number": number} | arguments | {"payload": counts}
 
 
 def _format_entry(name: str) -> Entry:
@@ -123,16 +116,11 @@ def _format_entry(name: str) -> Entry:
 
 def _crc_vectors() -> list[Entry]:
     texts = [b"", b"\0", b"123456789", bytes(range(1, 69)), b"\xff" * 16]
-    checks = (("crc16_dnp", crc16_dnp, (0, schema.SETUP_SEED)), ("crc32_c", crc32_c, (0xFFFFFFFF, schema.SCHEMA_HASH)))
+    seeds = {"crc16_dnp": (0, schema.SETUP_SEED), "crc32_c": (0xFFFFFFFF, schema.SCHEMA_HASH)}
     return [
-        {
-            "check": name,
-            "seed": seed,
-            "bytes": text.hex(),
-            "value": int(compute(np.frombuffer(text, np.uint8), 0, len(text), seed)),
-        }
-        for name, compute, seeds in checks
-        for seed in seeds
+        {"check": check, "seed": seed, "bytes": text.hex(), "value": _crc(check == "crc32_c", text, seed)}
+        for check in seeds
+        for seed in seeds[check]
         for text in texts
     ]
 
@@ -140,13 +128,12 @@ def _crc_vectors() -> list[Entry]:
 def _cobs_vectors() -> list[Entry]:
     bodies = [b"", b"\0", b"\0\0", b"\1", b"\1\0", b"\0\1", bytes([17, 34, 0, 51]), bytes(68), b"\xff" * 68]
     bodies += [bytes(range(68)), bytes(range(1, 254)), bytes(253)]
-    return [{"body": body.hex(), "encoded": _stuffed(body).hex()} for body in bodies]
-
-
-def _stuffed(body: bytes) -> bytes:
-    buffer = np.frombuffer(bytearray(b"\0" + body), np.uint8)
-    stuff(buffer, 0, buffer.size)
-    return buffer.tobytes()
+    entries = []
+    for body in bodies:
+        buffer = np.frombuffer(bytearray(b"\0" + body), np.uint8)
+        stuff(buffer, 0, buffer.size)
+        entries.append({"body": body.hex(), "encoded": buffer.tobytes().hex()})
+    return entries
 
 
 def _frame_vectors() -> list[Entry]:
@@ -156,7 +143,7 @@ def _frame_vectors() -> list[Entry]:
         for kind in TYPES:
             for _ in range(3):
                 fields = (kind, next(numbers), next(arguments), list(islice(words, words_in(name, kind))))
-                next(words)  # so that no word stands in the same channel for ever
+                next(words)  # so that the words wander over the channels
                 entries.append({"format": name} | _fields(*fields) | {"bytes": frame(name, *fields).hex()})
     return entries
 
@@ -174,12 +161,12 @@ def _stream_vectors() -> list[Entry]:
         ("velocity_16", "to_host", "position"),
     ):
         frames = [frame(name, kind, n, 9, [n - 2] * words_in(name, kind)) for n in (1, 2, 3)]
-        entries += [reading(about, direction, [(name, c) for c in chunks]) for about, chunks in _streams_of(frames)]
+        entries += [_reading(about, direction, [(name, c) for c in chunks]) for about, chunks in _streams_of(frames)]
     return entries + _arming_streams()
 
 
 def _streams_of(frames: list[bytes]) -> list[tuple[str, list[bytes]]]:
-    """One mishap on the wire after another, each among three whole frames."""
+    """(description, chunks) of mishaps on the wire, each among three whole frames."""
     first, second, third = frames
     return [
         ("three frames in one read", [first + second + third]),
@@ -199,25 +186,23 @@ def _streams_of(frames: list[bytes]) -> list[tuple[str, list[bytes]]]:
 
 
 def _arming_streams() -> list[Entry]:
-    """What the host reads around arming and a fault, in both formats, without velocities and with them."""
+    """Streams to the host around arming and a fault, in both formats, without velocities and with them."""
     fault = schema.LATCHED | schema.HOST_QUIET << 8
     armed = ("setup", frame("setup", "status", 0, 0, [schema.ARMED]))
     latched = ("setup", frame("setup", "status", 2, 0, [fault]))
-    streams = []
-    for name, first, second, cut_off, about in (
-        (
-            "armed_3",
-            [5, -5, 0],
-            [6, -6, 0],
-            frame("armed_3", "position", 3, 0, [0, 0, 0])[:6],
-            "arming, two positions, a fault; a frame begun in one format is forgotten in the next",
-        ),
-        ("velocity_1", [5, -500], [-6, 7], b"", "arming with velocities, two positions and their velocities, a fault"),
-    ):
+
+    def stream(about: str, name: str, first: list[int], second: list[int], cut_off: bytes) -> Entry:
         positions = frame(name, "position", 0, 0, first) + frame(name, "position_held", 1, 0, second)
         last = frame(name, "status", 2, 0, [fault] + [0] * (len(first) - 1)) + cut_off
-        streams.append(reading(about, "to_host", [armed, (name, positions), (name, last), latched]))
-    return streams
+        return _reading(about, "to_host", [armed, (name, positions), (name, last), latched])
+
+    begun = frame("armed_3", "position", 3, 0, [0, 0, 0])[:6]
+    plain = "arming, two positions, a fault; a frame begun in one format is forgotten in the next"
+    sensed = "arming with velocities, two positions and their velocities, a fault"
+    return [
+        stream(plain, "armed_3", [5, -5, 0], [6, -6, 0], begun),
+        stream(sensed, "velocity_1", [5, -500], [-6, 7], b""),
+    ]
 
 
 def _refused_vectors() -> list[Entry]:
@@ -225,44 +210,39 @@ def _refused_vectors() -> list[Entry]:
     for name, wire in FORMATS.items():
         for direction, kind, back in (("to_device", "force", "position"), ("to_host", "position", "force")):
             counts, counts_back = (list(islice(cycle(_WORDS), words_in(name, k))) for k in (kind, back))
-            stories = _refused_of(wire, direction, frame(name, kind, 300, 20, counts))
-            stories.append(("a frame of the other direction", frame(name, back, 300, 20, counts_back)))
-            stories += [
-                (f"a frame of the format {other}", frame(other, kind, 300, 20, [7] * words_in(other, kind)))
-                for other in FORMATS
-                if other != name
-            ]
-            entries += [reading(about, direction, [(name, data)]) for about, data in stories]
+            cases = _refused_of(wire, direction == "to_device", frame(name, kind, 300, 20, counts))
+            cases["a frame of the other direction"] = frame(name, back, 300, 20, counts_back)
+            for other in [other for other in FORMATS if other != name]:
+                cases[f"a frame of the format {other}"] = frame(other, kind, 300, 20, [7] * words_in(other, kind))
+            entries += [_reading(about, direction, [(name, data)]) for about, data in cases.items()]
     return entries
 
 
-def _refused_of(wire: Format, direction: str, good: bytes) -> list[tuple[str, bytes]]:
-    """Ways to spoil a good frame, and frames that are good somewhere else."""
+def _refused_of(wire: Format, to_device: bool, good: bytes) -> dict[str, bytes]:
+    """Ways to spoil a good frame, and frames that are good elsewhere, by description."""
     checked = len(good) - (6 if wire.long_check else 4)
     last = len(good) - 2
-    to_device = direction == "to_device"
-    stranger = wire._replace(seed=wire.seed ^ 1)
-    beyond = bytes([checked + 1]) + b"\x33" * (checked - 1)
-    write = frame_to_device if to_device else frame_to_host
-    zeros = [0] * schema.words(wire.channels, to_device, wire.velocity)
-    fields = (300, 20, zeros) if to_device else (300, zeros)
+    zeros = [0] * _words(wire, to_device)
+
+    def written(wire: Format, code: int) -> bytes:
+        return frame_to_device(wire, code, 300, 20, zeros) if to_device else frame_to_host(wire, code, 300, zeros)
+
     unknown = (0, 5, 8, 9, 15) if to_device else (0, 1, 8, 13, 15)
-    return [
-        ("one bit of the code is flipped", _flip(good, 0, 0x01)),
-        ("one bit of the payload is flipped", _flip(good, checked - 1, 0x40)),
-        ("one bit of the check is flipped", _flip(good, checked, 0x02)),
-        ("a bit of the check that is always clear is set", _flip(good, last, 0x40)),
-        ("the bit of a check's byte that is always set is clear", _flip(good, last, 0x80)),
-        ("three bits are flipped", _flip(_flip(_flip(good, 1, 0x04), 2, 0x20), 5, 0x08)),
-        ("the first byte is missing", good[1:]),
-        ("the last byte before the delimiter is missing", good[:last] + good[last + 1 :]),
-        ("another start value", write(stranger, 3 if to_device else 10, *fields)),
-        (
-            "a right check over a code that points beyond the end",
-            sealed(wire, beyond),
+    return {
+        "one bit of the code is flipped": _flip(good, 0, 0x01),
+        "one bit of the payload is flipped": _flip(good, checked - 1, 0x40),
+        "one bit of the check is flipped": _flip(good, checked, 0x02),
+        "a bit of the check that is always clear is set": _flip(good, last, 0x40),
+        "the bit of a check's byte that is always set is clear": _flip(good, last, 0x80),
+        "three bits are flipped": _flip(_flip(_flip(good, 1, 0x04), 2, 0x20), 5, 0x08),
+        "the first byte is missing": good[1:],
+        "the last byte before the delimiter is missing": good[:last] + good[last + 1 :],
+        "another start value": written(wire._replace(seed=wire.seed ^ 1), 3 if to_device else 10),
+        "a right check over a code that points beyond the end": sealed(
+            wire, bytes([checked + 1]) + b"\x33" * (checked - 1)
         ),
-        *((f"a right check over type {code:#x}", write(wire, code, *fields)) for code in unknown),
-    ]
+        **{f"a right check over type {code:#x}": written(wire, code) for code in unknown},
+    }
 
 
 def _flip(data: bytes, at: int, bits: int) -> bytes:

@@ -1,120 +1,113 @@
-"""What is kept of a compiled function from run to run, beside numba's own files: that it is there, and whole.
+"""Compiling functions that Python calls, and checking the machine code that earlier runs left.
 
-numba trusts its files: of one that is cut off it raises whatever reading it raises, and one with other bytes it
-executes. So a mark beside them says what was written, and what does not agree with it is compiled anew. Where nothing
-can be written the function is compiled all the same, and not kept.
+numba trusts its files: a truncated one raises whatever reading it raises, and one with wrong bytes is executed. So a
+mark beside them has their digests; what does not agree with it is compiled again. Where nothing can be written, a
+function is compiled all the same, and not kept.
 """
 
 from __future__ import annotations
 
 import contextlib
 import hashlib
-import re
-from collections.abc import Callable, Iterator
+import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
+
+import numba
 
 from hapsim.compiling import compiler
 
 Compiled = TypeVar("Compiled")
 
-_OF_A_FILE = re.compile(r"([0-9a-f]{64}) ([\w./<>-]+)")
+
+def compile_for(function: Any, *arguments: Any) -> None:
+    """Compiles an `entry` for arguments of these types, or loads it, without calling it."""
+    signature = tuple(map(numba.typeof, arguments))
+
+    def _compile_or_load() -> None:
+        try:
+            function.compile(signature)
+        except OSError:
+            if signature not in function.overloads:  # else it is compiled, and could not be written
+                raise
+
+    if signature not in function.overloads:
+        Kept(function.py_func, signature).compile(_compile_or_load)
+
+
+def is_kept(function: Any, *arguments: Any) -> bool:
+    """Returns whether an earlier run left an `entry`'s machine code for arguments of these types."""
+    return Kept(function.py_func, tuple(map(numba.typeof, arguments))).is_whole
+
+
+def directory_of_kept_code() -> Path | None:
+    """Returns the directory above all of hapsim's machine code; None where nothing can be kept."""
+    directory = compiler.directory_of(compile_for)
+    return None if directory is None else directory.parent
 
 
 class Kept:
-    """The machine code of a function for one signature. `classes`: those of the named tuples in it, which numba does
-    not tell apart itself."""
+    """The machine code of a function for one signature. `classes`: those of the named tuples in the signature, which
+    numba does not distinguish itself."""
 
     def __init__(self, function: Any, signature: Any, *classes: type) -> None:
         self.directory = compiler.directory_of(function, *classes)
         """Where it is kept; None where nothing can be written."""
         self._function = function
         self._mark = None if self.directory is None else self.directory / _name_of_mark(function, signature, classes)
-
-    def is_whole(self) -> bool:
+        self._digests = self._read_mark()
+        self.is_whole = bool(self._digests) and self._digests.items() <= self._digests_of_files().items()
         """Whether it is there from an earlier run, as it was written."""
-        written = self._written()
-        return written is not None and all(_digest(file) == digest for file, digest in written)
 
     def compile(self, compile_or_load: Callable[[], Compiled]) -> Compiled:
-        """What `compile_or_load` gives, called a second time where what was kept was of no use."""
-        if self._written() is not None and not self.is_whole():
+        """Returns the result of `compile_or_load`, called again where the kept files were of no use."""
+        if self._digests and not self.is_whole:
             self._forget()
-        before = self._files()
+        had_files = bool(self._files("nbc"))
         try:
             compiled = compile_or_load()
         except Exception:
-            if not before:
+            if not had_files:
                 raise
             self._forget()
+            self.is_whole = False
             compiled = compile_or_load()
-        self._note(before)
+        if not self.is_whole and self._mark is not None and (digests := self._digests_of_files()):
+            with contextlib.suppress(OSError):
+                self._mark.write_text(json.dumps(digests), encoding="utf-8")
         return compiled
 
-    def _written(self) -> list[tuple[Path, str]] | None:
-        """The files that were written, and their digests; None where there is no mark, or none that can be read."""
-        if self._mark is None:
-            return None
-        try:
-            lines = self._mark.read_text(encoding="utf-8").splitlines()
-        except (OSError, UnicodeDecodeError):
-            return None
-        found = [_OF_A_FILE.fullmatch(line) for line in lines]
-        return [(self._mark.parent / one[2], one[1]) for one in found if one] if found and all(found) else None
+    def _read_mark(self) -> dict[str, str]:
+        """The digest of each file as it was written; {} where there is no readable mark."""
+        with contextlib.suppress(OSError, ValueError):
+            return dict(json.loads(self._mark.read_text(encoding="utf-8"))) if self._mark else {}
+        return {}
 
-    def _note(self, before: dict[Path, int]) -> None:
-        """Writes the mark, where something was written."""
-        if self._mark is None:
-            return
-        now = self._files()
-        fresh = [file for file, written_ns in now.items() if before.get(file) != written_ns]
-        if not fresh and self._written() is None:
-            fresh = list(now)  # the mark was lost, or another process writes its own
-        if not fresh:
-            return
-        text = "".join(f"{_digest(file)} {file.relative_to(self._mark.parent)}\n" for file in fresh)
-        _remove(self._mark)
-        with contextlib.suppress(OSError):
-            self._mark.write_text(text, encoding="utf-8")
+    def _digests_of_files(self) -> dict[str, str]:
+        digests = {}
+        for file in self._files("nbc"):
+            with contextlib.suppress(OSError):  # another process may have removed it
+                digests[file.name] = hashlib.sha256(file.read_bytes()).hexdigest()
+        return digests
 
     def _forget(self) -> None:
-        for file in [*self._files(), *self._indices()] + ([] if self._mark is None else [self._mark]):
-            _remove(file)
-
-    def _files(self) -> dict[Path, int]:
-        """numba's files with machine code of this function, for any signature, and when each was written, in ns."""
-        found = {}
-        for file in self._named("nbc"):
+        for file in [*self._files("nbc"), *self._files("nbi"), *([self._mark] if self._mark else [])]:
             with contextlib.suppress(OSError):
-                found[file] = file.stat().st_mtime_ns
-        return found
+                file.unlink()
 
-    def _indices(self) -> Iterator[Path]:
-        return self._named("nbi")
-
-    def _named(self, suffix: str) -> Iterator[Path]:
+    def _files(self, suffix: str) -> list[Path]:
+        """numba's files of this function for any signature: machine code (nbc) or index (nbi)."""
         if self.directory is None:
-            return iter(())
+            return []
         code = self._function.__code__
-        return self.directory.rglob(f"*.{self._function.__qualname__}-{code.co_firstlineno}.*{suffix}")
+        return list(self.directory.rglob(f"*.{self._function.__qualname__}-{code.co_firstlineno}.*{suffix}"))
 
 
 def _name_of_mark(function: Any, signature: Any, classes: tuple[type, ...]) -> str:
-    """numba compiles anew when the file of a function was touched, so when that was is in the name."""
+    """It contains the time at which the source was written: numba compiles again when that changes."""
     source = Path(function.__code__.co_filename).stat()
     names = sorted(f"{one.__module__}.{one.__qualname__}" for one in classes)
     text = f"{signature} {names} {source.st_mtime_ns} {source.st_size}"
     digest = hashlib.sha256(text.encode()).hexdigest()[:16]
     return f"{function.__module__.rpartition('.')[2]}.{function.__name__}-{digest}.kept"
-
-
-def _remove(file: Path) -> None:
-    with contextlib.suppress(OSError):
-        file.rmdir() if file.is_dir() else file.unlink()
-
-
-def _digest(file: Path) -> str:
-    try:
-        return hashlib.sha256(file.read_bytes()).hexdigest()
-    except OSError:
-        return ""

@@ -1,19 +1,16 @@
-"""Functions, records and arrays behind addresses: what lets one compiled loop move every scene over every transport.
+"""Functions, records and arrays behind addresses: one compiled loop moves every scene over every transport.
 
-A loop that knew the type of the scene it moves would have to be compiled for each. It knows addresses instead: of
+A loop that knew the type of its scene would have to be compiled for each scene. It knows addresses instead: of
 functions, each compiled for the numbers that it works on, and of these numbers. `Behind` puts a tuple of arrays behind
-an address; `NativeFunction` compiles a function for it, and the function begins with `value_of`, which makes the tuple
-of the address again. Function and numbers are paired where both are at hand, in `NativeFunction.call_on`: an address
-says nothing of what it points to, and a wrong pair would end the process.
-
-A call through an address costs 1.7 ns.
+an address; `NativeFunction` compiles a function for it, which begins with `value_of` to read the tuple. An address says
+nothing of its content, and a wrong pair of function and numbers would end the process, so `NativeFunction.call_on`
+alone makes the pairs. A call through an address costs 1.7 ns.
 """
 
 from __future__ import annotations
 
 import contextlib
 import ctypes
-import struct
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -30,7 +27,7 @@ from hapsim.compiling.kept import Kept
 from hapsim.compiling.progress import compiling
 
 ir = cgutils.ir
-types: Any = numba.types  # whose own annotations leave out some of them
+types: Any = numba.types  # numba's own annotations omit some of them
 
 _WORD = ir.IntType(64)
 _CFUNC_OPTIONS = {key: OPTIONS[key] for key in ("error_model", "no_rewrites", "_nrt")}
@@ -39,18 +36,18 @@ _CFUNC_OPTIONS = {key: OPTIONS[key] for key in ("error_model", "no_rewrites", "_
 class Behind:
     """A value behind an address: numbers, contiguous arrays, records, and named tuples of these.
 
-    `address` is good for as long as this object is there, which keeps all that it refers to.
+    `address` is valid as long as this object exists, which keeps everything that it refers to.
     """
 
     def __init__(self, value: Any) -> None:
         self.value = value
         self.type = numba.typeof(value)
-        self._words = np.array(_words_of(value), np.int64)
+        self._words = np.array(_words_of(value), np.uint64)
         self.address = int(self._words.ctypes.data)
 
 
 def address_of(record: Any) -> int:
-    """Where a record or an array is. Good for as long as it is there."""
+    """Returns the address of a record or an array, valid as long as that exists."""
     return int(record.__array_interface__["data"][0])
 
 
@@ -65,17 +62,17 @@ def _words_of(value: Any) -> list[int]:
     if isinstance(value, np.void):
         return [address_of(value)]
     if isinstance(value, float | np.float64):
-        return list(struct.unpack("<q", struct.pack("<d", value)))
+        return [int(np.float64(value).view(np.uint64))]
     if isinstance(value, int | np.int64 | np.uint64) and not isinstance(value, bool):
-        return [int(np.array(int(value) & (2**64 - 1), np.uint64).view(np.int64))]
+        return [int(value) & (2**64 - 1)]
     raise TypeError(f"found {type(value).__name__}, which does not go behind an address")
 
 
 @intrinsic
 def value_of(_typing: Any, pointer: Any) -> Any:
-    """What stands behind an address, for the function that was compiled for its type."""
+    """The value behind an address, in a function that was compiled for its type."""
     if not isinstance(pointer, types.CPointer):
-        return None  # numba then says that it fits no call
+        return None  # numba then reports that it fits no call
 
     def _generate(context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
         words = builder.bitcast(arguments[0], _WORD.as_pointer())
@@ -107,7 +104,7 @@ def _read(context: Any, builder: Any, words: Any, kind: Any, at: int) -> tuple[A
 
 
 def _array(context: Any, builder: Any, kind: Any, address: Any, shape: list[Any]) -> Any:
-    """A contiguous array that somebody else keeps."""
+    """A contiguous array over memory that its owner keeps."""
     number = context.get_data_type(kind.dtype)
     strides = [context.get_constant(types.intp, context.get_abi_sizeof(number))]
     for length in reversed(shape[1:]):
@@ -120,7 +117,7 @@ def _array(context: Any, builder: Any, kind: Any, address: Any, shape: list[Any]
 
 @intrinsic
 def address_in_memory(_typing: Any, record: Any) -> Any:
-    """Where a record is, in compiled code."""
+    """The address of a record, in compiled code."""
 
     def _generate(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
         return builder.ptrtoint(arguments[0], _WORD)
@@ -128,8 +125,8 @@ def address_in_memory(_typing: Any, record: Any) -> Any:
     return types.uint64(record), _generate
 
 
-def record_at(dtype: np.dtype[np.void]) -> Callable[[int], Any]:
-    """A function of compiled code that makes a record of its address."""
+def record_at(dtype: np.dtype[np.void]) -> Any:
+    """Returns a function of compiled code that makes a record of its address."""
     kind = numba.from_dtype(dtype)
 
     @intrinsic
@@ -139,30 +136,28 @@ def record_at(dtype: np.dtype[np.void]) -> Callable[[int], Any]:
 
         return kind(types.uint64), _generate
 
-    chosen: Callable[[int], Any] = record
-    return chosen
+    return record
 
 
-def array_at(dtype: Any) -> Callable[[Any, Any], Any]:
-    """A function of compiled code that makes an array of so many numbers of its address and their count."""
+def array_at(dtype: Any) -> Any:
+    """Returns a function of compiled code that makes an array of its address and the count of its numbers."""
     kind = types.Array(numba.from_dtype(np.dtype(dtype)), 1, "C")
 
     @intrinsic
-    def _array_of(_typing: Any, _address: Any, _count: Any) -> Any:
+    def array(_typing: Any, _address: Any, _count: Any) -> Any:
         def _generate(context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
             return _array(context, builder, kind, arguments[0], [arguments[1]])
 
         return kind(types.uint64, types.intp), _generate
 
-    chosen: Callable[[Any, Any], Any] = _array_of
-    return chosen
+    return array
 
 
-def function_at(signature: Any) -> Callable[[int, tuple[Any, ...]], Any]:
-    """A function of compiled code that calls another by its address, with the arguments in a tuple."""
+def function_at(signature: Any) -> Any:
+    """Returns a function of compiled code that calls another by its address, with the arguments in a tuple."""
 
     @intrinsic
-    def _call(_typing: Any, _function: Any, _arguments: Any) -> Any:
+    def call(_typing: Any, _function: Any, _arguments: Any) -> Any:
         def _generate(context: Any, builder: Any, _signature: Any, values: Any) -> Any:
             kinds = [context.get_value_type(kind) for kind in signature.args]
             returns_nothing = signature.return_type == types.void
@@ -173,15 +168,14 @@ def function_at(signature: Any) -> Callable[[int, tuple[Any, ...]], Any]:
 
         return signature.return_type(types.uint64, types.Tuple(signature.args)), _generate
 
-    chosen: Callable[[int, tuple[Any, ...]], Any] = _call
-    return chosen
+    return call
 
 
 class NativeFunction:
     """A function that compiled code calls by its address.
 
-    Its arguments are values behind addresses, which it begins by reading: `links = value_of(links)`. For each choice of
-    their types it is compiled when it is first asked for, and kept.
+    Its arguments are values behind addresses, which it reads at its beginning: `links = value_of(links)`. It is
+    compiled for each choice of their types when that is first needed, and kept.
     """
 
     def __init__(self, function: Callable[..., Any], returns: Any = types.void, **options: Any) -> None:
@@ -190,8 +184,7 @@ class NativeFunction:
         self._compiled: dict[Any, Any] = {}
 
     def call_on(self, *values: Behind) -> tuple[int, ...]:
-        """Its address, compiled for these values, and theirs: what compiled code needs for the call. The only place
-        where a function and its numbers become addresses."""
+        """Returns its address, compiled for these values, and then theirs."""
         return self._address(*(types.CPointer(value.type) for value in values)), *(value.address for value in values)
 
     def _address(self, *kinds: Any) -> int:
@@ -202,25 +195,21 @@ class NativeFunction:
 
     def _compile(self, signature: Any) -> Any:
         kept = Kept(self.function, signature, *_classes_in(signature))
+        name = f"{self.function.__module__.rpartition('.')[2]}.{self.function.__name__}"
+
+        def _compile_in(directory: Path | None) -> Any:
+            options = {"cache": directory is not None, **_CFUNC_OPTIONS, **self._options}
+            with numba_cache_in(directory):
+                return numba.cfunc(signature, **options)(self.function)
 
         def _compile_or_load() -> Any:
-            with contextlib.nullcontext() if kept.is_whole() else compiling(self.function, self.name):
+            with contextlib.nullcontext() if kept.is_whole else compiling(self.function, name):
                 try:
-                    return self._compiled_in(kept.directory, signature)
-                except OSError:
-                    return self._compiled_in(None, signature)
+                    return _compile_in(kept.directory)
+                except OSError:  # it could not be written
+                    return _compile_in(None)
 
         return kept.compile(_compile_or_load)
-
-    def _compiled_in(self, directory: Path | None, signature: Any) -> Any:
-        """Or loaded from there; kept nowhere for None."""
-        with numba_cache_in(directory):
-            return numba.cfunc(signature, cache=directory is not None, **_CFUNC_OPTIONS, **self._options)(self.function)
-
-    @property
-    def name(self) -> str:
-        """As it is called while it is compiled."""
-        return f"{self.function.__module__.rpartition('.')[2]}.{self.function.__name__}"
 
 
 class PlainNative(NativeFunction):
@@ -228,28 +217,26 @@ class PlainNative(NativeFunction):
 
     def __init__(self, function: Callable[..., Any], signature: Any) -> None:
         super().__init__(function, signature.return_type)
-        self._arguments = signature.args
+        self._signature = signature
         self._callable: Any = None
 
     def address(self) -> int:
-        """Where it is."""
-        return self._address(*self._arguments)
+        """Returns its address; compiles it first where that is missing."""
+        return self._address(*self._signature.args)
 
     def is_kept(self) -> bool:
-        """Whether its machine code is there from an earlier run."""
-        return Kept(self.function, self._returns(*self._arguments)).is_whole()
+        """Returns whether an earlier run left its machine code."""
+        return Kept(self.function, self._signature).is_whole
 
     def __call__(self, *arguments: int) -> Any:
         if self._callable is None:
-            self._callable = ctypes.CFUNCTYPE(_CTYPES[self._returns], *(_CTYPES[kind] for kind in self._arguments))(
-                self.address()
-            )
+            kinds = (self._returns, *self._signature.args)
+            self._callable = ctypes.CFUNCTYPE(*(_CTYPES[kind] for kind in kinds))(self.address())
         return self._callable(*arguments)
 
 
 def native(returns: Any, *arguments: Any) -> Callable[[Callable[..., Any]], PlainNative]:
-    """Makes a native function of one whose arguments have these numba types: int64, float64, or uint64 for an
-    address."""
+    """Decorates a native function with these numba types: int64, float64, or uint64 for an address."""
     return lambda function: PlainNative(function, returns(*arguments))
 
 
@@ -267,4 +254,4 @@ def _classes_in(kind: Any) -> set[type]:
         return _classes_in(kind.dtype)
     inner = kind.args if hasattr(kind, "args") else getattr(kind, "types", ())
     own = {kind.instance_class} if isinstance(kind, types.BaseNamedTuple) else set()
-    return own.union(*(_classes_in(each) for each in inner)) if inner else own
+    return own.union(*(_classes_in(each) for each in inner))

@@ -1,4 +1,4 @@
-"""What host and device say to each other outside the loop: describe, arm, disarm, and why a device stopped."""
+"""The conversation of host and device outside the loop: describe, arm, disarm, and the reason why a device stopped."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from hapsim.errors import DescriptionError, DeviceError
 from hapsim.loop.endings import FAILED, HUNG_UP
 from hapsim.stopping import is_urgent
 
-_ANSWER_S = 0.25  # how long one answer is waited for
-_TRIES = 12  # together three seconds: a board that the opening of its port resets needs them
-_TRIES_TO_ASK = 4  # of one that has answered before
-_FAREWELL_S, _FAREWELLS = 0.1, 4  # how long, and how often, a device is waited for that is to release
+_ANSWER_S = 0.25  # the wait for one answer
+_TRIES = 12  # three seconds: a board that the opening of its port resets needs them
+_TRIES_TO_ASK = 4  # of a device that has answered before
+_FAREWELL_S, _FAREWELLS = 0.1, 4  # the wait for a device's release, and the repetitions of DISARM
 
 
 def describe(connection: Connection) -> Description:
@@ -36,29 +36,27 @@ def describe(connection: Connection) -> Description:
 
 
 def read_register(connection: Connection, number: int) -> int:
-    """One register of a device that is not armed, as an unsigned 32-bit value."""
+    """Returns a register of a device that is not armed, as an unsigned 32-bit value."""
     return _ask(connection, number)
 
 
 def arm(
     connection: Connection, description: Description, pacing: int, watchdog_samples: int, velocity: bool = False
 ) -> Format:
-    """Arms the device, which then sends positions, with their velocities where asked, in the format returned.
+    """Arms the device. Returns the format in which it then sends positions, with `velocity` also velocities.
 
-    DeviceError where it refuses, and where it answers everything but this. From then on, what is refused on the wire is
-    counted anew.
+    DeviceError where it refuses, or answers everything but this. The counts of rejected frames begin anew.
     """
     wire = armed_format(description.channels, velocity)
     argument = pacing | (schema.WITH_VELOCITY if velocity else 0)
-    schema_word = np.array([schema.SCHEMA_HASH], np.uint32).astype(np.int32).astype(np.int64)
-    frame = frame_to_device(SETUP, schema.ARM, watchdog_samples, argument, schema_word)
+    schema_word = np.array([schema.SCHEMA_HASH], np.uint32).view(np.int32)
+    frame = frame_to_device(SETUP, schema.ARM, watchdog_samples, argument, schema_word.astype(np.int64))
     connection.decoder.type = 0
     answer = _exchange(connection, frame, schema.STATUS, 0, fits=_answers_arming)
     if answer is None:
         raise DeviceError(f"{connection.name}: {_never_armed(connection.decoder)}{_refused(connection)}")
-    state, fault = answer & 0xFF, answer >> 8 & 0xFF
-    if state != schema.ARMED:
-        raise DeviceError(f"{connection.name}: the device does not arm: {fault_text(fault)}")
+    if answer & 0xFF != schema.ARMED:
+        raise DeviceError(f"{connection.name}: the device does not arm: {fault_text(answer >> 8 & 0xFF)}")
     connection.use_format(wire)
     for counter in ("crc_errors", "length_errors", "form_errors", "garbage_bytes"):
         connection.decoder[counter] = 0
@@ -66,13 +64,12 @@ def arm(
 
 
 def _answers_arming(word: int) -> bool:
-    """A status that says neither armed nor why not is a late answer to something else: a fault of before among them."""
-    of_before = (schema.NO_FAULT, schema.HOST_QUIET, schema.POSITION_OUT_OF_RANGE)
-    return word & 0xFF == schema.ARMED or word >> 8 & 0xFF not in of_before
+    """Whether a STATUS says armed or why not; else it is a late answer to something before, perhaps an old fault."""
+    old = (schema.NO_FAULT, schema.HOST_QUIET, schema.POSITION_OUT_OF_RANGE)
+    return word & 0xFF == schema.ARMED or word >> 8 & 0xFF not in old
 
 
 def _never_armed(decoder: Any) -> str:
-    """The error where no STATUS answered ARM, or none that `_answers_arming`."""
     said = "it did not answer ARM"
     if decoder.type == schema.STATUS:
         word = int(decoder.counts[0])
@@ -84,91 +81,91 @@ def _never_armed(decoder: Any) -> str:
 
 
 def _refused(connection: Connection) -> str:
-    """What came and was no frame, in words that follow a sentence; "" where nothing did."""
+    """The rejected frames, in words that follow a sentence; "" where there were none."""
     decoder = connection.decoder
     frames = int(decoder.crc_errors + decoder.length_errors + decoder.form_errors)
-    spoilt = f"{frames} frames were refused, and {int(decoder.garbage_bytes)} bytes belonged to none"
-    return f" ({spoilt}: another baud rate, or a disturbed cable?)" if frames or decoder.garbage_bytes else ""
+    rejected = f"{frames} frames were rejected, and {int(decoder.garbage_bytes)} bytes belonged to none"
+    return f" ({rejected}: another baud rate, or a disturbed cable?)" if frames or decoder.garbage_bytes else ""
 
 
 def disarm(connection: Connection, wire: Format) -> bool:
-    """Has the device release: zero force, at once. Returns whether it confirmed that with a STATUS idle or latched.
+    """Makes the device release: zero force, at once. Returns whether a STATUS idle or latched confirmed it.
 
-    A dead port is no error here. It listens first: the loop has sent DISARM already. A device that has released (a
-    fault, its watchdog) listens to the set-up format, one that has not to its own.
+    A dead port is no error here. It listens first: the loop has already sent DISARM. A device that has released (a
+    fault, its watchdog) listens to the set-up format, else to its own. After a second stop signal nothing is awaited.
     """
     connection.use_format(SETUP)
-    both = [_disarm_frame(wire), _disarm_frame(SETUP)]
-    try:
-        return any(_is_released(connection, frame) for frame in [b"", *both * _FAREWELLS])
-    except DeviceError:
-        return False
-
-
-def _is_released(connection: Connection, frame: bytes) -> bool:
-    """Sends a frame, if there is one, and waits for the STATUS of a device that is not armed; not after a second
-    stop signal."""
-    if frame:
-        _send(connection, frame)
     released = (schema.IDLE, schema.LATCHED)
-    patience_s = 0.0 if is_urgent() else _FAREWELL_S
-    status = _answer(connection, schema.STATUS, None, patience_s, lambda word: word & 0xFF in released)
-    return status is not None
+    try:
+        for frame in [b"", *[_disarm_frame(wire), _disarm_frame(SETUP)] * _FAREWELLS]:
+            if frame:
+                _send(connection, frame)
+            patience_s = 0.0 if is_urgent() else _FAREWELL_S
+            if _answer(connection, schema.STATUS, None, patience_s, lambda word: word & 0xFF in released) is not None:
+                return True
+    except DeviceError:
+        pass
+    return False
 
 
 def _disarm_frame(wire: Format) -> bytes:
-    return frame_to_device(wire, schema.DISARM, 0, 0, np.zeros(wire.channels, np.int64))
+    return frame_to_device(wire, schema.DISARM, 0, 0, [0] * wire.channels)
 
 
 def frames_rejected_by(connection: Connection) -> int | None:
-    """How many of the host's frames an unarmed device says that it refused since it was armed; None where it does not
+    """Returns the number of the host's frames that an unarmed device rejected since it was armed; None without an
     answer."""
-    frame = frame_to_device(SETUP, schema.DESCRIBE, schema.REG_REJECTED, 0, np.zeros(1, np.int64))
     try:
+        frame = _describe_frame(schema.REG_REJECTED)
         return _exchange(connection, frame, schema.DESCRIPTION, schema.REG_REJECTED, tries=2)
     except DeviceError:
         return None
 
 
 def has_restarted(connection: Connection) -> bool:
-    """Whether an unarmed device that took forces before has powered up since: then it counts none."""
+    """Returns whether an unarmed device that took forces before has powered up since: then it counts none."""
     return read_register(connection, schema.REG_ACCEPTED) == 0
 
 
 def disarm_in_every_format() -> bytes:
-    """What releases a device that another host armed, however many channels it has, with velocities or without."""
+    """Returns the frames that release a device armed by another host, with any number of channels."""
     every = range(1, schema.MAX_CHANNELS + 1)
     return b"".join(_disarm_frame(armed_format(n, velocity)) for n in every for velocity in (False, True))
 
 
 def fault_text(fault: int) -> str:
-    """A device's fault in words."""
+    """Returns a device's fault in words."""
     return schema.FAULTS.get(fault, f"fault {fault}, which version {schema.VERSION} of the protocol does not name")
 
 
 def _require_same_language(connection: Connection, registers: Any) -> None:
-    version, schema_hash = int(registers[schema.REG_VERSION]), int(registers[schema.REG_SCHEMA])
+    version, schema_hash, channels = (
+        int(registers[i]) for i in (schema.REG_VERSION, schema.REG_SCHEMA, schema.REG_CHANNELS)
+    )
+    error = ""
     if version != schema.VERSION:
         side = "a newer hapsim" if version > schema.VERSION else "a newer firmware"
-        raise DescriptionError(
-            f"{connection.name}: the device speaks version {version} of the protocol, this hapsim speaks version "
-            f"{schema.VERSION}: it takes {side}"
+        error = (
+            f"the device speaks version {version} of the protocol, this hapsim speaks version {schema.VERSION}: "
+            f"it takes {side}"
         )
-    if schema_hash != schema.SCHEMA_HASH:
-        raise DescriptionError(
-            f"{connection.name}: the device's schema is {schema_hash:08x}, this hapsim's is {schema.SCHEMA_HASH:08x}: "
-            "build the firmware from the protocol description of the hapsim that is to talk to it"
+    elif schema_hash != schema.SCHEMA_HASH:
+        error = (
+            f"the device's schema is {schema_hash:08x}, this hapsim's is {schema.SCHEMA_HASH:08x}: "
+            "build the firmware from the protocol description of this hapsim"
         )
-    channels = int(registers[schema.REG_CHANNELS])
-    if not 1 <= channels <= schema.MAX_CHANNELS:
-        raise DescriptionError(
-            f"{connection.name}: the device says it has {channels} channels, where 1 to {schema.MAX_CHANNELS} can be"
-        )
+    elif not 1 <= channels <= schema.MAX_CHANNELS:
+        error = f"the device says it has {channels} channels, where 1 to {schema.MAX_CHANNELS} can be"
+    if error:
+        raise DescriptionError(f"{connection.name}: {error}")
+
+
+def _describe_frame(register: int) -> bytes:
+    return frame_to_device(SETUP, schema.DESCRIBE, register, 0, [0])
 
 
 def _ask(connection: Connection, register: int, tries: int = _TRIES_TO_ASK, when_quiet: bytes = b"") -> int:
-    frame = frame_to_device(SETUP, schema.DESCRIBE, register, 0, np.zeros(1, np.int64))
-    word = _exchange(connection, frame, schema.DESCRIPTION, register, tries, when_quiet)
+    word = _exchange(connection, _describe_frame(register), schema.DESCRIPTION, register, tries, when_quiet)
     if word is not None:
         return word
     waited = f"within {tries * _ANSWER_S:.2g} s{_refused(connection)}"
@@ -179,8 +176,8 @@ def _ask(connection: Connection, register: int, tries: int = _TRIES_TO_ASK, when
             f"powered, does its firmware speak hapsim's protocol{at_baud}, and is no other program using it?"
         )
     raise DeviceError(
-        f"{connection.name}: the device told its version (register {schema.REG_VERSION}), but not what register "
-        f"{register} holds {waited}: its firmware has to answer every DESCRIBE (PROTOCOL.md, section 5)"
+        f"{connection.name}: the device reported its version (register {schema.REG_VERSION}), but not register "
+        f"{register} {waited}: its firmware has to answer every DESCRIBE (PROTOCOL.md, section 5)"
     )
 
 
@@ -213,13 +210,9 @@ def _send(connection: Connection, frame: bytes) -> None:
 
 
 def _answer(
-    connection: Connection,
-    kind: int,
-    number: int | None,
-    timeout_s: float,
-    fits: Callable[[int], bool] = lambda _word: True,
+    connection: Connection, kind: int, number: int | None, timeout_s: float, fits: Callable[[int], bool]
 ) -> int | None:
-    """Returns the first word that `fits` of a frame of this kind and number (None: any); None where none comes."""
+    """Waits for a frame of this kind and number (None: any) whose first word `fits`. Returns the word, or None."""
     deadline = time.monotonic() + timeout_s
     while (left := deadline - time.monotonic()) > 0:
         found, code = connection.next_frame(left)

@@ -1,4 +1,4 @@
-"""Which devices this user has pushed or run before: names in a file of the state directory."""
+"""The devices that this user has pushed or run before: names in a file of the state directory."""
 
 from __future__ import annotations
 
@@ -9,26 +9,28 @@ from pathlib import Path
 
 
 def state_directory() -> Path:
-    """Where hapsim keeps what is no cache: $XDG_STATE_HOME/hapsim, by default under ~/.local/state. OSError where the
-    user has no home."""
+    """Returns $XDG_STATE_HOME/hapsim, by default under ~/.local/state. OSError where the user has no home."""
     state = os.environ.get("XDG_STATE_HOME", "")
     try:
         return (Path(state) if os.path.isabs(state) else Path.home() / ".local" / "state") / "hapsim"
     except RuntimeError as error:
-        raise FileNotFoundError(
-            errno.ENOENT, "this user has no home: set XDG_STATE_HOME, or name a directory"
-        ) from error
+        message = "this user has no home: set XDG_STATE_HOME, or name a directory"
+        raise FileNotFoundError(errno.ENOENT, message) from error
 
 
 def is_new(port: str) -> bool:
     """Returns whether this user meets the device at `port` for the first time, and remembers it.
 
-    The device is known by its serial number, or else by the port's name. Where nothing is there, or nothing can be
-    kept, no device is new.
+    A device is known by its serial number, or else by the port's name. Where there is none, or nothing can be written,
+    no device is new.
     """
+    from serial.tools import list_ports
+
     if not os.path.exists(port):
         return False
-    name = _serial_number(port) or port
+    there = os.path.realpath(port)
+    numbers = [one.serial_number for one in list_ports.comports() if os.path.realpath(one.device) == there]
+    name = next(filter(None, numbers), port)
     with contextlib.suppress(OSError, UnicodeError):
         file = state_directory() / "devices"
         if file.exists() and name in file.read_text(encoding="utf-8").splitlines():
@@ -38,12 +40,3 @@ def is_new(port: str) -> bool:
             known.write(f"{name}\n")
         return True
     return False
-
-
-def _serial_number(port: str) -> str:
-    """ "" where it has none."""
-    from serial.tools import list_ports
-
-    there = os.path.realpath(port)
-    found = (one.serial_number for one in list_ports.comports() if os.path.realpath(one.device) == there)
-    return next(found, None) or ""

@@ -1,4 +1,4 @@
-"""Where the device of a scene is: behind a serial port, on a pseudo-terminal, or in memory."""
+"""Opening the connection to a scene's device: behind a serial port, on a pseudo-terminal, or in memory."""
 
 from __future__ import annotations
 
@@ -17,7 +17,6 @@ TransportKind = Literal["auto", "mock", "loopback", "terminal"]
 """auto: the scene's port, or the mock where it names none. mock: the mock whatever the scene says, in memory where the
 time is virtual and on a pseudo-terminal where it is real. loopback, terminal: the mock, there."""
 
-
 Between = Callable[[PythonTransport], PythonTransport]
 """Wraps the transport to a device, for the host."""
 
@@ -26,7 +25,7 @@ Place = Literal["port", "terminal", "loopback"]
 
 
 def place_of_device(scene: Scene, kind: TransportKind = "auto", *, portable: bool = False) -> Place:
-    """Where the scene's device is. UsageError where it cannot be there."""
+    """Returns where the scene's device is. UsageError where it cannot be there."""
     if kind == "auto" and scene.device.port is not None:
         return "port"
     virtual = scene.device.clock == "lockstep"
@@ -40,7 +39,7 @@ def place_of_device(scene: Scene, kind: TransportKind = "auto", *, portable: boo
 
 
 def require_possible_here(place: Place, *, portable: bool = False) -> None:
-    """UsageError where a loop with its device there takes Linux, and this is another system."""
+    """Raises UsageError where a loop with its device there needs Linux, and this is another system."""
     if place == "terminal":
         from hapsim.device.mock.terminal import require_pseudo_terminal
 
@@ -67,45 +66,31 @@ def open_connection(
         realtime: a mock in real time runs before other programs, where the system grants that.
         between: wraps the transport.
     """
-    with _open_directly(scene, kind, portable, realtime) as connection:
+    open_port = open_portable_port if portable else open_serial_port
+    place = place_of_device(scene, kind, portable=portable)
+    with contextlib.ExitStack() as stack:
+        if place == "loopback":
+            connection = _loopback(scene)
+        else:
+            port = scene.device.port or ""
+            if place == "terminal":
+                port = stack.enter_context(_served_mock(scene, realtime))
+            connection = stack.enter_context(contextlib.closing(open_port(port, scene.device.baud)))
+            connection.behind_port = place == "port"
         if between is not None:
             connection.transport = between(connection.transport)
         yield connection
-
-
-@contextlib.contextmanager
-def _open_directly(scene: Scene, kind: TransportKind, portable: bool, realtime: bool) -> Iterator[Connection]:
-    open_port = open_portable_port if portable else open_serial_port
-    place = place_of_device(scene, kind, portable=portable)
-    if place == "port":
-        with contextlib.closing(open_port(scene.device.port or "", scene.device.baud)) as connection:
-            yield connection
-    elif place == "loopback":
-        yield _loopback(scene)
-    else:
-        as_hardware = realtime and scene.device.clock != "lockstep"
-        with _mock_terminal(scene, open_port, as_hardware) as connection:
-            yield connection
 
 
 def _loopback(scene: Scene) -> Connection:
     from hapsim.device.mock.assemble import assemble_mock
     from hapsim.device.mock.loopback import loopback_transport
 
-    transport = loopback_transport(assemble_mock(scene))
-    return Connection(transport=transport, name="mock in memory", close=lambda: None)
+    return Connection(loopback_transport(assemble_mock(scene)), "mock in memory", close=lambda: None)
 
 
-@contextlib.contextmanager
-def _mock_terminal(
-    scene: Scene, open_port: Callable[[str, int], Connection], as_hardware: bool
-) -> Iterator[Connection]:
+def _served_mock(scene: Scene, realtime: bool) -> contextlib.AbstractContextManager[str]:
     from hapsim.device.mock.assemble import assemble_mock
     from hapsim.device.mock.terminal import serving
 
-    with (
-        serving(assemble_mock(scene), as_hardware) as path,
-        contextlib.closing(open_port(path, scene.device.baud)) as connection,
-    ):
-        connection.has_timer = connection.in_hand = False
-        yield connection
+    return serving(assemble_mock(scene), realtime and scene.device.clock != "lockstep")

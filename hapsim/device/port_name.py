@@ -1,13 +1,15 @@
 """A name of the user's choice for a pseudo-terminal: a symbolic link, which a program that is killed leaves behind.
 
-Call `free_name` before opening a pseudo-terminal: the system gives the number of one that is gone to the next, and a
-link that was left over would then seem to lead to a port that is in use.
+Call `free_name` before opening a pseudo-terminal: the system reuses the number of a closed one, and an old link would
+then seem to lead to a port in use.
 """
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
+from collections.abc import Iterator
 from pathlib import Path
 
 from hapsim.errors import UsageError
@@ -16,7 +18,7 @@ _PSEUDO_TERMINAL = re.compile(r"/dev/pts/\d+")
 
 
 def free_name(name: Path | None) -> None:
-    """Removes a link that leads to a pseudo-terminal which is gone. UsageError where the name is taken otherwise."""
+    """Removes a link to a closed pseudo-terminal. UsageError where the name is taken by anything else."""
     if name is None or not os.path.lexists(name):
         return
     link = leads_to(name)
@@ -24,34 +26,49 @@ def free_name(name: Path | None) -> None:
         raise UsageError(f"{name}: found a file, a directory or a device, expected a free name for the port")
     if os.path.exists(name) or not _PSEUDO_TERMINAL.fullmatch(link):
         raise UsageError(f"{name}: found a link to {link}, expected a free name for the port; remove an unused link")
-    try:
+    with _explained(name):
         name.unlink()
-    except OSError as error:
-        raise _cannot_link(name, error) from error
 
 
 def give_name(name: Path, port: str) -> None:
     """Makes `name` a link to `port`. UsageError where that is not possible."""
     free_name(name)
-    try:
+    with _explained(name):
         name.symlink_to(port)
-    except OSError as error:
-        raise _cannot_link(name, error) from error
 
 
 def take_name(name: Path, port: str) -> None:
-    """Removes the link, if it still leads to `port`."""
+    """Removes the link if it still leads to `port`."""
     if leads_to(name) == port:
         name.unlink(missing_ok=True)
 
 
+@contextlib.contextmanager
+def linked(name: Path | None, port: str) -> Iterator[str]:
+    """Yields the port's name: the link `name` while open, or the port's own."""
+    if name is None:
+        yield port
+        return
+    give_name(name, port)
+    try:
+        yield str(name)
+    finally:
+        take_name(name, port)
+
+
 def leads_to(name: str | Path) -> str | None:
-    """Returns what a symbolic link leads to; None where there is no link."""
+    """Returns the target of a symbolic link; None where there is no link."""
     try:
         return os.readlink(name)
     except (OSError, ValueError):
         return None
 
 
-def _cannot_link(name: Path, error: OSError) -> UsageError:
-    return UsageError(f"{name}: this link cannot be made: {error.strerror}; choose a name in a directory of yours")
+@contextlib.contextmanager
+def _explained(name: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise UsageError(
+            f"{name}: this link cannot be made: {error.strerror}; choose a name in a directory of yours"
+        ) from error

@@ -1,7 +1,7 @@
 """Opening a device's serial port: found, configured and locked by pyserial, then raw for the loop.
 
-Two locks, because each alone lets somebody in: pyserial's is advisory, and the terminal's own does not stop root. Both
-are the kernel's and end with the process, however it ends.
+It takes two locks: pyserial's is advisory, and the terminal's own does not stop root. The kernel ends both with the
+process, however it ends.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ from hapsim.loop.transport import PythonTransport, descriptor_transport
 
 _PSEUDO_TERMINALS = range(136, 144)  # major numbers, Linux's Documentation/admin-guide/devices.txt
 _PROC = Path("/proc")
-_LONGEST = 120  # characters of a command line that a sentence quotes
-_WRITE_TIMEOUT_S = 1.0  # of the portable loop, whose own interpreter may be held up for a tenth of a second
+_LONGEST = 120  # characters of a command line in a sentence
+_WRITE_TIMEOUT_S = 1.0  # of the portable loop, whose interpreter may be held up for a tenth of a second
 
 
 def open_serial_port(path: str, baud: int) -> Connection:
-    """Opens a port at `baud` bit/s for the compiled loop. DeviceError, with what to do, where that fails."""
+    """Opens a port at `baud` bit/s for the compiled loop. DeviceError, with the remedy, where that fails."""
     port = _open(path, baud)
     _make_raw(port.fileno())
     return _connection(port, descriptor_transport(port.fileno()))
 
 
 def open_portable_port(path: str, baud: int) -> Connection:
-    """Opens a port at `baud` bit/s for the portable loop. DeviceError, with what to do, where that fails."""
+    """Opens a port at `baud` bit/s for the portable loop. DeviceError, with the remedy, where that fails."""
     from hapsim.loop.portable import PortableTransport
 
     port = _open(path, baud)
@@ -40,18 +40,17 @@ def open_portable_port(path: str, baud: int) -> Connection:
 
 
 def _connection(port: Any, transport: PythonTransport) -> Connection:
-    note = _low_latency(port)
-    name, baud = port.port, port.baudrate
-    return Connection(transport, name, port.close, baud=baud, note=note, has_timer=True, in_hand=True)
+    note = "" if _set_low_latency(port) else "the port's driver offers no low-latency mode"
+    return Connection(transport, port.port, port.close, baud=port.baudrate, note=note, behind_port=True)
 
 
 @contextlib.contextmanager
 def raw_port(path: str, baud: int) -> Iterator[int]:
-    """The descriptor of an open port, raw, locked and not blocking, for who reads and writes it himself. DeviceError,
-    with what to do, where it cannot be opened."""
+    """Yields the descriptor of an open port: raw, locked, non-blocking. DeviceError, with the remedy, where that
+    fails."""
     with contextlib.closing(_open(path, baud)) as port:
         _make_raw(port.fileno())
-        _low_latency(port)
+        _set_low_latency(port)
         yield port.fileno()
 
 
@@ -65,7 +64,7 @@ def _open(path: str, baud: int) -> Any:
 
 
 def serial_ports() -> list[dict[str, str]]:
-    """The serial ports that the system knows: path, description and hardware of each."""
+    """Returns path, description and hardware of each serial port of this system."""
     from serial.tools import list_ports
 
     return [
@@ -75,7 +74,7 @@ def serial_ports() -> list[dict[str, str]]:
 
 
 def _make_raw(descriptor: int) -> None:
-    """VMIN = 1: then "nothing there" is EAGAIN and only a hang-up reads as empty."""
+    """Sets VMIN = 1, so that an empty port reads as EAGAIN and only a hang-up as empty."""
     import fcntl
     import termios
 
@@ -84,18 +83,18 @@ def _make_raw(descriptor: int) -> None:
     attributes[6][termios.VTIME] = 0
     termios.tcsetattr(descriptor, termios.TCSANOW, attributes)
     if os.major(os.fstat(descriptor).st_rdev) in _PSEUDO_TERMINALS:
-        return  # its other side keeps it open, and with it what the next line sets: nobody but root could open it again
+        return  # its other side keeps it open, and exclusive: only root could open it again
     with contextlib.suppress(OSError):
         fcntl.ioctl(descriptor, termios.TIOCEXCL)
 
 
-def _low_latency(port: object) -> str:
-    """Asks the driver not to gather bytes (FTDI: 16 ms by default). A note where it cannot be asked."""
+def _set_low_latency(port: Any) -> bool:
+    """Asks the driver not to gather bytes (FTDI: 16 ms by default); whether it can."""
     try:
-        port.set_low_latency_mode(True)  # type: ignore[attr-defined]
+        port.set_low_latency_mode(True)
     except (ValueError, OSError, AttributeError):
-        return "the port's driver offers no low-latency mode"
-    return ""
+        return False
+    return True
 
 
 _BUSY = ("exclusively lock", "busy", "PermissionError(13, 'Access is denied.'")  # the last is how Windows says it
@@ -106,7 +105,7 @@ def _why_not(path: str, baud: int, error: Exception) -> str:
     text = str(error)
     if code == errno.ENOENT or "No such file" in text or "FileNotFoundError" in text:
         ports = ", ".join(port["port"] for port in serial_ports())
-        found = f"Ports found: {ports or 'none'} (`hapsim ports` tells more)"
+        found = f"Ports found: {ports or 'none'} (details: `hapsim ports`)"
         link = leads_to(path)
         if link is not None:
             return f"{path}: a link to {link}, which is gone: was the program that made it stopped? {found}"
@@ -118,53 +117,53 @@ def _why_not(path: str, baud: int, error: Exception) -> str:
         which = f": {holders}. Close it" if holders else ". Close it (ModemManager is a frequent one)"
         return f"{path}: another program is using the port{which} and try again"
     if code in (errno.ENOTTY, errno.EISDIR) or "not configure port" in text or "Inappropriate ioctl" in text:
-        if Path(path).is_file() or Path(path).is_dir():
-            return f"{path}: not a serial port, but a {'file' if Path(path).is_file() else 'directory'}"
+        for kind, is_kind in (("file", Path.is_file), ("directory", Path.is_dir)):
+            if is_kind(Path(path)):
+                return f"{path}: not a serial port, but a {kind}"
         return f"{path}: not a serial port, or one that cannot be set to {baud} baud"
     return f"{path}: cannot be opened: {text}"
 
 
 def who_holds(path: str) -> str:
-    """Returns the processes that hold `path`, in words that follow a colon; "" where none was seen.
+    """Returns the processes that hold `path`, in words that follow a colon; "" where none was found.
 
-    Linux tells everybody who took a lock, and tells of one's own processes, or root of all, what they have open.
+    Linux shows every lock to everyone, but open files only to their user and root.
     """
     try:
         port = os.stat(path)
     except (OSError, ValueError):
         return ""
-    locking = [pid for pid in _locking(port) if (_PROC / str(pid)).exists()]
+    locking = [pid for pid in _locking(port) if (_PROC / pid).exists()]
     if locking:
         return " and ".join(f"{_named(pid)} holds its lock" for pid in locking)
     return " and ".join(f"{_named(pid)} has it open" for pid in _opening(os.path.realpath(path)))
 
 
-def _locking(port: os.stat_result) -> list[int]:
-    """Who took a lock on this very file, by the kernel's list: `1: FLOCK  ADVISORY  WRITE 2461 00:1a:3 0 EOF`."""
+def _locking(port: os.stat_result) -> list[str]:
+    """The processes with a lock on this file, of lines like `1: FLOCK  ADVISORY  WRITE 2461 00:1a:3 0 EOF`."""
     where = f"{os.major(port.st_dev):02x}:{os.minor(port.st_dev):02x}:{port.st_ino}"
     with contextlib.suppress(OSError):
         lines = map(str.split, (_PROC / "locks").read_text("ascii", "replace").splitlines())
-        return [int(words[4]) for words in lines if words[1:2] == ["FLOCK"] and words[5:6] == [where]]
+        return [words[4] for words in lines if words[1:2] == ["FLOCK"] and words[5:6] == [where]]
     return []
 
 
-def _opening(port: str) -> list[int]:
-    """Those that may be looked at, and have this file open by whatever name."""
+def _opening(port: str) -> list[str]:
+    """The readable processes that have this file open."""
     found = []
-    with contextlib.suppress(OSError):
-        for process in sorted(int(name) for name in os.listdir(_PROC) if name.isdigit()):
-            with contextlib.suppress(OSError):  # another user's, or it has ended
-                if any(os.readlink(one) == port for one in (_PROC / str(process) / "fd").iterdir()):
-                    found.append(process)
-    return found
+    for process in _PROC.glob("[0-9]*"):
+        with contextlib.suppress(OSError):  # another user's, or it has ended
+            if any(os.readlink(one) == port for one in (process / "fd").iterdir()):
+                found.append(process.name)
+    return sorted(found, key=int)
 
 
-def _named(process: int) -> str:
-    if process == os.getpid():
+def _named(process: str) -> str:
+    if process == str(os.getpid()):
         return f"this process itself (PID {process})"
     command = ""
     with contextlib.suppress(OSError):
-        command = (_PROC / str(process) / "cmdline").read_text("utf-8", "replace").rstrip("\0").replace("\0", " ")
+        command = (_PROC / process / "cmdline").read_text("utf-8", "replace").rstrip("\0").replace("\0", " ")
     command = "".join(one if one.isprintable() else "?" for one in command)
     command = f"{command[:_LONGEST]}…" if len(command) > _LONGEST else command
     return f"PID {process} ({command})" if command else f"PID {process}"

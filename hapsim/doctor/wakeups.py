@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any
 
 from firmware_protocol.compiled import new_record
-from hapsim.compiling.entries import compile_for
+from hapsim.compiling.kept import compile_for
 from hapsim.compiling.progress import on_compilation
 from hapsim.errors import HapsimError, UsageError
 from hapsim.loop.clocks import GRID, sleep_on_grid

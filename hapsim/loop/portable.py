@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapsim.compiling import entry
-from hapsim.compiling.entries import compile_for
+from hapsim.compiling.kept import compile_for
 from hapsim.loop.buffers import fetch_in_python, inbox_at, put_bytes
 from hapsim.loop.clocks import may_ask_again, plan_by_device, plan_by_host
 from hapsim.loop.endings import FAILED, HEARD, HUNG_UP, RING_FULL, RUNNING, TIMED_OUT, ending_of

@@ -135,11 +135,11 @@ def _set_guards(
     loop: LoopMemory, scene: Scene, connection: Connection, description: Description, options: RunOptions
 ) -> None:
     record = loop.record
-    record.watch.judges = scene.device.clock == "device" and connection.has_timer
+    record.watch.judges = scene.device.clock == "device" and connection.behind_port
     set_leap(record.leap, scene, description)
     set_travel(record.travel, scene, description)
     limit = float(record.io.force_limit[: description.channels].max())
-    in_hand = connection.in_hand and scene.device.clock != "lockstep"  # no hand lives in virtual time
+    in_hand = connection.behind_port and scene.device.clock != "lockstep"  # no hand lives in virtual time
     bounds = force_bounds(scene, in_hand=in_hand, judges_energy=options.judges_energy, force_limit=limit)
     set_slew(record, scene, description, bounds)
     loop.energy_guard = energy_guard_of(record, scene, description, bounds)

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 import numpy as np
 
 from firmware_protocol.compiled import new_record
-from hapsim.compiling.entries import compile_for, directory_of_kept_code, is_kept
+from hapsim.compiling.kept import compile_for, directory_of_kept_code, is_kept
 from hapsim.compiling.native import PlainNative
 from hapsim.compiling.progress import Counted, on_compilation
 from hapsim.loop.system import missing_calls

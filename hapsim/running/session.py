@@ -22,7 +22,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Self
 
-from hapsim.compiling.entries import compile_for
+from hapsim.compiling.kept import compile_for
 from hapsim.compiling.progress import Counted, on_compilation
 from hapsim.device.connection import Connection
 from hapsim.device.conversation import arm, describe, disarm, frames_rejected_by, has_restarted

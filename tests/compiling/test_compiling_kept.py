@@ -23,7 +23,7 @@ names = []
 with on_compilation(names.append):
     parameters.move.address()
     record = new_record(parameters.PARAMETERS)
-    from hapsim.compiling.entries import compile_for, is_kept
+    from hapsim.compiling.kept import compile_for, is_kept
     compile_for(parameters.post, record, np.zeros(0), 1)
 parameters.post(record, np.zeros(0), 1)
 compiled = sorted(set(names) & {"parameters.move", "post"})

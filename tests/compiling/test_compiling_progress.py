@@ -15,7 +15,7 @@ import pytest
 
 from firmware_protocol import code_cache
 from hapsim.compiling import entry, helper
-from hapsim.compiling.entries import compile_for, is_kept
+from hapsim.compiling.kept import compile_for, is_kept
 from hapsim.compiling.native import Behind, NativeFunction, value_of
 from hapsim.compiling.progress import Counted, compiling, on_compilation
 

@@ -1,4 +1,4 @@
-"""Scene -> MOCK: the device that the scene describes, at rest and disarmed."""
+"""Scene -> MOCK: the device that the scene describes, disarmed."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ import math
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from firmware_protocol import schema
 from firmware_protocol.compiled import new_record
-from firmware_protocol.decoder import begin_decoding
 from firmware_protocol.description import Description, to_registers
 from firmware_protocol.frames import SETUP, armed_format, framing_of
 from firmware_protocol.wire_time import BITS_PER_BYTE, WireTime, wire_time
@@ -21,24 +21,23 @@ from hapsim.scene import Scene
 
 
 def describe_mock(scene: Scene) -> Description:
-    """What the scene's mock says of itself."""
-    channels = scene.channels
-    limit = scene.mock_device.force_limit
+    """Returns the description that the scene's mock gives of itself."""
+    channels, mock = scene.channels, scene.mock_device
     return Description(
         name="hapsim mock",
         rate_hz=scene.rate,
         pacings=1 << schema.PACED_BY_DEVICE | 1 << schema.PACED_BY_HOST | 1 << schema.LOCKSTEP,
         max_watchdog_samples=schema.MAX_WATCHDOG_SAMPLES,
-        position_scale=(scene.mock_device.quantum,) * channels,
-        force_scale=(scene.mock_device.force_scale,) * channels,
-        force_limit=(limit,) * channels,
-        velocity_scale=(scene.mock_device.quantum * scene.rate,) * channels,
+        position_scale=(mock.quantum,) * channels,
+        force_scale=(mock.force_scale,) * channels,
+        force_limit=(mock.force_limit,) * channels,
+        velocity_scale=(mock.quantum * scene.rate,) * channels,
     )
 
 
 def assemble_mock(scene: Scene) -> Any:
-    """The mock that the scene's `device` and `mock` describe: MOCK. UsageError where no force gets through its wire in
-    virtual time."""
+    """Returns the MOCK of the scene's `device` and `mock`. UsageError where in virtual time no force gets through its
+    wire."""
     description = describe_mock(scene)
     mock = new_record(MOCK)
     mock.channels = scene.channels
@@ -53,7 +52,7 @@ def assemble_mock(scene: Scene) -> Any:
         formats.setup = framing_of(SETUP, to_device)
         formats.armed = framing_of(armed_format(scene.channels), to_device)
         formats.armed_with_velocity = framing_of(armed_format(scene.channels, velocity=True), to_device)
-    begin_decoding(mock.decoder, SETUP, to_device=True)
+    mock.decoder.framing = framing_of(SETUP, to_device=True)
     return mock
 
 
@@ -78,13 +77,16 @@ def _set_converters(mock: Any, scene: Scene, description: Description) -> None:
     converters["quantum"] = device.quantum
     converters["velocity_quantum"] = description.velocity_scale
     converters["noise"] = device.noise
-    # Spread apart, and never zero, from which the generator would not move.
-    seeds = np.random.SeedSequence(device.seed).generate_state(scene.channels, np.uint64)
-    converters["seed"] = seeds | np.uint64(1)
+    converters["seed"] = _seeds(device.seed, scene.channels)
+
+
+def _seeds(entropy: int | tuple[int, int], count: int) -> NDArray[np.uint64]:
+    """Seeds far apart, and never zero, where the generator would stay."""
+    return np.random.SeedSequence(entropy).generate_state(count, np.uint64) | np.uint64(1)
 
 
 def _set_wire(mock: Any, scene: Scene) -> None:
-    """In virtual time nobody but the wire takes time."""
+    """Sets its delays. In virtual time only the wire takes time, not the host."""
     device = scene.mock_device
     wire = wire_time(scene.channels, bool(scene.sensed_links), scene.rate, device.baud, device.turnaround, 0.0)
     late = None if wire.delay_samples is None else wire.delay_samples - 1
@@ -92,7 +94,7 @@ def _set_wire(mock: Any, scene: Scene) -> None:
         _require_passable(wire, late, time_to_live_samples(scene.rate))
     mock.late_samples = min(late or 0, MOST_LATE)
     mock.chance.share = device.misses if scene.device.clock == "lockstep" else 0.0
-    mock.chance.seed = np.random.SeedSequence((device.seed, 1)).generate_state(1, np.uint64)[0] | np.uint64(1)
+    mock.chance.seed = _seeds((device.seed, 1), 1)[0]
     if mock.late_samples or mock.chance.share:
         mock.called.take_force = take_late_force.address()
     mock.byte_ns = BITS_PER_BYTE * 1e9 / device.baud if device.baud else 0.0

@@ -1,8 +1,8 @@
-"""The mock's firmware: what a microcontroller would do with the bytes of the protocol, compiled.
+"""The mock's firmware, compiled: what a microcontroller does with the bytes of the protocol.
 
-It is a state machine of three events: bytes arrived (`take_bytes`), a sample is due (`take_sample`), nothing was heard
-for too long (`look_at_watchdog`). What it wants to send stands in its outbox. Each event is called by its address, so
-that the mock in memory and the one on a pseudo-terminal are the same compiled code.
+A state machine of three events: bytes arrived (`take_bytes`), a sample is due (`take_sample`), the watchdog is checked
+(`look_at_watchdog`). Its answers go to its outbox. Each event is called by its address, so that the mock in memory and
+the one on a pseudo-terminal share compiled code.
 """
 
 from __future__ import annotations
@@ -33,11 +33,13 @@ from hapsim.device.mock.sampler import (
 )
 
 OUTBOX_BYTES = 65536
-INPUT_BYTES = 4096  # at most this many go into `take_bytes` at once: the answers to them fit the outbox
+INPUT_BYTES = 4096  # at most for one `take_bytes`: the answers fit the outbox
 LONGEST_DELAY = 1000  # samples
-MOST_LATE = schema.MAX_TIME_TO_LIVE_SAMPLES  # samples: later than that no force ever acts
+MOST_LATE = schema.MAX_TIME_TO_LIVE_SAMPLES  # samples: no later force ever acts
+MOST_GRIPS = 1000
 _LONGEST_ANSWER = schema.frame_bytes(schema.MAX_CHANNELS, to_device=False, velocity=True)
-_LOCKSTEP_PATIENCE_NS = 10_000_000_000  # twice what hapsim waits for a position: a host quiet for longer is gone
+_LOCKSTEP_PATIENCE_NS = 10_000_000_000  # twice what hapsim waits for a position: the host is gone
+
 BOARD = np.dtype(
     [
         ("state", np.int64),  # IDLE, ARMED, LATCHED
@@ -45,35 +47,37 @@ BOARD = np.dtype(
         ("pacing", np.int64),
         ("velocity", np.int64),  # 1: armed to send velocities too
         ("watchdog", np.int64),  # samples
-        ("n", np.int64),  # the sample that lasts now
+        ("n", np.int64),  # the current sample
         ("answered", np.int64),  # the sample that the newest accepted force answers
         ("expires", np.int64),  # the last sample in which that force may act
         ("heard", np.int64),  # the sample in which a force was last accepted
         ("heard_ns", np.int64),
         ("sampled_ns", np.int64),
-        ("lives", np.float64),  # s, paced by the host: for how long of the sample that lasts a force may act
+        ("lives", np.float64),  # s of the current sample for which a force may act, paced by the host
         ("out", np.int64),  # bytes in the outbox
         ("scale_out_of_range", np.int64),
     ]
 )
 
-_CALLED = ("take_bytes", "take_sample", "look_at_watchdog", "take_force", "act_on_force", "read", "say", "move")
-CALLED = np.dtype([(name, np.uint64) for name in _CALLED], align=True)
-"""Addresses: of the three events; of what a force goes to first, and when it is there; of the codec's two halves; and
-of what moves the bodies."""
-
-FORCE_UNDER_WAY = np.dtype(
-    [("number", np.int64), ("argument", np.int64), ("counts", np.int64, (schema.MAX_CHANNELS,))], align=True
+CALLED = np.dtype(
+    [
+        ("take_bytes", np.uint64),  # the events
+        ("take_sample", np.uint64),
+        ("look_at_watchdog", np.uint64),
+        ("take_force", np.uint64),  # for a received force: `act_on_force`, or `take_late_force` before it
+        ("act_on_force", np.uint64),
+        ("read", np.uint64),  # the codec
+        ("say", np.uint64),
+        ("move", np.uint64),  # of motion.py
+    ],
+    align=True,
 )
-
-CHANCE = np.dtype([("share", np.float64), ("seed", np.uint64), ("state", np.uint64)], align=True)
-"""By which forces come late: their share, and where the generator begins and stands."""
-
-MOST_GRIPS = 1000
-GRIP = np.dtype([("sample", np.int64), ("mass", np.float64)], align=True)
+"""Addresses of the functions that the mock calls."""
 
 _EACH = (schema.MAX_CHANNELS,)
-
+FORCE_UNDER_WAY = np.dtype([("number", np.int64), ("argument", np.int64), ("counts", np.int64, _EACH)], align=True)
+CHANCE = np.dtype([("share", np.float64), ("seed", np.uint64), ("state", np.uint64)], align=True)
+GRIP = np.dtype([("sample", np.int64), ("mass", np.float64)], align=True)
 FORMATS = np.dtype([("setup", FRAMING), ("armed", FRAMING), ("armed_with_velocity", FRAMING)], align=True)
 
 MOCK = np.dtype(
@@ -84,28 +88,23 @@ MOCK = np.dtype(
         ("initial", BODY, _EACH),
         ("converters", CONVERTER, _EACH),
         ("depth", np.int64),  # rows of commands in use
-        ("commands", np.float64, (LONGEST_DELAY + MOST_AGES, schema.MAX_CHANNELS)),  # N, sample by sample
+        ("commands", np.float64, (LONGEST_DELAY + MOST_AGES, schema.MAX_CHANNELS)),  # N, a ring of samples
         ("force_scale", np.float64, _EACH),
         ("force_limit", np.float64, _EACH),
-        # What a frame carries: the positions of all channels, and then their velocities.
-        ("counts", np.int64, (schema.MAX_WORDS,)),
+        ("counts", np.int64, (schema.MAX_WORDS,)),  # of the next frame: all positions, then all velocities
         ("registers", np.int64, (schema.REGISTERS,)),
-        ("heard", FORMATS),  # the formats of the host's frames,
-        ("spoken", FORMATS),  # and of the mock's
+        ("heard", FORMATS),  # of the host's frames
+        ("spoken", FORMATS),  # of the mock's frames
         ("decoder", DECODER),
         ("outbox", np.uint8, (OUTBOX_BYTES,)),
-        ("late_samples", np.int64),  # in virtual time: so many samples pass while a force is on the wire
+        ("late_samples", np.int64),  # that a force spends on the wire in virtual time
         ("under_way", FORCE_UNDER_WAY, (MOST_LATE + 1,)),  # by the sample in which it was sent
-        ("chance", CHANCE),
-        (
-            "grips",
-            GRIP,
-            (MOST_GRIPS + 1,),
-        ),  # from which sample on the bodies have which mass (kg); the last never comes
+        ("chance", CHANCE),  # the share of forces that never arrive; seed and state of the generator
+        ("grips", GRIP, (MOST_GRIPS + 1,)),  # from which sample the bodies have which mass (kg); the last never comes
         ("gripped", np.int64),  # how many of them are over
-        ("byte_ns", np.float64),  # in real time: what a byte takes on the wire,
-        ("turnaround_ns", np.float64),  # and what the device takes before its first
-        ("address", np.uint64),  # of all this
+        ("byte_ns", np.float64),  # of a byte on the wire, in real time
+        ("turnaround_ns", np.float64),  # before the first byte of an answer
+        ("address", np.uint64),  # of this record
         ("called", CALLED),
     ],
     align=True,
@@ -116,7 +115,7 @@ mock_at, _framing_at, _bytes_at = record_at(MOCK), record_at(FRAMING), array_at(
 
 call_take_bytes = function_at(types.void(types.uint64, types.uint64, types.int64, types.int64))
 call_event = function_at(types.void(types.uint64, types.int64))
-"""How compiled code calls the events: with the mock's address, and the time in ns."""
+"""Call the events from compiled code, with the mock's address and the time in ns."""
 
 _call_read = function_at(types.int64(types.uint64, types.uint64, types.int64, types.int64))
 _call_say = function_at(types.void(types.uint64, types.uint64, types.int64, types.int64))
@@ -124,15 +123,14 @@ _call_say = function_at(types.void(types.uint64, types.uint64, types.int64, type
 
 @native(types.int64, types.uint64, types.uint64, types.int64, types.int64)
 def _read(mock, data, start, stop):
-    """Where the next frame in data[start:stop] ends, which is then in the decoder; -1 where there is none."""
+    """Returns where the next frame in data[start:stop] ends, which is then in the decoder; -1 where there is none."""
     at, found = next_frame(mock_at(mock).decoder, _bytes_at(data, stop), start, stop)
     return at if found else -1
 
 
 @native(types.void, types.uint64, types.uint64, types.int64, types.int64)
 def _put_frame(mock, framing, kind, number):
-    """Puts a frame with the counts into the outbox. What nobody fetches is lost once the outbox is full, as on a
-    wire."""
+    """Puts a frame with the counts into the outbox. A full outbox loses it, as a wire does."""
     mock = mock_at(mock)
     if mock.board.out + _LONGEST_ANSWER <= mock.outbox.size:
         framing = _framing_at(framing)
@@ -146,33 +144,22 @@ def _take_bytes(mock, data, stop, now):
         at = _call_read(mock.called.read, (mock.address, data, at, stop))
         if at < 0:
             return
-        kind = mock.decoder.type
-        if kind == schema.FORCE:
-            if mock.board.state == schema.ARMED:
-                call_event(mock.called.take_force, (mock.address, now))
-        elif kind == schema.DESCRIBE:
-            if mock.board.state != schema.ARMED:
-                _describe(mock)
-        elif kind == schema.ARM:
-            if mock.board.state != schema.ARMED:
-                _arm(mock, now)
-        else:
-            _release(mock)
+        kind, armed = mock.decoder.type, mock.board.state == schema.ARMED
+        if kind == schema.DISARM:
+            _disarm(mock, schema.IDLE)
+            _say_status(mock, mock.spoken.setup)
+        elif kind == schema.FORCE and armed:
+            call_event(mock.called.take_force, (mock.address, now))
+        elif kind == schema.DESCRIBE and not armed:
+            _describe(mock)
+        elif kind == schema.ARM and not armed:
+            _arm(mock, now)
 
 
 @native(types.void, types.uint64, types.int64)
 def _take_sample(mock, now):
-    _end_sample(mock_at(mock), now)
-
-
-@native(types.void, types.uint64, types.int64)
-def _look_at_watchdog(mock, now):
-    _fail_where_host_is_quiet(mock_at(mock), now)
-
-
-@helper
-def _end_sample(mock, now):
-    """The sample that lasts ends: the bodies move through it, and the host hears where they are."""
+    """Ends the current sample: moves the bodies through it and sends their positions."""
+    mock = mock_at(mock)
     board = mock.board
     h = mock.converters[0].period
     acts = h
@@ -195,24 +182,18 @@ def _end_sample(mock, now):
             move(mock.called.move, body, 0.0, h - acts)
         position = sample(body, converter, h)
         _show(mock, c, position, sample_velocity(body, converter, h) if board.velocity else 0.0)
-    if acts < h:
-        _forget_forces_before(mock)
+    if acts < h:  # with the time to live, the commands still on their way are over
+        for row in range(mock.depth):
+            if row != board.n % mock.depth:
+                mock.commands[row, :] = 0.0
     board.n += 1
     _say_position(mock, schema.POSITION if fresh else schema.POSITION_HELD)
 
 
-@helper
-def _forget_forces_before(mock):
-    """A time to live is over: what was commanded before the sample that ends, and is still on its way, went with it."""
-    for row in range(mock.depth):
-        for c in range(mock.channels):
-            if row != mock.board.n % mock.depth:
-                mock.commands[row, c] = 0.0
-
-
-@helper
-def _fail_where_host_is_quiet(mock, now):
-    """The watchdog counts samples. Virtual time has none while the host is quiet: there only a real wait tells."""
+@native(types.void, types.uint64, types.int64)
+def _look_at_watchdog(mock, now):
+    """Latches where the host is quiet for too long, in samples. Lockstep has none then: there it waits in real time."""
+    mock = mock_at(mock)
     board = mock.board
     quiet, most = board.n - board.heard, board.watchdog
     if board.pacing == schema.LOCKSTEP:
@@ -225,7 +206,7 @@ def _fail_where_host_is_quiet(mock, now):
 
 @native(types.void, types.uint64, types.int64)
 def _take_force(mock, now):
-    """A force arrives: it is commanded for the sample that lasts, unless it is older than it may be."""
+    """Commands a force for the current sample, unless it is older than its time to live."""
     mock = mock_at(mock)
     board = mock.board
     age = (board.n - mock.decoder.number) % schema.SAMPLE_MODULUS
@@ -250,21 +231,20 @@ def _take_force(mock, now):
 
 @native(types.void, types.uint64, types.int64)
 def take_late_force(mock, now):
-    """In virtual time, over a wire that takes longer than a sample: a force is sent, and the one that was sent so many
-    samples before arrives. Where none does, the sample ends without."""
+    """In virtual time, over a wire longer than a sample: sends this force, and acts on the one sent `late_samples`
+    before. Where none arrives, the sample ends without."""
     address, mock = mock, mock_at(mock)
-    board, decoder = mock.board, mock.decoder
-    if board.pacing == schema.LOCKSTEP:
-        n = board.n
-        _copy_force(decoder, mock.under_way[n % (MOST_LATE + 1)])
-        missed = mock.chance.share > 0.0 and uniform(mock.chance) <= mock.chance.share
-        if n >= mock.late_samples and not missed:
-            _copy_force(mock.under_way[(n - mock.late_samples) % (MOST_LATE + 1)], decoder)
-            call_event(mock.called.act_on_force, (address, now))
-        if board.n == n and board.state == schema.ARMED:
-            call_event(mock.called.take_sample, (address, now))
-    else:
+    board, decoder, n = mock.board, mock.decoder, mock.board.n
+    if board.pacing != schema.LOCKSTEP:
         call_event(mock.called.act_on_force, (address, now))
+        return
+    _copy_force(decoder, mock.under_way[n % (MOST_LATE + 1)])
+    missed = mock.chance.share > 0.0 and uniform(mock.chance) <= mock.chance.share
+    if n >= mock.late_samples and not missed:
+        _copy_force(mock.under_way[(n - mock.late_samples) % (MOST_LATE + 1)], decoder)
+        call_event(mock.called.act_on_force, (address, now))
+    if board.n == n and board.state == schema.ARMED:
+        call_event(mock.called.take_sample, (address, now))
 
 
 @inlined
@@ -277,13 +257,12 @@ def _copy_force(source, target):
 
 @helper
 def _decide_command(mock):
-    """Settles the command of the sample that lasts; whether the force that answers it arrived in time.
+    """Settles the command of the current sample. Returns whether the force that answers it arrived in time.
 
-    Without one, a force that is held goes on until its time to live is over. An impulse is given once and never again.
+    Without one, a force that is held goes on until its time to live is over; an impulse is given once.
     """
     board = mock.board
-    row = board.n % mock.depth
-    before = (board.n - 1) % mock.depth
+    row, before = board.n % mock.depth, (board.n - 1) % mock.depth
     if board.heard == board.n and board.answered == board.n:
         return True
     mock.registers[schema.REG_HELD] += 1
@@ -297,7 +276,7 @@ def _decide_command(mock):
 
 @helper
 def _show(mock, channel, position, velocity):
-    """What the frame is to carry. A velocity that does not fit stands at the end of its scale: no fault."""
+    """Puts a channel into the next frame. A velocity that does not fit its scale stops at the end: no fault."""
     converter = mock.converters[channel]
     counts, fits = to_counts(position, converter.quantum)
     mock.counts[channel] = counts
@@ -336,20 +315,17 @@ def _say_status(mock, framing):
 @helper
 def _describe(mock):
     """Answers with one register; one that does not exist reads 0."""
-    number = mock.decoder.number
+    number, decoder = mock.decoder.number, mock.decoder
     mock.registers[schema.REG_FAULT] = mock.board.fault
-    mock.registers[schema.REG_REJECTED] = (
-        mock.decoder.crc_errors + mock.decoder.length_errors + mock.decoder.form_errors
-    )
-    word = mock.registers[number] if number < mock.registers.size else 0
+    mock.registers[schema.REG_REJECTED] = decoder.crc_errors + decoder.length_errors + decoder.form_errors
     mock.counts[:] = 0
-    mock.counts[0] = word & 0xFFFFFFFF
+    mock.counts[0] = mock.registers[number] & 0xFFFFFFFF if number < mock.registers.size else 0
     _say(mock, mock.spoken.setup, schema.DESCRIPTION, number)
 
 
 @helper
 def _refusal(mock, pacing, velocity):
-    """Why the device does not arm, or NO_FAULT."""
+    """The fault that keeps the device from arming, or NO_FAULT."""
     if mock.decoder.counts[0] & 0xFFFFFFFF != schema.SCHEMA_HASH:
         return schema.WRONG_SCHEMA
     if pacing > schema.LOCKSTEP or not mock.registers[schema.REG_PACINGS] >> pacing & 1:
@@ -363,7 +339,7 @@ def _refusal(mock, pacing, velocity):
 
 @helper
 def _arm(mock, now):
-    """Begins at sample 0, from the initial state; says so, and speaks the armed format from then on."""
+    """Begins at sample 0, from the initial state; sends STATUS, and then speaks the armed format."""
     board, decoder = mock.board, mock.decoder
     pacing, velocity = decoder.argument & (schema.WITH_VELOCITY - 1), decoder.argument & schema.WITH_VELOCITY
     board.fault = _refusal(mock, pacing, velocity)
@@ -371,11 +347,10 @@ def _arm(mock, now):
     if board.fault != schema.NO_FAULT:
         _say_status(mock, mock.spoken.setup)
         return
-    watchdog = decoder.number
     _disarm(mock, schema.ARMED)
     board.pacing = pacing
     board.velocity = 1 if velocity else 0
-    board.watchdog = watchdog
+    board.watchdog = decoder.number
     board.answered = board.heard = board.expires = -1
     board.heard_ns = board.sampled_ns = now
     board.lives = math.inf
@@ -396,25 +371,16 @@ def _arm(mock, now):
 
 
 @helper
-def _release(mock):
-    """As the host says."""
-    _disarm(mock, schema.IDLE)
-    _say_status(mock, mock.spoken.setup)
-
-
-@helper
 def _disarm(mock, state):
-    """Zero force, at once, and the setup format."""
+    """Sets every force to zero, at once, and listens for the setup format."""
     mock.board.state = state
-    for row in range(mock.depth):
-        for c in range(mock.channels):
-            mock.commands[row, c] = 0.0
+    mock.commands[: mock.depth] = 0.0
     use_framing(mock.decoder, mock.heard.setup)
 
 
 @helper
 def _fail(mock, fault):
-    """Latches: the force is zero until the host arms again. The host hears of it in the format that it listens to."""
+    """Latches: the force is zero until the host arms again. The STATUS goes out in the format of before."""
     mock.board.fault = fault
     mock.board.state = schema.LATCHED
     _say_status(mock, _armed(mock, mock.spoken))
@@ -422,28 +388,18 @@ def _fail(mock, fault):
 
 
 def take_bytes(mock: Any, data: NDArray[np.uint8], stop: int, now: int) -> None:
-    """Bytes data[:stop] of the host arrive at time `now` (ns); at most INPUT_BYTES of them."""
+    """Handles bytes data[:stop] of the host at time `now` (ns); at most INPUT_BYTES of them."""
     _take_bytes(address_of(mock), data.ctypes.data, stop, now)
 
 
 def take_sample(mock: Any, now: int) -> None:
-    """The sample that lasts ends at time `now`: moves the bodies through it, measures, tells the host."""
+    """Ends the current sample at time `now`: moves the bodies through it and sends their positions."""
     _take_sample(address_of(mock), now)
 
 
 def look_at_watchdog(mock: Any, now: int) -> None:
-    """Latches the force at zero when the host was quiet for longer than it said it would be."""
+    """Latches the force at zero where the host has been quiet for longer than its watchdog allows."""
     _look_at_watchdog(address_of(mock), now)
-
-
-def prepare(mock: Any) -> None:
-    """Once it is in its place in memory, and before the first event: where the mock is, and what it calls."""
-    mock.address = address_of(mock)
-    for name, function in FUNCTIONS.items():
-        mock.called[name] = function.address()
-    mock.called.move = move_of(mock.initial[: mock.channels])
-    if not mock.called.take_force:
-        mock.called.take_force = mock.called.act_on_force
 
 
 FUNCTIONS = {
@@ -455,3 +411,13 @@ FUNCTIONS = {
     "say": _put_frame,
 }
 """By their names in CALLED."""
+
+
+def prepare(mock: Any) -> None:
+    """Sets the addresses in a mock that stays where it is, before its first event."""
+    mock.address = address_of(mock)
+    for name, function in FUNCTIONS.items():
+        mock.called[name] = function.address()
+    mock.called.move = move_of(mock.initial[: mock.channels])
+    if not mock.called.take_force:
+        mock.called.take_force = mock.called.act_on_force

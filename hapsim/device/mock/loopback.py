@@ -1,14 +1,10 @@
-"""The transport that needs no operating system: the mock in the same process, bytes handed over in memory.
-
-The mock answers within `send`, so this is for lockstep: virtual time, one thread, as fast as it goes.
-"""
+"""The transport in memory: the mock answers within `send`, in virtual time and in the host's thread."""
 
 from __future__ import annotations
 
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hapsim.compiling.native import array_at
 from hapsim.device.mock.firmware import INPUT_BYTES, call_take_bytes, mock_at, prepare
@@ -20,7 +16,6 @@ _bytes_at = array_at(np.uint8)
 
 @receiver
 def receive(context, buffer, room, timeout_ns):  # noqa: ARG001  nothing comes by waiting
-    """What the mock said, up to `room` bytes: their number, or TIMED_OUT."""
     mock, buffer = mock_at(context), _bytes_at(buffer, room)
     waiting = mock.board.out
     count = waiting if waiting < room else room
@@ -43,11 +38,6 @@ def send(context, buffer, stop):
 
 
 def loopback_transport(mock: Any) -> Transport:
-    """A transport to `mock`, a MOCK."""
+    """Returns a transport to `mock`, a MOCK."""
     prepare(mock)
     return Transport(receive, send, mock)
-
-
-def outbox_of(mock: Any) -> NDArray[np.uint8]:
-    """What the mock has sent and nobody read yet."""
-    return mock.outbox[: int(mock.board.out)].copy()

@@ -1,18 +1,16 @@
-"""The mock's mass in continuous time, moved in closed form over any interval in which the force is level or a ramp.
+"""The mock's mass in continuous time, moved in closed form over any interval with a level or ramping force.
 
     m x'' + b0 x' + k0 x = F + s t + P - Fc sign(x')
 
-F and its slope s are commanded; P, the hand's push, is constant. b0 and k0 are those of the device and of the hand
-together.
+F and its slope s are commanded; P, the hand's push, is constant. b0 and k0 are those of device and hand together. The
+spring's rest position is x = 0.
 
-No step method: whatever the interval, position, velocity and the integral of the position are exact to rounding. With
-Coulomb friction the instant at which the mass comes to rest has a closed form too; it then sticks, or sets off again.
-Only a ramp under Coulomb friction is replaced by `_SLICES` level forces.
+Whatever the interval, position, velocity and the integral of the position are exact to rounding. The instant at which
+Coulomb friction brings the mass to rest has a closed form too; it then sticks, or sets off again. Only a ramp under
+Coulomb friction is replaced by `_SLICES` level forces.
 
-The spring's rest position is x = 0. Without a spring, k0 = 0, the mass moves by formulas of its own.
-
-How a body moves is called by an address (`move_of`), so that nobody compiles the spring and the dry friction of a
-device that has neither.
+Bodies move by a function behind an address (`move_of`), so that a device without spring and dry friction does not
+compile them.
 """
 
 from __future__ import annotations
@@ -46,10 +44,27 @@ _SLICES = 16  # of a ramp under Coulomb friction
 
 
 @helper
+def _advance(body, force, h, phi):
+    """Moves a body under a force that begins with `force` and has the body's slope, without Coulomb friction. `phi`: of
+    `_phi` or `_spring_phi`.
+
+    The displacement z = x - x(0) obeys m z'' + b0 z' + k0 z = F - k0 x(0): small intervals add small amounts, and a
+    mass at rest where the spring holds the force stays there.
+    """
+    phi1, phi2, phi3, phi4 = phi
+    damped, sprung = body.friction / body.mass, body.stiffness / body.mass
+    push, ramp = (force - body.stiffness * body.position) / body.mass, h * body.slope / body.mass
+    v = body.velocity
+    body.area += h * (body.position + h * (phi2 * v + h * (phi3 * push + phi4 * ramp)))
+    body.position += h * (phi1 * v + h * (phi2 * push + phi3 * ramp))
+    body.velocity = v + h * (phi1 * (push - damped * v) + phi2 * ramp - h * phi2 * sprung * v)
+
+
+@helper
 def _phi(u):
     """phi1 to phi4 of u >= 0: phi1 = (1 - exp(-u))/u and phi[n + 1] = (1/n! - phi[n])/u.
 
-    For small u by the series of phi4, upwards from which the others follow without cancellation.
+    For small u by the series of phi4, from which the others follow without cancellation.
     """
     if u > 1.0:
         phi1 = -math.expm1(-u) / u
@@ -66,57 +81,14 @@ def _phi(u):
 
 
 @helper
-def _glide(body, force, h):
-    """Moves under a total force that begins with `force` and has the body's slope, without Coulomb friction."""
-    phi1, phi2, phi3, phi4 = _phi(body.friction / body.mass * h)
-    push, ramp = force / body.mass, h * body.slope / body.mass
-    v = body.velocity
-    body.area += h * (body.position + h * (phi2 * v + h * (phi3 * push + phi4 * ramp)))
-    body.position += h * (phi1 * v + h * (phi2 * push + phi3 * ramp))
-    body.velocity = v + h * (phi1 * (push - body.friction / body.mass * v) + phi2 * ramp)
-
-
-@helper
-def _time_to_rest(body, force):
-    """When the velocity crosses zero under a constant total force: infinity where it never does."""
-    if not body.velocity * force < 0.0:
-        return math.inf
-    u = -body.friction * body.velocity / force
-    if u > 1.0:
-        return body.mass / body.friction * math.log1p(u)
-    shrunk = math.log1p(u) / u if u > 0.0 else 1.0
-    return -body.mass * body.velocity / force * shrunk
-
-
-@helper
-def _move_free(body, force, h):
-    """Moves a body without a spring."""
-    if body.coulomb == 0.0:
-        _glide(body, force, h)
-        return
-    while h > 0.0:
-        if body.velocity == 0.0 and abs(force) <= body.coulomb:
-            body.area += h * body.position
-            return
-        direction = math.copysign(1.0, body.velocity if body.velocity != 0.0 else force)
-        total = force - body.coulomb * direction
-        rest = _time_to_rest(body, total)
-        if rest >= h:
-            _glide(body, total, h)
-            return
-        _glide(body, total, rest)
-        body.velocity = 0.0
-        h -= rest
-
-
-@helper
 def _spring_phi(u, w):
     """phi1 to phi4 of u = b0 h/m and w = k0 h²/m.
 
     z'' + (b0/m) z' + (k0/m) z = 0 from z = 0, z' = 1 reaches z = h phi1; its integrals are h² phi2, h³ phi3 and
-    h⁴ phi4. Integrating the equation of motion gives phi[n] = 1/n! - u phi[n+1] - w phi[n+2]. For w = 0 they are
-    those of `_phi`.
+    h⁴ phi4. Integrating the equation of motion gives phi[n] = 1/n! - u phi[n+1] - w phi[n+2].
     """
+    if w == 0.0:
+        return _phi(u)
     if u <= _SERIES_END and w <= _SERIES_END:
         return _phi_by_series(u, w)
     discriminant = 0.25 * u * u - w
@@ -127,10 +99,7 @@ def _spring_phi(u, w):
 
 @helper
 def _phi_by_series(u, w):
-    """Downwards from a phi[n] that no longer counts, scaled by n! so that every term is of the order of 1.
-
-    Holds for every sign of the discriminant, to u, w = 4.
-    """
+    """For u, w up to 4 and any discriminant: downwards from a negligible phi[n], scaled by n! to terms of order 1."""
     nearer, farther = 0.0, 0.0
     for n in range(22 if u + w <= 1.0 else 42, 2, -1):
         nearer, farther = 1.0 - (u * nearer + w * farther / (n + 2)) / (n + 1), nearer
@@ -141,10 +110,8 @@ def _phi_by_series(u, w):
 
 @helper
 def _phi_of_two_rates(u, w, root):
-    """Two real decays, of which the faster is at least twice the slower: their divided difference.
-
-    The slower one, u/2 - root, is written without that difference: it goes to zero with the spring.
-    """
+    """Two real decays, the faster at least twice the slower: their divided difference. The slower one, u/2 - root, is
+    written without that difference: it goes to zero with the spring."""
     fast = 0.5 * u + root
     slow = w / fast
     fast1, fast2, fast3, _ = _phi(fast)
@@ -156,7 +123,7 @@ def _phi_of_two_rates(u, w, root):
 
 @helper
 def _phi_of_a_swing(u, w, discriminant):
-    """A decaying oscillation, or two decays close to each other or equal, where w > 3: by the recursion upwards."""
+    """A decaying oscillation, or two close or equal decays with w > 3: by the recursion upwards."""
     if discriminant < 0.0:
         root = math.sqrt(-discriminant)
         decay = math.exp(-0.5 * u)
@@ -173,25 +140,25 @@ def _phi_of_a_swing(u, w, discriminant):
 
 @helper
 def _swing(body, force, h):
-    """Moves on the spring under a further force that begins with `force` and has the body's slope, without Coulomb
-    friction.
+    """Moves a body with or without a spring, without Coulomb friction."""
+    _advance(body, force, h, _spring_phi(body.friction / body.mass * h, body.stiffness / body.mass * h * h))
 
-    The displacement z = x - x(0) obeys m z'' + b0 z' + k0 z = F - k0 x(0): small intervals add small amounts, and a
-    mass at rest where the spring holds the force stays there.
-    """
-    damped = body.friction / body.mass
-    sprung = body.stiffness / body.mass
-    phi1, phi2, phi3, phi4 = _spring_phi(damped * h, sprung * h * h)
-    push, ramp = (force - body.stiffness * body.position) / body.mass, h * body.slope / body.mass
-    v = body.velocity
-    body.area += h * (body.position + h * (phi2 * v + h * (phi3 * push + phi4 * ramp)))
-    body.position += h * (phi1 * v + h * (phi2 * push + phi3 * ramp))
-    body.velocity = v + h * (phi1 * (push - damped * v) + phi2 * ramp - h * phi2 * sprung * v)
+
+@helper
+def _time_to_rest(body, force):
+    """When the velocity crosses zero under a constant total force, without a spring; infinity where it never does."""
+    if not body.velocity * force < 0.0:
+        return math.inf
+    u = -body.friction * body.velocity / force
+    if u > 1.0:
+        return body.mass / body.friction * math.log1p(u)
+    shrunk = math.log1p(u) / u if u > 0.0 else 1.0
+    return -body.mass * body.velocity / force * shrunk
 
 
 @helper
 def _swing_to_rest(body, force, direction):
-    """When a mass on the spring, moving in `direction` or about to, next comes to rest: infinity where it never does.
+    """When a mass on the spring, moving in `direction` or about to, next comes to rest; infinity where it never does.
 
     v = exp(-d t) (|v(0)| C - (d |v(0)| + braking) S) in that direction, with d = b0/2m and either C, S = cos w t,
     sin(w t)/w, zero at tan w t = w |v(0)| / (d |v(0)| + braking), or the same with cosh, sinh and tanh.
@@ -213,15 +180,12 @@ def _swing_to_rest(body, force, direction):
 
 
 @helper
-def _move_on_spring(body, force, h):
-    """Moves a body on its spring.
+def _move_with_stops(body, force, h):
+    """Moves a body under a level force and Coulomb friction.
 
-    Between two stops half a period goes by. A mass that has not come to rest for good after as many as `_MAX_STOPS`
-    hardly feels the Coulomb friction: the rest of the interval is without it.
+    On a spring half a period passes between two stops. A mass that has not stuck after `_MAX_STOPS` hardly feels the
+    friction: the rest of the interval is without it.
     """
-    if body.coulomb == 0.0:
-        _swing(body, force, h)
-        return
     for _ in range(_MAX_STOPS):
         pull = force - body.stiffness * body.position
         if body.velocity == 0.0 and abs(pull) <= body.coulomb:
@@ -229,8 +193,8 @@ def _move_on_spring(body, force, h):
             return
         direction = math.copysign(1.0, body.velocity if body.velocity != 0.0 else pull)
         total = force - body.coulomb * direction
-        rest = _swing_to_rest(body, total, direction)
-        if rest >= h:
+        rest = _swing_to_rest(body, total, direction) if body.stiffness != 0.0 else _time_to_rest(body, total)
+        if not rest < h:
             _swing(body, total, h)
             return
         _swing(body, total, rest)
@@ -251,54 +215,34 @@ _body_at, _call = record_at(BODY), function_at(_MOVE)
 
 @inlined
 def move(how, body, force, h):
-    """Moves the body for `h` seconds under a force that begins with `force`, in N, and has the body's slope, and under
-    its hand's push. `how`: from `move_of`."""
+    """Moves the body for `h` seconds under a commanded force that begins with `force`, in N, and has the body's slope,
+    and under its hand's push. `how`: from `move_of`."""
     _call(how, (address_in_memory(body), force, h))
 
 
 @native(_MOVE.return_type, *_MOVE.args)
 def move_gliding(body, force, h):
-    """Without a spring and dry friction."""
+    """Without a spring and Coulomb friction."""
     body = _body_at(body)
-    _glide(body, force + body.push, h)
+    _advance(body, force + body.push, h, _phi(body.friction / body.mass * h))
 
 
-@helper
-def _slices_of_ramp(body):
-    """How many level forces replace the body's ramp, whose slope is then 0: more than 1 under Coulomb friction only."""
-    if body.slope == 0.0 or body.coulomb == 0.0:
-        return 1
+@native(_MOVE.return_type, *_MOVE.args)
+def move_with_spring_or_friction(body, force, h):
+    """With either, both or none."""
+    body = _body_at(body)
+    force += body.push
+    if body.coulomb == 0.0:
+        _swing(body, force, h)
+        return
+    slope, slices = body.slope, 1 if body.slope == 0.0 else _SLICES
     body.slope = 0.0
-    return _SLICES
-
-
-@native(_MOVE.return_type, *_MOVE.args)
-def move_free(body, force, h):
-    """Without a spring."""
-    body = _body_at(body)
-    slope, slices = body.slope, _slices_of_ramp(body)
     for i in range(slices):
-        level = force + body.push + (slope - body.slope) * h * (i + 0.5) / slices
-        _move_free(body, level, h / slices)
-    body.slope = slope
-
-
-@native(_MOVE.return_type, *_MOVE.args)
-def move_on_spring(body, force, h):
-    """With or without either."""
-    body = _body_at(body)
-    slope, slices = body.slope, _slices_of_ramp(body)
-    for i in range(slices):
-        level = force + body.push + (slope - body.slope) * h * (i + 0.5) / slices
-        if body.stiffness == 0.0:
-            _move_free(body, level, h / slices)
-        else:
-            _move_on_spring(body, level, h / slices)
+        _move_with_stops(body, force + slope * h * (i + 0.5) / slices, h / slices)
     body.slope = slope
 
 
 def move_of(bodies: NDArray[np.void]) -> int:
-    """The address of what moves these bodies, BODY."""
-    if bodies["stiffness"].any():
-        return move_on_spring.address()
-    return move_free.address() if bodies["coulomb"].any() else move_gliding.address()
+    """Returns the address of what moves these bodies, BODY."""
+    gliding = not (bodies["stiffness"].any() or bodies["coulomb"].any())
+    return (move_gliding if gliding else move_with_spring_or_friction).address()

@@ -1,12 +1,12 @@
-"""The mock's end of its pseudo-terminal: a transmitter whose bytes take no time, and a UART.
+"""The mock's end of its pseudo-terminal: a transmitter whose bytes take no time, or a UART.
 
-Neither waits for room, as no device's tick may. The transmitter ends a frame that was begun before anything else, as
-soon as there is room, and drops what finds none, frame by frame and whole (PROTOCOL.md, section 8).
+Neither waits for room, as no device's tick may. The transmitter ends a frame that was begun as soon as there is room,
+before anything else, and drops frames without room whole (PROTOCOL.md, section 8).
 
-On the UART, in real time, a byte is there when its last bit would be. A frame of the mock is written to the terminal at
-the time of its last byte. The host's bytes count from their own times on, and `receive_in_time` hands on none that is
-due after its deadline, the mock's tick. The wake-up latency of the system, some 0.1 ms, comes on top. In virtual time
-(lockstep) bytes take no time here: the mock's firmware counts it, in samples.
+On the UART, in real time, a byte is there when its last bit would be. A frame of the mock is written at the time of its
+last byte; the host's bytes count from their own times on, and `receive_in_time` delivers none that is due after its
+deadline, the mock's tick. The system's wake-up latency, some 0.1 ms, comes on top. In virtual time (lockstep) bytes
+take no time here: the firmware counts it, in samples.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from hapsim.loop.transport import Transport, receiver, sender
 _TRANSMITTER = np.dtype(
     [
         ("number", np.int64),  # of the descriptor
-        ("first", np.int64),  # of what was begun and is to be ended: unsent[first:stop]
+        ("first", np.int64),  # the end of a frame that was begun: unsent[first:stop]
         ("stop", np.int64),
         ("unsent", np.uint8, ROOM),
         SCRATCH,
@@ -47,11 +47,10 @@ def receive_at_once(context, buffer, room, timeout_ns):
 
 @sender
 def send_at_once(context, buffer, stop):
-    """FAILED where something was dropped. Of no bytes at all: what was begun is ended, if it can be."""
+    """Returns FAILED where something was dropped. Without bytes it only ends a frame that was begun."""
     port = _transmitter_at(context)
     if port.first < port.stop:
-        sent = write_some(port.number, port.unsent, port.first, port.stop)
-        port.first += sent if sent > 0 else 0
+        port.first += max(write_some(port.number, port.unsent, port.first, port.stop), 0)
         if port.first < port.stop:
             return FAILED
     data = _bytes_at(buffer, stop)
@@ -69,7 +68,7 @@ def send_at_once(context, buffer, stop):
 
 
 def transmitter_transport(number: int) -> Transport:
-    """A transport over an open, raw, non-blocking descriptor, which stays the caller's to close."""
+    """Returns a transport over an open, raw, non-blocking descriptor, which the caller closes."""
     context = new_record(_TRANSMITTER)
     context.number = number
     return Transport(receive_at_once, send_at_once, context)
@@ -98,8 +97,6 @@ UART = np.dtype(
     ],
     align=True,
 )
-"""Both directions of the wire, and what is on it."""
-
 _uart_at = record_at(UART)
 
 
@@ -116,8 +113,8 @@ def _byte_ns(uart):
 
 @helper
 def put_on_wire(way, data, count, earliest_ns, byte_ns, whole_frames):
-    """Sends data[:count] over one way, from `earliest_ns` on; how many fit. `whole_frames`: each byte is due with the
-    last one of its frame."""
+    """Sends data[:count] one way, from `earliest_ns` on. Returns the number that fit. `whole_frames`: each byte is due
+    with the last one of its frame."""
     fitting = min(count, _ROOM - way.waiting)
     at = way.free_ns if way.free_ns > earliest_ns else earliest_ns
     for i in range(fitting):
@@ -135,7 +132,7 @@ def put_on_wire(way, data, count, earliest_ns, byte_ns, whole_frames):
 
 @helper
 def arrived(way, until_ns):
-    """How many bytes have arrived up to the last delimiter that has; all of them where the way is full."""
+    """Returns the number of bytes up to the last delimiter that has arrived; all of them where the way is full."""
     whole, at = 0, 0
     while at < way.waiting and way.due_ns[at] <= until_ns:
         at += 1
@@ -146,7 +143,7 @@ def arrived(way, until_ns):
 
 @helper
 def next_due_ns(way, otherwise_ns):
-    """When the next delimiter arrives; `otherwise_ns` where none is on its way, or not before."""
+    """Returns when the next delimiter arrives, at most `otherwise_ns`."""
     for i in range(way.waiting):
         if way.bytes[i] == 0:
             return min(way.due_ns[i], otherwise_ns)
@@ -155,7 +152,7 @@ def next_due_ns(way, otherwise_ns):
 
 @helper
 def take_off_wire(way, count):
-    """Forgets the first `count` bytes."""
+    """Removes the first `count` bytes."""
     for i in range(count, way.waiting):
         way.bytes[i - count] = way.bytes[i]
         way.due_ns[i - count] = way.due_ns[i]
@@ -182,7 +179,7 @@ def receive_in_time(context, buffer, room, timeout_ns):
             return count
         if now >= deadline:
             return TIMED_OUT
-        # Where the host does not read, what is left waits for the next call: a device's tick waits for nobody.
+        # Where the host does not read, the rest waits for the next call: a device's tick never waits.
         wake = np.float64(deadline) if written < due else next_due_ns(uart.outgoing, np.float64(deadline))
         wake = next_due_ns(uart.incoming, wake)
         count = read_some(uart.number, uart.read, np.int64(wake) + 1 - now, uart.scratch)
@@ -194,7 +191,7 @@ def receive_in_time(context, buffer, room, timeout_ns):
 
 @sender
 def send_in_time(context, buffer, stop):
-    """FAILED where it found no room, and was dropped whole."""
+    """Returns FAILED where there is no room and all is dropped."""
     uart = _uart_at(context)
     if stop > _ROOM - uart.outgoing.waiting:
         return FAILED
@@ -206,7 +203,7 @@ def send_in_time(context, buffer, stop):
 
 
 def uart_transport(number: int, mock: Any) -> Transport:
-    """A transport over an open, raw, non-blocking descriptor with the times of `mock`, a MOCK: both the caller's."""
+    """Returns a transport over an open, raw, non-blocking descriptor with the times of `mock`, a MOCK."""
     context = new_record(UART)
     context.number = number
     context.mock = address_of(mock)

@@ -16,7 +16,7 @@ import hapsim
 from firmware_protocol import schema
 from firmware_protocol.compiled import new_record
 from firmware_protocol.frames import armed_format, frame_to_host
-from hapsim.compiling.entries import compile_for
+from hapsim.compiling.kept import compile_for
 from hapsim.compiling.native import array_at, record_at
 from hapsim.device.connection import Connection
 from hapsim.device.mock.assemble import describe_mock
