@@ -103,8 +103,9 @@ def next_frame(decoder, data, start, stop):
             decoder.recent[seen & _RING] = byte
             seen += ONE
             continue
-        first, had, seen = seen - length, seen, np.uint64(0)
+        had, seen = seen, np.uint64(0)
         if had >= length:
+            first = had - length
             for i in range(length):
                 decoder.frame[i] = decoder.recent[(first + i) & _RING]
             decoder.garbage_bytes += np.int64(first)

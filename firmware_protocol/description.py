@@ -103,13 +103,15 @@ def from_registers(registers: NDArray[np.int64]) -> Description:
     words: dict[str, Any] = {name: int(registers[register]) for name, register in _WORDS.items()}
     channels = words.pop("channels")
     _require_channels(channels)
-    registers = registers.astype("<u4")
-    doubles, per_channel = _doubles_of(registers)
-    scales: dict[str, Any] = {name: tuple(per_channel[:channels, at // 2].tolist()) for name, at in _PER_CHANNEL.items()}
+    held = registers.astype("<u4")
+    doubles, per_channel = _doubles_of(held)
+    scales: dict[str, Any] = {
+        name: tuple(per_channel[:channels, register // 2].tolist()) for name, register in _PER_CHANNEL.items()
+    }
     if not any(scales["velocity_scale"]):
         scales["velocity_scale"] = ()
     words["max_watchdog_samples"] = min(words["max_watchdog_samples"], schema.MAX_WATCHDOG_SAMPLES)
-    characters = registers[_NAME].tobytes().partition(b"\0")[0].decode("latin-1")
+    characters = held[_NAME].tobytes().partition(b"\0")[0].decode("latin-1")
     rate = float(doubles[schema.REG_RATE // 2])
     return Description(name=_printable(characters), rate_hz=rate, **words, **scales)
 

@@ -139,9 +139,7 @@ UNITS: dict[str, CompileUnit] = {
     "loopback": CompileUnit(
         39, (*_FIRMWARE, "device.mock.loopback:receive", "device.mock.loopback:send"), in_second_process=True
     ),
-    "motion": CompileUnit(
-        12, ("device.mock.motion:move_free", "device.mock.motion:move_on_spring"), in_second_process=True
-    ),
+    "motion": CompileUnit(12, ("device.mock.motion:move_with_spring_or_friction",), in_second_process=True),
     "wire": CompileUnit(14, _TIMED_WIRE, in_second_process=True, calls_system=True),
     "changes": CompileUnit(8, ("cordis.parameters:move", "loop.crossfade:cross_fade"), _posts),
     "portable": CompileUnit(40, entries=_portable_loop, in_second_process=True),

@@ -1,4 +1,4 @@
-"""What of ours is compiled, looked up once."""
+"""Our compiled functions, looked up once."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def every_compiled() -> list[Compiled]:
     command = [sys.executable, str(program), *map(str, (*PACKAGES, TOOLS))]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     document: dict[str, Any] = json.loads(done.stdout)
-    # Only what is somebody else's may be missing: then every file of ours was looked at but those that need it.
+    # Only others' modules may be missing: then every file of ours was imported but those that need them.
     ours = {folder.name for folder in PACKAGES} | {path.stem for path in TOOLS.iterdir()}
     assert [name for _, name in document["missing"] if name.partition(".")[0] in ours] == []
     return [

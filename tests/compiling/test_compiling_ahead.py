@@ -1,4 +1,4 @@
-"""What is compiled ahead of a run, half of it in a second process: it helps where it can, and is needed nowhere."""
+"""Compiling ahead of a run, half of it in a second process, and `hapsim compile`."""
 
 from __future__ import annotations
 
@@ -9,50 +9,71 @@ import sys
 import threading
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import pytest
 
-from hapsim.compiling.progress import Counted
-from hapsim.progress import Progress
+from hapsim.cli import prepare as preparing
+from hapsim.compiling.progress import Counted, on_compilation
+from hapsim.cordis.program import compile_scene
+from hapsim.cordis.registry import PART_TYPES
+from hapsim.prediction.linear import linear_scene
 from hapsim.running import compile_ahead as ahead
 from hapsim.running import run
-from hapsim.running.compile_ahead import UNITS, CompileUnit, compile_ahead
-from hapsim.scene import Scene, parse_scene
+from hapsim.running.compile_ahead import (
+    UNITS,
+    CompileUnit,
+    Prepared,
+    compile_ahead,
+    prepare,
+    scenes_with_every_module,
+)
+from hapsim.scene import Scene, SchemeName, parse_scene
+from hapsim.scene.modules import MODULE_TYPES
 from hapsim.scene.shipped import shipped_scene
 
+FIRST_TOUCH = "configs/first_touch.yaml"
 NAMES = ("loop", "port", "mock")
+
+
+def scene_with(clock: str) -> Scene:
+    return parse_scene(shipped_scene("first_touch.yaml").replace("clock: device", f"clock: {clock}"), FIRST_TOUCH)
+
 
 AFTERWARDS = """
 from hapsim.running.compile_ahead import UNITS, main
-print([name for name, unit in UNITS.items() if unit.is_kept()])
+print([name for name in ("loop", "port", "mock", "portable") if UNITS[name].is_kept()])
 main(["mock"])
 """
 
 
-def test_the_second_process_tells_what_it_compiles_and_leaves_it_where_the_first_finds_it(tmp_path: Path) -> None:
-    def call(*words: str) -> str:
+def test_what_the_first_and_the_second_process_compile_is_kept_and_compiled_no_more(tmp_path: Path) -> None:
+    """From nothing, as on a new machine; one process after the other."""
+
+    def call(*words: str) -> tuple[str, str]:
         environment = os.environ | {"XDG_CACHE_HOME": str(tmp_path)}
-        done = subprocess.run(
-            [sys.executable, *words], env=environment, capture_output=True, text=True, check=False, timeout=300
-        )
+        command = [sys.executable, *words]
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False, timeout=300)
         assert done.returncode == 0, done.stderr[-2000:]
-        return done.stdout
+        return done.stdout, done.stderr
 
-    told = call("-m", "hapsim.running.compile_ahead", "mock").splitlines()
-    assert {"firmware._take_bytes", "firmware._take_sample", "motion.move_gliding", "serve"} <= set(told)
-    assert all(line.replace("_", "").replace(".", "").isalnum() for line in told)
-    assert call("-c", AFTERWARDS) == "['mock']\n"  # and it compiles nothing any more
+    compile_it = ("-m", "hapsim", "compile", FIRST_TOUCH)
+    out, err = call(*compile_it)
+    assert "compiling, once on this machine: " in err
+    number = int(out.removeprefix("Compiled ").partition(" ")[0])
+    assert 80 < number < 250
+    assert out.endswith(f" s; kept in {tmp_path / 'hapsim'}\n")
+    assert call("-c", AFTERWARDS)[0] == "['loop', 'port', 'mock']\n"  # and a second process compiles nothing any more
+    assert call(*compile_it) == (f"Nothing to compile: everything is kept in {tmp_path / 'hapsim'}\n", "")
+    assert "compiling" not in call("-m", "hapsim", "run", FIRST_TOUCH, "--duration", "0.1")[1]
 
 
-@pytest.fixture
-def scene() -> Scene:
-    return parse_scene(shipped_scene("first_touch.yaml").replace("clock: device", "clock: lockstep"), "first_touch")
+# The second process.
 
 
 @pytest.fixture
 def missing(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """The units of which nothing is said to be kept, so that they are compiled ahead; loading them is quick."""
+    """The units reported as not kept, so that they are compiled ahead; loading them is quick."""
     names: list[str] = [*UNITS]
     of_unit = {unit: name for name, unit in UNITS.items()}
     monkeypatch.setattr(CompileUnit, "is_kept", lambda unit: of_unit[unit] not in names)
@@ -76,7 +97,7 @@ def started(monkeypatch: pytest.MonkeyPatch) -> list[subprocess.Popen[str]]:
 
 @pytest.fixture
 def python_is(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[[str], None]:
-    """In place of the second process's Python stands this shell script."""
+    """Replaces the second process's Python by a shell script."""
 
     def write(script: str) -> None:
         path = tmp_path / "python"
@@ -88,60 +109,57 @@ def python_is(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[[str]
 
 
 def require_over(processes: list[subprocess.Popen[str]]) -> None:
-    """Nobody is left to compile, or to listen."""
+    """No process compiles any more, and no thread listens."""
     assert all(process.returncode is not None for process in processes)
-    assert not [thread for thread in threading.enumerate() if thread.name == "compiling beside"]
+    assert not [thread for thread in threading.enumerate() if thread.name == "second process"]
 
 
 @pytest.mark.usefixtures("missing")
-def test_what_the_second_process_tells_is_counted_with_the_rest(
+def test_the_second_process_s_functions_are_counted_with_the_rest(
     started: list[subprocess.Popen[str]], python_is: Callable[[str], None], tmp_path: Path
 ) -> None:
     python_is(f'echo "$@" > {tmp_path}/words; echo _take_bytes; echo serve')
     told: list[tuple[str, float | None]] = []
     compile_ahead(NAMES, Counted(lambda name, share: told.append((name, share))))
-    expected = sum(UNITS[name].functions for name in NAMES)  # type: ignore[index]
+    expected = sum(UNITS[name].functions for name in NAMES)
     assert told == [("_take_bytes", 1 / expected), ("serve", 2 / expected)]
     assert (tmp_path / "words").read_text(encoding="utf-8") == "-P -m hapsim.running.compile_ahead mock\n"
     assert len(started) == 1
     require_over(started)
 
 
-def test_the_second_process_takes_no_module_from_where_the_user_is(
+def test_the_second_process_takes_no_module_from_the_user_s_directory(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Beside scenes may stand whatever is called as a module of ours, or of Python's."""
+    """A file beside scenes may have the name of a module of ours, or of Python's."""
     for name in ("numba", "queue", "hapsim"):
         (tmp_path / f"{name}.py").write_text("raise SystemExit(7)\n", encoding="utf-8")
     monkeypatch.chdir(tmp_path)
-    process = ahead._start_compiling(["changes"])
+    process = ahead._start_compiling([])
     assert process is not None
     with process:
         assert process.wait(300) == 0
 
 
 @pytest.mark.usefixtures("missing")
-@pytest.mark.parametrize("script", ["exit 1", "exit 0", "kill -9 $$", "echo nonsense; echo; exit 3", "exec 1>&-"])
-def test_where_the_second_process_fails_everything_works_all_the_same(
-    scene: Scene, started: list[subprocess.Popen[str]], python_is: Callable[[str], None], script: str
+@pytest.mark.parametrize("script", ["exit 1", "kill -9 $$", "echo nonsense; echo; exit 3", "exec 1>&-"])
+def test_a_second_process_that_fails_changes_nothing(
+    started: list[subprocess.Popen[str]], python_is: Callable[[str], None], script: str
 ) -> None:
     python_is(script)
-    told: list[Progress] = []
-    trace = run(scene, duration=0.05, transport="terminal", on_progress=told.append)
+    trace = run(scene_with("lockstep"), duration=0.05, transport="terminal")
     assert trace.sample.tolist() == list(range(50))
     assert len(started) >= 1
     require_over(started)
 
 
 @pytest.mark.usefixtures("missing")
-def test_where_there_is_no_second_python_everything_works_all_the_same(
-    scene: Scene, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Where Python stands inside another program, it does not know of a program of its own."""
+def test_a_missing_second_python_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Python inside another program does not know a program of its own."""
     monkeypatch.setattr(os, "cpu_count", lambda: 2)
-    for path in ("", "/nowhere/python", "/dev/null"):
+    for path in ("", "/nowhere/python"):
         monkeypatch.setattr(sys, "executable", path)
-        assert run(scene, duration=0.05, transport="terminal").report.ticks == 50
+        assert run(scene_with("lockstep"), duration=0.05, transport="terminal").report.ticks == 50
 
 
 def test_no_process_is_started_where_none_would_help(
@@ -149,7 +167,7 @@ def test_no_process_is_started_where_none_would_help(
 ) -> None:
     told: list[str] = []
     counted = Counted(lambda name, _: told.append(name))
-    for names in (["mock"], ["loop", "port"], []):  # what is missing is compiled here: there is nothing beside it
+    for names in (["mock"], ["loop", "port"], []):  # one process has nothing to do
         missing[:] = names
         compile_ahead(NAMES, counted)
     missing[:] = NAMES
@@ -159,38 +177,89 @@ def test_no_process_is_started_where_none_would_help(
 
 
 @pytest.mark.usefixtures("missing")
+@pytest.mark.parametrize("moment", ["compiling", "waiting"])
 def test_an_interrupt_of_the_first_process_ends_the_second(
-    started: list[subprocess.Popen[str]], python_is: Callable[[str], None], monkeypatch: pytest.MonkeyPatch
+    started: list[subprocess.Popen[str]],
+    python_is: Callable[[str], None],
+    monkeypatch: pytest.MonkeyPatch,
+    moment: str,
 ) -> None:
-    python_is("exec sleep 1000")
+    """While it compiles itself, and while it waits for the second."""
+    python_is("echo begun; exec sleep 1000")
+    waits = threading.Event()
 
     def interrupt(_unit: CompileUnit) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(CompileUnit, "compile", interrupt)
-    with pytest.raises(KeyboardInterrupt):
-        compile_ahead(NAMES, Counted(lambda *_: None))
-    assert [process.returncode for process in started] == [-signal.SIGTERM]
-    require_over(started)
-
-
-@pytest.mark.usefixtures("missing")
-def test_an_interrupt_while_the_second_process_is_waited_for_ends_it(
-    started: list[subprocess.Popen[str]], python_is: Callable[[str], None]
-) -> None:
-    python_is("echo begun; exec sleep 1000")
-    waits = threading.Event()
-
-    def interrupt(_name: str) -> None:
+    def interrupt_wait(_name: str, _share: float | None) -> None:
         waits.wait(60.0)
         os.kill(os.getpid(), signal.SIGINT)
 
-    def wait_in_vain() -> None:
-        with ahead._second_process(["mock"], interrupt) as finished:
-            waits.set()
-            finished()
-
+    if moment == "compiling":
+        monkeypatch.setattr(CompileUnit, "compile", interrupt)
+    counted = Counted(interrupt_wait if moment == "waiting" else lambda *_: None)
     with pytest.raises(KeyboardInterrupt):
-        wait_in_vain()
+        compile_ahead(NAMES, counted, then=waits.set)
     assert [process.returncode for process in started] == [-signal.SIGTERM]
     require_over(started)
+
+
+# hapsim compile.
+
+
+@pytest.fixture(scope="module")
+def everything() -> None:
+    prepare()
+
+
+@pytest.mark.parametrize("precision", ["single", "double"])
+def test_every_type_of_module_and_every_scheme_is_in_it(precision: str) -> None:
+    scenes = list(scenes_with_every_module(precision))
+    assert {scene.scheme for scene in scenes} == set(get_args(SchemeName))
+    assert {scene.precision for scene in scenes} == {precision}
+    for scene in scenes:
+        assert [part_type.name for part_type in PART_TYPES if not part_type.select(scene)] == []
+        assert {module.type for module in scene.modules.values()} == set(MODULE_TYPES)
+        selected = {name for part_type in PART_TYPES for name in part_type.select(scene)}
+        assert selected == scene.modules.keys() - scene.device_points.keys()
+        assert linear_scene(scene).links.keys() == scene.links.keys()
+
+
+@pytest.mark.usefixtures("everything")
+@pytest.mark.parametrize("precision", ["single", "double"])
+def test_afterwards_no_shipped_scene_compiles_anything(precision: str) -> None:
+    names: list[str] = []
+    for path in sorted(Path("configs").glob("*.yaml")):
+        scene = parse_scene(path.read_text(encoding="utf-8"), str(path)).model_copy(update={"precision": precision})
+        for scheme in get_args(SchemeName):
+            with on_compilation(names.append):
+                compile_scene(scene.model_copy(update={"scheme": scheme}))
+            assert names == [], (path, scheme)
+
+
+@pytest.mark.usefixtures("everything")
+@pytest.mark.parametrize("clock", ["lockstep", "host", "device"])
+@pytest.mark.parametrize("transport", ["auto", "terminal"])
+@pytest.mark.parametrize("portable", [False, True])
+def test_afterwards_no_run_compiles_anything(clock: str, transport: Any, portable: bool) -> None:
+    names: list[str] = []
+    with on_compilation(names.append):
+        run(scene_with(clock), duration=0.02, transport=transport, portable=portable)
+    assert names == []
+
+
+def test_its_result_in_json(hapsim: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    for directory in (Path("/var/kept"), None):
+        prepared = Prepared(12, 3.5, directory)
+        monkeypatch.setattr(preparing, "prepare", lambda *_, prepared=prepared: prepared)
+        document = hapsim("compile", "--json").document
+        assert document["directory"] == (None if directory is None else str(directory))
+        assert (document["functions"], document["seconds"]) == (12, 3.5)
+    assert "set XDG_CACHE_HOME to a directory that can be written to" in hapsim("compile").out
+
+
+def test_a_wrong_scene_is_reported_before_anything_is_compiled(
+    hapsim: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(preparing, "prepare", lambda *_: pytest.fail("compiled"))
+    assert "no_such.yaml" in hapsim("compile", FIRST_TOUCH, "no_such.yaml").sentence

@@ -10,10 +10,8 @@ import builtins
 from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
-from types import FunctionType
 from typing import Any
 
-import numba
 import numpy as np
 import pytest
 from numba.core.errors import NumbaError
@@ -24,90 +22,33 @@ from hapsim.compiling.native import Behind, NativeFunction, value_of
 # --- the compiler refuses it ---
 
 
-def makes_zeros(numbers):
-    made = np.zeros(3)
-    made[0] = numbers[0]
-    numbers[1] = made[0] + made[1]
+ALLOCATING = {
+    "zeros": "made = np.zeros(3); made[0] = numbers[0]; numbers[1] = made[0] + made[1]",
+    "empty": "made = np.empty(3); made[0] = numbers[0]; numbers[1] = made[0]",
+    "copy": "numbers[1] = numbers.copy()[0]",
+    "conversion": "numbers[1] = numbers.astype(np.float32)[0]",
+    "sum of arrays": "numbers[1] = (numbers + numbers)[0]",
+    "product of arrays": "numbers[:] = 2.0 * numbers",
+    "list": "made = [numbers[0], numbers[1]]; numbers[1] = made[int(numbers[2])]",
+    "set": "numbers[1] = len({numbers[0], numbers[2]})",
+    "array of a list": "numbers[1] = np.array([numbers[0], numbers[2]])[0]",
+    "concatenation": "numbers[1] = np.concatenate((numbers, numbers))[0]",
+    "returned array": "made = np.zeros(3); made[0] = numbers[0]; return made",
+    "returned view": "return numbers[1:]",
+}
+HARMLESS = "part = numbers[1:]\n    for i in range(part.size): part[i] += numbers[0]"
 
 
-def makes_empty(numbers):
-    made = np.empty(3)
-    made[0] = numbers[0]
-    numbers[1] = made[0]
-
-
-def copies(numbers):
-    numbers[1] = numbers.copy()[0]
-
-
-def converts(numbers):
-    numbers[1] = numbers.astype(np.float32)[0]
-
-
-def adds_up_arrays(numbers):
-    numbers[1] = (numbers + numbers)[0]
-
-
-def assigns_a_product_of_arrays(numbers):
-    numbers[:] = 2.0 * numbers
-
-
-def lists(numbers):
-    made = [numbers[0], numbers[1]]
-    numbers[1] = made[int(numbers[2])]
-
-
-def makes_a_set(numbers):
-    numbers[1] = len({numbers[0], numbers[2]})
-
-
-def makes_an_array_of_a_list(numbers):
-    numbers[1] = np.array([numbers[0], numbers[2]])[0]
-
-
-def concatenates(numbers):
-    numbers[1] = np.concatenate((numbers, numbers))[0]
-
-
-def returns_what_it_made(numbers):
-    made = np.zeros(3)
-    made[0] = numbers[0]
-    return made
-
-
-ALLOCATING = (
-    makes_zeros,
-    makes_empty,
-    copies,
-    converts,
-    adds_up_arrays,
-    assigns_a_product_of_arrays,
-    lists,
-    makes_a_set,
-    makes_an_array_of_a_list,
-    concatenates,
-    returns_what_it_made,
-)
-
-
-def returns_a_view(numbers):
-    return numbers[1:]
-
-
-def allocates_nothing(numbers):
-    part = numbers[1:]
-    for i in range(part.size):
-        part[i] += numbers[0]
-
-
-def anew(function: Any) -> Any:
-    """The same function once more: what numba knows of the other it does not know of this one."""
-    return FunctionType(function.__code__, function.__globals__, function.__name__)
+def function_of(body: str) -> Any:
+    """A new function, of which numba knows nothing yet."""
+    names: dict[str, Any] = {"np": np, "__name__": __name__}
+    exec(compile(f"def function(numbers):\n    {body}", __file__, "exec"), names)
+    return names["function"]
 
 
 def by_piece(decorator: Callable[[Any], Any]) -> Callable[[Any], None]:
     def compile_in_entry(function: Any) -> None:
-        piece = decorator(anew(function))
+        piece = decorator(function)
 
         def call(numbers):
             piece(numbers)
@@ -118,7 +59,7 @@ def by_piece(decorator: Callable[[Any], Any]) -> Callable[[Any], None]:
 
 
 def as_native(function: Any) -> None:
-    piece = inlined(anew(function))
+    piece = inlined(function)
 
     def call(numbers):
         piece(value_of(numbers))
@@ -128,7 +69,7 @@ def as_native(function: Any) -> None:
 
 #: How a function of the hot path is compiled, for three numbers.
 WAYS: dict[str, Callable[[Any], None]] = {
-    "entry": lambda function: entry(anew(function))(np.ones(3)),
+    "entry": lambda function: entry(function)(np.ones(3)),
     "inlined": by_piece(inlined),
     "helper": by_piece(helper),
     "fma": by_piece(fma),
@@ -139,23 +80,17 @@ WAYS: dict[str, Callable[[Any], None]] = {
 
 @pytest.mark.parametrize("way", WAYS)
 def test_what_allocates_nothing_compiles(way: str) -> None:
-    WAYS[way](allocates_nothing)
+    WAYS[way](function_of(HARMLESS))
 
 
 @pytest.mark.parametrize(
-    ("way", "function"),
-    [("entry", each) for each in (*ALLOCATING, returns_a_view)]
-    + [(way, each) for way in WAYS if way != "entry" for each in (makes_zeros, returns_a_view)],
-    ids=lambda value: getattr(value, "__name__", value),
+    ("way", "what"),
+    [("entry", each) for each in ALLOCATING]
+    + [(way, each) for way in WAYS if way != "entry" for each in ("zeros", "returned view")],
 )
-def test_what_makes_an_array_or_lets_one_out_does_not_compile(way: str, function: Any) -> None:
+def test_what_makes_an_array_or_lets_one_out_does_not_compile(way: str, what: str) -> None:
     with pytest.raises(NumbaError, match=r"NRT required but not enabled|Only accept returning of array passed into"):
-        WAYS[way](function)
-
-
-@pytest.mark.parametrize("function", ALLOCATING, ids=lambda function: function.__name__)
-def test_that_is_all_that_keeps_it_from_compiling(function: Any) -> None:
-    numba.njit(anew(function))(np.ones(3))
+        WAYS[way](function_of(ALLOCATING[what]))
 
 
 # --- our sources do not try ---

@@ -1,71 +1,289 @@
-"""Machine code that is damaged, cannot be written, or goes away: it is compiled anew, never executed, and nothing
-fails."""
+"""Functions are compiled once: progress, interrupts and the garbage collector meanwhile, and the machine code that a
+later process finds, damaged or whole."""
 
 from __future__ import annotations
 
+import ctypes
+import gc
 import os
 import shutil
+import signal
 import subprocess
 import sys
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import FunctionType
+from typing import Any
 
+import numpy as np
 import pytest
 
-# A native function and an entry, both quick to compile, and what numba compiled of them.
-SCRIPT = """
-import numpy as np
-from hapsim.running.compile_ahead import UNITS
-from hapsim.compiling.progress import on_compilation
-from hapsim.cordis import parameters
-from firmware_protocol.compiled import new_record
-names = []
-with on_compilation(names.append):
-    parameters.move.address()
-    record = new_record(parameters.PARAMETERS)
-    from hapsim.compiling.kept import compile_for, is_kept
-    compile_for(parameters.post, record, np.zeros(0), 1)
-parameters.post(record, np.zeros(0), 1)
-compiled = sorted(set(names) & {"parameters.move", "post"})
-print(compiled, parameters.move.is_kept(), is_kept(parameters.post, record, np.zeros(0), 1))
-"""
-COMPILED = "['parameters.move', 'post'] True True\n"
-KEPT = "[] True True\n"
-NOT_KEPT = "['parameters.move', 'post'] False False\n"
+from firmware_protocol import code_cache
+from hapsim.compiling import entry, helper
+from hapsim.compiling.kept import compile_for, is_kept
+from hapsim.compiling.native import Behind, NativeFunction, value_of
+from hapsim.compiling.progress import Counted, compiling, on_compilation
 
 
-@pytest.fixture(scope="module")
-def once(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A cache that holds both."""
-    cache = tmp_path_factory.mktemp("kept")
-    assert call(cache) == COMPILED
-    assert call(cache) == KEPT
-    return cache
+@pytest.fixture(autouse=True)
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """An empty cache of this test's own."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    code_cache.directory_for.cache_clear()
+    yield tmp_path
+    code_cache.directory_for.cache_clear()
 
 
-@pytest.fixture
-def cache(once: Path, tmp_path: Path) -> Path:
-    """A copy of it to be damaged."""
-    return Path(shutil.copytree(once, tmp_path / "cache", copy_function=shutil.copy2))
+@helper
+def add_one(x):
+    return x + 1
 
 
-def call(cache: Path, *before: str) -> str:
-    environment = os.environ | {"XDG_CACHE_HOME": str(cache)}
-    command = [*before, sys.executable, "-c", SCRIPT]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False, timeout=120)
-    assert done.returncode == 0, done.stderr[-2000:]
-    return done.stdout
+def add_two(x):
+    return add_one(x) + add_one(x) - x
+
+
+def add_to(numbers, by):
+    numbers, by = value_of(numbers), value_of(by)
+    for i in range(numbers.size):
+        numbers[i] += add_one(by) - 1
+
+
+def anew(function: Any) -> Any:
+    """The same function once more, as another process would find it."""
+    again = FunctionType(function.__code__, function.__globals__, function.__name__)
+    again.__module__, again.__qualname__ = function.__module__, function.__qualname__
+    return again
+
+
+def compile_entry() -> None:
+    compiled = entry(anew(add_two))
+    compile_for(compiled, 1)
+    assert compiled(5) == 7
+
+
+def compile_native() -> None:
+    numbers = np.zeros(3)
+    behind, by = Behind(numbers), Behind(2.0)
+    address, *values = NativeFunction(anew(add_to)).call_on(behind, by)
+    ctypes.CFUNCTYPE(None, ctypes.c_uint64, ctypes.c_uint64)(address)(*values)
+    assert numbers.tolist() == [2.0] * 3
+
+
+NATIVE_NAME = f"{__name__.rpartition('.')[2]}.add_to"
+NAMES = {compile_entry: "add_two", compile_native: NATIVE_NAME}
+EITHER = pytest.mark.parametrize("compile_it", NAMES)
+
+
+def told_by(compile_it: Callable[[], Any]) -> list[str]:
+    """The functions whose compilation is reported."""
+    told: list[str] = []
+    with on_compilation(told.append):
+        compile_it()
+    return told
+
+
+@EITHER
+def test_each_function_is_reported_once_and_kept_code_never(compile_it: Callable[[], Any]) -> None:
+    name = NAMES[compile_it]
+    told = told_by(compile_it)
+    assert told[0] == name
+    assert sorted(set(told)) == sorted(told)
+    assert set(told) <= {name, "add_one"}
+    assert told_by(compile_it) == []
+
+
+def test_code_of_this_process_is_not_reported_again() -> None:
+    function = NativeFunction(anew(add_to))
+    addresses = set()
+
+    def compile_sizes() -> None:
+        addresses.update(function.call_on(Behind(np.zeros(size)), Behind(2.0))[0] for size in (1, 2, 3))
+
+    assert told_by(compile_sizes).count(NATIVE_NAME) == 1
+    assert len(addresses) == 1
+
+
+def test_a_closed_listener_hears_nothing() -> None:
+    told = told_by(lambda: None)
+    compile_entry()
+    assert told == []
+
+
+def test_every_open_listener_hears_every_function() -> None:
+    inner: list[str] = []
+    outer: list[str] = []
+    with on_compilation(outer.append):
+        with on_compilation(inner.append):
+            compile_native()
+        with compiling(add_to, "another"):
+            pass
+    assert outer == [*inner, "another"]
+    assert inner[0] == NATIVE_NAME
+
+
+def test_however_many_listen_interrupts_and_collector_are_then_as_they_were() -> None:
+    before = signal.getsignal(signal.SIGINT)
+    with on_compilation(lambda _: None), on_compilation(lambda _: None), on_compilation(lambda _: None):
+        compile_native()
+        compile_entry()
+        assert signal.getsignal(signal.SIGINT) is before
+    assert gc.isenabled()
+
+
+def test_what_two_threads_compile_at_once_leaves_interrupts_as_they_were() -> None:
+    """One begins first, and ends last."""
+    before = signal.getsignal(signal.SIGINT)
+    begun, ended = threading.Event(), threading.Event()
+
+    def compile_beside() -> None:
+        with compiling(add_to, "beside"):
+            begun.set()
+            ended.wait(60.0)
+
+    with on_compilation(lambda _: None):
+        with compiling(add_to, "here"):
+            thread = threading.Thread(target=compile_beside)
+            thread.start()
+            assert begun.wait(60.0)
+        assert signal.getsignal(signal.SIGINT) is before
+        ended.set()
+        thread.join()
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+@EITHER
+def test_an_interrupt_waits_until_the_compilation_is_over(compile_it: Callable[[], Any]) -> None:
+    told: list[str] = []
+
+    def interrupt(name: str) -> None:
+        if not told:
+            signal.raise_signal(signal.SIGINT)
+        told.append(name)  # the interrupt did not break in here
+
+    before = signal.getsignal(signal.SIGINT)
+    with pytest.raises(KeyboardInterrupt), on_compilation(interrupt):
+        compile_it()
+    assert len(told) == 1
+    assert signal.getsignal(signal.SIGINT) is before
+    compile_it()  # the compiler is in one piece
+
+
+def test_an_interrupt_in_the_last_function_leaves_it_compiled() -> None:
+    def interrupt(_name: str) -> None:
+        signal.raise_signal(signal.SIGINT)
+
+    function = entry(anew(add_one))
+    with pytest.raises(KeyboardInterrupt), on_compilation(interrupt):
+        compile_for(function, 1)
+    assert told_by(lambda: function(1)) == []
+    assert function(1) == 2
+
+
+@EITHER
+@pytest.mark.parametrize("is_on", [True, False])
+def test_the_garbage_collector_rests_meanwhile_and_is_then_as_it_was(
+    compile_it: Callable[[], Any], is_on: bool
+) -> None:
+    at_work: list[bool] = []
+    was_on = gc.isenabled()
+    (gc.enable if is_on else gc.disable)()
+    try:
+        with on_compilation(lambda _name: at_work.append(gc.isenabled())):
+            compile_it()
+        assert gc.isenabled() == is_on
+    finally:
+        (gc.enable if was_on else gc.disable)()
+    assert at_work
+    assert not any(at_work)
+
+
+def test_what_fails_to_compile_leaves_interrupts_and_collector_as_they_were() -> None:
+    def makes_an_array(x):
+        return np.zeros(x)[0]
+
+    before, was_on = signal.getsignal(signal.SIGINT), gc.isenabled()
+    with on_compilation(lambda _name: None):
+        for make in (lambda: entry(makes_an_array)(3), lambda: NativeFunction(makes_an_array).call_on(Behind(3))):
+            with pytest.raises(Exception, match=r"NRT required|Failed in nopython mode"):
+                make()
+            assert signal.getsignal(signal.SIGINT) is before
+            assert gc.isenabled() == was_on
+
+
+def test_who_listens_may_fail_and_the_collector_is_on_again() -> None:
+    def fail(_name: str) -> None:
+        raise ValueError("not interested")
+
+    was_on = gc.isenabled()
+    with pytest.raises(ValueError, match="not interested"), on_compilation(fail):
+        compile_native()
+    assert gc.isenabled() == was_on
+    compile_native()
+
+
+def test_another_thread_compiles_without_a_hand_on_interrupts() -> None:
+    """Only the main thread may set what a signal does."""
+    told: list[str] = []
+    with on_compilation(told.append):
+        thread = threading.Thread(target=compile_native)
+        thread.start()
+        thread.join()
+    assert told[0] == NATIVE_NAME
+
+
+# --- how far it is ---
+
+
+def test_shares_rise_and_stay_below_one() -> None:
+    heard: list[tuple[str, float | None]] = []
+    counted = Counted(lambda name, share: heard.append((name, share)))
+    counted.expect(3)
+    counted.expect(2)
+    for i in range(8):
+        counted.add(f"f{i}")
+    assert [name for name, _ in heard] == [f"f{i}" for i in range(8)]
+    shares = [share for _, share in heard if share is not None]
+    assert shares[:4] == [0.2, 0.4, 0.6, 0.8]
+    assert sorted(shares) == shares
+    assert len(shares) == 8
+    assert shares[-1] < 1.0
+
+
+def test_where_nobody_has_said_how_many_to_expect_there_is_no_share() -> None:
+    heard: list[float | None] = []
+    counted = Counted(lambda _name, share: heard.append(share))
+    counted.add("first")
+    counted.expect(4)
+    counted.add("second")
+    assert heard == [None, 0.5]
+
+
+def test_several_threads_may_count() -> None:
+    heard: list[float | None] = []
+    counted = Counted(lambda _name, share: heard.append(share))
+    counted.expect(1000)
+    threads = [threading.Thread(target=lambda: [counted.add("one") for _ in range(100)]) for _ in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert heard == [i / 1000 for i in range(1, 801)]
+
+
+# --- machine code that is damaged, cannot be written, or goes away ---
+
+
+def truncate(file: Path) -> None:
+    file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
 
 
 def empty(file: Path) -> None:
     file.write_bytes(b"")
 
 
-def cut_off(file: Path) -> None:
-    file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
-
-
-def other_bytes(file: Path) -> None:
+def overwrite(file: Path) -> None:
     """In the middle, where the machine code is."""
     content = bytearray(file.read_bytes())
     middle = len(content) // 2
@@ -73,51 +291,86 @@ def other_bytes(file: Path) -> None:
     file.write_bytes(content)
 
 
-def a_directory(file: Path) -> None:
-    file.unlink()
-    file.mkdir()
+@EITHER
+@pytest.mark.parametrize(
+    ("files", "damage"),
+    [(".nbc", truncate), (".nbc", overwrite), (".nbc", Path.unlink), (".nbi", empty), (".nbi", truncate)],
+    ids=lambda value: getattr(value, "__name__", value),
+)
+def test_damaged_machine_code_is_compiled_again_and_kept(
+    cache: Path, compile_it: Callable[[], Any], files: str, damage: Callable[[Path], object]
+) -> None:
+    """Each compilation here calls the function, so damaged code that was executed would show, or end the process."""
+    compile_it()
+    (damaged,) = cache.rglob(f"*{files}")
+    damage(damaged)
+    assert NAMES[compile_it] in told_by(compile_it)
+    assert told_by(compile_it) == []
 
 
-@pytest.mark.parametrize("damage", [cut_off, other_bytes, a_directory, Path.unlink])
-def test_damaged_machine_code_is_compiled_anew_and_kept_again(cache: Path, damage: Callable[[Path], object]) -> None:
-    files = list(cache.rglob("*.nbc"))
-    assert len(files) == 2
-    for file in files:
-        damage(file)
-    assert call(cache) == COMPILED
-    assert call(cache) == KEPT
+@EITHER
+@pytest.mark.parametrize("damage", [truncate, Path.unlink])
+def test_a_damaged_mark_is_written_again(
+    cache: Path, compile_it: Callable[[], Any], damage: Callable[[Path], object]
+) -> None:
+    compile_it()
+    (mark,) = cache.rglob("*.kept")
+    written = mark.read_bytes()
+    damage(mark)
+    compile_it()
+    assert mark.read_bytes() == written
+    assert told_by(compile_it) == []
 
 
-@pytest.mark.parametrize("damage", [empty, cut_off])
-def test_a_damaged_index_of_it_too(cache: Path, damage: Callable[[Path], object]) -> None:
-    for file in cache.rglob("*.nbi"):
-        damage(file)
-    call(cache)
-    assert call(cache) == KEPT
+def test_kept_code_is_known_before_it_is_loaded() -> None:
+    assert not is_kept(entry(anew(add_two)), 1)
+    compile_entry()
+    assert is_kept(entry(anew(add_two)), 1)
+    assert not is_kept(entry(anew(add_two)), 1.0)
 
 
-@pytest.mark.parametrize("damage", [cut_off, a_directory, Path.unlink])
-def test_a_damaged_mark_too(cache: Path, damage: Callable[[Path], object]) -> None:
-    for file in cache.rglob("*.kept"):
-        damage(file)
-    call(cache)
-    call(cache)
-    assert call(cache) == KEPT
+def test_a_second_signature_leaves_the_first_kept() -> None:
+    compile_entry()
+    compile_for(entry(anew(add_two)), 1.0)
+    assert is_kept(entry(anew(add_two)), 1)
+    assert is_kept(entry(anew(add_two)), 1.0)
+
+
+@EITHER
+def test_a_cache_that_is_removed_is_made_again(cache: Path, compile_it: Callable[[], Any]) -> None:
+    compile_it()
+    shutil.rmtree(cache / "hapsim")
+    assert NAMES[compile_it] in told_by(compile_it)
+    assert told_by(compile_it) == []
+
+
+# A native function and an entry of ours.
+SCRIPT = """
+import numpy as np
+from hapsim.compiling.kept import compile_for, is_kept
+from hapsim.compiling.progress import on_compilation
+from hapsim.cordis import parameters
+from firmware_protocol.compiled import new_record
+names = []
+record = new_record(parameters.PARAMETERS)
+with on_compilation(names.append):
+    parameters.move.address()
+    compile_for(parameters.post, record, np.zeros(0), 1)
+parameters.post(record, np.zeros(0), 1)
+compiled = sorted(set(names) & {"parameters.move", "post"})
+print(compiled, parameters.move.is_kept(), is_kept(parameters.post, record, np.zeros(0), 1))
+"""
 
 
 @pytest.mark.skipif(shutil.which("prlimit") is None, reason="needs util-linux")
-def test_what_cannot_be_written_is_compiled_all_the_same(tmp_path: Path) -> None:
-    """As on a disk that is full."""
-    assert call(tmp_path, "prlimit", "--fsize=1024") == NOT_KEPT
+def test_code_that_cannot_be_written_is_compiled_all_the_same_and_a_later_process_finds_the_rest(cache: Path) -> None:
+    def call(*before: str) -> str:
+        command = [*before, sys.executable, "-c", SCRIPT]
+        environment = os.environ | {"XDG_CACHE_HOME": str(cache)}
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False, timeout=120)
+        assert done.returncode == 0, done.stderr[-2000:]
+        return done.stdout
 
-
-def test_a_cache_that_goes_away_between_two_starts_is_made_anew(cache: Path) -> None:
-    again = (
-        SCRIPT
-        + f"import shutil; shutil.rmtree({str(cache)!r}); compile_for(parameters.post, record, np.zeros(0), 1.0)\n"
-    )
-    environment = os.environ | {"XDG_CACHE_HOME": str(cache)}
-    command = [sys.executable, "-c", again]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False, timeout=120)
-    assert done.returncode == 0, done.stderr[-2000:]
-    assert call(cache) == COMPILED
+    assert call("prlimit", "--fsize=1024") == "['parameters.move', 'post'] False False\n"  # as on a full disk
+    assert call() == "['parameters.move', 'post'] True True\n"
+    assert call() == "[] True True\n"

@@ -14,10 +14,10 @@ import numpy as np
 from hypothesis import strategies as st
 
 from hapsim.compiling.native import address_of
-from hapsim.device.mock.motion import BODY, move_free, move_gliding, move_of, move_on_spring
+from hapsim.device.mock.motion import BODY, move_gliding, move_of, move_with_spring_or_friction
 
 ROUNDING = 1e-14
-NATIVES = (move_gliding, move_free, move_on_spring)
+NATIVES = (move_gliding, move_with_spring_or_friction)
 
 
 def body_of(

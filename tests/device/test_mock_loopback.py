@@ -14,7 +14,7 @@ from hapsim.device.connection import Connection
 from hapsim.device.conversation import arm, describe, disarm, read_register
 from hapsim.device.mock.assemble import assemble_mock, describe_mock
 from hapsim.device.mock.firmware import INPUT_BYTES
-from hapsim.device.mock.loopback import loopback_transport, outbox_of
+from hapsim.device.mock.loopback import loopback_transport
 from hapsim.loop.endings import FAILED, TIMED_OUT
 
 New = Callable[..., Any]
@@ -57,7 +57,7 @@ def test_answers_can_be_fetched_in_pieces_of_any_size(new_host: New, room: int) 
     transport = loopback_transport(host.mock)
     said = host.arm_frame() + b"".join(host.force_frame(n, [n] * 4) for n in range(20))
     assert transport.send(said) == 0
-    whole = outbox_of(host.mock).tobytes()
+    whole = host.mock.outbox[: int(host.mock.board.out)].tobytes()
     buffer, data = np.full(room + 6, 0xEE, np.uint8), b""
     while (count := transport.receive(buffer[3 : 3 + room], 10**9)) > 0:
         data += buffer[3 : 3 + count].tobytes()
@@ -73,6 +73,6 @@ def test_more_than_the_mock_takes_at_once_is_refused_whole(new_host: New) -> Non
     transport = loopback_transport(host.mock)
     flood = host.disarm_frame(armed=False) * 400
     assert transport.send(flood[: INPUT_BYTES + 1]) == FAILED
-    assert outbox_of(host.mock).size == 0
+    assert host.mock.board.out == 0
     assert transport.send(flood[:INPUT_BYTES]) == 0
-    assert outbox_of(host.mock).size > 0
+    assert host.mock.board.out > 0

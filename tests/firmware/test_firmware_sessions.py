@@ -10,7 +10,7 @@ import pytest
 
 from firmware_protocol import schema
 from firmware_protocol.frames import SETUP, frame_to_device
-from firmware_protocol.make_vectors import DOCUMENT, SESSIONS, sessions_text
+from firmware_protocol.make_vectors import DOCUMENT, SESSIONS, made_text
 from firmware_protocol.sessions import DEVICES, STATES, sessions
 
 TOLD = sessions()["sessions"]
@@ -37,7 +37,7 @@ def _words(counts: list[int]) -> str:
 
 
 def test_the_file_is_what_the_sessions_are_now() -> None:
-    assert SESSIONS.read_text("utf-8") == sessions_text(), "run python -m firmware_protocol.make_vectors"
+    assert SESSIONS.read_text("utf-8") == made_text(SESSIONS), "run python -m firmware_protocol.make_vectors"
 
 
 def test_every_session_quotes_its_section() -> None:

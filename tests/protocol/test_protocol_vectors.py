@@ -9,7 +9,7 @@ import fastcrc
 import pytest
 from cobs import cobs
 
-from firmware_protocol.make_vectors import VECTORS, vectors_text
+from firmware_protocol.make_vectors import VECTORS, made_text
 
 Vectors = dict[str, Any]
 
@@ -32,7 +32,7 @@ def direction_of(entry: Vectors) -> str:
 
 
 def test_the_file_is_what_the_codec_makes_now() -> None:
-    assert VECTORS.read_text("utf-8") == vectors_text(), "run python -m firmware_protocol.make_vectors"
+    assert VECTORS.read_text("utf-8") == made_text(VECTORS), "run python -m firmware_protocol.make_vectors"
 
 
 def test_the_check_vectors_are_fastcrc_s(vectors: Vectors) -> None:
