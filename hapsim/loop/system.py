@@ -136,16 +136,14 @@ def write_some(descriptor, buffer, start, stop):
 @inlined
 def write_all(descriptor, buffer, stop, timeout_ns, scratch):
     """Writes buffer[:stop]; 0 when all went out, else HUNG_UP or FAILED."""
-    at = 0
-    give_up = 0
+    at = give_up = 0
     while at < stop:
-        count = _write(descriptor, buffer.ctypes.data + at, stop - at)
-        if count > 0:
-            at += count
-            continue
-        error = _errno_location()[0]
-        if count < 0 and error not in (_EINTR, _EAGAIN):
+        count = write_some(descriptor, buffer, at, stop)
+        if count < 0:
             return HUNG_UP
+        at += count
+        if count > 0:
+            continue
         give_up = now_ns(scratch) + timeout_ns if give_up == 0 else give_up
         if _wait(descriptor, _POLLOUT, give_up - now_ns(scratch), scratch) < 0 or now_ns(scratch) >= give_up:
             return FAILED

@@ -16,8 +16,9 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import cycle
+from itertools import cycle, product
 from pathlib import Path
+from string import Template
 from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 
 import numpy as np
@@ -32,6 +33,9 @@ from hapsim.progress import Progress
 if TYPE_CHECKING:
     from hapsim.device.open_connection import Place
     from hapsim.scene import Scene
+
+
+_EVERY_MODULE = Path(__file__).with_name("every_module.yaml")
 
 
 class CompileUnit(NamedTuple):
@@ -255,47 +259,20 @@ def _compile_scenes(scenes: Sequence[Scene]) -> None:
             assemble_mock(scene)  # the motion of its bodies
 
 
-_EVERY_MODULE = """\
-version: 1
-rate: 1000
-precision: {precision}
-scheme: {scheme}
-device: {{mass: 1}}
-modules:
-  hand: {{type: device, channel: 0}}
-  wall: {{type: ground}}
-  ball: {{type: mass, mass: 1}}
-  bell: {{type: cell, mass: 1, stiffness: 1, damping: {damping}}}
-  gut: {{type: string, masses: 2, mass: 1, stiffness: 1}}
-  bar: {{type: string, masses: 3, mass: 1, stiffness: 1, bending: 1}}
-  skin: {{type: membrane, rows: 2, columns: 2, mass: 1, stiffness: 1}}
-  spring: {{type: spring, between: [ball, wall], stiffness: 1}}
-  damper: {{type: damper, between: [bell, hand], damping: 1}}
-  buffer: {{type: buffer, between: [hand, wall], stiffness: 1}}
-  curve: {{type: nonlinear, between: [hand, wall], force_over_distance: [[0, 0], [1, 1]],
-           force_over_velocity: [[0, 0], [1, 1]]}}
-  rub: {{type: friction, between: [hand, wall], force: 1, stiffness: 1}}
-  pick: {{type: plectrum, between: [hand, ball], stiffness: 1, release: 1}}
-"""
-_HELD = ("ball", "gut.0", "bar.0", "skin.0.0")
-
-
 def scenes_with_every_module(precision: str) -> Iterator[Scene]:
     """Yields two scenes with every module type for each scheme. In one of them damping couples the modes, which the
     exact scheme then moves as one matrix."""
     from hapsim.scene import DamperScheme, SchemeName, parse_scene
     from hapsim.scene.choices import WITH_CUTOFF
 
-    links = []  # the first of them hold a point of each kind that can be held
-    for damper, held in zip(get_args(DamperScheme), cycle(_HELD), strict=False):
+    template = _EVERY_MODULE.read_text(encoding="utf-8")  # and links that hold a point of each kind that can be held
+    for damper, held in zip(get_args(DamperScheme), cycle(("ball", "gut.0", "bar.0", "skin.0.0")), strict=False):
         cutoff = ", cutoff: 10" if damper in WITH_CUTOFF else ""
-        links.append(
-            f"  {damper}: {{type: viscoelastic, between: [hand, {held}], stiffness: 1, damper: {damper}{cutoff}}}\n"
-        )
-    for scheme in get_args(SchemeName):
-        for damping in (0, 1):
-            text = _EVERY_MODULE.format(precision=precision, scheme=scheme, damping=damping)
-            yield parse_scene(text + "".join(links), "every module")
+        ends = f"between: [hand, {held}], stiffness: 1, damper: {damper}{cutoff}"
+        template += f"  {damper}: {{type: viscoelastic, {ends}}}\n"
+    for scheme, damping in product(get_args(SchemeName), (0, 1)):
+        text = Template(template).substitute(precision=precision, scheme=scheme, damping=damping)
+        yield parse_scene(text, "every module")
 
 
 if __name__ == "__main__":

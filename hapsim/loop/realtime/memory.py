@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from hapsim.loop.realtime import privilege
-from hapsim.loop.realtime.privilege import is_root, login_limit, measure
+from hapsim.loop.realtime.privilege import measure, what_grants
 
 _MCL_CURRENT = 1
 _STATUS = Path("/proc/self/status")
@@ -48,10 +48,7 @@ def _lock_advice(error: OSError) -> str:
         return refused
     if limit == resource.RLIM_INFINITY:
         return f"{refused} though no limit is set: free some memory, or let the container call mlockall"
-    if is_root():
-        takes = "CAP_IPC_LOCK (in a container: --cap-add=IPC_LOCK)"
-    else:
-        takes = f"{login_limit('memlock', 'unlimited')}, or CAP_IPC_LOCK, or root"
+    takes = what_grants("CAP_IPC_LOCK", "memlock", "unlimited")
     return f"{refused}: the limit is {limit / 1e6:.3g} MB; it takes {takes}"
 
 

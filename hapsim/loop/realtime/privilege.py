@@ -97,6 +97,13 @@ def is_root() -> bool:
     return os.geteuid() == 0
 
 
+def what_grants(capability: str, item: str, value: str) -> str:
+    """Returns what grants a capability, or enough of the limit `item`, to follow "it takes"."""
+    if is_root():
+        return f"{capability} (in a container: --cap-add={capability.removeprefix('CAP_')})"
+    return f"{login_limit(item, value)}, or {capability}, or root"
+
+
 def login_limit(item: str, value: str) -> str:
     """Returns what raises this user's limit on `item`, as in limits.conf(5), to follow "it takes"."""
     import pwd

@@ -16,7 +16,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from hapsim.loop.realtime import privilege
-from hapsim.loop.realtime.privilege import ONLY_LINUX, PrivilegeResult, denied, is_root, login_limit, measure
+from hapsim.loop.realtime.privilege import ONLY_LINUX, PrivilegeResult, measure
 
 PRIORITY = 80
 """Above 50, the priority of the kernel's interrupt threads: a loop that blocks does not delay them, and those of a disk
@@ -30,16 +30,11 @@ _LEAST_SLACK_NS = 1  # 0 would mean the default
 
 
 def _fifo_advice(error: OSError) -> str:
-    refused = f"priority {PRIORITY} was refused"
+    refused = f"priority {PRIORITY} was refused ({error.strerror})"
     if not isinstance(error, PermissionError):
-        return f"{refused} ({error.strerror})"
-    if is_root():
-        return (
-            f"{refused} to root ({error.strerror}): it takes CAP_SYS_NICE (in a container: --cap-add=SYS_NICE) and "
-            "real-time runtime in the control group (cpu.rt_runtime_us)"
-        )
-    limit = login_limit("rtprio", str(PRIORITY))
-    return f"{refused} ({error.strerror}): it takes {limit}, or CAP_SYS_NICE, or root"
+        return refused
+    group = " and real-time runtime in the control group (cpu.rt_runtime_us)" if privilege.is_root() else ""
+    return f"{refused}: it takes {privilege.what_grants('CAP_SYS_NICE', 'rtprio', str(PRIORITY))}{group}"
 
 
 @measure("SCHED_FIFO", _fifo_advice)
@@ -56,11 +51,8 @@ def scheduled_fifo(thread_id: int) -> Iterator[str]:
             if priority == 1:
                 raise
             priority -= 1
-    detail = f"priority {priority}"
-    if priority < PRIORITY:
-        limit = login_limit("rtprio", str(PRIORITY))
-        detail += f", the highest that was granted: {PRIORITY} takes {limit}"
-    yield detail
+    more = f", the highest that was granted: {PRIORITY} takes {privilege.login_limit('rtprio', str(PRIORITY))}"
+    yield f"priority {priority}{more if priority < PRIORITY else ''}"
     os.sched_setscheduler(thread_id, policy, parameters)
 
 
@@ -125,7 +117,7 @@ def _idle_advice(error: OSError) -> str:
         return f"there is no {_DEVICE}; a container needs --device={_DEVICE}, a kernel CONFIG_CPU_IDLE"
     if not isinstance(error, PermissionError):
         return f"{_DEVICE} failed ({error.strerror})"
-    if is_root():
+    if privilege.is_root():
         return f"{_DEVICE} was refused to root ({error.strerror}): a container needs --device={_DEVICE}"
     return (
         f"{_DEVICE} may not be written ({error.strerror}): it takes a udev rule that gives it to a group of yours "
@@ -154,7 +146,7 @@ def no_timer_slack() -> PrivilegeResult:
         privilege.call_c("prctl", _PR_SET_TIMERSLACK, _LEAST_SLACK_NS, 0, 0, 0)
         slack_ns = privilege.call_c("prctl", _PR_GET_TIMERSLACK, 0, 0, 0, 0)
     except OSError as error:
-        return denied(
+        return privilege.denied(
             _SLACK, error, lambda error: f"prctl was refused ({error.strerror}): a container or sandbox forbids it"
         )
     if slack_ns > _LEAST_SLACK_NS:
