@@ -76,7 +76,7 @@ def test_another_source_beside_it_gives_another_directory(package: Path) -> None
     ("owner", "name"),
     [(numba, "__version__"), (code_cache.platform, "machine"), (code_cache.platform, "python_version")],
 )
-def test_another_compiler_or_machine_has_a_directory_of_its_own(
+def test_each_compiler_and_machine_has_a_directory(
     package: Path, monkeypatch: pytest.MonkeyPatch, owner: Any, name: str
 ) -> None:
     before = directory_for(package)
@@ -86,49 +86,36 @@ def test_another_compiler_or_machine_has_a_directory_of_its_own(
 
 @pytest.mark.parametrize("mode", [0o777, 0o770, 0o707])
 @pytest.mark.parametrize("below", [False, True])
-def test_a_cache_that_others_can_write_to_is_passed_over(
-    package: Path, cache: Path, tmp_path: Path, mode: int, below: bool
-) -> None:
+def test_a_cache_open_to_others_is_ignored(package: Path, cache: Path, tmp_path: Path, mode: int, below: bool) -> None:
     """Or a directory below it."""
     cache.mkdir(parents=True, mode=0o700)
     open_to_all = directory_for(package) if below else cache
-    assert open_to_all is not None
     open_to_all.chmod(mode)
     directory = directory_for(package)
-    assert directory is not None
     assert directory.is_relative_to(tmp_path / "temporary")
 
 
-def test_the_directory_is_ours_alone_and_a_cache_of_somebody_else_is_passed_over(
-    package: Path, cache: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_cache_of_another_user_is_ignored(package: Path, cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     directory = directory_for(package)
-    assert directory is not None
     assert (directory.parent, directory.stat().st_mode & 0o777) == (cache, 0o700)
     monkeypatch.setattr(os, "getuid", lambda: os.stat(cache).st_uid + 1)
     assert directory_for(package) is None  # nor is the temporary one ours
 
 
-def test_a_system_without_users_keeps_code_where_it_says_that_all_may_write(
-    package: Path, cache: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_system_without_users_ignores_the_mode(package: Path, cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     cache.mkdir(parents=True)
     cache.chmod(0o777)
     owner = os.getuid()
     monkeypatch.delattr(os, "getuid")
     monkeypatch.setattr(code_cache, "_user", lambda: owner)  # there every file is of owner 0
     directory = directory_for(package)
-    assert directory is not None
     assert directory.parent == cache
 
 
-def test_where_the_cache_cannot_be_made_the_temporary_directory_serves_or_none(
-    package: Path, cache: Path, tmp_path: Path
-) -> None:
+def test_without_a_cache_the_temporary_directory_serves_or_none(package: Path, cache: Path, tmp_path: Path) -> None:
     """Functions are compiled all the same."""
     cache.parent.write_text("a file is in the way", encoding="utf-8")
     directory = directory_for(package)
-    assert directory is not None
     assert directory.is_relative_to(tmp_path / "temporary")
     shutil.rmtree(tmp_path / "temporary")
     (tmp_path / "temporary").write_text("here too", encoding="utf-8")
@@ -144,9 +131,7 @@ def test_where_the_cache_cannot_be_made_the_temporary_directory_serves_or_none(
 
 @pytest.mark.usefixtures("cache")
 @pytest.mark.parametrize("setting", ["", "/somewhere/of/theirs"])
-def test_a_program_that_uses_hapsim_keeps_its_own_setting_of_numba(
-    package: Path, monkeypatch: pytest.MonkeyPatch, setting: str
-) -> None:
+def test_a_program_keeps_its_own_setting_of_numba(package: Path, monkeypatch: pytest.MonkeyPatch, setting: str) -> None:
     monkeypatch.setattr(numba.config, "CACHE_DIR", setting)
 
     @compiled.Compiler(package).entry
@@ -166,7 +151,6 @@ def test_what_nobody_has_loaded_for_a_month_is_removed_and_the_rest_kept(package
         return directory
 
     used = directory_for(package)
-    assert used is not None
     os.utime(used, (0.0, 0.0))
     assert directory_for(package) == used  # whoever loads from it keeps it
     old, recent = aged("old", 31.0), aged("recent", 29.0)

@@ -115,9 +115,7 @@ def run_on(loop: LoopMemory, stream: DamagedStream) -> tuple[int, dict[int, tupl
 
 
 @pytest.mark.parametrize("channels", FORMATS)
-def test_of_damaged_and_random_bytes_nothing_is_answered_and_the_next_positions_are(
-    channels: int, figures: Any
-) -> None:
+def test_damaged_and_random_bytes_are_not_answered_and_the_next_positions_are(channels: int, figures: Any) -> None:
     stream = DamagedStream(channels, seed=channels)
     loop = assembled(scene_of(channels))
     ending, accepted = run_on(loop, stream)

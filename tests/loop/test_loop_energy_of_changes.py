@@ -182,9 +182,7 @@ def link(kind: str, **values: Any) -> dict[str, Any]:
         (CELL | link("damper", damping=1.0), {"a": {"damping": 2.0}, "cell": {"rest": 1.0}}, 0.0),
     ],
 )
-def test_a_change_adds_what_mechanics_says(
-    modules: dict[str, Any], change: dict[str, dict[str, float]], added: float
-) -> None:
+def test_a_change_adds_its_energy(modules: dict[str, Any], change: dict[str, dict[str, float]], added: float) -> None:
     scene = linked(**modules)
     program, tank = accounted(scene, X)
     tank.level = CAPACITY - TAKEN

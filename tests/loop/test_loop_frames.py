@@ -173,5 +173,4 @@ def test_a_device_that_babbles_instead_of_positions_is_silent_to_the_loop(babble
         finally:
             over.set()
             talker.join()
-    assert caught.value.trace is not None
     assert caught.value.trace.report.ticks == 2

@@ -156,8 +156,6 @@ DUE, PERIOD = 1_000_000, 500
         (10**9, DUE + 10**9 + PERIOD, 1),  # one miss, and no burst
     ],
 )
-def test_a_point_kept_less_than_a_period_late_leaves_the_grid_and_a_later_one_starts_it_anew(
-    rule: object, late: int, point: int, missed: int
-) -> None:
+def test_a_point_a_period_late_starts_the_grid_anew(rule: object, late: int, point: int, missed: int) -> None:
     assert callable(rule)
     assert rule(DUE, DUE + late, PERIOD) == (point, missed)

@@ -57,13 +57,10 @@ def frames_of(data: bytes, from_host: bool) -> list[Frame]:
 
 @pytest.mark.parametrize("portable", [False, True])
 @pytest.mark.parametrize(("ticks", "channels"), [(40, 2), (3000, 1)])
-def test_the_last_frames_each_way_are_those_of_the_last_ticks(
-    tmp_path: Path, ticks: int, channels: int, portable: bool
-) -> None:
+def test_the_last_frames_are_those_of_the_last_ticks(tmp_path: Path, ticks: int, channels: int, portable: bool) -> None:
     """Of few ticks the arming too; of many the buffers have begun anew some times."""
     failure = stopped(leaving(ticks, channels), tmp_path, transport="terminal", portable=portable)
     trace = failure.trace
-    assert trace is not None
     assert (trace.report.ending, trace.report.released) == ("device stopped", True)
     assert trace.report.ticks > ticks // 2
     wire = read_report(the_one_in(tmp_path)).wire
@@ -99,7 +96,6 @@ def test_the_sentence_names_the_file_which_has_the_rest(hapsim: Callable[..., An
     assert about["sentence"] in str(failure)
     assert about["exit_status"] == failure.exit_status == 3
     trace, last = failure.trace, load_trace(path)
-    assert trace is not None
     assert last.sample.tolist() == trace.sample[-1000:].tolist()
     np.testing.assert_array_equal(last.force, trace.force[-1000:])
     assert (last.report, last.statistics) == (trace.report, trace.statistics)
@@ -119,9 +115,7 @@ def test_the_sentence_names_the_file_which_has_the_rest(hapsim: Callable[..., An
     assert {one["from"] for one in only["entries"]} == {"host"}
 
 
-def test_without_being_asked_only_a_device_on_a_port_leaves_one(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_by_default_only_a_device_on_a_port_leaves_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
     for transport in ("loopback", "terminal"):
         with pytest.raises(DeviceError) as caught:
@@ -153,7 +147,7 @@ def test_the_newest_are_kept_and_nobody_elses_file_is_touched(tmp_path: Path, mo
 
 
 @pytest.mark.parametrize("is_defect", [False, True])
-def test_where_no_report_can_be_written_the_sentence_says_so_beside_what_happened(
+def test_a_report_that_cannot_be_written_is_mentioned(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, is_defect: bool
 ) -> None:
     directory = tmp_path / "file" / "reports"

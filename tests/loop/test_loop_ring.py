@@ -64,18 +64,14 @@ def require_rows(rows: Any, samples: list[int]) -> None:
     np.testing.assert_array_equal(rows["asked_force"], 0.1 * s[:, None] * sides)
 
 
-def test_where_it_is_full_rows_are_dropped_and_counted_and_the_reader_gets_the_ones_before(
-    ring: Ring, write: Callable[..., None]
-) -> None:
+def test_a_full_ring_drops_and_counts_rows_and_keeps_those_before(ring: Ring, write: Callable[..., None]) -> None:
     write(1, 2, 3, 4, 5, 6)
     assert ring.record.dropped == 2
     require_rows(ring.drain(), [1, 2, 3, 4])
     require_rows(ring.drain(), [])
 
 
-def test_once_it_was_emptied_rows_flow_again_in_order_also_across_its_end(
-    ring: Ring, write: Callable[..., None]
-) -> None:
+def test_once_emptied_rows_flow_again_in_order_also_across_its_end(ring: Ring, write: Callable[..., None]) -> None:
     write(1, 2, 3, 4, 5, 6)
     ring.drain()
     for begin in range(7, 60, 3):  # 3 rows at a time into 4 places: they begin at each place in turn

@@ -91,7 +91,7 @@ DIALOUT = "not permitted. On most systems: add yourself to the group dialout"
         ("OSError(22, 'A device attached to the system is not functioning.', None, 31)", "cannot be opened: "),
     ],
 )
-def test_what_the_system_refuses_is_reported_with_what_to_do(
+def test_a_refusal_is_reported_with_what_to_do(
     monkeypatch: pytest.MonkeyPatch, refusal_of: int | str, told: str
 ) -> None:
     """Root is refused nothing, so the system's answer is put in its mouth, in the words of pyserial."""

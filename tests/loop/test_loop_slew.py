@@ -50,9 +50,7 @@ def test_a_force_that_is_slow_enough_is_sent_as_it_is() -> None:
 
 
 @pytest.mark.parametrize(("position", "velocity"), [(0.004, 0.0), (0.004, -0.3), (-0.02, 0.5)])
-def test_the_first_force_is_reached_along_a_ramp_and_never_overshoots_what_is_asked(
-    position: float, velocity: float
-) -> None:
+def test_the_force_ramps_up_and_never_overshoots_what_is_asked(position: float, velocity: float) -> None:
     initial = {"initial": {"position": position, "velocity": velocity}}
     trace = run(scene_of(device={"soft_start": 0.05}, mock=initial), duration=0.2)
     asked = np.clip(trace.asked_force[:, 0], -10.0, 10.0)
@@ -227,7 +225,6 @@ def test_behind_a_port_the_first_force_is_soft_but_in_virtual_time(clock: str) -
             trace: Trace | None = run(scene, duration=0.02)
         except DeviceError as error:  # a machine that is held up for a tenth of a second
             trace = error.trace
-    assert trace is not None
     assert abs(trace.asked_force[0, 0]) > 1.0
     assert (trace.force_counts[0, 0] == 0) == bool(trace.flags[0] & SLEWED) == (clock != "lockstep")
 

@@ -164,9 +164,7 @@ def test_bytes_over_a_port_arrive_as_they_are_in_both_directions(terminal: tuple
 
 
 @both
-def test_of_more_bytes_than_there_is_room_for_the_rest_is_had_the_next_time(
-    terminal: tuple[int, int], over: OverTerminal
-) -> None:
+def test_bytes_beyond_the_room_come_the_next_time(terminal: tuple[int, int], over: OverTerminal) -> None:
     near, far = terminal
     transport, buffer = over(far), np.full(10, 99, np.uint8)
     os.write(near, bytes(range(15)))
@@ -178,7 +176,7 @@ def test_of_more_bytes_than_there_is_room_for_the_rest_is_had_the_next_time(
 
 @both
 @pytest.mark.parametrize("timeout_ns", [0, -1, -(10**18), 1000])
-def test_a_quiet_port_has_timed_out_and_what_comes_later_is_heard(
+def test_a_quiet_port_times_out_and_is_heard_later(
     terminal: tuple[int, int], over: OverTerminal, timeout_ns: int
 ) -> None:
     near, far = terminal

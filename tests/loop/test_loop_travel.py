@@ -33,7 +33,6 @@ def ended(scene: Scene, match: str = "channel 0 is out of its travel", **options
         run(scene, duration=2.0, **options)
     assert caught.value.exit_status == 4
     trace = caught.value.trace
-    assert trace is not None
     assert (trace.report.ending, trace.report.released) == ("out of travel", True)
     return trace
 
@@ -216,9 +215,7 @@ def test_a_band_that_is_too_narrow_is_refused_before_anything_is_armed() -> None
     ("origin", "travel", "is_known"),
     [(0.01, True, False), (0.0, True, False), ("here", True, True), (None, True, True), (0.01, False, True)],
 )
-def test_a_device_that_restarted_has_lost_a_zero_that_the_scene_names(
-    origin: Any, travel: bool, is_known: bool
-) -> None:
+def test_a_restarted_device_has_lost_a_zero_that_the_scene_names(origin: Any, travel: bool, is_known: bool) -> None:
     scene = scene_of(device=({"origin": origin} if origin is not None else {}) | (BAND if travel else {}))
     if is_known:
         require_known_zero(scene, "port")

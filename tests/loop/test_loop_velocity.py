@@ -86,7 +86,7 @@ def test_only_the_links_that_take_a_sensed_velocity_are_named() -> None:
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, -1e-6])
-def test_an_absurd_velocity_scale_is_the_devices_fault_where_it_is_needed_and_no_matter_where_it_is_not(
+def test_an_absurd_velocity_scale_is_the_devices_fault_where_it_is_needed(
     value: float,
 ) -> None:
     with scripted(scene=scene_of(damper="sensed"), velocity_scale=(value,)) as (there, device):

@@ -16,7 +16,6 @@ def thread_id() -> Iterator[int]:
     end = threading.Event()
     thread = threading.Thread(target=end.wait)
     thread.start()
-    assert thread.native_id is not None
     yield thread.native_id
     end.set()
     thread.join()
@@ -27,7 +26,6 @@ def ended_thread_id() -> int:
     thread = threading.Thread(target=lambda: None)
     thread.start()
     thread.join()
-    assert thread.native_id is not None
     return thread.native_id
 
 

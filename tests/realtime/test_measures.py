@@ -75,9 +75,7 @@ def test_garbage_is_collected_before_the_rest_is_set_aside() -> None:
 
 
 @pytest.mark.parametrize("name", ["ada", None])
-def test_the_line_names_the_user_who_reads_it_if_there_is_one(
-    monkeypatch: pytest.MonkeyPatch, name: str | None
-) -> None:
+def test_the_line_names_the_user_if_there_is_one(monkeypatch: pytest.MonkeyPatch, name: str | None) -> None:
     def entry(number: int) -> pwd.struct_passwd:
         if name is None:
             raise KeyError("getpwuid(): uid not found")
@@ -109,9 +107,7 @@ def calls(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[tuple[object,
 
 
 @pytest.mark.parametrize(("is_told", "detail"), [(True, "128 MB"), (False, "all memory")])
-def test_what_there_is_is_locked_not_what_comes_later(
-    calls: list[tuple[object, ...]], tmp_path: Path, is_told: bool, detail: str
-) -> None:
+def test_mapped_memory_is_locked(calls: list[tuple[object, ...]], tmp_path: Path, is_told: bool, detail: str) -> None:
     if not is_told:
         (tmp_path / "status").unlink()
     with memory_locked(1) as grant:
@@ -122,7 +118,7 @@ def test_what_there_is_is_locked_not_what_comes_later(
 
 @pytest.mark.usefixtures("calls")
 @pytest.mark.parametrize("number", [errno.ENOMEM, errno.EPERM])
-def test_who_is_refused_reads_how_much_was_wanted_what_is_allowed_and_what_it_takes(
+def test_a_refusal_says_how_much_was_wanted_and_what_it_takes(
     number: int, root: bool, refuse: Refuse, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(resource, "getrlimit", lambda _: (65_536, 65_536))
@@ -243,7 +239,7 @@ RESET = os.SCHED_RESET_ON_FORK
         (99, (os.SCHED_OTHER | RESET, 0), PRIORITY),  # a flag that may not be dropped is kept
     ],
 )
-def test_the_highest_priority_that_is_granted_is_taken_and_reported(
+def test_the_highest_priority_is_granted(
     most: int, before: Policy, priority: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     system = Scheduler(monkeypatch, most, before)
@@ -299,9 +295,7 @@ def test_the_thread_that_asks_has_no_slack_and_the_others_keep_theirs() -> None:
 
 
 @pytest.mark.parametrize(("most", "said"), [(1, "1 ns"), (50_000, "50000 ns")])
-def test_the_least_slack_is_asked_for_and_what_is_kept_is_told(
-    monkeypatch: pytest.MonkeyPatch, most: int, said: str
-) -> None:
+def test_the_least_slack_is_requested_and_reported(monkeypatch: pytest.MonkeyPatch, most: int, said: str) -> None:
     asked: list[int] = []
 
     def prctl(_name: str, option: int, value: int, *_rest: int) -> int:

@@ -107,7 +107,7 @@ def test_a_thread_that_ended_before_it_was_moved_is_passed_over(machine: Machine
     assert grant.detail == "CPU 3; 1 other thread moved off it"
 
 
-def test_where_nothing_lists_the_threads_the_loop_has_its_processor_all_the_same(
+def test_without_a_list_of_threads_the_loop_has_its_processor(
     machine: Machine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(processor, "_THREADS", machine.threads / "nowhere")

@@ -47,7 +47,7 @@ def test_whatever_the_error_is_a_measure_is_denied_with_a_sentence(name: str, th
 
 @pytest.mark.parametrize("name", CALLS)
 @pytest.mark.parametrize("error", [AttributeError("no such name"), ValueError("no"), OverflowError("too large")])
-def test_what_no_system_should_answer_is_a_denial_too(
+def test_an_impossible_answer_is_a_denial(
     name: str, error: Exception, thread_id: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fail(*_arguments: object) -> None:
@@ -77,7 +77,7 @@ def test_where_advice_cannot_be_had_the_denial_is_told_without(thread_id: int, r
 
 @pytest.mark.parametrize("name", CALLS)
 @pytest.mark.parametrize(("number", "words"), [(errno.ESRCH, "ended"), (errno.ENOSYS, "does not have the call")])
-def test_no_thread_and_no_such_call_read_alike_for_every_measure(
+def test_a_missing_thread_or_call_is_reported(
     name: str, number: int, words: str, thread_id: int, refuse: Refuse
 ) -> None:
     ask, function = CALLS[name]
@@ -182,9 +182,7 @@ def defect() -> None:
 
 
 @pytest.mark.parametrize("undo", [fail, defect])
-def test_an_undoing_that_fails_keeps_neither_the_others_from_theirs_nor_the_body_from_its_failure(
-    undo: Callable[[], None], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_undoing_that_fails_stops_no_other(undo: Callable[[], None], monkeypatch: pytest.MonkeyPatch) -> None:
     told: list[str] = []
     measures = (named("one", told), named("two", told, undo), named("three", told))
     monkeypatch.setattr(room, "_MEASURES", measures)
@@ -214,7 +212,7 @@ def test_the_failure_of_a_body_does_not_carry_the_refusal_along(refuse: Refuse) 
     assert caught.value.__context__ is None
 
 
-def test_a_thread_that_has_ended_is_said_to_have_and_the_rest_goes_on(
+def test_an_ended_thread_is_reported_and_the_rest_goes_on(
     ended_thread_id: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(room, "_MEASURES", (frozen, pinned, fifo))

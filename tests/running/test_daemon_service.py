@@ -102,9 +102,7 @@ def test_the_watchdog_hears_of_it_only_while_the_ticks_go_on(manager: Manager) -
         ({"WATCHDOG_USEC": "1" + 400 * "0"}, False),
     ],
 )
-def test_the_watchdog_is_told_where_it_asks_this_process(
-    manager: Manager, environ: dict[str, str], hears: bool
-) -> None:
+def test_the_watchdog_is_notified_if_it_asks_for_it(manager: Manager, environ: dict[str, str], hears: bool) -> None:
     observer = notifier(manager, [0.0], **environ).observer
     observer.running(Progress("running", ticks=5))
     assert ("WATCHDOG=1" in manager.told()) == hears
@@ -128,7 +126,7 @@ def test_a_manager_that_is_gone_ends_nothing(manager: Manager, tmp_path: Path) -
         notifying.stopping()
 
 
-def test_the_command_is_ready_when_it_is_armed_and_says_when_it_ends(
+def test_the_command_notifies_of_arming_and_end(
     manager: Manager, hapsim: Callable[..., Any], scene: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("NOTIFY_SOCKET", str(manager.path))
@@ -160,9 +158,7 @@ def settings(unit: str) -> dict[str, list[str]]:
     return {name: [value for other, value in lines if other == name] for name, _ in lines}
 
 
-def test_the_unit_starts_this_interpreter_with_no_more_rights_than_it_needs(
-    hapsim: Callable[..., Any], scene: Path, tmp_path: Path
-) -> None:
+def test_the_unit_has_no_more_rights_than_it_needs(hapsim: Callable[..., Any], scene: Path, tmp_path: Path) -> None:
     document = hapsim("service", scene, "--json").document
     found = settings(document["unit"])
     words = shlex.split(found["ExecStart"][0])
@@ -208,9 +204,7 @@ def test_a_scene_that_will_be_refused_has_its_unit_and_a_warning(hapsim: Callabl
     assert "`hapsim run` will refuse this scene" in answer.err
 
 
-def test_the_service_is_of_who_asks_and_says_what_it_may_not_enter(
-    scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_service_has_the_user_s_account(scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     nobody = pwd.getpwnam("nobody")
     monkeypatch.setattr(os, "geteuid", lambda: nobody.pw_uid)
     found = settings(unit_for(str(scene), "/dev/ttyACM0"))

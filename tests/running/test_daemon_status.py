@@ -191,7 +191,7 @@ def test_a_directory_that_others_may_enter_is_none_for_it(folder: Path) -> None:
         path_for(None)
 
 
-def test_the_command_finds_the_one_that_runs(
+def test_the_command_finds_it(
     folder: Path, hapsim: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(

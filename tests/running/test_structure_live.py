@@ -174,9 +174,7 @@ IN_A_MATRIX = BEGIN | {
 
 
 @pytest.mark.parametrize("scheme", ["midpoint", "exact"])
-def test_what_is_in_a_matrix_is_no_live_parameter_and_changes_with_the_structure(
-    monkeypatch: pytest.MonkeyPatch, scheme: str
-) -> None:
+def test_what_is_in_a_matrix_changes_with_the_structure_only(monkeypatch: pytest.MonkeyPatch, scheme: str) -> None:
     scene = scene_of(IN_A_MATRIX, scheme)
     with running(scene, monkeypatch) as runner:
         runner.go()
@@ -209,7 +207,7 @@ def test_how_the_mock_began_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> 
     ("stiffness", "unstable"), [(300.0, False), (3e4, True), (1e5, True)], ids=["soft", "stiff", "stiffer"]
 )
 @pytest.mark.parametrize("more", [{}, LONE], ids=["a hand alone", "beside a mass"])
-def test_what_is_surely_unstable_is_found_as_by_the_whole_prediction(
+def test_what_is_surely_unstable_is_so_for_the_whole_prediction(
     stiffness: float, unstable: bool, more: Modules
 ) -> None:
     nail = {"type": "viscoelastic", "between": ["thumb", "wall"], "stiffness": stiffness, "damping": 1.0}
