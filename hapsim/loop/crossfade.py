@@ -114,8 +114,8 @@ def _advance(slot, position):
 
 @entry
 def post(slot, program, samples, cross_fade):
-    """Posts the program at this address for a crossfade over so many samples (>= 1). The last crossfade must have
-    ended. `cross_fade`: the address of the function of that name."""
+    """Posts the program at this address for a crossfade over `samples` (>= 1), after the last one has ended.
+    `cross_fade`: the address of the function of that name."""
     slot.posted_samples = samples
     slot.posted = np.uint64(program)
     fence()

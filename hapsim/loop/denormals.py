@@ -1,8 +1,8 @@
-"""Denormals, the smallest floating-point numbers, become zero while a loop runs.
+"""Denormals, floating-point numbers below 1e-307, count as zero while a loop runs.
 
 A string that has rung down is full of them, and arithmetic with them takes many times as long: a scene would become
-slow by falling silent. They lie below 1e-307; no hand can tell. It is a mode of the processor, kept for each thread, so
-whoever sets it puts it back: the rest of the program may count on such numbers.
+slow by falling silent. It is a mode of the processor for each thread. The loop restores it at its end, since the rest
+of the program may rely on such numbers.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _HAS_REGISTER = platform.machine() in ("x86_64", "AMD64")
 
 @intrinsic
 def flush_denormals(_typing: Any) -> Any:
-    """Sets the mode for the calling thread; gives what to `restore`. Does nothing where the processor is no x86."""
+    """Sets the mode for the calling thread; returns the one before, to `restore`. Does nothing except on x86."""
 
     def _generate(context: Any, builder: Any, _signature: Any, _arguments: Any) -> Any:
         if not _HAS_REGISTER:
@@ -38,7 +38,7 @@ def flush_denormals(_typing: Any) -> Any:
 
 @intrinsic
 def restore(_typing: Any, mode: Any) -> Any:  # noqa: ARG001
-    """Puts the mode of the calling thread back to what `flush_denormals` gave."""
+    """Restores the mode of the calling thread."""
 
     def _generate(context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
         if _HAS_REGISTER:

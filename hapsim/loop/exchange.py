@@ -26,7 +26,7 @@ from hapsim.loop.predictor import PREDICTOR, call_add, call_predict
 
 _MODULUS_MASK = schema.SAMPLE_MODULUS - 1  # it is a power of two
 
-DEVICE_CLOCK, HOST_CLOCK, NO_CLOCK = range(3)  # who keeps the time; nobody in virtual time
+DEVICE_CLOCK, HOST_CLOCK, NO_CLOCK = range(3)  # what keeps the time; nothing in virtual time
 
 CONTROL = np.dtype(
     [
@@ -41,7 +41,7 @@ CONTROL = np.dtype(
         ("stale_ns", np.int64),  # the same with the sample in which it begins to act
         ("pulse_first", np.int64),  # pushes as an excitation: 1 for one on the first ticks,
         ("pulse_from", np.int64),  # then from this tick on
-        ("pulse_every", np.int64),  # one every so many ticks (0: none),
+        ("pulse_every", np.int64),  # with this many ticks from one to the next (0: none),
         ("pulse_ticks", np.int64),  # each of this length,
         ("pulse_channel", np.int64),
         ("pulse_force", np.float64),  # N at most, with alternating sign

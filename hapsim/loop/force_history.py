@@ -35,8 +35,8 @@ FORCE_HISTORY = np.dtype(
         ("mask", np.int64),  # rows - 1, and rows is a power of two
         ("newest", np.int64),  # the row of the last sample
         ("keeps_last_force", np.int64),  # 1: the device keeps a force until the next one comes
-        ("lag", np.int64),  # the force from sample n-1 to n is so many rows before that of n,
-        ("share", np.float64),  # and with this share the one before that
+        ("lag", np.int64),  # rows from the force between samples n-1 and n to that of n,
+        ("share", np.float64),  # and the share of the one before it
         ("begun", np.int64),  # 1: there was a sample
         ("decided", np.float64, (_COLUMNS,)),  # N, with the last sample,
         ("sent", np.float64, (_COLUMNS,)),  # and the last that left before
@@ -99,7 +99,7 @@ def _keep_column(history, forces, c, decided, gap, unsent, late, expired):
 
 @inlined
 def acting_force(history, column, before):
-    """Returns the force (N) of a column in the sample that is so many `before` the one that ended last."""
+    """Returns the force (N) of a column, `before` samples before the one that ended last."""
     forces = _doubles_at(history.forces, (history.mask + 1) * _COLUMNS)
     row = history.newest - before - history.lag
     newer = forces[(row & history.mask) * _COLUMNS + column]

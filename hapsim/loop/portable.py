@@ -1,8 +1,7 @@
-"""The loop in plain Python: for systems without the calls of `system.py`, and to measure the compiled loop against.
+"""The loop in plain Python: for systems without the calls of `system.py`, and for transports in Python.
 
-It drives a device over pyserial; where there is no other loop, also the mock in memory. It waits, reads, writes and
-sleeps in Python. The exchange itself is the same compiled code, so forces and guards are the same; but whatever holds
-Python up holds the loop up.
+It waits, reads, writes and sleeps in Python, so any delay of Python delays it. The exchange itself is the same compiled
+code, so forces and guards are the same.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ from hapsim.loop.transport import PythonTransport
 
 
 class PortableTransport:
-    """A port as pyserial has it, read and written from Python."""
+    """A port of pyserial."""
 
     def __init__(self, serial: Any) -> None:
         from serial import SerialTimeoutException
@@ -33,7 +32,7 @@ class PortableTransport:
         self._full: type[OSError] = SerialTimeoutException
 
     def receive(self, buffer: NDArray[np.uint8], timeout_ns: int) -> int:
-        """Waits for bytes, and takes all that are there: their count, or a code of endings.py."""
+        """Waits for bytes and takes all: their count, or a code of endings.py."""
         try:
             self._serial.timeout = max(timeout_ns, 0) * 1e-9
             data = self._serial.read(1)
@@ -45,7 +44,7 @@ class PortableTransport:
         return len(data) if data else TIMED_OUT
 
     def send(self, frame: bytes) -> int:
-        """0, or HUNG_UP; FAILED where the port takes nothing within the time that it was opened with."""
+        """Sends a frame: 0, HUNG_UP, or FAILED where the port takes nothing within its timeout."""
         try:
             self._serial.write(frame)
         except self._full:
@@ -57,14 +56,14 @@ class PortableTransport:
 
 @entry
 def _take_and_compose(loop, now):
-    """(what the bytes at hand come to, where the force's frame in the outbox ends), in one call from Python."""
+    """Returns (the code of the received bytes, where the force's frame in the outbox ends)."""
     code = take_received_frames(loop, inbox_at(loop.inbox), now)
     return code, compose_frame(loop, False) if code == HEARD else 0
 
 
 @entry
 def _compose(loop, disarm):
-    """Composes the force's frame again, or the frame that disarms; after that nothing is left unpublished."""
+    """Composes the force's frame again, or the frame that disarms; then publishes the rest."""
     stop = compose_frame(loop, disarm)
     if disarm:
         flush_unsent(loop)
@@ -82,7 +81,7 @@ def _plan_by_device(loop):
 
 
 def entries_for(loop: Any) -> list[tuple[Any, ...]]:
-    """What the loop in Python calls, each with arguments of the types that it is called with."""
+    """Returns what the loop in Python calls, each with arguments of its types."""
     return [(_take_and_compose, loop, 0), (_compose, loop, False), (_on_force_sent, loop, 0), (_plan_by_device, loop)]
 
 
@@ -98,7 +97,7 @@ class PortableLoop:
             compile_for(function, *arguments)
 
     def run(self, _loop: Any = None) -> int:
-        """Exchanges until something ends it; returns what did. RING_FULL alone leaves the device armed."""
+        """Exchanges until something ends it; returns a code of endings.py. Only RING_FULL leaves the device armed."""
         loop, control, wait = self._loop, self._control, self._wait
         while not control["go"] and not control["stop"]:
             time.sleep(1e-4)

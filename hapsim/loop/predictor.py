@@ -33,7 +33,7 @@ PREDICTOR = np.dtype(
         ("lags", np.int64),  # how many past forces count
         ("readings", np.int64),  # 2: the velocity is read too
         ("keeps_last_force", np.int64),  # 1: the device keeps a force until the next one comes,
-        ("lives", np.int64),  # for so many samples at most
+        ("lives", np.int64),  # at most for this many samples
         ("width", np.int64),  # numbers of a channel (running/correction.py)
         ("numbers", np.uint64),  # address of (channels, width): the numbers now
         ("table", np.uint64),  # of (channels, rows, width): for masses in equal ratios, or one row
@@ -103,7 +103,7 @@ def _sent(io, c):
 
 @helper
 def _keep_forces(predictor, io, forces, sample, late, age):
-    """Keeps the force that acted in the sample that is so many after the last. Instead of a late force the one before
+    """Keeps the force that acted in a sample, counted from the last one. Instead of a late force the one before
     acted: the device kept it, or, on a wire that takes a sample longer, it was late itself."""
     before = predictor.newest * _ROW
     predictor.newest = (predictor.newest + 1) & predictor.mask
@@ -210,7 +210,7 @@ def set_numbers(predictor, c, at):
 
 @entry
 def post_table(predictor, table, samples):
-    """Posts the table at this address, for a fade of so many samples."""
+    """Posts the table at this address, for a fade over `samples`."""
     predictor.posted_samples = samples
     fence()
     predictor.posted = np.uint64(table)

@@ -22,10 +22,10 @@ _ARMED_CHECK_NS = 50_000
 
 @entry
 def run_loop(loop):
-    """Exchanges until something ends the loop; returns which of endings.py. RING_FULL alone leaves the device armed.
+    """Exchanges until something ends the loop; returns a code of endings.py. Only RING_FULL leaves the device armed.
 
-    `loop`: LOOP of exchange.py. Each time around, a clock plans what is awaited and whether it is answered; whatever
-    ends the loop, the last frame disarms the device. Position and force have one place each: they are most of the code.
+    `loop`: a LOOP. In each round a clock plans the wait and whether the loop answers; the last frame of every loop
+    disarms the device. Receiving and sending are called in one place each, because they are most of the code.
     """
     mode = flush_denormals()
     _wait_until_armed(loop)
@@ -43,7 +43,7 @@ def run_loop(loop):
             continue
         released = ending != RUNNING
         if by_host and loop.state.unanswered:
-            loop.state.tick_ns = wait.begun_ns  # else the same position is asked for again, and awaited since then
+            loop.state.tick_ns = wait.begun_ns  # not where the same position is asked for again
         code = _send_frame(loop, released)
         if code != 0 and not released:
             ending = ending_of(code, 0)
@@ -53,8 +53,8 @@ def run_loop(loop):
 
 @inlined
 def _wait_until_armed(loop):
-    """Waits until the device is armed, or the loop is to stop. It waits in here so that the loop needs Python no more
-    once it is armed: whatever holds Python up at that moment makes no first force late."""
+    """Waits until the device is armed, or the loop is to stop. Compiled code waits, so that a delay of Python after
+    arming does not make the first force late."""
     while not loop.control.go and not loop.control.stop:
         sleep_until(now_ns(loop.io.scratch) + _ARMED_CHECK_NS, loop.io.scratch)
 
@@ -74,17 +74,16 @@ def take_received_frames(loop, inbox, arrived):
 
 @inlined
 def _take_newest_position(loop, begun, timeout_ns):
-    """Waits for a position from `begun` (ns) on, takes all that are there and leaves the force that answers the newest.
-    Every one of them moves the scene, in order, so that its velocities stay true; only the newest is answered.
+    """Waits for a position from `begun` (ns) on, takes all that have arrived, and computes the force that answers the
+    newest. All of them move the scene, in order, so that its velocities stay true.
 
-    Returns HEARD, TIMED_OUT, or one of endings.py that ends the loop. Endless bytes without a position do not make the
-    wait any longer; a stop makes it shorter.
+    Returns HEARD, TIMED_OUT, or a code that ends the loop. Bytes without a position do not prolong the wait.
     """
     compact()
     inbox, last_look = inbox_at(loop.inbox), False
     arrived, give_up = begun, begun + timeout_ns
     while True:
-        code = take_received_frames(loop, inbox, arrived)  # at first what the frame before has left
+        code = take_received_frames(loop, inbox, arrived)  # at first those left from before
         if code != TIMED_OUT or last_look:
             return code
         last_look = arrived >= give_up or loop.control.stop != 0

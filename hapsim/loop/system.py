@@ -1,7 +1,7 @@
-"""What the loop asks of the system, callable from compiled code: clock, sleep, wait, read, write (Linux, 64 bit).
+"""System calls for compiled code: clock, sleep, wait, read, write (Linux, 64 bit).
 
-`numba.types.ExternalFunction` is internal to numba and used in this file alone. Unlike a ctypes pointer it lets the
-compiled code be kept on disk. Structures are int64 or int32 arrays laid out as the C library's.
+`numba.types.ExternalFunction` is internal to numba and used in this file alone. Unlike with a ctypes pointer, the
+compiled code can be kept on disk. Structures are int64 or int32 arrays laid out as the C library's.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from hapsim.errors import UsageError
 from hapsim.loop.endings import FAILED, HUNG_UP, TIMED_OUT
 
 SCRATCH = ("scratch", np.int64, (4,))
-"""A field of a record: where the system calls put their structures, so that nothing is allocated."""
+"""A field of a record for the structures of system calls, so that nothing is allocated."""
 
 _CLOCK_MONOTONIC = 1
 _TIMER_ABSTIME = 1
@@ -40,7 +40,7 @@ CALLS = tuple(call.symbol for call in (_clock_gettime, _clock_nanosleep, _ppoll,
 
 
 def missing_calls() -> list[str]:
-    """Those of CALLS that this system's C library does not have. Compiling a call that is missing ends the process."""
+    """Returns those of CALLS that the C library lacks. Compiling a missing call would end the process."""
     try:
         library = ctypes.CDLL(None)
     except (OSError, TypeError):  # Windows has no such library
@@ -49,7 +49,7 @@ def missing_calls() -> list[str]:
 
 
 def require_linux(what: str, instead: str) -> None:
-    """UsageError where a call is missing. `what`: what takes Linux; `instead`: what there is elsewhere."""
+    """Raises UsageError where a call is missing. `what`: what takes Linux; `instead`: the alternative elsewhere."""
     missing = missing_calls()
     if missing:
         raise UsageError(f"{what} takes Linux; this system ({sys.platform}) has no {', '.join(missing)}: {instead}")

@@ -1,7 +1,7 @@
 """A transport: the code that moves bytes between the loop and a device, behind addresses.
 
-The loop calls two functions by their addresses and hands each the address of what the transport works on, its context.
-Here is the transport over a file descriptor, a serial port or a pseudo-terminal; the mock's are in `device/mock`.
+The loop calls two functions by their addresses, with the address of the transport's context. Here is the transport over
+a file descriptor (a serial port or a pseudo-terminal); the mock's are in `device/mock`.
 """
 
 from __future__ import annotations
@@ -25,13 +25,11 @@ _SEND = types.int64(types.uint64, types.uint64, types.int64)
 _call_receive, _call_send = function_at(_RECEIVE), function_at(_SEND)
 
 receiver = native(_RECEIVE.return_type, *_RECEIVE.args)
-"""Decorates a transport's receiving function (context, buffer, room, timeout_ns): it puts bytes that have arrived into
-`buffer`, `room` of them at most, and returns their count, or TIMED_OUT, HUNG_UP, FAILED of endings.py. Context and
-buffer are addresses."""
+"""Decorates a receiving function (context, buffer, room, timeout_ns): it puts at most `room` received bytes into
+`buffer`, and returns their count, or TIMED_OUT, HUNG_UP, FAILED. Context and buffer are addresses."""
 
 sender = native(_SEND.return_type, *_SEND.args)
-"""Decorates its sending function (context, buffer, stop): it sends the first `stop` bytes at `buffer`, and returns 0,
-HUNG_UP or FAILED."""
+"""Decorates a sending function (context, buffer, stop): it sends `stop` bytes, and returns 0, HUNG_UP or FAILED."""
 
 
 @inlined
@@ -49,7 +47,7 @@ def send(transport, buffer, start, stop):
 
 
 class PythonTransport(Protocol):
-    """What moves bytes, as Python calls it."""
+    """A transport for Python."""
 
     def receive(self, buffer: NDArray[np.uint8], timeout_ns: int) -> int:
         """Bytes that have arrived, into a buffer: their count, or a code of endings.py."""
@@ -59,7 +57,7 @@ class PythonTransport(Protocol):
 
 
 class Transport:
-    """An open transport, callable from Python too: for the conversation before and after the loop."""
+    """An open transport for the loop, and for Python before and after it."""
 
     def __init__(self, receive_from: PlainNative, send_to: PlainNative, context: Any) -> None:
         """`context`: a record."""

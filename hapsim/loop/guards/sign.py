@@ -1,26 +1,26 @@
 """A motor that is wired the wrong way: the loop stops before the hand has gone far, and names the channel.
 
-How much a device accelerates does not show which way a motor pushes: a hand pushes harder than most motors. How the
-acceleration changes with the force that acted does. So both, x'' and F, go through the same filter,
+The acceleration itself does not show which way a motor pushes, because a hand pushes harder than most motors. Its
+change with the force that acted does. So both, x'' and F, go through the same filter,
 
     D / (1 - a/q)³,     D = 1 - 1/q, a = exp(-T / FILTER_S),
 
 once as the second difference of the positions, once as that of the path on which the force alone takes 1 kg. The filter
-passes what changes within some milliseconds, but neither a hand's slow push nor single counts of an encoder. Over lost
-positions both follow a straight line, so that they stay comparable. From the sums of their squares and products, which
-forget within SUMS_S, follow the residuals of x'' = F/m: R(right) for the best 1/m within RIGHT, R(wrong) within WRONG
-with the other sign, both times the declared mass; and
+passes changes within some milliseconds, but neither a hand's slow push nor single counts of an encoder. Over lost
+positions both follow a straight line, so that they stay comparable. Sums of their squares and products, which forget
+within SUMS_S, give the residuals of x'' = F/m: R(right) for the best 1/m within RIGHT, R(wrong) within WRONG with the
+other sign, both times the declared mass; and
 
     J = (R(right) - R(wrong)) / (R(wrong) + counts²).
 
-A hand that leans into a wall harder and harder can make J large for a while. So where J is above SUSPICION for
-SUSPECT_S, and there is force to take away, the force is released for RELEASE_S: a test that no hand knows of. Only what
-is summed from then on, until VERDICT_S, decides: with J above SURE the motor is wrong. Where the other ratio,
+A hand that leans into a wall harder and harder can make J large for a while. So if J is above SUSPICION for SUSPECT_S,
+and there is enough force, the force is released for RELEASE_S: a test that the hand does not expect. Only the sums from
+then on, until VERDICT_S, decide: with J above SURE the motor is wrong. If the other ratio,
 (R(wrong) - R(right)) / (R(right) + counts²), is above SURE for SUSPECT_S, with or without a test, the motor is right,
-and that channel is judged no more: motors are not rewired while they run.
+and its channel is judged no more.
 
-The guard misses a motor whose force hardly changes, or that makes less of the motion than a hand does: soft springs,
-heavy hands, small limits. tools/bench/README.md has the figures.
+The guard misses a motor whose force changes little, or moves the device less than the hand does: soft springs, heavy
+hands, small limits. tools/bench/README.md has the figures.
 
 A scene without this guard never compiles it: its address is 0 then.
 """
@@ -54,8 +54,8 @@ SIGN = np.dtype(
     [
         ("address", np.uint64),  # of all this
         ("judge", np.uint64),  # and of what judges; 0: nothing does, or no more
-        ("releases", np.int64),  # so many channels' force is released now
-        ("tests", np.int64),  # how often one was
+        ("releases", np.int64),  # channels whose force is released now
+        ("tests", np.int64),  # releases so far
         ("channel", np.int64),  # the one that is wrong
         ("pole", np.float64),  # a
         ("forget", np.float64),  # what a sample leaves of the sums
@@ -93,7 +93,7 @@ _sign_at, _history_at, _io_at = record_at(SIGN), record_at(FORCE_HISTORY), recor
 
 @inlined
 def release(sign, io):
-    """Takes the force of the channels away that are tested; 1, for there are some."""
+    """Makes the force of the tested channels zero; returns 1."""
     for c in range(np.uint64(io.channels)):
         if 0 <= sign.since[c] < sign.release:
             io.force_counts[c] = 0
@@ -136,7 +136,7 @@ def judge(sign, history, io, gap):
 
 @helper
 def _begin_test(sign, history, io, c):
-    """Where there is suspicion, and force to be taken away."""
+    """Begins a test, if there is suspicion and enough force."""
     acts = abs(acting_force(history, IN_ALL + c, 0))
     if sign.against[c] >= sign.row and acts >= RELEASED_FROM * io.force_limit[c]:
         sign.tests += 1
@@ -145,7 +145,7 @@ def _begin_test(sign, history, io, c):
 
 @helper
 def _sum_up(sign, history, io, c, gap):
-    """How the motion changed, and what the force that acted makes of 1 kg, through the filter into the sums."""
+    """Adds the filtered motion, and the filtered path of 1 kg under the force that acted, to the sums."""
     position = io.position_counts[c] * io.position_scale[c]
     step = (position - sign.position[c]) / gap
     bend = step - sign.step[c]
@@ -170,7 +170,7 @@ def _sum_up(sign, history, io, c, gap):
 
 @helper
 def _filtered(sums, at, bend, pole, gap):
-    """What the filter makes of a path that bends at the first of so many samples, and then is straight."""
+    """Filters a path that bends at the first of `gap` samples and then is straight."""
     for i in range(gap):
         sums[at] = pole * sums[at] + (bend if i == 0 else 0.0)
         sums[at + 1] = pole * sums[at + 1] + sums[at]
@@ -181,7 +181,7 @@ def _filtered(sums, at, bend, pole, gap):
 
 @helper
 def _residual(sign, c, bounds):
-    """m², what the best 1/m within the bounds leaves of the motion."""
+    """Returns the residual (m²) for the best 1/m within the bounds."""
     pushed, both = sign.push_push[c], sign.push_motion[c]
     best = both / pushed if pushed > 0.0 else 0.0
     best = min(max(best, bounds[2 * c]), bounds[2 * c + 1])
