@@ -153,10 +153,15 @@ class RunState:
             "released": self._released,
             "duration_s": progress.elapsed_s if self._session else None,
             "rate_hz": progress.rate_hz if self._session else None,
+            "ticks": progress.ticks,
             "force_n": progress.force if runs else None,
             "position_m": progress.position if runs else None,
             "age_samples": progress.age_samples if runs else None,
-            **{name: getattr(progress, name) for name in _SAME},
+            "deadline_misses": progress.deadline_misses,
+            "limited_ticks": progress.limited_ticks,
+            "estimated_mass_kg": progress.estimated_mass_kg,
+            "estimated_mass_uncertainty_kg": progress.estimated_mass_uncertainty_kg,
+            "mass_explained": progress.mass_explained,
         }
 
     def _started(self, session: Session) -> None:
@@ -179,14 +184,3 @@ class RunState:
         self._news = sentence
         if event == "lost":
             self._lost = sentence  # later events are about the port
-
-
-_SAME = (
-    "ticks",
-    "deadline_misses",
-    "limited_ticks",
-    "estimated_mass_kg",
-    "estimated_mass_uncertainty_kg",
-    "mass_explained",
-)
-"""What a document has as Progress has it."""

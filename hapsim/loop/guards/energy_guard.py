@@ -138,8 +138,7 @@ def judge_energy(energy, history, io, gap):
         energy.elapsed += gap
     else:
         _begin(energy, io)
-    begins = _begins_episode(energy, io) and gap == 1
-    _follow_turns(energy, io, gap)
+    begins = _follow_sides(energy, io, gap) and gap == 1
     energy.gap += gap
     follows = energy.gap <= energy.most_gap
     energy.gap = 0 if begins else energy.gap
@@ -148,7 +147,8 @@ def judge_energy(energy, history, io, gap):
     tank.level = min(tank.capacity, tank.level + gap * tank.refill)
     if energy.changed_ticks != tank.changed_ticks:
         energy.changed_ticks = tank.changed_ticks
-        _restart_swing_count(energy)
+        energy.swings[:] = 0
+        energy.work[:], energy.gained[:] = 0.0, 0.0
     for account in range(2):
         work, lost = _energy_of(energy, history, io, account, gap) if has_begun else (0.0, 0.0)
         _take_account(energy, account, work - lost, added)
@@ -178,7 +178,7 @@ def _begin(energy, io):
 
 @helper
 def _energy_of(energy, history, io, account, gap):
-    """(work of the force, what friction took of it at least) since the last sample, J."""
+    """Returns (work of the force, the least that friction took of it) since the last sample, J."""
     work, lost = 0.0, 0.0
     column = IN_TIME if account == SCENE else OF_SCENE
     for c in range(io.channels):
@@ -193,8 +193,8 @@ def _energy_of(energy, history, io, account, gap):
 
 @helper
 def _take_account(energy, account, gained, added):
-    """S: a hand's credit is no larger than `credit`, but for what changes `added`. What they take away the scene had
-    stored, so that S does not rise above 0 by that: a hand's credit may have been cut."""
+    """Adds to S. A hand's credit is no larger than `credit`, but for what changes `added`. The scene had stored what
+    they take away, so S does not rise above 0 by that: a hand's credit may have been clipped."""
     before = energy.given[account]
     given = max(before + gained, min(before, -energy.credit))
     energy.given[account] = given - added if added >= 0.0 else min(given - added, max(given, 0.0))
@@ -202,7 +202,7 @@ def _take_account(energy, account, gained, added):
 
 @helper
 def _count_swing(energy, account, work, lost, begins, follows):
-    """Adds to the sums over the episodes of swinging at the limit; `begins`: one does with this sample."""
+    """Adds to the sums over the episodes of swinging at the limit; `begins`: an episode does with this sample."""
     energy.work[account] += work
     energy.gained[account] += work - lost
     if begins:
@@ -215,34 +215,22 @@ def _count_swing(energy, account, work, lost, begins, follows):
 
 
 @helper
-def _restart_swing_count(energy):
-    for account in range(2):
-        energy.swings[account] = 0
-        energy.work[account] = energy.gained[account] = 0.0
-
-
-@helper
-def _begins_episode(energy, io):
-    """Whether a channel's force swings out that did not, or did to the other side."""
+def _follow_sides(energy, io, gap):
+    """Notes to which side each channel's force is out, and counts turns. Returns whether an episode begins."""
     begins = False
     from_on = LOW if _is_unstable(energy) else 1.0
     for c in range(io.channels):
-        side = _side_of(io.asked[c], from_on * io.force_limit[c])
+        limit, wanted = io.force_limit[c], io.asked[c] + io.excitation[c]
+        side = _side_of(io.asked[c], from_on * limit)
         begins = begins or (side != 0 and side != energy.side[c])
         energy.side[c] = side
-    return begins
-
-
-@helper
-def _follow_turns(energy, io, gap):
-    for c in range(io.channels):
-        wanted = io.asked[c] + io.excitation[c]
-        side = _side_of(wanted, io.force_limit[c])
+        side = _side_of(wanted, limit)
         energy.turn[c] += gap
         if side != 0 and side != energy.last_side[c]:
-            _count_turn(energy, c, io.force_limit[c])
+            _count_turn(energy, c, limit)
             energy.last_side[c], energy.turn[c], energy.peak[c] = side, 0, 0.0
         energy.peak[c] = max(energy.peak[c], abs(wanted))
+    return begins
 
 
 @helper

@@ -1,11 +1,10 @@
-"""A device that does not sample at the rate that it declares: the loop stops after a second or two.
+"""The loop stops, after a second or two, if a device does not sample at the rate that it declares.
 
 At half the rate a damper damps twice as much, and a spring takes twice the damping back: no prediction holds.
 
-A host that is held up must not be mistaken for such a device. So the guard compares the device's own count of its
-samples with the host's clock, over windows of a quarter of a second and more, and wants several in a row to be off to
-the same side: a host that is held up makes one window long and the next one short. It judges nothing where the host is
-the clock, in virtual time, and where the mock runs in this process.
+The guard compares the device's own count of samples with the host's clock, over windows of at least a quarter of a
+second. Several in a row have to be off to the same side, because a delay of the host makes one window long and the next
+one short. It judges nothing where the host paces, in virtual time, and where the mock runs in this process.
 """
 
 from __future__ import annotations
