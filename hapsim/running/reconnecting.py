@@ -142,7 +142,6 @@ class _Keeper:
     options: dict[str, Any]
     starting: bool = True
     stopped: bool = False
-    time_is_over: bool = False
     session: Session | None = None
     runs: list[SessionResult] = field(default_factory=list)
     interruptions: list[Interruption] = field(default_factory=list)
@@ -180,7 +179,7 @@ class _Keeper:
     def _may_come_back(self, failure: HapsimError) -> bool:
         lost = isinstance(failure, DeviceError) and self.runs[-1].report.ending in LOST
         wrong = isinstance(failure, DescriptionError)  # waiting would not help
-        return self.reconnect and lost and not (wrong or self.stopped or self.time_is_over)
+        return self.reconnect and lost and not wrong and self._goes_on()
 
     def _come_back(self, why: str) -> HapsimError | None:
         """Tries until the device is armed again, and returns how that session ended. If it is never armed: None after a
@@ -201,7 +200,6 @@ class _Keeper:
                     self.observer.tell("waiting", f"{said}. It is tried again until {self._port} answers")
         self._end_wait(came_back=False)
         if not self.stopped:
-            self.time_is_over = True
             return DeviceError(
                 f"{self._port}: the device was lost and did not come back within the duration of {self.duration:g} s. "
                 f"What had happened: {why}"
@@ -220,13 +218,17 @@ class _Keeper:
     def _waits_for_port(self) -> bool:
         """Waits for a pause, and until a file of the port's name exists; False where the run is to end before."""
         pause_over = time.monotonic() + _PAUSES_S[min(self.short, len(_PAUSES_S) - 1)]
-        while not self.stopped and ((left := self._left_s()) is None or left > 0):
+        while self._goes_on():
             is_there = not os.path.isabs(self._port) or os.path.exists(self._port)
             if is_there and time.monotonic() >= pause_over:
                 return True
             self.observer.waiting()
             time.sleep(_GLANCE_S)
         return False
+
+    def _goes_on(self) -> bool:
+        left = self._left_s()
+        return not self.stopped and (left is None or left > 0)
 
     def _left_s(self) -> float | None:
         """Returns what is left of the duration (s), None for no limit."""

@@ -51,8 +51,6 @@ from hapsim.stopping import note_arming, undisturbed
 
 _COLLECT_S = 0.05  # how often the recorder empties the ring, which holds 65536 rows
 _LAST_ROWS = 1 << 16  # of the last second, at most
-_SIZING = threading.Lock()
-_STACK_BYTES = 1 << 20  # of the loop's thread: little is needed, and all of it is locked in memory
 _open: list[Session] = []
 """The sessions that run, and those whose failure was not raised yet."""
 
@@ -239,8 +237,10 @@ class Session:
     def begin(self) -> None:
         """Arms the device and starts the loop. If this fails, everything is released."""
         scene, loop = self.scene, self._loop
+        loop.control.go = 0  # the thread of the loop waits for it
+        _open.append(self)
         try:
-            self._start_thread()
+            self._thread.start()
             (self._options.on_arming or _ignore)(self)
             if self._options.realtime:
                 self.grants = self._resources.enter_context(realtime(self._thread.native_id or 0))
@@ -253,17 +253,6 @@ class Session:
         except BaseException:
             self._leave()
             raise
-
-    def _start_thread(self) -> None:
-        """Starts the thread of the loop, which waits for `control.go`."""
-        self._loop.control.go = 0
-        _open.append(self)
-        with _SIZING:  # the stack size is the whole process's
-            stack = threading.stack_size(_STACK_BYTES)
-            try:
-                self._thread.start()
-            finally:
-                threading.stack_size(stack)
 
     def _run_loop(self) -> None:
         no_timer_slack()

@@ -14,7 +14,7 @@ from loop_rig import frame, scene_of, scripted, served
 import hapsim
 from hapsim.errors import DeviceError, UsageError
 from hapsim.recording.recorder import Recorder
-from hapsim.running import Session, run
+from hapsim.running import Session
 from hapsim.running import session as session_module
 
 
@@ -130,16 +130,6 @@ def test_it_stops_within_a_wait_for_a_device_that_stays_silent(clock: str, porta
             session.stop()
             assert session.wait(60.0)
     assert session.trace.report.ending == "stopped"
-
-
-def test_the_thread_size_of_others_stays_as_it_was() -> None:
-    before = threading.stack_size()
-    starting = [threading.Thread(target=run, args=(scene_of(),), kwargs={"duration": 0.01}) for _ in range(4)]
-    for thread in starting:
-        thread.start()
-    for thread in starting:
-        thread.join()
-    assert threading.stack_size() == before
 
 
 @pytest.fixture
