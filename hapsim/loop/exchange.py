@@ -18,11 +18,17 @@ from hapsim.loop import endings, ring
 from hapsim.loop.buffers import IO_BUFFER, next_place
 from hapsim.loop.crossfade import SCENE_SLOT, move_scene
 from hapsim.loop.force_history import FORCE_HISTORY, IN_ALL, call_keep
-from hapsim.loop.guards import energy_guard, leap, rate, sign, slew, travel
+from hapsim.loop.guards.energy_guard import ENERGY_GUARD, call_judge_energy
 from hapsim.loop.guards.force_limit import clip, is_finite
+from hapsim.loop.guards.leap import LEAP, is_leap
+from hapsim.loop.guards.rate import WATCH, is_off_rate
+from hapsim.loop.guards.sign import SIGN, call_judge, release
+from hapsim.loop.guards.slew import SLEW, call_shape, hold_zero
 from hapsim.loop.guards.stale import has_expired, is_outdated
+from hapsim.loop.guards.travel import BEYOND, TRAVEL, WITHIN, call_fade
 from hapsim.loop.histogram import HISTOGRAM, note
 from hapsim.loop.predictor import PREDICTOR, call_add, call_predict
+from hapsim.loop.ring import RING, mark_last, publish, push, withhold_last
 
 _MODULUS_MASK = schema.SAMPLE_MODULUS - 1  # it is a power of two
 
@@ -107,18 +113,18 @@ LOOP = np.dtype(
         ("framing", FRAMING),  # of the frames to the device
         ("predictor", PREDICTOR),
         ("slot", SCENE_SLOT),
-        ("ring", ring.RING),
+        ("ring", RING),
         ("io", IO_BUFFER),
         ("control", CONTROL),
         ("state", STATE),
         ("wait", WAIT),
-        ("watch", rate.WATCH),
-        ("leap", leap.LEAP),
-        ("travel", travel.TRAVEL),
-        ("slew", slew.SLEW),
+        ("watch", WATCH),
+        ("leap", LEAP),
+        ("travel", TRAVEL),
+        ("slew", SLEW),
         ("history", FORCE_HISTORY),
-        ("energy_guard", energy_guard.ENERGY_GUARD),
-        ("sign", sign.SIGN),
+        ("energy_guard", ENERGY_GUARD),
+        ("sign", SIGN),
         ("tank", TANK),
         ("histograms", HISTOGRAMS),
     ],
@@ -152,13 +158,13 @@ def take_frame(loop, decoder, now):
         return endings.TIMED_OUT
     if state.unanswered:
         state.stale_positions += 1
-        ring.mark_last(loop.ring, ring.UNSENT)
+        mark_last(loop.ring, ring.UNSENT)
     _read_position(io, decoder, is_first)
     if is_first:
         start(program_at(loop.slot.program), io.measured)
         state.sample = decoder.number - 1
         state.first_ns = state.due_ns = now
-    leapt = leap.is_leap(loop.leap, io, state, gap, now, control.period_ns)
+    leapt = is_leap(loop.leap, io, state, gap, now, control.period_ns)
     late = decoder.type == schema.POSITION_HELD
     state.deadline_misses += late
     state.age = min(state.age + 1, control.time_to_live + 2) if late else 1
@@ -179,7 +185,7 @@ def take_frame(loop, decoder, now):
         return endings.POSITION_LEAPT
     if stops != 0:
         return stops
-    return endings.WRONG_RATE if rate.is_off_rate(loop.watch, state.sample, now, control.period_ns) else endings.HEARD
+    return endings.WRONG_RATE if is_off_rate(loop.watch, state.sample, now, control.period_ns) else endings.HEARD
 
 
 @inlined
@@ -209,14 +215,14 @@ def _answer(loop, gap, late, flags, now):
         limited = False  # nothing is sent of it
     stops, released = 0, 0
     if sound and loop.travel.fade != 0:
-        found = travel.call_fade(loop.travel.fade, (loop.travel.address, io.address))
-        if found != travel.WITHIN:
+        found = call_fade(loop.travel.fade, (loop.travel.address, io.address))
+        if found != WITHIN:
             state.faded_ticks += 1
             flags |= ring.FADED
-        if found == travel.BEYOND:
+        if found == BEYOND:
             stops = endings.OUT_OF_TRAVEL
     if loop.sign.releases != 0:
-        released = sign.release(loop.sign, io)
+        released = release(loop.sign, io)
     if sound and (loop.slew.shape | loop.history.keep) != 0:
         slewed, verdict = _apply_sent_force_guards(loop, gap, late, flags & ring.WITHHELD != 0, now)
         slewed |= released
@@ -226,7 +232,7 @@ def _answer(loop, gap, late, flags, now):
             stops = verdict
     state.newest_ns = now
     state.limited_ticks += limited
-    ring.push(loop.ring, state.sample, now, flags | ring.LIMITED if limited else flags, io)
+    push(loop.ring, state.sample, now, flags | ring.LIMITED if limited else flags, io)
     state.ticks += 1
     state.unanswered = 1
     return sound, stops
@@ -242,14 +248,14 @@ def _apply_sent_force_guards(loop, gap, late, withheld, now):
     happened = (np.int64(gap), np.int64(state.unanswered), np.int64(late), np.int64(expired), np.int64(withheld))
     slewed, exceeded, wrong = np.int64(0), np.int64(0), np.int64(0)
     if loop.slew.shape != 0:
-        slewed = slew.call_shape(loop.slew.shape, (loop.slew.address, io.address, *happened))
+        slewed = call_shape(loop.slew.shape, (loop.slew.address, io.address, *happened))
     if history.keep != 0:
         call_keep(history.keep, (history.address, io.address, *happened))
     moved = (history.address, io.address, np.int64(gap))
     if loop.energy_guard.judge != 0:
-        exceeded = energy_guard.call_judge_energy(loop.energy_guard.judge, (loop.energy_guard.address, *moved))
+        exceeded = call_judge_energy(loop.energy_guard.judge, (loop.energy_guard.address, *moved))
     if loop.sign.judge != 0:
-        wrong = sign.call_judge(loop.sign.judge, (loop.sign.address, *moved))
+        wrong = call_judge(loop.sign.judge, (loop.sign.address, *moved))
         if (loop.sign.judge | loop.energy_guard.judge) == 0:  # no guard needs the history any more
             history.keep = 0
     return slewed, endings.WRONG_SIGN if wrong != 0 else endings.ENERGY_EXCEEDED if exceeded != 0 else 0
@@ -269,7 +275,7 @@ def compose_frame(loop, disarm):
         state.withheld_forces += 1
         _take_force_away(io)
         _leave_zero(loop, io.channels)
-        state.limited_ticks -= ring.withhold_last(loop.ring)
+        state.limited_ticks -= withhold_last(loop.ring)
     return write_frame(loop.framing, io.outbox, next_place(io.sent), kind, number, argument, io.force_counts)
 
 
@@ -290,7 +296,7 @@ def _held_since(state, control):
 @inlined
 def _leave_zero(loop, channels):
     """Tells the slew limit and the history that zero leaves in place of the force."""
-    slew.hold_zero(loop.slew, channels)
+    hold_zero(loop.slew, channels)
     for c in range(np.uint64(channels)):
         loop.slew.decided[c] = 0
         loop.history.decided[c] = loop.history.decided[np.uint64(IN_ALL) + c] = 0.0
@@ -303,15 +309,15 @@ def on_force_sent(loop, now):
         note(loop.histograms.exchange, now - loop.state.newest_ns)
     loop.state.sent_ns = now
     loop.state.unanswered = 0
-    ring.publish(loop.ring)
+    publish(loop.ring)
 
 
 @inlined
 def flush_unsent(loop):
     """Publishes the last tick at the end of the loop, marked if its force never left."""
     if loop.state.unanswered:
-        ring.mark_last(loop.ring, ring.UNSENT)
-    ring.publish(loop.ring)
+        mark_last(loop.ring, ring.UNSENT)
+    publish(loop.ring)
 
 
 @inlined
