@@ -1,6 +1,6 @@
 """What can go wrong, as a tree: each branch is one exit status, each leaf one thing a user can act on.
 
-The message of every one of them is a sentence for the user: where, what was found, what was expected, what to do.
+Each message is a sentence for the user: where, what was found, what was expected, what to do.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ __all__ = [
 
 
 class HapsimError(Exception):
-    """Anything that hapsim tells its user instead of failing with a traceback."""
+    """A failure that hapsim reports as a sentence, without a traceback."""
 
     exit_status = 1
 
 
 class UsageError(HapsimError):
-    """The command or the call asks for something that cannot be had."""
+    """The command or the call asks for something that is not possible."""
 
     exit_status = 2
 
 
 class SceneError(UsageError):
-    """A scene file is wrong. The message holds one line for each fault: ``file:line:column: found, expected``."""
+    """A scene file is wrong. The message has a line for each error: ``file:line:column: found, expected``."""
 
 
 class RunError(HapsimError):
@@ -49,13 +49,13 @@ class DeviceError(RunError):
 
 
 class RecordError(RunError):
-    """The run went as asked; its record is not what was asked for: the disk is full, or was too slow."""
+    """The run succeeded, but its record is incomplete: the disk is full, or was too slow."""
 
     exit_status = 2
 
 
 class DescriptionError(DeviceError):
-    """The device answers, and what it says of itself cannot be run: waiting does not help."""
+    """The device answers, but cannot be run as it describes itself: waiting does not help."""
 
 
 class GuardError(RunError):

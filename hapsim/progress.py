@@ -1,16 +1,16 @@
-"""How a long piece of work is doing, told to whoever shows it."""
+"""How a run is doing, for whatever shows it."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import Literal
 
-_SHORTEST_S = 0.25  # over less, a few positions that came together make a rate of their own
+_SHORTEST_S = 0.25  # in less, a few positions that came together make a rate of their own
 
 
 @dataclass(frozen=True)
 class Progress:
-    """How a run is doing, for a live line."""
+    """How a run is doing, for a live line. Tuples have an entry for each channel."""
 
     phase: Literal["compiling", "running", "waiting", "serving"]
     text: str = ""
@@ -19,15 +19,15 @@ class Progress:
     elapsed_s: float = 0.0
     rate_hz: float = 0.0
     force: tuple[float, ...] = ()
-    """N, per channel."""
+    """N."""
     position: tuple[float, ...] = ()
-    """m, per channel."""
+    """m."""
     age_samples: int = 0
     deadline_misses: int = 0
     limited_ticks: int = 0
     ticks: int = 0
     estimated_mass_kg: tuple[float | None, ...] = ()
-    """Where a correction adapts, the mass of each channel; None on the others."""
+    """With a correction that adapts; None on other channels."""
     estimated_mass_uncertainty_kg: tuple[float | None, ...] = ()
     """Standard uncertainty; the whole span where nothing is known."""
     mass_explained: tuple[float | None, ...] = ()
@@ -35,7 +35,7 @@ class Progress:
     slewed_ticks: int = 0
     faded_ticks: int = 0
     slowed_ticks: int = 0
-    """In which a change of the scene was slowed, for want of energy."""
+    """Ticks in which a change of the scene was slowed, for want of energy."""
 
     @property
     def seen_rate_hz(self) -> float | None:

@@ -1,6 +1,6 @@
 """The signals that mean "stop": SIGINT (Ctrl-C), SIGTERM and SIGHUP, and what each part of a command makes of them.
 
-Only the standard library is imported here: this file is there before everything that takes long to load.
+Only the standard library is imported here: this file is loaded before everything that takes long to load.
 """
 
 from __future__ import annotations
@@ -45,8 +45,8 @@ def end_interrupted() -> int:
 
 
 def was_interrupted() -> bool:
-    """Returns whether a KeyboardInterrupt was raised that nobody has handled; a library may have changed it into
-    another exception."""
+    """Returns whether a KeyboardInterrupt was raised and not handled; a library may have changed it into another
+    exception."""
     return _Command.interrupted
 
 
@@ -83,11 +83,9 @@ def stopping_on_signals(stop: Callable[[], None]) -> Iterator[None]:
             _Command.stops = 0
 
 
-@contextlib.contextmanager
-def undisturbed() -> Iterator[None]:
+def undisturbed() -> contextlib.AbstractContextManager[None]:
     """While open, these signals are ignored: the rest is short, and has to be whole."""
-    with _handled_by(signal.SIG_IGN):
-        yield
+    return _handled_by(signal.SIG_IGN)
 
 
 def ignore_stops() -> None:
@@ -102,15 +100,13 @@ def ignore_stops() -> None:
 def _handled_by(handler: Any) -> Iterator[None]:
     """While open, `handler` gets these signals (main thread only). Those that the parent has this process ignore, as
     nohup does, stay ignored."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before: dict[int, Any] = {number: signal.getsignal(number) for number in STOPS}
-    heard = [number for number, old in before.items() if old not in (signal.SIG_IGN, None)]
-    for number in heard:
+    before: dict[int, Any] = {}
+    if threading.current_thread() is threading.main_thread():
+        before = {one: old for one in STOPS if (old := signal.getsignal(one)) not in (signal.SIG_IGN, None)}
+    for number in before:
         signal.signal(number, handler)
     try:
         yield
     finally:
-        for number in heard:
-            signal.signal(number, before[number])
+        for number, old in before.items():
+            signal.signal(number, old)

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 import typer
 
-from hapsim.cli.as_json import document
-from hapsim.cli.options import Json, say_written
-from hapsim.cli.output import say, stdout
+from hapsim.cli.options import Json, PictureOptions, option
+from hapsim.cli.output import document, say, stdout
 from hapsim.errors import UsageError
 from hapsim.number_format import number
 from hapsim.scene import choices, load_scene
@@ -21,6 +19,7 @@ if TYPE_CHECKING:
     from hapsim.chart.hand import Hand
 
 Channel = Annotated[int | None, typer.Option(help="Channel of the hand [default: the first]")]
+Mass = Annotated[float | None, option("M", "Mass of hand and handle, kg.")]
 
 
 def _kind(choice: Any) -> Any:
@@ -32,20 +31,17 @@ class HandOptions:
     """The hand that a chart is drawn for: of a scene, or described by options, which take precedence."""
 
     scene: Annotated[
-        str | None,
-        typer.Argument(metavar="[SCENE]", help="A scene in YAML [default: a hand described by the options]"),
+        str | None, typer.Argument(metavar="[SCENE]", help="A scene in YAML [default: a hand described by the options]")
     ] = None
     channel: Channel = None
-    rate: Annotated[float | None, typer.Option(metavar="HZ", help="Sample rate, Hz.")] = None
-    friction: Annotated[float | None, typer.Option(metavar="B0", help="Friction of the device, N·s/m.")] = None
-    stiffness: Annotated[float | None, typer.Option(metavar="K0", help="Spring of the device, N/m.")] = None
-    delay: Annotated[float | None, typer.Option(metavar="N", help="Delay, sample periods.")] = None
+    rate: Annotated[float | None, option("HZ", "Sample rate, Hz.")] = None
+    friction: Annotated[float | None, option("B0", "Friction of the device, N·s/m.")] = None
+    stiffness: Annotated[float | None, option("K0", "Spring of the device, N/m.")] = None
+    delay: Annotated[float | None, option("N", "Delay, sample periods.")] = None
     hold: Annotated[str | None, _kind(choices.Hold)] = None
     sampling: Annotated[str | None, _kind(choices.Sampling)] = None
     damper: Annotated[str | None, _kind(choices.DamperScheme)] = None
-    cutoff: Annotated[
-        float | None, typer.Option(metavar="HZ", help=f"Cutoff of the {one_of(choices.WITH_CUTOFF)} damper, Hz.")
-    ] = None
+    cutoff: Annotated[float | None, option("HZ", f"Cutoff of the {one_of(choices.WITH_CUTOFF)} damper, Hz.")] = None
 
     def hands(
         self,
@@ -60,13 +56,14 @@ class HandOptions:
         """
         from hapsim.chart.hand import hand_of_options
 
-        names = ("rate", "friction", "stiffness", "delay", "hold", "sampling", "damper", "cutoff")
-        options = {"mass": mass} | {name: getattr(self, name) for name in names}
-        given = {name: value for name, value in options.items() if value is not None}
-        if self.scene is not None:
-            hand, others = hands_of(self.scene, self.channel, given, as_written=as_written)
+        given = {name: value for name, value in asdict(self).items() if value is not None} | (
+            {} if mass is None else {"mass": mass}
+        )
+        scene, channel = given.pop("scene", None), given.pop("channel", None)
+        if scene is not None:
+            hand, others = hands_of(scene, channel, given, as_written=as_written)
             return hand.with_simulated(*simulated), others
-        if self.channel is not None:
+        if channel is not None:
             raise UsageError("--channel: without a SCENE there is one hand only")
         return hand_of_options(given).with_simulated(*simulated), []
 
@@ -83,12 +80,8 @@ class HandOptions:
 class SimulatedOptions:
     """The spring and damper that are simulated, where not those of the scene."""
 
-    simulated_stiffness: Annotated[
-        float | None, typer.Option(metavar="K", help="Simulated stiffness K, N/m [default: the scene's]")
-    ] = None
-    simulated_damping: Annotated[
-        float | None, typer.Option(metavar="B", help="Simulated damping B, N·s/m [default: the scene's]")
-    ] = None
+    simulated_stiffness: Annotated[float | None, option("K", "Simulated K, N/m [default: the scene's]")] = None
+    simulated_damping: Annotated[float | None, option("B", "Simulated B, N·s/m [default: the scene's]")] = None
 
     @property
     def pair(self) -> tuple[float | None, float | None]:
@@ -97,43 +90,31 @@ class SimulatedOptions:
 
 
 @dataclass
-class ChartOutput:
+class ChartOutput(PictureOptions):
     """Where a chart goes: a picture, its numbers, a JSON document."""
 
     picture: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Picture: .svg, .png or .pdf [default: the command's name with .svg, unless --data or --json is "
-            "given]",
+        option(
+            "FILE",
+            "Picture: .svg, .png or .pdf [default: the command's name with .svg, unless --data or --json is given]",
         ),
     ] = None
-    data: Annotated[Path | None, typer.Option(metavar="FILE.csv", help="Write the numbers of the picture.")] = None
     json: Json = False
 
-    def require_writable(self, otherwise: str) -> None:
-        """Chooses the picture's default name. Raises UsageError where it or its numbers cannot be written."""
-        from hapsim.chart.figure import require_writable
-
-        if self.picture is None and self.data is None and not self.json:
+    def choose(self, otherwise: str) -> None:
+        """Chooses the picture's default name. Raises UsageError where a file cannot be written."""
+        if not self.wanted and not self.json:
             self.picture = Path(otherwise)
-        require_writable(self.picture)
-        require_writable(self.data, (".csv",))
-
-    def save_rows(self, columns: Mapping[str, Iterable[Any]]) -> None:
-        """Writes the numbers, if they are asked for; `columns` by their headings."""
-        from hapsim.chart.figure import save_rows
-
-        if self.data is not None:
-            save_rows(columns, self.data)
+        self.require_writable()
 
     def close(self, summary: dict[str, Any]) -> None:
         """Prints the document, or which files were written."""
         if self.json:
-            files = {name: None if path is None else str(path) for name, path in vars(self).items() if name != "json"}
+            files = {name: path and str(path) for name, path in (("picture", self.picture), ("data", self.data))}
             print(document(summary | files))
         else:
-            say_written(self.picture, self.data)
+            self.say_written()
 
 
 def hands_of(
@@ -167,18 +148,17 @@ def print_hands(drawn: list[Hand], others: list[Hand]) -> None:
 def _felt_sentence(hand: Hand) -> str:
     """Returns what is simulated and felt, and for which K and B the loop is stable."""
     known = hand.summary()
-    who = f"{hand.name} of {known['mass']:g} kg"
-    who = who if known["stable"] else f"UNSTABLE: {who}"
-    felt = (
-        f"{who}: K = {known['stiffness']:g} N/m, B = {known['damping']:g} N·s/m is felt as "
-        f"k = {number(known['k'])} N/m, b = {number(known['b'])} N·s/m"
-        if known["dominant"]
-        else f"{who}: no spring and damper is equivalent"
-    )
+    felt = "no spring and damper is equivalent"
+    if known["dominant"]:
+        felt = (
+            f"K = {known['stiffness']:g} N/m, B = {known['damping']:g} N·s/m is felt as "
+            f"k = {number(known['k'])} N/m, b = {number(known['b'])} N·s/m"
+        )
     ends = []
     for name, which, unit, other in (("stiffness", "K", "N/m", "B"), ("damping", "B", "N·s/m", "K")):
         low, high = known[f"stable_{name}"]
         if high > 0.0:
-            low = low if low > 1e-12 * high else 0.0  # a negative K or B is no use to anybody
+            low = low if low > 1e-12 * high else 0.0  # a negative K or B is of no use
             ends.append(f"for {which} from {low:.4g} to {high:.4g} {unit} at this {other}")
-    return f"{felt}; stable {' and '.join(ends)}." if ends else f"{felt}; not stable with this K or B."
+    stable = f"stable {' and '.join(ends)}" if ends else "not stable with this K or B"
+    return f"{'' if known['stable'] else 'UNSTABLE: '}{hand.name} of {known['mass']:g} kg: {felt}; {stable}."

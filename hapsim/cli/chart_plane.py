@@ -2,17 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated
-
-import typer
+from typing import Annotated
 
 from hapsim.cli.chart_options import ChartOutput, HandOptions, SimulatedOptions, print_hands
-from hapsim.cli.options import numbers
-from hapsim.errors import UsageError
-
-if TYPE_CHECKING:
-    from hapsim.chart.hand import Hand
-    from hapsim.chart.plane_curves import Scale, View
+from hapsim.cli.options import flag, numbers, option, require_positive
 
 
 def plane(
@@ -21,77 +14,50 @@ def plane(
     *,
     mass: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="M",
-            help="Mass of hand and handle, kg; a list (0.1,0.2,0.4) draws one family of curves per mass.",
-        ),
+        option("M", "Mass of hand and handle, kg; a list (0.1,0.2,0.4) draws one family of curves per mass."),
     ] = None,
     normalised: Annotated[
-        bool, typer.Option("--normalised", help="The paper's units, K T²/m and B T/m; --mass and --rate default to 1.")
+        bool, flag("--normalised", "The paper's units, K T²/m and B T/m; --mass and --rate default to 1.")
     ] = False,
     total_damping: Annotated[
-        bool, typer.Option("--total-damping", help="Put B + b0 on the axis, as in the paper's Figure 9.")
+        bool, flag("--total-damping", "Put B + b0 on the axis, as in the paper's Figure 9.")
     ] = False,
-    to_stiffness: Annotated[
-        float | None, typer.Option(metavar="K", help="End of the K axis, in its unit [default: automatic]")
-    ] = None,
-    to_damping: Annotated[
-        float | None, typer.Option(metavar="B", help="End of the B axis, in its unit [default: automatic]")
-    ] = None,
+    to_stiffness: Annotated[float | None, option("K", "End of the K axis, in its unit [default: automatic]")] = None,
+    to_damping: Annotated[float | None, option("B", "End of the B axis, in its unit [default: automatic]")] = None,
     output: ChartOutput,
 ) -> None:
     """Draw the K,B plane: curves of equal k and b that the hand feels.
 
     These are Figures 7, 8 and 9 of the paper. Options of the hand take precedence over the scene's values.
     """
+    from hapsim.chart.hand import described
+    from hapsim.chart.plane import draw_plane
+    from hapsim.chart.plane import plane as plane_of
     from hapsim.chart.plane_curves import scale_of, view_of
 
-    output.require_writable("plane.svg")
+    output.choose("plane.svg")
     masses = numbers("--mass", mass)
     if normalised:
         hand, masses = hand.normalised(masses)
     chosen, others = hand.hands(masses[0] if masses else None, simulated.pair)
     masses = masses or list(chosen.masses)
-    drawn = _in_one_plane(chosen, others, masses)
+    # One hand with each of several masses, or all the hands that share the plane of the chosen one.
+    alike = [other for other in others if other.configuration == chosen.configuration]
+    drawn = [chosen.with_mass(mass) for mass in masses] if len(masses) > 1 else [chosen, *alike]
     scale = scale_of(chosen.configuration, normalised=normalised, total=total_damping)
+    K_to, B_to = (
+        require_positive("--to-stiffness", to_stiffness),
+        require_positive("--to-damping", to_damping),
+    )
     view = view_of(
         drawn,
         from_total=total_damping,
-        K_to=_end("--to-stiffness", to_stiffness, scale.stiffness),
-        B_to=_end("--to-damping", to_damping, scale.damping, scale.offset),
+        K_to=K_to and K_to * scale.stiffness,
+        B_to=B_to and B_to * scale.damping - scale.offset,
     )
-    _draw_plane(drawn, len(masses) > 1, view, scale, normalised, output)
+    chart = plane_of(drawn, view, scale)
+    title = described(drawn[0].configuration, mass=len(masses) < 2, normalised=normalised)
+    output.write(chart.columns, lambda path: draw_plane(chart, title, path))
     if not output.json:
         print_hands(drawn, [other for other in others if other not in drawn])
     output.close({"scene": hand.scene, "hands": [one.summary() for one in drawn]})
-
-
-def _in_one_plane(chosen: Hand, others: list[Hand], masses: list[float]) -> list[Hand]:
-    """Returns one hand with each of several masses; or all the hands that share the plane of the chosen one."""
-    if len(masses) > 1:
-        return [chosen.with_mass(mass) for mass in masses]
-    return [chosen, *(other for other in others if other.configuration == chosen.configuration)]
-
-
-def _end(option: str, value: float | None, unit: float, offset: float = 0.0) -> float | None:
-    """Returns the end of an axis in SI units; None: automatic. Raises UsageError."""
-    if value is None:
-        return None
-    if not 0.0 < value < float("inf"):
-        raise UsageError(f"{option}: found {value:g}, expected a finite number above 0")
-    return value * unit - offset
-
-
-def _draw_plane(
-    drawn: list[Hand], several_masses: bool, view: View, scale: Scale, normalised: bool, output: ChartOutput
-) -> None:
-    """Draws the plane, or a family of curves per mass, and writes the numbers."""
-    from hapsim.chart.hand import described
-    from hapsim.chart.plane import draw_plane
-    from hapsim.chart.plane import plane as plane_of
-
-    chart = plane_of(drawn, view, scale)
-    output.save_rows(chart.columns())
-    if output.picture is not None:
-        title = described(drawn[0].configuration, mass=not several_masses, normalised=normalised)
-        draw_plane(chart, title, output.picture)

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 from typing import Annotated, Any, get_args
 
-import typer
-from rich.table import Table
-
 from hapsim.cli.chart_options import Channel, ChartOutput, hands_of
 from hapsim.cli.live import live_line
-from hapsim.cli.options import SceneFile
-from hapsim.cli.output import stderr, stdout
+from hapsim.cli.options import SceneFile, flag, option
+from hapsim.cli.output import stderr, stdout, table
 from hapsim.errors import UsageError
 from hapsim.number_format import relative_difference
 from hapsim.scene import choices, load_scene
@@ -22,14 +19,10 @@ def table1(
     *,
     channel: Channel = None,
     as_scene: Annotated[
-        bool,
-        typer.Option(
-            "--as-scene", help="Use the scene's hold, delay, friction and damping, not the paper's ideal loop."
-        ),
+        bool, flag("--as-scene", "Use the scene's hold, delay, friction and damping, not the paper's ideal loop.")
     ] = False,
     correction: Annotated[
-        str | None,
-        typer.Option(metavar="KIND", help="poles or predictor [default: none; with --as-scene the scene's own]"),
+        str | None, option("KIND", "poles or predictor [default: none; with --as-scene the scene's own]")
     ] = None,
     output: ChartOutput,
 ) -> None:
@@ -42,44 +35,32 @@ def table1(
     from hapsim.chart.table1 import draw_table1
     from hapsim.chart.table1 import table1 as table1_of
 
-    output.require_writable("table1.svg")
+    output.choose("table1.svg")
     hand, _ = hands_of(scene, channel, {}, as_written=True)
-    corrected = _correction(correction, scene if as_scene else None)
+    corrected: Any = correction
+    if correction is None:
+        corrected = load_scene(scene).device.correction if as_scene else "none"
+    elif correction not in (known := get_args(choices.CorrectionName)):
+        raise UsageError(f"--correction: found '{correction}', expected {one_of(known)}")
     with live_line(stderr()) as tell:
         chart = table1_of(hand, as_scene=as_scene, correction=corrected, on_progress=tell)
-    output.save_rows(chart.columns())
-    if output.picture is not None:
-        tuned = f"K = {chart.K:.6g} N/m, k = {chart.k:.6g} N/m, correction: {corrected}"
-        draw_table1(chart, f"{tuned}; {described(chart.configuration)}", output.picture)
+    tuned = f"K = {chart.K:.6g} N/m, k = {chart.k:.6g} N/m, correction: {corrected}"
+    output.write(chart.columns, lambda path: draw_table1(chart, f"{tuned}; {described(chart.configuration)}", path))
     if not output.json:
-        stdout().print(_table(chart))
+        rows = [
+            (
+                one.numeral,
+                f"{one.configuration.stiffness:.6g}",
+                f"{one.K:.6g}",
+                f"{one.predicted_hz:.9g}",
+                f"{one.measured_hz:.9g}",
+                relative_difference(one.measured_hz, one.predicted_hz),
+                f"{chart.relative(one.numeral):.7f}",
+            )
+            for one in chart.couplings.values()
+        ]
+        headings = ("", "k  N/m", "K  N/m", "predicted  Hz", "measured  Hz", "off by", "of I")
+        stdout().print(table("Table 1: a mass on real springs k and simulated springs K", headings, rows))
     columns = chart.columns()
-    rows = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
-    output.close({"scene": scene, "correction": corrected, "k": chart.k, "K": chart.K, "couplings": rows})
-
-
-def _correction(given: str | None, scene: str | None) -> Any:
-    """Returns the correction that the option names, or the one of a scene; "none" without either."""
-    known = get_args(choices.CorrectionName)
-    if given is None:
-        return "none" if scene is None else load_scene(scene).device.correction
-    if given not in known:
-        raise UsageError(f"--correction: found '{given}', expected {one_of(known)}")
-    return given
-
-
-def _table(chart: Any) -> Table:
-    table = Table(title="Table 1: a mass on real springs k and simulated springs K", title_justify="left")
-    for heading in ("", "k  N/m", "K  N/m", "predicted  Hz", "measured  Hz", "off by", "of I"):
-        table.add_column(heading, justify="right" if heading else "left")
-    for one in chart.couplings.values():
-        table.add_row(
-            one.numeral,
-            f"{one.configuration.stiffness:.6g}",
-            f"{one.K:.6g}",
-            f"{one.predicted_hz:.9g}",
-            f"{one.measured_hz:.9g}",
-            relative_difference(one.measured_hz, one.predicted_hz),
-            f"{chart.relative(one.numeral):.7f}",
-        )
-    return table
+    couplings = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
+    output.close({"scene": scene, "correction": corrected, "k": chart.k, "K": chart.K, "couplings": couplings})

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from hapsim.cli.chart_options import ChartOutput
+from hapsim.cli.options import option, require_positive
 from hapsim.cli.output import say
-from hapsim.cli.run_report import report_document
 from hapsim.errors import UsageError
 from hapsim.recording.trace import load_trace
 
@@ -23,7 +24,7 @@ def trace(
         typer.Argument(metavar="FILE", help="A trace (.npz, .trace), the part that a crash left, or a report file."),
     ],
     *,
-    last: Annotated[float | None, typer.Option(metavar="S", help="Draw the last S seconds only [default: all]")] = None,
+    last: Annotated[float | None, option("S", "Draw the last S seconds only [default: all]")] = None,
     output: ChartOutput,
 ) -> None:
     """Draw a recorded trace: position and force over time.
@@ -32,23 +33,19 @@ def trace(
     """
     from hapsim.chart.trace import columns_of, draw_trace, seconds_of
 
-    if last is not None and not 0 < last < float("inf"):
-        raise UsageError(f"--last: found {last:g}, expected a finite number of seconds above 0")
-    output.require_writable("trace.svg")
+    require_positive("--last", last, "seconds")
+    output.choose("trace.svg")
     recorded = load_trace(file)
     if recorded.sample.size == 0:
         raise UsageError(f"{file}: it has no rows to draw")
     if last is not None:
         time = seconds_of(recorded)
         recorded = recorded.since(int((time < time[-1] - last).sum()))
-    if output.data is not None:
-        output.save_rows(columns_of(recorded))
     about = f"{file.name}: {_about(recorded)}"
-    if output.picture is not None:
-        draw_trace(recorded, about, output.picture)
+    output.write(lambda: columns_of(recorded), lambda path: draw_trace(recorded, about, path))
     if not output.json:
         say(about)
-    output.close({"trace": str(file), "rows": recorded.sample.size, "report": report_document(recorded.report)})
+    output.close({"trace": str(file), "rows": recorded.sample.size, "report": asdict(recorded.report)})
 
 
 def _about(recorded: Trace) -> str:

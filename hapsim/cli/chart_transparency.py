@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
-import typer
-
-from hapsim.cli.chart_options import ChartOutput, HandOptions, SimulatedOptions, print_hands
+from hapsim.cli.chart_options import ChartOutput, HandOptions, Mass, SimulatedOptions, print_hands
 from hapsim.cli.output import stdout
 from hapsim.errors import UsageError
 
@@ -15,7 +11,7 @@ def transparency(
     hand: HandOptions,
     simulated: SimulatedOptions,
     *,
-    mass: Annotated[float | None, typer.Option(metavar="M", help="Mass of hand and handle, kg.")] = None,
+    mass: Mass = None,
     output: ChartOutput,
 ) -> None:
     """Draw the rendered impedance beside the desired one, over frequency.
@@ -26,15 +22,14 @@ def transparency(
     from hapsim.chart.impedance import draw_transparency
     from hapsim.chart.impedance import transparency as transparency_of
 
-    output.require_writable("transparency.svg")
+    output.choose("transparency.svg")
     chosen, _ = hand.hands(mass, simulated.pair)
     if not chosen.is_simulated:
         raise UsageError("--simulated-stiffness is missing: without a SCENE, it says what is simulated")
     chart = transparency_of(chosen)
-    output.save_rows(chart.columns())
-    if output.picture is not None:
-        pair = f"K = {chosen.stiffness:.6g} N/m, B = {chosen.damping:.6g} N·s/m"
-        draw_transparency(chart, f"{pair}; {described(chosen.configuration)}", output.picture)
+    pair = f"K = {chosen.stiffness:.6g} N/m, B = {chosen.damping:.6g} N·s/m"
+    title = f"{pair}; {described(chosen.configuration)}"
+    output.write(chart.columns, lambda path: draw_transparency(chart, title, path))
     bands = chart.gives_energy()
     if not output.json:
         print_hands([chosen], [])

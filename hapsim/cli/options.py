@@ -7,7 +7,8 @@ an option, and gives the command the object.
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Annotated, Any, cast, get_type_hints
@@ -17,34 +18,49 @@ import typer
 from hapsim.cli.output import say
 from hapsim.errors import UsageError
 
+
+def option(metavar: str, text: str, *names: str) -> Any:
+    """Returns the declaration of an option that takes a value."""
+    return typer.Option(*names, metavar=metavar, help=text)
+
+
+def flag(name: str, text: str) -> Any:
+    """Returns the declaration of an option without a value."""
+    return typer.Option(name, help=text)
+
+
 SceneFile = Annotated[str, typer.Argument(metavar="SCENE", help="A scene in YAML, such as configs/first_touch.yaml.")]
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on standard output, nothing else there.")]
-Port = Annotated[str | None, typer.Option(metavar="P", help="The device's serial port, in place of the scene's.")]
-MockFlag = Annotated[bool, typer.Option("--mock", help="Use the built-in mock even if the scene names a port.")]
+Json = Annotated[bool, flag("--json", "Print one JSON document on standard output, nothing else there.")]
+Port = Annotated[str | None, option("P", "The device's serial port, in place of the scene's.")]
+MockFlag = Annotated[bool, flag("--mock", "Use the built-in mock even if the scene names a port.")]
 Realtime = Annotated[
     bool,
-    typer.Option(
-        "--realtime",
-        help="Request real-time scheduling, locked memory and no CPU idle states; report what was granted.",
-    ),
+    flag("--realtime", "Request real-time scheduling, locked memory and no CPU idle states; report what was granted."),
 ]
 Unstable = Annotated[
-    bool, typer.Option("--unstable", help="Run even a scene that is predicted unstable: the device will oscillate.")
+    bool, flag("--unstable", "Run even a scene that is predicted unstable: the device will oscillate.")
 ]
-PictureFile = Annotated[Path | None, typer.Option("--picture", metavar="FILE", help="Draw it: .svg, .png or .pdf.")]
-DataFile = Annotated[Path | None, typer.Option("--data", metavar="FILE.csv", help="Write the numbers of the picture.")]
+Watch = Annotated[bool, flag("--watch", "Follow the scene's file: apply it when it is saved.")]
 Baud = Annotated[int, typer.Option(min=1, max=100_000_000, metavar="B", help="Baud rate of the device's port, bit/s.")]
 
 
-def _above_zero(value: float | None) -> float | None:
-    if value is not None and not 0 < value < float("inf"):
-        raise UsageError(f"--duration: found {value:g}, expected a finite number of seconds above 0")
+def require_positive(option: str, value: float | None, unit: str = "") -> float | None:
+    """Returns the value of an option. Raises UsageError if it is given and not a finite number above 0."""
+    if value is not None and not 0 < value < math.inf:
+        of_unit = f" of {unit}" if unit else ""
+        raise UsageError(f"{option}: found {value:g}, expected a finite number{of_unit} above 0")
     return value
 
 
 def seconds(text: str) -> Any:
     """Returns the declaration of `--duration`, a finite number of seconds above 0."""
-    return typer.Option(metavar="S", callback=_above_zero, help=text)
+    return typer.Option(metavar="S", callback=lambda value: require_positive("--duration", value, "seconds"), help=text)
+
+
+def push_option(*names: str) -> Any:
+    """Returns the declaration of `--push`, with its aliases."""
+    help_text = "Largest force of the test pushes, N [default: a quarter of force_limit]"
+    return option("N", help_text, "--push", *names)
 
 
 @dataclass
@@ -54,9 +70,7 @@ class DeviceOptions:
     scene: SceneFile
     port: Port = None
     mock: MockFlag = False
-    transport: Annotated[
-        str | None, typer.Option(metavar="KIND", help="Where the mock runs: loopback (in memory) or terminal.")
-    ] = None
+    transport: Annotated[str | None, option("KIND", "Where the mock runs: loopback (in memory) or terminal.")] = None
 
     def load(self) -> Any:
         """Returns the scene, with the port that the options name. Raises SceneError."""
@@ -68,11 +82,31 @@ class DeviceOptions:
 
 
 @dataclass
+class ExcitationOptions:
+    """How `hapsim measure` excites a hand."""
+
+    channel: Annotated[
+        int | None, typer.Option(help="Channel to measure [default: the first; with --impedance all]")
+    ] = None
+    duration: Annotated[
+        float | None, seconds("Duration in seconds [default: about 2; with --impedance 8 for each channel]")
+    ] = None
+    push: Annotated[float | None, push_option()] = None
+    impedance: Annotated[
+        bool, flag("--impedance", "Measure the driving-point impedance over frequency instead of k and b.")
+    ] = False
+    travel: Annotated[
+        float | None, option("M", "With --impedance: largest travel of the hand in m, approximate [default: 0.001]")
+    ] = None
+    z_width: Annotated[bool, flag("--z-width", "With --impedance: also with the stiffest passive wall.")] = False
+
+
+@dataclass
 class RecordOptions:
     """The file that a trace is written to."""
 
-    record: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the trace: .trace, .npz or .csv.")] = None
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the file of --record if it exists.")] = False
+    record: Annotated[Path | None, option("FILE", "Write the trace: .trace, .npz or .csv.")] = None
+    overwrite: Annotated[bool, flag("--overwrite", "Replace the file of --record if it exists.")] = False
 
     def require_writable(self) -> None:
         """Raises UsageError where the file cannot be written, or exists and is not to be replaced."""
@@ -85,14 +119,58 @@ class RecordOptions:
             raise UsageError(f"{self.record}: the file exists; --overwrite replaces it")
 
 
+@dataclass
+class PictureOptions:
+    """Where a picture and its numbers go."""
+
+    picture: Annotated[Path | None, option("FILE", "Draw it: .svg, .png or .pdf.")] = None
+    data: Annotated[Path | None, option("FILE.csv", "Write the numbers of the picture.")] = None
+
+    @property
+    def wanted(self) -> bool:
+        """Whether there is anything to draw or write."""
+        return self.picture is not None or self.data is not None
+
+    def require_writable(self) -> None:
+        """Raises UsageError where one of the files cannot be written: before a run, not after it."""
+        if self.wanted:
+            from hapsim.chart.figure import require_writable
+
+            require_writable(self.picture)
+            require_writable(self.data, (".csv",))
+
+    def write(self, columns: Callable[[], Mapping[str, Iterable[Any]]], draw: Callable[[Path], object]) -> None:
+        """Writes what was asked for: the numbers, `columns` by their headings, and the picture that `draw` writes."""
+        if self.data is not None:
+            from hapsim.chart.figure import save_rows
+
+            save_rows(columns(), self.data)
+        if self.picture is not None:
+            draw(self.picture)
+
+    def say_written(self) -> None:
+        """Prints which files were written."""
+        say_written("Picture", self.picture)
+        say_written("Its numbers", self.data)
+
+
+def say_written(what: str, path: Path | None) -> None:
+    """Prints which file was written, if one was."""
+    if path is not None:
+        say(f"{what}: {path}")
+
+
 def load(path: str, port: str | None = None) -> Any:
     """Returns the Scene of a file, on `port` if one is given. Raises SceneError."""
     from hapsim.scene import load_scene
 
     scene = load_scene(path)
-    return (
-        scene if port is None else scene.model_copy(update={"device": scene.device.model_copy(update={"port": port})})
-    )
+    return scene if port is None else on_port(scene, port)
+
+
+def on_port(scene: Any, port: str | None) -> Any:
+    """Returns the scene with its device at another port; None: the mock."""
+    return scene.model_copy(update={"device": scene.device.model_copy(update={"port": port})})
 
 
 def transport_kind(mock: bool, transport: str | None, port: str | None) -> Any:
@@ -122,44 +200,25 @@ def numbers(option: str, words: list[str] | None) -> list[float]:
     return sorted(found)
 
 
-def require_drawable(picture: Path | None, data: Path | None) -> None:
-    """Raises UsageError where a picture or its numbers cannot be written: before a run, not after it."""
-    if picture is not None or data is not None:
-        from hapsim.chart.figure import require_writable
-
-        require_writable(picture)
-        require_writable(data, (".csv",))
-
-
-def say_written(picture: Path | None = None, data: Path | None = None, record: Path | None = None) -> None:
-    """Prints which files were written."""
-    for what, path in (("Picture", picture), ("Its numbers", data), ("Trace", record)):
-        if path is not None:
-            say(f"{what}: {path}")
-
-
 def on_command_line(command: Callable[..., None]) -> Callable[..., None]:
     """Returns `command` as typer takes it: arguments that are dataclasses are spread into options, and the docstring
     has one line for each paragraph, which typer then breaks where the terminal ends."""
-    groups: dict[str, tuple[type, list[str]]] = {}
+    groups: dict[str, type] = {}
     declared = []
     for parameter in inspect.signature(command, eval_str=True).parameters.values():
         if not is_dataclass(parameter.annotation):
             declared.append(parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY))
             continue
-        group = cast(type, parameter.annotation)
-        hints = get_type_hints(group, include_extras=True)
-        groups[parameter.name] = group, [field.name for field in fields(group)]
-        declared += [
-            inspect.Parameter(
-                name, inspect.Parameter.KEYWORD_ONLY, default=getattr(group, name, inspect.Parameter.empty)
-            ).replace(annotation=hints[name])
-            for name in groups[parameter.name][1]
-        ]
+        group = groups[parameter.name] = cast(type, parameter.annotation)
+        for name, annotation in get_type_hints(group, include_extras=True).items():
+            default = getattr(group, name, inspect.Parameter.empty)
+            declared.append(
+                inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
+            )
 
     def call(**given: Any) -> None:
-        for name, (group, members) in groups.items():
-            given[name] = group(**{member: given.pop(member) for member in members})
+        for name, group in groups.items():
+            given[name] = group(**{field.name: given.pop(field.name) for field in fields(group)})
         command(**given)
 
     for parameter in declared:

@@ -5,14 +5,13 @@ from __future__ import annotations
 import json as json_text
 import shlex
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-from hapsim.cli.as_json import document
 from hapsim.cli.live import live_line
-from hapsim.cli.options import Json, Port, SceneFile, load
-from hapsim.cli.output import complain, say, stderr
+from hapsim.cli.options import Json, Port, SceneFile, Watch, flag, load
+from hapsim.cli.output import complain, document, say, stderr, warn
 from hapsim.errors import UsageError
 from hapsim.number_format import plural
 from hapsim.prediction import predict
@@ -22,13 +21,9 @@ from hapsim.running.unit import closed_to_service, unit_for, unit_name
 from hapsim.scene import scene_schema
 from hapsim.scene.shipped import shipped_scene
 
-if TYPE_CHECKING:
-    from hapsim.scene import Scene
-
 
 def new(path: Annotated[Path, typer.Argument(help="Where to write it.")] = Path("scene.yaml")) -> None:
-    """Write a first scene to begin from."""
-
+    """Write a first scene to begin with."""
     if path.exists():
         raise UsageError(f"{path}: there is a file already, and it stays as it is; name another")
     if not path.resolve().parent.is_dir():
@@ -40,20 +35,18 @@ def new(path: Annotated[Path, typer.Argument(help="Where to write it.")] = Path(
 
 
 def schema() -> None:
-    """Print the scene's JSON schema, for editors that complete and check YAML."""
-
+    """Print the JSON schema of scenes, for editors that complete and check YAML."""
     print(json_text.dumps(scene_schema(), indent=2))
 
 
 def compile_(
     scenes: Annotated[
         list[str] | None,
-        typer.Argument(metavar="[SCENE]…", help="Compile what these need [default: what any scene could]."),
+        typer.Argument(metavar="[SCENE]…", help="Compile what these scenes need [default: what any scene needs]"),
     ] = None,
     json: Json = False,
 ) -> None:
-    """Compile now what would be compiled at a first start; it is kept, and nothing is armed or moved."""
-
+    """Compile ahead of the first run. No device is touched."""
     loaded = [load(path) for path in scenes or ()]
     with live_line(stderr()) as tell:
         prepared = prepare(loaded, tell)
@@ -72,34 +65,23 @@ def compile_(
 def service(
     scene: SceneFile,
     port: Port = None,
-    user: Annotated[bool, typer.Option("--user", help="For your own service manager, which grants less.")] = False,
-    watch: Annotated[bool, typer.Option("--watch", help="Follow the scene's file, as `run --watch` does.")] = False,
+    user: Annotated[bool, flag("--user", "For your own service manager, which grants less.")] = False,
+    watch: Watch = False,
     json: Json = False,
 ) -> None:
-    """Print a systemd unit that runs SCENE, waits for its device, and tells the service manager how it goes."""
-
+    """Print a systemd unit that runs SCENE, waits for its device and reports its status to the service manager."""
     loaded = load(scene, port)
     on = loaded.device.port
     if on is None:
         raise UsageError(f"{scene}: a service drives a device: found no port, expected --port, or one in the scene")
     text, name = unit_for(scene, on, of_user=user, watch=watch), unit_name(on)
-    _warn_of_refusal(scene, loaded)
-    closed = "" if user else closed_to_service(scene)
-    if closed:
-        complain(closed, "service", "warning")
+    if refusal := why_not_armed(scene, loaded, predict(loaded, with_margins=False)):
+        warn(f"`hapsim run` will refuse this scene, and the service ends with status 2. {refusal}", "service")
+    if not user and (closed := closed_to_service(scene)):
+        warn(closed, "service")
     if json:
         print(document({"name": name, "unit": text}))
         return
     print(text, end="")
     folder, control = ("~/.config/systemd/user", "systemctl --user") if user else ("/etc/systemd/system", "systemctl")
     complain(f"Save it as {folder}/{name}, then `{control} daemon-reload` and `{control} enable --now {name}`.")
-
-
-def _warn_of_refusal(path: str, scene: Scene) -> None:
-    """Where `hapsim run` would refuse the scene of this file, for it is surely predicted unstable."""
-
-    why = why_not_armed(path, scene, predict(scene, with_margins=False))
-    if why:
-        complain(
-            f"`hapsim run` will refuse this scene, and the service ends with status 2. {why}", "service", "warning"
-        )

@@ -13,18 +13,20 @@ from rich.console import Console
 from hapsim.cli.options import Json
 from hapsim.cli.output import fitted, stdout
 from hapsim.errors import UsageError
+from hapsim.number_format import number
 from hapsim.running.status import answers, ask, sockets
 
 
 def status(
     where: Annotated[
         str | None,
-        typer.Argument(metavar="[PORT|PATH]", help="The port of a running hapsim, or its socket; else the only one."),
+        typer.Argument(
+            metavar="[PORT|PATH]", help="Port or socket of a running hapsim [default: the only one that runs]"
+        ),
     ] = None,
     json: Json = False,
 ) -> None:
-    """Ask a `hapsim run --status` how it is doing."""
-
+    """Show the status of a running hapsim, which was started with --status."""
     path = _path_of(where)
     document = _document(path, ask(path))
     if json:
@@ -34,7 +36,6 @@ def status(
 
 
 def _path_of(where: str | None) -> Path:
-
     if where is not None and Path(where).is_socket():
         return Path(where)
     found = [path for path in sockets(where) if answers(path)]
@@ -43,19 +44,18 @@ def _path_of(where: str | None) -> Path:
     what = f"of {where}" if where else "to this user"
     if not found:
         raise UsageError(
-            f"no running hapsim was found that tells its status {what}: start it with `hapsim run --status auto`"
+            f"no running hapsim was found that reports its status {what}: start it with `hapsim run --status auto`"
         )
-    paths = ", ".join(map(str, found))
-    raise UsageError(f"several tell their status {what}: {paths}: name one of them")
+    raise UsageError(f"several report their status {what}: {', '.join(map(str, found))}: name one of them")
 
 
-def _document(path: Path, told: str) -> dict[str, Any]:
+def _document(path: Path, text: str) -> dict[str, Any]:
     try:
-        document = standard_json.loads(told)
-    except (ValueError, RecursionError) as error:
-        raise UsageError(f"{path}: what answers there is not a hapsim: found {told[:40]!r}") from error
+        document = standard_json.loads(text)
+    except (ValueError, RecursionError):
+        document = None
     if not isinstance(document, dict):
-        raise UsageError(f"{path}: what answers there is not a hapsim: found {told[:40]!r}")
+        raise UsageError(f"{path}: what answers there is not a hapsim: found {text[:40]!r}")
     return document
 
 
@@ -86,43 +86,34 @@ _WIDEST = 25
 
 
 def show_status(out: Console, document: Mapping[str, object]) -> None:
-    """A row for each value that there is. On a terminal a sentence breaks at its words; a path in it stays whole, so
-    that it can be copied. What this hapsim has no label for goes by its key."""
-    rows = [(_LABELS.get(key, key), _told(key, document[key])) for key in _in_order(document) if _says(key, document)]
-    width = min(max((len(label) for label, _ in rows), default=0), _WIDEST)
-    for label, value in rows:
+    """Prints a row for each value that there is; a value without a label goes by its key. On a terminal a sentence
+    breaks at its words, and a path in it stays whole."""
+    keys = [*(key for key in _LABELS if key in document), *(key for key in document if key not in _LABELS)]
+    values = {_LABELS.get(key, key): _value(key, document) for key in keys}
+    rows = {label: value for label, value in values.items() if value}
+    width = min(max(map(len, rows), default=0), _WIDEST)
+    for label, value in rows.items():
         row = f"{_shown(label):<{width}}  {_shown(value)}"
         row = fitted(row, out.width if out.is_terminal else None, indent=" " * (width + 2))
         out.print(row, soft_wrap=True, markup=False, emoji=False, highlight=False)
 
 
-def _in_order(document: Mapping[str, object]) -> list[str]:
-    return [key for key in _LABELS if key in document] + [key for key in document if key not in _LABELS]
-
-
-def _says(key: str, document: Mapping[str, object]) -> bool:
+def _value(key: str, document: Mapping[str, object]) -> str:
+    """Returns a value in words; "" where there is none."""
     value = document[key]
-    if key == "released" and value is None:
-        return document.get("phase") in ("waiting", "ended")
-    if isinstance(value, list | tuple):
-        return any(one is not None for one in value)
-    return value is not None and value != ""
-
-
-def _told(key: str, value: object) -> str:
     if key == "released":
-        return "not known" if value is None else "confirmed" if value is True else "not confirmed"
-    return _value(value)
-
-
-def _value(value: object) -> str:
+        unknown = "not known" if document.get("phase") in ("waiting", "ended") else ""
+        return unknown if value is None else "confirmed" if value is True else "not confirmed"
     if isinstance(value, list | tuple):
-        return " ".join(map(_value, value))
-    if value is None:
-        return "–"
-    return f"{value + 0.0:.6g}" if isinstance(value, float) else str(value)  # + 0.0: no minus before a zero
+        is_empty = all(one is None for one in value)
+        return "" if is_empty else " ".join("–" if one is None else _word(one) for one in value)
+    return "" if value is None else _word(value)
+
+
+def _word(value: object) -> str:
+    return number(value) if isinstance(value, float) else str(value)
 
 
 def _shown(text: str) -> str:
-    """On one row, and without what a terminal would obey."""
+    """Returns the text on one row, and without what a terminal would obey."""
     return "".join(one if one.isprintable() else " " if one.isspace() else "?" for one in text)

@@ -7,7 +7,7 @@ import errno
 import io
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 _GONE = (errno.EIO, errno.EPIPE, errno.ENXIO, errno.EBADF)
@@ -24,10 +24,7 @@ class _Stream:
         return getattr(self._stream, name)
 
     def write(self, text: str) -> int:
-        try:
-            self._stream.write(text)
-        except OSError as error:
-            self._fail(error)
+        self._try(lambda: self._stream.write(text))
         return len(text)
 
     def writelines(self, lines: Any) -> None:
@@ -35,15 +32,15 @@ class _Stream:
             self.write(line)
 
     def flush(self) -> None:
-        try:
-            self._stream.flush()
-        except OSError as error:
-            self._fail(error)
+        self._try(self._stream.flush)
 
-    def _fail(self, error: OSError) -> None:
-        self.failure = self.failure or error
-        with contextlib.suppress(OSError, ValueError):
-            os.dup2(os.open(os.devnull, os.O_WRONLY), self._stream.fileno())
+    def _try(self, call: Callable[[], object]) -> None:
+        try:
+            call()
+        except OSError as error:
+            self.failure = self.failure or error
+            with contextlib.suppress(OSError, ValueError):
+                os.dup2(os.open(os.devnull, os.O_WRONLY), self._stream.fileno())
 
 
 @contextlib.contextmanager
@@ -51,8 +48,7 @@ def standing_streams() -> Iterator[None]:
     """While open, standard output and standard error take everything and raise nothing (`output_failure`)."""
     _hold_descriptors()
     before = sys.stdout, sys.stderr
-    wrapped = [_Stream(_opened(stream, number)) for number, stream in enumerate(before, start=1)]
-    sys.stdout, sys.stderr = wrapped
+    sys.stdout, sys.stderr = (_Stream(_opened(stream, number)) for number, stream in enumerate(before, start=1))
     try:
         yield
     finally:
@@ -60,13 +56,13 @@ def standing_streams() -> Iterator[None]:
 
 
 def output_ended() -> bool:
-    """Returns whether nobody reads standard output any more, or it cannot be written."""
+    """Returns whether standard output has lost its reader, or cannot be written."""
     return isinstance(sys.stdout, _Stream) and sys.stdout.failure is not None
 
 
 def output_failure() -> OSError | None:
-    """Returns why standard output could not be written, as on a full disk; None where only its reader went away.
-    Flushes both streams."""
+    """Flushes both streams. Returns why standard output could not be written, as on a full disk; None where only its
+    reader went away."""
     sys.stderr.flush()
     sys.stdout.flush()
     failure = sys.stdout.failure if isinstance(sys.stdout, _Stream) else None

@@ -61,8 +61,12 @@ class StoppedError(HapsimError):
 
     exit_status = INTERRUPTED
 
-    def __init__(self, runs: list[_Run]) -> None:
-        super().__init__("stopped before every channel was excited for long enough: no impedance was identified")
+    def __init__(self, runs: list[_Run], enough_s: float) -> None:
+        """`enough_s`: the least time in which every channel is excited for long enough."""
+        super().__init__(
+            "stopped before every channel was excited for long enough: no impedance was identified; with these options "
+            f"about {enough_s:.2g} s of running are enough"
+        )
         self.traces = tuple(one.trace for one in runs)
 
 
@@ -119,22 +123,25 @@ def measure_impedance(
         found = periods_of(trace, lines, converters, senses=bool(scene.sensed_links)).on(list(channels))
         return _Run(trace, found, trace.report.ending == IN_WORDS[STOPPED])
 
+    # Before the last channel all are excited in full; of the last one a stop leaves what was recorded.
+    needed = len(channels) * _SOFT_PERIODS + (len(channels) - 1) * periods + LEAST_PERIODS + 2
+    enough_s = needed * lines.period_s
     done: list[_Run] = []
     peaks, moved = [], []
     for place, channel in enumerate(channels):
         soft = excited(channel, _soft_forces(scene, lines, channel, travel, most), _SOFT_PERIODS)
         if soft.stopped:
-            raise StoppedError(done)
+            raise StoppedError(done, enough_s)
         forces = _forces(lines, soft.periods, place, travel, most)
         one, is_last = excited(channel, forces, periods), channel == channels[-1]
         if one.stopped and not (is_last and one.periods.pairs >= LEAST_PERIODS):
-            raise StoppedError([*done, one])
+            raise StoppedError([*done, one], enough_s)
         peaks.append(float(np.max(np.abs(forces))))
         moved.append(_travel(one.trace, lines, channel, peaks[-1]))
         if duration is None and not one.stopped and settling(one.periods, place).scatter > _UNCERTAIN:
             longer = excited(channel, forces, _MORE * periods)
             if longer.stopped and not is_last:
-                raise StoppedError([*done, one])
+                raise StoppedError([*done, one], enough_s)
             one = one._replace(stopped=True) if longer.stopped else longer
         done.append(one)
     found = impedance_of([one.periods for one in done], lines.frequency, scene.rate, scene.device.delay, converters)

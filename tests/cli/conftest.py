@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import signal
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 import yaml
+
+from hapsim.stopping import STOPS
 
 WALL = {"type": "ground"}
 SPRING = {"type": "viscoelastic", "between": ["hand", "wall"], "stiffness": 1000.0, "damping": 5.0}
@@ -51,24 +54,29 @@ MODULES: dict[str, dict[str, Any]] = {
 }
 
 
+@pytest.fixture(autouse=True)
+def _signals_stay() -> Iterator[None]:
+    """Handlers are as before after each test."""
+    before = {number: signal.getsignal(number) for number in STOPS}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
 @pytest.fixture
 def scene_file(tmp_path: Path) -> Callable[..., Path]:
-    """Writes one of the scenes above."""
+    """Writes one of the scenes above. `touch`: changes of its link; `more`: more modules; `device`: its keys."""
 
-    def write(name: str, *, rate: float = 1000.0, **device: Any) -> Path:
-        path = tmp_path / f"{name}.yaml"
+    def write(name: str, *, rate: float = 1000.0, touch: Any = None, more: Any = None, **device: Any) -> Path:
+        path, modules = tmp_path / f"{name}.yaml", MODULES[name] | (more or {})
+        if touch:
+            modules |= {"touch": modules["touch"] | touch}
         given = {"mass": 0.2, "friction": 1.0, "clock": "lockstep"} | device
-        document = {"version": 1, "rate": rate, "device": given, "modules": MODULES[name]}
+        document = {"version": 1, "rate": rate, "device": given, "modules": modules}
         path.write_text(yaml.safe_dump(document, sort_keys=False), encoding="utf-8")
         return path
 
     return write
-
-
-@pytest.fixture(params=[name for name in MODULES if name != "no_number"])
-def every_scene(request: pytest.FixtureRequest) -> str:
-    name: str = request.param
-    return name
 
 
 @pytest.fixture
@@ -81,3 +89,22 @@ def explained(hapsim: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> Ca
         return printed
 
     return explain
+
+
+@pytest.fixture
+def checked(hapsim: Callable[..., Any]) -> Callable[[Path], dict[str, Any]]:
+    """Returns what `check --json` prints of a scene."""
+
+    def check(path: Path) -> dict[str, Any]:
+        answer = hapsim("check", path, "--json")
+        assert (answer.status, answer.err) == (0, "")
+        document: dict[str, Any] = answer.document
+        return document
+
+    return check
+
+
+@pytest.fixture(params=[name for name in MODULES if name != "no_number"])
+def every_scene(request: pytest.FixtureRequest) -> str:
+    name: str = request.param
+    return name

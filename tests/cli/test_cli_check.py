@@ -14,19 +14,29 @@ from hapsim.errors import UsageError
 from hapsim.running import start
 from hapsim.scene import load_scene
 
+Hapsim = Callable[..., Any]
+SceneFile = Callable[..., Path]
+Explained = Callable[[Path], str]
+Checked = Callable[[Path], dict[str, Any]]
+
 FELT = {"k", "b", "frequency_hz", "damping_ratio"}
+CONFIGS = Path(__file__).parents[2] / "configs"
+SPRING = {"type": "viscoelastic", "between": ["hand", "wall"], "stiffness": 1000.0, "damping": 5.0}
+
+
+def unwrapped(text: str) -> str:
+    """The same text without its line breaks."""
+    return " ".join(text.split())
 
 
 def test_every_scene_is_reported_in_words_and_in_json(
-    hapsim: Callable[..., Any], scene_file: Callable[..., Path], every_scene: str
+    hapsim: Hapsim, scene_file: SceneFile, checked: Checked, every_scene: str
 ) -> None:
     told = hapsim("check", scene_file(every_scene))
     assert (told.status, told.err) == (0, "")
     assert "at 1000 Hz: " in told.out
     assert "nan" not in told.out
-    answer = hapsim("check", scene_file(every_scene), "--json")
-    assert (answer.status, answer.err) == (0, "")
-    document = answer.document
+    document = checked(scene_file(every_scene))
     assert {"predicted", "stable", "dominant", "poles", "spectral_radius", "rate_hz"} <= document.keys()
     assert document["predicted"] is None or document["predicted"].keys() >= FELT
     assert all(len(pole) == 2 for pole in document["poles"])
@@ -37,7 +47,7 @@ def test_every_scene_is_reported_in_words_and_in_json(
 
 @pytest.mark.parametrize("correction", ["none", "poles"])
 def test_the_answer_fits_on_a_small_terminal_with_the_verdict_first(
-    hapsim: Callable[..., Any], scene_file: Callable[..., Path], monkeypatch: pytest.MonkeyPatch, correction: str
+    hapsim: Hapsim, scene_file: SceneFile, monkeypatch: pytest.MonkeyPatch, correction: str
 ) -> None:
     path = scene_file("spring", correction=correction)
     monkeypatch.setenv("COLUMNS", "80")
@@ -49,13 +59,12 @@ def test_the_answer_fits_on_a_small_terminal_with_the_verdict_first(
     assert [float(word) for word in row[2:5]] == pytest.approx(
         [1000.0, document["predicted"]["k"], document["predicted"]["steady_stiffness"]], rel=1e-5
     )
-    assert any(line.startswith("Smallest gain margin: unstable at ") for line in lines)
-    assert any(line.startswith("Wire: ") for line in lines)
-    assert any(line.startswith("Guards: force 10 N") for line in lines)
+    for beginning in ("Smallest gain margin: unstable at ", "Wire: ", "Guards: force 10 N"):
+        assert any(line.startswith(beginning) for line in lines)
 
 
-def test_a_spring_is_predicted_with_its_k_and_b(hapsim: Callable[..., Any], scene_file: Callable[..., Path]) -> None:
-    document = hapsim("check", scene_file("spring"), "--json").document
+def test_a_spring_is_predicted_with_its_k_and_b(scene_file: SceneFile, checked: Checked) -> None:
+    document = checked(scene_file("spring"))
     k, b = document["predicted"]["k"], document["predicted"]["b"]
     assert document["stable"]
     assert document["dominant"]
@@ -68,98 +77,77 @@ def test_a_spring_is_predicted_with_its_k_and_b(hapsim: Callable[..., Any], scen
 
 
 def test_travel_and_origin_are_printed_and_a_band_that_is_too_narrow_is_refused(
-    hapsim: Callable[..., Any], scene_file: Callable[..., Path]
+    hapsim: Hapsim, scene_file: SceneFile, checked: Checked
 ) -> None:
     path = scene_file("spring")
-    assert hapsim("check", path, "--json").document["travel"] == {
-        "limits_m": None,
-        "margin_m": None,
-        "origin_m": [0.0],
-    }
+    assert checked(path)["travel"] == {"limits_m": None, "margin_m": None, "origin_m": [0.0]}
     assert "Travel" not in hapsim("check", path).out
-    document = yaml.safe_load(path.read_text())
-    document["device"] |= {"travel": [-0.01, 0.11], "origin": "here"}
-    path.write_text(yaml.safe_dump(document, sort_keys=False))
-    told = hapsim("check", path).out.replace("\n", " ")
+    path = scene_file("spring", travel=[-0.01, 0.11], origin="here")
+    told = unwrapped(hapsim("check", path).out)
     assert (
         "Travel: -0.01 to 0.11 m. Outside, the force fades to zero within 0.012 m (a stiffness of up to 833.3" in told
     )
     assert "Origin: position 0 is where the device is when it is armed." in told
-    assert hapsim("check", path, "--json").document["travel"] == {
+    assert checked(path)["travel"] == {
         "limits_m": [[-0.01, 0.11]],
         "margin_m": [pytest.approx(0.012)],
         "origin_m": ["here"],
     }
-    document["device"]["travel_margin"] = 0.0024
-    path.write_text(yaml.safe_dump(document, sort_keys=False))
-    refused = hapsim("check", path, "--json")
+    refused = hapsim("check", scene_file("spring", travel=[-0.01, 0.11], travel_margin=0.0024), "--json")
     assert refused.status == 2
     assert "fades over 0.0024 m, which is a stiffness of 4167 N/m" in refused.sentence
     assert "renders up to 4033 N/m; expected at least 0.00248 m" in refused.sentence
 
 
 def test_an_unstable_scene_is_reported_as_such_and_is_no_failure(
-    hapsim: Callable[..., Any], scene_file: Callable[..., Path]
+    hapsim: Hapsim, scene_file: SceneFile, checked: Checked
 ) -> None:
     told = hapsim("check", scene_file("unstable"))
     assert told.status == 0
     assert "unstable (spectral radius 1.14" in told.out
     assert "It becomes stable where the stiffness is" in told.out
-    assert hapsim("check", scene_file("unstable"), "--json").document["stable"] is False
+    assert checked(scene_file("unstable"))["stable"] is False
 
 
 def test_what_makes_an_unstable_scene_stable_does(
-    hapsim: Callable[..., Any], scene_file: Callable[..., Path], explained: Callable[[Path], str]
+    scene_file: SceneFile, checked: Checked, explained: Explained
 ) -> None:
     """In the sentence, in the table and in JSON: the damping between two factors, just outside them not."""
-    path = scene_file("spring")
-    scene = yaml.safe_load(path.read_text())
-    link = next(module for module in scene["modules"].values() if module["type"] == "viscoelastic")
-    link |= {"stiffness": 4000.0, "damping": 5.0}
 
-    def check(damping: float) -> Any:
-        link["damping"] = damping
-        path.write_text(yaml.safe_dump(scene))
-        return hapsim("check", path, "--json").document
+    def scene(damping: float) -> Path:
+        return scene_file("spring", touch={"stiffness": 4000.0, "damping": damping})
 
-    document = check(5.0)
-    (margin,) = document["margins"].values()
+    (margin,) = checked(scene(5.0))["margins"].values()
     ((least, most),) = margin["stabilizing_damping_factors"]
-    assert (margin["damping_factor"], margin["stabilizing_stiffness_factors"]) == (
-        None,
-        [[0.0, margin["stiffness_factor"]]],
-    )
-    told = explained(path)
+    stiffness = [[0.0, margin["stiffness_factor"]]]
+    assert (margin["damping_factor"], margin["stabilizing_stiffness_factors"]) == (None, stiffness)
+    told = explained(scene(5.0))
     row = next(line for line in told.splitlines() if line.startswith("│") and " to " in line)
     low, high = (float(word) for word in row.split("│")[-2].split(" to "))
     assert least <= low < least * 1.001
     assert most * 0.999 < high <= most
-    assert "0: no factor" not in told.replace("\n", " ")
-    between = told.replace("\n", " ").partition("where the damping is between ")[2].split(" N·s/m")[0]
+    assert "0: no factor" not in unwrapped(told)
+    between = unwrapped(told).partition("where the damping is between ")[2].split(" N·s/m")[0]
     for factor, stable in ((low, True), (high, True), (least * 0.999, False), (most * 1.001, False)):
-        assert check(5.0 * factor)["stable"] is stable, factor
+        assert checked(scene(5.0 * factor))["stable"] is stable, factor
     for damping in between.split(" and "):
-        assert check(float(damping))["stable"] is True, damping
+        assert checked(scene(float(damping)))["stable"] is True, damping
 
 
 def test_where_no_factor_makes_a_scene_stable_there_is_a_dash(
-    hapsim: Callable[..., Any], scene_file: Callable[..., Path], explained: Callable[[Path], str]
+    scene_file: SceneFile, checked: Checked, explained: Explained
 ) -> None:
-    path = scene_file("spring")
-    scene = yaml.safe_load(path.read_text())
-    link = next(module for module in scene["modules"].values() if module["type"] == "viscoelastic")
-    link |= {"stiffness": 4000.0, "damping": 0.0}
-    path.write_text(yaml.safe_dump(scene))
+    path = scene_file("spring", touch={"stiffness": 4000.0, "damping": 0.0})
     told = explained(path)
-    assert "(–: no factor does it)" in " ".join(told.split())
+    assert "(–: no factor does it)" in unwrapped(told)
     assert [line.split("│")[-2].strip() for line in told.splitlines() if "or less │" in line] == ["–"]
-    (margin,) = hapsim("check", path, "--json").document["margins"].values()
+    (margin,) = checked(path)["margins"].values()
     assert (margin["damping_factor"], margin["stabilizing_damping_factors"]) == (None, [])
 
 
 @pytest.mark.parametrize("name", ["free", "damper"])
 def test_a_hand_that_nothing_pulls_back_is_not_called_unstable(
-    scene_file: Callable[..., Path], explained: Callable[[Path], str], name: str
+    scene_file: SceneFile, explained: Explained, name: str
 ) -> None:
     told = explained(scene_file(name))
     assert "at the limit between stable and unstable: something drifts" in told
@@ -169,58 +157,53 @@ def test_a_hand_that_nothing_pulls_back_is_not_called_unstable(
 @pytest.mark.parametrize("masses", [10, 700])
 @pytest.mark.parametrize("ends", [["free", "free"], ["fixed", "free"]], ids=["free", "hinged"])
 def test_a_bar_that_nothing_keeps_from_turning_is_not_called_unstable(
-    hapsim: Callable[..., Any], tmp_path: Path, masses: int, ends: list[str]
+    hapsim: Hapsim, scene_file: SceneFile, masses: int, ends: list[str]
 ) -> None:
-    bar = {"type": "string", "masses": masses, "mass": 0.001, "stiffness": 0, "bending": 50, "ends": ends}
-    scene = {"version": 1, "rate": 1000, "device": {"clock": "lockstep", "mass": 0.2, "friction": 1.0}}
-    path = tmp_path / "bar.yaml"
-    path.write_text(yaml.safe_dump(scene | {"modules": {"hand": {"type": "device", "channel": 0}, "bar": bar}}))
-    assert "at the limit between stable and unstable: something drifts" in hapsim("check", path).out
-    bar["bending"] = 400  # well above m/(4 T²)
-    path.write_text(yaml.safe_dump(scene | {"modules": {"hand": {"type": "device", "channel": 0}, "bar": bar}}))
-    assert "Hz: unstable (spectral radius" in hapsim("check", path).out
+    bar = {"type": "string", "masses": masses, "mass": 0.001, "stiffness": 0, "ends": ends}
+    limit = "at the limit between stable and unstable: something drifts"
+    stiff = "Hz: unstable (spectral radius"
+    for bending, verdict in ((50, limit), (400, stiff)):  # 400 is well above m/(4 T²)
+        assert verdict in hapsim("check", scene_file("free", more={"bar": bar | {"bending": bending}})).out
 
 
 @pytest.mark.parametrize("name", ["mass", "mass_on_channel_2", "hand_in_hand"])
 def test_a_scene_with_masses_lists_modes_and_says_that_there_is_no_single_k_and_b(
-    hapsim: Callable[..., Any], scene_file: Callable[..., Path], explained: Callable[[Path], str], name: str
+    scene_file: SceneFile, checked: Checked, explained: Explained, name: str
 ) -> None:
-    told = explained(scene_file(name))
+    told = unwrapped(explained(scene_file(name)))
     why = "is tied to another hand (wall, by touch)" if name == "hand_in_hand" else "moves a mass of the scene too ("
-    assert f"hand {why}" in told.replace("\n", " ")
+    assert f"hand {why}" in told
     assert "Modes" in told
-    document = hapsim("check", scene_file(name), "--json").document
-    assert document["predicted"] is None
-    assert document["dominant"] is False
+    document = checked(scene_file(name))
+    assert (document["predicted"], document["dominant"]) == (None, False)
     assert "hand" in document["coupled_device_points"]
     assert document["modes"]
 
 
 @pytest.mark.parametrize("name", ["channel_3", "mass_on_channel_2"])
 def test_channels_that_the_scene_does_not_touch_are_no_part_of_its_stability(
-    hapsim: Callable[..., Any], scene_file: Callable[..., Path], name: str
+    scene_file: SceneFile, checked: Checked, name: str
 ) -> None:
-    document = hapsim("check", scene_file(name), "--json").document
+    document = checked(scene_file(name))
     assert document["stable"] is True
     assert document["spectral_radius"] < 0.999
     assert not any("channel" in point for mode in document["modes"] for point in mode["participation"])
 
 
-def test_two_hands_are_predicted_each_for_itself(hapsim: Callable[..., Any], scene_file: Callable[..., Path]) -> None:
-    points = hapsim("check", scene_file("two_hands"), "--json").document["device_points"]
-    alone = hapsim("check", scene_file("spring"), "--json").document["predicted"]
-    assert points["hand"]["k"] == alone["k"]
+def test_two_hands_are_predicted_each_for_itself(scene_file: SceneFile, checked: Checked) -> None:
+    points = checked(scene_file("two_hands"))["device_points"]
+    assert points["hand"]["k"] == checked(scene_file("spring"))["predicted"]["k"]
     assert points["other"]["stiffness"] == 500
 
 
-def chain(tmp_path: Path, masses: int, mass: float, damping: float) -> Path:
-    """A hand, and a row of masses that it pulls."""
+def chain(tmp_path: Path, masses: int, mass: float, damping: float, grown: float = 1.0) -> Path:
+    """A hand, and a row of masses that it pulls. `grown`: times the stiffness of link 1."""
     row = ["hand", *(f"m{i}" for i in range(masses)), "wall"]
     modules: dict[str, Any] = {"hand": {"type": "device", "channel": 0}, "wall": {"type": "ground"}}
     modules |= {name: {"type": "mass", "mass": mass} for name in row[1:-1]}
     for i in range(masses + 1):
-        link = {"type": "viscoelastic", "between": row[i : i + 2], "stiffness": 5000.0, "damping": damping}
-        modules[f"l{i}"] = link
+        link = {"between": row[i : i + 2], "stiffness": 5000.0 * (grown if i == 1 else 1.0), "damping": damping}
+        modules[f"l{i}"] = SPRING | link
     path = tmp_path / "many.yaml"
     device = {"mass": 0.2, "friction": 20.0}
     path.write_text(yaml.safe_dump({"version": 1, "rate": 1000, "device": device, "modules": modules}))
@@ -228,82 +211,57 @@ def chain(tmp_path: Path, masses: int, mass: float, damping: float) -> Path:
 
 
 def test_a_large_scene_is_judged_by_some_of_its_poles_and_says_by_which(
-    hapsim: Callable[..., Any], tmp_path: Path
+    hapsim: Hapsim, checked: Checked, tmp_path: Path
 ) -> None:
-    told = hapsim("check", chain(tmp_path, 600, 0.1, 0.5))
-    assert "poles were worked out: those nearest to 1, to -1" in told.out.replace("\n", " ")
-    document = hapsim("check", chain(tmp_path, 600, 0.1, 0.5), "--json").document
+    path = chain(tmp_path, 600, 0.1, 0.5)
+    assert "poles were worked out: those nearest to 1, to -1" in unwrapped(hapsim("check", path).out)
+    document = checked(path)
     assert document["stable"] is True
     assert document["spectral_radius"] < 1.0
     assert document["poles_in_all"] > 1200
     assert "poles were worked out" in document["poles_method"]
     assert document["margins"]["l0"]["stiffness_factor"] > 1.0
+    diverging = checked(chain(tmp_path, 600, 1e-9, 0.0))
+    assert diverging["stable"] is False
+    assert diverging["spectral_radius"] > 1.0
 
 
-def test_a_large_scene_that_diverges_is_called_unstable(hapsim: Callable[..., Any], tmp_path: Path) -> None:
-    document = hapsim("check", chain(tmp_path, 600, 1e-9, 0.0), "--json").document
-    assert document["stable"] is False
-    assert document["spectral_radius"] > 1.0
-
-
-def test_a_gain_margin_is_said_once(
-    hapsim: Callable[..., Any], scene_file: Callable[..., Path], explained: Callable[[Path], str]
-) -> None:
+def test_a_gain_margin_is_said_once(scene_file: SceneFile, checked: Checked, explained: Explained) -> None:
     told = explained(scene_file("spring"))
-    factor = hapsim("check", scene_file("spring"), "--json").document["margins"]["touch"]["stiffness_factor"]
+    factor = checked(scene_file("spring"))["margins"]["touch"]["stiffness_factor"]
     assert f" {factor:.4g} " in told
     assert "the loop becomes unstable at" not in told
-    path = scene_file("spring")  # of two links on one hand, the hand's margin is neither's
-    document = yaml.safe_load(path.read_text())
-    document["modules"]["more"] = document["modules"]["touch"]
-    path.write_text(yaml.safe_dump(document))
-    assert "Gain margin: the loop becomes unstable at" in explained(path)
+    # Of two links on one hand, the hand's margin is neither's.
+    assert "Gain margin: the loop becomes unstable at" in explained(scene_file("spring", more={"more": SPRING}))
 
 
-def test_each_link_is_reported_with_its_gain_margin(
-    hapsim: Callable[..., Any], tmp_path: Path, explained: Callable[[Path], str]
-) -> None:
+def test_each_link_is_reported_with_its_gain_margin(checked: Checked, tmp_path: Path, explained: Explained) -> None:
     path = chain(tmp_path, 3, 0.1, 0.5)
-    document = hapsim("check", path, "--json").document
+    document = checked(path)
     assert document["poles_method"].startswith("every pole")
     assert set(document["margins"]) == {"l0", "l1", "l2", "l3"}
     assert "Gain margins" in explained(path)
     factor = document["margins"]["l1"]["stiffness_factor"]
-    text = path.read_text()
     for grown, stable in ((0.999 * factor, True), (1.001 * factor, False)):
-        scene = yaml.safe_load(text)
-        scene["modules"]["l1"]["stiffness"] *= grown
-        path.write_text(yaml.safe_dump(scene))
-        assert hapsim("check", path, "--json").document["stable"] is stable
+        assert checked(chain(tmp_path, 3, 0.1, 0.5, grown))["stable"] is stable
     assert "For the scene to be stable" in explained(path)
 
 
 def test_a_hand_whose_dampers_are_of_several_kinds_has_no_single_k_and_b(
-    hapsim: Callable[..., Any], scene_file: Callable[..., Path]
+    scene_file: SceneFile, checked: Checked
 ) -> None:
-    path = scene_file("spring")
-    scene = yaml.safe_load(path.read_text())
-    link = next(module for module in scene["modules"].values() if module["type"] == "viscoelastic")
-    for name, damper in (("one", "centred"), ("other", "backward")):
-        scene["modules"][name] = link | {"damping": 1.0, "damper": damper}
-    path.write_text(yaml.safe_dump(scene))
-    document = hapsim("check", path, "--json").document
-    assert document["predicted"] is None
-    assert document["stable"] is True
-    assert "has dampers of several kinds (one: centred, " in document["coupled_device_points"]["hand"]
+    dampers = {"one": "centred", "other": "backward"}
+    more = {name: SPRING | {"damping": 1.0, "damper": damper} for name, damper in dampers.items()}
+    document = checked(scene_file("spring", more=more))
+    assert (document["predicted"], document["stable"]) == (None, True)
+    assert "has dampers of several kinds (other: backward, one: centred)" in document["coupled_device_points"]["hand"]
 
 
-def test_a_stiffness_beyond_reason_is_reported_without_a_warning(
-    hapsim: Callable[..., Any], scene_file: Callable[..., Path]
-) -> None:
-    answer = hapsim("check", scene_file("no_number"), "--json")
-    assert (answer.status, answer.err) == (0, "")
-    assert answer.document["stable"] is False
+def test_a_stiffness_beyond_reason_is_reported_without_a_warning(scene_file: SceneFile, checked: Checked) -> None:
+    assert checked(scene_file("no_number"))["stable"] is False
 
 
-def test_a_file_name_is_shown_as_it_is_written(
-    hapsim: Callable[..., Any], scene_file: Callable[..., Path], tmp_path: Path
-) -> None:
+def test_a_file_name_is_shown_as_it_is_written(hapsim: Hapsim, scene_file: SceneFile, tmp_path: Path) -> None:
     """Square brackets mean something to the library that prints."""
     path = scene_file("spring").rename(tmp_path / "a[red]b[link].yaml")
     told = hapsim("check", path)
@@ -311,23 +269,32 @@ def test_a_file_name_is_shown_as_it_is_written(
     assert "a[red]b[link].yaml" in told.out.replace("\n", "")
 
 
-def test_a_wire_that_is_too_slow_is_reported(hapsim: Callable[..., Any], scene_file: Callable[..., Path]) -> None:
-    told = hapsim("check", scene_file("spring", baud=115200))
-    assert "does not fit: a higher baud rate, or a lower rate" in told.out
-    assert hapsim("check", scene_file("spring", baud=115200), "--json").document["wire_time"]["fits"] is False
+def test_assumptions_that_differ_in_a_name_alone_are_one(hapsim: Hapsim) -> None:
+    lines = [line for line in hapsim("check", CONFIGS / "four_keys.yaml").out.splitlines() if "Assumed:" in line]
+    assert len(lines) == 2
+    assert lines[1].startswith("Assumed: c-stop is taken as touched all the time; ")
+    assert lines[1].endswith("The same holds for d-stop, e-stop, f-stop.")
+
+
+def test_a_wire_that_is_too_slow_is_reported(hapsim: Hapsim, scene_file: SceneFile, checked: Checked) -> None:
+    """That of a mock without a baud rate is none, and says so."""
+    verdict = "does not fit: use a higher baud rate or a lower rate."
+    told = hapsim("check", scene_file("spring", baud=115200)).out
+    assert f"Wire: none (the mock). A UART at 115200 baud would take 2.047 ms of the 1 ms period: {verdict}" in told
+    assert "The scene is then" not in told
+    told = hapsim("check", scene_file("spring", baud=115200, port="/dev/ttyNONE")).out
+    assert f"Wire: an exchange takes 2.047 ms of the 1 ms period: {verdict}" in told
+    assert checked(scene_file("spring", baud=115200))["wire_time"]["fits"] is False
 
 
 def test_a_wire_that_costs_a_sample_is_predicted_at_the_delay_that_results(
-    hapsim: Callable[..., Any], scene_file: Callable[..., Path], explained: Callable[[Path], str]
+    scene_file: SceneFile, checked: Checked, explained: Explained
 ) -> None:
     """23 bytes at 115200 baud take 1.997 ms: with the host's work they miss a tick at 500 Hz, and not at 480 Hz."""
-    path = scene_file("spring", baud=115200, port="/dev/ttyNONE")
-    scene = yaml.safe_load(path.read_text())
 
     def wire(rate: float, delay: float) -> dict[str, Any]:
-        path.write_text(yaml.safe_dump(scene | {"rate": rate, "device": scene["device"] | {"delay": delay}}))
-        document: dict[str, Any] = hapsim("check", path, "--json").document
-        return document | {"text": explained(path).replace("\n", " ")}
+        path = scene_file("spring", rate=rate, baud=115200, port="/dev/ttyNONE", delay=delay)
+        return checked(path) | {"text": unwrapped(explained(path))}
 
     late, declared, fits = wire(500.0, 1.0), wire(500.0, 2.0), wire(480.0, 1.0)
     assert (late["wire_time"]["fits"], late["wire_time"]["delay_samples"]) == (False, 2)
@@ -337,6 +304,7 @@ def test_a_wire_that_costs_a_sample_is_predicted_at_the_delay_that_results(
     assert "2 samples of delay. One sample below 488 Hz or above 117949 baud" in late["text"]
     assert f"b = {declared['predicted']['b']:.6g} N·s/m" in late["text"]
     assert (fits["wire_time"]["delay_samples"], fits["wire_time"]["predicted"]) == (1, None)
+    assert "takes 1.997 ms for 11 + 12 bytes at 115200 baud and 0.05 ms for the host's work; " in fits["text"]
     assert "fits. One sample of delay, up to 488 Hz" in fits["text"]
     assert "This is counted for a UART" in fits["text"]
     queueing = wire(1100.0, 1.0)  # 12 bytes take 1.04 ms
@@ -345,113 +313,101 @@ def test_a_wire_that_costs_a_sample_is_predicted_at_the_delay_that_results(
 
 
 def test_what_bounds_the_force_is_told_for_where_the_device_is(
-    hapsim: Callable[..., Any], scene_file: Callable[..., Path], tmp_path: Path, explained: Callable[[Path], str]
+    scene_file: SceneFile, checked: Checked, explained: Explained
 ) -> None:
     path = scene_file("spring")
-    assert hapsim("check", path, "--json").document["force_bounds"] == {
-        "slew_limit": None,
-        "soft_start_s": 0.0,
-        "energy_limit": pytest.approx(0.2),
-    }
-    told = explained(path).replace("\n", " ")
-    assert "Force: at most 10 N; it changes as fast as the scene asks" in told
-    assert "what the scene asks for in the very first sample comes at once." in told
+    bounds = {"slew_limit": None, "soft_start_s": 0.0, "energy_limit": pytest.approx(0.2)}
+    assert checked(path)["force_bounds"] == bounds
+    told = unwrapped(explained(path))
+    assert "Force: at most 10 N; it changes as fast as the scene asks." in told
+    assert "in the very first sample comes at once." in told
     assert "A run ends where the scene gives the hand more than 0.2 J, or goes on" in told
     assert "slew_limit" not in told
-    document = yaml.safe_load(path.read_text())
-    document["device"] |= {"clock": "device"}
-    in_hand = tmp_path / "on_the_mock.yaml"
-    in_hand.write_text(yaml.safe_dump(document))
-    told = explained(in_hand).replace("\n", " ")
+    told = unwrapped(explained(scene_file("spring", clock="device")))
     assert "Behind a port (`--port`) the force changes by at most 10000 N/s, and" in told
-    assert "in the very first sample comes along a ramp of 50 ms." in told
-    document["device"] |= {"port": "/dev/ttyACM0"}
-    in_hand = tmp_path / "in_hand.yaml"
-    in_hand.write_text(yaml.safe_dump(document))
-    told = explained(in_hand).replace("\n", " ")
+    assert "of the very first sample comes along a ramp of 50 ms;" in told
+    told = unwrapped(explained(scene_file("spring", clock="device", port="/dev/ttyACM0")))
     assert "it changes by at most 10000 N/s" in told
     assert "Behind a port" not in told
-    assert "in the very first sample comes along a ramp of 50 ms (what is asked for later" in told
-    document["device"]["slew_limit"] = 5.0
-    in_hand.write_text(yaml.safe_dump(document))
-    told = explained(in_hand).replace("\n", " ")
+    assert "in the very first sample comes along a ramp of 50 ms; later ones" in told
+    told = unwrapped(explained(scene_file("spring", clock="device", port="/dev/ttyACM0", slew_limit=5.0)))
     assert "found 5 N/s, with which the force takes 2 s from zero to the force limit of 10 N" in told
 
 
 def test_a_slew_limit_that_a_run_refuses_is_warned_of_and_not_called_stable(
-    hapsim: Callable[..., Any], scene_file: Callable[..., Path]
+    hapsim: Hapsim, scene_file: SceneFile, checked: Checked
 ) -> None:
     path = scene_file("spring", slew_limit=1e-12)
     refused = hapsim("run", path, "--duration", "0.01")
     assert refused.status == 2
-    told = hapsim("check", path).out.replace("\n", " ")
+    told = unwrapped(hapsim("check", path).out)
     assert "Hz: stable without its slew limit: see the warning (spectral radius" in told
-    document = hapsim("check", path, "--json").document
-    count, slow = document["warnings"]
+    count, slow = checked(path)["warnings"]
     assert refused.err.strip() in count
     assert count in told
     assert "the force takes 1e+13 s from zero" in slow
-    expected = float(count.partition("at least ")[2].split(" ")[0])
-    enough = hapsim("check", scene_file("spring", slew_limit=expected), "--json").document["warnings"]
-    assert [one for one in enough if "a count of" in one] == []
-    assert (
-        hapsim("check", scene_file("spring", slew_limit=0.999 * expected), "--json").document["warnings"][0]
-        != enough[0]
-    )
     with pytest.raises(UsageError, match=r"less than a count of the device's force"), start(load_scene(str(path))):
         pass
-    behind_a_port = hapsim("check", scene_file("spring", slew_limit=1e-12, port="/dev/ttyNONE"), "--json").document
+    expected = float(count.partition("at least ")[2].split(" ")[0])
+    enough = checked(scene_file("spring", slew_limit=expected))["warnings"]
+    assert [one for one in enough if "a count of" in one] == []
+    assert checked(scene_file("spring", slew_limit=0.999 * expected))["warnings"][0] != enough[0]
+    behind_a_port = checked(scene_file("spring", slew_limit=1e-12, port="/dev/ttyNONE"))
     assert not any("a count of" in one for one in behind_a_port["warnings"])
-    assert hapsim("check", scene_file("spring"), "--json").document["warnings"] == []
+    assert checked(scene_file("spring"))["warnings"] == []
 
 
-def test_run_tells_its_warnings_in_json_too(hapsim: Callable[..., Any], scene_file: Callable[..., Path]) -> None:
+def test_run_tells_its_warnings_in_json_too(hapsim: Hapsim, scene_file: SceneFile, checked: Checked) -> None:
     path = scene_file("spring", slew_limit=5.0)
     answer = hapsim("run", path, "--duration", "0.01", "--json")
-    assert answer.document["warnings"] == hapsim("check", path, "--json").document["warnings"]
+    assert answer.document["warnings"] == checked(path)["warnings"]
     assert answer.document["warnings"][0] in answer.err
 
 
+@pytest.mark.parametrize(
+    ("name", "device", "told"),
+    [
+        (
+            "spring",
+            {"mass": 0.2, "friction": 1.0, "delay": 1},
+            "0.2 kg, friction 1 N·s/m, delay 1 sample (1 ms), zero-order hold",
+        ),
+        ("spring", {"mass": 200, "delay": 0.001}, "200 kg, friction 1 N·s/m, delay 0.001 samples (0.001 ms)"),
+        (
+            "spring",
+            {"delay": 0, "hold": "impulse", "sampling": "average", "stiffness": 50.0},
+            "a spring of 50 N/m, no delay, impulse hold, averaged positions",
+        ),
+        ("two_hands", {"mass": [0.2, 0.3]}, "channel 0: 0.2 kg, friction 1 N·s/m; channel 1: 0.3 kg"),
+    ],
+)
 def test_the_hand_and_device_of_a_prediction_are_told(
-    scene_file: Callable[..., Path], explained: Callable[[Path], str]
+    hapsim: Hapsim, scene_file: SceneFile, name: str, device: dict[str, Any], told: str
 ) -> None:
-    def line(name: str = "spring", **device: Any) -> str:
-        told: str = " ".join(explained(scene_file(name, **device)).split())
-        return told.partition("for a hand of ")[2].partition(" What the hand")[0]
-
-    assert line(mass=0.2, friction=1.0, delay=1) == ("0.2 kg, friction 1 N·s/m, delay 1 sample (1 ms), zero-order hold")
-    assert line(mass=200, delay=0.001).startswith("200 kg, ")
-    assert "delay 0.001 samples (0.001 ms)" in line(delay=0.001)
-    assert line(delay=0, hold="impulse", sampling="average", stiffness=50.0).endswith(
-        "a spring of 50 N/m, no delay, impulse hold, averaged positions"
-    )
-    several = line("two_hands", mass=[0.2, 0.3])
-    assert "channel 0: 0.2 kg" in several
-    assert "channel 1: 0.3 kg" in several
+    assert told in unwrapped(hapsim("check", scene_file(name, **device)).out).partition("for a hand of ")[2]
 
 
 def test_what_bounds_the_force_of_a_dead_host_is_what_a_run_asks_the_device_for(
-    hapsim: Callable[..., Any], scene_file: Callable[..., Path], explained: Callable[[Path], str]
+    scene_file: SceneFile, checked: Checked, explained: Explained
 ) -> None:
     path = scene_file("spring")
-    scene = load_scene(str(path))
-    silence = hapsim("check", path, "--json").document["host_silence"]
+    silence = checked(path)["host_silence"]
     asked = []
 
     def note(session: Any) -> None:
         asked.append(int(session._loop.control.time_to_live))
 
-    with start(scene, duration=0.01, on_arming=note):
+    with start(load_scene(str(path)), duration=0.01, on_arming=note):
         pass
     assert [silence["time_to_live_samples"]] == asked == [20]
     assert (silence["zero_force_after_s"], silence["latched_after_s"]) == (0.021, 0.101)
-    told = explained(path).replace("\n", " ")
+    told = unwrapped(explained(path))
     assert "at most 21 ms (20 samples' time to live, and one more)" in told
     assert "after 101 ms (watchdog of 100 samples" in told
     assert "the device latches: zero force until it is armed again." in told
 
 
-def test_a_device_beyond_all_numbers_is_a_sentence(hapsim: Callable[..., Any], scene_file: Callable[..., Path]) -> None:
+def test_a_device_beyond_all_numbers_is_a_sentence(hapsim: Hapsim, scene_file: SceneFile) -> None:
     answer = hapsim("check", scene_file("spring", mass=1e-300, friction=0.5))
     assert answer.status == 2
-    assert "0.5 N·s/m of friction and a spring of 0 N/m on 1e-300 kg" in " ".join(answer.sentence.split())
+    assert "0.5 N·s/m of friction and a spring of 0 N/m on 1e-300 kg" in unwrapped(answer.sentence)

@@ -13,6 +13,8 @@ import pytest
 from hapsim.scene import Known, load_scene
 from hapsim.scene.shipped import shipped_scene
 
+Hapsim = Callable[..., Any]
+
 
 @pytest.fixture
 def wrong_scene(tmp_path: Path) -> Path:
@@ -24,11 +26,11 @@ def wrong_scene(tmp_path: Path) -> Path:
     return path
 
 
-def test_it_says_what_it_will_do_and_tells_declared_beside_found(hapsim: Callable[..., Any], wrong_scene: Path) -> None:
+def test_it_says_what_it_will_do_and_tells_declared_beside_found(hapsim: Hapsim, wrong_scene: Path) -> None:
     before = wrong_scene.read_bytes()
     answer = hapsim("identify", wrong_scene, "--duration", 1, "--force", 2)
     assert answer.status == 0
-    assert answer.err.startswith("Pushing channel 0 of the embedded mock now: at most 2 N to either side, 1 s ")
+    assert answer.err.startswith("Pushing channel 0 of the built-in mock now: at most 2 N to either side, 1 s ")
     assert "more than 5 mm from where it stands" in answer.err
     row = next(line for line in answer.out.splitlines() if "mass  kg" in line)
     assert [cell.strip() for cell in row.split("│")][2] == "0.2"
@@ -39,7 +41,7 @@ def test_it_says_what_it_will_do_and_tells_declared_beside_found(hapsim: Callabl
     assert wrong_scene.read_bytes() == before
 
 
-def test_written_it_is_what_the_scene_says(hapsim: Callable[..., Any], wrong_scene: Path) -> None:
+def test_written_it_is_what_the_scene_says(hapsim: Hapsim, wrong_scene: Path) -> None:
     answer = hapsim("identify", wrong_scene, "--duration", 1, "--write", "--json")
     assert answer.status == 0
     document = answer.document
@@ -69,7 +71,7 @@ def test_written_it_is_what_the_scene_says(hapsim: Callable[..., Any], wrong_sce
     assert "# kg, moving part and hand" in wrong_scene.read_text(encoding="utf-8")
 
 
-def test_a_span_of_masses_stays(hapsim: Callable[..., Any], wrong_scene: Path) -> None:
+def test_a_span_of_masses_stays(hapsim: Hapsim, wrong_scene: Path) -> None:
     text = wrong_scene.read_text(encoding="utf-8")
     wrong_scene.write_text(text.replace("mass: 0.2 ", "mass: {from: 0.1, to: 0.4} ", 1), encoding="utf-8")
     answer = hapsim("identify", wrong_scene, "--duration", 1, "--write")
@@ -80,7 +82,7 @@ def test_a_span_of_masses_stays(hapsim: Callable[..., Any], wrong_scene: Path) -
     assert device.delay == pytest.approx(1.4, abs=1e-4)
 
 
-def test_what_is_left_is_drawn_and_told_in_numbers(hapsim: Callable[..., Any], wrong_scene: Path) -> None:
+def test_what_is_left_is_drawn_and_told_in_numbers(hapsim: Hapsim, wrong_scene: Path) -> None:
     picture, data = wrong_scene.with_name("left.svg"), wrong_scene.with_name("left.csv")
     answer = hapsim("identify", wrong_scene, "--duration", 1, "--picture", picture, "--data", data)
     assert answer.status == 0
@@ -112,7 +114,7 @@ def test_what_is_left_is_drawn_and_told_in_numbers(hapsim: Callable[..., Any], w
     ],
 )
 def test_what_goes_wrong_is_a_sentence_and_a_status(
-    hapsim: Callable[..., Any], wrong_scene: Path, options: tuple[Any, ...], status: int, sentence: str
+    hapsim: Hapsim, wrong_scene: Path, options: tuple[Any, ...], status: int, sentence: str
 ) -> None:
     before = wrong_scene.read_bytes()
     answer = hapsim("identify", wrong_scene, *options, "--json")
@@ -121,9 +123,7 @@ def test_what_goes_wrong_is_a_sentence_and_a_status(
     assert wrong_scene.read_bytes() == before
 
 
-def test_the_mock_of_a_device_with_a_port_is_not_written_in_its_place(
-    hapsim: Callable[..., Any], wrong_scene: Path
-) -> None:
+def test_the_mock_of_a_device_with_a_port_is_not_written_in_its_place(hapsim: Hapsim, wrong_scene: Path) -> None:
     text = wrong_scene.read_text(encoding="utf-8").replace("device:\n", "device:\n  port: /dev/ttyACM9\n", 1)
     wrong_scene.write_text(text, encoding="utf-8")
     answer = hapsim("identify", wrong_scene, "--mock", "--write")

@@ -9,6 +9,9 @@ from typing import Any
 
 from hapsim.cli.output import JsonLog
 
+Hapsim = Callable[..., Any]
+SceneFile = Callable[..., Path]
+
 KEYS = {"time", "level", "event", "message", "fields"}
 
 
@@ -16,9 +19,7 @@ def lines_of(text: str) -> list[dict[str, Any]]:
     return [json.loads(line) for line in text.splitlines()]
 
 
-def test_every_line_is_json_and_says_what_people_read(
-    hapsim: Callable[..., Any], scene_file: Callable[..., Path]
-) -> None:
+def test_every_line_is_json_and_says_what_people_read(hapsim: Hapsim, scene_file: SceneFile) -> None:
     words = ("run", scene_file("unstable"), "--unstable", "--duration", 0.05, "--json")
     for_people = hapsim(*words).err
     answer = hapsim(*words, "--log", "json", "--realtime")
@@ -34,7 +35,7 @@ def test_every_line_is_json_and_says_what_people_read(
 
 
 def test_what_fails_is_a_line_of_json_too_and_the_next_command_speaks_to_people_again(
-    hapsim: Callable[..., Any], scene_file: Callable[..., Path]
+    hapsim: Hapsim, scene_file: SceneFile
 ) -> None:
     path = scene_file("spring", port="/dev/ttyNOPE7")
     answer = hapsim("run", path, "--log", "json")

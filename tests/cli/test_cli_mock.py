@@ -27,6 +27,9 @@ from hapsim import __version__
 from hapsim.device.mock import terminal as serving_command
 from hapsim.scene import load_scene
 
+Hapsim = Callable[..., Any]
+SceneFile = Callable[..., Path]
+
 HAPSIM = [sys.executable, "-m", "hapsim"]
 
 
@@ -44,9 +47,7 @@ def mock_of(*words: object) -> Iterator[tuple[subprocess.Popen[str], str]]:
             process.communicate()
 
 
-def test_a_mock_in_another_process_is_measured_as_predicted(
-    hapsim: Callable[..., Any], scene_file: Callable[..., Path]
-) -> None:
+def test_a_mock_in_another_process_is_measured_as_predicted(hapsim: Hapsim, scene_file: SceneFile) -> None:
     scene = scene_file("spring")
     hapsim("run", scene, "--transport", "terminal", "--duration", 0.05)  # whatever is not compiled yet is compiled here
     with mock_of(scene) as (process, port):
@@ -62,7 +63,7 @@ def test_a_mock_in_another_process_is_measured_as_predicted(
 
 
 def test_the_first_run_at_a_port_says_that_nobody_judged_its_motor(
-    hapsim: Callable[..., Any], scene_file: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    hapsim: Hapsim, scene_file: SceneFile, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
     scene = scene_file("spring")
@@ -74,9 +75,7 @@ def test_the_first_run_at_a_port_says_that_nobody_judged_its_motor(
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_a_mock_takes_its_link_away_at_the_end(
-    scene_file: Callable[..., Path], tmp_path: Path, number: signal.Signals
-) -> None:
+def test_a_mock_takes_its_link_away_at_the_end(scene_file: SceneFile, tmp_path: Path, number: signal.Signals) -> None:
     link = tmp_path / "device"
     with mock_of(scene_file("spring"), "--link", link, "--json") as (process, first):
         assert process.stdout is not None
@@ -89,23 +88,18 @@ def test_a_mock_takes_its_link_away_at_the_end(
 
 
 def test_a_link_whose_name_is_taken_is_status_2_and_left_alone(
-    hapsim: Callable[..., Any], scene_file: Callable[..., Path], tmp_path: Path
+    hapsim: Hapsim, scene_file: SceneFile, tmp_path: Path
 ) -> None:
     taken = tmp_path / "taken"
     taken.write_text("mine", encoding="utf-8")
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
-    try:
-        answer = hapsim("mock", scene_file("spring"), "--link", taken)
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+    answer = hapsim("mock", scene_file("spring"), "--link", taken)
     assert answer.status == 2
     assert f"{taken}: found a file, a directory or a device, expected a free name" in answer.sentence
     assert taken.read_text(encoding="utf-8") == "mine"
 
 
 def test_a_link_that_a_killed_mock_left_is_gone_before_the_next_has_a_port(
-    scene_file: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    scene_file: SceneFile, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # The system gives the number of a pseudo-terminal that is gone to the next: the link would seem to be in use.
     link = tmp_path / "device"
@@ -121,17 +115,12 @@ def test_a_link_that_a_killed_mock_left_is_gone_before_the_next_has_a_port(
         os.kill(os.getpid(), signal.SIGTERM)
 
     monkeypatch.setattr(serving_command, "serving", serving)
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
-    try:
-        serving_command.serve_until_stopped(load_scene(scene_file("spring")), link, stop, lambda _: None)
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+    serving_command.serve_until_stopped(load_scene(scene_file("spring")), link, stop, lambda _: None)
     assert not link.is_symlink()
 
 
 def test_a_new_scene_can_be_checked_and_run_at_once(
-    hapsim: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    hapsim: Hapsim, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert hapsim("new").status == 0
@@ -139,7 +128,7 @@ def test_a_new_scene_can_be_checked_and_run_at_once(
     assert hapsim("run", "scene.yaml", "--duration", 0.05, "--json").document["ending"] == "done"
 
 
-def test_a_new_scene_overwrites_nothing(hapsim: Callable[..., Any], tmp_path: Path) -> None:
+def test_a_new_scene_overwrites_nothing(hapsim: Hapsim, tmp_path: Path) -> None:
     path = tmp_path / "mine[1].yaml"
     answer = hapsim("new", path)
     assert answer.status == 0
@@ -153,7 +142,7 @@ def test_a_new_scene_overwrites_nothing(hapsim: Callable[..., Any], tmp_path: Pa
     assert "there is no directory" in hapsim("new", tmp_path / "none" / "scene.yaml").sentence
 
 
-def test_the_schema_is_one_that_accepts_our_scenes(hapsim: Callable[..., Any], scene_file: Callable[..., Path]) -> None:
+def test_the_schema_is_one_that_accepts_our_scenes(hapsim: Hapsim, scene_file: SceneFile) -> None:
     schema = hapsim("schema").document
     jsonschema.Draft202012Validator.check_schema(schema)
     validator = jsonschema.Draft202012Validator(schema)
@@ -162,29 +151,18 @@ def test_the_schema_is_one_that_accepts_our_scenes(hapsim: Callable[..., Any], s
     assert not validator.is_valid(document | {"rate": -1})
 
 
-def test_the_ports_are_listed_under_headings(hapsim: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_ports_are_listed_under_headings(hapsim: Hapsim, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a port does not say of itself stays blank."""
     board = SimpleNamespace(device="/dev/ttyACM0", description="Haptic [board]", hwid="USB VID:PID=2341:0043")
-    monkeypatch.setattr("serial.tools.list_ports.comports", lambda: [board])
-    answer = hapsim("ports")
-    assert answer.status == 0
-    heading, row = (line.strip("┃│ ") for line in answer.out.splitlines() if line.startswith(("┃", "│")))
-    assert re.split(r" *┃ *", heading) == ["port", "description", "hardware"]
-    assert re.split(r" *│ *", row) == [board.device, board.description, board.hwid]
-    (listed,) = hapsim("ports", "--json").document["ports"]
-    assert listed == {"port": board.device, "description": board.description, "hardware": board.hwid}
-
-
-def test_what_a_port_does_not_say_of_itself_stays_blank(
-    hapsim: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
     bare = SimpleNamespace(device="/dev/ttyS0", description="n/a", hwid="n/a")
-    monkeypatch.setattr("serial.tools.list_ports.comports", lambda: [bare])
-    told = hapsim("ports").out
-    assert bare.device in told
-    assert "n/a" not in told
-
-
-def test_where_there_is_no_port_a_sentence_says_so(hapsim: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    for port, cells in ((board, list(vars(board).values())), (bare, [bare.device, "", ""])):
+        monkeypatch.setattr("serial.tools.list_ports.comports", lambda port=port: [port])
+        answer = hapsim("ports")
+        assert answer.status == 0
+        lines = [re.split(r" *[┃│] *", line)[1:-1] for line in answer.out.splitlines() if line.startswith(("┃", "│"))]
+        assert lines == [["port", "description", "hardware"], cells]
+        (listed,) = hapsim("ports", "--json").document["ports"]
+        assert listed == {"port": port.device, "description": port.description, "hardware": port.hwid}
     monkeypatch.setattr("serial.tools.list_ports.comports", list)
     answer = hapsim("ports")
     assert (answer.status, answer.out) == (0, "")
@@ -192,29 +170,34 @@ def test_where_there_is_no_port_a_sentence_says_so(hapsim: Callable[..., Any], m
     assert hapsim("ports", "--json").document == {"ports": []}
 
 
+QUICK = """
+import sys
+from hapsim.cli import main
+try:
+    main()
+except SystemExit as end:
+    assert not end.code
+heavy = {'numba', 'numpy', 'matplotlib', 'scipy', 'serial', 'pydantic', 'yaml'} & sys.modules.keys()
+assert not heavy, heavy
+"""
+
+
+def quick(option: str) -> str:
+    """What is printed without loading anything heavy."""
+    done = subprocess.run([sys.executable, "-c", QUICK, option], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    return done.stdout
+
+
 def test_help_names_every_command_and_loads_nothing_heavy() -> None:
-    code = (
-        "import sys\nsys.argv = ['hapsim', '--help']\nfrom hapsim.cli import main\n"
-        "try:\n    main()\nexcept SystemExit as end:\n    assert not end.code\n"
-        "heavy = {'numba', 'numpy', 'matplotlib', 'scipy', 'serial', 'pydantic', 'yaml'} & sys.modules.keys()\n"
-        "assert not heavy, heavy"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
+    told = quick("--help")
     for command in ("run", "check", "measure", "mock", "ports", "new", "schema"):
-        assert f" {command} " in done.stdout
+        assert f" {command} " in told
 
 
 def test_the_version_tells_what_a_bug_report_needs() -> None:
     """One item a line, and numba is not loaded to be asked."""
-    code = (
-        "import sys\nsys.argv = ['hapsim', '--version']\nfrom hapsim.cli import main\n"
-        "try:\n    main()\nexcept SystemExit as end:\n    assert not end.code\n"
-        "assert not {'numba', 'numpy'} & sys.modules.keys()"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stderr) == (0, "")
-    assert done.stdout.splitlines() == [
+    assert quick("--version").splitlines() == [
         f"hapsim {__version__}",
         f"wire protocol {VERSION}, schema 0x{SCHEMA_HASH:08x}",
         f"Python {platform.python_version()} ({platform.python_implementation()})",
@@ -224,7 +207,7 @@ def test_the_version_tells_what_a_bug_report_needs() -> None:
     ]
 
 
-def test_an_output_that_knows_ascii_only_is_written_all_the_same(scene_file: Callable[..., Path]) -> None:
+def test_an_output_that_knows_ascii_only_is_written_all_the_same(scene_file: SceneFile) -> None:
     command = [sys.executable, "-c", "from hapsim.cli import main; main()", "check", str(scene_file("free"))]
     environment = os.environ | {"PYTHONIOENCODING": "ascii"}
     done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)

@@ -17,6 +17,9 @@ import pytest
 
 from hapsim.cli.output import fitted
 
+Hapsim = Callable[..., Any]
+SceneFile = Callable[..., Path]
+
 COLUMNS = 80
 SENTENCE = "found 'stiffnes', expected one of damping, stiffness, damper, cutoff; did you mean 'stiffness'?"
 
@@ -41,9 +44,7 @@ def shown(*words: object) -> list[str]:
     return heard.decode("utf-8").replace("\r\n", "\n").rstrip("\n").split("\n")
 
 
-def test_an_error_breaks_at_words_and_names_its_place_in_one_piece(
-    scene_file: Callable[..., Path], tmp_path: Path
-) -> None:
+def test_an_error_breaks_at_words_and_names_its_place_in_one_piece(scene_file: SceneFile, tmp_path: Path) -> None:
     path = tmp_path / "a name with spaces, and rather long, as the names of the scenes of a museum are.yaml"
     text = scene_file("mass").read_text(encoding="utf-8")
     path.write_text(text.replace("stiffness:", "stiffnes:"), encoding="utf-8")
@@ -58,7 +59,7 @@ def test_an_error_breaks_at_words_and_names_its_place_in_one_piece(
     assert "did you mean 'stiffness'?" in said
 
 
-def test_a_prediction_breaks_at_words_and_names_its_scene_in_one_piece(scene_file: Callable[..., Path]) -> None:
+def test_a_prediction_breaks_at_words_and_names_its_scene_in_one_piece(scene_file: SceneFile) -> None:
     scene = scene_file("spring")
     path = scene.rename(scene.with_name("the-name-of-a-scene-that-is-longer-than-a-terminal-is-wide-and-whole.yaml"))
     assert len(str(path)) > COLUMNS
@@ -79,7 +80,7 @@ def test_a_frame_breaks_at_words_and_its_bytes_stay_whole(tmp_path: Path) -> Non
     assert "Nothing in it is a frame: is it raw bytes of the wire?" in said
 
 
-def test_what_a_pipe_takes_stays_in_one_line(hapsim: Callable[..., Any], scene_file: Callable[..., Path]) -> None:
+def test_what_a_pipe_takes_stays_in_one_line(hapsim: Hapsim, scene_file: SceneFile) -> None:
     path = scene_file("mass")
     path.write_text(path.read_text(encoding="utf-8").replace("stiffness:", "stiffnes:"), encoding="utf-8")
     lines = hapsim("check", path).sentence.splitlines()
@@ -105,7 +106,7 @@ def test_a_sentence_that_fits_stays_as_it_is() -> None:
 
 @pytest.mark.parametrize("words", [[], ["frames"], ["faults"], ["probe"], ["identify"], ["chart"], ["chart", "felt"]])
 def test_help_has_no_line_break_within_a_paragraph(
-    hapsim: Callable[..., Any], monkeypatch: pytest.MonkeyPatch, words: list[str]
+    hapsim: Hapsim, monkeypatch: pytest.MonkeyPatch, words: list[str]
 ) -> None:
     monkeypatch.setenv("COLUMNS", "600")  # the longest paragraph has room in a line
     answer = hapsim(*words, "--help")

@@ -16,12 +16,15 @@ import yaml
 from hapsim.recording.trace import load_trace
 
 ANOTHER_SYSTEM = Path(__file__).with_name("another_system.py")
+Hapsim = Callable[..., Any]
 SceneFile = Callable[..., Path]
 
 IMPORT_EVERYTHING = """
 import importlib, pkgutil, sys
 sys.path.insert(0, sys.argv[1])
 import another_system
+
+Hapsim = Callable[..., Any]
 another_system.become_another_system()
 for name in ("hapsim", "firmware_protocol"):
     package = importlib.import_module(name)
@@ -67,7 +70,7 @@ def test_what_needs_no_loop_works(scene_file: SceneFile, tmp_path: Path) -> None
 
 
 def test_in_memory_the_loop_in_python_sends_the_forces_of_the_compiled_one(
-    hapsim: Callable[..., Any], scene_file: SceneFile, tmp_path: Path
+    hapsim: Hapsim, scene_file: SceneFile, tmp_path: Path
 ) -> None:
     scene = scene_file("spring")
     measured = json.loads(done("measure", scene, "--json", "--record", tmp_path / "there.npz"))

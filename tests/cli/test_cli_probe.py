@@ -16,6 +16,8 @@ from hapsim.device.mock.assemble import assemble_mock
 from hapsim.device.mock.terminal import serving
 from hapsim.scene import Scene
 
+Hapsim = Callable[..., Any]
+
 TO_REFUSALS = ("--until", "refusals")
 
 
@@ -34,7 +36,7 @@ def port() -> Iterator[str]:
         yield path
 
 
-def test_the_mock_keeps_the_protocol_on_a_port(hapsim: Callable[..., Any], port: str) -> None:
+def test_the_mock_keeps_the_protocol_on_a_port(hapsim: Hapsim, port: str) -> None:
     answer = hapsim("probe", port, "--json")
     document = answer.document
     checks = {check["name"]: check for check in document["checks"]}
@@ -48,7 +50,7 @@ def test_the_mock_keeps_the_protocol_on_a_port(hapsim: Callable[..., Any], port:
     assert document["exit_status"] == answer.status == (3 if document["failed"] else 0)
 
 
-def test_it_is_shown_within_80_columns(hapsim: Callable[..., Any], port: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_it_is_shown_within_80_columns(hapsim: Hapsim, port: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", "80")
     answer = hapsim("probe", port, *TO_REFUSALS)
     assert answer.status == 0, answer.out
@@ -59,7 +61,7 @@ def test_it_is_shown_within_80_columns(hapsim: Callable[..., Any], port: str, mo
     assert "refusals: step 3 of 3" in answer.err
 
 
-def test_a_port_that_nobody_answers_at_is_told_within_seconds(hapsim: Callable[..., Any]) -> None:
+def test_a_port_that_nobody_answers_at_is_told_within_seconds(hapsim: Hapsim) -> None:
     near, far = os.openpty()
     try:
         tty.setraw(near)
@@ -89,21 +91,19 @@ def test_a_port_that_nobody_answers_at_is_told_within_seconds(hapsim: Callable[.
         (("--push", "1", "--channel", "16", "--only", "push"), "--channel: found 16, expected 0 to 15"),
     ],
 )
-def test_a_wrong_option_is_status_2(
-    hapsim: Callable[..., Any], port: str, words: tuple[str, ...], sentence: str
-) -> None:
+def test_a_wrong_option_is_status_2(hapsim: Hapsim, port: str, words: tuple[str, ...], sentence: str) -> None:
     answer = hapsim("probe", port, *words, "--json")
     assert answer.status == 2
     assert sentence in answer.sentence
 
 
-def test_no_port_is_status_3(hapsim: Callable[..., Any]) -> None:
+def test_no_port_is_status_3(hapsim: Hapsim) -> None:
     answer = hapsim("probe", "/dev/nothing_here", "--json")
     assert answer.status == 3
     assert "no such port" in answer.sentence
 
 
-def test_an_interrupt_releases_the_device(port: str, hapsim: Callable[..., Any]) -> None:
+def test_an_interrupt_releases_the_device(port: str, hapsim: Hapsim) -> None:
     command = [sys.executable, "-m", "hapsim", "probe", port]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         assert process.stderr is not None

@@ -16,14 +16,19 @@ from hapsim.cli.live import live_line
 from hapsim.cli.run_report import show_report
 from hapsim.progress import Progress
 from hapsim.recording.trace import load_trace
+from hapsim.running import run
+from hapsim.scene import parse_scene
 from hapsim.scene.shipped import shipped_scene
+
+Hapsim = Callable[..., Any]
+SceneFile = Callable[..., Path]
 
 RAN = {"rate_hz", "ticks", "deadline_misses", "lost_frames", "crc_errors"}
 FELT = {"k", "b", "frequency_hz", "damping_ratio"}
 
 
 def test_a_run_prints_one_document_with_the_keys_of_the_contract(
-    hapsim: Callable[..., Any], scene_file: Callable[..., Path], every_scene: str
+    hapsim: Hapsim, scene_file: SceneFile, every_scene: str
 ) -> None:
     words = ["--unstable"] if every_scene == "unstable" else []
     answer = hapsim("run", scene_file(every_scene), "--duration", 0.5, "--json", *words)
@@ -33,7 +38,7 @@ def test_a_run_prints_one_document_with_the_keys_of_the_contract(
     assert (document["ticks"], document["rate_hz"], document["ending"]) == (500, 1000, "done")
 
 
-def test_a_run_is_reported_as_a_table(hapsim: Callable[..., Any], scene_file: Callable[..., Path]) -> None:
+def test_a_run_is_reported_as_a_table(hapsim: Hapsim, scene_file: SceneFile) -> None:
     answer = hapsim("run", scene_file("spring"), "--duration", 0.25)
     assert answer.status == 0
     rows = [[cell.strip() for cell in line.strip("│").split("│")] for line in answer.out.splitlines() if "│" in line]
@@ -42,35 +47,37 @@ def test_a_run_is_reported_as_a_table(hapsim: Callable[..., Any], scene_file: Ca
     assert ["ticks", "250"] in rows
 
 
-def test_every_counter_of_a_run_has_a_row_with_its_own_number(
-    hapsim: Callable[..., Any], scene_file: Callable[..., Path], tmp_path: Path
-) -> None:
+@pytest.fixture(scope="module")
+def report() -> Any:
+    """Of a run without a fault."""
+    return run(
+        parse_scene(shipped_scene("first_touch.yaml").replace("clock: device ", "clock: lockstep ")), duration=0.05
+    ).report
+
+
+def shown(report: Any, **changes: Any) -> str:
+    """What is printed of a report that says something else."""
+    console = Console(record=True, width=200)
+    show_report(console, replace(report, **changes))
+    return console.export_text()
+
+
+def test_every_counter_of_a_run_has_a_row_with_its_own_number(report: Any) -> None:
     """Rows that were dropped or not recorded are one number; each other counter is one by itself."""
-    record = tmp_path / "trace.npz"
-    hapsim("run", scene_file("spring"), "--duration", 0.05, "--record", record, "--json")
-    report = load_trace(record).report
     counters = [
         field.name
         for field in fields(report)
         if type(getattr(report, field.name)) is int and field.name not in ("ticks", "deadline_misses")
     ]
     counts = {name: 100_001 << at for at, name in enumerate(counters)}
-    console = Console(record=True, width=200)
-    show_report(console, replace(report, **counts))  # type: ignore[arg-type]
-    told = console.export_text()
+    told = shown(report, **counts)
     rows = counts.pop("dropped_rows") + counts.pop("unrecorded_rows")
     assert [name for name, count in [*counts.items(), ("rows", rows)] if not re.search(rf"\b{count}\b", told)] == []
 
 
 @pytest.mark.parametrize(("count", "is_normal"), [(0, False), (2, True), (40, False)])
-def test_a_few_frames_refused_by_the_device_are_told_to_be_normal(
-    hapsim: Callable[..., Any], scene_file: Callable[..., Path], tmp_path: Path, count: int, is_normal: bool
-) -> None:
-    record = tmp_path / "trace.npz"
-    hapsim("run", scene_file("spring"), "--duration", 0.05, "--record", record, "--json")
-    console = Console(record=True, width=80)
-    show_report(console, replace(load_trace(record).report, rejected_by_device=count))
-    told = console.export_text()
+def test_a_few_frames_refused_by_the_device_are_told_to_be_normal(report: Any, count: int, is_normal: bool) -> None:
+    told = shown(report, rejected_by_device=count)
     assert ("frames refused by the device" in told) == (count > 0)
     assert ("(a few at arming and disarming are normal)" in told) == is_normal
 
@@ -86,16 +93,26 @@ def test_a_few_frames_refused_by_the_device_are_told_to_be_normal(
     ],
 )
 def test_a_wire_that_loses_or_spoils_more_than_a_few_frames_is_told(
-    hapsim: Callable[..., Any], scene_file: Callable[..., Path], tmp_path: Path, counts: dict[str, int], sentence: str
+    report: Any, counts: dict[str, int], sentence: str
 ) -> None:
-    record = tmp_path / "trace.npz"
-    hapsim("run", scene_file("spring"), "--duration", 0.05, "--record", record, "--json")
-    console = Console(record=True, width=200)
-    show_report(console, replace(load_trace(record).report, ticks=1000, **counts))  # type: ignore[arg-type]
-    told = console.export_text()
+    told = shown(report, ticks=1000, **counts)
     assert sentence in told
     assert ("`hapsim frames PORT`" in told) == bool(sentence)
     assert ("hapsim doctor" in told) == (counts.keys() == {"lost_frames"})
+
+
+@pytest.mark.parametrize(
+    ("rate", "latest", "marked"),
+    [(970.0, 1e-3, "(97.0% of 1000)"), (1030.0, 1e-3, "(103.0% of 1000)"), (985.0, 1e-3, ""), (970.0, 0.1, "")],
+)
+def test_a_rate_that_is_surely_another_than_was_asked_for_is_marked(
+    report: Any, rate: float, latest: float, marked: str
+) -> None:
+    lateness = replace(report.lateness_s, max=latest)
+    told = shown(report, virtual_time=False, rate_hz=rate, duration_s=2.0, lateness_s=lateness)
+    assert f"{rate:.2f}" in told
+    assert ("% of 1000)" in told) == bool(marked)
+    assert marked in told
 
 
 @pytest.mark.parametrize(("elapsed", "told"), [(0.002, "running 0.0 s ·"), (0.3, "running 0.3 s · 7165.5 Hz ·")])
@@ -111,9 +128,7 @@ def test_the_live_line_tells_a_rate_once_it_is_one_and_no_minus_before_a_zero(el
 
 
 @pytest.mark.parametrize("ending", ["npz", "csv"])
-def test_a_run_writes_its_record(
-    hapsim: Callable[..., Any], scene_file: Callable[..., Path], tmp_path: Path, ending: str
-) -> None:
+def test_a_run_writes_its_record(hapsim: Hapsim, scene_file: SceneFile, tmp_path: Path, ending: str) -> None:
     record = tmp_path / f"trace.{ending}"
     assert hapsim("run", scene_file("two_hands"), "--duration", 0.1, "--record", record, "--json").status == 0
     if ending == "npz":
@@ -122,9 +137,7 @@ def test_a_run_writes_its_record(
         assert len(record.read_text(encoding="utf-8").splitlines()) == 101
 
 
-def test_a_measurement_prints_prediction_and_measurement_side_by_side(
-    hapsim: Callable[..., Any], scene_file: Callable[..., Path]
-) -> None:
+def test_a_measurement_prints_prediction_and_measurement_side_by_side(hapsim: Hapsim, scene_file: SceneFile) -> None:
     answer = hapsim("measure", scene_file("spring"), "--json")
     assert answer.status == 0
     document = answer.document
@@ -136,9 +149,7 @@ def test_a_measurement_prints_prediction_and_measurement_side_by_side(
 
 
 @pytest.mark.parametrize("name", ["spring", "unstable", "channel_3", "damper", "free", "mass", "hand_in_hand"])
-def test_every_scene_can_be_measured_without_a_traceback(
-    hapsim: Callable[..., Any], scene_file: Callable[..., Path], name: str
-) -> None:
+def test_every_scene_can_be_measured_without_a_traceback(hapsim: Hapsim, scene_file: SceneFile, name: str) -> None:
     words = ["--unstable"] if name == "unstable" else []
     told = hapsim("measure", scene_file(name), *words)
     assert told.status == 0
@@ -148,9 +159,7 @@ def test_every_scene_can_be_measured_without_a_traceback(
     assert (document["predicted"] is None) == (name in ("mass", "hand_in_hand"))
 
 
-def test_each_of_two_hands_is_measured_on_its_channel(
-    hapsim: Callable[..., Any], scene_file: Callable[..., Path]
-) -> None:
+def test_each_of_two_hands_is_measured_on_its_channel(hapsim: Hapsim, scene_file: SceneFile) -> None:
     for channel, stiffness in ((0, 1000.0), (1, 500.0)):
         document = hapsim("measure", scene_file("two_hands"), "--channel", channel, "--json").document
         assert document["predicted"]["stiffness"] == stiffness
@@ -158,9 +167,7 @@ def test_each_of_two_hands_is_measured_on_its_channel(
         assert document["measured"]["b"] == pytest.approx(document["predicted"]["b"], rel=1e-5)
 
 
-def test_a_measurement_leaves_picture_numbers_and_record(
-    hapsim: Callable[..., Any], scene_file: Callable[..., Path], tmp_path: Path
-) -> None:
+def test_a_measurement_leaves_picture_numbers_and_record(hapsim: Hapsim, scene_file: SceneFile, tmp_path: Path) -> None:
     picture, data, record = (tmp_path / name for name in ("p[1].svg", "d.csv", "r.npz"))
     words = ("--picture", picture, "--data", data, "--record", record)
     told = hapsim("measure", scene_file("spring"), *words)
@@ -172,22 +179,18 @@ def test_a_measurement_leaves_picture_numbers_and_record(
 
 
 @pytest.mark.parametrize("line", ["loopback", "terminal"])
-def test_the_mock_can_be_put_where_one_wants_it(
-    hapsim: Callable[..., Any], scene_file: Callable[..., Path], line: str
-) -> None:
+def test_the_mock_can_be_put_where_one_wants_it(hapsim: Hapsim, scene_file: SceneFile, line: str) -> None:
     document = hapsim("run", scene_file("spring"), "--transport", line, "--duration", 0.1, "--json").document
     assert document["ticks"] == 100
 
 
-def test_the_mock_serves_even_where_the_scene_names_a_port(
-    hapsim: Callable[..., Any], scene_file: Callable[..., Path]
-) -> None:
+def test_the_mock_serves_even_where_the_scene_names_a_port(hapsim: Hapsim, scene_file: SceneFile) -> None:
     path = scene_file("spring", port="/dev/ttyNOPE7")
     assert hapsim("run", path, "--mock", "--duration", 0.1, "--json").document["ticks"] == 100
 
 
 def test_on_the_mock_nothing_is_told_of_the_wire_of_the_port_that_the_scene_names(
-    hapsim: Callable[..., Any], scene_file: Callable[..., Path]
+    hapsim: Hapsim, scene_file: SceneFile
 ) -> None:
     path = scene_file("spring", port="/dev/ttyNOPE7", baud=9600)
     assert hapsim("check", path, "--json").document["wire_time"]["of"] == "port"
@@ -197,27 +200,8 @@ def test_on_the_mock_nothing_is_told_of_the_wire_of_the_port_that_the_scene_name
         assert "baud" not in answer.out + answer.err
 
 
-@pytest.mark.parametrize(
-    ("rate", "latest", "marked"),
-    [(970.0, 1e-3, "(97.0% of 1000)"), (1030.0, 1e-3, "(103.0% of 1000)"), (985.0, 1e-3, ""), (970.0, 0.1, "")],
-)
-def test_a_rate_that_is_surely_another_than_was_asked_for_is_marked(
-    hapsim: Callable[..., Any], scene_file: Callable[..., Path], tmp_path: Path, rate: float, latest: float, marked: str
-) -> None:
-    record = tmp_path / "trace.npz"
-    hapsim("run", scene_file("spring"), "--duration", 0.05, "--record", record, "--json")
-    report = load_trace(record).report
-    lateness = replace(report.lateness_s, max=latest)
-    console = Console(record=True, width=80)
-    show_report(console, replace(report, virtual_time=False, rate_hz=rate, duration_s=2.0, lateness_s=lateness))
-    told = console.export_text()
-    assert f"{rate:.2f}" in told
-    assert ("% of 1000)" in told) == bool(marked)
-    assert marked in told
-
-
 def test_a_guard_that_stops_the_force_is_status_4_with_a_document_and_a_record(
-    hapsim: Callable[..., Any], scene_file: Callable[..., Path], tmp_path: Path
+    hapsim: Hapsim, scene_file: SceneFile, tmp_path: Path
 ) -> None:
     record = tmp_path / "trace.npz"
     answer = hapsim("run", scene_file("no_number"), "--duration", 1, "--json", "--record", record)
@@ -230,37 +214,27 @@ def test_a_guard_that_stops_the_force_is_status_4_with_a_document_and_a_record(
     assert load_trace(record).report.ending == "force not finite"
 
 
-def test_a_scene_that_diverges_on_the_mock_is_ended_as_before_a_hand(
-    hapsim: Callable[..., Any], tmp_path: Path
-) -> None:
-    text = shipped_scene("first_touch.yaml").replace("clock: device ", "clock: lockstep ")
-    path = tmp_path / "stiff.yaml"
-    path.write_text(text.replace("stiffness: 2000,", "stiffness: 40000,"), encoding="utf-8")
+def test_a_scene_that_diverges_on_the_mock_is_ended_as_before_a_hand(hapsim: Hapsim, scene_file: SceneFile) -> None:
+    path = scene_file("spring", touch={"stiffness": 40000.0})
     answer = hapsim("run", path, "--unstable", "--duration", 20, "--json")
     assert answer.status == answer.document["exit_status"] == 4
     assert answer.document["ending"] == "scene diverging"
     assert "`hapsim check` reports what would make the scene stable" in answer.err
 
 
-@pytest.mark.parametrize("limit", ["1.0e-3", "1.0e-310", "5.0e-324"])
+@pytest.mark.parametrize("limit", [1e-3, 1e-310, 5e-324])
 def test_a_hand_that_hardly_moves_is_measured_or_refused_in_words(
-    hapsim: Callable[..., Any], tmp_path: Path, limit: str
+    hapsim: Hapsim, scene_file: SceneFile, limit: float
 ) -> None:
-    text = shipped_scene("first_touch.yaml").replace("force_limit: 10 ", f"force_limit: {limit} ")
-    path = tmp_path / "scene.yaml"
-    path.write_text(text.replace("clock: device ", "clock: lockstep "), encoding="utf-8")
-    answer = hapsim("measure", path)
+    answer = hapsim("measure", scene_file("spring", force_limit=limit))
     assert answer.status in (0, 2), answer.err
     assert "defect" not in answer.err
 
 
 def test_a_force_limit_beyond_what_the_mock_gives_is_told_and_costs_no_resolution(
-    hapsim: Callable[..., Any], tmp_path: Path
+    hapsim: Hapsim, scene_file: SceneFile
 ) -> None:
-    text = shipped_scene("first_touch.yaml").replace("force_limit: 10 ", "force_limit: 1.0e+12 ")
-    path = tmp_path / "scene.yaml"
-    path.write_text(text.replace("clock: device ", "clock: lockstep "), encoding="utf-8")
-    answer = hapsim("measure", path, "--json")
+    answer = hapsim("measure", scene_file("spring", force_limit=1e12), "--json")
     assert "Warning: force_limit: found 1e+12 N, of which the mock gives 1e+06 N at most." in answer.err
     predicted, measured = answer.document["predicted"], answer.document["measured"]
     assert measured["k"] == pytest.approx(predicted["k"], rel=1e-6)
@@ -269,7 +243,7 @@ def test_a_force_limit_beyond_what_the_mock_gives_is_told_and_costs_no_resolutio
 
 @pytest.mark.parametrize("command", [["run", "--duration", 0.05], ["measure"]])
 def test_a_record_that_exists_is_replaced_only_with_overwrite(
-    hapsim: Callable[..., Any], scene_file: Callable[..., Path], tmp_path: Path, command: list[Any]
+    hapsim: Hapsim, scene_file: SceneFile, tmp_path: Path, command: list[Any]
 ) -> None:
     record, scene = tmp_path / "trace.npz", scene_file("spring")
     record.write_text("mine", encoding="utf-8")

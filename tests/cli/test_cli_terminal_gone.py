@@ -20,6 +20,9 @@ from hapsim.device.mock.terminal import serving
 from hapsim.recording.trace import load_trace
 from hapsim.scene import load_scene
 
+Hapsim = Callable[..., Any]
+SceneFile = Callable[..., Path]
+
 HAPSIM = [sys.executable, "-m", "hapsim"]
 
 
@@ -51,8 +54,8 @@ class Broken:
 @pytest.mark.parametrize(("name", "status"), [("spring", 0), ("no_number", 4)])
 @pytest.mark.parametrize("words", [[], ["--json", "--log", "json"]])
 def test_a_run_ends_as_it_would_where_nobody_reads_it(
-    hapsim: Callable[..., Any],
-    scene_file: Callable[..., Path],
+    hapsim: Hapsim,
+    scene_file: SceneFile,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     number: int,
@@ -71,9 +74,7 @@ def test_a_run_ends_as_it_would_where_nobody_reads_it(
     assert "defect" not in answer.err + answer.out
 
 
-def test_a_run_without_standard_streams_gives_their_numbers_to_nobody(
-    scene_file: Callable[..., Path], tmp_path: Path
-) -> None:
+def test_a_run_without_standard_streams_gives_their_numbers_to_nobody(scene_file: SceneFile, tmp_path: Path) -> None:
     """A port that is opened as number 2 would be written to by whoever complains."""
     record = tmp_path / "trace.npz"
     program = (
@@ -95,7 +96,7 @@ def own_terminal() -> None:
     fcntl.ioctl(0, termios.TIOCSCTTY, 0)
 
 
-def test_a_terminal_that_is_closed_ends_the_run_in_good_order(scene_file: Callable[..., Path], tmp_path: Path) -> None:
+def test_a_terminal_that_is_closed_ends_the_run_in_good_order(scene_file: SceneFile, tmp_path: Path) -> None:
     """Its SIGHUP comes, and every write fails from then on."""
     path, record = scene_file("spring"), tmp_path / "trace.npz"
     mock = assemble_mock(load_scene(path))

@@ -13,13 +13,16 @@ import hapsim as public
 from hapsim.errors import UsageError
 from hapsim.running.watch import WatchedFile
 
+Hapsim = Callable[..., Any]
+SceneFile = Callable[..., Path]
+
 SOFT, STIFF = {"touch": {"stiffness": 500.0}}, {"touch": {"stiffness": 50000.0}}
 
 
 @pytest.mark.parametrize("words", [["run"], ["measure"], ["measure", "--impedance"]])
 @pytest.mark.parametrize("port", [{}, {"port": "/dev/ttyNOPE7"}])
 def test_an_unstable_scene_is_refused_before_a_port_is_opened(
-    hapsim: Callable[..., Any], scene_file: Callable[..., Path], words: list[str], port: dict[str, str]
+    hapsim: Hapsim, scene_file: SceneFile, words: list[str], port: dict[str, str]
 ) -> None:
     path = scene_file("unstable", **port)
     answer = hapsim(*words, path, "--json")
@@ -29,15 +32,13 @@ def test_an_unstable_scene_is_refused_before_a_port_is_opened(
         assert told in answer.sentence
 
 
-def test_an_unstable_scene_runs_where_it_is_asked_for(
-    hapsim: Callable[..., Any], scene_file: Callable[..., Path]
-) -> None:
+def test_an_unstable_scene_runs_where_it_is_asked_for(hapsim: Hapsim, scene_file: SceneFile) -> None:
     answer = hapsim("run", scene_file("unstable"), "--duration", 0.05, "--json", "--unstable")
     assert (answer.status, answer.document["ticks"]) == (0, 50)
     assert "Warning: the scene is predicted unstable" in answer.err
 
 
-def test_python_is_refused_it_too_where_it_says_so(scene_file: Callable[..., Path]) -> None:
+def test_python_is_refused_it_too_where_it_says_so(scene_file: SceneFile) -> None:
     scene = public.load_scene(scene_file("unstable"))
     with pytest.raises(UsageError, match="not armed: the scene is predicted unstable"):
         public.run(scene, duration=0.05, unstable=False)
@@ -46,7 +47,7 @@ def test_python_is_refused_it_too_where_it_says_so(scene_file: Callable[..., Pat
 
 @pytest.mark.parametrize(("unstable", "set_refused", "file_refused"), [(False, 1, 1), (None, 0, 1), (True, 0, 0)])
 def test_a_running_scene_becomes_unstable_only_where_it_may(
-    scene_file: Callable[..., Path], unstable: bool | None, set_refused: bool, file_refused: bool
+    scene_file: SceneFile, unstable: bool | None, set_refused: bool, file_refused: bool
 ) -> None:
     path = scene_file("spring")
     with public.start(public.load_scene(path), unstable=unstable) as session:

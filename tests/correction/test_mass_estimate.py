@@ -14,7 +14,7 @@ import pytest
 from rich.console import Console
 
 from hapsim import run
-from hapsim.cli.live import _Line
+from hapsim.cli.live import live_line
 from hapsim.cli.run_report import show_report
 from hapsim.measuring.measure import measure
 from hapsim.progress import Progress
@@ -185,11 +185,10 @@ def test_the_uncertainty_is_in_the_json_and_in_the_live_line(hapsim: Any, tmp_pa
     )
     assert abs(mass - 0.3) < 3.0 * uncertainty < 1e-3
     assert 0.999 < explained <= 1.0
-    told: list[str] = []
-    _Line(told.append).tell(
-        Progress("running", estimated_mass_kg=(None, 0.3), estimated_mass_uncertainty_kg=(None, 0.012))
-    )
-    assert told[0].endswith(" · mass 0.3 ± 0.01 kg")
+    screen = io.StringIO()
+    with live_line(Console(file=screen, width=200)) as tell:
+        tell(Progress("running", estimated_mass_kg=(None, 0.3), estimated_mass_uncertainty_kg=(None, 0.012)))
+    assert screen.getvalue().endswith(" · mass 0.3 ± 0.01 kg\n")
 
 
 def run_disturbed(bench: Any, hand: Any, stalls: Any) -> Report:

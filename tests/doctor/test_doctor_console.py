@@ -15,9 +15,9 @@ import pytest
 from rich.console import Console
 
 from hapsim.chart.steadiness import columns, draw_steadiness, steadiness
-from hapsim.cli.as_json import document
 from hapsim.cli.doctor import examination_document, examination_line, show_examination
 from hapsim.cli.histogram import histogram_lines, histogram_rows
+from hapsim.cli.output import document
 from hapsim.doctor.advice import Advice
 from hapsim.doctor.examine import Examination, Step
 from hapsim.doctor.exchanges import MOCK, Exchanges, verdict_on

@@ -161,7 +161,7 @@ def test_a_hand_that_gives_is_named_as_a_second_mode(noise: float) -> None:
     )
     out = Console(width=80, legacy_windows=False)
     with out.capture() as capture:
-        show_measurement(out, "hand", predict(scene).felt[0], "", measurement, prediction=predict(scene))
+        show_measurement(out, scene, predict(scene), measurement)
     lines = capture.get().splitlines()
     assert max(map(len, lines)) <= 80
     told = " ".join(" ".join(lines).split())

@@ -23,7 +23,7 @@ from hapsim.loop.ring import LATE_FORCE
 from hapsim.measuring.measure_trace import Measurement, measure_trace
 from hapsim.measuring.pole_pair import NO_SECOND_REAL_POLE
 from hapsim.measuring.trace_quality import seen_rate
-from hapsim.prediction import Felt, felt_at_rate, predict
+from hapsim.prediction import felt_at_rate, predict
 from hapsim.recording.trace import Trace
 from hapsim.running import run
 from hapsim.running import session as session_module
@@ -178,15 +178,15 @@ def test_in_virtual_time_no_rate_is_seen(hapsim: Callable[..., Any], tmp_path: P
     assert (document["rate_hz"], document["rate_seen_hz"], document["at_rate_seen"]) == (1000.0, None, None)
 
 
-def printed(measurement: Measurement, felt: Felt | None, why: str = "") -> str:
+def printed(measurement: Measurement) -> str:
     console = Console(record=True, width=200)
-    show_measurement(console, "hand", felt, why, measurement)
+    show_measurement(console, scene_of(), predict(scene_of()), measurement)
     return console.export_text()
 
 
 def test_the_text_names_the_rate_that_was_seen(a_trace: Trace) -> None:
     measurement = measure_trace(arriving(a_trace, np.arange(2048) / 900.0), 0.2)
-    told = printed(measurement, predict(scene_of()).felt[0])
+    told = printed(measurement)
     assert "The device sampled at 900.000 ± 0.090 Hz" in told
     assert "it declares 1000 Hz" in told
     assert "What the hand feels at 900.000 Hz (or this machine held the device up)" in told
@@ -201,7 +201,7 @@ def test_the_text_names_the_rate_that_was_seen(a_trace: Trace) -> None:
 )
 def test_why_there_is_no_spring_and_damper_is_told_plainly(a_trace: Trace, reason: str, told: str) -> None:
     measurement = replace(measure_trace(a_trace, 0.2), dominant=False, reason=reason)
-    text = printed(measurement, None, "moves a mass")
+    text = printed(measurement)
     assert f"The motion is not that of a spring and damper: {told}." in text
 
 

@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from hapsim.cli.as_json import document
+from hapsim.cli.output import document
 from hapsim.cli.status import show_status
 from hapsim.errors import UsageError
 from hapsim.running import start, status

@@ -1,0 +1,393 @@
+"""What `hapsim check --explain` prints: the hands, modes and gain margins, the wire, and what bounds the force."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+from typing import TYPE_CHECKING
+
+from rich.markup import escape
+
+from hapsim.cli.output import table
+from hapsim.number_format import between, duration, number, rounded_down, rounded_up
+from hapsim.prediction import Desired, Felt, Prediction, WireTime, correction_for, host_silence, robustness_of
+from hapsim.prediction.force_bounds import force_bounds, hidden_sign, run_bounds
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table
+
+    from hapsim.cordis.explain import Explanation
+    from hapsim.prediction.correction import Remedies
+    from hapsim.prediction.predict import LinkMargin
+    from hapsim.scene import Scene
+
+_ROWS = 12  # of a table
+_NAMES = 6  # of a sentence
+_MARGINAL = 1e-9  # of the spectral radius: a free motion, which rounding places on either side of 1
+_EXACT, _SMALL = 1e-6, 1e-3  # relative errors of a correction that are no error, and a small one
+_NO_FACTOR, _UNKNOWN = "–", "?"
+
+
+def show_details(out: Console, scene: Scene, prediction: Prediction, on_wire: Prediction | None) -> None:
+    """Prints all that is predicted. `on_wire`: as `predict_on_wire` returned it."""
+    show_assumptions(out, prediction.assumptions)
+    for felt in prediction.felt:
+        _show_felt(out, prediction, felt)
+    _show_correction(out, prediction)
+    for name, why in prediction.coupled.items():
+        out.print(
+            f"\n[bold]{name}[/bold] {why}: it feels no single spring and damper. The modes below are those of the "
+            "whole."
+        )
+    if prediction.modes:
+        out.print("", _modes(prediction))
+    if prediction.poles_method:
+        out.print(f"A large scene: {prediction.poles_method}.")
+    if prediction.margins:
+        out.print("", _margins(prediction))
+        if prediction.margins_method:
+            out.print(f"{prediction.margins_method[0].upper()}{prediction.margins_method[1:]}.")
+    out.print()
+    show_wire(out, prediction, on_wire, explain=True)
+    for sentence in _bounds(scene, prediction):
+        out.print(sentence)
+
+
+def show_assumptions(out: Console, assumptions: Iterable[str]) -> None:
+    """Prints what the prediction assumes; sentences that differ in their first word alone become one."""
+    alike: dict[str, list[str]] = {}
+    for sentence in assumptions:
+        name, _, rest = sentence.partition(" ")
+        alike.setdefault(rest, []).append(name)
+    for rest, (first, *others) in alike.items():
+        more = f" and {len(others) - _NAMES} more" if len(others) > _NAMES else ""
+        same = f" The same holds for {', '.join(others[:_NAMES])}{more}." if others else ""
+        out.print(f"[yellow]Assumed:[/yellow] {escape(f'{first} {rest}.{same}')}")
+
+
+def is_at_limit(prediction: Prediction) -> bool:
+    """Whether the scene is neither stable nor unstable: something drifts or swings for ever."""
+    return not prediction.stable and abs(prediction.spectral_radius - 1.0) < _MARGINAL
+
+
+def _show_felt(out: Console, prediction: Prediction, felt: Felt) -> None:
+    """Prints what one hand feels, and what that means."""
+    desired = next((one for one in prediction.desired if one.name == felt.name), None)
+    out.print("", _felt_table(felt, desired))
+    if desired is None and (name := correction_for(felt)):
+        k, b = felt.stiffness + felt.configuration.stiffness, felt.damping + felt.configuration.friction
+        out.print(f"With `correction: {name}` under `device` the hand would feel k = {k:.6g}, b = {b:.6g}.")
+    if felt.reason:
+        out.print(f"No spring and damper is equivalent: {felt.reason}.")
+    is_in_table = any(one.stiffness_factor == felt.stiffness_factor for one in tightest(prediction))
+    if not (is_in_table and felt.stable and math.isfinite(felt.stiffness_factor)):
+        out.print(margin_sentence(felt))
+    unknown = "Passivity: no condition is known where a predictor answers; another hand's mass is judged above."
+    out.print(_PASSIVITY[felt.passive] if felt.predictor is None else unknown)
+
+
+def _felt_table(felt: Felt, desired: Desired | None) -> Table:
+    robustness, device = robustness_of(felt), felt.configuration
+    own = f" (+ {device.stiffness:.6g} real)" if device.stiffness else ""
+    least, most = robustness.stable_masses
+    masses = "none" if math.isnan(least) else f"{least:.3g} to {most:.3g}"
+    if math.isinf(most):
+        masses = f"from {least:.3g}" if least else "all"
+    values = [
+        ["stiffness  N/m", "k", f"K = {felt.stiffness:.6g}{own}", f"k = {number(felt.k)}"],
+        ["damping  N·s/m", "b", f"B = {felt.damping:.6g} (+ {device.friction:.6g} real)", f"b = {number(felt.b)}"],
+        ["eigenfrequency  Hz", "frequency_hz", "", number(felt.frequency_hz)],
+        ["damping ratio", "damping_ratio", "", number(felt.damping_ratio)],
+        ["static stiffness  N/m", "k", "", number(robustness.steady_stiffness)],
+        ["noise gain  N/m", "", "", number(robustness.noise_gain)],
+        ["stable masses  kg", "", "", masses],
+    ]
+    rows = [(label, number(getattr(desired, key)) if desired and key else "", *both) for label, key, *both in values]
+    return table(f"What the hand feels at {felt.name}", ("", "desired", "simulated", "felt"), rows)
+
+
+def margin_sentence(felt: Felt) -> str:
+    """Returns how far one hand is from the stability limit."""
+    if felt.stiffness == 0.0:
+        return "There is no stiffness to have a margin."
+    if felt.stiffness_factor == 0.0:
+        return f"At this damping no stiffness is stable{_enough_damping(felt)}."
+    if not math.isfinite(felt.stiffness_factor):
+        return "No stiffness makes it unstable at this damping."
+    if felt.stable:
+        return f"Gain margin: the loop becomes unstable at {felt.stiffness_factor:.3g} times this stiffness."
+    stiffness = f"where the stiffness is {rounded_down(felt.stiffness_factor)} of the simulated one, or less"
+    return f"It becomes stable {stiffness}{_enough_damping(felt)}."
+
+
+def _enough_damping(felt: Felt) -> str:
+    least, most = felt.stable_damping
+    if not most > 0.0:
+        return "; no damping makes this stiffness stable: take less of it, a shorter delay or device.correction"
+    return f"; or where the damping is between {between(max(least, 0.0), most, ' and ')} N·s/m"
+
+
+_PASSIVITY = {
+    True: "Passive: no hand, however it moves, makes it unstable (Colgate and Schenkel).",
+    False: "Not passive: this hand is judged above; a heavier, lighter or stiffer one may make it unstable.",
+    None: "Passivity: no condition is known for this hold, sampling and damper.",
+}
+
+
+def _modes(prediction: Prediction) -> Table:
+    rows = []
+    for mode in prediction.modes[:_ROWS]:
+        shares: dict[str, float] = {}  # a structure's points together
+        for point, share in zip(prediction.points, mode.participation, strict=True):
+            module = point.partition(".")[0]
+            shares[module] = shares.get(module, 0.0) + share
+        moving = sorted(shares.items(), key=lambda entry: -entry[1])
+        names = ", ".join(f"{name} {share:.0%}" for name, share in moving[:3] if share > 0.05)
+        pole, modulus = f"{mode.pole.real:.6f}", abs(mode.pole)
+        oscillation = ["–", "–"]  # a real pole has none worth naming
+        if mode.pole.imag:
+            pole += f" ± {abs(mode.pole.imag):.6f}j"
+            oscillation = [number(mode.frequency_hz), number(mode.damping_ratio)]
+        # Close to the circle, what is missing from 1 or beyond it.
+        size = f"1{modulus - 1.0:+.1e}" if 0.0 < abs(modulus - 1.0) < 1e-5 else f"{modulus:.6f}"
+        rows.append([pole, "1" if modulus == 1.0 else size, *oscillation, names or f"many, most {moving[0][0]}"])
+    return table("Modes", ("pole", "|pole|", "Hz", "damping ratio", "<moves"), rows, _more(len(prediction.modes)))
+
+
+def _more(count: int) -> str:
+    return f"and {count - _ROWS} more; --json has them all" if count > _ROWS else ""
+
+
+def tightest(prediction: Prediction) -> list[LinkMargin]:
+    """Returns the links that are closest to the limit first, as many as a table holds."""
+    known = [margin for margin in prediction.margins if not math.isnan(margin.stiffness_factor)]
+    return sorted(known, key=change_to_limit)[:_ROWS]
+
+
+def change_to_limit(margin: LinkMargin) -> float:
+    """Returns the logarithm of the smallest factor that takes the scene to the limit; infinity where none does."""
+    ranges = (*(margin.stabilizing_stiffness or ()), *(margin.stabilizing_damping or ()))
+    factors = [least if least >= 1.0 else most for least, most in ranges]
+    if not ranges:
+        factors = [factor for factor in (margin.stiffness_factor, margin.damping_factor) if factor > 0.0]
+    return min((abs(math.log(factor)) for factor in factors), default=math.inf)
+
+
+def _margins(prediction: Prediction) -> Table:
+    links = tightest(prediction)
+    if prediction.stable or is_at_limit(prediction):
+        rows = [(one.name, _factor(one.stiffness_factor), _factor(one.damping_factor)) for one in links]
+        title, others = "Gain margins: the scene becomes unstable where a link is multiplied by", "have larger margins"
+    else:
+        rows = [(one.name, _ranges(one.stabilizing_stiffness), _ranges(one.stabilizing_damping)) for one in links]
+        signs = ((_NO_FACTOR, "no factor does it"), (_UNKNOWN, "not worked out"))
+        legend = ", ".join(f"{sign}: {what}" for sign, what in signs if any(sign in row[1:] for row in rows))
+        title = f"For the scene to be stable, multiply one link by{f' ({legend})' if legend else ''}"
+        others = "need a larger change"
+    left_out = len(prediction.margins) - len(links)
+    caption = f"and {left_out} links that were not worked out, or {others}; --json has all that are known"
+    return table(title, ("<link", "stiffness times", "damping times"), rows, caption if left_out else "")
+
+
+def _factor(value: float) -> str:
+    return "any" if math.isinf(value) else number(value, 4)
+
+
+def _ranges(ranges: tuple[tuple[float, float], ...] | None) -> str:
+    """Returns which factors make an unstable scene stable."""
+    words = []
+    for least, most in ranges or ():
+        to = between(least, most) if math.isfinite(most) else f"{rounded_up(least)} or more"
+        words.append(to if least > 0.0 else f"{rounded_down(most)} or less")
+    return _UNKNOWN if ranges is None else " or ".join(words) or _NO_FACTOR
+
+
+def _show_correction(out: Console, prediction: Prediction) -> None:
+    """Prints what a correction reaches, and the modes that it aims at; nothing without one."""
+    rendering = prediction.rendering
+    if rendering is None or rendering.kind is None:
+        return
+    for desired in prediction.desired:
+        out.print(reached_sentence(desired, rendering.kind.name))
+    if prediction.coupled and prediction.desired_modes:
+        modes = prediction.desired_modes
+        rows = [(f"{mode.frequency_hz:.6g}", f"{mode.damping_ratio:.6g}") for mode in modes[:_ROWS]]
+        title = "Desired modes (the scene in continuous time)"
+        out.print("", table(title, ("Hz", "damping ratio"), rows, _more(len(modes))))
+    for note in rendering.notes:
+        out.print(f"[yellow]Of the correction:[/yellow] {escape(note)}.")
+
+
+def reached_sentence(desired: Desired, name: str) -> str:
+    """Returns how close a correction comes to what is desired at one hand, and what would bring it closer."""
+    steady = ""
+    if abs(desired.steady_stiffness - desired.k) > _EXACT * abs(desired.k):
+        steady = f" A steady push meets {desired.steady_stiffness:.6g} N/m, not {desired.k:.6g}."
+    if desired.error < _EXACT:
+        return f"Correction {name}: {desired.name} swings as desired.{steady}"
+    if desired.remedies is None:
+        off = f"{desired.error:.1%} off at most" if desired.error >= _SMALL else "less than 0.1 % off"
+        off = off if math.isfinite(desired.error) else "not a spring and damper's at some of them"
+        return (
+            f"Correction {name}: over the masses of its span, what {desired.name} feels is {off}; the table is of the "
+            f"middle of the span.{steady}"
+        )
+    off = f", {desired.error:.1%} off" if math.isfinite(desired.error) else ""
+    return (
+        f"[yellow]Correction {name} does not reach what is desired at {desired.name}[/yellow]: simulated is what comes "
+        f"nearest{off}. {_what_would(desired.remedies)}"
+    )
+
+
+def _what_would(remedies: Remedies) -> str:
+    ways = (
+        (remedies.rate_hz, "a rate of {:.4g} Hz or more, with a delay of as many samples"),
+        (remedies.delay_samples, "a delay of {:.3g} samples or less"),
+        (remedies.friction, "{:.4g} N·s/m or more of real friction in place of simulated damping"),
+        (remedies.predictor or None, "correction: predictor"),
+    )
+    if helpful := [text.format(value) for value, text in ways if value is not None]:
+        return f"It is reached by {'; or '.join(helpful)}."
+    return "No higher rate (up to 64 times), shorter delay, real friction or predictor alone makes it reachable."
+
+
+def show_wire(out: Console, prediction: Prediction, on_wire: Prediction | None, explain: bool) -> None:
+    """Prints what an exchange takes, and what that makes of the delay and of what the hand feels.
+
+    `on_wire`: predicted for the delay that results; None where the wire costs one sample, or is saturated. `explain`:
+    with its parts.
+    """
+    budget, is_real = prediction.wire_time, prediction.wire_of != "none"
+    whole = f"{duration(budget.exchange_s)} of the {duration(budget.period)} period"
+    if explain:
+        whole = f"{_parts(budget)}; {whole} ({budget.exchange_s / budget.period:.0%})"
+    wire = "Wire: an exchange takes" if is_real else f"Wire: none (the mock). A UART at {budget.baud} baud would take"
+    verdict = "fits" if budget.fits else "[red]does not fit[/red]: use a higher baud rate or a lower rate"
+    out.print(f"{wire} {whole}: {verdict}. {_delay(budget)}")
+    correction = prediction.rendering and prediction.rendering.kind
+    if on_wire is not None and (is_real or explain):
+        out.print(_felt_on_wire(prediction, on_wire))
+    elif explain and correction and correction.predicts and not (budget.fits or budget.is_saturated):
+        out.print(
+            "[yellow]The predictor leads the state to where a force acts that is in time[/yellow]: what is felt with "
+            "one that never is was not worked out. Use a faster wire."
+        )
+    if explain and prediction.wire_of == "port":
+        out.print(
+            "This is counted for a UART. A device with USB of its own (CDC) ignores the baud rate and answers within a "
+            "polling interval, 0.125 or 1 ms; the latency timer of a USB converter comes on top and is not counted."
+        )
+
+
+def _parts(budget: WireTime) -> str:
+    """Returns what an exchange consists of."""
+    parts = {
+        f"{budget.bytes_to_host} + {budget.bytes_to_device} bytes at {budget.baud} baud": budget.seconds,
+        "the device's turnaround": budget.turnaround_s,
+        "the host's work": budget.host_work_s,
+    }
+    return " and ".join(f"{duration(seconds)} for {part}" for part, seconds in parts.items() if seconds > 0.0)
+
+
+def _delay(budget: WireTime) -> str:
+    if budget.is_saturated:
+        longest = max(budget.bytes_to_host, budget.bytes_to_device)
+        return (
+            f"A frame of {longest} bytes alone takes longer than a period: frames queue up, and the delay has no end."
+        )
+    rate = budget.highest_rate_hz
+    if budget.fits and math.isinf(rate):
+        return "One sample of delay."
+    highest = f"{math.floor(rate) if rate >= 10.0 else rounded_down(rate, 3)} Hz"
+    if budget.fits:
+        return f"One sample of delay, up to {highest}."
+    speed = "" if budget.least_baud is None or budget.baud is None else f" or above {math.ceil(budget.least_baud)} baud"
+    return (
+        f"Every force misses its deadline: {budget.delay_samples} samples of delay. One sample below {highest}{speed}."
+    )
+
+
+def _felt_on_wire(prediction: Prediction, on_wire: Prediction) -> str:
+    """Returns what the hands feel at the delay that results, beside what they feel at the declared one."""
+    sentences = []
+    for declared, late in zip(prediction.felt, on_wire.felt, strict=True):
+        felt = f"no spring and damper is equivalent: {late.reason}"
+        if late.dominant:
+            instead = f" (instead of {declared.k:.6g}, {declared.b:.6g})" if declared.dominant else ""
+            felt = f"k = {late.k:.6g} N/m, b = {late.b:.6g} N·s/m{instead}"
+        delay = f"{late.configuration.delay:g} samples in place of {declared.configuration.delay:g}"
+        sentences.append(f"With a delay of {delay}, at {late.name}: {felt}.")
+    verdict = "stable" if on_wire.stable else "[red]unstable[/red]"
+    return " ".join([*sentences, f"The scene is then {verdict} (spectral radius {on_wire.spectral_radius:.9g})."])
+
+
+def _bounds(scene: Scene, prediction: Prediction) -> Iterator[str]:
+    """Yields what bounds the force: when the host dies, in `hapsim run`, and outside the travel."""
+    silence = host_silence(prediction.rate)
+    yield (
+        f"If the host dies: the last force acts for at most {duration(silence.zero_force_after_s)} "
+        f"({silence.time_to_live_samples} samples' time to live, and one more); after "
+        f"{duration(silence.latched_after_s)} (watchdog of {silence.watchdog_samples} samples, if the device allows "
+        "it) the device latches: zero force until it is armed again. This holds for clock: device and clock: host."
+    )
+    bounds = run_bounds(scene)
+    slew = f"by at most {bounds.slew_limit:g} N/s" if math.isfinite(bounds.slew_limit) else "as fast as the scene asks"
+    yield (
+        f"Force: at most {scene.device.force_limit:g} N; it changes {slew}. The force that the scene asks for in the "
+        f"very first sample comes {_soft_start(bounds.soft_start_s)}. A run ends where the scene gives the hand more "
+        f"than {bounds.energy_limit:g} J, or goes on swinging or shaking at the force limit (hapsim/STABILITY.md says "
+        "what counts as that)."
+    )
+    yield from travel_sentences(scene)
+    if scene.device.port is None and scene.device.clock != "lockstep":
+        bounds = force_bounds(scene, in_hand=True)
+        yield (
+            f"That is before the mock. Behind a port (`--port`) the force changes by at most {bounds.slew_limit:g} "
+            f"N/s, and that of the very first sample comes {_soft_start(bounds.soft_start_s)}."
+        )
+    if hidden := hidden_sign(scene, prediction):
+        yield hidden
+
+
+def _soft_start(seconds: float) -> str:
+    return f"along a ramp of {duration(seconds)}; later ones come without a ramp" if seconds > 0.0 else "at once"
+
+
+def travel_sentences(scene: Scene) -> Iterator[str]:
+    """Yields the limits within which the force is the scene's, and where position 0 is, if the scene says so."""
+    device, channels = scene.device, scene.channels
+    limits, margins = device.travels(channels), device.travel_margins(channels)
+    for c, origin in enumerate(device.origins(channels)):
+        where = f" of channel {c}" if channels > 1 else ""
+        if device.travel is not None:
+            (least, most), stiffness = limits[c], device.force_limit / margins[c]
+            yield (
+                f"Travel{where}: {least:g} to {most:g} m. Outside, the force fades to zero within {margins[c]:g} m (a "
+                f"stiffness of up to {stiffness:.4g} N/m); a device that goes farther ends the run."
+            )
+        if device.origin is not None:
+            zero = "the device is when it is armed" if origin is None else f"the device says {origin:g} m"
+            yield f"Origin{where}: position 0 is where {zero}."
+
+
+def show_explanation(out: Console, explanation: Explanation) -> None:
+    """Prints what the scene was compiled to, and what its parts take."""
+    rows = [
+        (
+            part.name,
+            str(part.modules or ""),
+            part.compiled_as,
+            str(part.bytes),
+            "" if math.isnan(part.seconds) else f"{part.seconds * 1e9:.3g}",
+        )
+        for part in explanation.parts
+    ]
+    headings = ("<part", "how many", "<as", "bytes", "ns alone")
+    out.print("", table("What the scene was compiled to", headings, rows))
+    out.print(
+        f"A tick takes {explanation.seconds * 1e9:.3g} ns, {explanation.seconds / explanation.period:.2g} of the "
+        f"sample period, here and now; {explanation.points} points, {explanation.bytes} bytes, "
+        f"{explanation.precision} precision."
+    )
+    out.print(f"Of these the scene has none, and nothing was compiled: {', '.join(explanation.absent)}.")
