@@ -9,9 +9,7 @@ import errno
 import gc
 import importlib
 import os
-import platform
 import sys
-from importlib import metadata
 from typing import Annotated, Any, ClassVar
 
 import typer
@@ -124,6 +122,9 @@ def _print_version(wanted: bool) -> None:
     """Prints the versions of everything that decides what hapsim does, without importing numba or numpy."""
     if not wanted:
         return
+    import platform
+    from importlib import metadata
+
     import hapsim
     from firmware_protocol import schema
 

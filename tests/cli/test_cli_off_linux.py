@@ -23,8 +23,6 @@ IMPORT_EVERYTHING = """
 import importlib, pkgutil, sys
 sys.path.insert(0, sys.argv[1])
 import another_system
-
-Hapsim = Callable[..., Any]
 another_system.become_another_system()
 for name in ("hapsim", "firmware_protocol"):
     package = importlib.import_module(name)

@@ -24,6 +24,7 @@ Hapsim = Callable[..., Any]
 SceneFile = Callable[..., Path]
 
 RAN = {"rate_hz", "ticks", "deadline_misses", "lost_frames", "crc_errors"}
+FIRST_TOUCH = shipped_scene("first_touch.yaml").replace("clock: device ", "clock: lockstep ")
 FELT = {"k", "b", "frequency_hz", "damping_ratio"}
 
 
@@ -50,9 +51,7 @@ def test_a_run_is_reported_as_a_table(hapsim: Hapsim, scene_file: SceneFile) -> 
 @pytest.fixture(scope="module")
 def report() -> Any:
     """Of a run without a fault."""
-    return run(
-        parse_scene(shipped_scene("first_touch.yaml").replace("clock: device ", "clock: lockstep ")), duration=0.05
-    ).report
+    return run(parse_scene(FIRST_TOUCH), duration=0.05).report
 
 
 def shown(report: Any, **changes: Any) -> str:
@@ -214,8 +213,9 @@ def test_a_guard_that_stops_the_force_is_status_4_with_a_document_and_a_record(
     assert load_trace(record).report.ending == "force not finite"
 
 
-def test_a_scene_that_diverges_on_the_mock_is_ended_as_before_a_hand(hapsim: Hapsim, scene_file: SceneFile) -> None:
-    path = scene_file("spring", touch={"stiffness": 40000.0})
+def test_a_scene_that_diverges_on_the_mock_is_ended_as_before_a_hand(hapsim: Hapsim, tmp_path: Path) -> None:
+    path = tmp_path / "stiff.yaml"
+    path.write_text(FIRST_TOUCH.replace("stiffness: 2000,", "stiffness: 40000,"), encoding="utf-8")
     answer = hapsim("run", path, "--unstable", "--duration", 20, "--json")
     assert answer.status == answer.document["exit_status"] == 4
     assert answer.document["ending"] == "scene diverging"
