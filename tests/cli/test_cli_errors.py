@@ -65,12 +65,12 @@ def test_a_bad_command_is_status_2(hapsim: Hapsim, words: list[str]) -> None:
         (["measure", "--channel", "1"], "channel 1: the scene has nothing there"),
         (["measure", "--channel", "-1"], "channel -1"),
         (["run", "--transport", "carrier pigeon"], "expected loopback or terminal"),
-        (["run", "--record", "trace.txt"], "written as .npz, .csv or .trace"),
+        (["run", "--record", "trace.txt"], "expected .npz, .csv, .trace"),
         (["run", "--record", "nowhere/trace.npz"], "there is no directory"),
         (["measure", "--picture", "p.bmp"], "expected .svg, .png, .pdf"),
         (["measure", "--picture", "nowhere/p.svg"], "there is no directory"),
         (["measure", "--data", "d.txt"], "expected .csv"),
-        (["measure", "--record", "trace"], "written as .npz, .csv or .trace"),
+        (["measure", "--record", "trace"], "expected .npz, .csv, .trace"),
     ],
 )
 def test_what_cannot_be_had_is_status_2_before_anything_runs(
