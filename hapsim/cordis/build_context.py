@@ -14,18 +14,21 @@ from hapsim.scene.modules import Module
 
 
 class BuildContext(NamedTuple):
-    """What all parts of a program are built in."""
+    """What all parts of a program are built in.
+
+    Attributes:
+        number: of each point, by the name that links call it.
+        rate: Hz.
+        real: the type of positions, forces and everything computed with them.
+        loaded: numbers of the points that a link holds.
+        state: all points at the first sample. Its rows of positions take turns from then on.
+    """
 
     number: Mapping[str, int]
-    """Of each point, by the name that links call it."""
     rate: float
-    """Hz"""
     real: DTypeLike
-    """Of positions, forces and everything that is worked out with them."""
     loaded: frozenset[int]
-    """Numbers of the points that a link holds."""
     state: TickState
-    """All points at the first sample. Its rows of positions take turns from then on; `force` and `velocity` stay."""
 
     def column(self, values: Any) -> Column:
         """Values in the scene's precision."""
@@ -41,26 +44,29 @@ Layout = Callable[[Any], tuple[Sequence[int], int]]
 
 
 class PartType(NamedTuple):
-    """One type of module, or one variant of a type: all that a program has to know of it."""
+    """One type of module, or one variant of a type: all that a program has to know of it.
+
+    Attributes:
+        select: its modules in a scene.
+        build: their part of the program; the columns are those of `live_values`, kept, not copied.
+        layout: of a structure.
+        name: of its modules, in the plural, for people.
+        compiled_as: what they become, in words.
+        is_live: it has the modules' live values; no other type has them too.
+        moves_points: its `integrate` moves points; a scheme that moves all points itself does not use it.
+        memoryless: its links remember nothing, so that they can be asked for their forces between samples too.
+        in_a_matrix: its links are a spring and a backward damper and nothing else: `stiffness` and `damping`, or 0.
+    """
 
     select: Callable[[Scene], Mapping[str, Any]]
-    """Its modules in a scene."""
     build: Callable[[Mapping[str, Any], Sequence[Column], BuildContext], Part]
-    """Their part of the program; the columns are those of `live_values`, kept, not copied."""
     layout: Layout | None = None
-    """Of a structure."""
     name: str = ""
-    """What people call its modules, in the plural."""
     compiled_as: str = ""
-    """What they become, in words."""
     is_live: bool = True
-    """It has the modules' live values; no other type has them too."""
     moves_points: bool = False
-    """Its `integrate` moves points: a scheme that moves all points itself has no use for it."""
     memoryless: bool = False
-    """Its links remember nothing, so that they can be asked for their forces between samples too."""
     in_a_matrix: bool = False
-    """Its links are a spring and a backward damper and nothing else: their `stiffness` and `damping`, or 0."""
 
 
 def all_of(module: type[Module], where: Callable[[Any], bool] = lambda _: True) -> Callable[[Scene], Mapping[str, Any]]:
@@ -100,29 +106,30 @@ def masses_of(scene: Scene) -> Iterator[tuple[str, float]]:
 
 
 class Taken(NamedTuple):
-    """A type of module that a scene has."""
+    """A type that a scene has, its modules that are in no matrix, and the columns of their live values."""
 
     kind: PartType
     modules: Mapping[str, Any]
-    """Those that are in no matrix."""
     columns: Sequence[Column]
-    """Their values that may change while the scene runs."""
 
     def build(self, context: BuildContext) -> Part:
-        """Their part of the program, as CORDIS's own scheme has it."""
+        """Returns their part of the program, as CORDIS's own scheme has it."""
         return self.kind.build(self.modules, self.columns, context)
 
 
 def nothing_inside(_scene: Scene) -> frozenset[str]:
-    """The modules in the matrices of a scheme that has none."""
+    """Returns the modules in the matrices of a scheme that has none."""
     return frozenset()
 
 
 class Scheme(NamedTuple):
-    """A way of moving masses."""
+    """A way of moving masses.
+
+    Attributes:
+        parts: the program's parts, in the order in which they act.
+        inside: the modules, by name, that are worked into matrices when the scene is compiled. They have no part of
+            their own, and nothing of them can change while the scene runs.
+    """
 
     parts: Callable[[Scene, BuildContext, Sequence[Taken]], tuple[Part, ...]]
-    """The program's parts, in the order in which they act."""
     inside: Callable[[Scene], frozenset[str]] = nothing_inside
-    """The modules, by name, that are worked into matrices when the scene is compiled: no type of module builds a part
-    of them, and nothing of them can change while the scene runs."""

@@ -25,18 +25,18 @@ class TickState(NamedTuple):
     """N points at sample n. Positions in m, force in N, shape (N,); the arrays are the program's, not copies.
 
     A program has three of them: its three rows of positions take turns, so that no sample is ever copied.
+
+    Attributes:
+        position, previous, following: x[n], x[n-1], and x[n+1], to be written.
+        force: added up during a tick. Whatever uses a force sets it to zero; nothing uses a ground's.
+        velocity: (H,) m/s, sensed by the H device points, which come first; 0 where the device senses none.
     """
 
     position: Column
-    """x[n]"""
     previous: Column
-    """x[n-1]"""
     following: Column
-    """x[n+1], to be written."""
     force: Column
-    """Added up during a tick. Whatever uses a force sets it to zero; nothing uses a ground's."""
     velocity: NDArray[np.float64]
-    """(H,) m/s, of the H device points, which come first: what the device senses, 0 where it does not."""
 
 
 def action(function: Callable[[Any, Any], None]) -> NativeFunction:
@@ -51,34 +51,34 @@ def fma_action(function: Callable[[Any, Any], None]) -> NativeFunction:
 
 
 class Memory(NamedTuple):
-    """What modules remember from sample to sample, beside the positions of their points."""
+    """What modules, by name, remember beside the positions of their points: columns with one value per module each."""
 
     modules: tuple[str, ...]
-    """Their names."""
     columns: tuple[Column, ...]
-    """Of the part's numbers: one value per module each."""
 
 
 class Part(NamedTuple):
-    """The modules of one type, as a tick sees them: their numbers, and what it does with them."""
+    """The modules of one type, as a tick sees them: their numbers, a named tuple, and what it does with them.
+
+    Attributes:
+        initialize: before the first tick.
+        retarget: when live parameters have moved, and once more with the next sample.
+        add_forces: when all points are where they are at this sample.
+        integrate: when all forces are added up: where its points are at the next sample.
+        place: before another program takes over: puts all its points where they are, where a tick does not.
+        resume: after `initialize`, in a program that took over from another: reads where its points are.
+        kept: stays in memory as long as the part does, because its numbers hold addresses of it.
+    """
 
     numbers: Any
-    """A named tuple."""
     initialize: NativeFunction | None = None
-    """Before the first tick."""
     retarget: NativeFunction | None = None
-    """When live parameters have moved, and once more with the next sample."""
     add_forces: NativeFunction | None = None
-    """When all points are where they are at this sample."""
     integrate: NativeFunction | None = None
-    """When all forces are added up: where its points are at the next sample."""
     place: NativeFunction | None = None
-    """Before another program takes over: puts all its points where they are, where a tick does not."""
     resume: NativeFunction | None = None
-    """After `initialize`, in a program that took over from another: what it makes of where its points are."""
     memory: Memory | None = None
     kept: Any = None
-    """What has to stay in memory as long as the part does, because its numbers hold addresses of it."""
 
 
 CALLS = np.dtype([("pairs", np.uint64), ("count", np.int64)], align=True)

@@ -30,13 +30,12 @@ class ExplainedPart(NamedTuple):
 
 
 class Explanation(NamedTuple):
-    """A whole program. `seconds`: of a tick; its parts take less together than one by one, or more, as they overlap."""
+    """A whole program. `seconds`: of a tick; its parts take less together than one by one, or more, as they overlap.
+    `absent`: types of module of which nothing was compiled. `points`: hands, grounds and masses."""
 
     parts: tuple[ExplainedPart, ...]
     absent: tuple[str, ...]
-    """Types of module that the scene does not have, and of which nothing was compiled."""
     points: int
-    """Hands, grounds and masses, without what structures have beside theirs."""
     precision: str
     bytes: int
     seconds: float
@@ -48,8 +47,7 @@ class Explanation(NamedTuple):
 
 
 def explain(scene: Scene, on_part: Callable[[str], None] = lambda _: None) -> Explanation:
-    """Compiles `scene`, runs it on a hand that rests, and reports what it is made of; `on_part` hears what is at
-    hand."""
+    """Compiles `scene`, runs it on a hand that rests, and reports its parts; `on_part` hears each part's name."""
     program = compile_scene(scene)
     rest, force = np.zeros((2, 1, scene.channels))
     start(program, rest[0])
@@ -67,22 +65,18 @@ def explain(scene: Scene, on_part: Callable[[str], None] = lambda _: None) -> Ex
 def _named(scene: Scene, program: Program) -> Iterator[tuple[str, int, str, Part]]:
     """The program's parts, with their names, how many modules each has, and in words what they are."""
     if scene.scheme != "cordis":  # whose parts are not one for each type of module
-        for part in program.parts:
-            name = type(part.numbers).__name__
-            yield name, 0, f"a part of the scheme {scene.scheme}, or what pulls from outside it", part
+        words = f"a part of the scheme {scene.scheme}, or what pulls from outside it"
+        yield from ((type(part.numbers).__name__, 0, words, part) for part in program.parts)
         return
-    parts = iter(program.parts)
-    for kind in PART_TYPES:
-        modules = kind.select(scene)
-        if modules:
-            yield kind.name, len(modules), kind.compiled_as, next(parts)
+    present = [(kind, len(modules)) for kind in PART_TYPES if (modules := kind.select(scene))]
+    for (kind, count), part in zip(present, program.parts, strict=True):
+        yield kind.name, count, kind.compiled_as, part
 
 
 def _alone(program: Program, part: Part) -> float:
     """What a part takes of a tick, called by itself; NaN where a tick does not call it."""
     in_a_tick = [name for name in ("add_forces", "integrate") if getattr(part, name) is not None]
-    seconds = [_seconds(partial(act_alone, program, name, part)) for name in in_a_tick]
-    return sum(seconds) if seconds else float("nan")
+    return sum(_seconds(partial(act_alone, program, name, part)) for name in in_a_tick) or float("nan")
 
 
 def _seconds(run: Callable[[int], None]) -> float:

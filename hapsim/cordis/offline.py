@@ -1,4 +1,4 @@
-"""A program without a device: its ticks one by one, or in a compiled loop, for whoever asks what they cost or do.
+"""A program without a device: its ticks one by one, or in a compiled loop, to time and test them.
 
 Between two ticks of a loop with a device, other code runs: what stands in memory is written by then, and read anew. The
 loops here keep to that (`_other_code`), lest the compiler work on several ticks at once.
@@ -16,13 +16,10 @@ from numpy.typing import NDArray
 
 from firmware_protocol.compiled import new_record
 from hapsim.compiling import entry
+from hapsim.cordis import tick as compiled
 from hapsim.cordis.dispatch import CALLS, Part, call_all
 from hapsim.cordis.program import Program
 from hapsim.cordis.stored_energy import number_at
-from hapsim.cordis.tick import follow_parameters as _follow
-from hapsim.cordis.tick import start as _start_inlined
-from hapsim.cordis.tick import take_over as _take_over_inlined
-from hapsim.cordis.tick import tick as _tick_inlined
 
 Reals = NDArray[np.float64]
 
@@ -46,9 +43,9 @@ def start(program: Program, measured: Reals) -> None:
     _start(program.record, measured)
 
 
-def tick(program: Program, measured: Reals, velocity: Reals, force: Reals) -> None:
-    """One sample; all arrays with one value per channel: m, m/s, and what it writes, N."""
-    _tick(program.record, measured, velocity, force)
+def take_over(older: Program, program: Program, measured: Reals) -> None:
+    """Instead of `start`, for a program that `take_over_from` prepared to follow `older`."""
+    _take_over(older.record, program.record, measured)
 
 
 def follow_parameters(program: Program) -> None:
@@ -56,8 +53,13 @@ def follow_parameters(program: Program) -> None:
     _follow_parameters(program.record)
 
 
+def tick(program: Program, measured: Reals, velocity: Reals, force: Reals) -> None:
+    """One sample; all arrays with one value per channel: m, m/s, and what it writes, N."""
+    _tick(program.record, measured, velocity, force)
+
+
 def ticks(program: Program, measured: Reals, velocity: Reals, force: Reals, samples: int) -> None:
-    """So many samples, each with the next of the hands' positions and velocities, shape (rows, channels), over and
+    """Runs `samples` ticks, each with the next of the hands' positions and velocities, shape (rows, channels), over and
     over; forces in N, beside them."""
     _ticks(program.record, measured, velocity, force, samples)
 
@@ -73,7 +75,7 @@ def ticks_watched(program: Program, rows: list[NDArray[Any]], weights: Reals, wa
 
 
 def act_alone(program: Program, action: str, part: Part, samples: int) -> None:
-    """Calls one action of one of the program's parts so many times, at the program's own state."""
+    """Calls one action of one of the program's parts `samples` times, at the program's own state."""
     having = [one for one in program.parts if getattr(one, action) is not None]
     (number,) = (i for i, one in enumerate(having) if one is part)
     alone = new_record(CALLS)
@@ -81,43 +83,22 @@ def act_alone(program: Program, action: str, part: Part, samples: int) -> None:
     _call_many(program.record, alone, samples)
 
 
-def take_over(older: Program, program: Program, measured: Reals) -> None:
-    """Instead of `start`, for a program that `take_over_from` prepared to follow `older`."""
-    _take_over(older.record, program.record, measured)
-
-
-@entry
-def _take_over(older, program, measured):
-    _take_over_inlined(older, program, measured)
-
-
-@entry
-def _start(program, measured):
-    _start_inlined(program, measured)
-
-
-@entry
-def _tick(program, measured, velocity, force):
-    _tick_inlined(program, measured, velocity, force)
-
-
-@entry
-def _follow_parameters(program):
-    _follow(program)
+_start, _take_over = entry(compiled.start), entry(compiled.take_over)
+_follow_parameters, _tick = entry(compiled.follow_parameters), entry(compiled.tick)
 
 
 @entry
 def _ticks(program, measured, velocity, force, samples):
     for begin in range(0, samples, measured.shape[0]):
         for n in range(np.uint64(min(measured.shape[0], samples - begin))):
-            _tick_inlined(program, measured[n], velocity[n], force[n])
+            compiled.tick(program, measured[n], velocity[n], force[n])
             _other_code()
 
 
 @entry
 def _ticks_watched(program, measured, force, rows, weights, watched):
     for n in range(watched.size):
-        _tick_inlined(program, measured, measured, force)
+        compiled.tick(program, measured, measured, force)
         row, total = rows[np.uint64(program.turn)], 0.0
         for i in range(weights.size):
             total += weights[i] * number_at(row, i, program.single)

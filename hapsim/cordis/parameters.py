@@ -102,7 +102,7 @@ def move(parameters, position, previous):
     """Before a sample: takes what was posted, and moves the values by one sample; 1 where any moved. `position`,
     `previous`: addresses of the points at this sample and the one before.
 
-    It is called by its address, which is there once something was posted: who never changes a value never compiles it.
+    It is called by its address, which is set when something is posted: it is compiled only if a value ever changes.
     """
     parameters = _parameters_at(parameters)
     count = parameters.count

@@ -1,11 +1,9 @@
 """Scene -> Program: the numbers that the compiled tick works on, the actions that it calls, and nothing that the scene
 does not have.
 
-Points are numbered: device points first (the tick writes them), then grounds, then material points (which stand
-together, so that they advance in one pass, those of one type beside each other), then the points of strings and
-membranes, each in one piece with the borders that its stencil needs, in whole lanes. What can be changed while the
-scene runs (stiffness, damping, rest positions) stands together in one array, of which the parts hold their columns:
-`parameter_values` says what stands where.
+Points are numbered: device points first, then grounds, then material points, those of one type together, then the
+points of strings and membranes, each in one piece with the borders that its stencil needs, in whole lanes. Live values
+(stiffness, damping, rest positions) stand together in one array, of which the parts hold their columns.
 """
 
 from __future__ import annotations
@@ -17,7 +15,7 @@ import numpy as np
 
 from firmware_protocol.compiled import new_record
 from hapsim.compiling.native import Behind, NativeFunction, address_of
-from hapsim.cordis.build_context import BuildContext, Layout, PartType, Taken, live_values
+from hapsim.cordis.build_context import BuildContext, PartType, Taken, live_values
 from hapsim.cordis.dispatch import Column, Part, TickState, calls_of
 from hapsim.cordis.parameters import LiveValues
 from hapsim.cordis.registry import PART_TYPES
@@ -82,7 +80,7 @@ class Program:
 def compile_scene(scene: Scene, values: Column | None = None) -> Program:
     """The program of `scene`, at its initial state.
 
-    `values`: what `parameter_values` gives, kept and read at every tick, so that who holds it may change it.
+    `values`: those of `parameter_values`, kept and read at every tick, so that the caller may change them.
 
     Raises:
         UsageError: the scene's scheme, or its precision, cannot work out these numbers.
@@ -106,10 +104,8 @@ def compile_scene(scene: Scene, values: Column | None = None) -> Program:
 
 
 def _require_finite(scene: Scene, numbers: Iterable[Any]) -> None:
-    """UsageError where some of what a scene of single precision is worked out with is beyond such numbers.
-
-    Those of double precision end where nobody goes: there the guard sees what comes of an infinity.
-    """
+    """UsageError where a number of a scene of single precision exceeds its range. In double precision the guard ends a
+    run in which one becomes infinite."""
     for one in numbers if scene.precision == "single" else ():
         if isinstance(one, tuple):
             _require_finite(scene, one)
@@ -136,14 +132,12 @@ def parameter_values(scene: Scene) -> Column:
 
 def places_of_values(scene: Scene) -> dict[tuple[str, str], int]:
     """Where each value that can be changed stands in `parameter_values`: by the name of its module, and its field."""
-    keys = [(name, field) for _, modules in _by_type(scene) for field in _fields(modules) for name in modules]
+    keys = [(name, field) for _, modules in _by_type(scene) for field in _live(modules) for name in modules]
     return {key: i for i, key in enumerate(keys)}
 
 
-def _fields(modules: Mapping[str, Any]) -> tuple[str, ...]:
-    """What can be changed of modules of one type."""
-    live: tuple[str, ...] = next(iter(modules.values())).live
-    return live
+def _live(modules: Mapping[str, Any]) -> tuple[str, ...]:
+    return next(iter(modules.values())).live
 
 
 def fixed_modules(scene: Scene) -> frozenset[str]:
@@ -184,19 +178,9 @@ def _taken(scene: Scene, values: Column) -> Iterator[Taken]:
     """All types with their columns of the parameters."""
     begin = 0
     for kind, modules in _by_type(scene, live=False):
-        columns = []
-        for _ in _fields(modules) if kind.is_live else ():
-            columns.append(values[begin : begin + len(modules)])
-            begin += len(modules)
-        yield Taken(kind, modules, columns)
-
-
-def _structures(scene: Scene) -> Iterator[tuple[Layout, str, Any]]:
-    """The structures, in the order in which they stand in memory."""
-    for kind in PART_TYPES:
-        if kind.layout is not None:
-            for name, structure in kind.select(scene).items():
-                yield kind.layout, name, structure
+        rows, count = len(_live(modules)) if kind.is_live else 0, len(modules)
+        yield Taken(kind, modules, list(values[begin : begin + rows * count].reshape(rows, count)))
+        begin += rows * count
 
 
 def _numbers(scene: Scene) -> tuple[dict[str, int], int, dict[str, slice]]:
@@ -206,7 +190,8 @@ def _numbers(scene: Scene) -> tuple[dict[str, int], int, dict[str, slice]]:
     number = {name: i for i, name in enumerate(names)}
     points = len(names) if not scene.structures else padded(len(names))
     structures: dict[str, slice] = {}
-    for layout, name, structure in _structures(scene):
+    having = [(kind.layout, kind.select(scene)) for kind in PART_TYPES if kind.layout is not None]
+    for layout, name, structure in ((layout, *item) for layout, modules in having for item in modules.items()):
         places, size = layout(structure)
         number |= {f"{name}.{place}": points + i for place, i in zip(structure.point_names(), places, strict=True)}
         structures[name] = slice(points, points + size)

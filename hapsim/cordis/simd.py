@@ -48,7 +48,7 @@ class _LanesModel(models.PrimitiveModel):
 
 
 def padded(count: int) -> int:
-    """So many numbers and what is missing to whole lanes."""
+    """Returns `count`, rounded up to whole lanes."""
     return -(-count // WIDEST) * WIDEST
 
 

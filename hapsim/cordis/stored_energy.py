@@ -195,14 +195,12 @@ def spend(tank, work):
 
 
 class Tank:
-    """Fills a TANK."""
+    """Fills a TANK: `capacity_j` in J, `refill_j` in J a sample."""
 
     def __init__(self, record: Any, *, capacity_j: float, refill_j: float) -> None:
-        """`refill_j`: J a sample."""
-        record.address = address_of(record)
+        record.address = self.address = address_of(record)
         record.level = record.capacity = capacity_j
         record.refill = refill_j
-        self.address = int(record.address)
 
 
 class StoredEnergy:
@@ -252,19 +250,20 @@ class StoredEnergy:
             ends = [self._program.numbers[end] for end in link.between]
             at = [self._live(end, "position") if end in scene.grounds else 0 for end in link.between]
             most = self._force_limit if any(end in scene.device_points for end in link.between) else np.inf
+            offset = side = force = 0
             if isinstance(link, Nonlinear):
                 if link.force_over_distance is not None:
                     curve = self._keep(_potential(link.force_over_distance), np.float64)
                     yield CURVE, ends, at, curve, 1.0, 0, most, 0, 0
-            elif isinstance(link, Friction):
-                anchor, sliding = self._remembered(name)
-                stiffness, force = self._live(name, "stiffness"), self._live(name, "force")
-                yield BRISTLE, ends, at, stiffness, 1.0, anchor, most, sliding, force
             elif hasattr(link, "stiffness"):
-                kind = CONTACT if isinstance(link, Buffer) else GRIP if isinstance(link, Plectrum) else SPRING
-                offset = self._live(name, "distance") if kind == CONTACT else 0
-                side = self._remembered(name)[0] if kind == GRIP else 0
-                yield kind, ends, at, self._live(name, "stiffness"), 1.0, offset, most, side, 0
+                kind = {Buffer: CONTACT, Plectrum: GRIP, Friction: BRISTLE}.get(type(link), SPRING)
+                if kind == CONTACT:
+                    offset = self._live(name, "distance")
+                elif kind == GRIP:
+                    (side,) = self._remembered(name)
+                elif kind == BRISTLE:
+                    (offset, side), force = self._remembered(name), self._live(name, "force")
+                yield kind, ends, at, self._live(name, "stiffness"), 1.0, offset, most, side, force
 
     def _points(self, connected: frozenset[str]) -> Iterator[tuple[Any, ...]]:
         for name, point in self._scene.material_points.items():
@@ -281,13 +280,12 @@ class StoredEnergy:
             for field, unit, _ in live_shares(structure, self._scene.rate):
                 stiffness = one if field is None else self._live(name, field)
                 for first, second, share, _ in unit.elements().links:
-                    ends = [numbers[first], numbers[second] if second >= 0 else 0]
+                    ends, at = [numbers[first], numbers[second] if second >= 0 else 0], [0, 0 if second >= 0 else rest]
                     if share:
-                        yield SPRING, ends, [0, 0 if second >= 0 else rest], stiffness, share, 0, np.inf, 0, 0
+                        yield SPRING, ends, at, stiffness, share, 0, np.inf, 0, 0
 
 
 def _module(scene: Scene, point: str) -> str:
-    """The module that a point is of."""
     return point if point in scene.modules else point.partition(".")[0]
 
 

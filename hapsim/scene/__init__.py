@@ -17,15 +17,7 @@ if TYPE_CHECKING:
     from .quantity import Known, Span
     from .scene import VERSION, Scene
 
-_EXPORTS = {
-    "choices": ("WITH_CUTOFF", "DamperScheme", "Hold", "Sampling", "SchemeName"),
-    "device": ("Clock", "Device"),
-    "load": ("load_scene", "parse_scene", "scene_schema"),
-    "mock": ("Hand", "Initial", "Mock", "MockDevice"),
-    "quantity": ("Known", "Span"),
-    "scene": ("VERSION", "Scene"),
-}
-_HOMES = {name: home for home, names in _EXPORTS.items() for name in names}
+_HOMES = ("choices", "quantity", "device", "mock", "modules", "scene", "load")  # the light ones first
 
 __all__ = [
     "VERSION",
@@ -51,11 +43,11 @@ __all__ = [
 
 
 def __getattr__(name: str) -> object:
-    home = _HOMES.get(name, "modules" if name[:1].isupper() else "")
-    found = getattr(import_module(f".{home}", __name__), name, None) if home else None
-    if found is None:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return found
+    if not name.startswith("_") and name not in _HOMES:
+        for home in _HOMES:
+            if name in vars(module := import_module(f".{home}", __name__)):
+                return vars(module)[name]
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:

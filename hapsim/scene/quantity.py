@@ -1,7 +1,7 @@
 """What a value of the scene file may be, declared once: the check, the words of an error and the JSON schema.
 
 Instances of `Expectation` stand in a field's ``Annotated[...]``. pydantic checks and describes the value; the words of
-an error are ours, so that a person who never heard of pydantic can act on them.
+an error are ours, so that people can act on them without knowing pydantic.
 """
 
 import math

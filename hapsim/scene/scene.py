@@ -122,7 +122,7 @@ class Scene(Part):
 
     @property
     def masses(self) -> dict[str, Mass]:
-        """The material points that nothing of their own pulls, by name, in the order of the file."""
+        """The material points without a spring of their own, by name, in the order of the file."""
         return self._of(Mass)
 
     @property

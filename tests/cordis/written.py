@@ -45,7 +45,7 @@ class Written:
 
     def places(self, names: list[str]) -> np.ndarray:
         index = {name: i for i, name in enumerate(self.points)}
-        return np.array([index[name] for name in names])
+        return np.array([index[name] for name in names], np.intp)
 
     def follow(self, x: np.ndarray, before: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(x[n+1] of what the scene moves, all else as it is; the force on every point in N)."""

@@ -189,3 +189,5 @@ FRICTION = link_type(
     initialize=initialize_friction,
 )
 PLECTRUM = link_type(Plectrum, Plectra, add_plectrum_forces, "plectra", "a grip each", remembers=1)
+
+TYPES = (BUFFER, NONLINEAR_SPRING, NONLINEAR_DAMPER, FRICTION, PLECTRUM)

@@ -122,3 +122,5 @@ CELL = PartType(
     compiled_as="pulled to rest in one pass, without a name being looked up; they move with the masses",
     memoryless=True,
 )
+
+TYPES = (GROUND, MASS, CELL)

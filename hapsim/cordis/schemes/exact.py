@@ -38,18 +38,18 @@ MOST_POINTS = 1000  # whose matrix is 32 MB, and some milliseconds a tick
 
 
 class ExactDense(NamedTuple):
-    """n points, of which something from outside pulls P."""
+    """n points (n,), of which something from outside pulls P, `loaded` (P,); by number.
+
+    Attributes:
+        matrix: (2 n, 2 n + P + 1) what positions, steps, forces and 1 do to positions and steps.
+        state, next: (2 n + P + 1,) these; (2 n,) positions and steps of the next sample.
+    """
 
     point: NDArray[np.uint32]
-    """(n,) by number"""
     loaded: NDArray[np.uint32]
-    """(P,) by number"""
     matrix: Column
-    """(2 n, 2 n + P + 1): what positions, steps, forces and 1 do to positions and steps."""
     state: Column
-    """(2 n + P + 1,)"""
     next: Column
-    """(2 n,)"""
     ties: Ties
 
 
@@ -116,15 +116,8 @@ def _dense_part(inner: LinearSubsystem, context: BuildContext) -> Part:
     matrix[:, n : 2 * n] /= scale
     require_finite(matrix)
     state = np.concatenate([inner.position, inner.velocity / context.rate, np.zeros(h), [1.0]])
-    real = context.real
-    numbers = ExactDense(
-        point=inner.point,
-        loaded=inner.point[inner.loaded],
-        matrix=matrix.astype(real),
-        state=state.astype(real),
-        next=np.zeros(2 * n, real),
-        ties=inner.ties,
-    )
+    matrix, state, after = (context.column(values) for values in (matrix, state, np.zeros(2 * n)))
+    numbers = ExactDense(inner.point, inner.point[inner.loaded], matrix, state, after, inner.ties)
     return Part(numbers, integrate=integrate, resume=resume)
 
 

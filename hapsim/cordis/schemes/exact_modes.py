@@ -5,8 +5,7 @@ oscillator q'' + b q' + k q = g of unit mass. With p = T q' its step is
 
     q[n+1] = e11 q + e12 p + d1 g,      p[n+1] = e21 q + e22 p + d2 g,     g = S^T f
 
-Only the points that something from outside pulls are put where they are, in each sample; the others are there, but
-nobody reads them.
+A sample puts only those points where they are that something from outside pulls; the others are hidden.
 """
 
 from __future__ import annotations
@@ -36,32 +35,30 @@ class Modes(NamedTuple):
 
 
 class ExactModes(NamedTuple):
-    """n modes, and P points that something from outside pulls."""
+    """n modes of n points, P of which something from outside pulls.
+
+    Attributes:
+        point, hidden: (P,) those by number; (n - P,) the others.
+        shape, hidden_shape: (P, n), (n - P, n) how far mode j moves each.
+        mass: (n,) kg, of the former and then of the latter.
+        constant, push: (n,) T² g of what stays; of everything.
+        gain: (6, n) e11, e12, e21, e22, d1, d2.
+        position, step, after: (n,) q, p, and q of the next sample.
+        period_squared: (1,) T² in s².
+    """
 
     point: NDArray[np.uint32]
-    """(P,) by number"""
     shape: Column
-    """(P, n) how far mode j moves point h."""
     hidden: NDArray[np.uint32]
-    """(n - P,) the other points, by number"""
     hidden_shape: Column
-    """(n - P, n)"""
     mass: Column
-    """(n,) kg, of the former and then of the latter"""
     constant: Column
-    """(n,) of what stays, as `push`."""
     gain: Column
-    """(6, n) e11, e12, e21, e22, d1, d2"""
     position: Column
-    """(n,) q"""
     step: Column
-    """(n,) p"""
     push: Column
-    """(n,) T² g"""
     after: Column
-    """(n,) q of the next sample"""
     period_squared: Column
-    """(1,) T² in s²"""
     ties: Ties
 
 
@@ -86,7 +83,7 @@ def integrate(modes, state):
 
 @action
 def place(modes, state):
-    """Puts the points that nobody looks at where they are."""
+    """Puts the hidden points where they are."""
     modes, state = value_of(modes), value_of(state)
     for h in range(np.uint64(modes.hidden.size)):
         x = _sum(modes.hidden_shape[h], modes.position)
@@ -144,19 +141,16 @@ def modes_of(inner: LinearSubsystem, context: BuildContext) -> Modes | None:
     stiffness = root[:, None] * inner.stiffness_matrix().toarray() * root
     damping = root[:, None] * inner.damping_matrix().toarray() * root * context.rate
     require_finite(stiffness, damping)
-    sizes = [float(np.abs(matrix).max(initial=0.0)) or 1.0 for matrix in (stiffness, damping)]
+    scaled = [matrix / (float(np.abs(matrix).max(initial=0.0)) or 1.0) for matrix in (stiffness, damping)]
     for share in (0.0, 0.5, 0.3819660112501051):  # where K alone leaves open which, B says so together with it
-        vectors = np.linalg.eigh(stiffness / sizes[0] + share * damping / sizes[1])[1]
-        if all(
-            _is_diagonal(vectors.T @ matrix @ vectors, size)
-            for matrix, size in zip((stiffness, damping), sizes, strict=True)
-        ):
+        vectors = np.linalg.eigh(scaled[0] + share * scaled[1])[1]
+        if all(_is_diagonal(vectors.T @ matrix @ vectors) for matrix in scaled):
             return _refined(inner, vectors * root[:, None] * context.rate, context)
     return None
 
 
-def _is_diagonal(matrix: Reals, size: float) -> bool:
-    return bool(np.abs(matrix - np.diag(np.diag(matrix))).max(initial=0.0) <= DIAGONAL * size)
+def _is_diagonal(matrix: Reals) -> bool:
+    return bool(np.abs(matrix - np.diag(np.diag(matrix))).max(initial=0.0) <= DIAGONAL)
 
 
 def _refined(inner: LinearSubsystem, shape: Reals, context: BuildContext) -> Modes:
@@ -170,23 +164,23 @@ def _refined(inner: LinearSubsystem, shape: Reals, context: BuildContext) -> Mod
 
 def modes_part(inner: LinearSubsystem, modes: Modes, context: BuildContext) -> Part:
     """The part of the program that moves these modes."""
-    momentum = modes.shape.T * inner.mass
-    gain = _gains(modes.stiffness, modes.damping)
-    real = context.real
+    momentum, column = modes.shape.T * inner.mass, context.column
     hidden = np.setdiff1d(np.arange(inner.point.size, dtype=np.uint32), inner.loaded)
+    push, after = np.zeros((2, modes.stiffness.size), context.real)
+    square = context.rate * context.rate
     numbers = ExactModes(
         point=inner.point[inner.loaded],
-        shape=np.ascontiguousarray(modes.shape[inner.loaded]).astype(real),
+        shape=column(np.ascontiguousarray(modes.shape[inner.loaded])),
         hidden=inner.point[hidden],
-        hidden_shape=np.ascontiguousarray(modes.shape[hidden]).astype(real),
-        mass=np.concatenate([inner.mass[inner.loaded], inner.mass[hidden]]).astype(real),
-        constant=(modes.shape.T @ inner.force / (context.rate * context.rate)).astype(real),
-        gain=gain.astype(real),
-        position=(momentum @ inner.position).astype(real),
-        step=(momentum @ inner.velocity / context.rate).astype(real),
-        push=np.zeros(gain.shape[1], real),
-        after=np.zeros(gain.shape[1], real),
-        period_squared=np.array([1.0 / (context.rate * context.rate)], real),
+        hidden_shape=column(np.ascontiguousarray(modes.shape[hidden])),
+        mass=column(np.concatenate([inner.mass[inner.loaded], inner.mass[hidden]])),
+        constant=column(modes.shape.T @ inner.force / square),
+        gain=column(_gains(modes.stiffness, modes.damping)),
+        position=column(momentum @ inner.position),
+        step=column(momentum @ inner.velocity / context.rate),
+        push=push,
+        after=after,
+        period_squared=column([1.0 / square]),
         ties=inner.ties,
     )
     return Part(numbers, integrate=integrate, place=place, resume=resume)

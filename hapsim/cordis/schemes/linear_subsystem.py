@@ -41,22 +41,23 @@ class Ties(NamedTuple):
 
 
 class LinearSubsystem(NamedTuple):
-    """n points."""
+    """n points.
+
+    Attributes:
+        point, mass: (n,) by number, rising; kg.
+        force: (n,) N, of what stays where structures are at rest.
+        loaded: (P,) places of the points that something from outside pulls.
+        position, velocity: (n,) m and m/s at the first sample.
+    """
 
     point: NDArray[np.uint32]
-    """(n,) by number, rising"""
     mass: NDArray[np.float64]
-    """(n,) kg"""
     links: InnerLinks
     force: NDArray[np.float64]
-    """(n,) N, of what stays where structures are at rest."""
     ties: Ties
     loaded: NDArray[np.uint32]
-    """(P,) places of the points that something from outside pulls."""
     position: NDArray[np.float64]
-    """(n,) m at the first sample"""
     velocity: NDArray[np.float64]
-    """(n,) m/s at the first sample"""
 
     def stiffness_matrix(self) -> Any:
         """K, N/m, a sparse (n, n)."""

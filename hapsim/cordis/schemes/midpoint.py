@@ -64,29 +64,29 @@ class Factor(NamedTuple):
 
 
 class Midpoint(NamedTuple):
-    """n rows, each a point's."""
+    """n rows, each a point's.
+
+    Attributes:
+        point, in_row: (n,) by number; 1 where they stand in a row in memory, which is quicker.
+        force: (n,) T² f of what stays, kg·m.
+        period_squared: (1,) T² in s².
+        stiffness, damping: T² K and T B, kg.
+        middle, step: (n,) x + w/2 and w, m.
+        change: (b + n + b,): what is to be solved, and the solution, with room on both sides.
+    """
 
     point: NDArray[np.uint32]
-    """(n,) by number"""
     in_row: np.uint64
-    """1: they stand in a row in memory, which is quicker."""
     force: Column
-    """(n,) T² f of what stays, kg·m."""
     period_squared: Column
-    """(1,) T² in s²"""
     stiffness: Diagonals
-    """T² K, kg"""
     damping: Diagonals
-    """T B, kg"""
     factor: Factor
     loaded: LoadedRows
     ties: Ties
     middle: Column
-    """(n,) x + w/2, m"""
     step: Column
-    """(n,) w, m"""
     change: Column
-    """(b + n + b,): what is to be solved, and the solution, with room on both sides."""
 
 
 @action

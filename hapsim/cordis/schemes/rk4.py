@@ -34,18 +34,18 @@ class KeptForce(NamedTuple):
 
 
 class RungeKutta(NamedTuple):
-    """The points from number `start` on: their T²/m in m/N, and c1, c2, c3 in m; shape (n,)."""
+    """The points from number `start` on: their T²/m in m/N, and c1, c2, c3 in m; shape (n,).
+
+    `at`, and behind `at_address`: all points at an instant between two samples. `links`: CALLS made at every instant.
+    """
 
     start: np.uint64
     mobility: Column
     change: tuple[Column, Column, Column]
     kept: KeptForce
     at: TickState
-    """All points at an instant between two samples,"""
     at_address: np.uint64
-    """behind this address too, for"""
     links: Any
-    """the calls that are made at every instant: CALLS."""
 
 
 @action
