@@ -15,6 +15,8 @@ from firmware_protocol import schema
 from firmware_protocol.decoder import Frame, frames_in, new_decoder
 from firmware_protocol.frames import SETUP, Format, armed_format, frame_bytes
 
+POSITIONS = (schema.POSITION, schema.POSITION_HELD)
+
 KEPT = 256
 """Bytes that are kept of a stretch without a delimiter: its last; more than any frame has."""
 
@@ -88,8 +90,8 @@ class Capture:
             for from_host in senders:
                 entry = (wire, from_host, new_decoder(wire, to_device=from_host))
                 self._by_length.setdefault(frame_bytes(wire, from_host) - 1, []).append(entry)
-        # The formats that were heard before, and how many frames in each. Everybody begins in the set-up format.
-        self._known: dict[tuple[Format, bool], int] = {(SETUP, from_host): 0 for from_host in senders}
+        # How many frames were heard in each format. A session begins in the set-up format.
+        self._known: Counter[tuple[Format, bool]] = Counter({(SETUP, from_host): 0 for from_host in senders})
         self._tail = b""  # of the stretch that is not yet ended
         self._length = 0
         self._offset = 0  # of its first byte
@@ -97,49 +99,48 @@ class Capture:
     def feed(self, data: bytes) -> Iterator[Decoded | Refused]:
         """Yields what ends in the next piece of the capture."""
         self.counters["bytes"] += len(data)
-        at = 0
-        while (delimiter := data.find(b"\0", at)) >= 0:
-            self._remember(data[at:delimiter])
+        *ended, rest = data.split(b"\0")
+        for stretch in ended:
+            self._remember(stretch)
             if self._length:
-                yield from self._judge()
+                yield from self._read_stretch()
             self._offset += self._length + 1
             self._tail, self._length = b"", 0
-            at = delimiter + 1
-        self._remember(data[at:])
+        self._remember(rest)
 
     def finish(self) -> Iterator[Refused]:
         """Yields the bytes that the capture ends within."""
         if self._length:
-            yield self._refuse(self._offset, self._length, "unfinished", self._tail)
+            yield self._refuse(self._length, "unfinished", self._tail)
         self._tail, self._length = b"", 0
 
     def _remember(self, data: bytes) -> None:
         self._length += len(data)
         self._tail = (self._tail + data[-KEPT:])[-KEPT:]
 
-    def _judge(self) -> Iterator[Decoded | Refused]:
+    def _read_stretch(self) -> Iterator[Decoded | Refused]:
         """Yields what is between two delimiters: a frame, or one behind garbage, in a format that was heard before."""
-        found, reason = self._read(self._tail, self._length)
-        if found is None and self._length > _SHORTEST:
-            for length in sorted({frame_bytes(*known) - 1 for known in self._known}, reverse=True):
-                if length < self._length and found is None:
-                    found, _ = self._read(self._tail[-length:], length, known_only=True)
+        found, reason = self._read(self._length)
+        known = {frame_bytes(*one) - 1 for one in self._known if found is None}
+        for length in sorted((length for length in known if length < self._length), reverse=True):
+            found = found or self._read(length, known_only=True)[0]
         if found is None:
-            yield self._refuse(self._offset, self._length, reason, self._tail)
+            yield self._refuse(self._length, reason, self._tail)
             return
         before = self._length - len(found.data)
         if before:
-            yield self._refuse(self._offset, before, "garbage", self._tail[: -len(found.data)])
-        self._learn(found)
+            yield self._refuse(before, "garbage", self._tail[: -len(found.data)])
+        self._known[found.wire, found.from_host] += 1
+        self.counters["from the host" if found.from_host else "from the device"] += 1
+        self.registers.note(found.frame)
         yield found
 
-    def _read(self, data: bytes, length: int, known_only: bool = False) -> tuple[Decoded | None, str]:
-        """Returns the frame that these bytes are as a whole, or why they are none."""
-        candidates = self._by_length.get(length, []) if len(data) == length else []
-        if not candidates:
-            return None, "short" if length < _SHORTEST else "garbage"
-        reason = "check"
-        for wire, from_host, decoder in sorted(candidates, key=lambda one: -self._known.get(one[:2], 0)):
+    def _read(self, length: int, known_only: bool = False) -> tuple[Decoded | None, str]:
+        """Returns the frame that the last bytes are, or why they are none."""
+        data = self._tail[-length:]
+        candidates = self._by_length.get(length, [])
+        reason = "check" if candidates else "short" if length < _SHORTEST else "garbage"
+        for wire, from_host, decoder in sorted(candidates, key=lambda one: -self._known[one[:2]]):
             if known_only and (wire, from_host) not in self._known:
                 continue
             misshapen = int(decoder.form_errors)
@@ -150,13 +151,7 @@ class Capture:
             reason = "form" if decoder.form_errors > misshapen else reason
         return None, reason
 
-    def _refuse(self, offset: int, length: int, reason: str, data: bytes) -> Refused:
+    def _refuse(self, length: int, reason: str, data: bytes) -> Refused:
         self.counters[f"refused: {reason}"] += 1
         self.counters["refused bytes"] += length
-        return Refused(offset, length, reason, data)
-
-    def _learn(self, found: Decoded) -> None:
-        key = (found.wire, found.from_host)
-        self._known[key] = self._known.get(key, 0) + 1
-        self.counters["from the host" if found.from_host else "from the device"] += 1
-        self.registers.note(found.frame)
+        return Refused(self._offset, length, reason, data)

@@ -50,9 +50,9 @@ faults:
         "s.yaml:9:5: faults[6]: found both for and for_samples, expected one of them",
         "s.yaml:10:5: faults[7]: found nan, expected zero, negative or huge of channels: it is a whole number, "
         "and none of them is nan",
-        "s.yaml:11:5: faults[8]: found neither at (s) nor after_samples, expected one of them",
+        "s.yaml:11:5: faults[8]: found neither at nor after_samples, expected one of them",
         "s.yaml:12:5: faults[9]: found both from and after_samples, expected one of them",
-        "s.yaml:13:5: faults[10]: found both at (s) and after_samples, expected one of them",
+        "s.yaml:13:5: faults[10]: found both at and after_samples, expected one of them",
         "s.yaml:14:5: faults[11]: found both every and every_samples, expected one of them",
         "s.yaml:15:5: faults[12]: found both metres and counts, expected one of them",
     ]

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from hapsim.bringup.probe.wire import Clock, Wire
+from hapsim.bringup.probe.wire import Wire
 from hapsim.device.connection import Connection
 from hapsim.loop.endings import HUNG_UP, TIMED_OUT
 
@@ -37,7 +37,7 @@ def _device_module() -> Any:
 Device = _device_module().Device
 
 
-class VirtualLine(Clock):
+class VirtualLine:
     """A host's clock, transport and device in one: time passes where the host waits, and a little where it works.
 
     `late`: the share of answers that are late, by up to so many s, by a seed.
@@ -49,14 +49,14 @@ class VirtualLine(Clock):
         self._gone = False
         self._random = random.Random(1)
         self.late = (0.1, 0.004)  # now and then, as a host in Python is
-        self.device = Device(self._put, self.now, options)
+        self.device = Device(self._put, self.monotonic, options)
 
     def _put(self, data: bytes) -> int:
         count = min(len(data), _ROOM - len(self._to_host))
         self._to_host += data[:count]
         return count
 
-    def now(self) -> float:
+    def monotonic(self) -> float:
         return self._time
 
     def sleep(self, seconds: float) -> None:

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import math
-import random
 import struct
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field, PrivateAttr, model_validator
 
 from firmware_protocol import schema
 from firmware_protocol.frames import SETUP, Format, frame_to_device
-from hapsim.bringup.capture import Registers
-from hapsim.bringup.faults.fault import POSITIONS, Effect, Event, Lasting, Moment, Piece, Window, exactly_one
+from hapsim.bringup.capture import POSITIONS, Registers
+from hapsim.bringup.faults.fault import Event, Lasting, Moment, Piece, Window, require_one
 from hapsim.scene.quantity import count, quantity, unexpected
 
 _WHOLE = {
@@ -41,15 +40,11 @@ class _Description(Lasting):
         """Returns the answers, signed, by register."""
         raise NotImplementedError
 
-    def hits(self, piece: Piece, chance: random.Random) -> bool:
-        del chance
-        frame = None if piece.to_device else piece.frame
-        return frame is not None and frame.type == schema.DESCRIPTION and frame.number in self.words()
+    def hits(self, piece: Piece) -> bool:
+        return piece.is_from_device(schema.DESCRIPTION, numbers=self.words())
 
-    def change(self, piece: Piece, effect: Effect) -> list[Piece]:
-        del effect
-        assert piece.frame is not None
-        return [piece.rewritten(counts=[self.words()[piece.frame.number]])]
+    def change(self, piece: Piece) -> list[Piece]:
+        return [piece.rewritten(counts_of=lambda frame: [self.words()[frame.number]])]
 
 
 class Version(_Description):
@@ -62,30 +57,31 @@ class Version(_Description):
         return {schema.REG_VERSION: self.answers}
 
 
+_Register = Literal[
+    "rate",
+    "position_scale",
+    "force_scale",
+    "force_limit",
+    "velocity_scale",
+    "channels",
+    "pacings",
+    "max_watchdog",
+    "schema",
+]
+
+
 class Nonsense(_Description):
     """The device declares a rate, a scale, a limit or a number that cannot be."""
 
     kind: Literal["nonsense"] = "nonsense"
-    register_: Literal[
-        "rate",
-        "position_scale",
-        "force_scale",
-        "force_limit",
-        "velocity_scale",
-        "channels",
-        "pacings",
-        "max_watchdog",
-        "schema",
-    ] = Field(alias="register", description="What it says it of, by its name in PROTOCOL.md, section 5")
-    what: Literal["nan", "zero", "negative", "huge"] = Field(description="And what it says")
+    register_: _Register = Field(alias="register", description="The register, by its name in PROTOCOL.md, section 5")
+    what: Literal["nan", "zero", "negative", "huge"] = Field(description="What it says")
 
     @model_validator(mode="after")
     def _fits(self) -> Nonsense:
         if self.register_ in _WHOLE and self.what not in _INTEGERS:
-            unexpected(
-                f"zero, negative or huge of {self.register_}: it is a whole number, and none of them is nan",
-                found=self.what,
-            )
+            expected = f"zero, negative or huge of {self.register_}: it is a whole number, and none of them is nan"
+            unexpected(expected, found=self.what)
         return self
 
     def words(self) -> dict[int, int]:
@@ -108,39 +104,30 @@ class Leap(Event):
     counts: Annotated[int | None, count("How far, in place of metres", -(2**31), 2**31 - 1, "counts")] = None
     channel: Annotated[int, count("Of which channel", 0, schema.MAX_CHANNELS - 1)] = 0
 
+    _described: Registers = PrivateAttr(default_factory=Registers)  # the scale, if only metres are given
+
     @model_validator(mode="after")
     def _one_length(self) -> Leap:
-        exactly_one({"metres": self.metres, "counts": self.counts})
+        require_one(True, metres=self.metres, counts=self.counts)
         return self
 
-    def effect(self, seed: str) -> Effect:
-        return _Leaping(self, seed)
-
-
-class _Leaping(Effect):
-    """Where only metres are given, the scale is the one that the device described."""
-
-    def __init__(self, fault: Leap, seed: str) -> None:
-        super().__init__(fault, seed)
-        self._leap, self._described = fault, Registers()
-
     def take(self, piece: Piece, now: Moment) -> list[Piece]:
-        frame, channel = piece.frame, self._leap.channel
-        if piece.to_device or frame is None:
+        frame, leaping = piece.frame, self.channel
+        if frame is None or piece.to_device:
             return [piece]
         self._described.note(frame)
         by = self._counts()
-        if frame.type not in POSITIONS or channel >= len(frame.counts) or by is None or not self.window.is_open(now):
+        if frame.type not in POSITIONS or leaping >= len(frame.counts) or by is None or not self._window.is_open(now):
             return [piece]
-        self.count += 1
-        return [piece.rewritten(counts=[count + by * (c == channel) for c, count in enumerate(frame.counts)])]
+        self._count += 1
+        return [piece.rewritten(counts_of=lambda frame: [n + by * (c == leaping) for c, n in enumerate(frame.counts)])]
 
     def _counts(self) -> int | None:
         """Returns how far, in counts; None if the device did not say how long one is."""
-        if self._leap.metres is None:
-            return self._leap.counts
-        scale = self._described.scale(schema.REG_POSITION_SCALE, self._leap.channel)
-        return round(self._leap.metres / scale) if scale else None
+        if self.metres is None:
+            return self.counts
+        scale = self._described.scale(schema.REG_POSITION_SCALE, self.channel)
+        return round(self.metres / scale) if scale else None
 
 
 class Invert(Event):
@@ -152,63 +139,50 @@ class Invert(Event):
         default="from_device", description="from_device: positions and velocities; to_device: forces"
     )
 
-    def hits(self, piece: Piece, chance: random.Random) -> bool:
-        del chance
+    def hits(self, piece: Piece) -> bool:
         inverted = (schema.FORCE,) if self.direction == "to_device" else POSITIONS
         return piece.goes(self.direction) and piece.frame is not None and piece.frame.type in inverted
 
-    def change(self, piece: Piece, effect: Effect) -> list[Piece]:
-        del effect
-        assert piece.frame is not None
-        return [piece.rewritten(counts=[-count for count in piece.frame.counts])]
+    def change(self, piece: Piece) -> list[Piece]:
+        return [piece.rewritten(counts_of=lambda frame: [-count for count in frame.counts])]
 
 
 class Rate(Lasting):
     """The device samples at a factor of the rate that it declares."""
 
-    counted: ClassVar[str] = "positions left out or repeated"
+    counted: ClassVar[str] = "positions dropped or repeated"
     kind: Literal["rate"] = "rate"
     factor: Annotated[float, quantity("The rate over the declared one", "1", least=0.01, most=10)]
 
-    def effect(self, seed: str) -> Effect:
-        return _OtherRate(self, seed)
-
-
-class _OtherRate(Effect):
-    """Passes on a share of the device's samples, or repeats some, and numbers what the host sees one by one. A force
-    then names the sample that the device knows."""
-
-    def __init__(self, fault: Rate, seed: str) -> None:
-        super().__init__(fault, seed)
-        self._factor = fault.factor
-        self._due = 0.0  # samples that the host is to see, and has not seen
-        self._seen: int | None = None  # the number of the last one that it saw
-        self._true = [0] * schema.SAMPLE_MODULUS  # the device's number of each that it saw
+    # What the host sees is numbered one by one; a force then names the sample that the device knows.
+    _due: float = 0.0  # samples that the host is to see, and has not seen
+    _seen: int | None = None  # the number of the last one that it saw
+    _true: list[int] = [0] * schema.SAMPLE_MODULUS  # the device's number of each that it saw
 
     def take(self, piece: Piece, now: Moment) -> list[Piece]:
         frame = piece.frame
         if frame is None:
             return [piece]
-        if frame.type == schema.STATUS and not piece.to_device:
+        if piece.is_from_device(schema.STATUS):
             self._seen, self._due = None, 0.0  # armed anew, or over: it counts from 0
         if piece.to_device and frame.type == schema.FORCE and self._seen is not None:
             return [piece.rewritten(number=self._true[frame.number])]
-        if piece.to_device or frame.type not in POSITIONS:
+        if not piece.is_from_device(*POSITIONS):
             return [piece]
-        wrong = self.window.is_open(now)
+        is_open = self._window.is_open(now)
         if self._seen is None:
-            if not wrong:
+            if not is_open:
                 self._true[frame.number] = frame.number
                 return [piece]
             self._seen = frame.number - 1
-        self._due += self._factor if wrong else 1.0
+        self._due += self.factor if is_open else 1.0
         passed = []
         while self._due >= 1.0:
             self._due -= 1.0
             self._seen = (self._seen + 1) % schema.SAMPLE_MODULUS
             self._true[self._seen] = frame.number
             passed.append(piece.rewritten(number=self._seen))
-        self.count += len(passed) != 1
+        self._count += len(passed) != 1
         return passed
 
 
@@ -219,26 +193,22 @@ class Reboot(Event):
     kind: Literal["reboot"] = "reboot"
     seconds: Annotated[float, quantity("How long it takes to come back", "s", above=0)] = 0.5
 
-    def effect(self, seed: str) -> Effect:
-        return _Rebooting(self, seed)
+    _wire: Format = SETUP  # that the device was last heard to speak
 
     def window(self) -> Window:
-        return Window(self.at, self.after_samples, self.seconds)
-
-
-class _Rebooting(Effect):
-    """Disarms the device behind it, as a reset does, and does not pass on its answer."""
-
-    _wire: Format = SETUP  # that the device was last heard to speak
+        return Window(self.at_s, self.after_samples, self.seconds)
 
     def take(self, piece: Piece, now: Moment) -> list[Piece]:
         if piece.found is not None and not piece.to_device:
             self._wire = piece.found.wire
-        return [] if self.window.is_open(now) else [piece]
+        return [] if self._window.is_open(now) else [piece]
 
     def pass_time(self, now: Moment) -> list[Piece]:
-        if self.window.opened is not None or not self.window.is_open(now):
+        """Disarms the device behind it, as a reset does. Its answer does not pass."""
+        if not self._happens_once(now):
             return []
-        self.count = 1
         disarm = frame_to_device(self._wire, schema.DISARM, 0, 0, np.zeros(self._wire.channels, np.int64))
         return [Piece(disarm, to_device=True)]
+
+
+DeviceFault = Reboot | Version | Nonsense | Rate | Leap | Invert

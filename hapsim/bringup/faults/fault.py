@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 import random
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Container, Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated, ClassVar, Literal, NamedTuple
+from typing import Annotated, ClassVar, Literal, NamedTuple, Self
 
 from pydantic import Field, model_validator
 
@@ -17,16 +17,15 @@ from hapsim.bringup.capture import Decoded
 from hapsim.scene.part import Part
 from hapsim.scene.quantity import count, quantity, unexpected
 
-POSITIONS = (schema.POSITION, schema.POSITION_HELD)
-
 Direction = Literal["from_device", "to_device", "both"]
 
-AT = quantity("When it happens, after the first byte", "s", least=0)
-FROM = quantity("From when on it happens, after the first byte", "s", least=0)
-FOR = quantity("For how long", "s", above=0)
-AFTER_SAMPLES = count("When so many samples of the device have passed, in place of a time", 0, 2**31, "samples")
-FOR_SAMPLES = count("For so many samples of the device, in place of a time", 1, 2**31, "samples")
-PROBABILITY = quantity("Of each frame", "1", least=0, most=1)
+# The keys that say when a fault happens, and for how long.
+At = Annotated[float | None, Field(alias="at"), quantity("When it happens, after the first byte", "s", least=0)]
+From = Annotated[float | None, Field(alias="from"), quantity("When it begins, after the first byte", "s", least=0)]
+For = Annotated[float | None, Field(alias="for"), quantity("For how long", "s", above=0)]
+AfterSamples = Annotated[int | None, count("After this many samples, in place of a time", 0, 2**31, "samples")]
+ForSamples = Annotated[int | None, count("For this many samples, in place of a time", 1, 2**31, "samples")]
+Probability = Annotated[float, quantity("Of each frame", "1", least=0, most=1)]
 
 
 def tidy(seconds: float) -> float:
@@ -35,54 +34,52 @@ def tidy(seconds: float) -> float:
 
 
 class Moment(NamedTuple):
-    """A time, by both of a script's clocks."""
+    """A time by both of a script's clocks; infinity if one of them does not matter."""
 
     seconds: float
     """Since the first byte, to the nanosecond (`tidy`)."""
-    samples: int
+    samples: float
     """Of the device, since its first position; -1 before that."""
+
+    def has_reached(self, due: Moment) -> bool:
+        """Returns whether either clock is at `due` or later."""
+        return self.seconds >= due.seconds or self.samples >= due.samples
+
+    def after(self, seconds: float | None, samples: int | None) -> Moment:
+        """Returns the moment after a length, by the clock for which there is one."""
+        return Moment(
+            math.inf if seconds is None else tidy(self.seconds + seconds),
+            math.inf if samples is None else self.samples + samples,
+        )
 
 
 class Window:
-    """From when, and for how long, a fault is there. It opens once."""
+    """When a fault begins, and for how long it lasts. It opens once."""
 
     def __init__(
-        self,
-        begins_s: float | None = None,
-        begins_sample: int | None = None,
-        lasts_s: float | None = None,
-        lasts_samples: int | None = None,
+        self, at_s: float | None, at_sample: int | None, lasts_s: float | None = None, lasts_samples: int | None = None
     ) -> None:
         """Without a beginning it opens with the first byte; without a length it never closes."""
-        self.begins_s = tidy(begins_s or 0.0) if begins_sample is None else None
-        """s since the first byte; None if it begins at a sample."""
-        self.begins_sample = begins_sample
+        self.begins = Moment(0.0, 0).after(0.0 if at_s is None and at_sample is None else at_s, at_sample)
         self.opened: Moment | None = None
         """When it opened."""
         self._lasts_s, self._lasts_samples = lasts_s, lasts_samples
 
     def is_open(self, now: Moment) -> bool:
-        """Opens it if it is time; returns whether the fault is there now."""
-        if self.opened is None:
-            begun_s = self.begins_s is not None and now.seconds >= self.begins_s
-            begun = begun_s or (self.begins_sample is not None and now.samples >= self.begins_sample)
-            self.opened = now if begun else None
+        """Opens it if it is time; returns whether the fault acts now."""
+        if self.opened is None and now.has_reached(self.begins):
+            self.opened = now
         return self.opened is not None and not self.is_over(now)
 
     def is_over(self, now: Moment) -> bool:
-        """Returns whether the fault was there, and is no more."""
-        if self.opened is None:
-            return False
-        over_s = self._lasts_s is not None and now.seconds >= tidy(self.opened.seconds + self._lasts_s)
-        return over_s or (self._lasts_samples is not None and now.samples >= self.opened.samples + self._lasts_samples)
+        """Returns whether the fault has ended."""
+        return self.opened is not None and now.has_reached(self.opened.after(self._lasts_s, self._lasts_samples))
 
     def next_s(self, now: Moment) -> float:
         """Returns when time alone opens or closes it, s since the first byte; infinity if it does not."""
         if self.opened is None:
-            return math.inf if self.begins_s is None else self.begins_s
-        if self._lasts_s is None or self.is_over(now):
-            return math.inf
-        return tidy(self.opened.seconds + self._lasts_s)
+            return self.begins.seconds
+        return math.inf if self.is_over(now) else self.opened.after(self._lasts_s, None).seconds
 
 
 @dataclass(frozen=True)
@@ -104,22 +101,24 @@ class Piece:
         """Returns whether it goes this way."""
         return direction == "both" or self.to_device == (direction == "to_device")
 
+    def is_from_device(self, *types: int, numbers: Container[int] = range(schema.SAMPLE_MODULUS)) -> bool:
+        """Returns whether it is a frame of the device of one of these types, with one of these numbers."""
+        frame = None if self.to_device else self.frame
+        return frame is not None and frame.type in types and frame.number in numbers
+
     def damaged(self, data: bytes) -> Piece:
         """Returns it with other bytes, which are taken for no frame."""
         return replace(self, data=data, found=None)
 
-    def rewritten(self, number: int | None = None, counts: Sequence[int] | None = None) -> Piece:
-        """Returns it with other contents in its frame and a valid check; counts saturate at 32 bits.
-
-        Raises:
-            ValueError: it has no frame.
-        """
+    def rewritten(
+        self, number: int | None = None, counts_of: Callable[[Frame], Sequence[int]] = lambda frame: frame.counts
+    ) -> Piece:
+        """Returns it with other contents in its frame and a valid check; counts saturate at 32 bits."""
         found = self.found
-        if found is None:
-            raise ValueError("nothing to rewrite: these bytes are no frame")
+        assert found is not None, "these bytes are no frame"
         frame = found.frame
         number = frame.number if number is None else number % schema.SAMPLE_MODULUS
-        words = [min(max(count, -(2**31)), 2**31 - 1) for count in (frame.counts if counts is None else counts)]
+        words = [min(max(count, -(2**31)), 2**31 - 1) for count in counts_of(frame)]
         if self.to_device:
             data = frame_to_device(found.wire, frame.type, number, frame.argument, words)
         else:
@@ -129,68 +128,103 @@ class Piece:
         return replace(self, data=in_front + data, found=other)
 
 
-def at_most_one(given: Mapping[str, object]) -> None:
-    """Raises an error (`unexpected`) if both of two keys are given."""
-    if None not in given.values():
-        unexpected("one of them", found=f"both {' and '.join(given)}")
-
-
-def exactly_one(given: Mapping[str, object]) -> None:
-    """Raises an error (`unexpected`) if both of two keys are given, or neither."""
-    at_most_one(given)
-    if all(value is None for value in given.values()):
-        unexpected("one of them", found=f"neither {' nor '.join(given)}")
+def require_one(required: bool = False, **given: object) -> None:
+    """Raises an error (`unexpected`) if several of these keys are given, or, of `required` ones, none. An underscore
+    at the end of a name is not part of the key."""
+    keys = [name.rstrip("_") for name in given]
+    count = sum(value is not None for value in given.values())
+    if count > 1:
+        unexpected("one of them", found=f"both {' and '.join(keys)}")
+    if required and count == 0:
+        unexpected("one of them", found=f"neither {' nor '.join(keys)}")
 
 
 class Fault(Part):
-    """A fault of a script: its keys, and what it does to a piece. A kind that remembers more has an Effect of its own.
+    """A fault of a script: its keys, and what it does to the pieces that pass. A copy of it is at work in an injector.
 
     `hapsim faults --list` prints the docstring of each kind.
     """
 
     counted: ClassVar[str] = "frames"
     """What is counted of it."""
+    plugs: ClassVar[bool | None] = None
+    """Whether the device is plugged in after it happened; None if it changes nothing in that."""
 
     kind: str
 
+    _window: Window
+    _count: int = 0
+    _chance: dict[bool, random.Random]
+
+    def model_post_init(self, _context: object) -> None:
+        self._window = self.window()
+
+    def at_work(self, seed: str) -> Self:
+        """Returns a copy that acts; everything random in it comes from `seed`."""
+        copy = self.model_copy(deep=True)
+        # One generator for each direction: the bytes that go one way decide nothing of the other.
+        copy._chance = {to_device: random.Random(f"{seed} {to_device}") for to_device in (False, True)}
+        return copy
+
+    @property
+    def count(self) -> int:
+        """How often it happened."""
+        return self._count
+
     def window(self) -> Window:
         """Returns when it happens."""
-        return Window()
+        raise NotImplementedError
 
-    def hits(self, piece: Piece, chance: random.Random) -> bool:
-        """Returns whether it happens to a piece that passes while it is there."""
-        del piece, chance
+    def hits(self, _piece: Piece) -> bool:
+        """Returns whether it happens to a piece that passes while its window is open."""
         return False
 
-    def change(self, piece: Piece, effect: Effect) -> list[Piece]:
-        """Returns what passes in place of a piece that it hits; nothing, if a kind does not say otherwise."""
-        del piece, effect
+    def change(self, _piece: Piece) -> list[Piece]:
+        """Returns what passes in place of a piece that it hits."""
         return []
 
-    def effect(self, seed: str) -> Effect:
-        """Returns the fault at work; everything random in it comes from `seed`."""
-        return Effect(self, seed)
+    def take(self, piece: Piece, now: Moment) -> list[Piece]:
+        """Returns what passes in place of a piece."""
+        if not self._window.is_open(now) or not self.hits(piece):
+            return [piece]
+        self._count += 1
+        return self.change(piece)
+
+    def pass_time(self, now: Moment) -> list[Piece]:
+        """Returns what comes by itself as time passes. Called whenever something passes, and at `next_s`."""
+        self._window.is_open(now)
+        return []
+
+    def next_s(self, now: Moment) -> float:
+        """Returns when `pass_time` has something to do although nothing passes, s since the first byte."""
+        return self._window.next_s(now)
+
+    def _happens_once(self, now: Moment) -> bool:
+        """Counts it, and returns True, once: when its window opens."""
+        happens = self._count == 0 and self._window.is_open(now)
+        self._count += happens
+        return happens
 
     def when(self) -> str:
         """Returns when it begins, in words."""
-        window = self.window()
-        if window.begins_sample is not None:
-            return f"after {window.begins_sample} samples"
-        return f"at {window.begins_s:g} s" if window.begins_s else "from the first byte"
+        begins = self._window.begins
+        if begins.samples < math.inf:
+            return f"after {begins.samples} samples"
+        return f"at {begins.seconds:g} s" if begins.seconds else "from the first byte"
 
 
 class Lasting(Fault):
-    """A fault that is there for a while."""
+    """A fault that acts for a while."""
 
-    begins_s: Annotated[float | None, Field(alias="from"), FROM] = None
-    lasts_s: Annotated[float | None, Field(alias="for"), FOR] = None
-    after_samples: Annotated[int | None, AFTER_SAMPLES] = None
-    for_samples: Annotated[int | None, FOR_SAMPLES] = None
+    begins_s: From = None
+    lasts_s: For = None
+    after_samples: AfterSamples = None
+    for_samples: ForSamples = None
 
     @model_validator(mode="after")
     def _one_clock(self) -> Lasting:
-        at_most_one({"from": self.begins_s, "after_samples": self.after_samples})
-        at_most_one({"for": self.lasts_s, "for_samples": self.for_samples})
+        require_one(from_=self.begins_s, after_samples=self.after_samples)
+        require_one(for_=self.lasts_s, for_samples=self.for_samples)
         return self
 
     def window(self) -> Window:
@@ -200,57 +234,23 @@ class Lasting(Fault):
 class OnFrames(Lasting):
     """A lasting fault that hits frames at random."""
 
-    direction: Direction = Field(default="both", description="Which way the bytes go that it is about")
-    probability: Annotated[float, PROBABILITY] = 1.0
+    direction: Direction = Field(default="both", description="The direction of the frames that it hits")
+    probability: Probability = 1.0
 
-    def hits(self, piece: Piece, chance: random.Random) -> bool:
-        return piece.goes(self.direction) and chance.random() < self.probability
+    def hits(self, piece: Piece) -> bool:
+        return piece.goes(self.direction) and self._chance[piece.to_device].random() < self.probability
 
 
 class Event(Fault):
     """A fault that happens once."""
 
-    at: Annotated[float | None, AT] = None
-    after_samples: Annotated[int | None, AFTER_SAMPLES] = None
+    at_s: At = None
+    after_samples: AfterSamples = None
 
     @model_validator(mode="after")
     def _one_clock(self) -> Event:
-        exactly_one({"at (s)": self.at, "after_samples": self.after_samples})
+        require_one(True, at=self.at_s, after_samples=self.after_samples)
         return self
 
     def window(self) -> Window:
-        return Window(self.at, self.after_samples)
-
-
-class Effect:
-    """A fault at work: it changes what it hits while its window is open."""
-
-    plugs: bool | None = None
-    """Set when the device is plugged in (True) or unplugged (False) by it; the injector resets it."""
-
-    def __init__(self, fault: Fault, seed: str) -> None:
-        self.fault, self.window = fault, fault.window()
-        self.count = 0
-        """How often it happened."""
-        # One generator for each direction: the bytes that go one way decide nothing of the other.
-        self._chance = {to_device: random.Random(f"{seed} {to_device}") for to_device in (False, True)}
-
-    def chance(self, to_device: bool) -> random.Random:
-        """Returns the generator of a direction."""
-        return self._chance[to_device]
-
-    def take(self, piece: Piece, now: Moment) -> list[Piece]:
-        """Returns what passes in place of a piece."""
-        if not self.window.is_open(now) or not self.fault.hits(piece, self._chance[piece.to_device]):
-            return [piece]
-        self.count += 1
-        return self.fault.change(piece, self)
-
-    def pass_time(self, now: Moment) -> list[Piece]:
-        """Returns what comes by itself as time passes. Called whenever something passes, and at `next_s`."""
-        self.window.is_open(now)
-        return []
-
-    def next_s(self, now: Moment) -> float:
-        """Returns when `pass_time` has something to do although nothing passes, s since the first byte."""
-        return self.window.next_s(now)
+        return Window(self.at_s, self.after_samples)

@@ -7,19 +7,20 @@ beginning, and asks `next_s` when to call again although nothing comes.
 from __future__ import annotations
 
 import math
+import re
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
 from firmware_protocol import schema
-from hapsim.bringup.capture import Capture, Decoded
-from hapsim.bringup.faults.fault import POSITIONS, Effect, Moment, Piece, tidy
+from hapsim.bringup.capture import POSITIONS, Capture, Decoded
+from hapsim.bringup.faults.fault import Moment, Piece, tidy
 from hapsim.bringup.faults.script import Script
 from hapsim.bringup.faults.witness import Witness
 
-LONGEST = 512
-"""Bytes that are kept without a delimiter among them, far more than a frame has: then they pass as they are."""
+_PIECE = re.compile(rb"[^\0]{0,511}\0|[^\0]{512}")
+"""Bytes up to a delimiter. 512 without one, far more than a frame has, pass as they are."""
 
 
 class Passed(NamedTuple):
@@ -64,17 +65,13 @@ class Splitter:
 
     def split(self, data: bytes) -> Iterator[Piece]:
         """Yields every piece that ends in `data`. The rest waits for its delimiter."""
-        self._waiting += data
-        while self._waiting:
-            end = self._waiting.find(0) + 1
-            if end == 0 or end > LONGEST:
-                if len(self._waiting) < LONGEST:
-                    return
-                end = LONGEST
-            piece, self._waiting = self._waiting[:end], self._waiting[end:]
+        waiting, end = self._waiting + data, 0
+        for match in _PIECE.finditer(waiting):
+            piece, end = match[0], match.end()
             last = deque(self._capture.feed(piece), maxlen=1)
             frames = [one for one in last if isinstance(one, Decoded) and len(one.data) < len(piece)]
             yield Piece(piece, self._to_device, frames[0] if frames else None)
+        self._waiting = waiting[end:]
 
 
 class Injector:
@@ -83,10 +80,7 @@ class Injector:
     def __init__(self, script: Script, seed: int | None = None) -> None:
         """`seed` replaces the script's."""
         seed = script.seed if seed is None else seed
-        self._faults = script.faults
-        self._effects: list[Effect] = [
-            fault.effect(f"{seed} {at} {fault.kind}") for at, fault in enumerate(script.faults)
-        ]
+        self._faults = [fault.at_work(f"{seed} {at} {fault.kind}") for at, fault in enumerate(script.faults)]
         self._splitters = {to_device: Splitter(to_device) for to_device in (False, True)}
         self._latest_s = {False: -math.inf, True: -math.inf}
         self._begun_s: float | None = None
@@ -106,14 +100,14 @@ class Injector:
     @property
     def counts(self) -> list[tuple[str, int]]:
         """Each fault of the script, and how often it happened."""
-        return [(fault.kind, effect.count) for fault, effect in zip(self._faults, self._effects, strict=True)]
+        return [(fault.kind, fault.count) for fault in self._faults]
 
     @property
     def happened(self) -> list[Happened]:
         """The same, with the place of each in the script, when it begins, and what is counted."""
         return [
-            Happened(at, fault.kind, fault.when(), effect.count, fault.counted)
-            for at, (fault, effect) in enumerate(zip(self._faults, self._effects, strict=True), start=1)
+            Happened(place, fault.kind, fault.when(), fault.count, fault.counted)
+            for place, fault in enumerate(self._faults, start=1)
         ]
 
     def take(self, data: bytes, to_device: bool, time_s: float) -> list[Passed]:
@@ -138,10 +132,11 @@ class Injector:
             return []
         self._arrive(time_s)
         now, passed = self._moment(time_s), list[Passed]()
-        for at, effect in enumerate(self._effects):
-            passed += self._through(effect.pass_time(now), at + 1, time_s)
-            if effect.plugs is not None:
-                self.plugged, effect.plugs = effect.plugs, None
+        for at, fault in enumerate(self._faults):
+            before = fault.count
+            passed += self._through(fault.pass_time(now), at + 1, time_s)
+            if fault.plugs is not None and fault.count > before:
+                self.plugged = fault.plugs
         self._note_first(time_s)
         return passed
 
@@ -150,53 +145,46 @@ class Injector:
         if self._begun_s is None:
             return math.inf
         now = self._moment(time_s)
-        return self._begun_s + min((effect.next_s(now) for effect in self._effects), default=math.inf)
+        return self._begun_s + min((fault.next_s(now) for fault in self._faults), default=math.inf)
 
     def _moment(self, time_s: float) -> Moment:
         return Moment(tidy(time_s - (self._begun_s or 0.0)), self.samples)
 
     def _through(self, pieces: list[Piece], first: int, time_s: float) -> list[Passed]:
-        """Passes pieces through the effects from `first` on."""
+        """Passes pieces through the faults from `first` on."""
         if not pieces:
             return []
         now = self._moment(time_s)
-        for effect in self._effects[first:]:
-            pieces = [after for before in pieces for after in effect.take(before, now)]
+        for fault in self._faults[first:]:
+            pieces = [after for before in pieces for after in fault.take(before, now)]
         self._note_first(time_s)
-        return list(self._leave(pieces, time_s))
+        return [self._leave(piece, time_s) for piece in pieces if self.plugged and piece.data]
 
-    def _leave(self, pieces: Iterable[Piece], time_s: float) -> Iterator[Passed]:
-        for piece in pieces:
-            if not self.plugged or not piece.data:
-                continue
-            due_s = max(time_s + piece.delay_s, self._latest_s[piece.to_device])
-            self._latest_s[piece.to_device] = due_s
-            traffic = self.passed[piece.to_device]
-            traffic.frames_out += piece.found is not None
-            traffic.bytes_out += len(piece.data)
-            if piece.to_device and piece.found is not None:
-                self._under_way.append((piece, due_s))
-            yield Passed(due_s, piece.to_device, piece.data)
+    def _leave(self, piece: Piece, time_s: float) -> Passed:
+        due_s = max(time_s + piece.delay_s, self._latest_s[piece.to_device])
+        self._latest_s[piece.to_device] = due_s
+        traffic = self.passed[piece.to_device]
+        traffic.frames_out += piece.found is not None
+        traffic.bytes_out += len(piece.data)
+        if piece.to_device and piece.found is not None:
+            self._under_way.append((piece, due_s))
+        return Passed(due_s, piece.to_device, piece.data)
 
     def _arrive(self, time_s: float) -> None:
         """Shows the witness what has reached the device by now."""
         while self._under_way and self._under_way[0][1] <= time_s:
-            piece, due_s = self._under_way.popleft()
-            self.witness.see(piece, due_s, self.samples)
+            self.witness.see(*self._under_way.popleft(), self.samples)
 
     def _note_first(self, time_s: float) -> None:
-        if self.first_fault_s is None and any(effect.count for effect in self._effects):
-            self.first_fault_s = time_s
-            self.witness.begin_fault(time_s)
+        if self.first_fault_s is None and any(fault.count for fault in self._faults):
+            self.first_fault_s = self.witness.fault_s = time_s
 
     def _count_samples(self, piece: Piece) -> None:
         """Counts as the device does, over every arming."""
         frame = piece.frame
-        if frame is None:
-            return
-        if frame.type == schema.STATUS:
+        if piece.is_from_device(schema.STATUS):
             self._number = -1
-        elif frame.type in POSITIONS:
+        elif frame is not None and frame.type in POSITIONS:
             gap = (frame.number - self._number) % schema.SAMPLE_MODULUS
             if gap < schema.SAMPLE_MODULUS // 2:  # else it is one of the past
                 self.samples += gap

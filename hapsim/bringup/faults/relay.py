@@ -14,6 +14,7 @@ import select
 import time
 from collections import Counter, deque
 from collections.abc import Callable
+from itertools import accumulate
 from pathlib import Path
 
 from hapsim.bringup.faults.injector import Injector, Passed
@@ -22,7 +23,7 @@ from hapsim.errors import DeviceError, UsageError
 
 _PIECE = 1 << 16
 _LONGEST_WAIT_S = 1.0
-_TELL_S = 0.5
+_REPORT_S = 0.5
 _MOST_WAITING = 1 << 20  # bytes kept for a device that does not take them
 
 
@@ -43,16 +44,13 @@ class PassingTimes:
 
     def quantile_s(self, share: float) -> float | None:
         """Returns what this share of the pieces, 0 to 1, took at most, s; None if there were none."""
-        left = math.ceil(share * self.count)
-        for time_us in sorted(self._times_us):
-            left -= self._times_us[time_us]
-            if left <= 0:
-                return 1e-6 * time_us
-        return None
+        times_us = sorted(self._times_us)
+        counted = zip(times_us, accumulate(self._times_us[time_us] for time_us in times_us), strict=True)
+        return next((1e-6 * time_us for time_us, pieces in counted if pieces >= share * self.count), None)
 
 
 class Relay:
-    """Passes bytes both ways until `stop` is set, or the device goes away."""
+    """Passes bytes both ways until `stop` is called, or the device goes away."""
 
     def __init__(self, device: int, injector: Injector, path: Path | None = None) -> None:
         """`device`: the descriptor of its port, not blocking; `path`: a name for the pseudo-terminal, a link."""
@@ -60,7 +58,7 @@ class Relay:
         self._host: _PseudoTerminal | None = None
         self._held_up: dict[bool, deque[Passed]] = {False: deque(), True: deque()}
         self._to_write = b""  # that the device has not taken yet
-        self._told, self._tell = os.pipe()
+        self._stopped, self._stop = os.pipe()
         self.unread_bytes = 0
         """Of the device, that no host fetched."""
         self.passing = PassingTimes()
@@ -73,12 +71,12 @@ class Relay:
 
     def __exit__(self, *_: object) -> None:
         self._hang_up()
-        for end in (self._told, self._tell):
+        for end in (self._stopped, self._stop):
             os.close(end)
 
     @property
     def name(self) -> str:
-        """The port that a host opens. DeviceError while it is unplugged."""
+        """The port that a host opens. Raises DeviceError while it is unplugged."""
         if self._host is None:
             raise DeviceError("the port is unplugged, by the script")
         return self._host.name
@@ -86,25 +84,28 @@ class Relay:
     def stop(self) -> None:
         """Ends `run`; may be called from a signal's handler and from any thread."""
         with contextlib.suppress(OSError):
-            os.write(self._tell, b".")
+            os.write(self._stop, b".")
 
     def run(self, duration_s: float | None = None, tell: Callable[[], None] = lambda: None) -> bool:
-        """Passes on until `stop`, or for this many seconds; False if the device went away. `tell` is called twice a
-        second."""
-        ends_s = None if duration_s is None else time.monotonic() + duration_s
-        told_s = -math.inf
+        """Passes on until `stop`, or for this many seconds; returns False if the device went away. `tell` is called
+        twice a second."""
+        ends_s = math.inf if duration_s is None else time.monotonic() + duration_s
+        reported_s = -math.inf
         while True:
             now_s = time.monotonic()
             self._keep(self._injector.advance(now_s))
-            self._plug()
+            if not self._injector.plugged:
+                self._hang_up()
+            elif self._host is None:
+                self._host = _PseudoTerminal(self._path)
             self._send_due(now_s)
-            if now_s - told_s >= _TELL_S:
-                told_s = now_s
+            if now_s - reported_s >= _REPORT_S:
+                reported_s = now_s
                 tell()
-            if ends_s is not None and now_s >= ends_s:
+            if now_s >= ends_s:
                 return True
             ready, writable = self._wait(now_s, ends_s)
-            if self._told in ready:
+            if self._stopped in ready:
                 return True
             if self._device in ready and not self._read(self._device, False):
                 return False
@@ -113,14 +114,13 @@ class Relay:
             if self._host is not None and self._host.near in ready:
                 self._read(self._host.near, True)
 
-    def _wait(self, now_s: float, ends_s: float | None) -> tuple[list[int], bool]:
+    def _wait(self, now_s: float, ends_s: float) -> tuple[list[int], bool]:
         """Returns (the descriptors that can be read, whether the device takes bytes that wait for it)."""
         due = [queue[0].due_s for queue in self._held_up.values() if queue]
-        until_s = min([self._injector.next_s(now_s), *due, *([] if ends_s is None else [ends_s])])
-        ends = [self._told, self._device, *([] if self._host is None else [self._host.near])]
-        ready, writable, _ = select.select(
-            ends, [self._device] if self._to_write else [], [], min(max(until_s - now_s, 0.0), _LONGEST_WAIT_S)
-        )
+        until_s = min([self._injector.next_s(now_s), ends_s, *due])
+        ends = [self._stopped, self._device, *([] if self._host is None else [self._host.near])]
+        waiting = [self._device] if self._to_write else []
+        ready, writable, _ = select.select(ends, waiting, [], min(max(until_s - now_s, 0.0), _LONGEST_WAIT_S))
         return ready, bool(writable)
 
     def _read(self, descriptor: int, to_device: bool) -> bool:
@@ -131,12 +131,10 @@ class Relay:
             return True
         except OSError:
             return False
-        if not data:
-            return False
         now_s = time.monotonic()
-        self._keep(self._injector.take(data, to_device, now_s))
+        self._keep(self._injector.take(data, to_device, now_s) if data else [])
         self._send_due(now_s)
-        return True
+        return bool(data)
 
     def _keep(self, passed: list[Passed]) -> None:
         for one in passed:
@@ -147,15 +145,14 @@ class Relay:
             due: list[Passed] = []
             while queue and queue[0].due_s <= now_s:
                 due.append(queue.popleft())
-            if due and self._write(to_device, b"".join(one.data for one in due)):
+            data = b"".join(one.data for one in due)
+            if due and (self._send_device(data) if to_device else self._send_host(data)):
                 written_s = time.monotonic()
                 for one in due:
                     self.passing.note(written_s - one.due_s)
 
-    def _write(self, to_device: bool, data: bytes) -> bool:
+    def _send_device(self, data: bytes) -> bool:
         """Returns whether all of it was taken at once."""
-        if not to_device:
-            return self._write_host(data)
         self._to_write = (self._to_write + data)[-_MOST_WAITING:]
         return self._write_device() and not self._to_write
 
@@ -170,7 +167,7 @@ class Relay:
             return False
         return True
 
-    def _write_host(self, data: bytes) -> bool:
+    def _send_host(self, data: bytes) -> bool:
         """Returns whether all of it fits: a host that does not read loses the rest, as behind any driver."""
         written = 0
         if self._host is not None:
@@ -178,13 +175,6 @@ class Relay:
                 written = os.write(self._host.near, data)
         self.unread_bytes += len(data) - written
         return written == len(data)
-
-    def _plug(self) -> None:
-        """Makes or closes the pseudo-terminal, as the script says."""
-        if self._injector.plugged and self._host is None:
-            self._host = _PseudoTerminal(self._path)
-        elif not self._injector.plugged:
-            self._hang_up()
 
     def _hang_up(self) -> None:
         if self._host is not None:
@@ -202,20 +192,21 @@ class _PseudoTerminal:
         try:
             self.near, self._far = os.openpty()
         except OSError as error:
-            raise DeviceError(f"no pseudo-terminal is to be had: {error}") from error
+            raise DeviceError(f"no pseudo-terminal is available: {error}") from error
         for end in (self.near, self._far):
             tty.setraw(end)
             os.set_blocking(end, False)
         self._link, self._port = path, os.ttyname(self._far)
         self.name = self._port if path is None else str(path)
-        if path is not None:
-            try:
+        try:
+            if path is not None:
                 give_name(path, self._port)
-            except UsageError:
-                self.close()
-                raise
+        except UsageError:
+            self.close()
+            raise
 
     def close(self) -> None:
+        """Hangs up the host, and removes the name."""
         if self._link is not None:
             take_name(self._link, self._port)
         for end in (self.near, self._far):

@@ -7,34 +7,18 @@ from typing import Annotated, get_args
 
 from pydantic import Field, ValidationError
 
-from hapsim.bringup.faults.device_faults import Invert, Leap, Nonsense, Rate, Reboot, Version
+from hapsim.bringup.faults.device_faults import DeviceFault
 from hapsim.bringup.faults.fault import Fault
-from hapsim.bringup.faults.wire_faults import (
-    Corrupt,
-    Delay,
-    Drop,
-    Duplicate,
-    Garbage,
-    HalfFrame,
-    Reorder,
-    Replug,
-    Silence,
-    Unplug,
-    WrongBaud,
-)
+from hapsim.bringup.faults.wire_faults import WireFault
 from hapsim.errors import UsageError
 from hapsim.scene.error_messages import Layout, findings_of
 from hapsim.scene.part import Part
-from hapsim.scene.quantity import count
-from hapsim.scene.quantity import version as format_version
+from hapsim.scene.quantity import count, version
 from hapsim.scene.yaml_file import YamlFile
 
-VERSION = 1
-
-_OnTheWire = Drop | Corrupt | Duplicate | Delay | Reorder | Garbage | WrongBaud | HalfFrame | Silence | Unplug | Replug
-AnyFault = _OnTheWire | Reboot | Version | Nonsense | Rate | Leap | Invert
-
-KINDS: dict[str, type[Fault]] = {fault.model_fields["kind"].default: fault for fault in get_args(AnyFault)}
+KINDS: dict[str, type[Fault]] = {
+    fault.model_fields["kind"].default: fault for fault in get_args(WireFault) + get_args(DeviceFault)
+}
 """The class of each `kind`, in the order in which `hapsim faults --list` prints them."""
 
 
@@ -47,9 +31,9 @@ class Script(Part):
         faults: which, in the order of the file.
     """
 
-    version: Annotated[int, format_version(VERSION, "script")]
-    seed: Annotated[int, count("Seed of what is left to chance", 0, 2**32 - 1)] = 0
-    faults: list[Annotated[AnyFault, Field(discriminator="kind")]] = Field(min_length=1)
+    version: Annotated[int, version(1, "script")]
+    seed: Annotated[int, count("Seed of everything random", 0, 2**32 - 1)] = 0
+    faults: list[Annotated[WireFault | DeviceFault, Field(discriminator="kind")]] = Field(min_length=1)
 
 
 _FILE = YamlFile(UsageError, "a script of faults in YAML", "found nothing, expected a script: version and faults")

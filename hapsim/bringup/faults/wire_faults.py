@@ -3,25 +3,22 @@
 from __future__ import annotations
 
 import math
-import random
 from dataclasses import replace
 from typing import Annotated, ClassVar, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, PrivateAttr, model_validator
 
 from hapsim.bringup.faults.fault import (
-    FOR,
-    FOR_SAMPLES,
     Direction,
-    Effect,
     Event,
-    Fault,
+    For,
+    ForSamples,
     Lasting,
     Moment,
     OnFrames,
     Piece,
     Window,
-    at_most_one,
+    require_one,
     tidy,
 )
 from hapsim.scene.quantity import count, quantity
@@ -41,9 +38,9 @@ class Corrupt(OnFrames):
     kind: Literal["corrupt"] = "corrupt"
     bits: Annotated[int, count("How many bits of a frame flip", 1, 64)] = 1
 
-    def change(self, piece: Piece, effect: Effect) -> list[Piece]:
+    def change(self, piece: Piece) -> list[Piece]:
         data, every = bytearray(piece.data), 8 * len(piece.data)
-        for bit in effect.chance(piece.to_device).sample(range(every), min(self.bits, every)):
+        for bit in self._chance[piece.to_device].sample(range(every), min(self.bits, every)):
             data[bit // 8] ^= 1 << bit % 8
         return [piece.damaged(bytes(data))]
 
@@ -54,20 +51,18 @@ class Duplicate(OnFrames):
     counted: ClassVar[str] = "frames sent twice"
     kind: Literal["duplicate"] = "duplicate"
 
-    def change(self, piece: Piece, effect: Effect) -> list[Piece]:
-        del effect
+    def change(self, piece: Piece) -> list[Piece]:
         return [piece, piece]
 
 
 class Delay(OnFrames):
     """A frame arrives late, and so does what is behind it."""
 
-    counted: ClassVar[str] = "frames held up"
+    counted: ClassVar[str] = "frames delayed"
     kind: Literal["delay"] = "delay"
     seconds: Annotated[float, quantity("By how much", "s", above=0)]
 
-    def change(self, piece: Piece, effect: Effect) -> list[Piece]:
-        del effect
+    def change(self, piece: Piece) -> list[Piece]:
         return [replace(piece, delay_s=piece.delay_s + self.seconds)]
 
 
@@ -76,26 +71,17 @@ class Reorder(OnFrames):
 
     counted: ClassVar[str] = "frames swapped"
     kind: Literal["reorder"] = "reorder"
-    within: Annotated[float, quantity("For how long the next one is waited for", "s", above=0)] = 0.02
+    within: Annotated[float, quantity("How long it waits for the next one", "s", above=0)] = 0.02
 
-    def effect(self, seed: str) -> Effect:
-        return _Reordering(self, seed)
-
-
-class _Reordering(Effect):
-    """Keeps at most one piece of each direction, with the time at which it is sent in any case."""
-
-    def __init__(self, fault: Reorder, seed: str) -> None:
-        super().__init__(fault, seed)
-        self._within = fault.within
-        self._kept: dict[bool, tuple[Piece, float]] = {}
+    # A piece of each direction, at most, and when it is sent in any case.
+    _kept: dict[bool, tuple[Piece, float]] = PrivateAttr(default_factory=dict)
 
     def take(self, piece: Piece, now: Moment) -> list[Piece]:
         if piece.to_device in self._kept:
             return [piece, self._kept.pop(piece.to_device)[0]]
         passing = super().take(piece, now)
         if not passing:
-            self._kept[piece.to_device] = piece, tidy(now.seconds + self._within)
+            self._kept[piece.to_device] = piece, tidy(now.seconds + self.within)
         return passing
 
     def pass_time(self, now: Moment) -> list[Piece]:
@@ -112,45 +98,31 @@ class Garbage(Lasting):
 
     counted: ClassVar[str] = "bursts of bytes"
     kind: Literal["garbage"] = "garbage"
-    direction: Direction = Field(default="from_device", description="Which way they go")
+    direction: Direction = Field(default="from_device", description="The direction of these bytes")
     bytes: Annotated[int, count("How many at a time", 1, 100_000)]
     every: Annotated[float | None, quantity("How often they come", "s", above=0, left_out="once")] = None
     every_samples: Annotated[int | None, count("How often they come, in place of a time", 1, 2**31, "samples")] = None
 
+    _due: Moment | None = None  # the next time
+
     @model_validator(mode="after")
     def _one_period(self) -> Garbage:
-        at_most_one({"every": self.every, "every_samples": self.every_samples})
+        require_one(every=self.every, every_samples=self.every_samples)
         return self
-
-    def effect(self, seed: str) -> Effect:
-        return _Noise(self, seed)
-
-
-class _Noise(Effect):
-    """Comes by itself, beside what passes."""
-
-    def __init__(self, fault: Garbage, seed: str) -> None:
-        super().__init__(fault, seed)
-        self._garbage = fault
-        self._due: Moment | None = None  # the next time, by either clock
 
     def pass_time(self, now: Moment) -> list[Piece]:
         due = self._due or now
-        if not self.window.is_open(now) or now.seconds < due.seconds or now.samples < due.samples:
+        if not self._window.is_open(now) or not now.has_reached(due):
             return []
-        every_s = math.inf if self._garbage.every is None else self._garbage.every
-        every = self._garbage.every_samples
-        self._due = Moment(tidy(due.seconds + every_s), -1) if every is None else Moment(0.0, due.samples + every)
-        self.count += 1
-        silent = [piece for piece in (Piece(b"", False), Piece(b"", True)) if piece.goes(self._garbage.direction)]
-        return [piece.damaged(self.chance(piece.to_device).randbytes(self._garbage.bytes)) for piece in silent]
+        self._due = due.after(self.every, self.every_samples)
+        self._count += 1
+        silent = [piece for piece in (Piece(b"", False), Piece(b"", True)) if piece.goes(self.direction)]
+        return [piece.damaged(self._chance[piece.to_device].randbytes(self.bytes)) for piece in silent]
 
     def next_s(self, now: Moment) -> float:
-        if self._due is None or self.window.opened is None:
-            return self.window.next_s(now)
-        if self.window.is_over(now) or self._garbage.every_samples is not None:
-            return math.inf
-        return self._due.seconds
+        if self._due is None:
+            return self._window.next_s(now)
+        return math.inf if self._window.is_over(now) else self._due.seconds
 
 
 class WrongBaud(OnFrames):
@@ -160,8 +132,7 @@ class WrongBaud(OnFrames):
     kind: Literal["wrong_baud"] = "wrong_baud"
     ratio: Annotated[float, quantity("The receiver's bit rate over the sender's", "1", least=0.05, most=20)] = 0.5
 
-    def change(self, piece: Piece, effect: Effect) -> list[Piece]:
-        del effect
+    def change(self, piece: Piece) -> list[Piece]:
         return [piece.damaged(misread(piece.data, self.ratio))]
 
 
@@ -175,14 +146,11 @@ def misread(data: bytes, ratio: float) -> bytes:
     levels = [1, *(bit for byte in data for bit in (0, *(byte >> k & 1 for k in range(8)), 1))]
     falls = [at for at in range(1, len(levels)) if levels[at] < levels[at - 1]]
     step = 1.0 / ratio  # of the receiver, in bits of the sender
-
-    def level(at: float) -> int:
-        return levels[int(at)] if at < len(levels) else 1
-
     read, after = bytearray(), 0.0
     for edge in falls:
         if edge >= after:
-            read.append(sum(level(edge + (k + 1.5) * step) << k for k in range(8)))
+            samples = [int(edge + (k + 1.5) * step) for k in range(8)]
+            read.append(sum((levels[at] if at < len(levels) else 1) << k for k, at in enumerate(samples)))
             after = edge + 9.5 * step  # the middle of the stop bit
     return bytes(read)
 
@@ -192,20 +160,19 @@ class Silence(Event):
 
     counted: ClassVar[str] = "frames lost"
     kind: Literal["silence"] = "silence"
-    direction: Direction = Field(default="from_device", description="Which way nothing passes any more")
-    lasts_s: Annotated[float | None, Field(alias="for"), FOR] = None
-    for_samples: Annotated[int | None, FOR_SAMPLES] = None
+    direction: Direction = Field(default="from_device", description="The direction in which nothing passes")
+    lasts_s: For = None
+    for_samples: ForSamples = None
 
     @model_validator(mode="after")
     def _one_length(self) -> Silence:
-        at_most_one({"for": self.lasts_s, "for_samples": self.for_samples})
+        require_one(for_=self.lasts_s, for_samples=self.for_samples)
         return self
 
     def window(self) -> Window:
-        return Window(self.at, self.after_samples, self.lasts_s, self.for_samples)
+        return Window(self.at_s, self.after_samples, self.lasts_s, self.for_samples)
 
-    def hits(self, piece: Piece, chance: random.Random) -> bool:
-        del chance
+    def hits(self, piece: Piece) -> bool:
         return piece.goes(self.direction)
 
 
@@ -215,38 +182,27 @@ class HalfFrame(Silence):
     counted: ClassVar[str] = "frames lost or cut"
     kind: Literal["half_frame"] = "half_frame"  # type: ignore[assignment]
 
-    def change(self, piece: Piece, effect: Effect) -> list[Piece]:
-        return [piece.damaged(piece.data[: len(piece.data) // 2])] if effect.count == 1 else []
-
-
-class _Plug(Effect):
-    """Plugs the device in or unplugs it, once."""
-
-    def __init__(self, fault: Fault, seed: str, plugged: bool) -> None:
-        super().__init__(fault, seed)
-        self._plugged = plugged
-
-    def pass_time(self, now: Moment) -> list[Piece]:
-        if self.window.opened is None and self.window.is_open(now):
-            self.plugs, self.count = self._plugged, 1
-        return []
+    def change(self, piece: Piece) -> list[Piece]:
+        return [piece.damaged(piece.data[: len(piece.data) // 2])] if self.count == 1 else []
 
 
 class Unplug(Event):
-    """The port is gone: whoever has it open is hung up."""
+    """The port disappears: a program that has it open is hung up."""
 
     counted: ClassVar[str] = "times"
+    plugs: ClassVar[bool | None] = False
     kind: Literal["unplug"] = "unplug"
 
-    def effect(self, seed: str) -> Effect:
-        return _Plug(self, seed, False)
+    def pass_time(self, now: Moment) -> list[Piece]:
+        self._happens_once(now)
+        return []
 
 
-class Replug(Event):
+class Replug(Unplug):
     """The port is there again, under the name of before (--path)."""
 
-    counted: ClassVar[str] = "times"
-    kind: Literal["replug"] = "replug"
+    plugs: ClassVar[bool | None] = True
+    kind: Literal["replug"] = "replug"  # type: ignore[assignment]
 
-    def effect(self, seed: str) -> Effect:
-        return _Plug(self, seed, True)
+
+WireFault = Drop | Corrupt | Duplicate | Delay | Reorder | Garbage | WrongBaud | HalfFrame | Silence | Unplug | Replug

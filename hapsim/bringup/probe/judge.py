@@ -1,42 +1,47 @@
-"""A device on a port, judged step by step; whatever happens, it is released at the end."""
+"""A device on a port, judged step by step; it is released at the end in any case."""
 
 from __future__ import annotations
 
 import contextlib
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from firmware_protocol.description import Description
 from hapsim.bringup.probe.armed_steps import probe_arming, probe_forces
-from hapsim.bringup.probe.checks import STEPS, Check, Leave, Probing
+from hapsim.bringup.probe.checks import CHECKS, STEPS, Check, Leave, Probing
 from hapsim.bringup.probe.host_steps import probe_blocked, probe_host_paced, probe_watchdog
 from hapsim.bringup.probe.pushed_limits import probe_lives
 from hapsim.bringup.probe.pushing import probe_pushing, what_will_be_done
 from hapsim.bringup.probe.set_up_steps import probe_conversation, probe_refusals, probe_registers
 from hapsim.bringup.probe.wire import StoppedError, Wire
-from hapsim.device.connection import Connection
 from hapsim.device.serial_port import open_portable_port, open_serial_port
 from hapsim.errors import DeviceError, UsageError
 
-_PROBES: dict[str, tuple[Callable[[Probing], bool], ...]] = {
-    "conversation": (probe_conversation,),
-    "registers": (probe_registers,),
-    "refusals": (probe_refusals,),
-    "arming": (probe_arming,),
-    "forces": (probe_forces,),
-    "watchdog": (probe_watchdog,),
-    "blocked": (probe_blocked,),
-    "host": (probe_host_paced,),
-    "push": (probe_pushing, probe_lives),
-}
+_PROBES: tuple[tuple[str, Callable[[Probing], bool | None]], ...] = (
+    ("conversation", probe_conversation),
+    ("registers", probe_registers),
+    ("refusals", probe_refusals),
+    ("arming", probe_arming),
+    ("forces", probe_forces),
+    ("watchdog", probe_watchdog),
+    ("blocked", probe_blocked),
+    ("host", probe_host_paced),
+    ("push", probe_pushing),
+    ("push", probe_lives),
+)
+"""What each step does. It returns False if nothing after it can be judged."""
+
 _ALWAYS = STEPS[:2]
 """Without which nothing else can be judged."""
+
+OnStep = Callable[[str, int, int], None]
+"""Called with the name of each step, its number, and of how many."""
 
 
 @dataclass(frozen=True)
 class Judgement:
-    """What became of every check that was asked for."""
+    """The results of every check that was asked for."""
 
     port: str
     device: Description | None
@@ -44,27 +49,29 @@ class Judgement:
     released: bool
     """Whether the device said, at the end, that it is idle."""
     ended: str = ""
-    """Why it ended early; empty where it did not."""
+    """Why it ended early, if it did."""
     interrupted: bool = False
 
     @property
     def failed(self) -> tuple[Check, ...]:
+        """The checks that failed."""
         return tuple(check for check in self.checks if check.result == "FAIL")
 
     @property
     def exit_status(self) -> int:
+        """0, 3 if a check failed or the device went away, or 130."""
         return 130 if self.interrupted else 3 if self.failed or self.ended else 0
 
 
 def steps_of(only: tuple[str, ...], until: str | None) -> tuple[str, ...]:
-    """The steps that are asked for, and those that everything else takes. UsageError where there is no such step."""
+    """Returns the steps that are asked for, and those that every other needs. Raises UsageError if there is no such
+    step."""
     for option, names in (("--only", only), ("--until", (until,) if until else ())):
         for name in names:
             if name not in STEPS:
                 raise UsageError(f"{option}: found '{name}', expected one of {', '.join(STEPS)}")
-    last = STEPS.index(until) if until else len(STEPS) - 1
-    wanted = tuple(step for i, step in enumerate(STEPS) if i <= last and (not only or step in only))
-    return tuple(step for step in STEPS if step in wanted or step in _ALWAYS)
+    wanted = STEPS[: STEPS.index(until) + 1] if until else STEPS
+    return tuple(step for step in STEPS if step in _ALWAYS or (step in wanted and (not only or step in only)))
 
 
 def probe(
@@ -73,16 +80,17 @@ def probe(
     baud: int = 2_000_000,
     leave: Leave | None = None,
     steps: tuple[str, ...] = STEPS,
-    on_step: Callable[[str, int, int], None] = lambda _step, _number, _of: None,
+    on_step: OnStep = lambda _step, _number, _of: None,
     say: Callable[[str], None] = lambda _sentence: None,
     on_wire: Callable[[Wire], None] = lambda _wire: None,
 ) -> Judgement:
-    """Judges the device at a port against PROTOCOL.md. No force but zero is asked for without `leave`.
+    """Judges the device at a port against PROTOCOL.md. Without `leave` no force but zero is sent.
 
-    `on_step(name, number, of)` hears of each step, `say` what will be done before the device is pushed; `on_wire` gets
-    the wire, whose `stop` ends it. DeviceError where the port cannot be opened.
+    `say` is called with what will be done before the device is pushed, `on_wire` with the wire, whose `stop` ends it.
+    Raises DeviceError if the port cannot be opened.
     """
-    with contextlib.closing(_open(port, baud)) as connection:
+    opened = open_serial_port(port, baud) if sys.platform == "linux" else open_portable_port(port, baud)
+    with contextlib.closing(opened) as connection:
         wire = Wire(connection)
         on_wire(wire)
         return judge(wire, leave=leave, steps=steps, on_step=on_step, say=say)
@@ -93,11 +101,11 @@ def judge(
     *,
     leave: Leave | None = None,
     steps: tuple[str, ...] = STEPS,
-    on_step: Callable[[str, int, int], None] = lambda _step, _number, _of: None,
+    on_step: OnStep = lambda _step, _number, _of: None,
     say: Callable[[str], None] = lambda _sentence: None,
 ) -> Judgement:
-    """The same over a wire that is open already."""
-    probing = Probing(wire, leave=leave)
+    """Does the same over a wire that is open already."""
+    probing = Probing(wire, leave)
     ended, interrupted, released = "", False, False
     try:
         _run(probing, steps, on_step, say)
@@ -108,41 +116,28 @@ def judge(
     finally:
         with contextlib.suppress(DeviceError):
             released = wire.received > 0 and wire.release() is not None
-    if ended:
-        for step in steps:
-            probing.leave_out(step, f"not reached: {ended}")
-    return Judgement(wire.name, probing.description, probing.all_of(steps), released, ended, interrupted)
+    for step in steps:
+        probing.leave_out(step, f"not reached: {ended}" if ended else "not reached")
+    checks = tuple(probing.results[check.name] for check in CHECKS if check.step in steps)
+    return Judgement(wire.name, probing.description, checks, released, ended, interrupted)
 
 
-def _open(port: str, baud: int) -> Connection:
-    return open_serial_port(port, baud) if sys.platform == "linux" else open_portable_port(port, baud)
-
-
-def _run(
-    probing: Probing, steps: tuple[str, ...], on_step: Callable[[str, int, int], None], say: Callable[[str], None]
-) -> None:
-    for step, run in _those(steps):
+def _run(probing: Probing, steps: tuple[str, ...], on_step: OnStep, say: Callable[[str], None]) -> None:
+    for step, run in _PROBES:
+        if step not in steps:
+            continue
         on_step(step, steps.index(step) + 1, len(steps))
-        if step == "push" and run is probe_pushing and probing.leave is not None:
-            _require_channel(probing, probing.leave)
+        if run is probe_pushing and probing.leave is not None:
+            channel, channels = probing.leave.channel, probing.device.channels
+            if not 0 <= channel < channels:
+                expected = f"0 to {channels - 1}: the device has {channels}"
+                raise UsageError(f"--channel: found {channel}, expected {expected}")
             say(what_will_be_done(probing, probing.leave))
         try:
-            goes_on = run(probing)
+            goes_on = run(probing) is not False
         except DeviceError as error:
             look_at = "its hardware watchdog, which ends a tick that died or waits for room; a crash; the cable"
-            probing.failed_next(step, f"the device went away here: {error}", look_at)
+            probing.fail_next(step, f"the device went away here: {error}", look_at)
             raise
         if not goes_on:
             return
-
-
-def _those(steps: tuple[str, ...]) -> Iterator[tuple[str, Callable[[Probing], bool]]]:
-    for step in steps:
-        for run in _PROBES[step]:
-            yield step, run
-
-
-def _require_channel(probing: Probing, leave: Leave) -> None:
-    channels = probing.device.channels
-    if not 0 <= leave.channel < channels:
-        raise UsageError(f"--channel: found {leave.channel}, expected 0 to {channels - 1}: the device has {channels}")

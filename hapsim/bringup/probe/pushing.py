@@ -1,7 +1,12 @@
-"""The last step, with the user's leave alone: short pushes to either side, and what the positions make of them.
+"""The last step, only with the user's permission: short pushes to either side, and what the positions make of them.
 
 Pushes are +F, -2F, +F: they leave neither speed nor displacement behind in a free mass. They begin one sample long, and
 grow until the response stands out of the noise or the travel that was allowed is reached.
+
+A force F[n] that answers sample n and acts from tick n + 1 on is that of sample n + 1; so of F[k], F[k-1], F[k-2] the
+second difference at k of a device that keeps PROTOCOL.md, section 6, shows the second and the third, in equal parts
+(the second alone, doubled, if it gives impulses). F[k], which came during the sample that k + 1 ends, shows in a device
+that puts a force out on arrival.
 """
 
 from __future__ import annotations
@@ -12,19 +17,18 @@ from collections.abc import Iterator
 
 from firmware_protocol import schema
 from hapsim.bringup.probe.checks import Leave, Probing
-from hapsim.bringup.probe.response import LAGS, Estimate, Row, estimate, rows_by_lag
-from hapsim.bringup.probe.wire import Sample, Session
-from hapsim.bringup.probe.wire import told as told_frame
+from hapsim.bringup.probe.response import Estimate, estimate
+from hapsim.bringup.probe.wire import Sample, Session, in_words
 
 STEP = "push"
+_LAGS = 5
 _PATTERNS = 32  # at each length
 _LONGEST_S = 3.0  # for those of one length
 _SURE = 30.0  # standard deviations: then nothing longer is tried
 _SEEN = 6.0  # standard deviations of a response that is one at all
 _CLEAR = 0.03  # of the response: then its lags can be distinguished
 _MASS_WITHIN = 0.25  # of the mass that was given: a hand is never the same
-_SETTLE_S = 3.0
-_TIME_TO_LIVE = 0  # samples: what comes too late is not acted on, and what was not renewed is zero
+_LARGEST_COUNT = 2**31 - 1  # of the wire's; rounded, the limit of some devices is one more
 
 
 class TravelledError(Exception):
@@ -32,99 +36,104 @@ class TravelledError(Exception):
 
 
 class Pusher:
-    """An armed device that is pushed on one channel, within the leave that was given."""
+    """An armed device that is pushed on one channel, within the user's permission."""
 
     def __init__(self, probing: Probing, session: Session, leave: Leave) -> None:
         device = probing.device
         self.session, self.leave = session, leave
-        self.position_scale = device.position_scale[leave.channel]
+        self.limit = device.force_limit[leave.channel]
+        """N, of the device."""
         self.force_scale = device.force_scale[leave.channel]
         self.forces: dict[int, float] = {}
         """N, by the sample that they answer."""
+        self._position_scale = device.position_scale[leave.channel]
+        self._settling = probing.samples_in(3.0, 100, 20000)
         self._home: float | None = None
 
     def position(self, sample: Sample) -> float:
-        """m."""
-        return sample.counts[self.leave.channel] * self.position_scale
+        """Returns m."""
+        return sample.counts[self.leave.channel] * self._position_scale
 
     def begin_here(self) -> None:
-        """From here the travel is counted."""
-        assert self.session.newest is not None
-        self._home = self.position(self.session.newest)
+        """Counts the travel from the newest position on."""
+        self._home = self.position(self.session.samples[-1])
 
-    def push(self, sample: Sample, force: float, time_to_live: int = _TIME_TO_LIVE) -> None:
-        """Answers a sample with a force in N. TravelledError, and no force, where the device has moved too far."""
+    def push(self, sample: Sample, force: float, time_to_live: int = 0) -> None:
+        """Answers a sample with a force in N. Raises TravelledError, and sends no force, if the device has moved too
+        far. By default a force that comes too late is not acted on, and one that is not renewed ends."""
         if self._home is not None and abs(self.position(sample) - self._home) > self.leave.travel:
             self.session.zero(sample)
-            raise TravelledError
-        force = min(max(force, -self.leave.force), self.leave.force)  # whoever asks
-        counts = [0] * (self.leave.channel + 1)
-        largest = 2**31 - 1  # of the wire's; rounded, the limit of some devices is one more
-        counts[self.leave.channel] = min(max(math.trunc(force / self.force_scale), -largest), largest)
-        self.forces[sample.n] = counts[self.leave.channel] * self.force_scale
+            raise TravelledError(f"it moved more than {1e3 * self.leave.travel:g} mm: stopped")
+        force = min(max(force, -self.leave.force), self.leave.force)
+        count = min(max(math.trunc(force / self.force_scale), -_LARGEST_COUNT), _LARGEST_COUNT)
+        self.forces[sample.n] = count * self.force_scale
+        counts = [0] * self.leave.channel + [count]
         self.session.force(sample.n, counts, time_to_live if force else schema.MAX_TIME_TO_LIVE_SAMPLES)
 
-    def settle(self, samples: int) -> bool:
-        """Whether the device comes to rest by itself: 50 samples within a hundredth of the travel."""
-        for _ in range(0, samples, 50):
+    def settle(self) -> bool:
+        """Returns whether the device comes to rest by itself: 50 samples within a hundredth of the travel."""
+        for _ in range(0, self._settling, 50):
             if not self.session.run(50, self.session.zero):
                 return False
             recent = [self.position(sample) for sample in self.session.samples[-50:]]
-            if max(recent) - min(recent) < max(0.01 * self.leave.travel, 2 * self.position_scale):
+            if max(recent) - min(recent) < max(0.01 * self.leave.travel, 2 * self._position_scale):
                 return True
         return False
 
-    def rows(self, first: int) -> list[Row]:
-        """Of the samples from number `first` on."""
-        samples = [sample for sample in self.session.samples if sample.n >= first]
-        positions = {sample.n: self.position(sample) for sample in samples}
-        return rows_by_lag(positions, self.forces, {sample.n: sample.fresh for sample in samples})
+    def why_stopped(self) -> str:
+        """Returns why nothing more came of it."""
+        ended = self.session.ended
+        return f"the device stopped: {in_words(ended)}" if ended else "the device does not come to rest"
+
+    def samples_from(self, first: int) -> dict[int, Sample]:
+        """Returns the samples from number `first` on, by number."""
+        return {sample.n: sample for sample in self.session.samples if sample.n >= first}
 
 
 def what_will_be_done(probing: Probing, leave: Leave) -> str:
-    """For the user, before anything is pushed."""
-    device = probing.device
-    force = min(leave.force, device.force_limit[leave.channel])
+    """Returns a sentence for the user, before anything is pushed."""
+    force = min(leave.force, probing.device.force_limit[leave.channel])
     return (
         f"Pushing channel {leave.channel} now: at most {force:g} N to either side in short pulses, some seconds long, "
-        f"stopped where it moves more than {1e3 * leave.travel:g} mm. Let it move freely. Ctrl-C releases it."
+        f"stopped if it moves more than {1e3 * leave.travel:g} mm. Let it move freely. Ctrl-C releases it."
     )
 
 
-def probe_pushing(probing: Probing) -> bool:
+def probe_pushing(probing: Probing) -> None:
     """Always goes on."""
     leave = probing.leave
     if leave is None:
-        probing.leave_out(STEP, "no leave to push: --push N gives it, at most N newton to either side")
-        return True
+        probing.leave_out(STEP, "not allowed to push: --push N allows at most N newton to either side")
+        return
     session = probing.arm_by_device(STEP, min(probing.longest_watchdog, 500))
     if session is None:
-        return True
+        return
     pusher = Pusher(probing, session, leave)
     try:
-        if not pusher.settle(probing.samples_in(_SETTLE_S, 100, 20000)):
+        if pusher.settle():
+            _respond(probing, pusher)
+        else:
             why = "stopped" if session.ended else "it moves by itself"
             probing.leave_out(STEP, f"the device does not come to rest ({why}): hold it, or lay it down, and try again")
-            return True
-        _respond(probing, pusher)
     finally:
         session.disarm()
-    return True
 
 
-def _pattern(length: int, seed: int) -> Iterator[float]:
-    """+, -, -, + and a rest, or the other way round, at random: 0 where nothing is pushed."""
-    sides = random.Random(seed)
+def _pattern(length: int) -> Iterator[float]:
+    """Yields +, -, -, + and a rest, or the other way round, at random, between rests as long as the lags."""
+    yield from (0.0,) * _LAGS
+    sides = random.Random(length)
     for _ in range(_PATTERNS):
         side = sides.choice((1.0, -1.0))
         for sign in (side, -side, -side, side, 0.0, 0.0):
             yield from (sign,) * length
-        yield from (0.0,) * sides.randrange(LAGS)
+        yield from (0.0,) * sides.randrange(_LAGS)
+    yield from (0.0,) * _LAGS
 
 
-def _stages(probing: Probing, leave: Leave) -> Iterator[tuple[float, int]]:
-    """Greater and greater pushes: a force in N, a length in samples."""
-    force = min(leave.force, probing.device.force_limit[leave.channel])
+def _stages(probing: Probing, pusher: Pusher) -> Iterator[tuple[float, int]]:
+    """Yields greater and greater pushes: (a force in N, a length in samples)."""
+    force = min(pusher.leave.force, pusher.limit)
     for share in (64, 16, 4):
         yield force / share, 1
     length = 1
@@ -134,125 +143,100 @@ def _stages(probing: Probing, leave: Leave) -> Iterator[tuple[float, int]]:
 
 
 def _respond(probing: Probing, pusher: Pusher) -> None:
-    """The greatest pushes tell; those that went too far tell nothing more."""
+    """Pushes more and more until the response is clear, and judges the clearest one."""
     best: Estimate | None = None
-    told, went_too_far = "", False
-    for force, length in _stages(probing, pusher.leave):
-        if best is not None and best.significance > _SEEN and _reach(best, pusher, force, length) > 0.3:
-            break
-        if not pusher.settle(probing.samples_in(_SETTLE_S, 100, 20000)):
+    pushes, went_too_far = "", ""
+    for force, length in _stages(probing, pusher):
+        if best is not None and best.significance > _SEEN:
+            reach = abs(best.total) * force * length**2
+            if reach > 0.3 * pusher.leave.travel:
+                break
+        if not pusher.settle():
             break
         found, went_too_far = _pushed(pusher, force, length)
         if found is not None and (best is None or found.significance > best.significance):
-            best, told = found, f"pushes of {force:.3g} N, {length} long"
+            best, pushes = found, f"pushes of {force:.3g} N, {length} long"
         if went_too_far or (best is not None and _is_sure(best)):
             break
     if best is None or best.significance < _SEEN:
-        _not_seen(probing, pusher, best, went_too_far)
+        if went_too_far:
+            why = f"{went_too_far} (--travel allows more, --push asks less)"
+        elif pusher.session.ended is not None:
+            why = pusher.why_stopped()
+        elif best is None:
+            why = "too few of this host's forces were in time"
+        else:
+            why = "the positions show no response: try a greater --push, or let the device move freely"
+        probing.leave_out(STEP, why)
         return
-    _judge_sign(probing, best, told)
-    _judge_delay(probing, best)
-    _judge_mass(probing, best)
     probing.response = best.total * probing.device.rate_hz**2
+    found_response = f"1 N makes {probing.response:.4g} m/s² (± {100 / best.significance:.2g} %)"
+    inverted = "inverted: " if best.total < 0 else ""
+    probing.judge("sign", best.total > 0, f"{inverted}{found_response}, from {best.rows} samples, {pushes}")
+    _judge_delay(probing, best)
+    _judge_mass(probing, best, 1.0 / abs(probing.response))
 
 
 def _is_sure(found: Estimate) -> bool:
     return found.significance > _SURE and float(max(found.deviations[:2])) < _CLEAR * abs(found.total)
 
 
-def _not_seen(probing: Probing, pusher: Pusher, found: Estimate | None, went_too_far: bool) -> None:
-    if went_too_far:
-        why = f"it moved more than {1e3 * pusher.leave.travel:g} mm: stopped (--travel allows more, --push asks less)"
-    elif pusher.session.ended is not None:
-        why = f"the device stopped: {told_frame(pusher.session.ended)}"
-    elif found is None:
-        why = "too few of this host's forces were in time"
-    else:
-        why = "the positions show no response: try a greater --push, or let the device move freely"
-    probing.leave_out(STEP, why)
-
-
-def _reach(found: Estimate, pusher: Pusher, force: float, length: int) -> float:
-    """How far such a push would go, as a share of the travel that is allowed."""
-    return abs(found.total) * force * length**2 / pusher.leave.travel
-
-
-def _pushed(pusher: Pusher, force: float, length: int) -> tuple[Estimate | None, bool]:
-    """What such pushes show, and whether they went too far."""
+def _pushed(pusher: Pusher, force: float, length: int) -> tuple[Estimate | None, str]:
+    """Returns what such pushes show, and that they went too far, in words."""
     session = pusher.session
-    assert session.newest is not None
     pusher.begin_here()
-    begun = session.newest.n + 1
-    signs = [0.0] * LAGS + list(_pattern(length, length)) + [0.0] * LAGS
+    begun, too_far = session.samples[-1].n + 1, ""
+    signs = list(_pattern(length))
 
     def answer(sample: Sample) -> None:
-        """By the sample's number: where the host misses one, the pattern goes on as it would have."""
+        """By the sample's number: if the host misses one, the pattern goes on as it would have."""
         pusher.push(sample, force * signs[min(max(sample.n - begun, 0), len(signs) - 1)])
 
     try:
         session.run(len(signs), answer)
-    except TravelledError:
-        return estimate(pusher.rows(begun)), True
-    return estimate(pusher.rows(begun)), False
+    except TravelledError as error:
+        too_far = str(error)
+    samples = pusher.samples_from(begun)
 
+    def by_lag(k: int) -> list[float] | None:
+        """Forces that missed their deadline were not acted on, as POSITION_HELD says of the next sample."""
+        if not all(j in samples for j in range(k - _LAGS, k + 2)):
+            return None
+        return [pusher.forces.get(n, 0.0) if samples[n + 1].fresh else 0.0 for n in range(k, k - _LAGS, -1)]
 
-def _judge_sign(probing: Probing, found: Estimate, pushes: str) -> None:
-    acceleration = found.total * probing.device.rate_hz**2
-    unsure = 100 / found.significance
-    told = f"1 N makes {acceleration:.4g} m/s² (± {unsure:.2g} %), from {found.rows} samples, {pushes}"
-    if found.total < 0:
-        told = f"inverted: {told}"
-    look_at = (
-        "the motor and the encoder: swap the motor's two wires, or reverse the encoder if the position falls when the "
-        "hand moves the positive way; not both"
-    )
-    probing.judge("sign", found.total > 0, told, look_at)
+    return estimate({n: pusher.position(sample) for n, sample in samples.items()}, by_lag), too_far
 
 
 def _judge_delay(probing: Probing, found: Estimate) -> None:
     shares, deviations = found.values / found.total, found.deviations / abs(found.total)
-    told = "of the response, " + ", ".join(f"{share:z.2f} at {lag}" for lag, share in enumerate(shares)) + " samples"
-    early = shares[0] > max(0.05, 5 * deviations[0])
-    late = shares[1] < 0.1 and shares[1] + 5 * deviations[1] < 0.3
-    if max(deviations[:2]) > 0.1:
-        probing.not_seen("delay", f"{told}, but ± {max(deviations[:2]):.2f}: a greater --push shows more")
-    elif early:
-        look_at = (
-            "FORCE is put out on arrival: keep it, and put it out at the next tick, before the position is measured"
-        )
-        probing.failed("delay", f"{told}: it begins within the sample that the force came in", look_at)
-    elif late:
-        look_at = (
-            "the tick puts the force out before it measures, with no buffer between; a driver or a filter that is "
-            "late belongs into the scene's `delay`"
-        )
-        probing.failed("delay", f"{told}: it begins a sample late", look_at)
+    unsure = float(max(deviations[:2]))
+    by_lag = ", ".join(f"{share:z.2f} at {lag}" for lag, share in enumerate(shares))
+    words = f"of the response, {by_lag} samples"
+    if unsure > 0.1:
+        probing.not_seen("delay", f"{words}, but ± {unsure:.2f}: a greater --push shows more")
+    elif shares[0] > max(0.05, 5 * deviations[0]):
+        look_at = "FORCE is put out on arrival: keep it until the next tick, and put it out before it measures"
+        probing.judge("delay", False, f"{words}: it begins within the sample that the force came in", look_at)
+    elif shares[1] < 0.1 and shares[1] + 5 * deviations[1] < 0.3:
+        probing.judge("delay", False, f"{words}: it begins a sample late")
     else:
-        probing.passed("delay", told)
+        probing.judge("delay", True, words)
 
 
-def _judge_mass(probing: Probing, found: Estimate) -> None:
-    leave = probing.leave
-    assert leave is not None
-    mass = 1.0 / abs(found.total * probing.device.rate_hz**2)
-    told = f"it responds like {mass:.4g} kg"
-    if leave.mass is None:
-        probing.not_seen("mass", f"{told}; --mass KG says what it ought to be")
+def _judge_mass(probing: Probing, found: Estimate, mass: float) -> None:
+    """`mass`: kg, as it responds."""
+    assert probing.leave is not None
+    given, words = probing.leave.mass, f"it responds like {mass:.4g} kg"
+    if given is None:
+        probing.not_seen("mass", f"{words}; --mass KG says what it ought to be")
         return
-    factor = leave.mass / mass
-    told += f": {factor:.3g} times the response of {leave.mass:g} kg"
-    look_at = (
-        "position_scale (an encoder's edges counted once, twice or four times; radius or diameter; mm), force_scale "
-        "(torque constant, gear), or the mass that was given"
-    )
-    unsure = 3 / found.significance
+    factor, unsure = given / mass, 3 / found.significance
+    words += f": {factor:.3g} times the response of {given:g} kg"
     if unsure > _MASS_WITHIN:
-        probing.not_seen("mass", f"{told}, but ± {100 * unsure:.0f} %: a greater --push shows more")
+        probing.not_seen("mass", f"{words}, but ± {100 * unsure:.0f} %: a greater --push shows more")
         return
-    told += f" (within {100 * _MASS_WITHIN:g} %, and its uncertainty, is allowed)"
+    words += f" (within {100 * _MASS_WITHIN:g} %, and its uncertainty, is allowed)"
     kept = abs(math.log(factor)) < math.log1p(_MASS_WITHIN) + unsure
     if not kept:
-        told += (
-            f", as if positions were {factor:.3g} times too large, or forces {factor:.3g} times stronger than they say"
-        )
-    probing.judge("mass", kept, told, look_at)
+        words += f", as if positions were {factor:.3g} times too large, or forces as much stronger than they say"
+    probing.judge("mass", kept, words)
