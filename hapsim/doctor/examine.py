@@ -1,9 +1,11 @@
-"""The examination: wake-ups and exchanges, rate after rate, and what they come to."""
+"""The examination: wake-ups and exchanges at every rate, the verdicts on them, and advice."""
 
 from __future__ import annotations
 
+import contextlib
+import itertools
 import shlex
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -45,7 +47,7 @@ class Step:
 
 @dataclass(frozen=True)
 class Examination:
-    """What a machine was found to be, and to keep up with."""
+    """A machine, and the rates that it keeps."""
 
     scene: str
     """The file of the scene that ran."""
@@ -55,7 +57,7 @@ class Examination:
     """How long each measurement took."""
     machine: Machine
     grants: tuple[PrivilegeResult, ...] | None
-    """What was asked for of real time; None where nothing was."""
+    """The real-time privileges that were requested; None if none were."""
     wakeups: dict[float, Histogram]
     """By rate (Hz): the wake-up latencies (s) of a thread."""
     exchanges: tuple[Exchanges, ...]
@@ -66,24 +68,24 @@ class Examination:
     steps: int = 0
     """How many measurements it is made of."""
     stopped_after: int | None = None
-    """How many of them were made when an interrupt ended it; None where it was not interrupted."""
+    """How many of them were made when an interrupt ended it; None if it was not interrupted."""
 
     @property
     def stopped(self) -> str:
-        """That it was interrupted, in a sentence; "" where it was not."""
+        """That it was interrupted, in a sentence; "" if it was not."""
         if self.stopped_after is None:
             return ""
         return f"stopped after {self.stopped_after} of {self.steps} steps: the measurements until then are shown"
 
     @property
     def best_rates(self) -> dict[str, float | None]:
-        """By clock: the fastest rate (Hz) that this machine keeps on the mock; empty where a device was examined."""
+        """By clock: the fastest rate (Hz) that this machine keeps on the mock; empty if a device was examined."""
         clocks = dict.fromkeys(verdict.clock for verdict in self.verdicts if verdict.where == MOCK)
         return {clock: best_rate(self.verdicts, clock) for clock in clocks}
 
     @property
     def device_failed(self) -> Exchanges | None:
-        """The run whose device, on a port, failed; None where none did."""
+        """The run whose device, on a port, failed, if any."""
         return next((run for run in self.exchanges if run.failure and run.where != MOCK), None)
 
 
@@ -99,140 +101,103 @@ def examine(
     run: Run | None = None,
     ask: Callable[[Trial], None] | None = None,
 ) -> Examination:
-    """How steady this machine is for a haptic loop.
+    """Measures how steady this machine is for a haptic loop.
 
     First a thread sleeps to a grid of each of `rates` (Hz), and of the scene's own, and its wake-up latencies are
-    counted. Then `scene` (None: the shipped first_touch) runs: on its device where it names a port and `transport` is
-    "auto", at its own rate, and sent no force but zero; otherwise on the mock, at every rate and under either clock.
-    Each of these takes `seconds`. `realtime`: with what this user may have of real time. `tree`, `run`, `ask`: in
-    place of this system's files, of hapsim.run and of asking the device, for tests.
+    counted. Then `scene` (None: the shipped first_touch) runs: on its device, at its own rate and with zero force, if
+    it names a port and `transport` is "auto"; otherwise on the mock, at every rate and under either clock. Each of
+    these takes `seconds`, with real-time privileges if `realtime`. Tests replace `tree` (this system's files), `run`
+    (hapsim.run) and `ask` (which asks the device for its description).
 
-    A run that fails is part of the answer, and so is what was measured before a KeyboardInterrupt; one that comes
-    before the first measurement was made is passed on. Raises, before anything is measured, UsageError for rates and
-    times that cannot be, and where a scene and its device do not go together; DeviceError where no device answers.
+    A run that fails is part of the answer, and so is what was measured before a KeyboardInterrupt, unless it comes
+    before the first result. Raises, before anything is measured, UsageError for rates and times that are impossible
+    and for a scene that does not fit its device; DeviceError if no device answers.
     """
+    tree, run, tell = tree or SystemFiles(), run or _hapsim_run(), on_progress or (lambda _: None)
+    examined, rates, to_run = _to_measure(scene, seconds, rates, transport)
+    (ask or _ask)(to_run[0])
+    steps, numbers = len(rates) + len(to_run), itertools.count(1)
+
+    def begin(what: str) -> Tell:
+        number = next(numbers)
+        return lambda elapsed, compiling: tell(Step(number, steps, what, elapsed, seconds, compiling))
+
+    before = cpu_times(tree)
+    wakeups: dict[float, Histogram] = {}
+    grants: list[list[PrivilegeResult]] = []
+    made: list[Exchanges] = []
+    with contextlib.suppress(KeyboardInterrupt):
+        for rate in rates:
+            what = f"wake-ups at {frequency(rate)}"
+            wakeups[rate] = wake_up_latency(rate, seconds, begin(what), realtime=realtime, on_grants=grants.append)
+        for trial in to_run:
+            made.append(exchanges(trial, seconds, begin(trial.in_words()), run, realtime=realtime))
+    if not wakeups:
+        raise KeyboardInterrupt
+    done, granted = len(wakeups) + len(made), tuple(grants[-1]) if realtime else None
+    verdicts, machine = tuple(map(verdict_on, made)), machine_of(tree)
+    case = Situation(
+        tree,
+        machine,
+        examined.device.port if to_run[0].where != MOCK else None,
+        granted,
+        worst_wakeup_s=max(histogram.maximum for histogram in wakeups.values()),
+        keeps_up=all(verdict.answer == "yes" for verdict in verdicts),
+        again=_again(scene, to_run[0].where),
+        load=load_between(before, cpu_times(tree), machine.cores_online, tree),
+    )
+    return Examination(
+        examined.path or _SHIPPED,
+        examined.rate,
+        seconds,
+        machine,
+        granted,
+        wakeups,
+        tuple(made),
+        verdicts,
+        case.load,
+        tuple(advice_on(case)),
+        steps,
+        stopped_after=done if done < steps else None,
+    )
+
+
+def _to_measure(
+    scene: Scene | None, seconds: float, rates: tuple[float, ...], transport: TransportKind
+) -> tuple[Scene, tuple[float, ...], list[Trial]]:
+    """Returns (the scene to examine, the rates, in order, the runs). Raises UsageError."""
     if transport == "loopback":
         raise UsageError("--transport: found loopback, which has no time of its own; expected terminal, or nothing")
     require_linux("hapsim doctor, which examines the compiled loop,", "`hapsim run --portable` tells its own lateness")
-    examined, tree = scene or _shipped(), tree or SystemFiles()
-    _require_measurable(examined, rates, seconds)
-    rates = tuple(sorted({*rates, examined.rate}))
-    to_run = trials(examined, rates, transport)
-    (ask or _ask)(to_run[0])
-    steps = _Steps(len(rates) + len(to_run), seconds, on_progress)
-    before = cpu_times(tree)
-    wakeups: dict[float, Histogram] = {}
-    granted: list[list[PrivilegeResult]] = []
-    made: list[Exchanges] = []
-    stopped = False
-    try:
-        _measure_wakeups(rates, seconds, steps, realtime, wakeups, granted)
-        _make_exchanges(to_run, seconds, steps, run or _hapsim_run(), realtime, made)
-    except KeyboardInterrupt:
-        if not wakeups:
-            raise
-        stopped = True
-    ran, grants = tuple(made), tuple(granted[-1]) if realtime else None
-    machine = machine_of(tree)
-    load = load_between(before, cpu_times(tree), machine.cores_online, tree)
-    verdicts = tuple(map(verdict_on, ran))
-    case = Situation(
-        tree=tree,
-        machine=machine,
-        port=examined.device.port if to_run[0].where != MOCK else None,
-        grants=grants,
-        worst_wakeup_s=max(histogram.maximum for histogram in wakeups.values()),
-        keeps_up=all(verdict.answer == "yes" for verdict in verdicts),
-        load=load,
-        again=_again(scene, to_run[0].where),
-    )
-    return Examination(
-        scene=examined.path or _SHIPPED,
-        rate_hz=examined.rate,
-        seconds=seconds,
-        machine=machine,
-        grants=grants,
-        wakeups=wakeups,
-        exchanges=ran,
-        verdicts=verdicts,
-        load=load,
-        advice=tuple(advice_on(case)),
-        steps=steps.of,
-        stopped_after=len(wakeups) + len(ran) if stopped else None,
-    )
+    if scene is None:
+        from hapsim.scene.shipped import shipped_scene
+
+        scene = parse_scene(shipped_scene(_SHIPPED), _SHIPPED)
+    for rate in rates:
+        require_measurable(rate, seconds)
+    require_measurable(scene.rate, seconds, f"{scene.path or 'the scene'}: rate")
+    rates = tuple(sorted({*rates, scene.rate}))
+    return scene, rates, trials(scene, rates, transport)
 
 
 def _ask(trial: Trial) -> None:
-    """Asks a device on a port what it is: it is not armed."""
+    """Asks a device on a port for its description, without arming it."""
     if trial.where == MOCK:
         return
     with open_connection(trial.scene, trial.transport) as connection:
         require_compatible(trial.scene, connection.name, describe(connection))
 
 
-def _require_measurable(scene: Scene, rates: tuple[float, ...], seconds: float) -> None:
-    for rate in rates:
-        require_measurable(rate, seconds)
-    require_measurable(scene.rate, seconds, f"{scene.path or 'the scene'}: rate")
-
-
-def _measure_wakeups(
-    rates: tuple[float, ...],
-    seconds: float,
-    steps: _Steps,
-    realtime: bool,
-    wakeups: dict[float, Histogram],
-    granted: list[list[PrivilegeResult]],
-) -> None:
-    """Adds the wake-up latencies of a thread to `wakeups`, rate by rate, and what it was granted to `granted`."""
-    for rate in rates:
-        tell = steps.next(f"wake-ups at {frequency(rate)}")
-        wakeups[rate] = wake_up_latency(rate, seconds, tell, realtime=realtime, on_grants=granted.append)
-
-
-def _make_exchanges(
-    to_run: Sequence[Trial], seconds: float, steps: _Steps, run: Run, realtime: bool, made: list[Exchanges]
-) -> None:
-    """Adds what came of each to `made`, in their order."""
-    for one in to_run:
-        made.append(exchanges(one, seconds, steps.next(_named(one)), run, realtime=realtime))
-
-
-class _Steps:
-    """Counts measurements, and tells how far each is."""
-
-    def __init__(self, of: int, seconds: float, tell: Callable[[Step], None] | None) -> None:
-        self.of, self._seconds, self._number = of, seconds, 0
-        self._tell = tell or (lambda _: None)
-
-    def next(self, what: str) -> Tell:
-        """Begins a measurement; returns what to report progress to."""
-        self._number += 1
-        number = self._number
-        return lambda elapsed, compiling: self._tell(Step(number, self.of, what, elapsed, self._seconds, compiling))
-
-
 def _again(scene: Scene | None, where: str) -> str:
-    """What examines a scene (None: the shipped one) on this port, or on the mock, again: for a shell."""
-    told = ["hapsim", "doctor"]
+    """Returns the command that examines a scene (None: the shipped one) on this port, or on the mock, again."""
+    words = ["hapsim", "doctor"]
     if scene is not None and scene.path is not None:
-        told.append(scene.path)
+        words.append(scene.path)
         if where != MOCK:
-            told += ["--port", where]
+            words += ["--port", where]
         elif scene.device.port is not None:
-            told.append("--mock")
-    return shlex.join(told)
-
-
-def _named(trial: Trial) -> str:
-    where = "the mock" if trial.where == MOCK else trial.where
-    return f"exchanges at {frequency(trial.scene.rate)}, clock: {trial.scene.device.clock}, on {where}"
-
-
-def _shipped() -> Scene:
-    from hapsim.scene.shipped import shipped_scene
-
-    return parse_scene(shipped_scene(_SHIPPED), _SHIPPED)
+            words.append("--mock")
+    return shlex.join(words)
 
 
 def _hapsim_run() -> Run:

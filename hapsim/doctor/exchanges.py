@@ -1,7 +1,8 @@
-"""Runs of a scene at one rate, and the verdict: which share of its forces this machine sends in time."""
+"""Runs of a scene at one rate, and the verdict: the share of its forces that this machine sends in time."""
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
@@ -18,15 +19,15 @@ if TYPE_CHECKING:
     from hapsim.recording.trace import Report, Trace
 
 Run = Callable[..., "Trace"]
-"""hapsim.run, or what stands for it in a test."""
+"""hapsim.run, or its replacement in a test."""
 
 MOCK = "mock"
-_NO_FORCE = 1e-12  # N: less than one count of any device, so that the limit cuts every force to zero
+_NO_FORCE = 1e-12  # N: less than one count of any device, so that the limit makes every force zero
 
 
 @dataclass(frozen=True)
 class Trial:
-    """A run that is to be made."""
+    """A run to be made."""
 
     scene: Scene
     transport: TransportKind
@@ -35,6 +36,11 @@ class Trial:
     def where(self) -> str:
         """The port of the device, or "mock"."""
         return self.scene.device.port if self.transport == "auto" and self.scene.device.port else MOCK
+
+    def in_words(self) -> str:
+        """Returns what it measures."""
+        where = "the mock" if self.where == MOCK else self.where
+        return f"exchanges at {frequency(self.scene.rate)}, clock: {self.scene.device.clock}, on {where}"
 
 
 @dataclass(frozen=True)
@@ -46,7 +52,7 @@ class Exchanges:
     where: str
     """The port of the device, or "mock"."""
     report: Report | None
-    """None where nothing was recorded."""
+    """None if nothing was recorded."""
     lateness: Histogram | None
     """s, of the loop's wake-ups."""
     exchange: Histogram | None
@@ -54,28 +60,27 @@ class Exchanges:
     failure: str = ""
     """Why the run ended early, in a sentence."""
     exit_status: int = 0
-    """What kind of failure, as hapsim/errors.py has it."""
+    """Of the failure, as in hapsim/errors.py."""
 
     @property
     def share_in_time(self) -> float | None:
-        """Which share (0 to 1) of the forces that were asked for came in time; None where nothing ran."""
+        """The share (0 to 1) of the forces that came in time; None if nothing ran."""
         return None if self.report is None else share_in_time(self.report, device_asks=self.clock == "device")
 
     @property
     def share_of_rate(self) -> float | None:
-        """Which share of the rate was kept: 0.9 where 900 positions a second came instead of 1000."""
+        """The share of the rate that was kept: 0.9 for 900 positions a second instead of 1000."""
         if self.report is None or not self.report.duration_s > 0.0:
             return None
         return self.report.rate_hz / self.report.nominal_rate_hz
 
 
 def share_in_time(report: Report, *, device_asks: bool) -> float | None:
-    """Which share (0 to 1) of a run's forces came in time; None of a run without a tick.
+    """Returns the share (0 to 1) of a run's forces that came in time; None for a run without a tick.
 
-    A force that was late and one that answers a position which was lost are deadline misses. Where the host is the
-    clock, neither are those that it was too slow to send at all: a loop that runs at 900 Hz instead of 1000 misses a
-    tenth. Where the device asks (`device_asks`), a slow rate is the device's, and what it asks for is known from the
-    numbers of its samples.
+    A late force and a lost position are deadline misses. If the host is the clock, so are forces that it was too slow
+    to send at all: a loop that runs at 900 Hz instead of 1000 misses a tenth. If the device asks (`device_asks`), a
+    slow rate is the device's, and the numbers of its samples say what it asks for.
     """
     if report.ticks == 0:
         return None
@@ -86,9 +91,9 @@ def share_in_time(report: Report, *, device_asks: bool) -> float | None:
 
 
 def trials(scene: Scene, rates: tuple[float, ...], transport: TransportKind) -> list[Trial]:
-    """The runs by which a scene is examined.
+    """Returns the runs by which a scene is examined.
 
-    With a device: one, as the scene says. With the mock: every rate, under either clock. UsageError where the scene
+    With a device: one, as the scene says. With the mock: every rate, under either clock. Raises UsageError if the scene
     would run on its device in virtual time.
     """
     if transport == "auto" and scene.device.port is not None:
@@ -102,48 +107,40 @@ def trials(scene: Scene, rates: tuple[float, ...], transport: TransportKind) -> 
 
 
 def powerless(scene: Scene) -> Scene:
-    """The scene without its links, and with a limit that lets no force through: a doctor never pushes a hand."""
+    """Returns the scene without its links, and with a limit that lets no force through: the hand is never pushed."""
     modules = type(scene.modules)(  # type: ignore[call-arg]
         {name: module for name, module in scene.modules.items() if name not in scene.links}
     )
     return _changed(scene, scene.rate, force_limit=_NO_FORCE).model_copy(update={"modules": modules})
 
 
-def exchanges(trial: Trial, seconds: float, tell: Tell, run: Run, *, realtime: bool) -> Exchanges:
-    """Makes one run. What fails while it runs is part of the answer; UsageError and SceneError are raised."""
-    try:
-        trace = run(
-            trial.scene,
-            duration=seconds,
-            transport=trial.transport,
-            keep=False,
-            on_progress=lambda progress: _pass_on(progress, tell),
-            realtime=realtime,
-        )
-    except RunError as error:
-        return _exchanges(trial, error.trace, str(error), error.exit_status)
-    return _exchanges(trial, trace, "", 0)
-
-
-def _exchanges(trial: Trial, trace: Trace | None, failure: str, exit_status: int) -> Exchanges:
-    return Exchanges(
-        rate_hz=trial.scene.rate,
-        clock=trial.scene.device.clock,
-        where=trial.where,
-        report=None if trace is None else trace.report,
-        lateness=None if trace is None else trace.statistics.lateness,
-        exchange=None if trace is None else trace.statistics.exchange,
-        failure=failure,
-        exit_status=exit_status,
-    )
-
-
 def _changed(scene: Scene, rate: float, **device: Any) -> Scene:
     return scene.model_copy(update={"rate": rate, "device": scene.device.model_copy(update=device)})
 
 
-def _pass_on(progress: Progress, tell: Tell) -> None:
-    tell(progress.elapsed_s, progress.text if progress.phase == "compiling" else "")
+def exchanges(trial: Trial, seconds: float, tell: Tell, run: Run, *, realtime: bool) -> Exchanges:
+    """Makes one run. A failure while it runs is part of the answer; UsageError and SceneError are raised."""
+
+    def pass_on(progress: Progress) -> None:
+        tell(progress.elapsed_s, progress.text if progress.phase == "compiling" else "")
+
+    options = {"duration": seconds, "transport": trial.transport, "keep": False, "realtime": realtime}
+    failure, exit_status = "", 0
+    try:
+        trace = run(trial.scene, on_progress=pass_on, **options)
+    except RunError as error:
+        trace, failure, exit_status = error.trace, str(error), error.exit_status
+    statistics = None if trace is None else trace.statistics
+    return Exchanges(
+        trial.scene.rate,
+        trial.scene.device.clock,
+        trial.where,
+        None if trace is None else trace.report,
+        None if statistics is None else statistics.lateness,
+        None if statistics is None else statistics.exchange,
+        failure,
+        exit_status,
+    )
 
 
 # The verdict
@@ -183,9 +180,9 @@ class Verdict:
     where: str
     answer: Answer
     share_in_time: float | None
-    """0 to 1; None where nothing was measured."""
+    """0 to 1; None if nothing was measured."""
     why: str = ""
-    """Why there is no better answer, where more is known than the share."""
+    """Why there is no better answer, if more is known than the share."""
 
     @property
     def sentence(self) -> str:
@@ -195,13 +192,13 @@ class Verdict:
 
 
 def answer_for(share_in_time: float | None) -> Answer:
-    """Whether a rate is kept that has this share (0 to 1) of its forces in time.
+    """Returns whether a rate is kept that has this share (0 to 1) of its forces in time.
 
     `yes` from 99.9 %: at 1 kHz at most one force a second is late. `with gaps` from 95 %: it runs, but every late force
     is a moment of twice the delay, delay eats damping, and a stiff scene that is stable on paper may hum. Below, `no`.
     libfranka's communication_test, for a robot at 1 kHz, warns below 95 % and calls a machine not sufficient below
-    90 %. A robot's controller bridges a gap by extrapolating its commands; a force that is held goes on pushing: so
-    its warning is our refusal.
+    90 %. A robot's controller bridges a gap by extrapolating its commands, but a held force goes on pushing: so its
+    warning is our refusal.
     """
     if share_in_time is None:
         return "no verdict"
@@ -209,30 +206,19 @@ def answer_for(share_in_time: float | None) -> Answer:
 
 
 def verdict_on(exchanges: Exchanges) -> Verdict:
-    """The verdict on one run. One that ended before its time is a no, whatever was in time until then."""
-    share = exchanges.share_in_time
+    """Returns the verdict on one run. One that failed is a no, whatever was in time until then; a mock that does not
+    keep its rate itself allows none."""
+    share, why, kept = exchanges.share_in_time, exchanges.failure, exchanges.share_of_rate
     answer = answer_for(share)
-    why = exchanges.failure
     if why:
         answer = "no" if share is not None else "no verdict"
-    elif share is not None and _mock_is_slow(exchanges):
-        answer, why = (
-            "no verdict",
-            f"the mock itself kept only {share_in_percent(exchanges.share_of_rate or 0.0)} of the rate",
-        )
+    elif (exchanges.where, exchanges.clock) == (MOCK, "device") and kept is not None and kept < KEPT_BY_MOCK:
+        answer, why = "no verdict", f"the mock itself kept only {share_in_percent(kept)} of the rate"
     return Verdict(exchanges.rate_hz, exchanges.clock, exchanges.where, answer, share, why)
 
 
-def _mock_is_slow(exchanges: Exchanges) -> bool:
-    kept = exchanges.share_of_rate
-    return exchanges.where == MOCK and exchanges.clock == "device" and kept is not None and kept < KEPT_BY_MOCK
-
-
 def best_rate(verdicts: Iterable[Verdict], clock: str) -> float | None:
-    """The fastest rate (Hz) on the mock under `clock` that is a yes, with every slower one; None where none is."""
-    best = None
-    for verdict in sorted((v for v in verdicts if v.clock == clock and v.where == MOCK), key=lambda v: v.rate_hz):
-        if verdict.answer != "yes":
-            break
-        best = verdict.rate_hz
-    return best
+    """Returns the fastest rate (Hz) on the mock under `clock` that is a yes, with every slower one; None if none is."""
+    on_mock = sorted((v for v in verdicts if v.clock == clock and v.where == MOCK), key=lambda v: v.rate_hz)
+    kept = [v.rate_hz for v in itertools.takewhile(lambda v: v.answer == "yes", on_mock)]
+    return kept[-1] if kept else None

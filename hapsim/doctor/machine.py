@@ -8,27 +8,32 @@ from pathlib import Path
 
 @dataclass(frozen=True)
 class SystemFiles:
-    """A file system with /sys, /proc and /dev in it; tests give one of their own making."""
+    """A file system with /sys, /proc and /dev in it; tests make one of their own."""
 
     root: Path = Path("/")
 
     def text(self, path: str) -> str:
-        """What a file says, without the white space around it; "" where it is missing or not to be read."""
+        """Returns the text of a file, without the white space around it; "" if it is missing or cannot be read."""
         try:
             return (self.root / path).read_text(encoding="utf-8", errors="replace").strip()
         except (OSError, ValueError):
             return ""
 
     def texts(self, pattern: str) -> list[str]:
-        """What every file of a pattern says, in the order of their names; those that say nothing left out."""
+        """Returns the texts of every file of a pattern, in the order of their names, without empty ones."""
         try:
             paths = sorted(path.relative_to(self.root).as_posix() for path in self.root.glob(pattern))
         except OSError:
             return []
         return [text for text in map(self.text, paths) if text]
 
+    def fields(self, path: str) -> dict[str, str]:
+        """Returns the `name : value` lines of a file; of a name that comes once for each core, the first."""
+        lines = [line.partition(":") for line in self.text(path).splitlines()]
+        return {name.strip(): value.strip() for name, colon, value in reversed(lines) if colon}
+
     def resolve(self, path: str) -> Path:
-        """Where a path such as /dev/serial/by-id/… leads to, told from this root: /dev/ttyUSB0."""
+        """Returns where a path such as /dev/serial/by-id/… leads to, as seen from this root: /dev/ttyUSB0."""
         target = (self.root / path.lstrip("/")).resolve()
         root = self.root.resolve()
         return Path("/") / target.relative_to(root) if target.is_relative_to(root) else target
@@ -36,7 +41,7 @@ class SystemFiles:
 
 @dataclass(frozen=True)
 class Machine:
-    """A machine in a few words; "" and None where it does not tell."""
+    """A machine in a few words; "" and None if it does not say."""
 
     cpu: str
     """Its model."""
@@ -51,7 +56,7 @@ class Machine:
     clock_source: str
     """What the kernel reads the time from."""
     virtual: str
-    """The hypervisor where it is a virtual machine, by its name where that is known."""
+    """The hypervisor of a virtual machine, by its name if that is known."""
     smt: bool | None
     """Whether two threads share a core."""
     isolated: str
@@ -59,53 +64,34 @@ class Machine:
 
 
 def machine_of(tree: SystemFiles) -> Machine:
-    """The machine that a tree of /sys and /proc describes."""
+    """Returns the machine that a tree of /sys and /proc describes."""
+    cpus, processor = "sys/devices/system/cpu", tree.fields("proc/cpuinfo")
+    # x86 has "model name", ARM boards "Model", or nothing here but a name in the device tree.
+    model = processor.get("model name") or processor.get("Model") or processor.get("Hardware")
     return Machine(
-        cpu=_cpu(tree),
-        cores_allowed=_count(_status(tree, "Cpus_allowed_list")),
-        cores_online=_count(tree.text("sys/devices/system/cpu/online")),
+        cpu=" ".join((model or tree.text("proc/device-tree/model").strip("\0")).split()),
+        cores_allowed=_count(tree.fields("proc/self/status").get("Cpus_allowed_list", "")),
+        cores_online=_count(tree.text(f"{cpus}/online")),
         kernel=tree.text("proc/sys/kernel/osrelease"),
         preempt_rt=tree.text("sys/kernel/realtime") == "1" or "PREEMPT_RT" in tree.text("proc/sys/kernel/version"),
-        governors=tuple(sorted(set(tree.texts("sys/devices/system/cpu/cpu[0-9]*/cpufreq/scaling_governor")))),
+        governors=tuple(sorted(set(tree.texts(f"{cpus}/cpu[0-9]*/cpufreq/scaling_governor")))),
         clock_source=tree.text("sys/devices/system/clocksource/clocksource0/current_clocksource"),
-        virtual=_hypervisor(tree),
-        smt={"1": True, "0": False}.get(tree.text("sys/devices/system/cpu/smt/active")),
-        isolated=tree.text("sys/devices/system/cpu/isolated"),
+        virtual=_hypervisor(tree, processor.get("flags", "").split()),
+        smt={"1": True, "0": False}.get(tree.text(f"{cpus}/smt/active")),
+        isolated=tree.text(f"{cpus}/isolated"),
     )
 
 
-def _cpu(tree: SystemFiles) -> str:
-    """The model's name: x86 says "model name", ARM boards "Model" or nothing here but a name in the device tree."""
-    fields = _fields(tree.text("proc/cpuinfo"))
-    named = fields.get("model name") or fields.get("Model") or fields.get("Hardware")
-    return " ".join((named or tree.text("proc/device-tree/model").strip("\0")).split())
-
-
-def _hypervisor(tree: SystemFiles) -> str:
-    if "hypervisor" not in _fields(tree.text("proc/cpuinfo")).get("flags", "").split():
-        return tree.text("sys/hypervisor/type")
-    maker = " ".join(
-        filter(None, (tree.text("sys/class/dmi/id/sys_vendor"), tree.text("sys/class/dmi/id/product_name")))
-    )
-    return maker or tree.text("sys/hypervisor/type") or "of unknown make"
-
-
-def _status(tree: SystemFiles, name: str) -> str:
-    return _fields(tree.text("proc/self/status")).get(name, "")
-
-
-def _fields(text: str) -> dict[str, str]:
-    """`name : value` lines; of a name that comes more than once, as for each core, the first."""
-    fields: dict[str, str] = {}
-    for line in text.splitlines():
-        name, colon, value = line.partition(":")
-        if colon:
-            fields.setdefault(name.strip(), value.strip())
-    return fields
+def _hypervisor(tree: SystemFiles, flags: list[str]) -> str:
+    kind, made = tree.text("sys/hypervisor/type"), "sys/class/dmi/id"
+    if "hypervisor" not in flags:
+        return kind
+    maker = " ".join(filter(None, (tree.text(f"{made}/sys_vendor"), tree.text(f"{made}/product_name"))))
+    return maker or kind or "of unknown make"
 
 
 def _count(cores: str) -> int | None:
-    """How many cores a list such as 0-3,6 names."""
+    """Returns how many cores a list such as 0-3,6 names."""
     try:
         ends = [tuple(map(int, part.split("-"))) for part in cores.split(",") if part]
     except ValueError:
@@ -143,7 +129,7 @@ class Load:
 
 
 def cpu_times(tree: SystemFiles) -> CpuTimes | None:
-    """The times so far; None where the tree does not tell them."""
+    """Returns the times so far; None if the tree does not have them."""
     try:
         user, nice, system, idle, wait, irq, soft, stolen = map(int, tree.text("proc/stat").split()[1:9])
         # The name, in parentheses, may have blanks in it.
@@ -155,18 +141,14 @@ def cpu_times(tree: SystemFiles) -> CpuTimes | None:
 
 
 def load_between(before: CpuTimes | None, after: CpuTimes | None, cores: int | None, tree: SystemFiles) -> Load | None:
-    """The load between two looks; None where nothing is known of it, or no time went by."""
+    """Returns the load between two looks; None if nothing is known of it, or no time passed."""
     if before is None or after is None or not after.all_s > before.all_s:
         return None
-    span = after.all_s - before.all_s
-    others = (after.everybody_s - before.everybody_s) - (after.ours_s - before.ours_s)
-    seconds = span / (cores or 1)
-    stolen = max(after.stolen_s - before.stolen_s, 0.0) / span
-    return Load(max(others, 0.0) / seconds, stolen, _average(tree))
-
-
-def _average(tree: SystemFiles) -> float | None:
+    span_s = after.all_s - before.all_s
+    others_s = (after.everybody_s - before.everybody_s) - (after.ours_s - before.ours_s)
+    stolen_s = max(after.stolen_s - before.stolen_s, 0.0)
     try:
-        return float(tree.text("proc/loadavg").split()[0])
+        average = float(tree.text("proc/loadavg").split()[0])
     except (IndexError, ValueError):
-        return None
+        average = None
+    return Load(max(others_s, 0.0) / (span_s / (cores or 1)), stolen_s / span_s, average)

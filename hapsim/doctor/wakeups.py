@@ -1,11 +1,12 @@
-"""How late this machine wakes up a program that sleeps to a grid: what every real-time loop stands on."""
+"""How late this machine wakes up a thread that sleeps to a grid, as every real-time loop does."""
 
 from __future__ import annotations
 
 import contextlib
 import threading
+import time
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from firmware_protocol.compiled import new_record
 from hapsim.compiling.kept import compile_for
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
     from hapsim.loop.realtime import PrivilegeResult
 
 Tell = Callable[[float, str], None]
-"""Told how long (s) one measurement runs by now, and the name of a function that is being compiled for it, or ""."""
+"""Called with the time (s) since a measurement began, and the function that is being compiled for it, or ""."""
 
 _LOOK_S = 0.05
 _SLOWEST_HZ, _FASTEST_HZ = 1.0, 1e5
@@ -26,10 +27,8 @@ _MOST_WAKEUPS = 1e12
 
 
 def require_measurable(rate_hz: float, seconds: float, named: str = "--rates") -> None:
-    """UsageError where no lateness can be measured at this rate for so many `seconds`; `named`: where the rate stands.
-
-    The rate has to be between 1 Hz and 100 kHz, and there has to be one period in the time.
-    """
+    """Raises UsageError unless the rate is between 1 Hz and 100 kHz, with at least a period in the time. `named`: where
+    the rate stands."""
     if not _SLOWEST_HZ <= rate_hz <= _FASTEST_HZ:
         raise UsageError(f"{named}: found {rate_hz:g} Hz, expected {_SLOWEST_HZ:g} to {_FASTEST_HZ:g} Hz")
     if not 1.0 <= rate_hz * seconds <= _MOST_WAKEUPS:
@@ -42,72 +41,50 @@ def require_measurable(rate_hz: float, seconds: float, named: str = "--rates") -
 def wake_up_latency(
     rate_hz: float,
     seconds: float,
-    on_progress: Tell | None = None,
+    on_progress: Tell = lambda _elapsed, _compiling: None,
     *,
     realtime: bool = False,
-    on_grants: Callable[[list[PrivilegeResult]], None] | None = None,
+    on_grants: Callable[[list[PrivilegeResult]], None] = lambda _grants: None,
 ) -> Histogram:
-    """The wake-up latencies (s) of a thread that sleeps to a grid of `rate_hz`, for so many `seconds`.
+    """Returns the wake-up latencies (s) of a thread that sleeps to a grid of `rate_hz` for this many `seconds`.
 
-    It counts `rate_hz * seconds` wake-ups, fewer where some came a whole period late. `realtime`: the thread first asks
-    for real-time scheduling; `on_grants` gets what it was granted. Interrupted by an exception, as by Ctrl-C, it
-    ends at the next wake-up.
-
-    Raises:
-        UsageError: as `require_measurable`.
+    It counts `rate_hz * seconds` wake-ups, fewer if some came a whole period late. With `realtime` the thread first
+    requests real-time scheduling; `on_grants` gets the result. An exception, such as Ctrl-C, ends it at the next
+    wake-up. Raises UsageError as `require_measurable` does.
     """
     require_measurable(rate_hz, seconds)
     grid = new_record(GRID)
     grid.period_ns = round(1e9 / rate_hz)
-    tell = on_progress or (lambda *_: None)
-    with on_compilation(lambda name: tell(0.0, name)):
+    with on_compilation(lambda name: on_progress(0.0, name)):
         compile_for(sleep_on_grid, grid)
-    _sleep_in_thread(grid, round(rate_hz * seconds), tell, realtime, on_grants or (lambda _: None))
-    return histogram_of(grid.lateness, 1e-9)
-
-
-def _sleep_in_thread(
-    grid: Any,
-    count: int,
-    tell: Tell,
-    realtime: bool,
-    on_grants: Callable[[list[PrivilegeResult]], None],
-) -> None:
-    """Sleeps in a thread of its own, beside which this one hears Ctrl-C and tells how far it is."""
     failures: list[BaseException] = []
 
-    def _work() -> None:
+    def work() -> None:
+        """In a thread of its own, beside which this one hears Ctrl-C and reports progress."""
         try:
             with _punctual(realtime) as grants:
                 on_grants(grants)
-                _lay(grid, count)
+                now = time.clock_gettime_ns(time.CLOCK_MONOTONIC)
+                grid.due_ns = now + int(grid.period_ns)
+                grid.end_ns = now + round(rate_hz * seconds) * int(grid.period_ns)
                 sleep_on_grid(grid)
         except BaseException as failure:
             failures.append(failure)
 
-    thread = threading.Thread(target=_work, name="wake-ups")
+    thread = threading.Thread(target=work, name="wake-ups")
     thread.start()
     try:
         while thread.is_alive():
             thread.join(_LOOK_S)
-            tell(int(grid.wakeups) * int(grid.period_ns) * 1e-9, "")
+            on_progress(int(grid.wakeups) * int(grid.period_ns) * 1e-9, "")
     finally:
         grid.stop = 1
         thread.join()
-    if failures:
-        raise (
-            failures[0]
-            if isinstance(failures[0], HapsimError)
-            else HapsimError(f"the sleeping thread failed: {failures[0]}")
-        ) from failures[0]
-
-
-def _lay(grid: Any, count: int) -> None:
-    """A grid of `count` points from now on."""
-    import time
-
-    now, period = time.clock_gettime_ns(time.CLOCK_MONOTONIC), int(grid.period_ns)
-    grid.due_ns, grid.end_ns = now + period, now + count * period
+    for failure in failures:
+        if isinstance(failure, HapsimError):
+            raise failure
+        raise HapsimError(f"the sleeping thread failed: {failure}") from failure
+    return histogram_of(grid.lateness, 1e-9)
 
 
 @contextlib.contextmanager

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from hapsim.doctor.advice import EVERY_ADVICE, Advice, Situation, advice_on
+from hapsim.doctor.advice import Advice, Situation, advice_on
 from hapsim.doctor.machine import Load, Machine, SystemFiles
 from hapsim.loop.realtime import PrivilegeResult
 
@@ -166,7 +166,3 @@ def test_a_virtual_machine_is_reported_where_it_shows(case: Callable[..., Situat
     assert "QEMU" in only(replace(guest, worst_wakeup_s=2e-3)).found
     assert "took 3.0 %" in only(replace(guest, load=Load(0.0, 0.03, None))).found
     assert advice_on(case(load=Load(0.0, 0.03, None))) == []
-
-
-def test_no_advice_is_given_twice() -> None:
-    assert len(set(EVERY_ADVICE)) == len(EVERY_ADVICE)
