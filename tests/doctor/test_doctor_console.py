@@ -93,10 +93,13 @@ def test_an_examination_is_reported_in_full(examination: Examination) -> None:
         assert words_of_it in text
 
 
+def alone(examination: Examination, run: Exchanges) -> str:
+    """What is shown where only this run was made."""
+    return shown(replace(examination, exchanges=(run,), verdicts=(verdict_on(run),), advice=()), 200)
+
+
 def test_a_device_is_said_to_feel_no_force(examination: Examination) -> None:
-    on_port = replace(examination.exchanges[0], where="/dev/ttyACM0")
-    of_device = replace(examination, exchanges=(on_port,), verdicts=(verdict_on(on_port),), advice=())
-    text = shown(of_device, 200)
+    text = alone(examination, replace(examination.exchanges[0], where="/dev/ttyACM0"))
     assert "on /dev/ttyACM0, sent zero force; clock: device" in text
     assert "this machine keeps" not in text
     assert "the mock" not in text
@@ -104,8 +107,7 @@ def test_a_device_is_said_to_feel_no_force(examination: Examination) -> None:
 
 
 def test_no_rate_is_refused_of_which_nothing_is_known(examination: Examination) -> None:
-    unknown = Exchanges(1000.0, "host", MOCK, None, None, None, "the mock is gone")
-    text = shown(replace(examination, exchanges=(unknown,), verdicts=(verdict_on(unknown),)), 200)
+    text = alone(examination, Exchanges(1000.0, "host", MOCK, None, None, None, "the mock is gone"))
     assert "With clock: host nothing can be said of any of these rates." in text
     assert "this machine keeps" not in text
 
@@ -115,23 +117,16 @@ def test_a_terminal_without_unicode_gets_none(examination: Examination) -> None:
 
 
 def test_the_document_is_plain_and_has_no_nan(examination: Examination) -> None:
-    def refuse(constant: str) -> None:
-        pytest.fail(f"{constant} in JSON")
-
-    made = json.loads(document(examination_document(examination)), parse_constant=refuse)
-    assert json.loads(json.dumps(examination_document(examination), allow_nan=False)) == made
+    made = examination_document(examination)
+    assert json.loads(document(made)) == json.loads(json.dumps(made, allow_nan=False))
     wakeups = made["wakeups"]
     assert [entry["rate_hz"] for entry in wakeups] == [1000.0, 4000.0]
     assert wakeups[0]["lateness"]["count"] == 1011
     assert wakeups[1]["lateness"]["p50_s"] is None
-    assert made["exchanges"][1]["failure"] == "the mock is gone"
-    assert made["exchanges"][0]["failure"] is None
+    assert [run["failure"] for run in made["exchanges"][:2]] == [None, "the mock is gone"]
     assert made["best_rates_hz"] == {"device": 1000.0, "host": None}
     assert made["grants"][1] == {"privilege": "memory locked", "granted": False, "detail": "a limit"}
-
-
-def test_the_documents_histograms_are_whole(examination: Examination) -> None:
-    bins = examination_document(examination)["wakeups"][0]["lateness"]["bins_from_s_to_s_count"]
+    bins = wakeups[0]["lateness"]["bins_from_s_to_s_count"]
     assert [count for *_, count in bins] == [1000, 10, 1]
     for (low, high, _), value in zip(bins, (20e-6, 80e-6, 3e-3), strict=True):
         assert low <= value < high
@@ -149,23 +144,14 @@ def test_rows_hold_every_count_side_by_side(histogram: Counted) -> None:
         assert rows[-1].count > 0
 
 
-def test_rows_are_an_octave(histogram: Counted) -> None:
-    rows = histogram_rows(histogram({20e-6: 1, 60e-6: 1}))
-    assert [row.ends / row.begins for row in rows] == pytest.approx([2.0, 2.0])
-
-
-def test_marks_stand_where_their_values_are(histogram: Counted) -> None:
+def test_marks_stand_where_their_values_are_in_rows_of_an_octave(histogram: Counted) -> None:
+    rows_of_two = histogram_rows(histogram({20e-6: 1, 60e-6: 1}))
+    assert [row.ends / row.begins for row in rows_of_two] == pytest.approx([2.0, 2.0])
     made = histogram({20e-6: 1000, 80e-6: 10, 3e-3: 1})
     rows = {mark: row for row in histogram_rows(made, {"a period": 1e-3, "far off": 10.0}) for mark in row.marks}
     assert set(rows) == {"p50", "p99", "99.9 %", "max", "a period"}
-    assert rows["p50"].count == 1000
-    assert rows["99.9 %"].count == 10
-    assert rows["max"].count == 1
+    assert [rows[mark].count for mark in ("p50", "99.9 %", "max")] == [1000, 10, 1]
     assert rows["a period"].begins <= 1e-3 < rows["a period"].ends
-
-
-def test_a_mark_on_an_edge_stands_in_the_row_that_it_begins(histogram: Counted) -> None:
-    made = histogram({20e-6: 1, 60e-6: 1})
     edge = histogram_rows(made)[1].begins
     assert [row.begins for row in histogram_rows(made, {"edge": edge}) if "edge" in row.marks] == [edge]
 
@@ -179,13 +165,11 @@ def test_one_in_a_hundred_thousand_has_a_bar(histogram: Counted) -> None:
     assert "logarithmic" in lines[-1]
 
 
-def test_values_of_zero_have_a_row_of_their_own(histogram: Counted) -> None:
+def test_values_of_zero_and_the_last_bin_without_an_end_have_rows_of_their_own(histogram: Counted) -> None:
     rows = histogram_rows(histogram({0.0: 5, 1e-9: 2}))
     assert [(row.begins, row.count) for row in rows] == [(0.0, 5), (1e-9, 2)]
     assert histogram_lines(histogram({0.0: 5}), 80)[0].startswith(" 0 █")
-
-
-def test_the_last_bin_without_an_end_is_shown(histogram: Counted) -> None:
+    assert histogram_lines(histogram({}), 80) == ["nothing was counted"]
     made = histogram({1.0: 1})
     counts = made.counts.copy()
     counts[-1] = 7
@@ -193,18 +177,11 @@ def test_the_last_bin_without_an_end_is_shown(histogram: Counted) -> None:
     assert (last.count, last.ends) == (7, made.edges[-1])
 
 
-def test_an_empty_histogram_is_said_to_be_empty(histogram: Counted) -> None:
-    assert histogram_lines(histogram({}), 80) == ["nothing was counted"]
-
-
 @pytest.mark.parametrize("width", [40, 80, 120])
-def test_lines_of_a_histogram_fit(histogram: Counted, width: int) -> None:
-    lines = histogram_lines(histogram({20e-6: 123_456_789, 30e-6: 12, 3e-3: 1}), width)
-    assert max(map(len, lines[:-1])) <= max(width, 60)
-
-
-def test_a_histogram_in_ascii_has_nothing_else(histogram: Counted) -> None:
-    assert all(line.isascii() for line in histogram_lines(histogram({20e-6: 100, 3e-3: 1}), 80, ascii_only=True))
+def test_lines_of_a_histogram_fit_and_are_ascii_where_asked(histogram: Counted, width: int) -> None:
+    made = histogram({20e-6: 123_456_789, 30e-6: 12, 3e-3: 1})
+    assert max(map(len, histogram_lines(made, width)[:-1])) <= max(width, 60)
+    assert all(line.isascii() for line in histogram_lines(made, width, ascii_only=True))
 
 
 @pytest.mark.parametrize(

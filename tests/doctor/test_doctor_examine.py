@@ -84,6 +84,9 @@ def test_without_a_scene_the_shipped_one_runs(examined: Callable[..., Any]) -> N
     assert examination.scene == "first_touch.yaml"
     assert examination.rate_hz == 1000.0
     assert all("touch" in s.modules for s in run.scenes)
+    assert "hapsim doctor --realtime" in commands(examination)
+    # The made-up wake-ups are 4 ms late, and the made-up system is no real-time one.
+    assert any("4 ms late" in advice.found for advice in examination.advice)
 
 
 def test_a_device_runs_once_at_its_own_rate_and_without_a_force(examined: Callable[..., Any]) -> None:
@@ -163,12 +166,9 @@ def test_the_device_is_asked_before_anything_is_measured(
         examined(scene(port="/dev/ttyACM0"), ask=no_answer)
 
 
-def test_a_scene_that_does_not_fit_its_device_is_refused(examined: Callable[..., Any]) -> None:
+def test_virtual_time_and_a_scene_that_does_not_fit_its_device_are_refused(examined: Callable[..., Any]) -> None:
     with pytest.raises(UsageError, match="other rate"):
         examined(scene(port="/dev/ttyACM0"), UsageError("other rate"))
-
-
-def test_virtual_time_is_refused(examined: Callable[..., Any]) -> None:
     with pytest.raises(UsageError, match="lockstep"):
         examined(scene(clock="lockstep", port="/dev/ttyACM0"))
     with pytest.raises(UsageError, match="loopback"):
@@ -217,12 +217,6 @@ def test_every_measurement_is_reported_once_it_begins(examined: Callable[..., An
     assert told[2] == Step(3, 3, "exchanges at 3 kHz, clock: host, on the mock", 1.0, 2.0, "")
 
 
-def test_advice_is_on_what_was_found(examined: Callable[..., Any]) -> None:
-    examination, _ = examined(scene(), rates=())
-    # The made-up wake-ups are 3 ms late, and the made-up system is no real-time one.
-    assert any("3 ms late" in advice.found for advice in examination.advice)
-
-
 @pytest.mark.parametrize(
     ("port", "transport", "told"),
     [
@@ -238,10 +232,6 @@ def test_the_command_it_advises_examines_the_same(
     Path("my scene.yaml").write_text(text(port=port), encoding="utf-8")
     examination, _ = examined(load_scene("my scene.yaml"), rates=(), transport=transport)
     assert f"hapsim doctor {told} --realtime" in commands(examination)
-
-
-def test_without_a_scene_the_command_it_advises_has_none(examined: Callable[..., Any]) -> None:
-    assert "hapsim doctor --realtime" in commands(examined(None, rates=())[0])
 
 
 def commands(examination: Examination) -> list[str]:

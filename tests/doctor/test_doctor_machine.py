@@ -47,29 +47,26 @@ def test_a_machine_that_tells_nothing_is_no_failure(tree: Callable[..., SystemFi
     assert machine_of(tree(nonsense)).cores_allowed is None
 
 
+GUEST = {"/proc/cpuinfo": "model name\t: P\nflags\t: fpu hypervisor tsc\n"}
+MAKER = {"/sys/class/dmi/id/sys_vendor": "QEMU\n", "/sys/class/dmi/id/product_name": "Standard PC\n"}
+BOARD = {"/proc/cpuinfo": "processor\t: 0\nBogoMIPS\t: 108\n", "/proc/device-tree/model": "Raspberry Pi 5\0"}
+
+
 @pytest.mark.parametrize(
-    "file", [("/sys/kernel/realtime", "1\n"), ("/proc/sys/kernel/version", "#1 SMP PREEMPT_RT Debian\n")]
+    ("files", "field", "value"),
+    [
+        ({"/sys/kernel/realtime": "1\n"}, "preempt_rt", True),
+        ({"/proc/sys/kernel/version": "#1 SMP PREEMPT_RT Debian\n"}, "preempt_rt", True),
+        (GUEST, "virtual", "of unknown make"),
+        (GUEST | MAKER, "virtual", "QEMU Standard PC"),
+        (A_MACHINE | MAKER, "virtual", ""),  # real hardware
+        (BOARD, "cpu", "Raspberry Pi 5"),
+    ],
 )
-def test_a_real_time_kernel_is_recognised_by_either_file(
-    tree: Callable[..., SystemFiles], file: tuple[str, str]
+def test_kernels_hypervisors_and_boards_are_recognised(
+    tree: Callable[..., SystemFiles], files: dict[str, str], field: str, value: object
 ) -> None:
-    assert machine_of(tree(dict([file]))).preempt_rt
-
-
-def test_a_virtual_machine_is_recognised_by_its_maker_where_there_is_one(tree: Callable[..., SystemFiles]) -> None:
-    guest = {"/proc/cpuinfo": "model name\t: P\nflags\t: fpu hypervisor tsc\n"}
-    assert machine_of(tree(guest)).virtual == "of unknown make"
-    maker = {"/sys/class/dmi/id/sys_vendor": "QEMU\n", "/sys/class/dmi/id/product_name": "Standard PC\n"}
-    assert machine_of(tree(guest | maker)).virtual == "QEMU Standard PC"
-
-
-def test_the_maker_of_real_hardware_is_no_hypervisor(tree: Callable[..., SystemFiles]) -> None:
-    assert machine_of(tree(A_MACHINE | {"/sys/class/dmi/id/sys_vendor": "Dell\n"})).virtual == ""
-
-
-def test_a_board_is_recognised_by_its_device_tree(tree: Callable[..., SystemFiles]) -> None:
-    board = {"/proc/cpuinfo": "processor\t: 0\nBogoMIPS\t: 108\n", "/proc/device-tree/model": "Raspberry Pi 5\0"}
-    assert machine_of(tree(board)).cpu == "Raspberry Pi 5"
+    assert getattr(machine_of(tree(files)), field) == value
 
 
 def test_times_are_everybodys_ours_and_the_hosts(tree: Callable[..., SystemFiles]) -> None:

@@ -35,23 +35,23 @@ def test_sentences_never_round_a_gap_away(share: float | None, sentence: str) ->
     assert Verdict(4000.0, "host", MOCK, answer_for(share), share).sentence == sentence
 
 
-def test_late_and_lost_are_deadline_misses(report: Callable[..., Any]) -> None:
-    run = report(ticks=990, deadline_misses=5, lost_frames=10, duration_s=0.989)
-    assert share_in_time(run, device_asks=True) == 985 / 1000
-
-
-def test_a_host_that_is_too_slow_to_ask_misses_deadlines(report: Callable[..., Any]) -> None:
-    slow = report(ticks=900, duration_s=0.999)
-    assert share_in_time(slow, device_asks=False) == 0.9
-    assert share_in_time(slow, device_asks=True) == 1.0
-
-
-def test_more_lates_than_ticks_are_no_share_below_zero(report: Callable[..., Any]) -> None:
-    assert share_in_time(report(ticks=2, deadline_misses=5), device_asks=True) == 0.0
+@pytest.mark.parametrize(
+    ("told", "device_asks", "share"),
+    [
+        ({"ticks": 990, "deadline_misses": 5, "lost_frames": 10, "duration_s": 0.989}, True, 985 / 1000),
+        ({"ticks": 900, "duration_s": 0.999}, False, 0.9),  # the host was too slow to ask
+        ({"ticks": 900, "duration_s": 0.999}, True, 1.0),
+        ({"ticks": 2, "deadline_misses": 5}, True, 0.0),
+        ({"ticks": 0}, True, None),
+    ],
+)
+def test_late_lost_and_unsent_forces_are_deadline_misses(
+    report: Callable[..., Any], told: dict[str, Any], device_asks: bool, share: float | None
+) -> None:
+    assert share_in_time(report(**told), device_asks=device_asks) == share
 
 
 def test_nothing_ran_is_nothing_known(report: Callable[..., Any]) -> None:
-    assert share_in_time(report(ticks=0), device_asks=True) is None
     assert run_of(None).share_in_time is None
     assert run_of(report(ticks=1, duration_s=0.0)).share_of_rate is None
 

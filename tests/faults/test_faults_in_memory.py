@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
-from wire_session import injector_of
+from wire_session import injector_of, touched_scene
 
 from hapsim.bringup.faults import Injector
 from hapsim.bringup.faults.in_memory import in_memory
@@ -27,11 +27,7 @@ RELEASED = "the force is zero: the device confirmed that it released it"
 
 @pytest.fixture(scope="module")
 def scene() -> Scene:
-    device = {"mass": 0.2, "friction": 1.0, "clock": "lockstep", "force_limit": LIMIT}
-    touch = {"type": "viscoelastic", "between": ["hand", "wall"], "stiffness": 2000, "damping": 5}
-    modules = {"hand": {"type": "device", "channel": 0}, "wall": {"type": "ground"}, "touch": touch}
-    mock = {"initial": {"velocity": 0.1}}
-    return Scene.model_validate({"version": 1, "rate": 1000, "device": device, "mock": mock, "modules": modules})
+    return touched_scene(force_limit=LIMIT)
 
 
 def through(scene: Scene, *faults: str) -> tuple[Trace, Injector]:

@@ -27,7 +27,7 @@ from wire_session import (
 from firmware_protocol import schema
 from firmware_protocol.description import from_registers
 from firmware_protocol.frames import SETUP, frame_to_device, frame_to_host
-from hapsim.bringup.faults import KINDS, Injector, parse_script
+from hapsim.bringup.faults import KINDS, Injector, Passed, parse_script
 from hapsim.bringup.faults.wire_faults import misread
 
 STREAM = b"".join(position(number) for number in range(300))
@@ -53,23 +53,18 @@ def test_the_same_bytes_make_the_same_faults_however_they_arrive(size: int) -> N
     assert pieces.counts == whole.counts
 
 
-def test_another_seed_makes_other_faults() -> None:
+def test_another_seed_makes_other_faults_and_either_way_has_a_chance_of_its_own() -> None:
     script = parse_script("version: 1\nseed: 3\nfaults: [{kind: drop, probability: 0.3}]")
     streams = [bytes_of(Injector(script, seed).take(STREAM, False, 0.0)) for seed in (None, 3, 4)]
     assert streams[0] == streams[1] != streams[2]
-
-
-def test_what_goes_the_other_way_decides_nothing() -> None:
+    forces = b"".join(map(force, range(300)))
     alone, beside = injector_of(*MANY), injector_of(*MANY)
-    beside.take(b"".join(force(number) for number in range(100)), True, 0.0)
+    beside.take(forces, True, 0.0)
     assert bytes_of(alone.take(STREAM, False, 0.0)) == bytes_of(beside.take(STREAM, False, 0.0))
-
-
-def test_either_way_has_a_chance_of_its_own() -> None:
     injector = injector_of("kind: drop, probability: 0.5")
     positions = numbers_of(injector.take(STREAM, False, 0.0))
-    forces = bytes_of(injector.take(b"".join(map(force, range(300))), True, 0.0), to_device=True)
-    assert positions != [frame.number for frame in frames_of(forces, to_device=True)]
+    left = frames_of(bytes_of(injector.take(forces, True, 0.0), to_device=True), to_device=True)
+    assert positions != [frame.number for frame in left]
 
 
 def test_a_frame_is_dropped_in_its_direction_only() -> None:
@@ -110,8 +105,10 @@ def test_so_many_bits_flip_and_no_receiver_takes_the_frame(bits: int) -> None:
 )
 def test_of_ten_positions_a_host_sees_these(fault: str, seen: list[int], count: int) -> None:
     injector = injector_of(fault)
-    assert numbers_of(positions_through(injector, 10)) == seen
+    passed = positions_through(injector, 10)
+    assert numbers_of(passed) == seen
     assert [times for _, times in injector.counts] == [count]
+    assert "half_frame" not in fault or bytes_of(passed) == STREAM[: 5 * 11 + 5]
 
 
 def test_a_late_frame_holds_up_what_is_behind_it() -> None:
@@ -151,22 +148,19 @@ def test_noise_comes_although_nothing_else_does_and_once_where_no_period_is_give
     assert len(injector.advance(10.5)) == 2
 
 
-def test_a_uart_at_the_senders_rate_reads_what_was_sent() -> None:
-    every = bytes(range(256))
-    assert misread(every, 1.0) == every
-
-
-def test_a_uart_at_another_rate_reads_what_its_samples_hit() -> None:
-    """By hand: 0x55 is ten levels that change with each bit, 0 first; then the wire rests at 1."""
-    assert misread(b"\x55", 0.5) == b"\xff"  # samples at 3, 5, 7, 9 and beyond
-    assert misread(b"\x55", 2.0) == b"\x66\xe6"  # at 0.75, 1.25, … 4.25 from the edge at 0; and again from that at 6
-    assert misread(b"\x55\x40", 0.5) == b"\x8f"  # 3 … 17; the edge at 18 comes before the stop bit's middle at 19
-    assert misread(b"\x00", 0.5) == b"\xf8"  # three zeros, at 3, 5 and 7; then the stop bit, and rest
-
-
-def test_half_a_frame_and_then_nothing() -> None:
-    injector = injector_of("kind: half_frame, after_samples: 5")
-    assert bytes_of(positions_through(injector, 20)) == STREAM[: 5 * 11 + 5]
+@pytest.mark.parametrize(
+    ("data", "ratio", "read"),
+    [
+        (bytes(range(256)), 1.0, bytes(range(256))),
+        # By hand: 0x55 is ten levels that change with each bit, 0 first; then the wire rests at 1.
+        (b"\x55", 0.5, b"\xff"),  # samples at 3, 5, 7, 9 and beyond
+        (b"\x55", 2.0, b"\x66\xe6"),  # at 0.75, 1.25, … 4.25 from the edge at 0; and again from that at 6
+        (b"\x55\x40", 0.5, b"\x8f"),  # 3 … 17; the edge at 18 comes before the stop bit's middle at 19
+        (b"\x00", 0.5, b"\xf8"),  # three zeros, at 3, 5 and 7; then the stop bit, and rest
+    ],
+)
+def test_a_uart_at_another_rate_reads_what_its_samples_hit(data: bytes, ratio: float, read: bytes) -> None:
+    assert misread(data, ratio) == read
 
 
 def test_an_unplugged_device_is_gone_both_ways_until_it_is_plugged_in_again() -> None:
@@ -179,6 +173,12 @@ def test_an_unplugged_device_is_gone_both_ways_until_it_is_plugged_in_again() ->
     injector.advance(0.5)
     assert injector.plugged
     assert injector.take(force(3), True, 0.6)[0].data == force(3)
+
+
+def test_a_plug_is_pulled_although_noise_comes_at_the_same_moment() -> None:
+    injector = injector_of("kind: garbage, bytes: 5, from: 0.005", "kind: unplug, at: 0.005")
+    positions_through(injector, 10)
+    assert (injector.plugged, injector.counts) == (False, [("garbage", 1), ("unplug", 1)])
 
 
 def test_a_device_that_reboots_is_released_and_says_nothing_until_it_is_back() -> None:
@@ -224,28 +224,25 @@ def test_nonsense_is_declared_of_one_thing_alone(register: str, what: str, field
     )
 
 
-def test_a_position_leaps_by_so_many_metres_and_stays_there() -> None:
+def counts_of(passed: list[Passed], to_device: bool = False) -> list[int]:
+    return [frame.counts[0] for frame in frames_of(bytes_of(passed, to_device), to_device)]
+
+
+def test_a_position_leaps_by_this_many_metres_or_counts_and_stays_there() -> None:
     injector = injector_of("kind: leap, metres: 0.01, after_samples: 3")
     assert bytes_of(injector.take(described(), False, 0.0)) == described()
-    counts = [frame.counts[0] for frame in frames_of(bytes_of(positions_through(injector, 6)))]
-    assert counts == [0, 1000, 2000, 13000, 14000, 15000]
-
-
-def test_a_leap_in_counts_needs_no_scale_one_in_metres_does_and_none_leaves_32_bits() -> None:
+    assert counts_of(positions_through(injector, 6)) == [0, 1000, 2000, 13000, 14000, 15000]
+    # Counts need no described scale, metres do; and none leaves 32 bits.
     for fault, expected in (("counts: -7", 993), ("metres: 1", 1000), ("counts: 2147483647", 2**31 - 1)):
-        injector = injector_of(f"kind: leap, {fault}, at: 0")
-        (frame,) = frames_of(bytes_of(injector.take(position(1), False, 0.0)))
-        assert frame.counts == (expected,)
+        assert counts_of(injector_of(f"kind: leap, {fault}, at: 0").take(position(1), False, 0.0)) == [expected]
+    beyond = injector_of("kind: leap, counts: 5, channel: 3, at: 0")
+    assert bytes_of(beyond.take(position(1), False, 0.0)) == position(1)
+    assert beyond.counts == [("leap", 0)]
 
 
 def test_a_sign_is_wrong_one_way() -> None:
     positions = injector_of("kind: invert, after_samples: 2")
-    assert [frame.counts[0] for frame in frames_of(bytes_of(positions_through(positions, 4)))] == [
-        0,
-        1000,
-        -2000,
-        -3000,
-    ]
+    assert counts_of(positions_through(positions, 4)) == [0, 1000, -2000, -3000]
     forces = injector_of("kind: invert, direction: to_device, at: 0")
     (frame,) = frames_of(bytes_of(forces.take(force(5, 700), True, 0.0), to_device=True), to_device=True)
     assert (frame.number, frame.argument, frame.counts) == (5, 20, (-700,))

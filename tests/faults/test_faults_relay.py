@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
-from wire_session import force, injector_of, position
+from wire_session import force, injector_of, position, touched_scene
 
 from hapsim.bringup.faults import Injector
 from hapsim.bringup.faults import relay as relay_module
@@ -116,11 +116,13 @@ def test_how_long_passing_on_took_is_counted_without_what_a_fault_held_up(monkey
     """By a clock that goes on by a millisecond whenever it is looked at."""
     looks = itertools.count()
     monkeypatch.setattr(relay_module.time, "monotonic", lambda: 1e-3 * next(looks))
-    injector = injector_of("kind: delay, seconds: 0.02")
+    injector, told = injector_of("kind: delay, seconds: 0.02"), list[str]()
     with pair() as (device, port), Relay(port, injector) as relay, host_of(relay.name) as host:
         os.write(device, position(0) + position(1))
-        relay.run(0.1)
+        relay.run(0.1, lambda: told.append(passing_on(injector)))
         assert read(host, 22) == position(0) + position(1)
+    assert told
+    assert passing_on(injector) == "passing on: 2 frames, 2 faults · Ctrl-C ends it"
     assert relay.passing.count == 2
     assert 0.0 < (relay.passing.quantile_s(1.0) or 0.0) < 0.01
 
@@ -133,16 +135,6 @@ def test_a_share_of_the_pieces_took_so_long_at_most() -> None:
     assert [times.quantile_s(share) for share in (0.0, 0.25, 0.5, 0.75, 0.99, 1.0)] == pytest.approx(
         [1e-3, 1e-3, 2e-3, 3e-3, 0.1, 0.1]
     )
-
-
-def test_what_passes_is_told_now_and_then() -> None:
-    injector = injector_of("kind: drop")
-    told: list[str] = []
-    with pair() as (device, port), Relay(port, injector) as relay:
-        os.write(device, position(0) + position(1))
-        relay.run(0.01, lambda: told.append(passing_on(injector)))
-    assert told
-    assert passing_on(injector) == "passing on: 2 frames, 2 faults · Ctrl-C ends it"
 
 
 def test_bytes_pass_both_ways_and_hosts_come_and_go() -> None:
@@ -200,28 +192,23 @@ def test_a_name_that_is_taken_is_left_alone(tmp_path: Path) -> None:
     assert taken.read_text() == "mine"
 
 
-@pytest.fixture(scope="module")
-def scene() -> Scene:
-    device = {"mass": 0.2, "friction": 1.0, "clock": "lockstep"}
-    touch = {"type": "viscoelastic", "between": ["hand", "wall"], "stiffness": 2000, "damping": 5}
-    modules = {"hand": {"type": "device", "channel": 0}, "wall": {"type": "ground"}, "touch": touch}
-    mock = {"initial": {"velocity": 0.1}}
-    return Scene.model_validate({"version": 1, "rate": 1000, "device": device, "mock": mock, "modules": modules})
-
-
-def on(scene: Scene, port: str) -> Scene:
-    return scene.model_copy(update={"device": scene.device.model_copy(update={"port": port})})
-
-
-def test_a_run_through_it_is_the_run_without_it(scene: Scene) -> None:
-    injector = injector_of("kind: garbage, bytes: 50, every_samples: 10", "kind: duplicate, direction: from_device")
+@contextlib.contextmanager
+def scene_behind(injector: Injector) -> Iterator[Scene]:
+    """The scene with its mock behind a relay."""
+    scene = touched_scene()
     with (
         serving(assemble_mock(scene)) as device,
         raw_port(device, 2_000_000) as port,
         relaying(port, injector) as running,
     ):
-        trace = run(on(scene, running.relay.name), duration=0.2)
-    direct = run(scene, duration=0.2)
+        yield scene.model_copy(update={"device": scene.device.model_copy(update={"port": running.relay.name})})
+
+
+def test_a_run_through_it_is_the_run_without_it() -> None:
+    injector = injector_of("kind: garbage, bytes: 50, every_samples: 10", "kind: duplicate, direction: from_device")
+    with scene_behind(injector) as scene:
+        trace = run(scene, duration=0.2)
+    direct = run(touched_scene(), duration=0.2)
     np.testing.assert_array_equal(trace.force_counts, direct.force_counts)
     assert trace.report.stale_positions >= 199
     assert trace.report.garbage_bytes > 0
@@ -231,13 +218,9 @@ def test_a_run_through_it_is_the_run_without_it(scene: Scene) -> None:
     assert release.by == "disarm"
 
 
-def test_a_run_whose_plug_is_pulled_says_so(scene: Scene) -> None:
+def test_a_run_whose_plug_is_pulled_says_so() -> None:
     injector = injector_of("kind: unplug, after_samples: 50")
-    with (
-        serving(assemble_mock(scene)) as device,
-        raw_port(device, 2_000_000) as port,
-        relaying(port, injector) as running,
-        pytest.raises(DeviceError, match=r"the device went away after \d+ ticks \(unplugged.*did not confirm"),
-    ):
-        run(on(scene, running.relay.name), duration=10.0)
+    sentence = r"the device went away after \d+ ticks \(unplugged.*did not confirm"
+    with scene_behind(injector) as scene, pytest.raises(DeviceError, match=sentence):
+        run(scene, duration=10.0)
     assert injector.witness.since_fault.count == 0

@@ -9,10 +9,20 @@ from firmware_protocol.decoder import Frame, frames_in, new_decoder
 from firmware_protocol.description import Description, to_registers
 from firmware_protocol.frames import SETUP, Format, armed_format, frame_to_device, frame_to_host
 from hapsim.bringup.faults import Injector, Passed, parse_script
+from hapsim.scene import Scene
 
 ARMED = armed_format(1)
 PERIOD_S = 0.001
 DESCRIPTION = Description("test", 1000.0, 0b111, 200, (1e-6,), (1e-3,), (10.0,))
+
+
+def touched_scene(**keys: float) -> Scene:
+    """A hand that runs into a wall, in lockstep; `keys`: of the device."""
+    device = {"mass": 0.2, "friction": 1.0, "clock": "lockstep"} | keys
+    touch = {"type": "viscoelastic", "between": ["hand", "wall"], "stiffness": 2000, "damping": 5}
+    modules = {"hand": {"type": "device", "channel": 0}, "wall": {"type": "ground"}, "touch": touch}
+    mock = {"initial": {"velocity": 0.1}}
+    return Scene.model_validate({"version": 1, "rate": 1000, "device": device, "mock": mock, "modules": modules})
 
 
 def position(number: int, counts: int | None = None) -> bytes:

@@ -68,7 +68,7 @@ def in_words(heard: Heard | None) -> str:
     """Returns a frame in words."""
     if heard is None:
         return "no answer"
-    what = f"{KINDS[heard.kind]} {heard.number}"
+    what = f"{KINDS[heard.kind]} {heard.number}" + (f": {heard.word}" if heard.kind == schema.DESCRIPTION else "")
     if heard.kind == schema.STATUS:
         what += f", {STATES.get(heard.state, f'state {heard.state}')}, fault {heard.fault}"
     format_name = "set-up" if heard.wire == SETUP else "armed velocity" if heard.wire.velocity else "armed"
