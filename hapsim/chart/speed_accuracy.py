@@ -49,7 +49,7 @@ def draw_speed_accuracy(objects: Sequence[Object], rows: Sequence[Row], path: Pa
 
 def looks_of(objects: Sequence[Object], rows: Sequence[Row]) -> tuple[dict[str, style.Look], dict[str, style.Look]]:
     """Returns the looks of hapsim's methods and those of the peers, the same in every panel."""
-    methods = list(dict.fromkeys(method for one in reversed(objects) for method in one.methods()))
+    methods = list(dict.fromkeys(method for one in reversed(objects) for method in one.methods))
     drawn = {row.method for row in rows if row.ours}
     ours = {
         method: style.METHOD | {"color": colour, "markerfacecolor": colour}

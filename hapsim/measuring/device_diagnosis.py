@@ -47,24 +47,24 @@ def why_not(fit: DeviceFit | None, pushed: Pushed) -> UsageError | RunError | No
     unsure = math.inf if fit is None else abs(fit.mass.uncertainty / fit.mass.value)
     if unsure < _UNSURE:
         return None
-    if pushed.peak_m < _ENOUGH * pushed.bounds.travel:
+    force, moved, allowed = pushed.force, pushed.peak_m, pushed.bounds.travel
+    if moved < _ENOUGH * allowed:
         return UsageError(
-            f"pushed with {pushed.force:.3g} N the device moved by {1e6 * pushed.peak_m:.3g} µm, which is too little "
-            "to identify anything: it is held, stuck by dry friction, much heavier than declared, or its motor does "
-            "not push. Let it move freely, or allow more with --push"
+            f"pushed with {force:.3g} N the device moved by {1e6 * moved:.3g} µm, which is too little to identify "
+            "anything: it is held, stuck by dry friction, much heavier than declared, or its motor does not push. Let "
+            "it move freely, or allow more with --push"
         )
-    if fit is None and pushed.peak_m > _MANY * pushed.floor:
+    if fit is None and moved > _MANY * pushed.floor:
         return UsageError(
-            f"pushed with {pushed.force:.3g} N the device moved by {1e3 * pushed.peak_m:.3g} mm, but in jerks, or only "
-            "now and then: dry friction holds it, or the record is too short. Allow more with --push and --travel"
+            f"pushed with {force:.3g} N the device moved by {1e3 * moved:.3g} mm, but in jerks, or only now and then: "
+            "dry friction holds it, or the record is too short. Allow more with --push and --travel"
         )
-    least, most = (factor * pushed.bounds.travel for factor in _MORE_TRAVEL)
-    travel = min(max(2.0 * unsure / _UNSURE * pushed.bounds.travel, least), most)
+    least, most = (factor * allowed for factor in _MORE_TRAVEL)
+    travel = min(max(2.0 * unsure / _UNSURE * allowed, least), most)
     what, size = ("noise", pushed.noise_m) if pushed.noise_m > pushed.count_m else ("counts", pushed.count_m)
     return UsageError(
-        f"the position's {what} of {1e6 * size:.3g} µm hide how the device answers within "
-        f"{1e3 * pushed.bounds.travel:g} mm to either side: nothing was identified. Allow more with --travel, "
-        f"{travel:.2g} (m) for a start"
+        f"the position's {what} of {1e6 * size:.3g} µm hide how the device answers within {1e3 * allowed:g} mm to "
+        f"either side: nothing was identified. Allow more with --travel, {travel:.2g} (m) for a start"
     )
 
 

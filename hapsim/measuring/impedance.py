@@ -72,7 +72,7 @@ def impedance_of(
     Raises:
         UsageError: too few periods, or motions that do not distinguish the channels.
     """
-    settled = [one.after(settling(one, c).first) for c, one in enumerate(experiments)]
+    settled = [one.after(settling(one, c)[0]) for c, one in enumerate(experiments)]
     position, scene, force = (
         np.stack([np.mean(getattr(one, name), axis=0) for one in settled], axis=-1)  # (n, C, experiments)
         for name in ("position", "scene", "force")
@@ -125,16 +125,9 @@ def _quantile(count: int, outside: float) -> float:
     return (count - 1) * (outside ** (-1.0 / (count - 1)) - 1.0)
 
 
-class Settling(NamedTuple):
-    """How many periods at the beginning do not count, for the mean of the rest to be as certain as possible."""
-
-    first: int
-    scatter: float
-    """The relative radius of the device's impedance then, in the median."""
-
-
-def settling(periods: Periods, channel: int) -> Settling:
-    """Of an experiment that excites this channel.
+def settling(periods: Periods, channel: int) -> tuple[int, float]:
+    """(how many periods at the beginning do not count, for the mean of the rest to be as certain as possible; the
+    relative radius of the device's impedance then, in the median) of an experiment that excites this channel.
 
     Raises:
         UsageError: there are too few periods.
@@ -152,8 +145,8 @@ def settling(periods: Periods, channel: int) -> Settling:
         mean = np.mean(force, axis=0)
         variance = _variance_of_mean(force - mean / np.mean(position, axis=0) * position)
         variance *= _quantile(rest.pairs, (1.0 - CONFIDENCE) / mean.size)
-        found.append(Settling(first, float(np.median(np.sqrt(variance) / np.abs(mean)))))
-    return min(found, key=lambda one: one.scatter)
+        found.append((first, float(np.median(np.sqrt(variance) / np.abs(mean)))))
+    return min(found, key=lambda one: one[1])
 
 
 def _variance_of_mean(residual: Complexes) -> Floats:

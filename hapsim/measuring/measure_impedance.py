@@ -138,7 +138,7 @@ def measure_impedance(
             raise StoppedError([*done, one], enough_s)
         peaks.append(float(np.max(np.abs(forces))))
         moved.append(_travel(one.trace, lines, channel, peaks[-1]))
-        if duration is None and not one.stopped and settling(one.periods, place).scatter > _UNCERTAIN:
+        if duration is None and not one.stopped and settling(one.periods, place)[1] > _UNCERTAIN:
             longer = excited(channel, forces, _MORE * periods)
             if longer.stopped and not is_last:
                 raise StoppedError([*done, one], enough_s)

@@ -90,7 +90,7 @@ class Comparison:
         cases = [
             Case(one, method, precision, rate)
             for one in objects
-            for method, precision, rate in itertools.product(one.methods(), PRECISIONS, rates)
+            for method, precision, rate in itertools.product(one.methods, PRECISIONS, rates)
             if method not in skipped
         ]
         self._found: dict[Case, Found] = {}

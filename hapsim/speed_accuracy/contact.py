@@ -44,9 +44,7 @@ class Contact:
     name = "contact"
     title = "a mass thrown against a buffer"
     quantities: tuple[str, ...] = ("k", "b")
-
-    def methods(self) -> tuple[str, ...]:
-        return tuple(SCHEMES)
+    methods: tuple[str, ...] = tuple(SCHEMES)
 
     def scene(self, method: str, precision: str, rate: float) -> Scene:
         """A mass so heavy that the buffer is touched in every sample, which is the dearer of its two cases."""

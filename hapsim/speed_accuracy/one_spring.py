@@ -37,9 +37,7 @@ class OneSpring:
     name = "spring"
     title = "a hand on one spring"
     quantities: tuple[str, ...] = ("k", "b")
-
-    def methods(self) -> tuple[str, ...]:
-        return (ONE_SAMPLE, ONE_MILLISECOND, *CORRECTED)
+    methods: tuple[str, ...] = (ONE_SAMPLE, ONE_MILLISECOND, *CORRECTED)
 
     def scene(self, method: str, precision: str, rate: float) -> Scene:
         """A flicked hand on a wall, with this delay; rate in Hz."""

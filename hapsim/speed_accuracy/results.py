@@ -34,9 +34,8 @@ class Object(Protocol):
     """As a picture has it."""
     quantities: tuple[str, ...]
     """What can be off."""
-
-    def methods(self) -> tuple[str, ...]:
-        """By what it is simulated."""
+    methods: tuple[str, ...]
+    """By what it is simulated."""
 
     def scene(self, method: str, precision: str, rate: float) -> Scene:
         """What is timed: rate in Hz."""

@@ -31,12 +31,10 @@ class RingingString:
     """A `string` and how it is called."""
 
     quantities: tuple[str, ...] = ("frequency",)
+    methods: tuple[str, ...] = tuple(SCHEMES)
 
     def __init__(self, name: str, title: str, string: StringOfMasses) -> None:
         self.name, self.title, self.string = name, title, string
-
-    def methods(self) -> tuple[str, ...]:
-        return tuple(SCHEMES)
 
     def scene(self, method: str, precision: str, rate: float) -> Scene:
         return scene_of(self.string, method, precision, rate, *hand_link(self.string))

@@ -74,7 +74,7 @@ def test_an_object_of_which_nothing_is_stable_has_an_empty_panel(tmp_path: Path)
 
 
 def test_no_two_methods_of_any_object_share_a_colour() -> None:
-    methods = {method for one in OBJECTS for method in one.methods()}
-    rows = [Row(one.name, OURS, method, "double", 1e3, "k", 0.1) for one in OBJECTS for method in one.methods()]
+    methods = {method for one in OBJECTS for method in one.methods}
+    rows = [Row(one.name, OURS, method, "double", 1e3, "k", 0.1) for one in OBJECTS for method in one.methods]
     ours, _ = looks_of(OBJECTS, rows)
     assert len({look["color"] for look in ours.values()}) == len(methods) == len(ours)
