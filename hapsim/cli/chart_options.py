@@ -11,7 +11,7 @@ import typer
 from hapsim.cli.options import Json, PictureOptions, option
 from hapsim.cli.output import document, say, stdout
 from hapsim.errors import UsageError
-from hapsim.number_format import number
+from hapsim.number_format import between, number
 from hapsim.scene import choices, load_scene
 from hapsim.scene.issue import one_of
 
@@ -159,6 +159,6 @@ def _felt_sentence(hand: Hand) -> str:
         low, high = known[f"stable_{name}"]
         if high > 0.0:
             low = low if low > 1e-12 * high else 0.0  # a negative K or B is of no use
-            ends.append(f"for {which} from {low:.4g} to {high:.4g} {unit} at this {other}")
+            ends.append(f"for {which} from {between(low, high)} {unit} at this {other}")
     stable = f"stable {' and '.join(ends)}" if ends else "not stable with this K or B"
     return f"{'' if known['stable'] else 'UNSTABLE: '}{hand.name} of {known['mass']:g} kg: {felt}; {stable}."
