@@ -259,12 +259,15 @@ def show_wire(out: Console, prediction: Prediction, on_wire: Prediction | None, 
     with its parts.
     """
     budget, is_real = prediction.wire_time, prediction.wire_of != "none"
-    whole = f"{duration(budget.exchange_s)} of the {duration(budget.period)} period"
+    whole = f"{duration(budget.exchange_s)} of {duration(budget.period)}"
     if explain:
         whole = f"{_parts(budget)}; {whole} ({budget.exchange_s / budget.period:.0%})"
-    wire = "Wire: an exchange takes" if is_real else f"Wire: none (the mock). A UART at {budget.baud} baud would take"
-    verdict = "fits" if budget.fits else "[red]does not fit[/red]: use a higher baud rate or a lower rate"
-    out.print(f"{wire} {whole}: {verdict}. {_delay(budget)}")
+    if is_real:
+        verdict = "fits" if budget.fits else "[red]does not fit[/red]: use a higher baud rate or a lower rate"
+        out.print(f"Wire: an exchange takes {whole}: {verdict}. {_delay(budget)}")
+    else:
+        fits = f"A UART at {budget.baud} baud would {'fit' if budget.fits else '[yellow]not fit[/yellow]'}"
+        out.print(f"Wire: none (the mock). {fits}: {whole}.{f' {_delay(budget)}' if explain else ''}")
     correction = prediction.rendering and prediction.rendering.kind
     if on_wire is not None and (is_real or explain):
         out.print(_felt_on_wire(prediction, on_wire))
