@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hapsim.bringup.probe import Leave, steps_of
-from hapsim.bringup.probe import probe as judge
+from hapsim.bringup.probe import Leave, judge, open_wire, steps_of
 from hapsim.cli.live import live_words
 from hapsim.cli.options import Json, option, require_positive
 from hapsim.cli.output import complain, document, stderr, stdout
@@ -22,7 +21,6 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from hapsim.bringup.probe import Judgement
-    from hapsim.bringup.probe.wire import Wire
 
 
 def probe(
@@ -48,22 +46,19 @@ def probe(
     leave = _leave(push, travel, mass, channel)
     steps = steps_of(tuple(only or ()), until)
     require_positive("--baud", baud)
-    wires: list[Wire] = []
+    with live_words(stderr()) as show, open_wire(port, baud) as wire:
 
-    def stop() -> None:
-        for wire in wires:
+        def stop() -> None:
             wire.stop = True
 
-    with live_words(stderr()) as show, stopping_on_signals(stop):
-        judgement = judge(
-            port,
-            baud=baud,
-            leave=leave,
-            steps=steps,
-            on_step=lambda step, number, of: show(f"{step}: step {number} of {of}"),
-            say=complain,
-            on_wire=wires.append,
-        )
+        with stopping_on_signals(stop):
+            judgement = judge(
+                wire,
+                leave=leave,
+                steps=steps,
+                on_step=lambda step, number, of: show(f"{step}: step {number} of {of}"),
+                say=complain,
+            )
     if any(check.name == "sign" and check.result in ("pass", "FAIL") for check in judgement.checks):
         is_new(port)  # from now on not
     if json:

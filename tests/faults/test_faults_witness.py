@@ -39,12 +39,6 @@ def test_forces_and_their_steps_are_told_in_newtons_before_and_since_the_first_f
     assert since.largest_change == pytest.approx(0.05)
 
 
-def test_forces_without_a_described_scale_are_not_numbers() -> None:
-    injector = injector_of("kind: drop, after_samples: 9")
-    injector.take(force(0, 5), True, 0.0)
-    assert math.isnan(injector.witness.all.largest)
-
-
 def test_a_step_is_counted_from_what_the_device_holds() -> None:
     """Zero at arming, and once the force before has no more time to live; a force that is too old changes nothing."""
     injector = armed("kind: drop, after_samples: 99")
@@ -96,11 +90,14 @@ def test_where_the_host_paces_time_tells_whether_the_force_is_over(after_s: floa
     assert injector.witness.all.largest_change == step
 
 
-def test_what_the_faults_keep_back_did_not_reach_the_device() -> None:
+def test_what_the_faults_keep_back_did_not_reach_the_device_and_without_a_scale_a_force_is_no_number() -> None:
     injector = armed("kind: drop, direction: to_device")
     injector.take(force(0, 5000), True, 0.0)
     assert injector.witness.all.count == 0
     assert injector.witness.release() is None
+    injector = injector_of("kind: drop, after_samples: 9")
+    injector.take(force(0, 5), True, 0.0)
+    assert math.isnan(injector.witness.all.largest)
 
 
 def test_the_last_force_ends_with_the_disarm() -> None:
@@ -130,7 +127,7 @@ def test_or_with_its_time_to_live_or_with_the_device_that_says_so_first() -> Non
     assert release.after_last_force_s == pytest.approx(0.002)
 
 
-def test_a_device_may_confirm_later_what_was_over_before() -> None:
+def test_a_device_may_confirm_later_what_was_over_before_and_in_lockstep_no_time_to_live_passes() -> None:
     injector = armed("kind: drop, direction: from_device")
     injector.take(force(2, 5, lives=20), True, 0.0025)
     injector.take(DISARM, True, 0.1)
@@ -138,9 +135,6 @@ def test_a_device_may_confirm_later_what_was_over_before() -> None:
     release = injector.witness.release()
     assert release is not None
     assert (release.by, release.confirmed) == ("time to live", True)
-
-
-def test_in_lockstep_no_time_to_live_passes() -> None:
     injector = armed("kind: drop, direction: from_device", pacing=schema.LOCKSTEP)
     injector.take(force(0, 5), True, 0.0)
     release = injector.witness.release()

@@ -18,7 +18,7 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from hapsim.bringup.probe import STEPS, Check, Judgement, Leave, probe, steps_of
+from hapsim.bringup.probe import STEPS, Check, Judgement, Leave, judge, open_wire, steps_of
 from hapsim.cli.probe import show_judgement
 from hapsim.device.mock.assemble import assemble_mock
 from hapsim.device.mock.terminal import serving
@@ -73,7 +73,8 @@ def judged(start: Callable[[], str], expected: Callable[[Check], bool]) -> dict[
     checks: dict[str, Check] = {}
     port, again = start(), STEPS
     for _ in range(ATTEMPTS):
-        judgement = probe(port, leave=LEAVE, steps=steps_of(again, None))
+        with open_wire(port) as wire:
+            judgement = judge(wire, leave=LEAVE, steps=steps_of(again, None))
         checks |= {check.name: check for check in judgement.checks if check.step in again}
         again = tuple(step for step in TIMED if not all(expected(c) for c in checks.values() if c.step == step))
         if not judgement.released:
@@ -132,7 +133,8 @@ def printed(judgement: Judgement) -> list[str]:
 def test_a_build_that_is_broken_on_purpose_is_found_out(name: str, start_broken_board: Callable[[str], Any]) -> None:
     step, check, fault, look_at = BROKEN[name]
     for _ in range(ATTEMPTS):
-        judgement = probe(start_broken_board(name).port, leave=LEAVE, steps=steps_of((step,), None))
+        with open_wire(start_broken_board(name).port) as wire:
+            judgement = judge(wire, leave=LEAVE, steps=steps_of((step,), None))
         if failures := printed(judgement):
             break
     assert len(failures) == 1, failures

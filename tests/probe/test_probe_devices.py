@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from hapsim.bringup.probe import CHECKS, STEPS, Check, Leave, judge, probe, steps_of
+from hapsim.bringup.probe import CHECKS, STEPS, Check, Leave, judge, open_wire, steps_of
 from hapsim.bringup.probe.checks import SECTIONS
 
 PROTOCOL = Path(__file__).resolve().parents[2] / "firmware_protocol" / "PROTOCOL.md"
@@ -91,19 +91,14 @@ def test_how_many_times_the_response_of_the_given_mass_it_is(new_bench: NewBench
     assert [float(one) for one in found.groups()] == pytest.approx([0.2, factor, 0.2 * factor], rel=0.05)
 
 
-def test_a_leave_below_the_limit_does_not_ask_for_more(new_bench: NewBench) -> None:
-    bench = new_bench()
-    checks = judged(bench, "push", leave=GENTLE)
-    assert checks["limit_cut"].result == "not seen"
+@pytest.mark.parametrize(("limit", "needed"), [(10.0, 12), (0.5, 0.6)])
+def test_a_leave_below_or_at_the_limit_is_told_what_it_takes_to_try_the_cut(
+    new_bench: NewBench, limit: float, needed: float
+) -> None:
+    bench = new_bench(limit=limit)
+    check = judged(bench, "push", leave=GENTLE)["limit_cut"]
+    assert (check.result, check.found) == ("not seen", f"this takes --push {needed:g}: 1.2 times the limit")
     assert 0.0 < bench.device.largest <= 0.5
-
-
-def test_a_leave_at_the_limit_is_told_what_it_takes_to_try_the_cut(new_bench: NewBench) -> None:
-    checks = judged(new_bench(limit=0.5), "push", leave=GENTLE)
-    assert (checks["limit_cut"].result, checks["limit_cut"].found) == (
-        "not seen",
-        "this takes --push 0.6: 1.2 times the limit",
-    )
 
 
 def test_forces_that_are_all_late_do_not_accuse_the_device(new_bench: NewBench) -> None:
@@ -155,22 +150,18 @@ PUSHED = {
     "on_arrival": ({"delay"}, "within the sample that the force came in"),
     "wrong_scale": ({"mass"}, "as if positions were "),
     "never_ends": ({"time_to_live", "host_time_to_live"}, "it goes on"),
+    "never_cuts": ({"limit_cut"}, "register 12 counts 0"),
 }
 
 
 @pytest.mark.parametrize("fault", PUSHED)
 def test_what_shows_in_the_motion_alone_is_found_and_named(new_bench: NewBench, fault: str) -> None:
     names, words = PUSHED[fault]
-    bench = new_bench(fault)
+    bench = new_bench(fault, limit=0.4)
     checks = judged(bench, "push", leave=GENTLE)
     assert names <= failed(checks) <= {*names, "mass"}, told(checks)
     assert any(words in checks[name].found for name in names)
     assert bench.device.largest <= GENTLE.force
-
-
-def test_a_force_that_is_not_cut_is_found(new_bench: NewBench) -> None:
-    checks = judged(new_bench("never_cuts", limit=0.4), "push", leave=GENTLE)
-    assert failed(checks) == {"limit_cut"}, told(checks)
 
 
 def test_positions_that_come_in_bursts_tell_no_rate(new_bench: NewBench) -> None:
@@ -256,8 +247,8 @@ def test_a_device_on_a_port_is_judged_like_one_in_virtual_time(
     serving: Callable[..., contextlib.AbstractContextManager[str]], new_bench: NewBench
 ) -> None:
     fault, until = "any_schema", steps_of((), "refusals")
-    with serving(fault) as port:
-        real = probe(port, steps=until)
+    with serving(fault) as port, open_wire(port) as wire:
+        real = judge(wire, steps=until)
     virtual = judge(new_bench(fault).wire, steps=until)
     assert [(check.name, check.result) for check in real.checks] == [
         (check.name, check.result) for check in virtual.checks
@@ -275,14 +266,10 @@ def test_a_device_that_goes_away_fails_the_check_that_it_went_away_in(new_bench:
     assert judgement.ended in judgement.failed[0].found
 
 
-def test_a_slow_device_is_not_taken_for_one_that_waits(new_bench: NewBench) -> None:
+def test_a_slow_device_and_one_that_slows_down_are_not_taken_for_one_that_waits(new_bench: NewBench) -> None:
     """A simulated one on a busy machine: it loses every other sample, whether the host reads or not."""
-    bench = new_bench(channels=1, registers={4: 0, 5: 0x408F4000})  # says 1000 Hz, keeps 500
-    checks = judged(bench, "blocked")
+    checks = judged(new_bench(channels=1, registers={4: 0, 5: 0x408F4000}), "blocked")  # says 1000 Hz, keeps 500
     assert failed(checks) == set(), told(checks)
-
-
-def test_a_device_that_slows_down_meanwhile_is_too_unsteady_to_tell(new_bench: NewBench) -> None:
     checks = judged(new_bench("slows_down", channels=4), "blocked")
     assert failed(checks) == set(), told(checks)
     assert "too unsteady to tell" in checks["tick_goes_on"].found

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from firmware_protocol.description import Description
@@ -74,26 +74,12 @@ def steps_of(only: tuple[str, ...], until: str | None) -> tuple[str, ...]:
     return tuple(step for step in STEPS if step in _ALWAYS or (step in wanted and (not only or step in only)))
 
 
-def probe(
-    port: str,
-    *,
-    baud: int = 2_000_000,
-    leave: Leave | None = None,
-    steps: tuple[str, ...] = STEPS,
-    on_step: OnStep = lambda _step, _number, _of: None,
-    say: Callable[[str], None] = lambda _sentence: None,
-    on_wire: Callable[[Wire], None] = lambda _wire: None,
-) -> Judgement:
-    """Judges the device at a port against PROTOCOL.md. Without `leave` no force but zero is sent.
-
-    `say` is called with what will be done before the device is pushed, `on_wire` with the wire, whose `stop` ends it.
-    Raises DeviceError if the port cannot be opened.
-    """
+@contextlib.contextmanager
+def open_wire(port: str, baud: int = 2_000_000) -> Iterator[Wire]:
+    """Opens the wire to the device at a port. Raises DeviceError if that is not possible."""
     opened = open_serial_port(port, baud) if sys.platform == "linux" else open_portable_port(port, baud)
     with contextlib.closing(opened) as connection:
-        wire = Wire(connection)
-        on_wire(wire)
-        return judge(wire, leave=leave, steps=steps, on_step=on_step, say=say)
+        yield Wire(connection)
 
 
 def judge(
@@ -104,7 +90,10 @@ def judge(
     on_step: OnStep = lambda _step, _number, _of: None,
     say: Callable[[str], None] = lambda _sentence: None,
 ) -> Judgement:
-    """Does the same over a wire that is open already."""
+    """Judges a device against PROTOCOL.md, and releases it. Without `leave` no force but zero is sent.
+
+    `say` is called with what will be done before the device is pushed. The wire's `stop` ends it.
+    """
     probing = Probing(wire, leave)
     ended, interrupted, released = "", False, False
     try:
