@@ -1,8 +1,10 @@
-"""The mock's wire: forces that are late by whole samples in virtual time, bytes that take their time in real time."""
+"""The mock's wire: forces late by whole samples in virtual time, bytes that take their time in real time, and a
+transmitter that never waits for room."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -11,8 +13,9 @@ import pytest
 from firmware_protocol import schema
 from firmware_protocol.compiled import new_record
 from hapsim.device.mock.assemble import assemble_mock
-from hapsim.device.mock.wire import UART, arrived, next_due_ns, put_on_wire, take_off_wire
+from hapsim.device.mock.wire import UART, arrived, next_due_ns, put_on_wire, take_off_wire, transmitter_transport
 from hapsim.errors import UsageError
+from hapsim.loop.endings import FAILED
 from hapsim.running import run
 
 FULL = 2**31 - 1
@@ -140,3 +143,49 @@ def test_paced_by_the_device_over_a_pseudo_terminal_a_turnaround_of_more_than_a_
     scene = new_scene(rate=50.0, device={"clock": "device"}, mock={"turnaround": 0.05})
     report = run(scene, duration=0.5, transport="terminal").report
     assert report.deadline_misses >= report.ticks - 1 - report.lost_frames
+
+
+FRAMES = [bytes([1 + n % 255]) * (7 + n % 13) + b"\0" for n in range(20000)]
+
+
+@pytest.fixture
+def pipe() -> Iterator[tuple[int, int]]:
+    """Where the host reads, where the mock writes: 64 kB of room."""
+    far, near = os.pipe()
+    os.set_blocking(near, False)
+    os.set_blocking(far, False)
+    try:
+        yield far, near
+    finally:
+        os.close(far)
+        os.close(near)
+
+
+def read_all(far: int) -> bytes:
+    data = b""
+    try:
+        while piece := os.read(far, 1 << 20):
+            data += piece
+    except BlockingIOError:
+        return data
+    return data
+
+
+def test_what_finds_no_room_is_dropped_as_whole_frames(pipe: tuple[int, int]) -> None:
+    """14 kB at a time, of which a pipe takes what fits: the room ends in the middle of a frame."""
+    far, near = pipe
+    transport = transmitter_transport(near)
+    data, dropped = b"", 0
+    for first in range(0, len(FRAMES), 1000):
+        dropped += transport.send(b"".join(FRAMES[first : first + 1000])) == FAILED
+        if first % 9000 == 0:
+            data += os.read(far, 5000)  # not at a frame's end
+    for _ in range(2):  # what was begun is ended once there is room, though nothing new is sent
+        data += read_all(far)
+        transport.send(b"")
+    came = data.split(b"\0")[:-1]
+    assert data.endswith(b"\0")
+    assert dropped > 0
+    assert len(came) < len(FRAMES)
+    sent = iter(frame[:-1] for frame in FRAMES)
+    assert all(frame in sent for frame in came)  # whole, and in order

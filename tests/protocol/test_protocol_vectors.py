@@ -1,7 +1,9 @@
-"""vectors.json: up to date, and right by other people's packages and by a decoder that shares nothing with ours."""
+"""vectors.json and PROTOCOL.md: up to date, and right by others' packages, by the schema, and by a decoder that shares
+nothing with ours."""
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from typing import Any
 
@@ -9,7 +11,9 @@ import fastcrc
 import pytest
 from cobs import cobs
 
-from firmware_protocol.make_vectors import VECTORS, made_text
+from firmware_protocol import schema
+from firmware_protocol.make_vectors import DOCUMENT, VECTORS, made_text, with_blocks
+from firmware_protocol.vectors import TO_DEVICE, TO_HOST, TYPES
 
 Vectors = dict[str, Any]
 
@@ -98,3 +102,118 @@ def test_every_type_in_every_format_is_there(vectors: Vectors, formats: Vectors)
     assert there == {(n, False) for n in (1, 3, 4, 16)} | {(n, True) for n in (1, 2, 16)}
     counters = Counter(name for e in vectors["streams"] + vectors["refused"] for name, n in e["counters"].items() if n)
     assert set(counters) == {"accepted", "crc_errors", "length_errors", "form_errors", "garbage_bytes"}
+
+
+NAMES = {name.upper() for name in TO_DEVICE | TO_HOST}
+TEXT = DOCUMENT.read_text("utf-8")
+
+
+def section(title: str) -> str:
+    """The text from a heading to the next one of its level."""
+    return re.split(r"^## ", TEXT.split(f"## {title}", 1)[1], maxsplit=1, flags=re.MULTILINE)[0]
+
+
+def rows(text: str) -> list[list[str]]:
+    """The cells of every table row."""
+    lines = [line for line in text.splitlines() if line.startswith("|") and not set(line) <= set("|-: ")]
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
+
+
+def test_the_generated_parts_are_what_the_codec_makes_now() -> None:
+    assert made_text(DOCUMENT) == TEXT, "run python -m firmware_protocol.make_vectors"
+
+
+def test_a_document_without_a_place_for_a_part_is_an_error() -> None:
+    with pytest.raises(ValueError, match="0 places for the part 'constants'"):
+        with_blocks("nothing here", {"constants": "1"})
+
+
+def test_the_table_of_frames_is_the_schema_s() -> None:
+    table = {row[1].lower(): (row[0], row[2]) for row in rows(section("4. Frames")) if row[1] in NAMES}
+    expected = {name: (f"`{code:#x}`", "to device" if name in TO_DEVICE else "to host") for name, code in TYPES.items()}
+    assert table == expected
+
+
+def test_the_tables_of_states_and_faults_are_the_schema_s() -> None:
+    numbered = [(int(row[0]), row[1]) for row in rows(section("4. Frames")) if row[0].isdigit()]
+    states, faults = numbered[:3], numbered[3:]
+    assert [(number, name.split(":")[0]) for number, name in states] == [
+        (schema.IDLE, "idle"),
+        (schema.ARMED, "armed"),
+        (schema.LATCHED, "latched"),
+    ]
+    assert [number for number, _ in faults] == sorted(schema.FAULTS)
+    words = {schema.HOST_QUIET: "quiet", schema.POSITION_OUT_OF_RANGE: "range", schema.WRONG_SCHEMA: "schema"}
+    words |= {schema.WRONG_PACING: "paced", schema.WRONG_WATCHDOG: "watchdog", schema.HARDWARE: "hardware"}
+    words[schema.WRONG_SENSING] = "velocity"
+    assert all(words[number] in text for number, text in faults[1:])
+
+
+def test_the_table_of_registers_is_the_schema_s() -> None:
+    table = {name: cell for cell, name, *_ in rows(section("5. Registers").split("**Not while armed.**")[0])[1:]}
+    plain = ("version", "schema", "channels", "pacings", "max_watchdog", "fault")
+    counters = ("accepted", "rejected", "held", "expired", "limited")
+    expected = {name: str(getattr(schema, f"REG_{name.upper()}")) for name in plain + counters}
+    expected["rate"] = f"{schema.REG_RATE}, {schema.REG_RATE + 1}"
+    expected["name"] = f"{schema.REG_NAME} to {schema.REG_NAME + schema.NAME_WORDS - 1}"
+    for name in ("position_scale", "force_scale", "force_limit", "velocity_scale"):
+        base = schema.REG_CHANNEL + getattr(schema, f"REG_{name.upper()}")
+        expected[name] = f"{base} + {schema.CHANNEL_WORDS}c, +1"
+    assert table == expected
+
+
+def test_the_time_on_the_wire_agrees_with_the_vectors(formats: dict[str, Any]) -> None:
+    tables = section("11. Time on the wire").split("With velocities:")
+    for velocity, text in enumerate(tables):
+        table = {int(row[0]): row[1:4] for row in rows(text)[1:]}
+        assert sorted(table) == list(range(1, 17))
+        for wire in formats.values():
+            host, device = wire["bytes_to_host"], wire["bytes_to_device"]
+            if wire["velocity"] == bool(velocity):
+                assert table[wire["channels"]] == [f"{host} B", f"{device} B", f"{host + device} B"]
+    # The largest, by hand: 147 and 211 bytes of ten bits at 115200 baud.
+    assert "| 16 | 73 B | 74 B | 147 B | 12.760 ms |" in tables[0]
+    assert "| 16 | 137 B | 74 B | 211 B | 18.316 ms |" in tables[1]
+
+
+def test_every_type_has_an_example_that_decodes_to_what_stands_beside_it(
+    formats: dict[str, Any], plain_decoder: Any
+) -> None:
+    pattern = r"\*\*(\w+)\*\*, (set-up|armed, \d+ channels?(?: with velocity)?): .*?\n\n```text\n(.*?)\n```"
+    examples = re.findall(pattern, section("12. Examples"), re.DOTALL)
+    assert {kind.lower() for kind, _, _ in examples} == set(TYPES)
+    for kind, where, lines in examples:
+        family = "velocity" if where.endswith("velocity") else "armed"
+        wire = formats["setup" if where == "set-up" else f"{family}_{re.findall(r'[0-9]+', where)[0]}"]
+        decoder = plain_decoder(wire, "to_device" if kind.lower() in TO_DEVICE else "to_host")
+        sent = re.findall(r"^(?:encoded|check|delimiter)\s+((?:[0-9a-f]{2} ?)+)", lines, re.MULTILINE)
+        (frame,) = decoder.read(bytes.fromhex("".join(sent)))
+        assert (frame["type"], frame["number"]) == (kind.lower(), int(re.findall(r"number \S+ = (\d+)", lines)[0]))
+        assert frame["payload"] == [int(word) for word in re.findall(r"payload \d+ = (-?\d+)", lines)]
+        assert str(frame.get("argument", "")) == "".join(re.findall(r"argument (\d+)", lines))
+
+
+def test_the_example_of_stuffing_is_right() -> None:
+    body, encoded = re.findall(r"^    (?:body   |encoded) +([0-9a-f ]+)$", section("2. Framing"), re.MULTILINE)
+    assert cobs.encode(bytes.fromhex(body)) == bytes.fromhex(encoded)
+
+
+def test_the_schema_text_gives_its_hash() -> None:
+    text = re.findall(r"```text\n(.*?)```", section("14. The schema"), re.DOTALL)[0]
+    assert text == schema.SCHEMA
+    assert f"`{schema.SCHEMA_HASH:#010x}`" in section("3. Formats")
+    assert text.isascii()
+
+
+def test_every_number_of_the_schema_module_that_goes_on_the_wire_is_in_the_schema_text() -> None:
+    # A meaning that the text leaves out could change without changing the hash.
+    registers = [name for name in vars(schema) if name.startswith("REG_")]
+    names = [*registers, *NAMES, "PACED_BY_DEVICE", "PACED_BY_HOST", "LOCKSTEP", "IDLE", "ARMED", "LATCHED"]
+    names += ["HOST_QUIET", "POSITION_OUT_OF_RANGE", "WRONG_SCHEMA", "WRONG_PACING", "WRONG_WATCHDOG", "HARDWARE"]
+    names += ["WRONG_SENSING", "WITH_VELOCITY"]
+    spoken = {"POSITION_HELD": "held", "PACED_BY_DEVICE": "device", "PACED_BY_HOST": "host"}
+    for name in names:
+        word = spoken.get(name, name.removeprefix("REG_").lower())
+        value = getattr(schema, name)
+        forms = {str(value), f"{value:x}"} if name in NAMES | {"WITH_VELOCITY"} else {str(value)}
+        assert any(re.search(rf"\b{word}={form}\b", schema.SCHEMA) for form in forms), name

@@ -1,7 +1,8 @@
-"""Of a port that is in use it is told who has it, as far as that was seen; nobody who is dead has one."""
+"""Ports: names for pseudo-terminals, the processes that hold a port, and the devices that were pushed or run before."""
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import os
 import subprocess
@@ -10,12 +11,78 @@ import termios
 import tty
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
+from serial.tools import list_ports
 
 from hapsim.device import serial_port
+from hapsim.device.known_devices import is_new
+from hapsim.device.port_name import free_name, give_name, take_name
 from hapsim.device.serial_port import open_serial_port, who_holds
-from hapsim.errors import DeviceError
+from hapsim.errors import DeviceError, UsageError
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="pseudo-terminals of Linux")
+
+
+@contextlib.contextmanager
+def terminal() -> Iterator[str]:
+    ends = os.openpty()
+    try:
+        yield os.ttyname(ends[1])
+    finally:
+        for end in ends:
+            os.close(end)
+
+
+def refusal(name: Path) -> str:
+    with pytest.raises(UsageError) as caught:
+        free_name(name)
+    return str(caught.value).removeprefix(f"{name}: ")
+
+
+def test_a_link_to_a_pseudo_terminal_that_is_gone_is_replaced(tmp_path: Path) -> None:
+    name = tmp_path / "port"
+    name.symlink_to("/dev/pts/99999")
+    with terminal() as port:
+        give_name(name, port)
+        assert os.readlink(name) == port
+        take_name(name, port)
+    assert not name.is_symlink()
+    free_name(name)
+    free_name(None)
+
+
+def test_a_link_to_a_pseudo_terminal_that_is_there_stays(tmp_path: Path) -> None:
+    name = tmp_path / "port"
+    with terminal() as port:
+        name.symlink_to(port)
+        assert refusal(name) == (f"found a link to {port}, expected a free name for the port; remove an unused link")
+        take_name(name, "/dev/pts/99999")
+        assert os.readlink(name) == port
+
+
+@pytest.mark.parametrize(
+    ("made", "told"),
+    [
+        (lambda name: name.write_text("mine"), "found a file, a directory or a device, expected a free name"),
+        (lambda name: name.mkdir(), "found a file, a directory or a device, expected a free name"),
+        (lambda name: name.symlink_to("/dev/ttyNOPE7"), "found a link to /dev/ttyNOPE7, expected a free name"),
+        (lambda name: name.symlink_to("/dev/null"), "found a link to /dev/null, expected a free name"),
+    ],
+)
+def test_what_is_no_link_of_ours_stays(tmp_path: Path, made, told: str) -> None:  # type: ignore[no-untyped-def]
+    name = tmp_path / "port"
+    made(name)
+    before = os.lstat(name).st_ino
+    assert refusal(name).startswith(told)
+    assert os.lstat(name).st_ino == before
+
+
+def test_a_name_where_no_link_can_be_made_is_told_with_what_to_do(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="No such file or directory; choose a name in a directory of yours"):
+        give_name(tmp_path / "none" / "port", "/dev/pts/99999")
+
 
 HOLDS = """
 import sys, time
@@ -108,3 +175,33 @@ def test_a_port_that_is_no_pseudo_terminal_is_exclusive(port: str, monkeypatch: 
     monkeypatch.setattr(fcntl, "ioctl", lambda *words: asked.append(words[1]) or ioctl(*words))
     open_serial_port(port, 2_000_000).close()
     assert termios.TIOCEXCL in asked
+
+
+@pytest.fixture
+def device(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    monkeypatch.setattr(list_ports, "comports", list)
+    (tmp_path / "ttyA").touch()
+    return str(tmp_path / "ttyA")
+
+
+def test_a_device_is_new_once(device: str) -> None:
+    assert [is_new(device), is_new(device)] == [True, False]
+    assert not is_new(f"{device}_that_is_not_there")
+
+
+def test_a_device_is_known_by_its_serial_number_at_any_port(device: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, number, new in (("ttyA", "1", True), ("ttyB", "1", False), ("ttyB", "2", True)):
+        there = Path(device).with_name(name)
+        there.touch()
+        numbered = [SimpleNamespace(device=str(there), serial_number=number)]
+        monkeypatch.setattr(list_ports, "comports", lambda numbered=numbered: numbered)
+        assert is_new(str(there)) == new
+
+
+def test_where_nothing_can_be_kept_nothing_is_said(
+    device: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "file"))
+    assert not is_new(device)
