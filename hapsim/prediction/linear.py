@@ -68,9 +68,9 @@ def linear_of(module: Link | MaterialPoint) -> Linear:
 
 def _is_outside(linear: Linear, scheme: str) -> bool:
     """Whether the scheme takes this force for that of the sample, whatever it joins."""
-    advance = SCHEMES[scheme].advance
+    model = SCHEMES[scheme]
     nature = LinkNature(linear.in_a_matrix, linear.memoryless, at_channel=False)
-    return advance is not None and not advance.inside(nature)
+    return model is not None and not model.inside(nature)
 
 
 def linear_scene(scene: Scene) -> LinearScene:

@@ -20,7 +20,7 @@ from hapsim.scene import DamperScheme, Link, Scene, ViscoElastic, parse_scene
 from hapsim.scene.choices import WITH_CUTOFF, WITH_SENSOR
 from hapsim.theory import Network, solve
 from hapsim.theory.interface import damper_named
-from hapsim.theory.network.layout import Layout, layout_of
+from hapsim.theory.network.layout import StateLayout, layout_of
 from hapsim.theory.network.network import BACKWARD, inner_links, remembers_nothing
 from hapsim.theory.network.state import channel_steps, transition
 from hapsim.theory.schemes import SCHEMES as THEORY
@@ -70,12 +70,12 @@ def scene_of(scheme: str, seed: int, state: np.ndarray | None = None) -> Scene:
     return parse_scene(json.dumps(document))
 
 
-def network_and_layout(scene: Scene) -> tuple[Network, Layout]:
+def network_and_layout(scene: Scene) -> tuple[Network, StateLayout]:
     network, _ = network_of(scene, linear_scene(scene))
     return network, layout_of(network, channel_steps(network))
 
 
-def lifted(network: Network, layout: Layout, reduced: np.ndarray) -> np.ndarray:
+def lifted(network: Network, layout: StateLayout, reduced: np.ndarray) -> np.ndarray:
     """The theory's state of x, x before and the hand's velocity times T, with dampers that remember what the kernel's
     do as they begin: that the hand has rested, and everything else moved as it does."""
     points = layout.now.stop
@@ -146,7 +146,7 @@ def test_a_tick_is_the_transition_that_is_predicted(scheme: str, seed: int) -> N
         np.testing.assert_allclose([expected[0], expected[layout.velocity.start]], hand, rtol=0.0, atol=1e-11 * size)
 
 
-@pytest.mark.parametrize("scheme", [name for name, model in THEORY.items() if model.advance])
+@pytest.mark.parametrize("scheme", [name for name, model in THEORY.items() if model])
 def test_the_same_links_are_inside_as_in_the_kernel(scheme: str) -> None:
     scene = scene_of(scheme, 1)
     rubs = {"type": "friction", "between": ("m0", "wall"), "force": 1.0, "stiffness": 10.0}

@@ -1,13 +1,15 @@
 """The limit of a hand on a simulated object, for every scheme and every kind of module, straddled by a thousandth.
 
 Predicted: the closed loop as one matrix, of the hand moved exactly by matrix exponentials and the object moved by the
-scheme's own matrix (`hapsim.theory.schemes`). Observed: the compiled tick, against the same hand, swings on or dies.
+scheme's own matrix (`scheme_formulas.py`). Observed: the compiled tick, against the same hand, swings on or dies.
 """
 
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,7 +22,10 @@ from hapsim.cordis.offline import start
 from hapsim.cordis.program import compile_scene
 from hapsim.cordis.tick import tick
 from hapsim.scene import Scene, parse_scene
-from hapsim.theory.schemes import SCHEMES, at_every_instant
+from hapsim.theory.schemes import SCHEMES
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from scheme_formulas import step_matrix
 
 RATE = 1000.0
 T = 1.0 / RATE
@@ -133,11 +138,10 @@ def closed_loop(scheme: str, one: Object, stiffness: float, damping: float, dela
     matrix[3] = -felt
     pulled = np.zeros(n)
     pulled[one.place] = 1.0
-    advance = SCHEMES[scheme].advance
-    if advance is not None and advance.inside is at_every_instant:
+    if scheme in STAGES:
         matrix[4:] = _by_instants(STAGES[scheme], one, pulled, stiffness, damping)
         return matrix
-    step = SCHEMES[scheme].step(one.mass, one.stiffness, one.damping, T)
+    step = step_matrix(scheme, one.mass, one.stiffness, one.damping, T)
     # A force that is held moves where the object would rest, and nothing else.
     rest = np.concatenate([np.linalg.solve(one.stiffness, pulled), np.zeros(n)])
     matrix[4:, 4:] += step

@@ -19,7 +19,7 @@ from hapsim.theory.arrays import Floats
 from hapsim.theory.hand import Configuration
 from hapsim.theory.hand.sampled_plant import sampled_plant
 from hapsim.theory.interface import damper_named, hold_segments, whole_and_fraction
-from hapsim.theory.network.device_step import DeviceStep, device_step, through
+from hapsim.theory.network.device_step import DeviceStep, ages_of, device_step, split, through
 
 READING, MEAN_VELOCITY = 2, 3  # rows of a DeviceStep
 STATES = 3  # position, velocity, push
@@ -118,11 +118,11 @@ def _ahead(model: Configuration, own: tuple[float, float], step: DeviceStep, pus
         state[:, 2] += pushed[:2]
         acting = step.forces[:2, later:]  # age `later` is f[n-1] there
         forces[:, : acting.shape[1]] += acting
-    segments = _until(fraction, hold_segments(model.hold, fraction))
-    motion, made = through(segments, *own)
-    state[:] = motion @ state
-    state[:, 2] += through([Piece(fraction, level=(1.0,))], *own)[1][:, 0] if segments else 0.0
-    older = made[:, 1:]  # age 0 is f[n], which the last of these periods' parts ends before
+    segments, _ = split(hold_segments(model.hold, fraction), fraction)
+    motion, made = through(segments, *own, max(ages_of(segments), 1))
+    state[:] = motion[:2] @ state
+    state[:, 2] += through([Piece(fraction, level=(1.0,))], *own, 1)[1][:2, 0] if segments else 0.0
+    older = made[:2, 1:]  # age 0 is f[n], before which these segments end
     forces[:, : older.shape[1]] += older
     return state
 
@@ -140,14 +140,6 @@ def _of_velocities(moves: Floats, read: Floats, pole: float) -> Floats:
     at_once = moves[:2, :2] @ np.linalg.inv(read[:, :2])
     left = read[:, :2] @ (moves[:2, 2] - at_once @ read[:, 2]) + read[:, 2]
     return np.vstack([at_once, (1.0 - pole) * left / (left @ left)])
-
-
-def _until(fraction: float, segments: list[Piece]) -> list[Piece]:
-    """The segments of a hold before a new force comes, ``fraction`` of a sample period into it."""
-    before: list[Piece] = []
-    while segments and sum(segment.duration for segment in before) < fraction:
-        before.append(segments.pop(0))
-    return before
 
 
 def _in_si(

@@ -29,7 +29,7 @@ from hapsim.theory.network.network import Network, is_centred
 from hapsim.theory.network.response import SceneMatrix, on_circle
 from hapsim.theory.network.sparse import factorised
 from hapsim.theory.network.state import entering_forces, is_large, transition
-from hapsim.theory.network.transitions import operator_of
+from hapsim.theory.network.transitions import sparse_transition
 
 
 class LoopImpedance(NamedTuple):
@@ -102,7 +102,7 @@ def _by_state(network: Network, z: Complexes) -> Complexes:
         for n, place in enumerate(z):
             out[n] = np.linalg.solve(place * one - matrix, entering)[:channels]
         return out
-    operator = operator_of(network)
+    operator = sparse_transition(network)
     for n, place in enumerate(z):
         inverse = operator.inverse(complex(place))
         out[n] = np.nan if inverse is None else -inverse(entering.astype(complex))[:channels]

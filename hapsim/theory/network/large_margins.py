@@ -77,7 +77,7 @@ def _margin(matrix: SceneMatrix, link: int, quantity: int, angles: Floats, chang
     from scipy.optimize import brentq
 
     if not np.isfinite(change[1:-1]).all():
-        return math.inf  # it has nothing of it
+        return math.inf  # the quantity is 0
 
     def at(angle: float) -> complex:
         return complex(_changes(matrix, np.array([angle]), np.array([link]))[quantity, 0, 0])

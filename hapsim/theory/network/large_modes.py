@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hapsim.theory.arrays import Bools, Complexes, sort_by_modulus
+from hapsim.theory.arrays import Bools, Complexes, Floats, sort_by_modulus
 from hapsim.theory.network.layout import damping_links
 from hapsim.theory.network.modes import NO_MOTION, SAME_AS_REST, Solution, all_modes, modes_of, not_finite
 from hapsim.theory.network.network import Network, acting_links, is_centred
@@ -20,90 +20,84 @@ from hapsim.theory.network.response import Places, SceneMatrix
 from hapsim.theory.network.rest_poles import poles_at_rest
 from hapsim.theory.network.sparse import one_thread
 from hapsim.theory.network.state import is_large
-from hapsim.theory.network.transitions import Explicit, Operator, operator_of
+from hapsim.theory.network.transitions import SparseTransition, sparse_transition
 from hapsim.theory.schemes import SCHEMES
 
 BESIDE = 1e-6  # a shift stands this far beside 1, where a free motion's pole would make it singular
 ASIDE = 1e-7  # and this far beside a pole that was found
 APPROACHES = 6
-EDGE = 1.05  # a bound of the fastest motion this close to it is where to search
-ROW = 0.1  # a pole further from where it was looked for is another
+EDGE = 1.05  # a bound of the fastest motion this close to it is the shift
+ROW = 0.1  # a pole further from the shift is another
 SAME = 1e-9  # two poles found by two searches are one within this
 TRUSTED = 1e-8  # residual of a pole and its motion, of the motion's own size
-STATE_STEPS = 6e8  # what the search for a motion that grows may take: steps times numbers in the state,
+STATE_STEPS = 6e8  # the most that the search for a motion that grows may take: steps times numbers in the state,
 MOST_STEPS = 200_000  # and steps
-BREATH = 16  # of them until it is measured, and made small again
+BREATH = 16  # steps between two measurements of its size
 GREW = 1.6  # a motion that is larger in the last quarter by more than this; a free mass drifts by 4/3
 MOST_HANDS = 16
 REFINEMENTS = 5
 SLOPE_OVER = 1e-4  # of z - 1: how far from z the slope is taken
-NEAR = 1e-5  # a pole that would move further is left where it was found
+NEAR = 1e-5  # a pole that would move further stays where it was found
 ROUNDING = float(np.finfo(float).eps)
 
 
-class Search(NamedTuple):
-    """``many`` poles nearest to ``shift``; ``where`` says it in words; ``start``: points that move in those,
-    among which a pole is found to search from, None: from the shift."""
+class PoleSearch(NamedTuple):
+    """``most`` poles nearest to ``shift``; ``where`` says it in words; ``start``: a motion of the first points, about
+    that of a pole near the shift from which to search, None: from the shift."""
 
     shift: complex
-    many: int
+    most: int
     where: str
-    start: slice | None = None
+    start: Floats | None = None
 
 
 def solve(network: Network) -> Solution:
     """The poles and modes: all of them, or of a large scene those that matter, and how they were found.
 
     Raises:
-        NotWorkedOutError: the scene is large, and its scheme's matrix is neither sparse nor has modes that are.
+        NotWorkedOutError: the scene is large, and its scheme's matrix is not sparse.
     """
-    return some_modes(network) if is_large(network) else all_modes(network)
-
-
-def some_modes(network: Network) -> Solution:
-    """The poles that the searches find, each with its motion; ``how`` says which those are."""
+    if not is_large(network):
+        return all_modes(network)
     with one_thread():
         return _some_modes(network)
 
 
-@np.errstate(all="ignore")  # what is out of range becomes NaN
+@np.errstate(all="ignore")  # numbers out of range become NaN
 def _some_modes(network: Network) -> Solution:
-    matrix = operator_of(network)
-    if not matrix.is_finite():
+    """The poles that the searches find, each with its motion; ``method`` says which those are."""
+    matrix = sparse_transition(network)
+    if not matrix.is_finite:
         return not_finite(matrix.size)
+    searches = [(search, *_nearest(matrix, search)) for search in _searches(network)]
+    *grown, growth = _growing(matrix)
+    places = [search.where for search, poles, _ in searches if poles.size]
+    found = [*(one[1:] for one in searches), tuple(grown)]
     points = network.channel_mass.size + network.point_mass.size
-    poles, vectors, places = [np.zeros(0, complex)], [np.zeros((points, 0), complex)], []
-    for search in _searches(network):
-        found, motions = _nearest(matrix, search)
-        if found.size:
-            poles.append(found)
-            vectors.append(matrix.positions(motions))
-            places.append(search.where)
-    grown, motions, growth = _growing(matrix)
-    poles.append(grown)
-    vectors.append(matrix.positions(motions))
-    motion = np.concatenate(vectors, axis=1)
-    every, motion = _once_each(network, refined(network, np.concatenate(poles), motion), motion)
+    poles = np.concatenate([one for one, _ in found])
+    motions = np.concatenate([motions[:points] for _, motions in found], axis=1)
+    every, motions = _once_each(network, refined(network, poles, motions), motions)
     both = sort_by_modulus(np.concatenate([every, every[every.imag > 0.0].conj()]))
     others = f"no other that grows by more than {_least_seen(matrix):.1g} of itself in a sample period was seen"
-    if grown.size or growth:
-        others = "and those that grow" if grown.size else "a random motion grew, whose pole was not found"
-    how = f"{both.size} of {matrix.size} poles were worked out: those nearest to {_listed(places)}; {others}"
-    return Solution(both, modes_of(network, every, motion), matrix.size, how, growth)
+    if grown[0].size or growth:
+        others = "and those that grow" if grown[0].size else "a random motion grew, whose pole was not found"
+    listed = " and to ".join(filter(None, [", to ".join(places[:-1]), *places[-1:]]))
+    how = f"{both.size} of {matrix.size} poles were worked out: those nearest to {listed}; {others}"
+    return Solution(both, modes_of(network, every, motions), matrix.size, how, growth)
 
 
-def _searches(network: Network) -> Iterator[Search]:
-    yield Search(1.0 + BESIDE, 32, "1")
-    yield Search(-1.0 - BESIDE, 8, "-1")
+def _searches(network: Network) -> Iterator[PoleSearch]:
+    yield PoleSearch(1.0 + BESIDE, 32, "1")
+    yield PoleSearch(-1.0 - BESIDE, 8, "-1")
     top = _highest(network)
     if top is not None:
-        yield top
+        yield PoleSearch(top[0], 16, "about the highest of the masses' own", top[1])
     hands = [_hand_alone(network, channel) for channel in range(min(network.channel_mass.size, MOST_HANDS))]
     for hand in sorted({complex(np.round(hand, 6)) for hand in hands}, key=abs):
-        yield Search(hand, 12, "the hand's own" if len(hands) == 1 else "the hands' own", slice(0, len(hands)))
+        yield PoleSearch(hand, 12, "the hand's own" if len(hands) == 1 else "the hands' own", np.ones(len(hands)))
 
 
-def _nearest(matrix: Operator, search: Search) -> tuple[Complexes, NDArray]:
+def _nearest(matrix: SparseTransition, search: PoleSearch) -> tuple[Complexes, NDArray]:
     """The poles nearest to the shift that converged, of pairs the upper, and their motions (N, n)."""
     from scipy.sparse import linalg
 
@@ -114,38 +108,38 @@ def _nearest(matrix: Operator, search: Search) -> tuple[Complexes, NDArray]:
     solve = matrix.inverse(shift)
     if solve is None:
         return np.zeros(0, complex), np.zeros((size, 0))
-    values, motions = _largest(linalg.LinearOperator((size, size), solve, dtype=type(shift)), search.many, 40)
-    with np.errstate(all="ignore"):
-        poles = shift + 1.0 / values
-    return _trusted(matrix, poles, motions)
+    values, motions = _largest(linalg.LinearOperator((size, size), solve, dtype=type(shift)), search.most, 40)
+    return _trusted(matrix, shift + 1.0 / values, motions)
 
 
-def _beside_a_pole(matrix: Operator, near: complex, start: slice) -> complex:
+def _beside_a_pole(matrix: SparseTransition, near: complex, start: Floats) -> complex:
     """A shift beside a pole near this one, by inverse iterations and then Rayleigh's.
 
     Where poles stand in a row, and the shift beside the row, all of them are as far from it; from a place in the
     row they differ, and the search ends soon.
     """
     motion = np.zeros(matrix.size, complex)
-    motion[start] = 1.0
-    shift, pole = near, near
+    motion[: start.size] = start
+    pole = near
     for step in range(APPROACHES):
-        solve = matrix.inverse(shift)
+        solve = matrix.inverse(pole)
         if solve is None:
             break
         for _ in range(3 if step == 0 else 1):
             motion = solve(motion)
             motion /= np.linalg.norm(motion)
         pole = complex(np.vdot(motion, matrix @ motion))
-        shift = pole
     return (pole if abs(pole - near) < ROW else near) + ASIDE
 
 
-def _growing(matrix: Operator) -> tuple[Complexes, NDArray, float]:
-    """The poles of the greatest modulus, where a random motion grows by more than a free one would.
+def _growing(matrix: SparseTransition) -> tuple[Complexes, NDArray, float]:
+    """The poles of the greatest modulus and their motions, where a random motion grows by more than a free one would.
 
     And by how much it grows in a sample period, where no pole was found that does.
     """
+    from scipy.sparse import linalg
+
+    none = np.zeros(0, complex), np.zeros((matrix.size, 0))
     motion = np.random.default_rng(1).standard_normal(matrix.size)
     breaths = _steps(matrix) // BREATH
     logarithm = np.zeros(breaths + 1)
@@ -154,33 +148,25 @@ def _growing(matrix: Operator) -> tuple[Complexes, NDArray, float]:
             motion = matrix @ motion
         size = float(np.linalg.norm(motion))
         if not 0.0 < size < np.inf:
-            return np.zeros(0, complex), np.zeros((matrix.size, 0)), size
+            return *none, size
         motion /= size
         logarithm[n + 1] = logarithm[n] + math.log(size)
     # By their peaks: a slow motion's size swings.
     quarter = breaths // 4
     last = float(logarithm[-quarter:].max() - logarithm[-2 * quarter : -quarter].max())
     if last < math.log(GREW):
-        return np.zeros(0, complex), np.zeros((matrix.size, 0)), 0.0
-    poles, motions = _trusted(matrix, *_largest(_as_taken(matrix), 8, 200, motion))
+        return *none, 0.0
+    step = linalg.LinearOperator((matrix.size, matrix.size), matrix.__matmul__, dtype=float)
+    poles, motions = _trusted(matrix, *_largest(step, 8, 200, motion))
     found = bool((np.abs(poles) > 1.0).any())
     return poles, motions, 0.0 if found else math.exp(last / (quarter * BREATH))
 
 
-def _as_taken(matrix: Operator) -> Any:
-    """As scipy takes it."""
-    from scipy.sparse import linalg
-
-    if isinstance(matrix, Explicit):
-        return matrix.matrix
-    return linalg.LinearOperator((matrix.size, matrix.size), matrix.__matmul__, dtype=float)
-
-
-def _steps(matrix: Operator) -> int:
+def _steps(matrix: SparseTransition) -> int:
     return int(min(MOST_STEPS, STATE_STEPS / matrix.work))
 
 
-def _least_seen(matrix: Operator) -> float:
+def _least_seen(matrix: SparseTransition) -> float:
     """The growth in a sample period that a random motion shows: it has to outgrow all the others before its end."""
     return max(4.0 * math.log(GREW), math.log(matrix.size) / 1.5) / _steps(matrix)
 
@@ -190,8 +176,7 @@ def _largest(operator: Any, count: int, iterations: int, start: Any = None) -> t
     from scipy.sparse import linalg
 
     size = operator.shape[0]
-    if start is None:
-        start = np.random.default_rng(0).standard_normal(size)
+    start = np.random.default_rng(0).standard_normal(size) if start is None else start
     try:
         return linalg.eigs(operator, k=count, v0=start.astype(operator.dtype), tol=1e-13, maxiter=iterations)
     except linalg.ArpackNoConvergence as unfinished:
@@ -200,7 +185,7 @@ def _largest(operator: Any, count: int, iterations: int, start: Any = None) -> t
         return np.zeros(0, complex), np.zeros((size, 0), complex)
 
 
-def _trusted(matrix: Operator, poles: Complexes, motions: NDArray) -> tuple[Complexes, NDArray]:
+def _trusted(matrix: SparseTransition, poles: Complexes, motions: NDArray) -> tuple[Complexes, NDArray]:
     """Those whose motion is indeed multiplied by the pole, of pairs the upper."""
     lower = poles.imag < 0.0
     poles, motions = np.where(lower, poles.conj(), poles), np.where(lower, motions.conj(), motions)
@@ -249,74 +234,46 @@ def _hand_alone(network: Network, channel: int) -> complex:
     return complex(pole.real, abs(pole.imag)) * (1.0 + BESIDE)
 
 
-def _highest(network: Network) -> Search | None:
-    """About where the fastest motion of the simulated masses is: power iterations on their springs alone."""
+def _highest(network: Network) -> tuple[complex, Floats | None] | None:
+    """A shift about the fastest motion of the simulated masses, of their springs alone, the device held still; and that
+    motion (C + M,), None where the shift is above all of them."""
+    from scipy.sparse import coo_matrix, linalg
+
     channels, count = network.channel_mass.size, network.point_mass.size
-    if not count:
+    links = np.flatnonzero((network.ends >= channels).any(axis=1))
+    if count < 2 or not links.size:
         return None
-    ends = network.ends
-    ends = ends[(ends >= channels).any(axis=1)]
-    weight = network.stiffness[(network.ends >= channels).any(axis=1)]
-    damping = network.damping[(network.ends >= channels).any(axis=1)]
-    mobility = 1.0 / network.point_mass / network.rate**2
-    first, second = ends[:, 0] - channels, ends[:, 1] - channels
-
-    def stretch(x: NDArray) -> NDArray:
-        padded = np.append(x, 0.0)
-        return padded[np.where(first >= 0, first, count)] - padded[np.where(second >= 0, second, count)]
-
-    def pulled(link_force: NDArray) -> NDArray:
-        out = np.zeros(count + 1)
-        np.add.at(out, np.where(first >= 0, first, count), link_force)
-        np.add.at(out, np.where(second >= 0, second, count), -link_force)
-        return out[:count]
-
-    x = np.random.default_rng(2).standard_normal(count)
-    for _ in range(60):
-        x = mobility * pulled(weight * stretch(x))
-        size = np.linalg.norm(x)
-        if not 0.0 < size < np.inf:
-            return None
-        x /= size
-    inertia = float(x @ (x / mobility))
-    stretched = stretch(x) ** 2
-    kappa, beta = float(weight @ stretched) / inertia, float(damping @ stretched) * network.rate / inertia
+    mass = network.ends[links] - channels
+    link, end = np.nonzero(mass >= 0)
+    share = np.array([1.0, -1.0])[end] / np.sqrt(network.point_mass[mass[link, end]])
+    stretch = coo_matrix((share, (link, mass[link, end])), (links.size, count)).tocsr()
+    springs = stretch.T.multiply(network.stiffness[links]) @ stretch
+    start = np.random.default_rng(2).standard_normal(count)
+    try:
+        motion = linalg.eigsh(springs, k=1, which="LA", v0=start, tol=1e-3)[1][:, 0]
+    except linalg.ArpackError:
+        return None
+    stretched = (stretch @ motion) ** 2
+    kappa = float(network.stiffness[links] @ stretched) / network.rate**2
+    beta = float(network.damping[links] @ stretched) / network.rate
     # No motion is faster than where neighbours move against each other by as much as they do themselves.
-    most = mobility * _doubled(weight, first, second, count)
-    bound = float(most.max())
+    bound = float(abs(springs).sum(axis=1).max()) / network.rate**2 * (1.0 + BESIDE)
     beside = bound < EDGE * kappa
     if beside:
-        kappa, beta = bound * (1.0 + BESIDE), beta * bound / kappa
-    poles = _of_one_mass(network, kappa, beta)
-    pole = poles[np.argmin(poles.real)]
+        kappa, beta = bound, beta * bound / kappa
+    scheme = SCHEMES[network.scheme]
+    # z² - (2 - kappa - beta) z + 1 - beta = 0: the centred mass on its spring and its backward damper
+    step = np.array([[2.0 - kappa - beta, beta - 1.0], [1.0, 0.0]])
+    if scheme is not None:
+        step = scheme.advance(np.array([[0.0, 1.0], [-kappa, -beta]]), np.eye(2))
+    poles = np.linalg.eigvals(step)
+    pole = complex(poles[np.argmin(poles.real)])
     shift = complex(pole.real, abs(pole.imag)) * (1.0 + BESIDE)
-    return Search(shift, 16, "about the highest of the masses' own", None if beside else slice(None))
-
-
-def _of_one_mass(network: Network, kappa: float, beta: float) -> Complexes:
-    """The two poles of a mass on its own, of K T²/m and B T/m."""
-    advance = SCHEMES[network.scheme].advance
-    if advance is None:
-        # z² - (2 - kappa - beta) z + 1 - beta = 0: the centred mass on its spring and its backward damper
-        return np.roots([1.0, kappa + beta - 2.0, 1.0 - beta]).astype(np.complex128)
-    step = advance(np.array([[0.0, 1.0], [-kappa, -beta]]), np.eye(2))
-    return np.linalg.eigvals(step).astype(np.complex128)
-
-
-def _doubled(weight: NDArray, first: NDArray, second: NDArray, count: int) -> NDArray:
-    """(count,) the sums of the absolute values of the springs' matrix, row by row."""
-    out = np.zeros(count)
-    for here, there in ((first, second), (second, first)):
-        np.add.at(out, here[here >= 0], np.abs(weight * np.where(there >= 0, 2.0, 1.0))[here >= 0])
-    return out
-
-
-def _listed(places: list[str]) -> str:
-    return " and to ".join([", to ".join(places[:-1]), places[-1]]) if len(places) > 1 else "".join(places)
+    return shift, None if beside else np.concatenate([np.zeros(channels), motion / np.sqrt(network.point_mass)])
 
 
 def refined(network: Network, poles: Complexes, motions: NDArray) -> Complexes:
-    """The poles (n,) moved to where x' D(z) x is zero; ``motions`` (points, n), of which the poles are about known.
+    """The poles (n,) moved to where x' D(z) x is zero; ``motions`` (points, n): about those of the poles.
 
     A pole's motion x makes D(z) x zero (``response.py``), and where no velocity comes from the device D is symmetric.
     So x' D(z) x is zero at a z that is as much nearer to the pole than x is to the motion as a square is to its root

@@ -1,4 +1,10 @@
-"""Where a state keeps what: positions, velocities, forces on their way, and what dampers remember."""
+"""Where a state keeps what: positions, velocities, forces on their way, and what dampers remember.
+
+The state is, in metres and in this order: the points' positions x[n] and x[n-1] (C + M each), the channels' velocities
+times T (C), with averaged sampling the channels' true positions (C) and the mean velocities of those that a link
+senses, the forces computed for the channels, newest first and times T²/m, that a later sample still needs (C each), and
+what the links' dampers remember: stretches y[n-2] and older, velocities v[n-1] and older. Nothing else is kept.
+"""
 
 from __future__ import annotations
 
@@ -6,32 +12,41 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hapsim.theory.arrays import Indices
 from hapsim.theory.interface import SAMPLINGS, DamperModel
 from hapsim.theory.network.device_step import DeviceStep
 from hapsim.theory.network.network import Network, acting_links
-from hapsim.theory.network.sparse import Indices
 
 
-class Layout(NamedTuple):
-    """Where the state's parts are; per link and lag the first slot of what a damper remembers is in ``Memory``."""
-
-    now: slice
-    before: slice
-    velocity: slice
-    position: slice
-    held: slice
-    size: int
-    mean_velocity: Indices  # (C,) slots, -1 where no link senses the channel
-    memories: tuple[Memory, ...]
-
-
-class Memory(NamedTuple):
+class DamperMemory(NamedTuple):
     """The links (n,) of one damper that damp, and where they remember: (lags, n) slots each."""
 
     damper: DamperModel
     links: Indices
     stretches: Indices
     velocities: Indices
+
+
+class StateLayout(NamedTuple):
+    """Where the state's parts are. ``held``: (lags, C) slots."""
+
+    now: slice
+    before: slice
+    velocity: slice
+    position: slice
+    held: Indices
+    size: int
+    mean_velocity: Indices  # (C,) slots, -1 where no link senses the channel
+    memories: tuple[DamperMemory, ...]
+
+    @property
+    def is_averaged(self) -> bool:
+        """Whether a channel's reading differs from its position."""
+        return self.position.start != self.now.start
+
+    def sensed_slots(self, channels: Indices) -> Indices:
+        """Where the velocities are that the device sends, -1 where they are not kept."""
+        return self.mean_velocity[channels] if self.is_averaged else self.velocity.start + channels
 
 
 def damping_links(network: Network) -> dict[DamperModel, Indices]:
@@ -43,11 +58,10 @@ def damping_links(network: Network) -> dict[DamperModel, Indices]:
     return {damper: np.array(links, dtype=np.intp) for damper, links in groups.items()}
 
 
-def layout_of(network: Network, steps: list[DeviceStep]) -> Layout:
+def layout_of(network: Network, steps: list[DeviceStep]) -> StateLayout:
     """Where everything is."""
     channels, points = network.channel_mass.size, network.channel_mass.size + network.point_mass.size
     averaged = SAMPLINGS[network.sampling].window > 0.0
-    remembered = steps[0].forces.shape[1] - 1 if steps else 0
     groups = damping_links(network)
     velocity = slice(2 * points, 2 * points + channels)
     position = slice(velocity.stop, velocity.stop + channels) if averaged else slice(0, channels)
@@ -59,14 +73,15 @@ def layout_of(network: Network, steps: list[DeviceStep]) -> Layout:
         sensed = np.unique(ends[(ends >= 0) & (ends < channels)])
         mean_velocity[sensed] = size + np.arange(sensed.size)
         size += sensed.size
-    held = slice(size, size + remembered * channels)
-    size = held.stop
+    remembered = steps[0].forces.shape[1] - 1 if steps else 0
+    held = size + np.arange(remembered * channels).reshape(remembered, channels)
+    size += held.size
     memories = []
     for damper, links in groups.items():
         older, past = max(0, len(damper.of_positions) - 2), len(damper.of_velocities)
         slots = size + np.arange((older + past) * links.size).reshape(older + past, links.size)
-        memories.append(Memory(damper, links, slots[:older], slots[older:]))
+        memories.append(DamperMemory(damper, links, slots[:older], slots[older:]))
         size += slots.size
-    return Layout(
+    return StateLayout(
         slice(0, points), slice(points, 2 * points), velocity, position, held, size, mean_velocity, tuple(memories)
     )

@@ -19,42 +19,37 @@ from hapsim.theory.schemes import SCHEMES, LinkNature
 BACKWARD = DAMPERS["backward"](0.0)
 
 
-class NotWorkedOutError(Exception):
-    """The poles of this scene are not worked out for its scheme; the words say why, and follow a colon."""
-
-
 @dataclass(frozen=True, eq=False)
 class Network:
     """Device channels, masses and links that run together at one rate.
 
-    Points are numbered: 0 to C - 1 the device channels, C to C + M - 1 the simulated masses, -1 a ground. A
-    simulated mass moves by the scheme; by CORDIS's it is m/T² (x[n+1] - 2 x[n] + x[n-1]) = F[n]; for the others
-    see ``mass_rates.py``. A link's force on its first end is -K (xa - xb)[n] - (B/T) (va - vb)[n], the opposite on
-    its second; its damper makes v, in metres per sample period, of x (``DamperModel``). A channel's x[n] is its
-    measured sample; the sum of its links' forces acts on its real mass from (n + delay) T on, by the hold. The mass
-    itself moves in continuous time, exactly: m x'' + b0 x' + k0 x = F (Florens et al., §6 and Figure 5).
+    Points are numbered: 0 to C - 1 the device channels, C to C + M - 1 the simulated masses, -1 a ground. CORDIS's
+    scheme moves a simulated mass by m/T² (x[n+1] - 2 x[n] + x[n-1]) = F[n]; for the others see ``mass_rates.py``. A
+    link's force on its first end is -K (xa - xb)[n] - (B/T) (va - vb)[n], the opposite on its second; its damper makes
+    v, in metres per sample period, of x (``DamperModel``). A channel's x[n] is its measured sample; the sum of its
+    links' forces acts on its real mass from (n + delay) T on, by the hold. The mass itself moves in continuous time,
+    exactly: m x'' + b0 x' + k0 x = F (Florens et al., §6 and Figure 5).
 
-    A damper that senses has at an end that is a channel the velocity that the device reads: with ideal sampling
-    the real one at the instant of the sample, before any change of the force at that instant; with averaged
-    sampling its mean over the period that has just ended.
+    At an end that is a channel, a damper that senses takes the velocity that the device reads: with ideal sampling the
+    real one at the instant of the sample, before any change of the force at that instant; with averaged sampling its
+    mean over the period that has just ended.
 
     Attributes:
         rate: sample rate, Hz, > 0.
         channel_mass: (C,) real masses, kg, > 0.
         channel_friction: (C,) real viscous frictions b0, N·s/m, >= 0.
-        delay: sample periods from the sampling of a position to the change of the force that answers it, >=
-            0.
+        delay: sample periods from the sampling of a position to the change of the force that answers it, >= 0.
         hold: a name of HOLDS. sampling: "ideal" or "average". As for ``Configuration``.
         point_mass: (M,) simulated masses, kg, > 0.
         ends: (L, 2) the two points that each link joins.
         stiffness: (L,) K in N/m.
         damping: (L,) B in N·s/m.
-        channel_stiffness: (C,) real springs k0 from the channels' masses to x = 0, N/m, >= 0; left out: none.
-        damper: (L,) each link's, as ``interface.damper_named`` makes it; left out: all backward.
-        margin_links: of how many links, the first, margins are worked out; left out: of all.
-        scheme: what moves the masses, one of ``theory.schemes``.
-        outside: (L,) which links have under a scheme that works links into its matrix no part in that, whatever they
-            join (``mass_rates.py``); left out: none.
+        channel_stiffness: (C,) real springs k0 from the channels' masses to x = 0, N/m, >= 0. Default: none.
+        damper: (L,) each link's, as ``interface.damper_named`` makes it. Default: all backward.
+        margin_links: the number of links, from the first on, whose margins are worked out. Default: all.
+        scheme: the scheme that moves the masses, one of ``theory.schemes``.
+        outside: (L,) the links whose force a scheme always takes at the sample, whatever they join
+            (``mass_rates.py``). Default: none.
 
     Raises:
         ValueError: an argument is out of its range or its shape does not fit; the sentence says which.
@@ -106,7 +101,7 @@ class Network:
 
 def is_centred(network: Network) -> bool:
     """Whether the masses move by CORDIS's scheme, or there is none."""
-    return SCHEMES[network.scheme].advance is None or network.point_mass.size == 0
+    return SCHEMES[network.scheme] is None or network.point_mass.size == 0
 
 
 def acting_links(network: Network) -> Indices:
@@ -114,16 +109,21 @@ def acting_links(network: Network) -> Indices:
     return np.flatnonzero(network.ends[:, 0] != network.ends[:, 1])
 
 
+def margin_links(network: Network) -> Indices:
+    """The links that act and whose margins are asked for."""
+    links = acting_links(network)
+    return links if network.margin_links is None else links[links < network.margin_links]
+
+
 def inner_links(network: Network) -> Indices:
     """The links that act and that the scheme asks between two samples; of CORDIS's scheme none."""
-    advance = SCHEMES[network.scheme].advance
-    if advance is None or is_centred(network):
+    scheme = SCHEMES[network.scheme]
+    if scheme is None or is_centred(network):
         return np.zeros(0, np.intp)
     links = np.setdiff1d(acting_links(network), np.flatnonzero(network.outside))
     at_channel = touches_channel(network, links)
-    asked = zip(links.tolist(), at_channel.tolist(), strict=True)
-    natures = (_nature(network.damper[link], at) for link, at in asked)
-    return links[np.fromiter(map(advance.inside, natures), bool, links.size)]
+    natures = (_nature(network.damper[link], at) for link, at in zip(links.tolist(), at_channel.tolist(), strict=True))
+    return links[np.fromiter(map(scheme.inside, natures), bool, links.size)]
 
 
 def outside_links(network: Network) -> Indices:

@@ -29,7 +29,7 @@ class Triplets(NamedTuple):
         return Triplets(place // columns, place % columns, value)
 
     def some(self, which: Bools) -> Triplets:
-        """Those entries alone."""
+        """The entries at which ``which`` is True."""
         return Triplets(self.row[which], self.column[which], self.value[which])
 
 
@@ -40,10 +40,18 @@ class TripletBuilder:
         self._parts: list[tuple[Indices, Indices, Floats]] = []
 
     def add(self, row: Indices | int, column: Indices | int, value: Floats | float) -> None:
+        """Adds entries, broadcast against each other."""
         rows, columns, values = np.broadcast_arrays(row, column, value)
         self._parts.append((rows.ravel(), columns.ravel(), values.ravel().astype(float)))
 
+    def add_difference(self, row: Indices, first: Indices, second: Indices, value: Floats | float = 1.0) -> None:
+        """Adds ``value`` times the first column minus the second; a column below 0 is none."""
+        for column, sign in ((first, 1.0), (second, -1.0)):
+            met = column >= 0
+            self.add(row[met], column[met], sign * np.broadcast_to(value, column.shape)[met])
+
     def joined(self) -> Triplets:
+        """All entries."""
         if not self._parts:
             return Triplets(np.zeros(0, np.intp), np.zeros(0, np.intp), np.zeros(0))
         row, column, value = (np.concatenate(part) for part in zip(*self._parts, strict=True))
@@ -77,15 +85,10 @@ def factorised(matrix: Any, **how: Any) -> Solve | None:
     return solve
 
 
-def one_thread(where: bool = True, with_scipy: bool = True) -> AbstractContextManager[Any]:
-    """One thread of linear algebra while this is entered: several would wait for each other.
-
-    ``where``: False leaves them as they are. ``with_scipy``: whether it will be used too, which takes time to import.
-    """
+def one_thread(where: bool = True) -> AbstractContextManager[Any]:
+    """One thread of linear algebra while this is entered, since several would wait for each other; not where False."""
     if not where:
         return nullcontext()
-    if with_scipy:
-        pass  # it brings a BLAS of its own, which is limited only once it is there
     from threadpoolctl import threadpool_limits
 
     limits: AbstractContextManager[Any] = threadpool_limits(1, user_api="blas")
