@@ -257,7 +257,8 @@ def off_by(predicted: PredictedImpedance, measured: MeasuredImpedance, name: str
 
 def _width_table(predicted: PredictedImpedance, channels: tuple[int, ...], widths: Widths, walls: Walls) -> Table:
     """Returns the device's Z-width at each point, predicted, and measured where `walls` has it."""
-    bands = next(iter(widths[0].values())).decades()
+    first = next(iter(widths[0].values()))
+    bands = decades_of(first.frequency, first.width_db)
     rows = []
     for name, channel, by_kind in zip(predicted.names, channels, widths, strict=True):
         for kind, width in by_kind.items():

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, NamedTuple
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from hapsim.number_format import duration, rounded_up
+from hapsim.prediction.linear import configuration_of
 from hapsim.scene import Scene
 
 if TYPE_CHECKING:
     from hapsim.prediction.types import Prediction
-from dataclasses import replace
-from typing import Any
-
-from hapsim.prediction.linear import configuration_of
 
 RISE_S = 1e-3  # from zero to the force limit, or a sample period where that is longer
 SOFT_START_S = 0.05
@@ -39,8 +37,10 @@ class ForceBounds(NamedTuple):
 def force_bounds(
     scene: Scene, *, in_hand: bool, judges_energy: bool = False, force_limit: float | None = None
 ) -> ForceBounds:
-    """Those of a scene before a device that a hand may hold, or before the mock. `judges_energy`: the energy has a
-    limit before the mock too; `force_limit`: N, where the device's own is less than the scene's."""
+    """The bounds of a scene, before a device that a hand may hold or before the mock.
+
+    `judges_energy`: the energy has a limit before the mock too. `force_limit`: of the device, N.
+    """
     device = scene.device
     most = device.force_limit if force_limit is None else min(force_limit, device.force_limit)
     slew, soft, energy = device.slew_limit, device.soft_start, device.energy_limit
@@ -54,14 +54,13 @@ def force_bounds(
 
 
 def run_bounds(scene: Scene) -> ForceBounds:
-    """Those of `hapsim run`, where the scene says that its device is."""
+    """The bounds of `hapsim run` on the scene's own device."""
     in_hand = scene.device.port is not None and scene.device.clock != "lockstep"
     return force_bounds(scene, in_hand=in_hand, judges_energy=True)
 
 
 def below_a_count(scene: Scene, force_scale: Iterable[float]) -> str:
-    """Where the scene's slew limit allows less than a count of the device's force in a sample, with which nothing runs:
-    a sentence without a full stop; "" where not.
+    """Why nothing runs with a slew limit below a count of the device's force in a sample; "" with another.
 
     `force_scale`: N per count of each channel; one above the force limit has no finer step.
     """
@@ -78,15 +77,15 @@ def below_a_count(scene: Scene, force_scale: Iterable[float]) -> str:
 
 
 def refused_slew(scene: Scene) -> str:
-    """The same of the mock, where the scene's device is the mock: what a port's device counts in, it says itself."""
+    """The same for the mock's counts, where the scene's device is the mock."""
     return below_a_count(scene, [scene.mock_device.force_scale]) if scene.device.port is None else ""
 
 
 def slow_slew(scene: Scene, prediction: Prediction) -> str:
-    """Where the slew limit of `run_bounds` is too slow for what was predicted of `scene`: sentences; "" where not.
+    """Why the slew limit of `run_bounds` is too slow for what was predicted of `scene`: sentences; "" where it is not.
 
-    Too slow: less than 2 pi f times the force limit, the steepest that a swing up to the limit asks for, f of the
-    fastest swing of a hand.
+    Too slow: less than 2 pi f times the force limit, the steepest part of a swing up to it, with f the fastest
+    of a hand's swings.
     """
     limit, slew = scene.device.force_limit, run_bounds(scene).slew_limit
     fastest = fastest_swing_hz(scene, prediction)
@@ -138,7 +137,7 @@ HAND_DAMPING = 5.0
 
 
 def refused_travel(scene: Scene) -> str:
-    """Where the force fades over too short a way for the loop: a sentence without a full stop; "" where not."""
+    """Why the force fades over too short a way for the loop, a sentence without a full stop; "" where it does not."""
     device = scene.device
     if device.travel is None:
         return ""

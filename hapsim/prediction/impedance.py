@@ -106,15 +106,6 @@ class ZWidth:
     width_db: Floats
     """(n,)"""
 
-    @property
-    def mean_db(self) -> float:
-        """One figure: the mean over the logarithm of the frequency."""
-        return mean_width(self.frequency, self.width_db)
-
-    def decades(self) -> list[tuple[float, float, float]]:
-        """(from, to, mean in dB) of each decade of the frequencies."""
-        return decades_of(self.frequency, self.width_db)
-
 
 def z_width_of(scene: Scene, channel: int, frequency: ArrayLike) -> dict[str, ZWidth]:
     """The Z-width of the device's channel as the scene describes it: "passive", to the stiffest wall that no hand makes

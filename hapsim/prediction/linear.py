@@ -12,7 +12,7 @@ from hapsim.scene import Buffer, Damper, Friction, Nonlinear, Plectrum, Scene, S
 from hapsim.scene.modules import Link, MaterialPoint
 from hapsim.theory import Configuration, Network
 from hapsim.theory.interface import damper_named
-from hapsim.theory.links import Linear, buffer, damper, friction, nonlinear, plectrum, spring, viscoelastic
+from hapsim.theory.links import Linear, buffer, friction, nonlinear, plectrum, viscoelastic
 from hapsim.theory.schemes import SCHEMES, LinkNature
 
 
@@ -40,30 +40,31 @@ class LinearScene(NamedTuple):
     inner: list[LinearLink]
     """What its structures consist of, and what holds its material points."""
     assumptions: list[str]
-    """Sentences: what was taken for what the theory does not have."""
+    """Sentences: how the theory takes links that are not linear."""
 
 
 _STAYS = "."  # what is inside a structure and stays where it is: no module is called so
 
 _LINEAR: dict[type[Any], Callable[[Any], Linear]] = {
     ViscoElastic: lambda link: viscoelastic(link.stiffness, link.damping),
-    Spring: lambda link: spring(link.stiffness),
-    Damper: lambda link: damper(link.damping),
+    Spring: lambda link: viscoelastic(link.stiffness, 0.0),
+    Damper: lambda link: viscoelastic(0.0, link.damping),
     Buffer: lambda link: buffer(link.stiffness, link.damping),
     Nonlinear: lambda link: nonlinear(link.force_over_distance, link.force_over_velocity),
     Friction: lambda link: friction(link.stiffness, link.damping),
     Plectrum: lambda link: plectrum(link.stiffness, link.damping),
 }
-"""Of every type of link, and of material points that pull themselves."""
+"""For every type of link, and of material points that pull themselves."""
 
 
 def linear_of(module: Link | MaterialPoint) -> Linear:
-    """What this module's own force is for small motions.
-
-    Raises:
-        KeyError: of this type it is not said.
-    """
+    """The spring and damper that this module's own force is for small motions; KeyError where its type has none."""
     return _LINEAR[type(module)](module)
+
+
+def with_device(scene: Scene, **changed: Any) -> Scene:
+    """The scene with some keys of its device replaced; they are not validated."""
+    return scene.model_copy(update={"device": scene.device.model_copy(update=changed)})
 
 
 def _is_outside(linear: Linear, scheme: str) -> bool:
@@ -111,25 +112,24 @@ def _own_links(point: MaterialPoint) -> Iterator[Linear]:
         yield linear_of(point)
 
 
-def links_of(linear: LinearScene, name: str) -> list[LinearLink]:
-    return [link for link in linear.links.values() if name in link.between]
+def links_of(linear: LinearScene, name: str) -> dict[str, LinearLink]:
+    """The scene's links that end at this device point, by name."""
+    return {link: module for link, module in linear.links.items() if name in module.between}
 
 
 def dampers_of(linear: LinearScene, name: str) -> dict[tuple[str, float | None], str]:
-    """The kinds of damper that do something at this device point, (damper, cutoff), each with a link that has it."""
-    own = {link: module for link, module in linear.links.items() if name in module.between}
-    return {(module.damper, module.cutoff): link for link, module in own.items() if module.damping > 0.0}
+    """The kinds of damper that act at this device point, (damper, cutoff), each with a link that has it."""
+    links = links_of(linear, name)
+    return {(module.damper, module.cutoff): link for link, module in links.items() if module.damping > 0.0}
 
 
 def why_coupled(scene: Scene, linear: LinearScene, name: str) -> str:
     """Why the hand at this device point is no oscillator of its own, in words that follow its name; "" where it is."""
-    links = {link: module for link, module in linear.links.items() if name in module.between}
-    masses, hands = linear.masses, scene.device_points
-    for link, module in links.items():
+    for link, module in links_of(linear, name).items():
         (other,) = set(module.between) - {name}
-        if other in masses:
+        if other in linear.masses:
             return f"moves a mass of the scene too ({other}, by {link})"
-        if other in hands:
+        if other in scene.device_points:
             return f"is tied to another hand ({other}, by {link})"
     kinds = dampers_of(linear, name)
     if len(kinds) < 2:
@@ -160,21 +160,21 @@ def configuration_of(
 
 def hand_of(scene: Scene, linear: LinearScene, name: str) -> tuple[Configuration, float, float]:
     """The temporary hybrid system of a hand, and K and B of all its links."""
-    links = links_of(linear, name)
+    links = links_of(linear, name).values()
     damper, cutoff = next(iter(dampers_of(linear, name)), ("backward", None))
     stiffness, damping = math.fsum(link.stiffness for link in links), math.fsum(link.damping for link in links)
     return configuration_of(scene, scene.device_points[name].channel, damper, cutoff), stiffness, damping
 
 
 def is_lone(scene: Scene, linear: LinearScene) -> bool:
-    """Whether it is nothing but hands, each an oscillator of its own."""
+    """Whether the scene has nothing but hands, each an oscillator of its own."""
     return not linear.masses and not any(why_coupled(scene, linear, name) for name in scene.device_points)
 
 
 def network_of(scene: Scene, linear: LinearScene) -> tuple[Network, tuple[str, ...]]:
     """The whole scene as arrays: one point for every device point, one for every mass; the scene's own links first.
 
-    Channels below the highest that no module holds are no part of it: what nothing touches is neither stable nor not.
+    Channels without a module have no point.
     """
     channels = [point.channel for point in scene.device_points.values()]
     points = [*scene.device_points, *linear.masses]

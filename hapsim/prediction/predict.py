@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from hapsim.errors import UsageError
 from hapsim.prediction.correction import (
     CORRECTIONS,
     Corrected,
+    CorrectionKind,
     Rendering,
     felt_error,
     remedies_for,
@@ -19,7 +21,16 @@ from hapsim.prediction.correction import (
     stable_masses,
 )
 from hapsim.prediction.force_bounds import slow_slew
-from hapsim.prediction.linear import LinearScene, hand_of, is_lone, linear_scene, links_of, network_of, why_coupled
+from hapsim.prediction.linear import (
+    LinearScene,
+    hand_of,
+    is_lone,
+    linear_scene,
+    links_of,
+    network_of,
+    why_coupled,
+    with_device,
+)
 from hapsim.prediction.timing import wire_of, wire_time_of, with_wire_delay
 from hapsim.prediction.types import Desired, Felt, LinkMargin, Prediction, Robustness
 from hapsim.scene import Scene
@@ -38,7 +49,7 @@ from hapsim.theory import (
 )
 from hapsim.theory.arrays import sort_by_modulus
 from hapsim.theory.correction import PredictedLoop, StatePredictor, as_read
-from hapsim.theory.network import continuous_modes, is_large
+from hapsim.theory.network import ContinuousMode, continuous_modes, is_large
 
 _MASSES = 9  # of a span, at which the error of a correction is looked at
 _PLAIN = 0.01  # an error of what is felt that is worth a correction
@@ -60,9 +71,7 @@ def predict(scene: SceneSource, *, with_margins: bool = True) -> Prediction:
     network, points = network_of(as_seen, linear)
     network, solution, instead = _solved(network)
     coupled = {name: why for name in scene.device_points if (why := why_coupled(as_seen, linear, name))}
-    felt = tuple(
-        _as_made(rendering, _felt(as_seen, linear, name)) for name in scene.device_points if name not in coupled
-    )
+    felt = tuple(_felt(rendering, linear, name) for name in scene.device_points if name not in coupled)
     whole = not coupled and not linear.masses
     poles, radius = solution.poles, solution.spectral_radius
     if whole and rendering.kind is not None:  # what is made for another mass is no part of the network
@@ -86,7 +95,9 @@ def predict(scene: SceneSource, *, with_margins: bool = True) -> Prediction:
         wire_time=wire_time_of(scene),
         wire_of=wire_of(scene),
         assumptions=(*linear.assumptions, *([instead] if instead else [])),
-        **_desired(rendering, felt),
+        rendering=None if rendering.kind is None else rendering,
+        desired=_desired(rendering, felt),
+        desired_modes=_desired_modes(rendering),
         by_its_scheme=not instead,
     )
 
@@ -106,62 +117,60 @@ def _require_within_numbers(scene: Scene) -> None:
             )
 
 
-def _desired(rendering: Rendering, felt: tuple[Felt, ...]) -> dict[str, Any]:
-    """Fields of `Prediction`."""
+def _desired_modes(rendering: Rendering) -> tuple[ContinuousMode, ...]:
     if rendering.kind is None:
-        return {}
-    scene, of_point = rendering.desired, {one.name: one for one in felt}
-    network, _ = network_of(scene, linear_scene(scene))
-    return {
-        "rendering": rendering,
-        "desired": tuple(
-            _desired_on(rendering, port, of_point[port.name])
-            for port in rendering.ports
-            if port.name in of_point and not math.isnan(port.desired[0])
-        ),
-        "desired_modes": () if is_large(network) else tuple(continuous_modes(network)),
-    }
+        return ()
+    network, _ = network_of(rendering.desired, linear_scene(rendering.desired))
+    return () if is_large(network) else tuple(continuous_modes(network))
 
 
-def _desired_on(rendering: Rendering, port: Corrected, felt: Felt) -> Desired:
-    assert rendering.kind is not None
-    robustness = robustness_of(felt)
-    kind, (k, b) = rendering.kind, port.desired
-    frequency, ratio = frequency_and_ratio(port.declared.mass, k, b)
-    least, most = rendering.desired.device.mass_spans(rendering.desired.channels)[port.channel]
-    errors: list[float] = []
-    for mass in np.geomspace(least, most, 1 if least == most else _MASSES).tolist():
-        one = port.settled(mass)
-        if one.stiffness == one.damping == 0.0:
-            errors.append(0.0)  # the device alone
+def _desired(rendering: Rendering, felt: tuple[Felt, ...]) -> tuple[Desired, ...]:
+    """One for each of the lone hands that a correction acts on."""
+    of_point, kind = {one.name: one for one in felt}, rendering.kind
+    found = []
+    for port in rendering.ports:
+        k, b = port.desired
+        if kind is None or port.name not in of_point or math.isnan(k):
             continue
-        model = replace(port.declared, mass=one.made_for)
-        loop = kind.closed(replace(port.declared, mass=mass), model, one.observer)
-        errors.append(float(felt_error(loop.equivalent(one.stiffness, one.damping), (k, b), mass)))
-    return Desired(
-        name=port.name,
-        channel=port.channel,
-        k=k,
-        b=b,
-        frequency_hz=float(frequency),
-        damping_ratio=float(ratio),
-        error=float(np.max(errors)),
-        reached=port.reached,
-        remedies=None if port.reached or least < most else remedies_for(kind, port.declared, port.desired),
-        stable_masses=robustness.stable_masses,
-        steady_stiffness=robustness.steady_stiffness,
-    )
+        robustness = robustness_of(of_point[port.name])
+        frequency, ratio = _swing(port.declared.mass, k, b)
+        least, most = rendering.desired.device.mass_spans(rendering.desired.channels)[port.channel]
+        masses = np.geomspace(least, most, 1 if least == most else _MASSES).tolist()
+        desired = Desired(
+            name=port.name,
+            channel=port.channel,
+            k=k,
+            b=b,
+            frequency_hz=frequency,
+            damping_ratio=ratio,
+            error=float(np.max([_error_with(kind, port, mass) for mass in masses])),
+            reached=port.reached,
+            remedies=None if port.reached or least < most else remedies_for(kind, port.declared, port.desired),
+            stable_masses=robustness.stable_masses,
+            steady_stiffness=robustness.steady_stiffness,
+        )
+        found.append(desired)
+    return tuple(found)
+
+
+def _error_with(kind: CorrectionKind, port: Corrected, mass: float) -> float:
+    """`felt_error` of a hand of this mass, once an estimate of it has settled; 0 for the device alone."""
+    one = port.settled(mass)
+    if one.stiffness == one.damping == 0.0:
+        return 0.0
+    loop = kind.closed(replace(port.declared, mass=mass), replace(port.declared, mass=one.made_for), one.observer)
+    return float(felt_error(loop.equivalent(one.stiffness, one.damping), port.desired, mass))
 
 
 def predict_on_wire(scene: Scene) -> Prediction | None:
-    """What the hand will feel at the delay that results from the wire, `WireTime.delay_samples` in place of one; None
-    where the wire costs one sample, or is saturated, or a predictor knows nothing of it."""
+    """What the hand will feel at the delay that results from the wire, `WireTime.delay_samples` in place of one.
+
+    None where the wire costs one sample or is saturated, and under a predictor, which does not know of that delay.
+    """
     rendering = rendered(scene)
     if rendering.kind is not None and rendering.kind.predicts:
-        return None  # it leads the state to another instant than that at which the force then acts
-    run = rendering.scene
-    as_run = run.model_copy(update={"device": run.device.model_copy(update={"correction": "none"})})
-    delayed = with_wire_delay(as_run)
+        return None
+    delayed = with_wire_delay(with_device(rendering.scene, correction="none"))
     return None if delayed is None else predict(delayed, with_margins=False)
 
 
@@ -209,8 +218,10 @@ def surely_shaken_by(scene: Scene) -> Shaking | None:
         return None
     if not solution.spectral_radius > _SURELY:
         return None
-    if is_lone(scene, linear) and _lone_hands_are_stable(scene, linear):
-        return None
+    if is_lone(scene, linear):  # judged by the formula, which resolves poles that rounding would place on the circle
+        hands = (hand_of(scene, linear, name) for name in scene.device_points)
+        if all(bool(configuration.is_stable(stiffness, damping)) for configuration, stiffness, damping in hands):
+            return None
     fastest = max(solution.modes, key=lambda mode: abs(mode.pole), default=None)
     if fastest is None or abs(fastest.pole) < solution.spectral_radius * (1.0 - 1e-9):
         return Shaking(solution.spectral_radius, "")
@@ -220,22 +231,6 @@ def surely_shaken_by(scene: Scene) -> Shaking | None:
 def is_surely_unstable(prediction: Prediction) -> bool:
     """Whether `surely_shaken_by` finds something, by what was predicted."""
     return prediction.by_its_scheme and not prediction.stable and prediction.spectral_radius > _SURELY
-
-
-def _out_of_reach(scene: Scene, desired: Desired) -> str:
-    off = f", off by {desired.error:.1%}" if math.isfinite(desired.error) else ""
-    return (
-        f"correction {scene.device.correction} does not reach k = {desired.k:.6g} N/m, b = {desired.b:.6g} N·s/m at "
-        f"{desired.name}: what comes nearest is simulated{off}. `hapsim check` tells what would reach it."
-    )
-
-
-def _lone_hands_are_stable(scene: Scene, linear: LinearScene) -> bool:
-    """By the formula, which resolves poles that rounding would place on the circle."""
-    return all(
-        bool(configuration.is_stable(stiffness, damping))
-        for configuration, stiffness, damping in (hand_of(scene, linear, name) for name in scene.device_points)
-    )
 
 
 def warnings_about(scene: Scene, prediction: Prediction) -> list[str]:
@@ -258,7 +253,12 @@ def warnings_about(scene: Scene, prediction: Prediction) -> list[str]:
         )
     slow = slow_slew(scene, prediction)
     warnings += [slow] if slow else []
-    warnings += [_out_of_reach(scene, one) for one in prediction.desired if one.remedies is not None]
+    for one in (one for one in prediction.desired if one.remedies is not None):
+        off = f", off by {one.error:.1%}" if math.isfinite(one.error) else ""
+        warnings.append(
+            f"correction {scene.device.correction} does not reach k = {one.k:.6g} N/m, b = {one.b:.6g} N·s/m at "
+            f"{one.name}: what comes nearest is simulated{off}. `hapsim check` tells what would reach it."
+        )
     budget = prediction.wire_time
     if prediction.wire_of == "port" and not budget.fits:
         delay = (
@@ -270,10 +270,6 @@ def warnings_about(scene: Scene, prediction: Prediction) -> list[str]:
             "feels then). A USB device's own port does not mind."
         )
     return warnings
-
-
-def _felt(scene: Scene, linear: LinearScene, name: str) -> Felt:
-    return _felt_of(name, scene.device_points[name].channel, *hand_of(scene, linear, name))
 
 
 def robustness_of(felt: Felt) -> Robustness:
@@ -289,13 +285,13 @@ def robustness_of(felt: Felt) -> Robustness:
         )
 
 
-def _as_made(rendering: Rendering, felt: Felt) -> Felt:
-    """The same, where a predictor's loop stands behind it: of the device as it is declared."""
-    port = next((port for port in rendering.ports if port.name == felt.name), None)
-    if port is None or rendering.kind is None or not rendering.kind.predicts:
+def _felt(rendering: Rendering, linear: LinearScene, name: str) -> Felt:
+    """What a lone hand feels; under a predictor in its loop, of the device as it is declared."""
+    scene = rendering.seen
+    felt = _felt_of(name, scene.device_points[name].channel, *hand_of(scene, linear, name))
+    port = next((port for port in rendering.ports if port.name == name), None)
+    if port is None or rendering.kind is None or not rendering.kind.predicts or port.rendered == (0.0, 0.0):
         return felt
-    if port.rendered == (0.0, 0.0):
-        return felt  # without a force it is the device alone, whatever was predicted
     return _felt_of_predictor(felt, port.declared, rendering.predictor_of(port), port.rendered)
 
 
@@ -306,7 +302,7 @@ def _felt_of_predictor(
     loop = PredictedLoop(device, predictor)
     poles = loop.poles(*element)
     k, b = (float(value) for value in loop.equivalent(*element))
-    frequency, ratio = frequency_and_ratio(device.mass, k, b)
+    frequency, ratio = _swing(device.mass, k, b)
     radius = float(abs(poles[0]))
     return replace(
         felt,
@@ -315,8 +311,8 @@ def _felt_of_predictor(
         damping=element[1],
         k=k,
         b=b,
-        frequency_hz=float(frequency),
-        damping_ratio=float(ratio),
+        frequency_hz=frequency,
+        damping_ratio=ratio,
         dominant=math.isfinite(k),
         stable=radius < 1.0,
         spectral_radius=radius,
@@ -352,13 +348,18 @@ def with_mass(prediction: Prediction, channel: int, mass: float) -> Prediction:
         _felt_of_predictor(one, device, predictor, settled.rendered) if one.channel == channel else one
         for one in prediction.felt
     )
-    desired = tuple(_desired_of(one, mass) if one.channel == channel else one for one in prediction.desired)
-    return replace(prediction, felt=felt, desired=desired)
+    desired = list(prediction.desired)
+    for i, one in enumerate(desired):
+        if one.channel == channel:
+            frequency, ratio = _swing(mass, one.k, one.b)
+            desired[i] = one._replace(frequency_hz=frequency, damping_ratio=ratio)
+    return replace(prediction, felt=felt, desired=tuple(desired))
 
 
-def _desired_of(desired: Desired, mass: float) -> Desired:
-    frequency, ratio = frequency_and_ratio(mass, desired.k, desired.b)
-    return desired._replace(frequency_hz=float(frequency), damping_ratio=float(ratio))
+def _swing(mass: float, k: float, b: float) -> tuple[float, float]:
+    """Eigenfrequency in Hz and damping ratio."""
+    frequency, ratio = frequency_and_ratio(mass, k, b)
+    return float(frequency), float(ratio)
 
 
 def felt_at_rate(felt: Felt, rate_hz: float) -> Felt:
@@ -376,9 +377,17 @@ def felt_at_rate(felt: Felt, rate_hz: float) -> Felt:
 
 
 def _felt_of(name: str, channel: int, configuration: Configuration, stiffness: float, damping: float) -> Felt:
-    k, b = (float(value) for value in configuration.equivalent(stiffness, damping))
-    dominant = math.isfinite(k) and math.isfinite(b)
-    frequency, ratio = frequency_and_ratio(configuration.mass, k, b) if k > 0 else (math.nan, math.nan)
+    element = stiffness, damping
+    k, b = (float(value) for value in configuration.equivalent(*element))
+    frequency, ratio = _swing(configuration.mass, k if k > 0.0 else math.nan, b)
+    least, most = (float(value) for value in configuration.stable_damping(stiffness))
+    factor = math.inf
+    if stiffness != 0.0:
+        stiffest = float(configuration.stable_stiffness(damping)[1])
+        factor = stiffest / stiffness if stiffest > 0.0 else 0.0
+    passive = None
+    with contextlib.suppress(ValueError):  # the condition is not derived
+        passive = bool(configuration.is_passive(*element))
     return Felt(
         name=name,
         channel=channel,
@@ -387,17 +396,17 @@ def _felt_of(name: str, channel: int, configuration: Configuration, stiffness: f
         damping=damping,
         k=k,
         b=b,
-        frequency_hz=float(frequency),
-        damping_ratio=float(ratio),
-        dominant=dominant,
-        stable=bool(configuration.is_stable(stiffness, damping)),
-        spectral_radius=float(configuration.spectral_radius(stiffness, damping)),
-        poles=tuple(complex(pole) for pole in configuration.poles(stiffness, damping)),
-        passive=_passive(configuration, stiffness, damping),
-        stiffness_factor=_stiffness_factor(configuration, stiffness, damping),
-        stable_damping=_stable_damping(configuration, stiffness),
+        frequency_hz=frequency,
+        damping_ratio=ratio,
+        dominant=math.isfinite(k) and math.isfinite(b),
+        stable=bool(configuration.is_stable(*element)),
+        spectral_radius=float(configuration.spectral_radius(*element)),
+        poles=tuple(complex(pole) for pole in configuration.poles(*element)),
+        passive=passive,
+        stiffness_factor=factor,
+        stable_damping=(least, most),
         linear_limit=float(configuration.linear_stiffness_limit(damping)),
-        reason=str(configuration.why_no_equivalent(stiffness, damping)),
+        reason=str(configuration.why_no_equivalent(*element)),
     )
 
 
@@ -412,22 +421,3 @@ def _link_margins(linear: LinearScene, margins: Margins, felt: tuple[Felt, ...])
         factor = margin.stiffness_factor if hand is None else lone[hand]
         named.append(LinkMargin(name, factor, margin.damping_factor, ranges.stiffness, ranges.damping))
     return tuple(named)
-
-
-def _passive(configuration: Configuration, stiffness: float, damping: float) -> bool | None:
-    try:
-        return bool(configuration.is_passive(stiffness, damping))
-    except ValueError:
-        return None
-
-
-def _stiffness_factor(configuration: Configuration, stiffness: float, damping: float) -> float:
-    if stiffness == 0.0:
-        return math.inf
-    _, most = configuration.stable_stiffness(damping)
-    return float(most) / stiffness if most > 0.0 else 0.0
-
-
-def _stable_damping(configuration: Configuration, stiffness: float) -> tuple[float, float]:
-    least, most = configuration.stable_damping(stiffness)
-    return float(least), float(most)

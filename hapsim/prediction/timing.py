@@ -7,14 +7,15 @@ from typing import Literal
 
 from firmware_protocol import schema
 from firmware_protocol.wire_time import HOST_WORK_S, WireTime, wire_time
+from hapsim.prediction.linear import with_device
 from hapsim.scene import Scene
 
 WireOf = Literal["port", "mock", "none"]
 
 
 def wire_of(scene: Scene) -> WireOf:
-    """Whose wire the times are of: the port's, if it is a UART; the one that the mock simulates; or, of a mock without
-    one, that of a UART at the scene's `device.baud`, which nothing of this scene waits for."""
+    """The wire that the times are of: the port's, if it is a UART; the mock's simulated one; or none, where the mock
+    has none and the times are those of a UART at `device.baud`."""
     if scene.device.port is not None:
         return "port"
     mock = scene.mock_device
@@ -22,7 +23,7 @@ def wire_of(scene: Scene) -> WireOf:
 
 
 def wire_time_of(scene: Scene) -> WireTime:
-    """What an exchange takes. In virtual time the host's work takes none; a USB converter's latency is not counted."""
+    """The duration of an exchange without a USB converter's latency. In virtual time the host's work takes none."""
     mock = scene.mock_device
     simulated = wire_of(scene) == "mock"
     host_work_s = 0.0 if simulated and scene.device.clock == "lockstep" else HOST_WORK_S
@@ -31,14 +32,10 @@ def wire_time_of(scene: Scene) -> WireTime:
 
 
 def with_wire_delay(scene: Scene) -> Scene | None:
-    """The scene with the delay that results where the wire costs more than the one sample that `device.delay` is
-    declared with; None where it costs no more, or no delay results."""
+    """The scene with the delay that results from the wire; None where that is the one sample of `device.delay`, or no
+    delay results."""
     samples = wire_time_of(scene).delay_samples
-    if samples is None or samples == 1:
-        return None
-    return scene.model_copy(
-        update={"device": scene.device.model_copy(update={"delay": scene.device.delay + samples - 1})}
-    )
+    return None if samples in (None, 1) else with_device(scene, delay=scene.device.delay + samples - 1)
 
 
 _LIVES_S, _LEAST_LIVES = 0.02, 2  # enough to bridge a lost frame or two
@@ -51,13 +48,13 @@ def time_to_live_samples(rate: float) -> int:
 
 
 def watchdog_samples(rate: float, most: int = schema.MAX_WATCHDOG_SAMPLES) -> int:
-    """How long the host may be silent, at `rate` Hz: a tenth of a second, as far as the device lets us: `most`."""
+    """How long the host may be silent, at `rate` Hz: a tenth of a second, at most the device's own `most`."""
     return min(max(round(_WATCHDOG_S * rate), _LEAST_WATCHDOG), most)
 
 
 @dataclass(frozen=True)
 class HostSilence:
-    """What becomes of the force when the host dies."""
+    """The end of the force when the host dies."""
 
     time_to_live_samples: int
     watchdog_samples: int
@@ -68,7 +65,6 @@ class HostSilence:
 
 
 def host_silence(rate: float, most: int = schema.MAX_WATCHDOG_SAMPLES) -> HostSilence:
-    """What a run at `rate` Hz asks of a device that allows a watchdog of `most` samples. The times hold for
-    clock: device and clock: host alike."""
+    """The request of a run at `rate` Hz, to a device that allows a watchdog of `most` samples."""
     lives, watchdog = time_to_live_samples(rate), watchdog_samples(rate, most)
     return HostSilence(lives, watchdog, (lives + 1) / rate, (watchdog + 1) / rate)

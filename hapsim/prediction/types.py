@@ -53,17 +53,17 @@ class Robustness(NamedTuple):
     """What a hand on one device point meets beside k and b."""
 
     steady_stiffness: float
-    """N/m: what a steady push meets, the device's own spring included."""
+    """N/m: the stiffness that a steady push meets, the device's own spring included."""
     noise_gain: float
-    """N rms of force of each m rms of white noise on the positions that are read; infinite where it is unstable."""
+    """N rms of force per m rms of white noise on the positions that are read; infinite where it is unstable."""
     stable_masses: tuple[float, float]
     """kg: the least and the most mass with which the loop is stable; 0 and infinity beyond thirty times the declared
     one. NaN where it is stable with none near that."""
 
 
 class Desired(NamedTuple):
-    """What the hand is to feel on one device point: the scene's stiffness and damping and the device's own; and how
-    far a correction brings it there."""
+    """The scene's stiffness and damping at one device point, the device's own included; and how far a correction brings
+    the hand there."""
 
     name: str
     channel: int
@@ -79,27 +79,29 @@ class Desired(NamedTuple):
     remedies: Remedies | None
     """What would make it reachable; None where it is reached, or the mass is a span."""
     stable_masses: tuple[float, float]
-    """kg: the least and the most mass with which the corrected loop is stable."""
     steady_stiffness: float
-    """N/m: what a steady push meets, the device's own spring included; desired is k."""
+    """Both as in `Robustness`, of the corrected loop."""
+
+
+Ranges = tuple[tuple[float, float], ...]
+"""Of factors, (from, to)."""
 
 
 @dataclass(frozen=True)
 class LinkMargin:
-    """By what one link may be multiplied before the whole scene is unstable, all else as it is.
+    """The factors on one link from which the whole scene is unstable, all else as it is.
 
     Infinity where it never is. Where the scene is unstable as it stands: the largest factor below 1 that makes it
-    stable, 0 where there is none; a larger one may (`stabilizing_stiffness`, `stabilizing_damping`). NaN where it was
-    not worked out.
+    stable, 0 where there is none. NaN where it was not worked out.
     """
 
     name: str
     stiffness_factor: float
     damping_factor: float
-    stabilizing_stiffness: tuple[tuple[float, float], ...] | None = None
-    """Of a scene that is unstable as it stands: the ranges (from, to) of factors that make it stable, the nearest below
-    1 and the nearest above; none where no factor does it. None where it is stable, or they were not worked out."""
-    stabilizing_damping: tuple[tuple[float, float], ...] | None = None
+    stabilizing_stiffness: Ranges | None = None
+    """Of an unstable scene: the factors that make it stable, the nearest range below 1 and the nearest above, as far as
+    there are any. None where it is stable, or they were not worked out."""
+    stabilizing_damping: Ranges | None = None
 
 
 @dataclass(frozen=True)

@@ -28,6 +28,16 @@ def not_negative(name: str, value: Any) -> float:
     return number
 
 
+def _finite(name: str, value: Any) -> float:
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        raise ValueError(f"{name} is {value!r}, but it has to be one number.") from None
+    if not math.isfinite(number):
+        raise ValueError(f"{name} is {number:g}, but it has to be finite.")
+    return number
+
+
 def one_of(name: str, value: Any, known: Collection[str]) -> str:
     """``value``; ValueError that lists the known names where it is none of them."""
     if not isinstance(value, str) or value not in known:
@@ -65,13 +75,3 @@ def link_ends(name: str, value: Any, points: int) -> NDArray[np.intp]:
     if outside.size:
         raise ValueError(f"{name} names point {outside[0]}, but there are only -1 (a ground) to {points - 1}.")
     return array.astype(np.intp)
-
-
-def _finite(name: str, value: Any) -> float:
-    try:
-        number = float(value)
-    except (TypeError, ValueError):
-        raise ValueError(f"{name} is {value!r}, but it has to be one number.") from None
-    if not math.isfinite(number):
-        raise ValueError(f"{name} is {number:g}, but it has to be finite.")
-    return number

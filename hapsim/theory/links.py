@@ -1,27 +1,23 @@
 """What each link is for small motions: a spring and a damper, under an assumption that is stated.
 
 **Contact, plectrum.** Each is two linear systems, engaged and apart, and the change between them. That both are stable
-does not make the whole stable. What bounds the contact is passivity in touch (Colgate and Schenkel), under which no
-change between the two adds energy beyond what one sample of approach does. The plectrum's release loses what the spring
-held, K release²/2. It grips again where its ends have passed each other by no more than they move in a sample, v T,
-which adds K (v T)²/2 at the most.
+does not make the whole stable. Passivity in touch bounds the contact (Colgate and Schenkel): then no change adds more
+energy than one sample of approach does. The plectrum's release loses the energy of the spring, K release²/2. It grips
+again where its ends have passed each other by at most v T, which adds up to K (v T)²/2.
 
-**Curves.** A swing that is small against the pieces of a curve meets the slope of the piece that it is on. About a
-corner the first harmonic meets the mean of the two slopes (the describing function of a corner). A larger swing meets a
-weighted mean of slopes between the least and the steepest of the curve: its sector. That the loop is stable with every
-slope of the sector does not make it stable with the curve (Aizerman's conjecture is false). Passivity bounds it, with
-the steepest slope in place of the stiffness or damping and none below 0 (Colgate and Schenkel; for curves, Miller,
+**Curves.** A small swing meets the slope of its piece, about a corner the mean of the two slopes (the describing
+function of a corner). A larger swing meets a weighted mean of slopes within the curve's sector. A loop that is stable
+with every slope of the sector may be unstable with the curve (Aizerman's conjecture is false). Passivity bounds it,
+with the steepest slope in place of the stiffness or damping and none below 0 (Colgate and Schenkel; for curves, Miller,
 Colgate and Freeman 2000).
 
-**Dry friction.** Stuck it is a spring, sliding a constant force. For a large motion `describing_function` gives the
-first harmonic: the stiffness falls as the swing grows, and the part in phase with the velocity is always positive
-(Dahl; Hayward and Armstrong). That holds in continuous time. Sampled and delayed, the stuck bristle is a spring like
-any other: where it is too stiff for the loop, the motion grows into a limit cycle about as wide as the bristle's reach.
+**Dry friction.** Stuck it is a spring, sliding a constant force. The larger the swing, the softer it is, and it always
+brakes (Dahl; Hayward and Armstrong) - in continuous time. Sampled and delayed, the stuck bristle is a spring like any
+other: where it is too stiff for the loop, the motion grows into a limit cycle about as wide as the bristle's reach.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from itertools import pairwise
 from typing import NamedTuple
@@ -56,16 +52,6 @@ def viscoelastic(stiffness: float, damping: float) -> Linear:
     return Linear(stiffness, damping, memoryless=True, in_a_matrix=True)
 
 
-def spring(stiffness: float) -> Linear:
-    """A spring, N/m."""
-    return viscoelastic(stiffness, 0.0)
-
-
-def damper(damping: float) -> Linear:
-    """A damper, N·s/m."""
-    return viscoelastic(0.0, damping)
-
-
 def buffer(stiffness: float, damping: float) -> Linear:
     """The contact while it is touched, N/m and N·s/m."""
     return Linear(stiffness, damping, "is taken as touched all the time; apart, nothing is felt of it", memoryless=True)
@@ -79,22 +65,6 @@ def plectrum(stiffness: float, damping: float) -> Linear:
 def friction(stiffness: float, damping: float) -> Linear:
     """Dry friction while it sticks, N/m and N·s/m: its bristle."""
     return Linear(stiffness, damping, "is taken as stuck, a spring; sliding, its force is constant and adds none")
-
-
-def describing_function(force: float, stiffness: float, amplitude: float) -> complex:
-    """First harmonic of friction's tension over that of d = amplitude cos(wt), N/m; static and kinetic force are equal.
-
-    The real part is a stiffness; the imaginary part is the damping times w, whatever the frequency. With the bristle's
-    reach z = force/stiffness, where amplitude > z:
-
-        cos p = 1 - 2 z/amplitude,      N = (K/pi) (p - sin p cos p + j sin² p)
-    """
-    reach = force / stiffness
-    if not amplitude > reach:
-        return complex(stiffness, 0.0)
-    angle = math.acos(1.0 - 2.0 * reach / amplitude)
-    in_phase, across = angle - math.sin(angle) * math.cos(angle), math.sin(angle) ** 2
-    return stiffness / math.pi * complex(in_phase, across)
 
 
 class Sector(NamedTuple):

@@ -8,7 +8,7 @@ import pytest
 from hapsim.prediction import predict
 from hapsim.prediction.linear import linear_scene
 from hapsim.scene import parse_scene
-from hapsim.theory.links import describing_function, nonlinear, sector, slope_at
+from hapsim.theory.links import nonlinear, sector, slope_at
 
 CURVE = ((-0.03, 3.0), (-0.01, -2.0), (0.0, 0.0), (0.01, 5.0), (0.02, 4.0))
 
@@ -48,35 +48,6 @@ def test_what_was_taken_for_a_curve_is_said_with_how_steep_it_is_elsewhere() -> 
     assert taken.assumption == (
         "is taken with its slopes where its ends meet and stand; elsewhere they lie between -250 and 500 N/m"
     )
-
-
-@pytest.mark.parametrize("amplitude", [0.0003, 0.0011, 0.002, 0.01])
-def test_friction_is_felt_as_the_first_harmonic_of_its_hysteresis(amplitude: float) -> None:
-    """The loop drawn out: a bristle of 1 N and 1000 N/m, dragged round once before it is looked at."""
-    force, stiffness, count = 1.0, 1000.0, 20_000
-    phase = 2.0 * np.pi * np.arange(2 * count) / count
-    tension, bent = np.zeros(2 * count), 0.0
-    distance = amplitude * np.cos(phase)
-    for n in range(1, 2 * count):
-        bent = np.clip(bent + distance[n] - distance[n - 1], -force / stiffness, force / stiffness)
-        tension[n] = stiffness * bent
-    last = slice(count, None)
-    felt = 2.0 * np.mean(tension[last] * np.exp(-1j * phase[last])) / amplitude
-    expected = describing_function(force, stiffness, amplitude)
-    assert felt == pytest.approx(expected, rel=1e-3, abs=0.05)
-    assert expected.imag >= 0.0
-
-
-def test_friction_takes_four_times_its_force_over_what_it_slides_in_a_cycle() -> None:
-    force, stiffness, amplitude = 1.3, 900.0, 0.004
-    lost = np.pi * amplitude**2 * describing_function(force, stiffness, amplitude).imag
-    assert lost == pytest.approx(4.0 * force * (amplitude - force / stiffness))
-
-
-def test_friction_is_a_spring_for_a_small_swing_and_none_for_a_large_one() -> None:
-    assert describing_function(1.0, 1000.0, 0.0009) == 1000.0
-    assert describing_function(1.0, 1000.0, 0.001) == 1000.0
-    assert abs(describing_function(1.0, 1000.0, 10.0)) < 1.0
 
 
 def test_a_cell_is_predicted_as_the_mass_the_link_and_the_ground_that_it_stands_for() -> None:

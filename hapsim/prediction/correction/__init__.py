@@ -1,11 +1,13 @@
 """What is run in place of a scene, so that the hand feels the scene: `device.correction`, one kind a file."""
 
 from hapsim.prediction.correction.element import Remedies, felt_error, remedies_for, stable_masses
+from hapsim.prediction.correction.kind import CorrectionKind
 from hapsim.prediction.correction.rendering import CORRECTIONS, Corrected, Rendering, rendered
 
 __all__ = [
     "CORRECTIONS",
     "Corrected",
+    "CorrectionKind",
     "Remedies",
     "Rendering",
     "felt_error",

@@ -57,7 +57,7 @@ class CorrectionKind(NamedTuple):
 
 
 LINEAR = (ViscoElastic, Spring, Damper)
-"""Links that are a spring and a damper wherever the hand is: their sum at a device point is corrected as one."""
+"""Links that are a spring and a damper everywhere: their sum at a device point is corrected as one."""
 
 
 class Port(NamedTuple):

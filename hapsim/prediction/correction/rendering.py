@@ -14,7 +14,7 @@ from hapsim.prediction.correction.element import Element, element_for
 from hapsim.prediction.correction.kind import CorrectionKind, Observer, Port, ports_of, shared_out, with_modules
 from hapsim.prediction.correction.poles import POLES
 from hapsim.prediction.correction.predictor import PREDICTOR, observer_of, predictor_for
-from hapsim.prediction.linear import configuration_of, dampers_of, linear_scene, why_coupled
+from hapsim.prediction.linear import configuration_of, dampers_of, linear_scene, why_coupled, with_device
 from hapsim.scene import Buffer, Scene
 from hapsim.scene.modules import Module
 from hapsim.theory import Configuration
@@ -25,7 +25,7 @@ CORRECTIONS: dict[str, CorrectionKind] = {kind.name: kind for kind in (POLES, PR
 
 
 class Corrected(NamedTuple):
-    """What a correction does at one device point."""
+    """A correction at one device point."""
 
     name: str
     channel: int
@@ -34,11 +34,11 @@ class Corrected(NamedTuple):
     written: tuple[float, float]
     """(K, B) of the scene's linear links together."""
     element: Element
-    """What they are given; of an adaptive one for the declared mass."""
+    """(K, B) of what is simulated in their place; of an adaptive correction for the declared mass."""
     declared: Configuration
     """The device, as the scene describes it."""
     schedule: Schedule | None = None
-    """Of an adaptive one: what is simulated for which mass."""
+    """Of an adaptive correction: what is simulated for which mass."""
     rest: float = 0.0
     """m: where the linear links together have no force, their other ends at rest."""
 
@@ -49,7 +49,7 @@ class Corrected(NamedTuple):
 
     @property
     def made_for(self) -> float:
-        """kg: the mass for which the force is right."""
+        """The mass in kg for which the force is right."""
         return self.element.made_for
 
     @property
@@ -67,12 +67,12 @@ class Rendering:
     """A scene, and what is run and predicted in its place."""
 
     desired: Scene
-    """As it is written."""
+    """The scene as it is written."""
     scene: Scene
-    """As it is run."""
+    """The scene as it is run."""
     seen: Scene
-    """As theory sees it: the same, before a device whose delay a predictor takes away, and for the declared mass where
-    a correction adapts."""
+    """The scene as the theory sees it: that, before a device without the delay where a predictor acts, and for the
+    declared mass where a correction adapts."""
     kind: CorrectionKind | None
     ports: tuple[Corrected, ...]
     notes: tuple[str, ...]
@@ -86,17 +86,22 @@ class Rendering:
         """Of every channel of a device point; none where nothing is predicted."""
         if self.kind is None or not self.kind.predicts:
             return {}
-        scene, predictors = self.desired, {}
-        ports = {port.channel: port for port in self.ports}
-        for channel in (point.channel for point in scene.device_points.values()):
-            # Where no link ends yet, the least mass's: what may come there while it runs is simulated for that one.
-            least, observer = scene.device.mass_spans(scene.channels)[channel][0], _unpushed(scene)
-            if channel in ports:
-                port = ports[channel]
-                element = port.element if port.schedule is None else port.schedule.elements[0]
-                least, observer = element.made_for, element.observer
-            predictors[channel] = predictor_for(replace(configuration_of(scene, channel), mass=least), observer)
-        return predictors
+        scene = self.desired
+        # Where no link ends yet, the least mass's: what may come there while it runs is simulated for that one.
+        made = {
+            point.channel: (
+                scene.device.mass_spans(scene.channels)[point.channel][0],
+                Observer(senses=bool(scene.sensed_links)),
+            )
+            for point in scene.device_points.values()
+        }
+        for port in self.ports:
+            element = port.element if port.schedule is None else port.schedule.elements[0]
+            made[port.channel] = element.made_for, element.observer
+        return {
+            channel: predictor_for(replace(configuration_of(scene, channel), mass=mass), observer)
+            for channel, (mass, observer) in made.items()
+        }
 
 
 def rendered(scene: Scene) -> Rendering:
@@ -156,7 +161,7 @@ class _Correction:
         """Before the device that the loop seems to have."""
         if not self.kind.predicts:
             return scene
-        return scene.model_copy(update={"device": scene.device.model_copy(update={"delay": 0.0, "sampling": "ideal"})})
+        return with_device(scene, delay=0.0, sampling="ideal")
 
     def with_elements(self, elements: Mapping[str, Element]) -> Scene:
         changed: dict[str, Module] = {}
@@ -250,7 +255,7 @@ class _Correction:
         run = self.with_elements({port.name: elements[port.name] for port in ports})
         for end, words in enumerate(("least", "most")):
             masses = tuple(span[end] for span in self.spans)
-            if not is_stable(run.model_copy(update={"device": run.device.model_copy(update={"mass": masses})})):
+            if not is_stable(with_device(run, mass=masses)):
                 return [f"{placed}: with the {words} mass of the span the scene is unstable"]
         return [f"{placed}; stable with the least and with the most mass, too"]
 
@@ -277,8 +282,3 @@ class _Correction:
 
 
 _WHY_LEFT = "a force that is no spring and damper everywhere has no stiffness and damping to correct"
-
-
-def _unpushed(scene: Scene) -> Observer:
-    """That makes nothing of a push but where the mass will be."""
-    return Observer(senses=bool(scene.sensed_links))

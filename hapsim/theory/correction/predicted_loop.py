@@ -26,9 +26,9 @@ MOVES = 2  # numbers of the state that are the plant's: position and velocity
 class PredictedLoop(NamedTuple):
     """A real ``plant``, and the ``predictor`` whose state (x, v, push) the force f = -K x - B v - g push answers.
 
-    With ``static`` (N/m) the share g is the one with which a steady push meets this stiffness, the device's own spring
-    beside it; without, it is 0. With the plant's mass in the predictor the loop has the two poles of the same mass
-    without a delay, those of the observer, and zeros.
+    With ``static`` (N/m) the share g is the one with which a steady push meets this stiffness beside the device's own
+    spring; else it is 0. With the plant's mass in the predictor the loop has the two poles of the same mass without a
+    delay, those of the observer, and zeros.
     """
 
     plant: Configuration

@@ -37,14 +37,12 @@ _quietly = np.errstate(all="ignore")  # what is out of range becomes NaN
 class Configuration:
     """The loop around a temporary hybrid system (Florens et al., §4 and §6).
 
-    A real mass, with the real friction of the device, is coupled to a simulated visco-elastic element (K, B)
-    by a position that is sampled and a force that is late and held. What the hand feels is the real
-    oscillator of the same mass with stiffness k and damping b: of the total, the device's own spring and
-    friction included.
+    A real mass, with the real friction of the device, is coupled to a simulated visco-elastic element (K, B) by a
+    position that is sampled and a force that is late and held. The hand feels the real oscillator of the same mass with
+    stiffness k and damping b, the device's own spring and friction included.
 
-    Methods take arrays, broadcast them against each other and return arrays of that shape (scalars for
-    scalars). Where there is no answer, or an argument is not finite, the answer is NaN (False where it is a
-    yes or a no); nothing warns and nothing is raised.
+    Methods take arrays, broadcast them against each other and return arrays of that shape (scalars for scalars). Where
+    there is no answer, or an argument is not finite, the answer is NaN (False for a verdict), without a warning.
 
     Attributes:
         mass: real mass, hand and moving part of the device, kg, > 0.
@@ -54,9 +52,9 @@ class Configuration:
         hold: a name of ``hapsim.holds.HOLDS``: what the device makes of the forces that it receives.
         sampling: "ideal", the position at the sample; or "average", its mean over the last sample period.
         stiffness: real spring k0 of the device, N/m, >= 0.
-        damper: where the simulated damper's velocity comes from: "backward", the difference of the last two
-            positions (the paper's); "centred", the difference across two periods; "filtered", a first-order
-            low-pass behind the backward one; "sensed", the velocity that the device measures.
+        damper: the source of the simulated damper's velocity: "backward", the difference of the last two positions (the
+            paper's); "centred", the difference across two periods; "filtered", a first-order low-pass behind the
+            backward one; "sensed", the velocity that the device measures.
         cutoff: of the filtered damper, Hz, > 0; None for the others.
 
     Raises:
@@ -109,15 +107,12 @@ class Configuration:
 
         Args:
             k: total stiffness that the hand is to feel, the device's own spring included, N/m.
-            b: total damping that it is to feel, real friction included, N·s/m. Over-, critically and
-                under-damped alike; negative for a motion that grows.
-            dominant: also ask that the two poles of (k, b) be the slowest of the loop. Where a further pole
-                decays no faster the hand does not feel (k, b), and no other (K, B) makes it so. False leaves
-                these in.
+            b: total damping, real friction included, N·s/m; negative for a motion that grows.
+            dominant: require the two poles of (k, b) to be the slowest of the loop. Where a further pole decays no
+                faster the hand does not feel (k, b), and no other (K, B) makes it so.
 
         Returns:
-            K in N/m and B in N·s/m, NaN where no (K, B) does it: at and above the Nyquist frequency, and,
-            unless ``dominant`` is False, where the loop has slower poles than those asked for.
+            K in N/m and B in N·s/m; NaN at and above the Nyquist frequency, and as ``dominant`` says.
         """
         K, B, pair, good = self._element(k, b)
         if dominant:
@@ -127,18 +122,10 @@ class Configuration:
 
     @quietly_in_blocks
     def equivalent(self, K: ArrayLike, B: ArrayLike) -> tuple[Floats, Floats]:
-        """The real (k, b) that the hand feels where (K, B) is simulated (Florens et al., §5).
+        """The real (k, b) that the hand feels where (K, B) is simulated (Florens et al., §5), N/m and N·s/m.
 
         Read from the slowest-decaying pair of poles, a complex pair or two positive real ones: s = ln(z)/T,
-        k = m s1 s2, b = -m (s1 + s2).
-
-        Args:
-            K: simulated stiffness, N/m.
-            B: simulated damping, N·s/m.
-
-        Returns:
-            k in N/m and b in N·s/m, the device's own spring and friction included. NaN where ``dominant`` is
-            False.
+        k = m s1 s2, b = -m (s1 + s2). NaN where ``dominant`` is False.
         """
         lead, _ = self._solved(K, B)
         sigma, kappa = oscillator_of_quadratic(lead.p, lead.q)
@@ -148,11 +135,7 @@ class Configuration:
 
     @quietly_in_blocks
     def dominant(self, K: ArrayLike, B: ArrayLike) -> Bools:
-        """Whether the loop is a second-order object to the hand.
-
-        It is where the slowest poles are a complex pair or two positive real ones, and every further pole
-        decays faster than both.
-        """
+        """Whether the slowest poles are a complex pair or two positive real ones, and all others decay faster."""
         return self._solved(K, B)[0].dominant
 
     @quietly_in_blocks
@@ -165,9 +148,8 @@ class Configuration:
     def poles(self, K: ArrayLike, B: ArrayLike) -> Complexes:
         """All poles (..., N) of the loop in the z-plane, by decreasing modulus.
 
-        N is 2 for the impulse hold with ideal sampling and no delay, one more for each whole sample of delay,
-        one more for a fraction of one, for the zero-order hold and for averaged sampling; the centred damper
-        remembers one more, and so does the filtered one where nothing else is late.
+        N is 2 for the impulse hold with ideal sampling and no delay, one more for each whole sample of delay, for a
+        fraction of one, for the zero-order hold, for averaged sampling and for what a damper remembers.
         """
         return self._solved(K, B)[1]
 
@@ -179,8 +161,7 @@ class Configuration:
     def is_stable(self, K: ArrayLike, B: ArrayLike) -> Bools:
         """Whether every motion dies out (Florens et al., §6.2: the limit is the curve b = 0).
 
-        Where ``dominant`` is True it is k > 0 and b > 0, which holds for the slowest of motions, where a
-        spectral radius rounds to 1; elsewhere a spectral radius below 1.
+        Where ``dominant`` is True, whether k > 0 and b > 0, since the spectral radius of a slow motion rounds to 1.
         """
         lead, poles = self._solved(K, B)
         # Without a spring of the device's own, q has the sign of K, even where K is too small to be seen in it.
@@ -189,9 +170,7 @@ class Configuration:
 
     @_quietly
     def is_passive(self, K: ArrayLike, B: ArrayLike) -> Bools:
-        """Whether the wall gives no energy away, whatever hand holds it: Colgate and Schenkel's condition.
-
-        The device's friction has to exceed ``needed_friction``; a negative K is never passive.
+        """Whether the wall gives no energy to any hand: K >= 0 and a friction above ``needed_friction``.
 
         Raises:
             ValueError: as ``needed_friction``.
@@ -224,53 +203,39 @@ class Configuration:
     def stability_limit(self, frequency: ArrayLike) -> tuple[Floats, Floats]:
         """(K, B) with which the hand swings for ever at a frequency in Hz: the curve b = 0 (§6.2), in closed form.
 
-        NaN from the Nyquist frequency on, and where a further pole of the loop lies outside the unit circle: there
-        the curve limits nothing.
+        NaN from the Nyquist frequency on, and where a further pole of the loop lies outside the unit circle.
         """
         k = self.mass * (2.0 * np.pi * np.asarray(frequency, dtype=float)) ** 2
         return self.simulated(k, 0.0)
 
     @_quietly
     def stable_stiffness(self, B: ArrayLike) -> tuple[Floats, Floats]:
-        """The lowest interval (least, most) of K, N/m, in which the loop is stable, for a given B in N·s/m.
-
-        NaN where no stiffness is stable.
-        """
-        _, beta = self._normalised(0.0, B)
-        least, most = self._stable_interval(0, beta)
+        """The lowest interval (least, most) of K, N/m, in which the loop is stable for B in N·s/m; NaN without one."""
+        least, most = self._stable_interval(0, self._normalised(0.0, B)[1])
         return (least * self.stiffness_unit)[()], (most * self.stiffness_unit)[()]
 
     @_quietly
     def stable_damping(self, K: ArrayLike) -> tuple[Floats, Floats]:
-        """The lowest interval (least, most) of B, N·s/m, in which the loop is stable, for a given K in N/m.
-
-        NaN where no damping makes it stable.
-        """
-        kappa, _ = self._normalised(K, 0.0)
-        least, most = self._stable_interval(1, kappa)
+        """The lowest interval (least, most) of B, N·s/m, in which the loop is stable for K in N/m; NaN without one."""
+        least, most = self._stable_interval(1, self._normalised(K, 0.0)[0])
         return (least * self.damping_unit)[()], (most * self.damping_unit)[()]
 
     @_quietly
     def linear_stiffness_limit(self, B: ArrayLike) -> Floats:
-        """(b0 + B)/(T/2 + delay T), N/m: the most stiffness by a rule that holds near the origin (Gil et al., 2004).
+        """(b0 + B)/(T/2 + delay T), N/m: the most stiffness near the origin, too much as B grows (Gil et al., 2004).
 
-        T/2 is the zero-order hold's mean delay; averaged sampling adds as much, the impulse hold has none. It
-        promises too much as B grows: a line to draw, not a limit to trust. Infinite where nothing is late.
+        T/2 is the zero-order hold's mean delay; averaged sampling adds as much, the impulse hold has none. Infinite
+        where nothing is late.
         """
         lag = self.delay + hold_lag(self.hold) + SAMPLINGS[self.sampling].lag
         return ((self.friction + np.asarray(B, dtype=float)) / (lag * self.period))[()]
 
     @_quietly
     def fold(self, decay: ArrayLike) -> tuple[Floats, Floats, Floats, Floats]:
-        """(K, B, k, b) on the curve where the map folds: the faster pole of the dominant pair is a double one.
+        """(K, B, k, b), N/m and N·s/m, on the curve where the map (K, B) -> (k, b) folds.
 
-        There the Jacobian of (K, B) -> (k, b) vanishes; on the far side no spring and damper is equivalent.
-
-        Args:
-            decay: of that double pole, 1/s, > 0; it parametrises the curve.
-
-        Returns:
-            N/m, N·s/m, N/m, N·s/m; NaN where the double pole is not the pair's faster one.
+        There the faster pole of the dominant pair is a double one; on the far side no spring and damper is equivalent.
+        ``decay``, of that pole in 1/s, > 0, parametrises the curve. NaN where another pair dominates.
         """
         decay = np.asarray(decay, dtype=float)
         fast = decay.ravel() * self.period
@@ -283,8 +248,8 @@ class Configuration:
     def impedance(self, K: ArrayLike, B: ArrayLike, frequency: ArrayLike) -> Complexes:
         """Force over velocity, N·s/m, that the hand feels at a frequency in Hz (the paper's Figure 2).
 
-        The real mass is left out, the device's friction and spring are in. Of a force that is held only the part
-        at the frequency itself counts. NaN from the Nyquist frequency on, and at 0.
+        With the device's friction and spring, without its mass; of a held force the part at the frequency itself. NaN
+        from the Nyquist frequency on, and at 0.
         """
         f = np.asarray(frequency, dtype=float)
         jw, theta = 2j * np.pi * f, 2.0 * np.pi * f * self.period

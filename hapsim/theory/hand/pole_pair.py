@@ -1,10 +1,9 @@
 """Functions on a pair of poles, kept accurate where the two poles meet.
 
-Two real conditions hold at a pair of poles, whether the two are complex conjugates, two real numbers or one
-double number. In terms of the values at the two the last case is lost. Modulo the quadratic w² + p w + q whose
-roots they are, every function is a line, constant + slope w, with real coefficients: its slope is the divided
-difference of the two values, Im f/Im w for conjugates, the derivative for equals. Products and quotients of
-lines are lines, so the three cases are one, to full accuracy, and no complex number is needed.
+A pair is two complex conjugates, two real poles or one double pole, which its two values cannot describe. Modulo the
+quadratic w² + p w + q whose roots they are, every function is a line, constant + slope w, with real coefficients: its
+slope is the divided difference of the two values, Im f/Im w for conjugates, the derivative for equals. Products and
+quotients of lines are lines, so the three cases are one, to full accuracy, without complex numbers.
 
 The variable is w = z - 1, not z: slow poles, close to z = 1, keep all their digits.
 """

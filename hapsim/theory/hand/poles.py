@@ -30,8 +30,8 @@ POINTS_AT_ONCE = 32768  # of large arrays: so many fit a core's cache
 def quietly_in_blocks(method: Callable[..., Any]) -> Callable[..., Any]:
     """For methods of two arrays (n,) that treat every pair of entries by itself: called with arrays of any shapes.
 
-    They are broadcast against each other, and the results have their shape; scalars give scalars. What is out of range
-    becomes NaN, and nothing warns.
+    They are broadcast against each other, and the results have their shape; scalars give scalars. Numbers out of range
+    become NaN, without a warning.
     """
     takes = signature(method)
 
@@ -39,20 +39,18 @@ def quietly_in_blocks(method: Callable[..., Any]) -> Callable[..., Any]:
     def whole(*args: Any, **named: Any) -> Any:
         (itself, *values), named = (bound := takes.bind(*args, **named)).args, bound.kwargs
         one, other = np.broadcast_arrays(*(np.asarray(value, dtype=float) for value in values))
-        shape, one, other = one.shape, one.ravel(), other.ravel()
-        blocks = [slice(at, at + POINTS_AT_ONCE) for at in range(0, max(one.size, 1), POINTS_AT_ONCE)]
+        blocks = [
+            (one.ravel()[at : at + POINTS_AT_ONCE], other.ravel()[at : at + POINTS_AT_ONCE])
+            for at in range(0, max(one.size, 1), POINTS_AT_ONCE)
+        ]
         with np.errstate(all="ignore"):
-            results = [method(itself, one[block], other[block], **named) for block in blocks]
-        if isinstance(results[0], tuple):
-            return tuple(_in_shape(column, shape) for column in zip(*results, strict=True))
-        return _in_shape(results, shape)
+            results = [method(itself, *block, **named) for block in blocks]
+        tuples = isinstance(results[0], tuple)
+        columns = [np.concatenate(column) for column in (zip(*results, strict=True) if tuples else [results])]
+        shaped = tuple(column.reshape(one.shape + column.shape[1:])[()] for column in columns)
+        return shaped if tuples else shaped[0]
 
     return whole
-
-
-def _in_shape(results: Any, shape: tuple[int, ...]) -> Any:
-    result = np.concatenate(results)
-    return result.reshape(shape + result.shape[1:])[()]
 
 
 class LeadingPair(NamedTuple):
@@ -69,9 +67,10 @@ def all_poles(equation: LoopEquation, kappa: Floats, beta: Floats) -> tuple[Lead
     p, q, is_pair = _two_slowest(poles)
     others = poles[:, 2:]
     p, q = _polished(equation, kappa, beta, (p, q), others)
-    lead = LeadingPair(p, q, is_pair & _decay_faster(others, PolePair(p, q)))
-    poles[:, :2] = np.where(lead.dominant[:, None], PolePair(p, q).poles, poles[:, :2])
-    return lead, sort_by_modulus(poles)
+    pair = PolePair(p, q)
+    lead = LeadingPair(p, q, is_pair & _decay_faster(others, pair))
+    poles[:, :2] = np.where(lead.dominant[:, None], pair.poles, poles[:, :2])
+    return lead, poles
 
 
 def roots(coefficients: Floats) -> Complexes:
@@ -109,8 +108,8 @@ def _polished(
 ) -> tuple[Floats, Floats]:
     """Newton's method on the quadratic factor of the pair; the start, where it does not converge nearby.
 
-    The characteristic polynomial is (w² + p w + q) H(w) at the solution, and the other poles tell H well
-    enough: the polynomial on the present pair, divided by H, is the change of p w + q.
+    The characteristic polynomial is (w² + p w + q) H(w) at the solution, with H about the product of the other poles:
+    the polynomial on the present pair, divided by H, is the change of p w + q.
     """
     p, q, step = start[0].copy(), start[1].copy(), np.full(start[0].shape, np.inf)
     some = np.arange(p.size)  # those under way: what has arrived stays, whatever its neighbours do

@@ -14,58 +14,47 @@ class DamperModel(NamedTuple):
     As a transfer function, v/y = w ``numerator``(w)/(``denominator``(w) z^``delays``), in powers of w = z - 1, the
     lowest first; both have the same value at w = 0, so that a slow motion's velocity is true. As a recurrence,
     v[n] is the sum of ``of_positions`` over y[n], y[n-1], ... and of ``of_velocities`` over v[n-1], v[n-2], ...
-    Where it ``senses``, the velocity of the device's end is read from the device instead, and both stand for the
-    other end alone.
+    Where it ``senses``, the device sends the velocity of its own end, and both stand for the other end alone.
     """
 
     numerator: tuple[float, ...]
     denominator: tuple[float, ...]
     delays: int
     of_positions: tuple[float, ...]
-    of_velocities: tuple[float, ...]
+    of_velocities: tuple[float, ...] = ()
     senses: bool = False
 
 
 def backward(_cutoff: float) -> DamperModel:
-    """The difference of the two newest positions (first-order Euler; Florens et al., §6): v[n] = (y[n] - y[n-1])/T; v/y
-    = w/(w + 1)."""
-    return DamperModel(numerator=(1.0,), denominator=(1.0,), delays=1, of_positions=(1.0, -1.0), of_velocities=())
+    """v[n] = (y[n] - y[n-1])/T (first-order Euler; Florens et al., §6); v/y = w/(w + 1)."""
+    return DamperModel((1.0,), (1.0,), delays=1, of_positions=(1.0, -1.0))
 
 
 def centred(_cutoff: float) -> DamperModel:
-    """The difference across two sample periods, the velocity at the sample before: v[n] = (y[n] - y[n-2])/(2 T); v/y =
-    w (1 + w/2)/(1 + w)²."""
-    return DamperModel(
-        numerator=(1.0, 0.5), denominator=(1.0,), delays=2, of_positions=(0.5, 0.0, -0.5), of_velocities=()
-    )
+    """v[n] = (y[n] - y[n-2])/(2 T), the velocity at the sample before; v/y = w (1 + w/2)/(1 + w)²."""
+    return DamperModel((1.0, 0.5), (1.0,), delays=2, of_positions=(0.5, 0.0, -0.5))
 
 
 def filtered(cutoff: float) -> DamperModel:
-    """A low-pass of first order behind the backward difference: v[n] = (1 - a) v[n-1] + a (y[n] - y[n-1])/T, a = 1 -
-    exp(-cutoff); v/y = w a/(w + a).
+    """v[n] = (1 - a) v[n-1] + a (y[n] - y[n-1])/T, a = 1 - exp(-cutoff); v/y = w a/(w + a).
 
-    The low-pass keeps the poles of its continuous model, 1/(1 + s/(2 pi cutoff)): a step goes through it by the same
-    exponential, sample by sample. ``cutoff``: 2 pi times the cutoff frequency times the sample period.
+    A low-pass of first order behind the backward difference, with the poles of its continuous model
+    1/(1 + s/(2 pi cutoff)). ``cutoff``: 2 pi times the cutoff frequency times the sample period.
     """
     a = -math.expm1(-cutoff)
-    return DamperModel(
-        numerator=(a,), denominator=(a, 1.0), delays=0, of_positions=(a, -a), of_velocities=(math.exp(-cutoff),)
-    )
+    return DamperModel((a,), (a, 1.0), delays=0, of_positions=(a, -a), of_velocities=(math.exp(-cutoff),))
 
 
 def sensed(_cutoff: float) -> DamperModel:
-    """v[n] is what the device itself measures, late and held like the position: a second output of the plant, not a
-    filter of the first. With averaged sampling it is the mean velocity over the sample period that has just ended.
+    """v[n] is what the device itself measures, late and held like the position: a second output of the plant.
 
-    At an end that is not the device's there is nothing to sense: a simulated point's velocity is the backward
-    difference of its positions, which the filter below says.
+    With averaged sampling it is the mean velocity over the sample period that has just ended. A simulated end has no
+    sensor: its velocity is the backward difference of its positions.
     """
-    return DamperModel(
-        numerator=(1.0,), denominator=(1.0,), delays=1, of_positions=(1.0, -1.0), of_velocities=(), senses=True
-    )
+    return DamperModel((1.0,), (1.0,), delays=1, of_positions=(1.0, -1.0), senses=True)
 
 
-#: Each made from 2 pi times the cutoff frequency times the sample period, which only a filter looks at.
+#: Each made from 2 pi times the cutoff frequency times the sample period, which only a filter uses.
 DAMPERS: dict[str, Callable[[float], DamperModel]] = {
     "backward": backward,
     "centred": centred,
