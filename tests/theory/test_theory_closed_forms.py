@@ -134,24 +134,6 @@ class TestSmallStiffnessAndDamping:
 
 
 class TestTheZeroOrderHoldWithoutDelay:
-    def limit(self, beta: np.ndarray) -> np.ndarray:
-        return 2.0 * beta * (2.0 - beta) / (2.0 + beta)
-
-    def test_its_stable_region_is_known(self) -> None:
-        beta = np.linspace(0.02, 1.98, 50)
-        c = configuration(delay=0.0)
-        for inside, margin in ((True, 0.9999), (False, 1.0001)):
-            K = margin * self.limit(beta) * STIFFNESS_UNIT
-            assert (c.is_stable(K, beta * DAMPING_UNIT) == inside).all()
-
-    def test_its_stiffest_stable_wall_is_known(self) -> None:
-        best = 2.0 * (np.sqrt(2.0) - 1.0)
-        highest = 12.0 - 8.0 * np.sqrt(2.0)
-        assert self.limit(best) == pytest.approx(highest)
-        c = configuration(delay=0.0)
-        assert c.is_stable(0.99999 * highest * STIFFNESS_UNIT, best * DAMPING_UNIT)
-        assert not c.is_stable(1.00001 * highest * STIFFNESS_UNIT, np.linspace(0.0, 2.0, 401) * DAMPING_UNIT).any()
-
     def test_averaging_the_position_is_the_same_as_holding_the_force(self, rng: np.random.Generator) -> None:
         """Both put one window of one sample period into the loop, and the loop does not know where."""
         K, B = rng.uniform(0.0, 3.0, (2, 50)) * np.array([[STIFFNESS_UNIT], [DAMPING_UNIT]])

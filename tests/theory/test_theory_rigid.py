@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from functools import cache
 
 import mpmath as mp
 import numpy as np
@@ -78,7 +77,6 @@ def bar(name: str) -> Network:
     return scene(1 + max(max(link[:2]) for link in links), links)
 
 
-@cache
 def exact_poles(name: str) -> np.ndarray:
     """Of one of the bars, by x[n+1] = 2 x[n] - x[n-1] - T²/M (K x[n] + B (x[n] - x[n-1])/T) with 60 digits."""
     network = bar(name)
@@ -103,18 +101,14 @@ def exact_poles(name: str) -> np.ndarray:
 
 
 @pytest.mark.parametrize("name", BARS)
-def test_a_bar_rests_and_drifts_in_as_many_ways_as_sixty_digits_say(name: str) -> None:
-    _, expected = BARS[name]
-    assert int((exact_poles(name) == 1.0).sum()) == expected
+def test_a_bar_rests_drifts_and_grows_as_sixty_digits_say(name: str) -> None:
+    exact, (_, expected) = exact_poles(name), BARS[name]
+    assert int((exact == 1.0).sum()) == expected
     assert poles_at_rest(bar(name)) == expected
+    assert solve(bar(name)).spectral_radius == pytest.approx(np.abs(exact).max(), abs=1e-12)
 
 
-@pytest.mark.parametrize("name", BARS)
-def test_a_bars_spectral_radius_is_that_of_sixty_digits(name: str) -> None:
-    assert solve(bar(name)).spectral_radius == pytest.approx(np.abs(exact_poles(name)).max(), abs=1e-12)
-
-
-@pytest.mark.parametrize("masses", [4, 10, 30, 100, 300])
+@pytest.mark.parametrize("masses", [4, 30, 300])
 @pytest.mark.parametrize("first", [[], [-1]], ids=["free", "hinged"])
 def test_a_bar_of_any_length_is_at_the_limit_and_no_more(masses: int, first: list[int]) -> None:
     network = scene(masses, bends([*first, *range(masses)]))
