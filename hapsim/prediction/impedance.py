@@ -47,8 +47,8 @@ class PredictedImpedance:
 def predict_impedance(scene: Scene, frequency: ArrayLike) -> PredictedImpedance:
     """The impedances at the device points of `scene`; NaN from the Nyquist frequency on.
 
-    With a correction, rendered is what is run in place of the scene, and desired the scene. A large scene whose scheme
-    is not worked out has CORDIS's in its place, which its assumptions say.
+    With a correction, rendered is what runs in place of the scene. A large scene whose scheme is not worked out has
+    CORDIS's in its place, as its assumptions say.
     """
     f = np.asarray(frequency, dtype=float)
     rendering = rendered(scene)
@@ -98,8 +98,8 @@ def _of_predictors(rendering: Rendering, frequency: Floats) -> Complexes:
 
 @dataclass(frozen=True)
 class ZWidth:
-    """What a device can render, from itself alone to its stiffest wall K/s + B (Colgate and Brown, 1994): at
-    frequencies (n,) in Hz, in dB, 20 log10 of the larger of both impedances' sizes over the device's."""
+    """The range of a device, from itself alone to its stiffest wall K/s + B (Colgate and Brown, 1994): at frequencies
+    (n,) in Hz, in dB, 20 log10 of the larger of both impedances' sizes over the device's."""
 
     frequency: Floats
     wall: StiffestWall
@@ -108,9 +108,8 @@ class ZWidth:
 
 
 def z_width_of(scene: Scene, channel: int, frequency: ArrayLike) -> dict[str, ZWidth]:
-    """The Z-width of the device's channel as the scene describes it: "passive", to the stiffest wall that no hand makes
-    unstable, and "stable", to the stiffest that is stable with the declared mass. Without "passive" where that is not
-    derived for the device's hold and sampling."""
+    """The Z-width of the device's channel: "passive", to the stiffest wall that no hand makes unstable, where that is
+    derived for the hold and sampling; and "stable", to the stiffest that is stable with the declared mass."""
     configuration = configuration_of(scene, channel)
     f = np.asarray(frequency, dtype=float)
     walls = {"stable": stiffest_stable(configuration)}
@@ -119,21 +118,10 @@ def z_width_of(scene: Scene, channel: int, frequency: ArrayLike) -> dict[str, ZW
     return {name: _width(configuration, wall, f) for name, wall in walls.items()}
 
 
-def _width(configuration: Configuration, wall: StiffestWall, frequency: Floats) -> ZWidth:
-    c = configuration
-    network = Network(
-        rate=c.rate,
-        channel_mass=np.array([c.mass]),
-        channel_friction=np.array([c.friction]),
-        delay=c.delay,
-        hold=c.hold,
-        sampling=c.sampling,
-        point_mass=np.empty(0),
-        ends=np.array([[0, -1]]),
-        stiffness=np.array([wall.stiffness]),
-        damping=np.array([wall.damping]),
-        channel_stiffness=np.array([c.stiffness]),
-    )
+def _width(c: Configuration, wall: StiffestWall, frequency: Floats) -> ZWidth:
+    hand = {"channel_mass": [c.mass], "channel_friction": [c.friction], "channel_stiffness": [c.stiffness]}
+    link = {"ends": [[0, -1]], "stiffness": [wall.stiffness], "damping": [wall.damping]}
+    network = Network(rate=c.rate, delay=c.delay, hold=c.hold, sampling=c.sampling, point_mass=[], **hand, **link)  # type: ignore[arg-type]
     loop = loop_impedance(network, frequency)
     return ZWidth(frequency, wall, width_db(loop.device[:, 0, 0], loop.closed_loop[:, 0, 0]))
 

@@ -72,6 +72,13 @@ def estimated(report: Report) -> tuple[float, float, float]:
     return mass, uncertainty, explained
 
 
+def is_exact(report: Report) -> None:
+    mass, uncertainty, explained = estimated(report)
+    assert mass == pytest.approx(0.3, rel=1e-4)
+    assert uncertainty < 1e-4
+    assert explained > 0.999
+
+
 @pytest.mark.parametrize("seed", range(2, 12))
 def test_random_devices_are_within_three_uncertainties(bench: Any, seed: int) -> None:
     """Noise, coarse counts, stalls, late forces, dry friction, a hand that pushes and one that knocks."""
@@ -115,36 +122,21 @@ def test_a_hand_that_pushes_slowly_is_not_taken_for_mass(bench: Any) -> None:
     assert abs(mass - 0.3) < 3.0 * uncertainty
 
 
-def test_lost_time_is_not_compared(bench: Any) -> None:
-    """A host that stalls for 20 ms, again and again: which force acted meanwhile is not known."""
-    stalls = np.zeros(6000, np.int64)
-    stalls[::130] = 20
-    mass, uncertainty, explained = estimated(run_disturbed(bench, np.zeros(6000), stalls))
-    assert mass == pytest.approx(0.3, rel=1e-4)
-    assert uncertainty < 1e-4
-    assert explained > 0.999
-
-
-def test_a_lost_position_begins_the_comparison_anew(bench: Any) -> None:
-    """One in a hundred, by itself: a motion of two samples is not taken for one of one."""
-    lost = np.zeros(6000, np.int64)
-    lost[::100] = -1
-    report = run_disturbed(bench, np.zeros(6000), lost)
-    mass, uncertainty, explained = estimated(report)
-    assert report.lost_frames > 10
-    assert mass == pytest.approx(0.3, rel=1e-4)
-    assert uncertainty < 1e-4
-    assert explained > 0.999
+@pytest.mark.parametrize(("every", "what"), [(130, 20), (100, -1)], ids=["stalls of 20 ms", "lost positions"])
+def test_lost_time_is_not_compared(bench: Any, every: int, what: int) -> None:
+    """Which force acted meanwhile is not known, and a motion of two samples is not taken for one of one."""
+    disturbed = np.zeros(6000, np.int64)
+    disturbed[::every] = what
+    report = run_disturbed(bench, np.zeros(6000), disturbed)
+    assert what > 0 or report.lost_frames > 10
+    is_exact(report)
 
 
 def test_forces_that_were_late_in_a_row_are_not_compared() -> None:
     """Of two in a row nobody knows which the device went on with."""
     trace = run(scene_of(misses=0.05, seed=3), duration=2.0, excitation=pushes(2000, 2000))
     assert trace.report.deadline_misses > 60
-    mass, uncertainty, explained = estimated(trace.report)
-    assert mass == pytest.approx(0.3, rel=1e-4)
-    assert uncertainty < 1e-4
-    assert explained > 0.999
+    is_exact(trace.report)
 
 
 def test_the_estimate_follows_a_grip() -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from hapsim.holds import HOLDS
 from hapsim.theory import Configuration, Network
-from hapsim.theory.interface import SAMPLINGS
+from hapsim.theory.interface import SAMPLINGS, damper_named
 from hapsim.theory.network import solve, transition
 
 RATE = 1000.0
@@ -122,9 +122,6 @@ class TestModes:
             s = np.log(mode.pole) * RATE
             assert mode.frequency_hz == pytest.approx(abs(s) / (2.0 * np.pi))
             assert mode.damping_ratio == pytest.approx(-s.real / abs(s))
-
-    def test_participation_is_a_share_of_one(self) -> None:
-        for mode in solve(scene()).modes:
             assert mode.participation.shape == (3,)
             assert (mode.participation >= 0.0).all()
             assert mode.participation.sum() == pytest.approx(1.0)
@@ -173,6 +170,9 @@ def test_what_overflows_gives_nan_and_no_warning() -> None:
         ({"ends": [[0, 1], [1, 2], [2, -2]]}, "ends names point -2"),
         ({"ends": [0, 1, 2]}, "ends has to be an integer array"),
         ({"ends": [[0.5, 1], [1, 2], [2, -1]]}, "ends has to be an integer array"),
+        ({"channel_stiffness": [-1.0]}, r"channel_stiffness\[0\] is -1"),
+        ({"channel_stiffness": [1.0, 2.0]}, r"channel_stiffness has shape \(2,\)"),
+        ({"damper": [damper_named("backward", None, RATE)]}, "damper has 1 elements, but there are 3"),
         ({"stiffness": [1.0]}, r"stiffness has shape \(1,\), but it has to have shape \(3,\)"),
         ({"damping": [1.0, "much", 2.0]}, "damping has to be an array of numbers"),
     ],

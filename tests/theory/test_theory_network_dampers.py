@@ -191,19 +191,3 @@ class TestFreeMotions:
             RATE, [0.2], [1.0], 1.0, "zoh", "ideal", [0.1], [[0, 1]], [500.0], [1.0], channel_stiffness=[300.0]
         )
         assert solve(sprung).is_stable
-
-
-@pytest.mark.parametrize(
-    ("changed", "says"),
-    [
-        ({"channel_stiffness": [-1.0]}, r"channel_stiffness\[0\] is -1"),
-        ({"channel_stiffness": [1.0, 2.0]}, r"channel_stiffness has shape \(2,\)"),
-        (
-            {"ends": [[0, -1]] * 2, "stiffness": [1.0] * 2, "damping": [1.0] * 2},
-            "damper has 1 elements, but there are 2",
-        ),
-    ],
-)
-def test_a_wrong_argument_is_refused_with_a_sentence(changed: dict[str, object], says: str) -> None:
-    with pytest.raises(ValueError, match=says):
-        hand(100.0, 1.0, **changed)

@@ -1,9 +1,9 @@
 """correction: adaptive. The predictor, for the mass of the temporary hybrid system that is estimated while it runs.
 
-For every mass in the declared span there is a force that is right for it. The one for a heavy hand is strong: where a
-hand lets go, and leaves a light device under it, that may be unstable before any estimate can tell. So only those are
-taken that are stable for every mass in the span, and the estimate goes no further: between the least mass and the
-greatest one for which that holds. ``loop/adaptive.py`` estimates, and moves between them.
+Every mass in the declared span has its force. That of a heavy hand is strong: when the hand releases a light device,
+it may be unstable before any estimate can follow. So only forces are used that are stable for every mass in the span,
+and the estimate goes no further than the greatest mass that has one. ``loop/adaptive.py`` estimates, and moves between
+them.
 """
 
 from __future__ import annotations
@@ -56,10 +56,12 @@ def schedule_for(
     touched: Sequence[tuple[float, float]] = (),
     observed: Callable[[Configuration, Element], Observer] | None = None,
 ) -> Schedule:
-    """For a hand that is to feel ``desired`` (k in N/m, b in N·s/m), whatever mass of the span it has. Where even the
-    element of the least mass is not stable for all, the one that `element_for` finds for the span, for every mass.
-    ``touched``: (K, B) of contacts, each of which may come to an element, and has to leave it stable. ``observed``: the
-    observer that an element has in place of its own."""
+    """The schedule with which a hand of any mass of the span feels ``desired`` (k in N/m, b in N·s/m).
+
+    Where even the element of the least mass is not stable for all: the one that `element_for` finds for the span.
+    ``touched``: (K, B) of contacts, each of which has to leave an element stable. ``observed``: makes the observer that
+    an element has in place of its own.
+    """
     masses = np.geomspace(*span, ROWS)
     trues = [replace(declared, mass=mass) for mass in np.geomspace(*span, _TRIED).tolist()]
     found: list[Element] = []

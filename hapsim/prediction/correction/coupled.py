@@ -55,9 +55,11 @@ def match_modes(
     damper: DamperScheme | None,
     starts: Sequence[Sequence[tuple[float, float]]],
 ) -> Matched | None:
-    """``desired``: as it is written. ``as_seen``: the same, with the device as the loop sees it under the correction.
-    ``starts``: elements of the ports from which they are searched. None where no mode is a hand's own, or
-    nothing that is near leaves every motion stable."""
+    """The elements of the ports, or the nearest; None where no mode is a hand's own, or nothing near is stable.
+
+    ``desired``: as it is written. ``as_seen``: the same, with the device as the loop sees it under the correction.
+    ``starts``: elements from which to search.
+    """
     network, names = network_of(desired, linear_scene(desired))
     pairs = _targets(continuous_modes(network), [names.index(port.name) for port in ports], desired.rate)
     if len(pairs) < len(ports):
@@ -76,17 +78,17 @@ def match_modes(
 
     from scipy.optimize import least_squares, root
 
+    def stable(x: Floats, reached: bool) -> Matched | None:
+        elements = x.reshape(-1, 2) * scale
+        is_one = (elements >= 0.0).all() and _is_stable(poles_with(elements))
+        return Matched([(float(K), float(B)) for K, B in elements], reached) if is_one else None
+
     begins = [np.array(begin).ravel() / scale.ravel() for begin in starts]
     for begin in begins:
-        solved = root(off, begin, options={"xtol": 1e-13})
-        elements = solved.x.reshape(-1, 2) * scale
-        if np.abs(off(solved.x)).max() < _SOLVED and (elements >= 0.0).all() and _is_stable(poles_with(elements)):
-            return Matched([(float(K), float(B)) for K, B in elements], True)
-    nearest = least_squares(off, np.clip(begins[-1], _LEAST, _MOST), bounds=(0.0, 2.0 * _MOST))
-    elements = nearest.x.reshape(-1, 2) * scale
-    if not _is_stable(poles_with(elements)):
-        return None
-    return Matched([(float(K), float(B)) for K, B in elements], False)
+        found = root(off, begin, options={"xtol": 1e-13}).x
+        if np.abs(off(found)).max() < _SOLVED and (matched := stable(found, True)):
+            return matched
+    return stable(least_squares(off, np.clip(begins[-1], _LEAST, _MOST), bounds=(0.0, 2.0 * _MOST)).x, False)
 
 
 def _is_stable(poles: Complexes) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -25,18 +26,17 @@ _AT_THE_LIMIT = 1e-9
 
 
 class Element(NamedTuple):
-    """What the daemon simulates in place of a (K, B)."""
+    """What is simulated in place of a (K, B): N/m and N·s/m.
+
+    ``made_for``: the mass in kg that a predictor assumes. ``reached``: whether the hand feels what is desired, with any
+    mass of its span. ``observer``: of a predictor.
+    """
 
     stiffness: float
-    """K, N/m"""
     damping: float
-    """B, N·s/m"""
     made_for: float
-    """kg: the mass that a predictor takes the hand for."""
     reached: bool
-    """Whether what is felt is what is desired, for every mass that there may be."""
     observer: Observer = Observer()
-    """Of a predictor."""
 
 
 def element_for(
@@ -44,9 +44,9 @@ def element_for(
 ) -> Element:
     """The element that is felt as ``desired`` (k in N/m, b in N·s/m, what is real included), or nearest to it.
 
-    ``declared``: the device, its delay and damper included. ``span``: the least and the most mass in kg; where the two
-    differ, the worst error over the span is made as small as it can be. A predictor is then made for the least: one
-    that takes the hand for heavier than it is loses its stability first.
+    ``declared``: the device, its delay and damper included. ``span``: the least and the most mass in kg; over a span
+    the worst error is minimised, and a predictor is made for the least mass: one that takes the hand for heavier than
+    it is loses its stability first.
     """
     least, most = span
     spring = desired[0] - declared.stiffness
@@ -68,9 +68,11 @@ def element_for(
 def felt_error(
     felt: tuple[Floats, Floats], desired: tuple[float | Floats, float | Floats], mass: float | Floats
 ) -> Floats:
-    """How far the felt (k, b) is from the desired one: the larger of the relative errors of the two; infinite where
-    there is no felt one. Of b, relative to the desired one or to 0.1 sqrt(k m), whichever is larger; of k, where
-    none is desired, relative to b²/m."""
+    """The larger of the relative errors of the felt k and b; infinite where none is felt.
+
+    That of b is relative to the desired b or to 0.1 sqrt(k m), whichever is larger; that of k, where none is desired,
+    to b²/m.
+    """
     (k, b), (k_wanted, b_wanted) = felt, desired
     critical = np.sqrt(np.abs(k_wanted) * mass)
     with np.errstate(all="ignore"):
@@ -124,18 +126,15 @@ _ON_THE_CIRCLE = 1e-9
 class Remedies(NamedTuple):
     """What would make the desired (k, b) felt, everything else as it is; None where that alone does not.
 
-    The delay keeps its number of samples where the rate goes up, so that it becomes shorter in seconds. Real friction
-    takes its part of the desired damping; the scene's goes down by as much.
+    ``rate_hz``: the least rate; the delay keeps its number of samples, and so becomes shorter. ``delay_samples``: the
+    longest delay. ``friction``: the least real friction in N·s/m, which takes its part of the desired damping.
+    ``predictor``: whether correction: predictor does it.
     """
 
     rate_hz: float | None
-    """from this rate on"""
     delay_samples: float | None
-    """up to this delay"""
     friction: float | None
-    """N·s/m: from this real friction of the device on"""
     predictor: bool
-    """whether correction: predictor does it"""
 
 
 def remedies_for(kind: CorrectionKind, declared: Configuration, desired: tuple[float, float]) -> Remedies:
@@ -168,29 +167,26 @@ def stable_masses(
 
     if not is_stable(made_for.mass):
         return math.nan, math.nan
-    lighter, heavier = np.geomspace(1.0, 1.0 / _WIDEST, _STEPS), np.geomspace(1.0, _WIDEST, _STEPS)
-    found = [_last(is_stable, made_for.mass * factors) for factors in (lighter, heavier)]
-    return (0.0 if found[0] is None else found[0], math.inf if found[1] is None else found[1])
+    found = []
+    for widest, end in ((1.0 / _WIDEST, 0.0), (_WIDEST, math.inf)):
+        masses = (made_for.mass * np.geomspace(1.0, widest, _STEPS)).tolist()
+        good, bad = next((pair for pair in pairwise(masses) if not is_stable(pair[1])), (end, end))
+        found.append(_boundary(is_stable, bad, good, lambda one, other: math.sqrt(one * other)))
+    return found[0], found[1]
 
 
 def _least(holds: Callable[[float], bool], start: float, stop: float) -> float | None:
     """Where, from the start to the stop, it begins to hold; None where it does not at the stop."""
     if not stop > start or not holds(stop):
         return None
-    for _ in range(_HALVINGS):
-        middle = 0.5 * (start + stop)
-        start, stop = (start, middle) if holds(middle) else (middle, stop)
-    return stop
+    return _boundary(holds, start, stop, lambda one, other: 0.5 * (one + other))
 
 
-def _last(holds: Callable[[float], bool], tried: np.ndarray) -> float | None:
-    """Up to where it holds, of numbers from the first on; None where it holds at all."""
-    values = tried.tolist()
-    at = next((i for i, value in enumerate(values) if not holds(value)), None)
-    if at is None:
-        return None
-    good, bad = values[at - 1], values[at]
-    for _ in range(_HALVINGS):
-        middle = math.sqrt(good * bad)
-        good, bad = (middle, bad) if holds(middle) else (good, middle)
+def _boundary(
+    holds: Callable[[float], bool], bad: float, good: float, middle: Callable[[float, float], float]
+) -> float:
+    """The end of what holds between two numbers, by bisection; the good one where both are the same."""
+    for _ in range(_HALVINGS if bad != good else 0):
+        between = middle(bad, good)
+        bad, good = (bad, between) if holds(between) else (between, good)
     return float(good)

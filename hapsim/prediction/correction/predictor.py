@@ -38,12 +38,11 @@ def predictor_for(declared: Configuration, observer: Observer) -> StatePredictor
 
 
 def observer_of(declared: Configuration, given: Sequence[tuple[tuple[float, float], tuple[float, float]]]) -> Observer:
-    """The observer for every one of some desired (k, b), what is real included, each with the simulated (K, B),
-    which are 0 where they are not known yet. Its poles decay at least twice as fast as the fastest of the desired ones.
+    """The observer for some desired (k, b), what is real included, each with its simulated (K, B), 0 where not known
+    yet. Its poles decay at least twice as fast as the fastest of the desired ones.
 
-    K is not k: it belongs to a sampled and held motion. With the compliance of a (k, b) a steady push meets its k all
-    the same. Of several the smallest is taken, the stiffest's: with that of a soft spring a contact beside it would
-    answer a push many times over.
+    K, of a sampled and held motion, is not k. With the compliance a steady push meets k all the same. Of several it is
+    the smallest, the stiffest's: with that of a soft spring a contact beside it would answer a push many times over.
     """
     pole = min((float(pole_of_push(declared, k, b)) for (k, b), _ in given), default=SLOWEST)
     rest, found = state_predictor(declared).at_rest(), []

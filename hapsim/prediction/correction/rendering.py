@@ -193,8 +193,8 @@ class _Correction:
         return schedule_for(declared, span, desired, contacts, partial(self.observer, port))
 
     def observer(self, port: Port, model: Configuration, element: Element) -> Observer:
-        """Of the element and of each contact that may come to it. Beside a link of any other kind nothing is made of
-        the push: how stiff that is nobody knows."""
+        """The observer of the element and of each contact that may come to it; without a compliance beside a link of
+        any other kind, whose stiffness is not known."""
         k, b = port.stiffness + model.stiffness, port.damping + model.friction
         given = [((k, b), (element.stiffness, element.damping))]
         changed = self.contacts(port, element)
@@ -206,12 +206,10 @@ class _Correction:
         return observer._replace(compliance=0.0 if port.others else observer.compliance, senses=senses)
 
     def contacts(self, port: Port, base: Element) -> dict[str, Buffer]:
-        """Each contact with what it adds, while it is touched, to the linear links; as it is where that is nothing, and
-        where the links follow an estimate, of which a contact knows nothing."""
+        """Each contact with what it adds to the linear links while it is touched. Without those that stay as they are:
+        all where the links follow an estimate."""
         changed: dict[str, Buffer] = {}
-        if self.kind.adapts:
-            return changed
-        for name, contact in port.contacts.items():
+        for name, contact in ({} if self.kind.adapts else port.contacts).items():
             touched = self.lone(port, (contact.stiffness, contact.damping))
             stiffness, damping = touched.stiffness - base.stiffness, touched.damping - base.damping
             if stiffness >= 0.0 and damping >= 0.0:

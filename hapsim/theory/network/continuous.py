@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hapsim.theory.arrays import Complexes, Floats
+from hapsim.theory.arrays import Floats
 from hapsim.theory.network.network import Network
 
 
@@ -40,39 +40,28 @@ class ContinuousMode(NamedTuple):
 def matrices(network: Network) -> tuple[Floats, Floats, Floats]:
     """(M, Z, K), each (C + M, C + M): kg, N·s/m, N/m."""
     mass = np.concatenate([network.channel_mass, network.point_mass])
-    M = np.diag(mass)
-    own = np.zeros(network.point_mass.size)
-    Z = np.diag(np.concatenate([network.channel_friction, own]))
-    K = np.diag(np.concatenate([network.channel_stiffness, own]))
-    for (a, b), stiffness, damping in zip(network.ends, network.stiffness, network.damping, strict=True):
-        for matrix, value in ((K, stiffness), (Z, damping)):
-            for one, other in ((a, b), (b, a)):
-                if one >= 0:
-                    matrix[one, one] += value
-                    if other >= 0:
-                        matrix[one, other] -= value
-    return M, Z, K
+    points, links = np.arange(mass.size), np.arange(len(network.ends))
+    stretch = np.zeros((links.size, mass.size + 1))  # a ground, -1, is the last
+    stretch[links, network.ends[:, 0]] += 1.0
+    stretch[links, network.ends[:, 1]] -= 1.0
+    stretch = stretch[:, :-1]
+    Z, K = (stretch.T @ (value[:, None] * stretch) for value in (network.damping, network.stiffness))
+    own = points[: network.channel_mass.size]
+    Z[own, own] += network.channel_friction
+    K[own, own] += network.channel_stiffness
+    return np.diag(mass), Z, K
 
 
 def continuous_modes(network: Network) -> list[ContinuousMode]:
     """Every mode, the slowest to decay first; those at rest too."""
     M, Z, K = matrices(network)
-    size = len(M)
+    size, mass = len(M), np.diag(M)
     if size == 0:
         return []
-    inverse = 1.0 / np.diag(M)[:, None]
-    step = np.block([[np.zeros((size, size)), np.eye(size)], [-inverse * K, -inverse * Z]])
+    step = np.block([[np.zeros((size, size)), np.eye(size)], [-K / mass[:, None], -Z / mass[:, None]]])
     roots, vectors = np.linalg.eig(step)
-    return _modes_of(roots.astype(complex), vectors[size:], np.diag(M))
-
-
-def _modes_of(roots: Complexes, velocities: Complexes, mass: Floats) -> list[ContinuousMode]:
-    modes = []
-    for root, velocity in zip(roots, velocities.T, strict=True):
-        if root.imag < 0.0:
-            continue
-        energy = mass * np.abs(velocity) ** 2
-        total = energy.sum()
-        share = energy / total if total > 0.0 else np.full(mass.size, 1.0 / mass.size)
-        modes.append(ContinuousMode(complex(root), share))
+    energy = mass[:, None] * np.abs(vectors[size:]) ** 2
+    total = energy.sum(axis=0)
+    share = np.where(total > 0.0, energy / np.where(total > 0.0, total, 1.0), 1.0 / size)
+    modes = [ContinuousMode(complex(roots[i]), share[:, i]) for i in range(roots.size) if roots[i].imag >= 0.0]
     return sorted(modes, key=lambda mode: -mode.root.real)

@@ -113,8 +113,8 @@ class SceneMatrix:
 
     def without_plants(self, functions: Complexes) -> tuple[Complexes, Complexes]:
         """The functions without the channels' 1/G, and these, (n, C), N/m."""
-        first = len(functions) - self._channels
-        return np.where(np.arange(len(functions))[:, None] < first, functions, 0.0), functions[first:].T
+        scene, plants = np.split(functions, [len(functions) - self._channels])
+        return np.concatenate([scene, 0.0 * plants]), plants.T
 
     def dense(self, functions: Complexes) -> Complexes:
         """(n, points, points): D at n places."""

@@ -1,18 +1,17 @@
 """The rigid motions of a scene: those that stretch, or bend, nothing that would pull back.
 
-Where z = 1 + s T with s small, a motion x e^(s t) of the points meets M s² + B s + K: M the masses, B the sums of the
-links' dampings and the channels' frictions, K those of the springs. A motion n with K n = 0 rests wherever it is: one
-pole at 1. Where nothing brakes it either, n' B n = 0, it continues at constant velocity: a second pole at 1, and with
-positive masses there is no third. The device's delay changes nothing of this: there is no force to be late.
+With M the masses, B the dampings and K the stiffnesses, a motion n with K n = 0 rests wherever it is: one pole at 1.
+Where nothing brakes it either, n' B n = 0, it continues at constant velocity: a second pole at 1; with positive masses
+there is no third. The device's delay changes nothing of this, since there is no force.
 
-In a scene whose springs all have positive stiffness, each part that neither a ground nor a held channel is tied to has
-one such motion, the translation of the whole part. A spring of negative stiffness, of which bending consists, allows
-others, such as the tilt of a free bar; in the parts that contain one they are counted.
+Where all stiffnesses are positive, each part that neither a ground nor a held channel is tied to has one such motion,
+its translation. A spring of negative stiffness, as bending has, allows others, such as the tilt of a free bar; in parts
+with one they are counted.
 
 A long bar's slowest bending is softer than its stiffness by the fourth power of its length, so that no tolerance tells
 it from a rigid motion. The count is therefore exact: each floating-point number, an integer times a power of two, is
-taken as it is, in the integers modulo a prime. `scipy.linalg.null_space` rounds: it leaves a free bar of 100 masses
-whose stiffnesses span twelve decades 18 poles at 1 in place of 4.
+taken as it is, in the integers modulo a prime. `scipy.linalg.null_space` finds 18 poles in place of 4 for a free bar of
+100 masses whose stiffnesses span twelve decades.
 """
 
 from __future__ import annotations
