@@ -69,7 +69,7 @@ def all_poles(equation: LoopEquation, kappa: Floats, beta: Floats) -> tuple[Lead
     p, q = _polished(equation, kappa, beta, (p, q), others)
     pair = PolePair(p, q)
     lead = LeadingPair(p, q, is_pair & _decay_faster(others, pair))
-    poles[:, :2] = np.where(lead.dominant[:, None], pair.poles, poles[:, :2])
+    poles[:, :2] = np.where(lead.dominant[:, None], sort_by_modulus(pair.poles), poles[:, :2])
     return lead, poles
 
 
