@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /* The wire protocol of hapsim, version 1: the device's half, for firmware. C99, header only, no allocation, and no
  * library beyond memcpy. PROTOCOL.md is the specification; vectors.json holds what this header is tested against.
  *

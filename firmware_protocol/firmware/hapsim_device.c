@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 #include "hapsim_device.h"
 
 #include "hapsim_board.h"

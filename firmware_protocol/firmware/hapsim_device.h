@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /* A force-feedback device of hapsim: the state machine of PROTOCOL.md, sections 4 to 8, between the bytes of the host and
  * the board's few functions (hapsim_port.h). C99, integers, no allocation, nothing that waits.
  *

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /* The port layer: what the state machine (hapsim_device.c) asks of a board. A maker writes these functions, and the
  * constants in the board's own hapsim_board.h; nothing else has to change.
  *

@@ -1,10 +1,8 @@
-"""`hapsim new`, `schema`, `compile` and `service`: what comes before a run."""
+"""`hapsim schema`, `compile` and `service`: what comes before a run."""
 
 from __future__ import annotations
 
 import json as json_text
-import shlex
-from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -19,19 +17,6 @@ from hapsim.running.compile_ahead import prepare
 from hapsim.running.requirements import why_not_armed
 from hapsim.running.unit import closed_to_service, unit_for, unit_name
 from hapsim.scene import scene_schema
-from hapsim.scene.shipped import shipped_scene
-
-
-def new(path: Annotated[Path, typer.Argument(help="Where to write it.")] = Path("scene.yaml")) -> None:
-    """Write a first scene to begin with."""
-    if path.exists():
-        raise UsageError(f"{path}: there is a file already, and it stays as it is; name another")
-    if not path.resolve().parent.is_dir():
-        raise UsageError(f"{path}: there is no directory {path.resolve().parent}")
-    path.write_text(shipped_scene("first_touch.yaml"), encoding="utf-8")
-    say(f"Wrote {path}. Next:")
-    for command in ("check", "measure"):
-        print(f"  hapsim {command} {shlex.quote(str(path))}")  # whole, however long: it is to be copied
 
 
 def schema() -> None:

@@ -14,6 +14,7 @@ from .error_messages import findings_of
 from .issue import Issue, Path
 from .modules import MODULE_TYPES, Module, ModuleContext
 from .scene import VERSION, Scene
+from .shipped import shipped_scene_path
 from .yaml_document import Document
 from .yaml_file import YamlFile
 
@@ -30,13 +31,15 @@ def as_scene(source: SceneSource) -> Scene:
 
 
 def load_scene(path: str | os.PathLike[str]) -> Scene:
-    """The scene of a file.
+    """The scene of a file, or the shipped scene of this name where no file has it.
 
     Raises:
         SceneError: the file cannot be read or is not a scene; one line for each fault, in the file's order.
     """
     name = os.fsdecode(path)
-    scene = parse_scene(_FILE.text_of(path), name)
+    if not os.path.exists(name) and (shipped := shipped_scene_path(name)):
+        name = str(shipped)
+    scene = parse_scene(_FILE.text_of(name), name)
     scene._path = name
     return scene
 

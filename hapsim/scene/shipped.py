@@ -1,41 +1,50 @@
-"""The scenes and the scripts of faults that ship: beside the sources in a clone, in the scheme's share/ elsewhere."""
+"""The scenes and the fault scripts that ship with hapsim."""
 
 from __future__ import annotations
 
-import sysconfig
-from collections.abc import Iterator
+from importlib.resources import files
 from pathlib import Path
 
-from hapsim.errors import HapsimError
+SCENES = Path(str(files("hapsim") / "configs"))
+"""The directory of the scenes and their page."""
 
-_PACKAGES = Path(__file__).parents[2]
-_INSTALLED = Path("share") / "hapsim" / "configs"
-_SCRIPTS = "faults"
+_SCRIPTS = SCENES / "faults"
+
+
+def shipped_scenes() -> dict[str, str]:
+    """Returns the names of the scenes that ship, each with the first sentence of its file."""
+    return {name: _first_sentence(shipped_scene(name)) for name in _names(SCENES)}
 
 
 def shipped_scene(name: str) -> str:
-    """The text of a shipped scene. HapsimError where the installation lacks it."""
-    places = list(dict.fromkeys(_places()))
-    for place in places:
-        if (place / name).is_file():
-            return (place / name).read_text(encoding="utf-8")
-    looked = ", ".join(map(str, places))
-    raise HapsimError(f"{name}: not among the files of this installation of hapsim; looked in {looked}")
+    """Returns the text of the scene of this name, with or without `.yaml`."""
+    return (SCENES / _file_name(name)).read_text(encoding="utf-8")
+
+
+def shipped_scene_path(name: str) -> Path | None:
+    """Returns the file of the scene of this name, with or without `.yaml`; None if no such scene ships."""
+    path = SCENES / _file_name(name)
+    return path if path.parent == SCENES and path.is_file() else None
 
 
 def shipped_scripts() -> list[str]:
-    """The names of the scripts of faults that ship."""
-    return sorted({path.stem for place in _places() for path in (place / _SCRIPTS).glob("*.yaml")})
+    """Returns the names of the fault scripts that ship."""
+    return _names(_SCRIPTS)
 
 
 def shipped_script(name: str) -> str:
-    """The text of one of them. HapsimError where the installation lacks it."""
-    return shipped_scene(f"{_SCRIPTS}/{name}.yaml")
+    """Returns the text of the fault script of this name."""
+    return (_SCRIPTS / _file_name(name)).read_text(encoding="utf-8")
 
 
-def _places() -> Iterator[Path]:
-    """Where they may be: a clone, then what pip makes of a wheel's data for everybody, for one user, in a folder."""
-    yield _PACKAGES / "configs"
-    yield Path(sysconfig.get_path("data")) / _INSTALLED
-    yield Path(sysconfig.get_path("data", sysconfig.get_preferred_scheme("user"))) / _INSTALLED
-    yield _PACKAGES / _INSTALLED
+def _file_name(name: str) -> str:
+    return f"{name.removesuffix('.yaml')}.yaml"
+
+
+def _names(folder: Path) -> list[str]:
+    return sorted(path.stem for path in folder.glob("*.yaml"))
+
+
+def _first_sentence(scene: str) -> str:
+    comment = scene.partition("\n#\n")[0].replace("\n# ", " ").removeprefix("# ")
+    return comment.partition(". ")[0].rstrip(".\n") + "."

@@ -23,6 +23,7 @@ import pytest
 import yaml
 
 REPOSITORY = Path(__file__).resolve().parents[2]
+CONFIGS = REPOSITORY / "configs"
 PACKAGES = ("hapsim", "firmware_protocol")
 SCENE = """\
 version: 1
@@ -34,6 +35,9 @@ modules:
   wall: {type: ground}
   touch: {type: viscoelastic, between: [hand, wall], stiffness: 1000, damping: 5}
 """
+
+
+BUILD = "import sys; from setuptools import build_meta; build_meta.build_sdist(sys.argv[1])"
 
 
 def call(*command: object, **options: object) -> str:
@@ -49,25 +53,40 @@ def pip(*words: object) -> None:
 
 
 @pytest.fixture(scope="module")
-def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Built from a copy, so that nothing of an earlier build gets into it and nothing is left in the clone."""
-    folder = tmp_path_factory.mktemp("wheel")
-    for name in (*PACKAGES, "configs"):
-        shutil.copytree(REPOSITORY / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
-    for name in ("pyproject.toml", "MANIFEST.in", "README.md"):
-        shutil.copy(REPOSITORY / name, folder)
-    pip("wheel", "--no-deps", "--no-build-isolation", "--no-index", "--wheel-dir", folder / "dist", folder)
-    (built,) = (folder / "dist").glob("hapsim-*.whl")
+def archive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The archive of the sources. It is built from a copy, so that nothing of an earlier build gets into it and nothing
+    is left in the clone."""
+    folder = tmp_path_factory.mktemp("archive")
+    for name in (*PACKAGES, "configs", "tests", "tools", ".ci"):
+        ignored = shutil.ignore_patterns("__pycache__")
+        shutil.copytree(REPOSITORY / name, folder / "copy" / name, symlinks=True, ignore=ignored)
+    for name in ("pyproject.toml", "README.md", "CHANGELOG.md", "LICENSE", "MANIFEST.in"):
+        shutil.copy(REPOSITORY / name, folder / "copy")
+    call(sys.executable, "-c", BUILD, folder, cwd=folder / "copy")
+    (built,) = folder.glob("hapsim-*.tar.gz")
+    return built
+
+
+@pytest.fixture(scope="module")
+def unpacked(archive: Path) -> Path:
+    shutil.unpack_archive(archive, archive.parent / "unpacked", filter="data")
+    (folder,) = (archive.parent / "unpacked").iterdir()
+    return folder
+
+
+@pytest.fixture(scope="module")
+def wheel(unpacked: Path) -> Path:
+    """Built from the archive, as pip builds what an index has no wheel of."""
+    pip("wheel", "--no-deps", "--no-build-isolation", "--no-index", "--wheel-dir", unpacked.parent, unpacked)
+    (built,) = unpacked.parent.glob("hapsim-*.whl")
     return built
 
 
 @pytest.fixture(scope="module")
 def contents(wheel: Path) -> dict[str, str]:
-    """Every file of the wheel by its name, without the directory of its data's place."""
+    """Every file of the wheel by its name."""
     with zipfile.ZipFile(wheel) as opened:
-        return {
-            name.partition(".data/data/")[2] or name: opened.read(name).decode("utf-8") for name in opened.namelist()
-        }
+        return {name: opened.read(name).decode("utf-8") for name in opened.namelist()}
 
 
 @pytest.fixture(scope="module")
@@ -91,29 +110,26 @@ def hapsim(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Callable[..
     return run
 
 
-def test_everything_that_the_clone_has_is_in_the_wheel(contents: dict[str, str]) -> None:
-    found = [path for package in PACKAGES for path in (REPOSITORY / package).rglob("*") if path.is_file()]
+def files_of(folder: Path, *names: str) -> dict[str, bytes]:
+    """The content of every file below these directories, by its name in `folder`."""
+    found = [path for name in names for path in (folder / name).rglob("*") if path.is_file()]
     ours = [path for path in found if "__pycache__" not in path.parts]
-    assert {path.suffix for path in ours} == {
-        ".py",
-        ".md",
-        ".json",
-        ".yaml",
-        ".h",
-        ".c",
-        ".ld",
-        ".service",
-        ".typed",
-        "",
-    }
-    for path in ours:
-        assert contents[path.relative_to(REPOSITORY).as_posix()] == path.read_text(encoding="utf-8")
-    for path in (REPOSITORY / "configs").rglob("*.yaml"):
-        assert contents[f"share/hapsim/{path.relative_to(REPOSITORY).as_posix()}"] == path.read_text(encoding="utf-8")
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in ours}
 
 
-def test_nothing_else_is(contents: dict[str, str]) -> None:
-    assert {name.split("/")[0] for name in contents if ".dist-info/" not in name} == {*PACKAGES, "share"}
+def test_the_wheel_has_every_file_of_the_packages_and_nothing_else(contents: dict[str, str]) -> None:
+    ours = files_of(REPOSITORY, *PACKAGES)
+    scenes = {f"hapsim/{name}": text for name, text in files_of(REPOSITORY, "configs").items()}
+    assert {Path(name).suffix for name in ours} == set(" .py .md .json .yaml .h .c .ld .service .typed".split(" "))
+    assert len(scenes) > 14
+    assert {name: text.encode() for name, text in contents.items() if ".dist-info/" not in name} == ours | scenes
+
+
+def test_the_archive_has_every_file_of_the_clone(unpacked: Path) -> None:
+    names = (*PACKAGES, "configs", "tests", "tools")
+    assert files_of(unpacked, *names).items() >= files_of(REPOSITORY, *names).items()
+    for name in ("README.md", "CHANGELOG.md", "LICENSE", "pyproject.toml", ".ci/run"):
+        assert (unpacked / name).read_text("utf-8") == (REPOSITORY / name).read_text("utf-8")
 
 
 def test_it_tells_what_it_is(contents: dict[str, str]) -> None:
@@ -123,7 +139,11 @@ def test_it_tells_what_it_is(contents: dict[str, str]) -> None:
     assert metadata["Keywords"]
     assert "Typing :: Typed" in metadata.get_all("Classifier", [])
     assert metadata["Requires-Python"] == ">=3.11"
-    assert metadata.get_payload() == (REPOSITORY / "README.md").read_text(encoding="utf-8")
+    assert metadata["License-Expression"] == "MIT"
+    assert metadata["Author"] == "the hapsim authors"
+    page = (REPOSITORY / "hapsim" / "PACKAGE.md").read_text(encoding="utf-8")
+    assert metadata.get_payload() == page
+    assert "](" not in page  # a link or a picture of a clone leads nowhere on an index's page
 
 
 def test_its_version_is_the_one_that_hapsim_tells(hapsim: Callable[..., str], wheel: Path) -> None:
@@ -136,6 +156,10 @@ def test_what_compiles_nothing_works_from_it(hapsim: Callable[..., str]) -> None
     assert yaml.safe_load(hapsim("schema"))["title"] == "hapsim scene, version 1"
     hapsim("ports", "--json")
     hapsim("new", "first.yaml")
+    assert "stable" in hapsim("check", "wall")
+    assert yaml.safe_load(hapsim("scenes", "--json")).keys() == {path.stem for path in CONFIGS.glob("*.yaml")}
+    for path in yaml.safe_load(hapsim("files", "--json")).values():
+        assert Path(path).exists()
     assert "stable" in hapsim("check", "first.yaml")
     assert "Picture: plane.svg" in hapsim("chart", "plane", "first.yaml", "--picture", "plane.svg")
 
@@ -146,11 +170,18 @@ def test_a_scene_runs_and_is_measured_from_it(hapsim: Callable[..., str]) -> Non
     assert measured["measured"]["k"] == pytest.approx(measured["predicted"]["k"], rel=1e-5)
 
 
-def test_a_wheel_in_a_folder_finds_its_scenes_too(wheel: Path, tmp_path: Path) -> None:
-    """As `pip install --target` leaves it."""
-    pip("install", "--no-deps", "--no-index", "--no-compile", "--target", tmp_path / "there", wheel)
-    variables = os.environ | {"PYTHONPATH": str(tmp_path / "there")}
-    call(sys.executable, "-m", "hapsim", "new", "scene.yaml", cwd=tmp_path, env=variables)
-    assert (tmp_path / "scene.yaml").read_text(encoding="utf-8") == (
-        REPOSITORY / "configs" / "first_touch.yaml"
-    ).read_text(encoding="utf-8")
+@pytest.mark.parametrize(
+    "layout", [("--target", "there"), ("--prefix", "there"), ("--user",)], ids=lambda words: words[0]
+)
+def test_every_layout_finds_its_scenes(wheel: Path, tmp_path: Path, layout: tuple[str, ...]) -> None:
+    """As `pip install` leaves a wheel in a directory, below a distribution's prefix, or in a user's home."""
+    variables = os.environ | {"PYTHONUSERBASE": str(tmp_path / "there"), "PIP_BREAK_SYSTEM_PACKAGES": "1"}
+    words = ["install", "--no-deps", "--no-index", "--no-compile", "--no-warn-script-location", "--ignore-installed"]
+    base = Path(sys.base_prefix) / "bin" / "python3"
+    call(base, "-m", "pip", "--quiet", *words, *layout, wheel, cwd=tmp_path, env=variables)
+    (packages,) = {path.parent.parent for path in (tmp_path / "there").rglob("hapsim/__init__.py")}
+    variables["PYTHONPATH"] = f"{packages}{os.pathsep}{sysconfig.get_path('purelib')}"
+    for words in (["new", "--from", "wall", "scene.yaml"], ["faults", "--list"], ["scenes"]):
+        call(sys.executable, "-m", "hapsim", *words, cwd=tmp_path, env=variables)
+    written, shipped = tmp_path / "scene.yaml", REPOSITORY / "configs" / "wall.yaml"
+    assert written.read_text(encoding="utf-8") == shipped.read_text(encoding="utf-8")

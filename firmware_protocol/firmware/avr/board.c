@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /* The firmware on an ATmega328P at 16 MHz, 2 Mbaud, 1 kHz.
  *
  * Timer 1 makes the tick. The receiver's interrupt puts bytes into a ring and does nothing else; at 2 Mbaud it has 80

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /* simavr takes the time of a byte from U2X as it stands when UBRR is written, and counts a parity bit that is not there;
  * it queues 64 bytes, and drops what comes on top. So bytes come here one by one at the baud of the firmware, and one
  * that finds two unread bytes is lost, as on the chip (which loses it as the next one begins). */

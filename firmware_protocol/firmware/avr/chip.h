@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /* What the ATmega328P does and simavr 1.6 does not: the time that a byte takes on the wire, a receiver that keeps two
  * bytes and no more, and the cycles that it takes to enter an interrupt. */
 #ifndef CHIP_H

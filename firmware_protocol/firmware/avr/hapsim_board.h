@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 #ifndef HAPSIM_BOARD_H
 #define HAPSIM_BOARD_H
 

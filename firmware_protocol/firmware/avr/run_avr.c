@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /* Runs the AVR firmware on simavr: `run_avr FIRMWARE.hex [LOG]` joins UART 0 to a pseudo-terminal, prints its path, and
  * keeps the emulated clock at real time until it is stopped.
  *

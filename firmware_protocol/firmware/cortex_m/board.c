@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /* The firmware on a Cortex-M3: SysTick makes the tick, UART 0 is the port, the interrupt of its receiver comes before the
  * tick. In place of an encoder and a motor there is simulated_mass.c.
  *

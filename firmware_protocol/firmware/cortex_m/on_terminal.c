@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /* Starts a program with its standard input and output joined to a pseudo-terminal: `on_terminal PROGRAM WORD...` prints
  * the terminal's path before, on its own standard output. */
 #define _GNU_SOURCE

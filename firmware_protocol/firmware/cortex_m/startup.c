@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /* From reset to main: memory as C expects it, and the vectors. */
 #include <stdint.h>
 

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /* The firmware as a Linux process, on a pseudo-terminal that it makes: `linux [LOG]` prints the port's path and serves it
  * until it is stopped. One thread: the tick comes between two reads, and needs no lock.
  *

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /* Devices that are broken on purpose, to see that what tests a device notices: -DHAPSIM_BROKEN_..., one of these. Those
  * for which the state machine itself has to be wrong are made by linux/broken from a copy of it. */
 #ifndef BROKEN_H

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /* What the three emulated boards have in common; each adds its clock. A maker's own board has one such file. */
 #define HAPSIM_BOARD_CHANNELS 1
 #define HAPSIM_BOARD_PACINGS 3 /* by the device, by the host */

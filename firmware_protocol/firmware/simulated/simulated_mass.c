@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /* Exact over one sample with a held force F: with p = b/m, the velocity decays by exp(-pT), the position lags by
  * (1 - exp(-pT))/p. The constants are these numbers for m = 0.2 kg, b = 1 N s/m, T = 1 ms, in the units of
  * simulated_mass.h, rounded to 32 bits; a test computes them anew.

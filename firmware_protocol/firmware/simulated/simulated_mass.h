@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /* A mass that the emulated boards move in place of an actuator and an encoder: 0.2 kg with 1 N s/m of viscous friction,
  * which leaves its place at 0.1 m/s when the device is armed. The device of configs/first_touch.yaml, in integers. */
 #ifndef SIMULATED_MASS_H

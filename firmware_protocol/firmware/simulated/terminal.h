@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /* A pseudo-terminal for an emulated board: a port that any program opens like a serial device's. Linux. */
 #ifndef TERMINAL_H
 #define TERMINAL_H

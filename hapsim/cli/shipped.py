@@ -1,0 +1,74 @@
+"""`hapsim new`, `scenes` and `files`: what ships with hapsim, and where it is."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+import firmware_protocol
+import hapsim
+from hapsim.cli.output import document, say
+from hapsim.cli.options import Json
+from hapsim.errors import UsageError
+from hapsim.scene.shipped import SCENES, shipped_scene, shipped_scene_path, shipped_scenes
+
+
+def new(
+    path: Annotated[Path, typer.Argument(help="Where to write it.")] = Path("scene.yaml"),
+    from_: Annotated[
+        str, typer.Option("--from", metavar="NAME", help="Copy this scene; `hapsim scenes` lists them.")
+    ] = "first_touch",
+) -> None:
+    """Write a first scene to begin with."""
+
+    if shipped_scene_path(from_) is None:
+        raise UsageError(f"--from: found {from_!r}, expected one of {', '.join(shipped_scenes())}")
+    try:
+        with path.open("x", encoding="utf-8") as file:
+            file.write(shipped_scene(from_))
+    except FileExistsError:
+        raise UsageError(f"{path}: the file exists and is not replaced; name another") from None
+    except OSError as error:
+        raise UsageError(f"{path}: the file cannot be written: {error.strerror}") from None
+    say(f"Wrote {path}. Next:")
+    for command in ("check", "measure"):
+        print(f"  hapsim {command} {shlex.quote(str(path))}")  # on one line, however long: it is to be copied
+
+
+def scenes(json: Json = False) -> None:
+    """List the scenes that ship with hapsim."""
+
+    known = shipped_scenes()
+    if json:
+        print(document({name: {"path": str(SCENES / f"{name}.yaml"), "title": title} for name, title in known.items()}))
+        return
+    for name, title in known.items():
+        say(f"{name:24}{title}", indent=" " * 24)
+    say("`hapsim check NAME` and the other commands find them by name; `hapsim new --from NAME` copies one.")
+
+
+def files(json: Json = False) -> None:
+    """Print where the scenes, the protocol's header, the firmware and the pages are."""
+
+    product, protocol = Path(hapsim.__file__).parent, Path(firmware_protocol.__file__).parent
+    places = {
+        "scenes": SCENES,
+        "header": protocol / "hapsim_protocol.h",
+        "firmware": protocol / "firmware",
+        "protocol": protocol / "PROTOCOL.md",
+        "porting": protocol / "PORTING.md",
+        "using": product / "USING.md",
+        "scene keys": SCENES / "README.md",
+        "modules": product / "cordis" / "MODULES.md",
+        "stability": product / "STABILITY.md",
+        "theory": product / "theory" / "README.md",
+        "architecture": product / "README.md",
+    }
+    if json:
+        print(document({name.replace(" ", "_"): str(path) for name, path in places.items()}))
+        return
+    for name, path in places.items():
+        print(f"{name:12} {path}")  # on one line, however long: it is to be copied
