@@ -14,7 +14,7 @@ from .error_messages import findings_of
 from .issue import Issue, Path
 from .modules import MODULE_TYPES, Module, ModuleContext
 from .scene import VERSION, Scene
-from .shipped import shipped_scene_path
+from .shipped import shipped_scene, shipped_scene_path
 from .yaml_document import Document
 from .yaml_file import YamlFile
 
@@ -31,14 +31,15 @@ def as_scene(source: SceneSource) -> Scene:
 
 
 def load_scene(path: str | os.PathLike[str]) -> Scene:
-    """The scene of a file, or the shipped scene of this name where no file has it.
+    """The scene of a file, or the shipped scene of this name where no file has it (which then has no `path`:
+    nothing rewrites what ships).
 
     Raises:
         SceneError: the file cannot be read or is not a scene; one line for each fault, in the file's order.
     """
     name = os.fsdecode(path)
     if not os.path.exists(name) and (shipped := shipped_scene_path(name)):
-        name = str(shipped)
+        return parse_scene(shipped_scene(name), str(shipped))
     scene = parse_scene(_FILE.text_of(name), name)
     scene._path = name
     return scene
