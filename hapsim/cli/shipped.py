@@ -10,8 +10,8 @@ import typer
 
 import firmware_protocol
 import hapsim
-from hapsim.cli.output import document, say
 from hapsim.cli.options import Json
+from hapsim.cli.output import document, say
 from hapsim.errors import UsageError
 from hapsim.scene.shipped import SCENES, shipped_scene, shipped_scene_path, shipped_scenes
 
