@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, get_args
@@ -193,6 +194,7 @@ def test_an_interrupt_of_the_first_process_ends_the_second(
 
     def interrupt_wait(_name: str, _share: float | None) -> None:
         waits.wait(60.0)
+        time.sleep(0.2)  # a signal just before the first process begins to wait would only be seen after the wait
         os.kill(os.getpid(), signal.SIGINT)
 
     if moment == "compiling":
