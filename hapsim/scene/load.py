@@ -14,11 +14,16 @@ from .error_messages import findings_of
 from .issue import Issue, Path
 from .modules import MODULE_TYPES, Module, ModuleContext
 from .scene import VERSION, Scene
-from .shipped import shipped_scene, shipped_scene_path
+from .shipped import shipped_scene, shipped_scene_path, shipped_scenes
 from .yaml_document import Document
 from .yaml_file import YamlFile
 
-_FILE = YamlFile(SceneError, "a scene in YAML", "found nothing, expected a scene; `hapsim new` writes a first one")
+_FILE = YamlFile(
+    SceneError,
+    "a scene in YAML",
+    "found nothing, expected a scene; `hapsim new` writes a first one",
+    shipped_scenes,
+)
 
 
 SceneSource = Scene | str | os.PathLike[str]

@@ -3,7 +3,7 @@
 import codecs
 import os
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path as FilePath
@@ -23,11 +23,13 @@ class YamlFile:
         error: what is raised where a file is wrong.
         wanted: what is expected in the file, in words.
         nothing: what to say of an empty one.
+        shipped: returns the names of those that ship, which serve as names of files.
     """
 
     error: type[UsageError]
     wanted: str
     nothing: str
+    shipped: Callable[[], Iterable[str]] = tuple
 
     def text_of(self, path: str | os.PathLike[str]) -> str:
         """The text of a file; `error` where it cannot be read, or is no UTF-8."""
@@ -78,7 +80,8 @@ class YamlFile:
             case FileNotFoundError():
                 folder, wanted = os.path.split(name)
                 with suppress(OSError):
-                    hint = _did_you_mean(wanted, os.listdir(folder or "."))
+                    there = os.listdir(folder) if folder else [*os.listdir("."), *self.shipped()]
+                    hint = _did_you_mean(wanted, there)
                     return f"no such file, expected {self.wanted}{hint}"
                 return f"no such directory, expected {self.wanted}"
             case IsADirectoryError():

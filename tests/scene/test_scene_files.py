@@ -7,6 +7,7 @@ import pytest
 
 from hapsim.errors import SceneError
 from hapsim.scene import load_scene, parse_scene
+from hapsim.scene.shipped import shipped_scene
 
 UTF_16 = "it looks like UTF-16: save the file as UTF-8"
 
@@ -43,6 +44,18 @@ def test_a_file_from_another_system_keeps_its_places(tmp_path: Path, change, goo
     assert refusal(path).startswith(f"{path}:1:10: version: found 3, ")
     path.write_bytes(change(good.replace("2000", "-3")).encode())
     assert refusal(path).startswith(f"{path}:7:65: stiffness: found -3, ")
+
+
+def test_a_shipped_scene_is_loaded_by_its_name_where_no_file_has_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, good: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert load_scene("wall") == load_scene("wall.yaml") == parse_scene(shipped_scene("wall"))
+    assert load_scene("wall").path is None  # so that nothing rewrites it
+    assert refusal("wal") == "wal: no such file, expected a scene in YAML; did you mean 'wall'?"
+    assert "no such file" in refusal(tmp_path / "wall.yaml")
+    Path("wall.yaml").write_text(good)
+    assert load_scene("wall.yaml").modules == parse_scene(good).modules
 
 
 def test_a_missing_file_is_reported_with_the_nearest_name_beside_it(tmp_path: Path) -> None:
