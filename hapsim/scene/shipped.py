@@ -23,8 +23,8 @@ def shipped_scene(name: str) -> str:
 
 def shipped_scene_path(name: str) -> Path | None:
     """Returns the file of the scene of this name, with or without `.yaml`; None if no such scene ships."""
-    path = SCENES / _file_name(name)
-    return path if path.parent == SCENES and path.is_file() else None
+    stem = name.removesuffix(".yaml")
+    return SCENES / f"{stem}.yaml" if stem in _names(SCENES) else None
 
 
 def shipped_scripts() -> list[str]:
