@@ -31,6 +31,8 @@ def new(
             file.write(shipped_scene(from_))
     except FileExistsError:
         raise UsageError(f"{path}: the file exists and is not replaced; name another") from None
+    except FileNotFoundError:
+        raise UsageError(f"{path}: there is no directory {path.resolve().parent}") from None
     except OSError as error:
         raise UsageError(f"{path}: the file cannot be written: {error.strerror}") from None
     say(f"Wrote {path}. Next:")

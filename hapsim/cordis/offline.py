@@ -16,10 +16,13 @@ from numpy.typing import NDArray
 
 from firmware_protocol.compiled import new_record
 from hapsim.compiling import entry
-from hapsim.cordis import tick as compiled
 from hapsim.cordis.dispatch import CALLS, Part, call_all
 from hapsim.cordis.program import Program
 from hapsim.cordis.stored_energy import number_at
+from hapsim.cordis.tick import follow_parameters as _follow_inlined
+from hapsim.cordis.tick import start as _start_inlined
+from hapsim.cordis.tick import take_over as _take_over_inlined
+from hapsim.cordis.tick import tick as _tick_inlined
 
 Reals = NDArray[np.float64]
 
@@ -83,22 +86,22 @@ def act_alone(program: Program, action: str, part: Part, samples: int) -> None:
     _call_many(program.record, alone, samples)
 
 
-_start, _take_over = entry(compiled.start), entry(compiled.take_over)
-_follow_parameters, _tick = entry(compiled.follow_parameters), entry(compiled.tick)
+_start, _take_over = entry(_start_inlined), entry(_take_over_inlined)
+_follow_parameters, _tick = entry(_follow_inlined), entry(_tick_inlined)
 
 
 @entry
 def _ticks(program, measured, velocity, force, samples):
     for begin in range(0, samples, measured.shape[0]):
         for n in range(np.uint64(min(measured.shape[0], samples - begin))):
-            compiled.tick(program, measured[n], velocity[n], force[n])
+            _tick_inlined(program, measured[n], velocity[n], force[n])
             _other_code()
 
 
 @entry
 def _ticks_watched(program, measured, force, rows, weights, watched):
     for n in range(watched.size):
-        compiled.tick(program, measured, measured, force)
+        _tick_inlined(program, measured, measured, force)
         row, total = rows[np.uint64(program.turn)], 0.0
         for i in range(weights.size):
             total += weights[i] * number_at(row, i, program.single)

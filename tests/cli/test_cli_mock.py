@@ -137,7 +137,7 @@ def test_a_new_scene_overwrites_nothing(hapsim: Hapsim, tmp_path: Path) -> None:
     path.write_text("mine", encoding="utf-8")
     answer = hapsim("new", path)
     assert answer.status == 2
-    assert "there is a file already, and it stays as it is" in answer.sentence
+    assert "the file exists and is not replaced" in answer.sentence
     assert path.read_text(encoding="utf-8") == "mine"
     assert "there is no directory" in hapsim("new", tmp_path / "none" / "scene.yaml").sentence
 

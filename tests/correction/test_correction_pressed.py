@@ -12,7 +12,7 @@ import pytest
 from rich.console import Console
 
 from hapsim import predict, run, start
-from hapsim.cli.check import show_details
+from hapsim.cli.check_details import show_details
 from hapsim.errors import DeviceError
 from hapsim.prediction import robustness_of
 from hapsim.prediction.correction import rendered
