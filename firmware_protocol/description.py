@@ -34,6 +34,7 @@ class Description:
 
     @property
     def channels(self) -> int:
+        """Number of the device's channels."""
         return len(self.position_scale)
 
     @property

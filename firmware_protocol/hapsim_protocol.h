@@ -22,7 +22,7 @@
 #include <stdint.h>
 #include <string.h>
 
-/* An AVR copies constants to RAM unless they are told to stay in flash. */
+/* An AVR copies constants to RAM unless they are marked to stay in flash. */
 #ifdef __AVR__
 #include <avr/pgmspace.h>
 #define HAPSIM_IN_FLASH PROGMEM

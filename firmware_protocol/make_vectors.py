@@ -206,6 +206,7 @@ def _words_of_doubles() -> str:
 
 
 def main() -> None:
+    """Writes the four files."""
     for path in (VECTORS, SESSIONS, DOCUMENT, PORTING):
         path.write_text(made_text(path), "utf-8")
         print(f"wrote {path}")

@@ -1,4 +1,4 @@
-"""hapsim: a real-time haptic simulator that tells what stiffness and damping the hand really feels.
+"""hapsim: a real-time haptic simulator that knows what stiffness and damping the hand really feels.
 
     scene = hapsim.load_scene("configs/first_touch.yaml")
     hapsim.predict(scene).felt[0].k        # before it runs

@@ -26,7 +26,7 @@ class Piece(NamedTuple):
     """A part of one sample period in which the force is continuous.
 
     The weights are those of the received forces: the first is the weight of the newest force whose delay ends within
-    the period, the next the weight of the force before, and so on. Weights that are left out are 0.
+    the period, the next the weight of the force before, and so on. Omitted weights are 0.
     """
 
     duration: float

@@ -26,7 +26,7 @@ void hapsim_port_put_forces(const int32_t *counts);
 
 /* Hands a whole frame to the transmitter. MUST NOT WAIT: false, and not one byte of it sent, where there is no room.
  * The next sample carries newer data than this frame would by then, and a tick that waits for a host that does not read
- * is a force that nobody watches. */
+ * is a force that nothing watches. */
 bool hapsim_port_write(const uint8_t *bytes, size_t count);
 
 /* Puts off the hardware watchdog's reset. It is called from the tick and from nowhere else, so that a tick that died

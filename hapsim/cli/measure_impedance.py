@@ -147,7 +147,7 @@ def _walls(scene: Scene, measured: MeasuredImpedance, widths: Widths, options: d
 def measured_width(measured: MeasuredImpedance, i: int, wall: MeasuredImpedance) -> MeasuredWidth:
     """Returns the Z-width of the device point at place `i`: between the device as it was measured with the scene, and
     the same with what the wall renders in the scene's place. (A hand on its stiffest passive wall hardly comes to rest:
-    that record tells less of the device.)"""
+    that record shows less of the device.)"""
     device, rendered = ((one.value[:, i, i], one.uncertainty[:, i, i]) for one in (measured.device, wall.rendered))
     with_wall = device[0] + rendered[0]
     share = device[1] / np.abs(device[0]) + (device[1] + rendered[1]) / np.abs(with_wall)
@@ -238,7 +238,7 @@ def cautions(predicted: PredictedImpedance, measured: MeasuredImpedance) -> list
             "not answer in proportion."
         )
     if measured.lost_periods:
-        found.append(f"Left out: {plural(measured.lost_periods, 'period')}, positions of which never came.")
+        found.append(f"Not used: {plural(measured.lost_periods, 'period')} with positions that never came.")
     seen = measured.seen_rate
     if seen is not None and measured.traces and seen.differs_from(measured.traces[0].rate):
         found.append(

@@ -139,7 +139,7 @@ class JsonLog:
         self._left_out: dict[tuple[str, str], int] = {}
 
     def say(self, level: Level, event: str, message: str, about: str = "", **fields: Any) -> None:
-        """Writes a line, or counts it as left out. `about`: tells it from others of its event."""
+        """Writes a line, or counts it as dropped. `about`: distinguishes it from others of its event."""
         key = event, about
         with self._lock:
             now = self._clock()
@@ -150,10 +150,10 @@ class JsonLog:
             self._write_line(level, event, message, fields, self._left_out.pop(key, 0))
 
     def close(self) -> None:
-        """Writes for each event how many of its lines were left out since its last one."""
+        """Writes for each event how many of its lines were dropped since its last one."""
         with self._lock:
             for (event, _), count in self._left_out.items():
-                self._write_line("info", event, f"{count} more of these were left out", {}, count)
+                self._write_line("info", event, f"{count} more of these were dropped", {}, count)
             self._left_out.clear()
 
     def _write_line(self, level: Level, event: str, message: str, fields: dict[str, Any], left_out: int) -> None:

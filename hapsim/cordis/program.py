@@ -44,7 +44,7 @@ class Program:
         """Of each point, by its name."""
         self.places = places_of_values(scene)
         self.stored: Any = None
-        """Kept: what tells its energy, where that is accounted for."""
+        """Kept: what computes its energy, where that is accounted for."""
         self._kept: list[Any] = []
         hands = sorted(point.channel for point in scene.device_points.values())
         self.record.hands = len(hands)

@@ -204,7 +204,7 @@ class Tank:
 
 
 class StoredEnergy:
-    """What tells the energy of a program, and keeps what that needs: in the PARAMETERS of the program from then on."""
+    """Computes the energy of a program; what that needs is kept in the program's PARAMETERS from then on."""
 
     def __init__(self, program: Any, scene: Scene, tank: Tank, force_limit: float) -> None:
         """`program`: a Program, which is not imported here: the loop would be compiled anew with every module.

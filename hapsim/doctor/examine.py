@@ -168,7 +168,7 @@ def _to_measure(
     """Returns (the scene to examine, the rates, in order, the runs). Raises UsageError."""
     if transport == "loopback":
         raise UsageError("--transport: found loopback, which has no time of its own; expected terminal, or nothing")
-    require_linux("hapsim doctor, which examines the compiled loop,", "`hapsim run --portable` tells its own lateness")
+    require_linux("hapsim doctor, which examines the compiled loop,", "`hapsim run --portable` reports how late it is")
     if scene is None:
         from hapsim.scene.shipped import shipped_scene
 

@@ -89,7 +89,7 @@ STATE = np.dtype(
 WAIT = np.dtype(
     [
         ("begun_ns", np.int64),  # the loop waits for a position since then,
-        ("for_ns", np.int64),  # at most for so long,
+        ("for_ns", np.int64),  # at most for this long,
         ("answers", np.int64),  # 1: and then sends a force
         ("due_ns", np.int64),  # where the host paces: when the next tick is due
     ],
@@ -295,7 +295,7 @@ def _held_since(state, control):
 
 @inlined
 def _leave_zero(loop, channels):
-    """Tells the slew limit and the history that zero leaves in place of the force."""
+    """Informs the slew limit and the history that zero leaves in place of the force."""
     hold_zero(loop.slew, channels)
     for c in range(np.uint64(channels)):
         loop.slew.decided[c] = 0

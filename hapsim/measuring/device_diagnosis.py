@@ -76,8 +76,8 @@ def why_too_far(fit: DeviceFit | None, pushed: Pushed) -> RunError:
     return GuardError(
         f"the device moved {1e3 * pushed.peak_m:.3g} mm from where it was found, farther than the "
         f"{1e3 * pushed.bounds.travel:g} mm that it may, pushed with {pushed.force:.3g} N: nothing more was tried. "
-        "Dry friction may have let go of it, it may be much lighter than declared, it may ring on a spring of its own, "
-        "or a hand or another force moved it; --travel allows more"
+        "It may have broken away from dry friction, it may be much lighter than declared, it may ring on a spring of "
+        "its own, or a hand or another force moved it; --travel allows more"
     )
 
 

@@ -42,11 +42,12 @@ _MOVES = 0.35  # of the travel: enough for a fit
 _MEANT = 0.6  # of the travel
 _HARDLY = 0.02  # of the travel
 _A_LITTLE_HARDER, _MUCH_HARDER = 1.25, 3.0
-_MOST_ATTEMPTS = 36
+_MOST_ATTEMPTS = 36  # from the gentlest push on
+_MOST_RECORDINGS = 4  # of a device that a first fit describes
 _MANY_TIMES_DECLARED, _LEAST_DELAY = 3.0, 8.0
 _HAND_LEAVES = 0.3  # of what one mass leaves: two are seen
 _UNSURE_HAND = 0.3  # of its mass: a hand that is none
-_PIECE_S = 0.5  # a fit of two masses goes by pieces so long
+_PIECE_S = 0.5  # a fit of two masses uses pieces of this length
 _NOISE_PEAK = 4.0  # rms: how far the noise of a record reaches
 _DELAY_STEP, _FRICTIONS, _STIFFNESSES = 2.0, (0.0, 1.0, 5.0, 20.0), (0.0, 3.0, 30.0)  # of a first fit, by swings
 _DRIVES = ((1.0, 0.5), (0.6, 1.0), (1.6, 0.7))  # pace and tightness: three simulated (K, B)
@@ -173,7 +174,7 @@ class _Pusher:
         steepest = _MAY_BE_LIGHTER * peak_per_newton(declared, full, scene.rate, self._converters)
         gentle = replace(full, force=min(full.force, _FIRST_MOVES * bounds.travel / steepest))
         duration = max(_GENTLE_HALVES * full.half, _GENTLE_TICKS) / scene.rate
-        drive, trace = self._far_enough(gentle, duration, steepest, _FIRST_TRAVEL * bounds.travel)
+        drive, trace = self._far_enough(gentle, duration, steepest, _FIRST_TRAVEL * bounds.travel, _MOST_ATTEMPTS)
         if self._stopped:
             raise UsageError("stopped before enough was recorded: nothing was identified")
         return self._sound_fit(drive, trace, [trace])
@@ -182,19 +183,22 @@ class _Pusher:
         """Records the device at several simulated (K, B), as far as it may be moved; with which ones."""
         mass = rough.mass.value + (rough.hand.mass.value if rough.hand is not None else 0.0)
         plant = Plant(mass, *(max(one.value, 0.0) for one in (rough.friction, rough.stiffness, rough.delay)))
+        piece = duration / len(_DRIVES)
         for pace, tightness in _DRIVES:
             drive = drive_for(plant, self._bounds, self._scene.rate, pace=pace, tightness=tightness)
             slope = peak_per_newton(plant, drive, self._scene.rate, self._converters)
             drive = replace(drive, force=min(drive.force, _MEANT * self._bounds.travel / slope))
-            self._records.append(self._far_enough(drive, duration / len(_DRIVES), slope, self._bounds.travel))
+            self._records.append(self._far_enough(drive, piece, slope, self._bounds.travel, _MOST_RECORDINGS))
             if self._stopped:
                 return
 
-    def _far_enough(self, drive: Drive, duration: float, slope: float, travel: float) -> tuple[Drive, Trace]:
-        """A run under this drive, or a stronger one if the device moves too little. `slope`: m that it may move with
-        each newton; `travel`: m that the first run may move it."""
+    def _far_enough(
+        self, drive: Drive, duration: float, slope: float, travel: float, attempts: int
+    ) -> tuple[Drive, Trace]:
+        """A run under this drive, or a stronger one if the device moves too little, after at most `attempts` runs.
+        `slope`: m that it may move with each newton; `travel`: m that the first run may move it."""
         before: tuple[float, float] | None = None
-        for _ in range(_MOST_ATTEMPTS):
+        for _ in range(attempts):
             bounds, travel = replace(self._bounds, travel=travel), self._bounds.travel
             trace = self._pushed(drive, duration, bounds)
             peak = self._peak(trace)

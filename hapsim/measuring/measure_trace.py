@@ -216,7 +216,7 @@ def _rest(position: Floats, asked: Floats, following: NDArray[np.bool_]) -> tupl
     """(where the asked force is zero, in counts; whether that is certain).
 
     A hand on springs and dampers to the ground is asked a force that is linear in its positions and its past: where the
-    record obeys such a law, its constant tells. The middle of the motion where the scene has masses of its own.
+    record obeys such a law, its constant gives the place. The middle of the motion where the scene has masses.
 
     `following`: for each row but the first, whether it follows the one before without a gap.
     """

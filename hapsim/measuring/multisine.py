@@ -43,6 +43,7 @@ class Lines(NamedTuple):
 
     @property
     def period_s(self) -> float:
+        """After which the force repeats, s."""
         return self.samples / self.rate
 
     def each(self, peak: float) -> float:

@@ -257,7 +257,7 @@ def warnings_about(scene: Scene, prediction: Prediction) -> list[str]:
         off = f", off by {one.error:.1%}" if math.isfinite(one.error) else ""
         warnings.append(
             f"correction {scene.device.correction} does not reach k = {one.k:.6g} N/m, b = {one.b:.6g} N·s/m at "
-            f"{one.name}: what comes nearest is simulated{off}. `hapsim check` tells what would reach it."
+            f"{one.name}: what comes nearest is simulated{off}. `hapsim check` shows what would reach it."
         )
     budget = prediction.wire_time
     if prediction.wire_of == "port" and not budget.fits:
@@ -266,7 +266,7 @@ def warnings_about(scene: Scene, prediction: Prediction) -> list[str]:
         )
         warnings.append(
             f"an exchange takes {budget.exchange_s * 1e3:.4g} ms at {scene.device.baud} baud with the host's work, the "
-            f"sample period is {budget.period * 1e3:.4g} ms: on a UART {delay} (`hapsim check` tells what the hand "
+            f"sample period is {budget.period * 1e3:.4g} ms: on a UART {delay} (`hapsim check` shows what the hand "
             "feels then). A USB device's own port does not mind."
         )
     return warnings

@@ -117,7 +117,7 @@ class Prediction:
     """As far as the poles were worked out: see `poles_method`."""
     spectral_radius: float
     poles: tuple[complex, ...]
-    """Of the whole closed loop, by decreasing modulus, those at zero left out; of a large scene some."""
+    """Of the whole closed loop, by decreasing modulus, without those at zero; of a large scene only some."""
     poles_in_all: int
     """How many the closed loop has, those at zero included."""
     poles_method: str

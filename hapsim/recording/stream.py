@@ -52,6 +52,7 @@ class Head(NamedTuple):
 
     @property
     def channels(self) -> int:
+        """Number of the device's channels."""
         return len(self.position_scale)
 
 
@@ -86,6 +87,7 @@ class StreamWriter:
         os.fsync(self._descriptor)
 
     def close(self) -> None:
+        """Closes the file; what was written stays."""
         os.close(self._descriptor)
 
     def _write_chunk(self, kind: bytes, count: int, payload: bytes) -> None:

@@ -1,4 +1,4 @@
-"""Running a scene: open the port, describe, arm, loop, disarm. Every way out tells the device to release its force.
+"""Running a scene: open the port, describe, arm, loop, disarm. Every way out asks the device to release its force.
 
 Public is what `__all__` names.
 """

@@ -81,7 +81,7 @@ class LoopMemory:
         self.record.slot.program = program.address
 
     def follow_with(self, program: Program, samples: int) -> None:
-        """Crossfades to `program`, which `take_over_from` has prepared, over so many samples."""
+        """Crossfades to `program`, which `take_over_from` has prepared, over this number of samples."""
         if self.is_replacing:
             raise ValueError("the crossfade before is not over")
         self._changes_before += sum(int(left.record.parameters.sets) for left in self._programs[:-1])
@@ -100,10 +100,12 @@ class LoopMemory:
 
     @property
     def control(self) -> Any:
+        """What the session asks of the loop: its CONTROL record."""
         return self.record.control
 
     @property
     def state(self) -> Any:
+        """What the loop reports: its STATE record."""
         return self.record.state
 
 

@@ -126,7 +126,7 @@ class LiveScene:
         return bool(self._unstable) and self._loop.energy_guard is not None and surely_shaken_by(scene) is not None
 
     def _announce(self, samples: int, is_shaken: bool) -> None:
-        """Tells the energy guard, before a change acts, whether the scene will be predicted unstable."""
+        """Informs the energy guard, before a change acts, whether the scene will be predicted unstable."""
         if self._loop.energy_guard is not None:
             self._loop.energy_guard.follow(unstable=is_shaken, samples=samples)
 

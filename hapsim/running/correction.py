@@ -91,7 +91,7 @@ class LoopCorrection:
             self._adaptive.estimate.next_span[port.channel] = round(samples)
 
     def follow(self, rendering: Rendering, samples: int) -> None:
-        """Fades to the correction of another scene over so many samples. A channel on which nothing adapts any more
+        """Fades to the correction of another scene over `samples`. A channel on which nothing adapts any more
         gets the predictor of its links, and nothing is added to their force."""
         if self._ports:
             self._set_spans(rendering)

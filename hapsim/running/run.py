@@ -40,7 +40,7 @@ def start(scene: SceneSource, **options: Any) -> Session:
     The session runs for `duration` seconds (default: no limit), until it is stopped or closed, until its with-block is
     left, and no longer than the program.
 
-    * `transport`: where the device is ("auto": the scene's port, else the mock that fits the clock).
+    * `transport`: where the device is ("auto": the scene's port, or without one the mock that fits the clock).
     * `excitation`: a force that is added to the scene's (`Excitation`, `PeriodicExcitation`).
     * `keep`: False returns a trace without rows, for runs without an end.
     * `record`: a .trace, .npz or .csv file that is written while the scene runs. Memory use does not grow, and
@@ -60,7 +60,7 @@ def start(scene: SceneSource, **options: Any) -> Session:
     * `on_progress`: called during compilation.
     * `on_warning`: called once, from another thread, with a sentence if the record can no longer be written.
     * `on_arming`: called with the session just before the device is armed. From then on `stop` ends the run cleanly.
-    * `resumes`: the device took forces before. `Session.restarted` then tells whether it powered up since, so that
+    * `resumes`: the device took forces before. `Session.restarted` then says whether it powered up since, so that
       its zero has changed; where the scene counts from that zero, the device is not armed.
 
     Raises SceneError and UsageError for what cannot run, and DeviceError if the port or the device fails. What ends

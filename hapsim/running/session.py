@@ -4,7 +4,7 @@
 rows; `_finish` disarms the device, closes the record and returns how the run ended.
 
 Both threads are daemons: the interpreter waits for all others before it calls the handlers of `atexit`, which would be
-forever for a loop that nobody stops. Compiled code must not run while its memory is freed, so a handler of `atexit`,
+forever for a loop that still runs. Compiled code must not run while its memory is freed, so a handler of `atexit`,
 which runs before numba's own, stops and joins them.
 """
 
@@ -367,7 +367,7 @@ def _require_free(port: str) -> None:
 
 @atexit.register
 def _end_with_the_program() -> None:
-    """Ends the sessions that run, and prints what ended a session that nobody closed."""
+    """Ends the sessions that run, and prints why a session that was not closed had ended."""
     if not _open:
         return
     with undisturbed():

@@ -137,7 +137,7 @@ def scene_schema() -> dict[str, Any]:
 
 
 def _without_null(schema: Any) -> Any:
-    """The schema of the file, which takes no ``null``: a None of Python is there a key that is left out."""
+    """The schema of the file, which takes no ``null``: where Python has None, the file omits the key."""
     if isinstance(schema, list):
         return [_without_null(entry) for entry in schema if entry != {"type": "null"}]
     if not isinstance(schema, dict):

@@ -47,8 +47,8 @@ class Mock(Part):
     friction: Annotated[PerChannel | None, replace(FRICTION, left_out=AS_DEVICE)] = None
     stiffness: Annotated[PerChannel | None, replace(STIFFNESS, left_out=AS_DEVICE)] = None
     delay: Annotated[float | None, replace(DELAY, left_out=AS_DEVICE)] = None
-    hold: Hold | None = Field(default=None, description=f"{HOLD}; left out: {AS_DEVICE}")
-    sampling: Sampling | None = Field(default=None, description=f"{SAMPLING}; left out: {AS_DEVICE}")
+    hold: Hold | None = Field(default=None, description=f"{HOLD}; without it: {AS_DEVICE}")
+    sampling: Sampling | None = Field(default=None, description=f"{SAMPLING}; without it: {AS_DEVICE}")
     initial: Initial = Field(default=Initial(), description="Where the moving parts are when the run starts")
     hand: Hand = Field(default=Hand(), description="The hand that holds the moving parts")
     coulomb: Annotated[float, quantity("Dry friction", "N", least=0)] = 0.0
@@ -67,7 +67,8 @@ class Mock(Part):
         quantity("What the mock takes before a position's first byte and after a force's last", "s", least=0, most=1),
     ] = 0.0
     misses: Annotated[
-        float, quantity("Share of the forces that come too late, by chance, in virtual time", "1", least=0, most=1)
+        float,
+        quantity("Share of the forces that come too late, drawn at random, in virtual time", "1", least=0, most=1),
     ] = 0.0
     grips: Annotated[
         Curve | None,

@@ -125,7 +125,7 @@ def _replaced(text: str, node: yaml.Node, new: str) -> tuple[int, int, str]:
 
 
 def _inserted(text: str, device: yaml.MappingNode, mass: yaml.Node, entry: str) -> tuple[int, int, str]:
-    """(where, where, an entry after that of the mass): in the same line in braces, else in a line of its own."""
+    """(where, where, an entry after that of the mass): in the same line in braces, otherwise in a line of its own."""
     end = _end(mass)
     if device.flow_style:
         return end, end, f", {entry}"

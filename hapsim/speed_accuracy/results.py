@@ -161,7 +161,7 @@ def verdict(one: Object, rows: Sequence[Row]) -> str:
     for row in mine:
         if row.ours and not row.good and row.note:
             reasons.setdefault(row.note.split(":", 1)[0], set()).add((row.method, row.precision, row.rate_hz))
-    parts += [f"{len(cases)} left out ({reason})" for reason, cases in reasons.items()]
+    parts += [f"{len(cases)} not shown ({reason})" for reason, cases in reasons.items()]
     return f"{one.title[0].upper()}{one.title[1:]}: {'; '.join(parts)}."
 
 

@@ -101,7 +101,7 @@ def frequencies_of(
 ) -> list[float]:
     """The eigenfrequency in Hz of each mode as it is simulated at `rate` Hz; NaN for all where that is unstable.
 
-    `explicit`: the scheme may be unstable, which its highest mode tells: that one is the first to be. `steady`:
+    `explicit`: the scheme may be unstable, which its highest mode shows: that one is the first to be. `steady`:
     the largest modulus of a pole that counts as stable.
     """
     if explicit:

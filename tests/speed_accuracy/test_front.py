@@ -55,7 +55,7 @@ def test_the_advice_is_the_cheapest_within_that_is_faster_than_real_time() -> No
     said = verdict(one, EVERY)
     assert "on the front cordis (double), rk4 (double), exact (double)" in said
     assert "none within 0.001 in real time" in said
-    assert "1 left out (unstable)" in said
+    assert "1 not shown (unstable)" in said
 
 
 def test_rows_come_back_from_a_file_and_only_the_peers_are_taken(tmp_path: Path) -> None:

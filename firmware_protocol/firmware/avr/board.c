@@ -107,7 +107,7 @@ ISR(TIMER1_COMPA_vect, ISR_NOBLOCK) {
     }
 }
 
-/* A match that nobody has served yet is in the counter, but not in `ticks`. */
+/* A match that has not been served yet is in the counter, but not in `ticks`. */
 uint32_t hapsim_port_now(void) {
     const uint8_t before = SREG;
     cli();
@@ -193,7 +193,7 @@ static void drop_oldest(void) {
     overrun = false;
     sei();
     hapsim_device_lost_bytes();
-    GPIOR2 = 2; /* for whoever watches how often */
+    GPIOR2 = 2; /* for an observer: how often */
 }
 
 static bool take_byte(void) {
@@ -206,7 +206,7 @@ static bool take_byte(void) {
     }
     const uint8_t byte = received.bytes[start];
     received.start = (uint8_t)(start + 1u);
-    GPIOR2 = 1; /* for whoever watches how long it takes */
+    GPIOR2 = 1; /* for an observer: how long it takes */
     hapsim_device_take_byte(byte);
     GPIOR2 = 0;
     return true;

@@ -15,7 +15,7 @@ void mend_chip(avr_t *avr);
 /* How many bytes the wire to the chip takes now. */
 size_t wire_room(void);
 
-/* Puts so many bytes on the wire, at most wire_room(): they arrive one after another, each when its time is over. */
+/* Puts `count` bytes on the wire, at most wire_room(): they arrive one after another, each when its time is over. */
 void put_on_wire(const uint8_t *bytes, size_t count);
 
 /* What arrived, and what came too soon for the firmware. */

@@ -5,7 +5,7 @@
 
 #define GPIOR2 0x4b
 #define RAN_OVER 2   /* what the firmware writes there when its ring did */
-#define RETURNING 4u /* cycles, which come after the interrupt is told as over */
+#define RETURNING 4u /* cycles, which come after the interrupt is reported as over */
 
 typedef struct {
     const char *what;

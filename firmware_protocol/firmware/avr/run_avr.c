@@ -3,8 +3,8 @@
  * keeps the emulated clock at real time until it is stopped.
  *
  * The emulated clock never runs ahead of it. Where this machine was held up for longer than a sample, that time is lost:
- * a burst of samples would help nobody. LOG: each force put out, be it the same again, a line of two hexadecimal
- * words: microseconds of the emulated clock, and counts. At the end it tells how many cycles the firmware's parts took.
+ * a burst of samples would be of no use. LOG: each force put out, be it the same again, a line of two hexadecimal
+ * words: microseconds of the emulated clock, and counts. At the end it prints how many cycles the firmware's parts took.
  */
 #define _GNU_SOURCE
 #include "chip.h"
@@ -214,7 +214,7 @@ int main(int count, char **words) {
     signal(SIGINT, stop);
     prctl(PR_SET_TIMERSLACK, 1);
     connect_pins();
-    mend_chip(avr); /* before those who watch: simavr tells the last one first, and they count what is added here */
+    mend_chip(avr); /* before the observers: simavr calls the last one first, and they count what is added here */
     watch_cycles(avr);
     printf("%s\n", path);
     fflush(stdout);

@@ -2,7 +2,7 @@
 /* The firmware on a Cortex-M3: SysTick makes the tick, UART 0 is the port, the interrupt of its receiver comes before the
  * tick. In place of an encoder and a motor there is simulated_mass.c.
  *
- * The emulator is told each force put out, be it the same again, a line of two hexadecimal words: microseconds, and
+ * The emulator logs each force put out, be it the same again: a line of two hexadecimal words: microseconds, and
  * counts. They are those of the ticks: the emulator's clock goes on where its machine holds it up, and ticks are lost.
  * That is done by semihosting: a real chip without a debugger stops at it, so a real board leaves note_force out.
  */
@@ -159,7 +159,7 @@ static void start_hardware(void) {
     SYSTICK->control = 7; /* counts cycles, interrupts */
     WATCHDOG_LOCK = WATCHDOG_KEY;
     WATCHDOG->load = WATCHDOG_PERIODS * HAPSIM_BOARD_PERIOD_TICKS;
-    WATCHDOG->control = 3; /* warns, and resets where nobody listens */
+    WATCHDOG->control = 3; /* warns, and resets if the warning is not answered */
     WATCHDOG_LOCK = 0;
 }
 

@@ -3,7 +3,7 @@
  * until it is stopped. One thread: the tick comes between two reads, and needs no lock.
  *
  * Its clock is made of its ticks: where others held this process up, no tick comes and the clock stands still, so that
- * what has to be over after so many periods is.
+ * what ends after a number of periods still ends after that number.
  *
  * LOG: each force put out, be it the same again, a line of two hexadecimal words: microseconds of that clock, and counts.
  */

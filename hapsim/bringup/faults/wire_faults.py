@@ -94,7 +94,7 @@ class Reorder(OnFrames):
 
 
 class Garbage(Lasting):
-    """Bytes that nobody sent arrive between two frames."""
+    """Bytes that the device did not send arrive between two frames."""
 
     counted: ClassVar[str] = "bursts of bytes"
     kind: Literal["garbage"] = "garbage"

@@ -1,6 +1,6 @@
 """The sixth to eighth step: a host that falls silent, one that does not read, and one that paces the device.
 
-A device counts samples, so the numbers tell whether its watchdog is in time. A transmitter that finds no room must not
+A device counts samples, so the numbers show whether its watchdog is in time. A transmitter that finds no room must not
 stop the tick: the numbers of a device that went on jump, those of one that waited do not. How much the system takes
 before a device finds no room is not known, so this writes more than a pseudo-terminal or a USB driver keeps.
 """

@@ -1,8 +1,8 @@
 """How fast the force may change: a slew limit between two forces that are sent, and a soft start.
 
 **The slew limit.** From one force that is sent to the next no channel changes by more than a step, in whole counts. The
-step counts from what the device holds: zero after arming and once a force's time to live is over, else the last force
-that left.
+step counts from what the device holds: zero after arming and once a force's time to live is over, otherwise the last
+force that left.
 
 Where the device reports a late force, or where a missing position may have reported one, the device may hold the last
 force that surely arrived, or any since. The next force is within a step of all of them. That is always possible, since

@@ -29,7 +29,7 @@ def collector_frozen(_thread_id: int) -> Iterator[str]:
     """Collects once, then sets what is left aside and switches collecting off. References still free what they hold."""
     was_enabled, was_frozen = gc.isenabled(), gc.get_freeze_count() > 0
     gc.collect()
-    if not was_frozen:  # gc.unfreeze would also thaw what somebody froze before
+    if not was_frozen:  # gc.unfreeze would also thaw what was frozen before
         gc.freeze()
     gc.disable()
     yield f"{gc.get_freeze_count()} objects set aside, no collection"

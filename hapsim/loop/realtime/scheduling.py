@@ -65,7 +65,7 @@ def _pin_advice(error: OSError) -> str:
 
 @measure("one processor", _pin_advice)
 def pinned(thread_id: int) -> Iterator[str]:
-    """Pins the thread to one CPU: one that is isolated from the scheduler, else the last that is allowed. The process's
+    """Pins the thread to one CPU: one that is isolated from the scheduler, or the last that is allowed. The process's
     other threads leave it where they may run elsewhere."""
     allowed = os.sched_getaffinity(thread_id)
     cpu, detail = _pin(thread_id, allowed)

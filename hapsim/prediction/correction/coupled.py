@@ -2,7 +2,7 @@
 are the ones of the continuous scene.
 
 Each device point has two numbers to give, the stiffness and the damping of its links together; so one mode of its own,
-two poles, can be put where the continuous scene has it. What the other modes become, the prediction tells.
+two poles, can be put where the continuous scene has it. The prediction shows what the other modes become.
 """
 
 from __future__ import annotations

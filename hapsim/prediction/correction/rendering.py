@@ -120,6 +120,7 @@ class _Correction:
         self.why_coupled = {port.name: why_coupled(scene, self.linear, port.name) for port in self.ports}
 
     def rendering(self) -> Rendering:
+        """Returns what runs in place of the scene, with notes on what the correction leaves undone."""
         notes: list[str] = []
         elements: dict[str, Element] = {}
         schedules: dict[str, Schedule] = {}
@@ -154,6 +155,7 @@ class _Correction:
         return Rendering(self.scene, run, seen, self.kind, corrected, tuple(notes))
 
     def declared(self, port: Port) -> Configuration:
+        """Returns the device at this port as the scene declares it."""
         damper, cutoff = next(iter(dampers_of(self.linear, port.name)), ("backward", None))
         return configuration_of(self.scene, port.channel, damper, cutoff)
 
@@ -164,6 +166,7 @@ class _Correction:
         return with_device(scene, delay=0.0, sampling="ideal")
 
     def with_elements(self, elements: Mapping[str, Element]) -> Scene:
+        """Returns the scene with its links at each named port replaced by that port's element."""
         changed: dict[str, Module] = {}
         for port in self.ports:
             if port.name in elements:
@@ -258,6 +261,7 @@ class _Correction:
         return [f"{placed}; stable with the least and with the most mass, too"]
 
     def corrected(self, port: Port, element: Element, schedule: Schedule | None) -> Corrected:
+        """Returns what the correction with this element does at this port."""
         declared = self.declared(port)
         k, b = port.stiffness + declared.stiffness, port.damping + declared.friction
         grounds = [

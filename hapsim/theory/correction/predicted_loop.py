@@ -56,8 +56,8 @@ class PredictedLoop(NamedTuple):
         return np.asarray(np.abs(self.poles(K, B)[..., 0]))[()]
 
     def impedance(self, K: float, B: float, frequency: ArrayLike) -> Complexes:
-        """Force over velocity, N·s/m, that is rendered at frequencies (n,) in Hz to a hand of whose force the predictor
-        knows nothing, the device's own left out; where no velocities are sent. NaN from the Nyquist frequency on, and
+        """Force over velocity, N·s/m, that is rendered at frequencies (n,) in Hz to a hand whose force the predictor
+        does not know, without the device's own; where no velocities are sent. NaN from the Nyquist frequency on, and
         at 0."""
         f = np.asarray(frequency, dtype=float)
         theta = 2.0 * np.pi * f * self.plant.period
@@ -68,7 +68,7 @@ class PredictedLoop(NamedTuple):
         return found
 
     def steady_stiffness(self, K: float, B: float) -> float:
-        """N/m: what a steady push meets, read with a velocity of 0; the device's own spring left out."""
+        """N/m: what a steady push meets, read with a velocity of 0, without the device's own spring."""
         return float(self._stiffness_at(np.ones(1, dtype=complex), K, B)[0].real)
 
     def noise_gain(self, K: float, B: float) -> float:

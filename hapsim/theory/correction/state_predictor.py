@@ -67,7 +67,7 @@ class StatePredictor(NamedTuple):
         return np.vstack([ahead, state[2]])
 
     def for_compliance(self, compliance: float) -> StatePredictor:
-        """The same, where the position ahead is further by so many metres per newton of the push."""
+        """The same, where the position ahead moves this number of metres per newton of the push."""
         ahead = self.ahead.copy()
         ahead[0, 2] += compliance
         return self._replace(ahead=ahead)

@@ -311,7 +311,7 @@ class Configuration:
         return stiffness / self.stiffness_unit, damping / self.damping_unit
 
     def _element(self, k: ArrayLike, b: ArrayLike) -> tuple[Floats, Floats, PolePair, Bools]:
-        """(K T²/m, B T/m, the poles of (k, b), whether there is an answer), further poles left out of account."""
+        """(K T²/m, B T/m, the poles of (k, b), whether there is an answer), further poles not taken into account."""
         kappa, sigma = self._normalised(k, b)
         more_kappa, more_sigma = self._normalised(np.subtract(k, self.stiffness), np.subtract(b, self.friction))
         K, B, pair = element_of_oscillator(self._equation, (sigma, kappa), (more_sigma, more_kappa))

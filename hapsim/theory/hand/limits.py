@@ -58,8 +58,8 @@ def stable_interval(
 ) -> tuple[Floats, Floats]:
     """The lowest stable interval of kappa (``sought`` 0) or beta (1), for given values (n,) of the other.
 
-    Between two values at which a pole may cross the unit circle stability does not change: one look at each interval
-    tells. Returns (least, most), NaN where nothing is stable, infinity where nothing ends it.
+    Between two values at which a pole may cross the unit circle stability does not change: one test of each interval
+    is enough. Returns (least, most), NaN where nothing is stable, infinity where nothing ends it.
     """
     with_real_pole = [at(equation, sought, given)[:, None] for at in (_with_pole_at_rest, _with_alternating_pole)]
     tied = [(-(g + h * given) if sought == 0 else -(g + given) / h)[:, None] for h, g in curve.tied]

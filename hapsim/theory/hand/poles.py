@@ -24,7 +24,7 @@ POLISH_DONE = 1e-11  # relative size of a step
 POLISH_ACCEPTED = 1e-6  # the same: close to a further pole the last digits do not settle
 POLISH_MAY_MOVE = 1e-5  # eigenvalues are better than that: a step further leads to another pair
 FREE_MASS = 1e-40  # a p or q smaller than this is zero
-POINTS_AT_ONCE = 32768  # of large arrays: so many fit a core's cache
+POINTS_AT_ONCE = 32768  # of large arrays: this number fits a core's cache
 
 
 def quietly_in_blocks(method: Callable[..., Any]) -> Callable[..., Any]:

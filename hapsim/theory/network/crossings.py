@@ -8,7 +8,7 @@ g(z) = v'(z - M)^-1 u, and on the circle s is real where g(z) = g(1/z). Since
 with A = M - 1 and y = 2 - z - 1/z, which is 4 sin²(angle/2) on the circle, the crossings are the zeros of
 h(y) = v'(A² + y M)^-1 u between 0 and 4, and z = 1 and z = -1. With P = A² + y0 M and G = P^-1 M the zeros are those y
 for which -1/(y - y0) is an eigenvalue of G - P^-1 u v'G/h(y0): as many as the state has numbers, in real arithmetic,
-and slow ones to all their digits. How large s is there, the scene's response tells (``response.py``).
+and slow ones to all their digits. The scene's response (``response.py``) gives s there.
 """
 
 from __future__ import annotations

@@ -23,7 +23,7 @@ TURN = 0.7  # between two places a change differs by less than a factor exp of i
 CLOSE = 1e-9  # radians: places are not taken closer together
 RESTS = 1e-9  # a pole this close to the circle is on it
 NEARBY = (0.0, 1.0, 3.0)  # widths of a resonance at which its surroundings are sampled
-FAR = 2.0  # crossings are refined up to so many times the distance from 1 of the nearest
+FAR = 2.0  # crossings are refined up to this multiple of the nearest one's distance from 1
 
 
 def margins_along_circle(network: Network, links: Indices, poles: Complexes) -> tuple[Floats, str]:

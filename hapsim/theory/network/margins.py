@@ -120,7 +120,7 @@ def _by_poles(network: Network, links: int, size: int, unstable: bool) -> _Searc
     most = max(most, int(size <= ONE_AT_LEAST))
     how = "by the poles, in steps of a tenth, beyond tenfold of double: what comes and goes within one is not seen"
     if not most:
-        how = f"none was worked out: of so many masses that is not done under scheme: {network.scheme}"
+        how = f"none was worked out: under scheme: {network.scheme} that is done for fewer masses only"
     elif links > most:
         how = f"{most} of {links} links, those that touch a hand first; {how}"
     return _Search(most, how, lambda link, quantity: ChangedLink(network, link, quantity).ranges_searched(unstable))
@@ -128,8 +128,8 @@ def _by_poles(network: Network, links: int, size: int, unstable: bool) -> _Searc
 
 def _along_circle(network: Network, links: Indices, asked: int, poles: Complexes, unstable: bool) -> _Search:
     if unstable or not links.size:
-        why = "a large scene that is unstable" if unstable else "a large scene with so many links and no hand"
-        return _Search(0, f"none was worked out: that is not done of {why}", lambda _link, _quantity: ())
+        why = "a large scene that is unstable" if unstable else "a large scene with many links and no hand"
+        return _Search(0, f"none was worked out: that is not done for {why}", lambda _link, _quantity: ())
     factors, how = margins_along_circle(network, links, poles)
     of_link = dict(zip(links.tolist(), factors.tolist(), strict=True))
     some = f"{links.size} of {asked} links, those that touch a hand; " if links.size < asked else ""

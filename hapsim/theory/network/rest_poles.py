@@ -8,10 +8,10 @@ Where all stiffnesses are positive, each part that neither a ground nor a held c
 its translation. A spring of negative stiffness, as bending has, allows others, such as the tilt of a free bar; in parts
 with one they are counted.
 
-A long bar's slowest bending is softer than its stiffness by the fourth power of its length, so that no tolerance tells
-it from a rigid motion. The count is therefore exact: each floating-point number, an integer times a power of two, is
-taken as it is, in the integers modulo a prime. `scipy.linalg.null_space` finds 18 poles in place of 4 for a free bar of
-100 masses whose stiffnesses span twelve decades.
+A long bar's slowest bending is softer than its stiffness by the fourth power of its length, so that no tolerance
+separates it from a rigid motion. The count is therefore exact: each floating-point number, an integer times a power of
+two, is taken as it is, in the integers modulo a prime. `scipy.linalg.null_space` finds 18 poles in place of 4 for a
+free bar of 100 masses whose stiffnesses span twelve decades.
 """
 
 from __future__ import annotations
