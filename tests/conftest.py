@@ -1,5 +1,5 @@
-"""The command line, called in this process as the console script calls it; the firmware's boards, built once; figures
-told at the end of a run."""
+"""The command line, called in this process as the console script calls it, or in a process of its own; the firmware's
+boards, built once; figures told at the end of a run."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import os
 import shutil
 import signal
 import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -90,6 +91,72 @@ def hapsim(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -
         return Answer(int(caught.value.code or 0), captured.out, captured.err)
 
     return call
+
+
+class Forked:
+    """A program in a process, and a process group, of its own, which `fork_server.py` started."""
+
+    def __init__(self, server: subprocess.Popen[str], argv: list[str], program: str, outputs: list[Path]) -> None:
+        self._server, self._outputs, self._status = server, outputs, None
+        work = {"argv": argv, "program": program, "outputs": [*map(str, outputs)]}
+        self.pid = int(self._ask(work))
+
+    def _ask(self, request: Any) -> Any:
+        assert self._server.stdin is not None
+        assert self._server.stdout is not None
+        print(json.dumps(request), file=self._server.stdin, flush=True)
+        return json.loads(self._server.stdout.readline())
+
+    def poll(self) -> int | None:
+        """The exit status, -N after signal N; None while it runs."""
+        if self._status is None:
+            self._status = self._ask(self.pid)
+        return self._status
+
+    def wait(self, timeout: float = 60.0) -> int:
+        give_up = time.monotonic() + timeout
+        while (status := self.poll()) is None:
+            assert time.monotonic() < give_up, "a program that hangs"
+            time.sleep(0.01)
+        return status
+
+    def kill(self) -> None:
+        if self.poll() is None:
+            os.kill(self.pid, signal.SIGKILL)
+            self.wait()
+
+    @property
+    def out(self) -> str:
+        return self._outputs[0].read_text("utf-8")
+
+    @property
+    def err(self) -> str:
+        return self._outputs[1].read_text("utf-8")
+
+
+@pytest.fixture(scope="session")
+def fork_server() -> Iterator[subprocess.Popen[str]]:
+    command = [sys.executable, Path(__file__).with_name("fork_server.py")]
+    pipes: Any = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+    with subprocess.Popen(command, text=True, start_new_session=True, **pipes) as server:
+        yield server
+        server.communicate()
+
+
+@pytest.fixture
+def start_hapsim(fork_server: subprocess.Popen[str], tmp_path: Path) -> Iterator[Callable[..., Forked]]:
+    """Starts `hapsim …`, or another program, in a process of its own that has everything imported; kills it when the
+    test ends."""
+    started: list[Forked] = []
+
+    def start(*words: object, program: str = "cli.main()") -> Forked:
+        outputs = [tmp_path / f"{len(started)}.{name}" for name in ("out", "err")]
+        started.append(Forked(fork_server, ["hapsim", *map(str, words)], program, outputs))
+        return started[-1]
+
+    yield start
+    for one in started:
+        one.kill()
 
 
 @pytest.fixture(scope="session")

@@ -1,4 +1,5 @@
-"""Compiling ahead of a run, half of it in a second process, and `hapsim compile`."""
+"""Compiling ahead of a run, half of it in a second process, and `hapsim compile`. That all of it is then kept from
+nothing is seen of the wheel (tests/package)."""
 
 from __future__ import annotations
 
@@ -39,34 +40,6 @@ NAMES = ("loop", "port", "mock")
 
 def scene_with(clock: str) -> Scene:
     return parse_scene(shipped_scene("first_touch.yaml").replace("clock: device", f"clock: {clock}"), FIRST_TOUCH)
-
-
-AFTERWARDS = """
-from hapsim.running.compile_ahead import UNITS, main
-print([name for name in ("loop", "port", "mock", "portable") if UNITS[name].is_kept()])
-main(["mock"])
-"""
-
-
-def test_what_the_first_and_the_second_process_compile_is_kept_and_compiled_no_more(tmp_path: Path) -> None:
-    """From nothing, as on a new machine; one process after the other."""
-
-    def call(*words: str) -> tuple[str, str]:
-        environment = os.environ | {"XDG_CACHE_HOME": str(tmp_path)}
-        command = [sys.executable, *words]
-        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False, timeout=300)
-        assert done.returncode == 0, done.stderr[-2000:]
-        return done.stdout, done.stderr
-
-    compile_it = ("-m", "hapsim", "compile", FIRST_TOUCH)
-    out, err = call(*compile_it)
-    assert "compiling, once on this machine: " in err
-    number = int(out.removeprefix("Compiled ").partition(" ")[0])
-    assert 80 < number < 250
-    assert out.endswith(f" s; kept in {tmp_path / 'hapsim'}\n")
-    assert call("-c", AFTERWARDS)[0] == "['loop', 'port', 'mock']\n"  # and a second process compiles nothing any more
-    assert call(*compile_it) == (f"Nothing to compile: everything is kept in {tmp_path / 'hapsim'}\n", "")
-    assert "compiling" not in call("-m", "hapsim", "run", FIRST_TOUCH, "--duration", "0.1")[1]
 
 
 # The second process.
@@ -211,7 +184,10 @@ def test_an_interrupt_of_the_first_process_ends_the_second(
 
 @pytest.fixture(scope="module")
 def everything() -> None:
-    prepare()
+    """In this process alone: what is kept is loaded here in any case."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "cpu_count", lambda: 1)
+        prepare()
 
 
 @pytest.mark.parametrize("precision", ["single", "double"])

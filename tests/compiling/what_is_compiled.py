@@ -13,6 +13,7 @@ import gc
 import importlib
 import inspect
 import json
+import re
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -35,7 +36,10 @@ def place_of(folder: Path) -> Path:
 
 
 def modules_in(folder: Path) -> Iterator[str]:
+    """Those that may have compiled functions: all that name what compiles one. The others load plots and filters."""
     for file in sorted(folder.rglob("*.py")):
+        if not re.search("numba|compil|native|inlined|helper", file.read_text(encoding="utf-8")):
+            continue
         parts = file.relative_to(place_of(folder)).with_suffix("").parts
         if parts[-1] != "__main__":
             yield ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
@@ -67,9 +71,14 @@ def compiled() -> Iterator[tuple[str, Any]]:
 def file_of(one: Any) -> str | None:
     """Where one of ours stands; None of others."""
     try:
-        file = Path(inspect.getsourcefile(one) or "").resolve()
+        return our_file(inspect.getsourcefile(one) or "")
     except TypeError:
         return None
+
+
+@functools.cache
+def our_file(name: str) -> str | None:
+    file = Path(name).resolve()
     return str(file) if any(file.is_relative_to(folder) for folder in FOLDERS) else None
 
 
@@ -84,14 +93,13 @@ def imported_from(file: str) -> dict[str, str]:
     }
 
 
-def names_in(code: CodeType) -> Iterator[tuple[str, str]]:
+@functools.cache
+def names_in(code: CodeType) -> frozenset[tuple[str, str]]:
     """(how it is looked up, name) of all names in a function and in those that it makes."""
-    for instruction in dis.get_instructions(code):
-        if instruction.opname in ("LOAD_GLOBAL", "LOAD_ATTR", "LOAD_METHOD"):
-            yield instruction.opname, str(instruction.argval)
-    for constant in code.co_consts:
-        if isinstance(constant, CodeType):
-            yield from names_in(constant)
+    looked_up = ("LOAD_GLOBAL", "LOAD_ATTR", "LOAD_METHOD")
+    found = {(one.opname, str(one.argval)) for one in dis.get_instructions(code) if one.opname in looked_up}
+    inside = [names_in(constant) for constant in code.co_consts if isinstance(constant, CodeType)]
+    return frozenset(found.union(*inside))
 
 
 def reached_from(root: FunctionType) -> set[str]:
@@ -112,7 +120,7 @@ def reached_from(root: FunctionType) -> set[str]:
             continue
         if chosen.get(id(one), one) is not one:
             ahead.append(chosen[id(one)])
-        names = list(names_in(one.__code__))
+        names = names_in(one.__code__)
         ahead += [cell.cell_contents for cell in one.__closure__ or ()]
         for name in {name for how, name in names if how == "LOAD_GLOBAL"} & set(one.__globals__):
             value = one.__globals__[name]

@@ -15,7 +15,7 @@ from hapsim.scene import Scene, parse_scene
 
 RATE = 1000.0
 T = 1.0 / RATE
-SAMPLES = 10_000
+SAMPLES = 3_000
 
 
 def scene_of(scheme: str, modules: Mapping[str, Any], rate: float = RATE, precision: str = "double") -> Scene:

@@ -13,7 +13,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parent))
 from written import RATE
 
-SAMPLES = 4_000
+SAMPLES = 2_000
 ENDS = ("fixed", "clamped", "free")
 TWO_ENDS = list(itertools.product(ENDS, repeat=2))
 FOUR_EDGES = list(itertools.product(("fixed", "free"), repeat=4))

@@ -57,21 +57,6 @@ def test_the_mock_s_steps_of_force_stay_fine_however_large_a_limit_a_scene_has(n
     assert said.force_scale[0] * 2**31 == 1e6
 
 
-# Arming.
-
-
-@pytest.mark.parametrize("channels", [1, 3, 4, 16])
-@pytest.mark.parametrize("pacing", [DEVICE, HOST, LOCKSTEP])
-def test_arming_is_answered_by_a_status_and_then_position_0(new_host: New, channels: int, pacing: int) -> None:
-    where = [0.001 * (c + 1) for c in range(channels)]
-    host = new_host(channels, mock={"initial": {"position": where}, "quantum": 1e-6})
-    status, position = host.arm(pacing)
-    assert (status.type, status.number, status.state, status.fault) == (schema.STATUS, 0, schema.ARMED, 0)
-    assert (position.type, position.number) == (schema.POSITION, 0)
-    assert position.counts == tuple(1000 * (c + 1) for c in range(channels))
-    assert host.misread == 0
-
-
 # Exchanging.
 
 
@@ -90,21 +75,6 @@ def test_paced_by_the_host_the_mass_moves_for_as_long_as_the_force_was_in_coming
     for n, now in enumerate([6.0, 6.5, 9.0, 9.0]):
         (position,) = host.force(n, now=int(now * T_NS))
         assert position.counts[0] * 1e-9 == pytest.approx((now - 5) * 1e-3, abs=3e-9)
-
-
-def test_a_sample_without_an_answer_holds_the_force_and_says_so(new_host: New) -> None:
-    host = new_host(device={"delay": 0, "mass": 1.0}, mock={"quantum": 1e-12})
-    host.arm(DEVICE)
-    host.force(0, [2**30])
-    types, speeds = [], []
-    for _ in range(4):
-        (position,) = host.sample_passes()
-        types.append(position.type)
-        speeds.append(float(host.bodies["velocity"][0]))
-    assert types == [schema.POSITION, *[schema.POSITION_HELD] * 3]
-    assert speeds == pytest.approx([0.005, 0.01, 0.015, 0.02])
-    host.disarm()
-    assert host.register(schema.REG_HELD) == 3
 
 
 # The limit.
@@ -214,40 +184,6 @@ def latched(new_host: New, channels: int = 1) -> Any:
     host.sample_passes()
     assert host.look_at_watchdog()[0].state == schema.LATCHED
     return host
-
-
-# Out of scale.
-
-
-def test_a_position_out_of_scale_latches(new_host: New) -> None:
-    host = new_host(3, device={"delay": 0}, mock={"quantum": 1e-12, "initial": {"velocity": [0.0, 1.0, 0.0]}})
-    host.arm()  # the second channel leaves 2.147 mm in the third sample
-    assert [host.force(n, [FULL] * 3)[0].type for n in range(2)] == [schema.POSITION] * 2
-    (status,) = host.force(2, [FULL] * 3)
-    assert (status.type, status.number, status.state) == (schema.STATUS, 3, schema.LATCHED)
-    assert status.fault == schema.POSITION_OUT_OF_RANGE
-    assert not host.commanded.any()
-    assert host.force(3, [FULL] * 3) == []
-    assert host.register(schema.REG_FAULT) == schema.POSITION_OUT_OF_RANGE
-
-
-# Disarming.
-
-
-@pytest.mark.parametrize("channels", [1, 3, 4, 16])
-@pytest.mark.parametrize("pacing", [DEVICE, HOST, LOCKSTEP])
-def test_disarming_zeroes_every_force_at_once_those_on_their_way_too(new_host: New, channels: int, pacing: int) -> None:
-    host = new_host(channels, device={"delay": 7.5})
-    host.arm(pacing)
-    for n in range(4):
-        host.force(n, [FULL] * channels)
-        if pacing == DEVICE:
-            host.sample_passes()
-    assert host.commanded.any()
-    (status,) = host.disarm()
-    assert (status.type, status.number, status.state) == (schema.STATUS, 4, schema.IDLE)
-    assert not host.commanded.any()
-    assert host.misread == 0
 
 
 def test_a_run_of_a_thousand_years_goes_on_as_it_began(new_host: New) -> None:

@@ -8,47 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from firmware_protocol import schema
-from firmware_protocol.description import to_registers
-from hapsim.device.connection import Connection
-from hapsim.device.conversation import arm, describe, disarm, read_register
-from hapsim.device.mock.assemble import assemble_mock, describe_mock
 from hapsim.device.mock.firmware import INPUT_BYTES
 from hapsim.device.mock.loopback import loopback_transport
 from hapsim.loop.endings import FAILED, TIMED_OUT
 
 New = Callable[..., Any]
-
-
-def line_to(mock: Any) -> Connection:
-    return Connection(transport=loopback_transport(mock), name="mock in memory", close=lambda: None)
-
-
-@pytest.mark.parametrize("channels", [1, 4, 16])
-def test_the_conversation_hears_what_the_mock_says_of_itself(new_scene: New, channels: int) -> None:
-    scene = new_scene(channels, device={"force_limit": 4.0}, mock={"quantum": 1e-7})
-    line = line_to(assemble_mock(scene))
-    description = describe(line)
-    assert description == describe_mock(scene)
-    for number in range(schema.REG_CHANNEL + channels * schema.CHANNEL_WORDS):
-        assert read_register(line, number) == to_registers(description)[number]
-
-
-def test_the_conversation_arms_and_disarms(new_scene: New) -> None:
-    mock = assemble_mock(new_scene(4))
-    line = line_to(mock)
-    for _ in range(2):
-        wire = arm(line, describe(line), schema.LOCKSTEP, 100)
-        assert mock.board.state == schema.ARMED
-        assert disarm(line, wire)
-        assert mock.board.state == schema.IDLE
-
-
-def test_a_disarm_in_doubt_is_heard_by_a_mock_that_was_not_armed(new_scene: New) -> None:
-    line = line_to(assemble_mock(new_scene(4)))
-    wire = arm(line, describe(line), schema.LOCKSTEP, 100)
-    assert disarm(line, wire)
-    assert disarm(line, wire)
 
 
 @pytest.mark.parametrize("room", [1, 2, 7, 11, 64])

@@ -65,7 +65,7 @@ def test_holds_and_samplings_are_what_their_entries_say(
 ) -> None:
     monkeypatch.setitem(HOLDS, hold, (HOLDS | UNSHIPPED)[hold])
     monkeypatch.setitem(SAMPLINGS, sampling, WINDOWS[sampling])
-    commands = np.random.default_rng(7).uniform(-30.0, 30.0, 60)
+    commands = np.random.default_rng(7).uniform(-30.0, 30.0, 25)
     for b in (0.0, 60.0):
         body = body_of(0.05, b, position=0.02, velocity=-0.4)
         positions, velocities = read_by_the_mock(hold, sampling, delay, body, commands)
@@ -116,7 +116,7 @@ def test_through_the_wire_positions_and_velocities_are_those_of_an_event_by_even
         device={"mass": m, "friction": b, "delay": delay, "hold": hold, "sampling": sampling, "force_limit": limit},
         mock={"initial": {"position": x, "velocity": v}, "quantum": quantum},
     )
-    counts = np.random.default_rng(8).integers(-(2**31), 2**31, 60).tolist()
+    counts = np.random.default_rng(8).integers(-(2**31), 2**31, 25).tolist()
     forces = [[count] for count in counts]
     commands = [count * limit / 2**31 for count in counts]
     positions, velocities = event_by_event(hold, sampling, delay, m, b, x, v, commands)
@@ -297,7 +297,7 @@ def test_every_channel_has_noise_of_its_own_from_the_first_sample_on(
 def test_velocities_have_normal_noise_of_their_own_as_many_periods_of_the_position_s_as_there_are_in_a_second(
     new_host: Callable[..., Any], exchange: Callable
 ) -> None:
-    n = 4000
+    n = 2000
     host = new_host(channels=2, rate=2000.0, mock={"noise": 1e-6, "quantum": 1e-9})
     heard = exchange(host, [[0, 0]] * n, velocity=True)
     noise = np.array([frame.counts for frame in heard if frame.type == schema.POSITION])

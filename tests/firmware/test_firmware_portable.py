@@ -8,13 +8,11 @@ import struct
 import subprocess
 from decimal import Decimal, getcontext
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 import firmware_protocol
 from firmware_protocol.make_vectors import PORTING, made_text
-from firmware_protocol.sessions import DEVICES, steps_of
 
 FIRMWARE = Path(firmware_protocol.__file__).parent / "firmware"
 
@@ -89,31 +87,3 @@ def test_a_double_handed_to_the_header_of_a_short_one_stops_the_compiler_with_a_
     refused = subprocess.run([*command, "-o", str(tmp_path / "o")], capture_output=True, text=True, check=False)
     assert refused.returncode != 0
     assert "double has 4 bytes" in refused.stderr
-
-
-def test_every_device_that_is_broken_on_purpose_can_be_built(built_broken: Path) -> None:
-    names = {path.name for path in built_broken.iterdir()} - {"done"}
-    assert names == {"sign", "scale", "rate", "transmitter", "tick", "watchdog", "arrival"}
-
-
-@pytest.mark.parametrize("name", ["watchdog", "arrival"])
-def test_a_state_machine_that_is_broken_on_purpose_fails_a_session(name: str, harness: Any, tmp_path: Path) -> None:
-    """The same changes as linux/broken makes, so that what they break is seen in virtual time."""
-    script = (FIRMWARE / "linux" / "broken").read_text("utf-8")
-    change = re.search(rf"^make_broken {name} \"\" '(.*)'$", script, re.MULTILINE)
-    assert change is not None
-    core = tmp_path / name / "hapsim_device.c"
-    core.parent.mkdir()
-    changed = subprocess.run(
-        ["sed", change[1], FIRMWARE / "hapsim_device.c"], capture_output=True, text=True, check=True
-    )
-    core.write_text(changed.stdout)
-    sound, broken = (_outcomes(harness, which) for which in (FIRMWARE / "hapsim_device.c", core))
-    assert sound != broken
-
-
-def _outcomes(harness: Any, core: Path) -> list[str]:
-    steps = steps_of("plain", [{"arm": {"watchdog": 2}}, {"host": ["force 0 5 argument=9"]}])
-    lines = [f"bytes {step['bytes']}" for step in steps] + ["tick"] * 4
-    outcomes: list[str] = harness({"name": "plain"} | DEVICES["plain"], core)(lines)
-    return outcomes

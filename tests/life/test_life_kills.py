@@ -10,10 +10,9 @@ import contextlib
 import json
 import os
 import signal
-import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +29,6 @@ pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="ports of Linux,
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 SWINGING = Path(__file__).parents[2] / "tools" / "bench" / "swinging.yaml"
-HAPSIM = ["nice", "-n", "-15", sys.executable, "-m", "hapsim"]
 TIME_TO_LIVE = 20  # samples: what hapsim asks for at 1 kHz
 PATIENCE_S = 60.0  # for a machine that hangs
 Start = Callable[..., Any]
@@ -44,43 +42,29 @@ def scene(tmp_path: Path) -> Path:
     return path
 
 
-class Host:
-    """A hapsim that runs, in a process group of its own."""
-
-    def __init__(self, scene: Path, port: str, *words: object) -> None:
-        command = [*HAPSIM, "run", scene, "--port", port, "--duration", 1e6, *words]
-        self.process = subprocess.Popen(
-            list(map(str, command)),
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            start_new_session=True,
-        )
-
-    def end(self) -> tuple[int, str, str]:
-        """Its status, and what it said, once it has ended; nothing of it is left."""
-        out, err = self.process.communicate(timeout=PATIENCE_S)
-        with pytest.raises(ProcessLookupError):
-            os.killpg(self.process.pid, 0)
-        return self.process.returncode, out, err
+def require_over(host: Any) -> None:
+    """It has ended, and nothing of it is left."""
+    host.wait(PATIENCE_S)
+    with pytest.raises(ProcessLookupError):
+        os.killpg(host.pid, 0)
 
 
-@contextlib.contextmanager
-def hosting(scene: Path, board: Any, tmp_path: Path) -> Iterator[tuple[Host, Path]]:
-    """A host that has played with the board for a second of its samples, and its record. Where a machine that is busy
-    with other tests held it up so long that the board latched, another one."""
-    for attempt in range(10):
-        record, before = tmp_path / f"{attempt}.npz", len(board.forces())
-        host = Host(scene, board.port, "--record", record, "--reports", tmp_path / "reports")
-        board.wait_for(lambda forces: len(forces) > before + 1000 or host.process.poll() is not None)  # noqa: B023
-        if host.process.poll() is None:
-            break
-        host.end()
-    try:
-        yield host, record
-    finally:
-        host.process.kill()
-        host.process.communicate()
+@pytest.fixture
+def start_host(start_hapsim: Start, scene: Path, tmp_path: Path) -> Start:
+    """Starts a host; returns it and its record once it has played with a board for a second of its samples. Where a
+    machine that is busy with other tests held it up so long that the board latched, another one."""
+
+    def start(board: Any) -> tuple[Any, Path]:
+        for attempt in range(10):
+            record, before = tmp_path / f"{attempt}.npz", len(board.forces())
+            words = ("--record", record, "--reports", tmp_path / "reports")
+            host = start_hapsim("run", scene, "--port", board.port, "--duration", 1e6, *words)
+            board.wait_for(lambda forces: len(forces) > before + 1000 or host.poll() is not None)  # noqa: B023
+            if host.poll() is None:
+                break
+        return host, record
+
+    return start
 
 
 def require_port_is_free(port: str) -> None:
@@ -99,13 +83,14 @@ def require_port_is_free(port: str) -> None:
 
 
 def test_of_a_host_that_is_killed_the_record_is_read_up_to_the_last_second(
-    start_board: Start, scene: Path, tmp_path: Path
+    start_board: Start, start_host: Start
 ) -> None:
     board = start_board("linux")
-    with hosting(scene, board, tmp_path) as (host, record):
-        first = len(board.forces())
-        os.kill(host.process.pid, signal.SIGKILL)
-        assert host.end()[0] == -signal.SIGKILL
+    host, record = start_host(board)
+    first = len(board.forces())
+    os.kill(host.pid, signal.SIGKILL)
+    require_over(host)
+    assert host.poll() == -signal.SIGKILL
     forces = board.wait_for(lambda forces: forces[-1][1] == 0)
     assert first > 1000
     last = max(i for i, (_, counts) in enumerate(forces) if counts)
@@ -121,26 +106,26 @@ def test_of_a_host_that_is_killed_the_record_is_read_up_to_the_last_second(
     require_port_is_free(board.port)
 
 
-def test_a_device_that_is_killed_ends_the_run_with_a_report_and_a_whole_record(scene: Path, tmp_path: Path) -> None:
+def test_a_device_that_is_killed_ends_the_run_with_a_report_and_a_whole_record(
+    start_hapsim: Start, scene: Path, tmp_path: Path
+) -> None:
     """In lockstep over its port, where a busy machine makes nobody late."""
     scene.write_text(scene.read_text("utf-8").replace("clock: device", "clock: lockstep"), "utf-8")
     record, reports = tmp_path / "t.trace", tmp_path / "reports"
-    mock = subprocess.Popen(
-        [*HAPSIM, "mock", scene], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, start_new_session=True
-    )
-    try:
-        assert mock.stdout is not None
-        host = Host(scene, mock.stdout.readline().strip(), "--record", record, "--reports", reports, "--json")
-        while not (record.exists() and load_whole(record) > 100):
-            assert host.process.poll() is None, host.end()
-            time.sleep(0.05)
-    finally:
-        mock.kill()
-        mock.communicate()
-    status, out, err = host.end()
-    assert status == 3
-    assert "Traceback" not in err
-    document = json.loads(out)
+    mock = start_hapsim("mock", scene)
+    while not (port := mock.out.strip()).startswith("/dev/"):
+        assert mock.poll() is None, mock.err
+        time.sleep(0.01)
+    words = ("--record", record, "--reports", reports, "--json")
+    host = start_hapsim("run", scene, "--port", port, "--duration", 1e6, *words)
+    while not (record.exists() and load_whole(record) > 100):
+        assert host.poll() is None, host.err
+        time.sleep(0.05)
+    mock.kill()
+    require_over(host)
+    assert host.poll() == 3
+    assert "Traceback" not in host.err
+    document = json.loads(host.out)
     assert document["ending"] in ("device gone", "port failed")
     assert document["released"] is False
     assert "did not confirm that it released its force" in document["error"]
@@ -160,21 +145,22 @@ def load_whole(record: Path) -> int:
 
 
 def test_a_device_that_is_stopped_and_goes_on_puts_out_nothing_but_what_it_had(
-    start_board: Start, scene: Path, tmp_path: Path
+    start_board: Start, start_host: Start, tmp_path: Path
 ) -> None:
     """Its tick stands still meanwhile, and so does its force; then that lives no longer than any other."""
     board = start_board("linux")
     for _ in range(5):
-        with hosting(scene, board, tmp_path) as (host, record):
-            os.kill(board.process.pid, signal.SIGSTOP)
-            try:
-                status, _, err = host.end()
-                stopped = board.put_out()
-            finally:
-                os.kill(board.process.pid, signal.SIGCONT)
+        host, record = start_host(board)
+        os.kill(board.process.pid, signal.SIGSTOP)
+        try:
+            require_over(host)
+            stopped = board.put_out()
+        finally:
+            os.kill(board.process.pid, signal.SIGCONT)
         if load_trace(record).report.ending == "device silent":
             break  # else a machine that is busy with other tests made the board latch just before
-    assert status == 3
+    assert host.poll() == 3
+    err = host.err
     assert "the device was silent" in err
     assert "did not confirm that it released its force" in err
     assert "Traceback" not in err
@@ -186,14 +172,11 @@ def test_a_device_that_is_stopped_and_goes_on_puts_out_nothing_but_what_it_had(
     require_port_is_free(board.port)
 
 
-def test_a_run_whose_output_nobody_reads_leaves_its_record(tmp_path: Path) -> None:
+def test_a_run_whose_output_nobody_reads_leaves_its_record(start_hapsim: Start, tmp_path: Path) -> None:
     text = (CONFIGS / "first_touch.yaml").read_text("utf-8").replace("clock: device ", "clock: lockstep ")
     (tmp_path / "scene.yaml").write_text(text, "utf-8")
-    read, write = os.pipe()
-    os.close(read)
-    command = [*HAPSIM, "run", tmp_path / "scene.yaml", "--duration", "1", "--record", tmp_path / "t.npz"]
-    done = subprocess.run(command, stdout=write, stderr=subprocess.PIPE, text=True, check=False)
-    os.close(write)
-    assert done.returncode == 0, done.stderr
+    unread = "read, write = os.pipe()\nos.close(read)\nos.dup2(write, 1)\nos.close(write)\ncli.main()"
+    host = start_hapsim("run", tmp_path / "scene.yaml", "--duration", 1, "--record", tmp_path / "t.npz", program=unread)
+    assert host.wait() == 0, host.err
     assert [path.name for path in tmp_path.glob("t.*")] == ["t.npz"]
     assert load_trace(tmp_path / "t.npz").report.ticks == 1000

@@ -7,12 +7,10 @@ only where the program disarmed it.
 
 from __future__ import annotations
 
-import json
 import re
-import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -26,53 +24,32 @@ from hapsim.scene import parse_scene
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="the mock on a pseudo-terminal")
 
 SCENE = (Path(__file__).parents[2] / "configs" / "first_touch.yaml").read_text("utf-8")
-INTERPRETER = """
-import contextlib, json, os, signal, sys, threading, time, hapsim
-from hapsim.scene import parse_scene
+BEGINNING = """
+import signal, threading, time
 
 def runs(session):
     while session.statistics().age.total < 100 and not session.wait(0.01): pass
     return session
 
-hapsim.run(parse_scene(sys.argv[1]), duration=0.01)  # all that a session takes is loaded
-program = ""
-for line in sys.stdin:
-    if os.fork() == 0:
-        scene, program = parse_scene(json.loads(line)[0]), json.loads(line)[1]
-        signal.alarm(100)  # for a program that hangs
-        os.dup2(os.open("errors", os.O_WRONLY | os.O_CREAT | os.O_TRUNC), 2)
-        break
-    print(os.waitstatus_to_exitcode(os.wait()[1]), flush=True)
-exec(program)
+signal.alarm(100)  # for a program that hangs
+scene = parse_scene(sys.argv[1])
 """
-"""Runs each program in a process of its own, which has everything imported."""
-
-
-@pytest.fixture(scope="module")
-def interpreter(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
-    words = [sys.executable, "-c", INTERPRETER, SCENE.replace("clock: device", "clock: lockstep")]
-    here = tmp_path_factory.mktemp("interpreter")
-    with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=here) as process:
-        yield lambda scene, program: (
-            print(json.dumps([scene, program]), file=process.stdin, flush=True),
-            int(process.stdout.readline()),
-            (here / "errors").read_text("utf-8"),
-        )[1:]
-        process.communicate()
 
 
 @pytest.fixture
-def ends(interpreter: Any) -> Callable[[str], tuple[int, str, Any]]:
+def ends(start_hapsim: Callable[..., Any]) -> Callable[..., tuple[int, str, Any]]:
     """Runs a program beside a device until it ends: its status, its standard error, and the device."""
 
     def run(program: str, clock: str = "lockstep", stiffness: int = 2000) -> tuple[int, str, Any]:
         text = SCENE.replace("clock: device", f"clock: {clock}").replace("stiffness: 2000", f"stiffness: {stiffness}")
         mock = assemble_mock(parse_scene(text))
         with serving(mock) as port:
-            ended = interpreter(text.replace("device:\n", f"device:\n  port: {port}\n"), program)
+            text = text.replace("device:\n", f"device:\n  port: {port}\n")
+            ended = start_hapsim(text, program=BEGINNING + program)
+            ended.wait(120.0)
             while clock == "device" and mock.board.state == schema.ARMED:
                 time.sleep(0.01)
-        return *ended, mock
+        return ended.wait(), ended.err, mock
 
     return run
 

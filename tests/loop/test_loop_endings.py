@@ -5,8 +5,6 @@ from __future__ import annotations
 import json
 import os
 import signal
-import subprocess
-import sys
 import threading
 import time
 from pathlib import Path
@@ -123,19 +121,19 @@ def test_a_signal_that_means_stop_ends_the_run_in_good_order(clock: str, number:
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])
-def test_the_command_ends_with_status_0_on_a_signal_with_its_record(tmp_path: Path, number: signal.Signals) -> None:
+def test_the_command_ends_with_status_0_on_a_signal_with_its_record(
+    start_hapsim: Any, tmp_path: Path, number: signal.Signals
+) -> None:
     record, file = tmp_path / "trace.npz", tmp_path / "scene.yaml"
     with served(scene_of(device={"clock": "device"})) as (scene, mock):
         file.write_text(yaml.safe_dump(scene.model_dump(mode="json", exclude_none=True)), encoding="utf-8")
-        command = [sys.executable, "-m", "hapsim", "run", str(file), "--record", str(record), "--json"]
-        with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-            while mock.board.state != schema.ARMED and process.poll() is None:
-                time.sleep(0.01)
-            process.send_signal(number)
-            out, err = process.communicate()
+        host = start_hapsim("run", file, "--record", record, "--json")
+        while mock.board.state != schema.ARMED and host.poll() is None:
+            time.sleep(0.01)
+        os.kill(host.pid, number)
+        assert host.wait() == 0, host.err
         require_released(mock)
-    assert process.returncode == 0, err
-    report = json.loads(out)
+    report = json.loads(host.out)
     assert report["ending"] == "stopped"
     assert load_trace(record).report.ticks == report["ticks"]
 
@@ -220,21 +218,15 @@ def test_the_last_command_of_a_run_is_zero_and_no_force_follows_it() -> None:
     assert np.all(trace.force_counts != 0)
 
 
-def test_a_host_that_died_in_virtual_time_does_not_lock_the_next_one_out() -> None:
+def test_a_host_that_died_in_virtual_time_does_not_lock_the_next_one_out(start_hapsim: Any) -> None:
     """In virtual time there is no watchdog: the mock is still armed, and hears nothing but its armed format."""
+    dies = (
+        "hapsim.run(parse_scene(sys.argv[1]), on_progress=lambda p: os.kill(os.getpid(), 9) "
+        "if p.phase == 'running' else None)"
+    )
     with served(scene_of()) as (scene, mock):
-        code = (
-            "import os, sys; from hapsim.scene import load_scene; from hapsim.running import run\n"
-            "run(load_scene(sys.argv[1]), on_progress=lambda p: os.kill(os.getpid(), 9) "
-            "if p.phase == 'running' else None)"
-        )
-        file = Path(scene.device.port or "").name
-        path = Path("/tmp") / f"hapsim-test-{os.getpid()}-{file}.yaml"
-        path.write_text(yaml.safe_dump(scene.model_dump(mode="json", exclude_none=True)), encoding="utf-8")
-        try:
-            assert subprocess.run([sys.executable, "-c", code, str(path)], check=False).returncode == -9
-        finally:
-            path.unlink()
+        text = yaml.safe_dump(scene.model_dump(mode="json", exclude_none=True))
+        assert start_hapsim(text, program=dies).wait() == -9
         assert mock.board.state == schema.ARMED
         trace = run(scene, duration=0.05)
         require_released(mock)

@@ -40,7 +40,7 @@ sys.path.append(str(Path(__file__).resolve().parents[2] / "tools" / "bench"))
 from energy_guard import Drawn, Stalling, judged, knocks, passive_scenes, unstable_scenes
 
 T = 1e-3
-FEW = 15
+FEW = 10
 
 
 @pytest.fixture(scope="module")

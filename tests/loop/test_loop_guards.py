@@ -16,17 +16,6 @@ from hapsim.scene import Scene, parse_scene
 CLOCKS = ["lockstep", "device", "host"]
 
 
-def test_a_force_beyond_the_limit_is_cut_flagged_and_counted() -> None:
-    trace = run(scene_of(2, device={"force_limit": 0.4}), duration=0.5)
-    beyond = np.any(np.abs(trace.asked_force) > 0.4, axis=1)
-    assert 0 < beyond.sum() < 500
-    np.testing.assert_array_equal((trace.flags & LIMITED) != 0, beyond)
-    assert trace.report.limited_ticks == beyond.sum()
-    assert np.max(np.abs(trace.force)) <= 0.4
-    cut_to = np.clip(trace.asked_force, -0.4, 0.4)
-    np.testing.assert_allclose(trace.force, cut_to, rtol=0, atol=trace.force_scale.max())
-
-
 def test_an_excitation_passes_the_limit_too() -> None:
     pushes = Excitation(channel=0, force=50.0, ticks=5, every=50, start=10, first=True)
     trace = run(scene_of(device={"force_limit": 1.0}), duration=0.1, excitation=pushes)
@@ -78,11 +67,6 @@ def test_the_guard_sees_every_value_that_is_no_number(value: float) -> None:
     """It would not, were anything here compiled with fastmath."""
     assert guarded(1e300, 1.0)[0]
     assert not guarded(value, 1.0)[0]
-
-
-@pytest.mark.parametrize(("force", "held"), [(0.5, 0.5), (-2.0, -1.5), (3.0, 1.5), (1.5, 1.5), (-1.5, -1.5)])
-def test_the_limit_cuts_to_either_side_and_leaves_the_rest_alone(force: float, held: float) -> None:
-    assert guarded(force, 1.5)[1] == held
 
 
 FORCE_SCALE = 2.0**-10  # N per count
@@ -141,8 +125,7 @@ NO_NUMBER: dict[str, tuple[dict[str, float], int, int]] = {
 
 
 @pytest.mark.parametrize("clock", CLOCKS)
-@pytest.mark.parametrize("channel", [0, 1, 15])
-@pytest.mark.parametrize("kind", NO_NUMBER)
+@pytest.mark.parametrize(("channel", "kind"), [(0, "too large"), (15, "too small"), (1, "nan")])
 def test_one_channel_without_a_number_releases_all_of_them(clock: str, channel: int, kind: str) -> None:
     link, far, last = NO_NUMBER[kind]
     still = [-100] * 16

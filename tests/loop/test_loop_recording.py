@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import os
-import subprocess
-import sys
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -166,27 +164,26 @@ def test_where_nothing_can_be_written_nothing_is_armed(tmp_path: Path) -> None:
 
 
 LIMITED = """
-import resource, sys
-resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[1]), resource.RLIM_INFINITY))
-sys.argv[:2] = ["hapsim"]
-from hapsim.cli import main
-main()
+import resource
+resource.setrlimit(resource.RLIMIT_FSIZE, (2_000_000, resource.RLIM_INFINITY))
+cli.main()
 """
 
 
 @pytest.mark.parametrize("ending", ["trace", "npz"])
-def test_on_a_full_disk_the_run_goes_on_and_what_was_written_stays(tmp_path: Path, ending: str) -> None:
+def test_on_a_full_disk_the_run_goes_on_and_what_was_written_stays(
+    start_hapsim: Callable[..., Any], tmp_path: Path, ending: str
+) -> None:
     """Full for files of more than so many bytes, which is all that a process may do to itself."""
     scene, record = tmp_path / "scene.yaml", tmp_path / f"t.{ending}"
     scene.write_text(yaml.safe_dump(scene_of().model_dump(mode="json", exclude_none=True)), "utf-8")
-    room, ticks = 2_000_000, 120_000
-    words = ["run", str(scene), "--duration", str(ticks / 1000), "--record", str(record), "--json"]
-    command = [sys.executable, "-c", LIMITED, str(room), *words]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 2, done.stderr
-    assert "Traceback" not in done.stderr
-    assert done.stderr.count("from here on rows are missing from the record (File too large)") == 1
-    report = yaml.safe_load(done.stdout)
+    ticks = 120_000
+    words = ("run", scene, "--duration", ticks / 1000, "--record", record, "--json")
+    host = start_hapsim(*words, program=LIMITED)
+    assert host.wait() == 2, host.err
+    assert "Traceback" not in host.err
+    assert host.err.count("from here on rows are missing from the record (File too large)") == 1
+    report = yaml.safe_load(host.out)
     assert report["ending"] == "done"
     assert report["ticks"] == ticks
     assert report["released"] is True

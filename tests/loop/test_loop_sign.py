@@ -121,7 +121,7 @@ def test_most_runaways_are_stopped_within_three_centimetres() -> None:
 
 
 def test_no_hand_makes_a_motor_that_is_right_look_wrong() -> None:
-    found = bench.right(240, 5, scene=FIRM)
+    found = bench.right(120, 5, scene=FIRM)
     assert sum(found["stopped"].values()) == 0
     assert found["tests"] > 0
 

@@ -144,16 +144,6 @@ def test_the_mock_s_velocity_reaches_the_loop(sampling: str) -> None:
     np.testing.assert_allclose(velocity, instant if sampling == "ideal" else mean, atol=0.51e-6)
 
 
-@pytest.mark.parametrize("channels", [1, 2, 16])
-def test_a_run_with_velocities_is_the_same_in_memory_and_on_a_pseudo_terminal(channels: int) -> None:
-    scene = scene_of(channels, damper="sensed", mock={"noise": 1e-7, "seed": 3})
-    in_memory, on_terminal = (run(scene, duration=0.2, transport=transport) for transport in ("loopback", "terminal"))
-    for name in ("sample", "flags", "position_counts", "force_counts", "asked_force"):
-        np.testing.assert_array_equal(getattr(in_memory, name), getattr(on_terminal, name), err_msg=name)
-    assert in_memory.sample.tolist() == list(range(200))
-    assert on_terminal.report.crc_errors == 0
-
-
 def test_a_host_that_died_while_velocities_were_sent_does_not_lock_the_next_one_out() -> None:
     with served(scene_of(2, damper="sensed")) as (scene, mock):
         with open_connection(scene) as connection:

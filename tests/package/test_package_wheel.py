@@ -1,8 +1,7 @@
 """A wheel in an environment of its own: every command works without the clone.
 
-Machine code is kept under the paths of its sources, which are new here, so a user's cache has none of it: one run
-compiles what a run needs, without the passes that would make it fast, into a cache that goes with the environment. The
-measurement after it compiles nothing.
+Machine code is kept under the paths of its sources, which are new here, so a user's cache has none of it: this is the
+one compilation of a run from nothing, without the passes that would make it fast, as on a new machine.
 """
 
 from __future__ import annotations
@@ -18,6 +17,7 @@ from collections.abc import Callable
 from email.message import Message
 from email.parser import Parser
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
@@ -40,11 +40,11 @@ modules:
 BUILD = "import sys; from setuptools import build_meta; build_meta.build_sdist(sys.argv[1])"
 
 
-def call(*command: object, **options: object) -> str:
-    """What a program printed that did as asked."""
+def call(*command: object, **options: object) -> subprocess.CompletedProcess[str]:
+    """A program that did as asked."""
     done = subprocess.run([*map(str, command)], capture_output=True, text=True, check=False, timeout=300, **options)  # type: ignore[call-overload]
     assert done.returncode == 0, f"{command}\n{done.stdout[-2000:]}\n{done.stderr[-2000:]}"
-    return str(done.stdout)
+    return done  # type: ignore[no-any-return]
 
 
 def pip(*words: object) -> None:
@@ -90,7 +90,7 @@ def contents(wheel: Path) -> dict[str, str]:
 
 
 @pytest.fixture(scope="module")
-def hapsim(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Callable[..., str]:
+def hapsim(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Any]:
     """Calls the installed `hapsim …` from a folder with a scene in it."""
     environment, folder = tmp_path_factory.mktemp("environment"), tmp_path_factory.mktemp("elsewhere")
     venv.create(environment, with_pip=False, symlinks=True)
@@ -102,11 +102,11 @@ def hapsim(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Callable[..
     variables = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
     variables |= {"XDG_CACHE_HOME": str(environment / "cache"), "NUMBA_OPT": "0", "COLUMNS": "200"}
 
-    def run(*words: object, program: tuple[str, ...] = ("hapsim",)) -> str:
+    def run(*words: object, program: tuple[str, ...] = ("hapsim",)) -> subprocess.CompletedProcess[str]:
         name, *options = program
         return call(environment / "bin" / name, *options, *words, cwd=folder, env=variables)
 
-    assert str(environment) in run("-c", "import hapsim; print(hapsim.__file__)", program=("python",))
+    assert str(environment) in run("-c", "import hapsim; print(hapsim.__file__)", program=("python",)).stdout
     return run
 
 
@@ -147,28 +147,59 @@ def test_it_tells_what_it_is(contents: dict[str, str]) -> None:
     assert "](" not in page  # a link or a picture of a clone leads nowhere on an index's page
 
 
-def test_its_version_is_the_one_that_hapsim_tells(hapsim: Callable[..., str], wheel: Path) -> None:
-    told = hapsim("--version").splitlines()
+def test_its_version_is_the_one_that_hapsim_tells(hapsim: Callable[..., Any], wheel: Path) -> None:
+    told = hapsim("--version").stdout.splitlines()
     assert told[0] == f"hapsim {wheel.name.split('-')[1]}"
-    assert "hapsim" in hapsim("--help", program=("python", "-m", "hapsim"))
+    assert "hapsim" in hapsim("--help", program=("python", "-m", "hapsim")).stdout
 
 
-def test_what_compiles_nothing_works_from_it(hapsim: Callable[..., str]) -> None:
-    assert yaml.safe_load(hapsim("schema"))["title"] == "hapsim scene, version 1"
-    hapsim("ports", "--json")
+def test_what_compiles_nothing_works_from_it(hapsim: Callable[..., Any]) -> None:
+    assert yaml.safe_load(hapsim("schema").stdout)["title"] == "hapsim scene, version 1"
     hapsim("new", "first.yaml")
-    assert "stable" in hapsim("check", "wall")
-    assert yaml.safe_load(hapsim("scenes", "--json")).keys() == {path.stem for path in CONFIGS.glob("*.yaml")}
-    for path in yaml.safe_load(hapsim("files", "--json")).values():
+    assert "stable" in hapsim("check", "wall").stdout
+    assert yaml.safe_load(hapsim("scenes", "--json").stdout).keys() == {path.stem for path in CONFIGS.glob("*.yaml")}
+    for path in yaml.safe_load(hapsim("files", "--json").stdout).values():
         assert Path(path).exists()
-    assert "stable" in hapsim("check", "first.yaml")
-    assert "Picture: plane.svg" in hapsim("chart", "plane", "first.yaml", "--picture", "plane.svg")
+    assert "Picture: plane.svg" in hapsim("chart", "plane", "first.yaml", "--picture", "plane.svg").stdout
 
 
-def test_a_scene_runs_and_is_measured_from_it(hapsim: Callable[..., str]) -> None:
-    assert yaml.safe_load(hapsim("run", "scene.yaml", "--duration", 0.1, "--json"))["ticks"] == 100
-    measured = yaml.safe_load(hapsim("measure", "scene.yaml", "--json"))
+AFTERWARDS = """
+from hapsim.running.compile_ahead import UNITS, main
+print([name for name in ("loop", "port", "loopback", "mock", "portable") if UNITS[name].is_kept()])
+main(["loopback"])
+"""
+
+
+def test_what_two_processes_compile_for_a_scene_is_kept_and_the_scene_runs_and_is_measured(
+    hapsim: Callable[..., Any],
+) -> None:
+    compiled = hapsim("compile", "scene.yaml")
+    assert "compiling, once on this machine: " in compiled.stderr
+    number, _, rest = compiled.stdout.removeprefix("Compiled ").partition(" ")
+    assert 80 < int(number) < 250
+    directory = rest.partition(" s; kept in ")[2].strip()
+    assert Path(directory).name == "hapsim"
+    kept = hapsim("-c", AFTERWARDS, program=("python",)).stdout
+    assert kept == "['loop', 'port', 'loopback']\n"  # and a second process compiles nothing any more
+    again = hapsim("compile", "scene.yaml")
+    assert (again.stdout, again.stderr) == (f"Nothing to compile: everything is kept in {directory}\n", "")
+    ran = hapsim("run", "scene.yaml", "--duration", 0.1, "--json")
+    assert yaml.safe_load(ran.stdout)["ticks"] == 100
+    assert "compiling" not in ran.stderr
+    measured = yaml.safe_load(hapsim("measure", "scene.yaml", "--json").stdout)
     assert measured["measured"]["k"] == pytest.approx(measured["predicted"]["k"], rel=1e-5)
+
+
+COMMANDS = """
+import sys
+from hapsim import cli
+for words in (["new", "--from", "wall", "scene.yaml"], ["faults", "--list"], ["scenes"]):
+    sys.argv = ["hapsim", *words]
+    try:
+        cli.main()
+    except SystemExit as end:
+        assert not end.code, words
+"""
 
 
 @pytest.mark.parametrize(
@@ -182,7 +213,6 @@ def test_every_layout_finds_its_scenes(wheel: Path, tmp_path: Path, layout: tupl
     call(base, "-m", "pip", "--quiet", *words, *layout, wheel, cwd=tmp_path, env=variables)
     (packages,) = {path.parent.parent for path in (tmp_path / "there").rglob("hapsim/__init__.py")}
     variables["PYTHONPATH"] = f"{packages}{os.pathsep}{sysconfig.get_path('purelib')}"
-    for words in (["new", "--from", "wall", "scene.yaml"], ["faults", "--list"], ["scenes"]):
-        call(sys.executable, "-m", "hapsim", *words, cwd=tmp_path, env=variables)
+    call(sys.executable, "-c", COMMANDS, cwd=tmp_path, env=variables)
     written, shipped = tmp_path / "scene.yaml", REPOSITORY / "configs" / "wall.yaml"
     assert written.read_text(encoding="utf-8") == shipped.read_text(encoding="utf-8")

@@ -1,14 +1,10 @@
-"""Devices to be judged: one in plain Python (device.py), in virtual time, or as a process of its own on a port."""
+"""Devices to be judged: one in plain Python (device.py), in virtual time."""
 
 from __future__ import annotations
 
-import contextlib
-import importlib.util
-import json
 import random
-import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -20,21 +16,11 @@ from hapsim.bringup.probe.wire import Wire
 from hapsim.device.connection import Connection
 from hapsim.loop.endings import HUNG_UP, TIMED_OUT
 
-SCRIPT = Path(__file__).with_name("device.py")
+sys.path.insert(0, str(Path(__file__).parent))
+from device import Device
+
 _ROOM = 20_480  # bytes that wait for the host, as on a pseudo-terminal
 _WORK_S = 20e-6  # of the host, for each call
-
-
-def _device_module() -> Any:
-    spec = importlib.util.spec_from_file_location("device_of_the_probe", SCRIPT)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-Device = _device_module().Device
 
 
 class VirtualLine:
@@ -103,21 +89,3 @@ class Bench:
 @pytest.fixture(scope="session")
 def new_bench() -> Callable[..., Bench]:
     return Bench
-
-
-@contextlib.contextmanager
-def serve(*faults: str, **options: Any) -> Iterator[str]:
-    words = json.dumps(options | {"faults": list(faults)})
-    command = [sys.executable, str(SCRIPT), words]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        try:
-            yield process.stdout.readline().strip()
-        finally:
-            process.communicate()  # the end of its input stops it
-
-
-@pytest.fixture
-def serving() -> Callable[..., contextlib.AbstractContextManager[str]]:
-    """The path of a port behind which a process plays the device."""
-    return serve

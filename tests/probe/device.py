@@ -1,20 +1,10 @@
-"""A device written once more from PROTOCOL.md, in plain Python, on a pseudo-terminal: `device.py {json}` prints its
-port and serves it until it is stopped. What it does wrong is said in its options: {"faults": ["inverted_sign"], ...}.
-
-It shares nothing with hapsim, and imports nothing but the standard library: it is there at once.
-"""
+"""A device written once more from PROTOCOL.md, in plain Python. What it does wrong is said in its options:
+{"faults": ["inverted_sign"], ...}. It shares nothing with hapsim, and imports nothing but the standard library."""
 
 from __future__ import annotations
 
-import contextlib
-import json
 import math
-import os
-import select
 import struct
-import sys
-import time
-import tty
 from itertools import pairwise
 
 SCHEMA = 0x314A417F
@@ -335,34 +325,3 @@ class Device:
         """s until the clock brings something, at most 2 ms."""
         ticking = self.state == ARMED and self.pacing == 0
         return min(max(self.due - self.now(), 0.0), 0.002) if ticking else 0.002
-
-
-def stopped():
-    """Whether whoever started it has gone."""
-    return bool(select.select([sys.stdin], [], [], 0)[0])
-
-
-def main():
-    near, far = os.openpty()
-    for end in (near, far):
-        tty.setraw(end)
-    os.set_blocking(near, False)
-    print(os.ttyname(far), flush=True)
-
-    def put(data):
-        try:
-            return os.write(near, data)
-        except BlockingIOError:
-            return 0
-
-    device = Device(put, time.monotonic, json.loads(sys.argv[1]))
-    while not stopped():
-        if select.select([near], [], [], device.wait())[0]:
-            with contextlib.suppress(OSError):
-                device.take(os.read(near, 4096))
-        device.look()
-    print(json.dumps({"largest": device.largest, "state": device.state, "output": device.output}))
-
-
-if __name__ == "__main__":
-    main()

@@ -41,7 +41,7 @@ def plain(**changed: object) -> Description:
     return replace(description, **changed)  # type: ignore[arg-type]
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(descriptions())
 def test_a_description_comes_back_from_its_registers_as_it_was(description: Description) -> None:
     registers = to_registers(description)

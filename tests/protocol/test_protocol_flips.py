@@ -185,7 +185,7 @@ def lines(draw: st.DrawFn) -> tuple[Format, bool, list[bytes], list[Frame]]:
     return FORMATS[name], to_device, data, frames
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(lines(), st.data())
 def test_up_to_five_flips_anywhere_in_a_frame_of_any_format_are_refused(
     line: tuple[Format, bool, list[bytes], list[Frame]], data: st.DataObject
@@ -196,7 +196,7 @@ def test_up_to_five_flips_anywhere_in_a_frame_of_any_format_are_refused(
     assert frames_in(new_decoder(wire, to_device), before + damaged + after) == [frames[0], frames[2]]
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(lines(), st.data())
 def test_a_burst_as_long_as_the_check_is_refused(
     line: tuple[Format, bool, list[bytes], list[Frame]], data: st.DataObject

@@ -43,7 +43,7 @@ def read(wire: Format, to_device: bool, data: bytes) -> tuple[list[Frame], dict[
     return frames, {name: int(decoder[name]) for name in COUNTERS if decoder[name]}
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(formats, st.sampled_from(sorted(TO_HOST.values())), st.integers(0, 4095), st.data())
 def test_a_frame_to_the_host_comes_back_as_it_was(wire: Format, kind: int, number: int, data: st.DataObject) -> None:
     size = words_of(wire, False)
@@ -54,7 +54,7 @@ def test_a_frame_to_the_host_comes_back_as_it_was(wire: Format, kind: int, numbe
     assert read(wire, False, sent) == ([Frame(kind, number, 0, tuple(counts))], {"accepted": 1})
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(formats, st.sampled_from(sorted(TO_DEVICE.values())), st.integers(0, 4095), st.integers(0, 255), st.data())
 def test_a_frame_to_the_device_comes_back_as_it_was(
     wire: Format, kind: int, number: int, argument: int, data: st.DataObject
@@ -79,7 +79,7 @@ def test_the_writer_writes_where_it_is_asked_to_and_cuts_what_does_not_fit(codec
     assert read(wire, False, buffer[20:stop].tobytes())[0] == [Frame(schema.POSITION, 4095, 0, expected.counts)]
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(
     formats,
     st.booleans(),
@@ -131,7 +131,7 @@ def test_there_is_no_format_outside_of_1_to_16_channels(channels: int) -> None:
         armed_format(channels)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(formats, formats, st.booleans(), st.sampled_from([0, 1, 2, 3]), st.integers(0, 4095), words)
 def test_a_frame_of_another_format_is_never_accepted(
     wire: Format, other: Format, to_device: bool, kind: int, number: int, word: int
@@ -155,7 +155,7 @@ def test_a_frame_of_another_format_is_never_accepted(
         assert sum(counted.values()) == 1
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(formats, st.sampled_from(sorted(TO_HOST.values())), st.integers(0, 4095), words)
 def test_a_device_that_hears_itself_accepts_nothing(wire: Format, kind: int, number: int, word: int) -> None:
     echo = frame_to_host(wire, kind, number, [word] * words_of(wire, False))
@@ -168,7 +168,7 @@ def test_a_device_that_hears_itself_accepts_nothing(wire: Format, kind: int, num
         assert sum(counted.values()) == 1
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(formats, st.sampled_from(sorted(TO_DEVICE.values())), st.integers(0, 4095), st.integers(0, 255), words)
 def test_a_host_that_hears_itself_accepts_nothing(
     wire: Format, kind: int, number: int, argument: int, word: int
@@ -234,7 +234,7 @@ def test_with_velocities_a_frame_to_the_host_carries_the_positions_first_and_the
         frame_to_device(wire, schema.FORCE, 5, 1, [1, 2, 3, 4])
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(formats, st.booleans(), st.data())
 def test_codes_that_do_not_add_up_under_a_right_check_are_a_form_error(
     wire: Format, to_device: bool, data: st.DataObject
@@ -283,7 +283,7 @@ def unstuffed(codec: Any, encoded: bytes) -> bytes | None:
     return buffer.tobytes()[2:-3] if adds_up else None
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(bodies)
 @example(bytes(LONGEST_BODY))
 @example(bytes(range(1, 254)))
@@ -295,7 +295,7 @@ def test_a_body_is_stuffed_as_the_cobs_package_does_it_and_comes_back(codec: Any
     assert unstuffed(codec, encoded) == body
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(st.lists(st.integers(1, 12), min_size=1, max_size=30).map(bytes))
 def test_codes_that_do_not_add_up_are_refused_where_the_cobs_package_refuses_them(codec: Any, encoded: bytes) -> None:
     try:
@@ -312,14 +312,14 @@ def test_every_code_that_points_beyond_the_end_is_refused(codec: Any, length: in
         assert (body is not None) == (code == length)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(st.binary(max_size=300), st.integers(0, 0xFFFF))
 def test_the_16_bit_check_is_fastcrc_s_from_any_start_value(codec: Any, data: bytes, seed: int) -> None:
     ours = int(codec.crc_of(0, np.frombuffer(bytearray(data), np.uint8), 0, len(data), seed))
     assert ours == fastcrc.crc16.dnp(data, seed ^ 0xFFFF)  # fastcrc starts from a check, final xor included
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(st.binary(max_size=300), st.integers(0, 0xFFFFFFFF))
 def test_the_32_bit_check_is_fastcrc_s_from_any_start_value(codec: Any, data: bytes, seed: int) -> None:
     ours = int(codec.crc_of(1, np.frombuffer(bytearray(data), np.uint8), 0, len(data), seed))

@@ -127,10 +127,10 @@ def damaged(stream: bytes, wire: Format) -> bytes:
 
 
 @pytest.mark.parametrize("wire", EVERY_FORMAT, ids=IDS)
-def test_of_3100_random_frames_and_of_the_same_damaged_it_reads_what_python_reads(
+def test_of_random_frames_and_of_the_same_damaged_it_reads_what_python_reads(
     wire: Format, compiled_codec: Any, harness: Harness
 ) -> None:
-    frames, fields = some_frames(compiled_codec, wire, True, 3100)
+    frames, fields = some_frames(compiled_codec, wire, True, 1000)
     spoken = "format 0 0" if wire == SETUP else f"format {wire.channels} {wire.velocity:d}"
     for stream in (b"".join(frames), damaged(b"".join(frames), wire)):
         decoder = new_decoder(wire, to_device=True)
@@ -151,14 +151,14 @@ def test_of_3100_random_frames_and_of_the_same_damaged_it_reads_what_python_read
 def test_random_frames_to_the_host_are_written_as_python_writes_them(
     wire: Format, compiled_codec: Any, harness: Harness
 ) -> None:
-    frames, fields = some_frames(compiled_codec, wire, False, 1000)
+    frames, fields = some_frames(compiled_codec, wire, False, 300)
     spoken = "format 0 0" if wire == SETUP else f"format {wire.channels} {wire.velocity:d}"
     lines = [f"write {kind} {number} {' '.join(map(str, counts))}" for kind, number, _, *counts in fields]
     assert harness(["new", spoken, *lines]) == [data.hex() for data in frames]
     assert {len(data) for data in frames} == {frame_bytes(wire, to_device=False)}
 
 
-def test_a_million_damaged_streams_neither_break_it_nor_keep_it_from_the_next_frame(
+def test_hundred_thousand_damaged_streams_neither_break_it_nor_keep_it_from_the_next_frame(
     tmp_path_factory: pytest.TempPathFactory,
 ) -> None:
     compiler = shutil.which("cc")
@@ -170,8 +170,8 @@ def test_a_million_damaged_streams_neither_break_it_nor_keep_it_from_the_next_fr
     command = [compiler, *STRICT, *sanitizers, f"-I{HEADER.parent}", str(source), "-o", str(program)]
     built = subprocess.run(command, capture_output=True, text=True, check=False)
     assert built.returncode == 0, built.stderr
-    ran = subprocess.run([program, "1000000", "7"], capture_output=True, text=True, check=False)
-    assert (ran.stdout, ran.stderr, ran.returncode) == ("1000000 0\n", "", 0)
+    ran = subprocess.run([program, "100000", "7"], capture_output=True, text=True, check=False)
+    assert (ran.stdout, ran.stderr, ran.returncode) == ("100000 0\n", "", 0)
 
 
 def test_no_one_two_or_three_flips_get_a_frame_past_it(formats: Vectors, harness: Harness) -> None:

@@ -43,7 +43,7 @@ def test_after_garbage_of_every_length_around_the_memory_s_size_the_next_frame_i
         assert counters(decoder) == dict.fromkeys(COUNTERS, 0) | {"accepted": 1, "garbage_bytes": length}
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(st.sampled_from(EVERY_FORMAT_AND_DIRECTION), st.binary(max_size=400), st.integers(0, 4095))
 def test_after_any_bytes_the_next_whole_frame_is_accepted(where: tuple[str, str], garbage: bytes, number: int) -> None:
     data, expected = some(*where, number)
@@ -105,7 +105,7 @@ def pieces(draw: st.DrawFn) -> tuple[str, str, list[bytes]]:
     return name, kind, draw(st.lists(st.sampled_from(some_pieces), max_size=12))
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(pieces(), st.data())
 def test_chunks_of_any_size_give_the_same_frames_and_counters_as_one_read(
     stream: tuple[str, str, list[bytes]], data: st.DataObject
@@ -120,7 +120,7 @@ def test_chunks_of_any_size_give_the_same_frames_and_counters_as_one_read(
     assert counters(in_chunks) == counters(at_once)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(pieces(), st.data())
 def test_plain_python_reads_any_stream_split_anywhere_as_machine_code_does(
     plain_codec: Any, compiled_codec: Any, stream: tuple[str, str, list[bytes]], data: st.DataObject
@@ -153,7 +153,7 @@ def read_by(codec: Any, decoder: Any, data: bytes) -> list[tuple[int, Frame]]:
     return read
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(pieces())
 def test_any_stream_reads_as_the_document_says(
     plain_decoder: Any, formats: dict[str, Any], stream: tuple[str, str, list[bytes]]
