@@ -152,20 +152,45 @@ def test_what_two_threads_compile_at_once_leaves_interrupts_as_they_were() -> No
 
 
 @EITHER
-def test_an_interrupt_waits_until_the_compilation_is_over(compile_it: Callable[[], Any]) -> None:
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupt_waits_until_the_compilation_is_over(
+    compile_it: Callable[[], Any], number: signal.Signals
+) -> None:
+    """And the next function is not begun."""
     told: list[str] = []
 
     def interrupt(name: str) -> None:
         if not told:
-            signal.raise_signal(signal.SIGINT)
+            signal.raise_signal(number)
         told.append(name)  # the interrupt did not break in here
 
-    before = signal.getsignal(signal.SIGINT)
-    with pytest.raises(KeyboardInterrupt), on_compilation(interrupt):
-        compile_it()
+    usual = signal.signal(number, signal.default_int_handler)
+    try:
+        with pytest.raises(KeyboardInterrupt), on_compilation(interrupt):
+            compile_it()
+        assert signal.getsignal(number) is signal.default_int_handler
+    finally:
+        signal.signal(number, usual)
     assert len(told) == 1
-    assert signal.getsignal(signal.SIGINT) is before
     compile_it()  # the compiler is in one piece
+
+
+def test_one_that_comes_as_soon_as_interrupts_are_kept_is_kept_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    set_handler, before = signal.signal, signal.getsignal(signal.SIGINT)
+
+    def set_and_interrupt(number: int, handler: Any) -> Any:
+        old = set_handler(number, handler)
+        if handler != before:
+            signal.raise_signal(signal.SIGINT)
+        return old
+
+    told: list[str] = []
+    monkeypatch.setattr(signal, "signal", set_and_interrupt)
+    with pytest.raises(KeyboardInterrupt), on_compilation(told.append):
+        compile_entry()
+    assert len(told) == 1
+    assert signal.getsignal(signal.SIGINT) == before
+    compile_entry()
 
 
 def test_an_interrupt_in_the_last_function_leaves_it_compiled() -> None:
