@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import struct
 import sys
 from typing import Any
 
@@ -166,13 +165,3 @@ def test_answers_to_other_questions_are_passed_over() -> None:
 def test_a_device_that_hangs_up_while_it_is_asked_is_gone() -> None:
     with scripted([None]) as (scene, _), pytest.raises(DeviceError, match=r"went away|is gone|still there"):
         run(scene, duration=0.01)
-
-
-def test_every_value_survives_the_registers_as_bits() -> None:
-    value = struct.unpack("<d", bytes.fromhex("ffffffff0000f03f"))[0]  # a low word with its highest bit set
-    with scripted(position_scale=(value,)) as (scene, _):
-        connection = open_serial_port(scene.device.port, scene.device.baud)
-        try:
-            assert conversation.describe(connection).position_scale == (value,)
-        finally:
-            connection.close()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -142,12 +143,12 @@ def test_a_frame_that_is_no_position_moves_nothing() -> None:
     assert trace.sample.tolist() == [0, 1, 2]
 
 
-def test_a_frame_that_arrives_byte_by_byte_is_read() -> None:
-    """The line may tear a frame anywhere: each force here is the answer to halves of two frames."""
+def test_a_frame_that_arrives_in_two_pieces_is_read() -> None:
+    """The line may tear a frame anywhere: each piece here ends within the next frame."""
     frames = b"".join(frame(n, n) for n in range(8))
     length = len(frames) // 8
-    script = [frames[:length]] + [frames[length * n : length * (n + 1)] for n in range(1, 8)]
-    trace, _ = play([script[0][:5] + script[0][5:], *script[1:]], 8)
+    cuts = [0, *(length * n + n for n in range(1, 8)), len(frames)]
+    trace, _ = play([frames[start:stop] for start, stop in pairwise(cuts)], 8)
     assert trace.sample.tolist() == list(range(8))
 
 
