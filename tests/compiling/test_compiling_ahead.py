@@ -22,14 +22,7 @@ from hapsim.cordis.registry import PART_TYPES
 from hapsim.prediction.linear import linear_scene
 from hapsim.running import compile_ahead as ahead
 from hapsim.running import run
-from hapsim.running.compile_ahead import (
-    UNITS,
-    CompileUnit,
-    Prepared,
-    compile_ahead,
-    prepare,
-    scenes_with_every_module,
-)
+from hapsim.running.compile_ahead import UNITS, CompileUnit, Prepared, compile_ahead, prepare, scenes_with_every_module
 from hapsim.scene import Scene, SchemeName, parse_scene
 from hapsim.scene.modules import MODULE_TYPES
 from hapsim.scene.shipped import shipped_scene
@@ -153,10 +146,7 @@ def test_no_process_is_started_where_none_would_help(
 @pytest.mark.usefixtures("missing")
 @pytest.mark.parametrize("moment", ["compiling", "waiting"])
 def test_an_interrupt_of_the_first_process_ends_the_second(
-    started: list[subprocess.Popen[str]],
-    python_is: Callable[[str], None],
-    monkeypatch: pytest.MonkeyPatch,
-    moment: str,
+    started: list[subprocess.Popen[str]], python_is: Callable[[str], None], monkeypatch: pytest.MonkeyPatch, moment: str
 ) -> None:
     """While it compiles itself, and while it waits for the second."""
     python_is("echo begun; exec sleep 1000")

@@ -18,20 +18,7 @@ from hapsim.cordis.modules.nonlinear_links import Frictions, Plectra
 from hapsim.prediction.linear import linear_scene
 
 sys.path.insert(0, str(Path(__file__).parent))
-from module_scenes import (
-    CUTOFF,
-    HANDS,
-    NUMBERS,
-    SAMPLES,
-    SCENES,
-    Array,
-    Bench,
-    Numbers,
-    Run,
-    run_of,
-    scene_with,
-    walk,
-)
+from module_scenes import CUTOFF, HANDS, NUMBERS, SAMPLES, SCENES, Array, Bench, Numbers, Run, run_of, scene_with, walk
 
 #: What forces may differ by, over the largest force of the module, in double and in single precision. A mass and a cell
 #: carry what was rounded on from sample to sample.
@@ -207,20 +194,10 @@ RECURRENCES: dict[str, tuple[Recurrence, set[str]]] = {
     "filtered": (filtered, set()),
     "sensed": (sensed, set()),
     "buffer": (buffer, {"apart", "pushes", "would hold back"}),
-    "nonlinear": (
-        nonlinear,
-        {f"piece {i} over m" for i in range(6)} | {f"piece {i} over m/s" for i in range(5)},
-    ),
+    "nonlinear": (nonlinear, {f"piece {i} over m" for i in range(6)} | {f"piece {i} over m/s" for i in range(5)}),
     "friction": (
         friction,
-        {
-            "sticks",
-            "breaks away",
-            "slides on",
-            "stands, slid",
-            "turns back and sticks",
-            "turns about in one sample",
-        },
+        {"sticks", "breaks away", "slides on", "stands, slid", "turns back and sticks", "turns about in one sample"},
     ),
     "plectrum": (plectrum, {"grips", "releases", "released", "grips again", "passes beyond its reach"}),
 }

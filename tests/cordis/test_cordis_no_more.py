@@ -56,10 +56,7 @@ MODULES: dict[str, tuple[dict[str, Any], tuple[str, ...]]] = {
     "buffers": ({"type": "buffer", "stiffness": 9.0, **LINK}, ("add_forces",)),
     "forces over distance": ({"type": "nonlinear", "force_over_distance": CURVE, **LINK}, ("add_forces",)),
     "forces over velocity": ({"type": "nonlinear", "force_over_velocity": CURVE, **LINK}, ("add_forces",)),
-    "friction links": (
-        {"type": "friction", "force": 1.0, "stiffness": 9.0, **LINK},
-        ("initialize", "add_forces"),
-    ),
+    "friction links": ({"type": "friction", "force": 1.0, "stiffness": 9.0, **LINK}, ("initialize", "add_forces")),
     "plectra": ({"type": "plectrum", "stiffness": 9.0, "release": 0.1, **LINK}, ("add_forces",)),
 }
 

@@ -152,10 +152,7 @@ class Host:
 
 
 def scene_of(
-    channels: int = 1,
-    rate: float = 1000.0,
-    device: dict[str, Any] | None = None,
-    mock: dict[str, Any] | None = None,
+    channels: int = 1, rate: float = 1000.0, device: dict[str, Any] | None = None, mock: dict[str, Any] | None = None
 ) -> Scene:
     return Scene.model_validate(
         {

@@ -224,9 +224,7 @@ def test_a_velocity_beyond_its_scale_stops_at_the_end_of_it_and_is_no_fault(
     assert host.state == schema.ARMED
 
 
-def test_a_device_that_latches_while_it_sends_velocities_says_so_in_their_format(
-    new_host: Callable[..., Any],
-) -> None:
+def test_a_device_that_latches_while_it_sends_velocities_says_so_in_their_format(new_host: Callable[..., Any]) -> None:
     host = new_host(3)
     host.arm(schema.PACED_BY_DEVICE, watchdog=1, velocity=True)
     for _ in range(3):

@@ -158,11 +158,7 @@ def test_paced_by_the_device_positions_come_by_themselves_until_the_watchdog_lat
             (schema.POSITION, 0),
             *[(schema.POSITION_HELD, n) for n in range(1, 9)],
         ]
-        assert (heard[-1].type, heard[-1].state, heard[-1].fault) == (
-            schema.STATUS,
-            schema.LATCHED,
-            schema.HOST_QUIET,
-        )
+        assert (heard[-1].type, heard[-1].state, heard[-1].fault) == (schema.STATUS, schema.LATCHED, schema.HOST_QUIET)
         assert client.register(schema.REG_FAULT) == schema.HOST_QUIET
 
 

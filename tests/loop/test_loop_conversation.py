@@ -51,11 +51,7 @@ def test_a_description_arrives_as_the_device_says_it() -> None:
 @pytest.mark.parametrize(
     ("register", "value", "told"),
     [
-        (
-            schema.REG_VERSION,
-            2,
-            "speaks version 2 of the protocol, this hapsim speaks version 1: it takes a newer",
-        ),
+        (schema.REG_VERSION, 2, "speaks version 2 of the protocol, this hapsim speaks version 1: it takes a newer"),
         (schema.REG_VERSION, 0, "it takes a newer firmware"),
         (
             schema.REG_SCHEMA,

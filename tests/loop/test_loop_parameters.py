@@ -61,8 +61,7 @@ def test_no_value_moves_by_more_than_one_and_a_half_nth_of_its_way_in_a_sample()
 
 
 @pytest.mark.parametrize(
-    ("over", "samples"),
-    [(0.0, 1), (1e-9, 1), (0.001, 1), (0.0011, 2), (0.02, 20), (0.0205, 21), (0.021, 21)],
+    ("over", "samples"), [(0.0, 1), (1e-9, 1), (0.001, 1), (0.0011, 2), (0.02, 20), (0.0205, 21), (0.021, 21)]
 )
 def test_seconds_that_end_within_a_sample_last_until_its_end(over: float, samples: int) -> None:
     """At 1 kHz. Fewer samples would be faster than it was said; without any the change would never come."""

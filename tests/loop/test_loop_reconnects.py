@@ -115,11 +115,7 @@ def test_after_an_unplug_the_scene_goes_on_as_it_is_now(scene: Scene, bench: Ben
     record = tmp_path / "touch.npz"
     record_of(record, 1).write_text("of another day", encoding="utf-8")
     lifetime = bench.keep(
-        scene,
-        change_and_unplug,
-        bench.stop_in_time,
-        on_waiting=lambda: mocks.append(bench.plug(scene)),
-        record=record,
+        scene, change_and_unplug, bench.stop_in_time, on_waiting=lambda: mocks.append(bench.plug(scene)), record=record
     )
     assert (lifetime.failure, lifetime.report.ending, lifetime.reconnections) == (None, "stopped", 1)
     assert bench.told == ["lost", "reconnected"]

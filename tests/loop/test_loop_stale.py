@@ -128,9 +128,7 @@ def test_by_the_device_s_clock_one_that_arrives_too_late_is_answered_with_zero(n
 
 @pytest.mark.parametrize(("late_ms", "row", "limited"), [(21, (LIMITED, 2000), 1), (22, (WITHHELD, 0), 0)])
 def test_a_force_that_a_host_withholds_is_recorded_as_the_zero_that_left_and_not_as_cut(
-    late_ms: int,
-    row: tuple[int, int],
-    limited: int,
+    late_ms: int, row: tuple[int, int], limited: int
 ) -> None:
     loop = on("host", force_limit=2.0)
     loop.state.tick_ns = START
@@ -141,11 +139,7 @@ def test_a_force_that_a_host_withholds_is_recorded_as_the_zero_that_left_and_not
 
 
 @pytest.mark.parametrize(("late_ms", "row", "limited"), [(21, (LIMITED, 2000), 2), (22, (WITHHELD, 0), 1)])
-def test_by_the_device_s_clock_neither(
-    late_ms: int,
-    row: tuple[int, int],
-    limited: int,
-) -> None:
+def test_by_the_device_s_clock_neither(late_ms: int, row: tuple[int, int], limited: int) -> None:
     loop = on("device", force_limit=2.0)
     hear(loop, 0, at=START)
     loop.state.unanswered = 0

@@ -86,9 +86,7 @@ def test_only_the_links_that_take_a_sensed_velocity_are_named() -> None:
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, -1e-6])
-def test_an_absurd_velocity_scale_is_the_devices_fault_where_it_is_needed(
-    value: float,
-) -> None:
+def test_an_absurd_velocity_scale_is_the_devices_fault_where_it_is_needed(value: float) -> None:
     with scripted(scene=scene_of(damper="sensed"), velocity_scale=(value,)) as (there, device):
         with pytest.raises(DeviceError, match="velocity scale that is not a number above 0"):
             run(there, duration=0.01)

@@ -262,8 +262,7 @@ def test_every_constant_bit_of_the_check_is_looked_at(wire: Format) -> None:
 
 LONGEST_BODY = 253
 bodies = st.one_of(
-    st.binary(max_size=LONGEST_BODY),
-    st.lists(st.sampled_from([0, 0, 1, 254, 255]), max_size=LONGEST_BODY).map(bytes),
+    st.binary(max_size=LONGEST_BODY), st.lists(st.sampled_from([0, 0, 1, 254, 255]), max_size=LONGEST_BODY).map(bytes)
 )
 
 
