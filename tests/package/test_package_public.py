@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import functools
 import importlib
 import re
 from collections.abc import Iterator
@@ -65,7 +66,8 @@ UNDERSCORED = {
 """(where, what attribute with an underscore it reaches for on purpose): why."""
 
 
-def programs() -> dict[str, str]:
+@functools.cache
+def programs() -> dict[str, ast.Module]:
     """Python that shows how hapsim is used, by where it stands: the tools, and the examples of every page."""
     found = {path: path.read_text(encoding="utf-8") for path in (REPOSITORY / "tools").rglob("*.py")}
     folders = [REPOSITORY / name for name in (*PACKAGES, "configs", "tests", "tools")]
@@ -73,12 +75,12 @@ def programs() -> dict[str, str]:
     for page in pages:
         examples = re.findall(r"^```python\n(.*?)^```", page.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
         found |= {page.with_name(f"{page.name}, example {i + 1}"): text for i, text in enumerate(examples)}
-    return {path.relative_to(REPOSITORY).as_posix(): text for path, text in found.items()}
+    return {path.relative_to(REPOSITORY).as_posix(): ast.parse(text) for path, text in found.items()}
 
 
-def names_used(text: str) -> Iterator[tuple[str, str]]:
+def names_used(program: ast.Module) -> Iterator[tuple[str, str]]:
     """(room, name) of all of our packages that a program imports or reaches through `hapsim.`; "" for a whole room."""
-    for node in ast.walk(ast.parse(text)):
+    for node in ast.walk(program):
         if isinstance(node, ast.Import):
             yield from ((alias.name, "") for alias in node.names if alias.name.partition(".")[0] in PACKAGES)
         elif isinstance(node, ast.ImportFrom) and (node.module or "").partition(".")[0] in PACKAGES:
@@ -107,8 +109,8 @@ def why_inside(where: str, room: str, name: str) -> tuple[str, str] | None:
 
 def test_our_benches_and_examples_need_nothing_private() -> None:
     private, allowed = [], set()
-    for where, text in programs().items():
-        for room, name in names_used(text):
+    for where, program in programs().items():
+        for room, name in names_used(program):
             if is_public(room, name):
                 continue
             allowed.add(why_inside(where, room, name))
@@ -120,7 +122,7 @@ def test_our_benches_and_examples_need_nothing_private() -> None:
 
 def test_the_search_for_private_names_finds_them() -> None:
     text = "import hapsim, hapsim.loop.ring\nfrom hapsim.theory.hand import poles\nhapsim.cordis.tick\nhapsim.run"
-    found = [used for used in names_used(text) if not is_public(*used)]
+    found = [used for used in names_used(ast.parse(text)) if not is_public(*used)]
     assert found == [("hapsim.loop.ring", ""), ("hapsim.theory.hand", "poles"), ("hapsim", "cordis")]
     assert len(programs()) > 40
     assert sum(".md, example" in where for where in programs()) >= 2
@@ -130,8 +132,8 @@ def test_no_attribute_with_an_underscore_is_reached_for() -> None:
     """But one's own, and what every named tuple has."""
     reached = {
         (where, node.attr)
-        for where, text in programs().items()
-        for node in ast.walk(ast.parse(text))
+        for where, program in programs().items()
+        for node in ast.walk(program)
         if isinstance(node, ast.Attribute) and re.match(r"_[a-z]", node.attr) and node.attr != "_replace"
         if not (isinstance(node.value, ast.Name) and node.value.id in ("self", "cls"))
     }
