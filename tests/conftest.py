@@ -99,6 +99,8 @@ class Forked:
     def __init__(self, server: subprocess.Popen[str], argv: list[str], program: str, outputs: list[Path]) -> None:
         self._server, self._outputs, self._status = server, outputs, None
         work = {"argv": argv, "program": program, "outputs": [*map(str, outputs)]}
+        for output in outputs:
+            output.touch()  # it is looked at as soon as the process has a number
         self.pid = int(self._ask(work))
 
     def _ask(self, request: Any) -> Any:
