@@ -11,10 +11,12 @@ import contextlib
 import hashlib
 import json
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numba
+import numpy as np
 
 from hapsim.compiling import compiler
 
@@ -23,7 +25,7 @@ Compiled = TypeVar("Compiled")
 
 def compile_for(function: Any, *arguments: Any) -> None:
     """Compiles an `entry` for arguments of these types, or loads it, without calling it."""
-    signature = tuple(map(numba.typeof, arguments))
+    signature = signature_of(*arguments)
 
     def _compile_or_load() -> None:
         try:
@@ -38,7 +40,20 @@ def compile_for(function: Any, *arguments: Any) -> None:
 
 def is_kept(function: Any, *arguments: Any) -> bool:
     """Returns whether an earlier run left an `entry`'s machine code for arguments of these types."""
-    return Kept(function.py_func, tuple(map(numba.typeof, arguments))).is_whole
+    return Kept(function.py_func, signature_of(*arguments)).is_whole
+
+
+def signature_of(*arguments: Any) -> tuple[Any, ...]:
+    """Returns numba's types of the arguments. Of records it makes them anew each time, which takes milliseconds."""
+    return tuple(
+        _type_of_record(one.dtype, one.dtype.isalignedstruct) if isinstance(one, np.void) else numba.typeof(one)
+        for one in arguments
+    )
+
+
+@cache
+def _type_of_record(dtype: Any, _is_aligned: bool) -> Any:
+    return numba.from_dtype(dtype)
 
 
 def directory_of_kept_code() -> Path | None:

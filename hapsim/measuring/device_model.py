@@ -30,7 +30,7 @@ class SampledMotion(NamedTuple):
     y[n + 1] = row state[n] + sum over ages of gains[age][seen] f[n - D - age],
 
     the state being position and velocity of each mass, f force per mass. Behind the state each gain has the part of the
-    position's mean; `steady` is the gain of a constant force.
+    position's mean; `steady` is the gain of a constant force, `polynomial` that of `step`.
     """
 
     whole_delay: int
@@ -39,6 +39,7 @@ class SampledMotion(NamedTuple):
     seen: int
     gains: tuple[Floats, ...]
     steady: Floats
+    polynomial: Floats
 
     def answer_to(self, forces: Sequence[Floats]) -> Floats:
         """Positions along the last axis, the first one sample after rest at 0, under f[n - D - age] for each age."""
@@ -58,13 +59,12 @@ class SampledMotion(NamedTuple):
 
     def _filtered(self, force: Floats, gain: Floats, seen: float, ahead: int = 0) -> Floats:
         """y[n + 1] = [row (zI - step)^-1 gain + seen] force[n], as one filter; `ahead`: samples sooner."""
-        denominator = np.poly(self.step)
         markov, state = [seen], gain[: self.row.size]
         for _ in range(self.row.size):
             markov.append(float(self.row @ state))
             state = self.step @ state
-        numerator = np.convolve(denominator, markov)[: denominator.size]
-        return np.asarray(lfilter(numerator[ahead:], denominator, force))
+        numerator = np.convolve(self.polynomial, markov)[: self.polynomial.size]
+        return np.asarray(lfilter(numerator[ahead:], self.polynomial, force))
 
 
 def sampled_motion(
@@ -93,4 +93,5 @@ def sampled_motion(
         gains[force, : len(level)], gains[slope, : len(grows)] = level, grows
         gains = expm(matrix * duration) @ gains
     seen = area if converters.averages else 0
-    return SampledMotion(whole, through[state, state], through[seen, state], seen, tuple(gains.T), through[:, force])
+    step, row = through[state, state], through[seen, state]
+    return SampledMotion(whole, step, row, seen, tuple(gains.T), through[:, force], np.poly(step))

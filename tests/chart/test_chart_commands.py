@@ -28,9 +28,9 @@ CALLS = {
 }
 
 
+@pytest.mark.usefixtures("coarse_felt")
 @pytest.mark.parametrize(
-    "picture",
-    ["plane.svg", "plane.png", "plane.pdf", "transparency.svg", "table1.png", "family.svg", "paper.png", "felt.png"],
+    "picture", ["plane.png", "transparency.pdf", "table1.svg", "family.svg", "paper.pdf", "felt.png"]
 )
 def test_every_picture_is_drawn_in_every_format_and_nothing_is_clipped(
     chart: Chart, scene_file: SceneFile, monkeypatch: pytest.MonkeyPatch, rows_of: RowsOf, picture: str

@@ -116,6 +116,7 @@ def test_no_controller_has_what_swings_at_half_the_rate_or_faster() -> None:
     assert felt_by("predictor", DEVICE, DEVICE, fast).share(0.05) <= 0.75
 
 
+@pytest.mark.usefixtures("coarse_felt")
 def test_the_numbers_are_those_of_the_summary(chart: Chart, rows_of: Callable[[str], list[dict[str, str]]]) -> None:
     answer = chart("felt", "--normalised", "--delay", "2", "--data", "n.csv", "--picture", "p.png", "--json")
     assert answer.status == 0
@@ -132,6 +133,7 @@ def test_the_numbers_are_those_of_the_summary(chart: Chart, rows_of: Callable[[s
         assert answer.document["against_delay"][name] == of_delays
 
 
+@pytest.mark.usefixtures("coarse_felt")
 def test_a_scene_is_taken_as_it_is_written(chart: Chart, scene_file: SceneFile) -> None:
     """Its own correction is not applied twice; and people read a table and the limit."""
     share = chart("felt", scene_file("spring"), "--json").document["share"]

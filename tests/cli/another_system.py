@@ -1,4 +1,5 @@
-"""`hapsim …` as on a system that is not Linux: `python another_system.py run scene.yaml --portable --port COM3`.
+"""`hapsim …` as on a system that is not Linux. Commands come as JSON on standard input, `[["run", "scene.yaml"], …]`,
+and answers go, as [status, output, errors] of each, to standard output.
 
 What such a system lacks is taken away before anything is imported: modules of Python, functions of `os`, `time` and
 `signal`, the system calls of the loop. They are gone for LLVM too, so that whatever is compiled all the same, or was
@@ -9,10 +10,12 @@ that it is another one, stands a port behind which the mock of the scene answers
 from __future__ import annotations
 
 import ctypes
+import json
 import os
 import signal
 import sys
 import sysconfig
+import tempfile
 import time
 import types
 from typing import Any
@@ -138,14 +141,26 @@ def become_another_system() -> None:
     sys.modules.update(pyserial())
 
 
-def main(words: list[str]) -> None:
-    Serial.scene = next((word for word in words if word.endswith(".yaml")), "")
-    become_another_system()
-    sys.argv = ["hapsim", *words]
+def answer_to(words: list[str]) -> tuple[int, str, str]:
+    """What `hapsim` with these words returns, prints and complains of."""
     from hapsim.cli import main
 
-    main()
+    Serial.scene = next((word for word in words if word.endswith(".yaml")), "")
+    sys.argv = ["hapsim", *words]
+    kept, status = [os.dup(number) for number in (1, 2)], 0
+    with tempfile.TemporaryFile("w+") as output, tempfile.TemporaryFile("w+") as errors:
+        for number, file in enumerate((output, errors), 1):
+            os.dup2(file.fileno(), number)
+        try:
+            main()
+        except SystemExit as end:
+            status = int(end.code or 0)
+        for number, stream in enumerate((sys.stdout, sys.stderr), 1):
+            stream.flush()
+            os.dup2(kept[number - 1], number)
+        return status, *(file.seek(0) or file.read() for file in (output, errors))
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    become_another_system()
+    print(json.dumps([answer_to(words) for words in json.load(sys.stdin)]))

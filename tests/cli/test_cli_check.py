@@ -190,12 +190,6 @@ def test_channels_that_the_scene_does_not_touch_are_no_part_of_its_stability(
     assert not any("channel" in point for mode in document["modes"] for point in mode["participation"])
 
 
-def test_two_hands_are_predicted_each_for_itself(scene_file: SceneFile, checked: Checked) -> None:
-    points = checked(scene_file("two_hands"))["device_points"]
-    assert points["hand"]["k"] == checked(scene_file("spring"))["predicted"]["k"]
-    assert points["other"]["stiffness"] == 500
-
-
 def chain(tmp_path: Path, masses: int, mass: float, damping: float, grown: float = 1.0) -> Path:
     """A hand, and a row of masses that it pulls. `grown`: times the stiffness of link 1."""
     row = ["hand", *(f"m{i}" for i in range(masses)), "wall"]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import os
 import signal
-import subprocess
 import sys
 import threading
 import time
@@ -141,21 +140,18 @@ def test_a_capture_of_one_side_has_no_frame_of_the_others(hapsim: Hapsim, tmp_pa
 
 
 @pytest.mark.parametrize("full", [True, False])
-def test_an_output_that_cannot_be_written_is_not_the_captures_fault(tmp_path: Path, full: bool) -> None:
-    path = tmp_path / "long"
-    path.write_bytes(conversation() * 50)  # more than is kept back before it is written
-    if full:
-        output = os.open("/dev/full", os.O_WRONLY)
-    else:
-        near, output = os.pipe()
-        os.close(near)
-    try:
-        command = [sys.executable, "-m", "hapsim", "frames", str(path)]
-        done = subprocess.run(command, stdout=output, stderr=subprocess.PIPE, text=True, check=False)
-    finally:
-        os.close(output)
+def test_an_output_that_cannot_be_written_is_not_the_captures_fault(
+    hapsim: Hapsim, capture: Path, monkeypatch: pytest.MonkeyPatch, full: bool
+) -> None:
+    near, far = os.pipe()
+    os.close(near)
+    output = os.open("/dev/full", os.O_WRONLY) if full else os.dup(far)
+    os.close(far)
+    with io.TextIOWrapper(io.FileIO(output, "w"), write_through=True) as stream:
+        monkeypatch.setattr(sys, "stdout", stream)
+        answer = hapsim("frames", capture)
     told = "hapsim: the output cannot be written: No space left on device\n"
-    assert (done.returncode, done.stderr) == ((2, told) if full else (0, ""))
+    assert (answer.status, answer.err) == ((2, told) if full else (0, ""))
 
 
 def test_standard_input_may_be_a_pipe(hapsim: Hapsim, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -47,42 +47,36 @@ def mock_of(*words: object) -> Iterator[tuple[subprocess.Popen[str], str]]:
             process.communicate()
 
 
-def test_a_mock_in_another_process_is_measured_as_predicted(hapsim: Hapsim, scene_file: SceneFile) -> None:
+def test_a_mock_in_another_process_is_measured_as_predicted(
+    hapsim: Hapsim, scene_file: SceneFile, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And the first run at its port says that its motor was not judged."""
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
     scene = scene_file("spring")
     hapsim("run", scene, "--transport", "terminal", "--duration", 0.05)  # whatever is not compiled yet is compiled here
     with mock_of(scene) as (process, port):
-        for _ in range(2):  # and once more on the same mock
-            answer = hapsim("measure", scene, "--port", port, "--json")
-            assert answer.status == 0, answer.err
-            document = answer.document
-            assert document["measured"]["k"] == pytest.approx(document["predicted"]["k"], rel=1e-5)
-            assert document["measured"]["b"] == pytest.approx(document["predicted"]["b"], rel=1e-5)
-            assert (document["lost_frames"], document["crc_errors"], document["deadline_misses"]) == (0, 0, 0)
+        told = [hapsim("run", scene, "--port", port, "--duration", 0.05).err for _ in range(2)]
+        answer = hapsim("measure", scene, "--port", port, "--json")
+        assert answer.status == 0, answer.err
+        document = answer.document
+        assert document["measured"]["k"] == pytest.approx(document["predicted"]["k"], rel=1e-5)
+        assert document["measured"]["b"] == pytest.approx(document["predicted"]["b"], rel=1e-5)
+        assert (document["lost_frames"], document["crc_errors"], document["deadline_misses"]) == (0, 0, 0)
         process.send_signal(signal.SIGTERM)
         assert process.wait() == 0
-
-
-def test_the_first_run_at_a_port_says_that_nobody_judged_its_motor(
-    hapsim: Hapsim, scene_file: SceneFile, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
-    scene = scene_file("spring")
-    with mock_of(scene) as (_, port):
-        told = [hapsim("run", scene, "--port", port, "--duration", 0.05).err for _ in range(2)]
     assert f"First run at {port}: `hapsim probe {port} --push 0.5`" in " ".join(told[0].split())
     assert "First run" not in told[1]
     assert "First run" not in hapsim("run", scene, "--port", "/dev/ttyNOPE7").err
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_a_mock_takes_its_link_away_at_the_end(scene_file: SceneFile, tmp_path: Path, number: signal.Signals) -> None:
+def test_a_mock_takes_its_link_away_at_the_end(scene_file: SceneFile, tmp_path: Path) -> None:
     link = tmp_path / "device"
     with mock_of(scene_file("spring"), "--link", link, "--json") as (process, first):
         assert process.stdout is not None
         text = first + process.stdout.readline() + process.stdout.readline()
         assert json.loads(text) == {"port": str(link)}
         assert str(link.readlink()).startswith("/dev/")
-        process.send_signal(number)
+        process.send_signal(signal.SIGINT)
         assert process.wait() == 0
     assert not link.is_symlink()
 

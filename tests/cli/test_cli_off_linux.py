@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -33,80 +33,86 @@ print(len([name for name in sys.modules if name.startswith(("hapsim.", "firmware
 """
 
 
-def elsewhere(*words: object) -> subprocess.CompletedProcess[str]:
-    """`hapsim …` on another system."""
-    command = [sys.executable, str(ANOTHER_SYSTEM), *map(str, words)]
-    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
-
-
-def done(*words: object) -> str:
-    """What a command printed that did as asked."""
-    answer = elsewhere(*words)
+def python(*words: object, given: str = "") -> str:
+    """What a Python of its own prints."""
+    answer = subprocess.run(
+        [sys.executable, *map(str, words)], input=given, capture_output=True, text=True, check=False, timeout=300
+    )
     assert answer.returncode == 0, answer.stderr[-2000:]
-    assert "armed" not in answer.stderr
     return answer.stdout
 
 
+def elsewhere(*commands: Sequence[object]) -> list[tuple[int, str, str]]:
+    """(status, output, errors) of each `hapsim …`, all in one process on another system."""
+    given = json.dumps([list(map(str, words)) for words in commands])
+    return [tuple(answer) for answer in json.loads(python(ANOTHER_SYSTEM, given=given))]
+
+
+def done(*commands: Sequence[object]) -> list[str]:
+    """What commands printed that did as asked."""
+    answers = elsewhere(*commands)
+    for words, (status, _, errors) in zip(commands, answers, strict=True):
+        assert status == 0, (words, errors[-2000:])
+        assert "armed" not in errors
+    return [output for _, output, _ in answers]
+
+
 def test_everything_can_be_imported() -> None:
-    command = [sys.executable, "-c", IMPORT_EVERYTHING, str(ANOTHER_SYSTEM.parent)]
-    answer = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
-    assert answer.returncode == 0, answer.stderr[-2000:]
-    assert int(answer.stdout) > 200
+    assert int(python("-c", IMPORT_EVERYTHING, ANOTHER_SYSTEM.parent)) > 200
 
 
-def test_what_needs_no_loop_works(scene_file: SceneFile, tmp_path: Path) -> None:
+def test_what_needs_no_real_time_works(hapsim: Hapsim, scene_file: SceneFile, tmp_path: Path) -> None:
+    """In memory the loop in Python sends the forces of the compiled one, and on a port it runs to its end."""
     scene, picture, first = scene_file("spring"), tmp_path / "plane.svg", tmp_path / "first.yaml"
-    assert "Commands" in done("--help")
-    assert "numba" in done("--version")
-    assert json.loads(done("check", scene, "--json"))["stable"] is True
-    assert "Picture" in done("chart", "plane", scene, "--picture", picture)
+    on_port = ("--portable", "--port", "COM3", "--duration", 0.2, "--unstable", "--json")
+    runs = {}
+    for clock, rate in (("lockstep", 1000.0), ("device", 100.0), ("host", 100.0)):  # at 100 Hz the spring is too stiff
+        runs[clock, rate] = scene_file("spring", clock=clock, rate=rate).rename(tmp_path / f"{clock}.yaml")
+    told = done(
+        ("--help",),
+        ("--version",),
+        ("check", scene_file("spring"), "--json"),
+        ("chart", "plane", scene, "--picture", picture),
+        ("new", first),
+        ("schema",),
+        ("ports", "--json"),
+        ("compile", runs["device", 100.0]),
+        ("measure", scene, "--json", "--record", tmp_path / "there.npz"),
+        *(("run", path, *on_port) for path in runs.values()),
+    )
+    for part, said in zip(("Commands", "numba", '"stable": true', "Picture", "Wrote"), told[:5], strict=True):
+        assert part in said
     assert picture.stat().st_size > 10_000
-    assert "Wrote" in done("new", first)
     assert yaml.safe_load(first.read_text(encoding="utf-8"))["version"] == 1
-    assert json.loads(done("schema"))["type"] == "object"
-    assert json.loads(done("ports", "--json"))["ports"][0]["port"] == "COM3"
-
-
-def test_in_memory_the_loop_in_python_sends_the_forces_of_the_compiled_one(
-    hapsim: Hapsim, scene_file: SceneFile, tmp_path: Path
-) -> None:
-    scene = scene_file("spring")
-    measured = json.loads(done("measure", scene, "--json", "--record", tmp_path / "there.npz"))
+    assert json.loads(told[5])["type"] == "object"
+    assert json.loads(told[6])["ports"][0]["port"] == "COM3"
+    assert "kept in" in told[7]
+    measured = json.loads(told[8])
     assert measured["measured"]["k"] == pytest.approx(measured["predicted"]["k"], rel=1e-5)
+    for (clock, rate), said in zip(runs, told[9:], strict=True):
+        report = json.loads(said)
+        assert report["ending"] == "done"
+        assert report["ticks"] == round(0.2 * rate) or (report["duration_s"] > 0.2 and clock != "lockstep")
     assert hapsim("measure", scene, "--record", tmp_path / "here.npz").status == 0
     here, there = load_trace(tmp_path / "here.npz"), load_trace(tmp_path / "there.npz")
     for name in ("sample", "flags", "position_counts", "force_counts", "asked_force"):
         np.testing.assert_array_equal(getattr(there, name), getattr(here, name))
 
 
-@pytest.mark.parametrize(("clock", "rate"), [("lockstep", 1000.0), ("device", 100.0), ("host", 100.0)])
-def test_the_portable_loop_runs_on_a_port_to_its_end(scene_file: SceneFile, clock: str, rate: float) -> None:
-    scene = scene_file("spring", clock=clock, rate=rate)  # at 100 Hz the spring is too stiff
-    told = done("run", scene, "--portable", "--port", "COM3", "--duration", 0.2, "--unstable", "--json")
-    report = json.loads(told)
-    assert report["ending"] == "done"
-    assert report["ticks"] == round(0.2 * rate) or (report["duration_s"] > 0.2 and clock != "lockstep")
-
-
-def test_what_can_be_there_is_compiled_ahead(scene_file: SceneFile) -> None:
-    assert "kept in" in done("compile", scene_file("spring", clock="device"))
-
-
-@pytest.mark.parametrize(
-    ("words", "clock", "told"),
-    [
-        (["run"], "device", "the mock on a pseudo-terminal takes Linux"),
-        (["run", "--portable"], "lockstep", "the mock on a pseudo-terminal takes Linux"),
-        (["mock"], "lockstep", "the mock on a pseudo-terminal takes Linux"),
-        (["run", "--port", "COM3"], "device", "the compiled loop on a port takes Linux"),
-        (["run", "--realtime"], "lockstep", "--realtime takes Linux"),
-        (["doctor"], "device", "hapsim doctor, which examines the compiled loop, takes Linux"),
-    ],
-)
-def test_what_takes_linux_says_so_in_a_sentence(scene_file: SceneFile, words: list[str], clock: str, told: str) -> None:
-    command, *options = words
-    answer = elsewhere(command, scene_file("spring", clock=clock), *options)
-    assert (answer.returncode, answer.stdout) == (2, "")
-    *before, sentence = answer.stderr.splitlines()
-    assert sentence.startswith(f"{told}; this system (freebsd14) has no clock_gettime, ")
-    assert not [line for line in before if not line.startswith("Warning: ")]
+def test_what_takes_linux_says_so_in_a_sentence(scene_file: SceneFile, tmp_path: Path) -> None:
+    device = scene_file("spring", clock="device").rename(tmp_path / "device.yaml")
+    lockstep = scene_file("spring")
+    mock = "the mock on a pseudo-terminal takes Linux"
+    refused = {
+        ("run", device): mock,
+        ("run", lockstep, "--portable"): mock,
+        ("mock", lockstep): mock,
+        ("run", device, "--port", "COM3"): "the compiled loop on a port takes Linux",
+        ("run", lockstep, "--realtime"): "--realtime takes Linux",
+        ("doctor", device): "hapsim doctor, which examines the compiled loop, takes Linux",
+    }
+    for told, (status, output, errors) in zip(refused.values(), elsewhere(*refused), strict=True):
+        assert (status, output) == (2, "")
+        *before, sentence = errors.splitlines()
+        assert sentence.startswith(f"{told}; this system (freebsd14) has no clock_gettime, ")
+        assert not [line for line in before if not line.startswith("Warning: ")]

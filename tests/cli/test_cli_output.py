@@ -28,8 +28,16 @@ def environment(buffered: bool) -> dict[str, str]:
     return kept | ({} if buffered else {"PYTHONUNBUFFERED": "1"})
 
 
-@pytest.mark.parametrize("buffered", [True, False])
-@pytest.mark.parametrize("words", [["schema"], ["--version"], ["--help"], ["check", str(SHIPPED)]])
+@pytest.mark.parametrize(
+    ("words", "buffered"),
+    [
+        (["schema"], True),
+        (["schema"], False),
+        (["--version"], True),
+        (["--help"], False),
+        (["check", str(SHIPPED)], True),
+    ],
+)
 def test_a_reader_that_has_seen_enough_is_no_failure(nobody: int, words: list[str], buffered: bool) -> None:
     done = subprocess.run(
         [*HAPSIM, *words], stdout=nobody, stderr=subprocess.PIPE, text=True, check=False, env=environment(buffered)

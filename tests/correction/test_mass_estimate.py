@@ -79,7 +79,7 @@ def is_exact(report: Report) -> None:
     assert explained > 0.999
 
 
-@pytest.mark.parametrize("seed", range(2, 12))
+@pytest.mark.parametrize("seed", range(2, 7))
 def test_random_devices_are_within_three_uncertainties(bench: Any, seed: int) -> None:
     """Noise, coarse counts, stalls, late forces, dry friction, a hand that pushes and one that knocks."""
     found = bench.estimated(seed, 1.5)
@@ -89,7 +89,7 @@ def test_random_devices_are_within_three_uncertainties(bench: Any, seed: int) ->
 
 @pytest.mark.parametrize(("noise", "within"), [(0.4e-6, 1e-3), (1e-6, 2e-3), (1e-5, 0.02)])
 def test_noise_of_the_sensor_makes_no_mass_lighter(noise: float, within: float) -> None:
-    for seed in range(3):
+    for seed in range(2):
         mass, uncertainty, explained = estimated(
             run(scene_of(noise=noise, seed=seed), duration=1.0, excitation=pushes(1000, 1000)).report
         )
@@ -146,7 +146,7 @@ def test_the_estimate_follows_a_grip() -> None:
 
 
 def test_k_and_b_are_as_uncertain_as_the_mass() -> None:
-    for seed in range(3):
+    for seed in range(2):
         found = measure(scene_of(noise=1e-5, seed=seed))
         _, uncertainty, _ = estimated(found.trace.report)
         assert found.k_uncertainty >= found.k * uncertainty / found.mass

@@ -33,8 +33,8 @@ MASS, RATE = 0.2, 1000.0
 COMBINATIONS = list(
     itertools.product(("zoh", "impulse"), ("ideal", "average"), (0.0, 0.37, 1.0, 1.5, 2.0), (0.0, 0.05))
 )
-# 200 in all; HAPSIM_POINTS=200 makes it 8000, in half an hour.
-POINTS_EACH = int(os.environ.get("HAPSIM_POINTS", "5"))
+# 80 in all; HAPSIM_POINTS=200 makes it 8000, in half an hour.
+POINTS_EACH = int(os.environ.get("HAPSIM_POINTS", "2"))
 
 
 def random_target(rng: np.random.Generator, friction: float) -> tuple[float, float]:
@@ -94,7 +94,7 @@ def test_at_a_picometre_every_pole_lies_within_four_of_the_uncertainties_stated(
         f"worst {np.max(errors):.1e}; in stated uncertainties, worst of pole {worst[0]:.2f}, k {worst[1]:.2f}, "
         f"b {worst[2]:.2f}, root mean square {np.sqrt(np.mean(np.square(ratios))):.2f}"
     )
-    assert len(errors) >= 200
+    assert len(errors) >= 80
     assert np.median(errors) < 1e-9
     assert np.max(worst) < 4.0
     # Nor are they stated larger than they are: their squares average to about one.
@@ -106,18 +106,21 @@ def test_at_a_picometre_every_pole_lies_within_four_of_the_uncertainties_stated(
 def test_with_every_damper_and_a_spring_in_the_device_what_is_measured_is_what_is_predicted(
     damper: str, spring: float, figures: Any
 ) -> None:
+    """Every hold and sampling, each with one of the delays."""
     rng = np.random.default_rng([int(1e4 * spring), *map(ord, damper)])
     own: Any = {
         "stiffness": spring * MASS * RATE**2,
         "damper": damper,
         "cutoff": 90.0 if damper in WITH_CUTOFF else None,
     }
-    for hold, sampling, delay in itertools.product(HOLDS, SAMPLINGS, (0.0, 0.37, 1.0)):
+    for at, (hold, sampling, delay) in enumerate(itertools.product(HOLDS, SAMPLINGS, (0.0, 0.37, 1.0))):
         c = Configuration(mass=MASS, rate=RATE, friction=0.05, delay=delay, hold=hold, sampling=sampling, **own)
         K = B = -1.0
         while not can_be_written(K, B):
             k, b = damped_target(rng, c.stiffness)
             K, B = c.simulated(k, b)
+        if (at + at // 3 + int(1e3 * spring)) % 3:
+            continue
         measured = measured_in_memory(c, k, K, B)
         assert measured.dominant, (c, K, B, measured.reason)
         error = abs(measured.pole - c.dominant_poles(K, B)[0])
@@ -136,7 +139,7 @@ def test_every_shipped_scene_is_felt_as_predicted_over_a_pseudo_terminal(path: P
     assert_felt_as_predicted(scene)
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(6))
 def test_any_scene_of_one_spring_is_felt_as_predicted_over_a_pseudo_terminal(seed: int) -> None:
     rng = np.random.default_rng(seed)
     rate, mass = 10 ** rng.uniform(2.7, 4.0), 10 ** rng.uniform(-3, 0)

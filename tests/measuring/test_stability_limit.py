@@ -20,10 +20,10 @@ DAMPERS = {"backward": None, "centred": None, "filtered": 90.0, "sensed": None}
 CONFIGURATIONS = list(
     itertools.product(("zoh", "impulse"), ("ideal", "average"), (0.0, 0.37, 1.0, 1.5, 2.0), DAMPERS, (0.0, 0.02))
 )
-# A point each, 160, and a second one for every fourth: 200 in all. HAPSIM_POINTS=3 takes three points each.
+# A point in each second one, 80: every two of their values meet. HAPSIM_POINTS=3 takes three points in each of all.
 POINTS_EACH = int(os.environ.get("HAPSIM_POINTS", "0"))
 TICKS = 12_000
-BATCHES = 20
+BATCHES = 8
 START = 8  # samples, for the fast motions to have died away
 BLOCK = 20
 QUANTUM = 1e-11  # m
@@ -34,7 +34,10 @@ def points() -> list[tuple[Configuration, float, float]]:
     """Configurations, each with a damping and the largest stable stiffness for it."""
     rng = np.random.default_rng(17)
     chosen = []
-    for number, (hold, sampling, delay, damper, spring) in enumerate(CONFIGURATIONS):
+    for hold, sampling, delay, damper, spring in CONFIGURATIONS:
+        values = (hold == "zoh", sampling == "ideal", delay > 1.0, list(DAMPERS).index(damper), spring > 0.0)
+        if not POINTS_EACH and sum(values) % 2:
+            continue
         configuration = Configuration(
             mass=MASS,
             rate=RATE,
@@ -46,7 +49,7 @@ def points() -> list[tuple[Configuration, float, float]]:
             damper=damper,
             cutoff=DAMPERS[damper],
         )
-        for _ in range(POINTS_EACH or 1 + (number % 4 == 0)):
+        for _ in range(POINTS_EACH or 1):
             chosen.append((configuration, *_limit(configuration, rng)))
     return chosen
 
@@ -88,5 +91,5 @@ def test_just_below_the_limit_a_ring_down_decays_and_just_above_it_grows(batch: 
         below, above = growth(configuration, 0.999 * K, B), growth(configuration, 1.001 * K, B)
         assert below < 0.0 < above, (configuration, B, K, below, above)
         figures.count("points at which 0.999 of the limit dies away and 1.001 grows", 1)
-    assert len(points()) >= 200
+    assert len(points()) >= 80
     assert {configuration.damper for configuration, _, _ in points()} == set(DAMPERS)

@@ -50,7 +50,8 @@ def lag(delay: float) -> float:
 
 
 @pytest.mark.parametrize(
-    ("delay", "margin", "quantum"), list(itertools.product((0.0, 0.37, 1.0), (1.2, 4.0), (1e-6, 1e-5, 1e-4)))
+    ("delay", "margin", "quantum"),
+    [(0.0, 1.2, 1e-6), (0.0, 4.0, 1e-4), (0.37, 1.2, 1e-5), (0.37, 4.0, 1e-6), (1.0, 1.2, 1e-4), (1.0, 4.0, 1e-5)],
 )
 def test_between_two_counts_a_hand_rests_only_where_dry_friction_holds_half_a_step(
     delay: float, margin: float, quantum: float

@@ -27,7 +27,7 @@ from hands import RATE, contact, hand_scene, ran
 
 MASS, SPEED = 0.2, 0.1
 PERIOD = 1.0 / RATE
-PHASES = 8
+PHASES = 5
 CASES = list(itertools.product((200.0, 2000.0, 20000.0), (0.0, 0.37, 1.0)))
 
 

@@ -15,16 +15,16 @@ from hapsim.loop.guards.leap import HAND_M_PER_S, HAND_N, LEAP, SENSOR_M, is_lea
 
 
 @entry
-def first_leap(leap, io, state, samples, positions, period_ns):
+def first_leap(leap, io, state, samples, arrived, positions, period_ns):
     """The guard as the loop has it: at which row it says that the position leapt; -1 if it never does."""
     for row in range(samples.size):
         gap = samples[row] - samples[row - 1] if row > 0 else 1
         io.before[0] = io.measured[0]
         io.measured[0] = positions[row]
-        if is_leap(leap, io, state, gap, samples[row] * period_ns, period_ns):
+        if is_leap(leap, io, state, gap, arrived[row] * period_ns, period_ns):
             return row
-        state.newest_ns = samples[row] * period_ns
-        state.sent_ns = samples[row] * period_ns + 1000
+        state.newest_ns = arrived[row] * period_ns
+        state.sent_ns = arrived[row] * period_ns + 1000
         state.ticks += 1
     return -1
 
@@ -41,8 +41,10 @@ def judged(
     quantum: float = 1e-9,
     by_host: bool = False,
     samples: Any = None,
+    arrived: Any = None,
 ) -> int | None:
-    """The row at which the guard finds a leap in `positions` (m); None where it finds none."""
+    """The row at which the guard finds a leap in `positions` (m); None where it finds none. `arrived`: in periods, by
+    the host's clock, where that is not when they were sampled."""
     leap, io, state = new_record(LEAP), new_record(IO_BUFFER), new_record(STATE)
     each = {"mass": mass, "friction": friction, "stiffness": stiffness, "force": force, "count_m": quantum}
     watch_for_leaps(
@@ -50,7 +52,9 @@ def judged(
     )
     numbers = np.arange(len(positions)) if samples is None else np.asarray(samples)
     at = np.asarray(positions, float)
-    row = int(first_leap(leap, io, state, numbers.astype(np.int64), at, np.int64(round(1e9 / rate))))
+    times = numbers if arrived is None else arrived
+    period_ns = np.int64(round(1e9 / rate))
+    row = int(first_leap(leap, io, state, numbers.astype(np.int64), times.astype(np.int64), at, period_ns))
     return None if row < 0 else row
 
 
@@ -139,33 +143,6 @@ def test_what_leaps_from_the_beginning_is_found_at_the_third_position(by_host: b
 
 def test_a_host_that_was_held_up_takes_no_hand_for_a_leap() -> None:
     """By the host's clock a sample lasts as long as the host takes."""
-    periods = np.array([*[1] * 20, 60, *[1] * 20, 7, *[1] * 20])
-    passed = np.cumsum(periods)
-    positions = 2.5 * passed / 1000.0
-    row = first_leap_at_times(positions, passed, by_host=True)
-    assert row is None
-    assert first_leap_at_times(positions, passed, by_host=False) == 20
-
-
-def first_leap_at_times(positions: np.ndarray, passed: np.ndarray, *, by_host: bool) -> int | None:
-    """Consecutive samples that arrive after so many periods."""
-    leap, io, state = new_record(LEAP), new_record(IO_BUFFER), new_record(STATE)
-    one = np.ones(1)
-    watch_for_leaps(
-        leap,
-        rate_hz=1000.0,
-        by_host=by_host,
-        noise_m=0.0,
-        mass=0.2 * one,
-        friction=0.0 * one,
-        stiffness=0.0 * one,
-        force=10.0 * one,
-        count_m=1e-9 * one,
-    )
-    for row, (position, arrived) in enumerate(zip(positions, passed, strict=True)):
-        io.before[0], io.measured[0] = io.measured[0], position
-        if is_leap(leap, io, state, 1, int(arrived) * 10**6, 10**6):
-            return row
-        state.newest_ns = state.sent_ns = int(arrived) * 10**6
-        state.ticks += 1
-    return None
+    passed = np.cumsum([*[1] * 20, 60, *[1] * 20, 7, *[1] * 20])
+    assert judged(2.5 * passed / 1000.0, arrived=passed, by_host=True) is None
+    assert judged(2.5 * passed / 1000.0, arrived=passed, by_host=False) == 20

@@ -30,7 +30,7 @@ def lightest(K: float, B: float, delay: float) -> float:
     def beyond(mass: float) -> float:
         return float(Configuration(mass=mass, rate=RATE, friction=FRICTION, delay=delay).spectral_radius(K, B)) - 1.0
 
-    grid = np.geomspace(0.002, HELD, 200)
+    grid = np.geomspace(0.002, HELD, 80)
     last = int(np.flatnonzero([beyond(mass) > 0.0 for mass in grid])[-1])
     return float(brentq(beyond, grid[last], grid[last + 1], xtol=1e-12))
 

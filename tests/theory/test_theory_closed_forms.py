@@ -63,15 +63,6 @@ class TestTheIdealInterface:
         expected = -DAMPING_UNIT * np.expm1(-b / DAMPING_UNIT)
         np.testing.assert_allclose(B, np.broadcast_to(expected, B.shape), rtol=1e-12)
 
-    def test_it_is_stable_exactly_inside_its_triangle(self) -> None:
-        beta = np.linspace(0.05, 1.95, 20)
-        limit = 4.0 - 2.0 * beta
-        c = configuration(**IDEAL_INTERFACE)
-        for inside, kappa in ((True, 0.999 * limit), (False, 1.001 * limit)):
-            assert (c.is_stable(kappa * STIFFNESS_UNIT, beta * DAMPING_UNIT) == inside).all()
-        assert not c.is_stable(0.1 * STIFFNESS_UNIT, [-0.01 * DAMPING_UNIT, 2.01 * DAMPING_UNIT]).any()
-        assert not c.is_stable(-1e-6 * STIFFNESS_UNIT, DAMPING_UNIT)
-
     def test_springs_bunched_on_either_side_of_the_interface_differ_as_in_table_1(self) -> None:
         c = configuration(**IDEAL_INTERFACE)
         k = 0.3 * STIFFNESS_UNIT
@@ -141,59 +132,6 @@ class TestTheZeroOrderHoldWithoutDelay:
             held = configuration(friction=2.0, delay=delay, hold="zoh", sampling="ideal")
             averaged = configuration(friction=2.0, delay=delay, hold="impulse", sampling="average")
             np.testing.assert_allclose(held.characteristic(K, B), averaged.characteristic(K, B), atol=1e-14)
-
-
-class TestAVirtualChain:
-    """Equal masses between two grounds, each neighbour joined by the same link: the modes are known."""
-
-    LENGTH = 5
-
-    def chain(self, stiffness: float, damping: float) -> Network:
-        ends = [[i - 1, i] for i in range(self.LENGTH)] + [[self.LENGTH - 1, -1]]
-        links = len(ends)
-        return Network(
-            RATE,
-            [],
-            [],
-            1.0,
-            "zoh",
-            "ideal",
-            [MASS] * self.LENGTH,
-            ends,
-            [stiffness] * links,
-            [damping] * links,
-        )
-
-    def share(self) -> np.ndarray:
-        """The eigenvalues of the chain's connections, 2 - 2 cos."""
-        mode = np.arange(1, self.LENGTH + 1)
-        return 2.0 - 2.0 * np.cos(np.pi * mode / (self.LENGTH + 1))
-
-    def test_its_poles_are_those_of_the_recurrence_mode_by_mode(self) -> None:
-        kappa, zeta = 0.4, 0.03
-        poles = solve(self.chain(kappa * STIFFNESS_UNIT, zeta * DAMPING_UNIT)).poles
-        by_hand = np.concatenate(
-            [np.roots([1.0, (kappa + zeta) * share - 2.0, 1.0 - zeta * share]) for share in self.share()]
-        )
-        np.testing.assert_allclose(np.sort_complex(poles), np.sort_complex(by_hand), atol=1e-12)
-
-    def test_it_is_stable_up_to_its_fastest_mode(self) -> None:
-        highest = self.share().max()
-        zeta = 0.1
-        kappa = (4.0 - 2.0 * zeta * highest) / highest
-        for margin, stable in ((0.999, True), (1.001, False)):
-            chain = self.chain(margin * kappa * STIFFNESS_UNIT, zeta * DAMPING_UNIT)
-            assert (solve(chain).spectral_radius < 1.0) == stable
-
-    def test_its_modes_are_sines(self) -> None:
-        modes = solve(self.chain(1e-4 * STIFFNESS_UNIT, 1e-4 * DAMPING_UNIT)).modes
-        assert len(modes) == self.LENGTH
-        for number, mode in enumerate(modes, start=1):
-            shape = np.sin(np.pi * number * np.arange(1, self.LENGTH + 1) / (self.LENGTH + 1)) ** 2
-            np.testing.assert_allclose(mode.participation, shape / shape.sum(), atol=1e-9)
-            w = 0.01 * np.sqrt(self.share()[number - 1])
-            assert mode.frequency_hz == pytest.approx(w * RATE / (2.0 * np.pi), rel=1e-3)
-            assert mode.damping_ratio == pytest.approx(0.5 * w, rel=1e-2)
 
 
 class TestTheRealOscillator:

@@ -44,6 +44,11 @@ class TestTheStableStiffness:
         beta = np.array([1e-9, 0.01, 0.5, 1.0, 1.9, 1.9999])
         least, most = c.stable_stiffness(beta * DAMPING_UNIT)
         np.testing.assert_allclose(least, 0.0, atol=1e-12)
+        inside, outside = (c.is_stable(share * most, beta * DAMPING_UNIT) for share in (0.999, 1.001))
+        assert inside.all()
+        assert not outside.any()
+        assert not c.is_stable(0.1 * STIFFNESS_UNIT, [-0.01 * DAMPING_UNIT, 2.01 * DAMPING_UNIT]).any()
+        assert not c.is_stable(-1e-6 * STIFFNESS_UNIT, DAMPING_UNIT)
         np.testing.assert_allclose(most, (4.0 - 2.0 * beta) * STIFFNESS_UNIT, rtol=1e-9)
 
     def test_with_a_held_force_and_no_delay_it_is_known_in_closed_form(self) -> None:
@@ -206,19 +211,6 @@ class TestReasons:
         assert "changes its sign" in ideal.why_no_equivalent(3.9 * STIFFNESS_UNIT, 1.5 * DAMPING_UNIT)
         late = configuration(delay=0.0)
         assert "single creep" in late.why_no_equivalent(0.01 * STIFFNESS_UNIT, 1.8 * DAMPING_UNIT)
-
-
-def test_two_couplings_across_the_interface_are_a_third_frequency() -> None:
-    """Table 1, V: one spring in the device, one simulated; cos(wT) = cos(w0 T) - K T sin(w0 T)/(2 m w0)."""
-    k0 = np.array([1e-6, 1e-3, 0.1, 1.0, 4.0]) * STIFFNESS_UNIT
-    for spring in k0:
-        ideal = configuration(delay=0.0, hold="impulse", stiffness=spring)
-        w0 = np.sqrt(spring / MASS)
-        K = 0.3 * spring
-        k, b = ideal.equivalent(K, 0.0)
-        expected = np.cos(w0 * T) - K * T * np.sin(w0 * T) / (2.0 * MASS * w0)
-        assert np.cos(np.sqrt(k / MASS) * T) == pytest.approx(expected, abs=1e-13)
-        assert b == pytest.approx(0.0, abs=1e-12 * DAMPING_UNIT)
 
 
 def test_large_grids_are_worked_out_in_parts_and_come_out_the_same() -> None:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -63,7 +64,7 @@ def schedule_for(
     an element has in place of its own.
     """
     masses = np.geomspace(*span, ROWS)
-    trues = [replace(declared, mass=mass) for mass in np.geomspace(*span, _TRIED).tolist()]
+    trues = tuple(replace(declared, mass=mass) for mass in np.geomspace(*span, _TRIED).tolist())
     found: list[Element] = []
     for mass in masses.tolist():
         model = replace(declared, mass=mass)
@@ -82,7 +83,10 @@ def schedule_for(
     return Schedule(masses, tuple(elements), float(masses[len(found) - 1]))
 
 
-def _is_stable_for(trues: list[Configuration], model: Configuration, observer: Observer, K: float, B: float) -> bool:
+@lru_cache(1024)
+def _is_stable_for(
+    trues: tuple[Configuration, ...], model: Configuration, observer: Observer, K: float, B: float
+) -> bool:
     predictor = predictor_for(model, observer)
     loops = (PredictedLoop(true, predictor) for true in trues)
     return all(bool(np.abs(loop.poles(K, B)[..., 0]) <= 1.0 + _ON_THE_CIRCLE) for loop in loops)

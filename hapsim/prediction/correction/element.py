@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import lru_cache
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -39,6 +40,7 @@ class Element(NamedTuple):
     observer: Observer = Observer()
 
 
+@lru_cache(1024)  # what is run, predicted and warned of a scene asks for the same ones
 def element_for(
     kind: CorrectionKind, declared: Configuration, span: tuple[float, float], desired: tuple[float, float]
 ) -> Element:

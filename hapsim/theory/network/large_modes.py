@@ -143,9 +143,10 @@ def _growing(matrix: SparseTransition) -> tuple[Complexes, NDArray, float]:
     motion = np.random.default_rng(1).standard_normal(matrix.size)
     breaths = _steps(matrix) // BREATH
     logarithm = np.zeros(breaths + 1)
+    power, steps = matrix.power(BREATH)
     for n in range(breaths):
-        for _ in range(BREATH):
-            motion = matrix @ motion
+        for _ in range(BREATH // steps):
+            motion = power @ motion
         size = float(np.linalg.norm(motion))
         if not 0.0 < size < np.inf:
             return *none, size

@@ -17,6 +17,9 @@ from hapsim.theory.network.state import transition_parts
 from hapsim.theory.schemes import SCHEMES
 
 
+A_CALL = 15_000  # numbers that are multiplied in the time that a multiplication takes to begin
+
+
 class SparseTransition:
     """The transition. ``work``: the cost of one step, in numbers of a state that CORDIS's scheme moves."""
 
@@ -39,6 +42,15 @@ class SparseTransition:
         if self._step is None:
             return forward
         return self._step(forward) if np.isrealobj(state) else self._step(forward.real) + 1j * self._step(forward.imag)
+
+    def power(self, most: int) -> tuple[Any, int]:
+        """(what moves a state by `steps` samples at once, steps): of 1, 2, 4, … up to `most` the quickest."""
+        if self._step is not None:
+            return self, 1
+        power, steps = self.right, 1
+        while 2 * steps <= most and (squared := power @ power).nnz < 2 * power.nnz + A_CALL:
+            power, steps = squared, 2 * steps
+        return power, steps
 
     def inverse(self, shift: complex) -> Solve | None:
         """x -> (transition - shift)^-1 x; None where the shift is a pole, exactly."""
