@@ -94,4 +94,4 @@ def sampled_motion(
         gains = expm(matrix * duration) @ gains
     seen = area if converters.averages else 0
     step, row = through[state, state], through[seen, state]
-    return SampledMotion(whole, step, row, seen, tuple(gains.T), through[:, force], np.poly(step))
+    return SampledMotion(whole, step, row, seen, tuple(gains.T), through[:, force], np.asarray(np.poly(step)))

@@ -18,13 +18,7 @@ SceneFile = Callable[..., Path]
 
 ADVICE = Advice("The test was slow.", "It waits.", "Make it quicker:", ("pytest --quick",))
 QUICK = ("--seconds", 0.05, "--rates", "200")
-MEASURES = {
-    "garbage collector frozen",
-    "memory locked",
-    "power saving off",
-    "one processor",
-    "SCHED_FIFO",
-}
+MEASURES = {"garbage collector frozen", "memory locked", "power saving off", "one processor", "SCHED_FIFO"}
 
 
 @pytest.fixture

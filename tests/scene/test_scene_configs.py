@@ -84,11 +84,7 @@ def test_a_scene_that_ships_stays_within_its_force_limit_and_the_counts_of_the_w
 
 @pytest.mark.parametrize(
     ("name", "damping", "b"),
-    [
-        ("first_touch", 2.0, -0.0295),
-        ("paper_6_2_one_sample", 0.1, -0.0121),
-        ("zero_order_hold", 0.05, -0.0026),
-    ],
+    [("first_touch", 2.0, -0.0295), ("paper_6_2_one_sample", 0.1, -0.0121), ("zero_order_hold", 0.05, -0.0026)],
 )
 def test_the_unstable_neighbours_that_the_comments_name_are_unstable(name: str, damping: float, b: float) -> None:
     assert f"b = {b:.4f}" in text_of(name)

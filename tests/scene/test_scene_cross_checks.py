@@ -18,10 +18,7 @@ TWO_NAMES = "expected the names of two modules, such as [hand, wall]"
 @pytest.mark.parametrize(
     ("between", "told"),
     [
-        (
-            "[hand, wal]",
-            f"7:47: between[1]: found 'wal', {A_NAME}; did you mean 'wall'?",
-        ),
+        ("[hand, wal]", f"7:47: between[1]: found 'wal', {A_NAME}; did you mean 'wall'?"),
         ("[xyz, wall]", f"7:41: between[0]: found 'xyz', {A_NAME}"),
         ("[hand, touch]", "7:47: between[1]: found 'touch', the link itself; expected a point to hold"),
         ("[hand, hand]", "7:40: between: found 'hand' at both ends, expected two different points"),
@@ -129,10 +126,7 @@ def test_in_a_very_large_scene_dangling_names_are_reported_quickly(faults: Fault
     [
         ("{type: mass, mass: 0.1, position: -3.5e+38}", "position: found -3.5e+38"),
         ("{type: cell, mass: 0.1, stiffness: 1.0e+39}", "stiffness: found 1e+39"),
-        (
-            "{type: string, masses: 5, mass: 0.1, stiffness: 1, pluck: {at: 1, by: 1.0e+300}}",
-            "by: found 1e+300",
-        ),
+        ("{type: string, masses: 5, mass: 0.1, stiffness: 1, pluck: {at: 1, by: 1.0e+300}}", "by: found 1e+300"),
         (
             "{type: nonlinear, between: [hand, wall], force_over_distance: [[0, 0], [1, 4.0e+38]]}",
             "force_over_distance[1][1]: found 4e+38",

@@ -144,11 +144,7 @@ def test_what_does_not_describe_a_mock_is_reported(only_fault: OnlyFault, mock: 
             "ground",
             "6:10: wall: found 'ground' (text), expected a mapping such as {type: mass, mass: 0.01}",
         ),
-        (
-            "type: ground",
-            "typ: ground",
-            f"6:3: wall: 'type' is missing, {TYPES}; is 'typ' meant to be 'type'?",
-        ),
+        ("type: ground", "typ: ground", f"6:3: wall: 'type' is missing, {TYPES}; is 'typ' meant to be 'type'?"),
         ("{type: ground}", "{}", f"6:3: wall: 'type' is missing, {TYPES}"),
         ("stiffness: 2000", "stiffness: -3", "7:65: stiffness: found -3, expected a number >= 0 (N/m)"),
         (", stiffness: 2000", "", "7:3: touch: 'stiffness' is missing, expected a number >= 0 (N/m)"),

@@ -92,18 +92,8 @@ def test_a_scene_with_such_a_module_reads_back_the_same_and_can_be_hashed(good: 
             "[1, true]",
             "force_over_distance[1][1]: found true (a boolean), expected a number (N)",
         ),
-        (
-            "nonlinear",
-            "[1, 5]",
-            "[.nan, 5]",
-            "force_over_distance[1][0]: found .nan, expected a finite number (m)",
-        ),
-        (
-            "nonlinear",
-            "[1, 5]",
-            "[-1, 5]",
-            f"force_over_distance[1][0]: found -1, expected a number > -1 (m): {ORDER}",
-        ),
+        ("nonlinear", "[1, 5]", "[.nan, 5]", "force_over_distance[1][0]: found .nan, expected a finite number (m)"),
+        ("nonlinear", "[1, 5]", "[-1, 5]", f"force_over_distance[1][0]: found -1, expected a number > -1 (m): {ORDER}"),
         (
             "nonlinear",
             "force_over_distance: [[-1, -5], [1, 5]]",

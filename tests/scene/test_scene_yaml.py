@@ -78,10 +78,7 @@ def test_a_fault_behind_an_anchor_is_reported_once_and_where_it_stands(faults: F
         ("<<: 3", "8:5: <<: found 3, expected a mapping to take keys from"),
         ("<<: [3]", "8:6: <<: found 3, expected a mapping to take keys from"),
         ("mock: &m {<<: *m}", "8:7: found a mapping that contains itself, expected an end to it"),
-        (
-            "mock: &m {initial: {position: &p [*p]}}",
-            "8:31: found a list that contains itself, expected an end to it",
-        ),
+        ("mock: &m {initial: {position: &p [*p]}}", "8:31: found a list that contains itself, expected an end to it"),
     ],
 )
 def test_a_reference_that_leads_nowhere_is_reported(faults: Faults, good: str, extra: str, told: str) -> None:

@@ -89,12 +89,7 @@ class TestSmallStiffnessAndDamping:
     @pytest.mark.parametrize("delay", [0.0, 0.37, 1.0, 2.0, 5.5])
     @pytest.mark.parametrize(
         ("hold", "sampling", "extra"),
-        [
-            ("impulse", "ideal", 0.0),
-            ("zoh", "ideal", 0.5),
-            ("impulse", "average", 0.5),
-            ("zoh", "average", 1.0),
-        ],
+        [("impulse", "ideal", 0.0), ("zoh", "ideal", 0.5), ("impulse", "average", 0.5), ("zoh", "average", 1.0)],
     )
     def test_the_delay_takes_stiffness_times_delay_off_the_damping(
         self, hold: str, sampling: str, extra: float, delay: float

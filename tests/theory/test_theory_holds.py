@@ -47,7 +47,10 @@ def _others_too(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize("sampling", SAMPLINGS | WINDOWS)
 @pytest.mark.parametrize("hold", HOLDS | UNSHIPPED)
 def test_its_poles_are_those_of_its_motion(hold: str, sampling: str, delay: float) -> None:
+    turn = round(10.0 * delay) % 2
     for friction, spring, damper in itertools.product((0.0, 2.0), (0.0, 500.0), ("backward", "sensed")):
+        if ((friction > 0.0) + (spring > 0.0) + (damper == "sensed") + turn) % 2:
+            continue  # any two of them meet at every delay, all three at some
         c = Configuration(MASS, RATE, friction, delay, hold, sampling, spring, damper)
         for K, B in ((3e3, 4.0), (4e4, 30.0), (100.0, -2.0)):
             link = damper_named(damper, None, RATE)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -12,13 +14,13 @@ T = 1.0 / RATE
 STIFFNESS_UNIT, DAMPING_UNIT = MASS / T**2, MASS / T
 
 DAMPERS = {"backward": None, "centred": None, "filtered": 60.0, "sensed": None}
+# Every second one: any three of their values meet.
 CASES = [
     (hold, sampling, delay, damper, spring)
-    for hold in ("zoh", "impulse")
-    for sampling in ("ideal", "average")
-    for delay in (0.0, 0.5, 1.0, 2.3)
-    for damper in DAMPERS
-    for spring in (0.0, 0.05)
+    for at_delay, delay in enumerate((0.0, 0.5, 1.0, 2.3))
+    for at_damper, damper in enumerate(DAMPERS)
+    for hold, sampling, spring in itertools.product(("zoh", "impulse"), ("ideal", "average"), (0.0, 0.05))
+    if (at_delay + at_damper + (hold == "zoh") + (sampling == "ideal") + (spring > 0.0)) % 2
 ]
 
 

@@ -77,7 +77,7 @@ def random_scene(seed: int) -> Network:
     )
 
 
-@pytest.mark.parametrize("seed", range(16))
+@pytest.mark.parametrize("seed", range(8))
 def test_random_scenes_have_the_margins_that_their_poles_say(seed: int) -> None:
     scene = random_scene(seed)
     for link, margin in enumerate(margins_of(scene).links):
@@ -163,7 +163,7 @@ def chain(masses: int, B: float, held: int) -> Network:
     return Network(RATE, [0.2], [1.0], 1.0, "zoh", "ideal", np.full(masses, 0.01), ends, stiffness, damping)
 
 
-@pytest.mark.parametrize(("B", "masses"), [(0.1, 40), (0.0, 70)])
+@pytest.mark.parametrize(("B", "masses"), [(0.1, 40), (0.0, 50)])
 def test_a_strings_many_narrow_resonances_are_not_stepped_over(B: float, masses: int) -> None:
     """Just below every margin of the hand's link and of some others the poles are inside, just above they are not."""
     scene = chain(masses, B, masses // 3)

@@ -66,10 +66,7 @@ class TestASimulatedMass:
 
     def test_centred(self) -> None:
         # v = (1 - z^-2)/2: z³ - 2 z² + z + kappa z² + beta (z² - 1)/2
-        same(
-            self.poles(("centred", None)),
-            np.roots([1.0, self.kappa + self.beta / 2.0 - 2.0, 1.0, -self.beta / 2.0]),
-        )
+        same(self.poles(("centred", None)), np.roots([1.0, self.kappa + self.beta / 2.0 - 2.0, 1.0, -self.beta / 2.0]))
 
     def test_filtered(self) -> None:
         # v = a (1 - 1/z)/(1 - (1 - a)/z): (z² - 2 z + 1 + kappa z)(z - 1 + a) + beta a z (z - 1)

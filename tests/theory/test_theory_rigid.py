@@ -51,10 +51,7 @@ BARS = {
     "free and taut": (bends(range(6)) + neighbours(6, 30.0, 0.0), 2),
     "of three masses": (bends(range(3)), 4),
     "with a damper from one mass to the ground": ([*bends(range(6)), (2, -1, 0.0, 0.05)], 3),
-    "with dampers from two masses to the ground": (
-        [*bends(range(6)), (2, -1, 0.0, 0.05), (5, -1, 0.0, 0.05)],
-        2,
-    ),
+    "with dampers from two masses to the ground": ([*bends(range(6)), (2, -1, 0.0, 0.05), (5, -1, 0.0, 0.05)], 2),
     "with dampers along it, which brake its tilt": (bends(range(6)) + neighbours(6, 0.0, 0.02), 3),
     "on a spring to the ground": ([*bends(range(6)), (2, -1, 20.0, 0.0)], 2),
     "on two springs to the ground": ([*bends(range(6)), (2, -1, 20.0, 0.0), (5, -1, 20.0, 0.1)], 0),
