@@ -143,6 +143,7 @@ def test_a_capture_of_one_side_has_no_frame_of_the_others(hapsim: Hapsim, tmp_pa
 def test_an_output_that_cannot_be_written_is_not_the_captures_fault(
     hapsim: Hapsim, capture: Path, monkeypatch: pytest.MonkeyPatch, full: bool
 ) -> None:
+    capture.write_bytes(conversation() * 50)  # more than is kept back before it is written
     near, far = os.pipe()
     os.close(near)
     output = os.open("/dev/full", os.O_WRONLY) if full else os.dup(far)
