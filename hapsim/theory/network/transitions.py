@@ -16,7 +16,6 @@ from hapsim.theory.network.sparse import Solve, factorised, sparse
 from hapsim.theory.network.state import transition_parts
 from hapsim.theory.schemes import SCHEMES
 
-
 A_CALL = 15_000  # numbers that are multiplied in the time that a multiplication takes to begin
 
 
