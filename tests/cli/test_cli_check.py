@@ -154,7 +154,7 @@ def test_a_hand_that_nothing_pulls_back_is_not_called_unstable(
     assert "There is no stiffness to have a margin." in told
 
 
-@pytest.mark.parametrize("masses", [10, 700])
+@pytest.mark.parametrize("masses", [10, 520])
 @pytest.mark.parametrize("ends", [["free", "free"], ["fixed", "free"]], ids=["free", "hinged"])
 def test_a_bar_that_nothing_keeps_from_turning_is_not_called_unstable(
     hapsim: Hapsim, scene_file: SceneFile, masses: int, ends: list[str]
