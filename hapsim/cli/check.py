@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 from rich.markup import escape
 
 from hapsim.cli import check_details as details
+from hapsim.cli.live import at_work
 from hapsim.cli.options import Json, SceneFile, flag, load
-from hapsim.cli.output import document, pick, stderr, stdout, table
+from hapsim.cli.output import Table, document, pick, stderr, stdout, table
 from hapsim.errors import UsageError
 from hapsim.holds import HOLDS
 from hapsim.number_format import duration, number
@@ -28,7 +29,6 @@ from hapsim.prediction.force_bounds import refused_slew, refused_travel, run_bou
 
 if TYPE_CHECKING:
     from rich.console import Console
-    from rich.table import Table
 
     from hapsim.cordis.explain import Explanation
     from hapsim.scene import Scene
@@ -45,7 +45,7 @@ def check(
     loaded = load(scene)
     if why := refused_travel(loaded):
         raise UsageError(f"{scene}: {why}")
-    with stderr().status("working out modes and gain margins"):
+    with at_work(stderr(), "working out modes and gain margins"):
         prediction = predict(loaded)
         on_wire = predict_on_wire(loaded)
     explanation = _explanation(loaded) if explain else None
@@ -70,8 +70,8 @@ def check(
 def _explanation(scene: Scene) -> Explanation:
     from hapsim.cordis.explain import explain
 
-    with stderr().status("compiling") as status:
-        return explain(scene, lambda part: status.update(f"compiling and timing {part}"))
+    with at_work(stderr(), "compiling") as show:
+        return explain(scene, lambda part: show(f"compiling and timing {part}"))
 
 
 def _slew_warnings(scene: Scene, prediction: Prediction) -> list[str]:

@@ -8,14 +8,13 @@ from typing import TYPE_CHECKING
 
 from rich.markup import escape
 
-from hapsim.cli.output import table
+from hapsim.cli.output import Table, table
 from hapsim.number_format import between, duration, number, rounded_down, rounded_up
 from hapsim.prediction import Desired, Felt, Prediction, WireTime, correction_for, host_silence, robustness_of
 from hapsim.prediction.force_bounds import force_bounds, hidden_sign, run_bounds
 
 if TYPE_CHECKING:
     from rich.console import Console
-    from rich.table import Table
 
     from hapsim.cordis.explain import Explanation
     from hapsim.prediction.correction import Remedies

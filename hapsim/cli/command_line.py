@@ -150,19 +150,23 @@ def _about_hapsim(
 
 def run_command() -> int:
     """Runs what `sys.argv` asks for, and returns the exit status."""
+    if os.environ.get("COLUMNS", "").strip("0") == "":
+        os.environ.pop("COLUMNS", None)  # a terminal that does not know its width says 0: nothing would be printed
     with standing_streams():
         log_as_json(False)
-        status = _run_app()
+        ended = _run_app()
         log_as_json(False)  # writes what a log still has
-        failure = output_failure()
+        # A disk that a command found full may be the output's, too: that is one sentence.
+        status, failure = (ended, output_failure()) if isinstance(ended, int) else (0, ended)
         if failure is not None:
-            status = _fail_to_write(failure)
+            status = _fail(f"hapsim: the output cannot be written: {failure.strerror}", UsageError.exit_status)
     if "hapsim.loop.realtime.giving_way" in sys.modules:
         sys.modules["hapsim.loop.realtime.giving_way"].leave_unfinished(status)
     return status
 
 
-def _run_app() -> int:
+def _run_app() -> int | OSError:
+    """Returns the exit status, or the error of a disk that is full."""
     try:
         app()
     except KeyboardInterrupt:
@@ -180,7 +184,7 @@ def _run_app() -> int:
         if was_interrupted():
             return end_interrupted()
         if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
-            return _fail_to_write(error)
+            return error
         if os.environ.get("HAPSIM_TRACEBACK"):
             raise
         return _fail(
@@ -189,10 +193,6 @@ def _run_app() -> int:
             HapsimError.exit_status,
         )
     return 0
-
-
-def _fail_to_write(error: OSError) -> int:
-    return _fail(f"hapsim: the output cannot be written: {error.strerror}", UsageError.exit_status)
 
 
 def _fail(problem: str, status: int) -> int:

@@ -8,11 +8,10 @@ from typing import Annotated
 
 from rich.console import Console
 from rich.markup import escape
-from rich.table import Table
 
 from hapsim.cli.live import live_line
 from hapsim.cli.options import Json, SceneFile, flag, load, option
-from hapsim.cli.output import complain, document, stderr, stdout
+from hapsim.cli.output import complain, document, stderr, stdout, table
 
 
 def mock(
@@ -52,11 +51,8 @@ _NOT_KNOWN = "n/a"  # as pyserial says it
 
 def show_ports(out: Console, ports: Iterable[Mapping[str, str]]) -> None:
     """Prints where each port is, its description, and the system's name for its hardware."""
-    table = Table(title="Serial ports", title_justify="left")
-    table.add_column("port", overflow="fold", no_wrap=True)
-    table.add_column("description", overflow="fold")
-    table.add_column("hardware", overflow="fold")
-    for port in ports:
-        cells = (port[key] for key in ("port", "description", "hardware"))
-        table.add_row(*(escape(cell if cell != _NOT_KNOWN else "") for cell in cells))
-    out.print(table)
+    rows = (
+        [escape("" if port[key] == _NOT_KNOWN else port[key]) for key in ("port", "description", "hardware")]
+        for port in ports
+    )
+    out.print(table("Serial ports", ("<port", "<description", "<hardware"), rows))

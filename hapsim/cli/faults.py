@@ -162,9 +162,8 @@ def show_faults(out: Console, injector: Injector, unread_bytes: int, passing: Pa
             f"Passing a frame on took {median} in the median, and at most {most} for 99 % of them, beside what a fault "
             "held up."
         )
-    out.print("What was done to it", style="italic")  # not as a title, which breaks where the table is narrow
     happened = [(str(one.place), one.kind, one.when, f"{one.times} {one.counted}") for one in injector.happened]
-    out.print(table("", ("", "<fault", "<when", "<how often"), happened))
+    out.print(table("What was done to it", ("", "<fault", "<when", "<how often"), happened))
     for sentence in _at_the_device(injector):
         out.print(sentence)
 

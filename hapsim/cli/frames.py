@@ -174,9 +174,15 @@ def _pieces_of(
         raise UsageError(f"{source}: found a directory, expected a capture (raw bytes) or a serial port")
     else:
         with _reading(source):
-            stream = open(source, "rb")  # noqa: SIM115 - closed below: only a failed opening is reported as one
+            # Closed below: only a failed opening is reported as one. It does not wait for a FIFO's writer: no signal
+            # would end that, and `_of_stream` waits.
+            stream = open(source, "rb", opener=_open_at_once)  # noqa: SIM115
         with stream:
             yield _of_stream(source, stream, stopped)
+
+
+def _open_at_once(path: str, flags: int) -> int:
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
 
 
 @contextlib.contextmanager

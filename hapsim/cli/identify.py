@@ -10,7 +10,7 @@ import typer
 
 from hapsim.cli.live import live_line
 from hapsim.cli.options import DeviceOptions, Json, PictureOptions, flag, option, push_option, seconds
-from hapsim.cli.output import complain, document, pick, say, stderr, stdout, table
+from hapsim.cli.output import Table, complain, document, pick, say, stderr, stdout, table
 from hapsim.device.known_devices import is_new
 from hapsim.errors import UsageError
 from hapsim.measuring.identify_device import SECONDS, TRAVEL_M, bounds_of, identify_device
@@ -19,8 +19,6 @@ from hapsim.scene import Known
 from hapsim.scene.rewrite import require_rewritable, rewrite_device
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from hapsim.measuring.device_excitation import Bounds
     from hapsim.measuring.device_fit import Estimate
     from hapsim.measuring.identify_device import DeviceIdentification

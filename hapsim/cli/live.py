@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict
@@ -43,7 +44,7 @@ def live_line(error: Console) -> Iterator[Callable[[Progress], None]]:
 @contextlib.contextmanager
 def live_words(error: Console) -> Iterator[Callable[[str], None]]:
     """Yields a function that shows a text in the same way. The first word of a text says of which kind it is."""
-    if error.is_terminal:
+    if _can_change_a_line(error):
         with error.status("starting") as status:
             yield status.update
         return
@@ -54,6 +55,31 @@ def live_words(error: Console) -> Iterator[Callable[[str], None]]:
             error.print(text, soft_wrap=True)
 
     yield write
+
+
+@contextlib.contextmanager
+def at_work(error: Console, text: str) -> Iterator[Callable[[str], None]]:
+    """Shows what takes its time, and yields a function that shows another text: in place on a terminal, elsewhere a
+    line every five seconds that it lasts."""
+    if _can_change_a_line(error):
+        with error.status(text) as status:
+            yield status.update
+        return
+    texts, over = [text], threading.Event()
+
+    def tell() -> None:
+        while not over.wait(_STEP_S):
+            error.print(texts[-1], soft_wrap=True)
+
+    threading.Thread(target=tell, daemon=True).start()
+    try:
+        yield texts.append
+    finally:
+        over.set()
+
+
+def _can_change_a_line(error: Console) -> bool:
+    return error.is_terminal and not error.is_dumb_terminal  # rich shows nothing of a status where TERM=dumb
 
 
 class _Pace:

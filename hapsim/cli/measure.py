@@ -25,7 +25,7 @@ from hapsim.cli.options import (
     flag,
     say_written,
 )
-from hapsim.cli.output import complain, document, failure_document, stderr, stdout, table
+from hapsim.cli.output import Table, complain, document, failure_document, stderr, stdout, table
 from hapsim.cli.run import print_warnings, require_stable, with_mock
 from hapsim.cli.run_report import show_report, show_run
 from hapsim.errors import RunError, UsageError
@@ -37,7 +37,6 @@ from hapsim.prediction.other_mass import masses_with, oscillation_at
 
 if TYPE_CHECKING:
     from rich.console import Console
-    from rich.table import Table
 
     from hapsim.recording.trace import Report
     from hapsim.scene import Scene

@@ -13,7 +13,7 @@ from rich.markup import escape
 from hapsim.cli.check_details import show_assumptions
 from hapsim.cli.live import live_line
 from hapsim.cli.options import DeviceOptions, ExcitationOptions, PictureOptions, RecordOptions, say_written
-from hapsim.cli.output import complain, document, pick, stderr, stdout, table
+from hapsim.cli.output import Table, complain, document, pick, stderr, stdout, table
 from hapsim.cli.run import predict_before_arming
 from hapsim.errors import UsageError
 from hapsim.measuring.measure_impedance import TRAVEL_M, StoppedError, walls_in_place
@@ -32,7 +32,6 @@ from hapsim.stopping import INTERRUPTED, ignore_stops
 
 if TYPE_CHECKING:
     from rich.console import Console
-    from rich.table import Table
 
     from hapsim.measuring.measure_impedance import MeasuredImpedance
     from hapsim.recording.trace import Trace

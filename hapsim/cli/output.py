@@ -15,13 +15,13 @@ import sys
 import textwrap
 import threading
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any, Literal, TextIO
 
 if TYPE_CHECKING:
-    from rich.console import Console
-    from rich.table import Table
+    from rich.console import Console, ConsoleOptions, RenderableType
 
     from hapsim.errors import HapsimError
 
@@ -31,6 +31,7 @@ _PLACE = re.compile(r"\S.*?:\d+:\d+:")  # file:line:column; the file's name may 
 _INDENT = "    "  # of the second and further lines
 _NO_SPACE = "\0"  # stands for a space at which no line breaks
 _PERIOD_S = 1.0
+_PHRASE = 24  # characters: a longer cell is a phrase, which wraps, and not a number
 
 
 def document(value: dict[str, Any]) -> str:
@@ -75,21 +76,90 @@ def stderr() -> Console:
     return Console(stderr=True, highlight=False)
 
 
+@dataclass(frozen=True)
+class Table:
+    """A table that rich prints. Its cells wrap at words, and numbers stay whole: where the columns have no room side by
+    side, each row is printed as lines, one for each value."""
+
+    title: str
+    headings: list[str]
+    """A column stands left if its heading is empty or begins with "<", else right."""
+    rows: list[list[str]]
+    caption: str
+    options: dict[str, Any]
+    """Of rich's table."""
+
+    def __rich_console__(self, _console: Console, options: ConsoleOptions) -> Iterator[RenderableType]:
+        from rich.text import Text
+
+        if self.title:
+            yield Text.from_markup(self.title, style="table.title")
+        names = [heading.removeprefix("<") for heading in self.headings]
+        widths = self._widths(names, options.max_width)
+        yield from self._side_by_side(names, widths) if widths else self._stacked(names)
+        if self.caption:
+            yield Text.from_markup(self.caption, style="table.caption")
+
+    def _widths(self, names: list[str], available: int) -> list[int]:
+        """Returns the width of each column; [] where they have no room. The widest are narrowed first, down to their
+        longest word or number."""
+        from rich.cells import cell_len as cell_width
+        from rich.text import Text
+
+        shown = names if self.options.get("show_header", True) else [""] * len(names)
+        widths, least = [], []
+        for heading, cells in zip(shown, zip(*self.rows, strict=True) if self.rows else [()] * len(names), strict=True):
+            plain = [Text.from_markup(cell).plain for cell in (heading, *cells)]
+            widths.append(max(1, *map(cell_width, plain)))
+            least.append(max((cell_width(word) for cell in plain for word in _unbroken(cell)), default=0))
+        available -= len(names) * (3 if self.options.get("box", True) else 2) + 1  # borders and padding
+        if sum(least) > available:
+            return []
+        while sum(widths) > available:
+            spare = [width if width > low else 0 for width, low in zip(widths, least, strict=True)]
+            widths[spare.index(max(spare))] -= 1
+        return widths
+
+    def _side_by_side(self, names: list[str], widths: list[int]) -> Iterator[RenderableType]:
+        from rich.table import Table as RichTable
+
+        made = RichTable(**self.options)
+        for heading, name, width in zip(self.headings, names, widths, strict=True):
+            made.add_column(name, justify="left" if heading[:1] in ("", "<") else "right", width=width)
+        for row in self.rows:
+            made.add_row(*row)
+        yield made
+
+    def _stacked(self, names: list[str]) -> Iterator[RenderableType]:
+        from rich.padding import Padding
+        from rich.table import Table as RichTable
+
+        for first, *others in self.rows:
+            values = RichTable.grid(padding=(0, 2))
+            values.add_column(overflow="fold")
+            values.add_column(overflow="fold")
+            shows_names = self.options.get("show_header", True)
+            for name, value in zip(names[1:], others, strict=True):
+                if value:
+                    values.add_row(*([name, value] if shows_names else [value]))
+            yield f"{names[0]} {first}".lstrip()
+            yield Padding(values, (0, 0, 0, 2))
+
+
+def _unbroken(cell: str) -> list[str]:
+    """Returns the parts of a cell that stay in one line: a number with its unit or sign, else words."""
+    return [cell] if len(cell) <= _PHRASE and any(one.isdigit() for one in cell) else cell.split()
+
+
 def table(
     title: str, headings: Sequence[str], rows: Iterable[Sequence[str]], caption: str = "", **options: Any
 ) -> Table:
-    """Returns a rich table without the columns that have a heading and no values. A column stands left if its heading
-    is empty or begins with "<", else right."""
-    from rich.table import Table
-
+    """Returns a table without the columns that have a heading and no values. A column stands left if its heading is
+    empty or begins with "<", else right. `options`: rich's."""
     rows = list(rows)
-    made = Table(title=title or None, title_justify="left", caption=caption or None, **options)
     shown = [i for i, heading in enumerate(headings) if not (heading and rows) or any(row[i] for row in rows)]
-    for heading in (headings[i] for i in shown):
-        made.add_column(heading.removeprefix("<"), justify="left" if heading[:1] in ("", "<") else "right")
-    for row in rows:
-        made.add_row(*(row[i] for i in shown))
-    return made
+    kept = [[row[i] for i in shown] for row in rows]
+    return Table(title, [headings[i] for i in shown], kept, caption, options)
 
 
 def say(sentences: object, stream: TextIO | None = None, indent: str = _INDENT) -> None:

@@ -14,6 +14,7 @@ from hapsim.cli.options import Json
 from hapsim.cli.output import document, say
 from hapsim.errors import UsageError
 from hapsim.scene.shipped import SCENES, shipped_scene, shipped_scene_path, shipped_scenes
+from hapsim.scene.yaml_file import as_argument
 
 
 def new(
@@ -37,7 +38,9 @@ def new(
         raise UsageError(f"{path}: the file cannot be written: {error.strerror}") from None
     say(f"Wrote {path}. Next:")
     for command in ("check", "measure"):
-        print(f"  hapsim {command} {shlex.quote(str(path))}")  # on one line, however long: it is to be copied
+        print(
+            f"  hapsim {command} {shlex.quote(as_argument(str(path)))}"
+        )  # on one line, however long: it is to be copied
 
 
 def scenes(json: Json = False) -> None:

@@ -6,6 +6,7 @@ The sentences are in `advice.yaml`; here is when they apply, and the values in t
 from __future__ import annotations
 
 import itertools
+import math
 import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -124,11 +125,10 @@ def _about_processor(case: Situation) -> Found:
 
 
 def _about_limits(case: Situation) -> Found:
-    group = next((line[3:] for line in case.tree.text("proc/self/cgroup").splitlines() if line[:3] == "0::"), "/")
-    quota = case.tree.text(f"sys/fs/cgroup/{group.strip('/')}/cpu.max").split()
-    if len(quota) == 2 and all(one.isdigit() for one in quota):
-        limit_ms, period_ms = (int(one) / 1e3 for one in quota)
-        yield "quota", {"limit": f"{limit_ms:g}", "period": f"{period_ms:g}"}
+    quotas = [(limit / period, limit, period) for limit, period in _quotas(case.tree)]
+    if quotas and min(quotas)[0] < (case.machine.cores_online or math.inf):
+        _, limit, period = min(quotas)
+        yield "quota", {"limit": f"{limit / 1e3:g}", "period": f"{period / 1e3:g}"}
     sizes = {
         name: int(size.split()[0])
         for name, size in case.tree.fields("proc/meminfo").items()
@@ -138,6 +138,22 @@ def _about_limits(case: Situation) -> Found:
     locked = any(grant.granted and "mem" in grant.privilege.lower() for grant in case.grants or ())
     if used_mb >= 1.0 and not locked:
         yield "swap", {"used": f"{used_mb:.0f}"}
+
+
+def _quotas(tree: SystemFiles) -> Iterator[tuple[int, int]]:
+    """Yields the limits of processor time, each µs in a period of µs: of this process's control group and of those
+    that it is in, by version 2 and by version 1."""
+    for line in tree.text("proc/self/cgroup").splitlines():
+        _, controllers, group = line.split(":", 2)
+        if controllers and "cpu" not in controllers.split(","):
+            continue
+        mount = "sys/fs/cgroup/cpu" if controllers else "sys/fs/cgroup"
+        files = ("cpu.cfs_quota_us", "cpu.cfs_period_us") if controllers else ("cpu.max",)
+        # A container may see its own group as the mount, under the name that its host has for it.
+        for folder in (Path(group.lstrip("/")), *Path(group.lstrip("/")).parents):
+            words = " ".join(tree.text(f"{mount}/{folder}/{file}") for file in files).split()
+            if len(words) == 2 and all(word.isdigit() for word in words) and int(words[1]):
+                yield int(words[0]), int(words[1])
 
 
 def _about_kernel(case: Situation) -> Found:

@@ -81,7 +81,8 @@ class YamlFile:
                 folder, wanted = os.path.split(name)
                 with suppress(OSError):
                     there = os.listdir(folder) if folder else [*os.listdir("."), *self.shipped()]
-                    hint = _did_you_mean(wanted, there)
+                    near = _nearest_file(wanted, there)
+                    hint = f"; did you mean {quote(near if folder else as_argument(near))}?" if near else ""
                     return f"no such file, expected {self.wanted}{hint}"
                 return f"no such directory, expected {self.wanted}"
             case IsADirectoryError():
@@ -94,14 +95,18 @@ class YamlFile:
                 return "this is not the name of a file"
 
 
-def _did_you_mean(wanted: str, there: Iterable[str]) -> str:
-    """The end of a sentence that offers the file of the nearest name, or nothing. What most names have in common, how
-    they end, makes none alike; of two that differ in it alone, the one that ends as it is wanted counts."""
+def as_argument(file: str) -> str:
+    """The name of a file as a command takes it: one that begins with "-" would be an option."""
+    return f"./{file}" if file.startswith("-") else file
+
+
+def _nearest_file(wanted: str, there: Iterable[str]) -> str:
+    """The file of the nearest name; "" if none is near. What most names have in common, how they end, makes none
+    alike; of two that differ in it alone, the one that ends as it is wanted counts."""
     ending = os.path.splitext(wanted)[1]
     in_order = sorted(there, key=lambda name: (os.path.splitext(name)[1] == ending, name))
     by_stem = {os.path.splitext(name)[0]: name for name in in_order}
-    near = nearest(os.path.splitext(wanted)[0], by_stem)
-    return f"; did you mean {quote(by_stem[near])}?" if near else ""
+    return by_stem.get(nearest(os.path.splitext(wanted)[0], by_stem) or "", "")
 
 
 def _follows(issue: Issue, document: Document, known: set[Place]) -> bool:

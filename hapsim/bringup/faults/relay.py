@@ -192,7 +192,10 @@ class _PseudoTerminal:
         try:
             self.near, self._far = os.openpty()
         except OSError as error:
-            raise DeviceError(f"no pseudo-terminal is available: {error}") from error
+            raise DeviceError(
+                f"no pseudo-terminal is available: {error.strerror} (is /dev/pts mounted?). In memory, with `clock: "
+                "lockstep`, hapsim.bringup.faults.in_memory injects faults without one"
+            ) from error
         for end in (self.near, self._far):
             tty.setraw(end)
             os.set_blocking(end, False)
