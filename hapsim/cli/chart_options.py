@@ -8,15 +8,16 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 import typer
 
-from hapsim.cli.options import Json, PictureOptions, option
+from hapsim.cli.options import Json, PictureOptions, load, option
 from hapsim.cli.output import document, say, stdout
 from hapsim.errors import UsageError
 from hapsim.number_format import between, number
-from hapsim.scene import choices, load_scene
+from hapsim.scene import choices
 from hapsim.scene.issue import one_of
 
 if TYPE_CHECKING:
     from hapsim.chart.hand import Hand
+    from hapsim.scene import Scene
 
 Channel = Annotated[int | None, typer.Option(help="Channel of the hand [default: the first]")]
 Mass = Annotated[float | None, option("M", "Mass of hand and handle, kg.")]
@@ -61,7 +62,7 @@ class HandOptions:
         )
         scene, channel = given.pop("scene", None), given.pop("channel", None)
         if scene is not None:
-            hand, others = hands_of(scene, channel, given, as_written=as_written)
+            hand, others = hands_of(load(scene), channel, given, as_written=as_written)
             return hand.with_simulated(*simulated), others
         if channel is not None:
             raise UsageError("--channel: without a SCENE there is one hand only")
@@ -118,12 +119,11 @@ class ChartOutput(PictureOptions):
 
 
 def hands_of(
-    scene: str, channel: int | None, given: dict[str, Any], *, as_written: bool = False
+    loaded: Scene, channel: int | None, given: dict[str, Any], *, as_written: bool = False
 ) -> tuple[Hand, list[Hand]]:
     """Returns the hand on `channel` of a scene (None: the first), changed by options, and the scene's other hands."""
     from hapsim.chart.hand import hands_of_scene
 
-    loaded = load_scene(scene)
     if as_written:
         loaded = loaded.model_copy(update={"device": loaded.device.model_copy(update={"correction": "none"})})
     hands = hands_of_scene(loaded, given)

@@ -6,11 +6,11 @@ from typing import Annotated, Any, get_args
 
 from hapsim.cli.chart_options import Channel, ChartOutput, hands_of
 from hapsim.cli.live import live_line
-from hapsim.cli.options import SceneFile, flag, option
+from hapsim.cli.options import SceneFile, flag, load, option
 from hapsim.cli.output import stderr, stdout, table
 from hapsim.errors import UsageError
 from hapsim.number_format import relative_difference
-from hapsim.scene import choices, load_scene
+from hapsim.scene import choices
 from hapsim.scene.issue import one_of
 
 
@@ -36,10 +36,11 @@ def table1(
     from hapsim.chart.table1 import table1 as table1_of
 
     output.choose("table1.svg")
-    hand, _ = hands_of(scene, channel, {}, as_written=True)
+    loaded = load(scene)
+    hand, _ = hands_of(loaded, channel, {}, as_written=True)
     corrected: Any = correction
     if correction is None:
-        corrected = load_scene(scene).device.correction if as_scene else "none"
+        corrected = loaded.device.correction if as_scene else "none"
     elif correction not in (known := get_args(choices.CorrectionName)):
         raise UsageError(f"--correction: found '{correction}', expected {one_of(known)}")
     with live_line(stderr()) as tell:

@@ -10,7 +10,7 @@ from rich.markup import escape
 
 from hapsim.cli import check_details as details
 from hapsim.cli.live import at_work
-from hapsim.cli.options import Json, SceneFile, flag, load
+from hapsim.cli.options import Json, SceneFile, flag, load, scene_name
 from hapsim.cli.output import Table, document, pick, stderr, stdout, table
 from hapsim.errors import UsageError
 from hapsim.holds import HOLDS
@@ -44,7 +44,7 @@ def check(
     """Predict without running: stability, what the hand feels, gain margins, the wire."""
     loaded = load(scene)
     if why := refused_travel(loaded):
-        raise UsageError(f"{scene}: {why}")
+        raise UsageError(f"{scene_name(scene)}: {why}")
     with at_work(stderr(), "working out modes and gain margins"):
         prediction = predict(loaded)
         on_wire = predict_on_wire(loaded)
@@ -58,7 +58,7 @@ def check(
         print(document({"scene": scene, "warnings": warnings} | predicted | bounds | compiled))
         return
     out = stdout()
-    _show_verdict(out, scene, _stability(prediction, bool(of_slew)), prediction.rate)
+    _show_verdict(out, scene_name(scene), _stability(prediction, bool(of_slew)), prediction.rate)
     out.print(_predicted_for(loaded))
     (details.show_details if explain else _show_summary)(out, loaded, prediction, on_wire)
     if explanation is not None:

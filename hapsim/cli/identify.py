@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hapsim.cli.live import live_line
-from hapsim.cli.options import DeviceOptions, Json, PictureOptions, flag, option, push_option, seconds
+from hapsim.cli.options import DeviceOptions, Json, PictureOptions, flag, option, push_option, require_file, seconds
 from hapsim.cli.output import Table, complain, document, pick, say, stderr, stdout, table
 from hapsim.device.known_devices import is_new
 from hapsim.errors import UsageError
@@ -57,6 +57,8 @@ def identify(
     Each value is printed with its uncertainty beside what the scene declares. The pushes go to both sides, gently at
     first, on several simulated springs. Of the scene it uses the device only. The file changes only with --write.
     """
+    if write:
+        require_file(device.scene, "--write")
     scene, kind = device.load(), device.kind()
     port = scene.device.port if kind == "auto" else None
     picture.require_writable()

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import inspect
 import math
+import sys
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
@@ -17,6 +18,8 @@ import typer
 
 from hapsim.cli.output import say
 from hapsim.errors import UsageError
+
+_STANDARD_INPUT = "-"
 
 
 def option(metavar: str, text: str, *names: str) -> Any:
@@ -29,7 +32,9 @@ def flag(name: str, text: str) -> Any:
     return typer.Option(name, help=text)
 
 
-SceneFile = Annotated[str, typer.Argument(metavar="SCENE", help="A scene in YAML, such as configs/first_touch.yaml.")]
+SceneFile = Annotated[
+    str, typer.Argument(metavar="SCENE", help="A scene in YAML, the name of a shipped scene, or - for standard input.")
+]
 Json = Annotated[bool, flag("--json", "Print one JSON document on standard output, nothing else there.")]
 Port = Annotated[str | None, option("P", "The device's serial port, in place of the scene's.")]
 MockFlag = Annotated[bool, flag("--mock", "Use the built-in mock even if the scene names a port.")]
@@ -161,11 +166,22 @@ def say_written(what: str, path: Path | None) -> None:
 
 
 def load(path: str, port: str | None = None) -> Any:
-    """Returns the Scene of a file, on `port` if one is given. Raises SceneError."""
-    from hapsim.scene import load_scene
+    """Returns the Scene of a file, or with "-" of standard input, on `port` if one is given. Raises SceneError."""
+    from hapsim.scene.load import load_scene, read_scene
 
-    scene = load_scene(path)
+    scene = read_scene(sys.stdin.buffer, scene_name(path)) if path == _STANDARD_INPUT else load_scene(path)
     return scene if port is None else on_port(scene, port)
+
+
+def scene_name(path: str) -> str:
+    """Returns what sentences call the scene of this path."""
+    return "standard input" if path == _STANDARD_INPUT else path
+
+
+def require_file(path: str, option: str) -> None:
+    """Raises UsageError where the scene is on standard input and `option` needs its file."""
+    if path == _STANDARD_INPUT:
+        raise UsageError(f"{option}: found a scene on standard input (-), expected the scene's file")
 
 
 def on_port(scene: Any, port: str | None) -> Any:

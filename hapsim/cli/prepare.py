@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from hapsim.cli.live import live_line
-from hapsim.cli.options import Json, Port, SceneFile, Watch, flag, load
+from hapsim.cli.options import Json, Port, SceneFile, Watch, flag, load, require_file
 from hapsim.cli.output import complain, document, say, stderr, warn
 from hapsim.errors import UsageError
 from hapsim.number_format import plural
@@ -55,6 +55,7 @@ def service(
     json: Json = False,
 ) -> None:
     """Print a systemd unit that runs SCENE, waits for its device and reports its status to the service manager."""
+    require_file(scene, "SCENE")
     loaded = load(scene, port)
     on = loaded.device.port
     if on is None:

@@ -22,7 +22,9 @@ from hapsim.cli.options import (
     flag,
     on_port,
     option,
+    require_file,
     say_written,
+    scene_name,
     seconds,
 )
 from hapsim.cli.output import complain, document, json_log, log_as_json, stderr, stdout, warn
@@ -98,13 +100,15 @@ def run(
 ) -> None:
     """Run a scene with its device, or with the built-in mock."""
     service.choose_log()
+    if service.watch:
+        require_file(device.scene, "--watch")
     notifier = Notifier(service.reconnect)
     with notifier.told_of_failures():
         scene, kind = device.load(), device.kind()
         record.require_writable()
         warnings = predict_before_arming(device.scene, with_mock(scene, kind), unstable)
     port = scene.device.port if kind == "auto" else None
-    state = RunState(os.path.abspath(device.scene), port, scene.rate)
+    state = RunState(os.path.abspath(device.scene) if scene.path else scene_name(device.scene), port, scene.rate)
     with notifier.told_of_failures(), service.serving(state, port, not portable), live_line(stderr()) as tell:
         reporter = _Reporter(tell, port or "", kind, WatchedFile(device.scene) if service.watch else None)
         lifetime = keep_running(
@@ -149,7 +153,7 @@ def predict_before_arming(path: str, scene: Scene, unstable: bool) -> list[str]:
 
 def require_stable(path: str, scene: Scene, prediction: Prediction, unstable: bool) -> None:
     """Raises UsageError if the scene of this file is surely predicted unstable and `unstable` is False."""
-    why = "" if unstable else why_not_armed(path, scene, prediction)
+    why = "" if unstable else why_not_armed(scene_name(path), scene, prediction)
     if why:
         raise UsageError(why)
 

@@ -47,6 +47,8 @@ class _Stream:
 def standing_streams() -> Iterator[None]:
     """While open, standard output and standard error take everything and raise nothing (`output_failure`)."""
     _hold_descriptors()
+    if sys.stdin is None:
+        sys.stdin = open(0, encoding="utf-8", closefd=False)  # noqa: SIM115
     before = sys.stdout, sys.stderr
     sys.stdout, sys.stderr = (_Stream(_opened(stream, number)) for number, stream in enumerate(before, start=1))
     try:

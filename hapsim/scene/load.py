@@ -3,7 +3,7 @@
 import os
 from collections.abc import Iterable
 from functools import cache
-from typing import Any
+from typing import Any, BinaryIO
 
 from pydantic import TypeAdapter, ValidationError
 
@@ -66,6 +66,11 @@ def parse_scene(text: str, name: str = "<scene>") -> Scene:
     if scene is None or faults:
         raise _FILE.failure(name, faults)
     return scene
+
+
+def read_scene(stream: BinaryIO, name: str) -> Scene:
+    """The scene of a stream of bytes, which errors call `name`. Raises SceneError as `load_scene`."""
+    return parse_scene(_FILE.decoded(stream.read(), name), name)
 
 
 def _validate(document: Document) -> tuple[Scene | None, list[Issue]]:

@@ -40,6 +40,10 @@ class YamlFile:
             content = FilePath(name).read_bytes()
         except (OSError, ValueError) as error:
             raise self.error(f"{name}: {self._unreadable(name, error)}") from None
+        return self.decoded(content, name)
+
+    def decoded(self, content: bytes, name: str) -> str:
+        """The text of bytes that errors call `name`; `error` where they are no UTF-8."""
         try:
             return content.decode("utf-8")
         except UnicodeDecodeError as error:

@@ -51,8 +51,8 @@ def serving(mock: Any, as_hardware: bool = False) -> Iterator[str]:
         near, far = os.openpty()
     except OSError as error:
         raise DeviceError(
-            f"no pseudo-terminal is available for the mock: {error.strerror} (is /dev/pts mounted?). With `clock: lockstep` "
-            "in the scene's `device`, the mock of `run` and `measure` runs in memory and needs none"
+            f"no pseudo-terminal is available for the mock: {error.strerror} (is /dev/pts mounted?). With `clock: "
+            "lockstep` in the scene's `device`, the mock of `run` and `measure` runs in memory and needs none"
         ) from error
     try:
         for end in (near, far):
