@@ -201,6 +201,6 @@ def _again(scene: Scene | None, where: str) -> str:
 
 
 def _hapsim_run() -> Run:
-    from hapsim.running import run
+    from hapsim.running.run import run_to_end
 
-    return run
+    return run_to_end

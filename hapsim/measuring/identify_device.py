@@ -25,7 +25,7 @@ from hapsim.measuring.limits import SHARE_OF_LIMIT, force_limit, require_above_z
 from hapsim.measuring.trace_quality import ROUNDING, SeenRate, seen_rate
 from hapsim.progress import Progress
 from hapsim.recording.trace import Trace
-from hapsim.running import run
+from hapsim.running.run import run_to_end as run
 from hapsim.scene import Scene
 from hapsim.scene.load import SceneSource, as_scene
 

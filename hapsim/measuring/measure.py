@@ -12,7 +12,8 @@ from hapsim.measuring.limits import SHARE_OF_LIMIT, require_above_zero, require_
 from hapsim.measuring.measure_trace import Measurement, measure_trace
 from hapsim.progress import Progress
 from hapsim.recording.trace import Trace
-from hapsim.running import Excitation, run
+from hapsim.running import Excitation
+from hapsim.running.run import run_to_end as run
 from hapsim.scene import Scene, Spring, ViscoElastic
 from hapsim.scene.load import SceneSource, as_scene
 

@@ -19,7 +19,8 @@ from hapsim.measuring.multisine import Lines, Periods, lines_for, multisine, per
 from hapsim.measuring.trace_quality import SeenRate, seen_rate
 from hapsim.progress import Progress
 from hapsim.recording.trace import Trace
-from hapsim.running import PeriodicExcitation, run
+from hapsim.running import PeriodicExcitation
+from hapsim.running.run import run_to_end as run
 from hapsim.scene import Ground, Scene, ViscoElastic
 from hapsim.scene.load import SceneSource, as_scene
 from hapsim.stopping import INTERRUPTED

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import inspect
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, Concatenate, ParamSpec
 
 from hapsim.progress import Progress
@@ -83,12 +84,29 @@ def run(
 ) -> Trace:
     """Runs `scene`, a Scene or the path of a scene file, until it ends, and returns its trace.
 
+    Ctrl-C (a notebook's "interrupt") while the scene runs disarms the device and returns the trace so far; the
+    `ending` of its report is then "interrupted". A program that runs several scenes in turn looks at that to end
+    itself. Before the device is armed, KeyboardInterrupt is raised.
+
     * `on_start`: called with the session once the scene runs.
-    * `stop_on_signals`: SIGINT, SIGTERM and SIGHUP end the run cleanly (main thread only).
+    * `stop_on_signals`: SIGINT, SIGTERM and SIGHUP end the run cleanly (main thread only), with the ending "stopped".
     * `options`: as of `start`. `on_progress` is also called while the scene runs.
 
     Raises what `start` and `Session.close` raise.
     """
+    interrupts: list[KeyboardInterrupt] = []
+    trace = run_to_end(scene, on_start, stop_on_signals, interrupts.append, **options)
+    return replace(trace, report=replace(trace.report, ending="interrupted")) if interrupts else trace
+
+
+def run_to_end(
+    scene: SceneSource,
+    on_start: Callable[[Session], None] | None = None,
+    stop_on_signals: bool = False,
+    on_interrupt: Callable[[KeyboardInterrupt], None] | None = None,
+    **options: Any,
+) -> Trace:
+    """Does what `run` does. A KeyboardInterrupt is passed to `on_interrupt` [default: raised]."""
     tell = options.get("on_progress") or (lambda _: None)
     armed: Session | None = None
     stopped = False
@@ -110,9 +128,14 @@ def run(
         stopping_on_signals(stop) if stop_on_signals else contextlib.nullcontext(),
         start(scene, on_arming=arming, **options) as session,
     ):
-        if on_start is not None:
-            on_start(session)
-        follow(session, tell)
+        try:
+            if on_start is not None:
+                on_start(session)
+            follow(session, tell)
+        except KeyboardInterrupt as interrupt:
+            if on_interrupt is None:
+                raise
+            on_interrupt(interrupt)
     return session.trace
 
 
