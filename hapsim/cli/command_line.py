@@ -8,8 +8,12 @@ from __future__ import annotations
 import errno
 import gc
 import importlib
+import inspect
 import os
+import re
 import sys
+from collections.abc import Callable, Iterable
+from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
 import typer
@@ -19,6 +23,8 @@ from hapsim.cli.options import on_command_line
 from hapsim.cli.output import complain, document, log_as_json
 from hapsim.cli.streams import output_failure, standing_streams
 from hapsim.errors import HapsimError, UsageError
+from hapsim.scene.issue import as_argument
+from hapsim.scene.shipped import shipped_scenes, shipped_scripts
 from hapsim.stopping import end_interrupted, was_interrupted
 
 
@@ -38,7 +44,9 @@ class _Commands(TyperGroup):
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         name, command, rest = super().resolve_command(ctx, args)
-        return name, self._loaded(name) if name in self.table else command, rest
+        if name not in self.table:
+            return name, command, rest
+        return name, outline(f"{ctx.command_path} {name}") if ctx.resilient_parsing else self._loaded(name), rest
 
     def _loaded(self, name: str) -> Any:
         module, _, function = self.table[name][0].partition(":")
@@ -49,6 +57,57 @@ class _Commands(TyperGroup):
         app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
         app.command(name)(on_command_line(command))
         return typer.main.get_command(app)
+
+
+def outline(path: str) -> Any:
+    """Returns a command that can only be completed by a shell, such as "hapsim run": its options are those of the
+    manual page, so that nothing heavy is imported."""
+    page = Path(__file__).parents[1].joinpath("hapsim.1").read_text("utf-8").replace("\\-", "-")
+    section = page.partition(f".SS {path} [OPTIONS]")[2].partition("\n.S")[0]
+    declared = []
+    for i, (entry, text) in enumerate(re.findall(r"^\.TP\n(.*)\n(.*)$", section, re.MULTILINE)):
+        options, value = re.findall(r"\\fB(.*?)\\fR", entry), "".join(re.findall(r"\\fI(.*?)\\fR", entry))
+        kinds = [*options, *re.findall("[A-Z]+", value)]
+        words = next((_WORDS[kind] for kind in kinds if kind in _WORDS), None)
+        declaring: Any = typer.Option if options else typer.Argument
+        kind: Any = (list[str] if "…" in value else str) | None if value else bool
+        annotation: Any = Annotated[kind, declaring(*options, help=text, autocompletion=words)]
+        one = inspect.Parameter(f"_{i}", inspect.Parameter.KEYWORD_ONLY, default=None if value else False)
+        declared.append(one.replace(annotation=annotation))
+
+    def call(**_: Any) -> None: ...
+
+    call.__signature__ = inspect.Signature(declared)  # type: ignore[attr-defined]
+    call.__annotations__ = {parameter.name: parameter.annotation for parameter in declared}
+    app = typer.Typer(add_completion=False)
+    app.command()(call)
+    return typer.main.get_command(app)
+
+
+def _offered(words: Callable[[], Iterable[str]], ending: str = "") -> Callable[[str], list[str]]:
+    """Returns what completes a value: `words`, and files of this directory. Where none fits, shells offer files."""
+
+    def complete(incomplete: str) -> list[str]:
+        files = [as_argument(path.name) for path in Path().glob(f"*{ending}")] if ending else []
+        return sorted({word for word in (*files, *words()) if word.startswith(incomplete)})
+
+    return complete
+
+
+def _ports() -> list[str]:
+    from serial.tools import list_ports
+
+    return [port.device for port in list_ports.comports()]
+
+
+_WORDS = {
+    "--from": _offered(shipped_scenes),
+    "SCENE": _offered(shipped_scenes, ".yaml"),
+    "SCRIPT": _offered(shipped_scripts, ".yaml"),
+    "PORT": (_of_port := _offered(_ports)),
+    "--port": _of_port,
+}
+"""What completes an option or a value, by its name in the help."""
 
 
 class Commands(_Commands):

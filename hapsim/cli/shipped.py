@@ -13,8 +13,8 @@ import hapsim
 from hapsim.cli.options import Json
 from hapsim.cli.output import document, say
 from hapsim.errors import UsageError
+from hapsim.scene.issue import as_argument
 from hapsim.scene.shipped import SCENES, shipped_scene, shipped_scene_path, shipped_scenes
-from hapsim.scene.yaml_file import as_argument
 
 
 def new(
@@ -66,6 +66,7 @@ def files(json: Json = False) -> None:
         "protocol": protocol / "PROTOCOL.md",
         "porting": protocol / "PORTING.md",
         "using": product / "USING.md",
+        "manual": product / "hapsim.1",
         "scene keys": SCENES / "README.md",
         "modules": product / "cordis" / "MODULES.md",
         "stability": product / "STABILITY.md",

@@ -48,6 +48,11 @@ def quote(text: str) -> str:
     return repr(text if len(text) <= longest else text[: longest - 1] + "…")
 
 
+def as_argument(file: str) -> str:
+    """The name of a file as a command takes it: one that begins with "-" would be an option."""
+    return f"./{file}" if file.startswith("-") else file
+
+
 def one_of(words: Iterable[str]) -> str:
     """The words as a choice: "this, that or another"."""
     *others, last = words

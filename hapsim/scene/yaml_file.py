@@ -10,7 +10,7 @@ from pathlib import Path as FilePath
 
 from hapsim.errors import UsageError
 
-from .issue import Issue, LocatedIssue, Path, Place, nearest, quote
+from .issue import Issue, LocatedIssue, Path, Place, as_argument, nearest, quote
 from .quantity import NAME_PATTERN
 from .yaml_document import Document, YamlSyntaxError, compose, place_in
 
@@ -97,11 +97,6 @@ class YamlFile:
                 return f"this file cannot be read: {reason}"
             case _:
                 return "this is not the name of a file"
-
-
-def as_argument(file: str) -> str:
-    """The name of a file as a command takes it: one that begins with "-" would be an option."""
-    return f"./{file}" if file.startswith("-") else file
 
 
 def _nearest_file(wanted: str, there: Iterable[str]) -> str:

@@ -76,6 +76,20 @@ def test_a_machine_that_tells_nothing_gets_no_advice(tree: Callable[..., SystemF
             {"files": {"/proc/self/cgroup": "1:x:/\n0::/a/b\n", "/sys/fs/cgroup/a/b/cpu.max": "500 1000\n"}},
             "0.5 ms of processor time in every 1 ms",
         ),
+        (
+            {"files": {"/proc/self/cgroup": "0::/a/b\n", "/sys/fs/cgroup/a/cpu.max": "500 1000\n"}},
+            "0.5 ms of processor time in every 1 ms",  # of the group that its own is in
+        ),
+        (
+            {
+                "files": {
+                    "/proc/self/cgroup": "4:cpu,cpuacct:/docker/1\n0::/\n",
+                    "/sys/fs/cgroup/cpu/cpu.cfs_quota_us": "20000\n",
+                    "/sys/fs/cgroup/cpu/cpu.cfs_period_us": "100000\n",
+                }
+            },
+            "20 ms of processor time in every 100 ms",
+        ),
         ({"files": {"/proc/meminfo": SWAP.format(3_897_600)}}, "100 MB"),
         (LATE | {"machine": {"preempt_rt": False}}, "2 ms late"),
         (LATE | {"machine": {"virtual": "QEMU"}}, "a virtual machine (QEMU)."),
@@ -104,7 +118,8 @@ def test_one_piece_of_advice_is_given_in_these_words(case: Case, known: dict[str
         {"machine": {"governors": ()}},
         {"machine": {"clock_source": "arch_sys_counter"}},
         {"machine": {"clock_source": ""}},
-        {"files": {"/sys/fs/cgroup/cpu.max": "max 100000\n"}},
+        {"files": {"/proc/self/cgroup": "0::/\n", "/sys/fs/cgroup/cpu.max": "max 100000\n"}},
+        {"files": {"/proc/self/cgroup": "0::/\n", "/sys/fs/cgroup/cpu.max": "400000 100000\n"}},  # all 4 cores
         {"files": {"/proc/meminfo": SWAP.format(4_000_000)}},
         {"files": {"/proc/meminfo": SWAP.format(3_897_600)}, "grants": [LOCKED]},
         {"machine": {"preempt_rt": False}},
