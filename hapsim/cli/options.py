@@ -167,7 +167,8 @@ def say_written(what: str, path: Path | None) -> None:
 
 def load(path: str, port: str | None = None) -> Any:
     """Returns the Scene of a file, or with "-" of standard input, on `port` if one is given. Raises SceneError."""
-    from hapsim.scene.load import load_scene, read_scene
+    from hapsim.scene import load_scene
+    from hapsim.scene.load import read_scene
 
     scene = read_scene(sys.stdin.buffer, scene_name(path)) if path == _STANDARD_INPUT else load_scene(path)
     return scene if port is None else on_port(scene, port)
