@@ -70,7 +70,7 @@ def check(
 def _explanation(scene: Scene) -> Explanation:
     from hapsim.cordis.explain import explain
 
-    with at_work(stderr(), "compiling") as show:
+    with at_work(stderr(), "compiling", in_pipes=True) as show:
         return explain(scene, lambda part: show(f"compiling and timing {part}"))
 
 

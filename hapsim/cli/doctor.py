@@ -12,7 +12,7 @@ from rich.markup import escape
 from hapsim.cli.histogram import histogram_lines
 from hapsim.cli.live import live_words
 from hapsim.cli.options import Json, MockFlag, PictureOptions, Port, Realtime, load, numbers, option, transport_kind
-from hapsim.cli.output import Table, complain, document, pick, stderr, stdout, table
+from hapsim.cli.output import Table, complain, document, fitted, pick, stderr, stdout, table
 from hapsim.doctor.examine import RATES_HZ, examine
 from hapsim.doctor.exchanges import EXCHANGE, IN_TIME, MOCK, ON_THE_MOCK, Exchanges, Verdict
 from hapsim.errors import UsageError
@@ -138,7 +138,9 @@ def _show_exchanges(out: Console, examination: Examination, clock: str, made: li
     """Prints the table of one clock: side by side two would not fit an ordinary terminal."""
     verdicts = [verdict for _, verdict in made]
     where = "the mock" if made[0][0].where == MOCK else f"{made[0][0].where}, sent zero force"
-    title = escape(f"Exchanges of {examination.scene} on {where}; clock: {clock}")
+    # Above the table, not its title: a long path stays whole.
+    heading = fitted(f"Exchanges of {examination.scene} on {where}; clock: {clock}", out.width, indent="")
+    out.print(f"\n{heading}", style="italic", markup=False, soft_wrap=True)
     rows = []
     for run, verdict in made:
         spread = None if run.exchange is None else run.exchange.spread()
@@ -147,7 +149,7 @@ def _show_exchanges(out: Console, examination: Examination, clock: str, made: li
         kept = "–" if run.share_of_rate is None else f"{100.0 * run.share_of_rate:.1f} %"
         cells = _fit_for(out, frequency(run.rate_hz), kept, *map(short_duration, quantiles), in_time)
         rows.append([*cells, f"[{_COLOUR[verdict.answer]}]{verdict.answer}[/]"])
-    out.print("", table(title, ("rate", "kept", "p50", "p99", "max", "in time", "<keeps up"), rows))
+    out.print(table("", ("rate", "kept", "p50", "p99", "max", "in time", "<keeps up"), rows))
     on_the_mock = f" {ON_THE_MOCK}" if clock == "device" and clock in examination.best_rates else ""
     out.print(f"{EXCHANGE[clock]} {IN_TIME[clock]}{on_the_mock}")
     if clock in examination.best_rates:

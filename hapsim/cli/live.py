@@ -58,17 +58,17 @@ def live_words(error: Console) -> Iterator[Callable[[str], None]]:
 
 
 @contextlib.contextmanager
-def at_work(error: Console, text: str) -> Iterator[Callable[[str], None]]:
-    """Shows what takes its time, and yields a function that shows another text: in place on a terminal, elsewhere a
-    line every five seconds that it lasts."""
-    if _can_change_a_line(error):
-        with error.status(text) as status:
+def at_work(error: Console, text: str, in_pipes: bool = False) -> Iterator[Callable[[str], None]]:
+    """Shows what takes its time, and yields a function that shows another text: in place on a terminal, as a line every
+    five seconds where it cannot. `in_pipes`: also every ten seconds elsewhere."""
+    if _can_change_a_line(error) or not (error.is_terminal or in_pipes):
+        with error.status(text) as status:  # prints nothing in a pipe
             yield status.update
         return
     texts, over = [text], threading.Event()
 
     def tell() -> None:
-        while not over.wait(_STEP_S):
+        while not over.wait(_STEP_S if error.is_terminal else 2.0 * _STEP_S):
             error.print(texts[-1], soft_wrap=True)
 
     threading.Thread(target=tell, daemon=True).start()
