@@ -405,3 +405,41 @@ def test_a_device_beyond_all_numbers_is_a_sentence(hapsim: Hapsim, scene_file: S
     answer = hapsim("check", scene_file("spring", mass=1e-300, friction=0.5))
     assert answer.status == 2
     assert "0.5 N·s/m of friction and a spring of 0 N/m on 1e-300 kg" in unwrapped(answer.sentence)
+
+
+@pytest.mark.parametrize(
+    ("correction", "changes", "sentences", "not_said"),
+    [
+        ("predictor", {}, ["Correction predictor: hand swings as desired."], ["A steady push", "does not reach"]),
+        ("poles", {}, ["Correction poles: hand swings as desired. A steady push meets "], ["does not reach"]),
+        (
+            "poles",
+            {"stiffness": 2e5, "damping": 300.0},
+            ["Correction poles does not reach what is desired at hand", "It is reached by a rate of"],
+            ["swings as desired"],
+        ),
+    ],
+)
+def test_how_far_a_correction_comes_is_said(
+    explained: Explained,
+    scene_file: SceneFile,
+    correction: str,
+    changes: dict[str, float],
+    sentences: list[str],
+    not_said: list[str],
+) -> None:
+    said = unwrapped(explained(scene_file("spring", touch=changes, correction=correction)))
+    assert all(sentence in said for sentence in sentences)
+    assert not any(sentence in said for sentence in not_said)
+
+
+@pytest.mark.parametrize(("velocity", "limited"), [(0.01, False), (0.1, True)])
+def test_measure_says_where_the_force_was_limited(
+    hapsim: Hapsim, scene_file: SceneFile, velocity: float, limited: bool
+) -> None:
+    path = scene_file("spring", force_limit=1.0)
+    with path.open("a", encoding="utf-8") as file:
+        file.write(f"mock: {{initial: {{velocity: {velocity}}}}}\n")
+    said = unwrapped(hapsim("measure", path).out)
+    assert ("ticks were at the force limit: k and b hold for motions that stay below it" in said) == limited
+    assert "at the slew limit" not in said

@@ -100,6 +100,10 @@ def test_a_run_in_real_time_tells_what_it_got(hapsim: Hapsim, scene_file: SceneF
         assert measure in answer.err
 
 
+def test_a_run_asks_for_no_privileges_without_the_option(hapsim: Hapsim, scene_file: SceneFile) -> None:
+    assert "realtime" not in hapsim("run", scene_file("spring"), "--duration", 0.1, "--json").document
+
+
 def test_a_run_tells_its_histograms(hapsim: Hapsim, scene_file: SceneFile) -> None:
     document = hapsim("run", scene_file("spring"), "--duration", 0.1, "--json").document
     for key in ("lateness_s", "exchange_s", "age_samples"):
