@@ -5,6 +5,8 @@ another file whose functions this one calls (numba issues 1833 and 9483). So eac
 named after the text of every source that it may have been compiled from: its own file and its imports, direct and
 indirect, as far as they lie in the rooms that hold compiled code. An edit elsewhere keeps everything; an edit of one
 module's recurrence recompiles what contains it, and nothing else.
+
+A directory that cannot be written, as in the image of a container, is read: `read_only_directories_for`.
 """
 
 from __future__ import annotations
@@ -22,10 +24,18 @@ import threading
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
+from typing import Any, Self
 
 import numba
+from llvmlite import binding  # type: ignore[import-untyped]
+from numba.core.caching import UserProvidedCacheLocator
+from numba.core.codegen import get_host_cpu_features
+
+CHOSEN = "HAPSIM_CACHE"
+"""The environment variable that names the directory for compiled code."""
 
 _IMPORT = re.compile(r"^\s*from ([\w.]+) import (?:\(([^)]*)\)|([^\n#]*))|^\s*import ([\w., ]+)", re.MULTILINE)
+_KEY = re.compile("[0-9a-f]{16}")
 _UNUSED_DAYS = 30.0  # after which a directory is removed
 
 
@@ -33,13 +43,13 @@ _UNUSED_DAYS = 30.0  # after which a directory is removed
 def directory_for(sources: frozenset[Path], rooms: tuple[Path, ...]) -> Path | None:
     """Returns the directory for code compiled from `sources` and their imports within `rooms` (directories or files);
     None where no place can be written to."""
-    key = _key_of(sources_of(sources, rooms))
-    for root in _roots():
+    key = _key_of(sources, rooms)
+    for root, mode in _roots():
         with contextlib.suppress(OSError):
-            root.mkdir(mode=0o700, parents=True, exist_ok=True)
+            root.mkdir(mode, parents=True, exist_ok=True)
             directory = root.resolve() / key
             is_new = not directory.exists()
-            directory.mkdir(mode=0o700, exist_ok=True)
+            directory.mkdir(mode, exist_ok=True)
             if _is_private(directory.parent) and _is_private(directory):
                 os.utime(directory)
                 if is_new:
@@ -48,17 +58,34 @@ def directory_for(sources: frozenset[Path], rooms: tuple[Path, ...]) -> Path | N
     return None
 
 
+@functools.cache
+def read_only_directories_for(sources: frozenset[Path], rooms: tuple[Path, ...]) -> tuple[Path, ...]:
+    """Returns the directories that may have such code and cannot be written, best first."""
+    directories = [root / _key_of(sources, rooms) for root, _ in _roots()]
+    return tuple(directory for directory in directories if _is_read_only(directory))
+
+
 @contextlib.contextmanager
 def numba_cache_in(directory: Path | None) -> Iterator[None]:
     """Sets the directory that numba reads when it decorates; a program that uses hapsim keeps its own setting."""
+    config: Any = numba.config
     with _choosing:
-        before = numba.config.CACHE_DIR
+        before = config.CACHE_DIR, config.CACHE_LOCATOR_CLASSES
         if directory is not None:
-            numba.config.CACHE_DIR = str(directory)
+            config.CACHE_DIR, config.CACHE_LOCATOR_CLASSES = str(directory), f"{__name__}.{Locator.__name__}"
         try:
             yield
         finally:
-            numba.config.CACHE_DIR = before
+            config.CACHE_DIR, config.CACHE_LOCATOR_CLASSES = before
+
+
+class Locator(UserProvidedCacheLocator):
+    """How numba finds the directory. Its own locator rejects one that cannot be written; code can be read from it."""
+
+    @classmethod
+    def from_function(cls, py_func: Any, py_file: str) -> Self:
+        """Returns the locator of a function's code."""
+        return cls(py_func, py_file)
 
 
 _choosing = threading.RLock()  # the setting is the whole process's
@@ -96,10 +123,15 @@ def _files_of(name: str) -> tuple[Path, ...]:
     return tuple(file for file in [*packages, root.joinpath(*parts).with_suffix(".py")] if file.is_file())
 
 
-def _key_of(sources: Sequence[Path]) -> str:
-    """The directory's name: a digest of the sources' names and texts, the compiler and the machine."""
-    digest = hashlib.sha256(f"{numba.__version__} {platform.python_version()} {platform.machine()}".encode())
-    for source in sources:
+@functools.cache
+def _key_of(sources: frozenset[Path], rooms: tuple[Path, ...]) -> str:
+    """The directory's name: a digest of the sources' names and texts, the compiler and the processor."""
+    config: Any = numba.config
+    name = config.CPU_NAME or binding.get_host_cpu_name()
+    features = get_host_cpu_features() if config.CPU_FEATURES is None else config.CPU_FEATURES
+    made_by = numba.__version__, platform.python_version(), platform.machine(), name, features
+    digest = hashlib.sha256(" ".join(made_by).encode())
+    for source in sources_of(sources, rooms):
         digest.update(source.as_posix().encode())
         digest.update(_digest_of(source))
     return digest.hexdigest()[:16]
@@ -113,27 +145,43 @@ def _digest_of(source: Path) -> bytes:
 def _is_private(directory: Path) -> bool:
     """Whether only this user can put code there: numba's index files are pickles and run as ours."""
     status = directory.lstat()
-    # A system without users reports every directory as open to all.
-    open_to_others = status.st_mode & (stat.S_IWOTH | stat.S_IWGRP) if hasattr(os, "getuid") else 0
-    ours = stat.S_ISDIR(status.st_mode) and status.st_uid == _user() and not open_to_others
+    ours = stat.S_ISDIR(status.st_mode) and status.st_uid == _user() and not _is_open_to_others(status)
     return ours and os.access(directory, os.W_OK)
+
+
+def _is_open_to_others(status: os.stat_result) -> bool:
+    # A system without users reports every directory as open to all.
+    return hasattr(os, "getuid") and bool(status.st_mode & (stat.S_IWOTH | stat.S_IWGRP))
 
 
 def _user() -> int:
     return os.getuid() if hasattr(os, "getuid") else 0  # a system without users reports owner 0 for every file
 
 
-def _roots() -> Iterator[Path]:
-    """Where code may be kept, best first. Never the installed package: it may be read-only (numba issue 5566)."""
-    chosen = os.environ.get("XDG_CACHE_HOME")
+def _is_read_only(directory: Path) -> bool:
+    """Whether there is code that this user cannot write: root's or the user's own, which no other can write either."""
+    with contextlib.suppress(OSError):
+        places = [directory.parent.resolve(), directory.resolve(strict=True)]
+        owned = all(place.stat().st_uid in (0, _user()) and not _is_open_to_others(place.stat()) for place in places)
+        return owned and not os.access(directory, os.W_OK) and os.access(directory, os.R_OK | os.X_OK)
+    return False
+
+
+def _roots() -> Iterator[tuple[Path, int]]:
+    """Where code may be kept, best first, each with the mode of what is made there. The directory that is named may be
+    for others to read, as in an image. Never the installed package: it may be read-only (numba issue 5566)."""
+    if chosen := os.environ.get(CHOSEN):
+        yield Path(chosen).absolute(), 0o755
     with contextlib.suppress(RuntimeError):
-        yield (Path(chosen) if chosen else Path.home() / ".cache") / "hapsim"
-    yield Path(tempfile.gettempdir()) / f"hapsim-{_user()}"
+        of_user = os.environ.get("XDG_CACHE_HOME")
+        yield (Path(of_user) if of_user else Path.home() / ".cache") / "hapsim", 0o700
+    with contextlib.suppress(OSError):  # there may be no directory for temporary files
+        yield Path(tempfile.gettempdir()) / f"hapsim-{_user()}", 0o700
 
 
 def _remove_unused(root: Path) -> None:
     oldest = time.time() - 86400.0 * _UNUSED_DAYS
     with contextlib.suppress(OSError):  # another process may be removing the same ones
         for directory in root.iterdir():
-            if directory.stat().st_mtime < oldest:
+            if _KEY.fullmatch(directory.name) and directory.stat().st_mtime < oldest:
                 shutil.rmtree(directory, ignore_errors=True)

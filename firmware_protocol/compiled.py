@@ -28,7 +28,7 @@ import numba
 import numpy as np
 from numba import extending, types
 
-from firmware_protocol.code_cache import directory_for, numba_cache_in
+from firmware_protocol.code_cache import directory_for, numba_cache_in, read_only_directories_for
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -75,7 +75,15 @@ class Compiler:
 
     def directory_of(self, *objects: Any) -> Path | None:
         """Returns where the machine code of these functions and classes is kept; None where it cannot be."""
-        return directory_for(frozenset(Path(inspect.getfile(one)).resolve() for one in objects), self.rooms)
+        return directory_for(_files_of(objects), self.rooms)
+
+    def read_only_directories_of(self, *objects: Any) -> tuple[Path, ...]:
+        """Returns where else it may be found: in directories that cannot be written."""
+        return read_only_directories_for(_files_of(objects), self.rooms)
+
+
+def _files_of(objects: tuple[Any, ...]) -> frozenset[Path]:
+    return frozenset(Path(inspect.getfile(one)).resolve() for one in objects)
 
 
 entry = Compiler(Path(__file__).resolve().parent).entry

@@ -5,6 +5,8 @@ Each message is a sentence for the user: where, what was found, what was expecte
 
 from __future__ import annotations
 
+import errno
+import os
 from typing import Any
 
 __all__ = [
@@ -62,3 +64,52 @@ class GuardError(RunError):
     """A guard stopped the force."""
 
     exit_status = 4
+
+
+_NO_TEMPORARY = "no usable temporary directory"
+_OF_SYSTEM = tuple(
+    getattr(errno, name)
+    for name in ("EACCES", "EPERM", "EROFS", "ENOSPC", "EDQUOT", "EMFILE", "ENFILE", "EIO", "ENAMETOOLONG", "ELOOP")
+    if hasattr(errno, name)
+)
+
+
+def address_space_limit() -> int:
+    """Returns how many bytes of address space this process may have (`ulimit -v`); 0 if it is not limited."""
+    try:
+        import resource
+
+        limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+        return 0 if limit == resource.RLIM_INFINITY else limit
+    except (ImportError, OSError):  # no such limits on this system
+        return 0
+
+
+def refused_by_system(error: BaseException | None) -> str:
+    """Returns what the system refused, and what to do, as a sentence; "" if the error, and those that led to it, are
+    of another kind."""
+    while error is not None:
+        text = str(error)
+        if isinstance(error, MemoryError) or getattr(error, "errno", None) == errno.ENOMEM or _is_unmapped(error):
+            limit = address_space_limit()
+            limited = f"; the address space is limited to {limit / 1e6:.0f} MB (`ulimit -v`)" if limit else ""
+            return f"the system has no more memory for hapsim{limited}"
+        if "can't start new thread" in text or getattr(error, "errno", None) == errno.EAGAIN:
+            return (
+                "the system refused another thread or process. Raise the limit: `ulimit -u`, in a control group "
+                "pids.max (systemd: TasksMax=, docker: --pids-limit)"
+            )
+        if isinstance(error, OSError) and _NO_TEMPORARY in text.lower():
+            return "no directory for temporary files can be written: set TMPDIR to one that can"
+        if isinstance(error, OSError) and error.errno in _OF_SYSTEM:
+            where = f"{os.fsdecode(error.filename)}: " if isinstance(error.filename, str | bytes) else ""
+            return f"{where}{error.strerror}"
+        error = error.__cause__ or error.__context__
+    return ""
+
+
+def _is_unmapped(error: BaseException) -> bool:
+    """Whether a library could not be loaded for want of address space."""
+    text = str(error)
+    unmapped = "failed to map segment" in text or "Could not find/load shared object" in text
+    return unmapped and isinstance(error, ImportError | OSError) and address_space_limit() > 0

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hapsim.errors import UsageError
+from hapsim.whole_file import whole_file
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -58,7 +59,8 @@ def figure_to(path: Path, width: float, height: float) -> Iterator[Figure]:
         figure = Figure(figsize=(width, height), dpi=_DOTS_PER_INCH, layout="constrained")
         FigureCanvasAgg(figure)  # measures texts
         yield figure
-        figure.savefig(path, dpi=_DOTS_PER_INCH, metadata=_METADATA[path.suffix])
+        with whole_file(path) as file:
+            figure.savefig(file, dpi=_DOTS_PER_INCH, format=path.suffix[1:], metadata=_METADATA[path.suffix])
 
 
 def legend_below(figure: Any, columns: int, **options: Any) -> None:
@@ -73,7 +75,7 @@ def legend_below(figure: Any, columns: int, **options: Any) -> None:
 
 def save_rows(columns: Mapping[str, Iterable[Any]], path: Path) -> None:
     """Writes a picture's numbers as CSV, with every digit; nan stands where a line is broken."""
-    with path.open("w", newline="", encoding="utf-8") as stream:
+    with whole_file(path) as file, file.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream, lineterminator="\n")
         writer.writerow(columns)
         writer.writerows(zip(*columns.values(), strict=True))

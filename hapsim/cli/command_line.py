@@ -19,10 +19,10 @@ from typing import Annotated, Any, ClassVar
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from hapsim.cli.options import on_command_line
+from hapsim.cli.options import choose_cache, on_command_line, take_cache
 from hapsim.cli.output import complain, document, log_as_json
 from hapsim.cli.streams import output_failure, standing_streams
-from hapsim.errors import HapsimError, UsageError
+from hapsim.errors import HapsimError, UsageError, refused_by_system
 from hapsim.scene.issue import as_argument
 from hapsim.scene.shipped import shipped_scenes, shipped_scripts
 from hapsim.stopping import end_interrupted, was_interrupted
@@ -44,6 +44,7 @@ class _Commands(TyperGroup):
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         name, command, rest = super().resolve_command(ctx, args)
+        rest = take_cache(rest)  # before the command's module is loaded, which decides where compiled code is
         if name not in self.table:
             return name, command, rest
         return name, outline(f"{ctx.command_path} {name}") if ctx.resilient_parsing else self._loaded(name), rest
@@ -203,6 +204,14 @@ def _about_hapsim(
     version: Annotated[
         bool, typer.Option("--version", is_eager=True, callback=_print_version, help="Print what a bug report needs.")
     ] = False,
+    cache: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            callback=choose_cache,
+            help="Where compiled code is kept, also after the command [env: HAPSIM_CACHE; default: ~/.cache/hapsim]",
+        ),
+    ] = None,
 ) -> None:
     """A real-time haptic simulator that predicts and measures the stiffness and damping the hand really feels."""
 
@@ -246,6 +255,8 @@ def _run_app() -> int | OSError:
             return error
         if os.environ.get("HAPSIM_TRACEBACK"):
             raise
+        if refusal := refused_by_system(error):
+            return _fail(f"hapsim: {refusal}", UsageError.exit_status)
         return _fail(
             f"hapsim: a defect of hapsim itself: {type(error).__name__}: {error}\n"
             "Please report it; HAPSIM_TRACEBACK=1 in the environment prints where.",

@@ -7,9 +7,9 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from hapsim.cli.output import json_log
+from hapsim.cli.output import json_log, warn
 from hapsim.number_format import plural
 
 if TYPE_CHECKING:
@@ -22,10 +22,33 @@ _STEP_S = 5.0  # between two lines of a kind, where the output is no terminal
 
 
 @contextlib.contextmanager
-def live_line(error: Console) -> Iterator[Callable[[Progress], None]]:
+def live_line(error: Console, warns_of_unkept: bool = True) -> Iterator[Callable[[Progress], None]]:
     """Yields a function that shows a Progress: in place on a terminal, elsewhere now and then as a line or in the
-    log."""
-    log, words = json_log(), _Words()
+    log. At the end, `warns_of_unkept` warns if something was compiled that could not be kept."""
+    words = _Words()
+    with _shown(error, words) as tell:
+        yield tell
+    if warns_of_unkept and words.compiled and (problem := _kept().why_not_kept()):
+        warn(unkept(problem), "unkept")
+
+
+def unkept(problem: str) -> str:
+    """Returns the warning that compiled code is not kept."""
+    return (
+        f"compiled code is not kept, and the next start compiles again: {problem}. Name another directory with "
+        "--cache or HAPSIM_CACHE"
+    )
+
+
+def _kept() -> Any:
+    from hapsim.compiling import kept  # loads numba, which is loaded once something is compiled
+
+    return kept
+
+
+@contextlib.contextmanager
+def _shown(error: Console, words: _Words) -> Iterator[Callable[[Progress], None]]:
+    log = json_log()
     if log is None:
         with live_words(error) as show:
             yield lambda progress: show(words.of(progress))
@@ -101,6 +124,8 @@ class _Words:
 
     def __init__(self) -> None:
         self._compiled, self._since = 0, 0.0
+        self.compiled = False
+        """Whether anything was compiled."""
 
     def of(self, progress: Progress) -> str:
         """Returns the text for the next Progress of a run."""
@@ -108,9 +133,11 @@ class _Words:
             if not self._compiled:
                 self._since = time.monotonic()
             self._compiled += 1
+            self.compiled = True
+            once = ", once on this machine" if _kept().directory_of_kept_code() else ""
             share = "" if progress.share is None else f"{100.0 * progress.share:.0f} %, "
             elapsed = time.monotonic() - self._since
-            return f"compiling, once on this machine: {share}{plural(self._compiled, 'function')} in {elapsed:.0f} s"
+            return f"compiling{once}: {share}{plural(self._compiled, 'function')} in {elapsed:.0f} s"
         self._compiled = 0
         if progress.phase == "waiting":
             return f"waiting for {progress.text} · Ctrl-C ends the run"

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import inspect
 import math
+import os
 import sys
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, fields, is_dataclass
@@ -66,6 +67,34 @@ def push_option(*names: str) -> Any:
     """Returns the declaration of `--push`, with its aliases."""
     help_text = "Largest force of the test pushes, N [default: a quarter of force_limit]"
     return option("N", help_text, "--push", *names)
+
+
+_CACHE = "HAPSIM_CACHE"  # `firmware_protocol.code_cache`, which would import numba
+
+
+def chosen_cache() -> Path | None:
+    """Returns the directory for compiled code that --cache or the environment names."""
+    chosen = os.environ.get(_CACHE)
+    return Path(chosen) if chosen else None
+
+
+def choose_cache(directory: Path | None) -> None:
+    """Names the directory for compiled code, for this process and those that it starts."""
+    if directory is not None:
+        os.environ[_CACHE] = str(directory.absolute())
+
+
+def take_cache(words: list[str]) -> list[str]:
+    """Returns the words behind a command without `--cache DIR`, which it obeys. Raises UsageError without a DIR."""
+    for i, word in enumerate(words[: words.index("--")] if "--" in words else words):
+        name, equals, directory = word.partition("=")
+        if name == "--cache":
+            behind = [directory] if equals else words[i + 1 : i + 2]
+            if not behind or not behind[0]:
+                raise UsageError("--cache: found nothing, expected a directory for compiled code")
+            choose_cache(Path(behind[0]))
+            return take_cache(words[:i] + words[i + (1 if equals else 2) :])
+    return words
 
 
 @dataclass

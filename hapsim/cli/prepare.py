@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from hapsim.cli.live import live_line
-from hapsim.cli.options import Json, Port, SceneFile, Watch, flag, load, require_file
+from hapsim.cli.live import live_line, unkept
+from hapsim.cli.options import Json, Port, SceneFile, Watch, chosen_cache, flag, load, require_file
 from hapsim.cli.output import complain, document, say, stderr, warn
 from hapsim.errors import UsageError
 from hapsim.number_format import plural
@@ -31,20 +31,30 @@ def compile_(
     ] = None,
     json: Json = False,
 ) -> None:
-    """Compile ahead of the first run. No device is touched."""
+    """Compile ahead of the first run. No device is touched.
+
+    The code is kept in ~/.cache/hapsim, or where --cache DIR or HAPSIM_CACHE in the environment says.
+    """
     loaded = [load(path) for path in scenes or ()]
-    with live_line(stderr()) as tell:
+    with live_line(stderr(), warns_of_unkept=False) as tell:
         prepared = prepare(loaded, tell)
+    kept, compiled = (
+        prepared.directory,
+        f"Compiled {plural(prepared.functions, 'function')} in {prepared.seconds:.1f} s",
+    )
     if json:
-        kept = None if prepared.directory is None else str(prepared.directory)
-        print(document({"functions": prepared.functions, "seconds": prepared.seconds, "directory": kept}))
-    elif prepared.directory is None:
-        say("Compiled, but there is no place to keep it: set XDG_CACHE_HOME to a directory that can be written to.")
+        directory = None if kept is None else str(kept)
+        print(document({"functions": prepared.functions, "seconds": prepared.seconds, "directory": directory}))
     elif prepared.functions:
-        functions = plural(prepared.functions, "function")
-        say(f"Compiled {functions} in {prepared.seconds:.1f} s; kept in {prepared.directory}")
+        compiled = f"Compiled {plural(prepared.functions, 'function')} in {prepared.seconds:.1f} s"
+        say(f"{compiled}; kept in {kept}" if kept else compiled)
     else:
-        say(f"Nothing to compile: everything is kept in {prepared.directory}")
+        say(f"Nothing to compile: everything is kept in {kept}")
+    if prepared.problem:
+        warn(unkept(prepared.problem), "unkept")
+        raise typer.Exit(UsageError.exit_status)
+    if prepared.functions and (chosen := chosen_cache()) and chosen.resolve() != kept:
+        warn(f"{chosen}: nothing can be kept there. It has to be a directory of yours that only you can write to", "")
 
 
 def service(

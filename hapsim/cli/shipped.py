@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shlex
 from pathlib import Path
 from typing import Annotated
@@ -15,6 +16,7 @@ from hapsim.cli.output import document, say
 from hapsim.errors import UsageError
 from hapsim.scene.issue import as_argument
 from hapsim.scene.shipped import SCENES, shipped_scene, shipped_scene_path, shipped_scenes
+from hapsim.whole_file import whole_file
 
 
 def new(
@@ -27,15 +29,12 @@ def new(
 
     if shipped_scene_path(from_) is None:
         raise UsageError(f"--from: found {from_!r}, expected one of {', '.join(shipped_scenes())}")
-    try:
-        with path.open("x", encoding="utf-8") as file:
-            file.write(shipped_scene(from_))
-    except FileExistsError:
-        raise UsageError(f"{path}: the file exists and is not replaced; name another") from None
-    except FileNotFoundError:
-        raise UsageError(f"{path}: there is no directory {path.resolve().parent}") from None
-    except OSError as error:
-        raise UsageError(f"{path}: the file cannot be written: {error.strerror}") from None
+    if os.path.lexists(path):
+        raise UsageError(f"{path}: the file exists and is not replaced; name another")
+    if not path.resolve().parent.is_dir():
+        raise UsageError(f"{path}: there is no directory {path.resolve().parent}")
+    with whole_file(path) as file:
+        file.write_text(shipped_scene(from_), encoding="utf-8")
     say(f"Wrote {path}. Next:")
     for command in ("check", "measure"):
         print(

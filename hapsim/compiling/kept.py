@@ -1,8 +1,9 @@
 """Compiling functions that Python calls, and checking the machine code that earlier runs left.
 
 numba trusts its files: a truncated one raises whatever reading it raises, and one with wrong bytes is executed. So a
-mark beside them has their digests; what does not agree with it is compiled again. Where nothing can be written, a
-function is compiled all the same, and not kept.
+mark beside them has their digests; what does not agree with it is compiled again. Code in a directory that cannot be
+written, as in an image, is loaded; what is missing there is kept elsewhere. Where nothing can be written, a function is
+compiled all the same, and not kept.
 """
 
 from __future__ import annotations
@@ -18,28 +19,38 @@ from typing import Any, TypeVar
 import numba
 import numpy as np
 
+from firmware_protocol.code_cache import numba_cache_in
 from hapsim.compiling import compiler
+from hapsim.errors import UsageError, address_space_limit
 
 Compiled = TypeVar("Compiled")
 
 
 def compile_for(function: Any, *arguments: Any) -> None:
     """Compiles an `entry` for arguments of these types, or loads it, without calling it."""
+    require_compiler()
     signature = signature_of(*arguments)
+    if signature in function.overloads:
+        return
+    kept = Kept(function.py_func, signature)
 
     def _compile_or_load() -> None:
+        if kept.directory is not None:
+            with numba_cache_in(kept.directory):
+                function.enable_caching()  # once more: the code may be in a read-only directory
         try:
             function.compile(signature)
-        except OSError:
+        except OSError as error:
             if signature not in function.overloads:  # else it is compiled, and could not be written
                 raise
+            note_unkept(error)
 
-    if signature not in function.overloads:
-        Kept(function.py_func, signature).compile(_compile_or_load)
+    kept.compile(_compile_or_load)
 
 
 def is_kept(function: Any, *arguments: Any) -> bool:
     """Returns whether an earlier run left an `entry`'s machine code for arguments of these types."""
+    require_compiler()
     return Kept(function.py_func, signature_of(*arguments)).is_whole
 
 
@@ -56,9 +67,41 @@ def _type_of_record(dtype: Any, _is_aligned: bool) -> Any:
     return numba.from_dtype(dtype)
 
 
-def directory_of_kept_code() -> Path | None:
-    """Returns the directory above all of hapsim's machine code; None where nothing can be kept."""
-    directory = compiler.directory_of(compile_for)
+def require_compiler() -> None:
+    """Raises UsageError where numba does not compile, or would hang."""
+    if numba.config.DISABLE_JIT:
+        raise UsageError("the loop has to be compiled, which NUMBA_DISABLE_JIT in the environment prevents: unset it")
+    if (limit := address_space_limit()) and limit < _LEAST_ADDRESS_SPACE:
+        raise UsageError(
+            f"the address space is limited to {limit / 1e6:.0f} MB, and the compiler takes at least "
+            f"{_LEAST_ADDRESS_SPACE / 1e6:.0f} MB: raise the limit (`ulimit -v unlimited`)"
+        )
+
+
+_LEAST_ADDRESS_SPACE = 600_000_000  # bytes; with less, OpenBLAS, which numba loads, tries again for ever (measured)
+
+
+def note_unkept(error: OSError) -> None:
+    """Notes that machine code could not be written."""
+    _unkept.append(error)
+
+
+def why_not_kept() -> str:
+    """Returns why machine code that this process compiled is not kept; "" where it is."""
+    directory = directory_of_kept_code()
+    if directory is None:
+        return "no directory for it can be written"
+    return f"{directory} cannot be written: {_unkept[0].strerror}" if _unkept else ""
+
+
+_unkept: list[OSError] = []
+
+
+def directory_of_kept_code(*, found: bool = False) -> Path | None:
+    """Returns the directory above hapsim's machine code, None where nothing can be kept. `found`: where it was found,
+    which may be a directory that cannot be written."""
+    read_only = compiler.read_only_directories_of(compile_for) if found else ()
+    directory = next(iter(read_only), compiler.directory_of(compile_for))
     return None if directory is None else directory.parent
 
 
@@ -67,10 +110,18 @@ class Kept:
     numba does not distinguish itself."""
 
     def __init__(self, function: Any, signature: Any, *classes: type) -> None:
-        self.directory = compiler.directory_of(function, *classes)
-        """Where it is kept; None where nothing can be written."""
         self._function = function
-        self._mark = None if self.directory is None else self.directory / _name_of_mark(function, signature, classes)
+        self._name = _name_of_mark(function, signature, classes)
+        self._writable = compiler.directory_of(function, *classes)
+        for directory in (*compiler.read_only_directories_of(function, *classes), self._writable):
+            self._look_in(directory)
+            if self.is_whole:
+                break
+
+    def _look_in(self, directory: Path | None) -> None:
+        self.directory = directory
+        """Where it is, or is to be kept; None where nothing can be written."""
+        self._mark = None if directory is None else directory / self._name
         self._digests = self._read_mark()
         self.is_whole = bool(self._digests) and self._digests.items() <= self._digests_of_files().items()
         """Whether it is there from an earlier run, as it was written."""
@@ -85,12 +136,15 @@ class Kept:
         except Exception:
             if not had_files:
                 raise
+            self._look_in(self._writable)
             self._forget()
             self.is_whole = False
             compiled = compile_or_load()
         if not self.is_whole and self._mark is not None and (digests := self._digests_of_files()):
-            with contextlib.suppress(OSError):
+            try:
                 self._mark.write_text(json.dumps(digests), encoding="utf-8")
+            except OSError as error:
+                note_unkept(error)
         return compiled
 
     def _read_mark(self) -> dict[str, str]:

@@ -23,7 +23,7 @@ from numba.np.arrayobj import populate_array
 
 from firmware_protocol.code_cache import numba_cache_in
 from firmware_protocol.compiled import OPTIONS
-from hapsim.compiling.kept import Kept
+from hapsim.compiling.kept import Kept, note_unkept, require_compiler
 from hapsim.compiling.progress import compiling
 
 ir = cgutils.ir
@@ -194,6 +194,7 @@ class NativeFunction:
         return int(self._compiled[signature].address)
 
     def _compile(self, signature: Any) -> Any:
+        require_compiler()
         kept = Kept(self.function, signature, *_classes_in(signature))
         name = f"{self.function.__module__.rpartition('.')[2]}.{self.function.__name__}"
 
@@ -206,7 +207,8 @@ class NativeFunction:
             with contextlib.nullcontext() if kept.is_whole else compiling(self.function, name):
                 try:
                     return _compile_in(kept.directory)
-                except OSError:  # it could not be written
+                except OSError as error:
+                    note_unkept(error)
                     return _compile_in(None)
 
         return kept.compile(_compile_or_load)

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 import numpy as np
 
 from firmware_protocol.compiled import new_record
-from hapsim.compiling.kept import compile_for, directory_of_kept_code, is_kept
+from hapsim.compiling.kept import compile_for, directory_of_kept_code, is_kept, why_not_kept
 from hapsim.compiling.native import PlainNative
 from hapsim.compiling.progress import Counted, on_compilation
 from hapsim.loop.system import missing_calls
@@ -165,7 +165,8 @@ def compile_ahead(names: Iterable[str], counted: Counted, then: Callable[[], Non
     the second process."""
     missing = [name for name in names if not UNITS[name].is_kept()]
     counted.expect(sum(UNITS[name].functions for name in missing))
-    second = [name for name in missing if UNITS[name].in_second_process]
+    # What a second process compiles gets here only if it can be kept.
+    second = [name for name in missing if UNITS[name].in_second_process and directory_of_kept_code()]
     with _second_process(second if len(second) < len(missing) else [], counted.add) as wait:
         for name in missing:
             if not UNITS[name].in_second_process:
@@ -225,7 +226,9 @@ class Prepared:
     functions: int
     seconds: float
     directory: Path | None
-    """Where machine code is kept; None where nothing can be written."""
+    """Where machine code is kept; None where it is not."""
+    problem: str = ""
+    """Why it is not kept."""
 
 
 def prepare(scenes: Sequence[Scene] = (), on_progress: Callable[[Progress], None] = lambda _: None) -> Prepared:
@@ -245,7 +248,9 @@ def prepare(scenes: Sequence[Scene] = (), on_progress: Callable[[Progress], None
     counted = Counted(lambda name, share: on_progress(Progress("compiling", name, share=share)))
     with on_compilation(counted.add):
         compile_ahead([name for name in UNITS if name in names], counted, lambda: _compile_scenes(scenes))
-    return Prepared(counted.functions, time.monotonic() - begun, directory_of_kept_code())
+    problem = why_not_kept() if counted.functions else ""
+    directory = None if problem else directory_of_kept_code(found=not counted.functions)
+    return Prepared(counted.functions, time.monotonic() - begun, directory, problem)
 
 
 def _compile_scenes(scenes: Sequence[Scene]) -> None:

@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import shutil
-import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -17,6 +15,7 @@ from typing import Any
 import yaml
 
 from hapsim.errors import SceneError, UsageError
+from hapsim.whole_file import whole_file
 
 from .load import parse_scene
 from .quantity import Known, per_channel
@@ -40,7 +39,9 @@ def rewrite_device(path: str, values: Values, channel: int) -> None:
     place = Path(os.path.realpath(path))
     require_rewritable(path)
     text = place.read_bytes().decode("utf-8")
-    _replace_file(place, device_rewritten(text, values, channel, path))
+    rewritten = device_rewritten(text, values, channel, path)
+    with whole_file(place) as file:
+        file.write_bytes(rewritten.encode("utf-8"))
 
 
 def require_rewritable(path: str) -> None:
@@ -136,14 +137,3 @@ def _inserted(text: str, device: yaml.MappingNode, mass: yaml.Node, entry: str) 
         return len(text), len(text), f"\n{margin}{entry}"
     newline = "\r\n" if text[until - 1] == "\r" else "\n"
     return until + 1, until + 1, f"{margin}{entry}{newline}"
-
-
-def _replace_file(place: Path, text: str) -> None:
-    """Whole or not at all, with the permissions that it has."""
-    try:
-        with tempfile.NamedTemporaryFile("wb", dir=place.parent, prefix=f".{place.name}.", delete=False) as file:
-            file.write(text.encode("utf-8"))
-        shutil.copymode(place, file.name)
-        os.replace(file.name, place)
-    except OSError as error:
-        raise UsageError(f"{place}: this file cannot be written: {error.strerror}") from error

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import errno
 import gc
+import math
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -39,9 +40,46 @@ def collector_frozen(_thread_id: int) -> Iterator[str]:
         gc.enable()
 
 
+class _GroupLimitError(OSError):
+    """More is mapped than the control group may have."""
+
+
+def memory_limit(root: Path = Path("/"), process: str = "self") -> float:
+    """Returns how many bytes of memory the control groups of a process allow, infinity without a limit."""
+    limits = [math.inf]
+    for line in _text(root / f"proc/{process}/cgroup").splitlines():
+        _, controllers, group = line.split(":", 2)
+        version_2 = not controllers
+        if version_2 or "memory" in controllers.split(","):
+            top = root / ("sys/fs/cgroup" if version_2 else "sys/fs/cgroup/memory")
+            own = top / group.strip("/")
+            for place in (own, *own.parents):
+                if place.is_relative_to(top):  # a container sees its own group at the top
+                    text = _text(place / ("memory.max" if version_2 else "memory.limit_in_bytes")).strip()
+                    limits += [float(text)] if text.isdecimal() else []
+    return min(limits)
+
+
+def _mapped_bytes() -> int:
+    """Returns what locking reads in, bytes: all that is mapped and not closed to every access."""
+    lines = (line.split(maxsplit=2) for line in _text(Path("/proc/self/maps")).splitlines())
+    ranges = [span.split("-") for span, access, *_ in lines if not access.startswith("---")]
+    return sum(int(end, 16) - int(start, 16) for start, end in ranges)
+
+
+def _text(file: Path) -> str:
+    """The text of a file of the system; "" where there is none."""
+    try:
+        return file.read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return ""
+
+
 def _lock_advice(error: OSError) -> str:
     import resource
 
+    if isinstance(error, _GroupLimitError):
+        return f"{error.strerror} MB, and the kernel would end the run: raise its limit (MemoryMax=, docker --memory)"
     refused = f"locking {_megabytes('VmSize')} was refused ({error.strerror})"
     limit = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0]
     if error.errno not in (errno.ENOMEM, errno.EPERM):
@@ -55,6 +93,11 @@ def _lock_advice(error: OSError) -> str:
 @measure("memory locked", _lock_advice)
 def memory_locked(_thread_id: int) -> Iterator[str]:
     """Locks and reads in what the process has mapped. Undoing unlocks what was locked before, too (munlockall(2))."""
+    limit, needed = memory_limit(), _mapped_bytes()
+    if limit < needed:  # the kernel would kill the process
+        raise _GroupLimitError(
+            errno.ENOMEM, f"its control group has {limit / 1e6:.0f} MB, locking takes {needed / 1e6:.0f}"
+        )
     privilege.call_c("mlockall", _MCL_CURRENT)
     yield _megabytes("VmLck")
     privilege.call_c("munlockall")
@@ -62,8 +105,5 @@ def memory_locked(_thread_id: int) -> Iterator[str]:
 
 def _megabytes(field: str) -> str:
     """Returns a line of the process's status in MB of 10^6 bytes; "all memory" where it cannot be read."""
-    try:
-        found = re.search(rf"^{field}:\s+(\d+) kB$", _STATUS.read_text(encoding="utf-8"), re.MULTILINE)
-    except (OSError, UnicodeDecodeError):
-        found = None
+    found = re.search(rf"^{field}:\s+(\d+) kB$", _text(_STATUS), re.MULTILINE)
     return f"{int(found[1]) * 1024 / 1e6:.0f} MB" if found else "all memory"
