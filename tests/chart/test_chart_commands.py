@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import resource
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,10 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
+from hapsim.chart.figure import figure_to, save_rows
+from hapsim.errors import UsageError
 from hapsim.theory import Configuration
+from hapsim.whole_file import whole_file
 
 Chart = Callable[..., Any]
 SceneFile = Callable[..., Path]
@@ -205,3 +209,55 @@ def test_help_loads_nothing_heavy() -> None:
     )
     answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert answer.stdout.strip() == "[]"
+
+
+# --- files, whole or not at all ---
+
+
+@pytest.fixture
+def full_disk() -> Iterator[None]:
+    """No file can grow beyond 512 bytes."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (512, before[1]))
+    yield
+    resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+@pytest.mark.usefixtures("full_disk")
+@pytest.mark.parametrize("is_there", [False, True])
+@pytest.mark.parametrize("name", ["numbers.csv", "picture.svg", "scene.yaml"])
+def test_a_full_disk_leaves_no_file_and_the_older_one_as_it_was(tmp_path: Path, name: str, is_there: bool) -> None:
+    file = tmp_path / name
+    if is_there:
+        file.write_text("older", encoding="utf-8")
+
+    def write() -> None:
+        if name == "numbers.csv":
+            save_rows({"x": range(1000)}, file)
+        elif name == "picture.svg":
+            with figure_to(file, 2.0, 2.0):
+                pass
+        else:
+            with whole_file(file) as beside:
+                beside.write_text(1000 * "x", encoding="utf-8")
+
+    with pytest.raises(UsageError, match=f"{name}: the file cannot be written: File too large"):
+        write()
+    assert [one.read_text(encoding="utf-8") for one in tmp_path.iterdir()] == ["older"] * is_there
+
+
+def test_a_file_that_is_replaced_keeps_its_permissions_and_its_links(tmp_path: Path) -> None:
+    file, link = tmp_path / "of.csv", tmp_path / "link.csv"
+    file.write_text("older", encoding="utf-8")
+    file.chmod(0o640)
+    link.symlink_to(file)
+    save_rows({"x": [1]}, link)
+    assert file.read_text(encoding="utf-8") == "x\n1\n"
+    assert file.stat().st_mode & 0o777 == 0o640
+    assert link.is_symlink()
+
+
+def test_what_is_no_file_is_written_in_its_place() -> None:
+    with whole_file("/dev/null") as place:
+        assert place == Path("/dev/null")
+    assert Path("/dev/null").is_char_device()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import signal
@@ -15,6 +16,7 @@ from typing import Any
 import pytest
 
 from firmware_protocol.frames import armed_format
+from hapsim import errors
 from hapsim.device import conversation
 from hapsim.stopping import STOPS, stopping_on_signals
 
@@ -111,6 +113,43 @@ def test_a_device_that_stops_is_status_3_with_a_document(hapsim: Hapsim, tmp_pat
     assert answer.status == 3
     assert "a position left the range of its counts" in answer.err
     assert answer.document["exit_status"] == 3
+
+
+@pytest.mark.parametrize(
+    ("error", "told"),
+    [
+        (MemoryError(), "the system has no more memory"),
+        (OSError(errno.ENOMEM, "Cannot allocate memory"), "the system has no more memory"),
+        (RuntimeError("can't start new thread"), "the system refused another thread or process. Raise the limit"),
+        (BlockingIOError(errno.EAGAIN, "Resource temporarily unavailable"), "pids.max"),
+        (FileNotFoundError(errno.ENOENT, "No usable temporary directory found in ['/tmp']"), "set TMPDIR"),
+        (PermissionError(errno.EACCES, "Permission denied", "/srv/x"), "hapsim: /srv/x: Permission denied"),
+        (OSError(errno.EROFS, "Read-only file system", "/srv/x"), "hapsim: /srv/x: Read-only file system"),
+        (OSError(errno.EMFILE, "Too many open files"), "hapsim: Too many open files"),
+    ],
+    ids=lambda value: value.strerror or type(value).__name__ if isinstance(value, OSError) else None,
+)
+def test_what_the_system_refuses_is_no_defect(
+    hapsim: Hapsim, scene_file: SceneFile, monkeypatch: pytest.MonkeyPatch, error: Exception, told: str
+) -> None:
+    def fail(_scene: object) -> None:
+        raise ValueError("because of this") from error
+
+    monkeypatch.setattr("hapsim.cli.check.predict", fail)
+    answer = hapsim("check", scene_file("spring"))
+    assert answer.status == 2
+    assert told in answer.sentence
+
+
+def test_a_library_that_finds_no_address_space_is_no_defect(monkeypatch: pytest.MonkeyPatch) -> None:
+    missing = ImportError("libopenblas.so: failed to map segment from shared object")
+    assert errors.refused_by_system(missing) == ""  # without a limit, the library itself is at fault
+    monkeypatch.setattr(errors, "address_space_limit", lambda: 256_000_000)
+    assert "the address space is limited to 256 MB (`ulimit -v`)" in errors.refused_by_system(missing)
+
+
+def test_a_file_that_never_ends_is_no_scene(hapsim: Hapsim) -> None:
+    assert "/dev/zero: found a file of more than 4 MB, expected a scene" in hapsim("check", "/dev/zero").sentence
 
 
 def test_a_defect_of_ours_is_status_1_and_can_be_traced(

@@ -216,14 +216,29 @@ def test_afterwards_no_run_compiles_anything(clock: str, transport: Any, portabl
     assert names == []
 
 
-def test_its_result_in_json(hapsim: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
-    for directory in (Path("/var/kept"), None):
-        prepared = Prepared(12, 3.5, directory)
+def test_its_result(hapsim: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    for prepared in (Prepared(12, 3.5, Path("/var/kept")), Prepared(12, 3.5, None, "/var/kept: the disk is full")):
         monkeypatch.setattr(preparing, "prepare", lambda *_, prepared=prepared: prepared)
-        document = hapsim("compile", "--json").document
-        assert document["directory"] == (None if directory is None else str(directory))
-        assert (document["functions"], document["seconds"]) == (12, 3.5)
-    assert "set XDG_CACHE_HOME to a directory that can be written to" in hapsim("compile").out
+        answer, problem = hapsim("compile", "--json"), prepared.problem
+        assert answer.document["directory"] == (None if problem else "/var/kept")
+        assert (answer.document["functions"], answer.document["seconds"]) == (12, 3.5)
+        assert answer.status == (2 if problem else 0)
+        assert (f"compiled code is not kept, and the next start compiles again: {problem}." in answer.err) == bool(
+            problem
+        )
+    assert "kept in" not in hapsim("compile").out
+
+
+@pytest.mark.parametrize("words", ["--cache {} compile", "compile --cache {}", "compile --cache={}"])
+def test_the_directory_is_chosen_before_anything_is_loaded(
+    hapsim: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: str
+) -> None:
+    monkeypatch.setenv("HAPSIM_CACHE", "/another")
+    monkeypatch.setattr(preparing, "prepare", lambda *_: Prepared(12, 3.5, Path("/home/kept")))
+    answer = hapsim(*words.format(tmp_path).split())
+    assert os.environ["HAPSIM_CACHE"] == str(tmp_path)
+    assert f"{tmp_path}: nothing can be kept there" in answer.err
+    assert "--cache: found nothing, expected a directory" in hapsim("compile", "--cache").sentence
 
 
 def test_a_wrong_scene_is_reported_before_anything_is_compiled(

@@ -5,9 +5,13 @@ from __future__ import annotations
 
 import ctypes
 import gc
+import os
 import resource
 import shutil
 import signal
+import subprocess
+import sys
+import tempfile
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -18,19 +22,28 @@ import numpy as np
 import pytest
 
 from firmware_protocol import code_cache
-from hapsim.compiling import entry, helper
+from hapsim.compiling import entry, helper, kept
 from hapsim.compiling.kept import compile_for, is_kept
 from hapsim.compiling.native import Behind, NativeFunction, value_of
 from hapsim.compiling.progress import Counted, compiling, on_compilation
+from hapsim.errors import UsageError
 
 
 @pytest.fixture(autouse=True)
 def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """An empty cache of this test's own."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    code_cache.directory_for.cache_clear()
+    monkeypatch.delenv("HAPSIM_CACHE", raising=False)
+    monkeypatch.setattr(kept, "_unkept", [])
+    as_another_process()
     yield tmp_path
-    code_cache.directory_for.cache_clear()
+    as_another_process()
+
+
+def as_another_process() -> None:
+    """Directories are looked for once more."""
+    for looked_for in (code_cache.directory_for, code_cache.read_only_directories_for, code_cache._key_of):
+        looked_for.cache_clear()
 
 
 @helper
@@ -377,3 +390,136 @@ def test_code_that_cannot_be_written_is_compiled_all_the_same_and_kept_later(com
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
     assert NAMES[compile_it] in told_by(compile_it)
     assert told_by(compile_it) == []
+
+
+def test_why_code_is_not_kept_is_known(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    compile_entry()
+    assert kept.why_not_kept() == ""
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1024, before[1]))
+    try:
+        compile_native()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert kept.why_not_kept() == f"{cache / 'hapsim'} cannot be written: File too large"
+    monkeypatch.setattr(code_cache, "_roots", tuple)
+    as_another_process()
+    assert kept.directory_of_kept_code() is None
+    assert kept.why_not_kept() == "no directory for it can be written"
+    for compile_it, name in NAMES.items():
+        assert name in told_by(compile_it)
+
+
+# --- a cache that can be read and not written ---
+
+
+@pytest.fixture
+def image(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The cache that the environment names, with the entry compiled; this process can no longer write to it, as in a
+    container, whose own cache is empty."""
+    image = tmp_path / "image"
+    monkeypatch.setenv("HAPSIM_CACHE", str(image))
+    compile_entry()
+    assert kept.directory_of_kept_code() == image  # `hapsim compile` reports it
+    access = os.access
+
+    def access_of_image(path: Any, mode: int) -> bool:
+        return access(path, mode) and not (mode & os.W_OK and Path(path).is_relative_to(image))
+
+    monkeypatch.setattr(os, "access", access_of_image)
+    as_another_process()
+    return image
+
+
+def files_in(directory: Path) -> dict[Path, int]:
+    return {file: file.stat().st_mtime_ns for file in directory.rglob("*") if file.is_file()}
+
+
+def test_a_read_only_cache_is_used_and_what_it_lacks_is_kept_elsewhere(cache: Path, image: Path) -> None:
+    before = files_in(image)
+    assert told_by(compile_entry) == []
+    assert kept.directory_of_kept_code(found=True) == image
+    assert NAMES[compile_native] in told_by(compile_native)
+    assert told_by(compile_native) == []
+    assert files_in(image) == before
+    assert {file.suffix for file in files_in(cache / "hapsim")} == {".nbi", ".nbc", ".kept"}
+
+
+def test_code_that_others_could_have_written_is_not_used(image: Path) -> None:
+    image.chmod(0o777)
+    assert told_by(compile_entry) != []
+
+
+def test_damage_in_a_read_only_cache_is_compiled_elsewhere(image: Path) -> None:
+    overwrite(next(image.rglob("*.nbc")))
+    before = files_in(image)
+    assert told_by(compile_entry) != []
+    assert told_by(compile_entry) == []
+    assert files_in(image) == before
+
+
+def test_an_image_for_another_processor_is_not_used(image: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert kept.directory_of_kept_code(found=True) == image
+    monkeypatch.setattr(code_cache.numba.config, "CPU_NAME", "generic")
+    as_another_process()
+    assert kept.directory_of_kept_code(found=True) != image
+
+
+def test_nothing_but_old_code_is_removed_from_a_directory_that_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HAPSIM_CACHE", str(tmp_path))
+    for name in ("photographs", "0123456789abcdef"):
+        (tmp_path / name).mkdir()
+        os.utime(tmp_path / name, (0, 0))
+    compile_entry()
+    assert (tmp_path / "photographs").is_dir()
+    assert not (tmp_path / "0123456789abcdef").exists()
+
+
+MOUNTED = """
+mount --bind "$HAPSIM_CACHE" "$HAPSIM_CACHE" && mount -o remount,bind,ro "$HAPSIM_CACHE" || exit 99
+mount -t tmpfs -o ro tmpfs /tmp; mount -t tmpfs -o ro tmpfs /var/tmp
+cd / && exec "$0" -c "$1"
+"""
+READS = f"""
+import sys
+from importlib import import_module
+sys.path.insert(0, {str(Path(__file__).parents[2])!r})
+of_test = import_module({__name__!r})
+for compile_it in of_test.NAMES:
+    print(compile_it.__name__, of_test.told_by(compile_it))
+"""
+
+
+def test_a_cache_mounted_read_only_serves_where_nothing_else_can_be_written(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    if shutil.which("unshare") is None or subprocess.run(["unshare", "-rm", "true"], check=False).returncode:
+        pytest.skip("needs user and mount namespaces (unshare -rm), which this machine does not permit")
+    with tempfile.TemporaryDirectory(dir=Path.home()) as image:  # /tmp is hidden below
+        monkeypatch.setenv("HAPSIM_CACHE", image)
+        monkeypatch.setenv("XDG_CACHE_HOME", "/proc/none")
+        as_another_process()
+        for compile_it in NAMES:
+            compile_it()
+        command = ["unshare", "-rm", "sh", "-c", MOUNTED, sys.executable, READS]
+        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
+    if done.returncode == 99:
+        pytest.skip("this machine permits no read-only mount in a namespace")
+    assert done.stdout == "compile_entry []\ncompile_native []\n", done.stderr[-2000:]
+
+
+# --- where numba does not compile ---
+
+
+def test_what_prevents_compilation_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(kept, "address_space_limit", lambda: 512_000_000)
+    for compile_it in NAMES:
+        with pytest.raises(UsageError, match="address space is limited to 512 MB"):
+            compile_it()
+    monkeypatch.setattr(kept.numba.config, "DISABLE_JIT", 1)
+    with pytest.raises(UsageError, match="NUMBA_DISABLE_JIT in the environment prevents: unset it"):
+        compile_native()
+    with pytest.raises(UsageError, match="NUMBA_DISABLE_JIT"):
+        is_kept(add_two, 1)

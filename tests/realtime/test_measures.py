@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import gc
+import math
 import os
 import pwd
 import resource
@@ -114,6 +115,40 @@ def test_mapped_memory_is_locked(calls: list[tuple[object, ...]], tmp_path: Path
         assert calls == [("mlockall", 1)], "MCL_CURRENT alone"
     assert calls[1:] == [("munlockall",)]
     assert (grant.granted, grant.detail) == (True, detail)
+
+
+def test_more_than_the_control_group_has_is_not_locked(
+    calls: list[tuple[object, ...]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The kernel would kill the process without a word."""
+    monkeypatch.setattr(memory, "memory_limit", lambda: 25e6)
+    with memory_locked(1) as grant:
+        assert not grant.granted
+    assert calls == []
+    assert "its control group has 25 MB, locking takes" in grant.detail
+    assert "MemoryMax=" in grant.detail
+
+
+@pytest.mark.parametrize(
+    ("groups", "limits", "expected"),
+    [
+        ("0::/a/b", {"a/b/memory.max": "max", "a/memory.max": "250000000"}, 250e6),
+        ("0::/", {"memory.max": "300000000"}, 300e6),  # a container sees its own group at the top
+        ("4:cpu:/x\n3:memory:/a", {"memory/a/memory.limit_in_bytes": "250000000"}, 250e6),
+        ("4:memory:/of/the/host", {"memory/memory.limit_in_bytes": "250000000"}, 250e6),
+        ("0::/a", {}, math.inf),
+        ("", {}, math.inf),
+    ],
+)
+def test_the_smallest_limit_of_a_control_group_and_those_above_counts(
+    tmp_path: Path, groups: str, limits: dict[str, str], expected: float
+) -> None:
+    for name, text in (
+        {"proc/7/cgroup": groups} | {f"sys/fs/cgroup/{name}": text for name, text in limits.items()}
+    ).items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(f"{text}\n", encoding="utf-8")
+    assert memory.memory_limit(tmp_path, "7") == expected
 
 
 @pytest.mark.usefixtures("calls")

@@ -47,8 +47,7 @@ class _GroupLimitError(OSError):
 def memory_limit(root: Path = Path("/"), process: str = "self") -> float:
     """Returns how many bytes of memory the control groups of a process allow, infinity without a limit."""
     limits = [math.inf]
-    for line in _text(root / f"proc/{process}/cgroup").splitlines():
-        _, controllers, group = line.split(":", 2)
+    for _, controllers, group in re.findall("^(.*?):(.*?):(.*)$", _text(root / f"proc/{process}/cgroup"), re.MULTILINE):
         version_2 = not controllers
         if version_2 or "memory" in controllers.split(","):
             top = root / ("sys/fs/cgroup" if version_2 else "sys/fs/cgroup/memory")
