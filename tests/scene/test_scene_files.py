@@ -100,10 +100,10 @@ def test_a_file_that_may_not_be_read_is_reported(tmp_path: Path, monkeypatch: py
     path.write_text(good)
     if os.geteuid() == 0:  # the superuser may read everything
 
-        def refuse(_path: Path) -> bytes:
+        def refuse(_path: Path, _mode: str) -> bytes:
             raise PermissionError(13, "Permission denied")
 
-        monkeypatch.setattr(Path, "read_bytes", refuse)
+        monkeypatch.setattr(Path, "open", refuse)
     path.chmod(0)
     assert refusal(path) == f"{path}: this file may not be read, expected one that may; check its permissions"
 
