@@ -41,8 +41,9 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def forget() -> None:
     """What this process has read of the sources, as if it began now."""
-    for function in (code_cache.directory_for, code_cache._imports_of, code_cache._files_of, code_cache._digest_of):
-        function.cache_clear()
+    names = ("directory_for", "read_only_directories_for", "_key_of", "_imports_of", "_files_of", "_digest_of")
+    for name in names:
+        getattr(code_cache, name).cache_clear()
 
 
 def directory_for(package: Path, *sources: str) -> Path | None:
@@ -147,7 +148,7 @@ def test_what_nobody_has_loaded_for_a_month_is_removed_and_the_rest_kept(package
     used = directory_for(package)
     os.utime(used, (0.0, 0.0))
     assert directory_for(package) == used  # whoever loads from it keeps it
-    old, recent = aged("old", 31.0), aged("recent", 29.0)
+    old, recent = aged(16 * "0", 31.0), aged(16 * "1", 29.0)
     assert directory_for(package) == used
     assert old.exists()  # it is looked for once the sources change, and not at every start
     (package / "tick.py").write_text("changed = True\n", encoding="utf-8")
