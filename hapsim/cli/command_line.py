@@ -44,7 +44,8 @@ class _Commands(TyperGroup):
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         name, command, rest = super().resolve_command(ctx, args)
-        rest = take_cache(rest)  # before the command's module is loaded, which decides where compiled code is
+        if not ctx.resilient_parsing:  # completion
+            rest = take_cache(rest)  # before the command's module is loaded, which decides where compiled code is
         if name not in self.table:
             return name, command, rest
         return name, outline(f"{ctx.command_path} {name}") if ctx.resilient_parsing else self._loaded(name), rest

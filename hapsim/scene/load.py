@@ -16,7 +16,7 @@ from .modules import MODULE_TYPES, Module, ModuleContext
 from .scene import VERSION, Scene
 from .shipped import shipped_scene, shipped_scene_path, shipped_scenes
 from .yaml_document import Document
-from .yaml_file import YamlFile
+from .yaml_file import MOST_BYTES, YamlFile
 
 _FILE = YamlFile(
     SceneError,
@@ -70,7 +70,7 @@ def parse_scene(text: str, name: str = "<scene>") -> Scene:
 
 def read_scene(stream: BinaryIO, name: str) -> Scene:
     """The scene of a stream of bytes, which errors call `name`. Raises SceneError as `load_scene`."""
-    return parse_scene(_FILE.decoded(stream.read(), name), name)
+    return parse_scene(_FILE.decoded(stream.read(MOST_BYTES + 1), name), name)
 
 
 def _validate(document: Document) -> tuple[Scene | None, list[Issue]]:

@@ -14,7 +14,7 @@ from .issue import Issue, LocatedIssue, Path, Place, as_argument, nearest, quote
 from .quantity import NAME_PATTERN
 from .yaml_document import Document, YamlSyntaxError, compose, place_in
 
-_MOST_BYTES = 4_000_000  # some 100 000 modules, which take half a minute to read; strings and membranes need no more
+MOST_BYTES = 4_000_000  # some 100 000 modules, which take half a minute to read; strings and membranes need no more
 
 
 @dataclass(frozen=True)
@@ -40,15 +40,15 @@ class YamlFile:
             raise self.error(f"'': the name of the file is empty, expected that of a file with {self.wanted}")
         try:
             with FilePath(name).open("rb") as file:
-                content = file.read(_MOST_BYTES + 1)
+                content = file.read(MOST_BYTES + 1)
         except (OSError, ValueError) as error:
             raise self.error(f"{name}: {self._unreadable(name, error)}") from None
         return self.decoded(content, name)
 
     def decoded(self, content: bytes, name: str) -> str:
         """The text of bytes that errors call `name`; `error` where they are too many, or no UTF-8."""
-        if len(content) > _MOST_BYTES:
-            most = f"{_MOST_BYTES / 1e6:.0f} MB"
+        if len(content) > MOST_BYTES:
+            most = f"{MOST_BYTES / 1e6:.0f} MB"
             raise self.error(f"{name}: found a file of more than {most}, expected {self.wanted} of at most {most}")
         try:
             return content.decode("utf-8")
