@@ -210,7 +210,7 @@ def _about_hapsim(
         typer.Option(
             metavar="DIR",
             callback=choose_cache,
-            help="Where compiled code is kept, also after the command [env: HAPSIM_CACHE; default: ~/.cache/hapsim]",
+            help="Where compiled code is kept, also after the command (or HAPSIM_CACHE; default: ~/.cache/hapsim).",
         ),
     ] = None,
 ) -> None:
