@@ -11,9 +11,12 @@ from typing import Any
 
 import pytest
 
-REPOSITORY = Path(__file__).resolve().parents[2]
-PACKAGES = (REPOSITORY / "hapsim", REPOSITORY / "firmware_protocol")
-TOOLS = REPOSITORY / "tools" / "bench"
+import firmware_protocol
+import hapsim
+
+# Where they are imported from: the clone, or an installation that these tests are run against.
+PACKAGES = tuple(Path(package.__file__).resolve().parent for package in (hapsim, firmware_protocol))
+TOOLS = Path(__file__).resolve().parents[2] / "tools" / "bench"
 
 
 @dataclass(frozen=True)
@@ -29,7 +32,7 @@ class Compiled:
     """Of an entry and a native function: the files that its machine code is made of."""
 
     def __str__(self) -> str:
-        return f"{self.file.relative_to(REPOSITORY)}:{self.line} {self.name}"
+        return f"{self.file}:{self.line} {self.name}"
 
 
 @pytest.fixture(scope="session")

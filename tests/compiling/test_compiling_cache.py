@@ -243,7 +243,8 @@ def test_the_cache_sees_every_import_of_a_source(every_compiled: list[Any]) -> N
     sources = {file for room in COMPILED_ROOMS for file in room.rglob("*.py")} | {one.file for one in every_compiled}
     assert len(sources) > 80
     for source in sources:
-        assert set(code_cache._imports_of(source)) == imports_of(source), source
+        found = {file for file in code_cache._imports_of(source) if is_in(file, (HAPSIM, PROTOCOL))}
+        assert found == imports_of(source), source
 
 
 COMPILE = """
@@ -302,7 +303,7 @@ def test_all_that_numba_compiles_for_a_function_is_looked_at(tmp_path: Path) -> 
     """What is chosen by type, as the steps of a stencil are, is only known once it is compiled: with nothing kept."""
     scene = {"version": 1, "rate": 1000, "device": {"mass": 0.2}, "modules": MODULES}
     environment = os.environ | {"XDG_CACHE_HOME": str(tmp_path)}
-    command = [sys.executable, "-c", COMPILE, json.dumps(scene)]
+    command = [sys.executable, "-P", "-c", COMPILE, json.dumps(scene)]
     done = subprocess.run(command, capture_output=True, text=True, check=True, env=environment)
     found = [(Path(root).resolve(), Path(file).resolve()) for root, file in json.loads(done.stdout)]
     ours = [(root, file) for root, file in found if is_in(file, (HAPSIM, PROTOCOL))]
