@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -354,8 +355,12 @@ def test_a_slew_limit_that_a_run_refuses_is_warned_of_and_not_called_stable(
 def test_run_tells_its_warnings_in_json_too(hapsim: Hapsim, scene_file: SceneFile, checked: Checked) -> None:
     path = scene_file("spring", slew_limit=5.0)
     answer = hapsim("run", path, "--duration", "0.01", "--json")
-    assert answer.document["warnings"] == checked(path)["warnings"]
+    document = checked(path)
+    assert answer.document["warnings"] == document["warnings"]
     assert answer.document["warnings"][0] in answer.err
+    (figures,) = re.findall(r"\((\S+) Hz\) is (\S+) ms, .* asks for (\d+) N/s", document["warnings"][0])
+    swing = document["predicted"]["frequency_hz"]
+    assert [float(figure) for figure in figures] == pytest.approx([swing, 250 / swing, 20 * np.pi * swing], rel=2e-3)
 
 
 @pytest.mark.parametrize(

@@ -12,6 +12,7 @@ import pytest
 
 from hapsim.doctor import examine
 from hapsim.doctor.advice import Advice
+from hapsim.stopping import ignore_stops
 
 Hapsim = Callable[..., Any]
 SceneFile = Callable[..., Path]
@@ -115,3 +116,10 @@ def test_a_run_tells_its_histograms(hapsim: Hapsim, scene_file: SceneFile) -> No
 def test_the_portable_loop_is_run_on_request(hapsim: Hapsim, scene_file: SceneFile) -> None:
     words = ("run", scene_file("spring"), "--transport", "terminal", "--duration", 0.1, "--portable", "--json")
     assert hapsim(*words).document["ticks"] == 100
+
+
+def test_a_command_that_prints_what_it_has_is_not_stopped_again() -> None:
+    """The handlers are put back after each test."""
+    ignore_stops()
+    signal.raise_signal(signal.SIGINT)
+    signal.raise_signal(signal.SIGTERM)

@@ -13,7 +13,6 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import jsonschema
@@ -21,6 +20,7 @@ import numba
 import numpy
 import pytest
 import yaml
+from serial.tools.list_ports_common import ListPortInfo
 
 from firmware_protocol.schema import SCHEMA_HASH, VERSION
 from hapsim import __version__
@@ -147,15 +147,14 @@ def test_the_schema_is_one_that_accepts_our_scenes(hapsim: Hapsim, scene_file: S
 
 def test_the_ports_are_listed_under_headings(hapsim: Hapsim, monkeypatch: pytest.MonkeyPatch) -> None:
     """What a port does not say of itself stays blank."""
-    board = SimpleNamespace(device="/dev/ttyACM0", description="Haptic [board]", hwid="USB VID:PID=2341:0043")
-    bare = SimpleNamespace(device="/dev/ttyS0", description="n/a", hwid="n/a")
-    for port, cells in ((board, list(vars(board).values())), (bare, [bare.device, "", ""])):
-        monkeypatch.setattr("serial.tools.list_ports.comports", lambda port=port: [port])
-        answer = hapsim("ports")
-        assert answer.status == 0
-        lines = [re.split(r" *[┃│] *", line)[1:-1] for line in answer.out.splitlines() if line.startswith(("┃", "│"))]
-        assert lines == [["port", "description", "hardware"], cells]
-        (listed,) = hapsim("ports", "--json").document["ports"]
+    board, bare = ListPortInfo("/dev/ttyACM0"), ListPortInfo("/dev/ttyS0")
+    board.description, board.hwid = "Haptic [board]", "USB VID:PID=2341:0043"
+    monkeypatch.setattr("serial.tools.list_ports.comports", lambda: [board, bare])
+    answer = hapsim("ports")
+    assert answer.status == 0
+    lines = [re.split(r" *[┃│] *", line)[1:-1] for line in answer.out.splitlines() if line.startswith(("┃", "│"))]
+    assert lines == [["port", "description", "hardware"], list(board), [bare.device, "", ""]]
+    for listed, port in zip(hapsim("ports", "--json").document["ports"], (board, bare), strict=True):
         assert listed == {"port": port.device, "description": port.description, "hardware": port.hwid}
     monkeypatch.setattr("serial.tools.list_ports.comports", list)
     answer = hapsim("ports")

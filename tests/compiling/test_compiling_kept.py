@@ -478,8 +478,9 @@ def test_nothing_but_old_code_is_removed_from_a_directory_that_is_named(
 
 
 MOUNTED = """
-mount --bind "$HAPSIM_CACHE" "$HAPSIM_CACHE" && mount -o remount,bind,ro "$HAPSIM_CACHE" || exit 99
-mount -t tmpfs -o ro tmpfs /tmp; mount -t tmpfs -o ro tmpfs /var/tmp
+for folder in "$HAPSIM_CACHE" /tmp /var/tmp; do
+    mount --bind "$folder" "$folder" && mount -o remount,bind,ro "$folder" || exit 99
+done
 cd / && exec "$0" -c "$1"
 """
 READS = f"""
@@ -497,7 +498,7 @@ def test_a_cache_mounted_read_only_serves_where_nothing_else_can_be_written(
 ) -> None:
     if shutil.which("unshare") is None or subprocess.run(["unshare", "-rm", "true"], check=False).returncode:
         pytest.skip("needs user and mount namespaces (unshare -rm), which this machine does not permit")
-    with tempfile.TemporaryDirectory(dir=Path.home()) as image:  # /tmp is hidden below
+    with tempfile.TemporaryDirectory() as image:
         monkeypatch.setenv("HAPSIM_CACHE", image)
         monkeypatch.setenv("XDG_CACHE_HOME", "/proc/none")
         as_another_process()
