@@ -81,6 +81,8 @@ def chosen_cache() -> Path | None:
 def choose_cache(directory: Path | None) -> None:
     """Names the directory for compiled code, for this process and those that it starts."""
     if directory is not None:
+        if directory.exists() and not directory.is_dir():
+            raise UsageError(f"--cache {directory}: found a file, expected a directory")
         os.environ[_CACHE] = str(directory.absolute())
 
 

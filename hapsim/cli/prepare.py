@@ -53,8 +53,9 @@ def compile_(
     if prepared.problem:
         warn(unkept(prepared.problem), "unkept")
         raise typer.Exit(UsageError.exit_status)
-    if prepared.functions and (chosen := chosen_cache()) and chosen.resolve() != kept:
+    if (chosen := chosen_cache()) and chosen.resolve() != kept:
         warn(f"{chosen}: nothing can be kept there. It has to be a directory of yours that only you can write to", "")
+        raise typer.Exit(UsageError.exit_status)
 
 
 def service(

@@ -237,8 +237,10 @@ def test_the_directory_is_chosen_before_anything_is_loaded(
     monkeypatch.setattr(preparing, "prepare", lambda *_: Prepared(12, 3.5, Path("/home/kept")))
     answer = hapsim(*words.format(tmp_path).split())
     assert os.environ["HAPSIM_CACHE"] == str(tmp_path)
+    assert answer.status == 2
     assert f"{tmp_path}: nothing can be kept there" in answer.err
     assert "--cache: found nothing, expected a directory" in hapsim("compile", "--cache").sentence
+    assert "found a file, expected a directory" in hapsim("compile", "--cache", __file__).sentence
 
 
 def test_a_wrong_scene_is_reported_before_anything_is_compiled(
