@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,7 +12,7 @@ from hapsim.scene import Buffer, Damper, Friction, Nonlinear, Plectrum, Scene, S
 from hapsim.scene.modules import Link, MaterialPoint
 from hapsim.theory import Configuration, Network
 from hapsim.theory.interface import damper_named
-from hapsim.theory.links import Linear, buffer, friction, nonlinear, plectrum, viscoelastic
+from hapsim.theory.links import Law, Linear, buffer, friction, nonlinear, plectrum, viscoelastic
 from hapsim.theory.schemes import SCHEMES, LinkNature
 
 
@@ -45,21 +45,26 @@ class LinearScene(NamedTuple):
 
 _STAYS = "."  # what is inside a structure and stays where it is: no module is called so
 
-_LINEAR: dict[type[Any], Callable[[Any], Linear]] = {
+_LAWS: dict[type[Any], Callable[[Any], Law]] = {
     ViscoElastic: lambda link: viscoelastic(link.stiffness, link.damping),
     Spring: lambda link: viscoelastic(link.stiffness, 0.0),
     Damper: lambda link: viscoelastic(0.0, link.damping),
-    Buffer: lambda link: buffer(link.stiffness, link.damping),
+    Buffer: lambda link: buffer(link.stiffness, link.damping, link.distance),
     Nonlinear: lambda link: nonlinear(link.force_over_distance, link.force_over_velocity),
-    Friction: lambda link: friction(link.stiffness, link.damping),
-    Plectrum: lambda link: plectrum(link.stiffness, link.damping),
+    Friction: lambda link: friction(link.stiffness, link.damping, link.force, link.break_away),
+    Plectrum: lambda link: plectrum(link.stiffness, link.damping, link.release),
 }
 """For every type of link, and of material points that pull themselves."""
 
 
+def law_of(module: Link | MaterialPoint) -> Law:
+    """The law of this module's own force; KeyError where its type has none."""
+    return _LAWS[type(module)](module)
+
+
 def linear_of(module: Link | MaterialPoint) -> Linear:
-    """The spring and damper that this module's own force is for small motions; KeyError where its type has none."""
-    return _LINEAR[type(module)](module)
+    """The spring and damper that this module's own force is taken for where nothing is known of its place."""
+    return law_of(module).linear()
 
 
 def with_device(scene: Scene, **changed: Any) -> Scene:
@@ -74,13 +79,13 @@ def _is_outside(linear: Linear, scheme: str) -> bool:
     return model is not None and not model.inside(nature)
 
 
-def linear_scene(scene: Scene) -> LinearScene:
-    """What the theory takes `scene` for."""
+def linear_scene(scene: Scene, taken: Mapping[str, Linear] | None = None) -> LinearScene:
+    """What the theory takes `scene` for; `taken`: links for which the spring and damper at their place are known."""
     masses: dict[str, float] = {}
     links: dict[str, LinearLink] = {}
     assumptions = []
     for name, link in scene.links.items():
-        linear = linear_of(link)
+        linear = (taken or {}).get(name) or linear_of(link)
         velocity = (link.damper, link.cutoff) if isinstance(link, ViscoElastic) else ("backward", None)
         outside = _is_outside(linear, scene.scheme)
         links[name] = LinearLink(link.between, linear.stiffness, linear.damping, *velocity, outside)
@@ -107,7 +112,7 @@ def _own_links(point: MaterialPoint) -> Iterator[Linear]:
     """What pulls a material point by itself."""
     held = point.held_by()
     if held is not None:
-        yield viscoelastic(held.stiffness, held.damping)
+        yield viscoelastic(held.stiffness, held.damping).linear()
     if point.pulls_itself:
         yield linear_of(point)
 

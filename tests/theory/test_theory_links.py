@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
 from hapsim.prediction import predict
 from hapsim.prediction.linear import linear_scene
 from hapsim.scene import parse_scene
-from hapsim.theory.links import nonlinear, sector, slope_at
+from hapsim.theory.links import Law, buffer, click, detent, friction, nonlinear, plectrum, sector, viscoelastic
 
 CURVE = ((-0.03, 3.0), (-0.01, -2.0), (0.0, 0.0), (0.01, 5.0), (0.02, 4.0))
 
@@ -33,17 +35,69 @@ def test_the_sector_of_a_curve_has_its_steepest_slope_and_its_level_ends() -> No
     [(-0.04, 0.0), (-0.03, -125.0), (-0.02, -250.0), (-0.005, 200.0), (0.0, 350.0), (0.015, -100.0), (0.02, -50.0)],
 )
 def test_the_slope_at_a_corner_is_the_mean_of_those_beside_it(x: float, slope: float) -> None:
-    assert slope_at(CURVE, x) == pytest.approx(slope)
+    assert nonlinear(CURVE, None).slope(x) == pytest.approx(slope)
 
 
 def test_a_swing_about_a_corner_feels_the_mean_of_both_slopes() -> None:
     swing = 0.004 * np.cos(2.0 * np.pi * np.arange(4000) / 4000)
     felt = 2.0 * np.mean(np.interp(swing, *zip(*CURVE, strict=True)) * swing) / 0.004**2
-    assert felt == pytest.approx(slope_at(CURVE, 0.0), rel=1e-6)
+    assert felt == pytest.approx(nonlinear(CURVE, None).slope(0.0), rel=1e-6)
+
+
+def _triangle(d: float, peak_at: float) -> float:
+    """Rises to 1 at peak_at, back to 0 at 1/2, odd, of period 1."""
+    u = d - np.floor(d + 0.5)
+    return float(np.sign(u) * np.interp(abs(u), [0.0, peak_at, 0.5], [0.0, 1.0, 0.0]))
+
+
+LAWS = {
+    "link": (viscoelastic(300.0, 2.0), lambda d: 300.0 * d),
+    "buffer": (buffer(900.0, 1.0, 0.003), lambda d: 900.0 * min(d - 0.003, 0.0)),
+    "table": (nonlinear(CURVE, None), lambda d: float(np.interp(d, *zip(*CURVE, strict=True)))),
+    "plectrum": (plectrum(400.0, 0.1, 0.013), lambda d: 400.0 * d * (abs(d) < 0.013)),
+    "sine": (detent(0.3, 0.009, "sine", 2.0, 0.1), lambda d: 0.3 * np.sin(2.0 * np.pi * d / 0.009)),
+    "snap": (detent(0.3, 0.009, "snap", 3.0, 0.1), lambda d: 0.3 * _triangle(d / 0.009, 0.375)),
+    "notch": (
+        detent(0.3, 0.009, "notch", 2.0, 0.1),
+        lambda d: 0.3 * np.sign(u := np.remainder(d + 0.0045, 0.009) - 0.0045)
+        * np.interp(abs(u), [0.0, 0.001125, 0.00225], [0.0, 1.0, 0.0]),
+    ),
+    "click": (
+        click(0.004, 0.6, 0.35, 5000.0, 0.2),
+        lambda d: -float(np.interp(-d, [0.0, 0.002, 0.003, 0.004, 1.004], [0.0, 0.6, 0.25, 0.55, 5000.55])),
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_a_law_has_the_tension_of_its_formula_and_the_slope_of_its_tension(name: str) -> None:
+    law, formula = LAWS[name]
+    for d in np.random.default_rng(3).uniform(-0.03, 0.03, 200):
+        assert float(law.tension(d)) == pytest.approx(formula(d), abs=1e-12)
+        if all(abs(d - edge) > 2e-7 for edge in law.edges_between(-0.04, 0.04)):
+            slope = float(law.tension(d + 1e-7) - law.tension(d - 1e-7)) / 2e-7
+            assert law.slope(d) == pytest.approx(slope, rel=1e-5, abs=1e-5)
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_between_its_edges_a_law_is_in_one_state_with_one_slope(name: str) -> None:
+    law: Law = LAWS[name][0]
+    edges = [-0.021, *law.edges_between(-0.021, 0.021), 0.021]
+    assert edges == sorted(set(edges))
+    for low, high in pairwise(edges):
+        within = np.linspace(low, high, 7)[1:-1]
+        assert len({(law.state(d), law.damping(d)) for d in within}) == 1
+        slopes = [law.slope(d) for d in within]
+        assert max(slopes) * min(slopes) >= 0.0 if law.is_curved else max(slopes) == min(slopes)
+
+
+def test_a_bristle_has_its_reach_and_no_force_where_it_rests() -> None:
+    law = friction(3000.0, 1.0, 0.8, 1.2)
+    assert (law.reach, law.slides_at, float(law.tension(0.01))) == (pytest.approx(4e-4), 0.8, 0.0)
 
 
 def test_what_was_taken_for_a_curve_is_said_with_how_steep_it_is_elsewhere() -> None:
-    taken = nonlinear(CURVE, None)
+    taken = nonlinear(CURVE, None).linear()
     assert taken[:2] == pytest.approx((350.0, 0.0))
     assert taken.assumption == (
         "is taken with its slopes where its ends meet and stand; elsewhere they lie between -250 and 500 N/m"
