@@ -345,8 +345,8 @@ def _bounds(scene: Scene, prediction: Prediction) -> Iterator[str]:
     if scene.device.port is None and scene.device.clock != "lockstep":
         bounds = force_bounds(scene, in_hand=True)
         yield (
-            f"That is before the mock. Behind a port (`--port`) the force changes by at most {bounds.slew_limit:g} "
-            f"N/s, and that of the very first sample comes {_soft_start(bounds.soft_start_s)}."
+            f"These limits apply to the mock. With a device (`--port`) the force changes by at most "
+            f"{bounds.slew_limit:g} N/s, and that of the very first sample comes {_soft_start(bounds.soft_start_s)}."
         )
     if hidden := hidden_sign(scene, prediction):
         yield hidden

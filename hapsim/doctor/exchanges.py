@@ -165,8 +165,8 @@ EXCHANGE = {
 """What is measured, by clock."""
 
 ON_THE_MOCK = (
-    "The rate is the mock's to keep, which runs on the same cores and wakes up late like any program; a device's "
-    "own timer is not. Where it keeps less than 95 % of the rate, there is no verdict."
+    "The mock keeps the rate. It runs on the same cores and wakes up late like any program; a device has its own "
+    "timer. If the mock keeps less than 95 % of the rate, there is no verdict."
 )
 """With clock: device."""
 

@@ -148,7 +148,7 @@ def test_hands_that_are_alike_share_a_plane_and_others_are_named(chart: Chart, s
 def test_table1_is_corrected_as_asked_for(
     chart: Chart, scene_file: SceneFile, words: list[str], correction: str, of_two: float
 ) -> None:
-    """Left out, by what the scene says where it is taken as it is."""
+    """Without the option, the scene decides, if the table uses it unchanged."""
     answer = chart("table1", scene_file("spring", correction="poles"), *words, "--json")
     assert answer.document["correction"] == correction
     couplings = {row["coupling"]: row for row in answer.document["couplings"]}

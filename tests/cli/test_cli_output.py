@@ -15,8 +15,8 @@ HAPSIM = [sys.executable, "-m", "hapsim"]
 
 
 @pytest.fixture
-def nobody() -> Iterator[int]:
-    """A pipe that nobody reads."""
+def unread() -> Iterator[int]:
+    """A pipe without a reader."""
     read, write = os.pipe()
     os.close(read)
     yield write
@@ -38,16 +38,16 @@ def environment(buffered: bool) -> dict[str, str]:
         (["check", str(SHIPPED)], True),
     ],
 )
-def test_a_reader_that_has_seen_enough_is_no_failure(nobody: int, words: list[str], buffered: bool) -> None:
+def test_a_reader_that_has_seen_enough_is_no_failure(unread: int, words: list[str], buffered: bool) -> None:
     done = subprocess.run(
-        [*HAPSIM, *words], stdout=nobody, stderr=subprocess.PIPE, text=True, check=False, env=environment(buffered)
+        [*HAPSIM, *words], stdout=unread, stderr=subprocess.PIPE, text=True, check=False, env=environment(buffered)
     )
     assert (done.returncode, done.stderr) == (0, "")
 
 
-def test_a_failure_stays_one_where_nobody_reads_of_it(nobody: int) -> None:
+def test_a_failure_stays_one_without_a_reader(unread: int) -> None:
     done = subprocess.run(
-        [*HAPSIM, "check", "nowhere.yaml"], stdout=nobody, stderr=nobody, check=False, env=environment(True)
+        [*HAPSIM, "check", "nowhere.yaml"], stdout=unread, stderr=unread, check=False, env=environment(True)
     )
     assert done.returncode == 2
 

@@ -40,7 +40,7 @@ def test_the_mock_keeps_the_protocol_on_a_port(hapsim: Hapsim, port: str) -> Non
     answer = hapsim("probe", port, "--json")
     document = answer.document
     checks = {check["name"]: check for check in document["checks"]}
-    # Its timer is this machine's: whoever holds that up, slows it down.
+    # Its timer is this machine's: another program can slow it down.
     slowed = {"rate_kept", "tick_goes_on"}
     assert {name for name, check in checks.items() if check["result"] == "FAIL"} <= slowed, checks
     assert document["released"] is True
@@ -61,7 +61,7 @@ def test_it_is_shown_within_80_columns(hapsim: Hapsim, port: str, monkeypatch: p
     assert "refusals: step 3 of 3" in answer.err
 
 
-def test_a_port_that_nobody_answers_at_is_told_within_seconds(hapsim: Hapsim) -> None:
+def test_a_silent_port_is_reported_within_seconds(hapsim: Hapsim) -> None:
     near, far = os.openpty()
     try:
         tty.setraw(near)

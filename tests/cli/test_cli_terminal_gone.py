@@ -1,4 +1,4 @@
-"""Whoever reads what a run says may go at any time: it ends as it would, the device is disarmed, the record kept."""
+"""The reader of a run's output may go at any time: the run ends as usual, disarms the device and keeps its record."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class Broken:
 @pytest.mark.parametrize("which", ["stdout", "stderr"])
 @pytest.mark.parametrize(("name", "status"), [("spring", 0), ("no_number", 4)])
 @pytest.mark.parametrize("words", [[], ["--json", "--log", "json"]])
-def test_a_run_ends_as_it_would_where_nobody_reads_it(
+def test_a_run_ends_as_usual_without_a_reader(
     hapsim: Hapsim,
     scene_file: SceneFile,
     tmp_path: Path,
@@ -74,8 +74,8 @@ def test_a_run_ends_as_it_would_where_nobody_reads_it(
     assert "defect" not in answer.err + answer.out
 
 
-def test_a_run_without_standard_streams_gives_their_numbers_to_nobody(scene_file: SceneFile, tmp_path: Path) -> None:
-    """A port that is opened as number 2 would be written to by whoever complains."""
+def test_a_run_without_standard_streams_keeps_their_numbers_free(scene_file: SceneFile, tmp_path: Path) -> None:
+    """A port that is opened as number 2 would get every error message."""
     record = tmp_path / "trace.npz"
     program = (
         "import os, sys\n"

@@ -287,7 +287,7 @@ def test_shares_rise_and_stay_below_one() -> None:
     assert shares[-1] < 1.0
 
 
-def test_where_nobody_has_said_how_many_to_expect_there_is_no_share() -> None:
+def test_without_an_expected_number_there_is_no_share() -> None:
     heard: list[float | None] = []
     counted = Counted(lambda _name, share: heard.append(share))
     counted.add("first")

@@ -58,7 +58,7 @@ def test_without_damping_the_energy_of_the_scheme_is_kept(which: tuple[Any, Any]
     written = written_out(scene)
     K = written.K.tolil()
     held = written.inverse_mass == 0
-    shift = written.rest.copy()  # what is held is where it is at rest, whoever moves
+    shift = written.rest.copy()  # what is held stays at rest, whatever else moves
     ours = written.places(run.names)
     x = np.tile(shift, (len(run.positions), 1))
     x[:, ours] = run.positions

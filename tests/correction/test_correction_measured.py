@@ -128,7 +128,7 @@ def test_the_force_answers_where_the_mass_will_be_whatever_is_late_on_the_way(ho
     known = np.full(len(trace.sample), True)
     known[:2] = False  # two samples tell the state
     for late in np.flatnonzero(trace.flags & LATE_FORCE):
-        known[max(late - 4, 0) : late] = False  # what would miss its deadline nobody knew when it was asked for
+        known[max(late - 4, 0) : late] = False  # a deadline miss is unknown when the force is computed
     expected = -2000.0 * trace.position[2:, 0]
     asked, known = trace.asked_force[:-2, 0], known[:-2]
     assert known.sum() > 100

@@ -98,7 +98,7 @@ def test_a_contact_is_felt_as_it_is_while_it_is_touched(correction: str) -> None
     pressed = {"initial": {"position": -0.005, "velocity": 0.02}}
     felt = measure(scene_of(modules, correction=correction, mock=pressed))
     plain = measure(scene_of(modules, mock=pressed))
-    # The contact's damper differs positions even where the others are told velocities: nearly, then.
+    # The contact's damper takes differences of positions even where the other dampers get velocities: approximate then.
     exact = correction == "poles"
     assert felt.k == pytest.approx(8000.0, rel=1e-5 if exact else 0.05)
     assert felt.b == pytest.approx(15.0, rel=1e-4 if exact else 0.15)

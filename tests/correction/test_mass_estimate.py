@@ -133,7 +133,7 @@ def test_lost_time_is_not_compared(bench: Any, every: int, what: int) -> None:
 
 
 def test_forces_that_were_late_in_a_row_are_not_compared() -> None:
-    """Of two in a row nobody knows which the device went on with."""
+    """Of two in a row it is unknown which one the device applied."""
     trace = run(scene_of(misses=0.05, seed=3), duration=2.0, excitation=pushes(2000, 2000))
     assert trace.report.deadline_misses > 60
     is_exact(trace.report)

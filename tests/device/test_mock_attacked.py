@@ -445,7 +445,7 @@ def test_a_whole_input_of_forces_is_answered_force_by_force(new_host: New, veloc
 
 
 @pytest.mark.parametrize("channels", [1, 16])
-def test_answers_that_nobody_fetches_are_lost_whole_and_never_beyond_the_outbox(new_host: New, channels: int) -> None:
+def test_unread_answers_are_lost_whole_and_never_beyond_the_outbox(new_host: New, channels: int) -> None:
     host = new_host(channels, mock={"initial": {"position": 5.0}})
     stream = np.frombuffer(host.arm_frame() * (INPUT_BYTES // 12), np.uint8).copy()
     for _ in range(8):

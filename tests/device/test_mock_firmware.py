@@ -126,7 +126,7 @@ def test_paced_by_the_host_the_watchdog_is_a_time(new_host: New, rate: float) ->
 def test_paced_by_the_host_a_force_acts_for_its_time_to_live_and_one_period_by_the_device_s_own_clock(
     new_host: New, time_to_live: int, rate: float, silence: float
 ) -> None:
-    """Whoever speaks again after `silence`, in times to live, finds the mass where a force that ended left it."""
+    """A host that speaks again after `silence`, in times to live, finds the mass where the ended force left it."""
     host = new_host(rate=rate, device={"mass": 2.0, "force_limit": 1.0})
     host.arm(HOST, watchdog=2047, now=10**12)
     lives = (time_to_live + 1) / rate

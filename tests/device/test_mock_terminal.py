@@ -162,7 +162,7 @@ def test_paced_by_the_device_positions_come_by_themselves_until_the_watchdog_lat
         assert client.register(schema.REG_FAULT) == schema.HOST_QUIET
 
 
-def test_a_flood_that_nobody_reads_the_answers_to_is_survived(
+def test_a_flood_whose_answers_are_not_read_is_survived(
     new_scene: New, new_host: New, open_client: Callable[..., Client]
 ) -> None:
     host = new_host()

@@ -32,7 +32,7 @@ New = Callable[..., Any]
 def test_in_lockstep_a_force_acts_as_many_samples_later_as_the_wire_takes(
     new_host: New, exchange: New, rate: float, late: int, delay: float
 ) -> None:
-    """As if it had been sent so many samples later to a mock without a wire."""
+    """As if it had been sent that number of samples later to a mock without a wire."""
     counts = [int(n) for n in np.random.default_rng(3).integers(-(2**31), 2**31, 30)]
     slow = new_host(rate=rate, device={"delay": delay}, mock=SLOW)
     quick = new_host(rate=rate, device={"delay": delay})

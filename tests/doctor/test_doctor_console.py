@@ -224,7 +224,7 @@ def test_the_picture_is_drawn_and_its_numbers_are_plain(examination: Examination
     assert all(math.isfinite(value) for name in ("longer_than_s", "share") for value in made[name])
 
 
-def test_progress_is_a_line_a_measurement_where_nobody_watches() -> None:
+def test_progress_is_a_line_a_measurement_without_a_terminal() -> None:
     stream = io.StringIO()
     with live_words(Console(file=stream, width=20)) as show:
         for number in (1, 1, 2):

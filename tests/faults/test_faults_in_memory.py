@@ -1,4 +1,4 @@
-"""Runs in virtual time over a wire with faults: what the user is told, and what reached the device."""
+"""Runs in virtual time over a wire with faults: the message to the user, and the bytes that reached the device."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def test_what_a_lockstep_run_can_bear_changes_no_force(scene: Scene, undisturbed
     assert injector.witness.all.count == TICKS
 
 
-# The fault, the error, and what is told. No force may reach the device after the fault.
+# The fault, the error, and its message. No force may reach the device after the fault.
 NOT_ARMED = "which is not a number above 0. Not armed; set the register in its firmware"
 UNPLUGGED = (
     r"the device went away after 50 ticks \(unplugged.* did not confirm that it released .* 10 s after the last force"

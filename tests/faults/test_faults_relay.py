@@ -82,7 +82,7 @@ def relaying(device: int, injector: Injector, path: Path | None = None) -> Itera
 
 
 def read(descriptor: int, count: int) -> bytes:
-    """So many bytes, as they come."""
+    """The next `count` bytes."""
     data = b""
     while len(data) < count:
         assert select.select([descriptor], [], [], _LONGEST_S)[0], f"only {data!r} came"

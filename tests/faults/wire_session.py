@@ -50,7 +50,7 @@ def injector_of(*faults: str, seed: int = 0) -> Injector:
 
 
 def positions_through(injector: Injector, count: int, first: int = 0) -> list[Passed]:
-    """What leaves where a device sends so many positions, one a period."""
+    """What the injector passes on of `count` positions, one a period."""
     passed: list[Passed] = []
     for number in range(first, first + count):
         passed += injector.take(position(number), False, number * PERIOD_S)
@@ -67,5 +67,5 @@ def frames_of(data: bytes, to_device: bool = False, wire: Format = ARMED) -> lis
 
 
 def numbers_of(passed: Iterable[Passed]) -> list[int]:
-    """The samples that a host is told of, in the order in which it is."""
+    """The numbers of the samples that reach a host, in the order of arrival."""
     return [frame.number for frame in frames_of(bytes_of(passed))]

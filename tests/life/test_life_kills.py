@@ -109,7 +109,7 @@ def test_of_a_host_that_is_killed_the_record_is_read_up_to_the_last_second(
 def test_a_device_that_is_killed_ends_the_run_with_a_report_and_a_whole_record(
     start_hapsim: Start, scene: Path, tmp_path: Path
 ) -> None:
-    """In lockstep over its port, where a busy machine makes nobody late."""
+    """In lockstep over its port, where a busy machine delays nothing."""
     scene.write_text(scene.read_text("utf-8").replace("clock: device", "clock: lockstep"), "utf-8")
     record, reports = tmp_path / "t.trace", tmp_path / "reports"
     mock = start_hapsim("mock", scene)
@@ -172,7 +172,7 @@ def test_a_device_that_is_stopped_and_goes_on_puts_out_nothing_but_what_it_had(
     require_port_is_free(board.port)
 
 
-def test_a_run_whose_output_nobody_reads_leaves_its_record(start_hapsim: Start, tmp_path: Path) -> None:
+def test_a_run_whose_output_is_not_read_leaves_its_record(start_hapsim: Start, tmp_path: Path) -> None:
     text = (CONFIGS / "first_touch.yaml").read_text("utf-8").replace("clock: device ", "clock: lockstep ")
     (tmp_path / "scene.yaml").write_text(text, "utf-8")
     unread = "read, write = os.pipe()\nos.close(read)\nos.dup2(write, 1)\nos.close(write)\ncli.main()"

@@ -113,7 +113,7 @@ def test_every_way_out_of_a_program_disarms_the_device(ends: Callable[..., Any],
     assert last or not err
 
 
-def test_of_a_session_that_nobody_closed_the_end_of_the_program_tells_what_stopped_it(ends: Callable[..., Any]) -> None:
+def test_the_end_of_the_program_reports_what_stopped_a_session_that_was_not_closed(ends: Callable[..., Any]) -> None:
     status, err, mock = ends(
         "session = hapsim.start(scene, judges_energy=True)\nassert session.wait(60.0)", stiffness=20000
     )

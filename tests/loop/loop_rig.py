@@ -215,7 +215,7 @@ def scripted(
 
 
 def assembled(scene: Scene, descriptor: int = 0, **differences: Any) -> LoopMemory:
-    """A loop over a port's descriptor, armed; for loops that nobody listens to any descriptor does."""
+    """A loop over a port's descriptor, armed; a loop without a listener takes any descriptor."""
     c = scene.channels
     description = Description("test", 1000.0, 0b111, 200, (1e-6,) * c, (1e-3,) * c, (10.0,) * c)
     connection = Connection(transport=descriptor_transport(descriptor), name="test", close=lambda: None)

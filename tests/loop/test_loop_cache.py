@@ -1,4 +1,4 @@
-"""Where compiled code is kept: apart for every state of the sources, and only where nobody else can put any."""
+"""Where compiled code is kept: apart for every state of the sources, and only where no other user can write."""
 
 from __future__ import annotations
 
@@ -137,7 +137,7 @@ def test_a_program_keeps_its_own_setting_of_numba(package: Path, monkeypatch: py
     assert setting == numba.config.CACHE_DIR
 
 
-def test_what_nobody_has_loaded_for_a_month_is_removed_and_the_rest_kept(package: Path, cache: Path) -> None:
+def test_what_was_not_loaded_for_a_month_is_removed_and_the_rest_kept(package: Path, cache: Path) -> None:
     def aged(name: str, days: float) -> Path:
         directory = cache / name
         (directory / "inside").mkdir(parents=True)
@@ -147,7 +147,7 @@ def test_what_nobody_has_loaded_for_a_month_is_removed_and_the_rest_kept(package
 
     used = directory_for(package)
     os.utime(used, (0.0, 0.0))
-    assert directory_for(package) == used  # whoever loads from it keeps it
+    assert directory_for(package) == used  # loading from it keeps it
     old, recent = aged(16 * "0", 31.0), aged(16 * "1", 29.0)
     assert directory_for(package) == used
     assert old.exists()  # it is looked for once the sources change, and not at every start

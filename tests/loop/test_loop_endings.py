@@ -46,7 +46,7 @@ def test_at_the_end_of_the_duration_the_device_is_disarmed(clock: str) -> None:
 
 @pytest.mark.parametrize("portable", [False, True])
 def test_a_stop_between_two_ticks_ends_a_run_by_the_hosts_clock_before_the_next(portable: bool) -> None:
-    """A tick lasts ten seconds: nobody waits for the next, and no exchange is made early in its place."""
+    """A tick lasts ten seconds: the run does not wait for the next, and no exchange is made early in its place."""
     scene = scene_of(rate=0.1, device={"clock": "host"})
     with hapsim.start(scene, portable=portable) as session:
         while session.statistics().age.total == 0:
@@ -88,7 +88,7 @@ def test_a_loop_ends_alike_in_compiled_code_and_in_python(
 
 
 @pytest.mark.parametrize("clock", CLOCKS)
-def test_an_exception_of_whoever_watches_the_progress_disarms_and_comes_through(clock: str) -> None:
+def test_an_exception_of_a_progress_callback_disarms_and_comes_through(clock: str) -> None:
     class OfTheirOwnError(Exception):
         pass
 

@@ -76,14 +76,14 @@ FAR = 2**31 - 1
 
 
 def springs(scene: Scene, stiffness: float, **of_channel: dict[str, float]) -> Scene:
-    """Every hand on a spring of so many N/m, without a damper, but for the links that are named."""
+    """Every hand on a spring of `stiffness` N/m without a damper, except for the links that are named."""
     changes = {name: {"stiffness": stiffness, "damping": 0.0} | of_channel.get(name, {}) for name in scene.links}
     modules = {name: module.model_copy(update=changes.get(name, {})) for name, module in scene.modules.items()}
     return scene.model_copy(update={"modules": modules})
 
 
 def alike(channels: int) -> dict[str, tuple[float, ...]]:
-    """What a scripted device with so many channels, all alike, says of itself."""
+    """The description of a scripted device whose channels are all alike."""
     each = {"position_scale": POSITION_SCALE, "force_scale": FORCE_SCALE, "force_limit": LIMIT * FORCE_SCALE}
     return {name: (value,) * channels for name, value in each.items()}
 

@@ -31,7 +31,7 @@ SCRIPT = np.dtype(
         ("items", np.int64),
         ("next", np.int64),  # item
         ("after", np.int64, 8),  # so many frames of the host an item comes,
-        ("late", np.int64, 8),  # 1: and only once whoever waited for it has given up
+        ("late", np.int64, 8),  # 1: only once its reader has given up
         ("stop", np.int64, 8),  # where it ends
         ("bytes", np.uint8, 512),
         ("sent", np.int64),  # frames of the host

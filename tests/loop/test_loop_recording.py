@@ -228,7 +228,7 @@ def _then(first: Callable[[], object], second: Callable[..., Any]) -> Callable[.
     return both
 
 
-def test_an_exception_of_whoever_runs_it_leaves_a_whole_record(tmp_path: Path) -> None:
+def test_an_exception_of_the_caller_leaves_a_whole_record(tmp_path: Path) -> None:
     class OfTheirOwnError(Exception):
         pass
 

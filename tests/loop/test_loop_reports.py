@@ -130,7 +130,7 @@ def test_by_default_only_a_device_on_a_port_leaves_one(tmp_path: Path, monkeypat
     assert len(os.listdir(tmp_path / "hapsim" / "reports")) == 1  # one that ends as asked leaves none
 
 
-def test_the_newest_are_kept_and_nobody_elses_file_is_touched(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_newest_are_kept_and_no_other_file_is_touched(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(report_file, "NEWEST", 3)
     (tmp_path / "theirs.zip").write_bytes(b"")
     older = [f"2020010{day}T000000Z_port_device-gone.zip" for day in range(1, 5)]

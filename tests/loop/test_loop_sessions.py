@@ -159,7 +159,7 @@ class CountedWaits(threading.Event):
         return super().wait(timeout)
 
 
-def test_in_virtual_time_nobody_reads_the_ring_but_the_loops_own_thread(readers: list[str]) -> None:
+def test_in_virtual_time_only_the_loops_own_thread_reads_the_ring(readers: list[str]) -> None:
     """Two readers would take the same rows, now and then, and each free them for both."""
     with hapsim.start(scene_of()) as session:
         session._over = CountedWaits()

@@ -73,8 +73,8 @@ def test_where_the_first_force_is_zero_a_soft_start_changes_nothing() -> None:
 
 
 class Host:
-    """A loop that is told what arrives, and whose forces leave or do not. On a spring of 1000 N/m: a micrometre asks
-    for a count of force."""
+    """A loop whose positions the test supplies, and whose forces leave or do not. On its spring of 1000 N/m
+    a micrometre asks for a count of force."""
 
     def __init__(self, **device: Any) -> None:
         self.loop = assembled(scene_of(damping=0.0, device={"clock": "device", "force_limit": 9.0, **device}))
@@ -104,7 +104,7 @@ def test_what_the_device_holds_is_what_left_whatever_was_worked_out_meanwhile() 
 def test_lost_positions_allow_no_more_than_a_step() -> None:
     loop = Host(**limited_to(100))
     assert loop.hears(0, FAR) == 100
-    assert loop.hears(9, FAR, late=True) == 100  # nobody knows whether the first came: zero, or 100
+    assert loop.hears(9, FAR, late=True) == 100  # it is unknown whether the first came: zero, or 100
     assert loop.hears(10, FAR) == 200
 
 

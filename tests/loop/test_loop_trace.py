@@ -83,7 +83,7 @@ def test_a_place_where_no_trace_can_be_written_is_refused(trace: Trace, tmp_path
     assert os.listdir(tmp_path) == ["taken.npz"]
 
 
-def test_a_pipe_that_nobody_may_read_is_refused(tmp_path: Path) -> None:
+def test_a_pipe_without_read_permission_is_refused(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "t.trace")
     with pytest.raises(UsageError, match="no file can be written there"):
         require_writable_as_trace(tmp_path / "t.trace")

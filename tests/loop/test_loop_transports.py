@@ -127,7 +127,7 @@ def test_a_periodic_excitation_is_a_row_of_finite_numbers(forces: list[float]) -
         PeriodicExcitation(0, np.array(forces))
 
 
-MEGABYTE = bytes(1 << 20)  # more than any line holds that nobody reads
+MEGABYTE = bytes(1 << 20)  # more than any unread line holds
 
 
 @pytest.fixture

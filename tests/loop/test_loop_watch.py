@@ -46,7 +46,7 @@ def edit(path: Path, old: str, new: str) -> None:
     os.utime(path, ns=(before + 10**9, before + 10**9))
 
 
-def test_a_file_that_nobody_touches_is_no_news(path: Path, session: Session) -> None:
+def test_an_untouched_file_is_no_news(path: Path, session: Session) -> None:
     file = WatchedFile(str(path))
     assert file.look(session) is None
     assert file.look(session) is None
@@ -103,7 +103,7 @@ def test_a_file_that_stays_away_is_reported_once(path: Path, session: Session) -
     assert "the file is gone" in told[0].refused
 
 
-def test_a_pipe_in_its_place_holds_nobody_up(path: Path, session: Session) -> None:
+def test_a_pipe_in_its_place_holds_nothing_up(path: Path, session: Session) -> None:
     file = WatchedFile(str(path))
     path.unlink()
     os.mkfifo(path)

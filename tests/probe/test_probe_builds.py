@@ -27,7 +27,7 @@ from hapsim.scene import Scene
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="pseudo-terminals of Linux")
 
 LIMIT, MASS = 10.0, 0.2  # N, kg: of every device here
-# Far enough for a push of which the opposite one was late: nobody is hurt.
+# Far enough for a push of which the opposite one was late; no hand is on these devices.
 LEAVE = Leave(force=1.2 * LIMIT, travel=0.2, mass=MASS)
 ATTEMPTS = 6
 TIMED = STEPS[STEPS.index("arming") :]

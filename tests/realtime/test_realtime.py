@@ -104,7 +104,7 @@ from pathlib import Path
 from hapsim.loop.realtime import realtime
 
 if sys.argv[1] == "nobody":
-    with contextlib.suppress(PermissionError):  # whoever this is, is nobody already
+    with contextlib.suppress(PermissionError):  # already an unprivileged user
         os.setgroups([])
         os.setgid(65534)
         os.setuid(65534)
@@ -155,7 +155,7 @@ print("well")
 """
 
 
-@pytest.mark.parametrize("who", ["whoever this is", "nobody"])
+@pytest.mark.parametrize("who", ["this user", "nobody"])
 def test_what_is_said_to_be_got_has_happened_and_what_is_denied_has_not(who: str) -> None:
     done = subprocess.run([sys.executable, "-c", WHOLE, who], capture_output=True, text=True, check=False, timeout=100)
     assert done.stdout.endswith("well\n"), done.stdout + done.stderr

@@ -1,4 +1,4 @@
-"""A daemon tells how it is doing to its owner, and is held up by nobody who asks."""
+"""A daemon reports its status to its owner; no reader holds it up."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     return tmp_path / "run"
 
 
-def test_a_running_scene_is_told_to_who_connects_and_to_nobody_else(folder: Path) -> None:
+def test_a_running_scene_reports_its_status_to_its_owner_only(folder: Path) -> None:
     state = RunState("scene.yaml", "/dev/serial/by-id/usb-1", 1000.0)
     path = path_for("/dev/serial/by-id/usb-1")
     with telling(path, lambda: document(state.document())):
@@ -101,7 +101,7 @@ def test_on_a_terminal_a_sentence_breaks_at_its_words_and_a_path_stays_whole() -
     assert (lines[1].startswith("      "), lines[2].strip()) == (True, path)
 
 
-def test_readers_that_do_not_read_hold_nobody_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_readers_that_do_not_read_hold_nothing_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(status, "_TIMEOUT_S", 60.0)  # who waited for such a reader would wait for ever
     path = tmp_path / "s"
     with telling(path, lambda: json.dumps("x" * 900_000)):
@@ -124,7 +124,7 @@ def test_what_cannot_be_told_once_is_no_end(tmp_path: Path) -> None:
 
 
 def _answering(path: Path, say: Callable[[socket.socket], object]) -> socket.socket:
-    """A socket where each who connects is told by `say`, in a thread."""
+    """A socket whose thread calls `say` with each new connection."""
     listening = socket.socket(socket.AF_UNIX)
     listening.bind(str(path))
     listening.listen(8)

@@ -39,7 +39,7 @@ def _adopt_in_vain(live: LiveScene, scene: Scene) -> None:
 
 
 def test_changes_follow_one_another() -> None:
-    """Whoever changes a scene waits until the change before is through."""
+    """A change of a scene waits until the change before it is complete."""
     with hapsim.start(scene_of(BEGIN)) as session:
         for n in range(10):
             session.adopt(scene_of(BEGIN | (LONE if n % 2 == 0 else {})), over=0.05)

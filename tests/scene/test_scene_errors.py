@@ -224,7 +224,7 @@ def test_a_wrong_key_is_reported(only_fault: OnlyFault, old: str, new: str, told
 
 
 def emptied(part: type[BaseModel], at: tuple[str, ...]) -> Iterator[tuple[str, ...]]:
-    """The ways to the keys of a part that may be left out."""
+    """The paths of the optional keys of a part."""
     for name, field in part.model_fields.items():
         if not field.is_required() and name != "type":
             yield (*at, name)
@@ -241,8 +241,8 @@ OPTIONAL = [
 
 
 @pytest.mark.parametrize("written", ["", "~", "null"])
-def test_nothing_under_a_key_that_may_be_left_out_is_not_taken_for_its_default(faults: Faults, written: str) -> None:
-    # An emptied limit that meant the default would be a limit that nobody wrote.
+def test_an_empty_optional_key_is_not_taken_for_its_default(faults: Faults, written: str) -> None:
+    # An emptied limit that meant the default would be a limit that the scene does not contain.
     assert {("device", "slew_limit"), ("device", "soft_start"), ("device", "energy_limit")} < set(OPTIONAL)
     for path in OPTIONAL:
         lines = [f"{'  ' * depth}{step}:" for depth, step in enumerate(path)]

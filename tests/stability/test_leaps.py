@@ -112,7 +112,7 @@ def test_noise_that_is_known_and_a_coarse_encoder_are_none(rate: float, noise: f
     swing = 0.05 * np.sin(2.0 * np.pi * 3.0 * np.arange(100_000) / rate)
     assert judged(swing + rng.normal(0.0, noise, swing.size), rate=rate, noise=noise) is None
     assert judged(np.rint(swing / noise) * noise, rate=rate, quantum=noise) is None
-    assert judged(swing + rng.normal(0.0, 4e-4, swing.size), rate=rate) is None  # of which nobody told
+    assert judged(swing + rng.normal(0.0, 4e-4, swing.size), rate=rate) is None  # noise that the scene does not declare
 
 
 @pytest.mark.parametrize("rate", [1000.0, 10_000.0])

@@ -1,4 +1,4 @@
-"""The energy guard (hapsim/loop/guards/energy_guard.py) before scenes by chance, in virtual time.
+"""The energy guard (hapsim/loop/guards/energy_guard.py) before random scenes, in virtual time.
 
     tools/bench/energy_guard [--scenes 200] [--seed 1] [--stalls]
 
@@ -84,7 +84,7 @@ class Outcome(NamedTuple):
 
 
 def unstable_scenes(number: int, seed: int) -> Iterator[Drawn]:
-    """So many that diverge, started by a small flick."""
+    """`number` scenes that diverge, started by a small flick."""
     chance, found = random.Random(seed), 0
     while found < number:
         drawn = _unstable(chance)
@@ -123,7 +123,7 @@ def _unstable(chance: random.Random) -> Drawn:
 
 
 def passive_scenes(number: int, seed: int) -> Iterator[Drawn]:
-    """So many that no hand makes unstable, up to the limit of that."""
+    """`number` scenes that no hand makes unstable, up to the limit of that."""
     chance, found = random.Random(seed), 0
     while found < number:
         drawn = _passive(chance)
@@ -166,7 +166,7 @@ def _scene(rate: float, device: dict[str, Any], speed: float, quantum: float, mo
         "mock": {"quantum": quantum, "initial": {"velocity": speed}},
         "modules": {"hand": {"type": "device", "channel": 0}, "wall": {"type": "ground"}, **modules},
     }
-    return parse_scene(json.dumps(document), "by chance")
+    return parse_scene(json.dumps(document), "random scene")
 
 
 def _log_uniform(chance: random.Random, least: float, most: float) -> float:

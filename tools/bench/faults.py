@@ -9,7 +9,7 @@ reference firmware's Linux build behind it. What reached the device is what the 
 fault; of the firmware there is also what it put out, from its own log.
 
 A cell is a defect where the program does not end, ends with a traceback or with status 1, where a force is above the
-limit or a step from what the device holds above that of the slew limit, or where the user is told of a release that the
+limit or a step from what the device holds above that of the slew limit, or where a message reports a release that the
 device did not confirm.
 """
 
@@ -329,7 +329,7 @@ live that PROTOCOL.md promises, or, in lockstep, where no time passes while a ho
 
 {verdict}
 
-| fault | clock | carrier | times | largest, N | change, N | zero force | status | the user is told |
+| fault | clock | carrier | times | largest, N | change, N | zero force | status | message |
 |---|---|---|---:|---:|---:|---|---:|---|
 """
 

@@ -9,7 +9,7 @@ less (b: of itself, or of 0.1 sqrt(k m) where that is more); where nothing can b
 where it is stable and the stiffness that a steady push meets is off by 5 % or less. Nothing is predicted here. One
 device serves, 50 g at 1 kHz, since only K T²/m, B T/m and the delay in samples count.
 
-The hand is let go from a deflection, at rest, and pushed every 32 samples: a motion that is over in three samples is
+The hand is released at rest from a deflection, and pushed every 32 samples: a motion that is over in three samples is
 seen sixty times. Where the identification states that it is not sure to 0.1 %, the cell is measured again, with pushes
 that follow each other otherwise; the measurement that states the least uncertainty counts. The steady push is that of
 `mock.hand`, on a hand that begins where it is to end: its mean position over whole periods, two seconds later, counts.
@@ -43,7 +43,7 @@ FROM, TO, MOST_RATIO = 1e-4, 2.0, 1.5  # K T²/m; damping ratio
 WITHIN = (0.01, 0.05, 0.1)
 
 FORCE_LIMIT = 100.0  # N
-DEFLECTED, FURTHEST = 25.0, 0.1  # N that hold the hand where it is let go from, and m at the most
+DEFLECTED, FURTHEST = 25.0, 0.1  # N that hold the hand before its release, and m at most
 PUSH = 25.0  # N
 PUSHES = ((32, 40), (8, 20), (23, 40), (4, 40), (16, 100), (11, 30))  # samples: every, from which on
 DURATION = 2.0  # s
@@ -103,8 +103,8 @@ def plane(columns: int, rows: int) -> Iterator[tuple[float, float]]:
 
 
 def scene_of(kappa: float, ratio: float, contender: Contender, condition: dict[str, Any], push: float = 0.0) -> Scene:
-    """A hand that is let go from a deflection, on a mock whose counts are as fine as the motion allows; or one that
-    pushes with so many N, from where that has to bring it."""
+    """A hand that is released from a deflection, on a mock whose counts are as fine as the motion allows. With a
+    `push` (N), it pushes instead, from the position to which the push should bring it."""
     k, b = desired(kappa, ratio)
     start = push / k if push else min(DEFLECTED / k, FURTHEST)
     pushed = PUSH / (MASS * RATE) / math.sqrt(k / MASS)  # m: how far a push of one sample swings it

@@ -3,8 +3,8 @@
     tools/bench/inverted [--travel 0.05] [--masses 0.05,0.2,1] [--limits 2,10,40]
 
 first_touch before the mock, its forces turned round on the wire; the hand, which nothing else holds, begins at 0 with a
-flick of 0.1 m/s. With the energy guard alone, as in `hapsim run`, and with a travel of so many metres to either
-side beside it.
+flick of 0.1 m/s. With the energy guard alone, as in `hapsim run`, and with a travel of `--travel` metres to either
+side as well.
 """
 
 from __future__ import annotations

@@ -68,7 +68,7 @@ class Host:
         self._told: tuple[int, str] | None = None
 
     def end(self) -> tuple[int, str]:
-        """Status, and its last sentence; the file's names are left out."""
+        """The exit status and the last sentence, without file names."""
         if self._told is None:
             said = self.process.communicate(timeout=PATIENCE_S)[1].strip().splitlines()
             lines = [line for line in said if not line.startswith(("running", "compiling", "granted", "denied"))]

@@ -2,7 +2,7 @@
 
     tools/bench/mutated_scenes [--number 100000] [--seed 1] [--processes N] [--every-run 1] [--json FILE] [--keep DIR]
 
-Shipped scenes are damaged by chance: bytes flipped, cut, doubled and thrown in, lines moved, numbers made extreme,
+Shipped scenes are damaged at random: bytes flipped, cut, doubled and thrown in, lines moved, numbers made extreme,
 words exchanged for others of the format, the file cut short. Each file is loaded in at most SECONDS of processor time
 and MEMORY of memory beyond what the process had, or it is a finding. Of those that load every `--every-run`th goes
 through `hapsim check` and a second in virtual time against the embedded mock; both have to end with a status that
@@ -124,7 +124,7 @@ _MUTATIONS = (_other_number, _other_number, _scaled_number, _scaled_number, _oth
 
 
 def files(number: int, seed: int) -> Iterator[bytes]:
-    """So many damaged files, the same for the same seed."""
+    """`number` damaged files, the same for the same seed."""
     texts = [path.read_text(encoding="utf-8") for path in sorted(CONFIGS.glob("*.yaml"))]
     words = sorted({word for text in texts for word in _WORD.findall(_without_comments(text))})
     for i in range(number):

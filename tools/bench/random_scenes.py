@@ -1,4 +1,4 @@
-"""Scenes of every module, scheme, precision, clock and number of channels, by chance, all of them stable."""
+"""Random stable scenes of every module, scheme, precision, clock and number of channels."""
 
 from __future__ import annotations
 
@@ -34,12 +34,12 @@ _POINT_IN = {"string": ".3", "membrane": ".1.2"}
 
 
 def random_scenes(number: int, seed: int) -> Iterator[str]:
-    """So many, as YAML."""
+    """`number` scenes, as YAML."""
     chance = random.Random(seed)
     found = 0
     while found < number:
         text = yaml.safe_dump(_random_document(chance), sort_keys=False)
-        if hapsim.predict(hapsim.parse_scene(text, "by chance"), with_margins=False).stable:
+        if hapsim.predict(hapsim.parse_scene(text, "random scene"), with_margins=False).stable:
             found += 1
             yield text
 

@@ -2,9 +2,9 @@
 
     tools/bench/sign [--runs 400] [--right 10000] [--at-stop 4000] [--rate 1000] [--seed 1] [--save FILE]
 
-A hand is a second mass on the handle, an arm that holds it and moves it, tremor, knocks, and leaning; or nobody holds a
-handle that flies. A hand can also lean on a mechanical stop, just behind the wall. The hand's mass and stiffness, the
-wall, the encoder, noise and a stall are drawn. Every run lasts a second, with the guards of a port. How far and how
+A hand is a second mass on the handle, an arm that holds it and moves it, tremor, knocks, and leaning; or
+the handle flies freely. A hand can also lean on a mechanical stop, just behind the wall. The hand's mass and stiffness,
+the wall, the encoder, noise and a stall are drawn. Every run lasts a second, with the guards of a port. How far and how
 fast the handle moves is counted from the first force to 0.1 m.
 
 A run is the loop that `hapsim run` runs: the mock moves its body by a function of this file, in which the hand is.
@@ -140,7 +140,7 @@ class Outcome(NamedTuple):
 
 
 def drawn_scene(chance: random.Random, *, rate: float, force_limit: float, mass: float, channels: int = 1) -> Any:
-    """A wall, or a spring to both sides, well within what is stable, before an encoder by chance."""
+    """A wall, or a spring to both sides, well within what is stable, before a random encoder."""
     damping = chance.uniform(0.0, 8.0)
     most = 0.7 * (damping + 1.0) * rate / 1.5 * min(1.0, mass / 0.2)
     is_wall = chance.random() < 0.6
@@ -162,7 +162,7 @@ def drawn_scene(chance: random.Random, *, rate: float, force_limit: float, mass:
         "initial": {"position": chance.uniform(0.002, 0.012) if is_wall else 0.0},
     }
     document = {"version": 1, "rate": rate, "device": device, "mock": mock, "modules": modules}
-    return parse_scene(json.dumps(document), "by chance")
+    return parse_scene(json.dumps(document), "random scene")
 
 
 class Bench:
@@ -268,7 +268,7 @@ def _drawn_hand(chance: random.Random, kind: str) -> dict[str, Any]:
 def runs(
     number: int, seed: int, *, each: int = 5, scene: dict[str, Any], kinds: tuple[str, ...] = KINDS, **how: Any
 ) -> Iterator[Outcome]:
-    """So many runs, `each` of them on one scene; a seed draws the same scenes, hands and stalls whatever is wrong."""
+    """The runs, `each` of them on one scene; a seed draws the same scenes, hands and stalls whatever is wrong."""
     chance = random.Random(seed)
     for first in range(0, number, each):
         bench = Bench(drawn_scene(chance, **scene))

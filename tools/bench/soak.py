@@ -2,7 +2,7 @@
 
     tools/bench/soak [--minutes 30] [--damaged 0.001]
 
-At 1 kHz, three processes: `hapsim mock`, `hapsim faults` in front of it, which flips a bit in so many of the frames,
+At 1 kHz, three processes: `hapsim mock`, `hapsim faults` in front of it, which flips a bit in a share of the frames,
 and `hapsim run`. At the end the positions that the device sent are set against what the run says became of each, the
 forces that the run sent against the device's own counters, and the memory of the run (RSS, every 10 s) against a
 straight line. Where this machine holds a run or the mock up for longer than the guards allow, that run ends, as it
@@ -141,7 +141,7 @@ def sampled(host: subprocess.Popen[str]) -> Iterator[tuple[float, int]]:
 
 
 def counters_of(port: str) -> dict[str, int]:
-    """The device's own, asked of itself once nobody else is on the port; again where this machine holds it up."""
+    """The device's own counters, read once the port is free; retries if this machine is too slow."""
     for tries_left in reversed(range(TRIES)):
         try:
             with contextlib.closing(open_portable_port(port, 2_000_000)) as connection:

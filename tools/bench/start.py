@@ -6,7 +6,7 @@ first   `hapsim run configs/first_touch.yaml` where nothing was ever compiled, t
         process that compiles one of them beside the other
 armed   the same where everything is kept, until the device is armed; a mock of this process tells when. Beside it,
         in turn, `hapsim --help`, which is Python and the command line alone
-scenes  after a first start of first_touch: each shipped scene, then scenes by chance of every module, scheme,
+scenes  after a first start of first_touch: each shipped scene, then random scenes of every module, scheme,
         precision, clock and number of channels, in one cache; how much longer than the second time each takes
 
 Processor seconds are those of all processes that a command started.
@@ -138,7 +138,7 @@ def measure_scenes(random: int) -> dict[str, Any]:
             try:
                 first, second = run_scene(path, place), run_scene(path, place)
             except CommandFailed as error:  # on a busy machine a device may fall silent
-                tell(f"left out: {error}")
+                tell(f"skipped: {error}")
                 continue
             more = {"wall": first.wall - second.wall, "processor": first.processor - second.processor}
             row = {"scene": path.stem, "by_chance": path not in shipped, "more": more}
@@ -158,11 +158,11 @@ def report(found: dict[str, Any]) -> None:
             f"{row['scene']}: {more['wall']:+.2f} s and {more['processor']:+.2f} s of processor time "
             f"more than the second time, which took {second['wall']:.2f} s"
         )
-    for kind, chosen in (("shipped", False), ("by chance", True)):
+    for kind, chosen in (("shipped", False), ("random", True)):
         mores = [row["more"] for row in found.get("scenes", ()) if row["by_chance"] is chosen]
         for what in ("wall", "processor") if mores else ():
             more = [one[what] for one in mores]
-            print(f"{len(more)} scenes {kind}, more {what}: {statistics.median(more):.2f} s, {max(more):.2f} s at most")
+            print(f"{len(more)} {kind} scenes, more {what}: {statistics.median(more):.2f} s, {max(more):.2f} s at most")
 
 
 def spread(seconds: list[float]) -> str:
@@ -179,7 +179,7 @@ def main() -> None:
         "tools/bench/start", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--rounds", type=int, default=5)
-    parser.add_argument("--random", type=int, default=40, metavar="N", help="scenes by chance")
+    parser.add_argument("--random", type=int, default=40, metavar="N", help="number of random scenes")
     parts: dict[str, Callable[[argparse.Namespace], dict[str, Any]]] = {
         "first": lambda arguments: measure_first(arguments.rounds),
         "armed": lambda arguments: measure_armed(arguments.rounds),

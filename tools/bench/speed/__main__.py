@@ -78,7 +78,7 @@ def _measure(arguments: argparse.Namespace) -> dict[str, Any]:
             peers = PeerRows(
                 [one for one in objects if isinstance(one, RingingString) and not one.string.bending], rates, _tell
             )
-            about["conditions"] += peers.left_out
+            about["conditions"] += peers.skipped
         if "ratios" in arguments.only:
             ratios = Ratios(_tell)
             about["conditions"] += ratios.agreed
@@ -131,7 +131,7 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--quick", action="store_true", help="one round at two rates: whether it works, no figures")
     parser.add_argument("--only", nargs="+", choices=_PARTS, default=list(_PARTS), metavar="PART")
-    parser.add_argument("--object", nargs="+", default=[], metavar="NAME", help="of the chart; left out: all")
+    parser.add_argument("--object", nargs="+", default=[], metavar="NAME", help="of the chart [default: all]")
     parser.add_argument("--json", type=Path, metavar="FILE", help="every number, and what it was measured on")
     parser.add_argument("--data", type=Path, metavar="FILE.csv", help="every number of the chart")
     parser.add_argument("--picture", type=Path, metavar="FILE")

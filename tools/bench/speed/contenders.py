@@ -30,7 +30,7 @@ Forces = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
 @dataclass(frozen=True)
 class Contest:
-    """One object: hapsim's program and others for the same. `advance`: simulates so many samples, by who does it.
+    """One object: hapsim's program and others for the same. `advance`: functions that simulate n samples, by name.
 
     `forces`: on a hand that moves as told, from rest, by who does it; none where there is no hand.
     """

@@ -17,15 +17,15 @@ from speed.peers.scipy_ivp import SciPy
 
 
 class PeerRows:
-    """Peers by strings by rates. Whoever chooses his own steps is asked at the lowest and the highest rate alone."""
+    """Peers by strings by rates. A peer that chooses its own steps runs at the lowest and the highest rate only."""
 
     def __init__(self, strings: Sequence[RingingString], rates: Sequence[float], tell: Callable[[str], None]) -> None:
         self._rows: list[tuple[Peer, RingingString, Row]] = []
         self._costs: list[list[float]] = []
-        self.left_out: list[str] = []
+        self.skipped: list[str] = []
         for peer in _taking_part():
             if why := peer.available():
-                self.left_out.append(f"{peer.name} is left out: {why}")
+                self.skipped.append(f"{peer.name} is skipped: {why}")
                 continue
             at = sorted({min(rates), max(rates)}) if isinstance(peer, SciPy) else rates
             for one in strings:

@@ -73,7 +73,7 @@ def _others(tell: Callable[[str], None]) -> Iterator[tuple[str, dict[str, Callab
 
     for peer in (FaustMi(hand=True), MuJoCo("Euler"), MuJoCo("implicitfast"), MuJoCo("RK4")):
         if why := peer.available():
-            tell(f"{peer.name} is left out: {why}")
+            tell(f"{peer.name} is skipped: {why}")
             continue
 
         def theirs(peer: FaustMi | MuJoCo = peer) -> float:

@@ -94,7 +94,7 @@ def _measure_rounds(bench: Bench, parts: list[str], effort: Effort, fifo: bool, 
 
 
 def _conditions(bench: Bench, power: str, fifo: bool) -> list[str]:
-    permitted = "SCHED_FIFO at the same priority" if fifo else "SCHED_FIFO is not permitted here and left out"
+    permitted = "SCHED_FIFO at the same priority" if fifo else "SCHED_FIFO is not permitted here and not measured"
     return [
         f"{power}; a timer slack of 1 ns; no memory locked",
         f"wake-ups: clock_nanosleep to an absolute time, the sleeper on processor {bench.cpu}; {permitted}",

@@ -38,7 +38,7 @@ class Bench:
         # numba keeps the type of every port that a loop was compiled for; hapsim could not load the in-memory port's.
         self._cache = {"XDG_CACHE_HOME": str(self.directory / "cache")}
         if not has_cyclictest():
-            self.without[CYCLICTEST] = "cyclictest is not installed (Debian: apt install rt-tests): it is left out."
+            self.without[CYCLICTEST] = "cyclictest is not installed (Debian: apt install rt-tests): it is not measured."
 
     def tell(self, what: str) -> None:
         """A sign of life."""

@@ -14,11 +14,11 @@ def build_reference(directory: Path) -> tuple[Path | None, str]:
     """(The program, by which compiler), or (None, why there is none)."""
     compiler = shutil.which("cc")
     if compiler is None:
-        return None, "There is no C compiler (cc) here: the C loop is left out."
+        return None, "There is no C compiler (cc) here: the C loop is not measured."
     program = directory / "reference_loop"
     command = [compiler, *FLAGS, "-o", str(program), str(SOURCE), "-lm"]
     built = subprocess.run(command, capture_output=True, text=True, check=False)
     if built.returncode != 0:
-        return None, f"The C loop does not compile here and is left out: {built.stderr.strip().splitlines()[0]}"
+        return None, f"The C loop does not compile here and is not measured: {built.stderr.strip().splitlines()[0]}"
     version = subprocess.run([compiler, "--version"], capture_output=True, text=True, check=False).stdout
     return program, f"{version.splitlines()[0]}, {' '.join(FLAGS)}"

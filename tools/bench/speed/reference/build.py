@@ -68,7 +68,7 @@ def build(source: Path, compiler: str, flags: Sequence[str], limit_s: float = 12
 
 
 def cache() -> Path:
-    """The folder, which nobody else can write to."""
+    """The folder; only this user can write to it."""
     folder = Path(tempfile.gettempdir()) / f"hapsim-schemes-{os.getuid()}"
     folder.mkdir(mode=0o700, exist_ok=True)
     about = folder.lstat()
