@@ -47,10 +47,12 @@ def directory_for(sources: frozenset[Path], rooms: tuple[Path, ...]) -> Path | N
     for root, mode in _roots():
         with contextlib.suppress(OSError):
             root.mkdir(mode, parents=True, exist_ok=True)
+            if not _is_private(root.resolve()):
+                continue
             directory = root.resolve() / key
             is_new = not directory.exists()
             directory.mkdir(mode, exist_ok=True)
-            if _is_private(directory.parent) and _is_private(directory):
+            if _is_private(directory):
                 os.utime(directory)
                 if is_new:
                     _remove_unused(directory.parent)

@@ -86,8 +86,8 @@ def address_space_limit() -> int:
 
 
 def refused_by_system(error: BaseException | None) -> str:
-    """Returns what the system refused, and what to do, as a sentence; "" if the error, and those that led to it, are
-    of another kind."""
+    """Returns what the system refused, and what to do, as a sentence; "" if the error, and its causes, are of another
+    kind. What an error's handler raises is an error of its own."""
     while error is not None:
         text = str(error)
         if isinstance(error, MemoryError) or getattr(error, "errno", None) == errno.ENOMEM or _is_unmapped(error):
@@ -104,7 +104,7 @@ def refused_by_system(error: BaseException | None) -> str:
         if isinstance(error, OSError) and error.errno in _OF_SYSTEM:
             where = f"{os.fsdecode(error.filename)}: " if isinstance(error.filename, str | bytes) else ""
             return f"{where}{error.strerror}"
-        error = error.__cause__ or error.__context__
+        error = error.__cause__
     return ""
 
 

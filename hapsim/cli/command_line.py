@@ -34,18 +34,17 @@ class _Commands(TyperGroup):
     table: ClassVar[dict[str, tuple[str, str]]] = {}
     """Of each command: its module here and its function, and the first line of its help."""
 
-    def list_commands(self, ctx: Any) -> list[str]:
-        return [*self.table, *super().list_commands(ctx)]
-
-    def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        if cmd_name in self.table:
-            return TyperCommand(cmd_name, help=self.table[cmd_name][1])  # enough for the list in --help
-        return super().get_command(ctx, cmd_name)
+    def __init__(self, **attributes: Any) -> None:
+        super().__init__(**attributes)
+        listed = {name: TyperCommand(name, help=text) for name, (_, text) in self.table.items()}
+        self.commands = listed | dict(self.commands)  # enough for --help, and for suggesting the nearest name
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Returns (name, command, words behind it) of `args`. Imports the command's module, unless a shell completes
+        it, and obeys `--cache DIR` before that."""
         name, command, rest = super().resolve_command(ctx, args)
         if not ctx.resilient_parsing:  # completion
-            rest = take_cache(rest)  # before the command's module is loaded, which decides where compiled code is
+            rest = take_cache(rest)  # the command's module decides where compiled code is
         if name not in self.table:
             return name, command, rest
         return name, outline(f"{ctx.command_path} {name}") if ctx.resilient_parsing else self._loaded(name), rest

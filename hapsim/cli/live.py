@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import contextlib
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
+from hapsim.cli.options import chosen_cache
 from hapsim.cli.output import json_log, warn
 from hapsim.number_format import plural
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from rich.console import Console
 
     from hapsim.progress import Progress
@@ -24,12 +28,29 @@ _STEP_S = 5.0  # between two lines of a kind, where the output is no terminal
 @contextlib.contextmanager
 def live_line(error: Console, warns_of_unkept: bool = True) -> Iterator[Callable[[Progress], None]]:
     """Yields a function that shows a Progress: in place on a terminal, elsewhere now and then as a line or in the
-    log. At the end, `warns_of_unkept` warns if something was compiled that could not be kept."""
+    log. At the end, `warns_of_unkept` warns if something was compiled that could not be kept, or not where the user
+    wants it."""
     words = _Words()
     with _shown(error, words) as tell:
         yield tell
     if warns_of_unkept and words.compiled and (problem := _kept().why_not_kept()):
         warn(unkept(problem), "unkept")
+    elif warns_of_unkept and "numba" in sys.modules:
+        warn_if_elsewhere(_kept().directory_of_kept_code(found=True))
+
+
+def warn_if_elsewhere(directory: Path | None) -> bool:
+    """Warns, and returns True, if compiled code is in `directory`, but --cache or the environment names another."""
+    chosen = chosen_cache()
+    if chosen is None or chosen.resolve() == directory:
+        return False
+    where = f"; it is kept in {directory}" if directory else ""
+    warn(
+        f"{chosen}: compiled code cannot be kept there{where}. It has to be a directory of yours that only you can "
+        "write to",
+        "unkept",
+    )
+    return True
 
 
 def unkept(problem: str) -> str:

@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from hapsim.cli.live import live_line, unkept
-from hapsim.cli.options import Json, Port, SceneFile, Watch, chosen_cache, flag, load, require_file
+from hapsim.cli.live import live_line, unkept, warn_if_elsewhere
+from hapsim.cli.options import Json, Port, SceneFile, Watch, flag, load, require_file
 from hapsim.cli.output import complain, document, say, stderr, warn
 from hapsim.errors import UsageError
 from hapsim.number_format import plural
@@ -53,8 +53,7 @@ def compile_(
     if prepared.problem:
         warn(unkept(prepared.problem), "unkept")
         raise typer.Exit(UsageError.exit_status)
-    if (chosen := chosen_cache()) and chosen.resolve() != kept:
-        warn(f"{chosen}: nothing can be kept there. It has to be a directory of yours that only you can write to", "")
+    if warn_if_elsewhere(kept):
         raise typer.Exit(UsageError.exit_status)
 
 

@@ -148,6 +148,22 @@ def test_a_library_that_finds_no_address_space_is_no_defect(monkeypatch: pytest.
     assert "the address space is limited to 256 MB (`ulimit -v`)" in errors.refused_by_system(missing)
 
 
+def test_a_defect_while_a_refusal_is_handled_is_a_defect() -> None:
+    refusal, defect = PermissionError(errno.EACCES, "Permission denied", "/srv/x"), ZeroDivisionError("of ours")
+    defect.__context__ = refusal
+    assert errors.refused_by_system(defect) == ""
+    defect.__cause__ = refusal
+    assert errors.refused_by_system(defect) == "/srv/x: Permission denied"
+
+
+@pytest.mark.parametrize(("words", "nearest"), [(["chek"], "'check'"), (["chart", "plan"], "'plane'")])
+def test_the_nearest_command_is_suggested(hapsim: Hapsim, words: list[str], nearest: str) -> None:
+    pytest.importorskip("typer", "0.20")
+    answer = hapsim(*words)
+    assert answer.status == 2
+    assert f"No such command '{words[-1]}'. Did you mean {nearest}" in answer.err
+
+
 def test_a_file_that_never_ends_is_no_scene(hapsim: Hapsim) -> None:
     assert "/dev/zero: found a file of more than 4 MB, expected a scene" in hapsim("check", "/dev/zero").sentence
 

@@ -15,6 +15,7 @@ from typing import Any, get_args
 
 import pytest
 
+from firmware_protocol import code_cache
 from hapsim.cli import prepare as preparing
 from hapsim.compiling.progress import Counted, on_compilation
 from hapsim.cordis.program import compile_scene
@@ -238,9 +239,25 @@ def test_the_directory_is_chosen_before_anything_is_loaded(
     answer = hapsim(*words.format(tmp_path).split())
     assert os.environ["HAPSIM_CACHE"] == str(tmp_path)
     assert answer.status == 2
-    assert f"{tmp_path}: nothing can be kept there" in answer.err
+    assert f"{tmp_path}: compiled code cannot be kept there; it is kept in /home/kept" in answer.err
     assert "--cache: found nothing, expected a directory" in hapsim("compile", "--cache").sentence
     assert "found a file, expected a directory" in hapsim("compile", "--cache", __file__).sentence
+
+
+@pytest.mark.parametrize("mode", [0o700, 0o777])
+def test_a_run_warns_of_a_directory_that_it_cannot_use(
+    hapsim: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, mode: int
+) -> None:
+    (scene := tmp_path / "scene.yaml").write_text(shipped_scene("zero_order_hold.yaml"), "utf-8")
+    (named := tmp_path / "named").mkdir()
+    named.chmod(mode)
+    monkeypatch.setenv("HAPSIM_CACHE", "")
+    code_cache.directory_for.cache_clear()
+    answer = hapsim("run", "--cache", named, scene, "--duration", 0.02)
+    code_cache.directory_for.cache_clear()
+    assert answer.status == 0
+    assert answer.err.count(f"Warning: {named}: compiled code cannot be kept there; it is kept in ") == (mode == 0o777)
+    assert bool(list(named.iterdir())) == (mode == 0o700)
 
 
 def test_a_wrong_scene_is_reported_before_anything_is_compiled(

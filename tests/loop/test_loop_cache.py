@@ -86,8 +86,10 @@ def test_a_cache_open_to_others_is_ignored(package: Path, cache: Path, tmp_path:
     cache.mkdir(parents=True, mode=0o700)
     open_to_all = directory_for(package) if below else cache
     open_to_all.chmod(mode)
+    files = list(cache.rglob("*"))
     directory = directory_for(package)
     assert directory.is_relative_to(tmp_path / "temporary")
+    assert list(cache.rglob("*")) == files
 
 
 def test_a_cache_of_another_user_is_ignored(package: Path, cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
