@@ -26,6 +26,7 @@ from hapsim.loop.guards.sign import SIGN, call_judge, release
 from hapsim.loop.guards.slew import SLEW, call_shape, hold_zero
 from hapsim.loop.guards.stale import has_expired, is_outdated
 from hapsim.loop.guards.travel import BEYOND, TRAVEL, WITHIN, call_fade
+from hapsim.loop.guide import GUIDE, call_lead
 from hapsim.loop.histogram import HISTOGRAM, note
 from hapsim.loop.predictor import PREDICTOR, call_add, call_predict
 from hapsim.loop.ring import RING, mark_last, publish, push, withhold_last
@@ -45,7 +46,8 @@ CONTROL = np.dtype(
         ("silence_ns", np.int64),  # a device that is quiet for longer is gone
         ("time_to_live", np.int64),  # samples that a force may act without being replaced
         ("stale_ns", np.int64),  # the same with the sample in which it begins to act
-        ("pulse_first", np.int64),  # pushes as an excitation: 1 for one on the first ticks,
+        ("pulse_begin", np.int64),  # pushes as an excitation: from this tick on, which counts as the first;
+        ("pulse_first", np.int64),  # 1 for one on the first ticks,
         ("pulse_from", np.int64),  # then from this tick on
         ("pulse_every", np.int64),  # with this many ticks from one to the next (0: none),
         ("pulse_ticks", np.int64),  # each of this length,
@@ -116,6 +118,7 @@ LOOP = np.dtype(
         ("ring", RING),
         ("io", IO_BUFFER),
         ("control", CONTROL),
+        ("guide", GUIDE),
         ("state", STATE),
         ("wait", WAIT),
         ("watch", WATCH),
@@ -208,7 +211,8 @@ def _answer(loop, gap, late, flags, now):
     guard that stops the loop before it leaves, else 0). `flags`: of the row so far."""
     compact()
     state, io = loop.state, loop.io
-    sound, limited = _set_force(io, loop.control, state)
+    guided = call_lead(loop.guide.lead, (loop.guide.address, io.address)) if loop.guide.lead != 0 else 0.0
+    sound, limited = _set_force(io, loop.control, state, guided)
     if flags & ring.WITHHELD:
         state.withheld_forces += 1
         _take_force_away(io)
@@ -355,8 +359,8 @@ def _excitation(control, state):
             return 0.0
         at = np.uint64(state.sample % control.periodic_length)
         return _doubles_at(control.periodic, control.periodic_length)[at]
-    tick = state.ticks
-    if control.pulse_first and tick < control.pulse_ticks:
+    tick = state.ticks - control.pulse_begin
+    if control.pulse_first and 0 <= tick < control.pulse_ticks:
         return control.pulse_force
     since = tick - control.pulse_from
     if since < 0 or since % control.pulse_every >= control.pulse_ticks:
@@ -367,10 +371,11 @@ def _excitation(control, state):
 
 
 @inlined
-def _set_force(io, control, state):
-    """Adds the excitation, limits the force, makes it counts: (whether it is a number, whether it was clipped)."""
+def _set_force(io, control, state, guided):
+    """Adds the excitation, with the guide's force in N, limits the force, makes it counts: (whether it is a number,
+    whether it was clipped)."""
     compact()
-    excitation = _excitation(control, state)
+    excitation = _excitation(control, state) + guided
     io.excitation[np.uint64(control.pulse_channel)] = excitation
     if control.periodic_length > 0:
         io.as_hand[np.uint64(control.pulse_channel)] = excitation

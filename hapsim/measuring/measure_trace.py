@@ -91,14 +91,17 @@ class Measurement:
         return replace(self, **changed)
 
 
-def measure_trace(trace: Trace, mass: float, channel: int = 0, mass_uncertainty: float | None = None) -> Measurement:
+def measure_trace(
+    trace: Trace, mass: float, channel: int = 0, mass_uncertainty: float | None = None, *, pressed: bool = False
+) -> Measurement:
     """The spring and damper that `mass` kg on `channel` felt during the trace.
 
-    `mass_uncertainty`: its standard uncertainty, kg; None where it is only declared. Raises UsageError where nothing
-    moves.
+    `mass_uncertainty`: its standard uncertainty, kg; None where it is only declared. `pressed`: a constant force beside
+    the scene's acts all the time, so that the hand rests where the scene asks for one, too. Raises UsageError where
+    nothing moves.
     """
     with threadpool_limits(1, user_api="blas"):  # on matrices this narrow further threads cost ten times what they save
-        segments, fits = _fitted(trace, channel)
+        segments, fits = _fitted(trace, channel, pressed)
         free = _longest_free_motion(segments)
         read = [(best, dominant_pair(best, others, free)) for best, others in fits]
     best, found = next(((fit, one) for fit, one in read if one.pair is not None), read[0])
@@ -136,13 +139,13 @@ def measure_trace(trace: Trace, mass: float, channel: int = 0, mass_uncertainty:
 identify = measure_trace  # its former name, still public
 
 
-def _fitted(trace: Trace, channel: int) -> tuple[list[Segment], list[tuple[Fit, list[Fit]]]]:
+def _fitted(trace: Trace, channel: int, pressed: bool) -> tuple[list[Segment], list[tuple[Fit, list[Fit]]]]:
     """The usable segments, and the fits that they speak for, as `_fits` gives them. UsageError where there is none."""
     if not np.all(np.isfinite(trace.asked_force)):
         raise UsageError("the scene's force was not finite throughout: there is nothing to be identified")
     # A host that is seldom on time leaves too little between two deadline misses: then better rough than nothing.
     for spoilt in (_SPOILT, _SPOILT & ~OFF_GRID):
-        segments = _segments(trace, channel, spoilt)
+        segments = _segments(trace, channel, spoilt, pressed)
         if fits := _fits(segments):
             return segments, fits
     counts, rows = trace.position_counts[:, channel].astype(float), trace.sample.size
@@ -170,14 +173,15 @@ def _with_rivals(pair: FittedPair | None, others: list[FittedPair]) -> FittedPai
     return pair._replace(**{name: max(getattr(one, name) for one in equals) for name in names})
 
 
-def _segments(trace: Trace, channel: int, spoilt: int) -> list[Segment]:
-    """Runs of consecutive samples without a `spoilt` flag, counted from where the scene asks for no force: as many as
-    make up the rows that a regression needs."""
+def _segments(trace: Trace, channel: int, spoilt: int, pressed: bool) -> list[Segment]:
+    """Runs of consecutive samples without a `spoilt` flag, counted from where the scene asks for no force, or where the
+    hand rests that is `pressed`: as many as make up the rows that a regression needs."""
     asked = trace.asked_force[:, channel]
     surplus = trace.force_counts[:, channel] * trace.force_scale[channel] - asked
     following = (np.diff(trace.sample) == 1) & (trace.flags[1:] & BRIDGED == 0)
     position = trace.position_counts[:, channel].astype(float)
-    rest, known = _rest(position, asked, following)
+    rest, known = (float(np.median(position)), False) if pressed else _rest(position, asked, following)
+    surplus = surplus - np.median(surplus) if pressed else surplus
     position = position - rest
     found, rows = [], 0
     for whole in unbroken(trace, spoilt):

@@ -18,6 +18,7 @@ from hapsim.loop.exchange import DEVICE_CLOCK, HOST_CLOCK, LOOP, NO_CLOCK
 from hapsim.loop.force_history import ForceHistory
 from hapsim.loop.guards.energy_guard import EnergyGuard
 from hapsim.loop.guards.sign import judge_signs
+from hapsim.loop.guide import set_guide
 from hapsim.loop.ring import Ring
 from hapsim.loop.transport import Transport
 from hapsim.prediction import surely_shaken_by
@@ -125,7 +126,7 @@ def assemble_loop(
     _set_control(loop.control, scene, options.duration)
     loop.excitation = options.excitation
     if options.excitation is not None:
-        _set_excitation(loop.control, options.excitation)
+        _set_excitation(loop.record, options.excitation, scene)
     loop.correction = LoopCorrection(loop.record, rendering, description)
     loop.watchdog_samples = watchdog_samples(scene.rate, description.max_watchdog_samples)
     _set_guards(loop, scene, connection, description, options)
@@ -173,13 +174,27 @@ def _stale_ns(scene: Scene, control: Any) -> int:
     return _FOREVER_NS if scene.device.clock == "lockstep" else (int(control.time_to_live) + 1) * int(control.period_ns)
 
 
-def _set_excitation(control: Any, excitation: Excitation | PeriodicExcitation) -> None:
+def _set_excitation(record: Any, excitation: Excitation | PeriodicExcitation, scene: Scene) -> None:
+    control = record.control
     control.pulse_channel = excitation.channel
     if isinstance(excitation, PeriodicExcitation):
         control.periodic, control.periodic_length = address_of(excitation.forces), excitation.forces.size
         return
     control.pulse_force, control.pulse_ticks = excitation.force, excitation.ticks
     control.pulse_every, control.pulse_from, control.pulse_first = excitation.every, excitation.start, excitation.first
+    if (guide := excitation.guide) is not None:
+        channel, ticks = excitation.channel, guide.ticks(scene.rate)
+        control.pulse_begin = sum(ticks)
+        mass = scene.device.masses(scene.channels)[channel]
+        set_guide(
+            record.guide,
+            channel=channel,
+            target=guide.target,
+            ticks=ticks,
+            rate_hz=scene.rate,
+            stiffness=guide.stiffness,
+            mass=mass,
+        )
 
 
 def _set_io(io: Any, scene: Scene, description: Description) -> None:

@@ -123,6 +123,7 @@ _GUARDS = (
     "loop.guards.energy_guard:judge_energy",
     "loop.guards.sign:judge",
     "loop.force_history:keep",
+    "loop.guide:lead",
     "cordis.stored_energy:evaluate",
 )
 _FIRMWARE = ("device.mock.firmware:FUNCTIONS", "device.mock.motion:move_gliding")

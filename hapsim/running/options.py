@@ -17,11 +17,28 @@ if TYPE_CHECKING:  # measuring has an Excitation without a device or a loop
 
 
 @dataclass(frozen=True)
+class Guide:
+    """Where a hand is led before it is pushed, and how: `hapsim.loop.guide` describes it."""
+
+    target: float
+    """m, from the scene's position 0."""
+    stiffness: float
+    """N/m, of the spring that leads it."""
+    seconds: tuple[float, float, float, float] = (2.0, 1.0, 0.25, 0.25)
+    """Of the way there, of settling, of the mean and of the crossfade."""
+
+    def ticks(self, rate_hz: float) -> tuple[int, ...]:
+        """Of each of these at this rate."""
+        return tuple(max(1, round(one * rate_hz)) for one in self.seconds)
+
+
+@dataclass(frozen=True)
 class Excitation:
     """Pushes on one channel, each of `ticks` samples, every `every` samples from sample `start` on.
 
     Their sign alternates, and their sizes range from `force` (N) down to half of it, each different. They pass the
-    guards like any force. `first`: one push at the very beginning, too."""
+    guards like any force. `first`: one push at the very beginning, too. `guide`: what leads the hand to a place before
+    all this; samples count from the tick on at which it has."""
 
     channel: int
     force: float
@@ -29,6 +46,7 @@ class Excitation:
     every: int
     start: int
     first: bool
+    guide: Guide | None = None
 
 
 @dataclass(frozen=True, eq=False)

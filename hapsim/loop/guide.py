@@ -1,0 +1,95 @@
+"""A guide leads one hand to a place before it is excited, and then holds it there by a constant force.
+
+The guide is a spring, a damper and an integrator. They follow a path of minimum jerk from where the hand is at arming
+to the target. The integrator makes up for the scene's force, gravity and dry friction, so that no model of them is
+needed. It stops after the settling time; the mean of the guide's force over the time that follows is the bias. The
+guide then crossfades to this bias, which stays until the run ends: the hand rests, and feels the scene alone.
+
+A run without a guide never compiles this: its address is 0 then.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numba import types
+
+from hapsim.compiling.native import address_of, function_at, native, record_at
+from hapsim.loop.buffers import IO_BUFFER
+from hapsim.loop.guards.force_limit import clip
+
+_SUMMED = 3.0  # radians of the spring's eigenfrequency, in which the integrator adds as much as the spring has
+
+GUIDE = np.dtype(
+    [
+        ("address", np.uint64),  # of all this
+        ("lead", np.uint64),  # of `lead`; 0: no guide
+        ("channel", np.uint64),
+        ("target", np.float64),  # m
+        ("ramp", np.int64),  # ticks of the path,
+        ("settling", np.int64),  # of the integrator beyond it,
+        ("mean", np.int64),  # of the mean,
+        ("fade", np.int64),  # and of the crossfade
+        ("tick", np.int64),
+        ("stiffness", np.float64),  # N/m
+        ("damping", np.float64),  # N/m, in a sample
+        ("summing", np.float64),  # N/m, in a sample
+        ("begun", np.float64),  # m, where the hand was at arming,
+        ("before", np.float64),  # its position less the path's, at the last tick
+        ("summed", np.float64),  # N, of the integrator
+        ("bias", np.float64),  # N
+    ],
+    align=True,
+)
+
+LEAD = types.float64(types.uint64, types.uint64)
+call_lead = function_at(LEAD)
+"""Calls `lead`, with its arguments."""
+
+_guide_at, _io_at = record_at(GUIDE), record_at(IO_BUFFER)
+
+
+@native(LEAD.return_type, *LEAD.args)
+def lead(guide, io):
+    """Returns the guide's force in N, one tick on."""
+    guide, io = _guide_at(guide), _io_at(io)
+    x = io.measured[guide.channel]
+    tick, settled = guide.tick, guide.ramp + guide.settling
+    guide.tick += 1
+    if tick >= settled + guide.mean + guide.fade:
+        return guide.bias
+    if tick == 0:
+        guide.begun = x
+    s = min(tick / guide.ramp, 1.0)
+    path = guide.begun + (guide.target - guide.begun) * s * s * s * (10.0 - 15.0 * s + 6.0 * s * s)
+    off = x - path
+    if tick == 0:
+        guide.before = off
+    if tick < settled:
+        guide.summed = clip(guide.summed - guide.summing * off, io.force_limit[guide.channel])
+    force = guide.summed - guide.stiffness * off - guide.damping * (off - guide.before)
+    guide.before = off
+    if tick < settled:
+        return force
+    since = tick - settled
+    if since < guide.mean:
+        guide.bias += force / guide.mean
+        return force
+    share = (since - guide.mean + 1.0) / guide.fade
+    return guide.bias + (1.0 - share) * (force - guide.bias)
+
+
+def set_guide(
+    record: Any, *, channel: int, target: float, ticks: Sequence[int], rate_hz: float, stiffness: float, mass: float
+) -> None:
+    """Fills a GUIDE. `target`: m; `ticks`: of the path, of the integrator beyond it, of the mean and of the crossfade;
+    `stiffness`: N/m, of the spring; `mass`: kg, which it leads."""
+    angular = math.sqrt(stiffness / mass)
+    record.channel, record.target, record.stiffness = channel, target, stiffness
+    record.ramp, record.settling, record.mean, record.fade = ticks
+    record.damping = 2.0 * mass * angular * rate_hz
+    record.summing = stiffness * angular / (_SUMMED * rate_hz)
+    record.address, record.lead = address_of(record), lead.address()

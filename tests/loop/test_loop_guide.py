@@ -1,0 +1,60 @@
+"""A guide leads a hand to a place, measures by itself what holds it there, and leaves it to that force."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hapsim.running import Excitation, run
+from hapsim.running.options import Guide
+from hapsim.scene import Scene, parse_scene
+
+RATE, PUSHED = 1000.0, 256
+GUIDE = Guide(target=-0.003, stiffness=800.0)
+TICKS = sum(GUIDE.ticks(RATE))
+
+
+def wall(clock: str = "lockstep", mock: str = "") -> Scene:
+    return parse_scene(
+        f"""
+version: 1
+rate: {RATE}
+device: {{clock: {clock}, mass: 0.2, friction: 1.0, delay: 1}}
+mock: {{initial: {{position: 0.002}}{mock}}}
+modules:
+  hand: {{type: device, channel: 0}}
+  ground: {{type: ground}}
+  stop: {{type: buffer, between: [hand, ground], stiffness: 1500, damping: 4}}
+"""
+    )
+
+
+def guided(scene: Scene, force: float = 0.0, **options: object) -> tuple[np.ndarray, np.ndarray]:
+    """(position in m, force beside the scene's in N) of a run."""
+    excitation = Excitation(0, force, 8, PUSHED, start=0, first=False, guide=GUIDE)
+    trace = run(scene, duration=(TICKS + PUSHED) / scene.rate, excitation=excitation, **options)
+    return trace.position[:, 0], (trace.force - trace.asked_force)[:, 0]
+
+
+@pytest.mark.parametrize("mock", ["", ", hand: {force: -2.0}", ", coulomb: 0.3", ", quantum: 1.0e-5, noise: 1.0e-5"])
+def test_the_hand_comes_to_rest_at_the_target_whatever_else_pulls(mock: str) -> None:
+    position, beside = guided(wall(mock=mock))
+    assert np.abs(position[TICKS:] - GUIDE.target).max() < 6e-5
+    assert np.ptp(beside[TICKS:]) < 1e-6
+    carried = beside[-1] + 1500.0 * 0.003 - (2.0 if "force" in mock else 0.0)
+    assert abs(carried) < (0.3 if "coulomb" in mock else 0.02)
+
+
+def test_the_way_is_slow_and_the_pushes_follow_it() -> None:
+    scene = wall()
+    position, _ = guided(scene)
+    assert np.abs(np.diff(position)).max() * RATE < 0.01
+    pushed, beside = guided(scene, force=0.5)
+    assert np.array_equal(pushed[:TICKS], position[:TICKS])
+    assert beside[TICKS : TICKS + 8] - beside[-1] == pytest.approx(0.5, abs=1e-6)
+    assert np.ptp(beside[TICKS + 8 :]) < 1e-6
+
+
+def test_the_loop_in_python_leads_as_the_compiled_one_does() -> None:
+    scene = wall()
+    assert np.array_equal(guided(scene)[0], guided(scene, portable=True)[0])
