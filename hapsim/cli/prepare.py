@@ -38,10 +38,7 @@ def compile_(
     loaded = [load(path) for path in scenes or ()]
     with live_line(stderr(), warns_of_unkept=False) as tell:
         prepared = prepare(loaded, tell)
-    kept, compiled = (
-        prepared.directory,
-        f"Compiled {plural(prepared.functions, 'function')} in {prepared.seconds:.1f} s",
-    )
+    kept = prepared.directory
     if json:
         directory = None if kept is None else str(kept)
         print(document({"functions": prepared.functions, "seconds": prepared.seconds, "directory": directory}))
@@ -52,8 +49,7 @@ def compile_(
         say(f"Nothing to compile: everything is kept in {kept}")
     if prepared.problem:
         warn(unkept(prepared.problem), "unkept")
-        raise typer.Exit(UsageError.exit_status)
-    if warn_if_elsewhere(kept):
+    if prepared.problem or warn_if_elsewhere(kept):
         raise typer.Exit(UsageError.exit_status)
 
 

@@ -116,25 +116,9 @@ def examine(
     tree, run, tell = tree or SystemFiles(), run or _hapsim_run(), on_progress or (lambda _: None)
     examined, rates, to_run = _to_measure(scene, seconds, rates, transport)
     (ask or _ask)(to_run[0])
-    steps, numbers = len(rates) + len(to_run), itertools.count(1)
-
-    def begin(what: str) -> Tell:
-        number = next(numbers)
-        return lambda elapsed, compiling: tell(Step(number, steps, what, elapsed, seconds, compiling))
-
     before = cpu_times(tree)
-    wakeups: dict[float, Histogram] = {}
-    grants: list[list[PrivilegeResult]] = []
-    made: list[Exchanges] = []
-    with contextlib.suppress(KeyboardInterrupt):
-        for rate in rates:
-            what = f"wake-ups at {frequency(rate)}"
-            wakeups[rate] = wake_up_latency(rate, seconds, begin(what), realtime=realtime, on_grants=grants.append)
-        for trial in to_run:
-            made.append(exchanges(trial, seconds, begin(trial.in_words()), run, realtime=realtime))
-    if not wakeups:
-        raise KeyboardInterrupt
-    done, granted = len(wakeups) + len(made), tuple(grants[-1]) if realtime else None
+    wakeups, grants, made = _measure(rates, to_run, seconds, realtime, run, tell)
+    steps, done, granted = len(rates) + len(to_run), len(wakeups) + len(made), tuple(grants) if realtime else None
     verdicts, machine = tuple(map(verdict_on, made)), machine_of(tree)
     case = Situation(
         tree,
@@ -178,6 +162,36 @@ def _to_measure(
     require_measurable(scene.rate, seconds, f"{scene.path or 'the scene'}: rate")
     rates = tuple(sorted({*rates, scene.rate}))
     return scene, rates, trials(scene, rates, transport)
+
+
+def _measure(
+    rates: tuple[float, ...],
+    to_run: list[Trial],
+    seconds: float,
+    realtime: bool,
+    run: Run,
+    tell: Callable[[Step], None],
+) -> tuple[dict[float, Histogram], list[PrivilegeResult], list[Exchanges]]:
+    """Returns (wake-up latencies by rate, the newest grants, runs), some of them if it is interrupted. Raises
+    KeyboardInterrupt before the first result."""
+    steps, numbers = len(rates) + len(to_run), itertools.count(1)
+
+    def begin(what: str) -> Tell:
+        number = next(numbers)
+        return lambda elapsed, compiling: tell(Step(number, steps, what, elapsed, seconds, compiling))
+
+    wakeups: dict[float, Histogram] = {}
+    grants: list[list[PrivilegeResult]] = [[]]
+    made: list[Exchanges] = []
+    with contextlib.suppress(KeyboardInterrupt):
+        for rate in rates:
+            what = f"wake-ups at {frequency(rate)}"
+            wakeups[rate] = wake_up_latency(rate, seconds, begin(what), realtime=realtime, on_grants=grants.append)
+        for trial in to_run:
+            made.append(exchanges(trial, seconds, begin(trial.in_words()), run, realtime=realtime))
+    if not wakeups:
+        raise KeyboardInterrupt
+    return wakeups, grants[-1], made
 
 
 def _ask(trial: Trial) -> None:

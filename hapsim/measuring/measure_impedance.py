@@ -77,6 +77,10 @@ class _Run(NamedTuple):
     trace: Trace
     periods: Periods
     stopped: bool
+    peak_force: float
+    """N."""
+    travel: float = math.nan
+    """m, from one end to the other."""
 
 
 def measure_impedance(
@@ -103,61 +107,101 @@ def measure_impedance(
     periods = _whole_periods(duration, lines)
     require_above_zero("metres", travel=travel)
     require_above_zero("newton", push=push)
-    channels = tuple(point.channel for point in scene.device_points.values())
-    if not channels:
-        raise UsageError("the scene has no device point: there is nothing at which an impedance could be measured")
-    most = SHARE_OF_LIMIT * force_limit(scene) if push is None else min(push, force_limit(scene))
-    travel = min(travel, *(0.5 * (most - least) for least, most in scene.device.travels(scene.channels)))
-    converters = Converters(scene.device.hold, scene.device.sampling)
-
-    def excited(channel: int, forces: Floats, count: int) -> _Run:
-        trace = run(
-            scene,
-            duration=count * lines.period_s,
-            transport=transport,
-            excitation=PeriodicExcitation(channel, forces),
-            on_progress=on_progress,
-            stop_on_signals=stop_on_signals,
-        )
-        if not np.all(np.isfinite(trace.asked_force)):
-            raise UsageError("the scene's force was not finite throughout: there is nothing to be measured")
-        found = periods_of(trace, lines, converters, senses=bool(scene.sensed_links)).on(list(channels))
-        return _Run(trace, found, trace.report.ending == IN_WORDS[STOPPED])
-
-    # Before the last channel all are excited in full; of the last one a stop leaves what was recorded.
-    needed = len(channels) * _SOFT_PERIODS + (len(channels) - 1) * periods + LEAST_PERIODS + 2
-    enough_s = needed * lines.period_s
-    done: list[_Run] = []
-    peaks, moved = [], []
-    for place, channel in enumerate(channels):
-        soft = excited(channel, _soft_forces(scene, lines, channel, travel, most), _SOFT_PERIODS)
-        if soft.stopped:
-            raise StoppedError(done, enough_s)
-        forces = _forces(lines, soft.periods, place, travel, most)
-        one, is_last = excited(channel, forces, periods), channel == channels[-1]
-        if one.stopped and not (is_last and one.periods.pairs >= LEAST_PERIODS):
-            raise StoppedError([*done, one], enough_s)
-        peaks.append(float(np.max(np.abs(forces))))
-        moved.append(_travel(one.trace, lines, channel, peaks[-1]))
-        if duration is None and not one.stopped and settling(one.periods, place)[1] > _UNCERTAIN:
-            longer = excited(channel, forces, _MORE * periods)
-            if longer.stopped and not is_last:
-                raise StoppedError([*done, one], enough_s)
-            one = one._replace(stopped=True) if longer.stopped else longer
-        done.append(one)
-    found = impedance_of([one.periods for one in done], lines.frequency, scene.rate, scene.device.delay, converters)
+    options = {"transport": transport, "on_progress": on_progress, "stop_on_signals": stop_on_signals}
+    rig = _Rig(scene, lines, travel, push, options)
+    done = _excite_each(rig, periods, may_repeat=duration is None)
+    found = impedance_of([one.periods for one in done], lines.frequency, scene.rate, scene.device.delay, rig.converters)
     return MeasuredImpedance(
         **vars(found),
-        channels=channels,
+        channels=rig.channels,
         period_s=lines.period_s,
-        peak_force=tuple(peaks),
-        travel=tuple(moved),
+        peak_force=tuple(one.peak_force for one in done),
+        travel=tuple(one.travel for one in done),
         lost_periods=sum(one.periods.lost for one in done),
         limited_samples=sum(one.periods.limited for one in done),
         seen_rate=seen_rate(done[0].trace),
         stopped=done[-1].stopped,
         traces=tuple(one.trace for one in done),
     )
+
+
+class _Rig:
+    """A scene to excite, and by how much: at most `travel` (m) and `push` (N; None: a share of the force limit).
+
+    `options`: further arguments of `run`.
+    """
+
+    def __init__(self, scene: Scene, lines: Lines, travel: float, push: float | None, options: dict[str, Any]) -> None:
+        self.channels = tuple(point.channel for point in scene.device_points.values())
+        if not self.channels:
+            raise UsageError("the scene has no device point: there is nothing at which an impedance could be measured")
+        self.lines, self.converters = lines, Converters(scene.device.hold, scene.device.sampling)
+        limit = force_limit(scene)
+        self._most = SHARE_OF_LIMIT * limit if push is None else min(push, limit)
+        self._travel = min(travel, *(0.5 * (most - least) for least, most in scene.device.travels(scene.channels)))
+        self._scene, self._options = scene, options
+
+    def excite(self, channel: int, forces: Floats, count: int) -> _Run:
+        """Runs `count` periods of these forces (N, of one period) on a channel."""
+        trace = run(
+            self._scene,
+            duration=count * self.lines.period_s,
+            excitation=PeriodicExcitation(channel, forces),
+            **self._options,
+        )
+        if not np.all(np.isfinite(trace.asked_force)):
+            raise UsageError("the scene's force was not finite throughout: there is nothing to be measured")
+        periods = periods_of(trace, self.lines, self.converters, senses=bool(self._scene.sensed_links))
+        stopped = trace.report.ending == IN_WORDS[STOPPED]
+        return _Run(trace, periods.on(list(self.channels)), stopped, float(np.max(np.abs(forces))))
+
+    def soft_forces(self, channel: int) -> Floats:
+        """By what the device's mass alone would do: what holds it is not known yet."""
+        lines, most = self.lines, self._most
+        inertia = self._scene.device.masses(self._scene.channels)[channel] * (2.0 * np.pi * lines.frequency) ** 2
+        amplitude = np.minimum(lines.each(most), lines.each(0.5 * self._travel) * inertia)
+        return multisine(lines, _SOFT * amplitude, _SOFT * most)
+
+    def forces(self, answer: Periods, excited: int) -> Floats:
+        """As strong at each frequency as the travel, and the force, allow: from what the soft excitation moved."""
+        if answer.pairs == 0:
+            raise UsageError(
+                "no period of the first excitation was recorded whole: positions are lost; `hapsim doctor` shows which "
+                "rates are kept"
+            )
+        lines, last = self.lines, answer.after(max(0, answer.pairs - 3))
+        force = np.abs(np.mean(last.force - last.scene, axis=0)[:, excited])
+        position = np.max(np.abs(np.mean(last.position, axis=0)), axis=1)
+        with np.errstate(divide="ignore"):
+            amplitude = np.minimum(lines.each(self._most), lines.each(0.5 * self._travel) * force / position)
+        return multisine(lines, amplitude, self._most)
+
+
+def _excite_each(rig: _Rig, periods: int, may_repeat: bool) -> list[_Run]:
+    """Excites each channel, softly and then in full; for longer if that is worth its time and `may_repeat`.
+
+    Raises StoppedError if a signal comes before the last channel was excited for long enough.
+    """
+    # Before the last channel all are excited in full; of the last one a stop leaves what was recorded.
+    needed = len(rig.channels) * _SOFT_PERIODS + (len(rig.channels) - 1) * periods + LEAST_PERIODS + 2
+    enough_s = needed * rig.lines.period_s
+    done: list[_Run] = []
+    for place, channel in enumerate(rig.channels):
+        soft = rig.excite(channel, rig.soft_forces(channel), _SOFT_PERIODS)
+        if soft.stopped:
+            raise StoppedError(done, enough_s)
+        forces = rig.forces(soft.periods, place)
+        one, is_last = rig.excite(channel, forces, periods), channel == rig.channels[-1]
+        if one.stopped and not (is_last and one.periods.pairs >= LEAST_PERIODS):
+            raise StoppedError([*done, one], enough_s)
+        travel = _travel(one.trace, rig.lines, channel, one.peak_force)
+        if may_repeat and not one.stopped and settling(one.periods, place)[1] > _UNCERTAIN:
+            longer = rig.excite(channel, forces, _MORE * periods)
+            if longer.stopped and not is_last:
+                raise StoppedError([*done, one], enough_s)
+            one = one._replace(stopped=True) if longer.stopped else longer
+        done.append(one._replace(travel=travel))
+    return done
 
 
 def _whole_periods(duration: float | None, lines: Lines) -> int:
@@ -172,28 +216,6 @@ def _whole_periods(duration: float | None, lines: Lines) -> int:
             "excitation"
         )
     return periods
-
-
-def _soft_forces(scene: Scene, lines: Lines, channel: int, travel: float, most: float) -> Floats:
-    """By what the device's mass alone would do: what holds it is not known yet."""
-    inertia = scene.device.masses(scene.channels)[channel] * (2.0 * np.pi * lines.frequency) ** 2
-    amplitude = np.minimum(lines.each(most), lines.each(0.5 * travel) * inertia)
-    return multisine(lines, _SOFT * amplitude, _SOFT * most)
-
-
-def _forces(lines: Lines, answer: Periods, excited: int, travel: float, most: float) -> Floats:
-    """As strong at each frequency as the travel, and the force, allow: from what the soft excitation moved."""
-    if answer.pairs == 0:
-        raise UsageError(
-            "no period of the first excitation was recorded whole: positions are lost; `hapsim doctor` shows which "
-            "rates are kept"
-        )
-    last = answer.after(max(0, answer.pairs - 3))
-    force = np.abs(np.mean(last.force - last.scene, axis=0)[:, excited])
-    position = np.max(np.abs(np.mean(last.position, axis=0)), axis=1)
-    with np.errstate(divide="ignore"):
-        amplitude = np.minimum(lines.each(most), lines.each(0.5 * travel) * force / position)
-    return multisine(lines, amplitude, most)
 
 
 def _travel(trace: Trace, lines: Lines, channel: int, peak: float) -> float:

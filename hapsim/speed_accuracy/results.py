@@ -79,6 +79,7 @@ class Row:
 
     @property
     def ours(self) -> bool:
+        """Whether hapsim was measured, not another program."""
         return self.whose == OURS
 
     def as_document(self) -> dict[str, Any]:

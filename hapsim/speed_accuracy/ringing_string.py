@@ -37,6 +37,7 @@ class RingingString:
         self.name, self.title, self.string = name, title, string
 
     def scene(self, method: str, precision: str, rate: float) -> Scene:
+        """Returns the string with a hand's link, simulated by `method` at `rate` (Hz)."""
         return scene_of(self.string, method, precision, rate, *hand_link(self.string))
 
     def found(self, method: str, precision: str, rate: float) -> Found:

@@ -1,10 +1,11 @@
-"""Our compiled functions, looked up once."""
+"""Our compiled functions, looked up once, and an empty cache."""
 
 from __future__ import annotations
 
 import json
 import subprocess
 import sys
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,10 @@ import pytest
 
 import firmware_protocol
 import hapsim
+from hapsim.compiling import kept
+
+sys.path.insert(0, str(Path(__file__).parent))
+from small_functions import as_another_process
 
 # Where they are imported from: the clone, or an installation that these tests are run against.
 PACKAGES = tuple(Path(package.__file__).resolve().parent for package in (hapsim, firmware_protocol))
@@ -49,3 +54,14 @@ def every_compiled() -> list[Compiled]:
         Compiled(one["kind"], one["name"], Path(one["file"]), one["line"], frozenset(map(Path, one.get("reached", ()))))
         for one in document["functions"]
     ]
+
+
+@pytest.fixture
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """An empty cache of this test's own."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.delenv("HAPSIM_CACHE", raising=False)
+    monkeypatch.setattr(kept, "_unkept", [])
+    as_another_process()
+    yield tmp_path
+    as_another_process()

@@ -141,7 +141,7 @@ def test_a_build_that_is_broken_on_purpose_is_found_out(name: str, start_broken_
             break
     assert len(failures) == 1, failures
     assert re.fullmatch(
-        rf"FAIL {re.escape(check)}: .*{re.escape(fault)}.*look at: .*{re.escape(look_at)}.*", failures[0]
+        rf"FAIL {re.escape(check)}: .*{re.escape(fault)}.*expected: .*look at: .*{re.escape(look_at)}.*", failures[0]
     )
     assert judgement.exit_status == 3
 

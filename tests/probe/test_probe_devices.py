@@ -178,6 +178,11 @@ def test_pushing_stops_where_the_device_moves_too_far(new_bench: NewBench) -> No
     assert bench.device.largest < 0.2  # the gentlest pushes went too far: no others were tried
 
 
+def test_an_unclear_response_is_followed_by_a_stronger_push_within_the_travel(new_bench: NewBench) -> None:
+    checks = judged(new_bench(), "push", leave=Leave(force=0.05, travel=3e-4))
+    assert checks["sign"].found.endswith("pushes of 0.00313 N, 1 long"), told(checks)
+
+
 def test_a_device_that_moves_by_itself_is_not_pushed(new_bench: NewBench) -> None:
     bench = new_bench()
     bench.device.bodies[0].v = 1.0  # somebody pulls at it, and goes on to do so

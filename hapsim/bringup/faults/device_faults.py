@@ -85,6 +85,7 @@ class Nonsense(_Description):
         return self
 
     def words(self) -> dict[int, int]:
+        """A double is two registers, the low word first; a scale or limit is wrong on every channel."""
         if self.register_ in _WHOLE:
             return {_WHOLE[self.register_]: _INTEGERS[self.what]}
         low, high = struct.unpack("<ii", struct.pack("<d", _REALS[self.what]))
@@ -112,6 +113,7 @@ class Leap(Event):
         return self
 
     def take(self, piece: Piece, now: Moment) -> list[Piece]:
+        """Moves a position. Notes the position scale from the description on the way."""
         frame, leaping = piece.frame, self.channel
         if frame is None or piece.to_device:
             return [piece]
@@ -160,6 +162,7 @@ class Rate(Lasting):
     _true: list[int] = [0] * schema.SAMPLE_MODULUS  # the device's number of each that it saw
 
     def take(self, piece: Piece, now: Moment) -> list[Piece]:
+        """Drops or repeats a position, and renumbers it; a force gets the number that the device knows."""
         frame = piece.frame
         if frame is None:
             return [piece]

@@ -77,6 +77,7 @@ class Reorder(OnFrames):
     _kept: dict[bool, tuple[Piece, float]] = PrivateAttr(default_factory=dict)
 
     def take(self, piece: Piece, now: Moment) -> list[Piece]:
+        """Keeps a piece back; the next one in its direction passes in front of it."""
         if piece.to_device in self._kept:
             return [piece, self._kept.pop(piece.to_device)[0]]
         passing = super().take(piece, now)
@@ -85,6 +86,7 @@ class Reorder(OnFrames):
         return passing
 
     def pass_time(self, now: Moment) -> list[Piece]:
+        """Returns the pieces that waited for `within` seconds."""
         super().pass_time(now)
         over = [way for way, (_, until_s) in self._kept.items() if now.seconds >= until_s]
         return [self._kept.pop(way)[0] for way in over]
@@ -111,6 +113,7 @@ class Garbage(Lasting):
         return self
 
     def pass_time(self, now: Moment) -> list[Piece]:
+        """Returns a burst of random bytes, if one is due."""
         due = self._due or now
         if not self._window.is_open(now) or not now.has_reached(due):
             return []
