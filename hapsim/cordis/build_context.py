@@ -80,7 +80,7 @@ _PER_SAMPLE = ("damping", "friction")
 def live_values(module: Module, rate: float) -> list[float]:
     """A module's values that may change while the scene runs, in the order of its `live`, as a tick at `rate` Hz works
     with them: dampings and frictions, in N·s/m, over the sample period."""
-    read_from = {"static": "break_away"}  # with its default
+    read_from = {"static": "break_away", "sharpness": "steepness"}  # with their defaults
     values = [float(getattr(module, read_from.get(field, field))) for field in module.live]
     return [value * rate if field in _PER_SAMPLE else value for field, value in zip(module.live, values, strict=True)]
 

@@ -6,8 +6,9 @@ A change of a parameter at a frozen state changes the energy that is stored by
 
 which for a link that is stretched by x and stiffened by dK is dK x²/2, with its sign; for a ground, a rest length or a
 distance that moves it is force times way. That is all that a change can add. V is summed over the springs of the scene:
-links, contacts, bristles that stick, plectra that grip, what holds a cell, and the links of which strings and membranes
-are made. Of a spring at a hand no more counts than a force at its limit gives back. While one scene follows another,
+links, contacts, bristles that stick, plectra that grip, detents, clicks, what holds a cell, and the links of which
+strings and membranes are made. Of a spring at a hand, and of the bottom of a click, no more counts than a force at its
+limit gives back. While one scene follows another,
 the force w F_new + (1 - w) F_old is that of a scene that has stored w H_new + (1 - w) H_old, so that a step dw adds
 dw (H_new - H_old), with kinetic energy. A module that no chain of links connects to a hand adds nothing.
 
@@ -21,7 +22,7 @@ the energy guard counts it as the scene's own, and counts swings anew after a ch
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -31,10 +32,11 @@ from firmware_protocol.compiled import new_record
 from hapsim.compiling import helper, inlined
 from hapsim.compiling.native import address_of, array_at, function_at, native, record_at
 from hapsim.cordis.build_context import live_shares, masses_of
-from hapsim.scene import Buffer, Friction, Ground, Nonlinear, Plectrum, Scene
+from hapsim.scene import Buffer, Click, Detent, Friction, Ground, Nonlinear, Plectrum, Scene
 from hapsim.scene.modules import Link
 
-SPRING, CONTACT, BRISTLE, GRIP, CURVE = range(5)
+SPRING, CONTACT, BRISTLE, GRIP, CURVE, SINE, SNAP, NOTCH, CLICK = range(9)
+_DETENTS = {"sine": SINE, "snap": SNAP, "notch": NOTCH}
 
 _SPRING = np.dtype(
     [
@@ -47,6 +49,7 @@ _SPRING = np.dtype(
         ("most", np.float64),  # N, beyond which no hand feels it
         ("side", np.uint64),  # address of what a bristle or a plectrum remembers
         ("force", np.uint64),  # address of a bristle's force while it slides
+        ("shape", np.uint64, (4,)),  # addresses of a detent's pitch, depth, sharpness; of a click's travel to bottom
     ],
     align=True,
 )
@@ -131,6 +134,10 @@ def _spring_holds(stored, spring, position, way):
         d -= _value(stored, spring.offset, way)
     if spring.kind == CURVE:
         return _curve_holds(spring.stiffness, d)
+    if spring.kind == CLICK:
+        return _click_holds(stored, spring, -d, way)
+    if spring.kind >= SINE:
+        return _detent_holds(stored, spring, d, way)
     stiffness = spring.share * _value(stored, spring.stiffness, way)
     side = number_at(spring.side, 0, stored.single) if spring.side else 0.0
     if (spring.kind == CONTACT and d > 0.0) or (spring.kind == GRIP and side * d > 0.0):
@@ -168,6 +175,53 @@ def _curve_holds(address, d):
     way = d - points[i]
     slope = (points[n + i + 1] - points[n + i]) / (points[i + 1] - points[i]) if way > 0 and i < n - 1 else 0.0
     return points[2 * n + i] + way * (points[n + i] + 0.5 * slope * way)
+
+
+@helper
+def _detent_holds(stored, spring, d, way):
+    """What its force does from the nearest rest on: up to `depth` over `rise`, and down to 0 over `fall`."""
+    pitch, depth = _value(stored, spring.shape[0], way), _value(stored, spring.shape[1], way)
+    away = abs(d - pitch * math.floor(d / pitch + 0.5))
+    if spring.kind == SINE:
+        return depth * pitch / math.pi * math.sin(math.pi * away / pitch) ** 2
+    sharpness = _value(stored, spring.shape[2], way)
+    fall = 0.5 * pitch / (sharpness + 1.0) if spring.kind == SNAP else 0.25 * pitch / sharpness
+    rise = sharpness * fall if spring.kind == SNAP else fall
+    if away < rise:
+        return 0.5 * depth * away * away / rise
+    left = max(rise + fall - away, 0.0)
+    return 0.5 * depth * (rise + fall - left * left / fall)
+
+
+@helper
+def _click_holds(stored, spring, pressed, way):
+    """From the least on, which one that stays down has where the force is 0 again: beyond 3/4 of its travel."""
+    travel, peak = _value(stored, spring.shape[0], way), _value(stored, spring.shape[1], way)
+    drop, bottom = _value(stored, spring.shape[2], way), _value(stored, spring.shape[3], way)
+    slope, most = 2.0 * peak / travel, spring.most
+    down = 0.75 * travel + (drop - peak) / slope
+    if down > travel:
+        down = travel + (drop - 1.5 * peak) / bottom
+    least = min(_click_does(travel, peak, drop, bottom, most, down), 0.0) if drop > peak else 0.0
+    return _click_does(travel, peak, drop, bottom, most, pressed) - least
+
+
+@helper
+def _click_does(travel, peak, drop, bottom, most, pressed):
+    """The work of pressing it, J; on its bottom with no more than `most` N."""
+    quarter, slope = 0.25 * travel, 2.0 * peak / travel
+    work = _ramp_does(min(max(pressed, 0.0), 2.0 * quarter), 0.0, slope)
+    work += _ramp_does(min(max(pressed - 2.0 * quarter, 0.0), quarter), peak, -drop / quarter)
+    work += _ramp_does(min(max(pressed - 3.0 * quarter, 0.0), quarter), peak - drop, slope)
+    force, way = 1.5 * peak - drop, max(pressed - travel, 0.0)
+    bent = min(way, max(most - force, 0.0) / bottom)
+    work += _ramp_does(bent, force, bottom)
+    return work + (way - bent) * most if bent < way else work
+
+
+@inlined
+def _ramp_does(way, force, slope):
+    return way * (force + 0.5 * slope * way)
 
 
 @inlined
@@ -253,8 +307,12 @@ class StoredEnergy:
             offset = side = force = 0
             if isinstance(link, Nonlinear):
                 if link.force_over_distance is not None:
-                    curve = self._keep(_potential(link.force_over_distance), np.float64)
-                    yield CURVE, ends, at, curve, 1.0, 0, most, 0, 0
+                    yield _spring(CURVE, ends, at, self._keep(_potential(link.force_over_distance), np.float64))
+            elif isinstance(link, Detent | Click):
+                kind = CLICK if isinstance(link, Click) else _DETENTS[link.shape]
+                fields = ("travel", "peak", "drop", "bottom") if kind == CLICK else ("pitch", "depth", "sharpness")
+                shape = [self._live(name, field) for field in fields]
+                yield _spring(kind, ends, at, most=most, shape=shape)
             elif hasattr(link, "stiffness"):
                 kind = {Buffer: CONTACT, Plectrum: GRIP, Friction: BRISTLE}.get(type(link), SPRING)
                 if kind == CONTACT:
@@ -263,14 +321,14 @@ class StoredEnergy:
                     (side,) = self._remembered(name)
                 elif kind == BRISTLE:
                     (offset, side), force = self._remembered(name), self._live(name, "force")
-                yield kind, ends, at, self._live(name, "stiffness"), 1.0, offset, most, side, force
+                yield _spring(kind, ends, at, self._live(name, "stiffness"), 1.0, offset, most, side, force)
 
     def _points(self, connected: frozenset[str]) -> Iterator[tuple[Any, ...]]:
         for name, point in self._scene.material_points.items():
             if name in connected and point.held_by() is not None:
                 at = [0, self._live(name, "rest")]
                 ends = [self._program.numbers[name], 0]
-                yield SPRING, ends, at, self._live(name, "stiffness"), 1.0, 0, np.inf, 0, 0
+                yield _spring(SPRING, ends, at, self._live(name, "stiffness"))
 
     def _structures(self, connected: frozenset[str]) -> Iterator[tuple[Any, ...]]:
         structures: dict[str, Any] = {name: one for name, one in self._scene.structures.items() if name in connected}
@@ -282,7 +340,23 @@ class StoredEnergy:
                 for first, second, share, _ in unit.elements().links:
                     ends, at = [numbers[first], numbers[second] if second >= 0 else 0], [0, 0 if second >= 0 else rest]
                     if share:
-                        yield SPRING, ends, at, stiffness, share, 0, np.inf, 0, 0
+                        yield _spring(SPRING, ends, at, stiffness, share)
+
+
+def _spring(
+    kind: int,
+    ends: Sequence[int],
+    at: Sequence[int],
+    stiffness: int = 0,
+    share: float = 1.0,
+    offset: int = 0,
+    most: float = np.inf,
+    side: int = 0,
+    force: int = 0,
+    shape: Sequence[int] = (),
+) -> tuple[Any, ...]:
+    """A _SPRING's fields, in its order."""
+    return kind, ends, at, stiffness, share, offset, most, side, force, (*shape, 0, 0, 0, 0)[:4]
 
 
 def _module(scene: Scene, point: str) -> str:

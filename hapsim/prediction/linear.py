@@ -8,11 +8,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hapsim.scene import Buffer, Damper, Friction, Nonlinear, Plectrum, Scene, Spring, ViscoElastic
+from hapsim.scene import Buffer, Click, Damper, Detent, Friction, Nonlinear, Plectrum, Scene, Spring, ViscoElastic
 from hapsim.scene.modules import Link, MaterialPoint
 from hapsim.theory import Configuration, Network
 from hapsim.theory.interface import damper_named
-from hapsim.theory.links import Law, Linear, buffer, friction, nonlinear, plectrum, viscoelastic
+from hapsim.theory.links import Law, Linear, buffer, click, detent, friction, nonlinear, plectrum, viscoelastic
 from hapsim.theory.schemes import SCHEMES, LinkNature
 
 
@@ -53,6 +53,8 @@ _LAWS: dict[type[Any], Callable[[Any], Law]] = {
     Nonlinear: lambda link: nonlinear(link.force_over_distance, link.force_over_velocity),
     Friction: lambda link: friction(link.stiffness, link.damping, link.force, link.break_away),
     Plectrum: lambda link: plectrum(link.stiffness, link.damping, link.release),
+    Detent: lambda link: detent(link.depth, link.pitch, link.shape, link.steepness, link.damping),
+    Click: lambda link: click(link.travel, link.peak, link.drop, link.bottom, link.damping),
 }
 """For every type of link, and of material points that pull themselves."""
 

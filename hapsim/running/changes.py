@@ -10,7 +10,7 @@ import itertools
 import math
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -29,6 +29,9 @@ from hapsim.scene import Scene
 from hapsim.scene.issue import did_you_mean, one_of
 from hapsim.scene.modules import Module, ModuleContext
 from hapsim.scene.part import Part, Table
+
+Changes = Mapping[str, Mapping[str, float | str | Sequence[Sequence[float]]]]
+"""By module and field: a number, a word, or the points of a table."""
 
 OVER = "the run is over: nothing can be changed any more"
 
@@ -56,19 +59,24 @@ class LiveScene:
         self._loop, self._is_over, self._gives_way, self._unstable = loop, is_over, gives_way, unstable
         self._replacing, self._writing = threading.Lock(), threading.Lock()
 
-    def set(self, changes: Mapping[str, Mapping[str, float]], over: float) -> None:
+    def set(self, changes: Changes, over: float) -> None:
         """Changes some live parameters, as `Session.set`."""
 
+        replaces = _crossfades(self.scene, changes)
+
         def change() -> None:
-            with self._writing:
+            with self._replacing if replaces else self._writing:
                 scene = _changed(self.scene, changes)
                 if self._unstable is False:
                     require_not_less_stable(self.scene, scene)
-                self._ramp_to(scene, over)
+                if not replaces:
+                    self._ramp_to(scene, over)
+                elif scene != self.scene:
+                    self._replace(scene, _samples(scene, over))
 
-        if self._unstable is None:
+        if self._unstable is None and not replaces:
             change()
-        else:  # predicts the scene, which takes seconds for a large one
+        else:  # predicts the scene, which takes seconds for a large one, or compiles it
             self._beside_loop(change)
 
     def adopt(self, scene: Scene, over: float) -> None:
@@ -199,7 +207,18 @@ def _samples(scene: Scene, over: float) -> int:
     return max(samples, 1)
 
 
-def _changed(scene: Scene, changes: Mapping[str, Mapping[str, float]]) -> Scene:
+def _crossfades(scene: Scene, changes: Any) -> bool:
+    """Whether a `set` changes what cannot ramp, such as a table."""
+    sound = isinstance(changes, Mapping) and all(isinstance(values, Mapping) for values in changes.values())
+    return sound and any(
+        key in scene.modules[name].crossfaded
+        for name, values in changes.items()
+        if name in scene.modules
+        for key in values
+    )
+
+
+def _changed(scene: Scene, changes: Changes) -> Scene:
     """Returns the scene with some values changed, checked as a scene file's values are."""
     modules: dict[str, Module] = dict(scene.modules)
     if not isinstance(changes, Mapping) or not all(isinstance(values, Mapping) for values in changes.values()):
@@ -217,17 +236,22 @@ def _changed(scene: Scene, changes: Mapping[str, Mapping[str, float]]) -> Scene:
     around = ModuleContext(modules, {name: type(module) for name, module in modules.items()})
     for name in changes:
         for issue in modules[name].issues(name, around):
-            raise UsageError(f"{name}.{issue.path[-1]}: {issue.sentence}")
+            raise UsageError(f"{'.'.join(map(str, issue.path[1:]))}: {issue.sentence}")
     return scene.model_copy(update={"modules": Table(modules)})
 
 
-def _module_with(name: str, module: Module, values: Mapping[str, float]) -> Module:
+def _module_with(name: str, module: Module, values: Mapping[str, Any]) -> Module:
+    changeable = (*module.live, *module.crossfaded)
     for key in values:
-        if key not in module.live:
-            live = f"{' and '.join(module.live)} can" if module.live else "nothing can"
+        if key not in changeable:
+            live = f"{' and '.join(changeable)} can" if changeable else "nothing can"
             raise UsageError(f"{name}: found '{key}', but of a {module.type} {live} change while the scene runs")
     try:
         return type(module).model_validate(module.model_dump() | dict(values))
     except ValidationError as error:
         fault = error.errors()[0]
-        raise UsageError(f"{name}.{fault['loc'][0]}: found {fault['input']!r}, {fault['msg']}") from None
+        (field, *steps), found = fault["loc"], fault["input"]
+        for step in (more := fault.get("ctx", {}).get("at", ())):
+            found = found[step]
+        index = "".join(f"[{step}]" for step in (*steps, *more) if isinstance(step, int))
+        raise UsageError(f"{name}.{field}{index}: found {found!r}, {fault['msg']}") from None

@@ -21,7 +21,7 @@ from hapsim.loop.guards.slew import NO_LIMIT, shape_force
 from hapsim.loop.guards.travel import NOISE_RMS, fade
 from hapsim.prediction.force_bounds import ONE_PERIOD, ForceBounds, below_a_count
 from hapsim.scene import Scene
-from hapsim.scene.modules import Buffer, Ground, Link, MaterialPoint, Module, Nonlinear, Structure
+from hapsim.scene.modules import Buffer, Click, Detent, Ground, Link, MaterialPoint, Module, Nonlinear, Structure
 
 MOST_HELD_M = 10.0  # of travel at the force limit: the most energy that a scene counts as stored at the start
 REFILL_S = 10.0  # the tank of live changes fills within this time
@@ -146,7 +146,7 @@ def _held_by(module: Module, places: Mapping[str, float], force_limit: float) ->
         return float(np.sum(_of_spring(np.abs(links[:, 2]), ends[:, 0] - ends[:, 1])))
     if isinstance(module, Link) and all(end in places for end in module.between):
         first, second = (places[end] for end in module.between)
-        if isinstance(module, Nonlinear):
+        if isinstance(module, Nonlinear | Detent | Click):
             return FIRST_FORCE_M * force_limit
         apart = min(first - second - module.distance, 0.0) if isinstance(module, Buffer) else first - second
         return _of_spring(float(getattr(module, "stiffness", 0.0)), apart)

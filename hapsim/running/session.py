@@ -16,7 +16,7 @@ import math
 import os
 import sys
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -42,7 +42,7 @@ from hapsim.recording.stream import Head
 from hapsim.recording.trace import Report, Statistics, Trace, columns_of
 from hapsim.running import outcome
 from hapsim.running.assemble import assemble_loop
-from hapsim.running.changes import OVER, LiveScene
+from hapsim.running.changes import OVER, Changes, LiveScene
 from hapsim.running.compile_ahead import DEVICE_UNITS, compile_ahead
 from hapsim.running.options import RunOptions
 from hapsim.running.requirements import PACING, require_compatible, require_known_zero, require_runnable
@@ -122,13 +122,14 @@ class Session:
         """The scene as it is now, with every change that was made."""
         return self._live.scene
 
-    def set(self, changes: Mapping[str, Mapping[str, float]], over: float = 0.02) -> None:
+    def set(self, changes: Changes, over: float = 0.02) -> None:
         """Changes parameters between two samples, all or none: `{"touch": {"stiffness": 500.0, "damping": 2.0},
         "wall": {"position": 0.01}}`, in the scene's names and units.
 
         The values ramp to their targets within `over` seconds (0: at once); no value moves by more than 1.5/N of its
         way in one of the N samples. A `set` during another's ramp retargets it: all values arrive together. Where the
         energy guard is on, a change that would give the hand too much energy is slowed, with all its values in step.
+        Tables of `nonlinear` (lists of points) and the shape of a `detent` crossfade the scene, as `adopt` does.
 
         Raises UsageError, and changes nothing, where a name, a key or a value is wrong, where the parameter cannot
         change while the scene runs, or, with `start(unstable=False)`, where the scene is then predicted unstable.

@@ -29,6 +29,14 @@ DAMPER = (
 WITH_CUTOFF: tuple[DamperScheme, ...] = ("filtered",)
 WITH_SENSOR: tuple[DamperScheme, ...] = ("sensed",)
 
+DetentShape = Literal["sine", "snap", "notch"]
+DETENT_SHAPE = (
+    "How the force of a detent runs from one rest to the next: as a sine (sine); straight up, and down again more "
+    "steeply (snap); or in narrow notches with nothing between them (notch)"
+)
+#: The shapes of a detent that have a sharpness.
+WITH_SHARPNESS: tuple[DetentShape, ...] = ("snap", "notch")
+
 SchemeName = Literal["cordis", "semi_implicit", "midpoint", "rk4", "exact"]
 SCHEME = (
     "How masses move from sample to sample: by CORDIS's centred scheme (cordis), by the same with the step stored "

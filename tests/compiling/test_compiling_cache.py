@@ -295,6 +295,8 @@ MODULES = {
     "buffer": {"type": "buffer", "stiffness": 9.0, **LINK},
     "nonlinear": {"type": "nonlinear", "force_over_distance": [[-0.1, -1.0], [0.1, 1.0]], **LINK},
     "friction": {"type": "friction", "force": 1.0, "stiffness": 9.0, **LINK},
+    "detent": {"type": "detent", "pitch": 0.01, "depth": 1.0, **LINK},
+    "click": {"type": "click", "travel": 0.01, "peak": 1.0, "drop": 0.5, "bottom": 9.0, **LINK},
     "plectrum": {"type": "plectrum", "stiffness": 9.0, "release": 0.1, **LINK},
 }
 

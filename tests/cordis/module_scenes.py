@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from hapsim.cordis.offline import follow_parameters, start, tick
 from hapsim.cordis.program import Program, compile_scene, parameter_values
 from hapsim.scene import DamperScheme, Scene, parse_scene
-from hapsim.scene.choices import WITH_CUTOFF, WITH_SENSOR
+from hapsim.scene.choices import WITH_CUTOFF, WITH_SENSOR, WITH_SHARPNESS, DetentShape
 
 Array = NDArray[np.float64]
 SAMPLES = 10_000
@@ -40,6 +40,9 @@ class Numbers(NamedTuple):
     bristle: float
     bristle_damping: float
     release: float
+    pitch: float
+    sharp: float
+    travel: float
     over_distance: list[list[float]]
     over_velocity: list[list[float]]
 
@@ -58,6 +61,9 @@ NUMBERS = {
         bristle=1511.0,
         bristle_damping=0.31,
         release=0.0191,
+        pitch=0.0173,
+        sharp=2.3,
+        travel=0.0313,
         over_distance=[[-0.031, 3.1], [-0.0123, -2.7], [0.0017, 0.3], [0.0113, 1.9], [0.0297, 1.1]],
         over_velocity=[[-2.1, -0.7], [-0.13, -1.9], [0.11, 1.7], [1.9, 0.6]],
     ),
@@ -74,6 +80,9 @@ NUMBERS = {
         bristle=1024.0,
         bristle_damping=0.25,
         release=2**-6,
+        pitch=2**-6,
+        sharp=3.0,
+        travel=2**-5,
         over_distance=[[-0.03125, 3.0], [-0.015625, -2.75], [0.0, 0.25], [0.0078125, 2.0], [0.03125, 1.0]],
         over_velocity=[[-2.0, -0.75], [-0.125, -2.0], [0.125, 1.75], [2.0, 0.5]],
     ),
@@ -95,6 +104,11 @@ HANDS = (
     "nonlinear",
     "friction",
     "plectrum",
+    "sine",
+    "snap",
+    "notch",
+    "click",
+    "dome",
 )
 CUTOFF = 61.0
 
@@ -140,6 +154,13 @@ def scene_of(precision: str, hands: Hands) -> Scene:
     bristle = {"stiffness": n.bristle, "damping": n.bristle_damping}
     link("friction", "friction", ["h_friction", "wall"], force=n.force, static=n.static, **bristle)
     link("plectrum", "plectrum", ["wall", "h_plectrum"], stiffness=n.K, damping=n.B, release=n.release)
+    for shape in get_args(DetentShape):
+        sharpness = {"sharpness": n.sharp} if shape in WITH_SHARPNESS else {}
+        ends = [f"h_{shape}", "wall"]
+        link(shape, "detent", ends, pitch=n.pitch, depth=n.force, damping=n.B, shape=shape, **sharpness)
+    button = {"travel": n.travel, "bottom": n.K, "damping": n.B}
+    link("click", "click", ["h_click", "wall"], peak=n.static, drop=n.force, **button)
+    link("dome", "click", ["wall", "h_dome"], peak=n.force, drop=n.static, **button)  # which stays down
     document = {"version": 1, "rate": n.rate, "precision": precision, "device": {"mass": 0.2}, "modules": modules}
     return parse_scene(yaml.safe_dump(document, sort_keys=False))
 

@@ -27,6 +27,8 @@ LINKS: dict[str, dict[str, Any]] = {
     "buffer": {"type": "buffer", "stiffness": K, "damping": B, "distance": DISTANCE},
     "friction": {"type": "friction", "force": FORCE, "stiffness": BRISTLE, "damping": BRISTLE_DAMPING},
     "plectrum": {"type": "plectrum", "stiffness": K, "damping": B, "release": RELEASE},
+    "detent": {"type": "detent", "pitch": 0.0023, "depth": FORCE, "damping": B},
+    "click": {"type": "click", "travel": 0.0031, "peak": FORCE, "drop": 0.7, "bottom": K, "damping": B},
     "nonlinear": {"type": "nonlinear", "force_over_distance": OVER_DISTANCE, "force_over_velocity": OVER_VELOCITY},
 }
 PRECISIONS = ("double", "single")

@@ -55,6 +55,10 @@ OUTSIDE: dict[str, tuple[str, dict[str, Any]]] = {
     ),
     "friction": ("ball", {"type": "friction", "force": 0.5, "stiffness": 400.0, "damping": 0.1}),
     "plectrum": ("b.4", {"type": "plectrum", "stiffness": 150.0, "damping": 0.1, "release": 2**-6}),
+    "sine": ("held", {"type": "detent", "pitch": 2**-6, "depth": 0.1, "damping": 0.2}),
+    "snap": ("s.5", {"type": "detent", "pitch": 2**-6, "depth": 0.1, "damping": 0.2, "shape": "snap"}),
+    "notch": ("m.1.0", {"type": "detent", "pitch": 2**-5, "depth": 0.1, "shape": "notch", "sharpness": 3.0}),
+    "click": ("m.1.2", {"type": "click", "travel": 2**-6, "peak": 0.4, "drop": 0.2, "bottom": 150.0, "damping": 0.2}),
 }
 
 
@@ -116,6 +120,24 @@ def tension_of(link: Any, sensed: Callable[[], float]) -> Callable[[float, float
             np.array(curve).T for curve in (link.force_over_distance, link.force_over_velocity)
         )
         return lambda d, growth: float(np.interp(d, *over_distance) + np.interp(RATE * growth, *over_velocity))
+    if link.type == "detent":
+        width = link.pitch / link.steepness if link.shape == "notch" else link.pitch
+        peak_at = width / 4.0 if link.shape == "notch" else 0.5 * width * link.steepness / (link.steepness + 1.0)
+
+        def detent(d: float, growth: float) -> float:
+            u = d - link.pitch * np.round(d / link.pitch)
+            straight = np.sign(u) * np.interp(abs(u), [0.0, peak_at, width / 2.0], [0.0, 1.0, 0.0])
+            part = np.sin(2.0 * np.pi * d / link.pitch) if link.shape == "sine" else straight
+            return float(link.depth * part + link.damping * RATE * growth)
+
+        return detent
+    if link.type == "click":
+        at = np.array([0.0, 0.5, 0.75, 1.0, 2.0]) * link.travel
+        push = link.peak - np.array([link.peak, 0.0, link.drop, link.drop - 0.5 * link.peak, 0.0])
+        push[4] = push[3] + link.bottom * link.travel
+        return lambda d, growth: (
+            min(0.0, link.damping * RATE * growth - float(np.interp(-d, at, push))) if d < 0.0 else 0.0
+        )
     return friction(link) if link.type == "friction" else plectrum(link)
 
 
@@ -334,7 +356,7 @@ def played(samples: Iterator[tuple[Array, Array]]) -> tuple[Array, Array]:
 def test_the_hands_take_every_link_to_its_ends(scheme: str) -> None:
     """Else the comparison below would not tell what a link does there."""
     by_link = dict(zip(OUTSIDE, by_numpy(scheme)[0].T, strict=True))
-    for name in ("buffer", "plectrum"):
+    for name in ("buffer", "plectrum", "notch", "click"):
         assert 50 < np.count_nonzero(by_link[name]) < SAMPLES - 50
     slides = np.abs(by_link["friction"]) == 0.5
     assert 50 < np.count_nonzero(slides) < SAMPLES - 50

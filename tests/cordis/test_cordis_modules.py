@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from hapsim.cordis.modules.nonlinear_links import Frictions, Plectra
-from hapsim.prediction.linear import linear_scene
+from hapsim.prediction.linear import law_of, linear_scene
 
 sys.path.insert(0, str(Path(__file__).parent))
 from module_scenes import CUTOFF, HANDS, NUMBERS, SAMPLES, SCENES, Array, Bench, Numbers, Run, run_of, scene_with, walk
@@ -181,6 +181,63 @@ def plectrum(points: Run, n: Numbers, took: Branches) -> Iterator[float]:
             yield 0.0
 
 
+def from_rest(n: Numbers, x: float, took: Branches) -> float:
+    """How far from the nearest rest of a detent, m."""
+    d = x - n.wall
+    took["at d = 0" if abs(d) < n.pitch / 2.0 else "elsewhere"] += 1
+    return d - n.pitch * float(np.floor(d / n.pitch + 0.5))
+
+
+def on_flanks(n: Numbers, name: str, points: Run, took: Branches, rise: float, end: float) -> Iterator[float]:
+    """A detent whose force is `n.force` at `rise`, and 0 from `end` on."""
+    before = points.position[name][0]
+    for x in points.position[name]:
+        u = from_rest(n, x, took)
+        took["rises" if abs(u) <= rise else "falls" if abs(u) <= end else "between"] += 1
+        height = min(abs(u) / rise, max((end - abs(u)) / (end - rise), 0.0))
+        yield -(np.sign(u) * n.force * height + n.B * n.rate * (x - before))
+        before = x
+
+
+def sine(points: Run, n: Numbers, took: Branches) -> Iterator[float]:
+    x = points.position["sine"]
+    u = np.array([from_rest(n, one, took) for one in x])
+    yield from -(n.force * np.sin(2.0 * np.pi * u / n.pitch) + n.B * n.rate * np.diff(x, prepend=x[0]))
+
+
+def snap(points: Run, n: Numbers, took: Branches) -> Iterator[float]:
+    yield from on_flanks(n, "snap", points, took, n.pitch / 2.0 * n.sharp / (n.sharp + 1.0), n.pitch / 2.0)
+
+
+def notch(points: Run, n: Numbers, took: Branches) -> Iterator[float]:
+    width = n.pitch / n.sharp
+    yield from on_flanks(n, "notch", points, took, width / 4.0, width / 2.0)
+
+
+def pressed(d: Array, n: Numbers, peak: float, drop: float, took: Branches) -> Iterator[float]:
+    """What a click pushes its ends apart with."""
+    at = np.array([0.0, 0.5, 0.75, 1.0, 1001.0]) * n.travel
+    force = np.array([0.0, peak, peak - drop, 1.5 * peak - drop, 1.5 * peak - drop + 1000.0 * n.K * n.travel])
+    before = d[0]
+    for here in d:
+        push = float(np.interp(-here, at, force)) - n.B * n.rate * (here - before)
+        took["apart" if here >= 0 else f"part {np.searchsorted(at, -here)}"] += 1
+        before = here
+        if here < 0 and push < min(0.0, peak - drop):
+            took["would hold back"] += 1
+            push = min(0.0, peak - drop)
+        yield push if here < 0 else 0.0
+
+
+def click(points: Run, n: Numbers, took: Branches) -> Iterator[float]:
+    yield from pressed(points.position["click"] - n.wall, n, n.static, n.force, took)
+
+
+def dome(points: Run, n: Numbers, took: Branches) -> Iterator[float]:
+    yield from (-push for push in pressed(n.wall - points.position["dome"], n, n.force, n.static, took))
+
+
+PRESSED = {"apart", "would hold back", *(f"part {i}" for i in range(1, 5))}
 RECURRENCES: dict[str, tuple[Recurrence, set[str]]] = {
     "mass": (mass, set()),
     "ground": (ground, {"the ground moved"}),
@@ -200,6 +257,11 @@ RECURRENCES: dict[str, tuple[Recurrence, set[str]]] = {
         {"sticks", "breaks away", "slides on", "stands, slid", "turns back and sticks", "turns about in one sample"},
     ),
     "plectrum": (plectrum, {"grips", "releases", "released", "grips again", "passes beyond its reach"}),
+    "sine": (sine, {"at d = 0", "elsewhere"}),
+    "snap": (snap, {"at d = 0", "elsewhere", "rises", "falls"}),
+    "notch": (notch, {"at d = 0", "elsewhere", "rises", "falls", "between"}),
+    "click": (click, PRESSED),
+    "dome": (dome, PRESSED),
 }
 
 
@@ -250,6 +312,10 @@ SWING = 1e-7  # m
         ("nonlinear", 0.0),
         ("friction", 0.0),
         ("plectrum", 0.0),
+        ("sine", 0.0),
+        ("snap", 0.0),
+        ("notch", 0.0),
+        ("click", -0.002),
     ],
 )
 def test_a_small_swing_meets_the_link_that_the_theory_takes_it_for(name: str, at: float) -> None:
@@ -266,3 +332,25 @@ def test_a_small_swing_meets_the_link_that_the_theory_takes_it_for(name: str, at
     link = linear_scene(bench.scene).links[name]
     assert met[0] == pytest.approx(link.stiffness, rel=1e-6, abs=1e-5)
     assert met[1] == pytest.approx(link.damping, rel=1e-6, abs=1e-7)
+
+
+@pytest.mark.parametrize("name", ["spring", "buffer", "nonlinear", "sine", "snap", "notch", "click", "dome"])
+def test_at_rest_a_link_has_the_tension_of_its_law(name: str) -> None:
+    """Which the theory writes down by itself. Detents go on for kilometres, right to what a place is rounded by."""
+    hands = scene_with(name)
+    bench, n, hand = Bench("double", hands), NUMBERS["double"], hands.index(name)
+    link = bench.scene.links[name]
+    sign = 1.0 if link.between[0] == f"h_{name}" else -1.0
+    law, rng = law_of(link), np.random.default_rng(22)
+    near = rng.uniform(-0.05, 0.05, 150)
+    far = rng.uniform(-1e5, 1e5, 50) if link.type == "detent" else near[:50]
+    met = []
+    for d in (*near, *far):
+        position = np.full(len(hands), n.wall)
+        position[hand] += sign * d
+        bench.start(position)
+        met.append(-sign * bench.step(position, np.zeros(len(hands)))[hand])
+    expected = law.tension(np.array([*near, *far]))
+    assert met[:150] == pytest.approx(expected[:150], rel=1e-9, abs=1e-9)
+    assert met[150:] == pytest.approx(expected[150:], rel=1e-9, abs=1e-6)
+    assert np.max(np.abs(expected)) > 0.5

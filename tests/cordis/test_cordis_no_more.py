@@ -57,6 +57,11 @@ MODULES: dict[str, tuple[dict[str, Any], tuple[str, ...]]] = {
     "forces over distance": ({"type": "nonlinear", "force_over_distance": CURVE, **LINK}, ("add_forces",)),
     "forces over velocity": ({"type": "nonlinear", "force_over_velocity": CURVE, **LINK}, ("add_forces",)),
     "friction links": ({"type": "friction", "force": 1.0, "stiffness": 9.0, **LINK}, ("initialize", "add_forces")),
+    "detents": ({"type": "detent", "pitch": 0.1, "depth": 1.0, **LINK}, ("add_forces",)),
+    "clicks": (
+        {"type": "click", "travel": 0.1, "peak": 1.0, "drop": 0.5, "bottom": 9.0, **LINK},
+        ("add_forces",),
+    ),
     "plectra": ({"type": "plectrum", "stiffness": 9.0, "release": 0.1, **LINK}, ("add_forces",)),
 }
 

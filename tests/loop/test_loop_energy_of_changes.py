@@ -5,11 +5,13 @@ from __future__ import annotations
 import io
 import json
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from rich.console import Console
 
 from firmware_protocol.compiled import new_record
@@ -27,6 +29,7 @@ sys.path.append(str(Path(__file__).resolve().parents[2] / "tools" / "bench"))
 from changes import Outcome, changed_while_it_runs, dragged, pumped, spring
 from energy_guard import passive_scenes
 
+Array = NDArray[np.float64]
 LIMIT, REFILL = 0.2, 0.02  # J, J/s: by default, of 10 N
 CAPACITY, TAKEN = 1.0, 0.03  # J, of the tanks of programs that no loop runs
 
@@ -235,3 +238,76 @@ def test_a_curve_stores_the_area_below_it() -> None:
         tension = np.interp(way, *np.array(curve).T)
         program, _ = accounted(scene, hand)
         assert stored_of(program) == pytest.approx(np.sum(0.5 * (tension[1:] + tension[:-1]) * np.diff(way)), abs=1e-9)
+
+
+def area_below(push: Callable[[Array], Array], to: Array) -> Array:
+    """J: the integral of `push` (N over m) from 0 to each place, above its least."""
+    way = np.union1d(np.linspace(-0.08, 0.08, 400_001), to)
+    push_there = push(way)
+    sums = np.concatenate([[0.0], np.cumsum(0.5 * (push_there[1:] + push_there[:-1]) * np.diff(way))])
+    return np.asarray(np.interp(to, way, sums) - sums.min())
+
+
+def detent_force(d: Array, pitch: float, depth: float, shape: str, sharpness: float = 2.0) -> Array:
+    if shape == "sine":
+        return np.asarray(depth * np.sin(2.0 * np.pi * d / pitch))
+    s, u = sharpness, np.remainder(d / pitch + 0.5, 1.0) - 0.5
+    at = [0.0, 0.5 * s / (s + 1.0), 0.5] if shape == "snap" else [0.0, 0.25 / s, 0.5 / s]
+    return np.asarray(depth * np.sign(u) * np.interp(abs(u), at, [0.0, 1.0, 0.0]))
+
+
+def click_force(d: Array, travel: float, peak: float, drop: float, bottom: float, most: float) -> Array:
+    """With which the ends are pulled together: pressed where d < 0."""
+    last = 1.5 * peak - drop
+    points = [0.0, peak, peak - drop, last, last + 100.0 * bottom]
+    push = np.interp(-d, [0.0, travel / 2.0, 0.75 * travel, travel, travel + 100.0], points)
+    return -np.where(-d > travel, np.minimum(push, most), push)
+
+
+DETENT = {"pitch": 0.007, "depth": 0.4}
+SHARP = DETENT | {"sharpness": 3.0}
+CLICK = {"travel": 0.02, "peak": 1.0, "drop": 0.6, "bottom": 400.0}
+DOME = CLICK | {"drop": 4.0}
+
+
+@pytest.mark.parametrize(
+    ("kind", "more", "values", "change"),
+    [
+        *(("detent", {"shape": "sine"}, DETENT, {field: value}) for field, value in (("pitch", 0.011), ("depth", 0.9))),
+        *(
+            ("detent", {"shape": shape}, SHARP, {field: value})
+            for shape in ("snap", "notch")
+            for field, value in (("pitch", 0.011), ("depth", 0.1), ("sharpness", 1.2))
+        ),
+        *(
+            ("click", {}, values, {field: value})
+            for values in (CLICK, DOME)
+            for field, value in (("travel", 0.03), ("peak", 2.0), ("drop", 1.7), ("bottom", 900.0))
+        ),
+    ],
+)
+def test_a_change_of_a_detent_or_a_click_adds_the_area_that_it_changes(
+    kind: str, more: dict[str, str], values: dict[str, float], change: dict[str, float]
+) -> None:
+    limit = 5.0
+    link_of = BETWEEN | {"type": kind, "damping": 0.3} | more
+    modules = {"before": linked(a=link_of | values), "after": linked(a=link_of | values | change)}
+    scenes = {
+        name: one.model_copy(update={"device": one.device.model_copy(update={"force_limit": limit})})
+        for name, one in modules.items()
+    }
+    hands = np.array([-0.07, -0.0231, -0.0171, -0.0123, -0.0039, -0.0007, 0.0012, 0.0031, 0.0042, 0.0123])
+
+    def stored(numbers: dict[str, float]) -> Array:
+        if kind == "detent":
+            return area_below(lambda d: detent_force(d, **numbers, **more), hands)  # type: ignore[arg-type]
+        return area_below(lambda d: click_force(d, **numbers, most=limit), hands)
+
+    expected = stored(values | change) - stored(values)
+    assert np.max(np.abs(expected)) > 1e-4
+    for hand, added in zip(hands, expected, strict=True):
+        program, tank = accounted(scenes["before"], hand)
+        tank.level = CAPACITY - TAKEN
+        program.parameters.post(parameter_values(scenes["after"]), 1)
+        follow_parameters(program)
+        assert float(tank.spent) == pytest.approx(added, abs=2e-8), hand

@@ -27,6 +27,8 @@ ONE_OF_EACH: Modules = {
     "buffer": {"stiffness": 400.0, "damping": 0.5, "distance": 0.002},
     "nonlinear": {"force_over_distance": [[-0.01, -2.0], [0.0, 0.0], [0.01, 3.0]]},
     "friction": {"force": 0.2, "static": 0.3, "stiffness": 300.0, "damping": 0.2},
+    "detent": {"pitch": 0.004, "depth": 0.5, "damping": 0.1, "shape": "snap"},
+    "click": {"travel": 0.004, "peak": 0.5, "drop": 0.3, "bottom": 400.0, "damping": 0.1},
     "plectrum": {"stiffness": 400.0, "damping": 0.1, "release": 0.003},
 }
 MATTER: Modules = {

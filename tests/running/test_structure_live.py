@@ -17,7 +17,7 @@ from hapsim.prediction import is_surely_unstable, predict, surely_shaken_by
 from hapsim.scene import Scene
 
 sys.path.insert(0, str(Path(__file__).parent))
-from live_structures import BEGIN, HANDS, LONE, OVER, SAMPLES, Modules, running, scene_of, work_out
+from live_structures import BEGIN, HANDS, LONE, OVER, RATE, SAMPLES, Modules, running, scene_of, work_out
 
 LINKS = ("viscoelastic", "spring", "damper", "buffer", "friction", "plectrum")
 DAMPERS = ("backward", "centred", "filtered")
@@ -171,6 +171,53 @@ IN_A_MATRIX = BEGIN | {
     "touch": {"type": "viscoelastic", "between": ["thumb", "ball"], "stiffness": 100.0, "damping": 0.1},
     "stop": {"type": "buffer", "between": ["ball", "wall"], "stiffness": 50.0, "distance": 0.001},
 }
+
+
+TABLES: Modules = HANDS | {
+    "wall": {"type": "ground"},
+    "touch": {"type": "spring", "between": ["thumb", "wall"], "stiffness": 100.0},
+    "soft": {"type": "nonlinear", "between": ["hand", "wall"], "force_over_distance": [[-0.1, -5.0], [0.1, 5.0]]},
+}
+
+
+def test_a_set_of_a_table_and_of_numbers_with_it_is_what_an_adoption_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    tables = {
+        "force_over_distance": ((-0.1, -20.0), (0.0, 0.3), (0.1, 9.0)),
+        "force_over_velocity": ((-1.0, -2.0), (1.0, 2.0)),
+    }
+    scene, changes = scene_of(TABLES), {"soft": tables, "touch": {"stiffness": 140.0}}
+    wanted = scene_of(TABLES | {name: TABLES[name] | values for name, values in changes.items()})
+    forces = []
+    for change in (lambda live: live.set(changes, OVER), lambda live: live.adopt(wanted, OVER)):
+        with running(scene, monkeypatch) as runner:
+            runner.go()
+            change(runner.live)
+            program = runner.loop.program
+            runner.go()
+            assert runner.live.scene == wanted
+            runner.live.set({"soft": tables}, OVER)
+            assert runner.loop.program is program
+            forces.append(runner.asked)
+    np.testing.assert_array_equal(*forces)
+    x = runner.position[:, 0]
+    speed = RATE * np.diff(x, prepend=x[0])
+    before, after = 50.0 * x, np.interp(x, *zip(*tables["force_over_distance"], strict=True)) + 2.0 * speed
+    assert forces[0][:60, 0] == pytest.approx(-before[:60], abs=1e-6)
+    assert forces[0][-30:, 0] == pytest.approx(-after[-30:], abs=1e-6)
+
+
+def test_a_set_of_a_wrong_table_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = scene_of(TABLES)
+    with running(scene, monkeypatch) as runner:
+        runner.go()
+        for table, told in (
+            ([[0.0, 0.0], [0.0, 1.0]], r"soft.force_over_distance\[1\]\[0\]: found 0.0, expected a number > 0 \(m\)"),
+            (None, "soft: found neither force_over_distance nor force_over_velocity"),
+            (3.0, r"soft.force_over_distance: found 3.0, expected a list of 2 to 1000 points \[m, N\]"),
+        ):
+            with pytest.raises(UsageError, match=told):
+                runner.live.set({"soft": {"force_over_distance": table}}, 0.0)  # type: ignore[dict-item]
+        assert runner.live.scene == scene
 
 
 @pytest.mark.parametrize("scheme", ["midpoint", "exact"])

@@ -9,7 +9,19 @@ from jsonschema import Draft202012Validator
 
 from hapsim.errors import SceneError, UsageError
 from hapsim.running.changes import _changed
-from hapsim.scene import Cell, Damper, Friction, Nonlinear, Plectrum, Scene, Spring, parse_scene, scene_schema
+from hapsim.scene import (
+    Cell,
+    Click,
+    Damper,
+    Detent,
+    Friction,
+    Nonlinear,
+    Plectrum,
+    Scene,
+    Spring,
+    parse_scene,
+    scene_schema,
+)
 
 Faults = Callable[[str], list[str]]
 
@@ -24,6 +36,8 @@ MODULES = {
     "nonlinear": "{type: nonlinear, between: [hand, wall], force_over_distance: [[-1, -5], [1, 5]]}",
     "friction": "{type: friction, between: [hand, wall], force: 1, stiffness: 2000}",
     "plectrum": "{type: plectrum, between: [hand, wall], stiffness: 500, release: 0.002}",
+    "detent": "{type: detent, between: [hand, wall], pitch: 0.005, depth: 0.3}",
+    "click": "{type: click, between: [hand, wall], travel: 0.004, peak: 0.6, drop: 0.3, bottom: 5000}",
 }
 
 
@@ -44,6 +58,8 @@ def test_what_is_left_out_of_a_module_has_the_defaults_of_the_format(good: str) 
         "nonlinear": Nonlinear(between=ends, force_over_distance=((-1.0, -5.0), (1.0, 5.0)), force_over_velocity=None),
         "friction": Friction(between=ends, force=1.0, static=None, stiffness=2000.0, damping=0.0),
         "plectrum": Plectrum(between=ends, stiffness=500.0, damping=0.0, release=0.002),
+        "detent": Detent(between=ends, pitch=0.005, depth=0.3, damping=0.0, shape="sine", sharpness=None),
+        "click": Click(between=ends, travel=0.004, peak=0.6, drop=0.3, bottom=5000.0, damping=0.0),
     }
     assert {kind: scene_with(good, kind).modules["it"] for kind in MODULES} == expected
 
@@ -116,6 +132,21 @@ def test_a_scene_with_such_a_module_reads_back_the_same_and_can_be_hashed(good: 
         ),
         ("plectrum", ", release: 0.002", "", "it: 'release' is missing, expected a number > 0 (m)"),
         ("plectrum", "0.002", "0", "release: found 0, expected a number > 0 (m)"),
+        ("detent", "0.005", "0", "pitch: found 0, expected a number > 0 (m)"),
+        ("detent", "depth: 0.3", "depth: -1", "depth: found -1, expected a number >= 0 (N)"),
+        ("detent", "0.3", "0.3, shape: saw", "shape: found 'saw' (text), expected sine, snap or notch"),
+        ("detent", "0.3", "0.3, shape: notch, sharpness: 0.5", "sharpness: found 0.5, expected a number >= 1 (1)"),
+        (
+            "detent",
+            "0.3",
+            "0.3, sharpness: 3",
+            "sharpness: found a sharpness, which shape: sine does not have; expected shape: snap or notch, "
+            "or no sharpness",
+        ),
+        ("click", "travel: 0.004", "travel: 0", "travel: found 0, expected a number > 0 (m)"),
+        ("click", "peak: 0.6", "peak: 0", "peak: found 0, expected a number > 0 (N)"),
+        ("click", "drop: 0.3", "drop: -1", "drop: found -1, expected a number >= 0 (N)"),
+        ("click", ", bottom: 5000", "", "it: 'bottom' is missing, expected a number > 0 (N/m)"),
     ],
 )
 def test_what_is_wrong_with_a_module_is_reported(
@@ -160,6 +191,7 @@ def test_the_schema_takes_curves_and_refuses_what_the_loader_refuses(good: str, 
         ("damper", {"damping": 1.0}),
         ("friction", {"force": 2.0, "static": 3.0, "stiffness": 4.0, "damping": 5.0}),
         ("plectrum", {"stiffness": 1.0, "damping": 2.0, "release": 3.0}),
+        ("click", {"travel": 1.0, "peak": 2.0, "drop": 3.0, "bottom": 4.0, "damping": 5.0}),
     ],
 )
 def test_live_values_may_change_while_the_scene_runs(good: str, kind: str, changes: dict[str, float]) -> None:
@@ -176,6 +208,18 @@ def test_a_change_is_checked_against_the_other_values_of_its_module(good: str) -
     assert _changed(scene_with(good, "friction"), {"it": {"force": 3.0}})
 
 
-def test_curves_do_not_change_while_the_scene_runs(good: str) -> None:
-    with pytest.raises(UsageError, match="of a nonlinear nothing can change"):
-        _changed(scene_with(good, "nonlinear"), {"it": {"force_over_distance": 1.0}})
+def test_the_sharpness_of_a_detent_may_change_where_it_has_one(good: str) -> None:
+    sine = scene_with(good, "detent")
+    assert _changed(sine, {"it": {"pitch": 0.01, "depth": 0.2, "damping": 0.1}})
+    with pytest.raises(UsageError, match=r"it.sharpness: found a sharpness, which shape: sine does not have"):
+        _changed(sine, {"it": {"sharpness": 3.0}})
+    snap = parse_scene(with_module(good, MODULES["detent"].replace("0.3", "0.3, shape: snap")))
+    assert _changed(sine, {"it": {"shape": "snap", "sharpness": 2.0}})
+    assert getattr(_changed(snap, {"it": {"sharpness": 3.0}}).modules["it"], "sharpness", None) == 3.0
+
+
+def test_what_cannot_change_while_the_scene_runs_is_told_with_what_can(good: str) -> None:
+    with pytest.raises(UsageError, match="of a click travel and peak and drop and bottom and damping can change"):
+        _changed(scene_with(good, "click"), {"it": {"stiffness": 1.0}})
+    with pytest.raises(UsageError, match="of a nonlinear force_over_distance and force_over_velocity can change"):
+        _changed(scene_with(good, "nonlinear"), {"it": {"stiffness": 1.0}})

@@ -1,4 +1,5 @@
-"""The links that are no spring and damper: buffer (CORDIS: BUT), link with curves (LNL), dry friction, plectrum.
+"""The links that are no spring and damper: buffer (CORDIS: BUT), link with curves (LNL), dry friction, plectrum,
+detent, click.
 
 Their recurrences, and why, are in MODULES.md. A comparison decides so that a tension that is not a number (NaN) is
 passed on: the guard then ends the run.
@@ -6,8 +7,9 @@ passed on: the guard then ends the run.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +19,11 @@ from hapsim.compiling.native import NativeFunction, value_of
 from hapsim.cordis.build_context import BuildContext, PartType
 from hapsim.cordis.dispatch import Column, action
 from hapsim.cordis.modules.link import Ends, count, link_type, pull_ends, pull_link, stretch
-from hapsim.scene import Buffer, Friction, Nonlinear, Plectrum
+from hapsim.scene import Buffer, Click, Detent, Friction, Nonlinear, Plectrum
+from hapsim.scene.choices import DetentShape
+
+_SHAPES = get_args(DetentShape)
+_SINE, _SNAP = _SHAPES.index("sine"), _SHAPES.index("snap")
 
 
 class Buffers(NamedTuple):
@@ -67,6 +73,28 @@ class Plectra(NamedTuple):
     damping_per_sample: Column
     release: Column
     side: Column
+
+
+class Detents(NamedTuple):
+    """L detents: pitch in m, depth in N, B/T in N/m, sharpness, and the number of its shape; shape (L,)."""
+
+    ends: Ends
+    pitch: Column
+    depth: Column
+    damping_per_sample: Column
+    sharpness: Column
+    shape: NDArray[np.uint8]
+
+
+class Clicks(NamedTuple):
+    """L clicks: travel in m, peak and drop in N, bottom and B/T in N/m; shape (L,)."""
+
+    ends: Ends
+    travel: Column
+    peak: Column
+    drop: Column
+    bottom: Column
+    damping_per_sample: Column
 
 
 @action
@@ -160,6 +188,71 @@ def add_plectrum_forces(group, state):
                 pull_link(group, i, d, d - stretch(group.ends, i, state.previous), state.force)
 
 
+@action
+def add_detent_forces(group, state):
+    """Adds the force of every detent."""
+    group, state = value_of(group), value_of(state)
+    for i in range(count(group.ends)):
+        d = stretch(group.ends, i, state.position)
+        growth = d - stretch(group.ends, i, state.previous)
+        tension = _detent_tension(group, i, d) + group.damping_per_sample[i] * growth
+        pull_ends(group.ends, i, tension, state.force)
+
+
+@inlined
+def _detent_tension(group, i, d):
+    """Detent i's tension at `d` m without its damper: from the nearest rest up over `rise`, down to 0 at `end`."""
+    real = group.pitch.dtype.type
+    pitch, depth, half = group.pitch[i], group.depth[i], real(0.5)
+    u = d - pitch * np.floor(d / pitch + half)
+    if group.shape[i] == _SINE:
+        return depth * math.sin(real(2.0 * math.pi) * u / pitch)
+    if group.shape[i] == _SNAP:
+        end = half * pitch
+        rise = end * group.sharpness[i] / (group.sharpness[i] + real(1.0))
+    else:
+        end = half * pitch / group.sharpness[i]
+        rise = half * end
+    away = abs(u)
+    if away >= end:
+        return real(0.0)
+    force = depth * ((end - away) / (end - rise) if away > rise else away / rise)
+    return force if u > 0 else -force
+
+
+@action
+def add_click_forces(group, state):
+    """Adds the force of every click that is pressed; it pulls no more than its curve does: a damper would hold back
+    what leaves."""
+    group, state = value_of(group), value_of(state)
+    for i in range(count(group.ends)):
+        d = stretch(group.ends, i, state.position)
+        if not d >= 0:
+            growth = d - stretch(group.ends, i, state.previous)
+            push = _click_push(group, i, -d) - group.damping_per_sample[i] * growth
+            most_pull = min(group.peak[i] - group.drop[i], group.peak.dtype.type(0))
+            push = max(push, most_pull)  # the first where it is NaN
+            pull_ends(group.ends, i, -push, state.force)
+
+
+@inlined
+def _click_push(group, i, pressed):
+    """What click i pushes back with without its damper, pressed by so much, m."""
+    quarter = group.travel.dtype.type(0.25) * group.travel[i]
+    peak, drop, rises_over = group.peak[i], group.drop[i], quarter + quarter
+    if pressed <= rises_over:
+        return peak * pressed / rises_over
+    if pressed <= rises_over + quarter:
+        return peak - drop * (pressed - rises_over) / quarter
+    if pressed <= group.travel[i]:
+        return peak - drop + peak * (pressed - rises_over - quarter) / rises_over
+    return peak - drop + peak * quarter / rises_over + group.bottom[i] * (pressed - group.travel[i])
+
+
+def _shapes(detents: Iterable[Any], _context: BuildContext) -> tuple[NDArray[np.uint8]]:
+    return (np.array([_SHAPES.index(detent.shape) for detent in detents], np.uint8),)
+
+
 def _curves(field: str, add_forces: NativeFunction, name: str, unit: Callable[[float], float]) -> PartType:
     """The links with this curve, whose abscissae are in `unit` metres at a rate in Hz."""
 
@@ -189,5 +282,7 @@ FRICTION = link_type(
     initialize=initialize_friction,
 )
 PLECTRUM = link_type(Plectrum, Plectra, add_plectrum_forces, "plectra", "a grip each", remembers=1)
+DETENT = link_type(Detent, Detents, add_detent_forces, "detents", "the nearest rest each", constants=_shapes)
+CLICK = link_type(Click, Clicks, add_click_forces, "clicks", "up to four comparisons each")
 
-TYPES = (BUFFER, NONLINEAR_SPRING, NONLINEAR_DAMPER, FRICTION, PLECTRUM)
+TYPES = (BUFFER, NONLINEAR_SPRING, NONLINEAR_DAMPER, FRICTION, PLECTRUM, DETENT, CLICK)

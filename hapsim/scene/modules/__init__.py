@@ -8,7 +8,7 @@ from .linear_links import Damper, Spring, ViscoElastic
 from .link import Link
 from .membrane import Membrane
 from .module import Module, ModuleContext
-from .nonlinear_links import Buffer, Friction, Nonlinear, Plectrum
+from .nonlinear_links import Buffer, Click, Detent, Friction, Nonlinear, Plectrum
 from .points import Cell, DevicePoint, Ground, Held, Mass, MaterialPoint
 from .string import Pluck, String
 from .structure import Elements, Structure
@@ -27,6 +27,8 @@ AnyModule = (
     | Nonlinear
     | Friction
     | Plectrum
+    | Detent
+    | Click
 )
 
 #: A module as the file has it: its ``type`` says which.
@@ -40,7 +42,9 @@ __all__ = [
     "AnyModule",
     "Buffer",
     "Cell",
+    "Click",
     "Damper",
+    "Detent",
     "DevicePoint",
     "Elements",
     "Friction",

@@ -1,11 +1,12 @@
-"""The nonlinear links: CORDIS's BUT (buffer) and LNL (nonlinear), dry friction and the plectrum."""
+"""The nonlinear links: CORDIS's BUT (buffer) and LNL (nonlinear), dry friction, plectrum, detent and click."""
 
 from collections.abc import Iterator
 from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
-from ..issue import Issue
+from ..choices import DETENT_SHAPE, WITH_SHARPNESS, DetentShape
+from ..issue import Issue, one_of
 from ..quantity import Curve, curve, quantity
 from .link import Link
 from .module import ModuleContext, check_of
@@ -36,6 +37,8 @@ class Buffer(Link):
 
 class Nonlinear(Link):
     """A spring and a damper of any characteristic: curves, straight between their points and level beyond the ends."""
+
+    crossfaded: ClassVar[tuple[str, ...]] = ("force_over_distance", "force_over_velocity")
 
     type: Literal["nonlinear"] = Field(
         default="nonlinear", description="A spring and a damper of any characteristic, given as curves"
@@ -86,3 +89,52 @@ class Plectrum(Link):
     stiffness: Annotated[float, quantity("Stiffness while it grips", "N/m", least=0)]
     damping: Annotated[float, quantity("Viscosity while it grips", "N·s/m", least=0)] = 0.0
     release: Annotated[float, quantity("Distance of its ends beyond which it releases", "m", above=0)]
+
+
+class Detent(Link):
+    """Rests at every multiple of its pitch: between two rests its ends are pulled to the nearer one."""
+
+    live: ClassVar[tuple[str, ...]] = ("pitch", "depth", "damping", "sharpness")
+    crossfaded: ClassVar[tuple[str, ...]] = ("shape",)
+
+    type: Literal["detent"] = Field(default="detent", description="Detents: a place to rest at every pitch")
+    pitch: Annotated[float, quantity("Distance from one rest to the next", "m", above=0)]
+    depth: Annotated[float, quantity("Largest force of a detent", "N", least=0)]
+    damping: Annotated[float, quantity("Viscosity", "N·s/m", least=0)] = 0.0
+    shape: DetentShape = Field(default="sine", description=DETENT_SHAPE)
+    sharpness: Annotated[
+        float | None,
+        quantity(
+            f"With shape: {one_of(WITH_SHARPNESS)}. Of a snap, how much steeper it falls than it rises; of a notch, "
+            "the pitch over its width",
+            "1",
+            least=1,
+            left_out="2",
+        ),
+    ] = None
+
+    @property
+    def steepness(self) -> float:
+        """Its sharpness, with its default."""
+        return 2.0 if self.sharpness is None else self.sharpness
+
+    @check_of("shape", "sharpness")
+    def _sharpness_fits(self, _name: str, _around: ModuleContext) -> Iterator[Issue]:
+        if self.shape not in WITH_SHARPNESS and self.sharpness is not None:
+            expected = f"expected shape: {one_of(WITH_SHARPNESS)}, or no sharpness"
+            yield Issue(("sharpness",), f"found a sharpness, which shape: {self.shape} does not have; {expected}")
+
+
+class Click(Link):
+    """A button: its first end is pressed down on its second, gives way, and meets the bottom."""
+
+    live: ClassVar[tuple[str, ...]] = ("travel", "peak", "drop", "bottom", "damping")
+
+    type: Literal["click"] = Field(
+        default="click", description="A button that clicks: its first end is pressed down on its second"
+    )
+    travel: Annotated[float, quantity("How far it is pressed where it meets the bottom", "m", above=0)]
+    peak: Annotated[float, quantity("Force at which it gives way", "N", above=0)]
+    drop: Annotated[float, quantity("How much less its force is then; more than the peak: it stays down", "N", least=0)]
+    bottom: Annotated[float, quantity("Stiffness of the bottom", "N/m", above=0)]
+    damping: Annotated[float, quantity("Viscosity while it is pressed", "N·s/m", least=0)] = 0.0
