@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 from rich.markup import escape
 
 from hapsim.cli import check_details as details
+from hapsim.cli.check_regions import regions_document, show_regions
 from hapsim.cli.live import at_work
-from hapsim.cli.options import Json, SceneFile, flag, load, scene_name
+from hapsim.cli.options import Json, SceneFile, flag, load, option, scene_name
 from hapsim.cli.output import Table, document, pick, stderr, stdout, table
 from hapsim.errors import UsageError
 from hapsim.holds import HOLDS
@@ -37,6 +38,10 @@ if TYPE_CHECKING:
 def check(
     scene: SceneFile,
     json: Json = False,
+    at: Annotated[
+        float | None,
+        option("X", "Position of the hands, m [default: where they rest, or are held nearest to position 0].", "--at"),
+    ] = None,
     explain: Annotated[
         bool, flag("--explain", "Print every mode, margin and bound; compile the scene too, and time its parts.")
     ] = False,
@@ -46,7 +51,7 @@ def check(
     if why := refused_travel(loaded):
         raise UsageError(f"{scene_name(scene)}: {why}")
     with at_work(stderr(), "working out modes and gain margins"):
-        prediction = predict(loaded)
+        prediction = predict(loaded, at=at)
         on_wire = predict_on_wire(loaded)
     explanation = _explanation(loaded) if explain else None
     of_slew = _slew_warnings(loaded, prediction)
@@ -94,7 +99,9 @@ def _stability(prediction: Prediction, is_slewed: bool) -> str:
     """`is_slewed`: the slew limit is too slow for the scene."""
     verdict = "[green]stable[/green]" if prediction.stable else "[red]unstable[/red]"
     note = ""
-    if details.is_at_limit(prediction):
+    if snaps := [name for name, region in prediction.region_here.items() if region.kind == "snap"]:
+        verdict, note = "[yellow]in a snap[/yellow]", f": the scene drives {', '.join(snaps)} on to the next region"
+    elif details.is_at_limit(prediction):
         verdict = "[yellow]at the limit[/yellow]"
         note = " between stable and unstable: something drifts or swings for ever"
     elif prediction.stable and is_slewed:
@@ -129,6 +136,7 @@ def _show_summary(out: Console, scene: Scene, prediction: Prediction, on_wire: P
         out.print(_felt_summary(prediction))
     for name, why in prediction.coupled.items():
         out.print(f"[bold]{name}[/bold] {why}: no single k and b describe what it feels (--explain lists the modes)")
+    show_regions(out, prediction)
     out.print(_margin_summary(prediction))
     if prediction.poles_method:
         out.print(f"A large scene: {prediction.poles_method}.")
@@ -165,6 +173,8 @@ def _felt_summary(prediction: Prediction) -> Table:
 
 def _margin_summary(prediction: Prediction) -> str:
     """Returns the smallest gain margin in a sentence."""
+    if any(one.kind == "snap" for one in prediction.region_here.values()):
+        return "In a snap there is no gain margin"
     if not prediction.stable and not details.is_at_limit(prediction):
         hands = [details.margin_sentence(felt) for felt in prediction.felt if not felt.stable]
         return " ".join(hands) or "--explain lists by how much each link has to change"
@@ -209,6 +219,7 @@ def prediction_document(
         **_correction_document(prediction, channel),
         "device_points": {one.name: felt_document(one) for one in prediction.felt},
         "coupled_device_points": prediction.coupled,
+        "regions": {name: regions_document(regions) for name, regions in prediction.regions.items()},
         "modes": modes,
         "margins": margins,
         "margins_method": prediction.margins_method or ("every link" if prediction.margins else "none"),

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from rich.markup import escape
 
+from hapsim.cli.check_regions import show_regions
 from hapsim.cli.output import Table, table
 from hapsim.number_format import between, duration, number, rounded_down, rounded_up
 from hapsim.prediction import Desired, Felt, Prediction, WireTime, correction_for, host_silence, robustness_of
@@ -33,6 +34,7 @@ def show_details(out: Console, scene: Scene, prediction: Prediction, on_wire: Pr
     show_assumptions(out, prediction.assumptions)
     for felt in prediction.felt:
         _show_felt(out, prediction, felt)
+    show_regions(out, prediction)
     _show_correction(out, prediction)
     for name, why in prediction.coupled.items():
         out.print(

@@ -4,26 +4,20 @@ Public is what `__all__` names.
 """
 
 from firmware_protocol.wire_time import WireTime
+from hapsim.prediction.felt import correction_for, felt_at_rate, robustness_of
 from hapsim.prediction.impedance import PredictedImpedance, ZWidth, predict_impedance, z_width_of
 from hapsim.prediction.linear import configuration_of
 from hapsim.prediction.predict import (
-    Desired,
-    Felt,
-    LinkMargin,
-    Prediction,
-    Robustness,
     Shaking,
-    correction_for,
-    felt_at_rate,
     is_surely_unstable,
     predict,
     predict_on_wire,
-    robustness_of,
     surely_shaken_by,
     warnings_about,
     with_mass,
 )
 from hapsim.prediction.timing import HostSilence, host_silence
+from hapsim.prediction.types import Desired, Felt, LinkMargin, Prediction, Region, Robustness
 
 __all__ = [
     "Desired",
@@ -32,6 +26,7 @@ __all__ = [
     "LinkMargin",
     "PredictedImpedance",
     "Prediction",
+    "Region",
     "Robustness",
     "Shaking",
     "WireTime",

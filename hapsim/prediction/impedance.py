@@ -9,8 +9,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from hapsim.prediction.characteristic import places_of, scene_at
 from hapsim.prediction.correction import Rendering, rendered
-from hapsim.prediction.linear import configuration_of, linear_scene, network_of, why_coupled
+from hapsim.prediction.linear import configuration_of, network_of, why_coupled
 from hapsim.scene import Scene
 from hapsim.theory import Configuration, Network, NotWorkedOutError
 from hapsim.theory.arrays import Complexes, Floats
@@ -53,9 +54,9 @@ def predict_impedance(scene: Scene, frequency: ArrayLike) -> PredictedImpedance:
     f = np.asarray(frequency, dtype=float)
     rendering = rendered(scene)
     run = rendering.scene
-    linear = linear_scene(run)
+    linear = scene_at(run)
     network, _ = network_of(run, linear)
-    assumptions = list(linear.assumptions)
+    assumptions = [*linear.assumptions, *places_of(run)]
     try:
         loop = loop_impedance(network, f)
     except NotWorkedOutError as reason:
@@ -73,7 +74,7 @@ def predict_impedance(scene: Scene, frequency: ArrayLike) -> PredictedImpedance:
     return PredictedImpedance(
         names=tuple(scene.device_points),
         frequency=f,
-        desired=desired_impedance(network_of(scene, linear_scene(scene))[0], f),
+        desired=desired_impedance(network_of(scene, scene_at(scene))[0], f),
         device=loop.device,
         ideal_device=real[:, :, None] * np.eye(network.channel_mass.size),
         rendered=loop.rendered,
@@ -86,7 +87,7 @@ def _of_predictors(rendering: Rendering, frequency: Floats) -> Complexes:
     scene = rendering.desired
     names = list(scene.device_points)
     found = np.zeros((frequency.size, len(names), len(names)), dtype=complex)
-    linear = linear_scene(scene)
+    linear = scene_at(scene)
     if scene.sensed_links or any(why_coupled(scene, linear, name) for name in names):
         return np.full_like(found, np.nan)
     for port in rendering.ports:

@@ -2,76 +2,76 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from hapsim.errors import UsageError
+from hapsim.prediction.characteristic import Piece, hand_at, piece_at, scene_at
 from hapsim.prediction.correction import (
-    CORRECTIONS,
     Corrected,
     CorrectionKind,
     Rendering,
     felt_error,
     remedies_for,
     rendered,
-    stable_masses,
 )
+from hapsim.prediction.felt import felt_by, felt_of_predictor, robustness_of, swing
 from hapsim.prediction.force_bounds import slow_slew
 from hapsim.prediction.linear import (
     LinearScene,
     hand_of,
     is_lone,
-    linear_scene,
     links_of,
     network_of,
     why_coupled,
     with_device,
 )
+from hapsim.prediction.regions import growth, regions_of
 from hapsim.prediction.timing import wire_of, wire_time_of, with_wire_delay
-from hapsim.prediction.types import Desired, Felt, LinkMargin, Prediction, Robustness
+from hapsim.prediction.types import Desired, Felt, LinkMargin, Prediction, Region
 from hapsim.scene import Scene
-from hapsim.scene.choices import WITH_SENSOR
 from hapsim.scene.load import SceneSource, as_scene
 from hapsim.theory import (
-    Configuration,
     Margins,
     Network,
     NotWorkedOutError,
     Solution,
     Stabilizing,
-    frequency_and_ratio,
     margins_of,
     solve,
 )
 from hapsim.theory.arrays import sort_by_modulus
-from hapsim.theory.correction import PredictedLoop, StatePredictor, as_read
 from hapsim.theory.network import ContinuousMode, continuous_modes, is_large
 
 _MASSES = 9  # of a span, at which the error of a correction is looked at
-_PLAIN = 0.01  # an error of what is felt that is worth a correction
+_REACHED = 1e-6  # an error of a correction that is none
 _SURELY = 1.0 + 1e-9  # what grows by more in a sample is not at the limit
 _MOST = 1e60  # of b0 T/m and k0 T²/m: their fourth powers are numbers, too
 
 
-def predict(scene: SceneSource, *, with_margins: bool = True) -> Prediction:
+def predict(scene: SceneSource, *, with_margins: bool = True, at: float | None = None) -> Prediction:
     """What the hand will feel in `scene`, whether the whole of it is stable, and whether the wire is fast enough.
 
     `scene`: a Scene, or the path of a scene file. `with_margins`: also each link's gain margin, which for a large scene
-    takes longer than the rest.
+    takes longer than the rest. `at`: the position of the hands in m [default: where they rest, or are held nearest to
+    position 0]. UsageError where that is beyond the travel.
     """
     scene = as_scene(scene)
     _require_within_numbers(scene)
     rendering = rendered(scene)
     as_seen = rendering.seen
-    linear = linear_scene(as_seen)
+    linear = scene_at(as_seen, at=at)
     network, points = network_of(as_seen, linear)
     network, solution, instead = _solved(network)
     coupled = {name: why for name in scene.device_points if (why := why_coupled(as_seen, linear, name))}
-    felt = tuple(_felt(rendering, linear, name) for name in scene.device_points if name not in coupled)
+    felt = tuple(felt_by(rendering, linear, name) for name in scene.device_points if name not in coupled)
+    regions = {one.name: found for one in felt if (found := regions_of(rendering, one.name))}
+    here = {name: piece_at(hand_at(rendering.desired, name), name, at) for name in regions}
+    shaken = max(map(growth, regions.values()), default=0.0)
     whole = not coupled and not linear.masses
     poles, radius = solution.poles, solution.spectral_radius
     if whole and rendering.kind is not None:  # what is made for another mass is no part of the network
@@ -81,22 +81,24 @@ def predict(scene: SceneSource, *, with_margins: bool = True) -> Prediction:
     return Prediction(
         rate=scene.rate,
         felt=felt,
+        regions=regions,
+        here=here,
         coupled=coupled,
         # A loop of lone hands is judged by the formula, which resolves poles that rounding would place on the circle.
-        stable=all(one.stable for one in felt) and (whole or solution.is_stable),
-        spectral_radius=radius,
+        stable=not shaken and all(one.stable for one in felt) and (whole or solution.is_stable),
+        spectral_radius=max(radius, shaken),
         poles=tuple(complex(pole) for pole in poles if abs(pole) > 1e-9),
         poles_in_all=solution.all,
         poles_method=solution.method,
         modes=tuple(solution.modes),
         points=points,
-        margins=_link_margins(linear, margins, felt),
+        margins=_least(_link_margins(linear, margins, felt), regions),
         margins_method=margins.method,
         wire_time=wire_time_of(scene),
         wire_of=wire_of(scene),
         assumptions=(*linear.assumptions, *([instead] if instead else [])),
         rendering=None if rendering.kind is None else rendering,
-        desired=_desired(rendering, felt),
+        desired=_desired(rendering, felt, here),
         desired_modes=_desired_modes(rendering),
         by_its_scheme=not instead,
     )
@@ -120,22 +122,31 @@ def _require_within_numbers(scene: Scene) -> None:
 def _desired_modes(rendering: Rendering) -> tuple[ContinuousMode, ...]:
     if rendering.kind is None:
         return ()
-    network, _ = network_of(rendering.desired, linear_scene(rendering.desired))
+    network, _ = network_of(rendering.desired, scene_at(rendering.desired))
     return () if is_large(network) else tuple(continuous_modes(network))
 
 
-def _desired(rendering: Rendering, felt: tuple[Felt, ...]) -> tuple[Desired, ...]:
-    """One for each of the lone hands that a correction acts on."""
+def _desired(rendering: Rendering, felt: tuple[Felt, ...], here: Mapping[str, Piece]) -> tuple[Desired, ...]:
+    """One for each of the lone hands that a correction acts on; `here`: where those with regions are."""
     of_point, kind = {one.name: one for one in felt}, rendering.kind
     found = []
     for port in rendering.ports:
         k, b = port.desired
         if kind is None or port.name not in of_point or math.isnan(k):
             continue
+        if port.name in here:
+            piece, device = here[port.name], port.declared
+            k, b = device.stiffness + piece.stiffness, device.friction + piece.damping
         robustness = robustness_of(of_point[port.name])
-        frequency, ratio = _swing(port.declared.mass, k, b)
+        frequency, ratio = swing(port.declared.mass, k, b)
         least, most = rendering.desired.device.mass_spans(rendering.desired.channels)[port.channel]
         masses = np.geomspace(least, most, 1 if least == most else _MASSES).tolist()
+        reached = port.reached
+        errors = [_error_with(kind, port, mass) for mass in masses]
+        if port.name in here:
+            one = of_point[port.name]
+            errors = [float(felt_error((np.array(one.k), np.array(one.b)), (k, b), one.configuration.mass))]
+            reached = errors[0] < _REACHED
         desired = Desired(
             name=port.name,
             channel=port.channel,
@@ -143,9 +154,9 @@ def _desired(rendering: Rendering, felt: tuple[Felt, ...]) -> tuple[Desired, ...
             b=b,
             frequency_hz=frequency,
             damping_ratio=ratio,
-            error=float(np.max([_error_with(kind, port, mass) for mass in masses])),
-            reached=port.reached,
-            remedies=None if port.reached or least < most else remedies_for(kind, port.declared, port.desired),
+            error=float(np.max(errors)),
+            reached=reached,
+            remedies=None if reached or least < most else remedies_for(kind, port.declared, port.desired),
             stable_masses=robustness.stable_masses,
             steady_stiffness=robustness.steady_stiffness,
         )
@@ -209,8 +220,13 @@ def surely_shaken_by(scene: Scene) -> Shaking | None:
     It is not sure at the limit, or where it was not worked out for the scheme by which the scene runs. This is what a
     running loop has to know of a scene before it takes it, at a tenth of what `predict` costs.
     """
-    scene = rendered(scene).seen
-    linear = linear_scene(scene)
+    rendering = rendered(scene)
+    scene = rendering.seen
+    linear = scene_at(scene)
+    for name in scene.device_points:
+        grows = growth(regions_of(rendering, name))
+        if grows > _SURELY:
+            return Shaking(grows, name)
     network, points = network_of(scene, linear)
     try:
         solution = solve(network)
@@ -272,69 +288,6 @@ def warnings_about(scene: Scene, prediction: Prediction) -> list[str]:
     return warnings
 
 
-def robustness_of(felt: Felt) -> Robustness:
-    """What a hand meets beside k and b, by this prediction."""
-    c, element = felt.configuration, (felt.stiffness, felt.damping)
-    predictor = as_read(c) if felt.predictor is None else felt.predictor
-    loop = PredictedLoop(c, predictor)
-    with np.errstate(all="ignore"):  # beyond all numbers nothing is stable
-        return Robustness(
-            steady_stiffness=loop.steady_stiffness(*element) + c.stiffness,
-            noise_gain=loop.noise_gain(*element),
-            stable_masses=stable_masses(lambda true: loop._replace(plant=true), c, element),
-        )
-
-
-def _felt(rendering: Rendering, linear: LinearScene, name: str) -> Felt:
-    """What a lone hand feels; under a predictor in its loop, of the device as it is declared."""
-    scene = rendering.seen
-    felt = _felt_of(name, scene.device_points[name].channel, *hand_of(scene, linear, name))
-    port = next((port for port in rendering.ports if port.name == name), None)
-    if port is None or rendering.kind is None or not rendering.kind.predicts or port.rendered == (0.0, 0.0):
-        return felt
-    return _felt_of_predictor(felt, port.declared, rendering.predictor_of(port), port.rendered)
-
-
-def _felt_of_predictor(
-    felt: Felt, device: Configuration, predictor: StatePredictor, element: tuple[float, float]
-) -> Felt:
-    """`felt` of this device with a force that answers this predictor's state."""
-    loop = PredictedLoop(device, predictor)
-    poles = loop.poles(*element)
-    k, b = (float(value) for value in loop.equivalent(*element))
-    frequency, ratio = _swing(device.mass, k, b)
-    radius = float(abs(poles[0]))
-    return replace(
-        felt,
-        configuration=device,
-        stiffness=element[0],
-        damping=element[1],
-        k=k,
-        b=b,
-        frequency_hz=frequency,
-        damping_ratio=ratio,
-        dominant=math.isfinite(k),
-        stable=radius < 1.0,
-        spectral_radius=radius,
-        poles=tuple(complex(pole) for pole in poles),
-        reason="" if math.isfinite(k) else "the slowest poles are not those of a spring and damper",
-        predictor=predictor,
-    )
-
-
-def correction_for(felt: Felt) -> str:
-    """The simplest correction with which this hand would feel its stiffness and damping as they are written; "" where
-    it does so within a hundredth without one, and where none makes it so."""
-    device = felt.configuration
-    k, b = felt.stiffness + device.stiffness, felt.damping + device.friction
-    if felt.predictor is not None or not felt_error((np.array(felt.k), np.array(felt.b)), (k, b), device.mass) > _PLAIN:
-        return ""
-    for name in ("poles", "predictor"):
-        if np.isfinite(CORRECTIONS[name].seen_by_theory(device).simulated(k, b)).all():
-            return name
-    return ""
-
-
 def with_mass(prediction: Prediction, channel: int, mass: float) -> Prediction:
     """The same for a hand of this mass (kg) on one channel, once a correction that adapts has found it."""
     rendering = prediction.rendering
@@ -345,79 +298,46 @@ def with_mass(prediction: Prediction, channel: int, mass: float) -> Prediction:
     device = replace(port.declared, mass=mass)
     predictor = rendering.predictor_of(settled)
     felt = tuple(
-        _felt_of_predictor(one, device, predictor, settled.rendered) if one.channel == channel else one
+        felt_of_predictor(one, device, predictor, settled.rendered) if one.channel == channel else one
         for one in prediction.felt
     )
     desired = list(prediction.desired)
     for i, one in enumerate(desired):
         if one.channel == channel:
-            frequency, ratio = _swing(mass, one.k, one.b)
+            frequency, ratio = swing(mass, one.k, one.b)
             desired[i] = one._replace(frequency_hz=frequency, damping_ratio=ratio)
     return replace(prediction, felt=felt, desired=tuple(desired))
-
-
-def _swing(mass: float, k: float, b: float) -> tuple[float, float]:
-    """Eigenfrequency in Hz and damping ratio."""
-    frequency, ratio = frequency_and_ratio(mass, k, b)
-    return float(frequency), float(ratio)
-
-
-def felt_at_rate(felt: Felt, rate_hz: float) -> Felt:
-    """What the same hand feels where the device samples at `rate_hz` while the loop takes it to sample at the rate of
-    `felt`: the loop makes a velocity of a step with the period that it believes in, so a damper is stronger by as much
-    as the true period is longer, and a filter's cutoff lower. A velocity that the device senses is what it is."""
-    if felt.predictor is not None:
-        device = replace(felt.configuration, rate=rate_hz)
-        return _felt_of_predictor(felt, device, felt.predictor, (felt.stiffness, felt.damping))
-    slower = felt.configuration.rate / rate_hz
-    cutoff = felt.configuration.cutoff
-    configuration = replace(felt.configuration, rate=rate_hz, cutoff=None if cutoff is None else cutoff / slower)
-    damping = felt.damping if felt.configuration.damper in WITH_SENSOR else felt.damping * slower
-    return _felt_of(felt.name, felt.channel, configuration, felt.stiffness, damping)
-
-
-def _felt_of(name: str, channel: int, configuration: Configuration, stiffness: float, damping: float) -> Felt:
-    element = stiffness, damping
-    k, b = (float(value) for value in configuration.equivalent(*element))
-    frequency, ratio = _swing(configuration.mass, k if k > 0.0 else math.nan, b)
-    least, most = (float(value) for value in configuration.stable_damping(stiffness))
-    factor = math.inf
-    if stiffness != 0.0:
-        stiffest = float(configuration.stable_stiffness(damping)[1])
-        factor = stiffest / stiffness if stiffest > 0.0 else 0.0
-    passive = None
-    with contextlib.suppress(ValueError):  # the condition is not derived
-        passive = bool(configuration.is_passive(*element))
-    return Felt(
-        name=name,
-        channel=channel,
-        configuration=configuration,
-        stiffness=stiffness,
-        damping=damping,
-        k=k,
-        b=b,
-        frequency_hz=frequency,
-        damping_ratio=ratio,
-        dominant=math.isfinite(k) and math.isfinite(b),
-        stable=bool(configuration.is_stable(*element)),
-        spectral_radius=float(configuration.spectral_radius(*element)),
-        poles=tuple(complex(pole) for pole in configuration.poles(*element)),
-        passive=passive,
-        stiffness_factor=factor,
-        stable_damping=(least, most),
-        linear_limit=float(configuration.linear_stiffness_limit(damping)),
-        reason=str(configuration.why_no_equivalent(*element)),
-    )
 
 
 def _link_margins(linear: LinearScene, margins: Margins, felt: tuple[Felt, ...]) -> tuple[LinkMargin, ...]:
     """Where a hand's only link is all that holds it, its margin by the closed formula; not where the scene is unstable,
     which another hand may be to blame for."""
     lone = {one.name: one.stiffness_factor for one in felt if len(links_of(linear, one.name)) == 1}
-    named = []
+    named: list[LinkMargin] = []
     stabilizing = margins.stabilizing or [Stabilizing(None, None)] * len(margins.links)
     for (name, link), margin, ranges in zip(linear.links.items(), margins.links, stabilizing, strict=False):
         hand = None if margins.stabilizing else next((end for end in link.between if end in lone), None)
         factor = margin.stiffness_factor if hand is None else lone[hand]
         named.append(LinkMargin(name, factor, margin.damping_factor, ranges.stiffness, ranges.damping))
     return tuple(named)
+
+
+def _least(margins: tuple[LinkMargin, ...], regions: Mapping[str, tuple[Region, ...]]) -> tuple[LinkMargin, ...]:
+    """Of each link the least margin in any region in which its hand is held."""
+    least = {one.name: one for one in margins}
+    for region in (one for found in regions.values() for one in found if one.kind == "held" and one.is_stable):
+        felt = region.felt
+        stiffest, strongest = felt.stiffness * felt.stiffness_factor, felt.stable_damping[1]
+        for name, link in region.linear.items():
+            before = least.get(name)
+            if before is None or before.stabilizing_stiffness is not None:
+                continue
+            # What all links may have together, without what the others have.
+            stiffness = (stiffest - felt.stiffness) / link.stiffness + 1.0 if link.stiffness > 0.0 else math.inf
+            damping = (strongest - felt.damping) / link.damping + 1.0 if link.damping > 0.0 else math.inf
+            least[name] = replace(
+                before,
+                stiffness_factor=min(before.stiffness_factor, stiffness),
+                damping_factor=min(before.damping_factor, damping),
+            )
+    return tuple(least.values())

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 from firmware_protocol.wire_time import WireTime
+from hapsim.prediction.characteristic import Piece
 from hapsim.prediction.correction import Remedies, Rendering
+from hapsim.prediction.linear import LinearLink
 from hapsim.prediction.timing import WireOf
 from hapsim.theory import Configuration, Mode
 from hapsim.theory.correction import StatePredictor
@@ -47,6 +49,27 @@ class Felt:
     """Why there is no equivalent, where there is none."""
     predictor: StatePredictor | None = None
     """Whose state the force answers, with a correction that predicts."""
+
+
+RegionKind = Literal["held", "free", "snap"]
+
+
+@dataclass(frozen=True)
+class Region:
+    """A region of a hand's travel, and what the hand feels there when it moves by little."""
+
+    piece: Piece
+    """Its place, the scene's K and B, and how the links are."""
+    felt: Felt
+    """What is simulated there, and what it feels like."""
+    kind: RegionKind
+    """`held` by a spring, `free` without one, or a `snap`: a negative stiffness drives the hand on."""
+    is_stable: bool
+    """Whether nothing shakes the hand. In a snap: nothing but the snap itself; where it is free: nothing at all."""
+    linear: dict[str, LinearLink]
+    """The simulated links of the hand there, by name."""
+    snap_energy: float
+    """J, that a hand gets which pushes through with the force at which the snap begins; 0 where it is none."""
 
 
 class Robustness(NamedTuple):
@@ -111,6 +134,10 @@ class Prediction:
     rate: float
     felt: tuple[Felt, ...]
     """One for each device point that is a temporary hybrid system of its own, in the scene's order."""
+    regions: dict[str, tuple[Region, ...]]
+    """Of each of these that feels different springs and dampers at different places; `felt` is that of one of them."""
+    here: dict[str, Piece]
+    """Where each of these is taken to be."""
     coupled: dict[str, str]
     """Device points that are not, and why, in words that follow their name."""
     stable: bool
@@ -143,6 +170,13 @@ class Prediction:
     """Those of the scene in continuous time, the slowest to decay first; none without a correction."""
     by_its_scheme: bool = True
     """Whether poles, modes and margins are those of the scheme by which the scene runs, or else of CORDIS's."""
+
+    @property
+    def region_here(self) -> dict[str, Region]:
+        """Of each hand with regions the one where it is taken to be, friction stuck."""
+        here = {name: (piece.low, piece.high) for name, piece in self.here.items()}
+        every = ((name, one) for name, regions in self.regions.items() for one in reversed(regions))
+        return {name: one for name, one in every if (one.piece.low, one.piece.high) == here[name]}
 
     @property
     def first(self) -> Felt | None:

@@ -148,7 +148,7 @@ class Law:
 
     def _mean(self, values: tuple[float, ...], d: float) -> float:
         below, above = self._pieces(d)
-        return 0.5 * (values[below] + values[above])
+        return values[below] if below == above else 0.5 * (values[below] + values[above])
 
 
 @dataclass(frozen=True)

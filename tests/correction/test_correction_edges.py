@@ -54,14 +54,15 @@ def test_a_damper_alone_keeps_its_damping_over_a_span(correction: str) -> None:
 
 
 def test_a_contact_alone_has_the_predictor_that_it_was_searched_for() -> None:
-    """Of the least mass; without a touch it is the device alone, and stable for all that is predicted."""
+    """Of the least mass; predicted is the hand that touches, and stable without a touch, too."""
     contact = {"touch": {"type": "buffer", "between": ["hand", "wall"], "stiffness": 9000.0, "damping": 30.0}}
     scene = scene_of(contact, "predictor", mass=SPAN, friction=0.0)
     (port,) = rendered(scene).ports
     assert port.made_for == SPAN["from"]
     prediction = predict(scene, with_margins=False)
     assert prediction.stable
-    assert prediction.desired[0].error == 0.0
+    assert [(one.kind, one.is_stable) for one in prediction.regions["hand"]] == [("held", True), ("free", True)]
+    assert (prediction.desired[0].k, prediction.desired[0].b) == (9000.0, 30.0)
 
 
 @pytest.mark.parametrize("correction", ["poles", "predictor"])

@@ -1,0 +1,112 @@
+"""What `hapsim check` prints of a hand that feels different springs and dampers at different places."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from rich.markup import escape
+
+from hapsim.cli.output import Table, table
+from hapsim.number_format import number
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from hapsim.prediction import Prediction, Region
+
+_ROWS = 14  # of a table; of more regions those that are alike share a row
+_ALIKE = 6  # digits
+
+
+@dataclass(frozen=True)
+class _Row:
+    region: Region
+    alike: int
+
+
+def show_regions(out: Console, prediction: Prediction) -> None:
+    """Prints a table for each hand with regions; hands that feel the same share one."""
+    shared: dict[tuple[tuple[str, ...], ...], list[str]] = {}
+    for name, regions in prediction.regions.items():
+        rows = tuple(_cells(row) for row in _rows(regions))
+        shared.setdefault(rows, []).append(name)
+    for rows, names in shared.items():
+        out.print(_table(", ".join(names), rows))
+
+
+def _table(names: str, rows: Iterable[tuple[str, ...]]) -> Table:
+    headings = ("<position  m", "K  N/m", "B", "felt k", "felt b", "<")
+    return table(f"By region, {escape(names)}", headings, rows, box=None)
+
+
+def _rows(regions: tuple[Region, ...]) -> list[_Row]:
+    """All regions, or one of each kind, that nearest to position 0, with how many there are."""
+    if len(regions) <= _ROWS:
+        return [_Row(one, 1) for one in regions]
+    alike: dict[tuple[object, ...], list[Region]] = {}
+    for one in regions:
+        piece = one.piece
+        values = (piece.stiffness, piece.damping, piece.high - piece.low)
+        alike.setdefault((*(number(value, _ALIKE) for value in values), piece.sliding, one.kind), []).append(one)
+    rows = [_Row(min(group, key=lambda one: abs(one.piece.place)), len(group)) for group in alike.values()]
+    return sorted(rows, key=lambda row: row.region.piece.low)
+
+
+def _cells(row: _Row) -> tuple[str, ...]:
+    region, piece = row.region, row.region.piece
+    felt = ("", "") if region.kind != "held" else (number(region.felt.k), number(region.felt.b))
+    alike = f"; {row.alike} like this" if row.alike > 1 else ""
+    return (
+        _range(piece.low, piece.high),
+        number(piece.stiffness),
+        number(piece.damping),
+        *felt,
+        _verdict(region) + alike,
+    )
+
+
+def _range(low: float, high: float) -> str:
+    if math.isfinite(low) and math.isfinite(high):
+        return f"{number(low, 4)} to {number(high, 4)}"
+    if math.isfinite(low):
+        return f"above {number(low, 4)}"
+    return f"below {number(high, 4)}" if math.isfinite(high) else "everywhere"
+
+
+def _verdict(region: Region) -> str:
+    """Returns whether it is stable and passive, or a snap, in a few words."""
+    slides = f"{', '.join(region.piece.sliding)} slides: " if region.piece.sliding else ""
+    if not region.is_stable:
+        return f"{slides}[red]unstable[/red]"
+    if region.kind == "snap":
+        return f"{slides}[yellow]snap[/yellow], {number(1e3 * region.snap_energy, 3)} mJ"
+    if region.kind == "free":
+        return f"{slides}no spring"
+    return f"{slides}stable{', passive' if region.felt.passive else ''}"
+
+
+def regions_document(regions: tuple[Region, ...]) -> list[dict[str, Any]]:
+    """Returns the regions of one hand, as a JSON document."""
+    return [
+        {
+            "low_m": one.piece.low,
+            "high_m": one.piece.high,
+            "place_m": one.piece.place,
+            "K": one.piece.stiffness,
+            "B": one.piece.damping,
+            "k": one.felt.k if one.kind == "held" else None,
+            "b": one.felt.b if one.kind == "held" else None,
+            "kind": one.kind,
+            "stable": one.is_stable,
+            "passive": one.felt.passive,
+            "snap_energy_j": one.snap_energy,
+            "links": one.piece.states,
+            "slide": one.piece.sliding,
+            "reach_m": one.piece.reach,
+            "curved": one.piece.is_curved,
+        }
+        for one in regions
+    ]

@@ -1,0 +1,291 @@
+"""The static force of a hand whose links all end on grounds, over its position: its edges, rests and pieces.
+
+This is the scene's geometry. Nothing of what the loop makes of it is in here, so that what measures may know it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from hapsim.errors import UsageError
+from hapsim.number_format import number
+from hapsim.prediction.linear import LinearScene, law_of, linear_scene
+from hapsim.scene import Scene
+from hapsim.theory.arrays import Floats
+from hapsim.theory.links import Law, Linear
+
+_ALIKE = 1e-9  # of the largest: two stiffnesses, or two edges of a scene, that are the same
+_AWAY = 0.2  # of a piece's width: a rest that is nearer to its edge is no place to swing about
+_PRESSED = 0.125  # of the force limit: how hard a piece without an end is pressed
+_FREE_M = 1e-3  # so far from its edge is a place in a piece without an end that holds nothing
+_POINTS = 257  # of a curved piece
+
+
+class HandLink(NamedTuple):
+    """A link between a hand and something fixed."""
+
+    law: Law
+    sign: float
+    """1 where the hand is the link's first end, or else -1."""
+    fixed_m: float
+    """Where the other end is."""
+
+    def distance(self, x: Floats | float) -> Floats:
+        """d of the link where the hand is at x, m."""
+        return self.sign * (np.asarray(x, float) - self.fixed_m)
+
+    @property
+    def is_regional(self) -> bool:
+        """Whether it is not the same spring and damper everywhere."""
+        return bool(self.law.edges) or math.isfinite(self.law.reach)
+
+
+class Piece(NamedTuple):
+    """A part of the hand's travel in which every link is in one piece of its law, and the same links slide."""
+
+    low: float
+    high: float
+    """m, of the scene's positions; infinite where nothing ends it."""
+    place: float
+    """m: the rest, or where there is none a place well within."""
+    stiffness: float
+    """K in N/m at the place, N·s/m: of the scene's links."""
+    damping: float
+    states: dict[str, str]
+    """How each link that has several states is."""
+    sliding: tuple[str, ...]
+    """Friction links that slide; the others stick."""
+    reach: float
+    """m: how far the hand moves about its place before another friction link slides."""
+    is_curved: bool
+
+
+@dataclass(frozen=True)
+class Characteristic:
+    """A hand whose links all end on grounds.
+
+    Attributes:
+        links: by name.
+        own_stiffness: of the device's own spring, N/m.
+        low, high: m, the device's travel; without one infinite, or two periods of what repeats.
+        force_limit: N.
+    """
+
+    links: dict[str, HandLink]
+    own_stiffness: float
+    low: float
+    high: float
+    force_limit: float
+
+    @property
+    def is_regional(self) -> bool:
+        """Whether the hand feels different springs and dampers at different places."""
+        return any(link.is_regional for link in self.links.values())
+
+    def force(self, x: Floats | float) -> Floats:
+        """N with which the hand, at rest at x (m), has to push towards larger x; sticking friction has none."""
+        pulls = [link.sign * link.law.tension(link.distance(x)) for link in self.links.values()]
+        return np.sum([self.own_stiffness * np.asarray(x, float), *pulls], axis=0)
+
+    def edges(self) -> list[float]:
+        """Where a link goes from one piece of its law to the next, m, within the travel."""
+        found: list[float] = []
+        for link in self.links.values():
+            ends = sorted(float(link.distance(x)) for x in (self.low, self.high))
+            found += [link.fixed_m + link.sign * d for d in link.law.edges_between(*ends)]
+        alike = _ALIKE * max(map(abs, found), default=0.0)
+        kept: list[float] = []
+        for edge in sorted(found):
+            if self.low < edge < self.high and (not kept or edge - kept[-1] > alike):
+                kept.append(edge)
+        return kept
+
+    def taken(self, x: float, sliding: Collection[str] = ()) -> dict[str, Linear]:
+        """The spring and damper of each link that has several, where the hand is at x (m)."""
+        here = {name: link for name, link in self.links.items() if link.is_regional}
+        slides = Linear(0.0, 0.0)
+        return {n: slides if n in sliding else one.law.linear(float(one.distance(x))) for n, one in here.items()}
+
+    def pieces(self) -> list[Piece]:
+        """By position; of one place first with every friction link stuck, then with more and more that slide."""
+        pieces: list[Piece] = []
+        for low, high in pairwise([self.low, *self.edges(), self.high]):
+            one = self._piece(low, high)
+            last = pieces[-1] if pieces else None
+            if last is not None and not (one.is_curved or last.is_curved) and self._are_alike(last, one):
+                pieces[-1] = self._piece(last.low, high)
+            else:
+                pieces.append(one)
+        return [variant for piece in pieces for variant in self._with_sliding(piece)]
+
+    def at(self, x: float, pieces: list[Piece]) -> Piece:
+        """The piece of these at x (m), with what sticks; on an edge the stiffer one."""
+        here = [one for one in pieces if one.low <= x <= one.high and not one.sliding]
+        return max(here, key=lambda one: one.stiffness)
+
+    def held(self, pieces: list[Piece]) -> Piece | None:
+        """The piece in which the hand is held nearest to position 0, by its rest if it has one; None: in none."""
+        holding = [one for one in pieces if one.stiffness + self.own_stiffness > 0.0 and not one.sliding]
+        resting = [one for one in holding if self.rest(one) is not None]
+
+        def way(one: Piece) -> tuple[float, float]:
+            rest = self.rest(one)
+            nearest = min(max(0.0, one.low), one.high) if rest is None else rest
+            return abs(nearest), -one.stiffness
+
+        return min(resting or holding, key=way, default=None)
+
+    def rest(self, piece: Piece) -> float | None:
+        """Where a hand that does not push rests in this piece, its ends included, m; None: nowhere."""
+        return self._rest(piece.low, piece.high, piece.is_curved)
+
+    def _rest(self, low: float, high: float, is_curved: bool) -> float | None:
+        if is_curved:
+            from scipy.optimize import brentq
+
+            ends = float(self.force(low)), float(self.force(high))
+            return float(brentq(self.force, low, high, xtol=1e-15)) if ends[0] * ends[1] < 0.0 else None
+        inner = _within(low, high)
+        slope = self._slope(inner)
+        x = inner - float(self.force(inner)) / slope if slope else math.nan
+        near = _ALIKE * max(abs(low) if math.isfinite(low) else 0.0, abs(high) if math.isfinite(high) else 0.0)
+        return min(max(x, low), high) if low - near <= x <= high + near else None
+
+    def _slope(self, x: float) -> float:
+        """N/m of the hand's force at x, the device's own spring included; friction sticks."""
+        return self.own_stiffness + math.fsum(self._linears(x, "stiffness"))
+
+    def _linears(self, x: float, what: str) -> list[float]:
+        return [getattr(one.law.linear(float(one.distance(x))), what) for one in self.links.values()]
+
+    def _piece(self, low: float, high: float) -> Piece:
+        inner = _within(low, high)
+        states = {n: one.law.state(float(one.distance(inner))) for n, one in self.links.items() if one.is_regional}
+        is_curved = any(one.law.is_curved for one in self.links.values())
+        place = self._place(low, high, is_curved)
+        stiffness, damping = (math.fsum(self._linears(place, what)) for what in ("stiffness", "damping"))
+        reach = min((one.law.reach for one in self.links.values()), default=math.inf)
+        return Piece(low, high, place, stiffness, damping, states, (), reach, is_curved)
+
+    def _place(self, low: float, high: float, is_curved: bool) -> float:
+        width = high - low
+        rest = self._rest(low, high, is_curved)
+        if rest is not None and min(rest - low, high - rest) > (_AWAY * width if math.isfinite(width) else 0.0):
+            return rest
+        if math.isfinite(width):
+            return 0.5 * (low + high)
+        edge, way = (low, 1.0) if math.isfinite(low) else (high, -1.0)
+        if not math.isfinite(edge):
+            return 0.0
+        slope = self._slope(_within(low, high))
+        return edge + way * (_PRESSED * self.force_limit / slope if slope > 0.0 else _FREE_M)
+
+    def _with_sliding(self, piece: Piece) -> list[Piece]:
+        rubs = sorted((one.law.reach, n) for n, one in self.links.items() if math.isfinite(one.law.reach))
+        variants = [piece]
+        for i in range(1, len(rubs) + 1):
+            sliding = tuple(name for _, name in rubs[:i])
+            taken = [self.links[name].law.linear(0.0) for name in sliding]
+            variants.append(
+                piece._replace(
+                    stiffness=piece.stiffness - math.fsum(one.stiffness for one in taken),
+                    damping=piece.damping - math.fsum(one.damping for one in taken),
+                    states=piece.states | dict.fromkeys(sliding, "sliding"),
+                    sliding=sliding,
+                    reach=rubs[i][0] if i < len(rubs) else math.inf,
+                )
+            )
+        return variants
+
+    def _are_alike(self, one: Piece, other: Piece) -> bool:
+        stiffest = max(abs(one.stiffness), abs(other.stiffness))
+        strongest = max(abs(one.damping), abs(other.damping))
+        return (
+            abs(one.stiffness - other.stiffness) <= _ALIKE * stiffest
+            and abs(one.damping - other.damping) <= _ALIKE * strongest
+        )
+
+
+def _within(low: float, high: float) -> float:
+    """A place between two of which either may be infinite."""
+    if math.isfinite(low) and math.isfinite(high):
+        return 0.5 * (low + high)
+    if math.isfinite(low):
+        return low + max(1.0, abs(low))
+    return high - max(1.0, abs(high)) if math.isfinite(high) else 0.0
+
+
+def characteristic_of(scene: Scene, name: str) -> Characteristic | None:
+    """That of the hand at this device point; None where a link of it ends on a mass or on another hand."""
+    links: dict[str, HandLink] = {}
+    for link_name, link in scene.links.items():
+        if name in link.between:
+            first, second = link.between
+            other = second if first == name else first
+            if other not in scene.grounds:
+                return None
+            links[link_name] = HandLink(law_of(link), 1.0 if first == name else -1.0, scene.grounds[other].position)
+    device, channel = scene.device, scene.device_points[name].channel
+    low, high = device.travels(scene.channels)[channel]
+    if not (math.isfinite(low) and math.isfinite(high)) and any(one.law.period for one in links.values()):
+        periods = [one.law.period for one in links.values() if one.law.period]
+        edges = [one.fixed_m + one.sign * d for one in links.values() if not one.law.period for d in one.law.edges]
+        low, high = min([-max(periods), *edges]), max([max(periods), *edges])
+    return Characteristic(links, device.stiffnesses(scene.channels)[channel], low, high, device.force_limit)
+
+
+def hand_at(scene: Scene, name: str) -> Characteristic:
+    """`characteristic_of` a hand that has one."""
+    found = characteristic_of(scene, name)
+    assert found is not None
+    return found
+
+
+def scene_at(
+    scene: Scene, places: Mapping[str, tuple[float, Collection[str]]] | None = None, *, at: float | None = None
+) -> LinearScene:
+    """What the theory takes `scene` for where its hands are: by the piece that each is in.
+
+    Each is at `at` (m); without it where it rests, or is held nearest to position 0, and what moves masses or other
+    hands is then taken as the links' assumptions say. `places`: of some hands their place in m, and the friction links
+    that slide there. UsageError beyond the travel.
+    """
+    taken: dict[str, Linear] = {}
+    alone = {name: characteristic_of(scene, name) for name in scene.device_points}
+    if at is not None and None in alone.values():
+        from hapsim.prediction.equilibrium import links_at_rest
+
+        taken |= links_at_rest(scene, dict.fromkeys(alone, at))
+    for name, one in alone.items():
+        if one is not None and one.is_regional:
+            here = (places or {}).get(name) or (piece_at(one, name, at).place, ())
+            taken |= one.taken(*here)
+    return linear_scene(scene, taken)
+
+
+def places_of(scene: Scene) -> list[str]:
+    """Where `scene_at` takes each hand to be that feels different springs at different places: sentences."""
+    hands = ((name, characteristic_of(scene, name)) for name in scene.device_points)
+    pieces = ((name, piece_at(one, name)) for name, one in hands if one is not None and one.is_regional)
+    return [
+        f"{name} is taken where {', '.join(f'{link} is {state}' for link, state in piece.states.items())}"
+        for name, piece in pieces
+    ]
+
+
+def piece_at(one: Characteristic, name: str, at: float | None = None) -> Piece:
+    """The piece of the hand `name` at `at` m, its place there; None: the one that holds it. UsageError beyond the
+    travel."""
+    pieces = one.pieces()
+    if at is None:
+        return one.held(pieces) or one.at(min(max(0.0, one.low), one.high), pieces)
+    if not one.low <= at <= one.high:
+        reach = f"{number(one.low)} to {number(one.high)} m"
+        raise UsageError(f"at: found {number(at)} m, which {name} does not reach; expected a position from {reach}")
+    return one.at(at, pieces)._replace(place=at)

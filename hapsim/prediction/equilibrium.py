@@ -1,0 +1,117 @@
+"""Where a scene rests while its hands hold still, and what its links are there."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+from scipy.sparse import coo_array, csc_array, eye_array
+from scipy.sparse.linalg import spsolve
+
+from hapsim.errors import UsageError
+from hapsim.prediction.linear import law_of
+from hapsim.scene import Scene
+from hapsim.theory.arrays import Floats, Indices
+from hapsim.theory.links import Law, Linear
+
+_MOST_STEPS = 100
+_AT_REST = 1e-12  # m, by which the last step still moves a mass
+_HALVINGS = 30
+_LEAST_STIFFNESS = 1e-9  # of the stiffest link: what holds a mass that nothing else holds
+
+
+class _Springs(NamedTuple):
+    """L links, the linear ones inside structures first; `laws` are those of the last ones."""
+
+    ends: Indices
+    """(L, 2): masses, -1 for a point that does not move."""
+    fixed: Floats
+    """(L, 2): m, where the points are that do not move."""
+    stiffness: Floats
+    """(L,): N/m, of the linear ones."""
+    laws: list[Law]
+
+    def distances(self, x: Floats) -> Floats:
+        """(L,): m, with the masses at x."""
+        places = np.where(self.ends < 0, self.fixed, np.append(x, 0.0)[self.ends])
+        return places[:, 0] - places[:, 1]
+
+    def tensions(self, d: Floats) -> Floats:
+        """(L,): N."""
+        first = d.size - len(self.laws)
+        of_laws = [float(law.tension(one)) for law, one in zip(self.laws, d[first:], strict=True)]
+        return np.append(self.stiffness * d[:first], of_laws)
+
+    def slopes(self, d: Floats) -> Floats:
+        """(L,): N/m; 0 where the tension falls."""
+        of_laws = [law.slope(float(one)) for law, one in zip(self.laws, d[-len(self.laws) :], strict=True)]
+        return np.maximum(np.append(self.stiffness, of_laws), 0.0)
+
+    def forces(self, x: Floats) -> Floats:
+        """(N,): N on each mass."""
+        tensions = self.tensions(self.distances(x))
+        forces = np.zeros(x.size + 1)
+        np.add.at(forces, self.ends[:, 0], -tensions)
+        np.add.at(forces, self.ends[:, 1], tensions)
+        return forces[:-1]
+
+    def stiffness_matrix(self, x: Floats) -> csc_array:
+        """(N, N): N/m."""
+        slopes = self.slopes(self.distances(x))
+        (i, j), n = self.ends.T, x.size
+        rows, columns = np.concatenate([i, j, i, j]), np.concatenate([i, j, j, i])
+        values = np.concatenate([slopes, slopes, -slopes, -slopes])
+        moves = (rows >= 0) & (columns >= 0)
+        matrix = coo_array((values[moves], (rows[moves], columns[moves])), shape=(n, n))
+        return csc_array(matrix + _LEAST_STIFFNESS * max(float(slopes.max()), 1.0) * eye_array(n))
+
+
+def links_at_rest(scene: Scene, hands: Mapping[str, float]) -> dict[str, Linear]:
+    """The spring and damper of each link of the scene, by name, while the hands hold still at these places (m) and the
+    masses rest. A link that sticks has no force there. UsageError where no rest is found."""
+    number, start = _masses(scene)
+    held = {name: ground.position for name, ground in scene.grounds.items()} | dict(hands)
+    rows: list[tuple[int, int, float, float, float]] = []
+    for name, structure in scene.structures.items():
+        numbers = [*(number[f"{name}.{place}"] for place in structure.point_names()), -1]  # -1 is the last
+        stays = structure.position
+        rows += [(numbers[a], numbers[b], stays, stays, k) for a, b, k, _ in structure.elements().links]
+    for name, point in scene.material_points.items():
+        if (own := point.held_by()) is not None:
+            rows.append((number[name], -1, 0.0, own.rest, own.stiffness))
+    laws = [law_of(link) for link in scene.links.values()]
+    for link in scene.links.values():
+        first, second = link.between
+        rows.append((number.get(first, -1), number.get(second, -1), held.get(first, 0.0), held.get(second, 0.0), 0.0))
+    table = np.array(rows, float).reshape(-1, 5)
+    linear = len(rows) - len(laws)
+    springs = _Springs(table[:, :2].astype(int), table[:, 2:4], table[:linear, 4], laws)
+    d = springs.distances(_relaxed(springs, np.array(start)))[linear:]
+    return {name: law.linear(float(one)) for name, law, one in zip(scene.links, laws, d, strict=True)}
+
+
+def _masses(scene: Scene) -> tuple[dict[str, int], list[float]]:
+    """The number of every mass, by the name of its point, and where it starts, m."""
+    start = {name: point.start()[0] for name, point in scene.material_points.items()}
+    for name, structure in scene.structures.items():
+        start |= {f"{name}.{place}": structure.position for place in structure.point_names()}
+    return {name: i for i, name in enumerate(start)}, list(start.values())
+
+
+def _relaxed(springs: _Springs, x: Floats) -> Floats:
+    """(N,): where the masses rest, m, by Newton's steps, each halved until the forces are less."""
+    if not x.size:
+        return x
+    forces = springs.forces(x)
+    for _ in range(_MOST_STEPS):
+        step = np.atleast_1d(spsolve(springs.stiffness_matrix(x), forces))
+        if float(np.max(np.abs(step))) <= _AT_REST:
+            return x
+        for _ in range(_HALVINGS):
+            nearer = springs.forces(x + step)
+            if float(np.abs(nearer).max()) < float(np.abs(forces).max()):
+                break
+            step = 0.5 * step
+        x, forces = x + step, springs.forces(x + step)
+    raise UsageError("at: no place was found where the scene's masses rest while the hand holds still there")
