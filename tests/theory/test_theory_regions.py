@@ -1,0 +1,122 @@
+"""The regions of a hand on contacts, tables, clicks, detents and friction: against a scan of the force, by formula."""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hapsim.errors import UsageError
+from hapsim.prediction import predict
+from hapsim.scene import parse_scene
+from tests.piecewise_scenes import TRAVEL, as_scene, formulas, random_scene
+
+SCENES = int(os.environ.get("HAPSIM_POINTS", "40"))
+STEP = 1e-6  # m, of the scan
+
+
+def scanned(document: dict[str, Any], *, sticks: bool) -> list[tuple[float, float, float, float]]:
+    """(from, to, K, B) wherever slope and damping stay the same, by differences of the force every micrometre."""
+    x = np.arange(TRAVEL[0], TRAVEL[1] + 0.5 * STEP, STEP)
+    force, damping = formulas(document, x, sticks=sticks)
+    slope, damping = np.diff(force) / STEP, damping[:-1]
+    alike = (np.abs(np.diff(slope)) < 1e-5 * np.abs(slope).max()) & (np.diff(damping) == 0.0)
+    starts = np.flatnonzero(~alike) + 1
+    found = []
+    for first, last in zip([0, *starts], [*starts, slope.size], strict=True):
+        if last - first > 3:  # the step across an edge is between two regions
+            middle = (first + last) // 2
+            found.append((x[first], x[last], slope[middle], damping[middle]))
+    return found
+
+
+@pytest.mark.parametrize("seed", range(SCENES))
+def test_no_region_is_missed_and_none_invented(seed: int) -> None:
+    document = random_scene(seed)
+    regions = predict(as_scene(document), with_margins=False).regions["hand"]
+    has_friction = "rub" in document["modules"]
+    for sticks in {True, not has_friction}:
+        ours = [one for one in regions if bool(one.piece.sliding) != sticks]
+        scan = scanned(document, sticks=sticks)
+        assert len(ours) == len(scan)
+        for region, (low, high, stiffness, damping) in zip(ours, scan, strict=True):
+            assert (region.piece.low, region.piece.high) == pytest.approx((low, high), abs=3.0 * STEP)
+            assert region.piece.stiffness == pytest.approx(stiffness, rel=1e-6, abs=1e-3)
+            assert region.piece.damping == pytest.approx(damping, rel=1e-12)
+            assert region.kind == ("free" if abs(stiffness) < 1e-3 else "held" if stiffness > 0.0 else "snap")
+            if region.kind == "snap" and sticks != has_friction:
+                x = np.linspace(region.piece.low, region.piece.high, 1001)
+                force = formulas(document, x, sticks=False)[0]
+                assert region.snap_energy == pytest.approx(np.trapezoid(force.max() - force, x), rel=1e-4)
+
+
+KNOB = """\
+version: 1
+rate: 1000
+device: {{mass: 0.2, friction: 1{travel}}}
+modules:
+  hand: {{type: device, channel: 0}}
+  wall: {{type: ground}}
+  {links}
+"""
+
+
+def test_where_nothing_is_said_the_hand_is_where_it_rests_and_at_a_corner_in_the_stiffer_piece() -> None:
+    wall = "stop: {type: buffer, between: [hand, wall], stiffness: 1500, damping: 4}"
+    prediction = predict(parse_scene(KNOB.format(travel="", links=wall)))
+    assert prediction.k == pytest.approx(1548.86, abs=0.01)
+    assert [one.kind for one in prediction.regions["hand"]] == ["held", "free"]
+    curve = "[[-0.02, -3], [-0.01, 1], [0.01, -1], [0.02, 3]]"
+    toggle = f"it: {{type: nonlinear, between: [hand, wall], force_over_distance: {curve}}}"
+    prediction = predict(parse_scene(KNOB.format(travel="", links=toggle)))
+    assert abs(prediction.here["hand"].place) == pytest.approx(0.0125)
+    assert prediction.stable == all(one.is_stable for one in prediction.regions["hand"])
+
+
+def test_a_stiff_stop_that_shakes_the_hand_makes_the_scene_unstable_wherever_the_hand_is() -> None:
+    links = (
+        "soft: {type: viscoelastic, between: [hand, wall], stiffness: 200, damping: 1}\n"
+        "  stop: {type: buffer, between: [hand, wall], stiffness: 90000, damping: 4, distance: -0.01}"
+    )
+    scene = parse_scene(KNOB.format(travel="", links=links))
+    for at in (None, 0.0, 0.004):
+        prediction = predict(scene, at=at)
+        assert not prediction.stable
+        assert prediction.spectral_radius > 1.0
+        assert [one.is_stable for one in prediction.regions["hand"]] == [False, True]
+    assert prediction.felt[0].stable
+
+
+def test_a_place_beyond_the_travel_is_an_error() -> None:
+    links = "detent: {type: nonlinear, between: [hand, wall], force_over_distance: [[-0.01, -2], [0.01, 2]]}"
+    scene = parse_scene(KNOB.format(travel=", travel: [-0.02, 0.02]", links=links))
+    with pytest.raises(
+        UsageError, match=r"at: found 0.03 m, which hand does not reach; expected a position from -0.02"
+    ):
+        predict(scene, at=0.03)
+
+
+def test_around_a_place_the_links_of_what_moves_with_the_hand_are_as_they_rest_there() -> None:
+    """A cell behind a gap of 2 mm: the hand presses it from 2 mm on, and the cell gives way by half."""
+    links = (
+        "c: {type: cell, mass: 0.01, stiffness: 300, damping: 0.5}\n"
+        "  pad: {type: buffer, between: [c, hand], stiffness: 300, damping: 1, distance: -0.002}\n"
+        "  stop: {type: buffer, between: [wall, c], stiffness: 1000, damping: 1, distance: -0.003}"
+    )
+    scene = parse_scene(KNOB.format(travel="", links=links))
+    of_hand = {at: predict(scene, at=at).poles for at in (0.0, 0.004, 0.012)}
+    linear = {
+        0.0: (0.0, 0.0),
+        0.004: (300.0, 0.0),  # the cell rests at 1 mm
+        0.012: (300.0, 1000.0),  # at (300 * 10 mm + 1000 * 3 mm) / 1600 = 3.75 mm
+    }
+    for at, (pad, stop) in linear.items():
+        text = KNOB.format(
+            travel="",
+            links="c: {type: cell, mass: 0.01, stiffness: 300, damping: 0.5}\n"
+            f"  pad: {{type: viscoelastic, between: [c, hand], stiffness: {pad}, damping: {pad / 300}}}\n"
+            f"  stop: {{type: viscoelastic, between: [wall, c], stiffness: {stop}, damping: {stop / 1000}}}",
+        )
+        np.testing.assert_allclose(of_hand[at], predict(parse_scene(text)).poles, atol=1e-9)
