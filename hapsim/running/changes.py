@@ -233,7 +233,7 @@ def _changed(scene: Scene, changes: Changes) -> Scene:
                 f"{scene.scheme} makes once; under scheme: {one_of(without_matrices())} it can"
             )
         modules[name] = _module_with(name, modules[name], values)
-    around = ModuleContext(modules, {name: type(module) for name, module in modules.items()})
+    around = ModuleContext.of(modules)
     for name in changes:
         for issue in modules[name].issues(name, around):
             raise UsageError(f"{'.'.join(map(str, issue.path[1:]))}: {issue.sentence}")

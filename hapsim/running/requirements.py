@@ -22,7 +22,9 @@ from hapsim.recording.trace import require_writable_as_trace
 from hapsim.running.options import RunOptions
 from hapsim.scene import DamperScheme, Scene
 from hapsim.scene.choices import WITH_SENSOR
+from hapsim.scene.cross_checks import narrow_detents
 from hapsim.scene.issue import one_of
+from hapsim.scene.modules import ModuleContext
 
 _MOST_TICKS = 2.0**62
 _FIRMWARE = "Not armed; set the register in its firmware"
@@ -118,6 +120,9 @@ def require_compatible(scene: Scene, name: str, description: Description) -> Non
             raise UsageError(
                 f"{name}: device.origin: found {origin:g} m on channel {channel}; this device counts up to {most:g} m"
             )
+    around, count_of = ModuleContext.of(scene.modules), description.position_scale.__getitem__
+    for issue in narrow_detents(around, count_of, "declared by the device"):
+        raise UsageError(f"{name}: {'.'.join(map(str, issue.path[1:]))}: {issue.sentence}")
     if scene.sensed_links:
         _require_velocity(scene, name, description)
 

@@ -3,10 +3,10 @@
 They take whatever parts are sound, so that a fault in one place does not hide faults in others.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 
 from .issue import Issue, Path
-from .modules import DevicePoint, ModuleContext
+from .modules import Detent, DevicePoint, ModuleContext
 from .part import Part
 from .quantity import Span
 
@@ -18,6 +18,9 @@ Fields = Mapping[Path, Mapping[str, object]]
 
 #: The largest number of 32 bits.
 MOST_SINGLE = (2.0 - 2.0**-23) * 2.0**127
+
+#: Counts of the encoder in a detent: one for each quarter of its force.
+_LEAST_COUNTS = 4
 
 
 def cross_check_issues(around: ModuleContext, per_channel: Fields, precision: object) -> Iterator[Issue]:
@@ -37,6 +40,9 @@ def cross_check_issues(around: ModuleContext, per_channel: Fields, precision: ob
     if precision == "single":
         yield from _beyond_single(around)
     yield from _device_issues(per_channel[("device",)])
+    quantum = per_channel[("mock",)].get("quantum", 1e-9)
+    if per_channel[("device",)].get("port") is None and isinstance(quantum, int | float):
+        yield from narrow_detents(around, lambda _: float(quantum), "mock.quantum")
     yield from _lists_of_another_length(per_channel, _channels(around))
 
 
@@ -55,6 +61,20 @@ def _device_issues(device: Mapping[str, object]) -> Iterator[Issue]:
             "found a margin without a travel, expected device.travel: [the least, the most] beside it; or omit it",
             at_key=True,
         )
+
+
+def narrow_detents(around: ModuleContext, quantum: Callable[[int], float], source: str) -> Iterator[Issue]:
+    """Yields the detents at a device point that its encoder does not resolve. `quantum`: of a channel, m; `source`: who
+    says so."""
+    for name, detent in around.modules.items():
+        if not isinstance(detent, Detent) or not around.knows(name, "between", "pitch", "shape", "sharpness"):
+            continue
+        for hand in (around.modules[end] for end in detent.between if around.knows(end, "channel")):
+            if isinstance(hand, DevicePoint) and detent.width < _LEAST_COUNTS * (count := quantum(hand.channel)):
+                width = "" if detent.width == detent.pitch else f", a notch of {detent.width:g}"
+                found = f"found {detent.pitch:g}{width}: {detent.width / count:.3g} counts of the encoder"
+                sentence = f"{found} ({source}: {count:g}); expected {_LEAST_COUNTS} or more"
+                yield Issue(("modules", name, "pitch"), sentence)
 
 
 def _is_span(mass: object) -> bool:

@@ -85,8 +85,7 @@ class Scene(Part):
 
     @model_validator(mode="after")
     def _parts_fit(self) -> "Scene":
-        around = ModuleContext(self.modules, {name: type(module) for name, module in self.modules.items()})
-        issues = cross_check_issues(around, self._per_channel(), self.precision)
+        issues = cross_check_issues(ModuleContext.of(self.modules), self._per_channel(), self.precision)
         lines = [f"{'.'.join(map(str, issue.path))}: {issue.sentence}" for issue in issues]
         if lines:
             raise PydanticCustomError(ACROSS, "{faults}", {"faults": "\n".join(lines)})

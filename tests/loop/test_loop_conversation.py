@@ -16,7 +16,8 @@ from hapsim.device import conversation
 from hapsim.device.serial_port import open_serial_port
 from hapsim.errors import DeviceError, GuardError, UsageError
 from hapsim.running import run
-from hapsim.scene import Scene
+from hapsim.scene import Detent, Scene
+from hapsim.scene.part import Table
 
 REFUSALS = [schema.WRONG_SCHEMA, schema.WRONG_PACING, schema.WRONG_SENSING, schema.WRONG_WATCHDOG, schema.HARDWARE]
 
@@ -82,6 +83,15 @@ def test_more_channels_than_the_scene_uses_get_no_force() -> None:
 def test_another_rate_is_refused_with_what_to_write() -> None:
     text = refusal(UsageError, rate_hz=2000.0)
     assert "samples at 2000 Hz, the scene says 1000 Hz: write rate: 2000 into the scene" in text
+
+
+def test_detents_that_the_devices_encoder_does_not_resolve_are_refused() -> None:
+    scene = scene_of()
+    hand, wall = next(iter(scene.device_points)), next(iter(scene.grounds))
+    detent = Detent(between=(hand, wall), pitch=3e-6, depth=0.1)
+    there = scene.model_copy(update={"modules": Table(dict(scene.modules) | {"rests": detent})})
+    told = "rests.pitch: found 3e-06: 3 counts of the encoder (declared by the device: 1e-06); expected 4 or more"
+    assert told in refusal(UsageError, scene=there)
 
 
 @pytest.mark.parametrize("rate", [np.nan, np.inf, 0.0, -1000.0])

@@ -154,3 +154,39 @@ def test_the_largest_number_of_single_precision_is_taken(good: str) -> None:
 def test_a_fault_elsewhere_does_not_hide_a_number_beyond_single_precision(faults: Faults, good: str) -> None:
     text = good.replace("stiffness: 2000", "stiffness: 1.0e+39, damping: -1") + "precision: single\n"
     assert [fault.split(": ")[1] for fault in faults(text)] == ["stiffness", "damping"]
+
+
+DETENT = "  it: {type: detent, between: [wall, hand], pitch: 1.0e-6, depth: 1"
+
+
+@pytest.mark.parametrize(
+    ("detent", "mock", "told"),
+    [
+        ("}", "4.0e-7", "found 1e-06: 2.5 counts of the encoder (mock.quantum: 4e-07); expected 4 or more"),
+        (
+            ", shape: notch, sharpness: 4}",
+            "1.0e-7",
+            "found 1e-06, a notch of 2.5e-07: 2.5 counts of the encoder (mock.quantum: 1e-07); expected 4 or more",
+        ),
+        (", shape: snap, sharpness: 4}", "2.5e-7", ""),
+        (", shape: notch, sharpness: 2.5}", "1.0e-7", ""),
+        (", shape: notch, sharpness: x}", "1.0e-6", "found 'x' (text), expected a number >= 1 (1)"),
+        ("}", "x", "found 'x' (text), expected a number > 0 (m per count)"),
+    ],
+)
+def test_a_detent_at_a_hand_is_wider_than_the_encoder_resolves(
+    faults: Faults, good: str, detent: str, mock: str, told: str
+) -> None:
+    text = f"{good}{DETENT}{detent}\nmock: {{quantum: {mock}}}\n"
+    if told:
+        (fault,) = faults(text)
+        assert fault.split(": ", 2)[2] == told
+    else:
+        parse_scene(text)
+
+
+def test_a_detent_between_masses_and_one_before_a_port_may_be_as_narrow_as_it_is(faults: Faults, good: str) -> None:
+    fine = f"{good}{DETENT}}}\nmock: {{quantum: 1.0e-3}}\n"
+    parse_scene(fine.replace("[wall, hand]", "[wall, ball]").replace("  it:", "  ball: {type: mass, mass: 1}\n  it:"))
+    assert len(faults(fine.replace("channel: 0", "channel: x"))) == 1  # and nothing of what it would resolve
+    parse_scene(fine.replace("mass: 0.2}", "mass: 0.2, port: /dev/ttyACM0}"))

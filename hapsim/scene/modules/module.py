@@ -73,6 +73,11 @@ class ModuleContext:
     kinds: Mapping[str, type[Module] | None]
     faulty: Mapping[str, frozenset[str]] = field(default_factory=dict)
 
+    @classmethod
+    def of(cls, modules: Mapping[str, Module]) -> "ModuleContext":
+        """Returns the context of sound modules."""
+        return cls(modules, {name: type(module) for name, module in modules.items()})
+
     def knows(self, name: str, *fields: str) -> bool:
         """Returns whether these fields of a module are sound."""
         return name in self.modules and self.faulty.get(name, frozenset()).isdisjoint(fields)

@@ -118,6 +118,11 @@ class Detent(Link):
         """Its sharpness, with its default."""
         return 2.0 if self.sharpness is None else self.sharpness
 
+    @property
+    def width(self) -> float:
+        """From one end of a detent's force to the other, m."""
+        return self.pitch / self.steepness if self.shape == "notch" else self.pitch
+
     @check_of("shape", "sharpness")
     def _sharpness_fits(self, _name: str, _around: ModuleContext) -> Iterator[Issue]:
         if self.shape not in WITH_SHARPNESS and self.sharpness is not None:
