@@ -77,6 +77,15 @@ CORRECTIONS: dict[str, Look] = {
     "predictor": _SHARE_LINE | {"color": "#12355b", "linestyle": "-", "marker": "o"},
 }
 
+# Force over displacement.
+FORCE: Look = {"linewidth": 2.4, "solid_capstyle": "butt", "zorder": 3}
+FELT_ERROR = "plasma_r"
+NOT_HELD: Look = {"color": "0.45", "linewidth": 1.4}
+SNAP: Look = {"facecolor": "0.93", "linewidth": 0, "zorder": 0.4}
+SNAP_ENERGY: Look = {"fontsize": 8, "rotation": 90, "ha": "center", "va": "top", "zorder": 4}
+UNSTABLE_REGION: Look = {"facecolor": "none", "edgecolor": "0.5", "linewidth": 0, "hatch": "xxxx", "zorder": 0.6}
+HYSTERESIS: Look = {"facecolor": "#d9e6f0", "edgecolor": "#7fa8c9", "linewidth": 0.6, "zorder": 1}
+
 # Over time, and a device's residuals.
 ZERO_LINE: Look = {"color": "black", "linewidth": 0.5}
 MARK: Look = {"markersize": 5, "linestyle": "", "color": "black", "fillstyle": "none"}

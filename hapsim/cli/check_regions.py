@@ -37,8 +37,13 @@ def show_regions(out: Console, prediction: Prediction) -> None:
         out.print(_table(", ".join(names), rows))
 
 
+def show_hand(out: Console, name: str, regions: tuple[Region, ...]) -> None:
+    """Prints the table of one hand."""
+    out.print(_table(name, [_cells(row) for row in _rows(regions)]))
+
+
 def _table(names: str, rows: Iterable[tuple[str, ...]]) -> Table:
-    headings = ("<position  m", "K  N/m", "B", "felt k", "felt b", "<")
+    headings = ("<position  mm", "K  N/m", "B", "felt k", "felt b", "<")
     return table(f"By region, {escape(names)}", headings, rows, box=None)
 
 
@@ -57,8 +62,8 @@ def _rows(regions: tuple[Region, ...]) -> list[_Row]:
 
 def _cells(row: _Row) -> tuple[str, ...]:
     region, piece = row.region, row.region.piece
-    felt = ("", "") if region.kind != "held" else (number(region.felt.k), number(region.felt.b))
-    alike = f"; {row.alike} like this" if row.alike > 1 else ""
+    felt = ("", "") if region.kind != "held" else (number(region.felt.k), number(region.felt.b, 5))
+    alike = f" ×{row.alike}" if row.alike > 1 else ""
     return (
         _range(piece.low, piece.high),
         number(piece.stiffness),
@@ -69,20 +74,21 @@ def _cells(row: _Row) -> tuple[str, ...]:
 
 
 def _range(low: float, high: float) -> str:
+    ends = number(1e3 * low, 4), number(1e3 * high, 4)
     if math.isfinite(low) and math.isfinite(high):
-        return f"{number(low, 4)} to {number(high, 4)}"
+        return " to ".join(ends)
     if math.isfinite(low):
-        return f"above {number(low, 4)}"
-    return f"below {number(high, 4)}" if math.isfinite(high) else "everywhere"
+        return f"above {ends[0]}"
+    return f"below {ends[1]}" if math.isfinite(high) else "everywhere"
 
 
 def _verdict(region: Region) -> str:
     """Returns whether it is stable and passive, or a snap, in a few words."""
-    slides = f"{', '.join(region.piece.sliding)} slides: " if region.piece.sliding else ""
+    slides = "sliding, " if region.piece.sliding else ""
     if not region.is_stable:
         return f"{slides}[red]unstable[/red]"
     if region.kind == "snap":
-        return f"{slides}[yellow]snap[/yellow], {number(1e3 * region.snap_energy, 3)} mJ"
+        return f"{slides}[yellow]snap[/yellow] {number(1e3 * region.snap_energy, 2)} mJ"
     if region.kind == "free":
         return f"{slides}no spring"
     return f"{slides}stable{', passive' if region.felt.passive else ''}"

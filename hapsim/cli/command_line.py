@@ -143,6 +143,7 @@ class ChartCommands(_Commands):
 
     table: ClassVar[dict[str, tuple[str, str]]] = {
         "plane": ("chart_plane:plane", "Draw the K,B plane: curves of equal k and b that the hand feels."),
+        "force": ("chart_force:force", "Draw force over displacement: what the hand feels at each place."),
         "transparency": (
             "chart_transparency:transparency",
             "Draw the rendered impedance beside the desired one, over frequency.",

@@ -93,6 +93,18 @@ class Characteristic:
         pulls = [link.sign * link.law.tension(link.distance(x)) for link in self.links.values()]
         return np.sum([self.own_stiffness * np.asarray(x, float), *pulls], axis=0)
 
+    def moving_force(self, x: Floats, speed: float) -> Floats:
+        """The same while the hand moves at `speed` m/s, friction slides and dampers brake; (N,) as x."""
+        force = self.own_stiffness * x
+        for link in self.links.values():
+            d, parts = link.distance(x), link.sign * speed
+            if math.isfinite(link.law.reach):
+                force = force + math.copysign(link.law.slides_at, speed)
+            else:
+                damping = np.array([link.law.damping(float(one)) for one in d])
+                force = force + link.sign * np.minimum(link.law.tension(d) + damping * parts, link.law.most)
+        return force
+
     def edges(self) -> list[float]:
         """Where a link goes from one piece of its law to the next, m, within the travel."""
         found: list[float] = []

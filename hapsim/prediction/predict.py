@@ -69,7 +69,7 @@ def predict(scene: SceneSource, *, with_margins: bool = True, at: float | None =
     network, solution, instead = _solved(network)
     coupled = {name: why for name in scene.device_points if (why := why_coupled(as_seen, linear, name))}
     felt = tuple(felt_by(rendering, linear, name) for name in scene.device_points if name not in coupled)
-    regions = {one.name: found for one in felt if (found := regions_of(rendering, one.name))}
+    regions = {one.name: found for one in felt if len(found := regions_of(rendering, one.name)) > 1}
     here = {name: piece_at(hand_at(rendering.desired, name), name, at) for name in regions}
     shaken = max(map(growth, regions.values()), default=0.0)
     whole = not coupled and not linear.masses

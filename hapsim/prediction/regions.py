@@ -16,9 +16,9 @@ _POINTS = 1025  # at which the energy of a curved snap is summed
 
 def regions_of(rendering: Rendering, name: str) -> tuple[Region, ...]:
     """The regions of the hand at this device point, by position; of one place first the one in which all friction
-    sticks. None where it feels the same everywhere, or moves more than itself."""
+    sticks. None where it moves more than itself."""
     desired, seen = (characteristic_of(scene, name) for scene in (rendering.desired, rendering.seen))
-    if desired is None or seen is None or not desired.is_regional:
+    if desired is None or seen is None:
         return ()
     if why_coupled(rendering.seen, scene_at(rendering.seen), name):
         return ()

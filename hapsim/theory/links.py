@@ -65,6 +65,7 @@ class Law:
         period: m, in which the law repeats; 0: it does not.
         reach: m, how far the ends may move about where they are before the link lets them slide; infinite: any way.
         slides_at: N, the force while it slides.
+        most: N, above which the tension never goes, however fast the ends part: 0 of what only pushes.
     """
 
     edges: tuple[float, ...]
@@ -77,6 +78,7 @@ class Law:
     period: float = 0.0
     reach: float = math.inf
     slides_at: float = 0.0
+    most: float = math.inf
     memoryless: bool = True
     in_a_matrix: bool = False
 
@@ -178,7 +180,8 @@ def buffer(stiffness: float, damping: float, distance: float = 0.0) -> Law:
     """The contact, N/m and N·s/m, which is touched below `distance` m; taken as touched."""
     assumption = "is taken as touched all the time; while its ends are apart, the hand does not feel it"
     slopes, dampings = (stiffness, 0.0), (damping, 0.0)
-    return Law((distance,), slopes, dampings, ("touched", "apart"), taken_at=-math.inf, assumption=assumption)
+    states = ("touched", "apart")
+    return Law((distance,), slopes, dampings, states, taken_at=-math.inf, assumption=assumption, most=0.0)
 
 
 def plectrum(stiffness: float, damping: float, release: float = math.inf) -> Law:
@@ -258,8 +261,8 @@ def click(travel: float, peak: float, drop: float, bottom: float, damping: float
     slopes, dampings = (bottom, rise, fall, rise, 0.0), (damping,) * 4 + (0.0,)
     states = ("at the bottom", "after the click", "in the click", "before the click", "apart")
     lowest = -(peak - drop + 0.25 * rise * travel)
-    assumption = "is taken as pressed before its click"
-    return Law(edges, slopes, dampings, states, lowest, taken_at=-0.25 * travel, assumption=assumption)
+    assumption, most = "is taken as pressed before its click", max(0.0, drop - peak)
+    return Law(edges, slopes, dampings, states, lowest, taken_at=-0.25 * travel, assumption=assumption, most=most)
 
 
 class Sector(NamedTuple):

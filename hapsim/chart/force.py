@@ -1,0 +1,165 @@
+"""Force over displacement: what the hand feels at each place, the picture that makers of buttons draw."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from hapsim.chart import style
+from hapsim.chart.figure import figure_to, legend_below
+from hapsim.chart.hand import described
+from hapsim.errors import UsageError
+from hapsim.number_format import number
+from hapsim.prediction import Region
+from hapsim.prediction.characteristic import Characteristic, hand_at
+from hapsim.prediction.correction import felt_error, rendered
+from hapsim.prediction.linear import linear_scene, why_coupled
+from hapsim.prediction.regions import regions_of
+from hapsim.scene import Scene
+from hapsim.theory.arrays import Floats
+
+_POINTS = 49  # of a region
+_MARGIN = 0.3  # of what has edges, drawn beyond them
+_ALONE_M = 2e-3  # drawn on each side of an edge where nothing else says how much
+_LEAST_ERROR, _MOST_ERROR = 1e-3, 1.0  # ends of the colours
+
+
+class ForceChart(NamedTuple):
+    """What is drawn of one hand."""
+
+    name: str
+    regions: tuple[Region, ...]
+    hand: Characteristic
+    drawn: list[Region]
+    """Those within the picture, with all friction stuck."""
+    position: list[Floats]
+    """Of each of these, m."""
+    force: list[Floats]
+    """N, with which a hand at rest pushes, without friction."""
+    pushing: list[Floats]
+    releasing: list[Floats]
+    """N, of a hand that moves up and down."""
+    speed: float
+    """m/s."""
+
+
+def force_chart(scene: Scene, name: str, speed: float) -> ForceChart:
+    """Returns the force over the position of the hand `name`, moved at `speed` m/s. UsageError where it moves masses or
+    other hands."""
+    regions = regions_of(rendered(scene), name)
+    if not regions:
+        why = why_coupled(scene, linear_scene(scene), name)
+        raise UsageError(
+            f"{name} {why}: its force depends on more than its own position. Expected a hand whose links all end on "
+            "grounds"
+        )
+    hand = hand_at(scene, name)
+    low, high = _view(hand, regions)
+    drawn = [one for one in regions if not one.piece.sliding and one.piece.low < high and one.piece.high > low]
+    ends = [(max(one.piece.low, low), min(one.piece.high, high)) for one in drawn]
+    # Just within, so that a force that jumps at an edge is that of the region.
+    position = [np.linspace(a, b, _POINTS) + (b - a) * 1e-9 * np.linspace(1.0, -1.0, _POINTS) for a, b in ends]
+    return ForceChart(
+        name,
+        regions,
+        hand,
+        drawn,
+        position,
+        [hand.force(x) for x in position],
+        [hand.moving_force(x, speed) for x in position],
+        [hand.moving_force(x, -speed) for x in position],
+        speed,
+    )
+
+
+def _view(hand: Characteristic, regions: tuple[Region, ...]) -> tuple[float, float]:
+    """From where to where it is drawn, m: around the edges, and no further than the travel and the force limit."""
+    places = [one.piece.place for one in regions]
+    edges = hand.edges()
+    low, high = min([*edges, *places]), max([*edges, *places])
+    room = _MARGIN * (high - low) or _ALONE_M
+    low, high = max(low - room, hand.low), min(high + room, hand.high)
+    x = np.linspace(low, high, 2001)
+    within = x[np.abs(hand.force(x)) <= hand.force_limit]
+    return (float(within[0]), float(within[-1])) if within.size > 1 else (low, high)
+
+
+def error_of(region: Region) -> float:
+    """Returns how far k and b are from what the scene asks for there, as `felt_error` counts it; NaN where nothing
+    holds."""
+    if region.kind != "held":
+        return math.nan
+    felt, device = region.felt, region.felt.configuration
+    wanted = region.piece.stiffness + device.stiffness, region.piece.damping + device.friction
+    return float(felt_error((np.array(felt.k), np.array(felt.b)), wanted, device.mass))
+
+
+def columns_of(chart: ForceChart) -> dict[str, Any]:
+    """Returns what is drawn, by the names that a data file uses; k, b and the error of each point's region."""
+
+    def each(values: list[Any]) -> Any:
+        return np.repeat(values, _POINTS)
+
+    held = [(one.felt.k, one.felt.b) if one.kind == "held" else (math.nan, math.nan) for one in chart.drawn]
+    return {
+        "position_m": np.concatenate(chart.position),
+        "force_N": np.concatenate(chart.force),
+        "force_pushing_N": np.concatenate(chart.pushing),
+        "force_releasing_N": np.concatenate(chart.releasing),
+        "region": each(list(range(len(chart.drawn)))),
+        "K": each([one.piece.stiffness for one in chart.drawn]),
+        "B": each([one.piece.damping for one in chart.drawn]),
+        "k": each([k for k, _ in held]),
+        "b": each([b for _, b in held]),
+        "error": each([error_of(one) for one in chart.drawn]),
+        "stable": each([int(one.is_stable) for one in chart.drawn]),
+    }
+
+
+def draw_force(chart: ForceChart, path: Path) -> None:
+    """Draws it to a file: .svg, .png or .pdf."""
+    import matplotlib as mpl
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import LogNorm
+
+    colours = ScalarMappable(LogNorm(_LEAST_ERROR, _MOST_ERROR), mpl.colormaps[style.FELT_ERROR])
+    with figure_to(path, 8.0, 4.8) as figure:
+        axes = figure.add_subplot()
+        labels: set[str] = set()
+        for region, x, force in zip(chart.drawn, chart.position, chart.force, strict=True):
+            error, mm = error_of(region), x * 1e3
+            if not region.is_stable:
+                axes.axvspan(mm[0], mm[-1], label=_once("unstable", labels), **style.UNSTABLE_REGION)
+            if region.kind == "snap":
+                axes.axvspan(mm[0], mm[-1], label=_once("snap", labels), **style.SNAP)
+                energy = f"{number(1e3 * region.snap_energy, 3)} mJ"
+                axes.text(float(mm.mean()), 0.98, energy, transform=axes.get_xaxis_transform(), **style.SNAP_ENERGY)
+            look = (
+                style.NOT_HELD if math.isnan(error) else {"color": colours.to_rgba(np.array(max(error, _LEAST_ERROR)))}
+            )
+            axes.plot(mm, force, **(style.FORCE | look))
+        x = 1e3 * np.concatenate(chart.position)
+        up, down = np.concatenate(chart.pushing), np.concatenate(chart.releasing)
+        loop = f"friction and damping, moved at {number(1e3 * chart.speed, 3)} mm/s"
+        axes.fill_between(x, down, up, label=loop, **style.HYSTERESIS)
+        axes.axhline(0.0, **style.ZERO_LINE)
+        axes.set_xlabel("position of the hand (mm)")
+        axes.set_ylabel("force of the hand (N)")
+        axes.set_title(f"{chart.name}: {described(chart.drawn[0].felt.configuration)}", fontsize=9)
+        axes.margins(x=0.0)
+        figure.colorbar(colours, ax=axes, label="felt k or b, off what is asked for", extend="both", format=_percent)
+        legend_below(figure, 3)
+
+
+def _percent(value: float, _position: int) -> str:
+    return f"{100.0 * value:g} %"
+
+
+def _once(label: str, used: set[str]) -> str:
+    """Returns the label for the first that has it; then one that no legend shows."""
+    shown = "_" if label in used else label
+    used.add(label)
+    return shown
