@@ -6,7 +6,7 @@ This is the scene's geometry. Nothing of what the loop makes of it is in here, s
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import NamedTuple
@@ -259,14 +259,11 @@ def hand_at(scene: Scene, name: str) -> Characteristic:
     return found
 
 
-def scene_at(
-    scene: Scene, places: Mapping[str, tuple[float, Collection[str]]] | None = None, *, at: float | None = None
-) -> LinearScene:
+def scene_at(scene: Scene, at: float | None = None) -> LinearScene:
     """What the theory takes `scene` for where its hands are: by the piece that each is in.
 
     Each is at `at` (m); without it where it rests, or is held nearest to position 0, and what moves masses or other
-    hands is then taken as the links' assumptions say. `places`: of some hands their place in m, and the friction links
-    that slide there. UsageError beyond the travel.
+    hands is then taken as the links' assumptions say. UsageError beyond the travel.
     """
     taken: dict[str, Linear] = {}
     alone = {name: characteristic_of(scene, name) for name in scene.device_points}
@@ -276,8 +273,7 @@ def scene_at(
         taken |= links_at_rest(scene, dict.fromkeys(alone, at))
     for name, one in alone.items():
         if one is not None and one.is_regional:
-            here = (places or {}).get(name) or (piece_at(one, name, at).place, ())
-            taken |= one.taken(*here)
+            taken |= one.taken(piece_at(one, name, at).place)
     return linear_scene(scene, taken)
 
 

@@ -30,7 +30,7 @@ from hapsim.prediction.linear import (
     why_coupled,
     with_device,
 )
-from hapsim.prediction.regions import growth, regions_of
+from hapsim.prediction.regions import growth, growth_of, regions_of
 from hapsim.prediction.timing import wire_of, wire_time_of, with_wire_delay
 from hapsim.prediction.types import Desired, Felt, LinkMargin, Prediction, Region
 from hapsim.scene import Scene
@@ -64,7 +64,7 @@ def predict(scene: SceneSource, *, with_margins: bool = True, at: float | None =
     _require_within_numbers(scene)
     rendering = rendered(scene)
     as_seen = rendering.seen
-    linear = scene_at(as_seen, at=at)
+    linear = scene_at(as_seen, at)
     network, points = network_of(as_seen, linear)
     network, solution, instead = _solved(network)
     coupled = {name: why for name in scene.device_points if (why := why_coupled(as_seen, linear, name))}
@@ -220,12 +220,10 @@ def surely_shaken_by(scene: Scene) -> Shaking | None:
     It is not sure at the limit, or where it was not worked out for the scheme by which the scene runs. This is what a
     running loop has to know of a scene before it takes it, at a tenth of what `predict` costs.
     """
-    rendering = rendered(scene)
-    scene = rendering.seen
+    scene = rendered(scene).seen
     linear = scene_at(scene)
     for name in scene.device_points:
-        grows = growth(regions_of(rendering, name))
-        if grows > _SURELY:
+        if (grows := growth_of(scene, linear, name)) > _SURELY:
             return Shaking(grows, name)
     network, points = network_of(scene, linear)
     try:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 
-from hapsim.prediction.characteristic import Characteristic, Piece, characteristic_of, scene_at
+from hapsim.prediction.characteristic import Characteristic, Piece, characteristic_of, hand_at, scene_at
 from hapsim.prediction.correction import Rendering
 from hapsim.prediction.felt import felt_by
-from hapsim.prediction.linear import links_of, why_coupled
-from hapsim.prediction.types import Felt, Region, RegionKind
+from hapsim.prediction.linear import LinearScene, hand_of, links_of, why_coupled
+from hapsim.prediction.types import Region, RegionKind
+from hapsim.scene import Scene
 
 _GROWS = 1.0 + 1e-9  # what grows by more in a sample is not at the limit
 _POINTS = 1025  # at which the energy of a curved snap is summed
@@ -17,36 +20,63 @@ _POINTS = 1025  # at which the energy of a curved snap is summed
 def regions_of(rendering: Rendering, name: str) -> tuple[Region, ...]:
     """The regions of the hand at this device point, by position; of one place first the one in which all friction
     sticks. None where it moves more than itself."""
-    desired, seen = (characteristic_of(scene, name) for scene in (rendering.desired, rendering.seen))
-    if desired is None or seen is None:
-        return ()
-    if why_coupled(rendering.seen, scene_at(rendering.seen), name):
+    hand, seen = characteristic_of(rendering.desired, name), rendering.seen
+    linear = scene_at(seen)
+    if hand is None or why_coupled(seen, linear, name):
         return ()
     regions = []
-    for piece in desired.pieces():
-        linear = scene_at(rendering.seen, {name: (piece.place, piece.sliding)})
-        felt = felt_by(rendering, linear, name)
-        stiffness = felt.stiffness + felt.configuration.stiffness
-        kind: RegionKind = "held" if stiffness > 0.0 else "snap" if stiffness < 0.0 else "free"
-        stable = felt.stable if kind == "held" else max(_others(felt, kind), default=0.0) < _GROWS
-        energy = _snap_energy(piece, desired) if kind == "snap" else 0.0
-        regions.append(Region(piece, felt, kind, stable, links_of(linear, name), energy))
+    for piece in hand.pieces():
+        here = linear_at(seen, linear, name, piece)
+        felt = felt_by(rendering, here, name)
+        kind = _kind(felt.stiffness + felt.configuration.stiffness)
+        stable = felt.stable if kind == "held" else _growth(felt.poles, kind) < _GROWS
+        energy = _snap_energy(piece, hand) if kind == "snap" else 0.0
+        regions.append(Region(piece, felt, kind, stable, links_of(here, name), energy))
     return tuple(regions)
 
 
 def growth(regions: tuple[Region, ...]) -> float:
     """The largest modulus of a pole with which a region shakes the hand; 0 where none does."""
-    return max((max(_others(one.felt, one.kind), default=0.0) for one in regions if not one.is_stable), default=0.0)
+    return max((_growth(one.felt.poles, one.kind) for one in regions if not one.is_stable), default=0.0)
 
 
-def _others(felt: Felt, kind: RegionKind) -> list[float]:
-    """The moduli of the poles, without the one that a snap or a free hand has by itself: the largest real one, at 1 or
-    above."""
-    if kind == "held":
-        return [abs(pole) for pole in felt.poles]
-    real = [pole for pole in felt.poles if abs(pole.imag) <= 1e-6 * abs(pole) and pole.real > 0.0]
-    own = max(real, key=abs, default=None)
-    return [abs(pole) for pole in felt.poles if pole != own]
+def growth_of(seen: Scene, linear: LinearScene, name: str) -> float:
+    """The same from the poles of the hand `name` alone, where it feels different springs; 0 for another."""
+    hand = characteristic_of(seen, name)
+    if hand is None or not hand.is_regional:
+        return 0.0
+    grown, known = 0.0, set()
+    for piece in hand.pieces():
+        element = hand_of(seen, linear_at(seen, linear, name, piece), name)
+        if element not in known:
+            known.add(element)
+            configuration, stiffness, damping = element
+            kind = _kind(stiffness + configuration.stiffness)
+            if not (kind == "held" and bool(configuration.is_stable(stiffness, damping))):
+                grown = max(grown, _growth(configuration.poles(stiffness, damping).tolist(), kind))
+    return grown
+
+
+def linear_at(seen: Scene, linear: LinearScene, name: str, piece: Piece) -> LinearScene:
+    """`linear`, which is the scene `seen` as the theory takes it, with the hand `name` in this piece."""
+    taken = hand_at(seen, name).taken(piece.place, piece.sliding)
+    here = {
+        link: linear.links[link]._replace(stiffness=one.stiffness, damping=one.damping) for link, one in taken.items()
+    }
+    return linear._replace(links=linear.links | here)
+
+
+def _kind(stiffness: float) -> RegionKind:
+    return "held" if stiffness > 0.0 else "snap" if stiffness < 0.0 else "free"
+
+
+def _growth(poles: Iterable[complex], kind: RegionKind) -> float:
+    """The largest modulus of a pole, without the one that a snap or a free hand has by itself: the largest real one."""
+    rest = list(poles)
+    real = [pole for pole in rest if abs(pole.imag) <= 1e-6 * abs(pole) and pole.real > 0.0]
+    if kind != "held" and real:
+        rest.remove(max(real, key=abs))
+    return max(map(abs, rest), default=0.0)
 
 
 def _snap_energy(piece: Piece, hand: Characteristic) -> float:
