@@ -17,6 +17,11 @@ else:
 _HOLDS = "; ".join(f"{hold.meaning} ({name})" for name, hold in HOLDS.items())
 HOLD = f"What the device makes of the forces that it receives: {_HOLDS}"
 
+MOTION = (
+    "How the device moves: along a line (linear: m, N, kg), or about an axis (rotary: rad, N·m, kg·m², and N·m/rad "
+    "for every N/m below)"
+)
+
 Sampling = Literal["ideal", "average"]
 SAMPLING = "How the device reads its position: at the instant (ideal), or as the mean over the period (average)"
 

@@ -3,12 +3,15 @@
 They take whatever parts are sound, so that a fault in one place does not hide faults in others.
 """
 
+from collections import defaultdict, deque
 from collections.abc import Callable, Iterator, Mapping
 
-from .issue import Issue, Path
-from .modules import Detent, DevicePoint, ModuleContext
+from hapsim.units import MOTIONS
+
+from .issue import Issue, Path, quote
+from .modules import Detent, DevicePoint, Ground, Link, ModuleContext
 from .part import Part
-from .quantity import Span
+from .quantity import ANGLE, Span
 
 #: The parts that may have lists with one value per channel.
 PER_CHANNEL_PARTS: tuple[Path, ...] = (("device",), ("mock",), ("mock", "initial"), ("mock", "hand"))
@@ -44,6 +47,7 @@ def cross_check_issues(around: ModuleContext, per_channel: Fields, precision: ob
     if per_channel[("device",)].get("port") is None and isinstance(quantum, int | float):
         yield from narrow_detents(around, lambda _: float(quantum), "mock.quantum")
     yield from _lists_of_another_length(per_channel, _channels(around))
+    yield from _links_of_both_motions(around, per_channel[("device",)].get("motion"))
 
 
 def _device_issues(device: Mapping[str, object]) -> Iterator[Issue]:
@@ -77,6 +81,64 @@ def narrow_detents(around: ModuleContext, quantum: Callable[[int], float], sourc
                 yield Issue(("modules", name, "pitch"), sentence)
 
 
+def _motions_of(around: ModuleContext, motions: object) -> dict[str, object]:
+    """The motion of the hands, and of each point and link that hangs on one; grounds are of any. `motions`: of the
+    channels, in a list."""
+    neighbours: defaultdict[str, list[str]] = defaultdict(list)
+    for name, link in around.modules.items():
+        if isinstance(link, Link) and around.knows(name, "between"):
+            for end in map(around.holder, link.between):
+                if around.kinds.get(end) is not Ground:
+                    neighbours[name].append(end)
+                    neighbours[end].append(name)
+    each = motions if isinstance(motions, list | tuple) else ()
+    hands = {name: one for name, one in around.modules.items() if isinstance(one, DevicePoint)}
+    channels = {name: one.channel for name, one in hands.items() if around.knows(name, "channel")}
+    found = {name: each[channel] for name, channel in channels.items() if channel < len(each)}
+    ahead = deque(found)
+    while ahead:
+        one = ahead.popleft()
+        reached = [other for other in neighbours[one] if other not in found]
+        found |= dict.fromkeys(reached, found[one])
+        ahead.extend(reached)
+    return found
+
+
+def _links_of_both_motions(around: ModuleContext, motions: object) -> Iterator[Issue]:
+    found = _motions_of(around, motions)
+    for name, link in around.modules.items() if found else ():
+        if isinstance(link, Link) and around.knows(name, "between"):
+            ends = {end: found.get(around.holder(end)) for end in link.between}
+            if {*MOTIONS} <= {*ends.values()}:
+                of_them = " and ".join(f"{quote(end)}, which is {motion}" for end, motion in ends.items())
+                sentence = f"linear and rotary mixed on one link: found {of_them}; expected two ends of one motion"
+                yield Issue(("modules", name, "between"), f"{sentence} (device.motion has one for each channel)")
+
+
+def misplaced_angles(data: Mapping[str, object], around: ModuleContext) -> Iterator[Issue]:
+    """Yields the angles in degrees among a file's values where the motion is linear."""
+    device = data.get("device")
+    motion = device.get("motion", "linear") if isinstance(device, dict) else "linear"
+    if motion != "linear" and not isinstance(motion, list):
+        return
+    default = "rotary" if isinstance(motion, list) and "rotary" in motion else "linear"
+    of_module = _motions_of(around, motion)
+    for path, angle in _angles(data, (), set()):
+        if (of_module.get(str(path[1]), default) if path[0] == "modules" else default) == "linear":
+            expected = "expected a plain number, or device.motion: rotary"
+            yield Issue(path, f"found {quote(angle)}, an angle, where the motion is linear; {expected}")
+
+
+def _angles(value: object, path: Path, seen: set[int]) -> Iterator[tuple[Path, str]]:
+    """The texts in a value that are angles, each with its path. What anchors bring to several places is seen once."""
+    if isinstance(value, str) and ANGLE.match(value):
+        yield path, value
+    elif isinstance(value, list | dict) and id(value) not in seen:
+        seen.add(id(value))
+        for step, entry in enumerate(value) if isinstance(value, list) else value.items():
+            yield from _angles(entry, (*path, step), seen)
+
+
 def _is_span(mass: object) -> bool:
     return isinstance(mass, Span) or (isinstance(mass, dict) and "from" in mass)
 
@@ -93,10 +155,10 @@ def _channels(around: ModuleContext) -> int | None:
 def _lists_of_another_length(per_channel: Fields, channels: int | None) -> Iterator[Issue]:
     fields = [((*path, name), value) for path, part in per_channel.items() for name, value in part.items()]
     for path, value in fields:
-        one = "pair" if path[-1] == "travel" else "number"
+        one = {"travel": "pair", "motion": "word"}.get(str(path[-1]), "number")
         if not channels or not isinstance(value, list | tuple) or path[-1] == "grips":
             continue
-        if len(value) != channels and (one == "number" or isinstance(value[0], list | tuple)):
+        if len(value) != channels and (one != "pair" or isinstance(value[0], list | tuple)):
             found = f"found {len(value)} {one}{'' if len(value) == 1 else 's'}"
             expected = f"expected {channels}: one for each channel, up to the highest that a module holds"
             yield Issue(path, f"{found}, {expected}; or write a single {one} for all")

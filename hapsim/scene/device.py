@@ -5,7 +5,9 @@ from typing import Annotated, Literal, cast
 
 from pydantic import Field
 
-from .choices import CORRECTION, HOLD, SAMPLING, CorrectionName, Hold, Sampling
+from hapsim.units import MOTIONS, Motion
+
+from .choices import CORRECTION, HOLD, MOTION, SAMPLING, CorrectionName, Hold, Sampling
 from .part import Part
 from .quantity import (
     Known,
@@ -20,6 +22,7 @@ from .quantity import (
     per_channel,
     quantity,
     text,
+    word_per_channel,
 )
 
 Clock = Literal["device", "host", "lockstep"]
@@ -84,6 +87,7 @@ class Device(Part):
         default="device",
         description="Who paces the loop; lockstep: the mock, in virtual time, as fast as it goes",
     )
+    motion: Annotated[Motion | tuple[Motion, ...], word_per_channel(MOTION, MOTIONS)] = "linear"
     mass: Annotated[SpanPerChannel, SPANNED_MASS]
     friction: Annotated[PerChannel, FRICTION] = 0.0
     stiffness: Annotated[PerChannel, STIFFNESS] = 0.0
@@ -98,6 +102,10 @@ class Device(Part):
     travel_margin: Annotated[float | None, TRAVEL_MARGIN] = None
     origin: Annotated[WordPerChannel | None, ORIGIN] = None
     correction: CorrectionName = Field(default="none", description=CORRECTION)
+
+    def motions(self, channels: int) -> tuple[Motion, ...]:
+        """Motion of each of ``channels`` channels."""
+        return self.motion if isinstance(self.motion, tuple) else (self.motion,) * channels
 
     def masses(self, channels: int) -> tuple[float, ...]:
         """Mass of each of ``channels`` channels, in kg; of one that is not known, the middle of its span."""

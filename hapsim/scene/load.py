@@ -2,14 +2,16 @@
 
 import os
 from collections.abc import Iterable
+from dataclasses import replace
 from functools import cache
 from typing import Any, BinaryIO
 
 from pydantic import TypeAdapter, ValidationError
 
 from hapsim.errors import SceneError
+from hapsim.units import MOTIONS, Units
 
-from .cross_checks import PER_CHANNEL_PARTS, cross_check_issues
+from .cross_checks import PER_CHANNEL_PARTS, cross_check_issues, misplaced_angles
 from .error_messages import findings_of
 from .issue import Issue, Path
 from .modules import MODULE_TYPES, Module, ModuleContext
@@ -64,8 +66,24 @@ def parse_scene(text: str, name: str = "<scene>") -> Scene:
     scene, issues = _validate(document)
     faults = _FILE.located(issues, document)
     if scene is None or faults:
-        raise _FILE.failure(name, faults)
+        units = _units(document.data)
+        raise _FILE.failure(name, [replace(fault, sentence=_in_units(units, fault.sentence)) for fault in faults])
     return scene
+
+
+def _units(data: object) -> Units:
+    """The units in which a file's device moves, so far as it says so."""
+    device = data.get("device") if isinstance(data, dict) else None
+    motion = device.get("motion") if isinstance(device, dict) else None
+    return Units(one for one in MOTIONS if one in (motion if isinstance(motion, list) else [motion]))
+
+
+def _in_units(units: Units, sentence: str) -> str:
+    """The sentence in these units, with the other way in which an angle may be written."""
+    words = (
+        units(sentence).replace("(rad)", "(rad; or such as 15 deg)").replace("(rad/s)", "(rad/s; or such as 10 deg/s)")
+    )
+    return words.partition("; write plain decimals")[0] if "or such as" in words else words
 
 
 def read_scene(stream: BinaryIO, name: str) -> Scene:
@@ -76,7 +94,10 @@ def read_scene(stream: BinaryIO, name: str) -> Scene:
 def _validate(document: Document) -> tuple[Scene | None, list[Issue]]:
     """The scene of a document and nothing, or no scene and what is wrong with it."""
     try:
-        return Scene.model_validate(document.data), []
+        data: Any = document.data
+        scene = Scene.model_validate(data)
+        modules = ModuleContext(scene.modules, {name: type(one) for name, one in scene.modules.items()})
+        return scene, list(misplaced_angles(data, modules))
     except ValidationError as error:
         data = document.data if isinstance(document.data, dict) else {}
         issues = findings_of(error, document)
@@ -85,7 +106,9 @@ def _validate(document: Document) -> tuple[Scene | None, list[Issue]]:
             return None, [issue for issue in issues if issue.path == ("version",)]
         # The checks across parts reach as far as the sound parts of the scene allow.
         modules = _sound_modules(data.get("modules"))
-        return None, [*issues, *cross_check_issues(modules, _sound_fields(data, issues), data.get("precision"))]
+        across = cross_check_issues(modules, _sound_fields(data, issues), data.get("precision"))
+        angles = (one for one in misplaced_angles(data, modules) if one.path not in {issue.path for issue in issues})
+        return None, [*issues, *across, *angles]
 
 
 def _sound_modules(modules: object) -> ModuleContext:

@@ -5,6 +5,7 @@ an error are ours, so that people can act on them without knowing pydantic.
 """
 
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -14,10 +15,17 @@ from typing import Any, NoReturn, TypeGuard
 from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler, GetJsonSchemaHandler, model_serializer
 from pydantic_core import PydanticCustomError, core_schema
 
+from hapsim.units import MOTIONS, Units
+
 Schema = core_schema.CoreSchema
 
 #: The pydantic error type under which every check of ours reports.
 UNEXPECTED = "unexpected"
+
+#: An angle in degrees, or degrees a second: how a scene may write a length or a velocity of what turns.
+_DECIMAL = r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?"
+ANGLE = re.compile(rf"({_DECIMAL}) ?(deg(?:/s)?)\Z")
+_IN_DEGREES = {"m": "deg", "m per count": "deg", "m rms": "deg", "m/s": "deg/s"}
 
 MOST_CHANNELS = 16
 MOST_POINTS = 1000  # of a curve
@@ -108,7 +116,7 @@ class Expectation:
         return described
 
     def __get_pydantic_json_schema__(self, schema: Schema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
-        unit = f", in {self.unit}" if self.unit else ""
+        unit = Units(MOTIONS)(f", in {self.unit}") if self.unit else ""
         default = f"; default: {self.left_out}" if self.left_out else ""
         return handler(schema) | {"description": f"{self.description}{unit}{default}"}
 
@@ -141,7 +149,7 @@ def quantity(
     number_words = f"a number{bounds} ({unit})"
     entry_words = ", or ".join(filter(None, (number_words, word, _MAPPINGS if spans else "")))
     words = f"{entry_words}, or a list with one per channel" if per_channel else entry_words
-    number = _number(number_words, gt=above, ge=least, le=most)
+    number = _number(number_words, unit, gt=above, ge=least, le=most)
     kinds = {_NUMBER: number}
     if word:
         kinds[_WORD] = _saying(core_schema.literal_schema([word]), words)
@@ -157,7 +165,7 @@ def interval(description: str, unit: str, left_out: str) -> Expectation:
     """A lower and an upper limit in SI units, or such a pair for each channel."""
     pair_words = f"[the least, the most] ({unit})"
     words = f"{pair_words}, or a list of such pairs, one per channel"
-    limits = _list_of([_number(f"a number ({unit})")], 2, 2, pair_words)
+    limits = _list_of([_number(f"a number ({unit})", unit)], 2, 2, pair_words)
     pair = core_schema.no_info_after_validator_function(_ascending, limits)
     kinds = {_LIST: pair, _LISTS: _list_of([pair], 1, MOST_CHANNELS, words)}
     return Expectation(description, words, _choice(kinds, words), unit, left_out)
@@ -177,7 +185,7 @@ def curve(
     unit = f"points [{along}, {up}]"
     words = f"a list of {fewest} to {MOST_POINTS} {unit}"
     y_words = "a number" if above is None else f"a number > {above:g}"
-    axes = [_number(f"a number ({along})"), _number(f"{y_words} ({up})", gt=above)]
+    axes = [_number(f"a number ({along})", along), _number(f"{y_words} ({up})", up, gt=above)]
     points = _list_of([_list_of(axes, 2, 2, f"a point [{along}, {up}], two numbers")], fewest, MOST_POINTS, words)
     schema = core_schema.no_info_after_validator_function(ascending, points)
     return Expectation(description, words, schema, unit, left_out)
@@ -196,6 +204,16 @@ def words_of(description: str, words: tuple[str, ...], count: int) -> Expectatio
     entry = _saying(core_schema.literal_schema(list(words)), " or ".join(words))
     expected = f"a list of {count} words, each {' or '.join(words)}"
     return Expectation(description, expected, _list_of([entry], count, count, expected))
+
+
+def word_per_channel(description: str, words: tuple[str, ...]) -> Expectation:
+    """One of these words, or a list with one for each channel."""
+    either = " or ".join(words)
+    expected = f"{either}, or a list with one per channel"
+    literal = core_schema.literal_schema(list(words))
+    entries = _list_of([_saying(literal, either)], 1, MOST_CHANNELS, expected)
+    kinds = {_WORD: _saying(literal, expected), _LIST: entries}
+    return Expectation(description, expected, _choice(kinds, expected))
 
 
 def names(description: str, expected: str, entry: str, count: int) -> Expectation:
@@ -247,7 +265,7 @@ def _kind_of(value: object) -> str | None:
     if _is_list(value):
         return _LISTS if any(map(_is_list, value)) else _LIST
     if isinstance(value, str):
-        return _WORD
+        return _NUMBER if ANGLE.match(value) else _WORD
     return _NUMBER if isinstance(value, Real) and not isinstance(value, bool) else None
 
 
@@ -255,9 +273,18 @@ def _as_mapping(value: object) -> object:
     return value.model_dump() if isinstance(value, _Mapping) else value
 
 
-def _number(expected: str, **bounds: Any) -> Schema:
+def _number(expected: str, unit: str, **bounds: Any) -> Schema:
+    degrees = _IN_DEGREES.get(unit)
+    if degrees is not None:
+        angle = {"type": ["number", "string"], "pattern": f"^{_DECIMAL} ?{degrees}$"}
+        bounds["metadata"] = {"pydantic_js_updates": angle}
+
+    def as_float(value: object) -> object:
+        angle = ANGLE.match(value) if degrees is not None and isinstance(value, str) else None
+        return math.radians(float(angle[1])) if angle and angle[4] == degrees else _as_float(value)
+
     number = core_schema.float_schema(strict=True, allow_inf_nan=False, **bounds)
-    return _saying(core_schema.no_info_before_validator_function(_as_float, number), expected)
+    return _saying(core_schema.no_info_before_validator_function(as_float, number), expected)
 
 
 def _as_float(value: object) -> object:

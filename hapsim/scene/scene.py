@@ -6,6 +6,8 @@ from typing import Annotated, Any, Literal, TypeVar
 from pydantic import AfterValidator, Field, PlainSerializer, PrivateAttr, SerializationInfo, model_validator
 from pydantic_core import PydanticCustomError
 
+from hapsim.units import Units
+
 from .choices import SCHEME, WITH_SENSOR, SchemeName
 from .cross_checks import cross_check_issues
 from .device import Device
@@ -108,6 +110,15 @@ class Scene(Part):
         A list per channel has exactly this length; channels below the highest that no module holds count.
         """
         return 1 + max(point.channel for point in self.device_points.values())
+
+    @property
+    def units(self) -> Units:
+        """The units of its channels."""
+        return Units(self.device.motions(self.channels))
+
+    def units_of(self, channel: int) -> Units:
+        """The units of one channel."""
+        return Units([self.device.motions(self.channels)[channel]])
 
     @property
     def device_points(self) -> dict[str, DevicePoint]:

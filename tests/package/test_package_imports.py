@@ -14,7 +14,7 @@ ROOT = Path(__file__).resolve().parents[2]
 #: From those that stand on nothing to those that stand on all: a room imports itself, and rooms of lines above its own.
 ORDER = (
     ("hapsim", "hapsim.errors", "hapsim.number_format", "hapsim.progress", "hapsim.stopping", "firmware_protocol"),
-    ("hapsim.whole_file",),
+    ("hapsim.units", "hapsim.whole_file"),
     ("hapsim.theory", "hapsim.scene", "hapsim.compiling"),
     ("hapsim.prediction", "hapsim.cordis"),
     ("hapsim.loop",),

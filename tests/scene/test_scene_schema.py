@@ -86,6 +86,7 @@ def test_the_defaults_of_the_format_are_in_the_schema(schema: dict[str, Any]) ->
     assert defaults == {
         "baud": 2_000_000,
         "clock": "device",
+        "motion": "linear",
         "friction": 0.0,
         "stiffness": 0.0,
         "delay": 1.0,

@@ -1,0 +1,73 @@
+"""The units of a motion. What hapsim says is written in those of a line (m, N, kg); here it becomes that of a rotation.
+
+A rotary channel has the same mathematics: rad in place of m, N·m in place of N, kg·m² in place of kg. So every
+sentence, heading and label is written once, and the scene's `Units` translate it where it reaches a user.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from typing import Literal, get_args
+
+from hapsim.errors import HapsimError
+
+Motion = Literal["linear", "rotary"]
+MOTIONS: tuple[Motion, ...] = get_args(Motion)
+
+_ROTARY = {
+    "N·s/m": "N·m·s/rad",
+    "N/m": "N·m/rad",
+    "N/s": "N·m/s",
+    "m/s²": "rad/s²",
+    "m/s": "rad/s",
+    "mm/s": "mrad/s",
+    "mm": "mrad",
+    "µm": "µrad",
+    "kg": "kg·m²",
+    "newton": "newton metres",
+    "metres": "radians",
+    "m": "rad",
+    "N": "N·m",
+}
+# A bare m or N is a unit only behind a number, in brackets, behind "in" or the two spaces of a heading.
+_BARE = r"(?:(?<=[0-9)–] )|(?<=[(\[])|(?<=\bin )|(?<=\], )|(?<=, )(?=N\])|(?<=  ))[mN](?=$|[\s,;:.)\]])"
+_UNIT = re.compile(
+    rf"(?<![\w·/])(?:(?:N·s/m|N/[ms]|mm/s|m/s²?|[mµ]m|kg|newton|metres)(?![\w·/²])|{_BARE})", re.MULTILINE
+)
+
+
+class Units:
+    """The units of one or several motions.
+
+    Called with a text in the units of a line, it returns the text in its own; where some channels turn and others do
+    not, each unit in both: "5 N or N·m".
+    """
+
+    def __init__(self, motions: Iterable[Motion]) -> None:
+        self._motions = frozenset(motions)
+
+    @property
+    def is_rotary(self) -> bool:
+        """Whether something turns."""
+        return "rotary" in self._motions
+
+    def __call__(self, text: str) -> str:
+        return _UNIT.sub(self._translated, text) if self.is_rotary else text
+
+    def _translated(self, found: re.Match[str]) -> str:
+        rotary = _ROTARY[found.group()]
+        return f"{found.group()} or {rotary}" if "linear" in self._motions else rotary
+
+    @contextmanager
+    def in_errors(self) -> Iterator[None]:
+        """Translates the sentences of the errors that leave the block."""
+        try:
+            yield
+        except HapsimError as error:
+            error.args = tuple(map(self, map(str, error.args)))
+            raise
+
+
+LINEAR, ROTARY = Units(["linear"]), Units(["rotary"])

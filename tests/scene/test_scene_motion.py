@@ -1,0 +1,105 @@
+"""Rotary devices in a scene: the key, angles in degrees, and links between what turns and what does not."""
+
+import math
+from collections.abc import Callable
+
+import pytest
+import yaml
+from jsonschema import Draft202012Validator
+
+from hapsim.scene import parse_scene, scene_schema
+
+KNOB = """\
+version: 1
+rate: 1000
+device: {motion: rotary, mass: 2e-5, travel: [-30 deg, 0.5], travel_margin: 2.0e+1 deg, origin: 5 deg}
+mock: {initial: {position: 5 deg, velocity: -10 deg/s}, quantum: .09deg}
+modules:
+  knob: {type: device, channel: 0}
+  frame: {type: ground, position: 15 deg}
+  pick: {type: plectrum, between: [knob, frame], stiffness: 0.1, release: 3 deg}
+  curve: {type: nonlinear, between: [knob, frame], force_over_distance: [[-1 deg, 0], [0.1, 1]]}
+"""
+PAIR = """\
+version: 1
+rate: 1000
+device: {motion: [linear, rotary], mass: [0.2, 2e-5]}
+modules:
+  fader: {type: device, channel: 0}
+  knob: {type: device, channel: 1}
+  frame: {type: ground}
+  bob: {type: mass, mass: 1e-6, position: 1 deg}
+  slide: {type: spring, between: [fader, frame], stiffness: 50}
+  turn: {type: spring, between: [frame, knob], stiffness: 0.05}
+  hang: {type: spring, between: [bob, knob], stiffness: 0.01}
+"""
+
+
+def test_degrees_become_radians_wherever_a_scene_takes_a_length() -> None:
+    scene = parse_scene(KNOB)
+    device, mock = scene.device, scene.mock_device
+    assert (device.travel, device.travel_margin, device.origin) == (
+        (-math.pi / 6, 0.5),
+        math.pi / 9,
+        math.radians(5.0),
+    )
+    assert (mock.initial_position, mock.initial_velocity) == ((math.radians(5.0),), (math.radians(-10.0),))
+    assert mock.quantum == math.radians(0.09)
+    assert scene.grounds["frame"].position == math.radians(15.0)
+    assert scene.links["pick"].release == math.radians(3.0)  # type: ignore[attr-defined]
+    assert scene.links["curve"].force_over_distance[0] == (math.radians(-1.0), 0.0)  # type: ignore[attr-defined]
+
+
+def test_the_schema_takes_degrees_and_the_motions() -> None:
+    schema = Draft202012Validator(scene_schema())
+    assert list(schema.iter_errors(yaml.safe_load(KNOB.replace("2e-5", "2.0e-5")))) == []
+    for old, new in (
+        ("15 deg", "15 dog"),
+        ("-10 deg/s", "-10 deg"),
+        ("rotary", "rotory"),
+        ("release: 3 deg", "release: deg"),
+    ):
+        assert list(schema.iter_errors(yaml.safe_load(KNOB.replace("2e-5", "2.0e-5").replace(old, new)))) != []
+
+
+def test_an_angle_in_a_linear_scene_is_an_error_that_says_so(faults: Callable[[str], list[str]]) -> None:
+    found = faults(KNOB.replace("motion: rotary, ", ""))
+    assert len(found) == 9
+    assert found[0] == (
+        "3:31: travel[0]: found '-30 deg', an angle, where the motion is linear; expected a plain number, or "
+        "device.motion: rotary"
+    )
+    (fault,) = faults(PAIR.replace("[bob, knob]", "[bob, fader]"))
+    assert fault.startswith("8:43: position: found '1 deg', an angle, where the motion is linear")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        ("15 deg", "15 dog", "found '15 dog' (text), expected a number (rad; or such as 15 deg)"),
+        ("-10 deg/s", "-10 deg", "found '-10 deg' (text), expected a number (rad/s; or such as 10 deg/s)"),
+        ("release: 3 deg", "release: -3 deg", "found '-3 deg' (text), expected a number > 0 (rad; or such as 15 deg)"),
+        ("mass: 2e-5", "mass: 15 deg", "found '15 deg' (text), expected a number > 0 (kg·m²)"),
+        ("stiffness: 0.1", "stiffness: -1", "found -1, expected a number >= 0 (N·m/rad)"),
+        ("motion: rotary", "motion: rotory", "found 'rotory' (text), expected linear or rotary, or a list with one"),
+        ("motion: rotary", "motion: [rotary, rotary]", "found 2 words, expected 1"),
+    ],
+)
+def test_errors_have_the_units_of_what_turns(
+    old: str, new: str, expected: str, faults: Callable[[str], list[str]]
+) -> None:
+    (fault,) = faults(KNOB.replace(old, new))
+    assert expected in fault
+
+
+def test_a_point_takes_the_motion_of_the_hand_it_hangs_on_and_a_link_has_one(
+    faults: Callable[[str], list[str]],
+) -> None:
+    assert parse_scene(PAIR).device.motions(2) == ("linear", "rotary")
+    (fault,) = faults(PAIR.replace("1 deg", "0") + "  both: {type: spring, between: [fader, bob], stiffness: 1}\n")
+    assert fault == (
+        "11:33: between: linear and rotary mixed on one link: found 'bob', which is linear and 'knob', which is "
+        "rotary; expected two ends of one motion (device.motion has one for each channel)"
+    )
+    (fault,) = faults(PAIR.replace("[frame, knob]", "[fader, knob]"))
+    assert fault.startswith("10:33: between: linear and rotary mixed on one link")
