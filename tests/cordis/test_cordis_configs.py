@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,6 +12,8 @@ from scipy.linalg import expm
 
 from hapsim.cordis.offline import start, tick
 from hapsim.cordis.program import compile_scene, numbers_of, positions_of
+from hapsim.prediction import predict
+from hapsim.running import run
 from hapsim.scene import Scene, load_scene
 
 FOLDER = Path(__file__).parents[2] / "configs"
@@ -133,3 +136,74 @@ def test_the_four_keys_come_back_and_click_on_their_way() -> None:
     assert at(0.003) - at(0.0036) > slow - 0.15
     assert "1 N more up to 3 mm, which is gone at 3.5 mm" in comment
     assert at(0.0118) > at(0.0098) + 3.0  # the bottom
+
+
+def on_the_mock(name: str) -> np.ndarray:
+    """Positions of a shipped scene's mock for 1.5 s of virtual time, m or rad."""
+    scene, _ = shipped(name)
+    lockstep = scene.device.model_copy(update={"clock": "lockstep"})
+    trace = run(scene.model_copy(update={"device": lockstep}), duration=1.5)
+    assert np.abs(trace.asked_force).max() < 0.9 * scene.device.force_limit
+    return np.asarray(trace.position[:, 0])
+
+
+@pytest.mark.parametrize("name", ["button", "fader", "knob_24", "toggle"])
+def test_what_knobs_and_buttons_are_said_to_feel_like_is_what_their_regions_do(name: str) -> None:
+    """Every region holds the hand stably, lets it go or is a snap; and the comment has no k and b but theirs."""
+    scene, comment = shipped(name)
+    ((_, regions),) = predict(scene).regions.items()
+    assert all(region.is_stable for region in regions)
+    assert {"held", "snap"} <= {region.kind for region in regions}
+    told = re.findall(r"k = ([\d.]+) N\S+, b = ([\d.]+) N", comment)
+    assert told
+    for k, b in told:
+        within = [0.5000001 * 10.0 ** -len(number.partition(".")[2]) for number in (k, b)]
+        assert any(
+            abs(float(k) - region.felt.k) <= within[0] and abs(float(b) - region.felt.b) <= within[1]
+            for region in regions
+            if region.kind == "held"
+        ), (k, b)
+
+
+def test_the_finger_of_the_mock_rests_on_the_bottom_of_the_button() -> None:
+    position, (scene, comment) = on_the_mock("button"), shipped("button")
+    assert position[-1] == pytest.approx(-0.004 - (1.0 - 0.65) / 1500.0, abs=1e-6)
+    assert "rest 0.23 mm into the bottom" in comment
+    button = scene.modules["button"].model_copy(update={"drop": 0.8})
+    held = program_force(scene.model_copy(update={"modules": {**scene.modules, "button": button}}), -0.003)
+    assert "stays down until you pull it up with 0.2 N" in comment
+    assert held == pytest.approx(-0.2)
+
+
+def program_force(scene: Scene, position: float) -> float:
+    """N, on a hand at rest."""
+    program, force = compile_scene(scene), np.zeros(1)
+    start(program, np.array([position]))
+    tick(program, np.array([position]), np.zeros(1), force)
+    return float(force[0])
+
+
+def test_the_fader_slides_into_its_notch_and_takes_its_force_to_leave() -> None:
+    assert abs(on_the_mock("fader")[-1]) < 1e-5
+    scene, comment = shipped("fader")
+    forces = [program_force(scene, position) for position in (0.00125, -0.00125, 0.0026, 0.0399)]
+    assert forces == pytest.approx([-1.0, 1.0, 0.0, 0.0])
+    assert "5 mm wide, and takes 1 N to leave it" in comment
+
+
+def test_the_knob_is_spun_into_its_fourth_detent() -> None:
+    turned = np.degrees(on_the_mock("knob_24"))
+    assert turned[-1] == pytest.approx(4 * 15.0, abs=1e-3)
+    assert "passes three detents and comes to rest in the fourth" in shipped("knob_24")[1]
+
+
+def test_the_toggle_is_knocked_over_or_comes_back() -> None:
+    assert on_the_mock("toggle")[-1] == pytest.approx(0.005, abs=2e-6)
+    scene, comment = shipped("toggle")
+    assert "with 0.6 m/s, comes to rest on the right" in comment
+    assert "With a velocity of 0.4 m/s it comes back" in comment
+    assert scene.mock is not None
+    slower = scene.mock.model_copy(update={"initial": scene.mock.initial.model_copy(update={"velocity": 0.4})})
+    back = play(scene.model_copy(update={"mock": slower}), 1.0)
+    assert back.hand[-1, 0] == pytest.approx(-0.005, abs=2e-6)
+    assert max(abs(program_force(scene, x)) for x in np.linspace(-0.005, 0.005, 101)) == pytest.approx(2.0)
