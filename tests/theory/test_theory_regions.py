@@ -76,7 +76,13 @@ def test_where_nothing_is_said_the_hand_is_where_it_rests_and_at_a_corner_in_the
     toggle = f"it: {{type: nonlinear, between: [hand, wall], force_over_distance: {curve}}}"
     prediction = predict(parse_scene(KNOB.format(travel="", links=toggle)))
     assert abs(prediction.here["hand"].place) == pytest.approx(0.0125)
-    assert prediction.stable == all(one.is_stable for one in prediction.regions["hand"])
+    kinds = [(one.kind, one.is_stable) for one in prediction.regions["hand"]]
+    assert kinds == [("free", True), ("held", True), ("snap", True), ("held", True), ("free", True)]
+    assert prediction.stable
+    straight = "it: {type: nonlinear, between: [hand, wall], force_over_distance: [[-0.02, -4], [0, 0], [0.02, 4]]}"
+    assert len(predict(parse_scene(KNOB.format(travel="", links=straight))).regions["hand"]) == 3
+    both = f"{wall}\n  soft: {{type: spring, between: [hand, wall], stiffness: 200}}"
+    assert predict(parse_scene(KNOB.format(travel="", links=both)), at=0.0).felt[0].stiffness == 1700.0
 
 
 def test_a_stiff_stop_that_shakes_the_hand_makes_the_scene_unstable_wherever_the_hand_is() -> None:
