@@ -24,7 +24,7 @@ _ALIKE = 1e-9  # of the largest: two stiffnesses, or two edges of a scene, that 
 _AWAY = 0.2  # of a piece's width: a rest that is nearer to its edge is no place to swing about
 _PRESSED = 0.125  # of the force limit: how hard a piece without an end is pressed
 _FREE_M = 1e-3  # so far from its edge is a place in a piece without an end that holds nothing
-_POINTS = 257  # of a curved piece
+_WITHIN = 1e-9  # of a piece's width, or of 1 m
 
 
 class HandLink(NamedTuple):
@@ -296,4 +296,6 @@ def piece_at(one: Characteristic, name: str, at: float | None = None) -> Piece:
     if not one.low <= at <= one.high:
         reach = f"{number(one.low)} to {number(one.high)} m"
         raise UsageError(f"at: found {number(at)} m, which {name} does not reach; expected a position from {reach}")
-    return one.at(at, pieces)._replace(place=at)
+    piece = one.at(at, pieces)
+    within = _WITHIN * min(piece.high - piece.low, 1.0)  # on an edge a slope would be the mean of two
+    return piece._replace(place=min(max(at, piece.low + within), piece.high - within))
