@@ -6,6 +6,7 @@ import cmath
 import math
 from collections.abc import Iterator
 from dataclasses import asdict
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, NoReturn
 
@@ -55,9 +56,13 @@ def measure(
     """Measure what the hand feels, and compare it with the prediction.
 
     hapsim pushes the hand to both sides, computes k and b from the motion, and prints k and b beside
-    the prediction. With --impedance it excites each channel in turn with many frequencies at once.
+    the prediction. Where the scene has contacts, tables, detents or dry friction, or with --at, it
+    first leads the hand slowly to a position, and pushes so little that the hand stays in the region
+    around it. With --impedance it excites each channel in turn with many frequencies at once.
     """
     if excitation.impedance:
+        if excitation.at is not None:
+            raise UsageError("--at does not go with --impedance, which measures where the hand is")
         from hapsim.cli.measure_impedance import measure_impedance
 
         measure_impedance(device, excitation, picture, record, unstable, json)
@@ -83,7 +88,7 @@ def _measure_pair(
     record.require_writable()
     hands = {point.channel: name for name, point in scene.device_points.items()}
     channel = next(iter(hands)) if excitation.channel is None else excitation.channel
-    prediction = predict(scene, with_margins=False)
+    prediction = predict(scene, with_margins=False, at=excitation.at)
     on_wire = None if prediction.wire_of == "none" else predict_on_wire(scene)
     if felt_on(prediction, channel) is None and picture.wanted:
         raise UsageError(
@@ -97,6 +102,7 @@ def _measure_pair(
             measurement = measure_scene(
                 scene,
                 channel=channel,
+                at=excitation.at,
                 duration=excitation.duration,
                 push=excitation.push,
                 transport=kind,
@@ -145,7 +151,7 @@ def _end_failed(
 def _draw(felt: Any, measurement: Measurement, picture: PictureOptions) -> None:
     from hapsim.chart.ring_down import draw_ring_down, ring_down
 
-    drawn = ring_down(measurement.trace, felt)
+    drawn = ring_down(measurement.trace, felt, led=measurement.at_m is not None)
     picture.write(lambda: drawn, lambda path: draw_ring_down(drawn, felt, (measurement.k, measurement.b), path))
 
 
@@ -244,7 +250,8 @@ def show_measurement(
             f"k and b are those of a hand of {measurement.mass:.6g} kg, {whose} of {least:g} to {most:g} kg; they grow "
             "with the mass."
         )
-    title = f"What the hand feels at {escape(hands[channel])}, channel {channel}"
+    where = "" if measurement.at_m is None else f", at {number(measurement.at_m)} m"
+    title = f"What the hand feels at {escape(hands[channel])}, channel {channel}{where}"
     out.print(_side_by_side(title, felt, measurement, of_mass, desired))
     seen, declared = measurement.seen_rate, measurement.trace.rate
     if seen is not None and seen.differs_from(declared):
@@ -262,7 +269,8 @@ def show_measurement(
             "Measured is the mode that rings longest; k and b would give the hand's mass alone that mode. `hapsim "
             "check --explain` lists the modes."
         )
-    for sentence in (*_limits(report), *_other_device(felt, measurement, prediction, of_mass)):
+    reasons = () if measurement.left_region else _other_device(felt, measurement, prediction, of_mass)
+    for sentence in (*_attempts(measurement), *_limits(report), *reasons):
         out.print(sentence)
     if not measurement.dominant:
         out.print(f"The motion is not that of a spring and damper: {_plainly(measurement.reason)}.")
@@ -273,6 +281,24 @@ def show_measurement(
     show_assumptions(out, prediction.assumptions)
     if others := ", ".join(f"--channel {c} for {name}" for c, name in hands.items() if c != channel):
         out.print(f"Other hands of this scene: {others}.")
+
+
+def _attempts(measurement: Measurement) -> Iterator[str]:
+    """Yields what became of each run at a position before the one that is printed, and of that one if the hand left
+    its region."""
+    for one, following in pairwise(measurement.attempts):
+        why = f"the hand left its region ({one.left})" if one.left else _unsure(one.uncertainty)
+        yield f"With pushes of {number(one.push_n, 3)} N {why}; repeated with {number(following.push_n, 3)} N."
+    if measurement.left_region:
+        yield (
+            f"[yellow]With pushes of {number(measurement.push_n or 0.0, 3)} N the hand left its region[/yellow] "
+            f"({measurement.left_region}): what is measured is a mixture of several regions, and says nothing of the "
+            "device. Without --push, hapsim finds a push that stays in the region."
+        )
+
+
+def _unsure(share: float) -> str:
+    return f"k was uncertain by {percent(share, 2)}" if math.isfinite(share) else "nothing was clear of the noise"
 
 
 def _limits(report: Report) -> Iterator[str]:
@@ -360,7 +386,7 @@ def measurement_document(
     that scene and device declare; `at_rate_seen` has both sides for another rate that was seen."""
     seen, felt = measurement.seen_rate, felt_on(prediction, channel)
     second, is_extra = measurement.second_mode, gives(prediction, measurement)
-    mass = None if is_extra else probable_mass(felt, measurement)
+    mass = None if is_extra or measurement.left_region else probable_mass(felt, measurement)
     mode, at_seen_rate = None, None
     if second is not None:
         frequency, ratio = _oscillation(measurement, second.pole)
@@ -378,6 +404,10 @@ def measurement_document(
     }
     return _run_document(prediction, measurement.trace.report, channel, measurement.failure, on_wire) | {
         "measured": measured,
+        "at_m": measurement.at_m,
+        "push_n": measurement.push_n,
+        "left_region": measurement.left_region or None,
+        "attempts": [one._asdict() for one in measurement.attempts],
         "rate_seen_hz": seen and seen.rate_hz,
         "rate_seen_uncertainty_hz": seen and seen.uncertainty_hz,
         "at_rate_seen": at_seen_rate,
@@ -399,6 +429,6 @@ def _run_document(
 
 
 def _values(measurement: Measurement) -> dict[str, Any]:
-    left_out = ("trace", "failure", "seen_rate", "mass_uncertainty", "second_mode")
+    left_out = ("trace", "failure", "seen_rate", "mass_uncertainty", "second_mode", "at_m", "push_n", "attempts")
     values = {name: value for name, value in vars(measurement).items() if name not in left_out}
     return values | {"mass_kg": measurement.mass, "mass_uncertainty_kg": measurement.mass_uncertainty}

@@ -124,6 +124,10 @@ class ExcitationOptions:
     channel: Annotated[
         int | None, typer.Option(help="Channel to measure [default: the first; with --impedance all]")
     ] = None
+    at: Annotated[
+        float | None,
+        option("X", "Position of the hand, m [default: where it rests, or is held nearest to position 0]", "--at"),
+    ] = None
     duration: Annotated[
         float | None, seconds("Duration in seconds [default: about 2; with --impedance 8 for each channel]")
     ] = None

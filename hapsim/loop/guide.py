@@ -1,9 +1,10 @@
 """A guide leads one hand to a place before it is excited, and then holds it there by a constant force.
 
 The guide is a spring, a damper and an integrator. They follow a path of minimum jerk from where the hand is at arming
-to the target. The integrator makes up for the scene's force, gravity and dry friction, so that no model of them is
-needed. It stops after the settling time; the mean of the guide's force over the time that follows is the bias. The
-guide then crossfades to this bias, which stays until the run ends: the hand rests, and feels the scene alone.
+to the target, or where the scene has dry friction, a little beyond it and back, so that its bristles are not bent. The
+integrator makes up for the scene's force, gravity and the device's friction, so that no model of them is needed. It
+stops after the settling time; the mean of the guide's force over the time that follows is the bias. The guide then
+crossfades to this bias, which stays until the run ends: the hand rests, and feels the scene alone.
 
 A run without a guide never compiles this: its address is 0 then.
 """
@@ -17,6 +18,7 @@ from typing import Any
 import numpy as np
 from numba import types
 
+from hapsim.compiling import helper
 from hapsim.compiling.native import address_of, function_at, native, record_at
 from hapsim.loop.buffers import IO_BUFFER
 from hapsim.loop.guards.force_limit import clip
@@ -29,6 +31,7 @@ GUIDE = np.dtype(
         ("lead", np.uint64),  # of `lead`; 0: no guide
         ("channel", np.uint64),
         ("target", np.float64),  # m
+        ("beyond", np.float64),  # m, how far the path goes beyond it before
         ("ramp", np.int64),  # ticks of the path,
         ("settling", np.int64),  # of the integrator beyond it,
         ("mean", np.int64),  # of the mean,
@@ -63,9 +66,9 @@ def lead(guide, io):
         return guide.bias
     if tick == 0:
         guide.begun = x
-    s = min(tick / guide.ramp, 1.0)
-    path = guide.begun + (guide.target - guide.begun) * s * s * s * (10.0 - 15.0 * s + 6.0 * s * s)
-    off = x - path
+    beyond = guide.beyond if guide.target >= guide.begun else -guide.beyond
+    path = guide.begun + (guide.target + beyond - guide.begun) * _way(tick / guide.ramp)
+    off = x - path + beyond * _way(2.0 * (tick - guide.ramp) / guide.settling)
     if tick == 0:
         guide.before = off
     if tick < settled:
@@ -82,13 +85,29 @@ def lead(guide, io):
     return guide.bias + (1.0 - share) * (force - guide.bias)
 
 
+@helper
+def _way(share):
+    """The share of a path of minimum jerk behind a hand, after this share of its time."""
+    s = min(max(share, 0.0), 1.0)
+    return s * s * s * (10.0 - 15.0 * s + 6.0 * s * s)
+
+
 def set_guide(
-    record: Any, *, channel: int, target: float, ticks: Sequence[int], rate_hz: float, stiffness: float, mass: float
+    record: Any,
+    *,
+    channel: int,
+    target: float,
+    beyond: float,
+    ticks: Sequence[int],
+    rate_hz: float,
+    stiffness: float,
+    mass: float,
 ) -> None:
-    """Fills a GUIDE. `target`: m; `ticks`: of the path, of the integrator beyond it, of the mean and of the crossfade;
-    `stiffness`: N/m, of the spring; `mass`: kg, which it leads."""
+    """Fills a GUIDE. `target`: m; `beyond`: m, how far the path goes farther before; `ticks`: of the path, of the
+    integrator beyond it, of the mean and of the crossfade; `stiffness`: N/m, of the spring; `mass`: kg, which it
+    leads."""
     angular = math.sqrt(stiffness / mass)
-    record.channel, record.target, record.stiffness = channel, target, stiffness
+    record.channel, record.target, record.beyond, record.stiffness = channel, target, beyond, stiffness
     record.ramp, record.settling, record.mean, record.fade = ticks
     record.damping = 2.0 * mass * angular * rate_hz
     record.summing = stiffness * angular / (_SUMMED * rate_hz)

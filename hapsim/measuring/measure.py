@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 from hapsim.device.open_connection import TransportKind
 from hapsim.errors import DeviceError, UsageError
 from hapsim.measuring.limits import SHARE_OF_LIMIT, require_above_zero, require_device_point
-from hapsim.measuring.measure_trace import Measurement, measure_trace
+from hapsim.measuring.measure_trace import Attempt, Measurement, measure_trace
+from hapsim.measuring.place import Place, place_of
 from hapsim.progress import Progress
 from hapsim.recording.trace import Trace
 from hapsim.running import Excitation
@@ -24,12 +26,17 @@ _PUSHES = 40  # in the second half of a measurement; the first is one ring-down
 _SHARE_OF_TRAVEL = 0.25
 _COUNTS = 2.0**31
 _LEAST_ROWS = 32
+_MOST_RUNS = 5
+_FINE, _FINE_IN_TIME = 2e-6, 1e-4  # of k, in virtual and in real time: what no larger push has to make more certain
+_UNSURE = 0.1  # of k: with more, nothing is said of it
+_LARGER = 1.5  # times a push: less than that is no use
 
 
 def measure(
     scene: SceneSource,
     *,
     channel: int = 0,
+    at: float | None = None,
     duration: float | None = None,
     push: float | None = None,
     transport: TransportKind = "auto",
@@ -43,9 +50,15 @@ def measure(
     `push`: the largest force of a push in N [default: a quarter of the force limit]. A correction that adapts is pushed
     all the time, and what it does in the second half is identified, with the mass that it has found.
 
-    Raises what `hapsim.running.run` raises, and UsageError where too little moves to identify anything. Where the
-    device fails, or stops by itself, and was recorded for long enough to identify something, the measurement is
-    returned with the error as its `failure`.
+    `at`: the position in m, from the scene's position 0, to which the hand is led first, in 4 to 9 s more, and where a
+    constant force then holds it. A scene with contacts, tables, detents or dry friction is always measured at a
+    position [default: where the hand rests, or is held nearest to position 0], and with the smallest pushes that are
+    clear of the noise: in up to 5 runs, the next one with larger pushes for less uncertainty, or with half the push
+    where the hand left its region. With `push` there is one run. The measurement's `attempts` list them.
+
+    Raises what `hapsim.running.run` raises, and UsageError where too little moves to identify anything, or where no
+    hand can be measured at that position. Where the device fails, or stops by itself, and was recorded for long enough
+    to identify something, the measurement is returned with the error as its `failure`.
     """
     scene = as_scene(scene)
     require_device_point(scene, channel)
@@ -53,27 +66,81 @@ def measure(
     require_above_zero("newton", push=push)
     if duration is None:
         duration = min(max(_SECONDS, _LEAST_TICKS / scene.rate), _MOST_TICKS / scene.rate)
-    failure: DeviceError | None = None
+    place = place_of(scene, channel, at)
+    options = {"transport": transport, "on_progress": on_progress, "stop_on_signals": stop_on_signals}
+    if place is not None:
+        return _measure_at(scene, place, duration, push, options)
+    excitation = _pushes(scene, channel, duration, push)
+    return _identified(scene, excitation, *_recorded(scene, excitation, duration, options))
+
+
+def _recorded(
+    scene: Scene, excitation: Excitation, duration: float, options: dict[str, Any]
+) -> tuple[Trace, DeviceError | None]:
+    """A run that pushes for `duration` seconds, and why it ended early. DeviceError where that was too early."""
+    guided = excitation.ticks_before(scene.rate)
     try:
-        trace = run(
-            scene,
-            duration=duration,
-            transport=transport,
-            excitation=_pushes(scene, channel, duration, push),
-            on_progress=on_progress,
-            stop_on_signals=stop_on_signals,
-        )
+        trace, failure = run(scene, duration=duration + guided / scene.rate, excitation=excitation, **options), None
     except DeviceError as error:
-        if error.trace is None or error.trace.sample.size < _LEAST_ROWS:
+        if error.trace is None or error.trace.sample.size < guided + _LEAST_ROWS:
             raise
-        failure, trace = error, error.trace
+        trace, failure = error.trace, error
+    return trace, failure
+
+
+def _identified(scene: Scene, excitation: Excitation, trace: Trace, failure: DeviceError | None) -> Measurement:
+    """What the pushes of this run say. UsageError, or the failure, where that is nothing."""
+    channel, guide = excitation.channel, excitation.guide
     try:
         mass, uncertainty = _mass_of(scene, trace, channel)
-        return replace(measure_trace(_settled(scene, trace), mass, channel, uncertainty), failure=failure)
+        found = measure_trace(_settled(scene, trace), mass, channel, uncertainty, pressed=guide is not None)
     except UsageError as nothing:
         if failure is None:
             raise
         raise failure from nothing
+    return replace(found, failure=failure, push_n=excitation.force, at_m=None if guide is None else guide.target)
+
+
+def _measure_at(
+    scene: Scene, place: Place, duration: float, push: float | None, options: dict[str, Any]
+) -> Measurement:
+    """The most certain of the runs in which the hand stayed in its region; with a `push` (N) the only one."""
+    swing, most, best, least = place.first_swing(scene), place.largest_swing, None, math.inf
+    attempts: list[Attempt] = []
+    fine = _FINE if scene.device.clock == "lockstep" else _FINE_IN_TIME
+    clear = 0.0  # m, the largest swing within the region
+    while len(attempts) < _MOST_RUNS:
+        excitation = _pushes(scene, place.channel, duration, push, place, swing)
+        trace, failure = _recorded(scene, excitation, duration, options)
+        guided = excitation.ticks_before(scene.rate)
+        if trace.sample.size <= guided:
+            raise UsageError("the run was stopped before the hand was at its place: nothing was measured")
+        place.require_arrival(trace.position[:guided, place.channel], float(trace.position_scale[place.channel]))
+        trace = trace.since(guided)
+        left, found = place.left_by(trace), None
+        try:
+            found = _identified(scene, excitation, trace, failure)
+        except UsageError:
+            if push is not None:
+                raise
+        unsure = math.inf if found is None or not found.dominant else place.share_of_k(found.k_uncertainty)
+        attempts.append(Attempt(excitation.force, left, math.nan if found is None else found.k, unsure))
+        if push is not None or not place.has_regions or failure is not None or trace.report.ending != "done":
+            best, least = found, 0.0
+            break
+        if left:
+            most = wanted = 0.5 * swing
+        else:
+            wanted = min(swing * place.growth(swing, unsure / fine, unsure), most)
+            clear = max(clear, swing)
+            if unsure < least:
+                best, least = found, unsure
+        if wanted < _LARGER * clear:
+            break
+        swing = wanted
+    if best is None or least > _UNSURE:
+        raise UsageError(place.too_small(float(trace.position_scale[place.channel]), attempts, best))
+    return replace(best, attempts=tuple(attempts))
 
 
 def _settled(scene: Scene, trace: Trace) -> Trace:
@@ -92,8 +159,16 @@ def _mass_of(scene: Scene, trace: Trace, channel: int) -> tuple[float, float | N
     return device.masses(scene.channels)[channel], device.mass_uncertainties(scene.channels)[channel]
 
 
-def _pushes(scene: Scene, channel: int, duration: float, push: float | None) -> Excitation:
-    """Pushes that move the hand clearly, and neither beyond the device's force nor beyond its range and travel."""
+def _pushes(
+    scene: Scene,
+    channel: int,
+    duration: float,
+    push: float | None,
+    place: Place | None = None,
+    swing: float = math.inf,
+) -> Excitation:
+    """Pushes that move the hand clearly, and neither beyond the device's force nor beyond its range and travel; at a
+    `place` by `swing` m, for `push` N as long as a swing of its spring takes a radian."""
     device, mock = scene.device, scene.mock_device
     mass, ticks = device.masses(scene.channels)[channel], math.ceil(duration * scene.rate)
     free = 0 if device.correction == "adaptive" else ticks // 2
@@ -104,12 +179,18 @@ def _pushes(scene: Scene, channel: int, duration: float, push: float | None) -> 
     impulse = mass * min(_KICK, 0.05 * range_m / rests_s, _kick_within_travel(scene, channel, rests_s))
     limit = device.force_limit if device.port is not None else mock.force_limit
     most = SHARE_OF_LIMIT * limit if push is None else min(push, limit)
+    longest = every // 2
+    if place is not None:
+        eigen = math.sqrt(max(place.stiffness, 0.0) / mass)  # rad/s
+        length = max(1, min(longest, round(scene.rate / eigen))) if eigen > 0.0 else longest
+        impulse = min(impulse, swing * max(mass * eigen, place.damping, mass / rests_s))
+        force = min(most, impulse * scene.rate / length) if push is None else most
+        return Excitation(channel, force, length, every, start=free, first=True, guide=place.guide(scene))
     force = min(most, impulse * scene.rate)
     at_rest = device.port is not None or (
         mock.initial_velocity[channel] == 0.0
         and device.origins(scene.channels)[channel] in (None, mock.initial_position[channel])
     )
-    longest = every // 2
     length = longest if impulse * scene.rate > longest * force else max(1, round(impulse * scene.rate / force))
     return Excitation(channel, force, length, every, start=free, first=at_rest)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +35,19 @@ _FAR_OFF = 5.0  # a fit that is this much less certain than the best one is no r
 _MOST_SPOILT = 0.1  # of the samples: with more, it is not motion that is missing
 _UNDECIDED = 20.0  # criterion: four standard deviations of p, squared, and something for the coarseness of its steps
 _SPOILT = LATE_FORCE | BRIDGED | OFF_GRID
+
+
+class Attempt(NamedTuple):
+    """A run of a measurement at a position."""
+
+    push_n: float
+    """The largest push."""
+    left: str
+    """Which links changed when the hand left its region, in words; "" where it stayed within."""
+    k: float
+    """N/m; NaN where nothing was identified."""
+    uncertainty: float
+    """Of k, as a share of it."""
 
 
 @dataclass(frozen=True)
@@ -77,6 +91,18 @@ class Measurement:
     """Why the run ended early; the record until then was enough for the values above."""
     seen_rate: SeenRate | None = field(default=None, compare=False)
     """At which rate the device sampled, as its positions arrived; None where that does not tell."""
+    push_n: float | None = field(default=None, compare=False)
+    """N, the largest push; None where that is not known."""
+    at_m: float | None = field(default=None, compare=False)
+    """m, to which the hand was led; None: to no place."""
+    attempts: tuple[Attempt, ...] = field(default=(), compare=False)
+    """All runs at that place; what is measured is from the most certain in which the hand stayed in its region."""
+
+    @property
+    def left_region(self) -> str:
+        """Which links changed when the hand left its region in the run that was identified, in words; "" where it
+        stayed within, or was led to no place."""
+        return next((one.left for one in self.attempts if one.push_n == self.push_n), "")
 
     def at_rate(self, rate_hz: float) -> Measurement:
         """The same motion, if the device sampled at `rate_hz` and not at the trace's: its seconds are longer or
@@ -137,6 +163,15 @@ def measure_trace(
 
 
 identify = measure_trace  # its former name, still public
+
+
+def asks_by_one_law(trace: Trace, channel: int) -> bool:
+    """Whether the scene's force was linear in the positions all the time: no link touched, gave way or slid."""
+    asked, counts = trace.asked_force[:, channel], trace.position_counts[:, channel].astype(float)
+    following = (np.diff(trace.sample) == 1) & (trace.flags[1:] & BRIDGED == 0)
+    return any(
+        (law := _law(counts - np.median(counts), asked, following, memory)) is None or law.obeyed for memory in (1, 4)
+    )
 
 
 def _fitted(trace: Trace, channel: int, pressed: bool) -> tuple[list[Segment], list[tuple[Fit, list[Fit]]]]:
@@ -232,11 +267,32 @@ def _rest(position: Floats, asked: Floats, following: NDArray[np.bool_]) -> tupl
 
 
 def _rest_by_law(position: Floats, asked: Floats, following: NDArray[np.bool_], memory: int) -> float | None:
-    """Rest by the law of the force in the `memory` + 1 newest positions and, beyond two of them, the forces before."""
+    law = _law(position, asked, following, memory)
+    if law is None:
+        return 0.0 if memory == 1 else None
+    if law.stands:
+        return 0.0 if memory == 1 and law.obeyed else None
+    return law.rest if law.obeyed or (memory > 1 and law.uncertainty < _CERTAIN) else None
+
+
+class _Law(NamedTuple):
+    """The scene's force as a linear function of positions."""
+
+    obeyed: bool
+    stands: bool
+    """Whether it depends on no position."""
+    rest: float
+    """Counts: where it is zero."""
+    uncertainty: float
+
+
+def _law(position: Floats, asked: Floats, following: NDArray[np.bool_], memory: int) -> _Law | None:
+    """The law of the force in the `memory` + 1 newest positions and, beyond two of them, the forces before; None where
+    too few samples follow each other."""
     whole = np.all([following[i : following.size - memory + 1 + i] for i in range(memory)], axis=0)
     rows = memory + np.flatnonzero(whole)
     if rows.size < 8 + 4 * memory:
-        return 0.0 if memory == 1 else None
+        return None
     size, most = float(np.max(np.abs(position))) or 1.0, float(np.max(np.abs(asked))) or 1.0
     columns = [position[rows] / size]
     columns += [(position[rows - i] - position[rows - i - 1]) / size for i in range(memory)]
@@ -244,11 +300,11 @@ def _rest_by_law(position: Floats, asked: Floats, following: NDArray[np.bool_], 
     table = np.column_stack([*columns, np.ones(rows.size)])
     law, *_ = np.linalg.lstsq(table, asked[rows] / most, rcond=1e-13)
     missed = asked[rows] / most - table @ law
-    obeyed = np.max(np.abs(missed)) <= _LAWFUL
+    obeyed = bool(np.max(np.abs(missed)) <= _LAWFUL)
     if abs(law[0]) <= 1e-9 * float(np.max(np.abs(law))):
-        return 0.0 if memory == 1 and obeyed else None
+        return _Law(obeyed, True, 0.0, 0.0)
     uncertainty = size / abs(law[0]) * float(np.sqrt(np.mean(missed**2) / rows.size))
-    return float(-law[-1] / law[0] * size) if obeyed or (memory > 1 and uncertainty < _CERTAIN) else None
+    return _Law(obeyed, False, float(-law[-1] / law[0] * size), uncertainty)
 
 
 def _fits(segments: list[Segment]) -> list[tuple[Fit, list[Fit]]]:

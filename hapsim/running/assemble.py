@@ -184,12 +184,13 @@ def _set_excitation(record: Any, excitation: Excitation | PeriodicExcitation, sc
     control.pulse_every, control.pulse_from, control.pulse_first = excitation.every, excitation.start, excitation.first
     if (guide := excitation.guide) is not None:
         channel, ticks = excitation.channel, guide.ticks(scene.rate)
-        control.pulse_begin = sum(ticks)
+        control.pulse_begin = excitation.ticks_before(scene.rate)
         mass = scene.device.masses(scene.channels)[channel]
         set_guide(
             record.guide,
             channel=channel,
             target=guide.target,
+            beyond=guide.beyond,
             ticks=ticks,
             rate_hz=scene.rate,
             stiffness=guide.stiffness,

@@ -24,6 +24,8 @@ class Guide:
     """m, from the scene's position 0."""
     stiffness: float
     """N/m, of the spring that leads it."""
+    beyond: float = 0.0
+    """m, how far it goes beyond the target before."""
     seconds: tuple[float, float, float, float] = (2.0, 1.0, 0.25, 0.25)
     """Of the way there, of settling, of the mean and of the crossfade."""
 
@@ -47,6 +49,10 @@ class Excitation:
     start: int
     first: bool
     guide: Guide | None = None
+
+    def ticks_before(self, rate_hz: float) -> int:
+        """How many ticks the guide takes."""
+        return 0 if self.guide is None else sum(self.guide.ticks(rate_hz))
 
 
 @dataclass(frozen=True, eq=False)

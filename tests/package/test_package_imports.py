@@ -83,7 +83,7 @@ def test_a_room_imports_only_what_stands_below_it(module: str) -> None:
     assert {other for other in others if LEVELS[other] >= LEVELS[room]} == set()
 
 
-HAVE_SCENES_RUN = {f"hapsim.measuring.{name}" for name in ("measure", "measure_impedance", "identify_device")}
+HAVE_SCENES_RUN = {f"hapsim.measuring.{name}" for name in ("measure", "measure_impedance", "identify_device", "place")}
 
 
 @pytest.mark.parametrize(
@@ -97,7 +97,8 @@ HAVE_SCENES_RUN = {f"hapsim.measuring.{name}" for name in ("measure", "measure_i
 def test_prediction_and_measurement_are_two_roads(room: str, never: str) -> None:
     """Whatever the room imports, and what that imports in turn, or a comparison of the two would be worth nothing."""
     reached, ahead = set(), [module for module in GRAPH if module.startswith(f"{room}.")]
-    if room == "hapsim.measuring":  # these have a scene run; a run looks at its prediction before it takes a change
+    if room == "hapsim.measuring":  # these have a scene run; a run looks at its prediction before it takes a change;
+        # and of the scene's geometry, place.py knows where it changes
         ahead = [module for module in ahead if module not in HAVE_SCENES_RUN]
     while ahead:
         module = ahead.pop()
@@ -105,3 +106,8 @@ def test_prediction_and_measurement_are_two_roads(room: str, never: str) -> None
             reached.add(module)
             ahead.extend(GRAPH[module])
     assert [module for module in reached if f"{module}.".startswith(f"{never}.")] == []
+
+
+def test_of_a_prediction_measuring_knows_the_geometry_alone() -> None:
+    known = {other for m in GRAPH if m.startswith("hapsim.measuring.") for other in GRAPH[m] if "prediction" in other}
+    assert known == {"hapsim.prediction.characteristic"}

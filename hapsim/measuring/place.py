@@ -1,0 +1,215 @@
+"""Where a hand is measured in a scene that feels different from place to place, and how hard it is pushed there.
+
+Of the scene only its geometry is known here: where a link begins to touch, gives way or slides, the slopes between
+these edges and the static force. They lead the hand to its place and size the pushes. What is identified never sees
+them, nor the prediction.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hapsim.errors import UsageError
+from hapsim.measuring.converters import Floats
+from hapsim.measuring.limits import force_limit
+from hapsim.measuring.measure_trace import Attempt, Measurement, asks_by_one_law
+from hapsim.number_format import number
+from hapsim.prediction.characteristic import Characteristic, Piece, characteristic_of, piece_at
+from hapsim.recording.trace import Trace
+from hapsim.running.options import Guide
+from hapsim.scene import Scene
+
+_GUIDE_SLOW, _GUIDE_FAST = 60.0, 0.1  # rad/s, and rad in a sample without delay: how fast the guide's spring swings
+_WAY_S, _SETTLING_S, _MEAN_S = 2.0, (1.0, 6.0), 0.25
+_WITHIN = 0.45  # of the way to the region's nearest edge
+_COUNTS, _COUNTS_A_RADIAN = 4000.0, 400.0  # of a first swing: its size, and how far it goes in a sample
+_AT_A_PORT = 0.1  # of the way to the edge, where the size of a count is not known before
+_RESOLVED = 40.0  # counts: less motion than that says nothing
+_MOST_GROWTH = 64.0  # of a swing, from one run to the next
+_CURVED = 3.0  # a swing over a share a of the room changes the stiffness of a sine by about a²/3
+_LAST, _ARRIVED = 64, 0.5  # samples before the first push; of the room: farther from its place the hand is elsewhere
+
+
+@dataclass(frozen=True)
+class Place:
+    """A position of a hand, and the region about it in which every link stays as it is. SI units."""
+
+    name: str
+    channel: int
+    at: float
+    """From the scene's position 0."""
+    low: float
+    high: float
+    """The region's edges; infinite where there is none."""
+    mass: float
+    """As declared."""
+    stiffness: float
+    damping: float
+    """Of the scene's links and of the device, in the region."""
+    hand: Characteristic | None
+    """None where the hand moves masses or another hand: of its region nothing is known."""
+    piece: Piece | None
+
+    @property
+    def room(self) -> float:
+        """The way to the nearest edge, or until dry friction slides."""
+        return min(self.at - self.low, self.high - self.at, math.inf if self.piece is None else self.piece.reach)
+
+    @property
+    def largest_swing(self) -> float:
+        """How far a push may move the hand."""
+        return _WITHIN * self.room
+
+    @property
+    def has_regions(self) -> bool:
+        """Whether the hand feels different springs and dampers from place to place."""
+        return self.hand is not None and self.hand.is_regional
+
+    @property
+    def is_curved(self) -> bool:
+        """Whether the stiffness changes within the region."""
+        return self.piece is not None and self.piece.is_curved
+
+    def first_swing(self, scene: Scene) -> float:
+        """The smallest motion that is likely to be clear of rounding. UsageError where the region has no room for it.
+
+        In a scene without regions a push may be as large as it always was: infinite."""
+        if not self.has_regions:
+            return math.inf
+        if scene.device.port is not None:
+            return _AT_A_PORT * self.room
+        quantum = scene.mock_device.quantum
+        if self.largest_swing < _RESOLVED * quantum:
+            raise UsageError(self.too_small(quantum))
+        turn = math.sqrt(max(self.stiffness, 0.0) / self.mass) * scene.period
+        return min(self.largest_swing, quantum * max(_COUNTS, _COUNTS_A_RADIAN / max(turn, 1e-3)))
+
+    def growth(self, swing: float, wanted: float, unsure: float) -> float:
+        """By what a swing of `swing` m is to grow for `wanted` times less uncertainty than a share `unsure` of k; on a
+        curve only as far as its change of slope over the swing stays below that."""
+        factor = min(wanted, _MOST_GROWTH)
+        if self.is_curved and math.isfinite(unsure):
+            factor = min(factor, (_CURVED * unsure * (self.room / swing) ** 2) ** (1.0 / 3.0))
+        return factor
+
+    def share_of_k(self, uncertainty: float) -> float:
+        """An uncertainty of k (N/m) as a share of it; of a hand that nothing holds, of what would swing at 2 Hz."""
+        return uncertainty / max(self.stiffness, self.mass * (4.0 * math.pi) ** 2)
+
+    def require_arrival(self, way: Floats, count_m: float) -> None:
+        """UsageError where the guide left the hand elsewhere than at its place, by its positions (m) until then."""
+        x = float(np.median(way[-_LAST:]))
+        if abs(x - self.at) > _ARRIVED * min(self.room, 1.0) + _RESOLVED * count_m:
+            raise UsageError(
+                f"the hand was led to {number(self.at)} m and came to rest at {number(x, 4)} m: dry friction, or a "
+                "hand, holds it, or a snap on the way is too steep for what leads it. Let it move freely, or choose "
+                "another --at"
+            )
+
+    def guide(self, scene: Scene) -> Guide:
+        """What leads the hand there: stiffer than what it crosses, as far as the loop stays stable."""
+        mass, fall = self.mass, 0.0
+        if self.hand is not None:
+            fall = max(0.0, *(-piece.stiffness for piece in self.hand.pieces()))
+        wanted = max(mass * _GUIDE_SLOW**2, self.stiffness, 2.0 * fall)
+        stiffness = min(wanted, mass * (_GUIDE_FAST * scene.rate / (1.0 + scene.device.delay)) ** 2)
+        swing_s = math.sqrt(mass / stiffness)
+        summing_s = 3.0 * swing_s * (1.0 + max(self.stiffness, 0.0) / stiffness)  # what the integrator takes
+        settling_s = min(max(_SETTLING_S[0], 40.0 * swing_s, 6.0 * summing_s), max(_SETTLING_S[1], 40.0 * swing_s))
+        reach = math.inf if self.piece is None else self.piece.reach
+        beyond = reach if math.isfinite(reach) else 0.0  # and back: where friction sticks with no bristle bent
+        return Guide(self.at, stiffness, beyond, (_WAY_S, settling_s, max(_MEAN_S, 5.0 * swing_s), _MEAN_S))
+
+    def left_by(self, trace: Trace) -> str:
+        """How the hand left the region in a trace, in words: the links that changed; "" where it stayed within."""
+        x = trace.position[:, self.channel]
+        if self.hand is None or self.piece is None or not self.has_regions:
+            return ""
+        least, most = float(x.min()), float(x.max())
+        if self.low <= least and most <= self.high and (self.is_curved or asks_by_one_law(trace, self.channel)):
+            return ""
+        pieces = self.hand.pieces()
+        ends = [self.hand.at(min(max(end, self.hand.low), self.hand.high), pieces) for end in (least, most)]
+        changed = {
+            f"{link} went from {state} to {end.states[link]}"
+            for end in ends
+            for link, state in self.piece.states.items()
+            if end.states[link] != state
+        }
+        sticks = [f"{link} slid" for link, state in self.piece.states.items() if state == "stuck"]
+        return ", ".join(sorted(changed) or sticks) or "a link let go, or a velocity left its piece of a table"
+
+    def words(self) -> str:
+        """The region in words."""
+        if not math.isfinite(self.low) and not math.isfinite(self.high):
+            return f"{number(self.at)} m"
+        low, high = (number(one) if math.isfinite(one) else "no end" for one in (self.low, self.high))
+        return f"{number(self.at)} m, in the region from {low} to {high} m"
+
+    def too_small(self, count_m: float, attempts: Sequence[Attempt] = (), found: Measurement | None = None) -> str:
+        """Why no push that stays in the region says anything: sentences without a full stop."""
+        noise, tried = "", ""
+        if found is not None and found.residual_m > count_m:
+            noise = f" and noise of {number(found.residual_m, 2)} m rms"
+        if attempts and attempts[-1].left:
+            tried = f"; {attempts[-1].left} even with a push of {number(attempts[-1].push_n, 3)} N"
+        return (
+            f"at {self.words()}, {self.name} can swing {number(self.room, 3)} m to the nearest edge, against counts of "
+            f"{number(count_m, 3)} m{noise}{tried}: no push that stays in this region moves it enough to identify what "
+            "it feels. Choose the middle of a wider region with --at, or a device with finer positions"
+        )
+
+
+def place_of(scene: Scene, channel: int, at: float | None) -> Place | None:
+    """The place on `channel` at `at` m, or where the hand is held nearest to position 0; None where there is no need to
+    choose: the scene feels the same everywhere, and no place is asked for.
+
+    UsageError for a place where no hand can be measured: beyond the travel or the force limit, on an edge, on a snap.
+    """
+    name = next(name for name, point in scene.device_points.items() if point.channel == channel)
+    hand = characteristic_of(scene, name)
+    if at is None and (hand is None or not hand.is_regional):
+        return None
+    device = scene.device
+    mass, stiffness, damping = (
+        one(scene.channels)[channel] for one in (device.masses, device.stiffnesses, device.frictions)
+    )
+    if hand is None:
+        low, high = device.travels(scene.channels)[channel]
+        place = Place(name, channel, at or 0.0, low, high, mass, stiffness, damping, None, None)
+        if not low <= place.at <= high:
+            raise UsageError(
+                f"at: found {number(place.at)} m, beyond the travel of {name}; expected a position from {number(low)} "
+                f"to {number(high)} m"
+            )
+        return place
+    piece = piece_at(hand, name, at)
+    stiffness, damping = stiffness + piece.stiffness, damping + piece.damping
+    place = Place(name, channel, piece.place, piece.low, piece.high, mass, stiffness, damping, hand, piece)
+    _require_rest(place, abs(float(hand.force(place.at))), force_limit(scene))
+    return place
+
+
+def _require_rest(place: Place, force: float, limit: float) -> None:
+    if force > limit:
+        raise UsageError(
+            f"at: {place.words()}, the scene asks for {number(force, 4)} N, more than the force limit of "
+            f"{number(limit)} N: there the force is clipped, and no spring is felt. Choose a position with less force"
+        )
+    if place.stiffness == 0.0:
+        raise UsageError(
+            f"at: {place.words()}, nothing holds the hand: it is free, and there is no spring to measure. Choose a "
+            "position in a region with a spring; `hapsim check` lists them"
+        )
+    if place.stiffness < 0.0:
+        raise UsageError(
+            f"at: {place.words()}, the scene is a snap: it pushes the hand away with {number(place.stiffness, 5)} N/m, "
+            "and no hand comes to rest there. Choose a position in a region of positive stiffness; `hapsim check` "
+            "lists them"
+        )
+    if not place.room > 0.0:
+        raise UsageError(f"at: {place.words()}, the hand is on the edge; expected a position within a region")

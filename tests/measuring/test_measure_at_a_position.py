@@ -1,0 +1,158 @@
+"""Contacts, tables and friction are measured in the region about a position, and nowhere else."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import hapsim
+from hapsim.errors import UsageError
+from hapsim.scene import Scene, load_scene, parse_scene
+
+CONFIGS = Path(__file__).resolve().parents[2] / "configs"
+NOTCH = [[-0.002, 0.0], [-0.001, -1.0], [0.001, 1.0], [0.002, 0.0]]
+TOGGLE = [[-0.01, -4], [-0.005, 0], [-0.002, 1.5], [0.002, -1.5], [0.005, 0], [0.01, 5]]
+
+
+def shipped(name: str, **device: Any) -> Scene:
+    scene = load_scene(CONFIGS / f"{name}.yaml")
+    return scene.model_copy(update={"device": scene.device.model_copy(update={"clock": "lockstep", **device})})
+
+
+def table(points: list[list[float]], *, device: str = "", damping: float = 4.0, **mock: Any) -> Scene:
+    """A hand on a table and a damper."""
+    return parse_scene(
+        f"""
+version: 1
+rate: 1000
+device: {{clock: lockstep, mass: 0.2, friction: 1, delay: 1{device}}}
+mock: {json.dumps(mock)}
+modules:
+  knob: {{type: device, channel: 0}}
+  frame: {{type: ground}}
+  rub: {{type: damper, between: [knob, frame], damping: {damping}}}
+  table: {{type: nonlinear, between: [knob, frame], force_over_distance: {points}}}
+"""
+    )
+
+
+def agrees(scene: Scene, measured: Any, channel: int = 0, within: float = 1e-5) -> None:
+    """k and b are those that are predicted for the place."""
+    felt = next(
+        one for one in hapsim.predict(scene, with_margins=False, at=measured.at_m).felt if one.channel == channel
+    )
+    assert abs(measured.k / felt.k - 1.0) < within
+    assert abs(measured.b - felt.b) < within * 2.0 * math.sqrt(felt.k * measured.mass)
+
+
+@pytest.mark.parametrize(
+    ("scene", "at"),
+    [
+        (shipped("wall"), None),
+        (shipped("wall"), -0.002),
+        (shipped("four_keys"), -0.001),
+        (shipped("four_keys"), -0.005),
+        (shipped("four_keys"), -0.0105),
+        (table(NOTCH), None),
+        (table(TOGGLE), -0.004),
+        (table(TOGGLE), 0.007),
+        (table(NOTCH, hand={"force": 1.5}), 0.0003),
+        (shipped("first_touch"), 0.002),
+    ],
+    ids=["wall", "deep", "key", "lower", "bottom", "notch", "toggle", "over", "gravity", "linear"],
+)
+def test_a_region_feels_as_predicted(scene: Scene, at: float | None) -> None:
+    measured = hapsim.measure(scene, at=at)
+    agrees(scene, measured)
+    assert abs(measured.trace.position[0, 0] - measured.at_m) < 2e-6
+    assert not measured.left_region
+    assert measured.k_uncertainty < 1e-5 * measured.k
+
+
+def test_the_shipped_wall_gives_what_its_file_states() -> None:
+    measured = hapsim.measure(shipped("wall"))
+    assert measured.k == pytest.approx(1549, abs=0.5)
+    assert measured.b == pytest.approx(2.78, abs=0.005)
+    assert measured.at_m < 0.0
+
+
+def test_friction_of_the_scene_is_measured_where_it_sticks() -> None:
+    scene = table(NOTCH)
+    rubs = {"type": "friction", "between": ["knob", "frame"], "force": 0.2, "stiffness": 800, "damping": 1}
+    document = scene.model_dump(mode="json", exclude_none=True)
+    document["modules"]["rubs"] = rubs
+    scene = parse_scene(json.dumps(document))
+    measured = hapsim.measure(scene, at=0.0002)
+    agrees(scene, measured)
+    assert measured.k > 1500.0
+
+
+def test_a_push_that_leaves_the_region_is_halved_until_it_stays() -> None:
+    """Counts of 1 µm ask for much of the notch, and a device of half the mass swings in time with the pushes."""
+    scene = table(
+        [[-0.0004, 0.0], [-0.0002, -0.2], [0.0002, 0.2], [0.0004, 0.0]], quantum=1e-6, damping=0.6, mass=0.104
+    )
+    measured = hapsim.measure(scene)
+    left = [one for one in measured.attempts if one.left]
+    assert left
+    assert "table went from" in left[0].left
+    for before, after in zip(left, measured.attempts[1:], strict=False):
+        assert after.push_n == pytest.approx(0.5 * before.push_n)
+    assert not measured.left_region
+    assert abs(measured.trace.position).max() < 0.0002
+
+
+def test_a_push_that_is_named_is_not_changed_and_what_it_leaves_is_said() -> None:
+    measured = hapsim.measure(table(NOTCH), push=3.0)
+    assert (measured.push_n, len(measured.attempts)) == (3.0, 1)
+    assert measured.left_region == "table went from piece 2 to level"
+
+
+def test_noise_asks_for_larger_pushes() -> None:
+    scene = shipped("wall")
+    scene = scene.model_copy(update={"mock": scene.mock.model_copy(update={"quantum": 1e-6, "noise": 1e-6})})
+    measured = hapsim.measure(scene, at=-0.005)
+    agrees(scene, measured, within=5.0 * measured.k_uncertainty / measured.k)
+    assert measured.k_uncertainty < 1e-3 * measured.k
+    quiet = hapsim.measure(shipped("wall"), at=-0.005)
+    assert measured.push_n > 100.0 * quiet.push_n
+
+
+def test_dry_friction_of_the_device_leaves_the_place_and_tells_of_its_uncertainty() -> None:
+    measured = hapsim.measure(shipped("wall").model_copy(update={"mock": table(NOTCH, coulomb=0.02).mock}), at=-0.003)
+    assert abs(measured.trace.position[0, 0] + 0.003) < 1e-5
+    assert abs(measured.k - 1549.0) < max(4.0 * measured.k_uncertainty, 0.05 * 1549.0)
+
+
+@pytest.mark.parametrize(
+    ("scene", "at", "says"),
+    [
+        (table(NOTCH), 0.0015, "is a snap: it pushes the hand away with -1000 N/m"),
+        (table(NOTCH), 0.005, "nothing holds the hand"),
+        (table(NOTCH), 0.001, "the hand is on the edge"),
+        (shipped("wall"), -0.01, "asks for 15 N, more than the force limit of 10 N"),
+        (table(NOTCH, device=", travel: [-0.01, 0.01], travel_margin: 0.1"), 0.02, "at: found 0.02 m"),
+        (table(NOTCH, quantum=1e-4), None, "no push that stays in this region"),
+        (shipped("held_string", travel=(-0.01, 0.01), travel_margin=0.1), 0.02, "at: found 0.02 m"),
+    ],
+    ids=["snap", "free", "edge", "limit", "travel", "counts", "string"],
+)
+def test_where_no_hand_can_be_measured_it_says_why(scene: Scene, at: float | None, says: str) -> None:
+    with pytest.raises(UsageError, match=says):
+        hapsim.measure(scene, at=at)
+
+
+def test_a_region_that_noise_fills_is_refused_after_all_pushes() -> None:
+    scene = table([[-4e-5, 0.0], [-2e-5, -0.02], [2e-5, 0.02], [4e-5, 0.0]], quantum=1e-9, noise=2e-5)
+    with pytest.raises(UsageError, match="no push that stays in this region"):
+        hapsim.measure(scene)
+
+
+def test_a_hand_that_does_not_arrive_is_not_measured() -> None:
+    scene = table(NOTCH, hand={"stiffness": 1e6, "damping": 100.0})
+    with pytest.raises(UsageError, match="came to rest at"):
+        hapsim.measure(scene, at=0.0005)
