@@ -25,7 +25,7 @@ CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 def is_linear(scene: hapsim.Scene) -> bool:
     """Whether a hand on its own spring and damper is what the scene is, with nothing assumed."""
     prediction = hapsim.predict(scene)
-    return bool(prediction.felt) and not prediction.coupled and not prediction.assumptions
+    return bool(prediction.felt) and not (prediction.coupled or prediction.assumptions or prediction.regions)
 
 
 def errors(scene: hapsim.Scene) -> tuple[float, float, float, float]:
@@ -48,7 +48,8 @@ def impedances() -> Iterator[str]:
     yield "|---|---|---|---|---|---|---|---|"
     for path in sorted(CONFIGS.glob("*.yaml")):
         scene = hapsim.load_scene(path)
-        if hapsim.predict(scene, with_margins=False).assumptions:
+        prediction = hapsim.predict(scene, with_margins=False)
+        if prediction.assumptions or prediction.regions:
             continue
         scene = scene.model_copy(update={"device": scene.device.model_copy(update={"clock": "lockstep"})})
         measured = hapsim.measure_impedance(scene)
