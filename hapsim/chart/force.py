@@ -23,6 +23,7 @@ from hapsim.theory.arrays import Floats
 
 _POINTS = 49  # of a region
 _MARGIN = 0.3  # of what has edges, drawn beyond them
+_STEEP = 2.0  # times the largest force at an edge: a stop is drawn no further
 _ALONE_M = 2e-3  # drawn on each side of an edge where nothing else says how much
 _LEAST_ERROR, _MOST_ERROR = 1e-3, 1.0  # ends of the colours
 
@@ -83,7 +84,9 @@ def _view(hand: Characteristic, regions: tuple[Region, ...]) -> tuple[float, flo
     room = _MARGIN * (high - low) or _ALONE_M
     low, high = max(low - room, hand.low), min(high + room, hand.high)
     x = np.linspace(low, high, 2001)
-    within = x[np.abs(hand.force(x)) <= hand.force_limit]
+    inner = _STEEP * max(map(abs, hand.force(np.array(edges))), default=0.0)
+    most = min(hand.force_limit, max(inner, *np.abs(hand.force(np.array(places)))))
+    within = x[np.abs(hand.force(x)) <= most]
     return (float(within[0]), float(within[-1])) if within.size > 1 else (low, high)
 
 

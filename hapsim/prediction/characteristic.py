@@ -40,6 +40,11 @@ class HandLink(NamedTuple):
         """d of the link where the hand is at x, m."""
         return self.sign * (np.asarray(x, float) - self.fixed_m)
 
+    def edges(self, low: float, high: float) -> list[float]:
+        """Where the hand is at the edges of the law, between these two positions, m."""
+        ends = sorted(float(self.distance(x)) for x in (low, high))
+        return [self.fixed_m + self.sign * d for d in self.law.edges_between(ends[0], ends[1])]
+
     @property
     def is_regional(self) -> bool:
         """Whether it is not the same spring and damper everywhere."""
@@ -107,10 +112,7 @@ class Characteristic:
 
     def edges(self) -> list[float]:
         """Where a link goes from one piece of its law to the next, m, within the travel."""
-        found: list[float] = []
-        for link in self.links.values():
-            ends = sorted(float(link.distance(x)) for x in (self.low, self.high))
-            found += [link.fixed_m + link.sign * d for d in link.law.edges_between(*ends)]
+        found = [edge for link in self.links.values() for edge in link.edges(self.low, self.high)]
         alike = _ALIKE * max(map(abs, found), default=0.0)
         kept: list[float] = []
         for edge in sorted(found):
@@ -233,8 +235,9 @@ def _within(low: float, high: float) -> float:
     return high - max(1.0, abs(high)) if math.isfinite(high) else 0.0
 
 
-def characteristic_of(scene: Scene, name: str) -> Characteristic | None:
-    """That of the hand at this device point; None where a link of it ends on a mass or on another hand."""
+def characteristic_of(scene: Scene, name: str, around: float = 0.0) -> Characteristic | None:
+    """That of the hand at this device point; None where a link of it ends on a mass or on another hand. What repeats
+    without a travel is known for whole pieces within a period from position 0, and from `around` (m)."""
     links: dict[str, HandLink] = {}
     for link_name, link in scene.links.items():
         if name in link.between:
@@ -245,16 +248,19 @@ def characteristic_of(scene: Scene, name: str) -> Characteristic | None:
             links[link_name] = HandLink(law_of(link), 1.0 if first == name else -1.0, scene.grounds[other].position)
     device, channel = scene.device, scene.device_points[name].channel
     low, high = device.travels(scene.channels)[channel]
-    if not (math.isfinite(low) and math.isfinite(high)) and any(one.law.period for one in links.values()):
-        periods = [one.law.period for one in links.values() if one.law.period]
-        edges = [one.fixed_m + one.sign * d for one in links.values() if not one.law.period for d in one.law.edges]
-        low, high = min([-max(periods), *edges]), max([max(periods), *edges])
+    repeats = [one for one in links.values() if one.law.period]
+    if repeats and not (math.isfinite(low) and math.isfinite(high)):
+        period = max(one.law.period for one in repeats)
+        others = [one.fixed_m + one.sign * d for one in links.values() if not one.law.period for d in one.law.edges]
+        low, high = min([-period, around - period, *others]), max([period, around + period, *others])
+        ends = [edge for one in repeats for edge in one.edges(low, high)]
+        low, high = min(ends), max(ends)
     return Characteristic(links, device.stiffnesses(scene.channels)[channel], low, high, device.force_limit)
 
 
-def hand_at(scene: Scene, name: str) -> Characteristic:
+def hand_at(scene: Scene, name: str, around: float = 0.0) -> Characteristic:
     """`characteristic_of` a hand that has one."""
-    found = characteristic_of(scene, name)
+    found = characteristic_of(scene, name, around)
     assert found is not None
     return found
 
@@ -266,7 +272,7 @@ def scene_at(scene: Scene, at: float | None = None) -> LinearScene:
     hands is then taken as the links' assumptions say. UsageError beyond the travel.
     """
     taken: dict[str, Linear] = {}
-    alone = {name: characteristic_of(scene, name) for name in scene.device_points}
+    alone = {name: characteristic_of(scene, name, at or 0.0) for name in scene.device_points}
     if at is not None and None in alone.values():
         from hapsim.prediction.equilibrium import links_at_rest
 

@@ -69,9 +69,13 @@ def predict(scene: SceneSource, *, with_margins: bool = True, at: float | None =
     network, solution, instead = _solved(network)
     coupled = {name: why for name in scene.device_points if (why := why_coupled(as_seen, linear, name))}
     felt = tuple(felt_by(rendering, linear, name) for name in scene.device_points if name not in coupled)
-    regions = {one.name: found for one in felt if len(found := regions_of(rendering, one.name)) > 1}
-    here = {name: piece_at(hand_at(rendering.desired, name), name, at) for name in regions}
+    regions = {one.name: found for one in felt if len(found := regions_of(rendering, one.name, at or 0.0)) > 1}
+    here = {name: piece_at(hand_at(rendering.desired, name, at or 0.0), name, at) for name in regions}
     shaken = max(map(growth, regions.values()), default=0.0)
+
+    def is_held(name: str) -> bool:  # somewhere, if not at `at`
+        return at is not None and any(one.kind == "held" and one.is_stable for one in regions.get(name, ()))
+
     whole = not coupled and not linear.masses
     poles, radius = solution.poles, solution.spectral_radius
     if whole and rendering.kind is not None:  # what is made for another mass is no part of the network
@@ -85,7 +89,7 @@ def predict(scene: SceneSource, *, with_margins: bool = True, at: float | None =
         here=here,
         coupled=coupled,
         # A loop of lone hands is judged by the formula, which resolves poles that rounding would place on the circle.
-        stable=not shaken and all(one.stable for one in felt) and (whole or solution.is_stable),
+        stable=not shaken and all(one.stable or is_held(one.name) for one in felt) and (whole or solution.is_stable),
         spectral_radius=max(radius, shaken),
         poles=tuple(complex(pole) for pole in poles if abs(pole) > 1e-9),
         poles_in_all=solution.all,

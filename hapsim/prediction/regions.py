@@ -17,10 +17,10 @@ _GROWS = 1.0 + 1e-9  # what grows by more in a sample is not at the limit
 _POINTS = 1025  # at which the energy of a curved snap is summed
 
 
-def regions_of(rendering: Rendering, name: str) -> tuple[Region, ...]:
+def regions_of(rendering: Rendering, name: str, around: float = 0.0) -> tuple[Region, ...]:
     """The regions of the hand at this device point, by position; of one place first the one in which all friction
-    sticks. None where it moves more than itself."""
-    hand, seen = characteristic_of(rendering.desired, name), rendering.seen
+    sticks. None where it moves more than itself. `around`: as in `characteristic_of`."""
+    hand, seen = characteristic_of(rendering.desired, name, around), rendering.seen
     linear = scene_at(seen)
     if hand is None or why_coupled(seen, linear, name):
         return ()

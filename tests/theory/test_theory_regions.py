@@ -79,6 +79,7 @@ def test_where_nothing_is_said_the_hand_is_where_it_rests_and_at_a_corner_in_the
     kinds = [(one.kind, one.is_stable) for one in prediction.regions["hand"]]
     assert kinds == [("free", True), ("held", True), ("snap", True), ("held", True), ("free", True)]
     assert prediction.stable
+    assert predict(parse_scene(KNOB.format(travel="", links=toggle)), at=0.001).stable  # a snap is no instability
     straight = "it: {type: nonlinear, between: [hand, wall], force_over_distance: [[-0.02, -4], [0, 0], [0.02, 4]]}"
     assert len(predict(parse_scene(KNOB.format(travel="", links=straight))).regions["hand"]) == 3
     both = f"{wall}\n  soft: {{type: spring, between: [hand, wall], stiffness: 200}}"
@@ -106,6 +107,17 @@ def test_a_place_beyond_the_travel_is_an_error() -> None:
         UsageError, match=r"at: found 0.03 m, which hand does not reach; expected a position from -0.02"
     ):
         predict(scene, at=0.03)
+
+
+def test_what_repeats_is_listed_in_whole_pieces_and_reached_everywhere() -> None:
+    knob = "it: {type: detent, between: [hand, wall], pitch: 0.01, depth: 1, damping: 2}"
+    scene = parse_scene(KNOB.format(travel="", links=knob))
+    found = predict(scene).regions["hand"]
+    assert [one.kind for one in found] == ["snap", "held", "snap"]
+    assert [one.piece.low for one in found] == pytest.approx([-0.0075, -0.0025, 0.0025])
+    far = predict(scene, at=5.0)
+    assert far.here["hand"].place == 5.0
+    assert far.felt[0].stiffness == pytest.approx(200.0 * np.pi, rel=1e-9)
 
 
 def test_around_a_place_the_links_of_what_moves_with_the_hand_are_as_they_rest_there() -> None:
