@@ -254,4 +254,5 @@ def _module_with(name: str, module: Module, values: Mapping[str, Any]) -> Module
         for step in (more := fault.get("ctx", {}).get("at", ())):
             found = found[step]
         index = "".join(f"[{step}]" for step in (*steps, *more) if isinstance(step, int))
-        raise UsageError(f"{name}.{field}{index}: found {found!r}, {fault['msg']}") from None
+        expected = fault["msg"].replace("Input should be", "expected")  # one of several words
+        raise UsageError(f"{name}.{field}{index}: found {found!r}, {expected}") from None

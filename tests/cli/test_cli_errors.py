@@ -132,7 +132,7 @@ def test_a_device_that_stops_is_status_3_with_a_document(hapsim: Hapsim, tmp_pat
 def test_what_the_system_refuses_is_no_defect(
     hapsim: Hapsim, scene_file: SceneFile, monkeypatch: pytest.MonkeyPatch, error: Exception, told: str
 ) -> None:
-    def fail(_scene: object) -> None:
+    def fail(_scene: object, **_options: object) -> None:
         raise ValueError("because of this") from error
 
     monkeypatch.setattr("hapsim.cli.check.predict", fail)
@@ -171,7 +171,7 @@ def test_a_file_that_never_ends_is_no_scene(hapsim: Hapsim) -> None:
 def test_a_defect_of_ours_is_status_1_and_can_be_traced(
     hapsim: Hapsim, scene_file: SceneFile, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def fail(_scene: object) -> None:
+    def fail(_scene: object, **_options: object) -> None:
         raise ZeroDivisionError("of ours")
 
     monkeypatch.setattr("hapsim.cli.check.predict", fail)

@@ -215,6 +215,8 @@ def test_the_sharpness_of_a_detent_may_change_where_it_has_one(good: str) -> Non
         _changed(sine, {"it": {"sharpness": 3.0}})
     snap = parse_scene(with_module(good, MODULES["detent"].replace("0.3", "0.3, shape: snap")))
     assert _changed(sine, {"it": {"shape": "snap", "sharpness": 2.0}})
+    with pytest.raises(UsageError, match=r"it.shape: found 'saw', expected 'sine', 'snap' or 'notch'"):
+        _changed(sine, {"it": {"shape": "saw"}})
     assert getattr(_changed(snap, {"it": {"sharpness": 3.0}}).modules["it"], "sharpness", None) == 3.0
 
 
