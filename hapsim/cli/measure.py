@@ -30,6 +30,7 @@ from hapsim.cli.output import Table, complain, document, failure_document, stder
 from hapsim.cli.run import print_warnings, require_stable, with_mock
 from hapsim.cli.run_report import show_report, show_run
 from hapsim.errors import RunError, UsageError
+from hapsim.loop.ring import FADED, LIMITED, SLEWED
 from hapsim.measuring.measure import measure as measure_scene
 from hapsim.measuring.measure_trace import Measurement
 from hapsim.number_format import number, percent, relative_difference, rounded
@@ -223,9 +224,19 @@ def _is_another_device(felt: Felt, measurement: Measurement) -> bool:
 def _is_undisturbed(measurement: Measurement) -> bool:
     """Returns whether the device kept the declared rate, and most forces were below the limit and in time."""
     report, seen = measurement.trace.report, measurement.seen_rate
-    shaped = report.limited_ticks + report.slewed_ticks + report.faded_ticks
-    disturbed = shaped + report.deadline_misses > _FEW * report.ticks
+    ticks, *shaped = _shaped_ticks(measurement)
+    disturbed = sum(shaped) / ticks + report.deadline_misses / report.ticks > _FEW
     return not disturbed and (seen is None or not seen.differs_from(measurement.trace.rate))
+
+
+def _shaped_ticks(measurement: Measurement) -> tuple[int, int, int, int]:
+    """Returns how many ticks there were, and how many of them at the force limit, at the slew limit and outside the
+    travel: of the whole run, or once a hand that was led is at its place."""
+    report, flags = measurement.trace.report, measurement.trace.flags
+    if measurement.at_m is None:
+        return report.ticks, report.limited_ticks, report.slewed_ticks, report.faded_ticks
+    limited, slewed, faded = (int((flags & flag != 0).sum()) for flag in (LIMITED, SLEWED, FADED))
+    return flags.size, limited, slewed, faded
 
 
 def _oscillation(measurement: Measurement, pole: complex) -> tuple[float, float]:
@@ -270,7 +281,7 @@ def show_measurement(
             "check --explain` lists the modes."
         )
     reasons = () if measurement.left_region else _other_device(felt, measurement, prediction, of_mass)
-    for sentence in (*_attempts(measurement), *_limits(report), *reasons):
+    for sentence in (*_attempts(measurement), *_limits(measurement), *reasons):
         out.print(sentence)
     if not measurement.dominant:
         out.print(f"The motion is not that of a spring and damper: {_plainly(measurement.reason)}.")
@@ -301,15 +312,16 @@ def _unsure(share: float) -> str:
     return f"k was uncertain by {percent(share, 2)}" if math.isfinite(share) else "nothing was clear of the noise"
 
 
-def _limits(report: Report) -> Iterator[str]:
+def _limits(measurement: Measurement) -> Iterator[str]:
     """Yields for which motions k and b hold, where something limited the force."""
+    in_all, limited, slewed, faded = _shaped_ticks(measurement)
     for ticks, place, holds in (
-        (report.limited_ticks, "at the force limit", "stay below it; beyond, the hand feels less"),
-        (report.slewed_ticks, "at the slew limit or in the soft start", "are slower; in these the hand feels less"),
-        (report.faded_ticks, "outside device.travel, where the force fades", "stay within it"),
+        (limited, "at the force limit", "stay below it; beyond, the hand feels less"),
+        (slewed, "at the slew limit or in the soft start", "are slower; in these the hand feels less"),
+        (faded, "outside device.travel, where the force fades", "stay within it"),
     ):
         if ticks:
-            many = f"{ticks} of {report.ticks} ticks were {place}"
+            many = f"{ticks} of {in_all} ticks were {place}"
             yield f"[yellow]{many}[/yellow]: k and b hold for motions that {holds}."
 
 

@@ -29,8 +29,9 @@ _WITHIN = 0.45  # of the way to the region's nearest edge
 _COUNTS, _COUNTS_A_RADIAN = 4000.0, 400.0  # of a first swing: its size, and how far it goes in a sample
 _AT_A_PORT = 0.1  # of the way to the edge, where the size of a count is not known before
 _RESOLVED = 40.0  # counts: less motion than that says nothing
+_EDGE = 1e-6  # of the region's width, or of 1 m: nearer to its edge is on it
 _MOST_GROWTH = 64.0  # of a swing, from one run to the next
-_CURVED = 3.0  # a swing over a share a of the room changes the stiffness of a sine by about a²/3
+_STRAIGHT = 1e-6  # a curve that bends less over a swing is a straight line
 _LAST, _ARRIVED = 64, 0.5  # samples before the first push; of the room: farther from its place the hand is elsewhere
 
 
@@ -86,14 +87,26 @@ class Place:
         if self.largest_swing < _RESOLVED * quantum:
             raise UsageError(self.too_small(quantum))
         turn = math.sqrt(max(self.stiffness, 0.0) / self.mass) * scene.period
-        return min(self.largest_swing, quantum * max(_COUNTS, _COUNTS_A_RADIAN / max(turn, 1e-3)))
+        swing = min(self.largest_swing, quantum * max(_COUNTS, _COUNTS_A_RADIAN / max(turn, 1e-3)))
+        while swing > _RESOLVED * quantum * 10.0 and self.bend(swing) > _STRAIGHT:
+            swing *= 0.8
+        return swing
+
+    def bend(self, swing: float) -> float:
+        """By which share of itself the stiffness seems to change where the hand swings by `swing` m on a curve."""
+        if self.hand is None or not self.is_curved:
+            return 0.0
+        below, here, above = (float(self.hand.force(self.at + x)) for x in (-swing, 0.0, swing))
+        even = (above - below) / (2.0 * swing) - self.stiffness
+        uneven = (above + below - 2.0 * here) / swing
+        return abs(even) / self.stiffness + (uneven / self.stiffness) ** 2
 
     def growth(self, swing: float, wanted: float, unsure: float) -> float:
         """By what a swing of `swing` m is to grow for `wanted` times less uncertainty than a share `unsure` of k; on a
-        curve only as far as its change of slope over the swing stays below that."""
+        curve only as far as that bends less."""
         factor = min(wanted, _MOST_GROWTH)
-        if self.is_curved and math.isfinite(unsure):
-            factor = min(factor, (_CURVED * unsure * (self.room / swing) ** 2) ** (1.0 / 3.0))
+        while factor > 1.0 and self.bend(swing * factor) * factor > unsure:
+            factor *= 0.8
         return factor
 
     def share_of_k(self, uncertainty: float) -> float:
@@ -211,5 +224,5 @@ def _require_rest(place: Place, force: float, limit: float) -> None:
             "and no hand comes to rest there. Choose a position in a region of positive stiffness; `hapsim check` "
             "lists them"
         )
-    if not place.room > 0.0:
+    if place.room < _EDGE * min(place.high - place.low, 1.0):
         raise UsageError(f"at: {place.words()}, the hand is on the edge; expected a position within a region")
