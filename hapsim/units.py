@@ -26,7 +26,7 @@ _ROTARY = {
     "mm": "mrad",
     "µm": "µrad",
     "kg": "kg·m²",
-    "newton": "newton metres",
+    "newton": "N·m",
     "metres": "radians",
     "m": "rad",
     "N": "N·m",
@@ -34,8 +34,16 @@ _ROTARY = {
 # A bare m or N is a unit only behind a number, in brackets, behind "in" or the two spaces of a heading.
 _BARE = r"(?:(?<=[0-9)–] )|(?<=[(\[])|(?<=\bin )|(?<=\], )|(?<=, )(?=N\])|(?<=  ))[mN](?=$|[\s,;:.)\]])"
 _UNIT = re.compile(
-    rf"(?<![\w·/])(?:(?:N·s/m|N/[ms]|mm/s|m/s²?|[mµ]m|kg|newton|metres)(?![\w·/²])|{_BARE})", re.MULTILINE
+    rf"(?<![\w·/])(?:(?:N·s/m|N/[ms]|mm/s|m/s²?|[mµ]m|kg|newton|metres)(?![\w·/²])|{_BARE})"
+    "(?! or (?:[mµ]?rad|N·m|kg·m²))",  # has both already
+    re.MULTILINE,
 )
+
+
+class InUnits(str):
+    """A text that has its units."""
+
+    __slots__ = ()
 
 
 class Units:
@@ -54,7 +62,9 @@ class Units:
         return "rotary" in self._motions
 
     def __call__(self, text: str) -> str:
-        return _UNIT.sub(self._translated, text) if self.is_rotary else text
+        if isinstance(text, InUnits):
+            return text
+        return InUnits(_UNIT.sub(self._translated, text) if self.is_rotary else text)
 
     def _translated(self, found: re.Match[str]) -> str:
         rotary = _ROTARY[found.group()]
@@ -66,8 +76,8 @@ class Units:
         try:
             yield
         except HapsimError as error:
-            error.args = tuple(map(self, map(str, error.args)))
+            error.args = tuple(self(one) if isinstance(one, str) else one for one in error.args)
             raise
 
 
-LINEAR, ROTARY = Units(["linear"]), Units(["rotary"])
+LINEAR = Units(["linear"])

@@ -10,12 +10,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hapsim.errors import UsageError
+from hapsim.units import LINEAR, Units
 from hapsim.whole_file import whole_file
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+    from matplotlib.text import Text
 
 _DOTS_PER_INCH = 150
+_LONG = 40  # characters
 _FONTS: Any = {
     "font.size": 9,
     "axes.labelsize": 10,
@@ -48,17 +51,42 @@ def require_writable(path: Path | None, endings: tuple[str, ...] = (".svg", ".pn
         raise UsageError(f"{path}: no file can be written there")
 
 
+_units = [LINEAR]
+
+
+@contextmanager
+def labelled_in(units: Units) -> Iterator[None]:
+    """Translates the texts of the figures that are drawn in the block."""
+    _units.append(units)
+    try:
+        yield
+    finally:
+        _units.pop()
+
+
+def _translate(text: Text, units: Units) -> None:
+    """Puts a text into these units; a long one, which has just room enough in those of a line, in smaller letters."""
+    before, after = text.get_text(), units(text.get_text())
+    text.set_text(after)
+    if len(after) > max(len(before), _LONG):
+        text.set_fontsize(0.85 * float(text.get_fontsize()))
+
+
 @contextmanager
 def figure_to(path: Path, width: float, height: float) -> Iterator[Figure]:
     """Yields a figure of this size in inches, and writes it to `path` at the end: .svg, .png or .pdf."""
     import matplotlib as mpl
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
+    from matplotlib.text import Text
 
     with mpl.rc_context(_FONTS):
         figure = Figure(figsize=(width, height), dpi=_DOTS_PER_INCH, layout="constrained")
         FigureCanvasAgg(figure)  # measures texts
         yield figure
+        if _units[-1].is_rotary:
+            for text in figure.findobj(Text):
+                _translate(text, _units[-1])
         with whole_file(path) as file:
             figure.savefig(file, dpi=_DOTS_PER_INCH, format=path.suffix[1:], metadata=_METADATA[path.suffix])
 

@@ -7,7 +7,7 @@ from typing import Annotated
 from hapsim.cli.chart_options import Channel, ChartOutput
 from hapsim.cli.check_regions import regions_document, show_hand
 from hapsim.cli.options import SceneFile, load, option, require_positive
-from hapsim.cli.output import stdout
+from hapsim.cli.output import speak_of, stdout
 from hapsim.errors import UsageError
 
 
@@ -32,6 +32,7 @@ def force(
     if name is None:
         known = ", ".join(map(str, hands))
         raise UsageError(f"--channel {channel}: the scene has nothing there; its device points are on: {known}")
+    speak_of(loaded.device_points[name].channel)
     chart = force_chart(loaded, name, speed)
     output.write(lambda: columns_of(chart), lambda path: draw_force(chart, path))
     if not output.json:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args
 import typer
 
 from hapsim.cli.options import Json, PictureOptions, load, option
-from hapsim.cli.output import document, say, stdout
+from hapsim.cli.output import document, say, speak_of, stdout
 from hapsim.errors import UsageError
 from hapsim.number_format import between, number
 from hapsim.scene import choices
@@ -133,6 +133,7 @@ def hands_of(
         raise UsageError(
             f"--channel {channel}: no hand there whose links all end on grounds; such hands are on: {known}"
         )
+    speak_of(chosen.channel or 0)
     return chosen, [hand for hand in hands if hand is not chosen]
 
 

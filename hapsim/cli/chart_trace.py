@@ -10,9 +10,10 @@ import typer
 
 from hapsim.cli.chart_options import ChartOutput
 from hapsim.cli.options import option, require_positive
-from hapsim.cli.output import say
+from hapsim.cli.output import say, speak_in
 from hapsim.errors import UsageError
 from hapsim.recording.trace import load_trace
+from hapsim.units import Units
 
 if TYPE_CHECKING:
     from hapsim.recording.trace import Trace
@@ -36,6 +37,7 @@ def trace(
     require_positive("--last", last, "seconds")
     output.choose("trace.svg")
     recorded = load_trace(file)
+    speak_in(Units(recorded.report.motion))
     if recorded.sample.size == 0:
         raise UsageError(f"{file}: it has no rows to draw")
     if last is not None:

@@ -12,7 +12,7 @@ from hapsim.cli import check_details as details
 from hapsim.cli.check_regions import regions_document, show_regions
 from hapsim.cli.live import at_work
 from hapsim.cli.options import Json, SceneFile, flag, load, option, scene_name
-from hapsim.cli.output import Table, document, pick, stderr, stdout, table
+from hapsim.cli.output import Table, document, pick, spoken, stderr, stdout, table
 from hapsim.errors import UsageError
 from hapsim.holds import HOLDS
 from hapsim.number_format import duration, number
@@ -27,6 +27,7 @@ from hapsim.prediction import (
     warnings_about,
 )
 from hapsim.prediction.force_bounds import refused_slew, refused_travel, run_bounds, slow_slew, travel_document
+from hapsim.units import InUnits
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -60,7 +61,8 @@ def check(
         compiled = {} if explanation is None else {"compiled": explanation.as_document()}
         bounds = {"force_bounds": run_bounds(loaded)._asdict(), "travel": travel_document(loaded)}
         predicted = prediction_document(prediction, on_wire=on_wire)
-        print(document({"scene": scene, "warnings": warnings} | predicted | bounds | compiled))
+        about = {"scene": scene, "motion": loaded.device.motions(loaded.channels), "warnings": warnings}
+        print(document(about | predicted | bounds | compiled))
         return
     out = stdout()
     _show_verdict(out, scene_name(scene), _stability(prediction, bool(of_slew)), prediction.rate)
@@ -113,14 +115,14 @@ def _predicted_for(scene: Scene) -> str:
     """Returns the device and the hands of a prediction: one, or each channel's where they differ."""
     device, channels = scene.device, scene.channels
     each = zip(device.mass_spans(channels), device.frictions(channels), device.stiffnesses(channels), strict=True)
-    hands = [_one_hand(*one) for one in each]
+    hands = [spoken(channel)(_one_hand(*one)) for channel, one in enumerate(each)]
     used = {point.channel: hands[point.channel] for point in scene.device_points.values()}
     first, *others = dict.fromkeys(used.values())
     who = "; ".join(f"channel {c}: {hand}" for c, hand in sorted(used.items())) if others else first
     samples = "sample" if device.delay == 1.0 else "samples"
     late = f"delay {device.delay:g} {samples} ({duration(device.delay * scene.period)})" if device.delay else "no delay"
     averaged = ", averaged positions" if device.sampling == "average" else ""
-    return f"for a hand of {who}, {late}, {HOLDS[device.hold].label}{averaged}"
+    return InUnits(f"for a hand of {who}, {late}, {HOLDS[device.hold].label}{averaged}")
 
 
 def _one_hand(span: tuple[float, float], friction: float, stiffness: float) -> str:
@@ -166,8 +168,8 @@ def _felt_summary(prediction: Prediction) -> Table:
         if wanted := desired.get(felt.name):
             k, b = wanted.k, wanted.b
         static = number(robustness_of(felt).steady_stiffness)
-        rows.append((f"{escape(felt.name)}: k", number(k), number(felt.k), static, "N/m"))
-        rows.append((f"{escape(felt.name)}: b", number(b), number(felt.b), "", "N·s/m"))
+        rows.append((f"{escape(felt.name)}: k", number(k), number(felt.k), static, spoken(felt.channel)("N/m")))
+        rows.append((f"{escape(felt.name)}: b", number(b), number(felt.b), "", spoken(felt.channel)("N·s/m")))
     return table("", ("", "asked for", "felt", "static", ""), rows, box=None)
 
 

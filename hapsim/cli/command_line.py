@@ -20,12 +20,13 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from hapsim.cli.options import choose_cache, on_command_line, take_cache
-from hapsim.cli.output import complain, document, log_as_json
+from hapsim.cli.output import complain, document, log_as_json, speak_in, spoken
 from hapsim.cli.streams import output_failure, standing_streams
 from hapsim.errors import HapsimError, UsageError, refused_by_system
 from hapsim.scene.issue import as_argument
 from hapsim.scene.shipped import shipped_scenes, shipped_scripts
 from hapsim.stopping import end_interrupted, was_interrupted
+from hapsim.units import LINEAR
 
 
 class _Commands(TyperGroup):
@@ -223,6 +224,7 @@ def run_command() -> int:
         os.environ.pop("COLUMNS", None)  # a terminal that does not know its width says 0: nothing would be printed
     with standing_streams():
         log_as_json(False)
+        speak_in(LINEAR)
         ended = _run_app()
         log_as_json(False)  # writes what a log still has
         # A disk that a command found full may be the output's, too: that is one sentence.
@@ -274,4 +276,4 @@ def _fail(problem: str, status: int) -> int:
 
 def _print_failure(problem: str, status: int) -> None:
     if "--json" in sys.argv:
-        print(document({"error": problem, "exit_status": status}))
+        print(document({"error": spoken()(problem), "exit_status": status}))

@@ -10,7 +10,7 @@ import typer
 
 from hapsim.cli.live import live_line
 from hapsim.cli.options import DeviceOptions, Json, PictureOptions, flag, option, push_option, require_file, seconds
-from hapsim.cli.output import Table, complain, document, pick, say, stderr, stdout, table
+from hapsim.cli.output import Table, complain, document, pick, say, speak_of, stderr, stdout, table
 from hapsim.device.known_devices import is_new
 from hapsim.errors import UsageError
 from hapsim.measuring.identify_device import SECONDS, TRAVEL_M, bounds_of, identify_device
@@ -71,6 +71,7 @@ def identify(
         require_rewritable(device.scene)
     if channel is None:
         channel = next(iter(scene.device_points.values())).channel
+    speak_of(channel)
     scene, travel = _within_travel(scene, channel, travel)
     complain(_before_pushing(bounds_of(scene, push, travel), channel, port, duration or SECONDS))
     with live_line(stderr()) as tell:
@@ -147,7 +148,11 @@ def _show(path: str, scene: Scene, found: DeviceIdentification, write: bool, jso
     if values is not None:
         rewrite_device(path, values, channel)
     if json:
-        print(document({"scene": path} | _identification_document(found, declared, values)))
+        print(
+            document(
+                {"scene": path, "motion": device.motions(channels)} | _identification_document(found, declared, values)
+            )
+        )
     elif values is None:
         why = "it was stopped before all was recorded" if write else "--write writes what was found into its `device`"
         say(f"The file was not changed; {why}.")

@@ -11,8 +11,9 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from hapsim.cli.options import chosen_cache
-from hapsim.cli.output import json_log, warn
+from hapsim.cli.output import json_log, spoken, warn
 from hapsim.number_format import plural
+from hapsim.units import InUnits
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -164,16 +165,17 @@ class _Words:
             return f"waiting for {progress.text} · Ctrl-C ends the run"
         if progress.phase == "serving":
             return f"serving the mock device at {progress.text} · Ctrl-C stops it"
-        return " · ".join(filter(None, _of_a_run(progress)))
+        return InUnits(" · ".join(filter(None, _of_a_run(progress))))
 
 
 def _of_a_run(progress: Progress) -> Iterator[str]:
     yield f"running {progress.elapsed_s:.1f} s"
     if progress.seen_rate_hz is not None:
         yield f"{progress.seen_rate_hz:.1f} Hz"
-    moved = zip(progress.position[:_MOST_CHANNELS], progress.force, strict=False)
+    moved = enumerate(zip(progress.position[:_MOST_CHANNELS], progress.force, strict=False))
     # + 0.0: no minus before a zero
-    yield ", ".join(f"{round(1e3 * x, 2) + 0.0:+.2f} mm {round(f, 3) + 0.0:+.3f} N" for x, f in moved)
+    words = ((c, f"{round(1e3 * x, 2) + 0.0:+.2f} mm {round(f, 3) + 0.0:+.3f} N") for c, (x, f) in moved)
+    yield ", ".join(spoken(channel)(one) for channel, one in words)
     yield f"age {progress.age_samples}"
     yield f"misses {progress.deadline_misses}"
     for ticks, what in (

@@ -26,7 +26,7 @@ from hapsim.cli.options import (
     flag,
     say_written,
 )
-from hapsim.cli.output import Table, complain, document, failure_document, stderr, stdout, table
+from hapsim.cli.output import Table, complain, document, failure_document, speak_of, stderr, stdout, table
 from hapsim.cli.run import print_warnings, require_stable, with_mock
 from hapsim.cli.run_report import show_report, show_run
 from hapsim.errors import RunError, UsageError
@@ -89,6 +89,8 @@ def _measure_pair(
     record.require_writable()
     hands = {point.channel: name for name, point in scene.device_points.items()}
     channel = next(iter(hands)) if excitation.channel is None else excitation.channel
+    if channel in hands:
+        speak_of(channel)
     prediction = predict(scene, with_margins=False, at=excitation.at)
     on_wire = None if prediction.wire_of == "none" else predict_on_wire(scene)
     if felt_on(prediction, channel) is None and picture.wanted:

@@ -83,7 +83,8 @@ def measure_impedance(
         )
     if json:
         early = {"error": _STOPPED, "exit_status": INTERRUPTED} if measured.stopped else {}
-        print(document({"scene": device.scene} | impedance_document(predicted, measured, widths, walls) | early))
+        about = {"scene": device.scene, "motion": scene.device.motions(scene.channels)}
+        print(document(about | impedance_document(predicted, measured, widths, walls) | early))
     else:
         shown = list(range(len(predicted.names))) if place is None else [place]
         show_impedance(stdout(), predicted, measured, shown)

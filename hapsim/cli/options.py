@@ -17,7 +17,7 @@ from typing import Annotated, Any, cast, get_type_hints
 
 import typer
 
-from hapsim.cli.output import say
+from hapsim.cli.output import say, speak_in, spoken
 from hapsim.errors import UsageError
 
 _STANDARD_INPUT = "-"
@@ -186,7 +186,10 @@ class PictureOptions:
 
             save_rows(columns(), self.data)
         if self.picture is not None:
-            draw(self.picture)
+            from hapsim.chart.figure import labelled_in
+
+            with labelled_in(spoken()):
+                draw(self.picture)
 
     def say_written(self) -> None:
         """Prints which files were written."""
@@ -206,6 +209,7 @@ def load(path: str, port: str | None = None) -> Any:
     from hapsim.scene.load import read_scene
 
     scene = read_scene(sys.stdin.buffer, scene_name(path)) if path == _STANDARD_INPUT else load_scene(path)
+    speak_in(scene.units, *map(scene.units_of, range(scene.channels)))
     return scene if port is None else on_port(scene, port)
 
 

@@ -20,6 +20,8 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any, Literal, TextIO
 
+from hapsim.units import LINEAR, Units
+
 if TYPE_CHECKING:
     from rich.console import Console, ConsoleOptions, RenderableType
 
@@ -64,16 +66,42 @@ def plain(value: Any) -> Any:
 
 def stdout() -> Console:
     """Returns a rich console on standard output."""
-    from rich.console import Console
-
-    return Console(highlight=False)
+    return _console()
 
 
 def stderr() -> Console:
     """Returns a rich console on standard error."""
+    return _console(stderr=True)
+
+
+def _console(**options: Any) -> Console:
     from rich.console import Console
 
-    return Console(stderr=True, highlight=False)
+    class InUnitsOfTheScene(Console):
+        def print(self, *objects: Any, **options: Any) -> None:
+            super().print(*(spoken()(one) if isinstance(one, str) else one for one in objects), **options)
+
+    return InUnitsOfTheScene(highlight=False, **options)
+
+
+_units: list[Units] = []
+
+
+def speak_in(units: Units, *of_channels: Units) -> None:
+    """Prints from now on in these units, of a scene and of each of its channels."""
+    _units[:] = [units, *of_channels]
+
+
+def speak_of(channel: int) -> None:
+    """Prints from now on in the units of this channel of the scene."""
+    if _units:
+        _units[0] = spoken(channel)
+
+
+def spoken(channel: int | None = None) -> Units:
+    """Returns the units in which everything is printed; of a channel, those of its motion."""
+    place = 0 if channel is None else channel + 1
+    return _units[place] if place < len(_units) else LINEAR
 
 
 @dataclass(frozen=True)
@@ -156,7 +184,8 @@ def table(
 ) -> Table:
     """Returns a table without the columns that have a heading and no values. A column stands left if its heading is
     empty or begins with "<", else right. `options`: rich's."""
-    rows = list(rows)
+    rows = [[*map(spoken(), row)] for row in rows]
+    title, caption, headings = spoken()(title), spoken()(caption), [*map(spoken(), headings)]
     shown = [i for i, heading in enumerate(headings) if not (heading and rows) or any(row[i] for row in rows)]
     kept = [[row[i] for i in shown] for row in rows]
     return Table(title, [headings[i] for i in shown], kept, caption, options)
@@ -168,7 +197,7 @@ def say(sentences: object, stream: TextIO | None = None, indent: str = _INDENT) 
     rich would also break a long path, which has to stay whole to be copied.
     """
     stream = stream or sys.stdout
-    print(fitted(str(sentences), _columns(stream), indent), file=stream)
+    print(fitted(spoken()(str(sentences)), _columns(stream), indent), file=stream)
 
 
 def fitted(text: str, columns: int | None, indent: str = _INDENT) -> str:
@@ -251,8 +280,9 @@ def json_log() -> JsonLog | None:
 def complain(problem: object, event: str = "failed", level: Level = "error", label: str = "", **fields: Any) -> None:
     """Prints a problem or an event on standard error. `label`: stands before it where people read. `fields`: in the
     log."""
+    problem = spoken()(str(problem))
     if _log is not None:
-        _log.say(level, event, str(problem), about=str(problem), **fields)
+        _log.say(level, event, problem, about=problem, **fields)
     else:
         say(f"{label}{problem}", sys.stderr)
 

@@ -108,7 +108,8 @@ def run(
         record.require_writable()
         warnings = predict_before_arming(device.scene, with_mock(scene, kind), unstable)
     port = scene.device.port if kind == "auto" else None
-    state = RunState(os.path.abspath(device.scene) if scene.path else scene_name(device.scene), port, scene.rate)
+    place = os.path.abspath(device.scene) if scene.path else scene_name(device.scene)
+    state = RunState(place, port, scene.rate, scene.device.motions(scene.channels))
     with notifier.told_of_failures(), service.serving(state, port, not portable), live_line(stderr()) as tell:
         reporter = _Reporter(tell, port or "", kind, WatchedFile(device.scene) if service.watch else None)
         lifetime = keep_running(

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from hapsim.cli.output import failure_document, table
+from hapsim.cli.output import failure_document, spoken, table
 from hapsim.measuring.trace_quality import kept_rate
 from hapsim.number_format import percent, plural
 
@@ -78,7 +78,7 @@ def _rows(report: Report, reconnections: int) -> Iterator[tuple[str, str]]:
             yield label, f"[yellow]{count}[/yellow]{note}"
     for channel, mass in enumerate(report.estimated_mass_kg):
         if mass is not None:
-            yield f"estimated mass, channel {channel}  kg", _estimated_mass(report, channel, mass)
+            yield spoken(channel)(f"estimated mass, channel {channel}  kg"), _estimated_mass(report, channel, mass)
     if report.released is False:
         yield "force released", "[yellow]not confirmed[/yellow]"
 

@@ -21,7 +21,13 @@ from hapsim.measuring.device_excitation import Bounds, Drive, Plant, drive_for, 
 from hapsim.measuring.device_fit import DeviceFit, Shape, fit_device, hands_on
 from hapsim.measuring.device_misfit import LOUD, ForceResidual, force_residual, misfit_of
 from hapsim.measuring.device_motion import Motion, Swing, motion_of, pieces_of, swings_of
-from hapsim.measuring.limits import SHARE_OF_LIMIT, force_limit, require_above_zero, require_device_point
+from hapsim.measuring.limits import (
+    SHARE_OF_LIMIT,
+    force_limit,
+    in_units_of_scene,
+    require_above_zero,
+    require_device_point,
+)
 from hapsim.measuring.trace_quality import ROUNDING, SeenRate, seen_rate
 from hapsim.progress import Progress
 from hapsim.recording.trace import Trace
@@ -95,6 +101,7 @@ def bounds_of(scene: Scene, force: float | None = None, travel: float | None = N
     return Bounds(SHARE_OF_LIMIT * limit if force is None else force, TRAVEL_M if travel is None else travel)
 
 
+@in_units_of_scene
 def identify_device(
     scene: SceneSource,
     *,

@@ -9,7 +9,7 @@ from typing import Any
 
 from hapsim.device.open_connection import TransportKind
 from hapsim.errors import DeviceError, UsageError
-from hapsim.measuring.limits import SHARE_OF_LIMIT, require_above_zero, require_device_point
+from hapsim.measuring.limits import SHARE_OF_LIMIT, in_units_of_scene, require_above_zero, require_device_point
 from hapsim.measuring.measure_trace import Attempt, Measurement, measure_trace
 from hapsim.measuring.place import Place, place_of
 from hapsim.progress import Progress
@@ -32,6 +32,7 @@ _UNSURE = 0.1  # of k: with more, nothing is said of it
 _LARGER = 1.5  # times a push: less than that is no use
 
 
+@in_units_of_scene
 def measure(
     scene: SceneSource,
     *,

@@ -14,7 +14,7 @@ from hapsim.errors import HapsimError, UsageError
 from hapsim.loop.endings import IN_WORDS, STOPPED
 from hapsim.measuring.converters import Converters, Floats
 from hapsim.measuring.impedance import LEAST_PERIODS, Impedance, impedance_of, settling
-from hapsim.measuring.limits import SHARE_OF_LIMIT, force_limit, require_above_zero
+from hapsim.measuring.limits import SHARE_OF_LIMIT, force_limit, in_units_of_scene, require_above_zero
 from hapsim.measuring.multisine import Lines, Periods, lines_for, multisine, periods_of
 from hapsim.measuring.trace_quality import SeenRate, seen_rate
 from hapsim.progress import Progress
@@ -83,6 +83,7 @@ class _Run(NamedTuple):
     """m, from one end to the other."""
 
 
+@in_units_of_scene
 def measure_impedance(
     scene: SceneSource,
     *,

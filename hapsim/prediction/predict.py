@@ -61,7 +61,8 @@ def predict(scene: SceneSource, *, with_margins: bool = True, at: float | None =
     position 0]. UsageError where that is beyond the travel.
     """
     scene = as_scene(scene)
-    _require_within_numbers(scene)
+    with scene.units.in_errors():
+        _require_within_numbers(scene)
     rendering = rendered(scene)
     as_seen = rendering.seen
     linear = scene_at(as_seen, at)
@@ -100,7 +101,7 @@ def predict(scene: SceneSource, *, with_margins: bool = True, at: float | None =
         margins_method=margins.method,
         wire_time=wire_time_of(scene),
         wire_of=wire_of(scene),
-        assumptions=(*linear.assumptions, *([instead] if instead else [])),
+        assumptions=tuple(map(scene.units, (*linear.assumptions, *([instead] if instead else [])))),
         rendering=None if rendering.kind is None else rendering,
         desired=_desired(rendering, felt, here),
         desired_modes=_desired_modes(rendering),
@@ -287,7 +288,7 @@ def warnings_about(scene: Scene, prediction: Prediction) -> list[str]:
             f"sample period is {budget.period * 1e3:.4g} ms: on a UART {delay} (`hapsim check` shows what the hand "
             "feels then). A USB device's own port does not mind."
         )
-    return warnings
+    return [*map(scene.units, warnings)]
 
 
 def with_mass(prediction: Prediction, channel: int, mass: float) -> Prediction:

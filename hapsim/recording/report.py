@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from hapsim.loop.histogram import Histogram, Spread
+from hapsim.units import Motion
 
 NOT_FINISHED = "not finished"
 """How the `ending` begins of a record that does not say how its run ended."""
@@ -76,6 +77,8 @@ class Report:
     """Times that zero force was sent because the position was older than a force may live."""
     sign_tests: int = 0
     """Times that a channel's force was released for some milliseconds, to see which way its motor pushes."""
+    motion: tuple[Motion, ...] = ()
+    """Of each channel; () in a record of an earlier version: linear."""
     unrecorded_rows: int = 0
     """Rows missing from the recorded file, which could not be written, or not fast enough. The force was not
     affected."""
@@ -95,13 +98,13 @@ class Statistics:
     age: Histogram
 
 
-_OF_MASSES = ("estimated_mass_kg", "estimated_mass_uncertainty_kg", "mass_explained")
+_LISTS = ("estimated_mass_kg", "estimated_mass_uncertainty_kg", "mass_explained", "motion")
 
 
 def report_from(values: dict[str, Any]) -> Report:
     """What `asdict` made of a report, after JSON. TypeError where it is none."""
     spreads = {name: Spread(**values[name]) for name in ("lateness_s", "exchange_s", "age_samples")}
-    return Report(**values | spreads | {name: tuple(values.get(name, ())) for name in _OF_MASSES})
+    return Report(**values | spreads | {name: tuple(values.get(name, ())) for name in _LISTS})
 
 
 def summary_document(report: Report, statistics: Statistics, finished: bool) -> dict[str, Any]:

@@ -19,6 +19,7 @@ from hapsim.errors import HapsimError, UsageError
 from hapsim.progress import Progress
 from hapsim.running.reconnecting import RunObserver
 from hapsim.running.session import Session
+from hapsim.units import Motion
 
 _SHARE = 1 / 3  # of the watchdog's time, between two notifications
 _STATUS_S = 1.0  # between two lines of STATUS
@@ -123,9 +124,10 @@ def _watchdog_s(environ: Mapping[str, str]) -> float | None:
 class RunState:
     """The state of a run, kept up by its `observer`."""
 
-    def __init__(self, scene: str, port: str | None, nominal_rate_hz: float) -> None:
-        """`scene`: its file. `port`: None for the mock."""
-        self._about = {"pid": os.getpid(), "scene": scene, "port": port, "nominal_rate_hz": nominal_rate_hz}
+    def __init__(self, scene: str, port: str | None, nominal_rate_hz: float, motion: tuple[Motion, ...] = ()) -> None:
+        """`scene`: its file. `port`: None for the mock. `motion`: of each channel."""
+        about = {"pid": os.getpid(), "scene": scene, "port": port, "nominal_rate_hz": nominal_rate_hz}
+        self._about = about | {"motion": motion}
         self._phase: Literal["starting", "running", "waiting", "ended"] = "starting"
         self._armed_since: str | None = None
         self._session: Session | None = None

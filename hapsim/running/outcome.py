@@ -95,6 +95,7 @@ def report_of(scene: Scene, loop: LoopMemory, ending: str) -> Report:
         age_samples=statistics.age.spread(),
         virtual_time=virtual,
         garbage_bytes=int(decoder.garbage_bytes) + _unfinished_bytes(loop),
+        motion=scene.device.motions(scene.channels),
         timed_by_device=bool(loop.record.watch.judges),
         released=True if ending == endings.IN_WORDS[endings.DEVICE_STOPPED] and _says_released(loop) else None,
         **_counts_of(loop),
@@ -123,7 +124,8 @@ def failure_of(name: str, scene: Scene, loop: LoopMemory, trace: Trace, ending: 
         return None
     sentence = sentence or "the run ended as asked after {report.ticks} ticks"
     what = sentence(loop, report) if callable(sentence) else sentence.format(loop=loop.record, report=report)
-    return _with_trace(kind(f"{name}: {what}; {_where_the_force_is(scene, loop, bool(report.released))}"), trace)
+    what = scene.units(f"{what}; {_where_the_force_is(scene, loop, bool(report.released))}")
+    return _with_trace(kind(f"{name}: {what}"), trace)
 
 
 def with_sentence(failure: RunError, sentence: str) -> RunError:

@@ -49,7 +49,7 @@ def require_runnable(scene: Scene, options: RunOptions) -> None:
     if options.duration is not None and not 0 < options.duration * scene.rate < _MOST_TICKS:
         raise UsageError(f"duration: found {options.duration}, expected a finite number of seconds above 0")
     if not options.unstable and (why := refused_travel(scene)):
-        raise UsageError(why)
+        raise UsageError(scene.units(why))
     if options.realtime:
         require_linux("--realtime", "leave it out")
     if options.record is not None:

@@ -70,8 +70,10 @@ def start(scene: SceneSource, **options: Any) -> Session:
     what was recorded. If a session is never closed, the message is printed when the program ends.
     """
     record = RunOptions(**options)  # first: an unknown keyword is a TypeError, whatever the scene
-    session = Session(as_scene(scene), record)
-    session.begin()
+    scene = as_scene(scene)
+    with scene.units.in_errors():
+        session = Session(scene, record)
+        session.begin()
     return session
 
 
