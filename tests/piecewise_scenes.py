@@ -38,9 +38,9 @@ def random_scene(seed: int, *, clock: str = "device") -> dict[str, Any]:
             "mass": mass,
             "friction": float(draw.uniform(0.1, 0.5) * 0.01 * mass * rate),
             "delay": float(draw.choice([0.0, 1.0])),
-            "force_limit": 100.0,
+            "force_limit": 1000.0,
             "travel": list(TRAVEL),
-            "travel_margin": 0.2,
+            "travel_margin": 2.0,
         },
         "modules": modules,
     }

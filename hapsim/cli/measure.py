@@ -311,7 +311,7 @@ def _attempts(measurement: Measurement) -> Iterator[str]:
 
 
 def _unsure(share: float) -> str:
-    return f"k was uncertain by {percent(share, 2)}" if math.isfinite(share) else "nothing was clear of the noise"
+    return f"k or b was uncertain by {percent(share, 2)}" if math.isfinite(share) else "nothing was clear of the noise"
 
 
 def _limits(measurement: Measurement) -> Iterator[str]:

@@ -109,9 +109,12 @@ class Place:
             factor *= 0.8
         return factor
 
-    def share_of_k(self, uncertainty: float) -> float:
-        """An uncertainty of k (N/m) as a share of it; of a hand that nothing holds, of what would swing at 2 Hz."""
-        return uncertainty / max(self.stiffness, self.mass * (4.0 * math.pi) ** 2)
+    def share_unknown(self, found: Measurement) -> float:
+        """The larger of the uncertainties of k and b, as shares of them: of a hand that nothing holds, of what would
+        swing at 2 Hz, and of b no less than of a twentieth of the critical damping."""
+        k = max(self.stiffness, self.mass * (4.0 * math.pi) ** 2)
+        b = max(abs(found.b), 0.1 * math.sqrt(k * self.mass))
+        return max(found.k_uncertainty / k, found.b_uncertainty / b)
 
     def require_arrival(self, way: Floats, count_m: float) -> None:
         """UsageError where the guide left the hand elsewhere than at its place, by its positions (m) until then."""
@@ -184,7 +187,7 @@ def place_of(scene: Scene, channel: int, at: float | None) -> Place | None:
     UsageError for a place where no hand can be measured: beyond the travel or the force limit, on an edge, on a snap.
     """
     name = next(name for name, point in scene.device_points.items() if point.channel == channel)
-    hand = characteristic_of(scene, name)
+    hand = characteristic_of(scene, name, at or 0.0)
     if at is None and (hand is None or not hand.is_regional):
         return None
     device = scene.device
