@@ -27,7 +27,7 @@ _SHARE_OF_TRAVEL = 0.25
 _COUNTS = 2.0**31
 _LEAST_ROWS = 32
 _MOST_RUNS = 5
-_FINE, _FINE_IN_TIME = 2e-6, 1e-4  # of k and b, in virtual and in real time: what no larger push has to make more certain
+_FINE, _FINE_IN_TIME = 2e-6, 1e-4  # of k and b, in virtual and real time: what need not be more certain
 _UNSURE = 0.1  # of k: with more, nothing is said of it
 _LARGER = 1.5  # times a push: less than that is no use
 
