@@ -10,12 +10,17 @@ from hapsim.cli.options import SceneFile, load, option, require_positive
 from hapsim.cli.output import speak_of, stdout
 from hapsim.errors import UsageError
 
+_SPEED = {"linear": 0.05, "rotary": 2.0}
+
 
 def force(
     scene: SceneFile,
     *,
     channel: Channel = None,
-    speed: Annotated[float, option("V", "Speed of the hand for the loop of friction and damping, m/s.")] = 0.05,
+    speed: Annotated[
+        float | None,
+        option("V", "Speed of the hand for the loop of friction and damping [default: 0.05 m/s or 2 rad/s]."),
+    ] = None,
     output: ChartOutput,
 ) -> None:
     """Draw force over displacement: what the hand feels at each place.
@@ -33,6 +38,8 @@ def force(
         known = ", ".join(map(str, hands))
         raise UsageError(f"--channel {channel}: the scene has nothing there; its device points are on: {known}")
     speak_of(loaded.device_points[name].channel)
+    if speed is None:
+        speed = _SPEED[loaded.device.motions(loaded.channels)[loaded.device_points[name].channel]]
     chart = force_chart(loaded, name, speed)
     output.write(lambda: columns_of(chart), lambda path: draw_force(chart, path))
     if not output.json:

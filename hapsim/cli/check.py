@@ -11,7 +11,7 @@ from rich.markup import escape
 from hapsim.cli import check_details as details
 from hapsim.cli.check_regions import regions_document, show_regions
 from hapsim.cli.live import at_work
-from hapsim.cli.options import Json, SceneFile, flag, load, option, scene_name
+from hapsim.cli.options import At, Json, SceneFile, flag, load, position, scene_name
 from hapsim.cli.output import Table, document, pick, spoken, stderr, stdout, table
 from hapsim.errors import UsageError
 from hapsim.holds import HOLDS
@@ -39,10 +39,7 @@ if TYPE_CHECKING:
 def check(
     scene: SceneFile,
     json: Json = False,
-    at: Annotated[
-        float | None,
-        option("X", "Position of the hands, m [default: where they rest, or are held nearest to position 0].", "--at"),
-    ] = None,
+    at: At = None,
     explain: Annotated[
         bool, flag("--explain", "Print every mode, margin and bound; compile the scene too, and time its parts.")
     ] = False,
@@ -52,7 +49,7 @@ def check(
     if why := refused_travel(loaded):
         raise UsageError(f"{scene_name(scene)}: {why}")
     with at_work(stderr(), "working out modes and gain margins"):
-        prediction = predict(loaded, at=at)
+        prediction = predict(loaded, at=position(at, loaded))
         on_wire = predict_on_wire(loaded)
     explanation = _explanation(loaded) if explain else None
     of_slew = _slew_warnings(loaded, prediction)

@@ -24,6 +24,7 @@ from hapsim.cli.options import (
     RecordOptions,
     Unstable,
     flag,
+    position,
     say_written,
 )
 from hapsim.cli.output import Table, complain, document, failure_document, speak_of, stderr, stdout, table
@@ -91,7 +92,8 @@ def _measure_pair(
     channel = next(iter(hands)) if excitation.channel is None else excitation.channel
     if channel in hands:
         speak_of(channel)
-    prediction = predict(scene, with_margins=False, at=excitation.at)
+    at = position(excitation.at, scene)
+    prediction = predict(scene, with_margins=False, at=at)
     on_wire = None if prediction.wire_of == "none" else predict_on_wire(scene)
     if felt_on(prediction, channel) is None and picture.wanted:
         raise UsageError(
@@ -105,7 +107,7 @@ def _measure_pair(
             measurement = measure_scene(
                 scene,
                 channel=channel,
-                at=excitation.at,
+                at=at,
                 duration=excitation.duration,
                 push=excitation.push,
                 transport=kind,

@@ -50,6 +50,30 @@ Watch = Annotated[bool, flag("--watch", "Follow the scene's file: apply it when 
 Baud = Annotated[int, typer.Option(min=1, max=100_000_000, metavar="B", help="Baud rate of the device's port, bit/s.")]
 
 
+At = Annotated[
+    str | None,
+    option("X", "Position of the hand, m [default: where it rests, or is held nearest to position 0].", "--at"),
+]
+
+
+def position(at: str | None, scene: Any) -> float | None:
+    """Returns the position that --at names, m; of a rotary scene rad, which may be written as "15 deg". Raises
+    UsageError."""
+    if at is None:
+        return None
+    from hapsim.scene.quantity import ANGLE
+
+    angle = ANGLE.match(at)
+    try:
+        value = math.radians(float(angle[1])) if angle and angle[4] == "deg" and scene.units.is_rotary else float(at)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        expected = "such as 0.26, or 15 deg" if scene.units.is_rotary else "such as 0.002 (m)"
+        raise UsageError(f"--at: found '{at}', expected a position, {expected}")
+    return value
+
+
 def require_positive(option: str, value: float | None, unit: str = "") -> float | None:
     """Returns the value of an option. Raises UsageError if it is given and not a finite number above 0."""
     if value is not None and not 0 < value < math.inf:
@@ -124,10 +148,7 @@ class ExcitationOptions:
     channel: Annotated[
         int | None, typer.Option(help="Channel to measure [default: the first; with --impedance all]")
     ] = None
-    at: Annotated[
-        float | None,
-        option("X", "Position of the hand, m [default: where it rests, or is held nearest to position 0]", "--at"),
-    ] = None
+    at: At = None
     duration: Annotated[
         float | None, seconds("Duration in seconds [default: about 2; with --impedance 8 for each channel]")
     ] = None

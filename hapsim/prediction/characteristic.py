@@ -268,8 +268,8 @@ def hand_at(scene: Scene, name: str, around: float = 0.0) -> Characteristic:
 def scene_at(scene: Scene, at: float | None = None) -> LinearScene:
     """What the theory takes `scene` for where its hands are: by the piece that each is in.
 
-    Each is at `at` (m); without it where it rests, or is held nearest to position 0, and what moves masses or other
-    hands is then taken as the links' assumptions say. UsageError beyond the travel.
+    Each that reaches it is at `at` (m), the others, or without it all, where they rest or are held nearest to position
+    0; what moves masses or other hands is then taken as the links' assumptions say. UsageError where none reaches it.
     """
     taken: dict[str, Linear] = {}
     alone = {name: characteristic_of(scene, name, at or 0.0) for name in scene.device_points}
@@ -277,9 +277,11 @@ def scene_at(scene: Scene, at: float | None = None) -> LinearScene:
         from hapsim.prediction.equilibrium import links_at_rest
 
         taken |= links_at_rest(scene, dict.fromkeys(alone, at))
-    for name, one in alone.items():
-        if one is not None and one.is_regional:
-            taken |= one.taken(piece_at(one, name, at).place)
+    hands = {name: one for name, one in alone.items() if one is not None and one.is_regional}
+    reached = [name for name, one in hands.items() if at is not None and one.low <= at <= one.high]
+    for name, one in hands.items():
+        # The first that does not reach it raises, if none does.
+        taken |= one.taken(piece_at(one, name, at if name in reached or not reached else None).place)
     return linear_scene(scene, taken)
 
 

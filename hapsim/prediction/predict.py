@@ -71,7 +71,11 @@ def predict(scene: SceneSource, *, with_margins: bool = True, at: float | None =
     coupled = {name: why for name in scene.device_points if (why := why_coupled(as_seen, linear, name))}
     felt = tuple(felt_by(rendering, linear, name) for name in scene.device_points if name not in coupled)
     regions = {one.name: found for one in felt if len(found := regions_of(rendering, one.name, at or 0.0)) > 1}
-    here = {name: piece_at(hand_at(rendering.desired, name, at or 0.0), name, at) for name in regions}
+    hands = {name: hand_at(rendering.desired, name, at or 0.0) for name in regions}
+    here = {
+        name: piece_at(one, name, at if at is not None and one.low <= at <= one.high else None)
+        for name, one in hands.items()
+    }
     shaken = max(map(growth, regions.values()), default=0.0)
 
     def is_held(name: str) -> bool:  # somewhere, if not at `at`

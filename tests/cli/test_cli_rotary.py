@@ -53,7 +53,7 @@ def knob(tmp_path: Path) -> Path:
     "command",
     [
         "check",
-        "check --at 0.1",
+        "check --at 5deg",
         "measure",
         "measure --explain --duration 0.2",
         "measure --impedance --duration 3",

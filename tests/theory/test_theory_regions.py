@@ -109,6 +109,16 @@ def test_a_place_beyond_the_travel_is_an_error() -> None:
         predict(scene, at=0.03)
 
 
+def test_a_hand_that_does_not_reach_a_place_is_where_it_rests() -> None:
+    second = (
+        "other: {type: device, channel: 1}\n  pad: {type: buffer, between: [other, wall], stiffness: 300, damping: 1}"
+    )
+    links = f"stop: {{type: buffer, between: [hand, wall], stiffness: 900, damping: 3}}\n  {second}"
+    travel = ", travel: [[-0.01, 0.01], [-0.001, 0.001]]"
+    found = predict(parse_scene(KNOB.format(travel=travel, links=links)), at=-0.005).here
+    assert {name: piece.place for name, piece in found.items()} == {"hand": -0.005, "other": pytest.approx(-0.0005)}
+
+
 def test_what_repeats_is_listed_in_whole_pieces_and_reached_everywhere() -> None:
     knob = "it: {type: detent, between: [hand, wall], pitch: 0.01, depth: 1, damping: 2}"
     scene = parse_scene(KNOB.format(travel="", links=knob))
