@@ -7,6 +7,7 @@ from firmware_protocol.wire_time import WireTime
 from hapsim.prediction.felt import correction_for, felt_at_rate, robustness_of
 from hapsim.prediction.impedance import PredictedImpedance, ZWidth, predict_impedance, z_width_of
 from hapsim.prediction.linear import configuration_of
+from hapsim.prediction.plausibility import unlikely
 from hapsim.prediction.predict import (
     Shaking,
     is_surely_unstable,
@@ -41,6 +42,7 @@ __all__ = [
     "predict_on_wire",
     "robustness_of",
     "surely_shaken_by",
+    "unlikely",
     "warnings_about",
     "with_mass",
     "z_width_of",

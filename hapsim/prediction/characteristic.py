@@ -112,7 +112,14 @@ class Characteristic:
 
     def edges(self) -> list[float]:
         """Where a link goes from one piece of its law to the next, m, within the travel."""
-        found = [edge for link in self.links.values() for edge in link.edges(self.low, self.high)]
+        found: list[float] = []
+        for name, link in self.links.items():
+            try:
+                found += link.edges(self.low, self.high)
+            except ValueError as too_many:
+                where = f"between {number(self.low)} and {number(self.high)} m"
+                expected = "expected a larger pitch, or a shorter device.travel"
+                raise UsageError(f"modules.{name}: found {too_many} {where}; {expected}") from None
         alike = _ALIKE * max(map(abs, found), default=0.0)
         kept: list[float] = []
         for edge in sorted(found):

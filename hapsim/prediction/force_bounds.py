@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from hapsim.number_format import duration, rounded_up
 from hapsim.prediction.linear import configuration_of
+from hapsim.prediction.plausibility import unlikely
 from hapsim.scene import Scene
 
 if TYPE_CHECKING:
@@ -145,12 +146,13 @@ def refused_travel(scene: Scene) -> str:
         stable = fade_stiffness(scene, channel)
         if not device.force_limit <= stable * margin:
             where = f" on channel {channel}" if scene.channels > 1 else ""
+            hints = "".join(f". {hint.removesuffix('.')}" for hint in unlikely(scene))
             return (
                 f"device.travel_margin: the force of up to {device.force_limit:g} N fades over {margin:g} m{where}, "
                 f"which is a stiffness of {device.force_limit / margin:.4g} N/m and shakes the hand: with no damper "
                 f"but the hand's {HAND_DAMPING:g} N·s/m and the device's friction this loop renders up to "
                 f"{stable:.4g} N/m; expected at least {rounded_up(device.force_limit / stable)} m, or a lower "
-                "device.force_limit"
+                f"device.force_limit{hints}"
             )
     return ""
 

@@ -30,6 +30,7 @@ from hapsim.prediction.linear import (
     why_coupled,
     with_device,
 )
+from hapsim.prediction.plausibility import unlikely
 from hapsim.prediction.regions import growth, growth_of, regions_of
 from hapsim.prediction.timing import wire_of, wire_time_of, with_wire_delay
 from hapsim.prediction.types import Desired, Felt, LinkMargin, Prediction, Region
@@ -258,12 +259,7 @@ def is_surely_unstable(prediction: Prediction) -> bool:
 
 def warnings_about(scene: Scene, prediction: Prediction) -> list[str]:
     """What a hand should know before `scene` runs, of which this was predicted: sentences, none where all is well."""
-    warnings = []
-    limit = scene.device.force_limit
-    if scene.device.port is None and scene.mock_device.force_limit < limit:
-        most = scene.mock_device.force_limit
-        warnings.append(f"force_limit: found {limit:g} N, of which the mock gives {most:g} N at most.")
-        limit = most
+    warnings, limit = unlikely(scene), scene.mock_device.force_limit
     if not prediction.by_its_scheme:
         warnings.append(
             f"how stable the scene is was worked out for scheme: cordis, not for {scene.scheme}, by which it runs."
@@ -283,7 +279,8 @@ def warnings_about(scene: Scene, prediction: Prediction) -> list[str]:
             f"{one.name}: what comes nearest is simulated{off}. `hapsim check` shows what would reach it."
         )
     budget = prediction.wire_time
-    if prediction.wire_of == "port" and not budget.fits:
+    is_explained = any(one.startswith(("rate: ", "device.baud: ")) for one in warnings)
+    if prediction.wire_of == "port" and not budget.fits and not is_explained:
         delay = (
             "the frames queue up" if budget.is_saturated else f"{budget.delay_samples} samples of delay in place of one"
         )

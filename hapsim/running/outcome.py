@@ -14,6 +14,7 @@ from hapsim.loop.guards.energy_guard import GIVEN, LATE, SHAKING, SWINGING
 from hapsim.loop.guards.slew import NO_LIMIT
 from hapsim.loop.histogram import histogram_of
 from hapsim.number_format import duration, plural, rounded_down, rounded_up
+from hapsim.prediction import unlikely
 from hapsim.prediction.timing import host_silence
 from hapsim.progress import Progress
 from hapsim.recording.recorder import Recorder, RecordFile
@@ -124,6 +125,9 @@ def failure_of(name: str, scene: Scene, loop: LoopMemory, trace: Trace, ending: 
         return None
     sentence = sentence or "the run ended as asked after {report.ticks} ticks"
     what = sentence(loop, report) if callable(sentence) else sentence.format(loop=loop.record, report=report)
+    hints = " ".join(unlikely(scene)).removesuffix(".") if kind is GuardError else ""
+    if advice := f"A likely mistake: {hints}" if hints else _stability_advice(loop, report, ending):
+        what = f"{what}. {advice}"
     what = scene.units(f"{what}; {_where_the_force_is(scene, loop, bool(report.released))}")
     return _with_trace(kind(f"{name}: {what}"), trace)
 
@@ -182,7 +186,7 @@ def _position_leapt(loop: LoopMemory, report: Report) -> str:
 
 
 def _diverging(loop: LoopMemory, report: Report) -> str:
-    """Returns what the energy guard found, and what to do."""
+    """Returns what the energy guard found, and what to do about late forces."""
     energy = loop.record.energy_guard
     why, account = int(energy.why), int(energy.account)
     is_unstable = loop.energy_guard is not None and loop.energy_guard.is_unstable
@@ -204,8 +208,8 @@ def _diverging(loop: LoopMemory, report: Report) -> str:
             f"{rounded_up(energy.given[account])} J that it had not got from it, above the limit of "
             f"{rounded_down(energy.limit[account])} J"
         )
-    advice = _late_force_advice(report) if account == LATE else _stability_advice(loop, report, is_unstable, why)
-    return f"{found}; the last force was not sent. {advice}"
+    late = f". {_late_force_advice(report)}" if account == LATE else ""
+    return f"{found}; the last force was not sent{late}"
 
 
 _FAILURES: dict[int, tuple[type[RunError], str | Callable[[LoopMemory, Report], str]]] = {
@@ -250,9 +254,13 @@ def _late_force_advice(report: Report) -> str:
     )
 
 
-def _stability_advice(loop: LoopMemory, report: Report, is_unstable: bool, why: int) -> str:
-    """Returns what to change; first the slew limit, where it held the force back in many ticks."""
-    advice = "" if is_unstable else "No passive object does that. "
+def _stability_advice(loop: LoopMemory, report: Report, ending: int) -> str:
+    """Returns what to change in a scene in which no value is unlikely; first the slew limit, where it held the force
+    back in many ticks. "" where it was not the scene's motion that ended the run."""
+    energy = loop.record.energy_guard
+    if ending != endings.ENERGY_EXCEEDED or int(energy.account) == LATE:
+        return ""
+    advice = "" if loop.energy_guard is not None and loop.energy_guard.is_unstable else "No passive object does that. "
     if report.slewed_ticks > _MUCH_SLEWED * report.ticks:
         slew, limited = loop.record.slew, int(loop.record.slew.step[0]) < NO_LIMIT
         by = " or ".join(["device.slew_limit"] * limited + ["device.soft_start"] * (float(slew.soft_samples) > 0.0))
@@ -262,7 +270,7 @@ def _stability_advice(loop: LoopMemory, report: Report, is_unstable: bool, why: 
         )
     limit = (
         "For a scene that is meant to give energy, set device.energy_limit"
-        if why == GIVEN
+        if int(energy.why) == GIVEN
         else "A larger device.energy_limit does not change that"
     )
     return (

@@ -16,7 +16,7 @@ from firmware_protocol.description import Description
 from hapsim.errors import DescriptionError, UsageError
 from hapsim.loop.system import require_linux
 from hapsim.number_format import between, rounded_down
-from hapsim.prediction import Prediction, is_surely_unstable, surely_shaken_by
+from hapsim.prediction import Prediction, is_surely_unstable, surely_shaken_by, unlikely
 from hapsim.prediction.force_bounds import refused_travel
 from hapsim.recording.trace import require_writable_as_trace
 from hapsim.running.options import RunOptions
@@ -75,11 +75,11 @@ def why_not_armed(path: str, scene: Scene, prediction: Prediction) -> str:
         return ""
     shaken = surely_shaken_by(scene)
     grows = "" if shaken is None else f": {shaken.sentence}"
+    why = " ".join([".", *unlikely(scene)]) if unlikely(scene) else f"{grows}.{_stable_alternatives(prediction)}"
     return (
         f"{path}: not armed: the scene is predicted unstable (spectral radius {prediction.spectral_radius:.6g}, stable "
-        f"below 1){grows}.{_stable_alternatives(prediction)} `hapsim check` reports more. With --unstable it runs, and "
-        f"the device will oscillate with up to the force limit of {scene.device.force_limit:g} N until the energy "
-        "guard ends the run (hapsim/STABILITY.md)"
+        f"below 1){why} `hapsim check` reports more. With --unstable it runs, and the device will oscillate with up to "
+        f"the force limit of {scene.device.force_limit:g} N until the energy guard ends the run (hapsim/STABILITY.md)"
     )
 
 

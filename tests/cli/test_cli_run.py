@@ -207,7 +207,7 @@ def test_a_guard_that_stops_the_force_is_status_4_with_a_document_and_a_record(
     assert answer.status == 4
     assert "not a finite number" in answer.err
     assert "Traceback" not in answer.err
-    assert "Warning" not in answer.err
+    assert "RuntimeWarning" not in answer.err
     assert answer.document["ending"] == "force not finite"
     assert answer.document["exit_status"] == 4
     assert load_trace(record).report.ending == "force not finite"
@@ -235,7 +235,7 @@ def test_a_force_limit_beyond_what_the_mock_gives_is_told_and_costs_no_resolutio
     hapsim: Hapsim, scene_file: SceneFile
 ) -> None:
     answer = hapsim("measure", scene_file("spring", force_limit=1e12), "--json")
-    assert "Warning: force_limit: found 1e+12 N, of which the mock gives 1e+06 N at most." in answer.err
+    assert "Warning: device.force_limit: found 1e+12 N, more than 250 N: devices give 0.2 to 50 N.\n" in answer.err
     predicted, measured = answer.document["predicted"], answer.document["measured"]
     assert measured["k"] == pytest.approx(predicted["k"], rel=1e-6)
     assert measured["b"] == pytest.approx(predicted["b"], rel=1e-5)

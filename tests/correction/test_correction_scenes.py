@@ -121,7 +121,8 @@ def test_what_cannot_be_had_is_told_with_what_would_reach_it() -> None:
     remedies = wanted.remedies
     assert remedies is not None
     scene = scene_of(stiff, correction="poles")
-    (warning,) = warnings_about(scene, predict(scene, with_margins=False))
+    of_force_limit, warning = warnings_about(scene, predict(scene, with_margins=False))
+    assert of_force_limit.startswith("device.force_limit: found 1000 N")
     assert "does not reach k = 100000 N/m, b = 151 N·s/m at hand" in warning
     assert remedies.predictor
     assert predict(scene_of(stiff, correction="predictor"), with_margins=False).desired[0].reached

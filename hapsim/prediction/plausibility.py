@@ -1,0 +1,292 @@
+"""Values of a scene that are probably a mistake: a wrong unit, or a factor of a thousand.
+
+Most keys of a scene take any number, in SI units. So a mass of 200 is 200 kg; only what people build says that grams
+were meant. A wrong value that stays within these ranges is not found.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from functools import cache
+from typing import Any, NamedTuple
+
+from hapsim.number_format import duration, frequency, number, plural, short, short_duration
+from hapsim.prediction.characteristic import characteristic_of
+from hapsim.prediction.linear import configuration_of
+from hapsim.scene import Mock, Scene
+from hapsim.scene.part import Part
+from hapsim.scene.quantity import Expectation, Known, Span
+from hapsim.theory.hand.walls import stiffest_stable
+
+
+class Range(NamedTuple):
+    """What a value is in the devices and scenes that people build. 0 always is within."""
+
+    least: float
+    most: float
+    why: str
+    slips: tuple[tuple[str, float], ...]
+    """What people write in place of the unit, each with the factor that makes it right; 0: the reciprocal does."""
+
+
+_MORE, _LESS = ("a thousand times as much", 1e3), ("a thousandth of it", 1e-3)
+_LENGTHS, _MASSES, _FORCES = (("mm", 1e-3), ("µm", 1e-6), _MORE), (("g", 1e-3), _MORE), (("mN", 1e-3), _MORE)
+_STIFFNESSES, _DAMPINGS = (("N/mm", 1e3), _LESS), (("N·s/mm", 1e3), ("g/s", 1e-3))
+
+RANGES = {
+    "kg": Range(1e-3, 10.0, "a moving part and the hand that holds it weigh grams to 3 kg", _MASSES),
+    "modules kg": Range(1e-7, 10.0, "simulated masses weigh a milligram to some kg", _MASSES),
+    "rate": Range(50.0, 1e5, "devices sample at 200 Hz to 20 kHz", (("kHz", 1e3), ("the period in s", 0.0), _LESS)),
+    "force_limit": Range(0.05, 250.0, "devices give 0.2 to 50 N", _FORCES),
+    "N": Range(1e-3, 250.0, "a hand feels 10 mN and more, and devices give up to 50 N", _FORCES),
+    "N·s/m": Range(0.0, 500.0, "a firm grip has 20 N·s/m", _DAMPINGS),
+    "N/m": Range(1.0, 1e5, "springs of devices and hands have 10 to 1000 N/m", _STIFFNESSES),
+    "modules N/m": Range(0.0, math.inf, "", _STIFFNESSES),  # these two `_of_spring` judges by rate and mass
+    "modules N·s/m": Range(0.0, math.inf, "", _DAMPINGS),
+    "m": Range(5e-6, 1.0, "devices move 2 mm to 0.5 m, in steps of 10 µm and more", _LENGTHS),
+    "travel": Range(2e-4, 1.0, "devices move 2 mm to 0.5 m", _LENGTHS),
+    "m/s": Range(0.0, 20.0, "hands move at up to 5 m/s", (("mm/s", 1e-3),)),
+    "m per count": Range(1e-13, 5e-4, "encoders count 1 nm to 0.1 mm", _LENGTHS),
+    "m rms": Range(0.0, 5e-4, "position sensors have less than 0.1 mm of noise", _LENGTHS),
+    "turnaround": Range(0.0, 0.02, "devices answer within milliseconds", (("ms", 1e-3), ("µs", 1e-6))),
+    "cutoff": Range(1.0, math.inf, "below 1 Hz a filtered velocity comes too late for any hand", (("kHz", 1e3),)),
+    "bit/s": Range(1200, 2e7, "UARTs have 9600 to 12 million bit/s", (("kbit/s", 1e3), _LESS)),
+}
+"""By key, by "modules" and unit, or by unit: wider than the paper's 1 g, a motor fader's 30 g and 0.2 N, what Hapkit,
+FireFader, Haply and Falcon have, and a handle of 3 kg with 50 N."""
+
+_ANGLES, _TORQUES = (("deg", math.pi / 180.0), ("mrad", 1e-3), _MORE), (("mN·m", 1e-3), _MORE)
+_INERTIAS = (("g·cm²", 1e-7), ("kg·cm²", 1e-4), _MORE)
+
+ROTARY = {
+    "kg": Range(1e-8, 0.5, "a knob has 1e-6 kg·m², a steering wheel 0.1", _INERTIAS),
+    "modules kg": Range(1e-10, 0.5, "a knob has 1e-6 kg·m², a steering wheel 0.1", _INERTIAS),
+    "force_limit": Range(5e-4, 50.0, "knobs give 5 mN·m and more, steering wheels up to 20 N·m", _TORQUES),
+    "N": Range(1e-5, 50.0, "knobs give 5 mN·m and more, steering wheels up to 20 N·m", _TORQUES),
+    "N·s/m": Range(0.0, 5.0, "a hand on a wheel has 0.5 N·m·s/rad", (_MORE, _LESS)),
+    "N/m": Range(1e-5, 100.0, "springs of knobs and wheels have 0.001 to 10 N·m/rad", (_MORE, _LESS)),
+    "m": Range(1e-5, 20.0, "angles are in rad, or written as 90 deg", _ANGLES),
+    "travel": Range(1e-3, 200.0, "angles are in rad, or written as 90 deg", _ANGLES),
+    "pitch": Range(1e-4, 7.0, "a turn has 6.28 rad", _ANGLES),
+    "m/s": Range(0.0, 500.0, "hands turn at up to 60 rad/s", _ANGLES),
+    "m per count": Range(1e-13, 0.1, "encoders count 1e-7 to 0.01 rad", _ANGLES),
+    "m rms": Range(0.0, 0.02, "angle sensors have less than 0.01 rad of noise", _ANGLES),
+}
+"""The same where every channel turns. Where some do, their values are in both ranges or in none."""
+
+# What follows compares keys with each other.
+_DELAYED, _LATE_SAMPLES, _LATE_S = 0.01, 10.0, 0.02  # sample periods; the slowest USB converter takes 16 ms
+_STOPS_S, _COASTS_S, _FRICTION = 1e-3, 100.0, 50.0  # how soon friction stops a free device; N·s/m
+_CREEPS = 5.0  # times critical damping: what has more friction does not swing back
+_RIGID_M = 5e-4  # the force limit stretches a device's own spring by more
+_BRIEF_M = 1e-4  # the force limit gives the energy limit within that
+_FELT_STIFFNESS, _FELT_DAMPING, _UNDAMPED = 5.0, 2e-3, 4e-4  # of a link at a hand: N/m; N·s/m, times sqrt(K m)
+_STRONG, _JUMPS, _PRESSES = 10.0, 3.0, 30.0  # times the force limit: a link's own force; that at arming, far and near
+_BEYOND = 3.0  # times the stiffest link at a hand that any damping makes stable
+_HEAVY_KG = 2.0  # a whole string or membrane
+_FAR_M = 0.05  # what is stretched by more at arming has a wrong position rather than a wrong stiffness
+
+
+class _Value(NamedTuple):
+    path: str
+    value: float
+    unit: str
+    range: Range
+
+    @property
+    def is_off(self) -> bool:
+        return self.value != 0.0 and not self.range.least <= abs(self.value) <= self.range.most
+
+    @property
+    def sentence(self) -> str:
+        least, most, why, slips = self.range
+        low = abs(self.value) < least
+        bound = f"less than {short(least)}" if low else f"more than {short(most)}"
+        found = f"{self.path}: found {number(self.value)} {self.unit}, {bound} {self.unit}: {why}."
+        for meant, factor in slips:
+            right = self.value * factor if factor else 1.0 / self.value
+            if least <= abs(right) <= most and (factor == 0.0 or (factor > 1.0) is low):
+                return f"{found} If you meant {meant}, write {number(right)}."
+        return found
+
+
+def unlikely(scene: Scene) -> list[str]:
+    """Returns sentences, one for each key of `scene` that is probably a mistake: what was found, why that is unlikely,
+    and what to write. The same key of several modules shares one."""
+    off = [one for one in _values(scene, "", _ranges(scene)) if one.is_off]
+    for of_part in (_of_device, _of_links):
+        if not any(one.unit in ("Hz", "kg", "samples") for one in off):  # by these the others are judged
+            off += [one for one in of_part(scene) if one.is_off]
+    alike: dict[tuple[str, str], dict[str, _Value]] = {}
+    for one in off:
+        place, _, key = one.path.rpartition(".")
+        alike.setdefault((place.partition(".")[0], key), {}).setdefault(one.path, one)
+    also = " The same holds for {}."
+    sentences = [
+        first.sentence + (also.format(plural(len(others), "other module")) if others else "")
+        for first, *others in (list(same.values()) for same in alike.values())
+    ]
+    is_explained = any(one.unit in ("kg", "m", "N/m", "N") for one in off)
+    units = (
+        scene.units if len({*scene.device.motions(scene.channels)}) == 1 else str
+    )  # of both: who prints them says so
+    return [units(one) for one in (*sentences, *(() if is_explained else _jumps(scene)))]
+
+
+def _ranges(scene: Scene) -> dict[str, Range]:
+    """Of this scene's motion; where some channels turn and others do not, from the least to the most of both."""
+    turns = set(scene.device.motions(scene.channels))
+    if len(turns) == 1:
+        return RANGES | (ROTARY if scene.units.is_rotary else {})
+    both = {key: (RANGES.get(key, one), one) for key, one in ROTARY.items()}
+    wide = {
+        key: two[0]._replace(least=min(one.least for one in two), most=max(one.most for one in two))
+        for key, two in both.items()
+    }
+    return RANGES | wide
+
+
+def _values(part: Part, path: str, ranges: dict[str, Range]) -> Iterator[_Value]:
+    """The numbers of a part of a scene that have a range; of a curve the largest along each axis."""
+    for key, expected in _keys(type(part)):
+        value, at = getattr(part, key), f"{path}{key}"
+        if isinstance(value, Part):
+            yield from _values(value, f"{at}.", ranges)
+        elif key == "modules":
+            for name, module in value.items():
+                yield from _values(module, f"{at}.{name}.", ranges)
+        elif expected is not None and value is not None:
+            units = expected.unit.removeprefix("points [").removesuffix("]").split(", ")
+            columns = list(zip(*value, strict=True)) if units[1:] else [value]
+            for unit, column in zip(units, columns, strict=True):
+                place = "modules " if path.startswith("modules") else ""
+                limits = ranges.get(key) or ranges.get(place + unit) or ranges.get(unit)
+                numbers = sorted(_numbers(column), key=abs)
+                if limits is not None:
+                    yield from (_Value(at, one, unit, limits) for one in (numbers[-1:] if units[1:] else numbers))
+
+
+@cache
+def _keys(kind: type[Part]) -> list[tuple[str, Expectation | None]]:
+    """The keys of a kind of part, each with what its values are."""
+    fields = kind.model_fields.items()
+    return [(key, next((one for one in field.metadata if isinstance(one, Expectation)), None)) for key, field in fields]
+
+
+def _numbers(value: Any) -> list[float]:
+    if isinstance(value, tuple):
+        return [one for entry in value for one in _numbers(entry)]
+    if isinstance(value, Span):
+        return [value.least, value.most]
+    value = value.value if isinstance(value, Known) else value
+    return [value] if isinstance(value, int | float) else []
+
+
+def _of_device(scene: Scene) -> Iterator[_Value]:
+    """What the keys of device and mock say beside each other."""
+    device, mock, limit = scene.device, scene.mock or Mock(), scene.device.force_limit
+    named = f"the force limit of {number(limit)} N"
+    most = max(_LATE_SAMPLES, _LATE_S * scene.rate)
+    slips = (("seconds", scene.rate), ("µs", 1e-6 * scene.rate))
+    late = Range(_DELAYED, most, f"it counts sample periods, here of {duration(scene.period)}", slips)
+    for part, delay in (("device", device.delay), ("mock", mock.delay or 0.0)):
+        yield _Value(f"{part}.delay", delay, "samples", late)
+    brief = Range(_BRIEF_M * limit, math.inf, f"{named} gives that within {_BRIEF_M * 1e3:g} mm", (_MORE,))
+    yield _Value("device.energy_limit", device.energy_limit or 0.0, "J", brief)
+    start = Range(scene.period, math.inf, "nothing ramps within a sample period", (_MORE,))
+    yield _Value("device.soft_start", device.soft_start or 0.0, "s", start)
+    rigid = Range(0.0, limit / _RIGID_M, f"{named} stretches it by less than {_RIGID_M * 1e3:g} mm", (_LESS,))
+    yield from (_Value("device.stiffness", one, "N/m", rigid) for one in device.stiffnesses(scene.channels))
+    yield _Value("mock.coulomb", mock.coulomb, "N", Range(0.0, limit, f"{named} does not overcome it", _FORCES))
+    for name, point in scene.device_points.items():
+        of_channel = (device.masses, device.frictions, device.stiffnesses)
+        mass, friction, own = (values(scene.channels)[point.channel] for values in of_channel)
+        held = (getattr(link, "stiffness", 0.0) for link in scene.links.values() if name in link.between)
+        critical = 2.0 * math.sqrt(max(own, *held, 0.0) * mass)
+        why = f"a free hand of {number(mass)} kg stops in {short_duration(mass / (friction or math.inf))} then"
+        if friction > _CREEPS * critical > 0.0:
+            why = f"critical damping is {number(critical, 3)} N·s/m, so the hand creeps"
+        most = min(mass / _STOPS_S, _FRICTION, _CREEPS * critical or math.inf)
+        yield _Value("device.friction", friction, "N·s/m", Range(mass / _COASTS_S, most, why, _DAMPINGS))
+
+
+def _of_links(scene: Scene) -> Iterator[_Value]:
+    """What the links say beside the masses at their ends, structures and cells beside their own."""
+    spans, limit = scene.device.mass_spans(scene.channels), scene.device.force_limit
+    masses = {name: module.mass for name, module in (scene.material_points | scene.structures).items()}
+    for name, mass in masses.items():
+        yield from _of_spring(scene, name, mass, "")
+    masses |= {name: spans[point.channel][0] for name, point in scene.device_points.items()}
+    ranges = _ranges(scene)
+    strong = ranges["N"]._replace(most=_STRONG * limit, why=f"the force limit is {number(limit)} N")
+    for name, link in scene.links.items():
+        ends = [end.partition(".")[0] for end in link.between]
+        hand = next((end for end in ends if end in scene.device_points), "")
+        yield from _of_spring(scene, name, min(masses[end] for end in ends if end in masses), hand)
+        if hand:
+            yield from (
+                one._replace(range=strong) for one in _values(link, f"modules.{name}.", ranges) if one.unit == "N"
+            )
+    for name, structure in scene.structures.items():
+        many = len(structure.point_names())
+        heavy = Range(0.0, _HEAVY_KG / many, f"{many} of them weigh {number(many * structure.mass)} kg", _MASSES)
+        yield _Value(f"modules.{name}.mass", structure.mass, "kg", heavy)
+
+
+def _of_spring(scene: Scene, name: str, mass: float, hand: str) -> Iterator[_Value]:
+    """What a module's stiffness and damping do with this mass, in kg. `hand`: the device point that it holds, or ""."""
+    module, rate = scene.modules[name], scene.rate
+    stiffness, damping = getattr(module, "stiffness", 0.0), getattr(module, "damping", 0.0)
+    most = [mass * rate**2 * (8.0 if scene.scheme == "rk4" else 4.0), 2.0 * mass * rate]  # what no scheme renders
+    hardest, least, why = most[0], [0.0, 0.0], f"at {frequency(rate)} it is unstable on {number(mass)} kg with any"
+    if hand:
+        kind = getattr(module, "damper", "backward"), getattr(module, "cutoff", None)
+        loop = configuration_of(scene, scene.device_points[hand].channel, *kind)
+        surely = loop.stiffness_unit / (2.7 + 1.4 * loop.delay) ** 2  # stable with some damping, whatever the hold
+        if stiffness > _BEYOND * surely and scene.device.correction == "none":
+            hardest = stiffest_stable(loop).stiffness or hardest
+            most[0] = min(most[0], _BEYOND * hardest)
+        most[1] = math.inf if kind[1] else most[1]
+        felt = 0.0 if scene.units.is_rotary else 1.0  # how large a knob is, is not known
+        least = [felt * _FELT_STIFFNESS, max(felt * _FELT_DAMPING, _UNDAMPED * math.sqrt(stiffness * mass))]
+    elif scene.scheme in ("exact", "midpoint"):
+        most = [math.inf, math.inf]
+    takes = frequency(rate * math.sqrt(max(stiffness / hardest, 1.0)))
+    hard, soft = f"{why} damping, and takes some {takes}", f"a cm of it is {number(0.01 * stiffness, 2)} N"
+    strong, weak = f"{why} stiffness", f"at 0.1 m/s it is {number(0.1 * damping, 2)} N"
+    k = Range(least[0], most[0], soft if stiffness < least[0] else hard, _STIFFNESSES)
+    b = Range(least[1], most[1], weak if damping < least[1] else strong, _DAMPINGS)
+    yield _Value(f"modules.{name}.stiffness", stiffness, "N/m", k)
+    yield _Value(f"modules.{name}.damping", damping, "N·s/m", b)
+
+
+def _jumps(scene: Scene) -> Iterator[str]:
+    """Yields a sentence for each hand that the scene pushes by far more than the force limit as it begins."""
+    device, limit = scene.device, scene.device.force_limit
+    for hand, point in scene.device_points.items():
+        alone, origin = characteristic_of(scene, hand), device.origins(scene.channels)[point.channel]
+        if alone is None:
+            continue
+        least, most = device.travels(scene.channels)[point.channel]
+        start, x = "device.travel", min(max(0.0, least), most)  # what is not known is taken for 0
+        if device.port is None and origin is not None:
+            start, x = "mock.initial.position", scene.mock_device.initial_position[point.channel] - origin
+        forces = {name: one.sign * float(one.law.tension(one.distance(x))) for name, one in alone.links.items()}
+        total = abs(sum(forces.values()))
+        if total > _JUMPS * limit:
+            name = max(forces, key=lambda one: abs(forces[one]))
+            ground = next(end for end in scene.links[name].between if end != hand)
+            distance = getattr(scene.links[name], "distance", 0.0)
+            places = {
+                start: x,
+                f"modules.{ground}.position": alone.links[name].fixed_m,
+                f"modules.{name}.distance": distance,
+            }
+            path, place = max(places.items(), key=lambda one: abs(one[1]))
+            hint = f"{path} is {number(place)} m. If you meant mm, write {number(1e-3 * place)}."
+            if abs(place) < _FAR_M or scene.units.is_rotary:
+                if not total > _PRESSES * limit:
+                    continue
+                hint = f"look at the stiffness of {name}, and where its ends are."
+            yield f"at arming the scene pushes {hand} with {short(total)} N, its limit is {number(limit)} N: {hint}"
