@@ -307,8 +307,8 @@ def _attempts(measurement: Measurement) -> Iterator[str]:
     if measurement.left_region:
         yield (
             f"[yellow]With pushes of {number(measurement.push_n or 0.0, 3)} N the hand left its region[/yellow] "
-            f"({measurement.left_region}): what is measured is a mixture of several regions, and says nothing of the "
-            "device. Without --push, hapsim finds a push that stays in the region."
+            f"({measurement.left_region}): what is measured mixes several slopes, and says nothing of the device. "
+            "Without --push, hapsim finds a push that stays in the region."
         )
 
 

@@ -118,12 +118,16 @@ def _measure_at(
             raise UsageError("the run was stopped before the hand was at its place: nothing was measured")
         place.require_arrival(trace.position[:guided, place.channel], float(trace.position_scale[place.channel]))
         trace = trace.since(guided)
-        left, found = place.left_by(trace), None
+        found = None
         try:
             found = _identified(scene, excitation, trace, failure)
+            bent = place.bend(place.swing_in(trace)) * found.k
+            found = replace(found, k_uncertainty=math.hypot(found.k_uncertainty, bent))
         except UsageError:
             if push is not None:
                 raise
+        noise_m = max(float(trace.position_scale[place.channel]), 0.0 if found is None else found.residual_m)
+        left = place.left_by(trace, noise_m)
         unsure = math.inf if found is None or not found.dominant else place.share_unknown(found)
         attempts.append(Attempt(excitation.force, left, math.nan if found is None else found.k, unsure))
         if push is not None or not place.has_regions or failure is not None or trace.report.ending != "done":

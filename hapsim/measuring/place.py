@@ -17,7 +17,7 @@ from hapsim.errors import UsageError
 from hapsim.measuring.converters import Floats
 from hapsim.measuring.limits import force_limit
 from hapsim.measuring.measure_trace import Attempt, Measurement, asks_by_one_law
-from hapsim.number_format import number
+from hapsim.number_format import number, percent
 from hapsim.prediction.characteristic import Characteristic, Piece, characteristic_of, piece_at
 from hapsim.recording.trace import Trace
 from hapsim.running.options import Guide
@@ -31,7 +31,8 @@ _AT_A_PORT = 0.1  # of the way to the edge, where the size of a count is not kno
 _RESOLVED = 40.0  # counts: less motion than that says nothing
 _EDGE = 1e-6  # of the region's width, or of 1 m: nearer to its edge is on it
 _MOST_GROWTH = 64.0  # of a swing, from one run to the next
-_STRAIGHT = 1e-6  # a curve that bends less over a swing is a straight line
+_STRAIGHT, _BENT = 1e-6, 0.01  # a curve that bends less over a swing is a straight line; one that bends more is none
+_BENT_NOISES = 10.0  # from a straight line: the motion shows that
 _LAST, _ARRIVED = 64, 0.5  # samples before the first push; of the room: farther from its place the hand is elsewhere
 
 
@@ -92,6 +93,10 @@ class Place:
             swing *= 0.8
         return swing
 
+    def swing_in(self, trace: Trace) -> float:
+        """How far the hand was from its place at most."""
+        return float(np.max(np.abs(trace.position[:, self.channel] - self.at)))
+
     def bend(self, swing: float) -> float:
         """By which share of itself the stiffness seems to change where the hand swings by `swing` m on a curve."""
         if self.hand is None or not self.is_curved:
@@ -105,7 +110,7 @@ class Place:
         """By what a swing of `swing` m is to grow for `wanted` times less uncertainty than a share `unsure` of k; on a
         curve only as far as that bends less."""
         factor = min(wanted, _MOST_GROWTH)
-        while factor > 1.0 and self.bend(swing * factor) * factor > unsure:
+        while factor > 1.0 and self.bend(swing * factor) > min(unsure / factor, _BENT):
             factor *= 0.8
         return factor
 
@@ -140,14 +145,19 @@ class Place:
         beyond = reach if math.isfinite(reach) else 0.0  # and back: where friction sticks with no bristle bent
         return Guide(self.at, stiffness, beyond, (_WAY_S, settling_s, max(_MEAN_S, 5.0 * swing_s), _MEAN_S))
 
-    def left_by(self, trace: Trace) -> str:
-        """How the hand left the region in a trace, in words: the links that changed; "" where it stayed within."""
+    def left_by(self, trace: Trace, noise_m: float) -> str:
+        """How the hand left the region in a trace, or what is straight of a curve, in words: the links that changed;
+        "" where it stayed within. `noise_m`: rms, what a bend has to exceed clearly."""
         x = trace.position[:, self.channel]
         if self.hand is None or self.piece is None or not self.has_regions:
             return ""
         least, most = float(x.min()), float(x.max())
-        if self.low <= least and most <= self.high and (self.is_curved or asks_by_one_law(trace, self.channel)):
-            return ""
+        if self.low <= least and most <= self.high:
+            swing = self.swing_in(trace)
+            if (bend := self.bend(swing)) * swing > _BENT_NOISES * noise_m or bend > 2.0 * _BENT:
+                return f"over {number(swing, 2)} m its slope changes, and k by about {percent(bend)}"
+            if self.is_curved or asks_by_one_law(trace, self.channel):
+                return ""
         pieces = self.hand.pieces()
         ends = [self.hand.at(min(max(end, self.hand.low), self.hand.high), pieces) for end in (least, most)]
         changed = {
@@ -205,6 +215,9 @@ def place_of(scene: Scene, channel: int, at: float | None) -> Place | None:
         return place
     piece = piece_at(hand, name, at)
     stiffness, damping = stiffness + piece.stiffness, damping + piece.damping
+    if piece.is_curved:  # its slope is that of another place
+        step = _EDGE * (piece.high - piece.low)
+        stiffness = float(hand.force(piece.place + step) - hand.force(piece.place - step)) / (2.0 * step)
     place = Place(name, channel, piece.place, piece.low, piece.high, mass, stiffness, damping, hand, piece)
     _require_rest(place, abs(float(hand.force(place.at))), force_limit(scene))
     return place

@@ -58,3 +58,25 @@ def test_the_way_is_slow_and_the_pushes_follow_it() -> None:
 def test_the_loop_in_python_leads_as_the_compiled_one_does() -> None:
     scene = wall()
     assert np.array_equal(guided(scene)[0], guided(scene, portable=True)[0])
+
+
+def test_no_guard_ends_a_slow_way_through_a_snap() -> None:
+    """What the snap gives back, the guide has spent: over the peak and down to the other rest."""
+    scene = parse_scene(
+        """
+version: 1
+rate: 1000
+device: {clock: lockstep, mass: 0.2, friction: 1.0, delay: 1, force_limit: 5}
+mock: {initial: {position: 0.005}}
+modules:
+  hand: {type: device, channel: 0}
+  ground: {type: ground}
+  rub: {type: damper, between: [hand, ground], damping: 2}
+  snap:
+    type: nonlinear
+    between: [hand, ground]
+    force_over_distance: [[-0.01, -4], [-0.005, 0], [-0.002, 2], [0.002, -2], [0.005, 0], [0.01, 4]]
+"""
+    )
+    position, _ = guided(scene, judges_energy=True, judges_sign=True)
+    assert abs(position[-1] - GUIDE.target) < 1e-5

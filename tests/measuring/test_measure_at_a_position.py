@@ -7,9 +7,10 @@ import math
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
-import hapsim
+import hapsim as package
 from hapsim.errors import UsageError
 from hapsim.scene import Scene, load_scene, parse_scene
 
@@ -43,7 +44,7 @@ modules:
 def agrees(scene: Scene, measured: Any, channel: int = 0, within: float = 1e-5) -> None:
     """k and b are those that are predicted for the place."""
     felt = next(
-        one for one in hapsim.predict(scene, with_margins=False, at=measured.at_m).felt if one.channel == channel
+        one for one in package.predict(scene, with_margins=False, at=measured.at_m).felt if one.channel == channel
     )
     assert abs(measured.k / felt.k - 1.0) < within
     assert abs(measured.b - felt.b) < within * 2.0 * math.sqrt(felt.k * measured.mass)
@@ -66,7 +67,7 @@ def agrees(scene: Scene, measured: Any, channel: int = 0, within: float = 1e-5) 
     ids=["wall", "deep", "key", "lower", "bottom", "notch", "toggle", "over", "gravity", "linear"],
 )
 def test_a_region_feels_as_predicted(scene: Scene, at: float | None) -> None:
-    measured = hapsim.measure(scene, at=at)
+    measured = package.measure(scene, at=at)
     agrees(scene, measured)
     assert abs(measured.trace.position[0, 0] - measured.at_m) < 2e-6
     assert not measured.left_region
@@ -74,7 +75,7 @@ def test_a_region_feels_as_predicted(scene: Scene, at: float | None) -> None:
 
 
 def test_the_shipped_wall_gives_what_its_file_states() -> None:
-    measured = hapsim.measure(shipped("wall"))
+    measured = package.measure(shipped("wall"))
     assert measured.k == pytest.approx(1549, abs=0.5)
     assert measured.b == pytest.approx(2.78, abs=0.005)
     assert measured.at_m < 0.0
@@ -86,7 +87,7 @@ def test_friction_of_the_scene_is_measured_where_it_sticks() -> None:
     document = scene.model_dump(mode="json", exclude_none=True)
     document["modules"]["rubs"] = rubs
     scene = parse_scene(json.dumps(document))
-    measured = hapsim.measure(scene, at=0.0002)
+    measured = package.measure(scene, at=0.0002)
     agrees(scene, measured)
     assert measured.k > 1500.0
 
@@ -96,7 +97,7 @@ def test_a_push_that_leaves_the_region_is_halved_until_it_stays() -> None:
     scene = table(
         [[-0.0004, 0.0], [-0.0002, -0.2], [0.0002, 0.2], [0.0004, 0.0]], quantum=1e-6, damping=0.6, mass=0.104
     )
-    measured = hapsim.measure(scene)
+    measured = package.measure(scene)
     left = [one for one in measured.attempts if one.left]
     assert left
     assert "table went from" in left[0].left
@@ -107,23 +108,64 @@ def test_a_push_that_leaves_the_region_is_halved_until_it_stays() -> None:
 
 
 def test_a_push_that_is_named_is_not_changed_and_what_it_leaves_is_said() -> None:
-    measured = hapsim.measure(table(NOTCH), push=3.0)
+    measured = package.measure(table(NOTCH), push=3.0)
     assert (measured.push_n, len(measured.attempts)) == (3.0, 1)
     assert measured.left_region == "table went from piece 2 to level"
+
+
+DETENT = """
+version: 1
+rate: 2000
+device: {clock: lockstep, mass: 5.0e-5, friction: 0.0005, delay: 1, force_limit: 0.2, motion: rotary}
+mock: {initial: {position: 0.02}}
+modules:
+  knob: {type: device, channel: 0}
+  frame: {type: ground}
+  clicks: {type: detent, between: [knob, frame], pitch: 15 deg, depth: 0.03, shape: sine}
+  brake: {type: damper, between: [knob, frame], damping: 0.002}
+"""
+
+
+def test_a_smooth_notch_is_measured_at_rest_and_a_large_swing_is_not_blamed_on_the_device() -> None:
+    scene = parse_scene(DETENT)
+    for at in (None, math.radians(15.0), 0.03):
+        agrees(scene, package.measure(scene, at=at), within=2e-5 if at else 1e-5)
+    assert "its slope changes" in package.measure(scene, push=0.003).left_region
+
+
+def test_the_command_leads_pushes_and_says_what_became_of_it(hapsim: Any, tmp_path: Path) -> None:
+    path, picture = tmp_path / "knob.yaml", tmp_path / "ring.csv"
+    path.write_text(DETENT, encoding="utf-8")
+    ran = hapsim("measure", path, "--at", "15 deg", "--data", picture)
+    assert "at 0.261799 rad" in ran.out
+    rows = np.genfromtxt(picture, delimiter=",", names=True)
+    rest, envelope = rows["rest_position_m"], rows["predicted_envelope_m"]
+    assert rest == pytest.approx(math.radians(15.0), abs=1e-6)
+    assert (np.abs(rows["position_m"] - rest) < 1.05 * envelope + 2e-9).all()
+    found = hapsim("measure", path, "--at", "15 deg", "--push", "0.02", "--json").document
+    assert found["push_n"] == 0.02
+    assert found["at_m"] == pytest.approx(math.radians(15.0))
+    assert [one["push_n"] for one in found["attempts"]] == [0.02]
+    assert found["left_region"]
+    told = hapsim("measure", path, "--push", "0.02").out
+    assert "says nothing of the device" in " ".join(told.split())
+    assert "not as the scene declares it" not in told
+    wrong = hapsim("measure", path, "--at", "a notch")
+    assert (wrong.status, "--at: found 'a notch', expected a position" in wrong.err) == (2, True)
 
 
 def test_noise_asks_for_larger_pushes() -> None:
     scene = shipped("wall")
     scene = scene.model_copy(update={"mock": scene.mock.model_copy(update={"quantum": 1e-6, "noise": 1e-6})})
-    measured = hapsim.measure(scene, at=-0.005)
+    measured = package.measure(scene, at=-0.005)
     agrees(scene, measured, within=5.0 * measured.k_uncertainty / measured.k)
     assert measured.k_uncertainty < 1e-3 * measured.k
-    quiet = hapsim.measure(shipped("wall"), at=-0.005)
+    quiet = package.measure(shipped("wall"), at=-0.005)
     assert measured.push_n > 10.0 * quiet.push_n
 
 
 def test_dry_friction_of_the_device_leaves_the_place_and_tells_of_its_uncertainty() -> None:
-    measured = hapsim.measure(shipped("wall").model_copy(update={"mock": table(NOTCH, coulomb=0.02).mock}), at=-0.003)
+    measured = package.measure(shipped("wall").model_copy(update={"mock": table(NOTCH, coulomb=0.02).mock}), at=-0.003)
     assert abs(measured.trace.position[0, 0] + 0.003) < 1e-5
     assert abs(measured.k - 1549.0) < max(4.0 * measured.k_uncertainty, 0.05 * 1549.0)
 
@@ -143,16 +185,16 @@ def test_dry_friction_of_the_device_leaves_the_place_and_tells_of_its_uncertaint
 )
 def test_where_no_hand_can_be_measured_it_says_why(scene: Scene, at: float | None, says: str) -> None:
     with pytest.raises(UsageError, match=says):
-        hapsim.measure(scene, at=at)
+        package.measure(scene, at=at)
 
 
 def test_a_region_that_noise_fills_is_refused_after_all_pushes() -> None:
     scene = table([[-4e-5, 0.0], [-2e-5, -0.02], [2e-5, 0.02], [4e-5, 0.0]], quantum=1e-9, noise=2e-5)
     with pytest.raises(UsageError, match="no push that stays in this region"):
-        hapsim.measure(scene)
+        package.measure(scene)
 
 
 def test_a_hand_that_does_not_arrive_is_not_measured() -> None:
     scene = table(NOTCH, hand={"stiffness": 1e6, "damping": 100.0})
     with pytest.raises(UsageError, match="came to rest at"):
-        hapsim.measure(scene, at=0.0005)
+        package.measure(scene, at=0.0005)
