@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,8 @@ class Description:
     """N, which the device itself never exceeds."""
     velocity_scale: tuple[float, ...] = ()
     """(m/s) per count; empty where the device senses no velocity."""
+    rotary: int = 0
+    """Bit c: channel c turns, in rad and N·m. 0: not declared."""
     version: int = schema.VERSION
     schema_hash: int = schema.SCHEMA_HASH
 
@@ -42,6 +44,11 @@ class Description:
         """Whether every channel has a velocity scale above 0."""
         return bool(self.velocity_scale) and all(scale > 0 for scale in self.velocity_scale)
 
+    @property
+    def motions(self) -> tuple[Literal["linear", "rotary"], ...]:
+        """Motion of each channel; linear where none is declared."""
+        return tuple("rotary" if self.rotary >> channel & 1 else "linear" for channel in range(self.channels))
+
     def paces(self, pacing: int) -> bool:
         """Returns whether the device offers PACED_BY_DEVICE, PACED_BY_HOST or LOCKSTEP."""
         return bool(self.pacings >> pacing & 1)
@@ -53,6 +60,7 @@ _WORDS = {
     "channels": schema.REG_CHANNELS,
     "pacings": schema.REG_PACINGS,
     "max_watchdog_samples": schema.REG_MAX_WATCHDOG,
+    "rotary": schema.REG_ROTARY,
 }
 _PER_CHANNEL = {
     "position_scale": schema.REG_POSITION_SCALE,
@@ -90,7 +98,7 @@ def to_registers(description: Description) -> NDArray[np.int64]:
 
 def registers_of_a_description(channels: int) -> list[int]:
     """Returns the registers that a host reads once it knows the number of channels."""
-    wanted = [schema.REG_PACINGS, schema.REG_RATE, schema.REG_RATE + 1, schema.REG_MAX_WATCHDOG]
+    wanted = [schema.REG_PACINGS, schema.REG_RATE, schema.REG_RATE + 1, schema.REG_MAX_WATCHDOG, schema.REG_ROTARY]
     scales = range(schema.REG_CHANNEL, schema.REG_CHANNEL + channels * schema.CHANNEL_WORDS)
     return [*wanted, *range(_NAME.start, _NAME.stop), *scales]
 

@@ -34,7 +34,7 @@ _ROTARY = {
 # A bare m or N is a unit only behind a number, in brackets, behind "in" or the two spaces of a heading.
 _BARE = r"(?:(?<=[0-9)–] )|(?<=[(\[])|(?<=\bin )|(?<=\], )|(?<=, )(?=N\])|(?<=  ))[mN](?=$|[\s,;:.)\]])"
 _UNIT = re.compile(
-    rf"(?<![\w·/])(?:(?:N·s/m|N/[ms]|mm/s|m/s²?|[mµ]m|kg|newton|metres)(?![\w·/²])|{_BARE})"
+    rf"(?<![\w·/])(?:(?:N·s/m|N/[ms]|mm/s|m/s²?|[mµ]m|kg|newton|metres)(?![\w·/²])|[mN](?= per count\b)|{_BARE})"
     "(?! or (?:[mµ]?rad|N·m|kg·m²))",  # has both already
     re.MULTILINE,
 )

@@ -10,6 +10,9 @@
 #if HAPSIM_BOARD_CHANNELS < 1 || HAPSIM_BOARD_CHANNELS > 16
 #error "HAPSIM_BOARD_CHANNELS: the protocol carries 1 to 16 channels"
 #endif
+#ifndef HAPSIM_BOARD_ROTARY
+#define HAPSIM_BOARD_ROTARY 0 /* bit c: channel c turns; 0: not declared */
+#endif
 #if HAPSIM_BOARD_PACINGS & ~3
 #error "HAPSIM_BOARD_PACINGS: bit 0 (device) and bit 1 (host); lockstep is not for a device with a motor"
 #endif
@@ -331,6 +334,7 @@ uint32_t hapsim_device_register(uint16_t number) {
     case HAPSIM_REG_HELD: return device.held;
     case HAPSIM_REG_EXPIRED: return device.expired;
     case HAPSIM_REG_LIMITED: return device.limited;
+    case HAPSIM_REG_ROTARY: return HAPSIM_BOARD_ROTARY;
     default: return 0;
     }
 }

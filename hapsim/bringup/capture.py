@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 from firmware_protocol import schema
 from firmware_protocol.decoder import Frame, frames_in, new_decoder
 from firmware_protocol.frames import SETUP, Format, armed_format, frame_bytes
+from hapsim.units import Motion
 
 POSITIONS = (schema.POSITION, schema.POSITION_HELD)
 
@@ -64,6 +65,12 @@ class Registers(dict[int, int]):
         """Takes in a DESCRIPTION; any other frame says nothing here."""
         if frame.type == schema.DESCRIPTION:
             self[frame.number] = frame.counts[0] & 0xFFFFFFFF
+
+    @property
+    def motions(self) -> tuple[Motion, ...]:
+        """Motion of each channel; linear where the device declared none."""
+        bits = self.get(schema.REG_ROTARY, 0)
+        return tuple("rotary" if bits >> c & 1 else "linear" for c in range(self.get(schema.REG_CHANNELS, 1) & 31))
 
     def scale(self, which: int, channel: int) -> float | None:
         """Returns a scale by its place among the channel's registers; None if the device did not describe it."""

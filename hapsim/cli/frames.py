@@ -22,7 +22,7 @@ from firmware_protocol.frames import SETUP, Format
 from hapsim.bringup.capture import REASONS, Capture, Decoded, Refused
 from hapsim.cli.live import live_words
 from hapsim.cli.options import Baud, Json, flag, option, seconds
-from hapsim.cli.output import complain, failure_document, plain, say, stderr
+from hapsim.cli.output import complain, failure_document, plain, say, speak_in, stderr
 from hapsim.cli.streams import output_ended
 from hapsim.device.port_name import leads_to
 from hapsim.device.serial_port import open_portable_port
@@ -30,6 +30,7 @@ from hapsim.errors import DeviceError, UsageError
 from hapsim.number_format import number, plural
 from hapsim.recording.report_file import is_report, read_report
 from hapsim.stopping import stopping_on_signals
+from hapsim.units import Units
 
 _SENDERS = {"host": (True,), "device": (False,), "both": (True, False)}
 _PIECE = 1 << 16
@@ -90,6 +91,7 @@ class _Output:
         try:
             for data, time_s in pieces:
                 for found in capture.feed(data):
+                    speak_in(Units(capture.registers.motions))
                     self._show(entry_of(capture, found, time_s, self._hex_too))
                 if time_s is not None:
                     sys.stdout.flush()
@@ -232,7 +234,7 @@ def _named(*names: str, prefix: str = "") -> dict[int, str]:
 
 _TYPES = _named("DESCRIBE", "ARM", "FORCE", "DISARM", "DESCRIPTION", "POSITION", "POSITION_HELD", "STATUS")
 _REGISTERS = _named("VERSION", "SCHEMA", "CHANNELS", "PACINGS", "RATE", "MAX_WATCHDOG", "FAULT", prefix="REG_")
-_REGISTERS |= _named("ACCEPTED", "REJECTED", "HELD", "EXPIRED", "LIMITED", prefix="REG_")
+_REGISTERS |= _named("ACCEPTED", "REJECTED", "HELD", "EXPIRED", "LIMITED", "ROTARY", prefix="REG_")
 _REGISTERS |= {schema.REG_RATE + 1: "RATE, high word"}
 _OF_CHANNEL = ("position_scale", "force_scale", "force_limit", "velocity_scale")
 _PACINGS = {schema.PACED_BY_DEVICE: "device", schema.PACED_BY_HOST: "host", schema.LOCKSTEP: "lockstep"}

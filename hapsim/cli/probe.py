@@ -11,11 +11,12 @@ import typer
 from hapsim.bringup.probe import Leave, judge, open_wire, steps_of
 from hapsim.cli.live import live_words
 from hapsim.cli.options import Json, option, require_positive
-from hapsim.cli.output import complain, document, stderr, stdout
+from hapsim.cli.output import complain, document, speak_in, stderr, stdout
 from hapsim.device.known_devices import is_new
 from hapsim.errors import UsageError
 from hapsim.number_format import plural
 from hapsim.stopping import stopping_on_signals
+from hapsim.units import Units
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -61,6 +62,8 @@ def probe(
             )
     if any(check.name == "sign" and check.result in ("pass", "FAIL") for check in judgement.checks):
         is_new(port)  # from now on not
+    if judgement.device is not None:
+        speak_in(Units(judgement.device.motions))
     if json:
         print(document(_judgement_document(judgement)))
     else:

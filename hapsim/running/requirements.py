@@ -100,6 +100,7 @@ def require_compatible(scene: Scene, name: str, description: Description) -> Non
     if description.channels < scene.channels:
         raise UsageError(f"{name}: the device has {description.channels} channel(s), the scene uses {scene.channels}")
     _require_numbers(name, description)
+    _require_motion(scene, name, description)
     if abs(description.rate_hz / scene.rate - 1.0) > 1e-6:
         raise UsageError(
             f"{name}: the device samples at {description.rate_hz:g} Hz, the scene says {scene.rate:g} Hz: "
@@ -151,6 +152,20 @@ def _require_numbers(name: str, description: Description) -> None:
                 f"{name}: the device declares a {what} of {value:g} {unit} (register {register}), which is not a "
                 f"number above 0. {_FIRMWARE}"
             )
+
+
+def _require_motion(scene: Scene, name: str, description: Description) -> None:
+    """Raises UsageError where a device declares another motion than the scene; one that declares none may be of any."""
+    declared, said = description.motions[: scene.channels], scene.device.motions(scene.channels)
+    if not description.rotary or declared == said:
+        return
+    channel = next(c for c in range(scene.channels) if declared[c] != said[c])
+    alike = declared[0] if len(set(declared)) == 1 else f"[{', '.join(declared)}]"
+    raise UsageError(
+        f"{name}: channel {channel} of the device is {declared[channel]} (its register {schema.REG_ROTARY}), the scene "
+        f"has motion: {said[channel]} there. Write motion: {alike} under device, and every value in the units of that "
+        "motion"
+    )
 
 
 def _require_velocity(scene: Scene, name: str, description: Description) -> None:

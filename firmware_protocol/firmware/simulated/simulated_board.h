@@ -3,6 +3,7 @@
 #define HAPSIM_BOARD_CHANNELS 1
 #define HAPSIM_BOARD_PACINGS 3 /* by the device, by the host */
 #define HAPSIM_BOARD_MAX_WATCHDOG 2047
+#define HAPSIM_BOARD_ROTARY 0                                /* bit c: channel c turns, in rad and N m; 0: not declared */
 #define HAPSIM_BOARD_IMPULSE 0                               /* 1: an actuator that gives each force once and holds none */
 #define HAPSIM_BOARD_RATE HAPSIM_F64(0x408f4000, 0x00000000) /* 1000 Hz */
 

@@ -11,6 +11,7 @@ import yaml
 from firmware_protocol import schema
 from firmware_protocol.description import Description
 from hapsim.bringup.probe.wire import Session, Wire, arm
+from hapsim.units import Units
 
 Result = Literal["pass", "FAIL", "not seen"]
 
@@ -100,7 +101,12 @@ class Probing:
         return name in self.results and self.results[name].result == "FAIL"
 
     def _note(self, name: str, result: Result, found: str, look_at: str) -> None:
-        self.results[name] = replace(_DECLARED[name], result=result, found=found, look_at=look_at)
+        self.results[name] = replace(_DECLARED[name], result=result, found=self.units(found), look_at=look_at)
+
+    @property
+    def units(self) -> Units:
+        """The units of the device's channels, as far as it said so."""
+        return Units(() if self.description is None else self.description.motions)
 
     @property
     def device(self) -> Description:

@@ -121,7 +121,7 @@ def _run(probing: Probing, steps: tuple[str, ...], on_step: OnStep, say: Callabl
             if not 0 <= channel < channels:
                 expected = f"0 to {channels - 1}: the device has {channels}"
                 raise UsageError(f"--channel: found {channel}, expected {expected}")
-            say(what_will_be_done(probing, probing.leave))
+            say(probing.units(what_will_be_done(probing, probing.leave)))
         try:
             goes_on = run(probing) is not False
         except DeviceError as error:

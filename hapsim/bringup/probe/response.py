@@ -33,8 +33,10 @@ class Estimate:
 
     @property
     def significance(self) -> float:
-        """How many standard deviations the sum is from zero."""
-        return abs(self.total) / self.sum_deviation if self.sum_deviation > 0 else np.inf
+        """How many standard deviations the sum is from zero; 0 where no force moved the position by a count."""
+        if self.sum_deviation > 0:
+            return abs(self.total) / self.sum_deviation
+        return np.inf if self.total else 0.0
 
 
 def estimate(positions: Mapping[int, float], forces_of: Callable[[int], Sequence[float] | None]) -> Estimate | None:

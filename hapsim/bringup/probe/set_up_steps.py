@@ -19,7 +19,7 @@ _TRIES = 12  # together three seconds: a board that the opening of its port rese
 _QUIET_S = 0.2
 _NOISE = bytes(1 + (7 * i) % 255 for i in range(300))
 _UNKNOWN_TYPES = (0x0, *range(0x5, 0x10))
-_NO_REGISTERS = (13, 14, 15, 20, 31, schema.REGISTERS, 1000, 4095)
+_NO_REGISTERS = (14, 15, 20, 31, schema.REGISTERS, 1000, 4095)
 _FLIPS = (
     (0, 0x01, "the COBS code"),
     (1, 0x40, "the type"),
@@ -179,6 +179,9 @@ def probe_registers(probing: Probing) -> bool:
     watchdog, rate = int(registers[schema.REG_MAX_WATCHDOG]), probing.device.rate_hz
     probing.judge("max_watchdog", 1 <= watchdog <= schema.MAX_WATCHDOG_SAMPLES, f"{watchdog} samples")
     probing.judge("rate", _LEAST_HZ <= rate <= _MOST_HZ, f"{rate:g} Hz")
+    named = ", ".join(f"channel {c} {motion}" for c, motion in enumerate(probing.device.motions))
+    rotary = probing.device.rotary
+    probing.judge("rotary", rotary < 1 << channels, f"0x{rotary:x}: {named}" if rotary else "0: not declared")
     _judge_scales(probing)
     needed = ("pacings", "max_watchdog", "rate", "position_scale", "force_scale", "force_limit", "velocity_scale")
     return not any(map(probing.has_failed, needed))

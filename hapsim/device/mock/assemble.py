@@ -32,6 +32,7 @@ def describe_mock(scene: Scene) -> Description:
         force_scale=(mock.force_scale,) * channels,
         force_limit=(mock.force_limit,) * channels,
         velocity_scale=(mock.quantum * scene.rate,) * channels,
+        rotary=sum(1 << c for c, motion in enumerate(scene.device.motions(channels)) if motion == "rotary"),
     )
 
 
