@@ -90,7 +90,7 @@ def show_status(out: Console, document: Mapping[str, object]) -> None:
     """Prints a row for each value that there is; a value without a label goes by its key. On a terminal a sentence
     breaks at its words, and a path in it stays whole."""
     keys = [*(key for key in _LABELS if key in document), *(key for key in document if key not in _LABELS)]
-    units = _units(document.get("motion"))
+    units = Units(one for one in MOTIONS if one in str(document.get("motion")))
     values = {units(_LABELS.get(key, key)): _value(key, document) for key in keys}
     rows = {label: value for label, value in values.items() if value}
     width = min(max(map(len, rows), default=0), _WIDEST)
@@ -98,12 +98,6 @@ def show_status(out: Console, document: Mapping[str, object]) -> None:
         row = f"{_shown(label):<{width}}  {_shown(value)}"
         row = fitted(row, out.width if out.is_terminal else None, indent=" " * (width + 2))
         out.print(row, soft_wrap=True, markup=False, emoji=False, highlight=False)
-
-
-def _units(motion: object) -> Units:
-    """Returns the units of a document's channels, which an earlier version does not say."""
-    known = [one for one in MOTIONS if isinstance(motion, list | tuple) and one in motion]
-    return Units(known)
 
 
 def _value(key: str, document: Mapping[str, object]) -> str:

@@ -74,8 +74,7 @@ def parse_scene(text: str, name: str = "<scene>") -> Scene:
 def _units(data: object) -> Units:
     """The units in which a file's device moves, so far as it says so."""
     device = data.get("device") if isinstance(data, dict) else None
-    motion = device.get("motion") if isinstance(device, dict) else None
-    return Units(one for one in MOTIONS if one in (motion if isinstance(motion, list) else [motion]))
+    return Units(one for one in MOTIONS if isinstance(device, dict) and one in str(device.get("motion")))
 
 
 def _in_units(units: Units, sentence: str) -> str:

@@ -10,6 +10,8 @@ from typing import Any
 
 import pytest
 
+from hapsim.cli.output import stdout
+from hapsim.cli.status import show_status
 from hapsim.errors import UsageError
 from hapsim.measuring.measure import measure
 from hapsim.scene import load_scene
@@ -94,6 +96,12 @@ def test_a_knob_and_a_fader_have_each_their_units(tmp_path: Path, hapsim: Hapsim
 def test_scripts_learn_the_motion_of_each_channel(knob: Path, hapsim: Hapsim) -> None:
     for command in ("check", "measure", "run --duration 0.05", "identify --duration 1"):
         assert json.loads(hapsim(*command.split(), knob, "--json").out)["motion"] == ["rotary"]
+
+
+def test_the_status_of_a_knob_is_in_its_units(capsys: pytest.CaptureFixture[str]) -> None:
+    show_status(stdout(), {"motion": ["rotary"], "force_n": [0.1], "position_m": [0.2]})
+    show_status(stdout(), {"force_n": [0.1]})  # of an earlier version
+    assert capsys.readouterr().out.splitlines()[:2] == ["force  N·m     0.1", "position  rad  0.2"]
 
 
 def test_errors_are_in_the_units_of_the_scene_in_python_too(knob: Path) -> None:
