@@ -127,7 +127,7 @@ def _measure_at(
             if push is not None:
                 raise
         noise_m = max(float(trace.position_scale[place.channel]), 0.0 if found is None else found.residual_m)
-        left = place.left_by(trace, noise_m)
+        left = place.left_by(trace, noise_m, scene.device.correction in ("predictor", "adaptive"))
         unsure = math.inf if found is None or not found.dominant else place.share_unknown(found)
         attempts.append(Attempt(excitation.force, left, math.nan if found is None else found.k, unsure))
         if push is not None or not place.has_regions or failure is not None or trace.report.ending != "done":

@@ -145,9 +145,10 @@ class Place:
         beyond = reach if math.isfinite(reach) else 0.0  # and back: where friction sticks with no bristle bent
         return Guide(self.at, stiffness, beyond, (_WAY_S, settling_s, max(_MEAN_S, 5.0 * swing_s), _MEAN_S))
 
-    def left_by(self, trace: Trace, noise_m: float) -> str:
+    def left_by(self, trace: Trace, noise_m: float, predicts: bool) -> str:
         """How the hand left the region in a trace, or what is straight of a curve, in words: the links that changed;
-        "" where it stayed within. `noise_m`: rms, what a bend has to exceed clearly."""
+        "" where it stayed within. `noise_m`: rms, what a bend has to exceed clearly. `predicts`: the force answers
+        predicted positions, so that it follows no law of those in the trace."""
         x = trace.position[:, self.channel]
         if self.hand is None or self.piece is None or not self.has_regions:
             return ""
@@ -156,7 +157,7 @@ class Place:
             swing = self.swing_in(trace)
             if (bend := self.bend(swing)) * swing > _BENT_NOISES * noise_m or bend > 2.0 * _BENT:
                 return f"over {number(swing, 2)} m its slope changes, and k by about {percent(bend)}"
-            if self.is_curved or asks_by_one_law(trace, self.channel):
+            if self.is_curved or predicts or asks_by_one_law(trace, self.channel):
                 return ""
         pieces = self.hand.pieces()
         ends = [self.hand.at(min(max(end, self.hand.low), self.hand.high), pieces) for end in (least, most)]
