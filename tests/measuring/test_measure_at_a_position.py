@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.special import j1
 
 import hapsim as package
 from hapsim.errors import UsageError
@@ -198,3 +199,21 @@ def test_a_hand_that_does_not_arrive_is_not_measured() -> None:
     scene = table(NOTCH, hand={"stiffness": 1e6, "damping": 100.0})
     with pytest.raises(UsageError, match="came to rest at"):
         package.measure(scene, at=0.0005)
+
+
+@pytest.mark.parametrize("share", [0.01, 0.045, 0.1])
+def test_a_sine_detent_is_softer_the_wider_it_swings(share: float) -> None:
+    """As 2 J1(a)/a, the first harmonic's stiffness, by the period of a free swing."""
+    text = (
+        "version: 1\nrate: 8000\n"
+        "device: {clock: lockstep, mass: 0.05, friction: 0, delay: 0, hold: impulse, force_limit: 100}\n"
+        f"mock: {{initial: {{position: {0.01 * share}}}}}\n"
+        "modules:\n  hand: {type: device, channel: 0}\n  frame: {type: ground}\n"
+        "  notch: {type: detent, between: [hand, frame], pitch: 0.01, depth: 1}\n"
+    )
+    x = package.run(parse_scene(text), duration=0.5).position[:, 0]
+    falls = np.flatnonzero((x[:-1] > 0.0) & (x[1:] <= 0.0))
+    passes = falls + x[falls] / (x[falls] - x[falls + 1])
+    angular = 2.0 * np.pi * 8000.0 * (passes.size - 1) / (passes[-1] - passes[0])
+    a = 2.0 * np.pi * share
+    assert 0.05 * angular**2 / (2.0 * np.pi / 0.01) == pytest.approx(2.0 * j1(a) / a, rel=3e-4)
