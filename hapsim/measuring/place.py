@@ -168,7 +168,7 @@ class Place:
             if end.states[link] != state
         }
         sticks = [f"{link} slid" for link, state in self.piece.states.items() if state == "stuck"]
-        return ", ".join(sorted(changed) or sticks) or "a link let go, or a velocity left its piece of a table"
+        return ", ".join(sorted(changed) or sticks) or "a link released, or a velocity left its piece of a table"
 
     def words(self) -> str:
         """The region in words."""

@@ -88,7 +88,11 @@ def links_at_rest(scene: Scene, hands: Mapping[str, float]) -> dict[str, Linear]
     linear = len(rows) - len(laws)
     springs = _Springs(table[:, :2].astype(int), table[:, 2:4], table[:linear, 4], laws)
     d = springs.distances(_relaxed(springs, np.array(start)))[linear:]
-    return {name: law.linear(float(one)) for name, law, one in zip(scene.links, laws, d, strict=True)}
+    found = {}
+    for name, law, one in zip(scene.links, laws, d, strict=True):
+        taken = f"is taken as {law.state(float(one))}, as it is where the masses rest" if law.assumption else ""
+        found[name] = law.linear(float(one))._replace(assumption=taken)
+    return found
 
 
 def _masses(scene: Scene) -> tuple[dict[str, int], list[float]]:

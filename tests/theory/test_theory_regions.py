@@ -139,6 +139,10 @@ def test_around_a_place_the_links_of_what_moves_with_the_hand_are_as_they_rest_t
     )
     scene = parse_scene(KNOB.format(travel="", links=links))
     of_hand = {at: predict(scene, at=at).poles for at in (0.0, 0.004, 0.012)}
+    assert predict(scene, at=0.004).assumptions == (
+        "pad is taken as touched, as it is where the masses rest",
+        "stop is taken as apart, as it is where the masses rest",
+    )
     linear = {
         0.0: (0.0, 0.0),
         0.004: (300.0, 0.0),  # the cell rests at 1 mm
