@@ -8,10 +8,11 @@ from dataclasses import replace
 from typing import Any
 
 from hapsim.device.open_connection import TransportKind
-from hapsim.errors import DeviceError, UsageError
+from hapsim.errors import DeviceError, GuardError, UsageError
 from hapsim.measuring.limits import SHARE_OF_LIMIT, in_units_of_scene, require_above_zero, require_device_point
 from hapsim.measuring.measure_trace import Attempt, Measurement, measure_trace
 from hapsim.measuring.place import Place, place_of
+from hapsim.number_format import number
 from hapsim.progress import Progress
 from hapsim.recording.trace import Trace
 from hapsim.running import Excitation
@@ -29,6 +30,7 @@ _LEAST_ROWS = 32
 _MOST_RUNS = 5
 _FINE, _FINE_IN_TIME = 2e-6, 1e-4  # of k and b, in virtual and real time: what need not be more certain
 _UNSURE = 0.1  # of k: with more, nothing is said of it
+_PLENTY = 1e5  # counts: where the hand may swing by more, they are not why nothing is identified
 _LARGER = 1.5  # times a push: less than that is no use
 
 
@@ -82,8 +84,12 @@ def _recorded(
     guided = excitation.ticks_before(scene.rate)
     try:
         trace, failure = run(scene, duration=duration + guided / scene.rate, excitation=excitation, **options), None
-    except DeviceError as error:
-        if error.trace is None or error.trace.sample.size < guided + _LEAST_ROWS:
+    except (DeviceError, GuardError) as error:
+        recorded = 0 if error.trace is None else error.trace.sample.size
+        if excitation.guide is not None and 0 < recorded < guided:
+            where = number(excitation.guide.target)
+            error.args = (f"while the hand was led to {where} m, by a force besides the scene's: {error}",)
+        if isinstance(error, GuardError) or recorded < guided + _LEAST_ROWS:
             raise
         trace, failure = error.trace, error
     return trace, failure
@@ -116,7 +122,13 @@ def _measure_at(
         guided = excitation.ticks_before(scene.rate)
         if trace.sample.size <= guided:
             raise UsageError("the run was stopped before the hand was at its place: nothing was measured")
-        place.require_arrival(trace.position[:guided, place.channel], float(trace.position_scale[place.channel]))
+        count_m = float(trace.position_scale[place.channel])
+        try:
+            place.require_arrival(trace.position[:guided, place.channel], count_m)
+        except UsageError as elsewhere:
+            if failure is None:
+                raise
+            raise failure from elsewhere
         trace = trace.since(guided)
         found = None
         try:
@@ -124,9 +136,9 @@ def _measure_at(
             bent = place.bend(place.swing_in(trace)) * found.k
             found = replace(found, k_uncertainty=math.hypot(found.k_uncertainty, bent))
         except UsageError:
-            if push is not None:
+            if push is not None or place.largest_swing > _PLENTY * count_m:
                 raise
-        noise_m = max(float(trace.position_scale[place.channel]), 0.0 if found is None else found.residual_m)
+        noise_m = max(count_m, 0.0 if found is None else found.residual_m)
         left = place.left_by(trace, noise_m, scene.device.correction in ("predictor", "adaptive"))
         unsure = math.inf if found is None or not found.dominant else place.share_unknown(found)
         attempts.append(Attempt(excitation.force, left, math.nan if found is None else found.k, unsure))
@@ -144,7 +156,7 @@ def _measure_at(
             break
         swing = wanted
     if best is None or least > _UNSURE:
-        raise UsageError(place.too_small(float(trace.position_scale[place.channel]), attempts, best))
+        raise UsageError(place.too_small(count_m, attempts, best or found))
     return replace(best, attempts=tuple(attempts))
 
 

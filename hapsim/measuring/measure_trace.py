@@ -179,8 +179,10 @@ def _fitted(trace: Trace, channel: int, pressed: bool) -> tuple[list[Segment], l
     if not np.all(np.isfinite(trace.asked_force)):
         raise UsageError("the scene's force was not finite throughout: there is nothing to be identified")
     # A host that is seldom on time leaves too little between two deadline misses: then better rough than nothing.
-    for spoilt in (_SPOILT, _SPOILT & ~OFF_GRID):
-        segments = _segments(trace, channel, spoilt, pressed)
+    # So it is where a hand that rests between its pushes never moves by many counts: rounding then passes for noise.
+    attempts = [(_SPOILT, True), (_SPOILT & ~OFF_GRID, True), *([(_SPOILT, False)] if pressed else [])]
+    for spoilt, loud in attempts:
+        segments = _segments(trace, channel, spoilt, pressed, loud)
         if fits := _fits(segments):
             return segments, fits
     counts, rows = trace.position_counts[:, channel].astype(float), trace.sample.size
@@ -208,9 +210,10 @@ def _with_rivals(pair: FittedPair | None, others: list[FittedPair]) -> FittedPai
     return pair._replace(**{name: max(getattr(one, name) for one in equals) for name in names})
 
 
-def _segments(trace: Trace, channel: int, spoilt: int, pressed: bool) -> list[Segment]:
+def _segments(trace: Trace, channel: int, spoilt: int, pressed: bool, loud: bool) -> list[Segment]:
     """Runs of consecutive samples without a `spoilt` flag, counted from where the scene asks for no force, or where the
-    hand rests that is `pressed`: as many as make up the rows that a regression needs."""
+    hand rests that is `pressed`: as many as make up the rows that a regression needs. `loud`: without the parts that
+    rounding fills."""
     asked = trace.asked_force[:, channel]
     surplus = trace.force_counts[:, channel] * trace.force_scale[channel] - asked
     following = (np.diff(trace.sample) == 1) & (trace.flags[1:] & BRIDGED == 0)
@@ -220,7 +223,7 @@ def _segments(trace: Trace, channel: int, spoilt: int, pressed: bool) -> list[Se
     position = position - rest
     found, rows = [], 0
     for whole in unbroken(trace, spoilt):
-        for first, last in _loud(position, *whole):
+        for first, last in _loud(position, *whole) if loud else [whole]:
             end = min(last, first + _MOST_ROWS - rows)
             if end > first:
                 found.append(Segment(position[first:end], surplus[first:end], known))

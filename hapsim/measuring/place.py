@@ -28,7 +28,7 @@ _WAY_S, _SETTLING_S, _MEAN_S = 2.0, (1.0, 6.0), 0.25
 _WITHIN = 0.45  # of the way to the region's nearest edge
 _COUNTS, _COUNTS_A_RADIAN = 4000.0, 400.0  # of a first swing: its size, and how far it goes in a sample
 _AT_A_PORT = 0.1  # of the way to the edge, where the size of a count is not known before
-_RESOLVED = 40.0  # counts: less motion than that says nothing
+_RESOLVED = 20.0  # counts: less motion than that says nothing
 _EDGE = 1e-6  # of the region's width, or of 1 m: nearer to its edge is on it
 _MOST_GROWTH = 64.0  # of a swing, from one run to the next
 _STRAIGHT, _BENT = 1e-6, 0.01  # a curve that bends less over a swing is a straight line; one that bends more is none
@@ -89,7 +89,7 @@ class Place:
             raise UsageError(self.too_small(quantum))
         turn = math.sqrt(max(self.stiffness, 0.0) / self.mass) * scene.period
         swing = min(self.largest_swing, quantum * max(_COUNTS, _COUNTS_A_RADIAN / max(turn, 1e-3)))
-        while swing > _RESOLVED * quantum * 10.0 and self.bend(swing) > _STRAIGHT:
+        while swing > _RESOLVED * quantum * 20.0 and self.bend(swing) > _STRAIGHT:
             swing *= 0.8
         return swing
 
@@ -126,9 +126,9 @@ class Place:
         x = float(np.median(way[-_LAST:]))
         if abs(x - self.at) > _ARRIVED * min(self.room, 1.0) + _RESOLVED * count_m:
             raise UsageError(
-                f"the hand was led to {number(self.at)} m and came to rest at {number(x, 4)} m: dry friction, or a "
-                "hand, holds it, or a snap on the way is too steep for what leads it. Let it move freely, or choose "
-                "another --at"
+                f"the hand was led to {number(self.at)} m, but was at {number(x, 4)} m in the end: dry friction or a "
+                "hand may hold it, a snap on the way may be too steep for what leads it, the force limit too low, or "
+                "the mass far from the declared one. Let it move freely, or choose another --at"
             )
 
     def guide(self, scene: Scene) -> Guide:
@@ -153,8 +153,8 @@ class Place:
         if self.hand is None or self.piece is None or not self.has_regions:
             return ""
         least, most = float(x.min()), float(x.max())
-        if self.low <= least and most <= self.high:
-            swing = self.swing_in(trace)
+        swing = self.swing_in(trace)
+        if self.low <= least and most <= self.high and swing <= self.piece.reach:
             if (bend := self.bend(swing)) * swing > _BENT_NOISES * noise_m or bend > 2.0 * _BENT:
                 return f"over {number(swing, 2)} m its slope changes, and k by about {percent(bend)}"
             if self.is_curved or predicts or asks_by_one_law(trace, self.channel):
@@ -187,7 +187,7 @@ class Place:
         return (
             f"at {self.words()}, {self.name} can swing {number(self.room, 3)} m to the nearest edge, against counts of "
             f"{number(count_m, 3)} m{noise}{tried}: no push that stays in this region moves it enough to identify what "
-            "it feels. Choose the middle of a wider region with --at, or a device with finer positions"
+            "it feels. Choose the middle of a wider region with --at, or a device with finer and quieter positions"
         )
 
 

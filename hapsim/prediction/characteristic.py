@@ -118,7 +118,7 @@ class Characteristic:
                 found += link.edges(self.low, self.high)
             except ValueError as too_many:
                 where = f"between {number(self.low)} and {number(self.high)} m"
-                expected = "expected a larger pitch, or a shorter device.travel"
+                expected = "expected a larger pitch, a shorter device.travel, or a position nearer to 0"
                 raise UsageError(f"modules.{name}: found {too_many} {where}; {expected}") from None
         alike = _ALIKE * max(map(abs, found), default=0.0)
         kept: list[float] = []
@@ -260,7 +260,12 @@ def characteristic_of(scene: Scene, name: str, around: float = 0.0) -> Character
         period = max(one.law.period for one in repeats)
         others = [one.fixed_m + one.sign * d for one in links.values() if not one.law.period for d in one.law.edges]
         low, high = min([-period, around - period, *others]), max([period, around + period, *others])
-        ends = [edge for one in repeats for edge in one.edges(low, high)]
+        ends = [
+            edge
+            for one in repeats
+            for begin in (low, high - one.law.period)
+            for edge in one.edges(begin, begin + one.law.period)
+        ]
         low, high = min(ends), max(ends)
     return Characteristic(links, device.stiffnesses(scene.channels)[channel], low, high, device.force_limit)
 

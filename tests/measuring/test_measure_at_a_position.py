@@ -12,7 +12,7 @@ import pytest
 from scipy.special import j1
 
 import hapsim as package
-from hapsim.errors import UsageError
+from hapsim.errors import DeviceError, GuardError, UsageError
 from hapsim.scene import Scene, load_scene, parse_scene
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
@@ -197,7 +197,7 @@ def test_a_region_that_noise_fills_is_refused_after_all_pushes() -> None:
 
 def test_a_hand_that_does_not_arrive_is_not_measured() -> None:
     scene = table(NOTCH, hand={"stiffness": 1e6, "damping": 100.0})
-    with pytest.raises(UsageError, match="came to rest at"):
+    with pytest.raises(UsageError, match="in the end: dry friction"):
         package.measure(scene, at=0.0005)
 
 
@@ -217,3 +217,67 @@ def test_a_sine_detent_is_softer_the_wider_it_swings(share: float) -> None:
     angular = 2.0 * np.pi * 8000.0 * (passes.size - 1) / (passes[-1] - passes[0])
     a = 2.0 * np.pi * share
     assert 0.05 * angular**2 / (2.0 * np.pi / 0.01) == pytest.approx(2.0 * j1(a) / a, rel=3e-4)
+
+
+@pytest.mark.parametrize(
+    ("scene", "quantum"),
+    [(table(NOTCH), 2e-5), (shipped("button"), 1e-5), (shipped("knob_24"), 2.0 * math.pi / 2**14)],
+    ids=["notch", "button", "knob"],
+)
+def test_coarse_counts_are_noise_of_which_the_uncertainty_tells(scene: Scene, quantum: float) -> None:
+    mock = (scene.mock or table(NOTCH).mock).model_copy(update={"quantum": quantum})
+    scene = scene.model_copy(update={"mock": mock})
+    measured = package.measure(scene)
+    felt = package.predict(scene, with_margins=False, at=measured.at_m).felt[0]
+    assert abs(measured.k - felt.k) < 4.0 * measured.k_uncertainty < 0.08 * felt.k
+    assert abs(measured.b - felt.b) < 4.0 * measured.b_uncertainty < 0.15 * felt.b
+
+
+def test_a_correction_that_predicts_is_measured_in_its_region() -> None:
+    """Its force follows from the pushes too, which is no sign that a link let go."""
+    scene = shipped("wall", correction="predictor")
+    agrees(scene, package.measure(scene))
+    assert "stop went from" in package.measure(scene, push=4.0).left_region
+
+
+def test_friction_that_slides_on_a_curve_leaves_its_region() -> None:
+    document = parse_scene(DETENT).model_dump(mode="json", exclude_none=True)
+    ends = ["knob", "frame"]
+    document["modules"]["rubs"] = {
+        "type": "friction",
+        "between": ends,
+        "force": 0.001,
+        "stiffness": 2.0,
+        "damping": 0.0,
+    }
+    measured = package.measure(parse_scene(json.dumps(document)), push=0.003)
+    assert measured.left_region == "rubs slid"
+
+
+def test_a_place_many_detents_away_is_refused_in_words() -> None:
+    with pytest.raises(UsageError, match="detent: found more than 4000 edges"):
+        package.predict(shipped("knob_24"), at=1000.0)
+
+
+def test_what_ends_a_guided_way_is_not_blamed_on_the_scene_or_a_hand() -> None:
+    """A mass of a tenth of the declared one: the guide is too stiff for it."""
+    light = {"mass": 0.005}
+    for guards, error, says in (
+        ({}, DeviceError, "left the range of its counts"),
+        (
+            {"energy_limit": 0.16, "slew_limit": 8000.0},
+            GuardError,
+            "while the hand was led to -0.001 m, by a force bes",
+        ),
+    ):
+        scene = shipped("button", **guards)
+        scene = scene.model_copy(update={"mock": scene.mock.model_copy(update=light)})
+        with pytest.raises(error, match=says):
+            package.measure(scene, at=-0.001)
+
+
+def test_late_forces_are_not_blamed_on_the_region() -> None:
+    scene = shipped("wall")
+    scene = scene.model_copy(update={"mock": scene.mock.model_copy(update={"misses": 0.3})})
+    with pytest.raises(UsageError, match="had their force too late"):
+        package.measure(scene)
