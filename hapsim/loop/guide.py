@@ -23,6 +23,7 @@ from hapsim.compiling.native import address_of, function_at, native, record_at
 from hapsim.loop.buffers import IO_BUFFER
 from hapsim.loop.guards.force_limit import clip
 
+_SMOOTHED = 5.0  # times the spring's eigenfrequency: the low-pass of its damper, which would be loud on a noisy device
 _SUMMED = 3.0  # radians of the spring's eigenfrequency, in which the integrator adds as much as the spring has
 
 GUIDE = np.dtype(
@@ -41,7 +42,9 @@ GUIDE = np.dtype(
         ("damping", np.float64),  # N/m, in a sample
         ("summing", np.float64),  # N/m, in a sample
         ("begun", np.float64),  # m, where the hand was at arming,
-        ("before", np.float64),  # its position less the path's, at the last tick
+        ("before", np.float64),  # its position less the path's, at the last tick,
+        ("velocity", np.float64),  # and what it changes by in a tick, low-passed, m
+        ("follows", np.float64),  # by which share of a change a tick
         ("summed", np.float64),  # N, of the integrator
         ("bias", np.float64),  # N
     ],
@@ -73,8 +76,9 @@ def lead(guide, io):
         guide.before = off
     if tick < settled:
         guide.summed = clip(guide.summed - guide.summing * off, io.force_limit[guide.channel])
-    force = guide.summed - guide.stiffness * off - guide.damping * (off - guide.before)
+    guide.velocity += guide.follows * (off - guide.before - guide.velocity)
     guide.before = off
+    force = guide.summed - guide.stiffness * off - guide.damping * guide.velocity
     if tick < settled:
         return force
     since = tick - settled
@@ -110,5 +114,6 @@ def set_guide(
     record.channel, record.target, record.beyond, record.stiffness = channel, target, beyond, stiffness
     record.ramp, record.settling, record.mean, record.fade = ticks
     record.damping = 2.0 * mass * angular * rate_hz
+    record.follows = -math.expm1(-_SMOOTHED * angular / rate_hz)
     record.summing = stiffness * angular / (_SUMMED * rate_hz)
     record.address, record.lead = address_of(record), lead.address()
