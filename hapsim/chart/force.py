@@ -45,6 +45,8 @@ class ForceChart(NamedTuple):
     """N, of a hand that moves up and down."""
     speed: float
     """m/s."""
+    what: str
+    """`force`, or of a rotary hand `torque`."""
 
 
 def force_chart(scene: Scene, name: str, speed: float) -> ForceChart:
@@ -73,6 +75,7 @@ def force_chart(scene: Scene, name: str, speed: float) -> ForceChart:
         [hand.moving_force(x, speed) for x in position],
         [hand.moving_force(x, -speed) for x in position],
         speed,
+        "torque" if scene.units_of(scene.device_points[name].channel).is_rotary else "force",
     )
 
 
@@ -146,11 +149,11 @@ def draw_force(chart: ForceChart, path: Path) -> None:
             axes.plot(mm, force, **(style.FORCE | look))
         x = 1e3 * np.concatenate(chart.position)
         up, down = np.concatenate(chart.pushing), np.concatenate(chart.releasing)
-        loop = f"friction and damping, moved at {number(1e3 * chart.speed, 3)} mm/s"
+        loop = f"friction and damping of the scene, moved at {number(chart.speed, 3)} m/s"
         axes.fill_between(x, down, up, label=loop, **style.HYSTERESIS)
         axes.axhline(0.0, **style.ZERO_LINE)
         axes.set_xlabel("position of the hand (mm)")
-        axes.set_ylabel("force of the hand (N)")
+        axes.set_ylabel(f"{chart.what} of the hand (N)")
         axes.set_title(f"{chart.name}: {described(chart.drawn[0].felt.configuration)}", fontsize=9)
         axes.margins(x=0.0)
         figure.colorbar(colours, ax=axes, label="felt k or b, off what is asked for", extend="both", format=_percent)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -25,13 +25,15 @@ _ALIKE = 6  # digits
 class _Row:
     region: Region
     alike: int
+    is_here: bool
+    """Whether the hand is taken to be in it, or in one like it."""
 
 
 def show_regions(out: Console, prediction: Prediction) -> None:
     """Prints a table for each hand with regions; hands that feel the same share one."""
     shared: dict[tuple[tuple[str, ...], ...], list[str]] = {}
     for name, regions in prediction.regions.items():
-        rows = tuple(_cells(row) for row in _rows(regions))
+        rows = tuple(_cells(row) for row in _rows(regions, prediction.region_here[name]))
         shared.setdefault(rows, []).append(name)
     for rows, names in shared.items():
         out.print(_table(", ".join(names), rows))
@@ -42,34 +44,39 @@ def show_hand(out: Console, name: str, regions: tuple[Region, ...]) -> None:
     out.print(_table(name, [_cells(row) for row in _rows(regions)]))
 
 
-def _table(names: str, rows: Iterable[tuple[str, ...]]) -> Table:
+def _table(names: str, rows: Sequence[tuple[str, ...]]) -> Table:
     headings = ("<position  mm", "K  N/m", "B", "felt k", "felt b", "<")
-    return table(f"By region, {escape(names)}", headings, rows, box=None)
+    caption = "← where the table above holds" if any("←" in row[-1] for row in rows) else ""
+    return table(f"By region, {escape(names)}", headings, rows, caption, box=None)
 
 
-def _rows(regions: tuple[Region, ...]) -> list[_Row]:
+def _rows(regions: tuple[Region, ...], here: Region | None = None) -> list[_Row]:
     """All regions, or one of each kind, that nearest to position 0, with how many there are."""
     if len(regions) <= _ROWS:
-        return [_Row(one, 1) for one in regions]
+        return [_Row(one, 1, one is here) for one in regions]
     alike: dict[tuple[object, ...], list[Region]] = {}
     for one in regions:
         piece = one.piece
         values = (piece.stiffness, piece.damping, piece.high - piece.low)
         alike.setdefault((*(number(value, _ALIKE) for value in values), piece.sliding, one.kind), []).append(one)
-    rows = [_Row(min(group, key=lambda one: abs(one.piece.place)), len(group)) for group in alike.values()]
+    rows = [
+        _Row(min(group, key=lambda one: abs(one.piece.place)), len(group), any(one is here for one in group))
+        for group in alike.values()
+    ]
     return sorted(rows, key=lambda row: row.region.piece.low)
 
 
 def _cells(row: _Row) -> tuple[str, ...]:
     region, piece = row.region, row.region.piece
     felt = ("", "") if region.kind != "held" else (number(region.felt.k), number(region.felt.b, 5))
-    alike = f" ×{row.alike}" if row.alike > 1 else ""
+    alike = f", {row.alike} of these" if row.alike > 1 else ""
+    here = " ←" if row.is_here else ""
     return (
         _range(piece.low, piece.high),
         number(piece.stiffness),
         number(piece.damping),
         *felt,
-        _verdict(region) + alike,
+        _verdict(region) + alike + here,
     )
 
 
@@ -86,9 +93,9 @@ def _verdict(region: Region) -> str:
     """Returns whether it is stable and passive, or a snap, in a few words."""
     slides = "sliding, " if region.piece.sliding else ""
     if not region.is_stable:
-        return f"{slides}[red]unstable[/red]"
+        return f"{slides}[red]unstable: buzzes[/red]"
     if region.kind == "snap":
-        return f"{slides}[yellow]snap[/yellow] {number(1e3 * region.snap_energy, 2)} mJ"
+        return f"{slides}[yellow]snap[/yellow] {number(1e3 * region.snap_energy, 3)} mJ"
     if region.kind == "free":
         return f"{slides}no spring"
     return f"{slides}stable{', passive' if region.felt.passive else ''}"

@@ -52,25 +52,25 @@ Baud = Annotated[int, typer.Option(min=1, max=100_000_000, metavar="B", help="Ba
 
 At = Annotated[
     str | None,
-    option("X", "Position of the hand, m [default: where it rests, or is held nearest to position 0].", "--at"),
+    option("X", "Position of the hand: 0.002 (m), 2mm, 15deg [default: where nothing but the scene holds it].", "--at"),
 ]
 
 
 def position(at: str | None, scene: Any) -> float | None:
-    """Returns the position that --at names, m; of a rotary scene rad, which may be written as "15 deg". Raises
-    UsageError."""
+    """Returns the position that --at names, m, of a rotary scene rad; it may have a unit. Raises UsageError."""
     if at is None:
         return None
-    from hapsim.scene.quantity import ANGLE
-
-    angle = ANGLE.match(at)
+    sizes = {"mrad": 1e-3, "rad": 1.0, "deg": math.pi / 180.0} if scene.units.is_rotary else {"mm": 1e-3, "m": 1.0}
+    unit = next((unit for unit in sizes if at.endswith(unit)), "")
     try:
-        value = math.radians(float(angle[1])) if angle and angle[4] == "deg" and scene.units.is_rotary else float(at)
+        value = float(at.removesuffix(unit)) * sizes.get(unit, 1.0)
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        expected = "such as 0.26, or 15 deg" if scene.units.is_rotary else "such as 0.002 (m)"
+        expected = "such as 0.26 (rad), 260mrad or 15deg" if scene.units.is_rotary else "such as 0.002 (m) or 2mm"
         raise UsageError(f"--at: found '{at}', expected a position, {expected}")
+    if not unit and not scene.units.is_rotary and abs(value) >= _FAR_M:
+        raise UsageError(f"--at: found {at}, which is {value:g} m; write {at}mm if you meant mm, or {at}m")
     return value
 
 
@@ -93,6 +93,7 @@ def push_option(*names: str) -> Any:
     return option("N", help_text, "--push", *names)
 
 
+_FAR_M = 1.0  # that no hand reaches: mm were meant
 _CACHE = "HAPSIM_CACHE"  # `firmware_protocol.code_cache`, which would import numba
 
 

@@ -174,8 +174,12 @@ class Place:
         """The region in words."""
         if not math.isfinite(self.low) and not math.isfinite(self.high):
             return f"{number(self.at)} m"
-        low, high = (number(one) if math.isfinite(one) else "no end" for one in (self.low, self.high))
-        return f"{number(self.at)} m, in the region from {low} to {high} m"
+        reach = f"from {number(self.low)} to {number(self.high)} m"
+        if not math.isfinite(self.low):
+            reach = f"below {number(self.high)} m"
+        elif not math.isfinite(self.high):
+            reach = f"above {number(self.low)} m"
+        return f"{number(self.at)} m, in the region {reach}"
 
     def too_small(self, count_m: float, attempts: Sequence[Attempt] = (), found: Measurement | None = None) -> str:
         """Why no push that stays in the region says anything: sentences without a full stop."""
@@ -219,7 +223,9 @@ def place_of(scene: Scene, channel: int, at: float | None) -> Place | None:
     if piece.is_curved:  # its slope is that of another place
         step = _EDGE * (piece.high - piece.low)
         stiffness = float(hand.force(piece.place + step) - hand.force(piece.place - step)) / (2.0 * step)
-    place = Place(name, channel, piece.place, piece.low, piece.high, mass, stiffness, damping, hand, piece)
+    place = Place(
+        name, channel, piece.place if at is None else at, piece.low, piece.high, mass, stiffness, damping, hand, piece
+    )
     _require_rest(place, abs(float(hand.force(place.at))), force_limit(scene))
     return place
 

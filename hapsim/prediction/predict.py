@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hapsim.errors import UsageError
+from hapsim.number_format import number
 from hapsim.prediction.characteristic import Piece, hand_at, piece_at, scene_at
 from hapsim.prediction.correction import (
     Corrected,
@@ -221,7 +222,9 @@ class Shaking(NamedTuple):
         """Without a full stop."""
         by = f"{self.growth:.3g}-fold" if self.growth >= 2.0 else f"by {100.0 * (self.growth - 1.0):.2g} %"
         whose = f"the motion of {self.module}" if self.module else "a motion"
-        return f"{whose} grows {by} a sample; it takes less stiffness there, other damping, more mass or a higher rate"
+        return (
+            f"{whose} grows {by} a sample; reduce the stiffness there, change its damping, add mass or raise the rate"
+        )
 
 
 def surely_shaken_by(scene: Scene) -> Shaking | None:
@@ -233,8 +236,9 @@ def surely_shaken_by(scene: Scene) -> Shaking | None:
     scene = rendered(scene).seen
     linear = scene_at(scene)
     for name in scene.device_points:
-        if (grows := growth_of(scene, linear, name)) > _SURELY:
-            return Shaking(grows, name)
+        grows, whose = growth_of(scene, linear, name)
+        if grows > _SURELY:
+            return Shaking(grows, whose)
     network, points = network_of(scene, linear)
     try:
         solution = solve(network)
@@ -270,6 +274,14 @@ def warnings_about(scene: Scene, prediction: Prediction) -> list[str]:
             f"oscillates with up to the force limit of {limit:g} N, until the energy guard ends the run "
             "(hapsim/STABILITY.md says what it finds)."
         )
+    for name in prediction.regions:
+        hand = hand_at(scene, name)
+        x = max(hand.edges(), key=lambda x: abs(float(hand.force(x))), default=0.0)
+        if abs(float(hand.force(x))) > limit:
+            warnings.append(
+                f"{name} at {number(x)} m: the scene asks for {number(abs(float(hand.force(x))))} N, of which the hand "
+                f"feels {limit:g} N, the force limit."
+            )
     slow = slow_slew(scene, prediction)
     warnings += [slow] if slow else []
     for one in (one for one in prediction.desired if one.remedies is not None):

@@ -40,21 +40,26 @@ def growth(regions: tuple[Region, ...]) -> float:
     return max((_growth(one.felt.poles, one.kind) for one in regions if not one.is_stable), default=0.0)
 
 
-def growth_of(seen: Scene, linear: LinearScene, name: str) -> float:
-    """The same from the poles of the hand `name` alone, where it feels different springs; 0 for another."""
+def growth_of(seen: Scene, linear: LinearScene, name: str) -> tuple[float, str]:
+    """The same from the poles of the hand `name` alone, where it feels different springs, and the hand's name with the
+    stiffest link there; 0 for another hand."""
     hand = characteristic_of(seen, name)
     if hand is None or not hand.is_regional:
-        return 0.0
-    grown, known = 0.0, set()
+        return 0.0, name
+    (grown, whose), known = (0.0, name), set()
     for piece in hand.pieces():
-        element = hand_of(seen, linear_at(seen, linear, name, piece), name)
+        here = linear_at(seen, linear, name, piece)
+        element = hand_of(seen, here, name)
         if element not in known:
             known.add(element)
             configuration, stiffness, damping = element
             kind = _kind(stiffness + configuration.stiffness)
             if not (kind == "held" and bool(configuration.is_stable(stiffness, damping))):
-                grown = max(grown, _growth(configuration.poles(stiffness, damping).tolist(), kind))
-    return grown
+                grows = _growth(configuration.poles(stiffness, damping).tolist(), kind)
+                if grows > grown:
+                    links = links_of(here, name)
+                    grown, whose = grows, f"{name} in {max(links, key=lambda link: links[link].stiffness)}"
+    return grown, whose
 
 
 def linear_at(seen: Scene, linear: LinearScene, name: str, piece: Piece) -> LinearScene:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hapsim.errors import UsageError
-from hapsim.prediction import Region, predict
+from hapsim.prediction import Region, predict, warnings_about
 from hapsim.scene import parse_scene
 from tests.piecewise_scenes import TRAVEL, as_scene, formulas, random_scene
 
@@ -98,6 +98,15 @@ def test_a_stiff_stop_that_shakes_the_hand_makes_the_scene_unstable_wherever_the
         assert prediction.spectral_radius > 1.0
         assert [one.is_stable for one in prediction.regions["hand"]] == [False, True]
     assert prediction.felt[0].stable
+
+
+def test_a_peak_beyond_the_force_limit_is_warned_of() -> None:
+    for depth, warned in ((9.0, False), (11.0, True)):
+        knob = f"it: {{type: detent, between: [hand, wall], pitch: 0.1, depth: {depth}, damping: 4}}"
+        scene = parse_scene(KNOB.format(travel="", links=knob))
+        found = warnings_about(scene, predict(scene))
+        peak = f"hand at -0.025 m: the scene asks for {depth:g} N, of which the hand feels 10 N, the force limit."
+        assert (peak in found) == warned
 
 
 def test_a_place_beyond_the_travel_is_an_error() -> None:
