@@ -152,7 +152,7 @@ def _show_summary(out: Console, scene: Scene, prediction: Prediction, on_wire: P
         out.print(sentence)
     for desired in prediction.desired:
         if not desired.reached and prediction.rendering is not None and prediction.rendering.kind is not None:
-            out.print(details.reached_sentence(desired, prediction.rendering.kind.name))
+            out.print(details.reached_sentence(desired, prediction.rendering.kind.name, prediction.regions))
     details.show_assumptions(out, prediction.assumptions)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from typing import TYPE_CHECKING
 
 from rich.markup import escape
@@ -210,7 +210,7 @@ def _show_correction(out: Console, prediction: Prediction) -> None:
     if rendering is None or rendering.kind is None:
         return
     for desired in prediction.desired:
-        out.print(reached_sentence(desired, rendering.kind.name))
+        out.print(reached_sentence(desired, rendering.kind.name, prediction.regions))
     if prediction.coupled and prediction.desired_modes:
         modes = prediction.desired_modes
         rows = [(f"{mode.frequency_hz:.6g}", f"{mode.damping_ratio:.6g}") for mode in modes[:_ROWS]]
@@ -220,13 +220,19 @@ def _show_correction(out: Console, prediction: Prediction) -> None:
         out.print(f"[yellow]Of the correction:[/yellow] {escape(note)}.")
 
 
-def reached_sentence(desired: Desired, name: str) -> str:
-    """Returns how close a correction comes to what is desired at one hand, and what would bring it closer."""
+def reached_sentence(desired: Desired, name: str, regions: Collection[str]) -> str:
+    """Returns how close a correction comes to what is desired at one hand, and what would bring it closer. `regions`:
+    hands that feel different springs at different places."""
     steady = ""
     if abs(desired.steady_stiffness - desired.k) > _EXACT * abs(desired.k):
         steady = f" A steady push meets {desired.steady_stiffness:.6g} N/m, not {desired.k:.6g}."
     if desired.error < _EXACT:
         return f"Correction {name}: {desired.name} swings as desired.{steady}"
+    if desired.name in regions:
+        return (
+            f"Correction {name}: what {desired.name} feels in its region is {desired.error:.1%} off what is desired. "
+            f"Contacts are corrected; tables, detents and clicks keep the scene's values.{steady}"
+        )
     if desired.remedies is None:
         off = f"{desired.error:.1%} off at most" if desired.error >= _SMALL else "less than 0.1 % off"
         off = off if math.isfinite(desired.error) else "not a spring and damper's at some of them"

@@ -167,7 +167,9 @@ def _desired(rendering: Rendering, felt: tuple[Felt, ...], here: Mapping[str, Pi
             damping_ratio=ratio,
             error=float(np.max(errors)),
             reached=reached,
-            remedies=None if reached or least < most else remedies_for(kind, port.declared, port.desired),
+            remedies=None
+            if reached or port.name in here or least < most
+            else remedies_for(kind, port.declared, port.desired),
             stable_masses=robustness.stable_masses,
             steady_stiffness=robustness.steady_stiffness,
         )
