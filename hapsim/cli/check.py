@@ -135,7 +135,7 @@ def _show_summary(out: Console, scene: Scene, prediction: Prediction, on_wire: P
         out.print(_felt_summary(prediction))
     for name, why in prediction.coupled.items():
         out.print(f"[bold]{name}[/bold] {why}: no single k and b describe what it feels (--explain lists the modes)")
-    show_regions(out, prediction)
+    show_regions(out, scene, prediction)
     out.print(_margin_summary(prediction))
     if prediction.poles_method:
         out.print(f"A large scene: {prediction.poles_method}.")

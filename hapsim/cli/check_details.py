@@ -34,7 +34,7 @@ def show_details(out: Console, scene: Scene, prediction: Prediction, on_wire: Pr
     show_assumptions(out, prediction.assumptions)
     for felt in prediction.felt:
         _show_felt(out, prediction, felt)
-    show_regions(out, prediction)
+    show_regions(out, scene, prediction)
     _show_correction(out, prediction)
     for name, why in prediction.coupled.items():
         out.print(

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from hapsim.prediction import Prediction, Region
+    from hapsim.scene import Scene
 
 _ROWS = 14  # of a table; of more regions those that are alike share a row
 _ALIKE = 6  # digits
@@ -29,14 +30,19 @@ class _Row:
     """Whether the hand is taken to be in it, or in one like it."""
 
 
-def show_regions(out: Console, prediction: Prediction) -> None:
+def show_regions(out: Console, scene: Scene, prediction: Prediction) -> None:
     """Prints a table for each hand with regions; hands that feel the same share one."""
+    from hapsim.scene import Detent
+
     shared: dict[tuple[tuple[str, ...], ...], list[str]] = {}
     for name, regions in prediction.regions.items():
         rows = tuple(_cells(row) for row in _rows(regions, prediction.region_here[name]))
         shared.setdefault(rows, []).append(name)
     for rows, names in shared.items():
         out.print(_table(", ".join(names), rows))
+    for name, link in scene.links.items():
+        if isinstance(link, Detent) and scene.device.travel is None and prediction.regions.keys() & set(link.between):
+            out.print(f"{escape(name)} repeats every {number(1e3 * link.pitch, 4)} mm; --at X shows others.")
 
 
 def show_hand(out: Console, name: str, regions: tuple[Region, ...]) -> None:

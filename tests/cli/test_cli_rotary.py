@@ -130,3 +130,14 @@ def test_a_sentence_is_translated_unit_by_unit(line: str, rotary: str, both: str
     if both is not None:
         assert mixed(line) == both
     assert mixed(str(mixed(line))) == mixed(line)
+
+
+def test_check_of_a_knob_marks_where_the_hand_is_and_says_what_repeats(hapsim: Hapsim) -> None:
+    told = hapsim("check", "knob_24", "--at", "15deg").out
+    assert "detent repeats every 261.8 mrad" in told
+    (here,) = (line for line in told.splitlines() if line.rstrip().endswith("stable ←"))
+    assert here.split()[:3] == ["196.3", "to", "327.2"]
+    wrong = hapsim("check", "button", "--at", "-4.3")
+    assert wrong.status == 2
+    assert "--at: found -4.3, which is -4.3 m; write -4.3mm if you meant mm" in wrong.err
+    assert hapsim("check", "button", "--at=-4.3mm").out == hapsim("check", "button", "--at=-0.0043").out
