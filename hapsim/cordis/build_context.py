@@ -18,7 +18,7 @@ class BuildContext(NamedTuple):
 
     Attributes:
         number: of each point, by the name that links call it.
-        rate: Hz.
+        rate: Hz, of the ticks.
         real: the type of positions, forces and everything computed with them.
         loaded: numbers of the points that a link holds.
         state: all points at the first sample. Its rows of positions take turns from then on.

@@ -93,7 +93,7 @@ def compile_scene(scene: Scene, values: Column | None = None) -> Program:
         velocity = np.zeros(len(scene.device_points))
         context = BuildContext(
             number=number,
-            rate=scene.rate,
+            rate=scene.step_rate,
             real=real_of(scene),
             loaded=frozenset(number[end] for link in scene.links.values() for end in link.between),
             state=_state_at(rows, 0, np.zeros(size, real_of(scene)), velocity),
@@ -122,7 +122,7 @@ def parameter_values(scene: Scene) -> Column:
     Raises:
         UsageError: the scene's precision does not hold one.
     """
-    rows = [[live_values(one, scene.rate) for one in modules.values()] for _, modules in _by_type(scene)]
+    rows = [[live_values(one, scene.step_rate) for one in modules.values()] for _, modules in _by_type(scene)]
     with np.errstate(over="ignore"):
         values = np.array([value for row in rows for column in zip(*row, strict=True) for value in column], np.float64)
         values = values.astype(real_of(scene))
@@ -211,7 +211,7 @@ def _rows(scene: Scene, number: Mapping[str, int], size: int, structures: Mappin
     for name, point in scene.material_points.items():
         position, velocity = point.start()
         rows[0, number[name]] = position
-        rows[2, number[name]] = position - velocity / scene.rate
+        rows[2, number[name]] = position - velocity / scene.step_rate
     return aligned(rows, real_of(scene))
 
 

@@ -275,7 +275,7 @@ class StoredEnergy:
         record.live = values.ctypes.data, values.ctypes.data + values.nbytes
         record.springs, record.count = self._keep(springs, _SPRING), len(springs)
         record.points = self._keep([program.numbers[name] for name, _ in masses], np.int64)
-        record.masses = self._keep([0.5 * mass * scene.rate**2 for _, mass in masses], np.float64)
+        record.masses = self._keep([0.5 * mass * scene.step_rate**2 for _, mass in masses], np.float64)
         record.mass_count = len(masses)
         program.record.parameters.stored = record.address
 
@@ -335,7 +335,7 @@ class StoredEnergy:
         for name, structure in structures.items():
             numbers = [self._program.numbers[f"{name}.{place}"] for place in structure.point_names()]
             rest, one = self._keep(structure.position), self._keep(1.0)
-            for field, unit, _ in live_shares(structure, self._scene.rate):
+            for field, unit, _ in live_shares(structure, self._scene.step_rate):
                 stiffness = one if field is None else self._live(name, field)
                 for first, second, share, _ in unit.elements().links:
                     ends, at = [numbers[first], numbers[second] if second >= 0 else 0], [0, 0 if second >= 0 else rest]

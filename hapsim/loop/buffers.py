@@ -55,10 +55,10 @@ IO_BUFFER = np.dtype(
         ("velocities", np.int64),  # 1: they are on the wire
         ("measured", np.float64, _EACH),  # m, the newest position, or the predicted one
         ("before", np.float64, _EACH),  # m, the one before
-        ("bridge", np.float64, _EACH),  # m, between the two where positions were lost
+        ("bridge", np.float64, _EACH),  # m, between the two: in substeps, and where positions were lost
         ("velocity", np.float64, _EACH),  # m/s, sensed or predicted with it; else 0
         ("velocity_before", np.float64, _EACH),  # m/s, with the one before
-        ("velocity_bridge", np.float64, _EACH),  # m/s, between the two where positions were lost
+        ("velocity_bridge", np.float64, _EACH),  # m/s, likewise
         ("asked", np.float64, _EACH),  # N, the scene's force
         ("as_hand", np.float64, _EACH),  # N, the part of the excitation that plays the hand
         ("excitation", np.float64, _EACH),  # N, added to the scene's force

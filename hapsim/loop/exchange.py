@@ -200,9 +200,13 @@ def _read_position(io, decoder, is_first):
         io.position_counts[c] = decoder.counts[c] - io.origin_counts[c]
         io.before[c] = io.measured[c]
         io.measured[c] = io.position_counts[c] * io.position_scale[c]
+        if is_first:  # the hand comes from where it is
+            io.before[c] = io.measured[c]
         if io.velocities:
             io.velocity_before[c] = io.velocity[c]
             io.velocity[c] = decoder.counts[np.uint64(io.channels) + c] * io.velocity_scale[c]
+            if is_first:
+                io.velocity_before[c] = io.velocity[c]
 
 
 @inlined

@@ -81,13 +81,13 @@ class LoopMemory:
         self._programs = [program]
         self.record.slot.program = program.address
 
-    def follow_with(self, program: Program, samples: int) -> None:
-        """Crossfades to `program`, which `take_over_from` has prepared, over this number of samples."""
+    def follow_with(self, program: Program, steps: int) -> None:
+        """Crossfades to `program`, which `take_over_from` has prepared, over this number of steps of the scene."""
         if self.is_replacing:
             raise ValueError("the crossfade before is not over")
         self._changes_before += sum(int(left.record.parameters.sets) for left in self._programs[:-1])
         self._programs = [self.program, program]
-        post(self.record.slot, program.address, samples, cross_fade.address())
+        post(self.record.slot, program.address, steps, cross_fade.address())
 
     @property
     def is_replacing(self) -> bool:
@@ -122,6 +122,7 @@ def assemble_loop(
         loop.inbox.transport = connection.transport.record
     loop.rendered_scene = rendering.scene
     loop.begin_with(compile_scene(rendering.scene))
+    loop.record.slot.substeps, loop.record.slot.mean = scene.substeps, scene.device.decimation == "mean"
     _set_io(loop.record.io, scene, description)
     _set_control(loop.control, scene, options.duration)
     loop.excitation = options.excitation

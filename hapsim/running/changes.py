@@ -107,7 +107,7 @@ class LiveScene:
         values, now = parameter_values(rendering.scene), parameter_values(self._loop.rendered_scene)
         if not np.array_equal(values, now):
             self._announce(samples, self._is_shaken_by(scene))
-            self._loop.program.parameters.post(values, samples)
+            self._loop.program.parameters.post(values, samples * scene.substeps)
             self._correct_as(rendering, samples)
         self.scene, self._loop.rendered_scene = scene, rendering.scene
 
@@ -124,8 +124,8 @@ class LiveScene:
             self._announce(samples, is_shaken)
             take_over_from(self._loop.program, self._loop.rendered_scene, program, after)
             self._loop.account_for(program, after)
-            program.parameters.post(parameter_values(after), samples)
-            self._loop.follow_with(program, samples)
+            program.parameters.post(parameter_values(after), samples * scene.substeps)
+            self._loop.follow_with(program, samples * scene.substeps)
             self._correct_as(rendering, samples)
             self.scene, self._loop.rendered_scene = scene, after
 
@@ -160,8 +160,9 @@ class LiveScene:
 
 def first_fixed_difference(now: Scene, wanted: Scene) -> str:
     """Returns the first key that differs and cannot change while a scene runs; "" if there is none."""
-    if now.rate != wanted.rate:
-        return "rate"
+    for key in ("rate", "substeps"):
+        if getattr(now, key) != getattr(wanted, key):
+            return key
     for part in ("device", "mock"):
         before, after = getattr(now, part), getattr(wanted, part)
         if type(before) is not type(after):

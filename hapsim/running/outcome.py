@@ -67,7 +67,7 @@ def _counts_of(loop: LoopMemory) -> dict[str, Any]:
     """What Progress and Report have in common."""
     counts = ("ticks", "deadline_misses", "limited_ticks", "slewed_ticks", "faded_ticks")
     masses = {} if loop.correction is None else loop.correction.masses(loop.wire.channels)
-    slowed = {"slowed_ticks": int(loop.record.tank.slowed_ticks)}
+    slowed = {"slowed_ticks": -(-int(loop.record.tank.slowed_ticks) // int(loop.record.slot.substeps))}
     return {name: int(getattr(loop.state, name)) for name in counts} | slowed | masses
 
 

@@ -25,6 +25,12 @@ MOTION = (
 Sampling = Literal["ideal", "average"]
 SAMPLING = "How the device reads its position: at the instant (ideal), or as the mean over the period (average)"
 
+Decimation = Literal["last", "mean"]
+DECIMATION = (
+    "Which of the forces of a sample's substeps the hand gets: the last one (last), or the mean of all (mean), which "
+    "weakens what vibrates faster than half the rate"
+)
+
 DamperScheme = Literal["backward", "centred", "filtered", "sensed"]
 DAMPER = (
     "Where the damper's velocity comes from: the last two positions (backward), the last and the last but one before "

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Mapping
 from hapsim.units import MOTIONS
 
 from .issue import Issue, Path, quote
-from .modules import Detent, DevicePoint, Ground, Link, ModuleContext
+from .modules import Detent, DevicePoint, Ground, Link, ModuleContext, ViscoElastic
 from .part import Part
 from .quantity import ANGLE, Span
 
@@ -26,13 +26,15 @@ MOST_SINGLE = (2.0 - 2.0**-23) * 2.0**127
 _LEAST_COUNTS = 4
 
 
-def cross_check_issues(around: ModuleContext, per_channel: Fields, precision: object) -> Iterator[Issue]:
+def cross_check_issues(
+    around: ModuleContext, per_channel: Fields, precision: object, substeps: object
+) -> Iterator[Issue]:
     """Yields the faults between the parts.
 
     Args:
         around: the modules.
         per_channel: the sound fields of the parts that may have lists with one value per channel.
-        precision: of the scene, as written.
+        precision, substeps: of the scene, as written.
     """
     for name, module in around.modules.items():
         yield from module.issues(name, around)
@@ -43,6 +45,8 @@ def cross_check_issues(around: ModuleContext, per_channel: Fields, precision: ob
     if precision == "single":
         yield from _beyond_single(around)
     yield from _device_issues(per_channel[("device",)])
+    if isinstance(substeps, int) and substeps > 1:
+        yield from _centred_dampers(around)
     quantum = per_channel[("mock",)].get("quantum", 1e-9)
     if per_channel[("device",)].get("port") is None and isinstance(quantum, int | float):
         yield from narrow_detents(around, lambda _: float(quantum), "mock.quantum")
@@ -79,6 +83,16 @@ def narrow_detents(around: ModuleContext, quantum: Callable[[int], float], sourc
                 found = f"found {detent.pitch:g}{width}: {detent.width / count:.3g} counts of the encoder"
                 sentence = f"{found} ({source}: {count:g}); expected {_LEAST_COUNTS} or more"
                 yield Issue(("modules", name, "pitch"), sentence)
+
+
+def _centred_dampers(around: ModuleContext) -> Iterator[Issue]:
+    for name, link in around.modules.items():
+        if isinstance(link, ViscoElastic) and around.knows(name, "damper") and link.damper == "centred":
+            sentence = (
+                "found centred in a scene with substeps, of which it would use the last two alone; "
+                "expected another damper, such as backward, or substeps: 1"
+            )
+            yield Issue(("modules", name, "damper"), sentence)
 
 
 def _motions_of(around: ModuleContext, motions: object) -> dict[str, object]:

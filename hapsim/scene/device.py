@@ -7,7 +7,17 @@ from pydantic import Field
 
 from hapsim.units import MOTIONS, Motion
 
-from .choices import CORRECTION, HOLD, MOTION, SAMPLING, CorrectionName, Hold, Sampling
+from .choices import (
+    CORRECTION,
+    DECIMATION,
+    HOLD,
+    MOTION,
+    SAMPLING,
+    CorrectionName,
+    Decimation,
+    Hold,
+    Sampling,
+)
 from .part import Part
 from .quantity import (
     Known,
@@ -102,6 +112,7 @@ class Device(Part):
     travel_margin: Annotated[float | None, TRAVEL_MARGIN] = None
     origin: Annotated[WordPerChannel | None, ORIGIN] = None
     correction: CorrectionName = Field(default="none", description=CORRECTION)
+    decimation: Decimation = Field(default="last", description=DECIMATION)
 
     def motions(self, channels: int) -> tuple[Motion, ...]:
         """Motion of each of ``channels`` channels."""

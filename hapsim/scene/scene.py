@@ -27,7 +27,7 @@ from .modules import (
     ViscoElastic,
 )
 from .part import Part, Table
-from .quantity import NAME, quantity
+from .quantity import NAME, count, quantity
 from .quantity import version as format_version
 
 VERSION = 1
@@ -61,7 +61,8 @@ class Scene(Part):
 
     Attributes:
         version: of the format, 1.
-        rate: of the simulation, in Hz: one over the sample period.
+        rate: of the device's samples, in Hz: one over the sample period.
+        substeps: how often the modules move between two samples.
         device: what stands on the other side of the wire.
         mock: where the mock device differs from it.
         modules: by name, in the order of the file.
@@ -71,7 +72,8 @@ class Scene(Part):
     """
 
     version: Annotated[int, format_version(VERSION, "scene")]
-    rate: Annotated[float, quantity("Rate of the simulation: one over the sample period", "Hz", above=0)]
+    rate: Annotated[float, quantity("Rate of the device's samples: one over the sample period", "Hz", above=0)]
+    substeps: Annotated[int, count("How often the modules move between two samples of the device", 1, 1000)] = 1
     device: Device = Field(description="What stands on the other side of the wire")
     mock: Mock | None = Field(
         default=None, description="Only where the mock device differs from what `device` says, or adds to it"
@@ -87,7 +89,7 @@ class Scene(Part):
 
     @model_validator(mode="after")
     def _parts_fit(self) -> "Scene":
-        issues = cross_check_issues(ModuleContext.of(self.modules), self._per_channel(), self.precision)
+        issues = cross_check_issues(ModuleContext.of(self.modules), self._per_channel(), self.precision, self.substeps)
         lines = [f"{'.'.join(map(str, issue.path))}: {issue.sentence}" for issue in issues]
         if lines:
             raise PydanticCustomError(ACROSS, "{faults}", {"faults": "\n".join(lines)})
@@ -102,6 +104,11 @@ class Scene(Part):
     def period(self) -> float:
         """The sample period T, in s."""
         return 1.0 / self.rate
+
+    @property
+    def step_rate(self) -> float:
+        """How often the modules move, in Hz."""
+        return self.rate * self.substeps
 
     @property
     def channels(self) -> int:

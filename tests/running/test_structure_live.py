@@ -135,6 +135,7 @@ def test_a_hand_that_is_left_alone_is_led_to_no_force(monkeypatch: pytest.Monkey
     ("differences", "sentence"),
     [
         ({"rate": 2000.0}, "rate cannot change while the scene runs"),
+        ({"substeps": 2}, "substeps cannot change while the scene runs"),
         ({"device": scene_of(BEGIN).device.model_dump() | {"mass": 0.3}}, "device.mass cannot change while the scene"),
         ({"mock": None}, "mock cannot change while the scene runs"),
         (
