@@ -1,4 +1,4 @@
-"""The modules move several times between two samples, the hand on a straight line; the last force or the mean leaves."""
+"""The modules move several times between two samples, the hand on a line; the last force leaves, or the mean."""
 
 from __future__ import annotations
 

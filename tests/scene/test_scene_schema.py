@@ -94,6 +94,7 @@ def test_the_defaults_of_the_format_are_in_the_schema(schema: dict[str, Any]) ->
         "sampling": "ideal",
         "force_limit": 10.0,
         "correction": "none",
+        "decimation": "last",
     }
 
 
