@@ -6,6 +6,7 @@ Where bytes are read a positive number is their count.
 from __future__ import annotations
 
 from hapsim.compiling import inlined
+from hapsim.loop.sound import is_full
 
 HEARD = 1  # a position was taken
 RUNNING = 1  # nothing ends the loop yet
@@ -52,7 +53,8 @@ def ending_before_exchange(loop):
         return DONE
     # With a margin, for positions that arrive several at once.
     ring = loop.ring
-    return RING_FULL if ring.waits and ring.head - ring.tail > ring.capacity // 2 else RUNNING
+    full = (ring.waits and ring.head - ring.tail > ring.capacity // 2) or is_full(loop.sound)
+    return RING_FULL if full else RUNNING
 
 
 @inlined

@@ -30,6 +30,8 @@ from hapsim.loop.guide import GUIDE, call_lead
 from hapsim.loop.histogram import HISTOGRAM, note
 from hapsim.loop.predictor import PREDICTOR, call_add, call_predict
 from hapsim.loop.ring import RING, mark_last, publish, push, withhold_last
+from hapsim.loop.sound import SOUND_RING
+from hapsim.loop.sound import publish as publish_sound
 
 _MODULUS_MASK = schema.SAMPLE_MODULUS - 1  # it is a power of two
 
@@ -116,6 +118,7 @@ LOOP = np.dtype(
         ("predictor", PREDICTOR),
         ("slot", SCENE_SLOT),
         ("ring", RING),
+        ("sound", SOUND_RING),
         ("io", IO_BUFFER),
         ("control", CONTROL),
         ("guide", GUIDE),
@@ -178,6 +181,7 @@ def take_frame(loop, decoder, now):
     if predictor.predict != 0:
         call_predict(predictor.predict, (predictor.address, io.address, gap, np.int64(late), state.age))
     move_scene(loop.slot, io, gap)
+    publish_sound(loop.sound, now)
     if predictor.add != 0:
         call_add(predictor.add, (predictor.address, io.address))
     state.sample += gap

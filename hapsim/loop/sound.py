@@ -1,0 +1,96 @@
+"""The sound of a scene on its way out of the loop: a ring of frames, a value per channel and step of the modules.
+
+The loop writes it and waits for none of its readers, which each count the frames that they have read. In virtual time
+it returns instead, until the one that writes a file has made room, so that no frame is ever lost.
+
+The steps of a sample come all at once, so a reader that follows the device's clock needs the time to which a count of
+frames belongs: `publish` shows both together, under a version that is odd while they change.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hapsim.compiling import inlined
+from hapsim.compiling.memory_fence import fence
+from hapsim.compiling.native import array_at
+
+SOUND_RING = np.dtype(
+    [
+        ("address", np.uint64),  # of all this
+        ("frames", np.uint64),  # address of (capacity, channels) float32
+        ("capacity", np.int64),  # a power of two; 0: the scene has no sound
+        ("channels", np.int64),
+        ("written", np.int64),  # frames that a reader may see,
+        ("time_ns", np.int64),  # when the position arrived that the last of them belongs to
+        ("version", np.int64),  # odd while these two change
+        ("pushed", np.int64),  # frames, with those not yet published
+        ("clipped", np.int64),  # values that the soft clip changed
+        ("waits", np.int64),  # 1: the loop returns when it is half full of frames that are not `read` (virtual time)
+        ("read", np.int64),  # frames that the reader has taken that the loop waits for
+    ],
+    align=True,
+)
+
+_floats_at = array_at(np.float32)
+
+
+class SoundRing:
+    """The memory of a ring, and the reader of every frame."""
+
+    def __init__(self, record: Any, channels: int, capacity: int, waits: bool = False) -> None:
+        """An empty ring in `record`, a SOUND_RING; `capacity` in frames is a power of two."""
+        self.record = record
+        self._frames = np.zeros((capacity, channels), np.float32)
+        self._frames.fill(0)  # so that the loop causes no page fault
+        record.address = record.__array_interface__["data"][0]
+        record.frames = self._frames.ctypes.data
+        record.capacity, record.channels = self._frames.shape
+        record.waits = waits
+        self.lost = 0
+        """Frames that were overwritten before `drain` took them."""
+
+    def drain(self) -> NDArray[np.float32]:
+        """Returns the frames since the last call, (frames, channels), but for those that are lost."""
+        capacity, begin, end = len(self._frames), int(self.record.read), int(self.record.written)
+        begin = max(begin, end - capacity)
+        frames: NDArray[np.float32] = self._frames[np.arange(begin, end) & (capacity - 1)]
+        # Meanwhile the loop may have written over the oldest of them, and may be writing the next.
+        torn = max(0, int(self.record.pushed) + 1 - capacity - begin)
+        frames = frames[torn:]
+        self.lost += end - int(self.record.read) - len(frames)
+        self.record.read = end
+        return frames
+
+
+@inlined
+def push(ring, frame):
+    """Writes a frame, of a value per channel (an array or a tuple), which no reader sees before `publish`."""
+    channels = np.uint64(ring.channels)
+    place = np.uint64(ring.frames) + np.uint64(4) * channels * np.uint64(ring.pushed & (ring.capacity - 1))
+    values = _floats_at(place, ring.channels)
+    for c in range(channels):
+        values[c] = frame[c]
+    ring.pushed += 1
+
+
+@inlined
+def publish(ring, time_ns):
+    """Shows the pushed frames to the readers. `time_ns`: when the position arrived that the last one belongs to."""
+    if ring.pushed == ring.written:
+        return
+    ring.version += 1
+    fence()
+    ring.time_ns = time_ns
+    ring.written = ring.pushed
+    fence()
+    ring.version += 1
+
+
+@inlined
+def is_full(ring):
+    """Whether the reader that the loop waits for has to make room: half is left for positions that come at once."""
+    return ring.waits != 0 and ring.pushed - ring.read > ring.capacity // 2
