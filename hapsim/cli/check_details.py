@@ -395,9 +395,14 @@ def show_explanation(out: Console, explanation: Explanation) -> None:
     ]
     headings = ("<part", "how many", "<as", "bytes", "ns alone")
     out.print("", table("What the scene was compiled to", headings, rows))
+    steps = "" if explanation.substeps == 1 else f", {explanation.substeps} of them in a sample"
     out.print(
-        f"A tick takes {explanation.seconds * 1e9:.3g} ns, {explanation.seconds / explanation.period:.2g} of the "
+        f"A tick takes {explanation.seconds * 1e9:.3g} ns{steps}, {explanation.share:.2g} of the "
         f"sample period, here and now; {explanation.points} points, {explanation.bytes} bytes, "
         f"{explanation.precision} precision."
     )
+    most = explanation.most_substeps
+    if explanation.substeps > max(most, 1):
+        fits = f"at most {most} substeps fit" if most else "not even one fits"
+        out.print(f"[red]That is too long[/red]: {fits} beside an exchange.")
     out.print(f"Of these the scene has none, and nothing was compiled: {', '.join(explanation.absent)}.")

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import DTypeLike
+from numpy.typing import DTypeLike, NDArray
 
 from hapsim.cordis.dispatch import Column, Part, TickState
 from hapsim.scene import Scene
@@ -22,6 +22,7 @@ class BuildContext(NamedTuple):
         real: the type of positions, forces and everything computed with them.
         loaded: numbers of the points that a link holds.
         state: all points at the first sample. Its rows of positions take turns from then on.
+        heard: (C,) what pick-ups leave.
     """
 
     number: Mapping[str, int]
@@ -29,6 +30,7 @@ class BuildContext(NamedTuple):
     real: DTypeLike
     loaded: frozenset[int]
     state: TickState
+    heard: NDArray[np.float64]
 
     def column(self, values: Any) -> Column:
         """Values in the scene's precision."""

@@ -17,6 +17,7 @@ from hapsim.scene import Scene
 
 _ROUNDS = 7
 _ROUND_S = 2e-3
+_SHARE = 0.8
 
 
 class ExplainedPart(NamedTuple):
@@ -30,8 +31,9 @@ class ExplainedPart(NamedTuple):
 
 
 class Explanation(NamedTuple):
-    """A whole program. `seconds`: of a tick; its parts take less together than one by one, or more, as they overlap.
-    `absent`: types of module of which nothing was compiled. `points`: hands, grounds and masses."""
+    """A whole program. `seconds`: of a tick, of which a sample has `substeps`; its parts take less together than one by
+    one, or more, as they overlap. `absent`: types of module of which nothing was compiled. `points`: hands, grounds and
+    masses."""
 
     parts: tuple[ExplainedPart, ...]
     absent: tuple[str, ...]
@@ -40,26 +42,49 @@ class Explanation(NamedTuple):
     bytes: int
     seconds: float
     period: float
+    substeps: int
+
+    @property
+    def share(self) -> float:
+        """What a sample's ticks take of the sample period."""
+        return self.seconds * self.substeps / self.period
+
+    @property
+    def most_substeps(self) -> int:
+        """How many ticks fit into the sample period beside an exchange."""
+        return most_substeps(self.seconds, self.period)
 
     def as_document(self) -> dict[str, Any]:
         """The same by names, for scripts."""
-        return self._asdict() | {"parts": [part._asdict() for part in self.parts]}
+        return self._asdict() | {"share": self.share, "parts": [part._asdict() for part in self.parts]}
 
 
 def explain(scene: Scene, on_part: Callable[[str], None] = lambda _: None) -> Explanation:
     """Compiles `scene`, runs it on a hand that rests, and reports its parts; `on_part` hears each part's name."""
     program = compile_scene(scene)
-    rest, force = np.zeros((2, 1, scene.channels))
-    start(program, rest[0])
     on_part("the whole tick")
-    whole = _seconds(lambda samples: ticks(program, rest, rest, force, samples))
+    whole = tick_seconds(program, scene.channels)
     parts = []
     for name, modules, compiled_as, part in _named(scene, program):
         on_part(name)
         parts.append(ExplainedPart(name, modules, compiled_as, _bytes_of(part.numbers), _alone(program, part)))
     absent = tuple(kind.name for kind in PART_TYPES if not kind.select(scene))
     size = _bytes_of((program.rows, program.force, *(part.numbers for part in program.parts)))
-    return Explanation(tuple(parts), absent, len(numbers_of(scene)), scene.precision, size, whole, scene.period)
+    return Explanation(
+        tuple(parts), absent, len(numbers_of(scene)), scene.precision, size, whole, scene.period, scene.substeps
+    )
+
+
+def tick_seconds(program: Program, channels: int) -> float:
+    """What a tick of this program takes at best, with all hands at rest at 0: measured, on this machine, now."""
+    rest, force = np.zeros((2, 1, channels))
+    start(program, rest[0])
+    return _seconds(lambda samples: ticks(program, rest, rest, force, samples))
+
+
+def most_substeps(seconds: float, period: float) -> int:
+    """How many ticks of so many seconds fit into a sample period, with a fifth of it left for the exchange."""
+    return int(_SHARE * period / seconds)
 
 
 def _named(scene: Scene, program: Program) -> Iterator[tuple[str, int, str, Part]]:

@@ -32,7 +32,10 @@ _REAL = {"double": np.float64, "single": np.float32}
 class Program:
     """A scene that is ready to be ticked: the state of N points, and the parts that move them."""
 
-    def __init__(self, scene: Scene, rows: Column, state: TickState, values: Column, parts: tuple[Part, ...]) -> None:
+    def __init__(
+        self, scene: Scene, rows: Column, context: BuildContext, values: Column, parts: tuple[Part, ...]
+    ) -> None:
+        state, self.heard = context.state, context.heard
         self.rows = rows
         """(3, N) positions in m: of this sample, the next and the one before, taking turns."""
         self.force = state.force
@@ -54,6 +57,7 @@ class Program:
         self.record.rows = [row.ctypes.data for row in rows]
         self.record.force = state.force.ctypes.data
         self.record.velocity = state.velocity.ctypes.data
+        self.record.heard = self.heard.ctypes.data
         self._states = [Behind(_state_at(rows, turn, state.force, state.velocity)) for turn in range(3)]
         self.record.states = [one.address for one in self._states]
         for name in ("initialize", "retarget", "add_forces", "integrate"):
@@ -97,10 +101,11 @@ def compile_scene(scene: Scene, values: Column | None = None) -> Program:
             real=real_of(scene),
             loaded=frozenset(number[end] for link in scene.links.values() for end in link.between),
             state=_state_at(rows, 0, np.zeros(size, real_of(scene)), velocity),
+            heard=np.zeros(len(scene.sound)),
         )
         parts = SCHEMES[scene.scheme].parts(scene, context, list(_taken(scene, values)))
     _require_finite(scene, [rows, *(part.numbers for part in parts)])
-    return Program(scene, rows, context.state, values, parts)
+    return Program(scene, rows, context, values, parts)
 
 
 def _require_finite(scene: Scene, numbers: Iterable[Any]) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from hapsim.cordis.build_context import PartType
-from hapsim.cordis.modules import linear_links, membrane, nonlinear_links, points, string
+from hapsim.cordis.modules import linear_links, membrane, nonlinear_links, pick_ups, points, string
 
 PART_TYPES: tuple[PartType, ...] = (
     *points.TYPES,
@@ -11,4 +11,5 @@ PART_TYPES: tuple[PartType, ...] = (
     membrane.MEMBRANE,
     *linear_links.TYPES,
     *nonlinear_links.TYPES,
+    pick_ups.PICK_UP,  # hears the forces of all links
 )

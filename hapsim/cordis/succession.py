@@ -73,7 +73,9 @@ def take_over_from(older: Program, older_scene: Scene, program: Program, scene: 
     here, there = _by_hand(scene, program.numbers), _by_hand(older_scene, older.numbers)
     taken, placed = _in_order(there, here, points)
     program.call("carry_points", [(carry_points, CarriedPoints(older.record, older.rows, taken, placed))])
-    program.call("carry_numbers", [*_live(older, program, same_type), *_remembered(older, program, links)])
+    program.call(
+        "carry_numbers", [*_live(older, program, same_type | {*scene.sound}), *_remembered(older, program, links)]
+    )
     program.call_all_of("place")
     program.call_all_of("resume")
 

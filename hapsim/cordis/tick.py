@@ -23,6 +23,7 @@ PROGRAM = np.dtype(
         ("channel", np.uint64, (schema.MAX_CHANNELS,)),  # the device's channel of each
         ("senses", np.int64),  # 1: something asks for velocities
         ("velocity", np.uint64),  # address of the device points' velocities in m/s
+        ("heard", np.uint64),  # address of what the pick-ups heard in the last step
         ("settling", np.int64),  # 1: parameters moved with the last sample
         ("initialize", CALLS),
         ("retarget", CALLS),

@@ -27,6 +27,7 @@ from hapsim.compiling.native import array_at, function_at, native, record_at
 from hapsim.cordis.stored_energy import left_of, share_that_lasts, spend, stored_at, tank_at
 from hapsim.cordis.tick import follow_parameters, program_at, set_hands, stored_energy, take_over, tick
 from hapsim.loop.buffers import IO_BUFFER
+from hapsim.loop.sound import call_hear
 
 SCENE_SLOT = np.dtype(
     [
@@ -42,6 +43,8 @@ SCENE_SLOT = np.dtype(
         ("left", np.float64),  # steps until the old scene is dropped
         ("weight", np.float64),  # w
         ("incoming", np.float64, (schema.MAX_CHANNELS,)),  # N, the new scene's force
+        ("hear", np.uint64),  # address of the function of that name; 0: the scene has no sound
+        ("sound", np.uint64),  # address of its ring
         ("cross_fade", np.uint64),  # address of the function that moves two; 0: one scene, and none is posted
     ],
     align=True,
@@ -67,6 +70,8 @@ def move_scene(slot, io, samples):
             position, velocity = io.bridge, io.velocity_bridge
         if slot.cross_fade == 0:
             _move(slot.program, position, velocity, io.asked)
+            if slot.hear != 0:
+                call_hear(slot.hear, (slot.sound, program_at(slot.program).heard, np.uint64(0), 0.0))
         else:
             at = (np.uint64(position.ctypes.data), np.uint64(velocity.ctypes.data))
             _call(slot.cross_fade, (slot.address, io.address, at[0], at[1]))
@@ -103,6 +108,9 @@ def cross_fade(slot, io, position, velocity):
     _move(slot.program, position, velocity, io.asked)
     _move(slot.next, position, velocity, slot.incoming)
     weight = slot.weight
+    if slot.hear != 0:
+        older, newer = program_at(slot.program).heard, program_at(slot.next).heard
+        call_hear(slot.hear, (slot.sound, older, newer, 1.0 if slot.left == 0 else weight))
     for c in range(io.channels):
         # At the end it is the new scene's alone, even where the old one's was not a number.
         io.asked[c] = io.asked[c] + weight * (slot.incoming[c] - io.asked[c]) if slot.left > 0 else slot.incoming[c]

@@ -3,20 +3,30 @@
 The loop writes it and waits for none of its readers, which each count the frames that they have read. In virtual time
 it returns instead, until the one that writes a file has made room, so that no frame is ever lost.
 
+Each channel passes a high-pass, y[n] = r (y[n-1] + x[n] - x[n-1]), r = exp(-2 pi f T) for steps of T, and then a soft
+clip: values up to KNEE stay as they are, larger ones approach 1 smoothly, and are counted.
+
 The steps of a sample come all at once, so a reader that follows the device's clock needs the time to which a count of
 frames belongs: `publish` shows both together, under a version that is odd while they change.
 """
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
+from numba import types
 from numpy.typing import NDArray
 
 from hapsim.compiling import inlined
 from hapsim.compiling.memory_fence import fence
-from hapsim.compiling.native import array_at
+from hapsim.compiling.native import array_at, function_at, native, record_at
+from hapsim.scene.sound import MOST_PICK_UPS
+
+KNEE = 0.75
+
+_EACH = (MOST_PICK_UPS,)
 
 SOUND_RING = np.dtype(
     [
@@ -29,13 +39,22 @@ SOUND_RING = np.dtype(
         ("version", np.int64),  # odd while these two change
         ("pushed", np.int64),  # frames, with those not yet published
         ("clipped", np.int64),  # values that the soft clip changed
+        ("keeps", np.float64, _EACH),  # r
+        ("last", np.float64, _EACH),  # x[n-1]
+        ("passed", np.float64, _EACH),  # y[n-1]
+        ("frame", np.float64, _EACH),  # the one that is being made
+        ("peak", np.float64, _EACH),  # the largest size of a value before it was clipped
         ("waits", np.int64),  # 1: the loop returns when it is half full of frames that are not `read` (virtual time)
         ("read", np.int64),  # frames that the reader has taken that the loop waits for
     ],
     align=True,
 )
 
-_floats_at = array_at(np.float32)
+_ring_at, _doubles_at, _floats_at = record_at(SOUND_RING), array_at(np.float64), array_at(np.float32)
+
+_HEAR = types.void(types.uint64, types.uint64, types.uint64, types.float64)
+call_hear = function_at(_HEAR)
+"""Calls `hear`, with its arguments."""
 
 
 class SoundRing:
@@ -64,6 +83,30 @@ class SoundRing:
         self.lost += end - int(self.record.read) - len(frames)
         self.record.read = end
         return frames
+
+
+@native(_HEAR.return_type, *_HEAR.args)
+def hear(ring, heard, other, weight):
+    """Makes a frame of what a program's pick-ups heard in a step, at this address; during a crossfade the share
+    `weight` of it is what another program's heard, else `other` is 0."""
+    ring = _ring_at(ring)
+    values, others = _doubles_at(heard, ring.channels), _doubles_at(heard if other == 0 else other, ring.channels)
+    for c in range(np.uint64(ring.channels)):
+        x = values[c] + weight * (others[c] - values[c])
+        if not math.isfinite(x):
+            x = 0.0  # the scene diverges: its force ends the run
+        if ring.keeps[c] < 1.0:
+            ring.passed[c] = ring.keeps[c] * (ring.passed[c] + x - ring.last[c])
+            ring.last[c] = x
+            x = ring.passed[c]
+        size = abs(x)
+        ring.peak[c] = max(ring.peak[c], size)
+        if size > KNEE:
+            ring.clipped += 1
+            beyond = (size - KNEE) / (1.0 - KNEE)
+            x = math.copysign(KNEE + (1.0 - KNEE) * beyond / (1.0 + beyond), x)
+        ring.frame[c] = x
+    push(ring, ring.frame)
 
 
 @inlined

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from hapsim.loop.guards.energy_guard import EnergyGuard
 from hapsim.loop.guards.sign import judge_signs
 from hapsim.loop.guide import set_guide
 from hapsim.loop.ring import Ring
+from hapsim.loop.sound import SoundRing, hear
 from hapsim.loop.transport import Transport
 from hapsim.prediction import surely_shaken_by
 from hapsim.prediction.correction import rendered
@@ -31,6 +33,7 @@ from hapsim.running.options import Excitation, PeriodicExcitation, RunOptions
 from hapsim.scene import Scene
 
 _RING_ROWS = 1 << 16
+_SOUND_S, _LEAST_FRAMES = 1.0, 4096  # that the sound's ring holds at least
 _CLOCK = {"device": DEVICE_CLOCK, "host": HOST_CLOCK, "lockstep": NO_CLOCK}
 _FOREVER_NS = 1 << 62
 _GRACE_NS = 50_000_000  # a run may end so late before the clock ends it
@@ -56,6 +59,8 @@ class LoopMemory:
         """The scene that the loop moves: the newest one, corrected."""
         self.correction: LoopCorrection | None = None
         """The rest of the correction: predictors and the estimate of the mass."""
+        self.sound: SoundRing | None = None
+        """What the scene's pick-ups hear; None where it has none."""
         self.excitation: Excitation | PeriodicExcitation | None = None
         """Kept here because the loop reads the forces of a periodic one."""
         self.history: ForceHistory | None = None
@@ -88,6 +93,15 @@ class LoopMemory:
         self._changes_before += sum(int(left.record.parameters.sets) for left in self._programs[:-1])
         self._programs = [self.program, program]
         post(self.record.slot, program.address, steps, cross_fade.address())
+
+    def hear_with(self, scene: Scene) -> None:
+        """Has the loop write what the scene's pick-ups hear into a ring."""
+        record, channels = self.record.sound, len(scene.sound)
+        capacity = 1 << math.ceil(math.log2(max(_SOUND_S * scene.step_rate, _LEAST_FRAMES)))
+        self.sound = SoundRing(record, channels, capacity)
+        highpass = np.array([one.highpass for one in scene.sound.values()])
+        record.keeps[:channels] = np.exp(-2.0 * np.pi * highpass / scene.step_rate)
+        self.record.slot.sound, self.record.slot.hear = record.address, hear.address()
 
     @property
     def is_replacing(self) -> bool:
@@ -122,6 +136,8 @@ def assemble_loop(
         loop.inbox.transport = connection.transport.record
     loop.rendered_scene = rendering.scene
     loop.begin_with(compile_scene(rendering.scene))
+    if scene.sound:
+        loop.hear_with(scene)
     loop.record.slot.substeps, loop.record.slot.mean = scene.substeps, scene.device.decimation == "mean"
     _set_io(loop.record.io, scene, description)
     _set_control(loop.control, scene, options.duration)

@@ -29,6 +29,7 @@ from hapsim.scene import Scene
 from hapsim.scene.issue import did_you_mean, one_of
 from hapsim.scene.modules import Module, ModuleContext
 from hapsim.scene.part import Part, Table
+from hapsim.scene.sound import PickUp, sound_issues
 
 Changes = Mapping[str, Mapping[str, float | str | Sequence[Sequence[float]]]]
 """By module and field: a number, a word, or the points of a table."""
@@ -170,6 +171,11 @@ def first_fixed_difference(now: Scene, wanted: Scene) -> str:
         for key in type(before).model_fields if before is not None else ():
             if (part, key) != _INITIAL_STATE and not _agree(getattr(before, key), getattr(after, key)):
                 return f"{part}.{key}"
+    if list(now.sound) != list(wanted.sound):
+        return "sound: the names and order of its pick-ups"
+    for name, before in now.sound.items():
+        if before.highpass != wanted.sound[name].highpass:
+            return f"sound.{name}.highpass"
     return ""
 
 
@@ -190,13 +196,17 @@ def differs_in_live_parameters_alone(now: Scene, wanted: Scene) -> bool:
         return False
     fixed = fixed_modules(now)
 
-    def only_live_differ(name: str, before: Module, after: Module) -> bool:
+    def only_live_differ(name: str, before: Module | PickUp, after: Module | PickUp) -> bool:
         live = set() if name in fixed else set(before.live)
         return type(before) is type(after) and before.model_dump(exclude=live) == after.model_dump(exclude=live)
 
-    return list(now.modules) == list(wanted.modules) and all(
-        only_live_differ(name, before, wanted.modules[name]) for name, before in now.modules.items()
-    )
+    before, after = _parts(now), _parts(wanted)
+    return list(before) == list(after) and all(only_live_differ(name, one, after[name]) for name, one in before.items())
+
+
+def _parts(scene: Scene) -> dict[str, Module | PickUp]:
+    """What has live parameters: the modules and the pick-ups, by name."""
+    return {**scene.modules, **scene.sound}
 
 
 def _samples(scene: Scene, over: float) -> int:
@@ -211,37 +221,37 @@ def _samples(scene: Scene, over: float) -> int:
 def _crossfades(scene: Scene, changes: Any) -> bool:
     """Whether a `set` changes what cannot ramp, such as a table."""
     sound = isinstance(changes, Mapping) and all(isinstance(values, Mapping) for values in changes.values())
+    parts = _parts(scene)
     return sound and any(
-        key in scene.modules[name].crossfaded
-        for name, values in changes.items()
-        if name in scene.modules
-        for key in values
+        key in parts[name].crossfaded for name, values in changes.items() if name in parts for key in values
     )
 
 
 def _changed(scene: Scene, changes: Changes) -> Scene:
     """Returns the scene with some values changed, checked as a scene file's values are."""
-    modules: dict[str, Module] = dict(scene.modules)
+    parts = _parts(scene)
     if not isinstance(changes, Mapping) or not all(isinstance(values, Mapping) for values in changes.values()):
         raise UsageError(f"found {changes!r}, expected the names of modules, each with what changes: {_EXAMPLE}")
     fixed = fixed_modules(scene)
     for name, values in changes.items():
-        if name not in modules:
-            raise UsageError(f"found '{name}', expected the name of a module{did_you_mean(str(name), modules)}")
-        if name in fixed and modules[name].live:
+        if name not in parts:
+            raise UsageError(f"found '{name}', expected the name of a module{did_you_mean(str(name), parts)}")
+        if name in fixed and parts[name].live:
             raise UsageError(
                 f"{name}: nothing of it can change while the scene runs, because it is in the matrix that scheme: "
                 f"{scene.scheme} makes once; under scheme: {one_of(without_matrices())} it can"
             )
-        modules[name] = _module_with(name, modules[name], values)
+        parts[name] = _part_with(name, parts[name], values)
+    modules = {name: one for name, one in parts.items() if isinstance(one, Module)}
+    pick_ups = {name: one for name, one in parts.items() if isinstance(one, PickUp)}
     around = ModuleContext.of(modules)
-    for name in changes:
-        for issue in modules[name].issues(name, around):
-            raise UsageError(f"{'.'.join(map(str, issue.path[1:]))}: {issue.sentence}")
-    return scene.model_copy(update={"modules": Table(modules)})
+    issues = (issue for name in changes if name in modules for issue in modules[name].issues(name, around))
+    for issue in itertools.chain(issues, sound_issues(pick_ups, around, scene.scheme)):
+        raise UsageError(f"{'.'.join(map(str, issue.path[1:]))}: {issue.sentence}")
+    return scene.model_copy(update={"modules": Table(modules), "sound": Table(pick_ups)})
 
 
-def _module_with(name: str, module: Module, values: Mapping[str, Any]) -> Module:
+def _part_with(name: str, module: Module | PickUp, values: Mapping[str, Any]) -> Module | PickUp:
     changeable = (*module.live, *module.crossfaded)
     for key in values:
         if key not in changeable:

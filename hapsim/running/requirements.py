@@ -13,9 +13,11 @@ import numpy as np
 
 from firmware_protocol import schema
 from firmware_protocol.description import Description
+from hapsim.cordis.explain import most_substeps, tick_seconds
+from hapsim.cordis.program import compile_scene
 from hapsim.errors import DescriptionError, UsageError
 from hapsim.loop.system import require_linux
-from hapsim.number_format import between, rounded_down
+from hapsim.number_format import between, duration, rounded_down
 from hapsim.prediction import Prediction, is_surely_unstable, surely_shaken_by, unlikely
 from hapsim.prediction.force_bounds import refused_travel
 from hapsim.recording.trace import require_writable_as_trace
@@ -126,6 +128,20 @@ def require_compatible(scene: Scene, name: str, description: Description) -> Non
         raise UsageError(f"{name}: {'.'.join(map(str, issue.path[1:]))}: {issue.sentence}")
     if scene.sensed_links:
         _require_velocity(scene, name, description)
+
+
+def require_in_time(scene: Scene) -> None:
+    """Raises UsageError where the steps of a sample take longer than its period on this machine, by measurement."""
+    if scene.substeps == 1 or scene.device.clock == "lockstep":
+        return
+    seconds = tick_seconds(compile_scene(scene), scene.channels)
+    if seconds * scene.substeps > scene.period:
+        fits = most_substeps(seconds, scene.period)
+        expected = f"expected at most {fits}" if fits else "expected a smaller scene or a lower rate"
+        raise UsageError(
+            f"substeps: found {scene.substeps}, whose steps take {duration(seconds * scene.substeps)} here; the sample "
+            f"period is {duration(scene.period)}; {expected}"
+        )
 
 
 def require_known_zero(scene: Scene, name: str) -> None:

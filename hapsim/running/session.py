@@ -45,7 +45,13 @@ from hapsim.running.assemble import assemble_loop
 from hapsim.running.changes import OVER, Changes, LiveScene
 from hapsim.running.compile_ahead import DEVICE_UNITS, compile_ahead
 from hapsim.running.options import RunOptions
-from hapsim.running.requirements import PACING, require_compatible, require_known_zero, require_runnable
+from hapsim.running.requirements import (
+    PACING,
+    require_compatible,
+    require_in_time,
+    require_known_zero,
+    require_runnable,
+)
 from hapsim.scene import Scene
 from hapsim.stopping import note_arming, undisturbed
 
@@ -91,6 +97,7 @@ class Session:
         with contextlib.ExitStack() as stack:
             self._connection = self._open_device(scene, stack)
             self._loop = assemble_loop(scene, self._connection, self._description, options)
+            require_in_time(self._loop.rendered_scene)
             self._live = LiveScene(scene, self._loop, self._over.is_set, self.gives_way, options.unstable)
             self._body = self._compiled_body()
             self._recorder = Recorder(self._loop.ring, options.keep, min(math.ceil(scene.rate), _LAST_ROWS))

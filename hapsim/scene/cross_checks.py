@@ -12,6 +12,7 @@ from .issue import Issue, Path, quote
 from .modules import Detent, DevicePoint, Ground, Link, ModuleContext, ViscoElastic
 from .part import Part
 from .quantity import ANGLE, Span
+from .sound import sound_issues
 
 #: The parts that may have lists with one value per channel.
 PER_CHANNEL_PARTS: tuple[Path, ...] = (("device",), ("mock",), ("mock", "initial"), ("mock", "hand"))
@@ -26,15 +27,13 @@ MOST_SINGLE = (2.0 - 2.0**-23) * 2.0**127
 _LEAST_COUNTS = 4
 
 
-def cross_check_issues(
-    around: ModuleContext, per_channel: Fields, precision: object, substeps: object
-) -> Iterator[Issue]:
+def cross_check_issues(around: ModuleContext, per_channel: Fields, scene: Mapping[str, object]) -> Iterator[Issue]:
     """Yields the faults between the parts.
 
     Args:
         around: the modules.
         per_channel: the sound fields of the parts that may have lists with one value per channel.
-        precision, substeps: of the scene, as written.
+        scene: what else it says, made or as written.
     """
     for name, module in around.modules.items():
         yield from module.issues(name, around)
@@ -42,11 +41,14 @@ def cross_check_issues(
     if None not in kinds and DevicePoint not in kinds:
         sentence = "found no module of type device, expected at least one: it is what the hand holds"
         yield Issue(("modules",), sentence, at_key=True)
-    if precision == "single":
+    if scene.get("precision") == "single":
         yield from _beyond_single(around)
     yield from _device_issues(per_channel[("device",)])
+    substeps, sound = scene.get("substeps"), scene.get("sound")
     if isinstance(substeps, int) and substeps > 1:
         yield from _centred_dampers(around)
+    if isinstance(sound, Mapping):
+        yield from sound_issues(sound, around, scene.get("scheme"))
     quantum = per_channel[("mock",)].get("quantum", 1e-9)
     if per_channel[("device",)].get("port") is None and isinstance(quantum, int | float):
         yield from narrow_detents(around, lambda _: float(quantum), "mock.quantum")

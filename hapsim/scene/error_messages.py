@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, get_args
+from typing import Any, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
@@ -45,9 +45,12 @@ class Layout:
         part: type[BaseModel] | None = self.root
         if place[:1] == (self.collection,):
             part, place = (self.tagged[str(place[2])] if len(place) > 2 else None), place[3:]
-        for key in place:
+        steps = iter(place)
+        for key in steps:
             field = _fields_of(part).get(str(key))
             options = [field.annotation, *get_args(field.annotation)] if field else []  # a part, or it ``| None``
+            if field and get_origin(field.annotation) is Mapping:
+                next(steps, None)  # a name
             part = next((one for one in options if isinstance(one, type) and issubclass(one, BaseModel)), None)
         return _fields_of(part)
 
@@ -58,7 +61,11 @@ _SCENE = Layout(
     "type",
     MODULE_TYPES,
     "a mapping such as {type: mass, mass: 0.01}",
-    {(): "a mapping with version, rate, device and modules", ("modules",): "a mapping from names to modules"},
+    {
+        (): "a mapping with version, rate, device and modules",
+        ("modules",): "a mapping from names to modules",
+        ("sound",): "a mapping from names to pick-ups",
+    },
 )
 
 

@@ -105,9 +105,7 @@ def _validate(document: Document) -> tuple[Scene | None, list[Issue]]:
             return None, [issue for issue in issues if issue.path == ("version",)]
         # The checks across parts reach as far as the sound parts of the scene allow.
         modules = _sound_modules(data.get("modules"))
-        across = cross_check_issues(
-            modules, _sound_fields(data, issues), data.get("precision"), data.get("substeps", 1)
-        )
+        across = cross_check_issues(modules, _sound_fields(data, issues), data)
         angles = (one for one in misplaced_angles(data, modules) if one.path not in {issue.path for issue in issues})
         return None, [*issues, *across, *angles]
 

@@ -29,6 +29,7 @@ from .modules import (
 from .part import Part, Table
 from .quantity import NAME, count, quantity
 from .quantity import version as format_version
+from .sound import PickUp
 
 VERSION = 1
 
@@ -54,6 +55,14 @@ ModulesByName = Annotated[
 ]
 
 
+PickUpsByName = Annotated[
+    Mapping[Annotated[str, NAME], PickUp],
+    AfterValidator(Table),
+    PlainSerializer(lambda sound: {name: one.model_dump() for name, one in sound.items()}),
+    Field(description="What is heard: the output channels, by name", json_schema_extra={"additionalProperties": False}),
+]
+
+
 class Scene(Part):
     """A scene for hapsim, version 1: the device that the hand holds, and what it feels. SI units.
 
@@ -66,6 +75,7 @@ class Scene(Part):
         device: what stands on the other side of the wire.
         mock: where the mock device differs from it.
         modules: by name, in the order of the file.
+        sound: the pick-ups, by name, in the order of the output channels.
 
     Raises:
         pydantic.ValidationError: made in Python from parts that do not fit.
@@ -84,12 +94,13 @@ class Scene(Part):
     )
     scheme: SchemeName = Field(default="cordis", description=SCHEME)
     modules: ModulesByName
+    sound: PickUpsByName = Field(default_factory=dict, validate_default=True)
 
     _path: str | None = PrivateAttr(None)
 
     @model_validator(mode="after")
     def _parts_fit(self) -> "Scene":
-        issues = cross_check_issues(ModuleContext.of(self.modules), self._per_channel(), self.precision, self.substeps)
+        issues = cross_check_issues(ModuleContext.of(self.modules), self._per_channel(), dict(self))
         lines = [f"{'.'.join(map(str, issue.path))}: {issue.sentence}" for issue in issues]
         if lines:
             raise PydanticCustomError(ACROSS, "{faults}", {"faults": "\n".join(lines)})

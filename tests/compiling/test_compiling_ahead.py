@@ -190,7 +190,7 @@ def test_every_type_of_module_and_every_scheme_is_in_it(precision: str) -> None:
         assert [part_type.name for part_type in PART_TYPES if not part_type.select(scene)] == []
         assert {module.type for module in scene.modules.values()} == set(MODULE_TYPES)
         selected = {name for part_type in PART_TYPES for name in part_type.select(scene)}
-        assert selected == scene.modules.keys() - scene.device_points.keys()
+        assert selected == (scene.modules.keys() | scene.sound.keys()) - scene.device_points.keys()
         assert linear_scene(scene).links.keys() == scene.links.keys()
 
 

@@ -85,6 +85,7 @@ def scene_of(scheme: str, precision: str) -> Scene:
         modules[f"h_{name}"] = {"type": "device", "channel": channel}
         modules[name] = {"between": [f"h_{name}", held], **link}
     keys = {"version": 1, "rate": RATE, "scheme": scheme, "precision": precision, "device": {"mass": 0.2}}
+    keys |= {"sound": {"ear": {"from": "ball", "of": "velocity"}}}
     return parse_scene(yaml.safe_dump(keys | {"modules": modules}, sort_keys=False))
 
 

@@ -62,13 +62,17 @@ MODULES: dict[str, tuple[dict[str, Any], tuple[str, ...]]] = {
         {"type": "click", "travel": 0.1, "peak": 1.0, "drop": 0.5, "bottom": 9.0, **LINK},
         ("add_forces",),
     ),
+    "pick-ups": ({"from": "ball", "of": "velocity"}, ("add_forces",)),
     "plectra": ({"type": "plectrum", "stiffness": 9.0, "release": 0.1, **LINK}, ("add_forces",)),
 }
 
 
 def scene_of(modules: Mapping[str, Any]) -> Scene:
     always = {"hand": {"type": "device", "channel": 0}, "ball": {"type": "mass", "mass": 0.1, "position": 0.01}}
-    return Scene.model_validate({"version": 1, "rate": 1000, "device": {"mass": 0.2}, "modules": always | modules})
+    sound = {name: one for name, one in modules.items() if "of" in one}
+    modules = always | {name: one for name, one in modules.items() if name not in sound}
+    document = {"version": 1, "rate": 1000, "device": {"mass": 0.2}, "modules": modules, "sound": sound}
+    return Scene.model_validate(document)
 
 
 def with_types(names: Sequence[str]) -> Scene:

@@ -126,6 +126,7 @@ def linear_subsystem(scene: Scene, context: BuildContext) -> LinearSubsystem | N
     ties, held = _ties(scene, context), inside(scene)
     outer = {end for name, link in scene.links.items() if name not in held for end in link.between}
     outer |= {name for name, point in scene.material_points.items() if point.pulls_itself}
+    outer |= {one.point for one in scene.sound.values()}
     loaded = {context.number[end] for end in outer} | {int(p) for p in ties.point}
     return LinearSubsystem(
         point=point,

@@ -25,7 +25,7 @@ class Link(Module):
 
     @check_of("between")
     def _ends_fit(self, name: str, around: ModuleContext) -> Iterator[Issue]:
-        wrong_ends = {index: _wrong_end(name, end, around) for index, end in enumerate(self.between)}
+        wrong_ends = {index: wrong_end(name, end, around) for index, end in enumerate(self.between)}
         yield from (Issue(("between", index), sentence) for index, sentence in wrong_ends.items() if sentence)
         if any(wrong_ends.values()):
             return
@@ -38,8 +38,8 @@ class Link(Module):
             yield Issue(("between",), f"found {ends}, of which neither can move; expected one end that can")
 
 
-def _wrong_end(name: str, end: str, around: ModuleContext) -> str | None:
-    """What is wrong with an end of the link `name`, in words."""
+def wrong_end(name: str, end: str, around: ModuleContext) -> str | None:
+    """What is wrong with the point that `name`, a link or a pick-up, holds by this end; in words."""
     if end == name:
         return f"found {quote(end)}, the link itself; expected a point to hold"
     holder = around.holder(end)
@@ -56,7 +56,7 @@ def _wrong_end(name: str, end: str, around: ModuleContext) -> str | None:
         what = kind.model_fields["type"].default
         return f"found {quote(end)}, but {quote(holder)} is a single {what}; leave out the dot and what follows"
     if not kind.is_point:
-        return f"found {quote(end)}, which is a link; expected a point: a link joins points, not links"
+        return f"found {quote(end)}, which is a link; expected a point"
     return None
 
 
