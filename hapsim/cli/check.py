@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Annotated, Any
@@ -13,7 +14,7 @@ from hapsim.cli.check_regions import regions_document, show_regions
 from hapsim.cli.live import at_work
 from hapsim.cli.options import At, Json, SceneFile, flag, load, position, scene_name
 from hapsim.cli.output import Table, document, pick, spoken, stderr, stdout, table
-from hapsim.errors import UsageError
+from hapsim.errors import GuardError, UsageError
 from hapsim.holds import HOLDS
 from hapsim.number_format import duration, number
 from hapsim.prediction import (
@@ -27,6 +28,7 @@ from hapsim.prediction import (
     warnings_about,
 )
 from hapsim.prediction.force_bounds import refused_slew, refused_travel, run_bounds, slow_slew, travel_document
+from hapsim.prediction.linear import with_device
 from hapsim.units import InUnits
 
 if TYPE_CHECKING:
@@ -52,10 +54,12 @@ def check(
         prediction = predict(loaded, at=position(at, loaded))
         on_wire = predict_on_wire(loaded)
     explanation = _explanation(loaded) if explain else None
+    peaks = _sound_peaks(loaded) if explain and loaded.sound else {}
     of_slew = _slew_warnings(loaded, prediction)
     warnings = [*of_slew, *(one for one in warnings_about(loaded, prediction) if one not in of_slew)]
     if json:
         compiled = {} if explanation is None else {"compiled": explanation.as_document()}
+        compiled |= {"sound_peaks": peaks} if peaks else {}
         bounds = {"force_bounds": run_bounds(loaded)._asdict(), "travel": travel_document(loaded)}
         predicted = prediction_document(prediction, on_wire=on_wire)
         about = {"scene": scene, "motion": loaded.device.motions(loaded.channels), "warnings": warnings}
@@ -67,6 +71,8 @@ def check(
     (details.show_details if explain else _show_summary)(out, loaded, prediction, on_wire)
     if explanation is not None:
         details.show_explanation(out, explanation)
+        for sentence in details.sound_sentences(loaded, peaks):
+            out.print(sentence)
     for warning in warnings:
         out.print(f"[yellow]Warning:[/yellow] {escape(warning)}")
 
@@ -76,6 +82,18 @@ def _explanation(scene: Scene) -> Explanation:
 
     with at_work(stderr(), "compiling", in_pipes=True) as show:
         return explain(scene, lambda part: show(f"compiling and timing {part}"))
+
+
+def _sound_peaks(scene: Scene) -> dict[str, float]:
+    """How loud each pick-up gets by itself: on the mock, in virtual time."""
+    from hapsim.running import start
+
+    with at_work(stderr(), "rendering the sound"):
+        session = start(with_device(scene, port=None, clock="lockstep"), duration=details.RENDERED_S, keep=False)
+        session.wait()
+        with contextlib.suppress(GuardError):
+            session.close()
+    return session.sound_peaks
 
 
 def _slew_warnings(scene: Scene, prediction: Prediction) -> list[str]:

@@ -381,6 +381,22 @@ def travel_sentences(scene: Scene) -> Iterator[str]:
             yield f"Origin{where}: position 0 is where {zero}."
 
 
+RENDERED_S = 2.0
+_PEAK = 10.0 ** (-6.0 / 20.0)
+
+
+def sound_sentences(scene: Scene, peaks: dict[str, float]) -> Iterator[str]:
+    """Yields how loud each pick-up gets by itself, and the gain that makes its peak -6 dB."""
+    for name, peak in peaks.items():
+        pick_up = scene.sound[name]
+        if peak == 0.0:
+            yield f"Sound: {name} is silent for {RENDERED_S:g} s: nothing moves {pick_up.point} unless a hand does."
+        else:
+            gain = pick_up.gain * _PEAK / peak
+            level = f"{20.0 * math.log10(peak):+.1f} dB"
+            yield f"Sound: {name} peaks at {level} in {RENDERED_S:g} s on the mock; gain: {gain:.3g} makes it -6 dB."
+
+
 def show_explanation(out: Console, explanation: Explanation) -> None:
     """Prints what the scene was compiled to, and what its parts take."""
     rows = [

@@ -157,6 +157,11 @@ class Session:
         self._require_running()
         self._live.adopt(scene, over)
 
+    @property
+    def sound_peaks(self) -> dict[str, float]:
+        """The largest size that each pick-up has had, before the soft clip; 1.0 is full scale."""
+        return dict(zip(self.scene.sound, self._loop.record.sound.peak.tolist(), strict=False))
+
     def progress(self) -> Progress:
         """Returns the state of the loop now."""
         return outcome.progress_of(self._loop)

@@ -459,3 +459,16 @@ def test_measure_says_where_the_force_was_limited(
     said = unwrapped(hapsim("measure", path).out)
     assert ("ticks were at the force limit: k and b hold for motions that stay below it" in said) == limited
     assert "at the slew limit" not in said
+
+
+def test_the_sound_is_rendered_and_each_gain_named(hapsim: Hapsim, scene_file: SceneFile) -> None:
+    ringing = {"type": "cell", "mass": 0.01, "stiffness": 4000.0, "velocity": 0.2}  # at 100 Hz
+    path = scene_file("spring", more={"bell": ringing})
+    pick_ups = "  {loud: {from: bell, of: velocity, gain: 0.5}, still: {from: hand, of: position}}"
+    path.write_text(path.read_text().replace("rate: 1000.0", f"rate: 1000.0\nsubsteps: 20\nsound:\n{pick_ups}"))
+    told = unwrapped(hapsim("check", path, "--explain").out)
+    assert "Sound: loud peaks at -20.0 dB in 2 s on the mock; gain: 2.51 makes it -6 dB." in told
+    assert "Sound: still is silent for 2 s: nothing moves hand unless a hand does." in told
+    assert ", 20 of them in a sample, " in told
+    peaks = hapsim("check", path, "--explain", "--json").document["sound_peaks"]
+    assert peaks == {"loud": pytest.approx(0.1, rel=1e-3), "still": 0.0}

@@ -9,8 +9,9 @@ import pytest
 from loop_rig import POSITION_SCALE, arrive, assembled, frame
 from numpy.typing import NDArray
 
-from hapsim.errors import SceneError
+from hapsim.errors import SceneError, UsageError
 from hapsim.loop.endings import HEARD
+from hapsim.running import requirements, start
 from hapsim.running.changes import LiveScene
 from hapsim.scene import Scene, parse_scene
 
@@ -128,3 +129,12 @@ modules:
     with pytest.raises(SceneError, match=r"s\.yaml:9.*damper: found centred in a scene with substeps"):
         parse_scene(text, "s.yaml")
     parse_scene(text.replace("substeps: 4\n", ""), "s.yaml")
+
+
+def test_substeps_that_take_longer_than_the_sample_period_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(requirements, "tick_seconds", lambda *_: 1e-5)
+    in_time = {"mass": 0.2, "clock": "device"}
+    with pytest.raises(UsageError, match=r"found 200, whose steps take 2 ms here; .* is 1 ms; .* most 80"):
+        start(scene_of(200, "last", device=in_time))
+    requirements.require_in_time(scene_of(90, "last", device=in_time))
+    requirements.require_in_time(scene_of(200, "last"))  # virtual time waits
