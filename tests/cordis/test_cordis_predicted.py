@@ -22,7 +22,8 @@ from hapsim.theory import Network, solve
 from hapsim.theory.interface import damper_named
 from hapsim.theory.network.layout import StateLayout, layout_of
 from hapsim.theory.network.network import BACKWARD, inner_links, remembers_nothing
-from hapsim.theory.network.state import channel_steps, transition
+from hapsim.theory.network.state import channel_steps
+from hapsim.theory.network.transitions import transition
 from hapsim.theory.schemes import SCHEMES as THEORY
 
 RATE = 1000.0

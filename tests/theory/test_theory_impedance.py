@@ -13,7 +13,8 @@ from hapsim.theory.hand.walls import stiffest_passive, stiffest_stable
 from hapsim.theory.interface import DAMPERS, SAMPLINGS, damper_named
 from hapsim.theory.network import impedance
 from hapsim.theory.network.impedance import desired_impedance, loop_impedance
-from hapsim.theory.network.state import channel_steps, entering_forces, transition
+from hapsim.theory.network.state import channel_steps, entering_forces
+from hapsim.theory.network.transitions import transition
 from hapsim.theory.schemes import SCHEMES
 
 RATE = 1000.0

@@ -12,7 +12,7 @@ import numpy as np
 from hapsim.theory.arrays import Floats
 from hapsim.theory.network.modes import settled
 from hapsim.theory.network.network import Network
-from hapsim.theory.network.state import transition
+from hapsim.theory.network.transitions import transition
 
 LIMIT = 1.0 + 1e-9  # a pole within it is not unstable: it may rest on 1, or never lose its energy
 FURTHER_THAN_ROUNDING = 1.001  # a pole outside of this radius is unstable, whatever rounding does

@@ -18,7 +18,8 @@ import numpy as np
 from hapsim.theory.arrays import Floats
 from hapsim.theory.network.network import Network
 from hapsim.theory.network.response import SceneMatrix, on_circle
-from hapsim.theory.network.state import link_feedback, transition
+from hapsim.theory.network.state import link_feedback
+from hapsim.theory.network.transitions import transition
 
 OUTSIDE = 1e-12  # the circle's radius is 1 and this: poles that rest on 1, and what never loses energy, lie inside
 REAL = 1e-6  # of |y|: an imaginary part below this is rounding, or two crossings that nearly meet

@@ -28,8 +28,8 @@ from hapsim.theory.hand.impedance import late_and_held
 from hapsim.theory.network.network import Network, is_centred
 from hapsim.theory.network.response import SceneMatrix, on_circle
 from hapsim.theory.network.sparse import factorised
-from hapsim.theory.network.state import entering_forces, is_large, transition
-from hapsim.theory.network.transitions import sparse_transition
+from hapsim.theory.network.state import entering_forces, is_large
+from hapsim.theory.network.transitions import sparse_transition, transition
 
 
 class LoopImpedance(NamedTuple):

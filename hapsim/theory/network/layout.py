@@ -2,8 +2,9 @@
 
 The state is, in metres and in this order: the points' positions x[n] and x[n-1] (C + M each), the channels' velocities
 times T (C), with averaged sampling the channels' true positions (C) and the mean velocities of those that a link
-senses, the forces computed for the channels, newest first and times T²/m, that a later sample still needs (C each), and
-what the links' dampers remember: stretches y[n-2] and older, velocities v[n-1] and older. Nothing else is kept.
+senses, with substeps the velocities that such a channel read a sample ago, the forces computed for the channels, newest
+first and times T²/m, that a later sample still needs (C each), and what the links' dampers remember: stretches y[n-2]
+and older, velocities v[n-1] and older. Nothing else is kept.
 """
 
 from __future__ import annotations
@@ -37,6 +38,7 @@ class StateLayout(NamedTuple):
     held: Indices
     size: int
     mean_velocity: Indices  # (C,) slots, -1 where no link senses the channel
+    velocity_before: Indices  # the same
     memories: tuple[DamperMemory, ...]
 
     @property
@@ -66,13 +68,14 @@ def layout_of(network: Network, steps: list[DeviceStep]) -> StateLayout:
     velocity = slice(2 * points, 2 * points + channels)
     position = slice(velocity.stop, velocity.stop + channels) if averaged else slice(0, channels)
     size = max(velocity.stop, position.stop)
-    mean_velocity = np.full(channels, -1, dtype=np.intp)
-    if averaged:
-        some = [network.ends[links] for damper, links in groups.items() if damper.senses]
-        ends = np.concatenate([np.zeros((0, 2), np.intp), *some])
-        sensed = np.unique(ends[(ends >= 0) & (ends < channels)])
-        mean_velocity[sensed] = size + np.arange(sensed.size)
-        size += sensed.size
+    some = [network.ends[links] for damper, links in groups.items() if damper.senses]
+    ends = np.concatenate([np.zeros((0, 2), np.intp), *some])
+    sensed = np.unique(ends[(ends >= 0) & (ends < channels)])
+    mean_velocity, velocity_before = np.full((2, channels), -1, dtype=np.intp)
+    for slots, is_kept in ((mean_velocity, averaged), (velocity_before, network.substeps > 1)):
+        if is_kept:
+            slots[sensed] = size + np.arange(sensed.size)
+            size += sensed.size
     remembered = steps[0].forces.shape[1] - 1 if steps else 0
     held = size + np.arange(remembered * channels).reshape(remembered, channels)
     size += held.size
@@ -83,5 +86,13 @@ def layout_of(network: Network, steps: list[DeviceStep]) -> StateLayout:
         memories.append(DamperMemory(damper, links, slots[:older], slots[older:]))
         size += slots.size
     return StateLayout(
-        slice(0, points), slice(points, 2 * points), velocity, position, held, size, mean_velocity, tuple(memories)
+        slice(0, points),
+        slice(points, 2 * points),
+        velocity,
+        position,
+        held,
+        size,
+        mean_velocity,
+        velocity_before,
+        tuple(memories),
     )

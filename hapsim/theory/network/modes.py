@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from hapsim.theory.arrays import Complexes, Floats, sort_by_modulus
 from hapsim.theory.network.network import Network
 from hapsim.theory.network.rest_poles import poles_at_rest
-from hapsim.theory.network.state import transition
+from hapsim.theory.network.transitions import transition, turned_in_steps
 
 NO_MOTION = 1e-12  # a pole of smaller modulus is a memory that empties, not a motion
 AT_THE_LIMIT = 1e-12  # a modulus this close to 1 is 1, to rounding
@@ -24,7 +24,8 @@ class Mode(NamedTuple):
 
     Attributes:
         pole: in the z-plane; of a pair, the one above the real axis.
-        frequency_hz: |s|/(2 pi) with s = ln(pole)/T, the undamped eigenfrequency.
+        frequency_hz: |s|/(2 pi) with s = ln(pole)/T, the undamped eigenfrequency. With substeps a motion may turn
+            further in a sample period than the logarithm says: s is then of what it turns.
         damping_ratio: -Re s/|s|; 1 for a real pole that decays, NaN for one that rests (s = 0).
         participation: (C + M,) each point's share of the kinetic energy, sum 1, device channels first.
     """
@@ -74,7 +75,8 @@ def all_modes(network: Network) -> Solution:
         return not_finite(size)
     poles, vectors = np.linalg.eig(matrix)
     poles = settled(network, matrix, poles.astype(complex))
-    return Solution(sort_by_modulus(poles), modes_of(network, poles, vectors), size)
+    turned = turned_in_steps(network, vectors) if network.substeps > 1 else None
+    return Solution(sort_by_modulus(poles), modes_of(network, poles, vectors, turned), size)
 
 
 @np.errstate(all="ignore")
@@ -136,16 +138,20 @@ def snap_to_rest(network: Network, poles: Complexes) -> Complexes:
     return poles
 
 
-def modes_of(network: Network, poles: Complexes, vectors: NDArray) -> list[Mode]:
-    """The modes, the slowest to decay first; ``vectors`` (points or more, n) are the poles' motions."""
+def modes_of(network: Network, poles: Complexes, vectors: NDArray, turned: Floats | None = None) -> list[Mode]:
+    """The modes, the slowest to decay first; ``vectors`` (points or more, n) are the poles' motions, and ``turned``
+    (n,) the radians that they turn in a sample period, about; None or NaN: as the poles say."""
     mass = np.concatenate([network.channel_mass, network.point_mass])
     order = np.lexsort((-poles.real, -np.abs(poles)))
     kept = [i for i in order if poles[i].imag >= 0.0 and abs(poles[i]) > NO_MOTION]
     energy = mass[:, None] * np.abs(vectors[: mass.size]) ** 2
-    return [_mode(complex(poles[i]), network.rate, energy[:, i] / energy[:, i].sum()) for i in kept]
+    turns = np.zeros(poles.size) if turned is None else np.round((turned - np.angle(poles)) / (2.0 * np.pi))
+    turns = np.nan_to_num(turns)
+    return [_mode(complex(poles[i]), float(turns[i]), network.rate, energy[:, i] / energy[:, i].sum()) for i in kept]
 
 
-def _mode(pole: complex, rate: float, participation: Floats) -> Mode:
-    s = rate * cmath.log(pole)
+def _mode(pole: complex, turns: float, rate: float, participation: Floats) -> Mode:
+    """``turns``: whole ones in a sample period, beside the pole's angle."""
+    s = rate * (cmath.log(pole) + 2j * math.pi * turns)
     ratio = -s.real / abs(s) if s else math.nan
     return Mode(pole, abs(s) / (2.0 * math.pi), ratio, participation)

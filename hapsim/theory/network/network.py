@@ -17,6 +17,7 @@ from hapsim.theory.interface import DAMPERS, SAMPLINGS, DamperModel
 from hapsim.theory.schemes import SCHEMES, LinkNature
 
 BACKWARD = DAMPERS["backward"](0.0)
+DECIMATIONS = ("last", "mean")
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +51,9 @@ class Network:
         scheme: the scheme that moves the masses, one of ``theory.schemes``.
         outside: (L,) the links whose force a scheme always takes at the sample, whatever they join
             (``mass_rates.py``). Default: none.
+        substeps: N, how often the masses move in a sample period (``substeps.py``); the T and the n of the masses and
+            of ``damper`` are then those of a step.
+        decimation: the force on a channel: that of the "last" step, or the "mean" of all N.
 
     Raises:
         ValueError: an argument is out of its range or its shape does not fit; the sentence says which.
@@ -70,6 +74,8 @@ class Network:
     margin_links: int | None = None
     scheme: str = "cordis"
     outside: Sequence[bool] = ()
+    substeps: int = 1
+    decimation: str = "last"
 
     def __post_init__(self) -> None:
         mass = checks.vector("channel_mass", self.channel_mass, above=0.0)
@@ -91,6 +97,8 @@ class Network:
             "damper": tuple(self.damper) or (BACKWARD,) * len(ends),
             "scheme": checks.one_of("scheme", self.scheme, SCHEMES),
             "outside": tuple(self.outside),
+            "substeps": int(checks.positive("substeps", self.substeps)),
+            "decimation": checks.one_of("decimation", self.decimation, DECIMATIONS),
         }
         for name in ("damper", "outside"):
             if checked[name] and len(checked[name]) != len(ends):
@@ -100,8 +108,8 @@ class Network:
 
 
 def is_centred(network: Network) -> bool:
-    """Whether the masses move by CORDIS's scheme, or there is none."""
-    return SCHEMES[network.scheme] is None or network.point_mass.size == 0
+    """Whether everything moves once a sample, and the masses by CORDIS's scheme, if there are any."""
+    return network.substeps == 1 and (SCHEMES[network.scheme] is None or network.point_mass.size == 0)
 
 
 def acting_links(network: Network) -> Indices:

@@ -1,17 +1,15 @@
-"""The matrix that moves the state of a scene (``layout.py``) from sample to sample, as triplets."""
+"""What moves the state of a scene (``layout.py``) from sample to sample, as triplets."""
 
 from __future__ import annotations
-
-from typing import Any
 
 import numpy as np
 
 from hapsim.theory.arrays import Floats
 from hapsim.theory.network.device_step import DeviceStep, device_step
 from hapsim.theory.network.layout import DamperMemory, StateLayout, layout_of
-from hapsim.theory.network.mass_rates import MassRates, advanced, mass_rates
+from hapsim.theory.network.mass_rates import MassRates, mass_rates
 from hapsim.theory.network.network import Network, acting_links, is_centred, outside_links
-from hapsim.theory.network.sparse import TripletBuilder, Triplets, dense, sparse
+from hapsim.theory.network.sparse import TripletBuilder, Triplets, dense
 
 LARGE = 1000  # numbers in the state; above, eigenvalues of the whole matrix take longer than a user waits
 
@@ -37,46 +35,43 @@ def is_large(network: Network) -> bool:
     return state_size(network) > LARGE
 
 
-@np.errstate(all="ignore")  # numbers out of range become NaN
-def transition(network: Network) -> Any:
-    """The square matrix that takes the state at one sample to the state at the next.
-
-    An array; of a large scene by CORDIS's scheme a sparse one, of scipy, by compressed columns.
-    """
-    entries, system, size = transition_parts(network)
-    if size > LARGE and system is None:
-        return sparse(entries, (size, size))
-    matrix = dense(entries, (size, size))
-    if system is not None:
-        matrix[system.now], matrix[system.before] = advanced(network, system, size)
-    return matrix
-
-
 @np.errstate(all="ignore")
 def transition_parts(network: Network) -> tuple[Triplets, MassRates | None, int]:
-    """Its entries, what another scheme than CORDIS's makes of the masses, whose rows are then empty, and its size."""
+    """Of a network whose points move once in a sample period: the entries of the matrix that takes the state at one
+    sample to the state at the next, what another scheme than CORDIS's makes of the masses, whose rows are then empty,
+    and its size."""
     steps = channel_steps(network)
     layout = layout_of(network, steps)
-    channels, points = network.channel_mass.size, layout.now.stop
     parts = TripletBuilder()
+    force, system = scene_rows(network, layout, parts)
+    device_rows(layout, steps, force, parts)
+    return parts.joined(), system, layout.size
+
+
+def scene_rows(network: Network, layout: StateLayout, parts: TripletBuilder) -> tuple[Triplets, MassRates | None]:
+    """The forces T²/m F on the points from the state, and what another scheme than CORDIS's makes of the masses; into
+    ``parts`` goes what a step makes of the masses and of what dampers remember."""
+    channels, points = network.channel_mass.size, layout.now.stop
     springs, dampers = _pulls(network, layout, parts)
     pull = Triplets(*(np.concatenate(both) for both in zip(springs, dampers, strict=True)))
     force = _on_points(network, layout, pull)
-    on_mass = force.row >= channels
-    system, own = None, np.arange(points)
-    if is_centred(network):
-        mass = own[channels:]
-        parts.add(mass, mass, 2.0)
-        parts.add(mass, points + mass, -1.0)
-        parts.add(*force.some(on_mass))
-    else:
+    if not is_centred(network):
         outside = np.isin(pull.row, outside_links(network))
-        system = mass_rates(network, layout, _on_points(network, layout, pull.some(outside)))
-        own = own[:channels]
-    parts.add(points + own, own, 1.0)
-    held = layout.held
+        return force, mass_rates(network, layout, _on_points(network, layout, pull.some(outside)))
+    mass = np.arange(channels, points)
+    parts.add(mass, mass, 2.0)
+    parts.add(mass, points + mass, -1.0)
+    parts.add(*force.some(force.row >= channels))
+    parts.add(points + mass, mass, 1.0)
+    return force, None
+
+
+def device_rows(layout: StateLayout, steps: list[DeviceStep], force: Triplets, parts: TripletBuilder) -> None:
+    """Into ``parts``: what a sample period makes of the channels; ``force``: T²/m F on them from the state."""
+    held, own = layout.held, np.arange(len(steps))
+    parts.add(layout.before.start + own, own, 1.0)
     if len(held):
-        point, column, value = force.some(~on_mass)
+        point, column, value = force.some(force.row < own.size)
         parts.add(held[0][point], column, value)
         parts.add(held[1:], held[:-1], 1.0)
     for channel, step in enumerate(steps):
@@ -87,7 +82,6 @@ def transition_parts(network: Network) -> tuple[Triplets, MassRates | None, int]
                 parts.add(row, layout.velocity.start + channel, motion[1])
                 parts.add(row, column, forces[0] * value)
                 parts.add(row, held[:, channel], forces[1:])
-    return parts.joined(), system, layout.size
 
 
 def _slots(layout: StateLayout, channel: int) -> list[int]:

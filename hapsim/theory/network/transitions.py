@@ -1,6 +1,7 @@
-"""The transition of a large scene as sparse matrices: what it makes of a state, and its shifted inverse.
+"""The transition: the matrix that takes the state of a scene (``layout.py``) at one sample to the state at the next.
 
-Left z' = right z. Only an implicit scheme, such as midpoint, needs a left side (``theory.schemes``).
+Of a large scene as sparse matrices: what it makes of a state, and its shifted inverse. Left z' = right z. Only an
+implicit scheme, such as midpoint, needs a left side (``theory.schemes``).
 """
 
 from __future__ import annotations
@@ -11,11 +12,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapsim.theory.arrays import Floats, Indices
+from hapsim.theory.network.mass_rates import MassRates, advanced
 from hapsim.theory.network.network import Network
-from hapsim.theory.network.sparse import Solve, factorised, sparse
-from hapsim.theory.network.state import transition_parts
-from hapsim.theory.schemes import SCHEMES
+from hapsim.theory.network.sparse import Solve, Triplets, dense, factorised, sparse
+from hapsim.theory.network.state import is_large, transition_parts
+from hapsim.theory.network.substeps import lift_of
+from hapsim.theory.schemes import SCHEMES, NotWorkedOutError
 
+Parts = tuple[Triplets, MassRates | None, int]
+"""As ``transition_parts`` returns them."""
+
+MOST_INVERSE = 4_000_000  # numbers of a state times steps in a sample period: a shifted inverse takes some seconds
+STAYS = 1e-24  # mean square of the masses' motion, where that of the whole state is 1: rounding
 A_CALL = 15_000  # numbers that are multiplied in the time that a multiplication takes to begin
 
 
@@ -60,17 +68,149 @@ class SparseTransition:
         return None if solve is None else lambda state: solve(left @ state)
 
 
-@np.errstate(all="ignore")  # numbers out of range become NaN
-def sparse_transition(network: Network) -> SparseTransition:
+class LiftedTransition:
+    """The same of a scene with substeps (``Lift``), whose N-th power is never formed. A shifted inverse of it is
+
+        (A^N - z)^-1 = 1/(N z) times the sum of w (A - w)^-1 over the N roots w of w^N = z
+
+    for what the steps move; the device's few numbers are eliminated.
+    """
+
+    def __init__(self, network: Network) -> None:
+        self._lift = lift = lift_of(network)
+        self.size, self.steps = lift.layout.size, network.substeps
+        self.step = _sparse_of(network, (*lift.stepped(), lift.size), lift.moved_hands())
+        self.work, self.is_finite = self.steps * self.step.work, self.step.is_finite
+        self._power = self.step.power(self.steps & -self.steps) if self.is_finite else (self.step, 1)
+        self.embedded = sparse(lift.embedded(), (lift.size, self.size)).tocsr()
+        self._device = sparse(lift.of_device(), (self.size, self.size + lift.asked.size)).tocsr()
+
+    def __matmul__(self, state: NDArray) -> NDArray:
+        """States (size,) or (size, n) at the next sample."""
+        moved = self._after_steps(state)
+        after = np.asarray(self._device @ np.concatenate([state, moved[self._lift.asked]]))
+        after[self._lift.scene] = moved[self._lift.scene]
+        return after
+
+    def _after_steps(self, state: NDArray) -> NDArray:
+        power, steps = self._power
+        moved = self.embedded @ state
+        for _ in range(self.steps // steps):
+            moved = power @ moved
+        return moved
+
+    def power(self, _most: int) -> tuple[Any, int]:
+        """As of ``SparseTransition``: a sample."""
+        return self, 1
+
+    def inverse(self, shift: complex) -> Solve | None:
+        """x -> (transition - shift)^-1 x; None where the shift is a pole, exactly.
+
+        Raises:
+            NotWorkedOutError: that takes too long.
+        """
+        if self.size * self.steps > MOST_INVERSE:
+            raise NotWorkedOutError(f"of as many masses with {self.steps} substeps that takes too long")
+        turns = (np.angle(shift) + 2.0 * np.pi * np.arange(self.steps)) / self.steps
+        roots = abs(shift) ** (1.0 / self.steps) * np.exp(1j * turns)
+        solves = [self.step.inverse(root) for root in roots.tolist()]
+        if any(solve is None for solve in solves):
+            return None
+        scene, asked = self._lift.scene, self._lift.asked
+        others = np.setdiff1d(np.arange(self.size), scene)
+
+        def of_scene(wanted: NDArray) -> NDArray:
+            whole = np.zeros((self._lift.size, *wanted.shape[1:]), complex)
+            whole[scene] = wanted
+            parts = (root * solve(whole)[scene] for root, solve in zip(roots, solves, strict=True) if solve is not None)
+            found: NDArray = sum(parts) / (shift * self.steps)
+            return found if np.iscomplexobj(wanted) or np.imag(shift) else found.real
+
+        def placed(moved: NDArray) -> NDArray:
+            state = np.zeros((self.size, *moved.shape[1:]), moved.dtype)
+            state[scene] = moved
+            return state
+
+        by_others = self._after_steps(np.eye(self.size)[:, others])
+        pushed = of_scene(by_others[scene])
+        own, by_force = np.split(self._device[others].toarray(), [self.size], axis=1)
+        asks = by_others[asked] - self._after_steps(placed(pushed))[asked]
+        inner = own[:, others] - shift * np.eye(others.size) + by_force @ asks
+
+        def solve(state: NDArray) -> NDArray:
+            found = placed(of_scene(state[scene]))
+            moved = np.linalg.solve(inner, state[others] - by_force @ self._after_steps(found)[asked])
+            found = found - placed(pushed @ moved)
+            found[others] = moved
+            return found
+
+        return solve
+
+
+def sparse_transition(network: Network) -> SparseTransition | LiftedTransition:
     """The transition of a large scene.
 
     Raises:
         NotWorkedOutError: its scheme's matrix is not sparse.
     """
-    entries, system, size = transition_parts(network)
+    with np.errstate(all="ignore"):  # numbers out of range become NaN
+        return _sparse_of(network, transition_parts(network)) if network.substeps == 1 else LiftedTransition(network)
+
+
+@np.errstate(all="ignore")  # numbers out of range become NaN
+def transition(network: Network) -> Any:
+    """The square matrix that takes the state at one sample to the state at the next.
+
+    An array; of a large scene by CORDIS's scheme, once a sample, a sparse one, of scipy, by compressed columns.
+    """
+    if network.substeps == 1:
+        parts = transition_parts(network)
+        if is_large(network) and parts[1] is None:
+            return sparse(parts[0], (parts[2], parts[2]))
+        return _dense_of(network, parts)
+    lift = lift_of(network)
+    size, scene = lift.layout.size, lift.scene
+    step = _dense_of(network, (*lift.stepped(), lift.size)) @ dense(lift.moved_hands(), (lift.size, lift.size))
+    moved = np.linalg.matrix_power(step, network.substeps) @ dense(lift.embedded(), (lift.size, size))
+    own, by_force = np.split(dense(lift.of_device(), (size, size + lift.asked.size)), [size], axis=1)
+    matrix = own + by_force @ moved[lift.asked]
+    matrix[scene] = moved[scene]
+    return matrix
+
+
+def turned_in_steps(network: Network, states: NDArray) -> Floats:
+    """(n,) the radians that motions (size, n) of a scene with substeps turn in a sample period: those that the masses
+    do from step to step, each for as much as it moves; NaN where they stay. A hand on its line does not show them."""
+    lift = lift_of(network)
+    if is_large(network):
+        step: Any = LiftedTransition(network).step
+    else:
+        step = _dense_of(network, (*lift.stepped(), lift.size)) @ dense(lift.moved_hands(), (lift.size, lift.size))
+    motion, turned = dense(lift.embedded(), (lift.size, lift.layout.size)) @ states, np.zeros(states.shape[1])
+    masses = slice(network.channel_mass.size, lift.layout.now.stop)
+    turned[network.point_mass @ np.abs(states[masses]) ** 2 < STAYS * network.point_mass.sum()] = np.nan
+    for _ in range(network.substeps):
+        after = step @ motion
+        turned += np.angle(network.point_mass @ (motion[masses].conj() * after[masses]))
+        motion = after
+    return turned
+
+
+def _dense_of(network: Network, parts: Parts) -> Floats:
+    entries, system, size = parts
+    matrix = dense(entries, (size, size))
+    if system is not None:
+        matrix[system.now], matrix[system.before] = advanced(network, system, size)
+    return matrix
+
+
+def _sparse_of(network: Network, parts: Parts, first: Triplets | None = None) -> SparseTransition:
+    """``first``: a matrix that moves the state before."""
+    entries, system, size = parts
     scheme, matrix = SCHEMES[network.scheme], sparse(entries, (size, size))
+    before = sparse(first, (size, size)) if first is not None else 1.0
     if scheme is None or system is None:
-        return SparseTransition(matrix)
+        return SparseTransition(matrix @ before if first is not None else matrix)
     own = 2 * system.masses
     rates = sparse(system.rates, (system.size, system.size))
     start = sparse(system.start, (system.size, size)).tocsr()
@@ -79,7 +219,7 @@ def sparse_transition(network: Network) -> SparseTransition:
         x, steps = np.split(np.arange(own), 2)
         rows, columns = np.concatenate([system.now, system.before, system.before]), np.concatenate([x, x, steps])
         values = np.repeat([1.0, 1.0, -system.unit], system.masses)
-        return SparseTransition(matrix + _matrix(rows, columns, values, (size, own)) @ after)
+        return SparseTransition((matrix + _matrix(rows, columns, values, (size, own)) @ after) @ before)
     # (1 - share Z) z' = (1 + (1 - share) Z) z in the masses' rows, with what pulls from outside held.
     share, rows = scheme.large, np.concatenate([system.now, system.before])
     place = _matrix(rows, np.arange(own), np.ones(own), (size, own))
@@ -88,7 +228,7 @@ def sparse_transition(network: Network) -> SparseTransition:
     moved = rates[:, :own] @ inner
     left = _matrix(others, others, np.ones(others.size), (size, size)) + place @ (inner - share * moved)
     right = matrix + place @ (inner + (1.0 - share) * moved + rates[:, own:] @ start[own:])
-    return SparseTransition(right, left.tocsc())
+    return SparseTransition(right @ before, left.tocsc())
 
 
 def _matrix(rows: Indices, columns: Indices, values: Floats, shape: tuple[int, int]) -> Any:
